@@ -1,0 +1,220 @@
+/* Floor 2: the callbacks of a system as the library calls them, and differences for what is missing. */
+#include "internal.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Derivatives by central differences of order 4,
+ *     f' = (8 (f(q+d) - f(q-d)) - (f(q+2d) - f(q-2d))) / 12d  +  O(d^4 f^(5)/30, 1.5 u f/d),
+ * with d a power of two near u^(1/5) max(1, |q|), so that q+d and q-d are exact. */
+static const int offsets[4] = {1, -1, 2, -2};
+static const double weights[4] = {8.0, -8.0, -1.0, 1.0};
+
+static double spacing(double q)
+{
+    int exponent;
+    frexp(fmax(1.0, fabs(q)), &exponent);
+    return ldexp(1.0, exponent - 12);
+}
+
+static int differenced_gradient(evaluator *e, const double *q, double *V_q)
+{
+    const dal_system_def *def = &e->system->def;
+    memcpy(e->point, q, def->n * sizeof *q);
+    for (size_t i = 0; i < def->n; i++) {
+        const double d = spacing(q[i]);
+        double sum = 0.0;
+        for (int k = 0; k < 4; k++) {
+            double V = (double)NAN;
+            e->point[i] = q[i] + offsets[k] * d;
+            const int returned = def->potential(e->point, &V, NULL, NULL, def->ctx);
+            e->potential_calls++;
+            if (returned) return returned;
+            sum += weights[k] * V;
+        }
+        e->point[i] = q[i];
+        V_q[i] = sum / (12.0 * d);
+    }
+    return 0;
+}
+
+/* From the user's gradient where there is one; else second differences of V, good to about 1e-6,
+ * which is enough for what it serves: Newton's speed. */
+static int differenced_hessian(evaluator *e, const double *q, double *V_qq)
+{
+    const dal_system_def *def = &e->system->def;
+    const size_t n = def->n;
+    memcpy(e->point, q, n * sizeof *q);
+    if (!(def->missing & DAL_MISSING_V_Q)) {
+        for (size_t j = 0; j < n; j++) {
+            const double d = spacing(q[j]);
+            for (size_t i = 0; i < n; i++) V_qq[i * n + j] = 0.0;
+            for (int k = 0; k < 4; k++) {
+                e->point[j] = q[j] + offsets[k] * d;
+                const int returned = def->potential(e->point, NULL, e->gradient, NULL, def->ctx);
+                e->potential_calls++;
+                if (returned) return returned;
+                for (size_t i = 0; i < n; i++)
+                    V_qq[i * n + j] += weights[k] * e->gradient[i] / (12.0 * d);
+            }
+            e->point[j] = q[j];
+        }
+        return 0;
+    }
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j <= i; j++) {
+            const double di = spacing(q[i]), dj = spacing(q[j]);
+            double sum = 0.0;
+            for (int k = 0; k < 4; k++) {
+                const double si = k < 2 ? di : -di, sj = k % 2 ? -dj : dj;
+                double V = (double)NAN;
+                e->point[i] += si;
+                e->point[j] += sj;
+                const int returned = def->potential(e->point, &V, NULL, NULL, def->ctx);
+                e->potential_calls++;
+                e->point[i] = q[i];
+                e->point[j] = q[j];
+                if (returned) return returned;
+                sum += si * sj > 0.0 ? V : -V;
+            }
+            V_qq[i * n + j] = V_qq[j * n + i] = sum / (4.0 * di * dj);
+        }
+    return 0;
+}
+
+static int complete_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    evaluator *const e = ctx;
+    const dal_system_def *def = &e->system->def;
+    double *const given_V_q = def->missing & DAL_MISSING_V_Q ? NULL : V_q;
+    double *const given_V_qq = def->missing & DAL_MISSING_V_QQ ? NULL : V_qq;
+    if (V || given_V_q || given_V_qq) {
+        const int returned = def->potential(q, V, given_V_q, given_V_qq, def->ctx);
+        e->potential_calls++;
+        if (returned) return returned;
+    }
+    if (V_q && !given_V_q) {
+        const int returned = differenced_gradient(e, q, V_q);
+        if (returned) return returned;
+    }
+    return V_qq && !given_V_qq ? differenced_hessian(e, q, V_qq) : 0;
+}
+
+static int complete_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                               double *phi_q, void *ctx)
+{
+    evaluator *const e = ctx;
+    const dal_system_def *def = &e->system->def;
+    const size_t n = def->n, m = def->m;
+    if (phi || phi_v) {
+        const int returned = def->constraint(q, v, phi, phi_v, NULL, def->ctx);
+        e->constraint_calls++;
+        if (returned) return returned;
+    }
+    if (!phi_q) return 0;
+    memcpy(e->point, q, n * sizeof *q);
+    for (size_t j = 0; j < n; j++) {
+        const double d = spacing(q[j]);
+        for (size_t a = 0; a < m; a++) phi_q[a * n + j] = 0.0;
+        for (int k = 0; k < 4; k++) {
+            e->point[j] = q[j] + offsets[k] * d;
+            const int returned = def->constraint(e->point, v, NULL, e->forms, NULL, def->ctx);
+            e->constraint_calls++;
+            if (returned) return returned;
+            for (size_t a = 0; a < m; a++) {
+                double sum = 0.0;
+                for (size_t i = 0; i < n; i++) sum += e->forms[a * n + i] * v[i];
+                phi_q[a * n + j] += weights[k] * sum / (12.0 * d);
+            }
+        }
+        e->point[j] = q[j];
+    }
+    return 0;
+}
+
+void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
+{
+    const size_t n = system->def.n;
+    dal__reserve(a, &e->point, n, sizeof(double));
+    dal__reserve(a, &e->gradient, n, sizeof(double));
+    dal__reserve(a, &e->forms, dal__times(system->def.m, n), sizeof(double));
+}
+
+void dal__evaluator_bind(evaluator *e, const dal_system *system)
+{
+    const dal_system_def *def = &system->def;
+    const unsigned of_potential = DAL_MISSING_V_Q | DAL_MISSING_V_QQ;
+    e->system = system;
+    e->potential = def->potential;
+    e->potential_ctx = def->ctx;
+    e->constraint = def->constraint;
+    e->constraint_ctx = def->ctx;
+    if (def->potential && (def->missing & of_potential)) {
+        e->potential = complete_potential;
+        e->potential_ctx = e;
+    }
+    if (def->constraint && (def->missing & DAL_MISSING_PHI_Q)) {
+        e->constraint = complete_constraint;
+        e->constraint_ctx = e;
+    }
+}
+
+/* Outputs start as NaN, so that one that is never written is found as one that is not finite. */
+static void forget(size_t count, double *x)
+{
+    if (x)
+        for (size_t i = 0; i < count; i++) x[i] = (double)NAN;
+}
+
+static int refuse(dal_error *error, const char *callback, int returned)
+{
+    return dal__fail(error, dal__callback_status(returned), "%s returned %d (%s)", callback,
+                     returned, returned > 0 ? "outside its domain" : "stop");
+}
+
+static int require_finite(dal_error *error, const char *callback, const char *output, size_t rows,
+                          size_t columns, const double *x)
+{
+    if (!x || dal__all_finite(rows * columns, x)) return DAL_SUCCESS;
+    size_t i = 0;
+    while (isfinite(x[i])) i++;
+    return dal__fail(error, DAL_EDOMAIN, "%s: %s[%zu,%zu] = %g is not finite, or was not written",
+                     callback, output, i / columns, i % columns, x[i]);
+}
+
+int dal__potential(evaluator *e, const double *q, double *V, double *V_q, double *V_qq,
+                   dal_error *error)
+{
+    const size_t n = e->system->def.n;
+    if (!e->potential) {
+        if (V) *V = 0.0;
+        if (V_q) memset(V_q, 0, n * sizeof *V_q);
+        if (V_qq) memset(V_qq, 0, n * n * sizeof *V_qq);
+        return DAL_SUCCESS;
+    }
+    forget(1, V);
+    forget(n, V_q);
+    forget(n * n, V_qq);
+    const int returned = e->potential(q, V, V_q, V_qq, e->potential_ctx);
+    if (e->potential_ctx != e) e->potential_calls++;
+    if (returned) return refuse(error, "potential", returned);
+    int status = require_finite(error, "potential", "V", 1, 1, V);
+    if (!status) status = require_finite(error, "potential", "V_q", 1, n, V_q);
+    if (!status) status = require_finite(error, "potential", "V_qq", n, n, V_qq);
+    return status;
+}
+
+int dal__constraint(evaluator *e, const double *q, const double *v, double *phi_v, double *phi_q,
+                    dal_error *error)
+{
+    const size_t n = e->system->def.n, m = e->system->def.m;
+    if (m == 0) return DAL_SUCCESS;
+    forget(m * n, phi_v);
+    forget(m * n, phi_q);
+    const int returned = e->constraint(q, v, NULL, phi_v, phi_q, e->constraint_ctx);
+    if (e->constraint_ctx != e) e->constraint_calls++;
+    if (returned) return refuse(error, "constraint", returned);
+    int status = require_finite(error, "constraint", "phi_v", m, n, phi_v);
+    if (!status) status = require_finite(error, "constraint", "phi_q", m, n, phi_q);
+    return status;
+}

@@ -1,0 +1,157 @@
+/* internal.h - what the files of csrc/ share and the header does not show.
+ *
+ * One section for each floor; a file calls only its own floor or lower ones.  Private functions
+ * that cross files are called dal__name. */
+#ifndef DALEMBERT_INTERNAL_H
+#define DALEMBERT_INTERNAL_H
+
+#include "dalembert.h"
+
+#include <float.h>
+#include <stdbool.h>
+#include <stdint.h>
+
+/* Unit roundoff u = 2^-53, and the bound on |mu^a v| / sum_i |mu^a_i v_i| after every step. */
+#define DAL_ROUNDOFF (DBL_EPSILON / 2)
+#define DAL_RESIDUAL_BOUND(n) (4.0 * (double)(n) * DAL_ROUNDOFF)
+
+/* ---- floor 0: status.c, arena.c --------------------------------------------------------- */
+
+#if defined(__GNUC__)
+__attribute__((format(printf, 3, 4)))
+#endif
+/* Writes the text (printf format) and the status to error, which may be NULL; returns status. */
+int dal__fail(dal_error *error, int status, const char *format, ...);
+
+/* Status of what a user's callback returned: 0, DAL_EDOMAIN for > 0, DAL_EUSER for < 0. */
+int dal__callback_status(int returned);
+
+/* A plan of arrays that share one allocation.  Usage: an arena {0}; dal__reserve for each array;
+ * dal__allocate once; then the pointers are valid until dal__release. */
+typedef struct arena {
+    struct {
+        void *slot; /* address of the pointer to set */
+        size_t offset;
+    } part[96];
+    size_t parts, size;
+    bool overflow;
+    void *block;
+} arena;
+
+/* Plans count elements of size bytes for *slot (the address of a pointer to any object type). */
+void dal__reserve(arena *a, void *slot, size_t count, size_t size);
+/* Zero-filled memory for all that was reserved; DAL_ENOMEM. */
+int dal__allocate(arena *a, dal_error *error);
+void dal__release(arena *a);
+
+/* a*b, or SIZE_MAX where that overflows. */
+size_t dal__times(size_t a, size_t b);
+
+bool dal__all_finite(size_t count, const double *x);
+
+/* ---- floor 1: dense.c, lu.h ------------------------------------------------------------- */
+
+/* y[rows] = A[rows*columns] x[columns]; y may not overlap. */
+void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y);
+
+/* Lower Cholesky factor of the symmetric A[n*n] in place; false if it is not positive definite, and
+ * then *row and *pivot (or NULL) say where. */
+bool dal__cholesky(size_t n, double *A, size_t *row, double *pivot);
+/* x[n] <- A^-1 x from the factor. */
+void dal__cholesky_solve(size_t n, const double *factor, double *x);
+
+/* ---- floor 2: system.c, systems.c, evaluator.c ------------------------------------------ */
+
+struct dal_system {
+    dal_system_def def;      /* the strings, mass and state point into the arena */
+    double *mass;            /* M[n*n] */
+    double *mass_inverse;    /* M^-1[n*n] */
+    bool diagonal;           /* M is diagonal */
+    size_t parameters;       /* of a built-in system */
+    const char *const *parameter_names;
+    double *parameter_values;
+    arena arena;
+};
+
+/* dal_system_new for a built-in system: names must be static, values are copied and become ctx. */
+int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
+                     const char *const *names, const double *values, dal_error *error);
+
+/* The callbacks of a system as the rest of the library calls them: derivatives that the user does
+ * not give are differenced, calls are counted.  One evaluator for each thread.  potential and
+ * constraint may be called directly with their ctx (the hot path does, and counts by itself). */
+typedef struct evaluator {
+    const dal_system *system;
+    dal_potential_fn potential; /* NULL: V = 0 */
+    void *potential_ctx;
+    dal_constraint_fn constraint;
+    void *constraint_ctx;
+    double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
+    size_t potential_calls, constraint_calls;
+} evaluator;
+
+void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a);
+void dal__evaluator_bind(evaluator *e, const dal_system *system);
+
+/* Calls that check: status of the callback; DAL_EDOMAIN if an output is not finite.  The text
+ * names the callback, the component and the value. */
+int dal__potential(evaluator *e, const double *q, double *V, double *V_q, double *V_qq,
+                   dal_error *error);
+int dal__constraint(evaluator *e, const double *q, const double *v, double *phi_v, double *phi_q,
+                    dal_error *error);
+
+/* ---- floor 3: mechanics.c --------------------------------------------------------------- */
+
+/* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation. */
+struct dal_mechanics {
+    evaluator eval;
+    size_t n, m;
+    double *mu, *dmu;             /* [m*n]: mu(q) and d(mu v)/dq */
+    double *Z;                    /* [m*n]: row a is M^-1 mu^a */
+    double *C, *scale;            /* [m*m]: a matrix and the scale of its entries, see lu.h */
+    size_t *row;                  /* [m] */
+    double *force, *q, *w, *step; /* [n] */
+    double *lambda, *residual;    /* [m] */
+    double *hessian;              /* [n*n] */
+    dal_error error;
+    arena arena; /* used only by dal_mechanics_new */
+};
+
+void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena *a);
+void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
+
+/* ---- floor 4: flow.c -------------------------------------------------------------------- */
+
+/* dal_flow_apply without the accuracy; the projection onto D at the end only if project. */
+int dal__flow_apply(dal_flow *flow, double t0, double t1, double *x, bool project);
+
+/* ---- floor 6: schemes.c, kernels.c, multiroot.c, stepper.c ------------------------------- */
+
+struct dal_kernel; /* kernel.h */
+
+/* Makes steps steps; *done <- how many succeeded. */
+typedef int (*dal__advance_fn)(struct dal_kernel *k, size_t steps, size_t *done);
+
+/* The compilation of the step routine to use for these sizes. */
+dal__advance_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes);
+
+/* The sub-steps of a record: its own, or the only one {beta, 1}.  DAL_EINVAL if the record is not
+ * valid; the text says why. */
+int dal__scheme_check(const dal_scheme *scheme, dal_error *error);
+size_t dal__scheme_count(const dal_scheme *scheme);
+dal_substep dal__scheme_substep(const dal_scheme *scheme, size_t j);
+
+/* The equations of a step solved by gsl_multiroot hybridsj in all n + m unknowns. */
+typedef struct multiroot multiroot;
+int dal__multiroot_new(multiroot **solver, const dal_system *system, dal_error *error);
+void dal__multiroot_free(multiroot *solver);
+const char *dal__multiroot_message(const multiroot *solver);
+size_t dal__multiroot_iterations(const multiroot *solver);
+/* One beta-scheme with step h (of either sign) from x[2n], in place; kappa[m] = h lambda. */
+int dal__multiroot_step(multiroot *solver, double beta, double h, double *x, double *kappa);
+
+/* What a stepper was made of, and the record that dal_stepper_message reads. */
+const dal_system *dal__stepper_system(const dal_stepper *stepper);
+dal_error *dal__stepper_error(dal_stepper *stepper);
+
+#endif /* DALEMBERT_INTERNAL_H */

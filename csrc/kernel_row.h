@@ -1,0 +1,40 @@
+/* kernel_row.h - the step routine for n = DAL_ROW and every m < n up to 4, as kernel_n_m. */
+#define DAL_ROW_JOIN_(n, m) kernel_##n##_##m
+#define DAL_ROW_JOIN(n, m) DAL_ROW_JOIN_(n, m)
+
+#define DAL_N DAL_ROW
+#define DAL_M 0
+#define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 0)
+#include "kernel.h"
+
+#if DAL_ROW > 1
+#define DAL_N DAL_ROW
+#define DAL_M 1
+#define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 1)
+#include "kernel.h"
+#endif
+
+#if DAL_ROW > 2
+#define DAL_N DAL_ROW
+#define DAL_M 2
+#define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 2)
+#include "kernel.h"
+#endif
+
+#if DAL_ROW > 3
+#define DAL_N DAL_ROW
+#define DAL_M 3
+#define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 3)
+#include "kernel.h"
+#endif
+
+#if DAL_ROW > 4
+#define DAL_N DAL_ROW
+#define DAL_M 4
+#define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 4)
+#include "kernel.h"
+#endif
+
+#undef DAL_ROW_JOIN
+#undef DAL_ROW_JOIN_
+#undef DAL_ROW

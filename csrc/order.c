@@ -1,0 +1,486 @@
+/* Floor 6: the order (p, s) of a scheme, measured by refining the step.
+ *
+ * p and s are slopes of the error of one step from exact data, minus 1: p of the state, s of the
+ * scheme's own multiplier against lambda(t0 + h).  For kept nodes the data are those that the run
+ * starts from, which need not lie in D; the ODE (h) is defined there by the same formula.
+ *
+ * What is promised.  A record promises (p, s) for a step from the set that it keeps.  Kept nodes
+ * started in D (DAL_INITIAL_D) jump to D_eps in their first step, which costs that step one order
+ * in both (E12), and the run none.  So for that start the first step has to have (p - 1, s - 1),
+ * and the error at t_end the slope p. */
+#include "internal.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { BLOCK = 256, FEWEST_POINTS = 3 };
+
+static const double SLACK = 0.2;           /* by which an order may fall short of its promise */
+static const double ABOVE_FLOOR = 100.0;   /* an error counts if it is so many times the floor */
+static const double ROUNDOFF_STEPS = 50.0; /* the floor of an exact reference in u times scale */
+static const double SMALLEST_RANGE = 2.0;  /* of h over the points that count */
+static const double DEFAULT_TOLERANCE = 1e-13;
+static const double CONSISTENT = 1e-8;     /* |mu v| / sum |mu_i v_i| of data taken to be in D */
+
+typedef struct study {
+    const dal_system *system;
+    const dal_scheme *scheme;
+    const dal_order_def *def;
+    size_t n, m;
+    bool kept;          /* kept nodes */
+    double shift;       /* 1 - beta of a record with a single sub-step, else NaN */
+    double tolerance;   /* of the flow */
+    double accuracy;    /* of the reference at t_end */
+    dal_mechanics *mech;
+    dal_stepper *stepper;
+    dal_flow *flow;     /* NULL where the exact solution serves */
+    double *x0;         /* [2n]: def->x0 in D to roundoff */
+    double *end;        /* [2n]: the reference at t_end */
+    double *end_lambda; /* [m] */
+    double *start;      /* [2n]: what the run starts from */
+    double *exact;      /* [2n] */
+    double *rows;       /* [(BLOCK + 1)*2n] */
+    double *energy, *relative;         /* [BLOCK + 1] */
+    double *lambda, *expected, *reaction; /* [m] */
+    double *h, *errors;                /* [count]: of a fit */
+    dal_order_point *points;           /* [count] */
+    dal_error *error;
+    arena memory;
+} study;
+
+/* ---- fits ------------------------------------------------------------------------------- */
+
+void dal_fit_order(size_t count, const double *h, const double *errors, double floor,
+                   dal_fit *fit)
+{
+    double sum_x = 0.0, sum_y = 0.0, shortest = INFINITY, longest = 0.0;
+    size_t points = 0, finite = 0, above = 0;
+    for (size_t i = 0; i < count; i++) {
+        if (!isfinite(errors[i])) continue;
+        finite++;
+        above += errors[i] > floor;
+        if (!(errors[i] > ABOVE_FLOOR * floor)) continue;
+        points++;
+        sum_x += log(fabs(h[i]));
+        sum_y += log(errors[i]);
+        shortest = fmin(shortest, fabs(h[i]));
+        longest = fmax(longest, fabs(h[i]));
+    }
+    *fit = (dal_fit){.slope = NAN, .points = points, .exact = finite > 0 && above == 0};
+    if (points < FEWEST_POINTS || longest < SMALLEST_RANGE * shortest) return;
+
+    const double mean_x = sum_x / (double)points, mean_y = sum_y / (double)points;
+    double xx = 0.0, xy = 0.0;
+    for (size_t i = 0; i < count; i++) {
+        if (!(isfinite(errors[i]) && errors[i] > ABOVE_FLOOR * floor)) continue;
+        const double x = log(fabs(h[i])) - mean_x;
+        xx += x * x;
+        xy += x * (log(errors[i]) - mean_y);
+    }
+    fit->slope = xy / xx;
+}
+
+/* The fit of one column of the table, the member of dal_order_point at offset. */
+static dal_fit fit_column(study *self, size_t offset, double floor)
+{
+    dal_fit fit;
+    for (size_t i = 0; i < self->def->count; i++) {
+        self->h[i] = self->points[i].h;
+        memcpy(&self->errors[i], (const char *)&self->points[i] + offset, sizeof *self->errors);
+    }
+    dal_fit_order(self->def->count, self->h, self->errors, floor, &fit);
+    return fit;
+}
+
+/* ---- errors ----------------------------------------------------------------------------- */
+
+static double largest(size_t count, const double *x)
+{
+    double most = 0.0;
+    for (size_t i = 0; i < count; i++) most = fmax(most, fabs(x[i]));
+    return most;
+}
+
+static double largest_difference(size_t count, const double *x, const double *y)
+{
+    double most = 0.0;
+    for (size_t i = 0; i < count; i++) most = fmax(most, fabs(x[i] - y[i]));
+    return most;
+}
+
+static int failed_mechanics(const study *self, int status)
+{
+    return dal__fail(self->error, status, "%s", dal_mechanics_message(self->mech));
+}
+
+/* ---- the reference ---------------------------------------------------------------------- */
+
+/* x[2n] at t <- the solution that starts in start[2n] at t0.  Off D there is only the flow. */
+static int exact_state(study *self, double t, const double *start, double *x)
+{
+    if (!self->flow) return dal_system_exact(self->system, t - self->def->t0, start, x);
+    memcpy(x, start, 2 * self->n * sizeof *x);
+    return dal__flow_apply(self->flow, self->def->t0, t, x, !self->kept);
+}
+
+/* The state and lambda at t_end, and how well they are known. */
+static int solve_reference(study *self)
+{
+    const dal_order_def *const def = self->def;
+    int status;
+    if (self->system->def.exact) {
+        status = dal_system_exact(self->system, def->t_end - def->t0, self->x0, self->end);
+        if (status)
+            return dal__fail(self->error, status, "the exact solution at t_end = %g: %s",
+                             def->t_end, dal_strerror(status));
+    } else {
+        memcpy(self->end, self->x0, 2 * self->n * sizeof *self->end);
+        status = dal_flow_apply(self->flow, def->t0, def->t_end, self->end, &self->accuracy);
+        if (status)
+            return dal__fail(self->error, status, "reference flow: %s",
+                             dal_flow_message(self->flow));
+    }
+    status = dal_multipliers(self->mech, def->t_end, self->end, self->end_lambda);
+    return status ? failed_mechanics(self, status) : DAL_SUCCESS;
+}
+
+/* Below this an error says nothing: the accuracy of the reference, of which the flow that serves
+ * for single steps promises no more than its tolerance, or the roundoff of a state. */
+static double error_floor(const study *self)
+{
+    const double scale = fmax(fmax(largest(2 * self->n, self->x0), largest(2 * self->n, self->end)),
+                              largest(self->m, self->end_lambda));
+    const double accuracy = self->flow ? fmax(self->accuracy, self->tolerance) : 0.0;
+    return fmax(accuracy, ROUNDOFF_STEPS * DAL_ROUNDOFF * scale);
+}
+
+/* ---- one step size ---------------------------------------------------------------------- */
+
+/* The stepper at the initial data.  DAL_INITIAL_D_EPS wants them in D_eps. */
+static int start_run(study *self, double h)
+{
+    memcpy(self->start, self->x0, 2 * self->n * sizeof *self->start);
+    if (self->kept && self->def->initial == DAL_INITIAL_D_EPS) {
+        const int status = dal_project(self->mech, self->shift * h, self->start, NULL);
+        if (status) return status;
+    }
+    return dal_stepper_start(self->stepper, self->def->t0, h, self->start, DAL_CHECK,
+                             self->def->initial);
+}
+
+/* The errors of one step from exact data. */
+static int measure_step(study *self, double h, dal_order_point *point)
+{
+    const size_t n = self->n, m = self->m;
+    const double t0 = self->def->t0;
+    const double *const state = dal_stepper_state(self->stepper);
+    memcpy(self->start, state, 2 * n * sizeof *self->start);
+    int status = dal_step(self->stepper, self->reaction);
+
+    if (!status) status = exact_state(self, t0 + 0.5 * h, self->start, self->exact);
+    if (!status) status = dal_multipliers(self->mech, t0 + 0.5 * h, self->exact, self->expected);
+    if (status) return status;
+    point->local_midpoint = largest_difference(m, self->reaction, self->expected);
+
+    status = exact_state(self, t0 + h, self->start, self->exact);
+    if (!status) status = dal_multipliers(self->mech, t0 + h, self->exact, self->expected);
+    if (!status) status = dal_multipliers(self->mech, t0 + h, state, self->lambda);
+    if (status) return status;
+    point->local_state = largest_difference(2 * n, state, self->exact);
+    point->local_multipliers = largest_difference(m, self->lambda, self->expected);
+    point->local_reaction = largest_difference(m, self->reaction, self->expected);
+    return DAL_SUCCESS;
+}
+
+/* Energy and residuals of the states in rows 1..count; row 0 is where the block began. */
+static int watch_block(study *self, double h, size_t count, double energy0,
+                       dal_order_point *point)
+{
+    const double *const x = self->rows + 2 * self->n;
+    const double t = dal_stepper_time(self->stepper);
+    int status = dal_trajectory(self->mech, t, h, 0.0, count, x, self->energy, NULL, NULL,
+                                self->relative, NULL);
+    if (status) return status;
+    for (size_t k = 0; k < count; k++) {
+        const double error = fabs(self->energy[k] - energy0) / fmax(fabs(energy0), 1.0);
+        point->energy = fmax(point->energy, error);
+    }
+    point->residual = fmax(point->residual, largest(count, self->relative));
+    if (isnan(self->shift)) return DAL_SUCCESS;
+    status = dal_trajectory(self->mech, t, h, self->shift * h, count, x, NULL, NULL, NULL,
+                            self->relative, NULL);
+    if (!status) point->residual_eps = fmax(point->residual_eps, largest(count, self->relative));
+    return status;
+}
+
+/* The run to t_end: what it keeps on the way, and its errors there. */
+static int measure_run(study *self, double h, size_t steps, dal_order_point *point)
+{
+    const size_t n = self->n;
+    double energy0;
+    int status = dal_energy(self->mech, dal_stepper_state(self->stepper), &energy0);
+    for (size_t made = 0; !status && made < steps;) {
+        const size_t count = steps - made < BLOCK ? steps - made : BLOCK;
+        status = dal_integrate(self->stepper, count, 1, self->rows, NULL, NULL, NULL, NULL);
+        if (!status) status = watch_block(self, h, count, energy0, point);
+        made += count;
+    }
+    const double *const state = dal_stepper_state(self->stepper);
+    if (!status) status = dal_multipliers(self->mech, self->def->t_end, state, self->lambda);
+    if (status) return status;
+    point->q = largest_difference(n, state, self->end);
+    point->v = largest_difference(n, state + n, self->end + n);
+    point->multipliers = largest_difference(self->m, self->lambda, self->end_lambda);
+    return DAL_SUCCESS;
+}
+
+static dal_order_point failed_point(double h, size_t steps, int status)
+{
+    return (dal_order_point){.h = h, .steps = steps, .q = NAN, .v = NAN, .multipliers = NAN,
+                             .local_state = NAN, .local_multipliers = NAN, .local_reaction = NAN,
+                             .local_midpoint = NAN, .residual = NAN, .residual_eps = NAN,
+                             .energy = NAN, .failed = status};
+}
+
+/* One line of the table.  A run that fails is a failed point; a callback that says stop is
+ * obeyed. */
+static int measure_point(study *self, size_t steps, dal_order_point *point)
+{
+    const double h = (self->def->t_end - self->def->t0) / (double)steps;
+    *point = (dal_order_point){.h = h, .steps = steps};
+    point->residual_eps = isnan(self->shift) ? NAN : 0.0;
+    int status = start_run(self, h);
+    if (!status) status = measure_step(self, h, point);
+    if (!status) status = start_run(self, h);
+    if (!status) status = measure_run(self, h, steps, point);
+    if (status) *point = failed_point(h, steps, status);
+    if (status == DAL_EUSER)
+        return dal__fail(self->error, status, "a callback stopped the run with h = %g", h);
+    return DAL_SUCCESS;
+}
+
+/* ---- the verdict ------------------------------------------------------------------------ */
+
+/* What has to be measured for the record to hold. */
+typedef struct promise {
+    int p, s;     /* of the step from the data that the run starts from */
+    int run;      /* slope of the state at t_end; 0: not asked for */
+} promise;
+
+static promise promise_of(const study *self)
+{
+    promise made = {self->scheme->order, self->scheme->multiplier_order, 0};
+    if (self->kept && self->def->initial == DAL_INITIAL_D) {
+        made.run = made.p--;
+        made.s--;
+    }
+    return made;
+}
+
+static bool is_known(const dal_fit *fit) { return fit->exact || !isnan(fit->slope); }
+
+/* A slope of at least least, within the slack; an exact result has every order. */
+static bool reaches(const dal_fit *fit, int least)
+{
+    return fit->exact || fit->slope >= least - SLACK;
+}
+
+static int judge(const study *self, const dal_order *order)
+{
+    const promise made = promise_of(self);
+    if (self->scheme->order == 0) return -1;
+    if (!is_known(&order->state) || !is_known(&order->reaction)) return -2;
+    if (made.run && !(is_known(&order->global_q) && is_known(&order->global_v))) return -2;
+    const bool run = !made.run ||
+                     (reaches(&order->global_q, made.run) && reaches(&order->global_v, made.run));
+    return run && reaches(&order->state, made.p + 1) && reaches(&order->reaction, made.s + 1) &&
+           (self->kept ? order->keeps_D_eps : order->keeps_D);
+}
+
+/* 1 if the residual at offset is within the bound at every state of every run that did not fail. */
+static int is_kept(const study *self, size_t offset, double *worst)
+{
+    *worst = 0.0;
+    size_t runs = 0;
+    for (size_t i = 0; i < self->def->count; i++) {
+        double residual;
+        if (self->points[i].failed) continue;
+        memcpy(&residual, (const char *)&self->points[i] + offset, sizeof residual);
+        if (!(residual <= *worst)) *worst = residual;
+        runs++;
+    }
+    return runs > 0 && *worst <= DAL_RESIDUAL_BOUND(self->n);
+}
+
+/* text <- a fitted order: the slope minus lost, "exact", or "?". */
+static const char *order_text(const dal_fit *fit, double lost, char text[16])
+{
+    if (fit->exact) snprintf(text, 16, "exact");
+    else if (isnan(fit->slope)) snprintf(text, 16, "?");
+    else snprintf(text, 16, "%.2f", fit->slope - lost);
+    return text;
+}
+
+static const char *verdict_word(int holds)
+{
+    switch (holds) {
+    case 1: return "holds";
+    case 0: return "does not hold";
+    case -1: return "the record promises nothing";
+    default: return "too few errors stand clear of the floor to tell";
+    }
+}
+
+/* The verdict in words, with the numbers that it rests on. */
+static void write_verdict(const study *self, dal_order *order, double worst)
+{
+    char p[16], s[16], run[16], promised[64] = "", global[96] = "", failed[64] = "";
+    const promise made = promise_of(self);
+    size_t failures = 0;
+    for (size_t i = 0; i < self->def->count; i++) failures += self->points[i].failed != 0;
+    if (failures)
+        snprintf(failed, sizeof failed, "; %zu of %zu runs failed", failures, self->def->count);
+    if (self->scheme->order != 0)
+        snprintf(promised, sizeof promised, ", promised (%d, %d)", made.p, made.s);
+    if (made.run) {
+        const bool q = order->global_q.exact || order->global_q.slope > order->global_v.slope;
+        snprintf(global, sizeof global, " for the first step from D; at t_end %s, promised %d",
+                 order_text(q ? &order->global_v : &order->global_q, 0.0, run), made.run);
+    }
+    snprintf(order->text, sizeof order->text,
+             "order (p, s) = (%s, %s) over %zu points%s%s: %s; %s %s %.1e at every step%s.",
+             order_text(&order->state, 1.0, p), order_text(&order->reaction, 1.0, s),
+             order->state.points, promised, global, verdict_word(order->holds),
+             self->kept ? "D_eps" : "D",
+             (self->kept ? order->keeps_D_eps : order->keeps_D) ? "kept to" : "violated by",
+             worst, failed);
+}
+
+static void conclude(study *self, dal_order *order)
+{
+    const double floor = error_floor(self);
+#define FIT(member) fit_column(self, offsetof(dal_order_point, member), floor)
+    *order = (dal_order){
+        .state = FIT(local_state), .multipliers = FIT(local_multipliers),
+        .reaction = FIT(local_reaction), .midpoint = FIT(local_midpoint),
+        .global_q = FIT(q), .global_v = FIT(v), .global_multipliers = FIT(multipliers),
+        .floor = floor, .reference = self->accuracy,
+    };
+#undef FIT
+    order->p = order->state.slope - 1.0;
+    order->s = order->reaction.slope - 1.0;
+    double worst_D, worst_D_eps;
+    order->keeps_D = is_kept(self, offsetof(dal_order_point, residual), &worst_D);
+    order->keeps_D_eps = is_kept(self, offsetof(dal_order_point, residual_eps), &worst_D_eps);
+    order->holds = judge(self, order);
+    write_verdict(self, order, self->kept ? worst_D_eps : worst_D);
+}
+
+/* ---- the study -------------------------------------------------------------------------- */
+
+static int require_def(const dal_system *system, const dal_scheme *scheme,
+                       const dal_order_def *def, dal_error *error)
+{
+    if (!system || !scheme || !def || !def->x0 || !def->steps)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", !system ? "system" : !scheme ? "scheme"
+                         : !def ? "def" : !def->x0 ? "def->x0" : "def->steps");
+    if (!isfinite(def->t0) || !isfinite(def->t_end) || !isfinite(def->t_end - def->t0) ||
+        def->t_end == def->t0)
+        return dal__fail(error, DAL_EINVAL, "from t0 = %g to t_end = %g is not a finite interval "
+                         "of time", def->t0, def->t_end);
+    if (def->count == 0)
+        return dal__fail(error, DAL_EINVAL, "count = 0: at least one number of steps is needed");
+    for (size_t i = 0; i < def->count; i++)
+        if (def->steps[i] == 0) return dal__fail(error, DAL_EINVAL, "steps[%zu] = 0", i);
+    for (size_t i = 0; i < 2 * dal_system_n(system); i++)
+        if (!isfinite(def->x0[i]))
+            return dal__fail(error, DAL_EINVAL, "x0[%zu] = %g is not finite", i, def->x0[i]);
+    if (!(def->tolerance >= 0.0 && def->tolerance <= 0.1))
+        return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in [0, 0.1]", def->tolerance);
+    const bool kept = scheme->nodes == DAL_KEPT_NODES;
+    if (kept != (def->initial != DAL_INITIAL_NONE))
+        return dal__fail(error, DAL_EINVAL, "initial = %d: %s", (int)def->initial,
+                         kept ? "kept nodes have to be told how to start"
+                              : "only kept nodes have a choice of how to start");
+    return DAL_SUCCESS;
+}
+
+static int reserve_arrays(study *self)
+{
+    const size_t N = 2 * self->n, rows = BLOCK + 1, count = self->def->count;
+    const struct {
+        double **slot;
+        size_t size;
+    } arrays[] = {{&self->x0, N}, {&self->end, N}, {&self->start, N}, {&self->exact, N},
+                  {&self->rows, dal__times(rows, N)}, {&self->energy, rows},
+                  {&self->relative, rows}, {&self->end_lambda, self->m}, {&self->lambda, self->m},
+                  {&self->expected, self->m}, {&self->reaction, self->m}, {&self->h, count},
+                  {&self->errors, count}};
+    for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++)
+        dal__reserve(&self->memory, arrays[i].slot, arrays[i].size, sizeof(double));
+    dal__reserve(&self->memory, &self->points, count, sizeof *self->points);
+    return dal__allocate(&self->memory, self->error);
+}
+
+/* The objects of the study.  The flow stands in where there is no exact solution: in general, or
+ * off D. */
+static int make_objects(study *self)
+{
+    int status = dal_mechanics_new(&self->mech, self->system, self->error);
+    if (!status)
+        status = dal_stepper_new(&self->stepper, self->system, self->scheme, NULL, self->error);
+    if (!status && (self->kept || !self->system->def.exact))
+        status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, self->tolerance,
+                              self->error);
+    return status ? status : reserve_arrays(self);
+}
+
+static void release_objects(study *self)
+{
+    dal_flow_free(self->flow);
+    dal_stepper_free(self->stepper);
+    dal_mechanics_free(self->mech);
+    dal__release(&self->memory);
+}
+
+/* x0 <- the initial data, which must lie in D, in D to roundoff. */
+static int place_on_D(study *self)
+{
+    double residual;
+    memcpy(self->x0, self->def->x0, 2 * self->n * sizeof *self->x0);
+    int status = dal_relative_residual(self->mech, 0.0, self->x0, &residual);
+    if (!status && residual > CONSISTENT)
+        return dal__fail(self->error, DAL_EOFFD, "x0 does not lie in D: |mu v| is %.3g of "
+                         "sum |mu_i v_i|, at most %g is accepted", residual, CONSISTENT);
+    if (!status) status = dal_project(self->mech, 0.0, self->x0, NULL);
+    return status ? failed_mechanics(self, status) : DAL_SUCCESS;
+}
+
+int dal_order_study(const dal_system *system, const dal_scheme *scheme, const dal_order_def *def,
+                    dal_order_point *points, dal_order *order, dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!points || !order)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", points ? "order" : "points");
+    int status = require_def(system, scheme, def, error);
+    if (status) return status;
+
+    study self = {.system = system, .scheme = scheme, .def = def, .n = dal_system_n(system),
+                  .m = dal_system_m(system), .kept = scheme->nodes == DAL_KEPT_NODES,
+                  .tolerance = def->tolerance > 0.0 ? def->tolerance : DEFAULT_TOLERANCE,
+                  .error = error};
+    if (dal_scheme_shift(scheme, &self.shift)) self.shift = NAN;
+
+    status = make_objects(&self);
+    if (!status) status = place_on_D(&self);
+    if (!status) status = solve_reference(&self);
+    for (size_t i = 0; !status && i < def->count; i++)
+        status = measure_point(&self, def->steps[i], &self.points[i]);
+    if (!status) {
+        conclude(&self, order);
+        memcpy(points, self.points, def->count * sizeof *points);
+    }
+    release_objects(&self);
+    return status;
+}

@@ -1,0 +1,42 @@
+/* Floor 0: status codes in words, and the error record. */
+#include "internal.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+
+const char *dal_version(void) { return DAL_VERSION; }
+
+const char *dal_strerror(int status)
+{
+    switch ((dal_status)status) {
+    case DAL_SUCCESS: return "success";
+    case DAL_STOPPED: return "stopped by the observer";
+    case DAL_EINVAL: return "invalid argument";
+    case DAL_ENOMEM: return "out of memory";
+    case DAL_EUSER: return "a callback failed";
+    case DAL_EDOMAIN: return "a callback is undefined or not finite here";
+    case DAL_ESINGULAR: return "a matrix is singular to working precision";
+    case DAL_ENOCONV: return "an iteration did not converge";
+    case DAL_EOFFD: return "initial data do not satisfy the constraint";
+    case DAL_EUNSUPPORTED: return "not supported";
+    }
+    return "unknown status";
+}
+
+int dal__fail(dal_error *error, int status, const char *format, ...)
+{
+    if (error) {
+        va_list arguments;
+        va_start(arguments, format);
+        vsnprintf(error->text, sizeof error->text, format, arguments);
+        va_end(arguments);
+        error->status = status;
+    }
+    return status;
+}
+
+int dal__callback_status(int returned)
+{
+    if (returned == 0) return DAL_SUCCESS;
+    return returned > 0 ? DAL_EDOMAIN : DAL_EUSER;
+}

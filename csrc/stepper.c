@@ -1,0 +1,413 @@
+/* Floor 6: a system, a scheme and a state that is stepped. */
+#include "internal.h"
+#include "kernel.h"
+
+#include <math.h>
+#include <stdio.h>
+
+struct dal_stepper {
+    const dal_system *system;
+    dal_kernel kernel;
+    dal__advance_fn advance; /* the compilation of the step routine; NULL: the multiroot solver */
+    multiroot *multiroot;
+    dal_mechanics mech;      /* for initial data and for finding out what went wrong */
+    size_t substeps;
+    dal_substep *substep;
+    dal_stage *stage;
+    double *fresh;           /* [2n] initial data being examined */
+    double *x;               /* [2n] as kernel.x: the state */
+    double t0;
+    size_t steps;            /* since the start: t = t0 + steps h */
+    bool started;
+    dal_error error;
+    arena arena;
+};
+
+/* A record as stages: one for each sub-step, but a pair (0, a), (1, b) is one (see kernel.h). */
+static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *stage)
+{
+    size_t stages = 0;
+    for (size_t j = 0; j < count; j++) {
+        const double beta = substep[j].beta, f = substep[j].fraction;
+        const bool pair = j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0;
+        const bool at_node = beta == 0.0 || beta == 1.0;
+        const double g = pair ? substep[++j].fraction : 0.0;
+        dal_stage s = {.before = (1.0 - beta) * f, .after = beta * f + g, .span = f + g};
+        if (at_node) {
+            s.node = f + g;
+        } else {
+            s.start = beta * f;
+            s.end = (1.0 - beta) * f;
+        }
+        stage[stages++] = s;
+    }
+    return stages;
+}
+
+/* Weights of the parabola through the values at times t[0..2] at the time t; where these lie too
+ * close together to extrapolate (compositions go back and forth), of the line through the last two,
+ * or the last value. */
+static void extrapolate(const double times[3], double t, double weight[3])
+{
+    const double most = 10.0;
+    const double a = t - times[0], b = t - times[1], c = t - times[2];
+    const double ab = times[0] - times[1], ac = times[0] - times[2], bc = times[1] - times[2];
+    const double parabola[3] = {b / ab * (c / ac), -a / ab * (c / bc), a / ac * (b / bc)};
+    const double line[3] = {b / ab, -a / ab, 0.0}, last[3] = {1.0, 0.0, 0.0};
+    const double *const choice[3] = {parabola, line, last};
+    for (int i = 0; i < 3; i++) {
+        memcpy(weight, choice[i], 3 * sizeof *weight);
+        if (fabs(weight[0]) + fabs(weight[1]) + fabs(weight[2]) <= most) return;
+    }
+}
+
+/* Multipliers belong to the time of the node, gradients to the ends of a stage. */
+static void plan_predictions(dal_stage *stage, size_t stages)
+{
+    for (size_t j = 0; j < stages; j++) {
+        double nodes[3], ends[3] = {0.0}, end = 0.0;
+        for (size_t back = 1; back <= 3; back++) { /* times before the start of stage j */
+            const dal_stage *s = stage + (j + 3 * stages - back) % stages;
+            if (back < 3) ends[back] = end - s->span;
+            nodes[back - 1] = end - s->span + s->before;
+            end -= s->span;
+        }
+        extrapolate(nodes, stage[j].before, stage[j].ahead);
+        extrapolate(ends, stage[j].span, stage[j].ahead_force);
+    }
+}
+
+static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
+{
+    const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
+    double **const vectors[] = {&k->force0, &k->force1, &k->force2, &k->force3, &k->node, &k->point,
+                                &k->w, &k->base, &k->step, &k->stored, &k->moved, &k->y, &k->R};
+    double **const forms[] = {&k->mu_node, &k->mu, &k->N, &k->Z, &k->KZ};
+    double **const multipliers[] = {&k->impulse, &k->lambda1, &k->lambda2, &k->lambda3, &k->r, &k->d,
+                                    &k->kappa};
+    dal__reserve(a, &k->saved, dal__times(2, n), sizeof(double));
+    for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
+        dal__reserve(a, vectors[i], n, sizeof(double));
+    for (size_t i = 0; i < sizeof forms / sizeof *forms; i++)
+        dal__reserve(a, forms[i], mn, sizeof(double));
+    for (size_t i = 0; i < sizeof multipliers / sizeof *multipliers; i++)
+        dal__reserve(a, multipliers[i], m, sizeof(double));
+    dal__reserve(a, &k->S, mm, sizeof(double));
+    dal__reserve(a, &k->scale, mm, sizeof(double));
+    dal__reserve(a, &k->row, m, sizeof(size_t));
+    dal__reserve(a, &k->K, nn, sizeof(double));
+    dal__reserve(a, &k->K_scale, nn, sizeof(double));
+    dal__reserve(a, &k->K_row, n, sizeof(size_t));
+}
+
+static int check_options(const dal_options *options, dal_error *error)
+{
+    if (options->solver != DAL_SOLVER_SCHUR && options->solver != DAL_SOLVER_MULTIROOT)
+        return dal__fail(error, DAL_EINVAL, "options.solver = %d is not a dal_solver",
+                         (int)options->solver);
+    if (options->sizes != DAL_SIZES_AUTO && options->sizes != DAL_SIZES_RUNTIME)
+        return dal__fail(error, DAL_EINVAL, "options.sizes = %d is not a dal_sizes",
+                         (int)options->sizes);
+    if (options->max_iterations < 0)
+        return dal__fail(error, DAL_EINVAL, "options.max_iterations = %d is negative",
+                         options->max_iterations);
+    return DAL_SUCCESS;
+}
+
+static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_options *options)
+{
+    const dal_system *system = self->system;
+    dal_kernel *const k = &self->kernel;
+    k->n = system->def.n;
+    k->m = system->def.m;
+    k->constraint = self->mech.eval.constraint;
+    k->constraint_ctx = self->mech.eval.constraint_ctx;
+    k->potential = self->mech.eval.potential;
+    k->potential_ctx = self->mech.eval.potential_ctx;
+    k->mass = system->mass;
+    k->mass_inverse = system->mass_inverse;
+    k->diagonal = system->diagonal;
+    k->stage = self->stage;
+    k->stages = plan_stages(self->substep, self->substeps, self->stage);
+    plan_predictions(self->stage, k->stages);
+    k->kept = scheme->nodes == DAL_KEPT_NODES;
+    k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
+    k->max_iterations = options->max_iterations ? options->max_iterations : 50;
+    k->x = self->x;
+    if (options->solver == DAL_SOLVER_SCHUR)
+        self->advance = dal__kernel_for(k->n, k->m, options->sizes);
+}
+
+int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_scheme *scheme,
+                    const dal_options *options, dal_error *error)
+{
+    const dal_options defaults = {0};
+    if (!options) options = &defaults;
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!stepper || !system || !scheme)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL",
+                         !stepper ? "stepper" : !system ? "system" : "scheme");
+    int status = dal__scheme_check(scheme, error);
+    if (!status) status = check_options(options, error);
+    if (status) return status;
+
+    const size_t n = system->def.n, m = system->def.m, count = dal__scheme_count(scheme);
+    dal_stepper shape = {.system = system, .substeps = count}, *self;
+    arena memory = {0};
+    dal__reserve(&memory, &self, 1, sizeof *self);
+    dal__mechanics_reserve(&shape.mech, system, &memory);
+    reserve_kernel(&shape.kernel, n, m, &memory);
+    dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
+    dal__reserve(&memory, &shape.stage, count, sizeof *shape.stage);
+    dal__reserve(&memory, &shape.fresh, dal__times(2, n), sizeof(double));
+    dal__reserve(&memory, &shape.x, dal__times(2, n), sizeof(double));
+    status = dal__allocate(&memory, error);
+    if (status) return status;
+    /* the slots that the arena has filled are those of shape */
+    *self = shape;
+    self->arena = memory;
+    dal__mechanics_bind(&self->mech, system);
+    for (size_t j = 0; j < count; j++) self->substep[j] = dal__scheme_substep(scheme, j);
+    bind_kernel(self, scheme, options);
+    if (options->solver == DAL_SOLVER_MULTIROOT) {
+        status = dal__multiroot_new(&self->multiroot, system, error);
+        if (status) {
+            dal_stepper_free(self);
+            return status;
+        }
+    }
+    *stepper = self;
+    return DAL_SUCCESS;
+}
+
+void dal_stepper_free(dal_stepper *stepper)
+{
+    if (!stepper) return;
+    dal__multiroot_free(stepper->multiroot);
+    arena memory = stepper->arena; /* the object lies inside it */
+    dal__release(&memory);
+}
+
+const char *dal_stepper_message(const dal_stepper *stepper) { return stepper->error.text; }
+const double *dal_stepper_state(const dal_stepper *stepper) { return stepper->x; }
+
+const dal_system *dal__stepper_system(const dal_stepper *stepper) { return stepper->system; }
+dal_error *dal__stepper_error(dal_stepper *stepper) { return &stepper->error; }
+
+double dal_stepper_time(const dal_stepper *stepper)
+{
+    return stepper->t0 + (double)stepper->steps * stepper->kernel.h;
+}
+
+void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
+{
+    const evaluator *const e = &stepper->mech.eval;
+    *stats = stepper->kernel.stats;
+    /* the evaluator counts what goes through it; the step routine's calls do if it differences */
+    if (e->constraint_ctx == e) stats->constraint_calls = 0;
+    if (e->potential_ctx == e) stats->potential_calls = 0;
+    stats->constraint_calls += e->constraint_calls;
+    stats->potential_calls += e->potential_calls;
+    stats->differenced = stepper->system->def.missing;
+}
+
+/* ---- start ------------------------------------------------------------------------------ */
+
+static int check_start(dal_stepper *self, double t0, double h, const double *x,
+                       dal_consistency consistency, dal_initial initial)
+{
+    const dal_kernel *const k = &self->kernel;
+    dal_error *const error = &self->error;
+    if (!x) return dal__fail(error, DAL_EINVAL, "x is NULL");
+    if (!isfinite(t0)) return dal__fail(error, DAL_EINVAL, "t0 = %g is not finite", t0);
+    if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
+        return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed", h);
+    for (size_t i = 0; i < 2 * k->n; i++)
+        if (!isfinite(x[i]))
+            return dal__fail(error, DAL_EINVAL, "%s[%zu] = %g is not finite", i < k->n ? "q" : "v",
+                             i < k->n ? i : i - k->n, x[i]);
+    if ((int)consistency < DAL_CHECK || consistency > DAL_ASSUME)
+        return dal__fail(error, DAL_EINVAL, "consistency = %d is not a dal_consistency",
+                         (int)consistency);
+    if ((int)initial < DAL_INITIAL_NONE || initial > DAL_INITIAL_SHIFT)
+        return dal__fail(error, DAL_EINVAL, "initial = %d is not a dal_initial", (int)initial);
+    if (k->kept && initial == DAL_INITIAL_NONE)
+        return dal__fail(error, DAL_EINVAL, "a scheme with kept nodes needs initial: data in D used "
+                         "as they are, in D_eps, projected onto D_eps, or shifted to the node");
+    if (!k->kept && initial != DAL_INITIAL_NONE)
+        return dal__fail(error, DAL_EINVAL, "initial = %d: only a scheme with kept nodes takes it",
+                         (int)initial);
+    return DAL_SUCCESS;
+}
+
+/* fresh <- consistent data of D (shift = 0) or D_eps; what was found and done goes to stats. */
+static int make_consistent(dal_stepper *self, double shift, dal_consistency consistency,
+                           dal_stats *stats)
+{
+    const double tolerance = 1e-8;
+    dal_mechanics *const mech = &self->mech;
+    int status = dal_relative_residual(mech, shift, self->fresh, &stats->initial_residual);
+    if (!status && consistency == DAL_CHECK && !(stats->initial_residual <= tolerance))
+        return dal__fail(&self->error, DAL_EOFFD, "the initial data do not lie in %s: max_a |mu^a v| "
+                         "/ sum_i |mu^a_i v_i| = %.3g, at most %g is accepted",
+                         shift == 0.0 ? "D" : "D_eps", stats->initial_residual, tolerance);
+    if (!status && consistency != DAL_ASSUME)
+        status = dal_project(mech, shift, self->fresh, &stats->initial_correction);
+    if (status) self->error = mech->error;
+    return status;
+}
+
+/* Every output that the steps will ask for, once, into buffers that are NaN: what is never written
+ * is found here. */
+static int probe(dal_stepper *self)
+{
+    dal_mechanics *const mech = &self->mech;
+    const double *const q = self->fresh, *const v = self->fresh + mech->n;
+    int status = dal__constraint(&mech->eval, q, v, mech->mu, mech->dmu, &mech->error);
+    if (!status)
+        status = dal__potential(&mech->eval, q, NULL, mech->force, mech->hessian, &mech->error);
+    if (status) self->error = mech->error;
+    return status;
+}
+
+int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
+                      dal_consistency consistency, dal_initial initial)
+{
+    if (!stepper) return DAL_EINVAL;
+    dal_stepper *const self = stepper;
+    dal_kernel *const k = &self->kernel;
+    const size_t n = k->n;
+    const double shift = k->shift * h;
+    dal_stats stats = {0};
+    int status = check_start(self, t0, h, x, consistency, initial);
+    if (status) return status;
+
+    self->mech.eval.constraint_calls = self->mech.eval.potential_calls = 0;
+    memcpy(self->fresh, x, 2 * n * sizeof *x);
+    status = probe(self);
+    if (!status)
+        status = make_consistent(self, initial == DAL_INITIAL_D_EPS ? shift : 0.0, consistency,
+                                 &stats);
+    if (!status && initial == DAL_INITIAL_PROJECT) {
+        status = dal_project(&self->mech, shift, self->fresh, &stats.initial_correction);
+        if (status) self->error = self->mech.error;
+    }
+    if (status) return status;
+    for (size_t i = 0; initial == DAL_INITIAL_SHIFT && i < n; i++)
+        self->fresh[i] += shift * self->fresh[n + i];
+
+    memcpy(self->x, self->fresh, 2 * n * sizeof *x);
+    k->h = h;
+    k->stats = stats;
+    for (size_t j = 0; j < k->stages; j++) self->stage[j].rate = 1.0 / (self->stage[j].span * h);
+    dal_kernel_forget(k);
+    self->t0 = t0;
+    self->steps = 0;
+    self->started = true;
+    self->error.text[0] = '\0';
+    return DAL_SUCCESS;
+}
+
+/* ---- steps ------------------------------------------------------------------------------ */
+
+/* What went wrong in the step that failed, in words.  A number that is not finite is looked for by
+ * evaluating again, with checks, where the step evaluated last. */
+static void explain(dal_stepper *self, int status)
+{
+    dal_kernel *const k = &self->kernel;
+    dal_error *const found = &self->mech.error;
+    const double t = dal_stepper_time(self);
+    char what[320];
+    switch (k->failure.kind) {
+    case DAL_FAILED_CONSTRAINT:
+    case DAL_FAILED_POTENTIAL:
+        snprintf(what, sizeof what, "%s returned %d (%s)",
+                 k->failure.kind == DAL_FAILED_CONSTRAINT ? "constraint" : "potential",
+                 k->failure.returned,
+                 k->failure.returned > 0 ? "outside its domain; try a smaller h" : "stop");
+        break;
+    case DAL_FAILED_FINITE:
+        found->text[0] = '\0';
+        if (!dal__constraint(&self->mech.eval, k->node, k->x + k->n, self->mech.mu, NULL, found)
+            && !dal__constraint(&self->mech.eval, k->point, k->w, self->mech.mu, self->mech.dmu,
+                                found)
+            && !dal__potential(&self->mech.eval, k->node, NULL, self->mech.force, NULL, found)
+            && !dal__potential(&self->mech.eval, k->point, NULL, self->mech.force, NULL, found))
+            snprintf(found->text, sizeof found->text, "a number is not finite; try a smaller h");
+        snprintf(what, sizeof what, "%.300s", found->text);
+        break;
+    case DAL_FAILED_SINGULAR_S:
+        snprintf(what, sizeof what, "the Schur complement (mu(q') + beta h d(mu v)/dq) M^-1 "
+                 "mu(q_k)^T is singular: the constraints lose rank, or h is too large here");
+        break;
+    case DAL_FAILED_SINGULAR_K:
+        snprintf(what, sizeof what, "M + h^2 beta (1-beta) V_qq is singular: h is too large here");
+        break;
+    case DAL_FAILED_SINGULAR_C:
+        snprintf(what, sizeof what, "mu M^-1 mu^T is singular: the constraints lose rank");
+        break;
+    case DAL_FAILED_CONVERGE:
+        snprintf(what, sizeof what, "Newton did not converge in %d iterations: last change %.3g of "
+                 "%.3g; try a smaller h", k->failure.iterations, k->failure.size, k->failure.scale);
+        break;
+    }
+    dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %s", self->steps + 1, t, k->h, what);
+}
+
+/* The same records by the solver for all unknowns, sub-step by sub-step. */
+static int advance_multiroot(dal_stepper *self, size_t steps, size_t *done)
+{
+    dal_kernel *const k = &self->kernel;
+    const size_t n = k->n;
+    double *const x = k->saved;
+    const double shift = k->shift * k->h;
+    for (*done = 0; *done < steps; ++*done) {
+        memcpy(x, k->x, 2 * n * sizeof *x);
+        for (size_t i = 0; k->kept && i < n; i++) x[i] -= shift * x[n + i];
+        for (size_t j = 0; j < self->substeps; j++) {
+            const dal_substep s = self->substep[j];
+            const int status =
+                dal__multiroot_step(self->multiroot, s.beta, s.fraction * k->h, x, k->kappa);
+            k->stats.iterations += dal__multiroot_iterations(self->multiroot);
+            k->stats.substeps++;
+            if (status) return status;
+            for (size_t a = 0; a < k->m; a++) k->impulse[a] += k->kappa[a];
+        }
+        for (size_t i = 0; k->kept && i < n; i++) x[i] += shift * x[n + i];
+        memcpy(k->x, x, 2 * n * sizeof *x);
+        k->stats.steps++;
+    }
+    return DAL_SUCCESS;
+}
+
+int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *done)
+{
+    if (done) *done = 0;
+    if (!stepper) return DAL_EINVAL;
+    dal_stepper *const self = stepper;
+    dal_kernel *const k = &self->kernel;
+    if (!self->started)
+        return dal__fail(&self->error, DAL_EINVAL, "the stepper was not started");
+    size_t made = 0;
+    for (size_t a = 0; a < k->m; a++) k->impulse[a] = 0.0;
+    const int status = self->advance ? self->advance(k, steps, &made)
+                                     : advance_multiroot(self, steps, &made);
+    self->steps += made;
+    if (done) *done = made;
+    if (status) {
+        if (self->advance)
+            explain(self, status);
+        else
+            dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %.400s", self->steps + 1,
+                      dal_stepper_time(self), k->h, dal__multiroot_message(self->multiroot));
+        return status;
+    }
+    for (size_t a = 0; reaction && steps > 0 && a < k->m; a++)
+        reaction[a] = k->impulse[a] / ((double)steps * k->h);
+    return DAL_SUCCESS;
+}
+
+int dal_step(dal_stepper *stepper, double *reaction)
+{
+    return dal_advance(stepper, 1, reaction, NULL);
+}

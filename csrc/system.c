@@ -1,0 +1,261 @@
+/* Floor 2: the triple (Q, L, D) as an object: validation, copies, what it says about itself. */
+#include "internal.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* Shape, finiteness, symmetry and positive definiteness are separate questions with separate
+ * answers, because each is a different mistake. */
+static int check_mass(const dal_system_def *def, dal_error *error)
+{
+    const size_t n = def->n;
+    const double *M = def->mass;
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++)
+            if (!isfinite(M[i * n + j]))
+                return dal__fail(error, DAL_EINVAL, "mass[%zu,%zu] = %g is not finite", i, j,
+                                 M[i * n + j]);
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < i; j++) {
+            const double a = M[i * n + j], b = M[j * n + i];
+            if (fabs(a - b) > 16.0 * DAL_ROUNDOFF * (fabs(a) + fabs(b)))
+                return dal__fail(error, DAL_EINVAL,
+                                 "mass is not symmetric: mass[%zu,%zu] = %.17g, mass[%zu,%zu] = "
+                                 "%.17g", i, j, a, j, i, b);
+        }
+    return DAL_SUCCESS;
+}
+
+static int check_def(const dal_system_def *def, dal_error *error)
+{
+    const size_t n = def->n, m = def->m;
+    const unsigned known = DAL_MISSING_V_Q | DAL_MISSING_V_QQ | DAL_MISSING_PHI_Q;
+    if (n < 1) return dal__fail(error, DAL_EINVAL, "n = %zu: at least one coordinate is needed", n);
+    if (m >= n)
+        return dal__fail(error, DAL_EINVAL, "m = %zu constraints on n = %zu coordinates: m < n is "
+                         "needed", m, n);
+    if (dal__times(dal__times(n, n), sizeof(double)) > PTRDIFF_MAX)
+        return dal__fail(error, DAL_ENOMEM, "n = %zu: the size of an n x n matrix overflows", n);
+    if (def->lagrangian)
+        return dal__fail(error, DAL_EUNSUPPORTED, "a general Lagrangian is not supported: give mass "
+                         "and potential");
+    if (def->force)
+        return dal__fail(error, DAL_EUNSUPPORTED, "a generalized force is not supported");
+    if (def->kind != DAL_LINEAR)
+        return dal__fail(error, DAL_EUNSUPPORTED, "kind = %d: only linear constraints (DAL_LINEAR) "
+                         "are supported", (int)def->kind);
+    if (!def->mass) return dal__fail(error, DAL_EINVAL, "mass is NULL");
+    if (m > 0 && !def->constraint)
+        return dal__fail(error, DAL_EINVAL, "m = %zu and constraint is NULL", m);
+    if (m == 0 && def->constraint)
+        return dal__fail(error, DAL_EINVAL, "m = 0 and constraint is not NULL");
+    if (def->missing & ~known)
+        return dal__fail(error, DAL_EINVAL, "missing = %#x has bits outside %#x", def->missing,
+                         known);
+    if (def->invariants > 0 && (!def->invariant || !def->invariant_names))
+        return dal__fail(error, DAL_EINVAL, "invariants = %zu and %s is NULL", def->invariants,
+                         def->invariant ? "invariant_names" : "invariant");
+    if (def->state && !dal__all_finite(2 * n, def->state))
+        return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
+    return check_mass(def, error);
+}
+
+static size_t text_size(const char *text) { return text ? strlen(text) + 1 : 1; }
+
+/* Copies text to *end and moves *end behind it; returns where the copy is. */
+static const char *copy_text(char **end, const char *text)
+{
+    char *copy = *end;
+    memcpy(copy, text ? text : "", text_size(text));
+    *end += text_size(text);
+    return copy;
+}
+
+/* The memory that a system owns, apart from what struct dal_system names. */
+typedef struct possessions {
+    dal_system *self;
+    double *state;
+    const char **coordinates, **invariant_names;
+    char *text;
+} possessions;
+
+static void plan(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
+{
+    const size_t n = def->n, square = dal__times(n, n);
+    size_t text = text_size(def->name ? def->name : "system") + text_size(def->help);
+    for (size_t i = 0; i < n; i++)
+        text += def->coordinates ? text_size(def->coordinates[i]) : 24;
+    for (size_t i = 0; i < def->invariants; i++) text += text_size(def->invariant_names[i]);
+    dal__reserve(a, &own->self, 1, sizeof *own->self);
+    dal__reserve(a, &shape->mass, square, sizeof(double));
+    dal__reserve(a, &shape->mass_inverse, square, sizeof(double));
+    dal__reserve(a, &shape->parameter_values, shape->parameters, sizeof(double));
+    dal__reserve(a, &own->state, dal__times(2, n), sizeof(double));
+    dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
+    dal__reserve(a, &own->invariant_names, def->invariants, sizeof *own->invariant_names);
+    dal__reserve(a, &own->text, text, 1);
+}
+
+static void copy_names(dal_system *system, possessions *own, const dal_system_def *def)
+{
+    char *end = own->text;
+    system->def.name = copy_text(&end, def->name ? def->name : "system");
+    system->def.help = copy_text(&end, def->help);
+    for (size_t i = 0; i < def->n; i++) {
+        char generic[24];
+        snprintf(generic, sizeof generic, "q%zu", i);
+        own->coordinates[i] = copy_text(&end, def->coordinates ? def->coordinates[i] : generic);
+    }
+    for (size_t i = 0; i < def->invariants; i++)
+        own->invariant_names[i] = copy_text(&end, def->invariant_names[i]);
+    system->def.coordinates = own->coordinates;
+    system->def.invariant_names = own->invariant_names;
+}
+
+/* M^-1 by columns; the mean of the entry and its mirror keeps it symmetric. */
+static int invert_mass(dal_system *system, dal_error *error)
+{
+    const size_t n = system->def.n;
+    double *inverse = system->mass_inverse, *factor;
+    double *column;
+    arena scratch = {0};
+    dal__reserve(&scratch, &factor, n * n, sizeof *factor);
+    dal__reserve(&scratch, &column, n, sizeof *column);
+    int status = dal__allocate(&scratch, error);
+    if (status) return status;
+    size_t row = 0;
+    double pivot = 0.0;
+    memcpy(factor, system->mass, n * n * sizeof *factor);
+    if (!dal__cholesky(n, factor, &row, &pivot)) {
+        status = dal__fail(error, DAL_EINVAL, "mass is not positive definite: pivot %zu of its "
+                           "Cholesky factor is %g where mass[%zu,%zu] = %g", row, pivot, row, row,
+                           system->mass[row * n + row]);
+    } else {
+        for (size_t j = 0; j < n; j++) {
+            memset(column, 0, n * sizeof *column);
+            column[j] = 1.0;
+            dal__cholesky_solve(n, factor, column);
+            for (size_t i = 0; i < n; i++) inverse[i * n + j] = column[i];
+        }
+        for (size_t i = 0; i < n; i++)
+            for (size_t j = 0; j < i; j++) {
+                const double mean = 0.5 * (inverse[i * n + j] + inverse[j * n + i]);
+                inverse[i * n + j] = inverse[j * n + i] = mean;
+            }
+        if (system->diagonal) /* without the rounding of the square root */
+            for (size_t i = 0; i < n; i++) inverse[i * n + i] = 1.0 / system->mass[i * n + i];
+    }
+    dal__release(&scratch);
+    return status;
+}
+
+static bool is_diagonal(size_t n, const double *A)
+{
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++)
+            if (i != j && A[i * n + j] != 0.0) return false;
+    return true;
+}
+
+int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
+                     const char *const *names, const double *values, dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!system || !def)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "def" : "system");
+    int status = check_def(def, error);
+    if (status) return status;
+
+    dal_system shape = {.parameters = parameters, .parameter_names = names};
+    possessions own = {0};
+    arena memory = {0};
+    plan(&memory, &own, &shape, def);
+    status = dal__allocate(&memory, error);
+    if (status) return status;
+
+    dal_system *const self = own.self;
+    *self = shape;
+    self->arena = memory;
+    self->def = *def;
+    self->diagonal = is_diagonal(def->n, def->mass);
+    memcpy(self->mass, def->mass, def->n * def->n * sizeof(double));
+    self->def.mass = self->mass;
+    if (def->state) memcpy(own.state, def->state, 2 * def->n * sizeof(double));
+    self->def.state = def->state ? own.state : NULL;
+    if (parameters > 0) {
+        memcpy(self->parameter_values, values, parameters * sizeof(double));
+        self->def.ctx = self->parameter_values;
+    }
+    copy_names(self, &own, def);
+    status = invert_mass(self, error);
+    if (status) {
+        dal_system_free(self);
+        return status;
+    }
+    *system = self;
+    return DAL_SUCCESS;
+}
+
+int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
+{
+    return dal__system_make(system, def, 0, NULL, NULL, error);
+}
+
+void dal_system_free(dal_system *system)
+{
+    if (!system) return;
+    arena memory = system->arena; /* the system lies inside it */
+    dal__release(&memory);
+}
+
+size_t dal_system_n(const dal_system *system) { return system->def.n; }
+size_t dal_system_m(const dal_system *system) { return system->def.m; }
+unsigned dal_system_missing(const dal_system *system) { return system->def.missing; }
+const char *dal_system_name(const dal_system *system) { return system->def.name; }
+const char *dal_system_help(const dal_system *system) { return system->def.help; }
+const double *dal_system_mass(const dal_system *system) { return system->mass; }
+size_t dal_system_parameters(const dal_system *system) { return system->parameters; }
+size_t dal_system_invariants(const dal_system *system) { return system->def.invariants; }
+
+const char *dal_system_coordinate(const dal_system *system, size_t i)
+{
+    return i < system->def.n ? system->def.coordinates[i] : NULL;
+}
+
+const char *dal_system_parameter_name(const dal_system *system, size_t i)
+{
+    return i < system->parameters ? system->parameter_names[i] : NULL;
+}
+
+double dal_system_parameter(const dal_system *system, size_t i)
+{
+    return i < system->parameters ? system->parameter_values[i] : (double)NAN;
+}
+
+const char *dal_system_invariant_name(const dal_system *system, size_t i)
+{
+    return i < system->def.invariants ? system->def.invariant_names[i] : NULL;
+}
+
+int dal_system_state(const dal_system *system, double *x)
+{
+    if (!system || !x) return DAL_EINVAL;
+    if (!system->def.state) return DAL_EUNSUPPORTED;
+    memcpy(x, system->def.state, 2 * system->def.n * sizeof *x);
+    return DAL_SUCCESS;
+}
+
+int dal_system_exact(const dal_system *system, double t, const double *x0, double *x)
+{
+    if (!system || !x0 || !x || !isfinite(t)) return DAL_EINVAL;
+    if (!system->def.exact) return DAL_EUNSUPPORTED;
+    return dal__callback_status(system->def.exact(t, x0, x, system->def.ctx));
+}
+
+int dal_system_invariant(const dal_system *system, const double *x, double *values)
+{
+    if (!system || !x || !values) return DAL_EINVAL;
+    if (!system->def.invariant) return DAL_EUNSUPPORTED;
+    return dal__callback_status(system->def.invariant(x, values, system->def.ctx));
+}

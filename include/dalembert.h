@@ -1,0 +1,518 @@
+/* dalembert.h - nonholonomic mechanics and its structure preserving integrators.
+ *
+ * A system is a triple (Q = R^n, L, D): a Lagrangian and velocity constraints mu(q) v = 0.
+ * The library discretises the Lagrange-d'Alembert principle after F. Jimenez and J. Scheurle,
+ * "On the discretization of nonholonomic dynamics in R^n" (arXiv 1407.2116), so that the discrete
+ * flow stays in D, or in a known deformation D_eps of it, to roundoff.  Words in (parentheses)
+ * such as (lambdax) are the LaTeX labels of that paper; its step eps is h here.
+ *
+ * Rules that hold for every function
+ *   1. Order of arguments: the object; then times and steps; then inputs; then states that are
+ *      changed in place; then outputs; options; the error record last.
+ *   2. The state is x = (q, v), 2n contiguous doubles.  Matrices are row-major; the shape of every
+ *      array stands in its comment as [rows*columns].  A trajectory is (N+1) rows (q, v).
+ *   3. Functions that can fail return a dal_status: 0 is success, negative is failure.  On failure
+ *      every output and every state is as it was, counters excepted.
+ *   4. An output pointer that says "or NULL" may be NULL when it is not wanted.
+ *   5. The sign and the scale of the multiplier are fixed once: d/dt L_v - L_q = mu^T lambda, so
+ *      lambda is a force and not an impulse.
+ *   6. A dal_system is constant after it is made and may be shared by threads as far as its
+ *      callbacks may.  Every other object belongs to one thread at a time.  There are no globals.
+ *   7. GSL's error handler is never set, changed or provoked.  The one exception is memory: GSL
+ *      can report a failed allocation only through its handler, so its workspaces are allocated
+ *      only when an object is made (dal_flow_new; dal_stepper_new with DAL_SOLVER_MULTIROOT).
+ *
+ * The sections follow the floors of csrc/: ground, system, geometry, flow, schemes, runs. */
+#ifndef DALEMBERT_H
+#define DALEMBERT_H
+
+#include <stddef.h>
+
+#if defined(__GNUC__)
+#define DAL_API __attribute__((visibility("default")))
+#else
+#define DAL_API
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* What stands between the two cdef marks is plain declarations; the Python package reads it as
+ * its cffi definition, so that the two languages cannot disagree. */
+
+/* <cdef> */
+
+/* ---- ground ---------------------------------------------------------------------------- */
+
+typedef enum dal_status {
+    DAL_SUCCESS = 0,
+    DAL_STOPPED = 1,       /* an observer asked to stop; what was computed is valid */
+    DAL_EINVAL = -1,       /* an argument is NULL, out of range or not finite */
+    DAL_ENOMEM = -2,       /* memory could not be allocated, or its size overflows */
+    DAL_EUSER = -3,        /* a callback returned a negative number */
+    DAL_EDOMAIN = -4,      /* a callback returned a positive number, NaN or Inf, or wrote nothing */
+    DAL_ESINGULAR = -5,    /* a matrix that has to be invertible is not, to working precision */
+    DAL_ENOCONV = -6,      /* an iteration did not converge */
+    DAL_EOFFD = -7,        /* initial data do not satisfy the constraint */
+    DAL_EUNSUPPORTED = -8  /* the request is valid and this version does not provide it */
+} dal_status;
+
+/* What went wrong, in words with the numbers.  Filled by functions that make objects; text is
+ * empty on success.  NULL may be passed. */
+typedef struct dal_error {
+    int status;
+    char text[508];
+} dal_error;
+
+/* "major.minor.patch" of the library that is running. */
+DAL_API const char *dal_version(void);
+
+/* One line of text for a dal_status; never NULL. */
+DAL_API const char *dal_strerror(int status);
+
+/* ---- system ---------------------------------------------------------------------------- */
+
+/* Callbacks.  Inputs are read only.  An output that is NULL is not wanted.  Return 0; or > 0 if
+ * (q, v) is outside the domain of the functions (the step that asked is refused, DAL_EDOMAIN); or
+ * < 0 to stop (DAL_EUSER).  ctx is the pointer of the definition and is never read here. */
+
+/* V; V_q[n] = dV/dq_i; V_qq[n*n] = d2V/dq_i dq_j.  q[n]. */
+typedef int (*dal_potential_fn)(const double *q, double *V, double *V_q, double *V_qq, void *ctx);
+
+/* phi[m] = mu(q) v; phi_v[m*n] = dphi_a/dv_i, which is mu(q) for linear constraints;
+ * phi_q[m*n] = d(mu(q) v)_a/dq_j, contracted with v.  q[n], v[n]. */
+typedef int (*dal_constraint_fn)(const double *q, const double *v, double *phi, double *phi_v,
+                                 double *phi_q, void *ctx);
+
+/* A general normal Lagrangian: L; L_q[n]; L_v[n]; L_qq[n*n]; L_vq[i*n+j] = d2L/dv_i dq_j; L_vv[n*n].
+ * Reserved: dal_system_new answers DAL_EUNSUPPORTED. */
+typedef int (*dal_lagrangian_fn)(const double *q, const double *v, double *L, double *L_q,
+                                 double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx);
+
+/* A generalized force f[n] at time t; f_q[n*n]; f_v[n*n].
+ * Reserved: dal_system_new answers DAL_EUNSUPPORTED. */
+typedef int (*dal_force_fn)(double t, const double *q, const double *v, double *f, double *f_q,
+                            double *f_v, void *ctx);
+
+/* x[2n] <- the exact state at time t of the solution that starts in x0[2n] at time 0. */
+typedef int (*dal_exact_fn)(double t, const double *x0, double *x, void *ctx);
+
+/* values[invariants] <- the first integrals at x[2n], energy not among them. */
+typedef int (*dal_invariant_fn)(const double *x, double *values, void *ctx);
+
+typedef enum dal_constraint_kind {
+    DAL_LINEAR = 0,    /* phi = mu(q) v; the residual is phi_v v, phi itself is never asked for */
+    DAL_AFFINE = 1,    /* reserved: dal_system_new answers DAL_EUNSUPPORTED */
+    DAL_NONLINEAR = 2  /* reserved: dal_system_new answers DAL_EUNSUPPORTED */
+} dal_constraint_kind;
+
+/* Outputs that a callback does not provide; they are replaced by central differences. */
+typedef enum dal_missing {
+    DAL_MISSING_V_Q = 1,   /* costs accuracy: V_q is then good to about 1e-12 relative */
+    DAL_MISSING_V_QQ = 2,  /* costs Newton's speed only */
+    DAL_MISSING_PHI_Q = 4  /* lambda(q, v) and the reference flow are then good to about 1e-12 */
+} dal_missing;
+
+/* The definition of a system, filled by the caller, zero-initialised.  dal_system_new copies the
+ * struct, the mass matrix, the names and the state; ctx is borrowed. */
+typedef struct dal_system_def {
+    size_t n;                       /* number of coordinates, n >= 1 */
+    size_t m;                       /* number of constraints, 0 <= m < n */
+    const double *mass;             /* M[n*n], constant, symmetric, positive definite */
+    dal_potential_fn potential;     /* or NULL: V = 0 */
+    dal_constraint_fn constraint;   /* NULL if and only if m = 0 */
+    dal_constraint_kind kind;
+    unsigned missing;               /* sum of dal_missing */
+    dal_lagrangian_fn lagrangian;   /* reserved, NULL: instead of mass and potential */
+    dal_force_fn force;             /* reserved, NULL */
+    void *ctx;
+    const char *name;               /* or NULL: "system"; what follows may all be left out */
+    const char *help;               /* one line */
+    const char *const *coordinates; /* [n] names, or NULL: q0, q1, ... */
+    const double *state;            /* [2n] initial data to start from by default, or NULL */
+    dal_exact_fn exact;             /* or NULL */
+    size_t invariants;              /* number of first integrals besides the energy */
+    const char *const *invariant_names; /* [invariants] */
+    dal_invariant_fn invariant;
+} dal_system_def;
+
+typedef struct dal_system dal_system;
+
+/* *system <- a system, or untouched on failure.
+ * DAL_EINVAL (sizes, missing or superfluous parts, mass matrix not finite, not symmetric or not
+ * positive definite: the text names the entry), DAL_ENOMEM, DAL_EUNSUPPORTED. */
+DAL_API int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error);
+
+/* NULL is allowed.  Objects made from a system must be freed before it. */
+DAL_API void dal_system_free(dal_system *system);
+
+/* The system that comes with the library under name ("particle", "knife_edge", ...; - and _ are
+ * the same), with count parameters changed from their defaults: names[count], values[count].
+ * DAL_EINVAL (unknown name or parameter: the text lists what there is; a parameter out of its
+ * range), DAL_ENOMEM. */
+DAL_API int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
+                               const double *values, size_t count, dal_error *error);
+
+/* Number of built-in systems, the name of the i-th and one line about it; NULL if i is too large. */
+DAL_API size_t dal_builtin_count(void);
+DAL_API const char *dal_builtin_name(size_t i);
+DAL_API const char *dal_builtin_help(size_t i);
+
+DAL_API size_t dal_system_n(const dal_system *system);
+DAL_API size_t dal_system_m(const dal_system *system);
+DAL_API unsigned dal_system_missing(const dal_system *system);
+DAL_API const char *dal_system_name(const dal_system *system);
+DAL_API const char *dal_system_help(const dal_system *system);
+DAL_API const char *dal_system_coordinate(const dal_system *system, size_t i); /* NULL: i >= n */
+DAL_API const double *dal_system_mass(const dal_system *system);               /* [n*n] */
+
+/* Parameters of a built-in system; a system of the user's own has none. */
+DAL_API size_t dal_system_parameters(const dal_system *system);
+DAL_API const char *dal_system_parameter_name(const dal_system *system, size_t i); /* or NULL */
+DAL_API double dal_system_parameter(const dal_system *system, size_t i);           /* or NaN */
+
+/* x[2n] <- the default initial data.  DAL_EUNSUPPORTED if there are none. */
+DAL_API int dal_system_state(const dal_system *system, double *x);
+
+/* x[2n] <- the exact state a time t after x0[2n], which must lie in D.
+ * DAL_EUNSUPPORTED if the system carries no exact solution; DAL_EUSER, DAL_EDOMAIN. */
+DAL_API int dal_system_exact(const dal_system *system, double t, const double *x0, double *x);
+
+/* First integrals besides the energy: how many, their names, values[count] at x[2n]. */
+DAL_API size_t dal_system_invariants(const dal_system *system);
+DAL_API const char *dal_system_invariant_name(const dal_system *system, size_t i); /* or NULL */
+DAL_API int dal_system_invariant(const dal_system *system, const double *x, double *values);
+
+/* A derivative compared with central differences. */
+typedef struct dal_difference {
+    double error;           /* worst |given - differenced| / (1 + |differenced|) */
+    double given, expected; /* the two numbers at that entry */
+    size_t row, column;
+    int checked;            /* 0: not provided, nothing to compare */
+} dal_difference;
+
+/* What dal_system_check found at one point. */
+typedef struct dal_check {
+    int passed;              /* 1: all below is as it should be */
+    dal_difference V_q, V_qq, phi_q;
+    double linearity;        /* worst |mu(q) at v - mu(q) at another v|: mu must not depend on v */
+    size_t rank;             /* of mu(q); should be m */
+    double condition;        /* of mu(q) in the mass metric: sqrt of the condition of C */
+    double mass_min;         /* smallest eigenvalue of M */
+    double kernel_min;       /* smallest eigenvalue of M on ker mu (theorem EUDAETh with "> 0", E1) */
+    double residual;         /* max_a |mu^a v| / sum_i |mu^a_i v_i| */
+    double curvature;        /* largest |<N(q,X)Y - N(q,Y)X>| over an orthonormal basis of D_q */
+    int integrable;          /* 1: curvature vanishes here: D may be a holonomic constraint */
+    char text[508];          /* the first thing found wrong, in words; or the summary */
+} dal_check;
+
+/* *report <- the system examined at x[2n].  Findings are in the report; the return value is for
+ * what prevents the examination: DAL_EINVAL, DAL_ENOMEM, DAL_EUSER, DAL_EDOMAIN (a callback that
+ * is not finite or writes nothing is a finding of its own: passed = 0 and DAL_EDOMAIN). */
+DAL_API int dal_system_check(const dal_system *system, const double *x, dal_check *report,
+                             dal_error *error);
+
+/* ---- geometry -------------------------------------------------------------------------- */
+
+/* Mechanics on D: a system with the workspace to evaluate it. */
+typedef struct dal_mechanics dal_mechanics;
+
+DAL_API int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *system,
+                              dal_error *error);
+DAL_API void dal_mechanics_free(dal_mechanics *mechanics);
+/* What the last failure was, with the numbers; "" if there was none. */
+DAL_API const char *dal_mechanics_message(const dal_mechanics *mechanics);
+
+/* *E <- v^T M v / 2 + V(q), a first integral on D.  Errors of this and the functions below:
+ * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN; DAL_ESINGULAR where C is inverted. */
+DAL_API int dal_energy(dal_mechanics *mechanics, const double *x, double *E);
+
+/* residual[m] <- mu(q - shift v) v.  shift = 0 is D; shift = (1 - beta) h is the deformation D_eps
+ * that the beta-scheme with kept nodes preserves (see deformedCons). */
+DAL_API int dal_residual(dal_mechanics *mechanics, double shift, const double *x, double *residual);
+
+/* *worst <- max_a |mu^a v| / sum_i |mu^a_i v_i| with mu at q - shift v; 0 where the sum is 0. */
+DAL_API int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x,
+                                  double *worst);
+
+/* C[m*m] <- mu M^-1 mu^T at q[n] (lemma lemmaC). */
+DAL_API int dal_gram(dal_mechanics *mechanics, const double *q, double *C);
+
+/* lambda[m] <- -C^-1 (d(mu v)/dq v - mu M^-1 V_q) (lambdax); defined off D as well. */
+DAL_API int dal_multipliers(dal_mechanics *mechanics, double t, const double *x, double *lambda);
+
+/* vdot[n] <- M^-1 (mu^T lambda - V_q). */
+DAL_API int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double *vdot);
+
+/* xdot[2n] <- (v, vdot): the vector field h of the ODE on D (h). */
+DAL_API int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot);
+
+/* x[2n]: v <- v - M^-1 mu^T C^-1 mu v with mu at q - shift v: to D for shift = 0 (linear), to D_eps
+ * otherwise (Newton along M^-1 mu(q)^T).  It is the nearest consistent velocity in the mass metric
+ * for shift = 0.  *distance (or NULL) <- the length of the correction in the mass metric.
+ * Also DAL_ENOCONV for shift != 0. */
+DAL_API int dal_project(dal_mechanics *mechanics, double shift, double *x, double *distance);
+
+/* x[2n]: v <- the velocity in D_q nearest in the mass metric with v_i unchanged where keep[i] is
+ * not 0 (keep[n], or NULL: none).  DAL_ESINGULAR if the kept components leave too little freedom. */
+DAL_API int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *x,
+                           double *distance);
+
+/* The residual and the Jacobian [[K, -mu_k^T], [B, 0]] of one step of the beta-scheme from x[2n],
+ * at a trial velocity w[n] and impulse kappa[m] = h lambda (DAELd1, DAELd2, Facil):
+ *   q_k = q + (1-beta) h v,  q1 = q_k + beta h w,
+ *   R1[n] = M (w - v) + h ((1-beta) V_q(q1) + beta V_q(q)) - mu(q_k)^T kappa,  R2[m] = mu(q1) w,
+ *   K[n*n] = M + h^2 beta (1-beta) V_qq(q1),  B[m*n] = mu(q1) + beta h d(mu w)/dq(q1).
+ * muk[m*n] <- mu(q_k).  Every output may be NULL. */
+DAL_API int dal_step_equations(dal_mechanics *mechanics, double beta, double h, const double *x,
+                               const double *w, const double *kappa, double *R1, double *R2,
+                               double *K, double *B, double *muk);
+
+/* Evaluates count rows (q, v) of x[count*2n]: energy[count]; multipliers[count*m] by lambdax;
+ * residual[count*m] = mu(q - shift v) v; relative[count] as dal_relative_residual.  Outputs may be
+ * NULL.  On failure *done (or NULL) is the number of rows that were evaluated. */
+DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift,
+                           size_t count, const double *x, double *energy, double *multipliers,
+                           double *residual, double *relative, size_t *done);
+
+/* ---- flow ------------------------------------------------------------------------------ */
+
+typedef enum dal_flow_method {
+    DAL_FLOW_RK8PD = 0,   /* Prince-Dormand 8(9), the default */
+    DAL_FLOW_MSADAMS = 1, /* multistep Adams, orders 1 to 12 */
+    DAL_FLOW_MSBDF = 2    /* multistep BDF with a differenced Jacobian, for stiff potentials */
+} dal_flow_method;
+
+/* The flow of the ODE on D by an adaptive method of GSL (odeiv2). */
+typedef struct dal_flow dal_flow;
+
+/* tolerance: relative and absolute, for each step, in (0, 0.1]; 1e-13 is about the best. */
+DAL_API int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method method,
+                         double tolerance, dal_error *error);
+DAL_API void dal_flow_free(dal_flow *flow);
+DAL_API const char *dal_flow_message(const dal_flow *flow);
+
+/* x[2n] at t0 -> x at t1 (t1 < t0 is allowed), projected onto D at the end.  *accuracy (or NULL) <-
+ * estimate of the error, the largest component of the difference to the result at a tolerance ten
+ * times as large; asking for it costs a second integration.
+ * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed). */
+DAL_API int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy);
+
+/* Rows 1..steps of x[(steps+1)*2n] from row 0: the states at t0 + k h.  On failure *done (or NULL)
+ * rows after row 0 are valid. */
+DAL_API int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, double *x,
+                                size_t *done);
+
+/* Evaluations of the vector field so far. */
+DAL_API size_t dal_flow_evaluations(const dal_flow *flow);
+
+/* ---- schemes --------------------------------------------------------------------------- */
+
+/* One beta-scheme with step fraction * h. */
+typedef struct dal_substep {
+    double beta;     /* in [0, 1] */
+    double fraction; /* not 0; the fractions of a record sum to 1 */
+} dal_substep;
+
+typedef enum dal_nodes {
+    DAL_MOVED_NODES = 0, /* states at q~_k = (1-beta) q_{k-1} + beta q_k: keeps D */
+    DAL_KEPT_NODES = 1   /* states at the nodes q_k: keeps D_eps = {mu(q - (1-beta) h v) v = 0} */
+} dal_nodes;
+
+/* A scheme is a record; one step routine runs every record.  To make one: zero-initialise, then
+ * set beta, or substeps and count (they are copied when a stepper is made). */
+typedef struct dal_scheme {
+    char name[40];
+    const char *help;             /* one line, or NULL */
+    const char *reference;        /* where it comes from, or NULL */
+    double beta;                  /* of the only sub-step, for count = 0 */
+    size_t count;
+    const dal_substep *substeps;  /* [count] */
+    dal_nodes nodes;              /* kept nodes need a single sub-step */
+    int order;                    /* p: q, v have local error O(h^(p+1)); 0: nothing is promised */
+    int multiplier_order;         /* s of the scheme's own multipliers at the end of the step */
+    int symmetric;                /* 1: its own adjoint on D */
+} dal_scheme;
+
+/* *scheme <- the record called name: "explicit", "midpoint", "endpoint", a number in [0, 1] (beta),
+ * "leapfrog", "leapfrog-mirror", BASE"-nodes" (kept nodes; BASE one of the first four), and
+ * BASE"-suzuki4", "-yoshida4", "-kl6", "-kl8" (BASE leapfrog or midpoint); - and _ are the same.
+ * DAL_EINVAL: there is no such scheme, the text lists what there is. */
+DAL_API int dal_scheme_find(dal_scheme *scheme, const char *name, dal_error *error);
+
+/* The table of named schemes: how many, and the i-th (DAL_EINVAL if i is too large). */
+DAL_API size_t dal_scheme_count(void);
+DAL_API int dal_scheme_at(dal_scheme *scheme, size_t i);
+
+/* 1 if every step of scheme on system is a sequence of linear solves, without iteration, that is
+ * if every sub-step has beta = 0; else 0. */
+DAL_API int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *system);
+
+/* *shift <- 1 - beta of a record with a single sub-step: its D_eps has shift (1 - beta) h.
+ * DAL_EUNSUPPORTED for a record with several. */
+DAL_API int dal_scheme_shift(const dal_scheme *scheme, double *shift);
+
+/* How the equations of a step are solved. */
+typedef enum dal_solver {
+    DAL_SOLVER_SCHUR = 0,    /* Newton on the m x m Schur complement: the default */
+    DAL_SOLVER_MULTIROOT = 1 /* gsl_multiroot hybridsj on all n + m unknowns: slow, a check */
+} dal_solver;
+
+typedef enum dal_sizes {
+    DAL_SIZES_AUTO = 0,   /* the step routine compiled for this (n, m) if there is one */
+    DAL_SIZES_RUNTIME = 1 /* the step routine for any (n, m); the same bits */
+} dal_sizes;
+
+/* Zero-initialised: the defaults. */
+typedef struct dal_options {
+    dal_solver solver;
+    dal_sizes sizes;
+    int max_iterations; /* of Newton in a sub-step; 0: 50 */
+} dal_options;
+
+/* What is done with initial data (dal_stepper_start). */
+typedef enum dal_consistency {
+    DAL_CHECK = 0,   /* DAL_EOFFD unless |mu v| <= 1e-8 sum |mu_i v_i|; then corrected to roundoff */
+    DAL_PROJECT = 1, /* projected in the mass metric */
+    DAL_ASSUME = 2   /* used as they are */
+} dal_consistency;
+
+/* How a run with kept nodes starts.  Such a scheme refuses DAL_INITIAL_NONE, others all else. */
+typedef enum dal_initial {
+    DAL_INITIAL_NONE = 0,
+    DAL_INITIAL_D = 1,       /* data in D, used as they are: the first step jumps to D_eps (E12) */
+    DAL_INITIAL_D_EPS = 2,   /* data in D_eps */
+    DAL_INITIAL_PROJECT = 3, /* data in D, the velocity projected onto D_eps */
+    DAL_INITIAL_SHIFT = 4    /* data in D, q moved to the node q + (1-beta) h v: the run is that of
+                                the moved nodes, seen at the nodes */
+} dal_initial;
+
+/* What a stepper has done since it was started. */
+typedef struct dal_stats {
+    size_t steps;
+    size_t substeps;            /* systems of equations solved */
+    size_t iterations;          /* Newton iterations */
+    size_t constraint_calls, potential_calls;
+    size_t corrections;         /* final corrections that took an evaluation of their own */
+    size_t full_newtons;        /* sub-steps that needed the Hessian of V */
+    size_t halvings;            /* Newton steps halved because a callback left its domain */
+    double worst_residual;      /* largest |mu^a v| / sum_i |mu^a_i v_i| after a step, as the step
+                                   itself predicts it from its last evaluation */
+    double initial_residual;    /* the same of the data given to dal_stepper_start */
+    double initial_correction;  /* how far these were moved, in the mass metric */
+    unsigned differenced;       /* dal_missing: derivatives that were differenced */
+} dal_stats;
+
+/* A system, a scheme, and a state that is stepped.  A step never allocates. */
+typedef struct dal_stepper dal_stepper;
+
+/* options: or NULL for the defaults.
+ * DAL_EINVAL (a record that is not valid; the text says what), DAL_ENOMEM. */
+DAL_API int dal_stepper_new(dal_stepper **stepper, const dal_system *system,
+                            const dal_scheme *scheme, const dal_options *options,
+                            dal_error *error);
+DAL_API void dal_stepper_free(dal_stepper *stepper);
+DAL_API const char *dal_stepper_message(const dal_stepper *stepper);
+
+/* Start from x[2n] at time t0 with step h (negative: backwards; 0 is DAL_EINVAL).  x is not
+ * changed; the state used is that of dal_stepper_state.  A change of h or of the state is a new
+ * start.  On failure the stepper is as it was.
+ * DAL_EINVAL, DAL_EOFFD, DAL_ESINGULAR, DAL_ENOCONV, DAL_EUSER, DAL_EDOMAIN. */
+DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
+                              dal_consistency consistency, dal_initial initial);
+
+/* The current state x[2n] (borrowed, valid until the stepper is freed), its time t0 + k h. */
+DAL_API const double *dal_stepper_state(const dal_stepper *stepper);
+DAL_API double dal_stepper_time(const dal_stepper *stepper);
+DAL_API void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats);
+
+/* One step.  reaction[m] (or NULL) <- the scheme's own multiplier, sum_j h_j lambda_j / h, a force.
+ * DAL_EINVAL (not started), DAL_ESINGULAR, DAL_ENOCONV, DAL_EUSER, DAL_EDOMAIN. */
+DAL_API int dal_step(dal_stepper *stepper, double *reaction);
+
+/* steps steps.  reaction[m] (or NULL) <- the mean over them.  If one fails the stepper stands after
+ * the last good one and *done (or NULL) says how many were good; reaction is then untouched. */
+DAL_API int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *done);
+
+/* ---- runs ------------------------------------------------------------------------------ */
+
+/* Called at every stored state; step counts from the start of the stepper.  Return 0 to go on, > 0
+ * to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
+typedef int (*dal_observer_fn)(size_t step, double t, const double *x, void *ctx);
+
+/* steps steps from the stepper's state, every stride-th state stored (steps a multiple of stride).
+ * x[(steps/stride + 1)*2n] (or NULL) <- the states, row 0 the state now; reactions[(steps/stride)*m]
+ * (or NULL) <- the mean reaction over each interval, which belongs to its middle.  observer or NULL.
+ * *done (or NULL) <- steps made and stored.  A second call goes on where this one stopped.
+ * DAL_STOPPED, DAL_EINVAL and the errors of dal_step. */
+DAL_API int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, double *x,
+                          double *reactions, dal_observer_fn observer, void *ctx, size_t *done);
+
+/* A fitted order: errors ~ h^slope over the points that count. */
+typedef struct dal_fit {
+    double slope;    /* NaN if fewer than three points count */
+    size_t points;   /* how many counted */
+    int exact;       /* 1: every error is at the level of roundoff */
+} dal_fit;
+
+/* One step size of a study.  Errors are largest components of differences. */
+typedef struct dal_order_point {
+    double h;
+    size_t steps;
+    double q, v, multipliers;         /* at t_end, against the reference; lambda(q, v) by lambdax */
+    double local_state;               /* (q, v) after one step from exact data */
+    double local_multipliers;         /* lambda(q, v) after that step */
+    double local_reaction;            /* the scheme's own multiplier of that step against
+                                         lambda(t0 + h) (pdisc) */
+    double local_midpoint;            /* the same against lambda(t0 + h/2) */
+    double residual, residual_eps;    /* worst relative residual of D and of D_eps over the run;
+                                         residual_eps is NaN for a record with several sub-steps */
+    double energy;                    /* max |E - E0| / max(|E0|, 1) over the run */
+    int failed;                       /* status of the run; nonzero: the errors are NaN */
+} dal_order_point;
+
+typedef struct dal_order {
+    dal_fit state;        /* slope - 1 is p */
+    dal_fit multipliers;  /* slope - 1 is the order of lambda(q, v), which should be p */
+    dal_fit reaction;     /* slope - 1 is s of (p, s), as in the paper */
+    dal_fit midpoint;     /* slope of the reaction at the middle of the step, minus 1 */
+    dal_fit global_q, global_v, global_multipliers; /* slopes at t_end */
+    double p, s;          /* state.slope - 1, reaction.slope - 1 */
+    double floor;         /* errors below 100 floor do not count: reference and roundoff */
+    double reference;     /* accuracy of the reference solution; 0 for an exact one */
+    int keeps_D, keeps_D_eps; /* 1: residual within 4 n u at every stored state of every run */
+    int holds;            /* the verdict: 1 if p >= scheme.order - 0.2 and s >= multiplier_order -
+                             0.2 (or exact) and the set that the nodes promise is kept; 0 if not;
+                             -1 if the record promises nothing; -2 if too few points count */
+    char text[508];       /* the verdict in words */
+} dal_order;
+
+/* What a study runs over. */
+typedef struct dal_order_def {
+    double t0, t_end;
+    const double *x0;           /* [2n] in D (for DAL_INITIAL_D_EPS it is moved there) */
+    const size_t *steps;        /* [count] numbers of steps over t_end - t0 */
+    size_t count;
+    dal_initial initial;        /* for kept nodes */
+    double tolerance;           /* of the reference flow where there is no exact solution; 0: 1e-13 */
+} dal_order_def;
+
+/* Step-size refinement of scheme on system: points[count] and *order.
+ * DAL_EINVAL, DAL_ENOMEM, and the errors of the reference flow.  A run that fails is a failed point,
+ * not a failed study. */
+DAL_API int dal_order_study(const dal_system *system, const dal_scheme *scheme,
+                            const dal_order_def *def, dal_order_point *points, dal_order *order,
+                            dal_error *error);
+
+/* The least squares slope of log(error) over log(h) for the points with error > 100 floor (at
+ * least three over a factor of two in h).  h[count], errors[count]. */
+DAL_API void dal_fit_order(size_t count, const double *h, const double *errors, double floor,
+                           dal_fit *fit);
+
+/* </cdef> */
+
+#ifdef __cplusplus
+}
+#endif
+#endif /* DALEMBERT_H */

@@ -1,0 +1,59 @@
+"""Nonholonomic mechanics and its structure preserving integrators.
+
+A system is a triple (Q = R^n, L, D) with L = v^T M v / 2 - V(q) and D = {mu(q) v = 0}.  The
+integrators discretise the Lagrange-d'Alembert principle, after F. Jimenez and J. Scheurle, "On the
+discretization of nonholonomic dynamics in R^n" (arXiv 1407.2116), so that D, or a known
+deformation of it, is kept to roundoff.
+
+>>> import dalembert as dal
+>>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.01, t_end=10)
+>>> bool(run.residual.max() < 1e-15)
+True
+"""
+
+import logging
+
+from . import _lib, geometry, plot, report, systems
+from ._lib import (
+    ConvergenceError,
+    DalembertError,
+    DalembertWarning,
+    DomainError,
+    NotOnConstraintError,
+    SingularError,
+)
+from .integration import Reference, Scheme, Solution, Statistics, integrate, reference, schemes
+from .study import Fit, Studies, Study, convergence, studies
+from .system import Check, Difference, System
+
+__version__ = _lib.version()
+
+__all__ = [
+    "Check",
+    "ConvergenceError",
+    "DalembertError",
+    "DalembertWarning",
+    "Difference",
+    "DomainError",
+    "Fit",
+    "NotOnConstraintError",
+    "Reference",
+    "Scheme",
+    "SingularError",
+    "Solution",
+    "Statistics",
+    "Studies",
+    "Study",
+    "System",
+    "convergence",
+    "geometry",
+    "integrate",
+    "plot",
+    "reference",
+    "report",
+    "schemes",
+    "studies",
+    "systems",
+]
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())

@@ -1,0 +1,52 @@
+"""Write the C source of the extension ``dalembert._core``.
+
+Usage: ``python _ffi_build.py dalembert.h _core.c``
+
+The declarations are the part of the public header between its cdef marks, so that C and Python
+cannot disagree.  Only the trampolines, through which C calls Python, are added here.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from cffi import FFI
+
+OPENING, CLOSING = "/* <cdef> */", "/* </cdef> */"
+
+TRAMPOLINES = """
+extern "Python" int dal_py_potential(const double *q, double *V, double *V_q, double *V_qq,
+                                     void *ctx);
+extern "Python" int dal_py_constraint(const double *q, const double *v, double *phi,
+                                      double *phi_v, double *phi_q, void *ctx);
+extern "Python" int dal_py_observer(size_t step, double t, const double *x, void *ctx);
+"""
+
+
+def declarations(header: str) -> str:
+    """Return what stands between the cdef marks of ``header``, without the export macro.
+
+    Raises
+    ------
+    ValueError
+        If the two marks are not there exactly once and in order.
+    """
+    if header.count(OPENING) != 1 or header.count(CLOSING) != 1:
+        raise ValueError(f"expected {OPENING} and {CLOSING} exactly once each")
+    start, end = header.index(OPENING) + len(OPENING), header.index(CLOSING)
+    if end < start:
+        raise ValueError(f"expected {OPENING} before {CLOSING}")
+    return header[start:end].replace("DAL_API ", "")
+
+
+def write_extension(header: Path, output: Path) -> None:
+    """Write to ``output`` the C source of the extension over the functions of ``header``."""
+    ffi = FFI()
+    ffi.cdef(declarations(header.read_text(encoding="utf-8")) + TRAMPOLINES)
+    ffi.set_source("dalembert._core", f'#include "{header.name}"')
+    ffi.emit_c_code(str(output))
+
+
+if __name__ == "__main__":
+    write_extension(Path(sys.argv[1]), Path(sys.argv[2]))

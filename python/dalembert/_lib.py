@@ -1,0 +1,389 @@
+"""The one module that sees the extension: status codes, buffers and callbacks.
+
+How an exception of a user's function reaches the user:
+
+1. A public function calls C through :func:`attempt` or :func:`make`.  C holds no lock of Python.
+2. C calls a trampoline (``dal_py_potential``, ...), which calls the user's function.
+3. The function raises.  The trampoline's ``onerror`` keeps the exception for this thread and
+   returns ``DAL_EUSER`` to C (a positive number for a :class:`DomainError`, so that C may try a
+   shorter Newton step).
+4. C unwinds, leaves its state as it was, and returns its status.
+5. :func:`failure` sees the status and hands out the exception that was kept, with its traceback.
+
+What is kept belongs to the thread, not to an object: threads may share a system, and a callback
+may itself integrate, because an exception is kept only when the callback has already been left.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any, Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._core import ffi, lib
+
+if TYPE_CHECKING:
+    from .integration import Solution
+
+Array = NDArray[np.float64]
+
+__all__ = [
+    "ConvergenceError",
+    "DalembertError",
+    "DalembertWarning",
+    "DomainError",
+    "NotOnConstraintError",
+    "SingularError",
+]
+
+
+# ---- exceptions ----------------------------------------------------------------------------
+
+
+class DalembertWarning(UserWarning):
+    """A result was computed, and there is reason to doubt it."""
+
+
+class DalembertError(RuntimeError):
+    """A computation that could not be finished.
+
+    Attributes
+    ----------
+    status : int
+        The status of the C library, see ``dal_status`` in ``dalembert.h``.
+    step : int or None
+        Number of steps that were made before the failure, in a run; in an evaluation of stacked
+        states, the row that failed.
+    t : float or None
+        Time of the last good state of a run.
+    partial : Solution or None
+        The part of a run that was computed.
+    """
+
+    status: int = lib.DAL_EUSER
+
+    def __init__(
+        self,
+        message: str = "",
+        *,
+        status: int | None = None,
+        step: int | None = None,
+        t: float | None = None,
+        partial: Solution | None = None,
+    ) -> None:
+        super().__init__(message)
+        if status is not None:
+            self.status = status
+        self.step = step
+        self.t = t
+        self.partial = partial
+
+
+class ConvergenceError(DalembertError):
+    """Newton's iteration, or the step size control of the reference flow, did not converge."""
+
+    status = lib.DAL_ENOCONV
+
+
+class SingularError(DalembertError):
+    """A matrix that has to be invertible is not, to working precision."""
+
+    status = lib.DAL_ESINGULAR
+
+
+class NotOnConstraintError(DalembertError, ValueError):
+    """Initial data do not satisfy the constraint mu(q) v = 0."""
+
+    status = lib.DAL_EOFFD
+
+
+class DomainError(DalembertError):
+    """A function is not defined where it was asked for: NaN, Inf, or raised by a callback.
+
+    A callback may raise it for a ``q`` outside its domain: Newton's iteration then tries a shorter
+    step before the run fails.
+    """
+
+    status = lib.DAL_EDOMAIN
+
+
+_EXCEPTIONS: dict[int, type[Exception]] = {
+    lib.DAL_EINVAL: ValueError,
+    lib.DAL_ENOMEM: MemoryError,
+    lib.DAL_EUNSUPPORTED: NotImplementedError,
+    lib.DAL_EDOMAIN: DomainError,
+    lib.DAL_ESINGULAR: SingularError,
+    lib.DAL_ENOCONV: ConvergenceError,
+    lib.DAL_EOFFD: NotOnConstraintError,
+}
+
+
+class _Raised(threading.local):
+    """The exception that a callback of this thread raised, until C has returned."""
+
+    exception: BaseException | None = None
+
+
+_raised = _Raised()
+
+
+def attempt(function: Callable[..., int], *arguments: Any) -> int:
+    """Call a C function that may call back; return its status for :func:`failure`."""
+    _raised.exception = None
+    return function(*arguments)
+
+
+def failure(
+    status: int, message: str, *, step: int | None = None, t: float | None = None
+) -> BaseException:
+    """Return the exception for a status that is not success.
+
+    It is the very exception that a callback raised, where this is why C failed.
+    """
+    exception, _raised.exception = _raised.exception, None
+    if exception is not None and status in (lib.DAL_EUSER, lib.DAL_EDOMAIN):
+        return exception
+    message = message or string(lib.dal_strerror(status))
+    kind = _EXCEPTIONS.get(status, DalembertError)
+    if issubclass(kind, DalembertError):
+        return kind(message, status=status, step=step, t=t)
+    return kind(message)
+
+
+def check(status: int, message: str = "", *, step: int | None = None) -> None:
+    """Raise the exception of ``status``, unless it is success."""
+    if status < 0:
+        raise failure(status, message, step=step)
+
+
+def make(kind: str, *arguments: Any, owner: Any = None) -> Any:
+    """Return a C object ``dal_<kind>`` from ``dal_<kind>_new(&object, *arguments, &error)``.
+
+    It is freed with the last reference to it, and keeps ``owner`` alive until then.
+    """
+    return adopt(kind, getattr(lib, f"dal_{kind}_new"), *arguments, owner=owner)
+
+
+def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None) -> Any:
+    """As :func:`make`, for a constructor of another name."""
+    slot = ffi.new(f"dal_{kind} **")
+    error = ffi.new("dal_error *")
+    status = attempt(new, slot, *arguments, error)
+    if status < 0:
+        raise failure(status, string(error.text))
+    free = getattr(lib, f"dal_{kind}_free")
+
+    def release(handle: Any, _owner: Any = owner) -> None:
+        free(handle)
+
+    return ffi.gc(slot[0], release)
+
+
+# ---- texts and buffers ---------------------------------------------------------------------
+
+
+def version() -> str:
+    """Return the version of the C library that is running."""
+    return string(lib.dal_version())
+
+
+def string(text: Any) -> str:
+    """Return a C string, "" for NULL."""
+    return ffi.string(text).decode("utf-8", "replace") if text != ffi.NULL else ""
+
+
+def strings(texts: list[str]) -> tuple[Any, list[Any]]:
+    """Return a ``const char *[]`` and what has to be kept alive with it."""
+    kept = [ffi.new("char[]", text.encode()) for text in texts]
+    return ffi.new("const char *[]", kept), kept
+
+
+def pointer(array: Array, row: int = 0) -> Any:
+    """Return the address of ``array[row]``; the caller keeps the array alive."""
+    return ffi.from_buffer("double[]", array) + row * (array.strides[0] // array.itemsize)
+
+
+def doubles(address: Any, count: int) -> Array:
+    """Return a copy of ``count`` doubles."""
+    return np.frombuffer(ffi.buffer(address, 8 * count)[:]).copy()
+
+
+def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array:
+    """Return ``value`` as C-contiguous doubles of one of the shapes.
+
+    ``None`` in a shape stands for any length.
+
+    Raises
+    ------
+    ValueError
+        With the name, what came and what was expected, if ``value`` is no array of real finite
+        numbers, or has another shape.
+    """
+    wanted = " or ".join(
+        "(" + ", ".join("N" if k is None else str(k) for k in s) + ("," if len(s) == 1 else "") + ")"
+        for s in shapes
+    ).replace("()", "() (a number)")
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind not in "biufO":
+            raise TypeError(f"values of type {given.dtype}")
+        result = np.ascontiguousarray(given, dtype=np.float64).reshape(given.shape)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name}: expected real numbers of shape {wanted}, got {error}"
+        ) from error
+    if not any(
+        len(s) == result.ndim and all(k in (None, have) for k, have in zip(s, result.shape))
+        for s in shapes
+    ):
+        raise ValueError(f"{name}: expected shape {wanted}, got {result.shape}")
+    if not np.isfinite(result).all():
+        where = tuple(int(k) for k in np.argwhere(~np.isfinite(result))[0])
+        index = f"[{', '.join(map(str, where))}]" if where else ""
+        raise ValueError(f"{name}{index} = {result[where]}: expected finite numbers")
+    return result
+
+
+def number(value: Any, name: str) -> float:
+    """Return ``value`` as a finite float; ValueError otherwise."""
+    return float(array(value, name, ()))
+
+
+def choice(value: Any, name: str, choices: dict[str, int]) -> int:
+    """Return the number of an option that is given by its name; ValueError otherwise."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{name} = {value!r}: expected one of {', '.join(map(repr, choices))}")
+    return choices[value]
+
+
+# ---- callbacks -----------------------------------------------------------------------------
+
+_from_handle, _buffer, _memmove = ffi.from_handle, ffi.buffer, ffi.memmove
+_frombuffer, _ndarray, _double = np.frombuffer, np.ndarray, np.dtype(np.float64)
+
+
+class Callables:
+    """A user's functions of a system, and the shapes of what they return."""
+
+    __slots__ = (
+        "bytes", "forms", "forms_velocity_derivative", "gradient", "hessian", "matrix", "potential",
+        "square", "vector",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        n: int,
+        m: int,
+        forms: Callable[[Array], ArrayLike] | None,
+        forms_velocity_derivative: Callable[[Array, Array], ArrayLike] | None,
+        potential: Callable[[Array], float] | None,
+        gradient: Callable[[Array], ArrayLike] | None,
+        hessian: Callable[[Array], ArrayLike] | None,
+    ) -> None:
+        self.forms = forms
+        self.forms_velocity_derivative = forms_velocity_derivative
+        self.potential = potential
+        self.gradient = gradient
+        self.hessian = hessian
+        self.bytes = 8 * n
+        self.vector, self.matrix, self.square = (n,), (m, n), (n, n)
+
+
+def _write(target: Any, value: Any, shape: tuple[int, ...], name: str) -> None:
+    """Copy what a callback returned to ``target``; the usual case, an array, costs no conversion."""
+    if type(value) is not _ndarray or value.dtype is not _double or value.shape != shape:
+        value = returned(value, shape, name)
+    elif not value.flags.c_contiguous:
+        value = value.copy()
+    _memmove(target, value, value.nbytes)
+
+
+def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:
+    """Return what the callback ``name`` returned as doubles of ``shape``; NaN is left to C.
+
+    Raises
+    ------
+    ValueError
+        With the name, what came and what was expected.
+    """
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind not in "biufO":
+            raise TypeError(f"values of type {given.dtype}")
+        result = np.asarray(given, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name} has to return real numbers of shape {shape}, it returned {error}"
+        ) from error
+    if result.shape != shape:
+        raise ValueError(f"{name} has to return shape {shape}, it returned {result.shape}")
+    return result
+
+
+def _remember(kind: type[BaseException], value: BaseException, traceback: Any) -> int:
+    """Keep the exception of a callback until C has returned, and say so to C."""
+    _raised.exception = value.with_traceback(traceback)
+    return 1 if isinstance(value, DomainError) else lib.DAL_EUSER
+
+
+# The arrays that a user's function gets are copies, of the 24 bytes of a particle say, made as a
+# bytes object: that is as fast as a view of C's memory, cannot be written to, and may be kept.
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_potential(q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    if V:
+        value = call.potential(point)
+        V[0] = value if isinstance(value, float) else returned(value, (), "potential")
+    if V_q:
+        _write(V_q, call.gradient(point), call.vector, "gradient")
+    if V_qq:
+        _write(V_qq, call.hessian(point), call.square, "hessian")
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_constraint(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    if phi_v:
+        _write(phi_v, call.forms(point), call.matrix, "forms")
+    if phi_q:
+        velocity = _frombuffer(_buffer(v, call.bytes)[:])
+        _write(
+            phi_q,
+            call.forms_velocity_derivative(point, velocity),
+            call.matrix,
+            "forms_velocity_derivative",
+        )
+    return 0
+
+
+class Observer:
+    """A user's observer of a run; it sees every stored state once, whatever the blocks are."""
+
+    __slots__ = ("bytes", "function", "last")
+
+    def __init__(self, n: int, function: Callable[[int, float, Array, Array], Any]) -> None:
+        self.bytes = 8 * n
+        self.function = function
+        self.last = -1
+
+    def see(self, step: int, t: float, q: Array, v: Array) -> bool:
+        """Show a state, unless it is the last one again; return whether to stop."""
+        if step == self.last:
+            return False
+        self.last = step
+        return bool(self.function(step, t, q, v))
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_observer(step: int, t: float, x: Any, ctx: Any) -> int:
+    observer = _from_handle(ctx)
+    state = _buffer(x, 2 * observer.bytes)[:]
+    half = observer.bytes
+    return observer.see(step, t, _frombuffer(state[:half]), _frombuffer(state[half:]))

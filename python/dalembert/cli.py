@@ -1,0 +1,169 @@
+"""The command ``dalembert``: studies of the built-in systems, and what there is.
+
+Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from . import _lib, plot, report, systems
+from .integration import INITIAL
+from .integration import schemes as named_schemes
+from .study import studies
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit status.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the name of the program.  Default: those of the process.
+
+    Returns
+    -------
+    int
+        0, 1 or 2; see the module.
+
+    Examples
+    --------
+    >>> from dalembert.cli import main
+    >>> main(["study", "particle", "--scheme", "midpoint", "--json", "--no-report"])  # doctest: +SKIP
+    0
+    """
+    parser = _parser()
+    try:
+        given = parser.parse_args(arguments)
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    try:
+        return int(given.run(given))
+    except (ValueError, ImportError) as error:
+        print(f"dalembert {given.command}: {error}", file=sys.stderr)
+        return 2
+    except (_lib.DalembertError, OSError) as error:
+        print(f"dalembert {given.command}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="dalembert",
+        description="Nonholonomic variational integrators: measure what they promise.")
+    parser.add_argument("--version", action="version",
+                        version=f"dalembert {_lib.version()}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    study = commands.add_parser(
+        "study", help="step-size refinement of schemes on a system, with a verdict",
+        description="Refine the step size of every scheme on a system; print the errors, the "
+                    "orders and what is kept, and write a report.  Exit status 1 if a scheme does "
+                    "not deliver what it promises.")
+    study.add_argument("system", metavar="SYSTEM", help="see `dalembert systems`")
+    study.add_argument("--scheme", action="append", metavar="NAME",
+                       help="a name of `dalembert schemes`, or beta; again for more (default: all)")
+    study.add_argument("--parameter", action="append", default=[], type=_parameter,
+                       metavar="NAME=VALUE", help="of the system; again for more")
+    study.add_argument("--q0", type=_numbers, metavar="X,Y,...", help="positions at t = 0")
+    study.add_argument("--v0", type=_numbers, metavar="X,Y,...",
+                       help="velocities at t = 0, in D (write --v0=-1,... for a minus)")
+    study.add_argument("--t-end", type=float, default=1.0, metavar="T", help="default: 1")
+    study.add_argument("--steps", type=_counts, metavar="N,N,...",
+                       help="numbers of steps up to T (default: by the order of the scheme)")
+    study.add_argument("--initial", choices=list(INITIAL),
+                       help="how schemes with kept nodes start (default: D_eps)")
+    study.add_argument("--output", type=Path, metavar="FILE",
+                       help="the report (default: report.html)")
+    study.add_argument("--no-report", action="store_true", help="write no report")
+    study.add_argument("--json", nargs="?", const="-", metavar="FILE",
+                       help="the numbers as JSON, to FILE or to standard output; in the latter "
+                            "case the tables go to standard error")
+    study.set_defaults(run=_study)
+
+    commands.add_parser("systems", help="list the built-in systems").set_defaults(run=_systems)
+    commands.add_parser("schemes", help="list the named schemes").set_defaults(run=_schemes)
+    return parser
+
+
+def _study(given: argparse.Namespace) -> int:
+    system = systems.get(given.system, **dict(given.parameter))
+    output = None if given.no_report else given.output or Path("report.html")
+    if output is not None:
+        try:
+            plot.require_matplotlib()
+        except ImportError as error:
+            if given.output:
+                raise
+            print(f"dalembert study: no report: {error}", file=sys.stderr)
+            output = None
+
+    for path in (output, Path(given.json or "-")):
+        if path is not None and not path.parent.is_dir():
+            raise ValueError(f"{path}: there is no folder {path.parent}")
+
+    found = studies(system, given.scheme, given.q0, given.v0, t_end=given.t_end, steps=given.steps,
+                    initial=given.initial, progress=True)
+
+    found.show(sys.stderr if given.json == "-" else sys.stdout)
+    if given.json:
+        text = json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n"
+        if given.json == "-":
+            sys.stdout.write(text)
+        else:
+            Path(given.json).write_text(text, encoding="utf-8")
+    if output is not None:
+        report.write(found, output)
+        print(f"report: {output}", file=sys.stderr)
+    return 1 if found.holds is False else 0
+
+
+def _systems(given: argparse.Namespace) -> int:
+    found = [systems.get(name) for name in systems.names()]
+    _list((system.name, system.help) for system in found)
+    return 0
+
+
+def _schemes(given: argparse.Namespace) -> int:
+    _list((record.name, record.help) for record in named_schemes())
+    return 0
+
+
+def _list(items: Any) -> None:
+    rows = list(items)
+    width = max(len(name) for name, _ in rows)
+    for name, text in rows:
+        print(f"{name:{width}}  {text}")
+
+
+def _parameter(text: str) -> tuple[str, float]:
+    name, sign, value = text.partition("=")
+    try:
+        if not sign or not name:
+            raise ValueError
+        return name, float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}; expected NAME=NUMBER") from None
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}; expected numbers and commas") from None
+
+
+def _counts(text: str) -> list[int]:
+    try:
+        return [int(word) for word in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}; expected whole numbers and commas") from None

@@ -1,0 +1,376 @@
+"""Pictures of studies and runs, with matplotlib.
+
+Every function takes ``ax=None`` (default: axes of their own), returns the axes and shows nothing.
+Colours are those of Okabe and Ito; markers and line styles differ as well, so that a picture reads
+in black and white.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import geometry
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from .integration import Solution
+    from .study import Studies, Study
+
+__all__ = ["convergence", "drift", "energy", "path", "styles"]
+
+Style = Mapping[str, Any]
+
+# Okabe and Ito without the yellow, which is too light for a line on white.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)))
+
+ROUNDOFF = 2.0**-53
+ZERO = 1e-17  # where an exact zero is drawn on a logarithmic axis
+
+QUANTITIES = {
+    "q": ("q_error", "global_q", 0, "error of q at t = {t_end:g} (user's units)"),
+    "v": ("v_error", "global_v", 0, "error of v at t = {t_end:g} (user's units)"),
+    "multipliers": ("multiplier_error", "global_multipliers", 0,
+                    "error of lambda at t = {t_end:g} (user's units)"),
+    "local": ("local_error", "state", 1, "error of (q, v) after one step (user's units)"),
+    "reactions": ("local_reaction_error", "reaction", 1,
+                  "error of the scheme's multiplier after one step (user's units)"),
+}
+
+
+def styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return a colour, a marker and a line style for each name.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of schemes.  Up to 7 differ in colour; up to 280 in something.
+
+    Returns
+    -------
+    dict of str to dict
+        Properties of a line, for the argument ``styles`` of the pictures.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.plot.styles(["midpoint", "leapfrog"])["leapfrog"]["marker"]
+    's'
+    """
+    return {name: {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)],
+                   "linestyle": LINES[i % len(LINES)],
+                   # Smaller and smaller, so that one of two equal curves is seen behind the other.
+                   "markersize": 8.5 - 0.5 * (i % len(MARKERS))}
+            for i, name in enumerate(dict.fromkeys(names))}
+
+
+def convergence(
+    study: Study | Studies | Sequence[Study],
+    ax: Axes | None = None,
+    *,
+    quantity: str = "q",
+    styles: Mapping[str, Style] | None = None,
+) -> Axes:
+    """Draw errors over the step size, log-log, with the fitted orders and slope triangles.
+
+    Hollow markers are points that do not count for the fit: they are closer than a factor 100 to
+    the round-off floor, or exactly zero and drawn at 1e-17.
+
+    Parameters
+    ----------
+    study : Study or sequence of Study
+    ax : matplotlib axes, optional
+    quantity : {"q", "v", "multipliers", "local", "reactions"}
+        The errors at ``t_end``, or the one-step errors of (q, v) or of the scheme's own
+        multipliers.  The order in the legend is that of the scheme: slope - 1 of the latter two.
+    styles : mapping of scheme names to properties of a line, optional
+        See `styles`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such quantity, or nothing to draw.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> study = dal.convergence(dal.systems.particle(), "midpoint")
+    >>> dal.plot.convergence(study).get_xscale()
+    'log'
+    """
+    if quantity not in QUANTITIES:
+        raise ValueError(f"quantity is {quantity!r}; expected one of {', '.join(QUANTITIES)}")
+    name, key, loss, label = QUANTITIES[quantity]
+    studies = _several(study, "study")
+    ax = _axes(ax)
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    styles = styles or _styles(studies)
+    triangles: dict[int, tuple[float, NDArray[np.float64], NDArray[np.float64]]] = {}
+    for item in studies:
+        fit, error = item.fits[key], getattr(item, name)
+        drawn = np.isfinite(error)
+        h, error = np.abs(item.h[drawn]), np.maximum(error[drawn], ZERO)
+        counts = error > 100 * item.floor
+        style = dict(styles[item.scheme.name])
+        line, = ax.loglog(h, error, label=f"{item.scheme.name}: {fit.order(loss)}", **style)
+        ax.plot(h[~counts], error[~counts], linestyle="none", marker=style.get("marker"),
+                markersize=style.get("markersize"), color=line.get_color(),
+                markerfacecolor="white", zorder=3)
+        if not math.isnan(fit.slope) and not fit.exact and round(fit.slope) > 0:
+            _lowest(triangles, round(fit.slope), h[counts], error[counts])
+    for slope, (_, h, error) in sorted(triangles.items()):
+        _triangle(ax, slope, h, error)
+    ax.set_xlabel("step h (user's units of time)")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.set_ylabel(label.format(t_end=studies[0].t_end))
+    ax.set_title(f"{_systems(studies)}: convergence")
+    _legend(ax, "scheme: fitted order")
+    return ax
+
+
+def drift(
+    solution: Solution | Sequence[Solution],
+    ax: Sequence[Axes] | None = None,
+    *,
+    styles: Mapping[str, Style] | None = None,
+) -> NDArray[Any]:
+    """Draw the relative residual of D and that of D_eps over time, side by side.
+
+    Exact zeros are drawn at 1e-17; the dashed line is the unit roundoff u.  Schemes with several
+    sub-steps have no D_eps and stand only on the left.  A hollow marker is the start of a run with
+    kept nodes that was in D and not in D_eps.
+
+    Parameters
+    ----------
+    solution : Solution or sequence of Solution
+    ax : two matplotlib axes, optional
+        For D and for D_eps.
+    styles : mapping of scheme names to properties of a line, optional
+        See `styles`.
+
+    Returns
+    -------
+    ndarray of two matplotlib axes
+
+    Raises
+    ------
+    ValueError
+        If ``ax`` is not two axes, or there is nothing to draw.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=100)
+    >>> left, right = dal.plot.drift(run)
+    """
+    solutions = _several(solution, "solution")
+    if ax is None:
+        _, ax = _pyplot().subplots(1, 2, sharey=True, layout="constrained", figsize=(9, 3.8))
+    axes = np.asarray(ax, dtype=object).ravel()
+    if len(axes) != 2:
+        raise ValueError(f"ax has {len(axes)} axes; expected two, for D and for D_eps")
+    styles = styles or _styles(solutions)
+    for run in solutions:
+        style = _over_time(styles[run.scheme.name], len(run.t))
+        in_D, in_D_eps = _residuals(run)
+        axes[0].plot(run.t, np.maximum(in_D, ZERO), label=run.scheme.name, **style)
+        if in_D_eps is None:
+            continue
+        # Kept nodes may start in D and jump to D_eps in the first step: that start is a point.
+        jump = int(run.nodes == "kept" and in_D_eps[0] > 4 * run.system.n * ROUNDOFF)
+        axes[1].plot(run.t[jump:], np.maximum(in_D_eps[jump:], ZERO), label=run.scheme.name,
+                     **style)
+        axes[1].plot(run.t[:jump], in_D_eps[:jump], linestyle="none", marker=style["marker"],
+                     color=style["color"], markerfacecolor="white")
+    for axis, title in zip(axes, (r"$D$:  $\mu(q)\,v = 0$",
+                                  r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$")):
+        axis.set_yscale("log")
+        axis.axhline(ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)), zorder=1)
+        axis.annotate("u", (1, ROUNDOFF), xycoords=("axes fraction", "data"), xytext=(3, 0),
+                      textcoords="offset points", va="center")
+        axis.set_title(title)
+        axis.set_xlabel("time t (user's units)")
+    axes[0].set_ylabel("relative residual of the constraint")
+    _legend(axes[0], None)
+    return axes
+
+
+def energy(
+    solution: Solution | Sequence[Solution],
+    ax: Axes | None = None,
+    *,
+    styles: Mapping[str, Style] | None = None,
+) -> Axes:
+    """Draw the relative energy error over time, on a linear axis.
+
+    Parameters
+    ----------
+    solution : Solution or sequence of Solution
+    ax : matplotlib axes, optional
+    styles : mapping of scheme names to properties of a line, optional
+        See `styles`.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing to draw.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=100)
+    >>> ax = dal.plot.energy(run)
+    """
+    solutions = _several(solution, "solution")
+    ax = _axes(ax)
+    styles = styles or _styles(solutions)
+    for run in solutions:
+        scale = max(abs(run.energy[0]), 1.0)
+        ax.plot(run.t, (run.energy - run.energy[0]) / scale, label=run.scheme.name,
+                **_over_time(styles[run.scheme.name], len(run.t)))
+    ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
+    ax.set_xlabel("time t (user's units)")
+    ax.set_ylabel(r"energy error $(E - E_0) \,/\, \max(|E_0|, 1)$")
+    ax.set_title(f"{_systems(solutions)}: energy")
+    ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
+    _legend(ax, None)
+    return ax
+
+
+def path(
+    solution: Solution,
+    ax: Axes | None = None,
+    coordinates: tuple[int, int] = (0, 1),
+) -> Axes:
+    """Draw a run in the plane of two coordinates, with equal axes and the start marked.
+
+    Parameters
+    ----------
+    solution : Solution
+    ax : matplotlib axes, optional
+    coordinates : pair of int
+        Which two of q.
+
+    Raises
+    ------
+    ValueError
+        If the system does not have these coordinates.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.knife_edge(), "leapfrog", h=0.05, steps=100)
+    >>> dal.plot.path(run).get_xlabel()
+    "x (user's units)"
+    """
+    n = solution.q.shape[1]
+    if len(coordinates) != 2 or not all(0 <= i < n for i in coordinates):
+        raise ValueError(f"coordinates is {coordinates!r}; expected two of 0 to {n - 1}")
+    ax = _axes(ax)
+    first, second = (solution.q[:, i] for i in coordinates)
+    ax.plot(first, second, color=COLOURS[0])
+    ax.plot(first[:1], second[:1], color=COLOURS[1], marker="o", linestyle="none", label="start")
+    ax.set_aspect("equal", adjustable="datalim")
+    names = [solution.system.coordinates[i] for i in coordinates]
+    ax.set_xlabel(f"{names[0]} (user's units)")
+    ax.set_ylabel(f"{names[1]} (user's units)")
+    ax.set_title(f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}")
+    ax.legend(frameon=False)
+    return ax
+
+
+def _lowest(triangles: dict[int, Any], slope: int, h: NDArray[Any], error: NDArray[Any]) -> None:
+    """Keep for each slope the curve that lies lowest, where a triangle has room below it."""
+    if len(h) < 2:
+        return
+    height = float(np.mean(np.log(error) - slope * np.log(h)))
+    if slope not in triangles or height < triangles[slope][0]:
+        triangles[slope] = (height, h, error)
+
+
+def _triangle(ax: Axes, slope: int, h: NDArray[Any], error: NDArray[Any]) -> None:
+    """A triangle of this slope below the middle of a curve."""
+    order = np.argsort(h)
+    h, error = h[order], error[order]
+    middle = math.sqrt(h[0] * h[-1])
+    left, right = middle / 1.2, middle * 1.2
+    top = math.exp(np.interp(math.log(right), np.log(h), np.log(error))) / 2.0
+    bottom = top * (left / right) ** slope
+    ax.fill([left, right, right], [bottom, bottom, top], facecolor="0.85", edgecolor="0.3",
+            linewidth=0.8, zorder=1)
+    ax.annotate(str(slope), (right, math.sqrt(top * bottom)), xytext=(3, 0),
+                textcoords="offset points", va="center", fontsize="small")
+
+
+def _residuals(run: Solution) -> tuple[NDArray[Any], NDArray[Any] | None]:
+    """Relative residuals of D and of D_eps; None where the scheme has no D_eps."""
+    in_D = geometry.relative_residual(run.system, run.q, run.v)
+    if len(run.scheme.substeps) != 1:
+        return in_D, None
+    return in_D, geometry.relative_residual(run.system, run.q, run.v, run.scheme.shift(run.h))
+
+
+def _over_time(style: Style, points: int) -> dict[str, Any]:
+    """The style of a curve with many points: about a dozen markers, small ones."""
+    return {**style, "markevery": max(1, points // 12), "markersize": 4, "linewidth": 1.2}
+
+
+def _styles(items: Sequence[Any]) -> dict[str, dict[str, Any]]:
+    return styles(item.scheme.name for item in items)
+
+
+def _systems(items: Sequence[Any]) -> str:
+    return ", ".join(dict.fromkeys(item.system.name for item in items))
+
+
+def _several(item: Any, what: str) -> list[Any]:
+    items = list(item) if isinstance(item, Sequence) else [item]
+    if not items:
+        raise ValueError(f"{what} is empty; expected at least one")
+    return items
+
+
+def _legend(ax: Axes, title: str | None) -> None:
+    """Inside for a few curves, beside the picture for many."""
+    many = len(ax.get_legend_handles_labels()[0]) > 4
+    where: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.02, 1)} if many else {}
+    ax.legend(title=title, frameon=False, fontsize="small", **where)
+
+
+def _axes(ax: Axes | None) -> Axes:
+    if ax is not None:
+        return ax
+    return _pyplot().subplots(layout="constrained")[1]
+
+
+def _pyplot() -> Any:
+    require_matplotlib()
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def require_matplotlib() -> None:
+    """Raise an ImportError with the line to type if matplotlib is not installed."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise ImportError('pictures need matplotlib: pip install "dalembert[plot]"') from error

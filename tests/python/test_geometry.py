@@ -1,0 +1,195 @@
+"""The geometry functions against formulas in NumPy, at one state and at stacked ones."""
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+from conftest import U
+
+# Sums of at most 4 terms of size 1 to 10 and solves with condition below 100: 1e-13 is about
+# 1000 u, far below any sign or factor.
+TOLERANCE = 1e-13
+
+
+def several(own, count=7):
+    rng = np.random.default_rng(1)
+    return own.q0 + 0.2 * rng.standard_normal((count, 4)), rng.standard_normal((count, 4))
+
+
+def test_energy(own):
+    q, v = several(own)
+    expected = [w @ own.mass @ w / 2 + own.potential(p) for p, w in zip(q, v)]
+    system = own.system()
+    np.testing.assert_allclose(system.energy(q, v), expected, rtol=TOLERANCE)
+    assert isinstance(system.energy(q[0], v[0]), float)
+    assert system.energy(q[0], v[0]) == system.energy(q, v)[0]
+
+
+def test_residual_on_D_and_on_its_deformation(own):
+    q, v = several(own)
+    system = own.system()
+    for shift in (0.0, 0.05):
+        mu = [own.forms(p - shift * w) for p, w in zip(q, v)]
+        expected = np.array([a @ w for a, w in zip(mu, v)])
+        relative = [
+            np.max(np.abs(a @ w) / (np.abs(a) @ np.abs(w))) for a, w in zip(mu, v)
+        ]
+        np.testing.assert_allclose(system.residual(q, v, shift), expected, atol=TOLERANCE)
+        np.testing.assert_allclose(system.relative_residual(q, v, shift), relative, rtol=TOLERANCE)
+    assert system.residual(q[0], v[0]).shape == (2,)
+
+
+def test_gram(own):
+    q, _ = several(own)
+    expected = [own.forms(p) @ np.linalg.solve(own.mass, own.forms(p).T) for p in q]
+    np.testing.assert_allclose(own.system().gram(q), expected, rtol=TOLERANCE, atol=TOLERANCE)
+    assert own.system().gram(q[0]).shape == (2, 2)
+
+
+def test_multipliers_and_acceleration_off_D(own):
+    q, v = several(own)
+    system = own.system()
+    a, lam = (np.array(x) for x in zip(*(own.acceleration(p, w) for p, w in zip(q, v))))
+    np.testing.assert_allclose(system.multipliers(q, v), lam, rtol=TOLERANCE, atol=TOLERANCE)
+    np.testing.assert_allclose(system.acceleration(q, v), a, rtol=TOLERANCE, atol=TOLERANCE)
+    np.testing.assert_array_equal(system.field(q, v), np.hstack([v, system.acceleration(q, v)]))
+    np.testing.assert_array_equal(system.multipliers(q[2], v[2]), system.multipliers(q, v)[2])
+
+
+def test_differenced_derivatives_agree(own):
+    q, v = several(own)
+    bare = own.system(gradient=None, hessian=None, forms_velocity_derivative=None)
+    # The header promises about 1e-10 relative.
+    np.testing.assert_allclose(
+        bare.multipliers(q, v), own.system().multipliers(q, v), rtol=1e-9, atol=1e-9
+    )
+
+
+def test_project(own):
+    q, v = several(own)
+    system = own.system()
+    expected = [own.project(p, w) for p, w in zip(q, v)]
+    np.testing.assert_allclose(system.project(q, v), expected, rtol=TOLERANCE, atol=TOLERANCE)
+    assert system.relative_residual(q, system.project(q, v)).max() <= 4 * 4 * U
+
+
+def test_project_onto_the_deformation(own):
+    q, v = several(own)
+    system, shift = own.system(), 0.05
+    w = system.project(q, v, shift)
+    assert system.relative_residual(q, w, shift).max() <= 16 * 4 * U
+    # Along M^-1 mu(q)^T: what is added lies in the span of mu(q)^T after multiplication with M.
+    for p, difference in zip(q, (w - v) @ own.mass):
+        mu = own.forms(p)
+        kappa = np.linalg.lstsq(mu.T, difference, rcond=None)[0]
+        np.testing.assert_allclose(mu.T @ kappa, difference, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("keep", [["q1"], [False, True, False, False]])
+def test_consistent_keeps_components(own, keep):
+    q, v = several(own)
+    system = own.system()
+    w = system.consistent(q, v, keep)
+    np.testing.assert_array_equal(w[:, 1], v[:, 1])
+    assert system.relative_residual(q, w).max() <= 4 * 4 * U
+    # Nearest in the mass metric: the gradient M (w - v) is orthogonal to every direction in D_q
+    # that leaves component 1 alone.
+    for p, difference in zip(q, (w - v) @ own.mass):
+        rows = np.vstack([own.forms(p), [0.0, 1.0, 0.0, 0.0]])
+        directions = np.linalg.svd(rows)[2][3:]
+        np.testing.assert_allclose(directions @ difference, 0.0, atol=TOLERANCE)
+
+
+def test_consistent_without_keep_is_the_projection(own):
+    q, v = several(own, 1)
+    system = own.system()
+    np.testing.assert_allclose(
+        system.consistent(q, v), system.project(q, v), rtol=TOLERANCE, atol=TOLERANCE
+    )
+
+
+def test_consistent_with_too_much_kept(own):
+    q, v = several(own, 1)
+    with pytest.raises(dal.SingularError):
+        own.system().consistent(q[0], v[0], keep=["q0", "q1", "q2", "q3"])
+
+
+@pytest.mark.parametrize("keep", [["nowhere"], [True, False], [0, 1, 0, 0]])
+def test_keep_is_named_in_errors(own, keep):
+    with pytest.raises(ValueError, match="keep"):
+        own.system().consistent(own.q0, own.v0(), keep=keep)
+
+
+def test_functions_are_methods(own):
+    q, v = several(own, 2)
+    system = own.system()
+    np.testing.assert_array_equal(dal.geometry.energy(system, q, v), system.energy(q, v))
+
+
+def test_without_constraints():
+    free = dal.System(
+        mass=[2.0, 4.0], potential=lambda q: q @ q, gradient=lambda q: 2 * q, n=2
+    )
+    np.testing.assert_array_equal(free.acceleration([1, 2], [0, 0]), [-1.0, -1.0])
+    assert free.multipliers([1, 2], [0, 0]).shape == (0,)
+    assert free.residual([[1, 2]], [[0, 0]]).shape == (1, 0)
+    assert free.relative_residual([1, 2], [3, 4]) == 0.0
+
+
+def test_no_rows(own):
+    nothing = np.empty((0, 4))
+    assert own.system().energy(nothing, nothing).shape == (0,)
+    assert own.system().acceleration(nothing, nothing).shape == (0, 4)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        lambda a: a.tolist(),
+        lambda a: np.asfortranarray(a),
+        lambda a: np.repeat(a, 2, axis=1)[:, ::2],
+        lambda a: a.astype(np.float32).astype(np.longdouble),
+    ],
+)
+def test_any_array_like(own, kind):
+    q, v = (np.round(64 * a) / 64 for a in several(own))  # exact in float32
+    system = own.system()
+    np.testing.assert_array_equal(system.energy(kind(q), kind(v)), system.energy(q, v))
+
+
+def test_integers_and_read_only_arrays(particle):
+    q, v = np.array([0, 1, 0]), np.array([1, 1, 1])
+    q.flags.writeable = v.flags.writeable = False
+    assert particle.multipliers(q, v) == [0.5]
+    np.testing.assert_array_equal(particle.project(q, 3 * v), [3, 3, 3])
+
+
+def test_inputs_are_not_changed(particle):
+    q, v = np.array([0.0, 1.0, 0.0]), np.array([1.0, 1.0, 3.0])
+    np.testing.assert_array_equal(particle.project(q, v), [2, 1, 2])
+    np.testing.assert_array_equal(v, [1, 1, 3])
+
+
+@pytest.mark.parametrize(
+    ("q", "v", "text"),
+    [
+        ([0, 1], [1, 1, 1], r"q: expected shape \(3,\) or \(N, 3\), got \(2,\)"),
+        ([0, 1, 0], [[1, 1, 1]], r"v: expected shape \(3,\) as q has, got \(1, 3\)"),
+        ([0, np.nan, 0], [1, 1, 1], r"q\[1\] = nan"),
+        ([0, 1, 0], [1, 1, np.inf], r"v\[2\] = inf"),
+        ([0, 1j, 0], [1, 1, 1], "q: expected real numbers"),
+        (["a", "b", "c"], [1, 1, 1], "q: expected real numbers"),
+        ([[0, 1, 0], [1]], [1, 1, 1], "q: expected real numbers"),
+    ],
+)
+def test_wrong_arguments_are_named(particle, q, v, text):
+    with pytest.raises(ValueError, match=text):
+        particle.energy(q, v)
+
+
+def test_singular_forms_say_which_row():
+    system = dal.System(mass=[1, 1], forms=lambda q: [[q[0], 0]], m=1)
+    with pytest.raises(dal.SingularError) as caught:
+        system.multipliers([[1, 0], [2, 0], [0, 0]], np.ones((3, 2)))
+    assert caught.value.step == 2
+    assert caught.value.status < 0

@@ -1,0 +1,289 @@
+"""Studies: against the exact particle and a closed form of the scheme in NumPy."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+from dalembert import study as module
+
+Q0, V0 = np.array([0.5, 0.3, -0.2]), np.array([1.0, 0.7, 0.3])
+STEPS = (10, 15, 20, 30, 40)
+U = 2.0**-53
+
+
+def exact_particle(t, q, v):
+    """State of the particle a time t after (q, v): w = v_y, c = v_x sqrt(1 + y^2) are constant."""
+    (x, y, z), (vx, w, _) = q, v
+    y1 = y + w * t
+    s, s1 = np.hypot(1, y), np.hypot(1, y1)
+    c = vx * s
+    return (np.array([x + c / w * (np.arcsinh(y1) - np.arcsinh(y)), y1, z + c / w * (s1 - s)]),
+            np.array([c / s1, w, y1 * c / s1]))
+
+
+def midpoint_particle(t, steps, q, v):
+    """The midpoint scheme with moved nodes, solved by hand: v_y' = v_y and v' in D."""
+    h = t / steps
+    for _ in range(steps):
+        y, w = q[1], v[1]
+        yk, y1 = y + h / 2 * w, y + h * w
+        vx = v[0] * (1 + y * yk) / (1 + y1 * yk)
+        new = np.array([vx, w, y1 * vx])
+        q, v = q + h / 2 * (v + new), new
+    return q, v
+
+
+def multiplier(q, v):
+    return v[0] * v[1] / (1 + q[1] ** 2)
+
+
+@pytest.fixture(scope="module")
+def midpoint():
+    return dal.convergence(dal.systems.particle(), "midpoint", Q0, V0, t_end=1, steps=STEPS)
+
+
+def test_errors_are_those_of_the_scheme_solved_by_hand(midpoint):
+    q, v = exact_particle(1, Q0, V0)
+    # Both sides carry the roundoff of at most 40 steps, each of some u times states below 2.
+    noise = 64 * max(STEPS) * U
+    for i, steps in enumerate(STEPS):
+        qs, vs = midpoint_particle(1, steps, Q0, V0)
+        assert midpoint.h[i] == 1 / steps
+        assert midpoint.q_error[i] == pytest.approx(np.abs(qs - q).max(), rel=0, abs=noise)
+        assert midpoint.v_error[i] == pytest.approx(np.abs(vs - v).max(), rel=0, abs=noise)
+        assert midpoint.multiplier_error[i] == pytest.approx(
+            abs(multiplier(qs, vs) - multiplier(q, v)), rel=0, abs=noise)
+        q1, v1 = exact_particle(1 / steps, Q0, V0)
+        qs, vs = midpoint_particle(1 / steps, 1, Q0, V0)
+        assert midpoint.local_error[i] == pytest.approx(
+            max(np.abs(qs - q1).max(), np.abs(vs - v1).max()), rel=0, abs=noise)
+
+
+def test_fits_are_least_squares_lines(midpoint):
+    # The two computations differ by roundoff of sums of a few logarithms below 20.
+    for key, errors in (("global_q", midpoint.q_error), ("global_v", midpoint.v_error),
+                        ("global_multipliers", midpoint.multiplier_error),
+                        ("state", midpoint.local_error),
+                        ("multipliers", midpoint.local_multiplier_error),
+                        ("reaction", midpoint.local_reaction_error),
+                        ("midpoint", midpoint.local_midpoint_error)):
+        assert (errors > 100 * midpoint.floor).all()
+        slope = np.polyfit(np.log(midpoint.h), np.log(errors), 1)[0]
+        assert midpoint.fits[key].slope == pytest.approx(slope, abs=1e-10)
+        assert midpoint.fits[key].points == len(STEPS)
+    assert midpoint.p == midpoint.fits["state"].slope - 1
+    assert midpoint.s == midpoint.fits["reaction"].slope - 1
+
+
+def test_local_orders_are_those_between_neighbours(midpoint):
+    e, h = midpoint.q_error, midpoint.h
+    assert np.isnan(midpoint.q_orders[0])
+    for i in range(1, len(STEPS)):
+        assert midpoint.q_orders[i] == pytest.approx(
+            np.log(e[i - 1] / e[i]) / np.log(h[i - 1] / h[i]), rel=1e-12)
+    assert (abs(midpoint.v_orders[1:] - 2) < 0.2).all()
+    assert (abs(midpoint.multiplier_orders[1:] - 2) < 0.2).all()
+
+
+def test_what_midpoint_promises_holds(midpoint):
+    assert midpoint.holds is True
+    assert midpoint.verdict == "holds"
+    assert midpoint.keeps == "D" and midpoint.keeps_D and not midpoint.keeps_D_eps
+    assert midpoint.reference == 0  # the particle carries its exact solution
+    assert (midpoint.residual <= 4 * 3 * U).all()
+    assert (midpoint.residual_eps > 1e-4).all()  # h/2 v_x v_y does not vanish
+    assert (midpoint.failed == 0).all()
+
+
+def test_kept_nodes_keep_the_other_set_and_lose_an_order():
+    study = dal.convergence(dal.systems.particle(), "midpoint-nodes", Q0, V0, steps=STEPS,
+                            initial="D_eps")
+    assert study.keeps == "D_eps" and study.holds is True
+    assert round(study.fits["global_q"].slope) == 1
+    started_in_D = dal.convergence(dal.systems.particle(), "midpoint-nodes", Q0, V0, steps=STEPS,
+                                   initial="D")
+    assert round(started_in_D.s) == -1
+
+
+def test_a_promise_that_is_too_good_fails():
+    claim = dal.Scheme([(0.5, 1.0)], name="claims-3", order=3, multiplier_order=0)
+    study = dal.convergence(dal.systems.particle(), claim, Q0, V0, steps=STEPS)
+    assert study.holds is False and study.verdict == "fails"
+    assert round(study.p) == 2
+    assert "promised (3, 0)" in study.text
+
+
+def test_a_promise_about_the_multipliers_fails_by_itself():
+    claim = dal.Scheme([(0.5, 1.0)], name="claims-s", order=2, multiplier_order=1)
+    assert dal.convergence(dal.systems.particle(), claim, Q0, V0, steps=STEPS).holds is False
+
+
+def test_without_a_promise_there_is_no_verdict():
+    study = dal.convergence(dal.systems.particle(), 0.3, Q0, V0, steps=STEPS)
+    assert study.scheme.order == 1 and study.holds is True  # beta by number is a named record
+    own = dal.convergence(dal.systems.particle(), dal.Scheme([(0.3, 1.0)]), Q0, V0, steps=STEPS)
+    assert own.holds is None and own.verdict == "no promise" and own.promise == "nothing"
+    few = dal.convergence(dal.systems.particle(), "midpoint", Q0, V0, steps=(10, 11))
+    assert few.holds is None and few.verdict == "too few points"
+
+
+def test_a_run_that_fails_is_an_entry_and_not_the_end():
+    # y = -1, h v_y = 2: S = 1 + y y' = 0 exactly for beta = 1 (the first of these steps only).
+    study = dal.convergence(dal.systems.particle(), "endpoint", [0, -1, 0], [1, 1, -1], t_end=2,
+                            steps=(1, 40, 60, 80))
+    assert study.failed[0] < 0 and np.isnan(study.q_error[0])
+    assert (study.failed[1:] == 0).all() and np.isfinite(study.q_error[1:]).all()
+    assert "-" in str(study) and study.to_dict()["q_error"][0] is None
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3, 4, 6, 8, 10])
+@pytest.mark.parametrize("duration", [0.01, 0.5, 1.0, 3.7, 100.0])
+def test_default_steps_span_a_factor_of_two_and_are_not_all_dyadic(order, duration):
+    steps = module.default_steps(order, duration)
+    assert len(set(steps)) == len(steps) >= 4 and min(steps) >= 1
+    assert steps[-1] >= 2 * steps[0]
+    assert any(count & (count - 1) for count in steps)
+
+
+def test_every_named_scheme_has_a_verdict_with_the_default_steps():
+    studies = dal.studies(dal.systems.particle())
+    assert [study.scheme.name for study in studies] == [scheme.name for scheme in dal.schemes()]
+    assert {study.scheme.name: study.verdict for study in studies} == {
+        scheme.name: "holds" for scheme in dal.schemes()}
+    assert studies.holds is True
+    assert {study.initial for study in studies if study.scheme.nodes == "kept"} == {"D_eps"}
+    assert {study.initial for study in studies if study.scheme.nodes == "moved"} == {None}
+
+
+def test_a_collection_is_a_sequence_and_fails_with_its_worst():
+    claim = dal.Scheme([(0.5, 1.0)], name="claims-3", order=3)
+    studies = dal.studies(dal.systems.particle(), ["midpoint", claim, 0.25], Q0, V0, steps=STEPS)
+    assert len(studies) == 3 and studies[1].scheme is claim and len(studies[:2]) == 2
+    assert studies.holds is False
+    assert "claims-3" in studies.sentence() and studies.sentence() in repr_flat(str(studies))
+    assert studies[:1].holds is True and dal.study.Studies([]).holds is None
+    own = dal.studies(dal.systems.particle(), [dal.Scheme([(0.3, 1.0)])], Q0, V0, steps=STEPS)
+    assert own.holds is None and "no verdict on own" in own.sentence()
+
+
+def repr_flat(text):
+    return " ".join(text.split())
+
+
+def test_a_system_of_the_users_own_is_measured_against_the_flow():
+    own = dal.System(mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]],
+                     forms_velocity_derivative=lambda q, v: [[0, -v[0], 0]], q0=Q0, v0=V0)
+    study = dal.convergence(own, "midpoint", steps=(10, 15, 20))
+    assert study.reference > 0 and study.holds is True
+    with_exact = dal.convergence(dal.systems.particle(), "midpoint", Q0, V0, steps=(10, 15, 20))
+    # The references differ by the accuracy of the flow, the runs not at all.
+    np.testing.assert_allclose(study.q_error, with_exact.q_error, rtol=0,
+                               atol=10 * study.reference + 64 * U)
+
+
+def test_the_table_is_complete_and_fits(midpoint):
+    text = str(midpoint)
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert lines[0] == "midpoint on particle, t = 0 to 1"
+    assert len([line for line in lines if line.split()[0] in ("0.1", "0.06667", "0.05")]) == 3
+    first = next(line for line in lines if line.split()[0] == "0.1").split()
+    assert first[1] == f"{midpoint.q_error[0]:.1e}"
+    assert first[3] == f"{midpoint.v_error[0]:.1e}"
+    assert midpoint.text in repr_flat(text)
+    assert "p over 5 points, s over 5 points" in repr_flat(text)
+
+
+def test_every_cell_is_seen_on_a_narrow_terminal(midpoint):
+    wide = module._plain(midpoint.columns(), 100)
+    narrow = module._plain(midpoint.columns(), 40)
+    assert max(map(len, narrow)) <= 40 < max(map(len, wide))
+    assert {*" ".join(wide).split()} == {*" ".join(narrow).split()}
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_show_is_rich_on_a_terminal_and_plain_elsewhere(midpoint, monkeypatch):
+    plain = io.StringIO()
+    midpoint.show(plain)
+    assert plain.getvalue() == str(midpoint) + "\n"
+
+    for name in ("NO_COLOR", "TERM"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("COLUMNS", "100")
+    terminal = Terminal()
+    midpoint.show(terminal)
+    assert "\x1b[" in terminal.getvalue() and f"{midpoint.q_error[0]:.1e}" in terminal.getvalue()
+
+    monkeypatch.setitem(sys.modules, "rich.console", None)
+    bare = Terminal()
+    midpoint.show(bare)
+    assert bare.getvalue() == plain.getvalue()
+
+
+def test_to_dict_is_json_without_nan(midpoint):
+    kl8 = dal.convergence(dal.systems.particle(), "leapfrog-kl8", Q0, V0)
+    assert np.isnan(kl8.residual_eps).all()
+    back = json.loads(json.dumps(kl8.to_dict(), allow_nan=False))
+    assert back["residual_eps"] == [None] * len(kl8.h) and back["q_orders"][0] is None
+    assert back["scheme"] == "leapfrog-kl8" and back["holds"] is True
+    assert back["promised"] == {"p": 8, "s": kl8.scheme.multiplier_order}
+    assert json.loads(json.dumps(midpoint.to_dict()))["q_error"] == midpoint.q_error.tolist()
+
+
+def test_html_representation_has_the_table(midpoint):
+    page = midpoint._repr_html_()
+    assert "<table>" in page and f"{midpoint.q_error[0]:.1e}" in page
+
+
+@pytest.mark.parametrize("wrong, message", [
+    (dict(scheme="trapezoid"), "trapezoid"),
+    (dict(scheme="reference"), "reference"),
+    (dict(steps=()), "steps is empty"),
+    (dict(steps=(10, 0)), r"steps\[1\] = 0"),
+    (dict(steps=(10, 1.5)), r"steps\[1\] = 1.5"),
+    (dict(t_end=0.0), "t_end"),
+    (dict(t_end=np.nan), "t_end"),
+    (dict(tolerance=-1.0), "tolerance"),
+    (dict(q0=[1, 2]), "q0"),
+    (dict(initial="D"), "initial"),
+    (dict(scheme="midpoint-nodes"), "initial"),
+    (dict(scheme="midpoint-nodes", initial="E"), "initial"),
+])
+def test_bad_arguments_are_named(wrong, message):
+    given = {"scheme": "midpoint", **wrong}
+    with pytest.raises(ValueError, match=message):
+        dal.convergence(dal.systems.particle(), **given)
+
+
+def test_data_off_D_and_missing_data_are_refused():
+    with pytest.raises(dal.NotOnConstraintError, match="does not lie in D"):
+        dal.convergence(dal.systems.particle(), "midpoint", [0, 1, 0], [1, 1, 0])
+    with pytest.raises(ValueError, match="q0"):
+        dal.convergence(dal.System(mass=[1.0]), "midpoint")
+
+
+def test_an_exception_of_the_users_own_comes_back():
+    class Broken(Exception):
+        pass
+
+    calls = []
+
+    def forms(q):
+        calls.append(q)
+        if len(calls) > 200:
+            raise Broken("at call 201")
+        return [[-q[1], 0, 1]]
+
+    own = dal.System(mass=[1, 1, 1], forms=forms, q0=Q0, v0=V0)
+    with pytest.raises(Broken, match="at call 201"):
+        dal.convergence(own, "midpoint")
