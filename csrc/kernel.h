@@ -13,8 +13,10 @@
  *
  * How it is solved.  Newton on (v', kappa) with the Hessian of V dropped needs one m x m matrix
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
- * factored once a stage at the predicted velocity; the prediction comes from the multipliers and
- * the gradients of the three stages before.  The iteration stops when an estimate of its next
+ * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of the
+ * acceleration that is not known in advance (M^-1 mu^T lambda, and V_q where it acts at q~'), from
+ * those of the three stages before; so the two evaluations of the constraint do not wait for each
+ * other.  The iteration stops when an estimate of its next
  * residual is below roundoff, so that most stages evaluate the constraint twice.  At the end the
  * residual of D at the *stored* q~' is predicted from the last evaluation, its rounding included,
  * and mended; where that does not suffice, and in the first two steps after a start, one more
@@ -45,8 +47,7 @@ typedef struct dal_stage {
     double before, after;    /* A, B */
     double start, node, end; /* weights of V_q at q~, q_k, q~' */
     double span;             /* A + B */
-    double ahead[3];         /* lambda is predicted as ahead[0] l1 + ahead[1] l2 + ahead[2] l3 */
-    double ahead_force[3];   /* V_q at q~' likewise from those at the last three ends */
+    double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
     double rate;             /* 1 / (span h): from impulses to forces */
 } dal_stage;
 
@@ -77,10 +78,10 @@ typedef struct dal_kernel {
     double h;
     double *x;             /* [2n] the state */
     double *impulse;       /* [m] sum of kappa since dal_advance began */
-    bool multipliers;      /* lambda1, lambda2, lambda3 are known */
-    double *lambda1, *lambda2, *lambda3;        /* [m] of the last stages, the latest first */
-    bool forces;           /* force0, force2, force3 are known */
-    double *force0, *force1, *force2, *force3;  /* [n] V_q at q~, at q~', at the q~ before */
+    bool pulled;           /* pull1, pull2, pull3 are known */
+    double *pull1, *pull2, *pull3;  /* [n] of the last stages, the latest first */
+    bool forced;           /* force0 is known */
+    double *force0, *force1;        /* [n] V_q at q~ and at q~' */
     double contraction;    /* of the modified Newton iteration, by the last measurement */
     int start_up;          /* steps that still take an evaluated correction */
 
@@ -104,6 +105,12 @@ typedef struct dal_kernel {
 } dal_kernel;
 
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
+
+#if defined(__GNUC__)
+#define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
+#else
+#define DAL_KERNEL_INLINE static inline
+#endif
 
 static inline int dal_kernel_fail(dal_kernel *k, int status, dal_failure kind)
 {
@@ -130,10 +137,27 @@ static inline int dal_kernel_potential(dal_kernel *k, const double *q, double *V
     return k->potential(q, NULL, V_q, NULL, k->potential_ctx);
 }
 
+/* Sums begin with their first term: 0.0 + x costs an addition, and it is on the critical path. */
 static inline double dal_kernel_sum(size_t n, const double *x)
 {
-    double sum = 0.0;
-    for (size_t i = 0; i < n; i++) sum += fabs(x[i]);
+    double sum = n > 0 ? fabs(x[0]) : 0.0;
+    for (size_t i = 1; i < n; i++) sum += fabs(x[i]);
+    return sum;
+}
+
+static inline double dal_kernel_dot(size_t n, const double *a, const double *b)
+{
+    double sum = a[0] * b[0];
+    for (size_t i = 1; i < n; i++) sum += a[i] * b[i];
+    return sum;
+}
+
+/* Component i of Z^T c, for m > 0. */
+static inline double dal_kernel_column(size_t n, size_t m, const double *Z, size_t i,
+                                       const double *c)
+{
+    double sum = Z[i] * c[0];
+    for (size_t a = 1; a < m; a++) sum += Z[a * n + i] * c[a];
     return sum;
 }
 
@@ -145,11 +169,7 @@ static inline void dal_kernel_accelerate(const dal_kernel *k, size_t n, const do
         for (size_t i = 0; i < n; i++) y[i] = inverse[i * n + i] * f[i];
         return;
     }
-    for (size_t i = 0; i < n; i++) {
-        double sum = 0.0;
-        for (size_t j = 0; j < n; j++) sum += inverse[i * n + j] * f[j];
-        y[i] = sum;
-    }
+    for (size_t i = 0; i < n; i++) y[i] = dal_kernel_dot(n, inverse + i * n, f);
 }
 
 /* S <- (mu + b N) Z^T, factored. */
@@ -158,8 +178,8 @@ static inline int dal_kernel_factor(size_t n, size_t m, const double *mu, const 
 {
     for (size_t a = 0; a < m; a++)
         for (size_t c = 0; c < m; c++) {
-            double sum = 0.0, size = 0.0;
-            for (size_t i = 0; i < n; i++) {
+            double sum = (mu[a * n] + b * N[a * n]) * Z[c * n], size = fabs(sum);
+            for (size_t i = 1; i < n; i++) {
                 const double term = (mu[a * n + i] + b * N[a * n + i]) * Z[c * n + i];
                 sum += term;
                 size += fabs(term);
@@ -180,13 +200,13 @@ static inline bool dal_kernel_settled(size_t n, size_t m, const double *mu, cons
     bool settled = true;
     double largest = *worst, smallest = DBL_MAX;
     for (size_t a = 0; a < m; a++) {
-        double sum = 0.0, scale = 0.0;
-        for (size_t i = 0; i < n; i++) {
+        double sum = mu[a * n] * w[0], scale = fabs(sum);
+        for (size_t i = 1; i < n; i++) {
             const double term = mu[a * n + i] * w[i];
             sum += term;
             scale += fabs(term);
         }
-        for (size_t i = 0; i < n; i++) sum += N[a * n + i] * moved[i];
+        sum += dal_kernel_dot(n, N + a * n, moved);
         r[a] = -sum;
         if (!(fabs(sum) <= limit * scale)) settled = false;
         if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
@@ -200,11 +220,11 @@ static inline bool dal_kernel_settled(size_t n, size_t m, const double *mu, cons
 /* From the node and the new velocity to what is stored; moved is how far the q~' that it gives back
  * lies from the point of the last evaluation.  With kept nodes q_{k+1} = q_k + h v' is stored, and
  * its reader recovers q~' as q_{k+1} - (1-beta) h v'. */
-static inline void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n,
+static inline void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n, bool kept,
                                     const double *node, const double *w, const double *point,
                                     double *stored, double *moved)
 {
-    if (k->kept) {
+    if (kept) {
         const double h = s->span * k->h, shift = k->shift * k->h;
         for (size_t i = 0; i < n; i++) {
             stored[i] = node[i] + h * w[i];
@@ -222,11 +242,11 @@ static inline void dal_kernel_place(const dal_kernel *k, const dal_stage *s, siz
 /* The state of the predictor, as after a start. */
 static inline void dal_kernel_forget(dal_kernel *k)
 {
-    k->multipliers = false;
-    k->forces = false;
+    k->pulled = false;
+    k->forced = false;
     k->contraction = 1.0;
     k->start_up = 2;
-    for (size_t a = 0; a < k->m; a++) k->lambda1[a] = k->lambda2[a] = k->lambda3[a] = 0.0;
+    for (size_t i = 0; i < k->n; i++) k->pull1[i] = k->pull2[i] = k->pull3[i] = 0.0;
 }
 
 #endif /* DALEMBERT_KERNEL_H */
@@ -268,7 +288,7 @@ static int dal_kernel_correct(dal_kernel *k)
         }
         dal_lu_solve(m, k->S, k->row, k->r, k->d);
         for (size_t i = 0; i < n; i++)
-            for (size_t a = 0; a < m; a++) k->w[i] += k->Z[a * n + i] * k->d[a];
+            k->w[i] += dal_kernel_column(n, m, k->Z, i, k->d);
     }
     return DAL_SUCCESS; /* the last correction is at the level of roundoff; D is checked no further */
 }
@@ -302,9 +322,8 @@ static int dal_kernel_linearise(dal_kernel *k, const dal_stage *s)
     const size_t n = k->n, m = k->m;
     if (!k->potential || s->end == 0.0) { /* K = M */
         for (size_t i = 0; i < n; i++) {
-            double sum = k->base[i] - k->w[i];
-            for (size_t a = 0; a < m; a++) sum += k->Z[a * n + i] * k->kappa[a];
-            k->y[i] = sum;
+            k->y[i] = k->base[i] - k->w[i];
+            if (m > 0) k->y[i] += dal_kernel_column(n, m, k->Z, i, k->kappa);
         }
         memcpy(k->KZ, k->Z, m * n * sizeof *k->KZ);
         return DAL_SUCCESS;
@@ -318,7 +337,7 @@ static int dal_kernel_linearise(dal_kernel *k, const dal_stage *s)
             k->K[i * n + j] = k->mass[i * n + j] + bend;
             k->K_scale[i * n + j] = fabs(k->mass[i * n + j]) + fabs(bend);
         }
-        for (size_t a = 0; a < m; a++) sum += k->mu_node[a * n + i] * k->kappa[a];
+        if (m > 0) sum += dal_kernel_column(n, m, k->mu_node, i, k->kappa);
         k->R[i] = sum;
     }
     if (!dal_lu_factor(n, 2, k->K, k->K_scale, k->K_row))
@@ -366,10 +385,9 @@ static int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
         }
         dal_lu_solve(m, k->S, k->row, k->r, k->d);
         for (size_t i = 0; i < n; i++) {
-            double step = k->y[i];
-            for (size_t a = 0; a < m; a++) step += k->KZ[a * n + i] * k->d[a];
-            k->step[i] = step;
-            k->w[i] += step;
+            k->step[i] = k->y[i];
+            if (m > 0) k->step[i] += dal_kernel_column(n, m, k->KZ, i, k->d);
+            k->w[i] += k->step[i];
         }
         for (size_t a = 0; a < m; a++) k->kappa[a] += k->d[a];
         const double size = dal_kernel_sum(n, k->step);
@@ -401,72 +419,77 @@ static int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
 #define DAL_KERNEL_JOIN(a, b) DAL_KERNEL_JOIN_(a, b)
 #define DAL_KERNEL_STAGE DAL_KERNEL_JOIN(DAL_KERNEL, _stage)
 
-static inline int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *const s)
+/* Arrays that no callback sees: on the stack, for the registers, where their sizes are constants. */
+#ifdef DAL_N
+#define DAL_KERNEL_M (DAL_M > 0 ? DAL_M : 1)
+#define DAL_KERNEL_ARRAY(type, name, size) type name[size]
+#else
+#define DAL_KERNEL_M 0
+#define DAL_KERNEL_ARRAY(type, name, size) type *const name = k->name
+#endif
+
+/* plain is a constant where this is inlined: V = 0 and moved nodes, so that what serves only the
+ * others costs nothing. */
+DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *const s, const bool plain)
 {
 #ifdef DAL_N
     const size_t n = DAL_N, m = DAL_M;
 #else
     const size_t n = k->n, m = k->m;
 #endif
+    DAL_KERNEL_ARRAY(double, base, DAL_N);
+    DAL_KERNEL_ARRAY(double, step, DAL_N);
+    DAL_KERNEL_ARRAY(double, stored, DAL_N);
+    DAL_KERNEL_ARRAY(double, moved, DAL_N);
+    DAL_KERNEL_ARRAY(double, Z, DAL_KERNEL_M * DAL_N);
+    DAL_KERNEL_ARRAY(double, S, DAL_KERNEL_M * DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(double, scale, DAL_KERNEL_M * DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(size_t, row, DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(double, r, DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(double, d, DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(double, kappa, DAL_KERNEL_M);
     const double h = k->h, b = s->after * h;
     const double limit = 2.0 * (double)n * DAL_KERNEL_U;
-    const bool linear = b == 0.0;                             /* mu(q~') is mu(q_k) */
-    const bool ends = k->potential && s->end != 0.0;          /* V_q at the unknown q~' */
-    const double *const q = k->x, *const v = k->x + n;
-    double *const node = k->node, *const w = k->w, *const base = k->base, *const step = k->step;
-    double *const Z = k->Z, *const N = k->N, *const kappa = k->kappa;
-    double *const point = linear ? node : k->point;
-    double *const mu = linear ? k->mu_node : k->mu;
+    const bool linear = b == 0.0;                    /* mu(q~') is mu(q_k) */
+    const bool kept = !plain && k->kept, potential = !plain && k->potential;
+    const bool ends = potential && s->end != 0.0;    /* V_q at the unknown q~' */
+    double *restrict const x = k->x, *restrict const w = k->w, *restrict const N = k->N;
+    double *const node = k->node, *const mu_node = k->mu_node;
+    double *const point = linear ? node : k->point, *const mu = linear ? mu_node : k->mu;
 
     k->stats.substeps++;
-    for (size_t i = 0; i < n; i++) node[i] = k->kept ? q[i] : q[i] + s->before * h * v[i];
+    const double before = kept ? 0.0 : s->before * h; /* a kept node is the state */
+    for (size_t i = 0; i < n; i++) node[i] = x[i] + before * x[n + i];
     if (m > 0) {
-        const int returned =
-            DAL_KERNEL_CONSTRAINT(k, node, v, k->mu_node, linear && k->kept ? N : NULL);
+        const bool shifted = linear && kept; /* the only linear stage where something moves */
+        const int returned = DAL_KERNEL_CONSTRAINT(k, node, x + n, mu_node, shifted ? N : NULL);
         if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-        if (linear && !k->kept) memset(N, 0, m * n * sizeof *N); /* nothing moves */
-        for (size_t a = 0; a < m; a++)
-            dal_kernel_accelerate(k, n, k->mu_node + a * n, Z + a * n);
+        if (linear && !shifted) memset(N, 0, m * n * sizeof *N);
+        for (size_t a = 0; a < m; a++) dal_kernel_accelerate(k, n, mu_node + a * n, Z + a * n);
     }
 
     /* The part of v' that is known, and its prediction. */
-    for (size_t i = 0; i < n; i++) base[i] = v[i];
-    if (k->potential) {
+    double known = dal_kernel_sum(n, x + n);
+    for (size_t i = 0; i < n; i++) base[i] = x[n + i];
+    if (potential) {
         double *const force = s->node != 0.0 ? k->force1 : k->force0;
-        if (s->node != 0.0 || !k->forces) {
-            const double *at = node;
-            if (s->node == 0.0) { /* q~ itself */
-                const double shift = k->kept ? k->shift * h : 0.0;
-                for (size_t i = 0; i < n; i++) k->point[i] = q[i] - shift * v[i];
-                at = k->point;
-            }
-            const int returned = DAL_KERNEL_POTENTIAL(k, at, force);
+        if (s->node != 0.0 || !k->forced) {
+            const double shift = kept ? k->shift * h : 0.0;
+            for (size_t i = 0; i < n; i++) k->point[i] = x[i] - shift * x[n + i];
+            const int returned =
+                DAL_KERNEL_POTENTIAL(k, s->node != 0.0 ? node : k->point, force);
             if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         }
+        const double weight = h * (s->node != 0.0 ? s->node : s->start);
         dal_kernel_accelerate(k, n, force, step);
-        const double weight = s->node != 0.0 ? s->node : s->start;
-        for (size_t i = 0; i < n; i++) base[i] -= h * weight * step[i];
+        for (size_t i = 0; i < n; i++) base[i] -= weight * step[i];
+        known += dal_kernel_sum(n, base);
     }
-    for (size_t a = 0; a < m; a++)
-        kappa[a] = s->span * h * (s->ahead[0] * k->lambda1[a] + s->ahead[1] * k->lambda2[a]
-                                  + s->ahead[2] * k->lambda3[a]);
-    for (size_t i = 0; i < n; i++) {
-        double sum = base[i];
-        for (size_t a = 0; a < m; a++) sum += Z[a * n + i] * kappa[a];
-        w[i] = sum;
-    }
-    if (ends) {
-        if (!k->forces) { /* nothing to extrapolate yet */
-            memcpy(k->force2, k->force0, n * sizeof *k->force2);
-            memcpy(k->force3, k->force0, n * sizeof *k->force3);
-        }
-        for (size_t i = 0; i < n; i++)
-            k->force1[i] = s->ahead_force[0] * k->force0[i] + s->ahead_force[1] * k->force2[i]
-                         + s->ahead_force[2] * k->force3[i];
-        dal_kernel_accelerate(k, n, k->force1, step);
-        for (size_t i = 0; i < n; i++) w[i] -= h * s->end * step[i];
-    }
-    const double known = dal_kernel_sum(n, v) + dal_kernel_sum(n, base);
+    const double reach = s->span * h;
+    for (size_t i = 0; i < n; i++)
+        w[i] = base[i] + reach * (s->ahead[0] * k->pull1[i] + (s->ahead[1] * k->pull2[i]
+                                                               + s->ahead[2] * k->pull3[i]));
+    for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
 
     /* Newton on (v', kappa), Hessian dropped, S frozen. */
     double last = HUGE_VAL, travelled = 0.0, bend = 0.0, least = 0.0;
@@ -484,122 +507,116 @@ static inline int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *const s
         }
         if (returned > 0) break;
         if (iteration == 1) {
-            if (!dal_kernel_factor(n, m, mu, N, b, Z, k->S, k->scale, k->row)) break;
+            if (!dal_kernel_factor(n, m, mu, N, b, Z, S, scale, row)) break;
             bend = 10.0 * fabs(b) * dal_kernel_sum(m * n, N);
         }
         k->stats.iterations++;
 
-        if (ends) {
-            dal_kernel_accelerate(k, n, k->force1, step);
-            for (size_t i = 0; i < n; i++) {
-                double sum = base[i] - h * s->end * step[i] - w[i];
-                for (size_t a = 0; a < m; a++) sum += Z[a * n + i] * kappa[a];
-                step[i] = sum;
-            }
-        } else {
-            for (size_t i = 0; i < n; i++) step[i] = 0.0;
-        }
+        /* step = (what the first equation lacks) + Z^T d, with (mu + b N) step = -mu w */
+        if (ends) dal_kernel_accelerate(k, n, k->force1, step);
+        for (size_t i = 0; i < n; i++)
+            step[i] = (ends ? base[i] - h * s->end * step[i] : base[i]) - w[i];
+        if (iteration > 1 && m > 0)
+            for (size_t i = 0; i < n; i++) step[i] += dal_kernel_column(n, m, Z, i, kappa);
         for (size_t a = 0; a < m; a++) {
-            double sum = 0.0;
-            for (size_t i = 0; i < n; i++)
+            double sum = mu[a * n] * w[0] + (mu[a * n] + b * N[a * n]) * step[0];
+            for (size_t i = 1; i < n; i++)
                 sum += mu[a * n + i] * w[i] + (mu[a * n + i] + b * N[a * n + i]) * step[i];
-            k->r[a] = -sum;
+            r[a] = -sum;
         }
-        dal_lu_solve(m, k->S, k->row, k->r, k->d);
-        for (size_t a = 0; a < m; a++) kappa[a] += k->d[a];
+        dal_lu_solve(m, S, row, r, d);
+        for (size_t a = 0; a < m; a++) kappa[a] += d[a];
         for (size_t i = 0; i < n; i++) {
-            double sum = step[i];
-            for (size_t a = 0; a < m; a++) sum += Z[a * n + i] * k->d[a];
-            step[i] = sum;
-            w[i] += sum;
+            if (m > 0) step[i] += dal_kernel_column(n, m, Z, i, d);
+            w[i] += step[i];
         }
 
-        const double size = dal_kernel_sum(n, step), scale = known + dal_kernel_sum(n, w);
-        const double noise = 4.0 * DAL_KERNEL_U * scale;
+        const double size = dal_kernel_sum(n, step), extent = known + dal_kernel_sum(n, w);
+        const double noise = 4.0 * DAL_KERNEL_U * extent;
         if (!(size <= DBL_MAX)) break;
         travelled += size;
         placed = false;
         if (ends && iteration >= 2) k->contraction = 4.0 * (size > noise ? size : noise) / last;
-        if (size <= noise || (iteration >= 2 && size <= 1e-11 * scale && size >= last)) {
+        if (size <= noise || (iteration >= 2 && size <= 1e-11 * extent && size >= last)) {
             solved = true;
         } else if (!ends || k->contraction * size <= noise) {
-            /* what is left of the residual after this step, at most */
-            const double doubt = bend * travelled * size;
-            dal_kernel_place(k, s, n, node, w, point, k->stored, k->moved);
-            settled = dal_kernel_settled(n, m, mu, N, w, k->moved, limit, k->r, &least,
+            dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
+            settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
                                          &k->stats.worst_residual);
             placed = true;
-            solved = doubt <= limit * least * scale;
+            /* bend travelled size / extent: what is left of the residual after this step, at most */
+            solved = bend * travelled * size <= limit * least * extent;
         }
         if (!solved && (iteration >= 10 || (iteration >= 3 && size > 0.5 * last))) break;
         if (solved && ends && iteration == 1) k->contraction *= 2.0; /* measure again some day */
         last = size;
     }
     if (!solved) {
+        memmove(k->base, base, n * sizeof *base);
+        memmove(k->Z, Z, m * n * sizeof *Z);
         const int status = dal_kernel_solve(k, s);
         if (status) return status;
+        memmove(kappa, k->kappa, m * sizeof *kappa);
         settled = false;
     }
 
     /* The residual of D at what is stored. */
-    if (!placed || !solved) dal_kernel_place(k, s, n, node, w, point, k->stored, k->moved);
+    if (!placed || !solved) dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
     if (m > 0) {
         if (solved && !placed)
-            settled = dal_kernel_settled(n, m, mu, N, w, k->moved, limit, k->r, &least,
+            settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
                                          &k->stats.worst_residual);
         if (solved && !settled) {
-            dal_lu_solve(m, k->S, k->row, k->r, k->d);
-            for (size_t i = 0; i < n; i++)
-                for (size_t a = 0; a < m; a++) w[i] += Z[a * n + i] * k->d[a];
-            for (size_t i = 0; k->kept && i < n; i++)
-                k->moved[i] = (k->stored[i] - k->shift * h * w[i]) - point[i];
-            settled = dal_kernel_settled(n, m, mu, N, w, k->moved, limit, k->r, &least,
+            dal_lu_solve(m, S, row, r, d);
+            for (size_t i = 0; i < n; i++) w[i] += dal_kernel_column(n, m, Z, i, d);
+            for (size_t i = 0; kept && i < n; i++)
+                moved[i] = (stored[i] - k->shift * h * w[i]) - point[i];
+            settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
                                          &k->stats.worst_residual);
         }
         if (!settled || k->start_up > 0) {
+            memmove(k->stored, stored, n * sizeof *stored);
             const int status = dal_kernel_correct(k);
             if (status) return status;
         }
     }
-    double zero = 0.0; /* NaN if any number of the new state is not finite */
-    for (size_t i = 0; i < n; i++) zero += k->stored[i] * 0.0 + w[i] * 0.0;
-    if (zero != 0.0) return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
+    double sum = stored[0] + w[0]; /* not finite if any number of the new state is not */
+    for (size_t i = 1; i < n; i++) sum += stored[i] + w[i];
+    if (!(fabs(sum) <= DBL_MAX)) return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
 
+    double *const pull = k->pull3;
+    k->pull3 = k->pull2;
+    k->pull2 = k->pull1;
+    k->pull1 = pull;
     for (size_t i = 0; i < n; i++) {
-        k->x[i] = k->stored[i];
-        k->x[n + i] = w[i];
+        pull[i] = (w[i] - base[i]) * s->rate;
+        x[i] = stored[i];
+        x[n + i] = w[i];
     }
-    double *const lambda = k->lambda3;
-    k->lambda3 = k->lambda2;
-    k->lambda2 = k->lambda1;
-    k->lambda1 = lambda;
-    for (size_t a = 0; a < m; a++) {
-        k->impulse[a] += kappa[a];
-        lambda[a] = kappa[a] * s->rate;
-    }
-    if (!k->multipliers) {
-        memcpy(k->lambda2, lambda, m * sizeof *lambda);
-        memcpy(k->lambda3, lambda, m * sizeof *lambda);
-        k->multipliers = true;
+    for (size_t a = 0; a < m; a++) k->impulse[a] += kappa[a];
+    if (!k->pulled) { /* the best guess of the past */
+        memcpy(k->pull2, pull, n * sizeof *pull);
+        memcpy(k->pull3, pull, n * sizeof *pull);
+        k->pulled = true;
     }
     if (ends) {
-        double *const force = k->force3;
-        k->force3 = k->force2;
-        k->force2 = k->force0;
+        double *const force = k->force0;
         k->force0 = k->force1;
         k->force1 = force;
     }
-    k->forces = ends;
+    k->forced = ends;
     return DAL_SUCCESS;
 }
 
 /* steps steps of k.  *done <- how many were made; on failure the state is that after the last. */
 static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 {
+    const bool plain = !k->potential && !k->kept;
     for (*done = 0; *done < steps; ++*done) {
         if (k->stages > 1) memcpy(k->saved, k->x, 2 * k->n * sizeof *k->x);
         for (size_t j = 0; j < k->stages; j++) {
-            const int status = DAL_KERNEL_STAGE(k, k->stage + j);
+            const int status = plain ? DAL_KERNEL_STAGE(k, k->stage + j, true)
+                                     : DAL_KERNEL_STAGE(k, k->stage + j, false);
             if (status) {
                 if (k->stages > 1) {
                     memcpy(k->x, k->saved, 2 * k->n * sizeof *k->x);
@@ -614,6 +631,8 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     return DAL_SUCCESS;
 }
 
+#undef DAL_KERNEL_ARRAY
+#undef DAL_KERNEL_M
 #undef DAL_KERNEL_STAGE
 #undef DAL_KERNEL_JOIN
 #undef DAL_KERNEL_JOIN_

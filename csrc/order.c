@@ -4,10 +4,12 @@
  * scheme's own multiplier against lambda(t0 + h).  For kept nodes the data are those that the run
  * starts from, which need not lie in D; the ODE (h) is defined there by the same formula.
  *
- * What is promised.  A record promises (p, s) for a step from the set that it keeps.  Kept nodes
- * started in D (DAL_INITIAL_D) jump to D_eps in their first step, which costs that step one order
- * in both (E12), and the run none.  So for that start the first step has to have (p - 1, s - 1),
- * and the error at t_end the slope p. */
+ * What has to hold.  A record promises (p, s) for a step from the set that it keeps.  The order p
+ * holds if the error of one step has the slope p + 1, or those at t_end the slope p: with p = 8 the
+ * error of a step reaches roundoff before its slope has settled, the one at t_end, greater by 1/h,
+ * does not.  Kept nodes started in D (DAL_INITIAL_D) jump to D_eps in their first step, which costs
+ * that step one order in both (E12), and the run none: for that start the first step has to have
+ * (p - 1, s - 1), and the errors at t_end the slope p. */
 #include "internal.h"
 
 #include <math.h>
@@ -17,8 +19,10 @@
 enum { BLOCK = 256, FEWEST_POINTS = 3 };
 
 static const double SLACK = 0.2;           /* by which an order may fall short of its promise */
-static const double ABOVE_FLOOR = 100.0;   /* an error counts if it is so many times the floor */
-static const double ROUNDOFF_STEPS = 50.0; /* the floor of an exact reference in u times scale */
+static const double ABOVE_FLOOR = 100.0;   /* an error counts beyond so many times the floor */
+static const double AT_FLOOR = 10.0;       /* errors up to so many times the floor are roundoff */
+static const double STEP_ROUNDINGS = 4.0;  /* the floor of one step in u times scale, */
+static const double RUN_ROUNDINGS = 50.0;  /* and of a run, in which they add up */
 static const double SMALLEST_RANGE = 2.0;  /* of h over the points that count */
 static const double DEFAULT_TOLERANCE = 1e-13;
 static const double CONSISTENT = 1e-8;     /* |mu v| / sum |mu_i v_i| of data taken to be in D */
@@ -59,7 +63,7 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
     for (size_t i = 0; i < count; i++) {
         if (!isfinite(errors[i])) continue;
         finite++;
-        above += errors[i] > floor;
+        above += errors[i] > AT_FLOOR * floor;
         if (!(errors[i] > ABOVE_FLOOR * floor)) continue;
         points++;
         sum_x += log(fabs(h[i]));
@@ -88,6 +92,18 @@ static dal_fit fit_column(study *self, size_t offset, double floor)
     for (size_t i = 0; i < self->def->count; i++) {
         self->h[i] = self->points[i].h;
         memcpy(&self->errors[i], (const char *)&self->points[i] + offset, sizeof *self->errors);
+    }
+    dal_fit_order(self->def->count, self->h, self->errors, floor, &fit);
+    return fit;
+}
+
+/* The fit of the state at t_end, the larger error of q and v. */
+static dal_fit fit_global_state(study *self, double floor)
+{
+    dal_fit fit;
+    for (size_t i = 0; i < self->def->count; i++) {
+        self->h[i] = self->points[i].h;
+        self->errors[i] = fmax(self->points[i].q, self->points[i].v);
     }
     dal_fit_order(self->def->count, self->h, self->errors, floor, &fit);
     return fit;
@@ -145,14 +161,14 @@ static int solve_reference(study *self)
     return status ? failed_mechanics(self, status) : DAL_SUCCESS;
 }
 
-/* Below this an error says nothing: the accuracy of the reference, of which the flow that serves
- * for single steps promises no more than its tolerance, or the roundoff of a state. */
-static double error_floor(const study *self)
+/* What errors are measured against: the accuracy of the reference, or so many roundings of a state.
+ * The flow that stands in for an exact solution off D promises its tolerance. */
+static double error_floor(const study *self, double roundings)
 {
     const double scale = fmax(fmax(largest(2 * self->n, self->x0), largest(2 * self->n, self->end)),
                               largest(self->m, self->end_lambda));
-    const double accuracy = self->flow ? fmax(self->accuracy, self->tolerance) : 0.0;
-    return fmax(accuracy, ROUNDOFF_STEPS * DAL_ROUNDOFF * scale);
+    const bool stands_in = self->flow && self->system->def.exact;
+    return fmax(stands_in ? self->tolerance : self->accuracy, roundings * DAL_ROUNDOFF * scale);
 }
 
 /* ---- one step size ---------------------------------------------------------------------- */
@@ -262,20 +278,20 @@ static int measure_point(study *self, size_t steps, dal_order_point *point)
 
 /* ---- the verdict ------------------------------------------------------------------------ */
 
-/* What has to be measured for the record to hold. */
+/* What the record promises for the first step of the run. */
 typedef struct promise {
-    int p, s;     /* of the step from the data that the run starts from */
-    int run;      /* slope of the state at t_end; 0: not asked for */
+    int p, s;
 } promise;
 
-static promise promise_of(const study *self)
+static bool starts_with_jump(const study *self)
 {
-    promise made = {self->scheme->order, self->scheme->multiplier_order, 0};
-    if (self->kept && self->def->initial == DAL_INITIAL_D) {
-        made.run = made.p--;
-        made.s--;
-    }
-    return made;
+    return self->kept && self->def->initial == DAL_INITIAL_D;
+}
+
+static promise promise_of_step(const study *self)
+{
+    const int lost = starts_with_jump(self) ? 1 : 0;
+    return (promise){self->scheme->order - lost, self->scheme->multiplier_order - lost};
 }
 
 static bool is_known(const dal_fit *fit) { return fit->exact || !isnan(fit->slope); }
@@ -286,15 +302,18 @@ static bool reaches(const dal_fit *fit, int least)
     return fit->exact || fit->slope >= least - SLACK;
 }
 
-static int judge(const study *self, const dal_order *order)
+static int judge(const study *self, const dal_order *order, const dal_fit *run)
 {
-    const promise made = promise_of(self);
     if (self->scheme->order == 0) return -1;
-    if (!is_known(&order->state) || !is_known(&order->reaction)) return -2;
-    if (made.run && !(is_known(&order->global_q) && is_known(&order->global_v))) return -2;
-    const bool run = !made.run ||
-                     (reaches(&order->global_q, made.run) && reaches(&order->global_v, made.run));
-    return run && reaches(&order->state, made.p + 1) && reaches(&order->reaction, made.s + 1) &&
+    const dal_fit *const step = &order->state;
+    const promise of_step = promise_of_step(self);
+    const bool both = starts_with_jump(self);
+    const bool known = both ? is_known(step) && is_known(run) : is_known(step) || is_known(run);
+    if (!known || !is_known(&order->reaction)) return -2;
+    const bool step_holds = reaches(step, of_step.p + 1);
+    const bool run_holds = reaches(run, self->scheme->order);
+    return (both ? step_holds && run_holds : step_holds || run_holds) &&
+           reaches(&order->reaction, of_step.s + 1) &&
            (self->kept ? order->keeps_D_eps : order->keeps_D);
 }
 
@@ -333,39 +352,37 @@ static const char *verdict_word(int holds)
 }
 
 /* The verdict in words, with the numbers that it rests on. */
-static void write_verdict(const study *self, dal_order *order, double worst)
+static void write_verdict(const study *self, const dal_fit *run, double worst, dal_order *order)
 {
-    char p[16], s[16], run[16], promised[64] = "", global[96] = "", failed[64] = "";
-    const promise made = promise_of(self);
+    char p[16], s[16], at_end[16], promised[64] = "", failed[64] = "";
     size_t failures = 0;
     for (size_t i = 0; i < self->def->count; i++) failures += self->points[i].failed != 0;
     if (failures)
         snprintf(failed, sizeof failed, "; %zu of %zu runs failed", failures, self->def->count);
-    if (self->scheme->order != 0)
-        snprintf(promised, sizeof promised, ", promised (%d, %d)", made.p, made.s);
-    if (made.run) {
-        const bool q = order->global_q.exact || order->global_q.slope > order->global_v.slope;
-        snprintf(global, sizeof global, " for the first step from D; at t_end %s, promised %d",
-                 order_text(q ? &order->global_v : &order->global_q, 0.0, run), made.run);
+    if (self->scheme->order != 0) {
+        const promise of_step = promise_of_step(self);
+        snprintf(promised, sizeof promised, ", promised (%d, %d)%s", of_step.p, of_step.s,
+                 starts_with_jump(self) ? " for the first step from D" : "");
     }
     snprintf(order->text, sizeof order->text,
-             "order (p, s) = (%s, %s) over %zu points%s%s: %s; %s %s %.1e at every step%s.",
+             "order (p, s) = (%s, %s) over %zu points%s, order %s at t_end: %s; "
+             "%s %s %.1e at every step%s.",
              order_text(&order->state, 1.0, p), order_text(&order->reaction, 1.0, s),
-             order->state.points, promised, global, verdict_word(order->holds),
-             self->kept ? "D_eps" : "D",
+             order->state.points, promised, order_text(run, 0.0, at_end),
+             verdict_word(order->holds), self->kept ? "D_eps" : "D",
              (self->kept ? order->keeps_D_eps : order->keeps_D) ? "kept to" : "violated by",
              worst, failed);
 }
 
 static void conclude(study *self, dal_order *order)
 {
-    const double floor = error_floor(self);
-#define FIT(member) fit_column(self, offsetof(dal_order_point, member), floor)
+    const double step = error_floor(self, STEP_ROUNDINGS), run = error_floor(self, RUN_ROUNDINGS);
+#define FIT(member, floor) fit_column(self, offsetof(dal_order_point, member), floor)
     *order = (dal_order){
-        .state = FIT(local_state), .multipliers = FIT(local_multipliers),
-        .reaction = FIT(local_reaction), .midpoint = FIT(local_midpoint),
-        .global_q = FIT(q), .global_v = FIT(v), .global_multipliers = FIT(multipliers),
-        .floor = floor, .reference = self->accuracy,
+        .state = FIT(local_state, step), .multipliers = FIT(local_multipliers, step),
+        .reaction = FIT(local_reaction, step), .midpoint = FIT(local_midpoint, step),
+        .global_q = FIT(q, run), .global_v = FIT(v, run),
+        .global_multipliers = FIT(multipliers, run), .floor = run, .reference = self->accuracy,
     };
 #undef FIT
     order->p = order->state.slope - 1.0;
@@ -373,8 +390,9 @@ static void conclude(study *self, dal_order *order)
     double worst_D, worst_D_eps;
     order->keeps_D = is_kept(self, offsetof(dal_order_point, residual), &worst_D);
     order->keeps_D_eps = is_kept(self, offsetof(dal_order_point, residual_eps), &worst_D_eps);
-    order->holds = judge(self, order);
-    write_verdict(self, order, self->kept ? worst_D_eps : worst_D);
+    const dal_fit state = fit_global_state(self, run);
+    order->holds = judge(self, order, &state);
+    write_verdict(self, &state, self->kept ? worst_D_eps : worst_D, order);
 }
 
 /* ---- the study -------------------------------------------------------------------------- */

@@ -61,30 +61,28 @@ static void extrapolate(const double times[3], double t, double weight[3])
     }
 }
 
-/* Multipliers belong to the time of the node, gradients to the ends of a stage. */
+/* The pull of a stage belongs to the time of its node. */
 static void plan_predictions(dal_stage *stage, size_t stages)
 {
     for (size_t j = 0; j < stages; j++) {
-        double nodes[3], ends[3] = {0.0}, end = 0.0;
-        for (size_t back = 1; back <= 3; back++) { /* times before the start of stage j */
+        double times[3], start = 0.0; /* before the start of stage j */
+        for (size_t back = 1; back <= 3; back++) {
             const dal_stage *s = stage + (j + 3 * stages - back) % stages;
-            if (back < 3) ends[back] = end - s->span;
-            nodes[back - 1] = end - s->span + s->before;
-            end -= s->span;
+            start -= s->span;
+            times[back - 1] = start + s->before;
         }
-        extrapolate(nodes, stage[j].before, stage[j].ahead);
-        extrapolate(ends, stage[j].span, stage[j].ahead_force);
+        extrapolate(times, stage[j].before, stage[j].ahead);
     }
 }
 
 static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
 {
     const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
-    double **const vectors[] = {&k->force0, &k->force1, &k->force2, &k->force3, &k->node, &k->point,
-                                &k->w, &k->base, &k->step, &k->stored, &k->moved, &k->y, &k->R};
+    double **const vectors[] = {&k->force0, &k->force1, &k->pull1, &k->pull2, &k->pull3, &k->node,
+                                &k->point, &k->w, &k->base, &k->step, &k->stored, &k->moved,
+                                &k->y, &k->R};
     double **const forms[] = {&k->mu_node, &k->mu, &k->N, &k->Z, &k->KZ};
-    double **const multipliers[] = {&k->impulse, &k->lambda1, &k->lambda2, &k->lambda3, &k->r, &k->d,
-                                    &k->kappa};
+    double **const multipliers[] = {&k->impulse, &k->r, &k->d, &k->kappa};
     dal__reserve(a, &k->saved, dal__times(2, n), sizeof(double));
     for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
         dal__reserve(a, vectors[i], n, sizeof(double));

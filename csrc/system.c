@@ -113,12 +113,29 @@ static void copy_names(dal_system *system, possessions *own, const dal_system_de
     system->def.invariant_names = own->invariant_names;
 }
 
-/* M^-1 by columns; the mean of the entry and its mirror keeps it symmetric. */
+static int not_definite(const dal_system *system, size_t row, double pivot, dal_error *error)
+{
+    return dal__fail(error, DAL_EINVAL, "mass is not positive definite: pivot %zu of its Cholesky "
+                     "factor is %g where mass[%zu,%zu] = %g", row, pivot, row, row,
+                     system->mass[row * system->def.n + row]);
+}
+
+static int invert_diagonal_mass(dal_system *system, dal_error *error)
+{
+    const size_t n = system->def.n;
+    for (size_t i = 0; i < n; i++) {
+        const double entry = system->mass[i * n + i];
+        if (!(entry > 0.0)) return not_definite(system, i, entry, error);
+        system->mass_inverse[i * n + i] = 1.0 / entry;
+    }
+    return DAL_SUCCESS;
+}
+
+/* M^-1 by columns; the mean of an entry and its mirror keeps it symmetric. */
 static int invert_mass(dal_system *system, dal_error *error)
 {
     const size_t n = system->def.n;
-    double *inverse = system->mass_inverse, *factor;
-    double *column;
+    double *const inverse = system->mass_inverse, *factor, *column;
     arena scratch = {0};
     dal__reserve(&scratch, &factor, n * n, sizeof *factor);
     dal__reserve(&scratch, &column, n, sizeof *column);
@@ -128,9 +145,7 @@ static int invert_mass(dal_system *system, dal_error *error)
     double pivot = 0.0;
     memcpy(factor, system->mass, n * n * sizeof *factor);
     if (!dal__cholesky(n, factor, &row, &pivot)) {
-        status = dal__fail(error, DAL_EINVAL, "mass is not positive definite: pivot %zu of its "
-                           "Cholesky factor is %g where mass[%zu,%zu] = %g", row, pivot, row, row,
-                           system->mass[row * n + row]);
+        status = not_definite(system, row, pivot, error);
     } else {
         for (size_t j = 0; j < n; j++) {
             memset(column, 0, n * sizeof *column);
@@ -143,8 +158,6 @@ static int invert_mass(dal_system *system, dal_error *error)
                 const double mean = 0.5 * (inverse[i * n + j] + inverse[j * n + i]);
                 inverse[i * n + j] = inverse[j * n + i] = mean;
             }
-        if (system->diagonal) /* without the rounding of the square root */
-            for (size_t i = 0; i < n; i++) inverse[i * n + i] = 1.0 / system->mass[i * n + i];
     }
     dal__release(&scratch);
     return status;
@@ -188,7 +201,7 @@ int dal__system_make(dal_system **system, const dal_system_def *def, size_t para
         self->def.ctx = self->parameter_values;
     }
     copy_names(self, &own, def);
-    status = invert_mass(self, error);
+    status = self->diagonal ? invert_diagonal_mass(self, error) : invert_mass(self, error);
     if (status) {
         dal_system_free(self);
         return status;

@@ -244,7 +244,7 @@ typedef struct sleigh_motion {
     double theta0, U, W, s0, k;
 } sleigh_motion;
 
-/* theta0 + (W/k) (gd(s) - gd(s0)) with gd(s) - gd(s0) = 2 atan(sinh(k t/2) / cosh(s0 + k t/2)).  The
+/* theta0 + (W/k) (gd(s) - gd(s0)), gd(s) - gd(s0) = 2 atan(sinh(k t/2) / cosh(s0 + k t/2)); the
  * quotient is written with |k t/2| - |s0 + k t/2|, in which k t/2 drops out where it is large. */
 static double sleigh_heading(const sleigh_motion *motion, double t)
 {

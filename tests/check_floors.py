@@ -1,7 +1,7 @@
 """A source of the core calls its own floor or lower ones, as its object files show.
 
-Usage: ``python check_floors.py libdalembert.a dalembert.h FLOOR...`` where a FLOOR is the names of its
-sources with commas between them, the ground first.
+Usage: ``python check_floors.py libdalembert.a dalembert.h FLOOR...`` where a FLOOR is the names of
+its sources with commas between them, the ground first.
 
 Also: what is not static is public or called ``dal__name``, and every source is on a floor.
 """

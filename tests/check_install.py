@@ -21,7 +21,8 @@ def output(command: list[str], **options) -> str:
     """Run ``command``; its standard output.  On failure the check ends with what it printed."""
     done = subprocess.run(command, capture_output=True, text=True, **options)
     if done.returncode:
-        sys.exit(f"{shlex.join(command)}: exit status {done.returncode}\n{done.stdout}{done.stderr}")
+        printed = done.stdout + done.stderr
+        sys.exit(f"{shlex.join(command)}: exit status {done.returncode}\n{printed}")
     return done.stdout
 
 

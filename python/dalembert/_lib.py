@@ -17,12 +17,14 @@ may itself integrate, because an exception is kept only when the callback has al
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, Any, Callable
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._core import ffi, lib
+from ._core import ffi as ffi
+from ._core import lib as lib
 
 if TYPE_CHECKING:
     from .integration import Solution
@@ -130,9 +132,18 @@ _raised = _Raised()
 
 
 def attempt(function: Callable[..., int], *arguments: Any) -> int:
-    """Call a C function that may call back; return its status for :func:`failure`."""
+    """Call a C function that may call back; return its status for :func:`failure`.
+
+    Where C goes on after a callback has failed, as a study does with its other runs, the exception
+    is raised here.
+    """
     _raised.exception = None
-    return function(*arguments)
+    status = function(*arguments)
+    exception = _raised.exception
+    if status >= 0 and exception is not None and not isinstance(exception, DomainError):
+        _raised.exception = None
+        raise exception
+    return status
 
 
 def failure(
@@ -221,29 +232,38 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
         With the name, what came and what was expected, if ``value`` is no array of real finite
         numbers, or has another shape.
     """
-    wanted = " or ".join(
-        "(" + ", ".join("N" if k is None else str(k) for k in s) + ("," if len(s) == 1 else "") + ")"
-        for s in shapes
-    ).replace("()", "() (a number)")
+    wanted = " or ".join(map(_shape, shapes))
     try:
-        given = np.asarray(value)
-        if given.dtype.kind not in "biufO":
-            raise TypeError(f"values of type {given.dtype}")
-        result = np.ascontiguousarray(given, dtype=np.float64).reshape(given.shape)
+        result = _reals(value)
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{name}: expected real numbers of shape {wanted}, got {error}"
-        ) from error
-    if not any(
-        len(s) == result.ndim and all(k in (None, have) for k, have in zip(s, result.shape))
-        for s in shapes
-    ):
+        raise ValueError(f"{name}: expected real numbers of shape {wanted}, got {error}") from error
+    if not any(_fits(result, shape) for shape in shapes):
         raise ValueError(f"{name}: expected shape {wanted}, got {result.shape}")
     if not np.isfinite(result).all():
         where = tuple(int(k) for k in np.argwhere(~np.isfinite(result))[0])
         index = f"[{', '.join(map(str, where))}]" if where else ""
         raise ValueError(f"{name}{index} = {result[where]}: expected finite numbers")
     return result
+
+
+def _reals(value: Any) -> Array:
+    """Return anything array-like as C-contiguous doubles; TypeError or ValueError if it is not."""
+    given = np.asarray(value)
+    if value is None or given.dtype.kind not in "biufO":
+        raise TypeError("None" if value is None else f"values of type {given.dtype}")
+    return np.asarray(given, dtype=np.float64, order="C")
+
+
+def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
+    return array.ndim == len(shape) and all(
+        wanted in (None, length) for wanted, length in zip(shape, array.shape)
+    )
+
+
+def _shape(shape: tuple[int | None, ...]) -> str:
+    """Return a shape as Python writes it, with N for any length."""
+    lengths = ", ".join("N" if k is None else str(k) for k in shape)
+    return {0: "() (a number)", 1: f"({lengths},)"}.get(len(shape), f"({lengths})")
 
 
 def number(value: Any, name: str) -> float:
@@ -292,7 +312,7 @@ class Callables:
 
 
 def _write(target: Any, value: Any, shape: tuple[int, ...], name: str) -> None:
-    """Copy what a callback returned to ``target``; the usual case, an array, costs no conversion."""
+    """Copy what a callback returned to ``target``; an array of doubles needs no conversion."""
     if type(value) is not _ndarray or value.dtype is not _double or value.shape != shape:
         value = returned(value, shape, name)
     elif not value.flags.c_contiguous:
@@ -309,10 +329,7 @@ def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:
         With the name, what came and what was expected.
     """
     try:
-        given = np.asarray(value)
-        if given.dtype.kind not in "biufO":
-            raise TypeError(f"values of type {given.dtype}")
-        result = np.asarray(given, dtype=np.float64, order="C")
+        result = _reals(value)
     except (TypeError, ValueError) as error:
         raise ValueError(
             f"{name} has to return real numbers of shape {shape}, it returned {error}"
@@ -386,4 +403,4 @@ def dal_py_observer(step: int, t: float, x: Any, ctx: Any) -> int:
     observer = _from_handle(ctx)
     state = _buffer(x, 2 * observer.bytes)[:]
     half = observer.bytes
-    return observer.see(step, t, _frombuffer(state[:half]), _frombuffer(state[half:]))
+    return int(observer.see(step, t, _frombuffer(state[:half]), _frombuffer(state[half:])))

@@ -52,15 +52,14 @@ def states(system: System, q: ArrayLike, v: ArrayLike) -> tuple[Array, bool]:
     return np.concatenate([np.atleast_2d(q), np.atleast_2d(v)], axis=1), q.ndim == 1
 
 
-def initial(
-    system: System, q0: ArrayLike | None, v0: ArrayLike | None
-) -> tuple[Array, Array]:
+def initial(system: System, q0: ArrayLike | None, v0: ArrayLike | None) -> tuple[Array, Array]:
     """Return initial data, those of the system where none are given."""
     found = []
-    for value, default, name in ((q0, system.q0, "q0"), (v0, system.v0, "v0")):
-        if value is None and default is None:
+    for given, default, name in ((q0, system.q0, "q0"), (v0, system.v0, "v0")):
+        value = default if given is None else given
+        if value is None:
             raise ValueError(f"{name}: needed, the system {system.name!r} has no initial data")
-        found.append(_lib.array(default if value is None else value, name, (system.n,)))
+        found.append(_lib.array(value, name, (system.n,)))
     return found[0], found[1]
 
 
@@ -265,8 +264,8 @@ def gram(system: System, q: ArrayLike) -> Array:
     points = np.atleast_2d(q)
     values = np.empty((len(points), system.m**2))
     rows(system, lib.dal_gram, ((_lib.pointer(points, k),) for k in range(len(points))), values)
-    values = values.reshape(len(points), system.m, system.m)
-    return values[0] if q.ndim == 1 else values
+    matrices = values.reshape(len(points), system.m, system.m)
+    return matrices[0] if q.ndim == 1 else matrices
 
 
 def acceleration(system: System, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:

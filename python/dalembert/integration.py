@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -431,9 +431,7 @@ class Solution(Mapping[str, Any]):
         """Relative residual of the set that the scheme keeps, shape (N+1,)."""
         return self._evaluate("residual", "relative", None, self.shift)
 
-    def _evaluate(
-        self, name: str, output: str, width: int | None, shift: float = 0.0
-    ) -> Array:
+    def _evaluate(self, name: str, output: str, width: int | None, shift: float = 0.0) -> Array:
         """Compute a quantity from the stored states, once."""
         with self._lock:
             if name not in self._computed:
@@ -520,13 +518,12 @@ class Solution(Mapping[str, Any]):
 
     def __repr__(self) -> str:
         kept = "D_eps" if self.nodes == "kept" else "D"
+        every = f", every {self.stride} steps" if self.stride > 1 else ""
         lines = [
             f"<Solution of {self.system.name} by {self.scheme.name}, h = {self.h:g}: "
             f"{'success' if self.success else 'FAILED'}",
-            f"  {len(self.x)} states at t = {self.t[0]:g} .. {self.t[-1]:g}, every "
-            f"{self.stride} steps" if self.stride > 1 else
-            f"  {len(self.x)} states at t = {self.t[0]:g} .. {self.t[-1]:g}",
-        ]  # fmt: skip
+            f"  {len(self.x)} states at t = {self.t[0]:g} .. {self.t[-1]:g}{every}",
+        ]
         if not self.scheme.is_reference and self.system.m > 0:
             lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
         return "\n".join([*lines, f"  {self.message}>"])
@@ -898,10 +895,8 @@ class _FlowRun(_Run):
         if status < 0:
             message = _lib.string(lib.dal_flow_message(self.flow))
             good = start + int(self.done[0])
-            self.error = _lib.failure(
-                status, message, step=good * self.stride, t=self.time(good)
-            )
-        for row in range(start + 1, start + 1 + (int(self.done[0]) if count else 0)):
+            self.error = _lib.failure(status, message, step=good * self.stride, t=self.time(good))
+        for row in range(start + 1, start + 1 + int(self.done[0])):
             self.good = row
             if self.observe(row):
                 self.status, self.error = lib.DAL_STOPPED, None
@@ -1025,7 +1020,7 @@ def _number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None
 def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
     """Refuse a run whose arrays do not fit, before anything is allocated."""
     size = 8 * ((rows + 1) * (2 * system.n + 1) + rows * system.m)
-    memory = _available_memory()
+    memory = _available_memory() if size > 2**24 else sys.maxsize  # which takes a while to ask
     if size > memory:
         raise MemoryError(
             f"steps = {steps} with stride = {stride} are {rows + 1} stored states, {size} bytes "

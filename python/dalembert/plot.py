@@ -33,8 +33,10 @@ LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)))
 
 ROUNDOFF = 2.0**-53
 ZERO = 1e-17  # where an exact zero is drawn on a logarithmic axis
+STRETCHES = 50  # of a run, for the drift: roundoff of every step would hide what is beneath it
 
 QUANTITIES = {
+    "state": ("state_error", "global_state", 0, "error of (q, v) at t = {t_end:g} (user's units)"),
     "q": ("q_error", "global_q", 0, "error of q at t = {t_end:g} (user's units)"),
     "v": ("v_error", "global_v", 0, "error of v at t = {t_end:g} (user's units)"),
     "multipliers": ("multiplier_error", "global_multipliers", 0,
@@ -75,7 +77,7 @@ def convergence(
     study: Study | Studies | Sequence[Study],
     ax: Axes | None = None,
     *,
-    quantity: str = "q",
+    quantity: str = "state",
     styles: Mapping[str, Style] | None = None,
 ) -> Axes:
     """Draw errors over the step size, log-log, with the fitted orders and slope triangles.
@@ -87,9 +89,9 @@ def convergence(
     ----------
     study : Study or sequence of Study
     ax : matplotlib axes, optional
-    quantity : {"q", "v", "multipliers", "local", "reactions"}
-        The errors at ``t_end``, or the one-step errors of (q, v) or of the scheme's own
-        multipliers.  The order in the legend is that of the scheme: slope - 1 of the latter two.
+    quantity : {"state", "q", "v", "multipliers", "local", "reactions"}
+        The errors at ``t_end`` (of (q, v), of q, ...), or the one-step errors of (q, v) or of the
+        scheme's own multipliers.  The order in the legend is that of the scheme: slope - 1 of the latter two.
     styles : mapping of scheme names to properties of a line, optional
         See `styles`.
 
@@ -150,7 +152,8 @@ def drift(
 
     Exact zeros are drawn at 1e-17; the dashed line is the unit roundoff u.  Schemes with several
     sub-steps have no D_eps and stand only on the left.  A hollow marker is the start of a run with
-    kept nodes that was in D and not in D_eps.
+    kept nodes that was in D and not in D_eps.  Of a run with more than 50 states the largest
+    residual in each of 50 stretches is drawn.
 
     Parameters
     ----------
@@ -185,17 +188,16 @@ def drift(
         raise ValueError(f"ax has {len(axes)} axes; expected two, for D and for D_eps")
     styles = styles or _styles(solutions)
     for run in solutions:
-        style = _over_time(styles[run.scheme.name], len(run.t))
+        style = _over_time(styles[run.scheme.name], min(len(run.t), STRETCHES))
         in_D, in_D_eps = _residuals(run)
-        axes[0].plot(run.t, np.maximum(in_D, ZERO), label=run.scheme.name, **style)
+        axes[0].plot(*_stretches(run.t, in_D), label=run.scheme.name, **style)
         if in_D_eps is None:
             continue
         # Kept nodes may start in D and jump to D_eps in the first step: that start is a point.
         jump = int(run.nodes == "kept" and in_D_eps[0] > 4 * run.system.n * ROUNDOFF)
-        axes[1].plot(run.t[jump:], np.maximum(in_D_eps[jump:], ZERO), label=run.scheme.name,
-                     **style)
-        axes[1].plot(run.t[:jump], in_D_eps[:jump], linestyle="none", marker=style["marker"],
-                     color=style["color"], markerfacecolor="white")
+        line, = axes[1].plot(*_stretches(run.t[jump:], in_D_eps[jump:]), **style)
+        axes[1].plot(run.t[:jump], in_D_eps[:jump], linestyle="none", marker=style.get("marker"),
+                     color=line.get_color(), markerfacecolor="white")
     for axis, title in zip(axes, (r"$D$:  $\mu(q)\,v = 0$",
                                   r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$")):
         axis.set_yscale("log")
@@ -205,7 +207,7 @@ def drift(
         axis.set_title(title)
         axis.set_xlabel("time t (user's units)")
     axes[0].set_ylabel("relative residual of the constraint")
-    _legend(axes[0], None)
+    _legend(axes[1], None, axes[0].get_legend_handles_labels())
     return axes
 
 
@@ -246,7 +248,7 @@ def energy(
                 **_over_time(styles[run.scheme.name], len(run.t)))
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
     ax.set_xlabel("time t (user's units)")
-    ax.set_ylabel(r"energy error $(E - E_0) \,/\, \max(|E_0|, 1)$")
+    ax.set_ylabel(r"energy error  $(E - E_0) / \max(|E_0|, 1)$")
     ax.set_title(f"{_systems(solutions)}: energy")
     ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
     _legend(ax, None)
@@ -328,6 +330,12 @@ def _residuals(run: Solution) -> tuple[NDArray[Any], NDArray[Any] | None]:
     return in_D, geometry.relative_residual(run.system, run.q, run.v, run.scheme.shift(run.h))
 
 
+def _stretches(t: NDArray[Any], residual: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The largest residual in each stretch of a run, at the time where the stretch begins."""
+    starts = np.unique(np.linspace(0, len(t), min(len(t), STRETCHES), endpoint=False, dtype=int))
+    return t[starts], np.maximum(np.maximum.reduceat(residual, starts), ZERO)
+
+
 def _over_time(style: Style, points: int) -> dict[str, Any]:
     """The style of a curve with many points: about a dozen markers, small ones."""
     return {**style, "markevery": max(1, points // 12), "markersize": 4, "linewidth": 1.2}
@@ -348,11 +356,13 @@ def _several(item: Any, what: str) -> list[Any]:
     return items
 
 
-def _legend(ax: Axes, title: str | None) -> None:
+def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None) -> None:
     """Inside for a few curves, beside the picture for many."""
-    many = len(ax.get_legend_handles_labels()[0]) > 4
-    where: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.02, 1)} if many else {}
-    ax.legend(title=title, frameon=False, fontsize="small", **where)
+    handles, labels = entries or ax.get_legend_handles_labels()
+    where: dict[str, Any] = {}
+    if len(handles) > 4:
+        where = {"loc": "upper left", "bbox_to_anchor": (1.05, 1)}
+    ax.legend(handles, labels, title=title, frameon=False, fontsize="small", **where)
 
 
 def _axes(ax: Axes | None) -> Axes:

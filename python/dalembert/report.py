@@ -61,7 +61,7 @@ def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
 
     The verdict is the first sentence; then come the convergence picture, the drift of D and
     D_eps, the energy, the tables, and how to reproduce all this.  For the drift and the energy
-    every scheme runs once more, 400 steps of a twentieth of the interval.
+    every scheme runs once more, 400 steps of a twentieth of the interval each.
 
     Parameters
     ----------
@@ -119,6 +119,7 @@ def page(studies: Studies) -> str:
     velocity = ", ".join(f"{x:g}" for x in first.v0)
     reference = ("the exact solution" if first.reference == 0 else
                  f"a reference flow good to {first.reference:.1e}")
+    about = f"{system.help[:1].upper()}{system.help[1:]}. " if system.help else ""
     kept = {study.initial for study in studies if study.initial}
     kept_note = (f" Schemes with kept nodes start with <code>initial="
                  f"{text(repr(sorted(kept)[0]))}</code>." if kept else "")
@@ -133,7 +134,7 @@ def page(studies: Studies) -> str:
 <body>
 <p class="eyebrow">dalembert study: {text(system.name)}</p>
 <h1>{text(studies.sentence())}</h1>
-<p>{text(system.help)} Runs go from t = {first.t0:g} to {first.t_end:g}, start in {text(start)},
+<p>{text(about)}Runs go from t = {first.t0:g} to {first.t_end:g}, start in {text(start)},
 v = ({text(velocity)}), and are compared with {reference}.{kept_note} All numbers are in the
 user's units.</p>
 
@@ -220,8 +221,8 @@ def _convergence(studies: Studies, styles: dict[str, Any]) -> str:
         plot.convergence(group, ax, styles=styles)
         if len(groups) > 1:
             ax.set_title("order up to 2" if group is groups[0] else "compositions")
-    return _svg(figure, "convergence", "Errors of q at the end over the step size, log-log.",
-                "The largest error of q at the end of the interval. Triangles have whole slopes; "
+    return _svg(figure, "convergence", "Errors at the end over the step size, log-log.",
+                "The largest error of (q, v) at the end of the interval. Triangles have whole slopes; "
                 "hollow markers lie too close to roundoff to count for the fitted order in the "
                 "legend.")
 
@@ -231,8 +232,8 @@ def _drift(runs: list[Solution], styles: dict[str, Any]) -> str:
     plot.drift(runs, figure.subplots(1, 2, sharey=True), styles=styles)
     return _svg(figure, "drift", "Relative residuals of D and of D_eps over time.",
                 "The relative residual of the constraint in D (left) and in D<sub>ε</sub> (right). "
-                "A scheme with moved nodes keeps D, one with kept nodes keeps D<sub>ε</sub>; "
-                "exact zeros are drawn at 10<sup>−17</sup>, the dashed line is the unit roundoff "
+                "A scheme with moved nodes keeps D, one with kept nodes keeps D<sub>ε</sub>. The "
+                "largest residual in each of 50 stretches of 400 steps is drawn; exact zeros are drawn at 10<sup>−17</sup>, the dashed line is the unit roundoff "
                 "u. Schemes with several sub-steps have no D<sub>ε</sub>.")
 
 
@@ -243,12 +244,14 @@ def _energy(studies: Studies, runs: list[Solution], styles: dict[str, Any],
         order = study.scheme.order
         key = "order 1 or none" if order < 2 else "order 2" if order == 2 else "order 4 and more"
         groups.setdefault(key, []).append(run)
-    figure = _figure(max(4.0 * len(groups), 8.0), 4.2)
+    figure = _figure(max(4.0 * len(groups), 8.0), 5.0)
     short = []
     for (title, group), ax in zip(sorted(groups.items()),
                                   figure.subplots(1, len(groups), squeeze=False)[0]):
         plot.energy(group, ax, styles=styles)
         ax.set_title(title)
+        if ax is not ax.figure.axes[0]:
+            ax.set_ylabel("")
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False,
                   fontsize="small")
         short += [run.scheme.name for run in group if run.t[-1] != longest.t[-1]]

@@ -6,9 +6,10 @@ The numbers come from ``dal_order_study`` of the core; here they become arrays, 
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -28,19 +29,17 @@ __all__ = ["Fit", "Studies", "Study", "convergence", "studies"]
 
 Array = NDArray[np.float64]
 
-# Steps over one unit of time.  The one-step errors h^(p+1) must stay above the round-off floor
-# and h small enough to be in the asymptotic range: the higher the order, the coarser.
-DEFAULT_STEPS = {
-    2: (10, 15, 20, 30, 40, 60, 80),
-    4: (5, 6, 8, 10, 12, 16, 20),
-    6: (3, 4, 5, 6, 8, 10),
-    8: (2, 3, 4, 5, 6, 8),
-}
+# Numbers of steps over one unit of time, for low orders and for the candidates of high ones.
+LOW_ORDER = (80, 120, 160, 240, 320, 480, 640)
+CANDIDATES = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80)
+FINE = (100, 150, 200, 300)
 
 FITS = ("state", "multipliers", "reaction", "midpoint", "global_q", "global_v",
         "global_multipliers")
 
-WIDTH = 80  # of the plain table, which is the same wherever it goes
+ABOVE_FLOOR = 100.0  # an error counts if it is more than so many times the floor,
+AT_FLOOR = 10.0  # and up to so many times it is roundoff: these are the rules of the core
+WIDTH = 100  # of the plain table, at most
 
 
 @dataclass(frozen=True)
@@ -60,6 +59,11 @@ class Fit:
     slope: float
     points: int
     exact: bool
+
+    @classmethod
+    def read(cls, fit: Any) -> Fit:
+        """Return the fit of a ``dal_fit``."""
+        return cls(float(fit.slope), int(fit.points), bool(fit.exact))
 
     def order(self, loss: int = 0) -> str:
         """Return ``slope - loss`` in words: a number, "exact", or "-" if it is not known."""
@@ -103,7 +107,7 @@ class Study:
         Status of each run, 0 if it went through.
     fits : dict of str to Fit
         "state", "multipliers", "reaction", "midpoint" of the one-step errors, "global_q",
-        "global_v", "global_multipliers" of the errors at ``t_end``.
+        "global_v", "global_multipliers", "global_state" of the errors at ``t_end``.
     p, s : float
         Measured order of (q, v) and of the scheme's own multipliers, slopes of the one-step
         errors minus 1.
@@ -150,19 +154,27 @@ class Study:
     text: str
 
     @property
+    def state_error(self) -> Array:
+        """Error of (q, v) at ``t_end``, the larger of the two, shape (k,)."""
+        return np.maximum(self.q_error, self.v_error)
+
+    @property
     def q_orders(self) -> Array:
-        """Local orders of ``q_error`` between neighbours, shape (k,); the first one is NaN."""
-        return _local_orders(self.h, self.q_error)
+        """Local orders of ``q_error`` between neighbours, shape (k,).
+
+        NaN for the first entry, and where an error is at the level of roundoff.
+        """
+        return _local_orders(self.h, self.q_error, self.floor)
 
     @property
     def v_orders(self) -> Array:
-        """Local orders of ``v_error`` between neighbours, shape (k,); the first one is NaN."""
-        return _local_orders(self.h, self.v_error)
+        """Local orders of ``v_error``, as `q_orders`."""
+        return _local_orders(self.h, self.v_error, self.floor)
 
     @property
     def multiplier_orders(self) -> Array:
-        """Local orders of ``multiplier_error`` between neighbours, shape (k,); first one NaN."""
-        return _local_orders(self.h, self.multiplier_error)
+        """Local orders of ``multiplier_error``, as `q_orders`."""
+        return _local_orders(self.h, self.multiplier_error, self.floor)
 
     @property
     def promise(self) -> str:
@@ -218,8 +230,13 @@ class Study:
                 f"p over {_points(self.fits['state'])}, s over {_points(self.fits['reaction'])}; "
                 f"orders at t_end: {at_end}; kept to roundoff: {self.keeps}.")
 
+    def table(self, width: int = WIDTH) -> str:
+        """Return the table and the verdict as plain text, ``width`` characters wide at most."""
+        return "\n".join([self.heading(), *_plain(self.columns(), width),
+                          *_wrapped(self.summary(), width)])
+
     def __str__(self) -> str:
-        return "\n".join([self.heading(), *_plain(self.columns(), WIDTH), *_wrapped(self.summary())])
+        return self.table()
 
     def __repr__(self) -> str:
         return (f"<Study of {self.scheme.name} on {self.system.name}: p = {self.p:.2f}, "
@@ -343,21 +360,26 @@ class Studies(Sequence[Study]):
         rest = f"; no verdict on {_listing(undecided)}" if undecided else ""
         if failing:
             do = "does" if len(failing) == 1 else "do"
-            return (f"On {system} {_listing(failing)} {do} not deliver what is promised; "
+            return (f"On {system}, {_listing(failing)} {do} not deliver what is promised; "
                     f"{len(holding)} of {len(self)} schemes hold{rest}.")
         if not holding:
             return f"On {system} there is no verdict on {_listing(undecided)}."
         worst = max(_worst(x.residual if x.keeps_D else x.residual_eps) for x in holding)
         if len(holding) == 1:
-            return (f"On {system} {holding[0].scheme.name} has its promised order and keeps its "
+            return (f"On {system}, {holding[0].scheme.name} has its promised order and keeps its "
                     f"constraint set to {worst:.1e}{rest}.")
         who = "both" if len(holding) == 2 else f"all {len(holding)}"
-        return (f"On {system} {who} schemes have their promised order and keep their constraint "
+        return (f"On {system}, {who} schemes have their promised order and keep their constraint "
                 f"set to {worst:.1e}{rest}.")
 
+    def table(self, width: int = WIDTH) -> str:
+        """Return all tables, the overview and the verdict as plain text, ``width`` wide at most."""
+        tables = [study.table(width) + "\n" for study in self]
+        overview = _plain(self.columns(), width) if self else []
+        return "\n".join([*tables, *overview, *_wrapped(self.sentence(), width)])
+
     def __str__(self) -> str:
-        lines = [str(study) + "\n" for study in self]
-        return "\n".join([*lines, *_plain(self.columns(), WIDTH), *_wrapped(self.sentence())])
+        return self.table()
 
     def __repr__(self) -> str:
         return f"<Studies of {', '.join(study.scheme.name for study in self)}>"
@@ -402,7 +424,7 @@ def convergence(
     t0: float = 0.0,
     steps: Sequence[int] | None = None,
     initial: str | None = None,
-    tolerance: float | None = None,
+    tolerance: float = 1e-14,
 ) -> Study:
     """Measure the order of a scheme by refining the step size.
 
@@ -416,12 +438,12 @@ def convergence(
     t_end, t0 : float, optional
         Interval of time, in the user's units.
     steps : sequence of int, optional
-        Numbers of steps over the interval.  The default depends on the promised order: at least
-        three step sizes over a factor of two whose errors are above the round-off floor.
+        Numbers of steps over the interval.  The default depends on the promised order: small
+        steps, for high orders as small as the round-off floor allows.
     initial : {"D", "D_eps", "project", "shift"}, optional
         How runs with kept nodes start; they refuse to start without.
     tolerance : float, optional
-        Of the reference flow where the system has no exact solution.  Default: 1e-13.
+        Of the reference flow where the system has no exact solution.  Default: 1e-14.
 
     Returns
     -------
@@ -446,7 +468,14 @@ def convergence(
         raise ValueError("scheme = 'reference': expected one with a step size to refine")
     t0, t_end = _lib.number(t0, "t0"), _lib.number(t_end, "t_end")
     x0 = np.concatenate(geometry.initial(system, q0, v0))
-    counts = _counts(default_steps(record.order, abs(t_end - t0)) if steps is None else steps)
+    if steps is None:
+        def probe(duration: float, candidates: Sequence[int]) -> Study:
+            return convergence(system, record, q0, v0, t0=t0, steps=candidates, initial=initial,
+                               t_end=t0 + math.copysign(duration, t_end - t0),
+                               tolerance=tolerance)
+
+        steps = _default_steps(record.order, abs(t_end - t0), probe)
+    counts = _counts(steps)
     numbers = ffi.new("size_t[]", counts)
     definition = ffi.new("dal_order_def *", {
         "t0": t0,
@@ -455,7 +484,7 @@ def convergence(
         "steps": numbers,
         "count": len(counts),
         "initial": lib.DAL_INITIAL_NONE if initial is None else _lib.choice(initial, "initial", INITIAL),
-        "tolerance": 0.0 if tolerance is None else _lib.number(tolerance, "tolerance"),
+        "tolerance": _lib.number(tolerance, "tolerance"),
     })
     points = ffi.new("dal_order_point[]", len(counts))
     order, error = ffi.new("dal_order *"), ffi.new("dal_error *")
@@ -467,19 +496,21 @@ def convergence(
     def column(member: str) -> Any:
         return np.array([getattr(point, member) for point in points])
 
-    def fit(member: str) -> Fit:
-        found = getattr(order, member)
-        return Fit(found.slope, int(found.points), bool(found.exact))
+    h, q_error, v_error = column("h"), column("q"), column("v")
+    state = ffi.new("dal_fit *")
+    worse = np.maximum(q_error, v_error)
+    lib.dal_fit_order(len(h), _lib.pointer(h), _lib.pointer(worse), order.floor, state)
+    fits = {name: Fit.read(getattr(order, name)) for name in FITS}
 
     return Study(
         system=system, scheme=record, q0=x0[:system.n], v0=x0[system.n:], t0=t0, t_end=t_end,
-        initial=initial, steps=np.array(counts), h=column("h"), q_error=column("q"),
-        v_error=column("v"), multiplier_error=column("multipliers"),
+        initial=initial, steps=np.array(counts), h=h, q_error=q_error, v_error=v_error,
+        multiplier_error=column("multipliers"),
         local_error=column("local_state"), local_multiplier_error=column("local_multipliers"),
         local_reaction_error=column("local_reaction"),
         local_midpoint_error=column("local_midpoint"), residual=column("residual"),
         residual_eps=column("residual_eps"), energy_error=column("energy"),
-        failed=column("failed"), fits={name: fit(name) for name in FITS}, p=order.p, s=order.s,
+        failed=column("failed"), fits={**fits, "global_state": Fit.read(state)}, p=order.p, s=order.s,
         floor=order.floor, reference=order.reference, keeps_D=bool(order.keeps_D),
         keeps_D_eps=bool(order.keeps_D_eps), holds={1: True, 0: False}.get(order.holds),
         text=_lib.string(order.text))
@@ -495,7 +526,7 @@ def studies(
     t0: float = 0.0,
     steps: Sequence[int] | None = None,
     initial: str | None = None,
-    tolerance: float | None = None,
+    tolerance: float = 1e-14,
     progress: bool = False,
 ) -> Studies:
     """Measure the order of several schemes on one system.
@@ -537,19 +568,26 @@ def studies(
         for record in _progress(records, progress))
 
 
-def default_steps(order: int, duration: float) -> tuple[int, ...]:
-    """Return the numbers of steps for a promised order over an interval of this length.
+def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> list[int]:
+    """Choose numbers of steps whose errors tell the order.
 
-    Parameters
-    ----------
-    order : int
-        p; 0 for a record without a promise.
-    duration : float
-        |t_end - t0|, in the user's units of time.
+    One-step errors h^(p+1) have to stand clear of the floor, with h as small as that allows: they
+    are a power of h only in the limit.  Up to order 2 any small h will do.  For a higher order
+    ``probe`` studies some steps over about a unit of time, and the finest over a factor of two
+    are taken.  The multipliers, whose order is low whatever p is, need smaller h: FINE.
     """
-    per_unit = DEFAULT_STEPS[min((p for p in DEFAULT_STEPS if p >= order), default=8)]
-    scaled = tuple(dict.fromkeys(max(1, round(count * duration)) for count in per_unit))
-    return scaled if len(scaled) >= 4 else per_unit
+    units = max(1, round(duration))
+    if order <= 2:
+        return [count * units for count in LOW_ORDER]
+    tried = probe(duration / units, CANDIDATES)
+    floor = tried.floor if units == 1 else probe(duration, (1,)).floor
+    clear = [int(count) for count, error in zip(tried.steps, tried.local_error)
+             if error > ABOVE_FLOOR * floor]
+    finest = [count for count in clear if 2 * count >= clear[-1]]
+    chosen = clear[-max(len(finest), 3):] or CANDIDATES[:3]
+    if chosen[-1] < 2 * chosen[0]:
+        chosen = clear[-len(chosen) - 1:]
+    return [count * units for count in (*chosen, *FINE)]
 
 
 def _counts(steps: Iterable[int]) -> list[int]:
@@ -598,8 +636,8 @@ def _plain(columns: list[Column], width: int) -> list[str]:
     return lines
 
 
-def _wrapped(text: str) -> list[str]:
-    return [line for part in text.split("\n") for line in textwrap.wrap(part, WIDTH)]
+def _wrapped(text: str, width: int) -> list[str]:
+    return [line for part in text.split("\n") for line in textwrap.wrap(part, width)]
 
 
 def _points(fit: Fit) -> str:
@@ -621,15 +659,15 @@ def _rich_tables(columns: list[Column], width: int) -> Iterator[Any]:
 
 def _show(item: Study | Studies, file: TextIO | None) -> None:
     out = sys.stdout if file is None else file
-    if out.isatty():
-        try:
-            from rich.console import Console
-        except ImportError:
-            pass
-        else:
-            Console(file=out, highlight=False).print(item)
-            return
-    print(item, file=out)
+    if not out.isatty():
+        print(item, file=out)
+        return
+    try:
+        from rich.console import Console
+    except ImportError:
+        print(item.table(min(WIDTH, shutil.get_terminal_size().columns)), file=out)
+    else:
+        Console(file=out, highlight=False).print(item)
 
 
 def _progress(records: list[Scheme], wanted: bool) -> Iterable[Scheme]:
@@ -646,10 +684,11 @@ def _colour(holds: bool | None) -> str:
     return {True: "green", False: "red", None: "yellow"}[holds]
 
 
-def _local_orders(h: Array, error: Array) -> Array:
+def _local_orders(h: Array, error: Array, floor: float) -> Array:
     orders = np.full(len(h), np.nan)
+    clear = np.where(error > AT_FLOOR * floor, error, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        orders[1:] = np.diff(np.log(error)) / np.diff(np.log(h))
+        orders[1:] = np.diff(np.log(clear)) / np.diff(np.log(np.abs(h)))
     return np.where(np.isfinite(orders), orders, np.nan)
 
 

@@ -592,7 +592,8 @@ class System:
 
     def __repr__(self) -> str:
         values = "".join(f", {key} = {value:g}" for key, value in self._parameters.items())
-        return f"<System {self.name}({', '.join(self.coordinates)}): n = {self.n}, m = {self.m}{values}>"
+        names = ", ".join(self.coordinates)
+        return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{values}>"
 
     def __copy__(self) -> System:
         return self
@@ -649,7 +650,7 @@ def _mass_matrix(
         raise ValueError(f"mass: expected a square matrix, got shape {matrix.shape}")
     if n is not None and len(matrix) != n:
         raise ValueError(f"n = {n}: the mass matrix has shape {matrix.shape}")
-    return np.ascontiguousarray(matrix)
+    return matrix.copy()
 
 
 def _number_of_constraints(

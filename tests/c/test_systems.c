@@ -47,7 +47,8 @@ static dal_system *make(const choice *c)
     dal_error error;
     size_t count = 0;
     while (c->parameters[count]) count++;
-    const int status = dal_system_builtin(&system, c->name, c->parameters, c->values, count, &error);
+    const int status =
+        dal_system_builtin(&system, c->name, c->parameters, c->values, count, &error);
     CHECK(status == DAL_SUCCESS);
     if (status) {
         fprintf(stderr, "%s: %s\n", c->name, error.text);
@@ -202,8 +203,8 @@ static void test_state(dal_mechanics *mechanics, const dal_system *system)
     CHECK(worst <= DAL_RESIDUAL_BOUND(n));
 }
 
-/* dI/dt = 0 along the field: central differences of order 6 in the direction of the field, with step
- * 2^-9: truncation (2^-9)^6 I^(7)/140 = 4e-19 I^(7), roundoff 4 u I/2^-9 = 2e-13 I; I^(7) < 1e6. */
+/* dI/dt = 0 along the field: central differences of order 6 in its direction, with step 2^-9:
+ * truncation (2^-9)^6 I^(7)/140 = 4e-19 I^(7), I^(7) < 1e6; roundoff 4 u I/2^-9 = 2e-13 I. */
 static void test_invariants(dal_mechanics *mechanics, const dal_system *system, const double *x)
 {
     static const double weight[4] = {0.0, 45.0 / 60, -9.0 / 60, 1.0 / 60};
@@ -367,9 +368,9 @@ static void test_references(void)
     }
 }
 
-/* Exact solutions where a closed form could cancel, divide by zero or overflow; 50 digits.  u is the
- * velocity along the edge or blade (of the particle: v_x, and of the disk: theta'), turn that of the
- * angle (of the particle: v_y). */
+/* Exact solutions where a closed form could cancel, divide by zero or overflow; 50 digits.  u is
+ * the velocity along the edge or blade (of the particle v_x, of the disk theta'), turn that of the
+ * last angle (of the particle v_y). */
 static void test_limits(void)
 {
     static const struct {
@@ -422,6 +423,15 @@ static void test_limits(void)
         {{"sleigh", {NULL}, {0}}, 30, {1, 2, 0.3}, -1, 1e-9, /* an unstable straight motion */
          {-27.636626450279435299, -6.9378149560686719679, 0.35694954402525372935,
           -0.94120799887467329123, -0.33697466000426519364, 0.032851408912220098625}},
+        {{"sleigh", {NULL}, {0}}, 200, {1, 2, 0.3}, -1, 1e-20, /* straight, a turn, straight */
+         {26.59735792817736654, 35.04616494640778487, 6.839746611150456904,
+          0.84907668604882255926, 0.52826961033959658426, 0}},
+        {{"sleigh", {NULL}, {0}}, -200, {1, 2, 0.3}, 1, 1e-20,
+         {40.785679457275403092, -10.820821373506040104, -6.2397466111504569262,
+          -0.99905668818715819526, -0.043425036424939963382, 0}},
+        {{"sleigh", {"a"}, {-0.4}}, 200, {1, 2, 0.3}, 1, -1e-20,
+         {-38.785679457275403092, 14.820821373506040104, -6.2397466111504569262,
+          -0.99905668818715819526, -0.043425036424939963382, 0}},
         {{"sleigh", {NULL}, {0}}, 5, {1, 2, 0.3}, 1, 0,
          {5.7766824456280301146, 3.4776010333066978225, 0.3, 0.95533648912560602292,
           0.2955202066613395645, 0}},
@@ -442,7 +452,7 @@ static void test_limits(void)
     for (size_t k = 0; k < sizeof limit / sizeof limit[0]; k++) {
         dal_system *system = make(&limit[k].system);
         const size_t n = dal_system_n(system);
-        double x[8] = {0};
+        double x[8] = {0}, y[8];
         double *v = x + n;
         memcpy(x, limit[k].q, n * sizeof *x);
         const double angle = x[n - 1], c = cos(angle), s = sin(angle);
@@ -463,15 +473,17 @@ static void test_limits(void)
             v[1] = u * s + a * turn * c;
             v[2] = turn;
         }
-        /* Roundoff of t: phases of up to 80 rad, exponents k t of up to 35 and 10 operations. */
-        CHECK(dal_system_exact(system, limit[k].t, x, x) == DAL_SUCCESS);
-        CHECK_VECTOR(n, x, limit[k].x, 2e-14);
-        CHECK_VECTOR(n, x + n, limit[k].x + n, 2e-14);
+        for (size_t i = 0; i < 2 * n; i++) y[i] = NAN;
+        /* u times phases of up to 80 rad and exponents s of up to 70, and the initial data's own
+         * roundoff, which the unstable motions multiply. */
+        CHECK(dal_system_exact(system, limit[k].t, x, y) == DAL_SUCCESS);
+        CHECK_VECTOR(n, y, limit[k].x, 2e-14);
+        CHECK_VECTOR(n, y + n, limit[k].x + n, 2e-14);
         dal_system_free(system);
     }
 }
 
-/* The sleigh without an end to its turning: phases beyond 5e5 are refused, not computed for ever. */
+/* A sleigh that never ends turning: phases beyond 5e5 are refused, not computed for ever. */
 static void test_sleigh_domain(void)
 {
     dal_system *system = make(&(choice){"sleigh", {"a"}, {0.0}});
@@ -598,25 +610,30 @@ static void test_heisenberg_symmetry(void)
     dal_system_free(system);
 }
 
-/* Names, sizes, parameters and invariants as they are shown to users. */
+/* Names, sizes, parameters and first integrals as they are shown to users. */
 static void test_description(void)
 {
-    static const struct {
+    const double u = sqrt(1.5 / 1.04) * 0.2; /* of the sleigh, in units of its rotation */
+    const struct {
         const char *name, *coordinates[5], *parameters[6];
-        double defaults[5];
+        double defaults[5], values[2]; /* values: of the first integrals at the default data */
         size_t m, invariants;
         bool exact;
     } expected[] = {
-        {"particle", {"x", "y", "z"}, {NULL}, {0}, 1, 2, true},
-        {"particle_oscillator", {"x", "y", "z"}, {"k1", "k2", "k3"}, {1, 2, 1.5}, 1, 1, false},
-        {"knife_edge", {"x", "y", "theta"}, {"m", "J", "gs"}, {2, 0.75, 2.5}, 1, 2, true},
-        {"sleigh", {"x", "y", "theta"}, {"m", "J", "a"}, {1.5, 0.8, 0.4}, 1, 1, true},
-        {"disk", {"x", "y", "theta", "phi"}, {"m", "I", "J", "R"}, {1.2, 0.5, 0.3, 0.7}, 2, 2, true},
-        {"heisenberg", {"x", "y", "z"}, {"k1", "k2", "k3"}, {1, 2.25, 0.5}, 1, 0, false},
-        {"contact_oscillator", {"x", "y", "z"}, {"eps"}, {0}, 1, 2, false},
-        {"robot", {"x", "y", "phi", "theta"}, {"m", "I", "J", "R", "k"}, {1, 1, 1, 1, 10}, 2, 2,
+        {"particle", {"x", "y", "z"}, {NULL}, {0}, {0.7, sqrt(1.09)}, 1, 2, true},
+        {"particle_oscillator", {"x", "y", "z"}, {"k1", "k2", "k3"}, {1, 2, 1.5}, {0.335}, 1, 1,
          false},
-        {"chaotic", {NULL}, {"pairs"}, {3}, 1, 0, false},
+        {"knife_edge", {"x", "y", "theta"}, {"m", "J", "gs"}, {2, 0.75, 2.5},
+         {1.2, 0.6 - 2.5 * sin(0.2)}, 1, 2, true},
+        {"sleigh", {"x", "y", "theta"}, {"m", "J", "a"}, {1.5, 0.8, 0.4},
+         {0.12 - sqrt(1.04 / 1.5) * atan(u)}, 1, 1, true},
+        {"disk", {"x", "y", "theta", "phi"}, {"m", "I", "J", "R"}, {1.2, 0.5, 0.3, 0.7},
+         {1.1, 0.9}, 2, 2, true},
+        {"heisenberg", {"x", "y", "z"}, {"k1", "k2", "k3"}, {1, 2.25, 0.5}, {0}, 1, 0, false},
+        {"contact_oscillator", {"x", "y", "z"}, {"eps"}, {0}, {0.5, 1}, 1, 2, false},
+        {"robot", {"x", "y", "phi", "theta"}, {"m", "I", "J", "R", "k"}, {1, 1, 1, 1, 10},
+         {0.5, 1}, 2, 2, false},
+        {"chaotic", {NULL}, {"pairs"}, {3}, {0}, 1, 0, false},
     };
     const size_t count = sizeof expected / sizeof expected[0];
     CHECK(dal_builtin_count() == count);
@@ -639,8 +656,14 @@ static void test_description(void)
         }
         CHECK(dal_system_parameters(system) == i);
         CHECK(dal_system_invariants(system) == expected[k].invariants);
-        for (i = 0; i < expected[k].invariants; i++)
+        double x[14], values[MAX_VALUES];
+        CHECK(dal_system_state(system, x) == DAL_SUCCESS);
+        CHECK(dal_system_invariant(system, x, values)
+              == (expected[k].invariants ? DAL_SUCCESS : DAL_EUNSUPPORTED));
+        for (i = 0; i < expected[k].invariants; i++) {
             CHECK(strlen(dal_system_invariant_name(system, i)) > 0);
+            CHECK_NEAR(values[i], expected[k].values[i], 1e-15);
+        }
         CHECK(dal_system_invariant_name(system, i) == NULL);
         dal_system_free(system);
     }

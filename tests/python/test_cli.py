@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 import dalembert as dal
@@ -39,7 +39,7 @@ def test_study_prints_the_table_and_writes_the_report(tmp_path):
 def test_options_reach_the_study(tmp_path):
     done = run("study", "knife-edge", "--scheme", "0.5", "--parameter", "m=3", "--t-end", "0.5",
                "--steps", "10,15,20,30", "--q0=-1,0,0.5", "--v0",
-               f"{np.cos(0.5)!r},{np.sin(0.5)!r},1", "--no-report", "--json", "out.json",
+               f"{math.cos(0.5)!r},{math.sin(0.5)!r},1", "--no-report", "--json", "out.json",
                cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["out.json"]

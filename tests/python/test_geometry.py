@@ -31,9 +31,7 @@ def test_residual_on_D_and_on_its_deformation(own):
     for shift in (0.0, 0.05):
         mu = [own.forms(p - shift * w) for p, w in zip(q, v)]
         expected = np.array([a @ w for a, w in zip(mu, v)])
-        relative = [
-            np.max(np.abs(a @ w) / (np.abs(a) @ np.abs(w))) for a, w in zip(mu, v)
-        ]
+        relative = [np.max(np.abs(a @ w) / (np.abs(a) @ np.abs(w))) for a, w in zip(mu, v)]
         np.testing.assert_allclose(system.residual(q, v, shift), expected, atol=TOLERANCE)
         np.testing.assert_allclose(system.relative_residual(q, v, shift), relative, rtol=TOLERANCE)
     assert system.residual(q[0], v[0]).shape == (2,)
@@ -127,9 +125,7 @@ def test_functions_are_methods(own):
 
 
 def test_without_constraints():
-    free = dal.System(
-        mass=[2.0, 4.0], potential=lambda q: q @ q, gradient=lambda q: 2 * q, n=2
-    )
+    free = dal.System(mass=[2.0, 4.0], potential=lambda q: q @ q, gradient=lambda q: 2 * q, n=2)
     np.testing.assert_array_equal(free.acceleration([1, 2], [0, 0]), [-1.0, -1.0])
     assert free.multipliers([1, 2], [0, 0]).shape == (0,)
     assert free.residual([[1, 2]], [[0, 0]]).shape == (1, 0)

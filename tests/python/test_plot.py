@@ -36,7 +36,7 @@ def studies():
 
 @pytest.fixture(scope="module")
 def run():
-    return dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=60)
+    return dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=40)
 
 
 def texts(ax):
@@ -47,12 +47,13 @@ def test_convergence_draws_the_errors_and_says_the_orders(studies):
     ax = dal.plot.convergence(studies)
     assert ax.get_xscale() == ax.get_yscale() == "log"
     for study in studies:
-        order = study.fits["global_q"].slope
+        order = study.fits["global_state"].slope
         line, = (x for x in ax.lines if x.get_label() == f"{study.scheme.name}: {order:.2f}")
         np.testing.assert_array_equal(line.get_xdata(), study.h)
-        np.testing.assert_array_equal(line.get_ydata(), study.q_error)
+        np.testing.assert_array_equal(line.get_ydata(), np.maximum(study.q_error,
+                                                                   study.v_error))
     assert "h" in ax.get_xlabel() and "units" in ax.get_xlabel()
-    assert "q at t = 1" in ax.get_ylabel() and "units" in ax.get_ylabel()
+    assert "(q, v) at t = 1" in ax.get_ylabel() and "units" in ax.get_ylabel()
     assert "particle" in ax.get_title()
 
 
@@ -63,16 +64,17 @@ def test_triangles_have_the_whole_slopes_and_lie_below_their_curves(studies):
         (x0, y0), (x1, y1), (x2, y2) = patch.get_xy()[:3]
         assert x1 == x2 and y0 == y1
         slopes.append(np.log(y2 / y1) / np.log(x1 / x0))
-        errors = [np.exp(np.interp(np.log(x2), np.log(s.h[::-1]), np.log(s.q_error[::-1])))
-                  for s in studies if round(s.fits["global_q"].slope) == round(slopes[-1])]
+        errors = [np.exp(np.interp(np.log(x2), np.log(s.h[::-1]), np.log(s.state_error[::-1])))
+                  for s in studies if round(s.fits["global_state"].slope) == round(slopes[-1])]
         assert y2 < min(errors)
     np.testing.assert_allclose(sorted(slopes), [1, 2], rtol=1e-12)
     assert {"1", "2"} <= {text.get_text() for text in ax.texts}
 
 
 @pytest.mark.parametrize("quantity, errors, key, loss", [
-    ("v", "v_error", "global_v", 0), ("multipliers", "multiplier_error", "global_multipliers", 0),
-    ("local", "local_error", "state", 1), ("reactions", "local_reaction_error", "reaction", 1)])
+    ("q", "q_error", "global_q", 0), ("v", "v_error", "global_v", 0),
+    ("multipliers", "multiplier_error", "global_multipliers", 0), ("local", "local_error", "state", 1),
+    ("reactions", "local_reaction_error", "reaction", 1)])
 def test_other_quantities(studies, quantity, errors, key, loss):
     ax = dal.plot.convergence(studies[0], quantity=quantity)
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), getattr(studies[0], errors))
@@ -81,7 +83,7 @@ def test_other_quantities(studies, quantity, errors, key, loss):
 
 def test_points_that_do_not_count_are_hollow():
     study = dal.convergence(dal.systems.particle(), "leapfrog-kl8", steps=(2, 3, 4, 40, 60))
-    below = study.q_error <= 100 * study.floor
+    below = study.state_error <= 100 * study.floor
     assert below.any() and not below.all()
     ax = dal.plot.convergence(study)
     hollow, = (x for x in ax.lines if x.get_linestyle() == "None")
@@ -110,15 +112,17 @@ def test_styles_differ_without_colour():
 
 def test_drift_has_both_sets_on_log_axes():
     system = dal.systems.particle()
-    moved = dal.integrate(system, "midpoint", h=0.05, steps=60)
-    kept = dal.integrate(system, "midpoint-nodes", h=0.05, steps=60, initial="project")
-    composed = dal.integrate(system, "leapfrog-suzuki4", h=0.05, steps=60)
+    moved = dal.integrate(system, "midpoint", h=0.05, steps=40)
+    kept = dal.integrate(system, "midpoint-nodes", h=0.05, steps=40, initial="project")
+    composed = dal.integrate(system, "leapfrog-suzuki4", h=0.05, steps=40)
     left, right = dal.plot.drift([moved, kept, composed])
     assert left.get_yscale() == right.get_yscale() == "log"
-    assert texts(left) == ["midpoint", "midpoint-nodes", "leapfrog-suzuki4"]
-    of = {line.get_label(): np.asarray(line.get_ydata()) for line in left.lines}
-    of_eps = {line.get_label(): np.asarray(line.get_ydata()) for line in right.lines}
-    assert "leapfrog-suzuki4" not in of_eps
+    names = ["midpoint", "midpoint-nodes", "leapfrog-suzuki4"]
+    assert texts(right) == names
+    of = {name: np.asarray(line.get_ydata()) for name, line in zip(names, left.lines)}
+    curves = [line for line in right.lines if len(line.get_xdata()) == 41]
+    assert len(curves) == 2  # a composition has no D_eps
+    of_eps = {name: np.asarray(line.get_ydata()) for name, line in zip(names, curves)}
 
     def residual(run, shift):
         """|v_z - (y - shift v_y) v_x| / (|v_z| + |(y - shift v_y) v_x|)."""
@@ -140,6 +144,16 @@ def test_drift_has_both_sets_on_log_axes():
         assert "units" in axis.get_xlabel()
     assert "residual" in left.get_ylabel()
     assert min(map(np.min, [*of.values(), *of_eps.values()])) >= 1e-17
+
+
+def test_drift_of_a_long_run_shows_the_largest_of_each_stretch():
+    run = dal.integrate(dal.systems.particle(), "midpoint-nodes", h=0.05, steps=1000,
+                        initial="project")
+    left, _ = dal.plot.drift(run)
+    line = left.lines[0]
+    relative = dal.geometry.relative_residual(run.system, run.q, run.v)
+    assert len(line.get_xdata()) == 50 and max(line.get_ydata()) == relative.max()
+    assert line.get_ydata()[-1] == relative[980:].max() and line.get_xdata()[-1] == run.t[980]
 
 
 def test_a_start_off_D_eps_is_a_hollow_point():
@@ -187,7 +201,7 @@ def test_styles_of_the_caller_are_used(studies):
 
 
 def test_bad_arguments_are_named(studies, run):
-    with pytest.raises(ValueError, match="quantity is 'p'; expected one of q, v"):
+    with pytest.raises(ValueError, match="quantity is 'p'; expected one of state, q, v"):
         dal.plot.convergence(studies, quantity="p")
     with pytest.raises(ValueError, match="study is empty"):
         dal.plot.convergence([])

@@ -104,6 +104,17 @@ def test_mass_as_number_vector_and_matrix():
     assert dal.System(mass=1, q0=[0, 0], v0=[0, 0]).n == 2
 
 
+def test_arrays_of_the_user_are_copied():
+    mass, q0 = np.eye(2), np.zeros(2)
+    system = dal.System(mass=mass, q0=q0, v0=q0)
+    mass *= 5
+    q0 += 1
+    again = pickle.loads(pickle.dumps(system))
+    for s in (system, again):
+        np.testing.assert_array_equal(s.mass, np.eye(2))
+        np.testing.assert_array_equal(s.q0, [0, 0])
+
+
 def test_defaults():
     system = dal.System(mass=[1, 1])
     assert (system.m, system.coordinates, system.q0, system.v0) == (0, ("q0", "q1"), None, None)
@@ -236,9 +247,10 @@ def test_pickle_of_the_catalogue():
 def test_pickle_of_the_users_own(own):
     system = own.system()
     again = pickle.loads(pickle.dumps(system))
-    assert again.multipliers(own.q0, own.v0()).tolist() == system.multipliers(
-        own.q0, own.v0()
-    ).tolist()
+    assert (
+        again.multipliers(own.q0, own.v0()).tolist()
+        == system.multipliers(own.q0, own.v0()).tolist()
+    )
     assert (again.name, again.m, again.differenced) == ("own", 2, ())
     np.testing.assert_array_equal(again.v0, system.v0)
 

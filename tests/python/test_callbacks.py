@@ -1,0 +1,330 @@
+"""Python functions called from C: what they get, what they may return and raise, Ctrl-C."""
+
+import contextlib
+import os
+import signal
+import threading
+import time
+import traceback
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+
+H = 0.05
+FUNCTIONS = ["forms", "forms_velocity_derivative", "potential", "gradient", "hessian"]
+
+
+class Mine(Exception):
+    """An exception that the package does not know."""
+
+
+def failing(function, at, error):
+    """Return ``function`` with an exception at call number ``at``, counted from 0."""
+    count = 0
+
+    def deep_inside():
+        raise error
+
+    def wrapped(*arguments):
+        nonlocal count
+        count += 1
+        if count == at + 1:
+            deep_inside()
+        return function(*arguments)
+
+    wrapped.calls = lambda: count
+    return wrapped
+
+
+# ---- what functions get and return ---------------------------------------------------------
+
+
+def test_arrays_are_read_only_and_may_be_kept(own):
+    kept = []
+
+    def forms(q):
+        assert not q.flags.writeable
+        kept.append((q, q.copy()))
+        return own.forms(q)
+
+    system = own.system(forms=forms, m=2)
+    dal.integrate(system, "midpoint", h=H, steps=5)
+    del system
+    assert len(kept) > 5
+    for q, then in kept:
+        np.testing.assert_array_equal(q, then)
+
+
+def test_writing_to_an_argument_is_refused(own):
+    def gradient(q):
+        q[0] = 0.0
+        return q
+
+    with pytest.raises(ValueError, match="read-only"):
+        own.system(gradient=gradient).acceleration(own.q0, own.v0())
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        lambda a: a.tolist(),
+        np.asfortranarray,
+        lambda a: np.repeat(a, 2, axis=-1)[..., ::2],
+        lambda a: a.astype(np.longdouble),
+        lambda a: a.astype(object),
+        lambda a: a.astype(">f8"),
+    ],
+)
+def test_anything_array_like_may_be_returned(own, kind):
+    expected = dal.integrate(own.system(), "midpoint", h=H, steps=5)
+    changes = {
+        "forms": lambda q: kind(own.forms(q)),
+        "forms_velocity_derivative": lambda q, v: kind(own.forms_velocity_derivative(q, v)),
+        "gradient": lambda q: kind(own.gradient(q)),
+        "hessian": lambda q: kind(own.hessian(q)),
+    }
+    run = dal.integrate(own.system(**changes), "midpoint", h=H, steps=5)
+    np.testing.assert_array_equal(run.x, expected.x)
+
+
+@pytest.mark.parametrize("value", [2, np.float32(2), np.array(2.0), np.float64(2), True * 2])
+def test_potential_may_be_any_number(value):
+    system = dal.System(mass=[1], potential=lambda q: value, gradient=lambda q: [0])
+    assert system.energy([0], [2]) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("forms", np.ones(4), r"forms has to return shape \(2, 4\), it returned \(4,\)"),
+        ("forms", np.ones((4, 2)), r"forms .*\(2, 4\), it returned \(4, 2\)"),
+        ("forms", None, r"forms has to return real numbers of shape \(2, 4\)"),
+        ("forms", [[1, 2], [3]], "forms has to return real numbers"),
+        ("forms", "text", "forms has to return real numbers"),
+        ("forms", 1j * np.ones((2, 4)), "forms has to return real numbers.*complex"),
+        ("forms_velocity_derivative", np.ones((2, 3)), r"velocity_derivative .*\(2, 3\)"),
+        ("gradient", np.ones((4, 1)), r"gradient has to return shape \(4,\), it .*\(4, 1\)"),
+        ("gradient", 0.0, r"gradient has to return shape \(4,\), it returned \(\)"),
+        ("hessian", np.ones(4), r"hessian has to return shape \(4, 4\), it returned \(4,\)"),
+        ("potential", np.ones(1), r"potential has to return shape \(\), it returned \(1,\)"),
+    ],
+)
+def test_wrong_shapes_name_the_function(own, name, value, text):
+    system = own.system(**{name: lambda *arguments: value}, m=2)
+    with pytest.raises(ValueError, match=text):
+        everything(system)
+
+
+def everything(system):
+    """Make the core ask for every output of every function."""
+    system.check()
+    run = dal.integrate(system, "midpoint", h=H, steps=2)
+    return run.energy, run.multipliers
+
+
+# ---- what functions raise ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("error", [Mine("here"), SystemExit(3), KeyboardInterrupt()])
+def test_exceptions_come_back_as_themselves(own, name, error):
+    wrapped = failing(getattr(own, name), 0, error)
+    with pytest.raises(type(error)) as caught:
+        everything(own.system(**{name: wrapped}, m=2))
+    assert caught.value is error
+    names = [frame.name for frame in traceback.extract_tb(caught.tb)]
+    assert "deep_inside" in names and "everything" in names
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "leapfrog", "reference", "midpoint-suzuki4"])
+def test_every_call_of_a_run_may_fail(own, scheme):
+    steps = 4
+    counting = failing(own.forms, -1, None)
+    whole = dal.integrate(own.system(forms=counting, m=2), scheme, h=H, steps=steps)
+    rows = []
+    for k in range(counting.calls()):
+        error = Mine(k)
+        system = own.system(forms=failing(own.forms, k, error), m=2)
+        with pytest.raises(Mine) as caught:
+            dal.integrate(system, scheme, h=H, steps=steps)
+        assert caught.value is error
+        partial = getattr(error, "partial", None)
+        if partial is None:  # before the first step
+            assert not rows or rows[-1] <= 1
+            continue
+        np.testing.assert_array_equal(partial.x, whole.x[: len(partial.x)])
+        assert not partial.success and "Mine" in partial.message
+        rows.append(len(partial.x))
+    assert rows == sorted(rows)
+    assert set(rows) == set(range(1, steps + 1))
+
+
+def test_a_study_does_not_swallow_exceptions(own):
+    """To the core a run that fails is a point of the study; an exception of the user is not."""
+    counting = failing(own.forms, -1, None)
+    dal.convergence(own.system(forms=counting, m=2), "midpoint", t_end=0.5)
+    for k in np.linspace(0, counting.calls() - 1, 12, dtype=int):
+        error = Mine(k)
+        system = own.system(forms=failing(own.forms, k, error), m=2)
+        with pytest.raises(Mine) as caught:
+            dal.convergence(system, "midpoint", t_end=0.5)
+        assert caught.value is error
+
+
+def test_a_run_goes_through_after_a_failure(own):
+    system = own.system(forms=failing(own.forms, 7, Mine()), m=2)
+    with pytest.raises(Mine):
+        dal.integrate(system, "midpoint", h=H, steps=10)
+    run = dal.integrate(system, "midpoint", h=H, steps=10)
+    np.testing.assert_array_equal(run.x, dal.integrate(own.system(), "midpoint", h=H, steps=10).x)
+
+
+@pytest.mark.parametrize("name", ["forms", "gradient"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_nan_is_a_domain_error(own, name, value):
+    function, count = getattr(own, name), 0
+
+    def wrapped(q):
+        nonlocal count
+        count += 1
+        return np.full_like(function(q), value) if count > 20 else function(q)
+
+    with pytest.raises(dal.DomainError) as caught:
+        dal.integrate(own.system(**{name: wrapped}, m=2), "midpoint", h=H, steps=100)
+    assert 1 <= caught.value.step < 20
+    assert len(caught.value.partial.x) == caught.value.step + 1
+    assert np.isfinite(caught.value.partial.x).all()
+
+
+def test_domain_error_of_the_user(own):
+    # In D_q a motion along q0 > 0.35 is refused; the initial q0 is 0.3 and grows.
+    outside = dal.DomainError("q0 is too large")
+
+    def forms(q):
+        if q[0] > 0.35:
+            raise outside
+        return own.forms(q)
+
+    system = own.system(forms=forms, m=2)
+    free = dal.integrate(own.system(), "midpoint", h=H, steps=100)
+    assert free.q[:, 0].max() > 0.35
+    with pytest.raises(dal.DomainError, match="too large") as caught:
+        dal.integrate(system, "midpoint", h=H, steps=100)
+    assert caught.value is outside
+    assert caught.value.partial.q[:, 0].max() <= 0.35
+    assert dal.integrate(system, "midpoint", h=H, steps=100, throw=False).success is False
+
+
+def test_a_function_may_integrate(own):
+    """An inner run that fails and is caught does not disturb the outer one."""
+    inner = own.system(gradient=failing(own.gradient, 5, Mine()))
+
+    def gradient(q):
+        with contextlib.suppress(Mine):
+            dal.integrate(inner, "midpoint", h=H, steps=3)
+        return own.gradient(q)
+
+    run = dal.integrate(own.system(gradient=gradient), "midpoint", h=H, steps=3)
+    np.testing.assert_array_equal(run.x, dal.integrate(own.system(), "midpoint", h=H, steps=3).x)
+
+
+def test_nothing_is_printed(own, capfd):
+    with pytest.raises(Mine):
+        dal.integrate(own.system(gradient=failing(own.gradient, 9, Mine())), h=H, steps=20)
+    assert capfd.readouterr() == ("", "")
+
+
+# ---- observers -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "reference"])
+@pytest.mark.parametrize(("steps", "stride"), [(500, 1), (500, 5), (40_000, 20_000)])
+def test_an_observer_sees_every_stored_state_once(particle, scheme, steps, stride):
+    seen = []
+    run = dal.integrate(
+        particle, scheme, h=1e-4, steps=steps, stride=stride, t0=2.0,
+        observer=lambda step, t, q, v: seen.append((step, t, *q, *v)),
+    )  # fmt: skip
+    assert [s[0] for s in seen] == list(range(0, steps + 1, stride))
+    np.testing.assert_array_equal([s[1] for s in seen], run.t)
+    np.testing.assert_array_equal([s[2:] for s in seen], run.x)
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "reference"])
+@pytest.mark.parametrize("at", [0, 1, 37, 100])
+def test_an_observer_may_stop(particle, scheme, at):
+    run = dal.integrate(
+        particle, scheme, h=0.01, steps=100, observer=lambda step, t, q, v: step >= at
+    )
+    assert run.success and run.status == 1 and "observer" in run.message
+    assert len(run.x) == at + 1 and run.reactions.shape == (at, 1)
+    whole = dal.integrate(particle, scheme, h=0.01, steps=100)
+    np.testing.assert_array_equal(run.x, whole.x[: at + 1])
+
+
+@pytest.mark.parametrize("stride", [1, 20_000])
+@pytest.mark.parametrize("scheme", ["midpoint", "reference"])
+def test_an_observer_may_raise(particle, scheme, stride):
+    error = Mine()
+    observer = failing(lambda *state: None, 3, error)
+    with pytest.raises(Mine) as caught:
+        dal.integrate(particle, scheme, h=1e-5, steps=5 * stride, stride=stride, observer=observer)
+    assert caught.value is error and len(error.partial.x) == 4
+
+
+def test_progress_may_raise(particle):
+    with pytest.raises(Mine) as caught:
+        dal.integrate(particle, h=0.01, steps=100, progress=failing(print, 0, Mine()))
+    assert len(caught.value.partial.x) > 1
+
+
+# ---- Ctrl-C --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def interrupt():
+    """Press Ctrl-C after a moment; the handler is Python's, whatever started the tests."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    yield timer
+    timer.cancel()
+    timer.join()
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("stride", [1_000, 10**9])
+def test_ctrl_c_in_a_run_of_c(particle, interrupt, stride):
+    began = time.perf_counter()
+    interrupt.start()
+    with pytest.raises(KeyboardInterrupt) as caught:
+        dal.integrate(particle, "midpoint", h=1e-6, steps=10**10, stride=stride)
+    # A block takes about 0.1 s; 3 s allow for a busy machine.  The run would take minutes.
+    assert time.perf_counter() - began < 3.3
+    partial = caught.value.partial
+    assert not partial.success and "KeyboardInterrupt" in partial.message
+    assert len(partial.x) > 1 or stride > 1_000
+    assert np.isfinite(partial.x).all()
+
+
+def test_ctrl_c_in_a_run_of_the_reference_flow(own, interrupt):
+    interrupt.start()
+    with pytest.raises(KeyboardInterrupt):
+        dal.integrate(own.system(), "reference", h=0.1, steps=10**7)
+
+
+def test_ctrl_c_in_a_python_function(own, interrupt, capfd):
+    interrupt.start()
+    with pytest.raises(KeyboardInterrupt) as caught:
+        dal.integrate(own.system(), "midpoint", h=1e-4, steps=10**7)
+    assert np.isfinite(caught.value.partial.x).all()
+    again = dal.integrate(own.system(), "midpoint", h=H, steps=3)
+    assert again.success
+
+
+def test_ctrl_c_while_a_trajectory_is_evaluated(own, interrupt):
+    q, v = np.tile(own.q0, (10**6, 1)), np.tile(own.v0(), (10**6, 1))
+    interrupt.start()
+    with pytest.raises(KeyboardInterrupt):
+        own.system().multipliers(q, v)

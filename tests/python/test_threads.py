@@ -1,0 +1,122 @@
+"""Threads: many runs on one system, exceptions in the right thread, no lock held by C."""
+
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+
+H = 0.02
+
+
+def together(count, function):
+    """Call ``function(i)`` in ``count`` threads that start at the same moment."""
+    barrier = threading.Barrier(count)
+
+    def start(i):
+        barrier.wait()
+        return function(i)
+
+    with ThreadPoolExecutor(count) as pool:
+        return list(pool.map(start, range(count)))
+
+
+def states(system, count):
+    """Initial data in D, another for each thread."""
+    rng = np.random.default_rng(2)
+    q = system.q0 + 0.1 * rng.standard_normal((count, system.n))
+    return q, system.project(q, np.tile(system.v0, (count, 1)))
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "leapfrog-kl6", "reference"])
+@pytest.mark.parametrize("kind", ["catalogue", "python"])
+def test_many_runs_on_one_system(own, scheme, kind):
+    system = dal.systems.heisenberg() if kind == "catalogue" else own.system()
+    steps = 3000 if kind == "catalogue" else 30
+    q, v = states(system, 6)
+
+    def run(i):
+        return dal.integrate(system, scheme, q[i], v[i], h=H, steps=steps)
+
+    alone = [run(i) for i in range(6)]
+    for a, b in zip(alone, together(6, run)):
+        np.testing.assert_array_equal(a.x, b.x)
+        assert a.stats == b.stats
+
+
+def test_geometry_of_one_system(own):
+    system = own.system()
+    q, v = states(system, 40)
+    expected = system.multipliers(q, v)
+    for found in together(8, lambda i: [system.multipliers(a, b) for a, b in zip(q, v)]):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_one_solution(own):
+    run = dal.integrate(own.system(), "midpoint", h=H, steps=200)
+    found = together(8, lambda i: run.multipliers)
+    assert all(x is found[0] for x in found)
+
+
+def test_exceptions_stay_in_their_thread(own):
+    """Every thread raises its own exception on the one system, some steps into the run."""
+
+    class Mine(Exception):
+        pass
+
+    local = threading.local()
+
+    def gradient(q):
+        local.calls = getattr(local, "calls", 0) + 1
+        if local.calls == 20 + local.number:
+            raise Mine(local.number)
+        return own.gradient(q)
+
+    system = own.system(gradient=gradient)
+
+    def run(i):
+        local.number = i
+        with pytest.raises(Mine) as caught:
+            dal.integrate(system, "midpoint", h=H, steps=1000)
+        return caught.value.args
+
+    assert together(6, run) == [(i,) for i in range(6)]
+
+
+def test_c_runs_without_the_lock_of_the_interpreter(particle):
+    """While a thread is in C for the whole of a long call, this one goes on."""
+    thread = threading.Thread(
+        target=lambda: dal.integrate(particle, "midpoint", h=1e-6, steps=10**7, stride=10**4)
+    )
+    thread.start()
+    began, ticks = time.perf_counter(), 0
+    while thread.is_alive() and time.perf_counter() - began < 0.3:
+        time.sleep(0.001)
+        ticks += 1
+    assert thread.is_alive()  # else it was too short to tell
+    thread.join()
+    # 0.3 s are at most 300 ticks; with the lock held for blocks of 0.07 s there would be 5.
+    assert ticks > 30
+
+
+def test_a_system_is_freed_after_its_runs():
+    """A run, and a workspace, keep what they need alive."""
+    x = dal.integrate(dal.systems.particle(), "midpoint", h=H, steps=5).multipliers
+    assert x.shape == (6, 1)
+
+
+def end(system, v_y):
+    """The last state of a run; at the top level, so that it pickles."""
+    q0 = np.array([0.0, 1.0, 0.0])
+    return dal.integrate(system, "leapfrog", q0, [1, v_y, 1], h=0.1, steps=100).x[-1]
+
+
+def test_runs_in_other_processes(particle):
+    speeds = [0.5, 1.0]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        found = list(pool.map(end, [particle] * 2, speeds))
+    np.testing.assert_array_equal(found, [end(particle, s) for s in speeds])
