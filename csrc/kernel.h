@@ -13,10 +13,9 @@
  *
  * How it is solved.  Newton on (v', kappa) with the Hessian of V dropped needs one m x m matrix
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
- * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of the
- * acceleration that is not known in advance (M^-1 mu^T lambda, and V_q where it acts at q~'), from
- * those of the three stages before; so the two evaluations of the constraint do not wait for each
- * other.  The iteration stops when an estimate of its next
+ * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of
+ * v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from those of
+ * the three stages before; so the two evaluations of the constraint do not wait for each other.  The iteration stops when an estimate of its next
  * residual is below roundoff, so that most stages evaluate the constraint twice.  At the end the
  * residual of D at the *stored* q~' is predicted from the last evaluation, its rounding included,
  * and mended; where that does not suffice, and in the first two steps after a start, one more
@@ -48,7 +47,6 @@ typedef struct dal_stage {
     double start, node, end; /* weights of V_q at q~, q_k, q~' */
     double span;             /* A + B */
     double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
-    double rate;             /* 1 / (span h): from impulses to forces */
 } dal_stage;
 
 /* What stopped a stage. */
@@ -76,21 +74,24 @@ typedef struct dal_kernel {
     int max_iterations;
 
     double h;
-    double *x;             /* [2n] the state */
     double *impulse;       /* [m] sum of kappa since dal_advance began */
-    bool pulled;           /* pull1, pull2, pull3 are known */
-    double *pull1, *pull2, *pull3;  /* [n] of the last stages, the latest first */
+    bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
     double contraction;    /* of the modified Newton iteration, by the last measurement */
     int start_up;          /* steps that still take an evaluated correction */
 
-    /* Workspace at fixed addresses, so that callbacks see the same buffers at every call. */
-    double *saved;                /* [2n] */
+    /* One block, laid out by dal_kernel_share: the step routine reaches its parts by constant offsets,
+     * and callbacks see the same addresses at every call. */
+    double *x;                    /* [2n] the state */
     double *node, *point, *w;     /* [n] q_k, the current q~', the current v' */
+    double *pull;                 /* [3n] the pulls of the last stages, the latest first */
+    double *mu_node, *mu, *N;     /* [m*n] */
+
+    double *saved;                /* [2n] */
     double *base, *step;          /* [n] the explicit part of v', the last change of w */
     double *stored, *moved;       /* [n] see dal_kernel_place */
-    double *mu_node, *mu, *N, *Z; /* [m*n] */
+    double *Z;                    /* [m*n] */
     double *S, *scale, *r, *d, *kappa; /* [m*m], [m*m], [m] */
     size_t *row;                       /* [m] */
     double *K, *K_scale, *y, *KZ, *R;  /* [n*n], [n*n], [n], [m*n], [n]: dal_kernel_solve only */
@@ -111,6 +112,22 @@ typedef struct dal_kernel {
 #else
 #define DAL_KERNEL_INLINE static inline
 #endif
+
+static inline size_t dal_kernel_shared(size_t n, size_t m) { return 8 * n + 3 * m * n; }
+
+/* Lays x ... N out in block[dal_kernel_shared(n, m)]. */
+static inline void dal_kernel_share(dal_kernel *k, double *block)
+{
+    const size_t n = k->n, m = k->m;
+    k->x = block;
+    k->node = block + 2 * n;
+    k->point = block + 3 * n;
+    k->w = block + 4 * n;
+    k->pull = block + 5 * n;
+    k->mu_node = block + 8 * n;
+    k->mu = k->mu_node + m * n;
+    k->N = k->mu + m * n;
+}
 
 static inline int dal_kernel_fail(dal_kernel *k, int status, dal_failure kind)
 {
@@ -138,14 +155,14 @@ static inline int dal_kernel_potential(dal_kernel *k, const double *q, double *V
 }
 
 /* Sums begin with their first term: 0.0 + x costs an addition, and it is on the critical path. */
-static inline double dal_kernel_sum(size_t n, const double *x)
+DAL_KERNEL_INLINE double dal_kernel_sum(size_t n, const double *x)
 {
     double sum = n > 0 ? fabs(x[0]) : 0.0;
     for (size_t i = 1; i < n; i++) sum += fabs(x[i]);
     return sum;
 }
 
-static inline double dal_kernel_dot(size_t n, const double *a, const double *b)
+DAL_KERNEL_INLINE double dal_kernel_dot(size_t n, const double *a, const double *b)
 {
     double sum = a[0] * b[0];
     for (size_t i = 1; i < n; i++) sum += a[i] * b[i];
@@ -153,7 +170,7 @@ static inline double dal_kernel_dot(size_t n, const double *a, const double *b)
 }
 
 /* Component i of Z^T c, for m > 0. */
-static inline double dal_kernel_column(size_t n, size_t m, const double *Z, size_t i,
+DAL_KERNEL_INLINE double dal_kernel_column(size_t n, size_t m, const double *Z, size_t i,
                                        const double *c)
 {
     double sum = Z[i] * c[0];
@@ -162,7 +179,7 @@ static inline double dal_kernel_column(size_t n, size_t m, const double *Z, size
 }
 
 /* y <- M^-1 f. */
-static inline void dal_kernel_accelerate(const dal_kernel *k, size_t n, const double *f, double *y)
+DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, const double *f, double *y)
 {
     const double *const inverse = k->mass_inverse;
     if (k->diagonal) {
@@ -173,7 +190,7 @@ static inline void dal_kernel_accelerate(const dal_kernel *k, size_t n, const do
 }
 
 /* S <- (mu + b N) Z^T, factored. */
-static inline int dal_kernel_factor(size_t n, size_t m, const double *mu, const double *N, double b,
+DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, const double *mu, const double *N, double b,
                                     const double *Z, double *S, double *scale, size_t *row)
 {
     for (size_t a = 0; a < m; a++)
@@ -193,7 +210,7 @@ static inline int dal_kernel_factor(size_t n, size_t m, const double *mu, const 
 /* The residual of D at the q~' that the stored state gives back, r <- -(mu w + N moved): mu and N
  * were evaluated at a point that lies moved away.  True if it is within limit for every constraint,
  * relative to sum_i |mu^a_i w_i|; then *worst is kept up to date, and *least is the smallest sum. */
-static inline bool dal_kernel_settled(size_t n, size_t m, const double *mu, const double *N,
+DAL_KERNEL_INLINE bool dal_kernel_settled(size_t n, size_t m, const double *mu, const double *N,
                                       const double *w, const double *moved, double limit, double *r,
                                       double *least, double *worst)
 {
@@ -220,7 +237,7 @@ static inline bool dal_kernel_settled(size_t n, size_t m, const double *mu, cons
 /* From the node and the new velocity to what is stored; moved is how far the q~' that it gives back
  * lies from the point of the last evaluation.  With kept nodes q_{k+1} = q_k + h v' is stored, and
  * its reader recovers q~' as q_{k+1} - (1-beta) h v'. */
-static inline void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n, bool kept,
+DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n, bool kept,
                                     const double *node, const double *w, const double *point,
                                     double *stored, double *moved)
 {
@@ -246,7 +263,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
     k->forced = false;
     k->contraction = 1.0;
     k->start_up = 2;
-    for (size_t i = 0; i < k->n; i++) k->pull1[i] = k->pull2[i] = k->pull3[i] = 0.0;
+    memset(k->pull, 0, 3 * k->n * sizeof *k->pull);
 }
 
 #endif /* DALEMBERT_KERNEL_H */
@@ -453,11 +470,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     const bool linear = b == 0.0;                    /* mu(q~') is mu(q_k) */
     const bool kept = !plain && k->kept, potential = !plain && k->potential;
     const bool ends = potential && s->end != 0.0;    /* V_q at the unknown q~' */
-    double *restrict const x = k->x, *restrict const w = k->w, *restrict const N = k->N;
-    double *const node = k->node, *const mu_node = k->mu_node;
-    double *const point = linear ? node : k->point, *const mu = linear ? mu_node : k->mu;
+    double *const x = k->x; /* the others as dal_kernel_share laid them out */
+    double *const node = x + 2 * n, *const w = x + 4 * n, *const pull = x + 5 * n;
+    double *const mu_node = x + 8 * n, *const N = mu_node + 2 * m * n;
+    double *const point = linear ? node : x + 3 * n;
+    double *const mu = linear ? mu_node : mu_node + m * n;
 
-    k->stats.substeps++;
     const double before = kept ? 0.0 : s->before * h; /* a kept node is the state */
     for (size_t i = 0; i < n; i++) node[i] = x[i] + before * x[n + i];
     if (m > 0) {
@@ -475,9 +493,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         double *const force = s->node != 0.0 ? k->force1 : k->force0;
         if (s->node != 0.0 || !k->forced) {
             const double shift = kept ? k->shift * h : 0.0;
-            for (size_t i = 0; i < n; i++) k->point[i] = x[i] - shift * x[n + i];
-            const int returned =
-                DAL_KERNEL_POTENTIAL(k, s->node != 0.0 ? node : k->point, force);
+            double *const start = x + 3 * n; /* q~ itself, where the other q~' will be */
+            for (size_t i = 0; i < n; i++) start[i] = x[i] - shift * x[n + i];
+            const int returned = DAL_KERNEL_POTENTIAL(k, s->node != 0.0 ? node : start, force);
             if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         }
         const double weight = h * (s->node != 0.0 ? s->node : s->start);
@@ -485,15 +503,14 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         for (size_t i = 0; i < n; i++) base[i] -= weight * step[i];
         known += dal_kernel_sum(n, base);
     }
-    const double reach = s->span * h;
-    for (size_t i = 0; i < n; i++)
-        w[i] = base[i] + reach * (s->ahead[0] * k->pull1[i] + (s->ahead[1] * k->pull2[i]
-                                                               + s->ahead[2] * k->pull3[i]));
+    for (size_t i = 0; i < n; i++) /* the latest value enters last, it is waited for */
+        w[i] = (base[i] + (s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i]))
+             + s->ahead[0] * pull[i];
     for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
 
     /* Newton on (v', kappa), Hessian dropped, S frozen. */
     double last = HUGE_VAL, travelled = 0.0, bend = 0.0, least = 0.0;
-    bool solved = false, placed = false, settled = false;
+    bool solved = false, settled = false;
     for (int iteration = 1; !solved; iteration++) {
         int returned = 0;
         if (!linear) {
@@ -535,17 +552,15 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         const double noise = 4.0 * DAL_KERNEL_U * extent;
         if (!(size <= DBL_MAX)) break;
         travelled += size;
-        placed = false;
         if (ends && iteration >= 2) k->contraction = 4.0 * (size > noise ? size : noise) / last;
-        if (size <= noise || (iteration >= 2 && size <= 1e-11 * extent && size >= last)) {
-            solved = true;
-        } else if (!ends || k->contraction * size <= noise) {
+        const bool stuck = iteration > 1 && size <= 1e-11 * extent && size >= last;
+        const bool close = (size <= noise) | stuck; /* no branches: they could not be foretold */
+        if (close || !ends || k->contraction * size <= noise) {
             dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
             settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
                                          &k->stats.worst_residual);
-            placed = true;
             /* bend travelled size / extent: what is left of the residual after this step, at most */
-            solved = bend * travelled * size <= limit * least * extent;
+            solved = close | (bend * travelled * size <= limit * least * extent);
         }
         if (!solved && (iteration >= 10 || (iteration >= 3 && size > 0.5 * last))) break;
         if (solved && ends && iteration == 1) k->contraction *= 2.0; /* measure again some day */
@@ -557,15 +572,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         const int status = dal_kernel_solve(k, s);
         if (status) return status;
         memmove(kappa, k->kappa, m * sizeof *kappa);
+        dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
         settled = false;
     }
 
     /* The residual of D at what is stored. */
-    if (!placed || !solved) dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
     if (m > 0) {
-        if (solved && !placed)
-            settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
-                                         &k->stats.worst_residual);
         if (solved && !settled) {
             dal_lu_solve(m, S, row, r, d);
             for (size_t i = 0; i < n; i++) w[i] += dal_kernel_column(n, m, Z, i, d);
@@ -580,23 +592,20 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
             if (status) return status;
         }
     }
-    double sum = stored[0] + w[0]; /* not finite if any number of the new state is not */
-    for (size_t i = 1; i < n; i++) sum += stored[i] + w[i];
-    if (!(fabs(sum) <= DBL_MAX)) return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
+    if (!(dal_kernel_sum(n, stored) <= DBL_MAX)) /* it overflowed; a w that did was found above */
+        return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
 
-    double *const pull = k->pull3;
-    k->pull3 = k->pull2;
-    k->pull2 = k->pull1;
-    k->pull1 = pull;
     for (size_t i = 0; i < n; i++) {
-        pull[i] = (w[i] - base[i]) * s->rate;
+        pull[2 * n + i] = pull[n + i];
+        pull[n + i] = pull[i];
+        pull[i] = w[i] - base[i];
         x[i] = stored[i];
         x[n + i] = w[i];
     }
     for (size_t a = 0; a < m; a++) k->impulse[a] += kappa[a];
     if (!k->pulled) { /* the best guess of the past */
-        memcpy(k->pull2, pull, n * sizeof *pull);
-        memcpy(k->pull3, pull, n * sizeof *pull);
+        memcpy(pull + n, pull, n * sizeof *pull);
+        memcpy(pull + 2 * n, pull, n * sizeof *pull);
         k->pulled = true;
     }
     if (ends) {
@@ -611,24 +620,27 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
 /* steps steps of k.  *done <- how many were made; on failure the state is that after the last. */
 static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 {
-    const bool plain = !k->potential && !k->kept;
-    for (*done = 0; *done < steps; ++*done) {
+    int status = DAL_SUCCESS;
+    size_t made = 0;
+    for (; made < steps; made++) {
         if (k->stages > 1) memcpy(k->saved, k->x, 2 * k->n * sizeof *k->x);
-        for (size_t j = 0; j < k->stages; j++) {
-            const int status = plain ? DAL_KERNEL_STAGE(k, k->stage + j, true)
-                                     : DAL_KERNEL_STAGE(k, k->stage + j, false);
-            if (status) {
-                if (k->stages > 1) {
-                    memcpy(k->x, k->saved, 2 * k->n * sizeof *k->x);
-                    dal_kernel_forget(k);
-                }
-                return status;
-            }
+        if (k->potential || k->kept) {
+            for (size_t j = 0; j < k->stages && !status; j++)
+                status = DAL_KERNEL_STAGE(k, k->stage + j, false);
+        } else {
+            for (size_t j = 0; j < k->stages && !status; j++)
+                status = DAL_KERNEL_STAGE(k, k->stage + j, true);
         }
+        if (status) break;
         if (k->start_up > 0) k->start_up--;
-        k->stats.steps++;
     }
-    return DAL_SUCCESS;
+    if (status && k->stages > 1) {
+        memcpy(k->x, k->saved, 2 * k->n * sizeof *k->x);
+        dal_kernel_forget(k);
+    }
+    k->stats.steps += made;
+    *done = made;
+    return status;
 }
 
 #undef DAL_KERNEL_ARRAY

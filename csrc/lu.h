@@ -12,9 +12,17 @@
 #include <math.h>
 #include <stddef.h>
 
+/* Where m is a constant these have to be seen by the optimiser. */
+#if defined(__GNUC__)
+#define DAL_LU_INLINE static inline __attribute__((always_inline))
+#else
+#define DAL_LU_INLINE static inline
+#endif
+
 /* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  terms: the
- * number of terms of each entry.  Returns 1; or 0 if A is singular or not finite. */
-static inline int dal_lu_factor(size_t m, size_t terms, double *A, double *scale, size_t *row)
+ * number of terms of each entry.  Returns 1; or 0 if A is singular or NaN, and
+ * then row[0] is the pivot.  With an Inf in A what dal_lu_solve returns is not finite. */
+DAL_LU_INLINE int dal_lu_factor(size_t m, size_t terms, double *A, double *scale, size_t *row)
 {
     const double tolerance = 4.0 * (double)terms * DBL_EPSILON;
     for (size_t i = 0; i < m; i++) row[i] = i;
@@ -36,8 +44,7 @@ static inline int dal_lu_factor(size_t m, size_t terms, double *A, double *scale
             row[j] = row[best];
             row[best] = swap;
         }
-        if (!(fabs(A[j * m + j]) > tolerance * scale[j * m + j])
-            || !(fabs(A[j * m + j]) <= DBL_MAX)) {
+        if (!(fabs(A[j * m + j]) > tolerance * scale[j * m + j])) {
             row[0] = j;
             return 0;
         }
@@ -56,7 +63,7 @@ static inline int dal_lu_factor(size_t m, size_t terms, double *A, double *scale
 }
 
 /* x[m] <- A^-1 b[m] from the factors; x and b may not overlap. */
-static inline void dal_lu_solve(size_t m, const double *A, const size_t *row, const double *b,
+DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, const double *b,
                                 double *x)
 {
     for (size_t i = 0; i < m; i++) {

@@ -45,10 +45,10 @@ typedef struct study {
     double *start;      /* [2n]: what the run starts from */
     double *exact;      /* [2n] */
     double *rows;       /* [(BLOCK + 1)*2n] */
-    double *energy, *relative;         /* [BLOCK + 1] */
+    double *energy, *relative;            /* [BLOCK + 1] */
     double *lambda, *expected, *reaction; /* [m] */
-    double *h, *errors;                /* [count]: of a fit */
-    dal_order_point *points;           /* [count] */
+    double *h, *errors;                   /* [count]: of a fit */
+    dal_order_point *points;              /* [count] */
     dal_error *error;
     arena memory;
 } study;
@@ -283,9 +283,10 @@ typedef struct promise {
     int p, s;
 } promise;
 
+/* From D to D_eps, which is another set unless beta = 1. */
 static bool starts_with_jump(const study *self)
 {
-    return self->kept && self->def->initial == DAL_INITIAL_D;
+    return self->kept && self->shift > 0.0 && self->def->initial == DAL_INITIAL_D;
 }
 
 static promise promise_of_step(const study *self)

@@ -15,7 +15,6 @@ struct dal_stepper {
     dal_substep *substep;
     dal_stage *stage;
     double *fresh;           /* [2n] initial data being examined */
-    double *x;               /* [2n] as kernel.x: the state */
     double t0;
     size_t steps;            /* since the start: t = t0 + steps h */
     bool started;
@@ -61,28 +60,30 @@ static void extrapolate(const double times[3], double t, double weight[3])
     }
 }
 
-/* The pull of a stage belongs to the time of its node. */
+/* The pull of a stage, a change of velocity over its span, belongs to the time of its node. */
 static void plan_predictions(dal_stage *stage, size_t stages)
 {
     for (size_t j = 0; j < stages; j++) {
-        double times[3], start = 0.0; /* before the start of stage j */
+        double times[3], spans[3], start = 0.0; /* before the start of stage j */
         for (size_t back = 1; back <= 3; back++) {
             const dal_stage *s = stage + (j + 3 * stages - back) % stages;
             start -= s->span;
             times[back - 1] = start + s->before;
+            spans[back - 1] = s->span;
         }
         extrapolate(times, stage[j].before, stage[j].ahead);
+        for (int i = 0; i < 3; i++) stage[j].ahead[i] *= stage[j].span / spans[i];
     }
 }
 
 static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
 {
     const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
-    double **const vectors[] = {&k->force0, &k->force1, &k->pull1, &k->pull2, &k->pull3, &k->node,
-                                &k->point, &k->w, &k->base, &k->step, &k->stored, &k->moved,
+    double **const vectors[] = {&k->force0, &k->force1, &k->base, &k->step, &k->stored, &k->moved,
                                 &k->y, &k->R};
-    double **const forms[] = {&k->mu_node, &k->mu, &k->N, &k->Z, &k->KZ};
+    double **const forms[] = {&k->Z, &k->KZ};
     double **const multipliers[] = {&k->impulse, &k->r, &k->d, &k->kappa};
+    dal__reserve(a, &k->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(2, n), sizeof(double));
     for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
         dal__reserve(a, vectors[i], n, sizeof(double));
@@ -131,7 +132,7 @@ static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_o
     k->kept = scheme->nodes == DAL_KEPT_NODES;
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
     k->max_iterations = options->max_iterations ? options->max_iterations : 50;
-    k->x = self->x;
+    dal_kernel_share(k, k->x);
     if (options->solver == DAL_SOLVER_SCHUR)
         self->advance = dal__kernel_for(k->n, k->m, options->sizes);
 }
@@ -158,7 +159,6 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
     dal__reserve(&memory, &shape.stage, count, sizeof *shape.stage);
     dal__reserve(&memory, &shape.fresh, dal__times(2, n), sizeof(double));
-    dal__reserve(&memory, &shape.x, dal__times(2, n), sizeof(double));
     status = dal__allocate(&memory, error);
     if (status) return status;
     /* the slots that the arena has filled are those of shape */
@@ -187,7 +187,7 @@ void dal_stepper_free(dal_stepper *stepper)
 }
 
 const char *dal_stepper_message(const dal_stepper *stepper) { return stepper->error.text; }
-const double *dal_stepper_state(const dal_stepper *stepper) { return stepper->x; }
+const double *dal_stepper_state(const dal_stepper *stepper) { return stepper->kernel.x; }
 
 const dal_system *dal__stepper_system(const dal_stepper *stepper) { return stepper->system; }
 dal_error *dal__stepper_error(dal_stepper *stepper) { return &stepper->error; }
@@ -201,6 +201,7 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
 {
     const evaluator *const e = &stepper->mech.eval;
     *stats = stepper->kernel.stats;
+    stats->substeps = stats->steps * stepper->substeps;
     /* the evaluator counts what goes through it; the step routine's calls do if it differences */
     if (e->constraint_ctx == e) stats->constraint_calls = 0;
     if (e->potential_ctx == e) stats->potential_calls = 0;
@@ -294,10 +295,9 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     for (size_t i = 0; initial == DAL_INITIAL_SHIFT && i < n; i++)
         self->fresh[i] += shift * self->fresh[n + i];
 
-    memcpy(self->x, self->fresh, 2 * n * sizeof *x);
+    memcpy(k->x, self->fresh, 2 * n * sizeof *x);
     k->h = h;
     k->stats = stats;
-    for (size_t j = 0; j < k->stages; j++) self->stage[j].rate = 1.0 / (self->stage[j].span * h);
     dal_kernel_forget(k);
     self->t0 = t0;
     self->steps = 0;
@@ -367,7 +367,6 @@ static int advance_multiroot(dal_stepper *self, size_t steps, size_t *done)
             const int status =
                 dal__multiroot_step(self->multiroot, s.beta, s.fraction * k->h, x, k->kappa);
             k->stats.iterations += dal__multiroot_iterations(self->multiroot);
-            k->stats.substeps++;
             if (status) return status;
             for (size_t a = 0; a < k->m; a++) k->impulse[a] += k->kappa[a];
         }

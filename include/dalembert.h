@@ -391,7 +391,7 @@ typedef enum dal_initial {
 /* What a stepper has done since it was started. */
 typedef struct dal_stats {
     size_t steps;
-    size_t substeps;            /* systems of equations solved */
+    size_t substeps;            /* of the record, in these steps */
     size_t iterations;          /* Newton iterations */
     size_t constraint_calls, potential_calls;
     size_t corrections;         /* final corrections that took an evaluation of their own */

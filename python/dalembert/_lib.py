@@ -132,18 +132,9 @@ _raised = _Raised()
 
 
 def attempt(function: Callable[..., int], *arguments: Any) -> int:
-    """Call a C function that may call back; return its status for :func:`failure`.
-
-    Where C goes on after a callback has failed, as a study does with its other runs, the exception
-    is raised here.
-    """
+    """Call a C function that may call back; return its status for :func:`failure`."""
     _raised.exception = None
-    status = function(*arguments)
-    exception = _raised.exception
-    if status >= 0 and exception is not None and not isinstance(exception, DomainError):
-        _raised.exception = None
-        raise exception
-    return status
+    return function(*arguments)
 
 
 def failure(

@@ -36,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Examples
     --------
     >>> from dalembert.cli import main
-    >>> main(["study", "particle", "--scheme", "midpoint", "--json", "--no-report"])  # doctest: +SKIP
+    >>> main(["--version"])  # doctest: +ELLIPSIS
+    dalembert ...
     0
     """
     parser = _parser()

@@ -983,7 +983,7 @@ def reference(
 # ---- arguments -----------------------------------------------------------------------------
 
 
-def _integer(value: Any, name: str, least: int, most: int = 2**63 - 1) -> int:
+def _integer(value: Any, name: str, least: int, most: float = 2**63 - 1) -> int:
     try:
         number = operator.index(value)
     except TypeError:
@@ -999,7 +999,7 @@ def _number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None
         given = "none" if steps is None else "both"
         raise ValueError(f"t_end and steps: expected one of them, got {given}")
     if t_end is None:
-        return _integer(steps, "steps", 0, sys.maxsize**4)
+        return _integer(steps, "steps", 0, math.inf)  # the memory says how many
     t_end = _lib.number(t_end, "t_end")
     ratio = (t_end - t0) / h
     if ratio < 0.0:

@@ -33,6 +33,7 @@ LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)))
 
 ROUNDOFF = 2.0**-53
 ZERO = 1e-17  # where an exact zero is drawn on a logarithmic axis
+NOT_ROUNDOFF = 1e-8  # the axis of residuals reaches here, so that roundoff looks small
 STRETCHES = 50  # of a run, for the drift: roundoff of every step would hide what is beneath it
 
 QUANTITIES = {
@@ -82,8 +83,8 @@ def convergence(
 ) -> Axes:
     """Draw errors over the step size, log-log, with the fitted orders and slope triangles.
 
-    Hollow markers are points that do not count for the fit: they are closer than a factor 100 to
-    the round-off floor, or exactly zero and drawn at 1e-17.
+    Lines join the points that count for the fit.  Hollow markers are the others: they are closer
+    than a factor 100 to the round-off floor, or exactly zero and drawn at 1e-17.
 
     Parameters
     ----------
@@ -124,10 +125,11 @@ def convergence(
         h, error = np.abs(item.h[drawn]), np.maximum(error[drawn], ZERO)
         counts = error > 100 * item.floor
         style = dict(styles[item.scheme.name])
-        line, = ax.loglog(h, error, label=f"{item.scheme.name}: {fit.order(loss)}", **style)
+        line, = ax.loglog(h[counts], error[counts], label=f"{item.scheme.name}: {fit.order(loss)}",
+                          **style)
         ax.plot(h[~counts], error[~counts], linestyle="none", marker=style.get("marker"),
                 markersize=style.get("markersize"), color=line.get_color(),
-                markerfacecolor="white", zorder=3)
+                markerfacecolor="white")
         if not math.isnan(fit.slope) and not fit.exact and round(fit.slope) > 0:
             _lowest(triangles, round(fit.slope), h[counts], error[counts])
     for slope, (_, h, error) in sorted(triangles.items()):
@@ -206,6 +208,9 @@ def drift(
                       textcoords="offset points", va="center")
         axis.set_title(title)
         axis.set_xlabel("time t (user's units)")
+    for axis in axes:
+        lowest, highest = axis.get_ylim()
+        axis.set_ylim(min(lowest, ZERO / 4), max(highest, NOT_ROUNDOFF))
     axes[0].set_ylabel("relative residual of the constraint")
     _legend(axes[1], None, axes[0].get_legend_handles_labels())
     return axes

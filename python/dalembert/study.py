@@ -69,7 +69,7 @@ class Fit:
         """Return ``slope - loss`` in words: a number, "exact", or "-" if it is not known."""
         if self.exact:
             return "exact"
-        return "-" if math.isnan(self.slope) else f"{self.slope - loss:.2f}"
+        return _order(self.slope - loss)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -697,7 +697,7 @@ def _number(x: float) -> str:
 
 
 def _order(x: float) -> str:
-    return "-" if not math.isfinite(x) else f"{x:.2f}"
+    return "-" if not math.isfinite(x) else f"{round(x, 2) + 0.0:.2f}"  # no -0.00
 
 
 def _worst(values: Array) -> float:

@@ -452,7 +452,7 @@ static void test_unstable_msbdf(void)
 
 static void test_arguments(void)
 {
-    double x0[MOST], x[MOST], accuracy = -1.0;
+    double x0[MOST] = {0}, x[MOST], accuracy = -1.0;
     dal_error error;
     dal_system *system = open_system("particle", x0);
     dal_flow *const none = NULL;

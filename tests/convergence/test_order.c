@@ -18,7 +18,7 @@ enum { SYSTEMS = sizeof systems / sizeof systems[0] };
 /* A study and all that has to be freed or printed afterwards. */
 typedef struct measurement {
     const char *system_name;
-    char scheme_name[48];
+    char scheme_name[64];
     dal_order_point points[MOST_POINTS];
     size_t count;
     dal_order order;
@@ -56,13 +56,18 @@ static void fit_run(measurement *result)
     dal_fit_order(result->count, h, errors, result->order.floor, &result->run);
 }
 
+/* A study from the system's own initial data.  The contact oscillator's are at rest, where D_eps
+ * and D meet; kept nodes start from others. */
 static measurement measure(const char *system_name, const dal_scheme *scheme, dal_initial initial,
                            double t_end, size_t count, const size_t *steps)
 {
+    const double moving[6] = {1.2, 0.5, -0.7, 0.4, 1.0, -0.8};
     double x0[MOST];
     dal_error error = {0};
     measurement result = {.system_name = system_name, .count = count};
     dal_system *system = open_system(system_name, x0);
+    if (initial != DAL_INITIAL_NONE && strcmp(system_name, "contact_oscillator") == 0)
+        memcpy(x0, moving, sizeof moving);
     const dal_order_def def = {.t_end = t_end, .x0 = x0, .steps = steps, .count = count,
                                .initial = initial, .tolerance = 1e-14};
     snprintf(result.scheme_name, sizeof result.scheme_name, "%s%s", scheme->name,
@@ -195,7 +200,9 @@ static void test_orders(void)
         const dal_scheme scheme = find_scheme(k->scheme);
         CHECK(scheme.order == k->p);
         for (size_t i = 0; i < SYSTEMS; i++) {
-            measurement result = measure(systems[i], &scheme, DAL_INITIAL_NONE, k->t_end, k->count,
+            /* The errors on the sleigh are so small that its steps have to be longer. */
+            const double t_end = k->t_end * (strcmp(systems[i], "sleigh") == 0 ? 1.5 : 1.0);
+            measurement result = measure(systems[i], &scheme, DAL_INITIAL_NONE, t_end, k->count,
                                          k->steps);
             expect_order(&result, k->p);
             if (k->p == 1) expect_equal(&result, &result.run, 1, "the state at t_end");
@@ -217,9 +224,315 @@ static void test_midpoint_reactions(void)
     }
 }
 
+/* ---- where an order is lost ---------------------------------------------------------------- */
+
+static const size_t plain_steps[] = {40, 60, 80, 100, 120, 160};
+enum { PLAIN = sizeof plain_steps / sizeof plain_steps[0] };
+
+/* Kept nodes: the states are the nodes, which lie (1 - beta) h ahead of their time label, so the
+ * order is 1 however the run starts.  A step from D_eps has (1, 0).  The first step from D has
+ * (0, -1), E12, but on Heisenberg's system, where D_eps is D for beta = 1/2, and for beta = 1,
+ * where it is D for every system. */
+static void test_kept_nodes(const char *name, bool jumps)
+{
+    static const dal_initial starts[] = {DAL_INITIAL_D, DAL_INITIAL_D_EPS, DAL_INITIAL_PROJECT,
+                                         DAL_INITIAL_SHIFT};
+    const dal_scheme scheme = find_scheme(name);
+    for (size_t i = 0; i < SYSTEMS; i++)
+        for (size_t k = 0; k < sizeof starts / sizeof starts[0]; k++) {
+            measurement result = measure(systems[i], &scheme, starts[k], 1.0, PLAIN, plain_steps);
+            const dal_order *const o = &result.order;
+            const bool heisenberg = strcmp(systems[i], "heisenberg") == 0;
+            expect_equal(&result, &result.run, 1, "the state at t_end");
+            if (starts[k] == DAL_INITIAL_D && jumps && !heisenberg) {
+                expect_equal(&result, &o->state, 1, "the state after the first step from D");
+                expect_equal(&result, &o->reaction, 0, "the reaction of the first step from D");
+                expect_flag(&result, fabs(o->p) <= SLACK && fabs(o->s + 1) <= SLACK, "(0, -1)");
+            } else {
+                expect_at_least(&result, &o->state, 2, "the state after a step");
+                expect_at_least(&result, &o->reaction, 1, "the reaction at the end of a step");
+            }
+            expect_flag(&result, o->keeps_D_eps, "D_eps is not kept");
+            if (jumps && !heisenberg) expect_flag(&result, !o->keeps_D, "D is kept");
+            expect_flag(&result, o->holds == 1, o->text);
+        }
+}
+
+/* Two records of the same four sub-steps: 0, 1 in turn is symmetric and has order 2, twice 0 and
+ * then twice 1 is not and has order 1.  Neither promises anything. */
+static void test_own_records(void)
+{
+    const dal_substep in_turn[4] = {{0, 0.25}, {1, 0.25}, {0, 0.25}, {1, 0.25}};
+    const dal_substep explicit_only[2] = {{0, 0.5}, {0, 0.5}};
+    const dal_scheme alternating = {.name = "0 1 0 1", .count = 4, .substeps = in_turn};
+    const dal_scheme one_sided = {.name = "0 0", .count = 2, .substeps = explicit_only};
+    const dal_scheme quarter = {.name = "beta = 1/4", .beta = 0.25};
+    for (size_t i = 0; i < SYSTEMS; i++) {
+        measurement second = measure(systems[i], &alternating, DAL_INITIAL_NONE, 1.0, PLAIN,
+                                     plain_steps);
+        measurement first = measure(systems[i], &one_sided, DAL_INITIAL_NONE, 1.0, PLAIN,
+                                    plain_steps);
+        measurement between = measure(systems[i], &quarter, DAL_INITIAL_NONE, 1.0, PLAIN,
+                                      plain_steps);
+        expect_at_least(&second, &second.order.state, 3, "the state after a step");
+        expect_at_least(&second, &second.run, 2, "the state at t_end");
+        expect_equal(&first, &first.run, 1, "the state at t_end");
+        expect_equal(&between, &between.run, 1, "the state at t_end");
+        expect_flag(&second, second.order.holds == -1 && second.order.keeps_D, second.order.text);
+        expect_flag(&first, isnan(first.points[0].residual_eps), "D_eps of several sub-steps");
+        if (strcmp(systems[i], "heisenberg") != 0) /* where D_eps is D */
+            expect_flag(&between, between.points[0].residual_eps > 1e-4, "D_eps is kept");
+    }
+}
+
+/* A record that promises too much does not hold, in p as in s. */
+static void test_false_promises(void)
+{
+    dal_scheme liar = find_scheme("explicit");
+    liar.order = 2;
+    measurement result = measure("generic4", &liar, DAL_INITIAL_NONE, 1.0, PLAIN, plain_steps);
+    expect_flag(&result, result.order.holds == 0, result.order.text);
+    liar = find_scheme("midpoint");
+    liar.multiplier_order = 1;
+    result = measure("generic4", &liar, DAL_INITIAL_NONE, 1.0, PLAIN, plain_steps);
+    expect_flag(&result, result.order.holds == 0, result.order.text);
+    CHECK(strstr(result.order.text, "does not hold") != NULL);
+    const dal_scheme honest = find_scheme("midpoint");
+    result = measure("generic4", &honest, DAL_INITIAL_NONE, 1.0, 2, plain_steps);
+    expect_flag(&result, result.order.holds == -2, result.order.text); /* two points say nothing */
+}
+
+/* ---- numbers that are known ---------------------------------------------------------------- */
+
+/* midpoint on the disk: v and the heading are exact, and lambda depends on nothing else. */
+static void test_disk(void)
+{
+    const dal_scheme midpoint = find_scheme("midpoint");
+    measurement result = measure("disk", &midpoint, DAL_INITIAL_NONE, 1.0, PLAIN, plain_steps);
+    expect_flag(&result, result.order.multipliers.exact, "lambda(q, v) after a step is exact");
+    expect_flag(&result, result.order.global_multipliers.exact, "lambda(q, v) at t_end is exact");
+    expect_flag(&result, result.order.global_v.exact, "v at t_end is exact");
+    expect_at_least(&result, &result.order.global_q, 2, "q at t_end");
+    expect_equal(&result, &result.order.midpoint, 2, "the reaction in the middle");
+    expect_flag(&result, result.order.holds == 1, result.order.text);
+}
+
+/* One step of the particle in closed form (spec of the beta-schemes on D):
+ *   y' = y + h b, y_q = y + (1-beta) h b, s_q = 1 + y' y_q, lambda = a b / s_q,
+ *   a' = a (1 + y y_q) / s_q, c' = y' a', x' = x + h ((1-beta) a + beta a'), z' likewise;
+ * and the exact solution: a(t) sqrt(1+y(t)^2) is constant, lambda(t) = a(t) b / (1+y(t)^2). */
+static void test_particle_step(const char *name, double beta)
+{
+    static const size_t steps[] = {7};
+    const dal_scheme scheme = find_scheme(name);
+    const double h = 1.0 / 7.0, y = 0.3, a = 1.0, b = 0.7;
+    const double y1 = y + h * b, ym = y + 0.5 * h * b, yq = y + (1 - beta) * h * b;
+    const double reaction = a * b / (1 + y1 * yq);
+    const double a1 = a * (1 + y * yq) / (1 + y1 * yq);
+    const double constant = a * sqrt(1 + y * y);
+    const double exact_a1 = constant / sqrt(1 + y1 * y1);
+    const double dx = h * ((1 - beta) * a + beta * a1) - constant / b * (asinh(y1) - asinh(y));
+    const double dz = h * ((1 - beta) * y * a + beta * y1 * a1) -
+                      constant / b * (sqrt(1 + y1 * y1) - sqrt(1 + y * y));
+    const double da = a1 - exact_a1, dc = y1 * da;
+    const double state = fmax(fmax(fabs(dx), fabs(dz)), fmax(fabs(da), fabs(dc)));
+    const double at_end = exact_a1 * b / (1 + y1 * y1);
+    const double in_middle = constant * b / pow(1 + ym * ym, 1.5);
+
+    const measurement result = measure("particle", &scheme, DAL_INITIAL_NONE, 1.0, 1, steps);
+    const dal_order_point *const p = &result.points[0];
+    const double roundoff = 64 * 1.1e-16; /* of numbers about 1; reactions are divided by h */
+    CHECK(p->steps == 7);
+    CHECK_NEAR(p->h, h, roundoff);
+    CHECK_NEAR(p->local_state, state, roundoff);
+    CHECK_NEAR(p->local_multipliers, fabs(a1 * b / (1 + y1 * y1) - at_end), roundoff);
+    CHECK_NEAR(p->local_reaction, fabs(reaction - at_end), roundoff / h);
+    CHECK_NEAR(p->local_midpoint, fabs(reaction - in_middle), roundoff / h);
+}
+
+/* What a run shows: a loop written by hand sees the same end, energy and residuals. */
+static void test_run(void)
+{
+    static const size_t steps[] = {600}; /* more than one block */
+    const dal_scheme scheme = find_scheme("explicit");
+    const measurement result = measure("generic4", &scheme, DAL_INITIAL_NONE, 3.0, 1, steps);
+    const dal_order_point *const p = &result.points[0];
+
+    double x[8], energy0, energy, residual, worst = 0.0, drift = 0.0;
+    dal_system *system = open_system("generic4", x);
+    dal_mechanics *mechanics = NULL;
+    dal_stepper *stepper = NULL;
+    dal_flow *flow = NULL;
+    CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
+    CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, NULL) == 0);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 1e-14, NULL) == 0);
+    CHECK(dal_stepper_start(stepper, 0.0, 3.0 / 600, x, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_energy(mechanics, dal_stepper_state(stepper), &energy0) == 0);
+    for (size_t k = 0; k < 600; k++) {
+        CHECK(dal_step(stepper, NULL) == 0);
+        CHECK(dal_energy(mechanics, dal_stepper_state(stepper), &energy) == 0);
+        CHECK(dal_relative_residual(mechanics, 3.0 / 600, dal_stepper_state(stepper),
+                                    &residual) == 0);
+        drift = fmax(drift, fabs(energy - energy0) / fmax(fabs(energy0), 1.0));
+        worst = fmax(worst, residual);
+    }
+    CHECK(dal_flow_apply(flow, 0.0, 3.0, x, NULL) == 0);
+    double q = 0.0, v = 0.0;
+    for (size_t i = 0; i < 4; i++) {
+        q = fmax(q, fabs(dal_stepper_state(stepper)[i] - x[i]));
+        v = fmax(v, fabs(dal_stepper_state(stepper)[4 + i] - x[4 + i]));
+    }
+    const double roundoff = 1e-12; /* 600 steps of a few u each, growing with the flow */
+    CHECK_NEAR(p->q, q, roundoff);
+    CHECK_NEAR(p->v, v, roundoff);
+    CHECK_NEAR(p->energy, drift, roundoff);
+    CHECK_NEAR(p->residual_eps, worst, roundoff);
+    CHECK(p->residual <= 4 * 4 * 1.2e-16);
+    dal_flow_free(flow);
+    dal_stepper_free(stepper);
+    dal_mechanics_free(mechanics);
+    dal_system_free(system);
+}
+
+/* Backwards the orders are the same. */
+static void test_backwards(void)
+{
+    const dal_scheme scheme = find_scheme("leapfrog");
+    measurement result = measure("generic4", &scheme, DAL_INITIAL_NONE, -1.0, PLAIN, plain_steps);
+    expect_order(&result, 2);
+    expect_flag(&result, result.points[0].h == -1.0 / 40, "h is negative");
+}
+
+/* ---- fits ---------------------------------------------------------------------------------- */
+
+static void test_fit(void)
+{
+    const double h[6] = {0.1, -0.05, 0.03, 0.02, 0.01, 0.005};
+    double errors[6];
+    dal_fit fit;
+    for (size_t i = 0; i < 6; i++) errors[i] = 7.0 * pow(fabs(h[i]), 2.5);
+    dal_fit_order(6, h, errors, 1e-12, &fit);
+    CHECK_NEAR(fit.slope, 2.5, 1e-13);
+    CHECK(fit.points == 6 && !fit.exact);
+
+    errors[4] = 5e-9; /* below the floor, or not a number: they do not count */
+    errors[5] = NAN;
+    dal_fit_order(6, h, errors, 1e-10, &fit);
+    CHECK_NEAR(fit.slope, 2.5, 1e-13);
+    CHECK(fit.points == 4);
+    dal_fit_order(2, h, errors, 1e-12, &fit); /* two points */
+    CHECK(isnan(fit.slope) && fit.points == 2 && !fit.exact);
+    const double close[3] = {0.1, 0.08, 0.06}; /* a factor of less than two in h */
+    dal_fit_order(3, close, errors, 1e-12, &fit);
+    CHECK(isnan(fit.slope) && fit.points == 3);
+    const double noise[6] = {1e-16, 0.0, 2e-16, 1e-16, 0.0, 1e-16};
+    dal_fit_order(6, h, noise, 1e-15, &fit);
+    CHECK(isnan(fit.slope) && fit.points == 0 && fit.exact);
+    const double nothing[2] = {NAN, NAN};
+    dal_fit_order(2, h, nothing, 1e-15, &fit);
+    CHECK(!fit.exact && fit.points == 0);
+    const double scattered[3] = {1.0, 2.0, 8.0}; /* least squares by hand: 1.5 log 2 / log 2 */
+    const double doubled[3] = {1.0, 2.0, 4.0};
+    dal_fit_order(3, doubled, scattered, 0.0, &fit);
+    CHECK_NEAR(fit.slope, 1.5, 1e-14);
+}
+
+/* ---- what can go wrong --------------------------------------------------------------------- */
+
+/* The particle with beta = 1, y = -1, h v_y = 2 is singular: a failed point, not a failed study. */
+static void test_failed_points(void)
+{
+    static const size_t steps[] = {1, 100, 150, 200, 300};
+    const double x0[6] = {0.0, -1.0, 0.0, 1.0, 2.0, -1.0};
+    double unused[6];
+    dal_order_point points[5];
+    dal_order order;
+    dal_error error = {0};
+    const dal_scheme endpoint = find_scheme("endpoint");
+    dal_system *system = open_system("particle", unused);
+    const dal_order_def def = {.t_end = 1.0, .x0 = x0, .steps = steps, .count = 5};
+    CHECK(dal_order_study(system, &endpoint, &def, points, &order, &error) == 0);
+    CHECK(points[0].failed == DAL_ESINGULAR);
+    CHECK(isnan(points[0].q) && isnan(points[0].local_state) && points[0].h == 1.0);
+    CHECK(points[1].failed == 0 && points[1].q > 0.0);
+    CHECK(strstr(order.text, "1 of 5 runs failed") != NULL);
+    CHECK(order.holds == 1 && order.state.points == 4 && error.text[0] == '\0');
+    dal_system_free(system);
+}
+
+static int stopped_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                              double *phi_q, void *ctx)
+{
+    size_t *const calls = ctx;
+    return ++*calls > 500 ? -1 : generic4_constraint(q, v, phi, phi_v, phi_q, NULL);
+}
+
+static void test_arguments(void)
+{
+    double x0[8], off[8];
+    dal_order_point points[2];
+    dal_order order;
+    dal_error error;
+    static const size_t steps[] = {10, 20}, none[] = {10, 0};
+    dal_system *system = open_system("generic4", x0);
+    const dal_scheme midpoint = find_scheme("midpoint"), kept = find_scheme("midpoint-nodes");
+    const dal_order_def good = {.t_end = 1.0, .x0 = x0, .steps = steps, .count = 2};
+    CHECK(dal_order_study(system, &midpoint, &good, points, &order, &error) == 0);
+    const dal_order before = order;
+
+#define REFUSED(scheme, status, word, ...)                                                        \
+    do {                                                                                          \
+        dal_order_def bad = good;                                                                 \
+        __VA_ARGS__;                                                                              \
+        CHECK(dal_order_study(system, scheme, &bad, points, &order, &error) == status);           \
+        CHECK(strstr(error.text, word) != NULL);                                                  \
+        CHECK(memcmp(&order, &before, sizeof order) == 0);                                        \
+    } while (0)
+    REFUSED(&midpoint, DAL_EINVAL, "t_end = nan", bad.t_end = NAN);
+    REFUSED(&midpoint, DAL_EINVAL, "t_end = 0", bad.t_end = 0.0);
+    REFUSED(&midpoint, DAL_EINVAL, "x0 is NULL", bad.x0 = NULL);
+    REFUSED(&midpoint, DAL_EINVAL, "count = 0", bad.count = 0);
+    REFUSED(&midpoint, DAL_EINVAL, "steps[1] = 0", bad.steps = none);
+    REFUSED(&midpoint, DAL_EINVAL, "tolerance = 1", bad.tolerance = 1.0);
+    REFUSED(&midpoint, DAL_EINVAL, "initial = 4", bad.initial = DAL_INITIAL_SHIFT);
+    REFUSED(&kept, DAL_EINVAL, "initial = 0", bad.initial = DAL_INITIAL_NONE);
+    REFUSED(NULL, DAL_EINVAL, "scheme is NULL", (void)bad);
+    memcpy(off, x0, sizeof off);
+    off[5] += 0.01;
+    REFUSED(&midpoint, DAL_EOFFD, "does not lie in D", bad.x0 = off);
+    off[5] = INFINITY;
+    REFUSED(&midpoint, DAL_EINVAL, "x0[5] = inf", bad.x0 = off);
+    dal_system_free(system);
+
+    /* A callback that says stop is obeyed. */
+    size_t calls = 0;
+    const dal_system_def def = {.n = 4, .m = 2, .mass = generic4_mass,
+                                .potential = generic4_potential,
+                                .constraint = stopped_constraint, .ctx = &calls};
+    CHECK(dal_system_new(&system, &def, &error) == 0);
+    CHECK(dal_order_study(system, &midpoint, &good, points, &order, &error) == DAL_EUSER);
+    CHECK(calls == 501);
+    dal_system_free(system);
+#undef REFUSED
+}
+
 int main(void)
 {
     test_orders();
     test_midpoint_reactions();
+    test_kept_nodes("explicit-nodes", true);
+    test_kept_nodes("midpoint-nodes", true);
+    test_kept_nodes("endpoint-nodes", false);
+    test_own_records();
+    test_false_promises();
+    test_disk();
+    test_particle_step("explicit", 0.0);
+    test_particle_step("midpoint", 0.5);
+    test_particle_step("endpoint", 1.0);
+    test_run();
+    test_backwards();
+    test_fit();
+    test_failed_points();
+    test_arguments();
     return check_done();
 }

@@ -2,6 +2,7 @@
 
 import pickle
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -440,6 +441,25 @@ def test_differenced_are_in_the_statistics(own):
     full = dal.integrate(own.system(), "midpoint", h=H, steps=5)
     # Only Newton's matrix is differenced: the solution is the same to what Newton stops at.
     np.testing.assert_allclose(run.x, full.x, atol=TOLERANCE)
+
+
+def test_a_step_that_is_large_for_the_potential_is_a_warning():
+    # h^2 V_qq beta (1 - beta) / M = 62: Newton without the Hessian does not contract.
+    stiff = dal.System(
+        mass=[1, 1],
+        potential=lambda q: 500 * q @ q,
+        gradient=lambda q: 1000 * q,
+        hessian=lambda q: 1000 * np.eye(2),
+        q0=[1, 0],
+        v0=[0, 1],
+    )
+    with pytest.warns(dal.DalembertWarning, match="h = 0.5 is large") as caught:
+        run = dal.integrate(stiff, "midpoint", h=0.5, steps=4)
+    assert caught[0].filename == __file__
+    assert run.success and run.stats.full_newtons == 4
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dal.integrate(stiff, "midpoint", h=0.005, steps=4)
 
 
 # ---- progress ------------------------------------------------------------------------------

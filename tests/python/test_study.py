@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -155,6 +156,22 @@ def test_default_steps_tell_the_order(name, t_end):
     assert list(study.steps) == sorted(set(study.steps)) and study.holds is True
 
 
+@pytest.mark.parametrize("above, window", [(16, [8, 10, 12, 14, 16]), (5, [2, 3, 4, 5]),
+                                           (3, [1, 2, 3]), (2, [1, 2]), (0, [1, 2, 3])])
+def test_default_steps_are_the_finest_above_the_floor(above, window):
+    asked = []
+
+    def probe(duration, steps):
+        asked.append(duration)
+        return SimpleNamespace(steps=steps, floor=1e-15, local_error=np.array(
+            [1.1e-13 if count <= above else 0.9e-13 for count in steps]))
+
+    steps = module._default_steps(6, 3.2, probe)
+    assert steps[:-len(module.FINE)] == [3 * count for count in window]
+    assert steps[-len(module.FINE):] == [3 * count for count in module.FINE]
+    assert asked == [3.2 / 3, 3.2]  # about a unit of time, and the whole for its floor
+
+
 def test_every_named_scheme_has_a_verdict_with_the_default_steps():
     studies = dal.studies(dal.systems.particle())
     assert [study.scheme.name for study in studies] == [scheme.name for scheme in dal.schemes()]
@@ -204,10 +221,11 @@ def test_the_table_is_complete_and_fits(midpoint):
     assert "p over 5 points, s over 5 points" in flat(text)
 
 
-def test_every_cell_is_seen_on_a_narrow_terminal(midpoint):
+@pytest.mark.parametrize("width", [24, 37, 38, 39, 40, 60, 79])
+def test_every_cell_is_seen_on_a_narrow_terminal(midpoint, width):
     wide = module._plain(midpoint.columns(), 100)
-    narrow = module._plain(midpoint.columns(), 40)
-    assert max(map(len, narrow)) <= 40 < max(map(len, wide))
+    narrow = module._plain(midpoint.columns(), width)
+    assert max(map(len, narrow)) <= width
     assert {*" ".join(wide).split()} == {*" ".join(narrow).split()}
 
 

@@ -87,19 +87,34 @@ def test_exceptions_stay_in_their_thread(own):
     assert together(6, run) == [(i,) for i in range(6)]
 
 
+class Enough(Exception):
+    """Ends a run from its progress function."""
+
+
 def test_c_runs_without_the_lock_of_the_interpreter(particle):
-    """While a thread is in C for the whole of a long call, this one goes on."""
-    thread = threading.Thread(
-        target=lambda: dal.integrate(particle, "midpoint", h=1e-6, steps=10**7, stride=10**4)
-    )
-    thread.start()
-    began, ticks = time.perf_counter(), 0
-    while thread.is_alive() and time.perf_counter() - began < 0.3:
-        time.sleep(0.001)
-        ticks += 1
-    assert thread.is_alive()  # else it was too short to tell
-    thread.join()
-    # 0.3 s are at most 300 ticks; with the lock held for blocks of 0.07 s there would be 5.
+    """While a thread is in C, in blocks of about 0.07 s, this one goes on."""
+    enough = threading.Event()
+
+    def progress(done, total):
+        if enough.is_set():
+            raise Enough
+
+    def run():
+        with pytest.raises(Enough):
+            dal.integrate(
+                particle, "midpoint", h=1e-6, steps=10**10, stride=10**4, progress=progress
+            )
+
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(run)
+        time.sleep(0.2)  # until its blocks are long
+        began, ticks = time.perf_counter(), 0
+        while time.perf_counter() - began < 0.5:
+            time.sleep(0.001)
+            ticks += 1
+        enough.set()
+        running.result()
+    # At most 500 ticks; with the lock held by C there would be one for each block, 7.
     assert ticks > 30
 
 
