@@ -75,6 +75,7 @@ typedef struct dal_kernel {
 
     double h;
     double *impulse;       /* [m] sum of kappa since dal_advance began */
+    double extent;         /* sum |v_i| */
     bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
@@ -264,6 +265,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
     k->contraction = 1.0;
     k->start_up = 2;
     memset(k->pull, 0, 3 * k->n * sizeof *k->pull);
+    k->extent = dal_kernel_sum(k->n, k->x + k->n);
 }
 
 #endif /* DALEMBERT_KERNEL_H */
@@ -487,7 +489,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     }
 
     /* The part of v' that is known, and its prediction. */
-    double known = dal_kernel_sum(n, x + n);
+    double known = k->extent; /* the scale that roundoff has, together with the new velocity */
     for (size_t i = 0; i < n; i++) base[i] = x[n + i];
     if (potential) {
         double *const force = s->node != 0.0 ? k->force1 : k->force0;
@@ -509,7 +511,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
 
     /* Newton on (v', kappa), Hessian dropped, S frozen. */
-    double last = HUGE_VAL, travelled = 0.0, bend = 0.0, least = 0.0;
+    double last = HUGE_VAL, travelled = 0.0, reached = 0.0, bend = 0.0, least = 0.0;
     bool solved = false, settled = false;
     for (int iteration = 1; !solved; iteration++) {
         int returned = 0;
@@ -548,7 +550,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
             w[i] += step[i];
         }
 
-        const double size = dal_kernel_sum(n, step), extent = known + dal_kernel_sum(n, w);
+        const double size = dal_kernel_sum(n, step);
+        reached = dal_kernel_sum(n, w);
+        const double extent = known + reached;
         const double noise = 4.0 * DAL_KERNEL_U * extent;
         if (!(size <= DBL_MAX)) break;
         travelled += size;
@@ -572,6 +576,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         const int status = dal_kernel_solve(k, s);
         if (status) return status;
         memmove(kappa, k->kappa, m * sizeof *kappa);
+        reached = dal_kernel_sum(n, w);
         dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
         settled = false;
     }
@@ -602,6 +607,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         x[i] = stored[i];
         x[n + i] = w[i];
     }
+    k->extent = reached;
     for (size_t a = 0; a < m; a++) k->impulse[a] += kappa[a];
     if (!k->pulled) { /* the best guess of the past */
         memcpy(pull + n, pull, n * sizeof *pull);

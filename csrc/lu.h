@@ -66,6 +66,10 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, size_t terms, double *A, double *scale
 DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, const double *b,
                                 double *x)
 {
+    if (m == 1) { /* without the detour through row[], which the optimiser does not see through */
+        x[0] = b[0] * A[0];
+        return;
+    }
     for (size_t i = 0; i < m; i++) {
         double sum = b[row[i]];
         for (size_t k = 0; k < i; k++) sum -= A[i * m + k] * x[k];

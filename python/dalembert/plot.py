@@ -92,7 +92,8 @@ def convergence(
     ax : matplotlib axes, optional
     quantity : {"state", "q", "v", "multipliers", "local", "reactions"}
         The errors at ``t_end`` (of (q, v), of q, ...), or the one-step errors of (q, v) or of the
-        scheme's own multipliers.  The order in the legend is that of the scheme: slope - 1 of the latter two.
+        scheme's own multipliers.  The order in the legend is that of the
+        scheme, slope - 1 of the latter two.
     styles : mapping of scheme names to properties of a line, optional
         See `styles`.
 

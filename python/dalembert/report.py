@@ -225,19 +225,20 @@ def _convergence(studies: Studies, styles: dict[str, Any]) -> str:
         if len(groups) > 1:
             ax.set_title("order up to 2" if group is groups[0] else "compositions")
     return _svg(figure, "convergence", "Errors at the end over the step size, log-log.",
-                "The largest error of (q, v) at the end of the interval. Triangles have whole slopes; "
-                "hollow markers lie too close to roundoff to count for the fitted order in the "
-                "legend.")
+                "The largest error of (q, v) at the end of the interval. Triangles have whole "
+                "slopes; hollow markers lie too close to roundoff to count for the fitted order in "
+                "the legend.")
 
 
 def _drift(runs: list[Solution], styles: dict[str, Any]) -> str:
     figure = _figure(12.0, 4.4)
     plot.drift(runs, figure.subplots(1, 2, sharey=True), styles=styles)
     return _svg(figure, "drift", "Relative residuals of D and of D_eps over time.",
-                "The relative residual of the constraint in D (left) and in D<sub>ε</sub> (right). "
-                "A scheme with moved nodes keeps D, one with kept nodes keeps D<sub>ε</sub>. The "
-                "largest residual in each of 50 stretches of 400 steps is drawn; exact zeros are drawn at 10<sup>−17</sup>, the dashed line is the unit roundoff "
-                "u. Schemes with several sub-steps have no D<sub>ε</sub>.")
+                "The relative residual of the constraint in D (left) and in D<sub>ε</sub> "
+                "(right). A scheme with moved nodes keeps D, one with kept nodes D<sub>ε</sub>. Of "
+                "each run the largest residual in each of 50 stretches is drawn; exact zeros are "
+                "drawn at 10<sup>−17</sup>, the dashed line is the unit roundoff u. Schemes "
+                "with several sub-steps have no D<sub>ε</sub>.")
 
 
 def _energy(studies: Studies, runs: list[Solution], styles: dict[str, Any],

@@ -477,13 +477,16 @@ def convergence(
         steps = _default_steps(record.order, abs(t_end - t0), probe)
     counts = _counts(steps)
     numbers = ffi.new("size_t[]", counts)
+    start = lib.DAL_INITIAL_NONE
+    if initial is not None:
+        start = _lib.choice(initial, "initial", INITIAL)
     definition = ffi.new("dal_order_def *", {
         "t0": t0,
         "t_end": t_end,
         "x0": _lib.pointer(x0),
         "steps": numbers,
         "count": len(counts),
-        "initial": lib.DAL_INITIAL_NONE if initial is None else _lib.choice(initial, "initial", INITIAL),
+        "initial": start,
         "tolerance": _lib.number(tolerance, "tolerance"),
     })
     points = ffi.new("dal_order_point[]", len(counts))
@@ -510,8 +513,8 @@ def convergence(
         local_reaction_error=column("local_reaction"),
         local_midpoint_error=column("local_midpoint"), residual=column("residual"),
         residual_eps=column("residual_eps"), energy_error=column("energy"),
-        failed=column("failed"), fits={**fits, "global_state": Fit.read(state)}, p=order.p, s=order.s,
-        floor=order.floor, reference=order.reference, keeps_D=bool(order.keeps_D),
+        failed=column("failed"), fits={**fits, "global_state": Fit.read(state)}, p=order.p,
+        s=order.s, floor=order.floor, reference=order.reference, keeps_D=bool(order.keeps_D),
         keeps_D_eps=bool(order.keeps_D_eps), holds={1: True, 0: False}.get(order.holds),
         text=_lib.string(order.text))
 

@@ -323,8 +323,8 @@ static void test_collapse(dal_flow_method method)
     dal_system_free(system);
 }
 
-/* V = 16 (|q_1| - 1/2)^4 for |q_1| > 1/2, nothing inside, and no V for |q_1| >= 1: the long steps of
- * the free motion overshoot.  The count of refusals is the ctx. */
+/* V = 16 (|q_1| - 1/2)^4 for |q_1| > 1/2, nothing inside, and no V for |q_1| >= 1: the long steps
+ * of the free motion overshoot.  The count of refusals is the ctx. */
 static int walled_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const double depth = fmax(fabs(q[0]) - 0.5, 0.0);

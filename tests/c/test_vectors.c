@@ -207,6 +207,7 @@ static void check_run(const subject *s, const run_vector *r)
     dal_stepper *stepper[STEPPERS] = {NULL};
     dal_error error = {0};
     double reaction[M], value[M], energy;
+    dal_stats stats;
     char where[160];
     snprintf(where, sizeof where, "%s of %s (%s), %s %g, h = %g, initial %d", r->group, r->system,
              s->kind, r->scheme ? r->scheme : "beta", r->beta, r->h, (int)r->initial);
@@ -236,6 +237,9 @@ static void check_run(const subject *s, const run_vector *r)
         CHECK(dal_energy(s->mechanics, x, &energy) == 0);
         compare(where, "energy", 1, &energy, r->energy);
     }
+    /* At most 10 without the Hessian of V, and 6 with it, which converge quadratically. */
+    dal_stepper_stats(stepper[AUTO], &stats);
+    check_in(where, "16 iterations of Newton are enough", stats.iterations <= 16 * stats.substeps);
     for (int i = 0; i < STEPPERS; i++) dal_stepper_free(stepper[i]);
 }
 

@@ -73,7 +73,8 @@ def test_triangles_have_the_whole_slopes_and_lie_below_their_curves(studies):
 
 @pytest.mark.parametrize("quantity, errors, key, loss", [
     ("q", "q_error", "global_q", 0), ("v", "v_error", "global_v", 0),
-    ("multipliers", "multiplier_error", "global_multipliers", 0), ("local", "local_error", "state", 1),
+    ("multipliers", "multiplier_error", "global_multipliers", 0),
+    ("local", "local_error", "state", 1),
     ("reactions", "local_reaction_error", "reaction", 1)])
 def test_other_quantities(studies, quantity, errors, key, loss):
     ax = dal.plot.convergence(studies[0], quantity=quantity)
