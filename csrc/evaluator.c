@@ -4,12 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-/* Derivatives by central differences of order 4,
- *     f' = (8 (f(q+d) - f(q-d)) - (f(q+2d) - f(q-2d))) / 12d  +  O(d^4 f^(5)/30, 1.5 u f/d),
- * with d a power of two near u^(1/5) max(1, |q|), so that q+d and q-d are exact. */
-static const int offsets[4] = {1, -1, 2, -2};
-static const double weights[4] = {8.0, -8.0, -1.0, 1.0};
-
+/* A power of two near u^(1/5) max(1, |q|), so that q+d and q-d are exact. */
 static double spacing(double q)
 {
     int exponent;
@@ -17,50 +12,64 @@ static double spacing(double q)
     return ldexp(1.0, exponent - 12);
 }
 
-static int differenced_gradient(evaluator *e, const double *q, double *V_q)
+/* Outputs start as NaN, so that one that is never written is found as one that is not finite. */
+static void forget(size_t count, double *x)
 {
-    const dal_system_def *def = &e->system->def;
-    memcpy(e->point, q, def->n * sizeof *q);
-    for (size_t i = 0; i < def->n; i++) {
-        const double d = spacing(q[i]);
-        double sum = 0.0;
-        for (int k = 0; k < 4; k++) {
-            double V = (double)NAN;
-            e->point[i] = q[i] + offsets[k] * d;
-            const int returned = def->potential(e->point, &V, NULL, NULL, def->ctx);
-            e->potential_calls++;
-            if (returned) return returned;
-            sum += weights[k] * V;
-        }
-        e->point[i] = q[i];
-        V_q[i] = sum / (12.0 * d);
-    }
-    return 0;
+    if (x)
+        for (size_t i = 0; i < count; i++) x[i] = (double)NAN;
 }
 
-/* From the user's gradient where there is one; else second differences of V, good to about 1e-6,
- * which is enough for what it serves: Newton's speed. */
-static int differenced_hessian(evaluator *e, const double *q, double *V_qq)
+/* f' = (8 (f(q+d) - f(q-d)) - (f(q+2d) - f(q-2d))) / 12d  +  O(d^4 f^(5)/30, 1.5 u f/d) */
+int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
+                    double *value, double *slope, size_t stride)
 {
-    const dal_system_def *def = &e->system->def;
-    const size_t n = def->n;
-    memcpy(e->point, q, n * sizeof *q);
-    if (!(def->missing & DAL_MISSING_V_Q)) {
-        for (size_t j = 0; j < n; j++) {
-            const double d = spacing(q[j]);
-            for (size_t i = 0; i < n; i++) V_qq[i * n + j] = 0.0;
-            for (int k = 0; k < 4; k++) {
-                e->point[j] = q[j] + offsets[k] * d;
-                const int returned = def->potential(e->point, NULL, e->gradient, NULL, def->ctx);
-                e->potential_calls++;
-                if (returned) return returned;
-                for (size_t i = 0; i < n; i++)
-                    V_qq[i * n + j] += weights[k] * e->gradient[i] / (12.0 * d);
-            }
-            e->point[j] = q[j];
-        }
-        return 0;
+    static const int offsets[4] = {1, -1, 2, -2};
+    static const double weights[4] = {8.0, -8.0, -1.0, 1.0};
+    const double q = point[j], d = spacing(q);
+    int returned = 0;
+    for (size_t i = 0; i < count; i++) slope[i * stride] = 0.0;
+    for (int k = 0; k < 4 && !returned; k++) {
+        point[j] = q + offsets[k] * d;
+        forget(count, value);
+        returned = f(point, value, ctx);
+        for (size_t i = 0; i < count; i++) slope[i * stride] += weights[k] * value[i];
     }
+    for (size_t i = 0; i < count; i++) slope[i * stride] /= 12.0 * d;
+    point[j] = q;
+    return returned;
+}
+
+/* V, V_q and mu v as the functions of q that are differenced. */
+
+static int value_V(const double *q, double *V, void *ctx)
+{
+    evaluator *const e = ctx;
+    e->potential_calls++;
+    return e->system->def.potential(q, V, NULL, NULL, e->system->def.ctx);
+}
+
+static int value_V_q(const double *q, double *V_q, void *ctx)
+{
+    evaluator *const e = ctx;
+    e->potential_calls++;
+    return e->system->def.potential(q, NULL, V_q, NULL, e->system->def.ctx);
+}
+
+static int value_phi(const double *q, double *phi, void *ctx)
+{
+    evaluator *const e = ctx;
+    const dal_system_def *def = &e->system->def;
+    e->constraint_calls++;
+    const int returned = def->constraint(q, e->velocity, NULL, e->forms, NULL, def->ctx);
+    if (!returned) dal__apply(def->m, def->n, e->forms, e->velocity, phi);
+    return returned;
+}
+
+/* Second differences of V, good to about 1e-6, which is enough for what they serve: Newton's
+ * speed. */
+static int hessian_of_V(evaluator *e, const double *q, double *V_qq)
+{
+    const size_t n = e->system->def.n;
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j <= i; j++) {
             const double di = spacing(q[i]), dj = spacing(q[j]);
@@ -70,8 +79,7 @@ static int differenced_hessian(evaluator *e, const double *q, double *V_qq)
                 double V = (double)NAN;
                 e->point[i] += si;
                 e->point[j] += sj;
-                const int returned = def->potential(e->point, &V, NULL, NULL, def->ctx);
-                e->potential_calls++;
+                const int returned = value_V(e->point, &V, e);
                 e->point[i] = q[i];
                 e->point[j] = q[j];
                 if (returned) return returned;
@@ -80,6 +88,29 @@ static int differenced_hessian(evaluator *e, const double *q, double *V_qq)
             V_qq[i * n + j] = V_qq[j * n + i] = sum / (4.0 * di * dj);
         }
     return 0;
+}
+
+static int differenced_gradient(evaluator *e, const double *q, double *V_q)
+{
+    const size_t n = e->system->def.n;
+    int returned = 0;
+    double V;
+    memcpy(e->point, q, n * sizeof *q);
+    for (size_t i = 0; i < n && !returned; i++)
+        returned = dal__difference(value_V, e, e->point, i, 1, &V, V_q + i, 1);
+    return returned;
+}
+
+/* From the user's gradient where there is one. */
+static int differenced_hessian(evaluator *e, const double *q, double *V_qq)
+{
+    const size_t n = e->system->def.n;
+    int returned = 0;
+    memcpy(e->point, q, n * sizeof *q);
+    if (e->system->def.missing & DAL_MISSING_V_Q) return hessian_of_V(e, q, V_qq);
+    for (size_t j = 0; j < n && !returned; j++)
+        returned = dal__difference(value_V_q, e, e->point, j, n, e->gradient, V_qq + j, n);
+    return returned;
 }
 
 static int complete_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
@@ -112,24 +143,12 @@ static int complete_constraint(const double *q, const double *v, double *phi, do
         if (returned) return returned;
     }
     if (!phi_q) return 0;
+    int returned = 0;
+    e->velocity = v;
     memcpy(e->point, q, n * sizeof *q);
-    for (size_t j = 0; j < n; j++) {
-        const double d = spacing(q[j]);
-        for (size_t a = 0; a < m; a++) phi_q[a * n + j] = 0.0;
-        for (int k = 0; k < 4; k++) {
-            e->point[j] = q[j] + offsets[k] * d;
-            const int returned = def->constraint(e->point, v, NULL, e->forms, NULL, def->ctx);
-            e->constraint_calls++;
-            if (returned) return returned;
-            for (size_t a = 0; a < m; a++) {
-                double sum = 0.0;
-                for (size_t i = 0; i < n; i++) sum += e->forms[a * n + i] * v[i];
-                phi_q[a * n + j] += weights[k] * sum / (12.0 * d);
-            }
-        }
-        e->point[j] = q[j];
-    }
-    return 0;
+    for (size_t j = 0; j < n && !returned; j++)
+        returned = dal__difference(value_phi, e, e->point, j, m, e->gradient, phi_q + j, n);
+    return returned;
 }
 
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
@@ -157,13 +176,6 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
         e->constraint = complete_constraint;
         e->constraint_ctx = e;
     }
-}
-
-/* Outputs start as NaN, so that one that is never written is found as one that is not finite. */
-static void forget(size_t count, double *x)
-{
-    if (x)
-        for (size_t i = 0; i < count; i++) x[i] = (double)NAN;
 }
 
 static int refuse(dal_error *error, const char *callback, int returned)

@@ -87,6 +87,7 @@ typedef struct evaluator {
     dal_constraint_fn constraint;
     void *constraint_ctx;
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
+    const double *velocity;           /* [n] with which mu v is being differenced */
     size_t potential_calls, constraint_calls;
 } evaluator;
 
@@ -100,7 +101,15 @@ int dal__potential(evaluator *e, const double *q, double *V, double *V_q, double
 int dal__constraint(evaluator *e, const double *q, const double *v, double *phi_v, double *phi_q,
                     dal_error *error);
 
-/* ---- floor 3: mechanics.c --------------------------------------------------------------- */
+/* f[count] at q; returns 0, or what its callback returned. */
+typedef int (*dal__function)(const double *q, double *f, void *ctx);
+
+/* slope[count], stride apart, <- df/dq_j at point[n] by central differences of order 4.  value[count]
+ * is scratch; point is moved and put back.  Returns what f returned, at once if that is not 0. */
+int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
+                    double *value, double *slope, size_t stride);
+
+/* ---- floor 3: mechanics.c, check.c ------------------------------------------------------ */
 
 /* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation. */
 struct dal_mechanics {

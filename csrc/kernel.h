@@ -79,7 +79,7 @@ typedef struct dal_kernel {
     bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
-    double contraction;    /* of the modified Newton iteration, by the last measurement */
+    double contraction;    /* of the modified Newton iteration over B end, as last measured */
     int start_up;          /* steps that still take an evaluated correction */
 
     /* One block, laid out by dal_kernel_share: the step routine reaches its parts by constant offsets,
@@ -262,7 +262,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
 {
     k->pulled = false;
     k->forced = false;
-    k->contraction = 1.0;
+    k->contraction = HUGE_VAL;
     k->start_up = 2;
     memset(k->pull, 0, 3 * k->n * sizeof *k->pull);
     k->extent = dal_kernel_sum(k->n, k->x + k->n);
@@ -511,6 +511,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
 
     /* Newton on (v', kappa), Hessian dropped, S frozen. */
+    const double bending = fabs(s->after * s->end);
     double last = HUGE_VAL, travelled = 0.0, reached = 0.0, bend = 0.0, least = 0.0;
     bool solved = false, settled = false;
     for (int iteration = 1; !solved; iteration++) {
@@ -556,10 +557,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         const double noise = 4.0 * DAL_KERNEL_U * extent;
         if (!(size <= DBL_MAX)) break;
         travelled += size;
-        if (ends && iteration >= 2) k->contraction = 4.0 * (size > noise ? size : noise) / last;
+        if (ends && iteration > 1) /* it goes as h^2 B end V_qq; 4 is for safety */
+            k->contraction = 4.0 * (size > noise ? size : noise) / (last * bending);
         const bool stuck = iteration > 1 && size <= 1e-11 * extent && size >= last;
         const bool close = (size <= noise) | stuck; /* no branches: they could not be foretold */
-        if (close || !ends || k->contraction * size <= noise) {
+        if (close || !ends || k->contraction * bending * size <= noise) {
             dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
             settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
                                          &k->stats.worst_residual);
