@@ -60,6 +60,7 @@ static int value_phi(const double *q, double *phi, void *ctx)
     evaluator *const e = ctx;
     const dal_system_def *def = &e->system->def;
     e->constraint_calls++;
+    forget(def->m * def->n, e->forms);
     const int returned = def->constraint(q, e->velocity, NULL, e->forms, NULL, def->ctx);
     if (!returned) dal__apply(def->m, def->n, e->forms, e->velocity, phi);
     return returned;

@@ -97,6 +97,23 @@ static dal_fit fit_column(study *self, size_t offset, double floor)
     return fit;
 }
 
+/* The fit of the reaction over the finer half of the steps, if that says anything.  Its errors are
+ * c1 h + c2 h^2 whatever p is: where a high order wants coarse steps, the second term still matters,
+ * and where the two have opposite signs the errors of the coarse steps have no slope at all. */
+static dal_fit fit_reaction(study *self, double floor)
+{
+    const size_t count = self->def->count;
+    const dal_fit all = fit_column(self, offsetof(dal_order_point, local_reaction), floor);
+    for (size_t i = 0; i < count; i++) {
+        size_t finer = 0;
+        for (size_t j = 0; j < count; j++) finer += fabs(self->h[j]) < fabs(self->h[i]);
+        if (finer >= (count + 1) / 2) self->errors[i] = NAN;
+    }
+    dal_fit fit;
+    dal_fit_order(count, self->h, self->errors, floor, &fit);
+    return isnan(fit.slope) ? all : fit;
+}
+
 /* The fit of the state at t_end, the larger error of q and v. */
 static dal_fit fit_global_state(study *self, double floor)
 {
@@ -381,7 +398,7 @@ static void conclude(study *self, dal_order *order)
 #define FIT(member, floor) fit_column(self, offsetof(dal_order_point, member), floor)
     *order = (dal_order){
         .state = FIT(local_state, step), .multipliers = FIT(local_multipliers, step),
-        .reaction = FIT(local_reaction, step), .midpoint = FIT(local_midpoint, step),
+        .reaction = fit_reaction(self, step), .midpoint = FIT(local_midpoint, step),
         .global_q = FIT(q, run), .global_v = FIT(v, run),
         .global_multipliers = FIT(multipliers, run), .floor = run, .reference = self->accuracy,
     };

@@ -475,16 +475,22 @@ typedef struct dal_order_point {
 typedef struct dal_order {
     dal_fit state;        /* slope - 1 is p */
     dal_fit multipliers;  /* slope - 1 is the order of lambda(q, v), which should be p */
-    dal_fit reaction;     /* slope - 1 is s of (p, s), as in the paper */
+    dal_fit reaction;     /* slope - 1 is s of (p, s), as in the paper; over the finer half of the
+                             steps, because its h^2 term is there at any order */
     dal_fit midpoint;     /* slope of the reaction at the middle of the step, minus 1 */
     dal_fit global_q, global_v, global_multipliers; /* slopes at t_end */
     double p, s;          /* state.slope - 1, reaction.slope - 1 */
-    double floor;         /* errors below 100 floor do not count: reference and roundoff */
+    double floor;         /* of the errors at t_end: those below 100 floor do not count; one-step
+                             errors have a lower one, for they gather less roundoff */
     double reference;     /* accuracy of the reference solution; 0 for an exact one */
-    int keeps_D, keeps_D_eps; /* 1: residual within 4 n u at every stored state of every run */
-    int holds;            /* the verdict: 1 if p >= scheme.order - 0.2 and s >= multiplier_order -
-                             0.2 (or exact) and the set that the nodes promise is kept; 0 if not;
-                             -1 if the record promises nothing; -2 if too few points count */
+    int keeps_D, keeps_D_eps; /* 1: residual within 4 n u after every step of every run */
+    int holds;            /* the verdict: 1 if the set that the nodes promise is kept, s >=
+                             multiplier_order - 0.2 (or exact), and p or the slope at t_end is at
+                             least order - 0.2 (the one-step errors of high orders can reach
+                             roundoff before their slope settles); 0 if not; -1 if the record
+                             promises nothing; -2 if too few points count.  With DAL_INITIAL_D the
+                             promise for the first step is (order - 1, multiplier_order - 1), and
+                             order at t_end (E12) */
     char text[508];       /* the verdict in words */
 } dal_order;
 

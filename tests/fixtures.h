@@ -1,0 +1,247 @@
+/* fixtures.h - what several C tests need: systems, schemes and steppers by name, a few systems that
+ * are not built in, and a sequence of numbers.  Whatever cannot be made ends the program. */
+#ifndef DALEMBERT_TESTS_FIXTURES_H
+#define DALEMBERT_TESTS_FIXTURES_H
+
+#include "generic4.h"
+#include "internal.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+static const double U = 0x1p-53; /* unit roundoff */
+
+static inline void need(int status, const char *what, const char *text)
+{
+    if (status == DAL_SUCCESS) return;
+    fprintf(stderr, "%s: %s: %s\n", what, dal_strerror(status), text);
+    exit(2);
+}
+
+/* A built-in system, or generic4. */
+static inline dal_system *open_system(const char *name)
+{
+    dal_system *system = NULL;
+    dal_error error = {0};
+    const int status = strcmp(name, "generic4") == 0
+                           ? generic4_new(&system, &error)
+                           : dal_system_builtin(&system, name, NULL, NULL, 0, &error);
+    need(status, name, error.text);
+    return system;
+}
+
+static inline dal_mechanics *open_mechanics(const dal_system *system)
+{
+    dal_mechanics *mechanics = NULL;
+    dal_error error = {0};
+    need(dal_mechanics_new(&mechanics, system, &error), dal_system_name(system), error.text);
+    return mechanics;
+}
+
+static inline dal_scheme find_scheme(const char *name)
+{
+    dal_scheme scheme = {0};
+    dal_error error = {0};
+    need(dal_scheme_find(&scheme, name, &error), name, error.text);
+    return scheme;
+}
+
+static inline dal_stepper *open_stepper(const dal_system *system, const dal_scheme *scheme,
+                                        const dal_options *options)
+{
+    dal_stepper *stepper = NULL;
+    dal_error error = {0};
+    need(dal_stepper_new(&stepper, system, scheme, options, &error), scheme->name, error.text);
+    return stepper;
+}
+
+/* The next of a fixed sequence of numbers in [-1, 1]. */
+static inline double next_number(unsigned *seed)
+{
+    *seed = *seed * 1664525u + 1013904223u;
+    return (double)*seed / 2147483648.0 - 1.0;
+}
+
+static inline double sum_of_sizes(size_t count, const double *x)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < count; i++) sum += fabs(x[i]);
+    return sum;
+}
+
+static inline double largest_difference(size_t count, const double *x, const double *y)
+{
+    double worst = 0.0;
+    for (size_t i = 0; i < count; i++) {
+        const double d = fabs(x[i] - y[i]);
+        if (!(d <= worst)) worst = d; /* NaN is kept */
+    }
+    return worst;
+}
+
+/* max_a |mu^a v| / sum_i |mu^a_i v_i| with mu at q - shift v, from the callback itself. */
+static inline double residual_of(const dal_system *system, double shift, const double *x)
+{
+    enum { MOST_N = 48, MOST_ENTRIES = 160 };
+    const size_t n = system->def.n, m = system->def.m;
+    double q[MOST_N], mu[MOST_ENTRIES], worst = 0.0;
+    if (n > MOST_N || m * n > MOST_ENTRIES) exit(2);
+    for (size_t i = 0; i < n; i++) q[i] = x[i] - shift * x[n + i];
+    if (m > 0 && system->def.constraint(q, x + n, NULL, mu, NULL, system->def.ctx)) exit(2);
+    for (size_t a = 0; a < m; a++) {
+        double sum = 0.0, scale = 0.0;
+        for (size_t i = 0; i < n; i++) {
+            const double term = mu[a * n + i] * x[n + i];
+            sum += term;
+            scale += fabs(term);
+        }
+        if (!(fabs(sum) <= worst * scale)) worst = fabs(sum) / scale;
+    }
+    return worst;
+}
+
+/* ---- wide: a system of any size without symmetry ------------------------------------------
+ * mu^a_i = delta_ai + sin(q_j + 0.7 a + 0.3 i)/7 with j = (2 a + 3 i + 1) mod n,
+ * V = sum_i q_i^2/2 + q_i^4/8 + q_i q_(i+1)/5. */
+
+enum { WIDE_N = 16 };
+
+typedef struct wide {
+    size_t n, m;
+    double mass[WIDE_N * WIDE_N], state[2 * WIDE_N];
+} wide;
+
+static inline int wide_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const size_t n = ((const wide *)ctx)->n;
+    if (V) *V = 0.0;
+    if (V_qq) memset(V_qq, 0, n * n * sizeof *V_qq);
+    for (size_t i = 0; i < n; i++) {
+        const size_t next = (i + 1) % n, last = (i + n - 1) % n;
+        const double s = q[i];
+        if (V) *V += s * s / 2 + s * s * s * s / 8 + s * q[next] / 5;
+        if (V_q) V_q[i] = s + s * s * s / 2 + (q[next] + q[last]) / 5;
+        if (V_qq) {
+            V_qq[i * n + i] += 1.0 + 1.5 * s * s;
+            V_qq[i * n + next] += 0.2;
+            V_qq[i * n + last] += 0.2;
+        }
+    }
+    return 0;
+}
+
+static inline int wide_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                                  double *phi_q, void *ctx)
+{
+    const size_t n = ((const wide *)ctx)->n, m = ((const wide *)ctx)->m;
+    if (phi) memset(phi, 0, m * sizeof *phi);
+    if (phi_q) memset(phi_q, 0, m * n * sizeof *phi_q);
+    for (size_t a = 0; a < m; a++)
+        for (size_t i = 0; i < n; i++) {
+            const size_t j = (2 * a + 3 * i + 1) % n;
+            const double angle = q[j] + 0.7 * (double)a + 0.3 * (double)i;
+            const double form = (a == i ? 1.0 : 0.0) + sin(angle) / 7;
+            if (phi) phi[a] += form * v[i];
+            if (phi_v) phi_v[a * n + i] = form;
+            if (phi_q) phi_q[a * n + j] += cos(angle) / 7 * v[i];
+        }
+    return 0;
+}
+
+/* w is filled and has to outlive the system.  Its state lies in D. */
+static inline dal_system *open_wide(wide *w, size_t n, size_t m, bool full_mass, bool potential)
+{
+    unsigned seed = (unsigned)(16 * n + m);
+    *w = (wide){.n = n, .m = m};
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++)
+            w->mass[i * n + j] = i == j ? 1.0 + 0.25 * (double)i
+                               : full_mass ? 0.2 / (double)(1 + (i > j ? i - j : j - i)) : 0.0;
+    const dal_system_def def = {.n = n, .m = m, .mass = w->mass,
+                                .potential = potential ? wide_potential : NULL,
+                                .constraint = m > 0 ? wide_constraint : NULL, .ctx = w,
+                                .name = "wide"};
+    dal_system *system = NULL;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "wide", error.text);
+    for (size_t i = 0; i < 2 * n; i++) w->state[i] = next_number(&seed);
+    dal_mechanics *const mechanics = open_mechanics(system);
+    need(dal_project(mechanics, 0.0, w->state, NULL), "wide", dal_mechanics_message(mechanics));
+    dal_mechanics_free(mechanics);
+    return system;
+}
+
+/* ---- the same D by other forms: mu' = B(q) mu, m <= 2 ------------------------------------- */
+
+/* B[m*m], and B_q[m*m] its derivative by q_j. */
+static inline void mixing(size_t m, const double *q, double *B, size_t j, double *B_q)
+{
+    const double full[4] = {2.0 + sin(q[0]), cos(q[1]) / 2, 0.3, 1.5 + 0.4 * sin(q[2])};
+    const double full_q[4] = {j == 0 ? cos(q[0]) : 0.0, j == 1 ? -sin(q[1]) / 2 : 0.0, 0.0,
+                              j == 2 ? 0.4 * cos(q[2]) : 0.0};
+    for (size_t k = 0; k < m * m; k++) {
+        B[k] = full[k];
+        B_q[k] = full_q[k];
+    }
+}
+
+/* ctx is the dal_system whose forms are mixed. */
+static inline int mixed_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                                   double *phi_q, void *ctx)
+{
+    enum { MOST = 8 };
+    const dal_system_def *def = &((const dal_system *)ctx)->def;
+    const size_t n = def->n, m = def->m;
+    double mu[2 * MOST], N[2 * MOST], muv[2], B[4], B_q[4];
+    if (def->constraint(q, v, NULL, mu, N, def->ctx)) return -1;
+    dal__apply(m, n, mu, v, muv);
+    for (size_t j = 0; j < n; j++) {
+        mixing(m, q, B, j, B_q);
+        for (size_t a = 0; a < m; a++) {
+            double form = 0.0, slope = 0.0;
+            for (size_t b = 0; b < m; b++) {
+                form += B[a * m + b] * mu[b * n + j];
+                slope += B[a * m + b] * N[b * n + j] + B_q[a * m + b] * muv[b];
+            }
+            if (phi_v) phi_v[a * n + j] = form;
+            if (phi_q) phi_q[a * n + j] = slope;
+        }
+    }
+    if (phi) dal__apply(m, m, B, muv, phi);
+    return 0;
+}
+
+static inline int mixed_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const dal_system_def *def = &((const dal_system *)ctx)->def;
+    return def->potential(q, V, V_q, V_qq, def->ctx);
+}
+
+static inline dal_system *open_mixed(dal_system *base)
+{
+    dal_system_def def = base->def;
+    def.ctx = base;
+    def.constraint = mixed_constraint;
+    def.potential = base->def.potential ? mixed_potential : NULL;
+    def.exact = NULL;
+    def.invariants = 0;
+    dal_system *system = NULL;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "mixed", error.text);
+    return system;
+}
+
+/* f = B(q)^T g: the multipliers of mu from those of mu' = B(q) mu. */
+static inline void unmix(size_t m, const double *q, const double *g, double *f)
+{
+    double B[4], unused[4];
+    mixing(m, q, B, 0, unused);
+    for (size_t a = 0; a < m; a++) {
+        f[a] = 0.0;
+        for (size_t b = 0; b < m; b++) f[a] += B[b * m + a] * g[b];
+    }
+}
+
+#endif /* DALEMBERT_TESTS_FIXTURES_H */
