@@ -183,8 +183,8 @@ static int examine_linearity(examination *ex)
     for (size_t a = 0; a < m; a++) ex->phi[a] = (double)NAN;
     const int returned = def->constraint(ex->q, ex->other, ex->phi, ex->forms, NULL, def->ctx);
     if (returned)
-        return dal__fail(&mech->error, dal__callback_status(returned), "constraint returned %d when "
-                         "phi was asked for", returned);
+        return dal__fail(&mech->error, dal__callback_status(returned), "constraint returned %d "
+                         "when phi was asked for", returned);
     for (size_t a = 0; a < m; a++) {
         double sum = 0.0, scale = 0.0;
         for (size_t i = 0; i < n; i++) {
@@ -208,9 +208,9 @@ static double dot(size_t n, const double *a, const double *b)
 }
 
 /* The rows of A[count*n] are rotated in pairs until they are orthogonal (one-sided Jacobi); then
- * their lengths are the singular values.  GSL's decompositions report what does not converge through
- * its handler; here a sweep too many costs only time.  squares[count] <- their squares, for A
- * divided by its largest entry, which is returned; 0 for A = 0. */
+ * their lengths are the singular values.  squares[count] <- their squares, for A divided by its
+ * largest entry, which is returned; 0 for A = 0.  Not GSL's decompositions, because these report
+ * through its handler what does not converge. */
 static double singular_values(size_t count, size_t n, double *A, double *squares)
 {
     enum { SWEEPS = 60 };
@@ -328,7 +328,7 @@ static double kernel_min(examination *ex)
     return smallest_eigenvalue(ex, count, ex->rows);
 }
 
-/* mu in mech.mu.  lambda is asked for as well: C, which all schemes invert, squares the condition. */
+/* mu in mech.mu.  Also asks for lambda: C, which all schemes invert, squares the condition. */
 static int examine_rank(examination *ex)
 {
     dal_mechanics *const mech = &ex->mech;
@@ -336,8 +336,8 @@ static int examine_rank(examination *ex)
     found->rank = rank_of(ex, mech->mu);
     found->condition = condition_of(ex, mech->mu);
     if (found->rank < ex->m) {
-        complain(found, "mu has rank %zu where %zu constraints need rank %zu: two of them coincide, "
-                 "or one vanishes", found->rank, ex->m, ex->m);
+        complain(found, "mu has rank %zu and should have rank %zu: a constraint vanishes or follows "
+                 "from the others", found->rank, ex->m);
         return DAL_SUCCESS;
     }
     split(ex, mech->mu);
@@ -456,23 +456,22 @@ static void summarize(const examination *ex, dal_check *found)
 {
     char *const text = found->text;
     const size_t size = sizeof found->text;
-    const int used = snprintf(text, size, "the derivatives that are given agree with differences; ");
-    char *const rest = text + used;
-    const size_t left = size - (size_t)used;
     if (ex->m == 0) {
-        snprintf(rest, left, "there are no constraints");
+        snprintf(text, size, "the derivatives given agree with differences; no constraints");
         return;
     }
     char shape[128];
     if (ex->n - ex->m == 1)
-        snprintf(shape, sizeof shape, "D has dimension n - m = 1 and is integrable, as always then");
+        snprintf(shape, sizeof shape, "D has dimension n - m = 1, which is always integrable");
     else if (found->integrable)
         snprintf(shape, sizeof shape, "D is integrable here and nearby: it may be a holonomic "
                  "constraint in disguise");
     else
-        snprintf(shape, sizeof shape, "D is not integrable (curvature %.3g here)", found->curvature);
-    snprintf(rest, left, "mu has rank %zu and condition %.3g; (q, v) lies in D to %.1e; %s",
-             found->rank, found->condition, found->residual, shape);
+        snprintf(shape, sizeof shape, "D is not integrable, its curvature here is %.3g",
+                 found->curvature);
+    snprintf(text, size, "the derivatives given agree with differences; mu has rank %zu and "
+             "condition %.3g; (q, v) lies in D to %.1e; %s", found->rank, found->condition,
+             found->residual, shape);
 }
 
 static void reserve(examination *ex, arena *a)

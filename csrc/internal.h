@@ -104,8 +104,9 @@ int dal__constraint(evaluator *e, const double *q, const double *v, double *phi_
 /* f[count] at q; returns 0, or what its callback returned. */
 typedef int (*dal__function)(const double *q, double *f, void *ctx);
 
-/* slope[count], stride apart, <- df/dq_j at point[n] by central differences of order 4.  value[count]
- * is scratch; point is moved and put back.  Returns what f returned, at once if that is not 0. */
+/* slope[count], stride apart, <- df/dq_j at point[n] by central differences of order 4.
+ * value[count] is scratch; point is moved and put back.  Returns what f returned, at once if that
+ * is not 0. */
 int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
                     double *value, double *slope, size_t stride);
 

@@ -15,12 +15,13 @@
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
  * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of
  * v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from those of
- * the three stages before; so the two evaluations of the constraint do not wait for each other.  The iteration stops when an estimate of its next
- * residual is below roundoff, so that most stages evaluate the constraint twice.  At the end the
- * residual of D at the *stored* q~' is predicted from the last evaluation, its rounding included,
- * and mended; where that does not suffice, and in the first two steps after a start, one more
- * evaluation is made.  What does not contract, leaves the domain of a callback or is not finite
- * goes to dal_kernel_solve: the full Newton matrix with the Hessian, and halved steps.
+ * the three stages before; so the two evaluations of the constraint do not wait for each other.
+ * The iteration stops when an estimate of its next residual is below roundoff, so that most stages
+ * evaluate the constraint twice.  At the end the residual of D at the *stored* q~' is predicted from
+ * the last evaluation, the rounding of q~' included, and mended; where that does not suffice, and in
+ * the first two steps after a start, one more evaluation is made.  What does not contract, leaves
+ * the domain of a callback or is not finite goes to dal_kernel_solve: the full Newton matrix with
+ * the Hessian, and halved steps.
  *
  * One text, many compilations.  The includer defines
  *     DAL_KERNEL                  name of the function to define: int (dal_kernel *, size_t, size_t *)
@@ -449,7 +450,8 @@ static int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
 
 /* plain is a constant where this is inlined: V = 0 and moved nodes, so that what serves only the
  * others costs nothing. */
-DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *const s, const bool plain)
+DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *const s,
+                                       const bool plain)
 {
 #ifdef DAL_N
     const size_t n = DAL_N, m = DAL_M;
@@ -494,10 +496,10 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     if (potential) {
         double *const force = s->node != 0.0 ? k->force1 : k->force0;
         if (s->node != 0.0 || !k->forced) {
+            double *const start = s->node != 0.0 ? node : x + 3 * n; /* q~, where q~' will be */
             const double shift = kept ? k->shift * h : 0.0;
-            double *const start = x + 3 * n; /* q~ itself, where the other q~' will be */
-            for (size_t i = 0; i < n; i++) start[i] = x[i] - shift * x[n + i];
-            const int returned = DAL_KERNEL_POTENTIAL(k, s->node != 0.0 ? node : start, force);
+            for (size_t i = 0; s->node == 0.0 && i < n; i++) start[i] = x[i] - shift * x[n + i];
+            const int returned = DAL_KERNEL_POTENTIAL(k, start, force);
             if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         }
         const double weight = h * (s->node != 0.0 ? s->node : s->start);
