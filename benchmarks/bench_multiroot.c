@@ -14,7 +14,7 @@ enum { REPETITIONS = 30, SCHUR_STEPS = 20000, HYBRIDSJ_STEPS = 1000, MAX_N = 4, 
 
 static const double step_size = 0.01;
 
-/* ---- the midpoint step by hybridsj, V = 0, diagonal mass -------------------------------------- */
+/* ---- the midpoint step by hybridsj, V = 0, diagonal mass --------------------------------- */
 
 typedef struct lean {
     const dal_system_def *def;
@@ -31,7 +31,7 @@ static int lean_both(const gsl_vector *unknown, void *ctx, gsl_vector *f, gsl_ma
     const lean *const s = ctx;
     const size_t n = s->def->n, m = s->def->m, size = n + m;
     const double *const w = unknown->data, *const kappa = w + n, half = 0.5 * step_size;
-    double q[MAX_N], mu[MAX_M * MAX_N], N[MAX_M * MAX_N];
+    double q[MAX_N] = {0}, mu[MAX_M * MAX_N], N[MAX_M * MAX_N];
     for (size_t i = 0; i < n; i++) q[i] = s->q[i] + half * w[i];
     s->def->constraint(q, w, NULL, mu, J ? N : NULL, NULL);
     for (size_t i = 0; f && i < n; i++) {
@@ -104,7 +104,7 @@ static void lean_step(lean *s)
     }
 }
 
-/* ---- the comparison --------------------------------------------------------------------------- */
+/* ---- the comparison ---------------------------------------------------------------------- */
 
 /* Seconds of one step. */
 static double time_stepper(dal_stepper *stepper, const dal_system_def *def, size_t steps)

@@ -58,11 +58,13 @@ static int disk(const double *q, const double *v, double *phi, double *phi_v, do
         phi[1] = v[1] - s * v[2];
     }
     if (phi_v) {
-        const double mu[8] = {1.0, 0.0, -c, 0.0, 0.0, 1.0, -s, 0.0};
-        for (int i = 0; i < 8; i++) phi_v[i] = mu[i];
+        phi_v[0] = phi_v[5] = 1.0;
+        phi_v[1] = phi_v[3] = phi_v[4] = phi_v[7] = 0.0;
+        phi_v[2] = -c;
+        phi_v[6] = -s;
     }
     if (phi_q) {
-        for (int i = 0; i < 8; i++) phi_q[i] = 0.0;
+        phi_q[0] = phi_q[1] = phi_q[2] = phi_q[4] = phi_q[5] = phi_q[6] = 0.0;
         phi_q[3] = s * v[2];
         phi_q[7] = -c * v[2];
     }

@@ -336,8 +336,8 @@ static int examine_rank(examination *ex)
     found->rank = rank_of(ex, mech->mu);
     found->condition = condition_of(ex, mech->mu);
     if (found->rank < ex->m) {
-        complain(found, "mu has rank %zu and should have rank %zu: a constraint vanishes or follows "
-                 "from the others", found->rank, ex->m);
+        complain(found, "mu has rank %zu instead of %zu: a constraint vanishes or follows from the "
+                 "others", found->rank, ex->m);
         return DAL_SUCCESS;
     }
     split(ex, mech->mu);

@@ -258,16 +258,21 @@ static double mass_norm(dal_mechanics *mech, const double *d)
     return sqrt(fmax(0.0, dot(mech->n, d, mech->step)));
 }
 
-/* x takes the velocity mech->w. */
-static void accept(dal_mechanics *mech, double *x, double *distance)
+/* x takes the velocity mech->w, unless that overflowed. */
+static int accept(dal_mechanics *mech, double *x, double *distance)
 {
     const size_t n = mech->n;
+    for (size_t i = 0; i < n; i++)
+        if (!isfinite(mech->w[i]))
+            return dal__fail(&mech->error, DAL_EDOMAIN, "the consistent velocity overflows: "
+                             "v[%zu] = %g from %g", i, mech->w[i], x[n + i]);
     for (size_t i = 0; i < n; i++) {
         const double w = mech->w[i];
         mech->w[i] -= x[n + i];
         x[n + i] = w;
     }
     if (distance) *distance = mass_norm(mech, mech->w);
+    return DAL_SUCCESS;
 }
 
 /* The velocity w of D_q or D_eps on the ray v + M^-1 mu(q)^T kappa, in mech->w.  Its equation
@@ -322,8 +327,7 @@ int dal_project(dal_mechanics *mechanics, double shift, double *x, double *dista
     if (!status && mech->m > 0) status = project(mech, shift, x);
     if (status) return status;
     if (mech->m == 0) memcpy(mech->w, x + n, n * sizeof *mech->w);
-    accept(mech, x, distance);
-    return DAL_SUCCESS;
+    return accept(mech, x, distance);
 }
 
 /* min (w-v)^T M (w-v) with mu w = 0 and w_i = v_i for the kept i: the saddle point system
@@ -384,9 +388,7 @@ int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *
     if (status) return status;
     memcpy(mech->w, x + n, n * sizeof *mech->w);
     if (mech->m > 0) status = consistent(mech, keep);
-    if (status) return status;
-    accept(mech, x, distance);
-    return DAL_SUCCESS;
+    return status ? status : accept(mech, x, distance);
 }
 
 /* The equations of a step. */

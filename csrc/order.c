@@ -103,11 +103,12 @@ static dal_fit fit_column(study *self, size_t offset, double floor)
 static dal_fit fit_reaction(study *self, double floor)
 {
     const size_t count = self->def->count;
+    const size_t fine = count / 2 > FEWEST_POINTS ? count / 2 : FEWEST_POINTS;
     const dal_fit all = fit_column(self, offsetof(dal_order_point, local_reaction), floor);
     for (size_t i = 0; i < count; i++) {
         size_t finer = 0;
         for (size_t j = 0; j < count; j++) finer += fabs(self->h[j]) < fabs(self->h[i]);
-        if (finer >= (count + 1) / 2) self->errors[i] = NAN;
+        if (finer >= fine) self->errors[i] = NAN;
     }
     dal_fit fit;
     dal_fit_order(count, self->h, self->errors, floor, &fit);

@@ -102,7 +102,7 @@ typedef int (*dal_exact_fn)(double t, const double *x0, double *x, void *ctx);
 typedef int (*dal_invariant_fn)(const double *x, double *values, void *ctx);
 
 typedef enum dal_constraint_kind {
-    DAL_LINEAR = 0,    /* phi = mu(q) v; the residual is phi_v v, phi itself is never asked for */
+    DAL_LINEAR = 0,    /* phi = mu(q) v; the residual is phi_v v, only the check asks for phi */
     DAL_AFFINE = 1,    /* reserved: dal_system_new answers DAL_EUNSUPPORTED */
     DAL_NONLINEAR = 2  /* reserved: dal_system_new answers DAL_EUNSUPPORTED */
 } dal_constraint_kind;
@@ -202,8 +202,9 @@ typedef struct dal_check {
     double mass_min;         /* smallest eigenvalue of M */
     double kernel_min;       /* smallest eigenvalue of M on ker mu (theorem EUDAETh with "> 0", E1) */
     double residual;         /* max_a |mu^a v| / sum_i |mu^a_i v_i| */
-    double curvature;        /* largest |<N(q,X)Y - N(q,Y)X>| over an orthonormal basis of D_q */
-    int integrable;          /* 1: curvature vanishes here: D may be a holonomic constraint */
+    double curvature;        /* largest length of [X,Y] across D, X and Y from an orthonormal basis
+                                of D_q: by N(q,X)Y - N(q,Y)X with N(q,w) = d(mu w)/dq */
+    int integrable;          /* 1: it vanishes here and nearby: D may be a holonomic constraint */
     char text[508];          /* the first thing found wrong, in words; or the summary */
 } dal_check;
 

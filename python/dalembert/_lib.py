@@ -16,6 +16,7 @@ may itself integrate, because an exception is kept only when the callback has al
 
 from __future__ import annotations
 
+import operator
 import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,7 @@ from ._core import ffi as ffi
 from ._core import lib as lib
 
 if TYPE_CHECKING:
-    from .integration import Solution
+    from .solution import Solution
 
 Array = NDArray[np.float64]
 
@@ -260,6 +261,31 @@ def _shape(shape: tuple[int | None, ...]) -> str:
 def number(value: Any, name: str) -> float:
     """Return ``value`` as a finite float; ValueError otherwise."""
     return float(array(value, name, ()))
+
+
+def integer(value: Any, name: str, least: int, most: float = 2**63 - 1) -> int:
+    """Return ``value`` as an integer in least .. most; ValueError otherwise."""
+    try:
+        result = operator.index(value)
+    except TypeError:
+        raise ValueError(f"{name} = {value!r}: expected an integer") from None
+    if not least <= result <= most:
+        raise ValueError(f"{name} = {result}: expected {least} .. {most}")
+    return result
+
+
+def text(value: Any, name: str) -> str:
+    """Return ``value`` if it is a string without NUL, which C would not see; else ValueError."""
+    if not isinstance(value, str) or "\0" in value:
+        raise ValueError(f"{name} = {value!r}: expected a string")
+    return value
+
+
+def function(value: Any, name: str) -> Any:
+    """Return ``value`` if it can be called or is None; ValueError otherwise."""
+    if value is not None and not callable(value):
+        raise ValueError(f"{name} = {value!r}: expected a function")
+    return value
 
 
 def choice(value: Any, name: str, choices: dict[str, int]) -> int:

@@ -1,0 +1,29 @@
+"""Draws docs/study.png, the picture of the README: `./dev shell python docs/study.py`.
+
+Left, the study of eight schemes on the nonholonomic particle: the error at t = 4 against the step,
+with the fitted orders.  Right, what `midpoint` keeps at moved nodes (D) and at kept nodes (D_eps).
+"""
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+import dalembert as dal
+
+SCHEMES = ["explicit", "midpoint", "midpoint-nodes", "leapfrog-suzuki4", "leapfrog-kl6", "leapfrog-kl8"]
+
+particle = dal.systems.particle()
+studies = dal.studies(particle, SCHEMES, t_end=4.0)
+runs = [
+    dal.integrate(particle, "midpoint", h=0.05, t_end=20.0),
+    dal.integrate(particle, "midpoint-nodes", h=0.05, t_end=20.0, initial="D_eps", consistent="project"),
+]
+
+figure = plt.figure(figsize=(12.0, 8.0), layout="constrained")
+above, below = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
+dal.plot.convergence(studies, ax=above.subplots())
+dal.plot.drift(runs, ax=below.subplots(1, 2, sharey=True))
+figure.savefig(Path(__file__).with_name("study.png"), dpi=90, metadata={"Software": None})

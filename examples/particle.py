@@ -1,0 +1,23 @@
+"""The free particle with a nonholonomic constraint, by the midpoint scheme.
+
+    L = (v_x^2 + v_y^2 + v_z^2)/2,   v_z = y v_x,   that is mu(q) = (-y, 0, 1)
+    q = (0, 1, 0), v = (1, 1, 1) at t = 0;  h = 0.01, 1000 steps
+
+Prints the end point beside the exact one, the band in which the energy stays, and how well the
+constraint is kept: the largest |mu v| / sum |mu_i v_i|.
+
+    python particle.py
+"""
+
+import dalembert as dal
+
+particle = dal.systems.particle()
+q0, v0 = [0, 1, 0], [1, 1, 1]
+
+run = dal.integrate(particle, "midpoint", q0=q0, v0=v0, h=0.01, t_end=10)
+exact, _ = particle.exact(10, q0, v0)
+
+print("q(10)  ", *(f"{x:.9f}" for x in run.q[-1]))
+print("exact  ", *(f"{x:.9f}" for x in exact))
+print(f"energy  from {run.energy.min():.12f} to {run.energy.max():.12f}")
+print(f"largest |mu v| / sum |mu_i v_i| {run.residual.max():.1e}")

@@ -1,0 +1,282 @@
+"""What a run returns: its states, and what is computed from them when it is asked for."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import _lib, extras, geometry
+from ._lib import Array, ffi, lib
+from .scheme import Scheme
+from .system import System, differenced
+
+__all__ = ["Solution", "Statistics"]
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a run has cost.
+
+    Attributes
+    ----------
+    steps, substeps : int
+        Steps made, and systems of equations solved in them.
+    iterations : int
+        Newton iterations.
+    constraint_calls, potential_calls : int
+        Calls of the system's functions.
+    corrections : int
+        Final corrections onto D that took an evaluation of their own.
+    full_newtons : int
+        Sub-steps that needed the Hessian of V.
+    halvings : int
+        Newton steps halved because a function left its domain.
+    worst_residual : float
+        Largest relative residual of the kept set after a step, as the step predicts it.
+    initial_residual, initial_correction : float
+        Relative residual of the initial data, and how far they were moved in the mass metric.
+    differenced : tuple of str
+        Derivatives that were replaced by central differences.
+    evaluations : int
+        Of the vector field, by the reference flow.
+    """
+
+    steps: int = 0
+    substeps: int = 0
+    iterations: int = 0
+    constraint_calls: int = 0
+    potential_calls: int = 0
+    corrections: int = 0
+    full_newtons: int = 0
+    halvings: int = 0
+    worst_residual: float = 0.0
+    initial_residual: float = 0.0
+    initial_correction: float = 0.0
+    differenced: tuple[str, ...] = ()
+    evaluations: int = 0
+
+    @classmethod
+    def _read(cls, stepper: Any) -> Statistics:
+        stats = ffi.new("dal_stats *")
+        lib.dal_stepper_stats(stepper, stats)
+        values = {name: getattr(stats, name) for name, _ in ffi.typeof("dal_stats").fields}
+        return cls(**{**values, "differenced": differenced(stats.differenced)})
+
+
+class Solution(Mapping[str, Any]):
+    """A run: states, and what is computed from them when it is asked for.
+
+    Everything is an attribute and a key.  ``len`` is the number of keys, as for any mapping.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N+1,)
+        Times ``t0 + k * h * stride``, in the user's units.
+    q, v : ndarray, shape (N+1, n)
+        Views of ``x``.
+    x : ndarray, shape (N+1, 2n)
+        The states (q, v), the very buffer that the core wrote.
+    y : ndarray, shape (2n, N+1)
+        ``x`` transposed, a view, as SciPy has it.
+    multipliers : ndarray, shape (N+1, m)
+        lambda(q, v) by the formula at the stored states: forces.
+    reactions : ndarray, shape (N, m)
+        The scheme's own multipliers: mean forces over the intervals between stored states,
+        belonging to their middles.  NaN for the reference flow, which has none.
+    energy : ndarray, shape (N+1,)
+    constraint : ndarray, shape (N+1, m)
+        mu(q) v.
+    residual : ndarray, shape (N+1,)
+        Relative residual ``max_a |mu^a v| / sum_i |mu^a_i v_i|`` of the set that the scheme
+        keeps: D for moved nodes, D_eps (mu at q - shift v) for kept ones.
+    system : System
+    scheme : Scheme
+    h : float
+        Step size; between stored states lie ``stride`` steps.
+    stride : int
+    nodes : {"moved", "kept"}
+    shift : float
+        0 for moved nodes, (1 - beta) h for kept ones.
+    stats : Statistics
+    success : bool
+        True unless a step failed; stopped by an observer is a success.
+    status : int
+        ``dal_status`` of the C library: 0, 1 if an observer stopped the run, or negative.
+    message : str
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.01, t_end=10)
+    >>> run.q.shape, run["energy"].shape
+    ((1001, 3), (1001,))
+    """
+
+    _KEYS = (
+        "t", "q", "v", "multipliers", "reactions", "energy", "constraint", "residual", "scheme",
+        "h", "stats", "success", "status", "message", "y", "x", "system", "nodes", "shift",
+        "stride",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        *,
+        system: System,
+        scheme: Scheme,
+        x: Array,
+        reactions: Array,
+        t0: float,
+        h: float,
+        stride: int,
+        stats: Statistics,
+        status: int,
+        message: str,
+    ) -> None:
+        self.system = system
+        self.scheme = scheme
+        self.x = x
+        self.reactions = reactions
+        self.h = h
+        self.stride = stride
+        self.stats = stats
+        self.status = status
+        self.success = status >= 0
+        self.message = message
+        self.nodes = scheme.nodes
+        self.shift = scheme.shift(h) if scheme.nodes == "kept" else 0.0
+        self.t = t0 + np.arange(len(x)) * stride * h
+        self._lock = threading.Lock()
+        self._computed: dict[str, Array] = {}
+
+    @property
+    def q(self) -> Array:
+        """Coordinates, shape (N+1, n), a view."""
+        return self.x[:, : self.system.n]
+
+    @property
+    def v(self) -> Array:
+        """Velocities, shape (N+1, n), a view."""
+        return self.x[:, self.system.n :]
+
+    @property
+    def y(self) -> Array:
+        """States, shape (2n, N+1), a view."""
+        return self.x.T
+
+    @property
+    def multipliers(self) -> Array:
+        """lambda(q, v) by the formula, shape (N+1, m)."""
+        return self._evaluate("multipliers", "multipliers", self.system.m)
+
+    @property
+    def energy(self) -> Array:
+        """Energy, shape (N+1,)."""
+        return self._evaluate("energy", "energy", None)
+
+    @property
+    def constraint(self) -> Array:
+        """mu(q) v, shape (N+1, m)."""
+        return self._evaluate("constraint", "residual", self.system.m)
+
+    @property
+    def residual(self) -> Array:
+        """Relative residual of the set that the scheme keeps, shape (N+1,)."""
+        return self._evaluate("residual", "relative", None, self.shift)
+
+    def _evaluate(self, name: str, output: str, width: int | None, shift: float = 0.0) -> Array:
+        """Compute a quantity from the stored states, once."""
+        with self._lock:
+            if name not in self._computed:
+                self._computed[name] = geometry.trajectory(
+                    self.system, self.x, output, width,
+                    t0=float(self.t[0]), h=self.stride * self.h, shift=shift,
+                )  # fmt: skip
+            return self._computed[name]
+
+    def to_xarray(self) -> Any:
+        """Return the run as an ``xarray.Dataset``.
+
+        Dimensions: time, coordinate, form (one for each constraint), interval (the middles of the
+        intervals between stored states).
+
+        Raises
+        ------
+        ImportError
+            If xarray is not installed; the text is the line to type.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> data = dal.integrate(dal.systems.particle(), h=0.1, steps=10).to_xarray()
+        >>> data.q.sel(coordinate="y").shape
+        (11,)
+        """
+        xarray = extras.require("xarray", "to_xarray")
+        along = ("time", "coordinate")
+        return xarray.Dataset(
+            {
+                "q": (along, self.q),
+                "v": (along, self.v),
+                "multipliers": (("time", "form"), self.multipliers),
+                "energy": ("time", self.energy),
+                "constraint": (("time", "form"), self.constraint),
+                "residual": ("time", self.residual),
+                "reactions": (("interval", "form"), self.reactions),
+            },
+            coords={
+                "time": self.t,
+                "coordinate": list(self.system.coordinates),
+                "interval": (self.t[:-1] + self.t[1:]) / 2,
+            },
+            attrs={
+                "system": self.system.name,
+                **{f"parameter_{key}": x for key, x in self.system.parameters.items()},
+                "scheme": self.scheme.name,
+                "nodes": self.nodes,
+                "h": self.h,
+                "stride": self.stride,
+                "status": self.status,
+                "message": self.message,
+                "dalembert": _lib.version(),
+            },
+        )
+
+    def __getitem__(self, key: str) -> Any:
+        if key not in self._KEYS:
+            raise KeyError(f"{key!r}: expected one of {', '.join(self._KEYS)}")
+        return getattr(self, key)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._KEYS)
+
+    def __len__(self) -> int:
+        return len(self._KEYS)
+
+    __eq__ = object.__eq__  # arrays have no truth value
+    __hash__ = object.__hash__
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self._KEYS})
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: x for key, x in self.__dict__.items() if key != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.Lock()
+
+    def __repr__(self) -> str:
+        kept = "D_eps" if self.nodes == "kept" else "D"
+        every = f", every {self.stride} steps" if self.stride > 1 else ""
+        lines = [
+            f"<Solution of {self.system.name} by {self.scheme.name}, h = {self.h:g}: "
+            f"{'success' if self.success else 'FAILED'}",
+            f"  {len(self.x)} states at t = {self.t[0]:g} .. {self.t[-1]:g}{every}",
+        ]
+        if not self.scheme.is_reference and self.system.m > 0:
+            lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
+        return "\n".join([*lines, f"  {self.message}>"])

@@ -1,0 +1,54 @@
+"""A C example and its Python twin print the same words and the same numbers.
+
+Usage: ``python check_examples.py PROGRAM EXAMPLE.py``
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+# Both run the same steps, but a compiler may contract or reorder the operations of an example's own
+# functions: 1e4 steps of roundoff 1e-16 each, and a few digits to spare.
+RELATIVE = 1e-9
+ROUNDOFF = 1e-11  # numbers below are errors of roundoff, of which only the size is common
+
+
+def output(*command: str) -> list[str]:
+    """Run an example, which has to succeed; the words that it prints."""
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"{command}: exit status {done.returncode}\n{done.stdout}{done.stderr}")
+    return done.stdout.replace(",", " ").split()
+
+
+def same(one: str, other: str) -> bool:
+    """Compare two words: as numbers if both are."""
+    if one == other:
+        return True
+    try:
+        a, b = float(one), float(other)
+    except ValueError:
+        return False
+    return math.isclose(a, b, rel_tol=RELATIVE, abs_tol=ROUNDOFF)
+
+
+def main(program: str, script: str) -> str | None:
+    in_c = output(str(Path(program).resolve()))
+    in_python = output(sys.executable, script)
+    for k, (one, other) in enumerate(zip(in_c, in_python)):
+        if not same(one, other):
+            return f"word {k}: {program} prints {one!r}, {script} prints {other!r}"
+    if len(in_c) != len(in_python):
+        return f"{program} prints {len(in_c)} words, {script} prints {len(in_python)}"
+    numbers = sum(any(c.isdigit() for c in word) for word in in_c)
+    if numbers == 0:
+        return f"{program} prints no number"
+    print(f"{numbers} numbers agree")
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
