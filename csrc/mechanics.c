@@ -437,22 +437,25 @@ int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift, 
                    const double *x, double *energy, double *multipliers, double *residual,
                    double *relative, size_t *done)
 {
+    (void)t0, (void)h;
     if (done) *done = 0;
     if (!mechanics || (!x && count > 0)) return DAL_EINVAL;
-    const size_t n = mechanics->n, m = mechanics->m;
-    for (size_t k = 0; k < count; k++, x += 2 * n) {
-        int status = DAL_SUCCESS;
-        if (energy) status = dal_energy(mechanics, x, energy + k);
-        if (!status && multipliers)
-            status = dal_multipliers(mechanics, t0 + (double)k * h, x, multipliers + k * m);
-        if (!status && (residual || relative)) {
-            status = require_finite(mechanics, "x", 2 * n, x);
-            if (!status) status = forms_at(mechanics, shift, x, NULL);
-        }
+    dal_mechanics *const mech = mechanics;
+    const size_t n = mech->n, m = mech->m;
+    int status = require_finite(mech, "shift", 1, &shift);
+    for (size_t k = 0; !status && k < count; k++, x += 2 * n) {
+        double E = 0.0;
+        status = require_finite(mech, "x", 2 * n, x);
+        if (!status && energy) status = dal_energy(mech, x, &E);
+        if (!status && multipliers) status = solve_multipliers(mech, x);
+        if (!status && (residual || relative)) status = forms_at(mech, shift, x, NULL);
         if (status) return status;
-        if (residual) dal__apply(m, n, mechanics->mu, x + n, residual + k * m);
-        if (relative) relative[k] = relative_residual(mechanics, x + n);
+        /* nothing of a row is written before all of it is known */
+        if (energy) energy[k] = E;
+        if (multipliers) memcpy(multipliers + k * m, mech->lambda, m * sizeof *multipliers);
+        if (residual) dal__apply(m, n, mech->mu, x + n, residual + k * m);
+        if (relative) relative[k] = relative_residual(mech, x + n);
         if (done) *done = k + 1;
     }
-    return DAL_SUCCESS;
+    return status;
 }

@@ -33,6 +33,11 @@ static int evaluate(const gsl_vector *unknown, void *ctx, gsl_vector *f, gsl_mat
     const size_t n = s->n, m = s->m;
     for (size_t i = 0; i < n; i++) s->w[i] = gsl_vector_get(unknown, i);
     for (size_t a = 0; a < m; a++) s->kappa[a] = gsl_vector_get(unknown, n + a);
+    if (!dal__all_finite(n, s->w) || !dal__all_finite(m, s->kappa)) {
+        s->status = dal__fail(&s->mech.error, DAL_ENOCONV, "hybridsj took an infinite step: its "
+                              "Jacobian is singular, or h = %g is too large", s->h);
+        return GSL_EBADFUNC;
+    }
     s->status = dal_step_equations(&s->mech, s->beta, s->h, s->start, s->w, s->kappa, s->R1, s->R2,
                                    J ? s->K : NULL, J ? s->B : NULL, J ? s->muk : NULL);
     if (s->status) return GSL_EBADFUNC;

@@ -294,6 +294,9 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     if (status) return status;
     for (size_t i = 0; initial == DAL_INITIAL_SHIFT && i < n; i++)
         self->fresh[i] += shift * self->fresh[n + i];
+    if (!dal__all_finite(n, self->fresh))
+        return dal__fail(&self->error, DAL_EDOMAIN, "the node q + (1-beta) h v overflows with h = %g",
+                         h);
 
     memcpy(k->x, self->fresh, 2 * n * sizeof *x);
     k->h = h;
@@ -308,8 +311,28 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
 
 /* ---- steps ------------------------------------------------------------------------------ */
 
-/* What went wrong in the step that failed, in words.  A number that is not finite is looked for by
- * evaluating again, with checks, where the step evaluated last. */
+/* The number that was not finite in the step that failed, looked for by evaluating again, with
+ * checks, where the step evaluated: from q~ to the node to the last iterate. */
+static void find_not_finite(dal_stepper *self, dal_error *found)
+{
+    const dal_kernel *const k = &self->kernel;
+    dal_mechanics *const mech = &self->mech;
+    const size_t n = k->n;
+    double *const start = self->fresh;
+    for (size_t i = 0; i < n; i++) start[i] = k->x[i] - k->shift * k->h * k->x[n + i];
+    if (dal__all_finite(n, k->node)
+        && (dal__potential(&mech->eval, start, NULL, mech->force, NULL, found)
+            || dal__constraint(&mech->eval, k->node, k->x + n, mech->mu, NULL, found)
+            || dal__potential(&mech->eval, k->node, NULL, mech->force, NULL, found)))
+        return;
+    if (dal__all_finite(n, k->point) && dal__all_finite(n, k->w)
+        && (dal__constraint(&mech->eval, k->point, k->w, mech->mu, mech->dmu, found)
+            || dal__potential(&mech->eval, k->point, NULL, mech->force, NULL, found)))
+        return;
+    dal__fail(found, DAL_EDOMAIN, "a number is not finite; try a smaller h");
+}
+
+/* What went wrong in the step that failed, in words. */
 static void explain(dal_stepper *self, int status)
 {
     dal_kernel *const k = &self->kernel;
@@ -325,13 +348,7 @@ static void explain(dal_stepper *self, int status)
                  k->failure.returned > 0 ? "outside its domain; try a smaller h" : "stop");
         break;
     case DAL_FAILED_FINITE:
-        found->text[0] = '\0';
-        if (!dal__constraint(&self->mech.eval, k->node, k->x + k->n, self->mech.mu, NULL, found)
-            && !dal__constraint(&self->mech.eval, k->point, k->w, self->mech.mu, self->mech.dmu,
-                                found)
-            && !dal__potential(&self->mech.eval, k->node, NULL, self->mech.force, NULL, found)
-            && !dal__potential(&self->mech.eval, k->point, NULL, self->mech.force, NULL, found))
-            snprintf(found->text, sizeof found->text, "a number is not finite; try a smaller h");
+        find_not_finite(self, found);
         snprintf(what, sizeof what, "%.300s", found->text);
         break;
     case DAL_FAILED_SINGULAR_S:

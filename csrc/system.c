@@ -263,12 +263,14 @@ int dal_system_exact(const dal_system *system, double t, const double *x0, doubl
 {
     if (!system || !x0 || !x || !isfinite(t)) return DAL_EINVAL;
     if (!system->def.exact) return DAL_EUNSUPPORTED;
-    return dal__callback_status(system->def.exact(t, x0, x, system->def.ctx));
+    const asked question = {system, t, x0};
+    return ask(&question, answer_exact, 2 * system->def.n, x);
 }
 
 int dal_system_invariant(const dal_system *system, const double *x, double *values)
 {
     if (!system || !x || !values) return DAL_EINVAL;
     if (!system->def.invariant) return DAL_EUNSUPPORTED;
-    return dal__callback_status(system->def.invariant(x, values, system->def.ctx));
+    const asked question = {system, 0.0, x};
+    return ask(&question, answer_invariant, system->def.invariants, values);
 }

@@ -19,11 +19,12 @@ particle = dal.systems.particle()
 studies = dal.studies(particle, SCHEMES, t_end=4.0)
 runs = [
     dal.integrate(particle, "midpoint", h=0.05, t_end=20.0),
-    dal.integrate(particle, "midpoint-nodes", h=0.05, t_end=20.0, initial="D_eps", consistent="project"),
+    dal.integrate(particle, "midpoint-nodes", h=0.05, t_end=20.0, initial="project"),
 ]
+styles = dal.plot.styles(SCHEMES)
 
 figure = plt.figure(figsize=(12.0, 8.0), layout="constrained")
 above, below = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
-dal.plot.convergence(studies, ax=above.subplots())
-dal.plot.drift(runs, ax=below.subplots(1, 2, sharey=True))
+dal.plot.convergence(studies, ax=above.subplots(), styles=styles)
+dal.plot.drift(runs, ax=below.subplots(1, 2, sharey=True), styles=styles)
 figure.savefig(Path(__file__).with_name("study.png"), dpi=90, metadata={"Software": None})

@@ -20,14 +20,66 @@ static inline void need(int status, const char *what, const char *text)
     exit(2);
 }
 
-/* A built-in system, or generic4. */
+/* ---- uneven_edge: a knife edge that turns unevenly -----------------------------------------
+ * M = diag(2, 2, 3/4), V = -5 x + sin(theta)/10, mu = (sin theta, -cos theta, 0).  Its heading grows without end
+ * and its speed passes through 0 again and again. */
+
+static inline int uneven_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    (void)ctx;
+    if (V) *V = -5.0 * q[0] + sin(q[2]) / 10;
+    if (V_q) {
+        V_q[0] = -5.0;
+        V_q[1] = 0.0;
+        V_q[2] = cos(q[2]) / 10;
+    }
+    if (V_qq) {
+        memset(V_qq, 0, 9 * sizeof *V_qq);
+        V_qq[8] = -sin(q[2]) / 10;
+    }
+    return 0;
+}
+
+static inline int uneven_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                                    double *phi_q, void *ctx)
+{
+    const double s = sin(q[2]), c = cos(q[2]);
+    (void)ctx;
+    if (phi) phi[0] = s * v[0] - c * v[1];
+    if (phi_v) {
+        phi_v[0] = s;
+        phi_v[1] = -c;
+        phi_v[2] = 0.0;
+    }
+    if (phi_q) {
+        phi_q[0] = phi_q[1] = 0.0;
+        phi_q[2] = c * v[0] + s * v[1];
+    }
+    return 0;
+}
+
+static inline int uneven_new(dal_system **system, dal_error *error)
+{
+    const double mass[9] = {2.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.75};
+    const double state[6] = {0.0, 0.0, 0.2, 0.5 * cos(0.2), 0.5 * sin(0.2), 1.2};
+    const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .potential = uneven_potential,
+                                .constraint = uneven_constraint, .name = "uneven_edge",
+                                .state = state};
+    return dal_system_new(system, &def, error);
+}
+
+/* A built-in system, or one of these two. */
 static inline dal_system *open_system(const char *name)
 {
     dal_system *system = NULL;
     dal_error error = {0};
-    const int status = strcmp(name, "generic4") == 0
-                           ? generic4_new(&system, &error)
-                           : dal_system_builtin(&system, name, NULL, NULL, 0, &error);
+    int status;
+    if (strcmp(name, "generic4") == 0)
+        status = generic4_new(&system, &error);
+    else if (strcmp(name, "uneven_edge") == 0)
+        status = uneven_new(&system, &error);
+    else
+        status = dal_system_builtin(&system, name, NULL, NULL, 0, &error);
     need(status, name, error.text);
     return system;
 }

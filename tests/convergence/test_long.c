@@ -38,6 +38,11 @@ static const run runs[] = {
     {"disk", "explicit-nodes", DAL_INITIAL_SHIFT, 0.01, 100000},
     {"disk", "endpoint-nodes", DAL_INITIAL_SHIFT, 0.01, 100000},
     {"knife_edge", "0.3-nodes", DAL_INITIAL_PROJECT, 0.01, 100000},
+    {"uneven_edge", "midpoint", DAL_INITIAL_NONE, 0.05, 400000},
+    {"uneven_edge", "leapfrog", DAL_INITIAL_NONE, 0.05, 400000},
+    {"uneven_edge", "leapfrog-mirror", DAL_INITIAL_NONE, 0.05, 400000},
+    {"uneven_edge", "midpoint-nodes", DAL_INITIAL_SHIFT, 0.05, 400000},
+    {"uneven_edge", "explicit-nodes", DAL_INITIAL_SHIFT, 0.05, 400000},
     {"generic4", "leapfrog-suzuki4", DAL_INITIAL_NONE, 0.1, 100000},
     {"disk", "midpoint-kl8", DAL_INITIAL_NONE, 0.5, 20000},
 };
