@@ -211,7 +211,8 @@ DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, const double *mu, co
 
 /* The residual of D at the q~' that the stored state gives back, r <- -(mu w + N moved): mu and N
  * were evaluated at a point that lies moved away.  True if it is within limit for every constraint,
- * relative to sum_i |mu^a_i w_i|; then *worst is kept up to date, and *least is the smallest sum. */
+ * relative to sum_i |mu^a_i w_i|; then *worst is kept up to date, and *least is the smallest sum.
+ * Never true if a component of w or moved is not finite: 0 times it is NaN. */
 DAL_KERNEL_INLINE bool dal_kernel_settled(size_t n, size_t m, const double *mu, const double *N,
                                       const double *w, const double *moved, double limit, double *r,
                                       double *least, double *worst)
@@ -283,6 +284,8 @@ static int dal_kernel_correct(dal_kernel *k)
     enum { MOST = 4 };
     const size_t n = k->n, m = k->m;
     const double limit = 2.0 * (double)n * DAL_KERNEL_U, shift = k->kept ? k->shift * k->h : 0.0;
+    if (!(dal_kernel_sum(n, k->stored) + dal_kernel_sum(n, k->w) <= DBL_MAX))
+        return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
     memset(k->moved, 0, n * sizeof *k->moved);
     for (int pass = 0; pass < MOST; pass++) {
         bool same = pass > 0;
@@ -601,7 +604,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
             if (status) return status;
         }
     }
-    if (!(dal_kernel_sum(n, stored) <= DBL_MAX)) /* it overflowed; a w that did was found above */
+    if (m == 0 && !(dal_kernel_sum(n, stored) <= DBL_MAX)) /* else that has been seen to */
         return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
 
     for (size_t i = 0; i < n; i++) {

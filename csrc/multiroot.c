@@ -166,6 +166,8 @@ int dal__multiroot_step(multiroot *solver, double beta, double h, double *x, dou
         s->x[i] = x[i] + (1.0 - beta) * h * x[n + i] + beta * h * w;
         s->x[n + i] = w;
     }
+    if (!dal__all_finite(2 * n, s->x))
+        return dal__fail(&s->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
     status = dal_project(&s->mech, 0.0, s->x, NULL); /* the final correction */
     if (status) {
         s->error = s->mech.error;

@@ -239,6 +239,8 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     return DAL_SUCCESS;
 }
 
+/* The steps of a start leave the text of their failure in the error of self->mech. */
+
 /* fresh <- consistent data of D (shift = 0) or D_eps; what was found and done goes to stats. */
 static int make_consistent(dal_stepper *self, double shift, dal_consistency consistency,
                            dal_stats *stats)
@@ -247,12 +249,11 @@ static int make_consistent(dal_stepper *self, double shift, dal_consistency cons
     dal_mechanics *const mech = &self->mech;
     int status = dal_relative_residual(mech, shift, self->fresh, &stats->initial_residual);
     if (!status && consistency == DAL_CHECK && !(stats->initial_residual <= tolerance))
-        return dal__fail(&self->error, DAL_EOFFD, "the initial data do not lie in %s: max_a |mu^a v| "
+        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: max_a |mu^a v| "
                          "/ sum_i |mu^a_i v_i| = %.3g, at most %g is accepted",
                          shift == 0.0 ? "D" : "D_eps", stats->initial_residual, tolerance);
     if (!status && consistency != DAL_ASSUME)
         status = dal_project(mech, shift, self->fresh, &stats->initial_correction);
-    if (status) self->error = mech->error;
     return status;
 }
 
@@ -265,8 +266,16 @@ static int probe(dal_stepper *self)
     int status = dal__constraint(&mech->eval, q, v, mech->mu, mech->dmu, &mech->error);
     if (!status)
         status = dal__potential(&mech->eval, q, NULL, mech->force, mech->hessian, &mech->error);
-    if (status) self->error = mech->error;
     return status;
+}
+
+/* q <- q + shift v. */
+static int move_node(dal_stepper *self, double shift, double *x)
+{
+    const size_t n = self->kernel.n;
+    for (size_t i = 0; i < n; i++) x[i] += shift * x[n + i];
+    if (dal__all_finite(n, x)) return DAL_SUCCESS;
+    return dal__fail(&self->mech.error, DAL_EDOMAIN, "q + %g v overflows", shift);
 }
 
 int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
@@ -287,16 +296,13 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     if (!status)
         status = make_consistent(self, initial == DAL_INITIAL_D_EPS ? shift : 0.0, consistency,
                                  &stats);
-    if (!status && initial == DAL_INITIAL_PROJECT) {
+    if (!status && initial == DAL_INITIAL_PROJECT)
         status = dal_project(&self->mech, shift, self->fresh, &stats.initial_correction);
-        if (status) self->error = self->mech.error;
+    if (!status && initial == DAL_INITIAL_SHIFT) status = move_node(self, shift, self->fresh);
+    if (status) {
+        self->error = self->mech.error;
+        return status;
     }
-    if (status) return status;
-    for (size_t i = 0; initial == DAL_INITIAL_SHIFT && i < n; i++)
-        self->fresh[i] += shift * self->fresh[n + i];
-    if (!dal__all_finite(n, self->fresh))
-        return dal__fail(&self->error, DAL_EDOMAIN, "the node q + (1-beta) h v overflows with h = %g",
-                         h);
 
     memcpy(k->x, self->fresh, 2 * n * sizeof *x);
     k->h = h;
@@ -369,7 +375,8 @@ static void explain(dal_stepper *self, int status)
     dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %s", self->steps + 1, t, k->h, what);
 }
 
-/* The same records by the solver for all unknowns, sub-step by sub-step. */
+/* The same records by the solver for all unknowns, sub-step by sub-step; what went wrong is in the
+ * error of self->mech. */
 static int advance_multiroot(dal_stepper *self, size_t steps, size_t *done)
 {
     dal_kernel *const k = &self->kernel;
@@ -378,16 +385,19 @@ static int advance_multiroot(dal_stepper *self, size_t steps, size_t *done)
     const double shift = k->shift * k->h;
     for (*done = 0; *done < steps; ++*done) {
         memcpy(x, k->x, 2 * n * sizeof *x);
-        for (size_t i = 0; k->kept && i < n; i++) x[i] -= shift * x[n + i];
+        int status = k->kept ? move_node(self, -shift, x) : DAL_SUCCESS;
+        if (status) return status;
         for (size_t j = 0; j < self->substeps; j++) {
             const dal_substep s = self->substep[j];
-            const int status =
-                dal__multiroot_step(self->multiroot, s.beta, s.fraction * k->h, x, k->kappa);
+            status = dal__multiroot_step(self->multiroot, s.beta, s.fraction * k->h, x, k->kappa);
             k->stats.iterations += dal__multiroot_iterations(self->multiroot);
-            if (status) return status;
+            if (status)
+                return dal__fail(&self->mech.error, status, "%.400s",
+                                 dal__multiroot_message(self->multiroot));
             for (size_t a = 0; a < k->m; a++) k->impulse[a] += k->kappa[a];
         }
-        for (size_t i = 0; k->kept && i < n; i++) x[i] += shift * x[n + i];
+        if (k->kept) status = move_node(self, shift, x);
+        if (status) return status;
         memcpy(k->x, x, 2 * n * sizeof *x);
         k->stats.steps++;
     }
@@ -413,7 +423,7 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
             explain(self, status);
         else
             dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %.400s", self->steps + 1,
-                      dal_stepper_time(self), k->h, dal__multiroot_message(self->multiroot));
+                      dal_stepper_time(self), k->h, self->mech.error.text);
         return status;
     }
     for (size_t a = 0; reaction && steps > 0 && a < k->m; a++)

@@ -259,18 +259,47 @@ int dal_system_state(const dal_system *system, double *x)
     return DAL_SUCCESS;
 }
 
+/* Scratch for an answer[count] that is handed over whole or not at all; NaN, so that what is never
+ * written is found. */
+static int open_answer(arena *scratch, size_t count, double **fresh)
+{
+    dal__reserve(scratch, fresh, count, sizeof **fresh);
+    const int status = dal__allocate(scratch, NULL);
+    for (size_t i = 0; !status && i < count; i++) (*fresh)[i] = (double)NAN;
+    return status;
+}
+
+static int close_answer(arena *scratch, int returned, size_t count, const double *fresh,
+                        double *answer)
+{
+    int status = dal__callback_status(returned);
+    if (!status && !dal__all_finite(count, fresh)) status = DAL_EDOMAIN;
+    if (!status) memcpy(answer, fresh, count * sizeof *answer);
+    dal__release(scratch);
+    return status;
+}
+
 int dal_system_exact(const dal_system *system, double t, const double *x0, double *x)
 {
     if (!system || !x0 || !x || !isfinite(t)) return DAL_EINVAL;
-    if (!system->def.exact) return DAL_EUNSUPPORTED;
-    const asked question = {system, t, x0};
-    return ask(&question, answer_exact, 2 * system->def.n, x);
+    const dal_system_def *const def = &system->def;
+    if (!def->exact) return DAL_EUNSUPPORTED;
+    arena scratch = {0};
+    double *fresh;
+    const int status = open_answer(&scratch, 2 * def->n, &fresh);
+    if (status) return status;
+    return close_answer(&scratch, def->exact(t, x0, fresh, def->ctx), 2 * def->n, fresh, x);
 }
 
 int dal_system_invariant(const dal_system *system, const double *x, double *values)
 {
     if (!system || !x || !values) return DAL_EINVAL;
-    if (!system->def.invariant) return DAL_EUNSUPPORTED;
-    const asked question = {system, 0.0, x};
-    return ask(&question, answer_invariant, system->def.invariants, values);
+    const dal_system_def *const def = &system->def;
+    if (!def->invariant) return DAL_EUNSUPPORTED;
+    arena scratch = {0};
+    double *fresh;
+    const int status = open_answer(&scratch, def->invariants, &fresh);
+    if (status) return status;
+    return close_answer(&scratch, def->invariant(x, fresh, def->ctx), def->invariants, fresh,
+                        values);
 }

@@ -176,10 +176,11 @@ DAL_API double dal_system_parameter(const dal_system *system, size_t i);        
 DAL_API int dal_system_state(const dal_system *system, double *x);
 
 /* x[2n] <- the exact state a time t after x0[2n], which must lie in D.
- * DAL_EUNSUPPORTED if the system carries no exact solution; DAL_EUSER, DAL_EDOMAIN. */
+ * DAL_EUNSUPPORTED if the system carries no exact solution; DAL_EUSER, DAL_EDOMAIN, DAL_ENOMEM. */
 DAL_API int dal_system_exact(const dal_system *system, double t, const double *x0, double *x);
 
-/* First integrals besides the energy: how many, their names, values[count] at x[2n]. */
+/* First integrals besides the energy: how many, their names, values[count] at x[2n].
+ * DAL_EUNSUPPORTED if there are none; DAL_EUSER, DAL_EDOMAIN, DAL_ENOMEM. */
 DAL_API size_t dal_system_invariants(const dal_system *system);
 DAL_API const char *dal_system_invariant_name(const dal_system *system, size_t i); /* or NULL */
 DAL_API int dal_system_invariant(const dal_system *system, const double *x, double *values);

@@ -986,7 +986,7 @@ static void test_blow_up(size_t solver)
                                                                        : DAL_INITIAL_NONE;
             for (size_t l = 0; l < sizeof lengths / sizeof lengths[0]; l++) {
                 int status = dal_stepper_start(stepper, 0.0, lengths[l], x, DAL_CHECK, initial);
-                for (int step = 0; step < 400 && !status; step++) {
+                for (int step = 0; step < 60 && !status; step++) {
                     memcpy(before, dal_stepper_state(stepper), bytes);
                     status = dal_step(stepper, NULL);
                     CHECK(dal__all_finite(bytes / sizeof *x, dal_stepper_state(stepper)));
@@ -1037,7 +1037,7 @@ static void test_extreme_numbers(void)
 {
     static const double palette[] = {0.0, 1.0, -1.0, 4.9406564584124654e-324, 1e-308, 1e-160, -1e-20,
                                      1e20, -1e100, 1e160, 1e200, -1e308, DBL_MAX};
-    enum { COLOURS = sizeof palette / sizeof palette[0], TRIALS = 4000 };
+    enum { COLOURS = sizeof palette / sizeof palette[0], TRIALS = 2000 };
     unsigned long state = 20240229;
 #define NEXT (state = (state * 1103515245UL + 12345UL) & 0x7fffffffUL, \
               palette[(state >> 8) % COLOURS])
@@ -1381,7 +1381,8 @@ int main(void)
     for (size_t solver = 0; solver < SOLVERS; solver++) {
         test_disturbed_steps("particle", 0, solver, 1);
         test_disturbed_steps("particle_oscillator", 0, solver, 1);
-        test_disturbed_steps("generic4", 0, solver, 1);
+        test_disturbed_steps("generic4", 0, solver,
+                             solvers[solver].solver == DAL_SOLVER_SCHUR ? 1 : 7);
         test_refused_start(solver);
         test_divergence(solver);
         test_blow_up(solver);

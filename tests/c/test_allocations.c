@@ -1,0 +1,386 @@
+/* Memory: malloc fails at each allocation of everything that allocates, and a step asks for none.
+ *
+ * Two counters.  The linker sends the library's own calls (and not GSL's) to __wrap_malloc and its
+ * kin, where they can be made to fail.  The definitions of malloc and its kin below stand before
+ * those of the C library for the whole process, GSL included; there they are counted. */
+#define _GNU_SOURCE /* RTLD_NEXT */
+#include "check.h"
+#include "../generic4.h"
+#include "internal.h"
+
+#include <ctype.h>
+#include <dlfcn.h>
+#include <gsl/gsl_errno.h>
+#include <gsl/gsl_vector.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* ---- the whole process -------------------------------------------------------------------- */
+
+static struct {
+    size_t calls; /* that allocate */
+    long live;    /* blocks now */
+    size_t fail_from, fail_until;
+} process = {.fail_from = SIZE_MAX};
+
+/* *function <- the next definition of name; through memcpy, as C has no cast from object to function
+ * pointers. */
+static void find(const char *name, void *function)
+{
+    void *const found = dlsym(RTLD_NEXT, name);
+    memcpy(function, &found, sizeof found);
+}
+
+/* The call is counted; whether it is to fail. */
+static bool process_fails(void)
+{
+    const size_t call = process.calls++;
+    return process.fail_from <= call && call < process.fail_until;
+}
+
+static void *counted(void *block)
+{
+    if (block) process.live++;
+    return block;
+}
+
+void *malloc(size_t size)
+{
+    static void *(*next)(size_t);
+    if (!next) find("malloc", &next);
+    return process_fails() ? NULL : counted(next(size));
+}
+
+void *calloc(size_t count, size_t size)
+{
+    static void *(*next)(size_t, size_t);
+    if (!next) find("calloc", &next);
+    return process_fails() ? NULL : counted(next(count, size));
+}
+
+void *realloc(void *block, size_t size)
+{
+    static void *(*next)(void *, size_t);
+    if (!next) find("realloc", &next);
+    if (process_fails()) return NULL;
+    return block ? next(block, size) : counted(next(block, size));
+}
+
+void free(void *block)
+{
+    static void (*next)(void *);
+    if (!next) find("free", &next);
+    if (block) process.live--;
+    next(block);
+}
+
+/* ---- the library's own -------------------------------------------------------------------- */
+
+static struct {
+    size_t calls, fail_from, fail_until;
+} own = {.fail_from = SIZE_MAX};
+
+static bool own_fails(void)
+{
+    const size_t call = own.calls++;
+    return own.fail_from <= call && call < own.fail_until;
+}
+
+void *__real_malloc(size_t size);
+void *__real_calloc(size_t count, size_t size);
+void *__real_realloc(void *block, size_t size);
+void *__wrap_malloc(size_t size);
+void *__wrap_calloc(size_t count, size_t size);
+void *__wrap_realloc(void *block, size_t size);
+
+void *__wrap_malloc(size_t size) { return own_fails() ? NULL : __real_malloc(size); }
+
+void *__wrap_calloc(size_t count, size_t size)
+{
+    return own_fails() ? NULL : __real_calloc(count, size);
+}
+
+void *__wrap_realloc(void *block, size_t size)
+{
+    return own_fails() ? NULL : __real_realloc(block, size);
+}
+
+static void fail_own(size_t from, size_t until)
+{
+    own.calls = 0;
+    own.fail_from = from;
+    own.fail_until = until;
+}
+
+static void fail_process(size_t from, size_t until)
+{
+    process.calls = 0;
+    process.fail_from = from;
+    process.fail_until = until;
+}
+
+static void fail_nothing(void)
+{
+    fail_own(SIZE_MAX, SIZE_MAX);
+    fail_process(SIZE_MAX, SIZE_MAX);
+}
+
+/* Both counters count what they should. */
+static void test_counters(void)
+{
+    const size_t calls = process.calls;
+    const long live = process.live;
+    gsl_vector *vector = gsl_vector_alloc(3); /* by GSL: data, block, vector */
+    CHECK(process.calls == calls + 3 && process.live == live + 3);
+    gsl_vector_free(vector);
+    CHECK(process.live == live);
+
+    own.calls = 0;
+    arena memory = {0};
+    double *array;
+    dal__reserve(&memory, &array, 5, sizeof *array);
+    CHECK(dal__allocate(&memory, NULL) == 0);
+    CHECK(own.calls == 1 && process.calls == calls + 4);
+    dal__release(&memory);
+    CHECK(process.live == live);
+}
+
+/* ---- allocations that fail ---------------------------------------------------------------- */
+
+enum { MOST = 8, COUNT = 3 };
+
+/* What the makers are made from. */
+static dal_system *particle, *generic4;
+static dal_mechanics *mechanics;
+static double state[MOST];
+
+typedef enum maker {
+    SYSTEM, SYSTEM_DIAGONAL, BUILTIN, MECHANICS, FLOW_RK8PD, FLOW_MSADAMS, FLOW_MSBDF, STEPPER,
+    STEPPER_MULTIROOT, CHECK_SYSTEM, STUDY, CONSISTENT, EXACT, INVARIANT, MAKERS
+} maker;
+
+static const unsigned char untouched = 0x55;
+
+/* Everything that can be an output. */
+typedef struct outputs {
+    dal_system *system;
+    dal_mechanics *mechanics;
+    dal_flow *flow;
+    dal_stepper *stepper;
+    dal_check check;
+    dal_order_point points[COUNT];
+    dal_order order;
+    double x[MOST], distance;
+} outputs;
+
+static int make_stepper(outputs *out, dal_solver solver, dal_error *error)
+{
+    dal_scheme scheme;
+    const dal_options options = {.solver = solver};
+    CHECK(dal_scheme_find(&scheme, "leapfrog-suzuki4", NULL) == 0);
+    return dal_stepper_new(&out->stepper, generic4, &scheme, &options, error);
+}
+
+static int make_study(outputs *out, dal_error *error)
+{
+    static const size_t steps[COUNT] = {2, 4, 8};
+    dal_scheme scheme;
+    const dal_order_def def = {.t_end = 0.25, .x0 = state, .steps = steps, .count = COUNT,
+                               .tolerance = 1e-6};
+    CHECK(dal_scheme_find(&scheme, "midpoint", NULL) == 0);
+    return dal_order_study(generic4, &scheme, &def, out->points, &out->order, error);
+}
+
+static int make(maker what, outputs *out, dal_error *error)
+{
+    static const double diagonal[4] = {1.0, 0.0, 0.0, 2.0};
+    static const unsigned char keep[4] = {0, 1, 0, 0};
+    const dal_system_def plane = {.n = 2, .mass = diagonal};
+    switch (what) {
+    case SYSTEM: return generic4_new(&out->system, error);
+    case SYSTEM_DIAGONAL: return dal_system_new(&out->system, &plane, error);
+    case BUILTIN: return dal_system_builtin(&out->system, "chaotic", NULL, NULL, 0, error);
+    case MECHANICS: return dal_mechanics_new(&out->mechanics, generic4, error);
+    case FLOW_RK8PD: return dal_flow_new(&out->flow, generic4, DAL_FLOW_RK8PD, 1e-6, error);
+    case FLOW_MSADAMS: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSADAMS, 1e-6, error);
+    case FLOW_MSBDF: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSBDF, 1e-6, error);
+    case STEPPER: return make_stepper(out, DAL_SOLVER_SCHUR, error);
+    case STEPPER_MULTIROOT: return make_stepper(out, DAL_SOLVER_MULTIROOT, error);
+    case CHECK_SYSTEM: return dal_system_check(generic4, state, &out->check, error);
+    case STUDY: return make_study(out, error);
+    case CONSISTENT:
+        return dal_consistent(mechanics, keep, out->x, &out->distance);
+    case EXACT: return dal_system_exact(particle, 1.0, state, out->x);
+    case INVARIANT: return dal_system_invariant(particle, state, out->x);
+    case MAKERS: break;
+    }
+    return DAL_EINVAL;
+}
+
+/* These have no error record of their own; the last two no message at all. */
+static const char *message(maker what, const dal_error *error)
+{
+    if (what == CONSISTENT) return dal_mechanics_message(mechanics);
+    if (what == EXACT || what == INVARIANT) return dal_strerror(DAL_ENOMEM);
+    CHECK(error->status == DAL_ENOMEM);
+    return error->text;
+}
+
+static void prepare(outputs *out)
+{
+    memset(out, untouched, sizeof *out);
+    memcpy(out->x, state, sizeof out->x);
+}
+
+static void release(maker what, outputs *out)
+{
+    if (what <= BUILTIN) dal_system_free(out->system);
+    if (what == MECHANICS) dal_mechanics_free(out->mechanics);
+    if (FLOW_RK8PD <= what && what <= FLOW_MSBDF) dal_flow_free(out->flow);
+    if (what == STEPPER || what == STEPPER_MULTIROOT) dal_stepper_free(out->stepper);
+}
+
+/* The k-th allocation fails, for every k, alone or with all that follow it: nothing is made,
+ * nothing is leaked, and the text says memory. */
+static void test_failing(maker what, void (*fail)(size_t, size_t), const size_t *calls)
+{
+    for (int alone = 0; alone <= 1; alone++)
+        for (size_t k = 0;; k++) {
+            outputs out, before;
+            dal_error error = {0};
+            prepare(&out);
+            before = out;
+            const long live = process.live;
+            fail(k, alone ? k + 1 : SIZE_MAX);
+            const int status = make(what, &out, &error);
+            const size_t made = *calls;
+            fail_nothing();
+            if (!status) {
+                CHECK(k > 0 && made == k); /* none was left to fail */
+                release(what, &out);
+                CHECK(process.live == live);
+                break;
+            }
+            CHECK(status == DAL_ENOMEM);
+            CHECK(strstr(message(what, &error), "memory") || strstr(message(what, &error), "alloc"));
+            CHECK(memcmp(&out, &before, sizeof out) == 0);
+            CHECK(process.live == live);
+        }
+}
+
+/* A size that malloc refuses: the number of bytes is in the text. */
+static void test_message(void)
+{
+    outputs out;
+    dal_error error;
+    prepare(&out);
+    fail_own(0, 1);
+    CHECK(make(MECHANICS, &out, &error) == DAL_ENOMEM);
+    fail_nothing();
+    const char *text = error.text;
+    while (*text && !isdigit((unsigned char)*text)) text++;
+    CHECK(strtoul(text, NULL, 10) >= 4 * 4 * sizeof(double)); /* its Hessian alone */
+}
+
+/* ---- steps that do not allocate ----------------------------------------------------------- */
+
+enum { STEPS = 10000, STRIDE = 10, ROWS = STEPS / STRIDE + 1 };
+
+static double rows[ROWS * MOST], reactions[ROWS * 2], energy[ROWS], multipliers[ROWS * 2],
+    residual[ROWS * 2], relative[ROWS];
+
+static int observing(size_t step, double t, const double *x, void *ctx)
+{
+    (void)step, (void)t, (void)x, (void)ctx;
+    return 0;
+}
+
+/* Steps, runs and failures of one scheme. */
+static void test_steps(const dal_system *system, const dal_scheme *scheme, dal_options options,
+                       size_t steps)
+{
+    double x[MOST];
+    dal_stepper *stepper = NULL;
+    dal_stats stats;
+    const bool kept = scheme->nodes == DAL_KEPT_NODES;
+    const dal_initial initial = kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE;
+    CHECK(dal_system_state(system, x) == 0);
+    CHECK(dal_stepper_new(&stepper, system, scheme, &options, NULL) == 0);
+    const size_t calls = process.calls;
+    CHECK(dal_stepper_start(stepper, 0.0, 1e-3, x, DAL_CHECK, initial) == 0);
+    for (size_t k = 0; k < steps / 2; k++) CHECK(dal_step(stepper, reactions) == 0);
+    CHECK(dal_advance(stepper, steps / 2, reactions, NULL) == 0);
+    dal_stepper_stats(stepper, &stats);
+    CHECK(stats.steps == steps);
+    CHECK(dal_stepper_start(stepper, 0.0, -1e-3, x, DAL_PROJECT, initial) == 0);
+    CHECK(dal_integrate(stepper, steps, STRIDE, rows, reactions, observing, NULL, NULL) == 0);
+    CHECK(dal_stepper_start(stepper, 0.0, NAN, x, DAL_CHECK, initial) == DAL_EINVAL);
+    CHECK(dal_stepper_start(stepper, 0.0, 1e200, x, DAL_CHECK, initial) == 0);
+    dal_advance(stepper, 20, NULL, NULL); /* fails, soon or never: to explain why takes none either */
+    CHECK(process.calls == calls);
+    dal_stepper_free(stepper);
+}
+
+static void test_trajectory(void)
+{
+    double x[MOST], distance;
+    size_t done;
+    for (size_t k = 0; k < ROWS; k++) memcpy(rows + k * MOST, state, sizeof state);
+    memcpy(x, state, sizeof x);
+    const size_t calls = process.calls;
+    CHECK(dal_trajectory(mechanics, 0.0, 0.1, 0.1, ROWS, rows, energy, multipliers, residual,
+                         relative, &done) == 0);
+    CHECK(done == ROWS);
+    CHECK(dal_project(mechanics, 0.1, x, &distance) == 0);
+    CHECK(process.calls == calls);
+}
+
+static void test_flow(dal_flow_method method)
+{
+    double x[MOST], accuracy;
+    size_t done;
+    dal_flow *flow = NULL;
+    memcpy(x, state, sizeof x);
+    CHECK(dal_flow_new(&flow, generic4, method, 1e-6, NULL) == 0);
+    const size_t calls = process.calls;
+    CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &accuracy) == 0);
+    memcpy(rows, x, sizeof x);
+    CHECK(dal_flow_trajectory(flow, 1.0, -0.01, 100, rows, &done) == 0 && done == 100);
+    CHECK(dal_flow_apply(flow, 0.0, NAN, x, NULL) == DAL_EINVAL);
+    CHECK(process.calls == calls);
+    dal_flow_free(flow);
+}
+
+int main(void)
+{
+    test_counters();
+    CHECK(dal_system_builtin(&particle, "particle", NULL, NULL, 0, NULL) == 0);
+    CHECK(generic4_new(&generic4, NULL) == 0);
+    CHECK(dal_mechanics_new(&mechanics, generic4, NULL) == 0);
+    generic4_state(state);
+
+    for (maker what = SYSTEM; what < MAKERS; what++) test_failing(what, fail_own, &own.calls);
+    test_message();
+    /* GSL tells its handler of memory that it does not get; where that returns, so does the
+     * library. */
+    gsl_error_handler_t *const handler = gsl_set_error_handler_off();
+    for (maker what = SYSTEM; what < MAKERS; what++)
+        test_failing(what, fail_process, &process.calls);
+    gsl_set_error_handler(handler);
+
+    for (size_t i = 0; i < dal_scheme_count(); i++) {
+        dal_scheme scheme;
+        CHECK(dal_scheme_at(&scheme, i) == 0);
+        test_steps(particle, &scheme, (dal_options){0}, STEPS);
+        test_steps(generic4, &scheme, (dal_options){0}, STEPS);
+        test_steps(generic4, &scheme, (dal_options){.sizes = DAL_SIZES_RUNTIME}, STEPS);
+    }
+    test_trajectory();
+    for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_MSBDF; method++)
+        test_flow(method);
+
+    dal_mechanics_free(mechanics);
+    dal_system_free(generic4);
+    dal_system_free(particle);
+    return check_done();
+}
