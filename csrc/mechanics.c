@@ -426,7 +426,7 @@ int dal_step_equations(dal_mechanics *mechanics, double beta, double h, const do
         R1[i] = sum;
     }
     if (R2) dal__apply(m, n, mech->mu, w, R2);
-    for (size_t k = 0; K && k < n * n; k++) 
+    for (size_t k = 0; K && k < n * n; k++)
         K[k] = M[k] + h * h * beta * (1.0 - beta) * mech->hessian[k];
     for (size_t k = 0; B && k < m * n; k++) B[k] = mech->mu[k] + beta * h * mech->dmu[k];
     if (muk) memcpy(muk, mech->Z, m * n * sizeof *muk);

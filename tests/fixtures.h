@@ -21,8 +21,8 @@ static inline void need(int status, const char *what, const char *text)
 }
 
 /* ---- uneven_edge: a knife edge that turns unevenly -----------------------------------------
- * M = diag(2, 2, 3/4), V = -5 x + sin(theta)/10, mu = (sin theta, -cos theta, 0).  Its heading grows without end
- * and its speed passes through 0 again and again. */
+ * M = diag(2, 2, 3/4), V = -5 x + sin(theta)/10, mu = (sin theta, -cos theta, 0).  Its heading
+ * grows without end and its speed passes through 0 again and again. */
 
 static inline int uneven_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {

@@ -22,9 +22,13 @@ from ._lib import (
     NotOnConstraintError,
     SingularError,
 )
-from .integration import Reference, Scheme, Solution, Statistics, integrate, reference, schemes
-from .study import Fit, Studies, Study, convergence, studies
-from .system import Check, Difference, System
+from .examination import Check, Difference
+from .integration import Reference, integrate, reference
+from .refinement import convergence, studies
+from .scheme import Scheme, schemes
+from .solution import Solution, Statistics
+from .study import Fit, Studies, Study
+from .system import System
 
 __version__ = _lib.version()
 

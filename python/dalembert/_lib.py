@@ -16,21 +16,20 @@ may itself integrate, because an exception is kept only when the callback has al
 
 from __future__ import annotations
 
-import operator
 import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ._core import ffi as ffi
 from ._core import lib as lib
+from .arguments import Array as Array
+from .arguments import returned
 
 if TYPE_CHECKING:
     from .solution import Solution
-
-Array = NDArray[np.float64]
 
 __all__ = [
     "ConvergenceError",
@@ -40,6 +39,9 @@ __all__ = [
     "NotOnConstraintError",
     "SingularError",
 ]
+
+
+ROUNDOFF = 2.0**-53  # the unit roundoff u
 
 
 # ---- exceptions ----------------------------------------------------------------------------
@@ -213,86 +215,9 @@ def doubles(address: Any, count: int) -> Array:
     return np.frombuffer(ffi.buffer(address, 8 * count)[:]).copy()
 
 
-def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array:
-    """Return ``value`` as C-contiguous doubles of one of the shapes.
-
-    ``None`` in a shape stands for any length.
-
-    Raises
-    ------
-    ValueError
-        With the name, what came and what was expected, if ``value`` is no array of real finite
-        numbers, or has another shape.
-    """
-    wanted = " or ".join(map(_shape, shapes))
-    try:
-        result = _reals(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: expected real numbers of shape {wanted}, got {error}") from error
-    if not any(_fits(result, shape) for shape in shapes):
-        raise ValueError(f"{name}: expected shape {wanted}, got {result.shape}")
-    if not np.isfinite(result).all():
-        where = tuple(int(k) for k in np.argwhere(~np.isfinite(result))[0])
-        index = f"[{', '.join(map(str, where))}]" if where else ""
-        raise ValueError(f"{name}{index} = {result[where]}: expected finite numbers")
-    return result
-
-
-def _reals(value: Any) -> Array:
-    """Return anything array-like as C-contiguous doubles; TypeError or ValueError if it is not."""
-    given = np.asarray(value)
-    if value is None or given.dtype.kind not in "biufO":
-        raise TypeError("None" if value is None else f"values of type {given.dtype}")
-    return np.asarray(given, dtype=np.float64, order="C")
-
-
-def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
-    return array.ndim == len(shape) and all(
-        wanted in (None, length) for wanted, length in zip(shape, array.shape)
-    )
-
-
-def _shape(shape: tuple[int | None, ...]) -> str:
-    """Return a shape as Python writes it, with N for any length."""
-    lengths = ", ".join("N" if k is None else str(k) for k in shape)
-    return {0: "() (a number)", 1: f"({lengths},)"}.get(len(shape), f"({lengths})")
-
-
-def number(value: Any, name: str) -> float:
-    """Return ``value`` as a finite float; ValueError otherwise."""
-    return float(array(value, name, ()))
-
-
-def integer(value: Any, name: str, least: int, most: float = 2**63 - 1) -> int:
-    """Return ``value`` as an integer in least .. most; ValueError otherwise."""
-    try:
-        result = operator.index(value)
-    except TypeError:
-        raise ValueError(f"{name} = {value!r}: expected an integer") from None
-    if not least <= result <= most:
-        raise ValueError(f"{name} = {result}: expected {least} .. {most}")
-    return result
-
-
-def text(value: Any, name: str) -> str:
-    """Return ``value`` if it is a string without NUL, which C would not see; else ValueError."""
-    if not isinstance(value, str) or "\0" in value:
-        raise ValueError(f"{name} = {value!r}: expected a string")
-    return value
-
-
-def function(value: Any, name: str) -> Any:
-    """Return ``value`` if it can be called or is None; ValueError otherwise."""
-    if value is not None and not callable(value):
-        raise ValueError(f"{name} = {value!r}: expected a function")
-    return value
-
-
-def choice(value: Any, name: str, choices: dict[str, int]) -> int:
-    """Return the number of an option that is given by its name; ValueError otherwise."""
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{name} = {value!r}: expected one of {', '.join(map(repr, choices))}")
-    return choices[value]
+def residual_bound(n: int) -> float:
+    """Return 4 n u: a relative residual up to this is roundoff of n coordinates."""
+    return 4 * n * ROUNDOFF
 
 
 # ---- callbacks -----------------------------------------------------------------------------
@@ -335,25 +260,6 @@ def _write(target: Any, value: Any, shape: tuple[int, ...], name: str) -> None:
     elif not value.flags.c_contiguous:
         value = value.copy()
     _memmove(target, value, value.nbytes)
-
-
-def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:
-    """Return what the callback ``name`` returned as doubles of ``shape``; NaN is left to C.
-
-    Raises
-    ------
-    ValueError
-        With the name, what came and what was expected.
-    """
-    try:
-        result = _reals(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{name} has to return real numbers of shape {shape}, it returned {error}"
-        ) from error
-    if result.shape != shape:
-        raise ValueError(f"{name} has to return shape {shape}, it returned {result.shape}")
-    return result
 
 
 def _remember(kind: type[BaseException], value: BaseException, traceback: Any) -> int:

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _lib, plot, report, systems
-from .integration import INITIAL
-from .integration import schemes as named_schemes
-from .study import studies
+from . import _lib, extras, plot, report, systems
+from .refinement import studies
+from .scheme import INITIAL
+from .scheme import schemes as named_schemes
 
 __all__ = ["main"]
 
@@ -60,35 +60,64 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="dalembert",
-        description="Nonholonomic variational integrators: measure what they promise.")
-    parser.add_argument("--version", action="version",
-                        version=f"dalembert {_lib.version()}")
+        description="Nonholonomic variational integrators: measure what they promise.",
+    )
+    parser.add_argument("--version", action="version", version=f"dalembert {_lib.version()}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     study = commands.add_parser(
-        "study", help="step-size refinement of schemes on a system, with a verdict",
+        "study",
+        help="step-size refinement of schemes on a system, with a verdict",
         description="Refine the step size of every scheme on a system; print the errors, the "
-                    "orders and what is kept, and write a report.  Exit status 1 if a scheme does "
-                    "not deliver what it promises.")
+        "orders and what is kept, and write a report.  Exit status 1 if a scheme does "
+        "not deliver what it promises.",
+    )
     study.add_argument("system", metavar="SYSTEM", help="see `dalembert systems`")
-    study.add_argument("--scheme", action="append", metavar="NAME",
-                       help="a name of `dalembert schemes`, or beta; again for more (default: all)")
-    study.add_argument("--parameter", action="append", default=[], type=_parameter,
-                       metavar="NAME=VALUE", help="of the system; again for more")
+    study.add_argument(
+        "--scheme",
+        action="append",
+        metavar="NAME",
+        help="a name of `dalembert schemes`, or beta; again for more (default: all)",
+    )
+    study.add_argument(
+        "--parameter",
+        action="append",
+        default=[],
+        type=_parameter,
+        metavar="NAME=VALUE",
+        help="of the system; again for more",
+    )
     study.add_argument("--q0", type=_numbers, metavar="X,Y,...", help="positions at t = 0")
-    study.add_argument("--v0", type=_numbers, metavar="X,Y,...",
-                       help="velocities at t = 0, in D (write --v0=-1,... for a minus)")
+    study.add_argument(
+        "--v0",
+        type=_numbers,
+        metavar="X,Y,...",
+        help="velocities at t = 0, in D (write --v0=-1,... for a minus)",
+    )
     study.add_argument("--t-end", type=float, default=1.0, metavar="T", help="default: 1")
-    study.add_argument("--steps", type=_counts, metavar="N,N,...",
-                       help="numbers of steps up to T (default: by the order of the scheme)")
-    study.add_argument("--initial", choices=list(INITIAL),
-                       help="how schemes with kept nodes start (default: D_eps)")
-    study.add_argument("--output", type=Path, metavar="FILE",
-                       help="the report (default: report.html)")
+    study.add_argument(
+        "--steps",
+        type=_counts,
+        metavar="N,N,...",
+        help="numbers of steps up to T (default: by the order of the scheme)",
+    )
+    study.add_argument(
+        "--initial",
+        choices=list(INITIAL),
+        help="how schemes with kept nodes start (default: D_eps)",
+    )
+    study.add_argument(
+        "--output", type=Path, metavar="FILE", help="the report (default: report.html)"
+    )
     study.add_argument("--no-report", action="store_true", help="write no report")
-    study.add_argument("--json", nargs="?", const="-", metavar="FILE",
-                       help="the numbers as JSON, to FILE or to standard output; in the latter "
-                            "case the tables go to standard error")
+    study.add_argument(
+        "--json",
+        nargs="?",
+        const="-",
+        metavar="FILE",
+        help="the numbers as JSON, to FILE or to standard output; in the latter "
+        "case the tables go to standard error",
+    )
     study.set_defaults(run=_study)
 
     commands.add_parser("systems", help="list the built-in systems").set_defaults(run=_systems)
@@ -112,8 +141,22 @@ def _study(given: argparse.Namespace) -> int:
         if path is not None and not path.parent.is_dir():
             raise ValueError(f"{path}: there is no folder {path.parent}")
 
-    found = studies(system, given.scheme, given.q0, given.v0, t_end=given.t_end, steps=given.steps,
-                    initial=given.initial, progress=True)
+    if sys.stderr.isatty() and (missing := [x for x in ("rich", "tqdm") if not extras.is_there(x)]):
+        print(
+            f"dalembert study: for colours and a progress bar: pip install {' '.join(missing)}",
+            file=sys.stderr,
+        )
+
+    found = studies(
+        system,
+        given.scheme,
+        given.q0,
+        given.v0,
+        t_end=given.t_end,
+        steps=given.steps,
+        initial=given.initial,
+        progress=sys.stderr.isatty() and extras.is_there("tqdm"),
+    )
 
     found.show(sys.stderr if given.json == "-" else sys.stdout)
     if given.json:

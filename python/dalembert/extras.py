@@ -58,7 +58,7 @@ def progress(
         raise ValueError(f"progress = {wanted!r}: expected True, False or a function")
     elif wanted:
         tqdm = require("tqdm.auto", "progress=True").tqdm
-        with tqdm(total=total, unit=unit, unit_scale=True, leave=None) as bar:
+        with tqdm(total=total, unit=unit, unit_scale=True) as bar:
             yield lambda done: bar.update(done - bar.n)
     else:
         yield lambda done: None

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _lib
+from . import _lib, arguments
 from ._lib import Array, ffi, lib
 
 if TYPE_CHECKING:
@@ -45,21 +45,27 @@ _BLOCK = 1 << 14
 def states(system: System, q: ArrayLike, v: ArrayLike) -> tuple[Array, bool]:
     """Return the rows (q, v), shape (N, 2n), always a copy, and whether it was a single state."""
     n = system.n
-    q = _lib.array(q, "q", (n,), (None, n))
-    v = _lib.array(v, "v", (n,), (None, n))
+    q = arguments.array(q, "q", (n,), (None, n))
+    v = arguments.array(v, "v", (n,), (None, n))
     if q.shape != v.shape:
         raise ValueError(f"v: expected shape {q.shape} as q has, got {v.shape}")
     return np.concatenate([np.atleast_2d(q), np.atleast_2d(v)], axis=1), q.ndim == 1
 
 
-def initial(system: System, q0: ArrayLike | None, v0: ArrayLike | None) -> tuple[Array, Array]:
-    """Return initial data, those of the system where none are given."""
+def initial(
+    system: System, q0: ArrayLike | None, v0: ArrayLike | None, *names: str
+) -> tuple[Array, Array]:
+    """Return initial data, those of the system where none are given.
+
+    ``names`` are those of the two arguments, by default q0 and v0.
+    """
     found = []
-    for given, default, name in ((q0, system.q0, "q0"), (v0, system.v0, "v0")):
+    q_name, v_name = names or ("q0", "v0")
+    for given, default, name in ((q0, system.q0, q_name), (v0, system.v0, v_name)):
         value = default if given is None else given
         if value is None:
             raise ValueError(f"{name}: needed, the system {system.name!r} has no initial data")
-        found.append(_lib.array(value, name, (system.n,)))
+        found.append(arguments.array(value, name, (system.n,)))
     return found[0], found[1]
 
 
@@ -97,11 +103,11 @@ def rows(
     inputs: Iterable[tuple[Any, ...]],
     values: Array | None = None,
 ) -> None:
-    """Call ``function(mechanics, *arguments)``, one call for each row."""
+    """Call ``function(mechanics, *given)``, one call for each row."""
     with system._workspace() as mechanics:
-        for k, arguments in enumerate(inputs):
+        for k, given in enumerate(inputs):
             output = () if values is None else (_lib.pointer(values, k),)
-            _check(_lib.attempt(function, mechanics, *arguments, *output), mechanics, k)
+            _check(_lib.attempt(function, mechanics, *given, *output), mechanics, k)
 
 
 def _check(status: int, mechanics: Any, row: int) -> None:
@@ -167,7 +173,7 @@ def residual(system: System, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> 
     array([2.])
     """
     x, single = states(system, q, v)
-    shift = _lib.number(shift, "shift")
+    shift = arguments.number(shift, "shift")
     values = trajectory(system, x, "residual", system.m, shift=shift)
     return values[0] if single else values
 
@@ -200,7 +206,7 @@ def relative_residual(system: System, q: ArrayLike, v: ArrayLike, shift: float =
     0.5
     """
     x, single = states(system, q, v)
-    values = trajectory(system, x, "relative", None, shift=_lib.number(shift, "shift"))
+    values = trajectory(system, x, "relative", None, shift=arguments.number(shift, "shift"))
     return float(values[0]) if single else values
 
 
@@ -233,7 +239,7 @@ def multipliers(system: System, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> A
     array([0.5])
     """
     x, single = states(system, q, v)
-    values = trajectory(system, x, "multipliers", system.m, t0=_lib.number(t, "t"))
+    values = trajectory(system, x, "multipliers", system.m, t0=arguments.number(t, "t"))
     return values[0] if single else values
 
 
@@ -260,7 +266,7 @@ def gram(system: System, q: ArrayLike) -> Array:
     >>> dal.systems.particle().gram([0, 1, 0])
     array([[2.]])
     """
-    q = _lib.array(q, "q", (system.n,), (None, system.n))
+    q = arguments.array(q, "q", (system.n,), (None, system.n))
     points = np.atleast_2d(q)
     values = np.empty((len(points), system.m**2))
     rows(system, lib.dal_gram, ((_lib.pointer(points, k),) for k in range(len(points))), values)
@@ -328,7 +334,7 @@ def _vectors(
     system: System, function: Callable[..., int], width: int, q: ArrayLike, v: ArrayLike, t: float
 ) -> Array:
     x, single = states(system, q, v)
-    t = _lib.number(t, "t")
+    t = arguments.number(t, "t")
     values = np.empty((len(x), width))
     rows(system, function, ((t, _lib.pointer(x, k)) for k in range(len(x))), values)
     return values[0] if single else values
@@ -364,7 +370,7 @@ def project(system: System, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> A
     array([2., 1., 2.])
     """
     x, single = states(system, q, v)
-    projection(system, x, _lib.number(shift, "shift"))
+    projection(system, x, arguments.number(shift, "shift"))
     v = x[:, system.n :].copy()
     return v[0] if single else v
 
@@ -377,7 +383,10 @@ def projection(system: System, x: Array, shift: float = 0.0) -> Array:
 
 
 def consistent(
-    system: System, q0: ArrayLike, v0: ArrayLike, keep: Iterable[Any] | None = None
+    system: System,
+    q0: ArrayLike,
+    v0: ArrayLike,
+    keep: str | Iterable[str] | Iterable[bool] | None = None,
 ) -> Array:
     """Return the velocity in D nearest to v0 in the mass metric, with some components kept.
 
@@ -385,7 +394,7 @@ def consistent(
     ----------
     system : System
     q0, v0 : array_like, shape (n,) or (N, n)
-    keep : iterable, optional
+    keep : str, iterable of str, or iterable of bool, optional
         Coordinates whose velocities stay as they are: their names, or n truth values.
 
     Returns
@@ -406,15 +415,19 @@ def consistent(
     array([3., 1., 3.])
     """
     x, single = states(system, q0, v0)
-    mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, list(keep)))
+    mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
     distances = np.empty(len(x))
     rows(system, lib.dal_consistent, ((mask, _lib.pointer(x, k)) for k in range(len(x))), distances)
     v = x[:, system.n :].copy()
     return v[0] if single else v
 
 
-def _mask(system: System, keep: list[Any]) -> list[int]:
+def _mask(system: System, keep: Any) -> list[int]:
     """Return n zeros and ones for names of coordinates or for n truth values."""
+    try:
+        keep = [keep] if isinstance(keep, str) else list(keep)
+    except TypeError:
+        keep = [keep]
     if all(isinstance(k, str) for k in keep):
         unknown = [k for k in keep if k not in system.coordinates]
         if unknown:

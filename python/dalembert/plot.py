@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import geometry
+from . import extras, geometry
+from ._lib import ROUNDOFF, residual_bound
+from .study import counts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from .integration import Solution
+    from .solution import Solution
     from .study import Studies, Study
 
 __all__ = ["convergence", "drift", "energy", "path", "styles"]
@@ -31,7 +33,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)))
 
-ROUNDOFF = 2.0**-53
 ZERO = 1e-17  # where an exact zero is drawn on a logarithmic axis
 NOT_ROUNDOFF = 1e-8  # the axis of residuals reaches here, so that roundoff looks small
 STRETCHES = 50  # of a run, for the drift: roundoff of every step would hide what is beneath it
@@ -40,11 +41,19 @@ QUANTITIES = {
     "state": ("state_error", "global_state", 0, "error of (q, v) at t = {t_end:g} (user's units)"),
     "q": ("q_error", "global_q", 0, "error of q at t = {t_end:g} (user's units)"),
     "v": ("v_error", "global_v", 0, "error of v at t = {t_end:g} (user's units)"),
-    "multipliers": ("multiplier_error", "global_multipliers", 0,
-                    "error of lambda at t = {t_end:g} (user's units)"),
+    "multipliers": (
+        "multiplier_error",
+        "global_multipliers",
+        0,
+        "error of lambda at t = {t_end:g} (user's units)",
+    ),
     "local": ("local_error", "state", 1, "error of (q, v) after one step (user's units)"),
-    "reactions": ("local_reaction_error", "reaction", 1,
-                  "error of the scheme's multiplier after one step (user's units)"),
+    "reactions": (
+        "local_reaction_error",
+        "reaction",
+        1,
+        "error of the scheme's multiplier after one step (user's units)",
+    ),
 }
 
 
@@ -67,11 +76,16 @@ def styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     >>> dal.plot.styles(["midpoint", "leapfrog"])["leapfrog"]["marker"]
     's'
     """
-    return {name: {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)],
-                   "linestyle": LINES[i % len(LINES)],
-                   # Smaller and smaller, so that one of two equal curves is seen behind the other.
-                   "markersize": 8.5 - 0.5 * (i % len(MARKERS))}
-            for i, name in enumerate(dict.fromkeys(names))}
+    return {
+        name: {
+            "color": COLOURS[i % len(COLOURS)],
+            "marker": MARKERS[i % len(MARKERS)],
+            "linestyle": LINES[i % len(LINES)],
+            # Smaller and smaller, so that one of two equal curves is seen behind the other.
+            "markersize": 8.5 - 0.5 * (i % len(MARKERS)),
+        }
+        for i, name in enumerate(dict.fromkeys(names))
+    }
 
 
 def convergence(
@@ -124,19 +138,27 @@ def convergence(
         fit, error = item.fits[key], getattr(item, name)
         drawn = np.isfinite(error)
         h, error = np.abs(item.h[drawn]), np.maximum(error[drawn], ZERO)
-        counts = error > 100 * item.floor
+        clear = counts(error, item.floor)
         style = dict(styles[item.scheme.name])
-        line, = ax.loglog(h[counts], error[counts], label=f"{item.scheme.name}: {fit.order(loss)}",
-                          **style)
-        ax.plot(h[~counts], error[~counts], linestyle="none", marker=style.get("marker"),
-                markersize=style.get("markersize"), color=line.get_color(),
-                markerfacecolor="white")
+        (line,) = ax.loglog(
+            h[clear], error[clear], label=f"{item.scheme.name}: {fit.order(loss)}", **style
+        )
+        ax.plot(
+            h[~clear],
+            error[~clear],
+            linestyle="none",
+            marker=style.get("marker"),
+            markersize=style.get("markersize"),
+            color=line.get_color(),
+            markerfacecolor="white",
+        )
         if not math.isnan(fit.slope) and not fit.exact and round(fit.slope) > 0:
-            _lowest(triangles, round(fit.slope), h[counts], error[counts])
+            _lowest(triangles, round(fit.slope), h[clear], error[clear])
     for slope, (_, h, error) in sorted(triangles.items()):
         _triangle(ax, slope, h, error)
     ax.set_xlabel("step h (user's units of time)")
-    ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    shortest, longest = ax.get_xlim()
+    ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if longest < 100 * shortest else (1,)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_ylabel(label.format(t_end=studies[0].t_end))
@@ -197,16 +219,29 @@ def drift(
         if in_D_eps is None:
             continue
         # Kept nodes may start in D and jump to D_eps in the first step: that start is a point.
-        jump = int(run.nodes == "kept" and in_D_eps[0] > 4 * run.system.n * ROUNDOFF)
-        line, = axes[1].plot(*_stretches(run.t[jump:], in_D_eps[jump:]), **style)
-        axes[1].plot(run.t[:jump], in_D_eps[:jump], linestyle="none", marker=style.get("marker"),
-                     color=line.get_color(), markerfacecolor="white")
-    for axis, title in zip(axes, (r"$D$:  $\mu(q)\,v = 0$",
-                                  r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$")):
+        jump = int(run.nodes == "kept" and in_D_eps[0] > residual_bound(run.system.n))
+        (line,) = axes[1].plot(*_stretches(run.t[jump:], in_D_eps[jump:]), **style)
+        axes[1].plot(
+            run.t[:jump],
+            in_D_eps[:jump],
+            linestyle="none",
+            marker=style.get("marker"),
+            color=line.get_color(),
+            markerfacecolor="white",
+        )
+    for axis, title in zip(
+        axes, (r"$D$:  $\mu(q)\,v = 0$", r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$")
+    ):
         axis.set_yscale("log")
         axis.axhline(ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)), zorder=1)
-        axis.annotate("u", (1, ROUNDOFF), xycoords=("axes fraction", "data"), xytext=(3, 0),
-                      textcoords="offset points", va="center")
+        axis.annotate(
+            "u",
+            (1, ROUNDOFF),
+            xycoords=("axes fraction", "data"),
+            xytext=(3, 0),
+            textcoords="offset points",
+            va="center",
+        )
         axis.set_title(title)
         axis.set_xlabel("time t (user's units)")
     for axis in axes:
@@ -250,8 +285,12 @@ def energy(
     styles = styles or _styles(solutions)
     for run in solutions:
         scale = max(abs(run.energy[0]), 1.0)
-        ax.plot(run.t, (run.energy - run.energy[0]) / scale, label=run.scheme.name,
-                **_over_time(styles[run.scheme.name], len(run.t)))
+        ax.plot(
+            run.t,
+            (run.energy - run.energy[0]) / scale,
+            label=run.scheme.name,
+            **_over_time(styles[run.scheme.name], len(run.t)),
+        )
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
     ax.set_xlabel("time t (user's units)")
     ax.set_ylabel(r"energy error  $(E - E_0) / \max(|E_0|, 1)$")
@@ -322,10 +361,22 @@ def _triangle(ax: Axes, slope: int, h: NDArray[Any], error: NDArray[Any]) -> Non
     left, right = middle / 1.2, middle * 1.2
     top = math.exp(np.interp(math.log(right), np.log(h), np.log(error))) / 2.0
     bottom = top * (left / right) ** slope
-    ax.fill([left, right, right], [bottom, bottom, top], facecolor="0.85", edgecolor="0.3",
-            linewidth=0.8, zorder=1)
-    ax.annotate(str(slope), (right, math.sqrt(top * bottom)), xytext=(3, 0),
-                textcoords="offset points", va="center", fontsize="small")
+    ax.fill(
+        [left, right, right],
+        [bottom, bottom, top],
+        facecolor="0.85",
+        edgecolor="0.3",
+        linewidth=0.8,
+        zorder=1,
+    )
+    ax.annotate(
+        str(slope),
+        (right, math.sqrt(top * bottom)),
+        xytext=(3, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize="small",
+    )
 
 
 def _residuals(run: Solution) -> tuple[NDArray[Any], NDArray[Any] | None]:
@@ -374,7 +425,8 @@ def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None)
 def _axes(ax: Axes | None) -> Axes:
     if ax is not None:
         return ax
-    return _pyplot().subplots(layout="constrained")[1]
+    _, ax = _pyplot().subplots(layout="constrained")
+    return ax
 
 
 def _pyplot() -> Any:
@@ -386,7 +438,4 @@ def _pyplot() -> Any:
 
 def require_matplotlib() -> None:
     """Raise an ImportError with the line to type if matplotlib is not installed."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError('pictures need matplotlib: pip install "dalembert[plot]"') from error
+    extras.require("matplotlib", "a picture")

@@ -12,15 +12,15 @@ import shlex
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from . import _lib, plot, systems
-from .integration import Solution, integrate
-
-if TYPE_CHECKING:
-    from .study import Column, Studies, Study
+from .integration import integrate
+from .solution import Solution
+from .study import Studies, Study
+from .table import studies_html, study_html
 
 __all__ = ["write"]
 
@@ -94,8 +94,6 @@ def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
     >>> text.startswith("<!DOCTYPE html>")
     True
     """
-    from .study import Studies
-
     plot.require_matplotlib()
     studies = Studies(studies)
     if not studies:
@@ -118,18 +116,24 @@ def page(studies: Studies) -> str:
     text = html.escape
     start = ", ".join(f"{name} = {x:g}" for name, x in zip(system.coordinates, first.q0))
     velocity = ", ".join(f"{x:g}" for x in first.v0)
-    reference = ("the exact solution" if first.reference == 0 else
-                 f"a reference flow good to {first.reference:.1e}")
+    reference = (
+        "the exact solution"
+        if first.reference == 0
+        else f"a reference flow good to {first.reference:.1e}"
+    )
     about = f"{system.help[:1].upper()}{system.help[1:]}. " if system.help else ""
     kept = {study.initial for study in studies if study.initial}
-    kept_note = (f" Schemes with kept nodes start with <code>initial="
-                 f"{text(repr(sorted(kept)[0]))}</code>." if kept else "")
+    kept_note = (
+        f" Schemes with kept nodes start with <code>initial={text(repr(sorted(kept)[0]))}</code>."
+        if kept
+        else ""
+    )
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{text(system.name)}: {'fails' if studies.holds is False else 'study'}</title>
+<title>{text(system.name)}: {"fails" if studies.holds is False else "study"}</title>
 <style>{CSS}</style>
 </head>
 <body>
@@ -165,35 +169,6 @@ set is kept to roundoff.</p>
 """
 
 
-def study_html(study: Study) -> str:
-    """Return the table of one study as HTML."""
-    text = html.escape
-    state, reaction = study.fits["state"], study.fits["reaction"]
-    return (f"{_table(study.columns(), study.heading())}"
-            f"<p class=\"note\"><b>{_verdict(study.verdict)}</b>: {text(study.text)} "
-            f"Fitted p = {state.order(1)} ({state.points} points), s = {reaction.order(1)} "
-            f"({reaction.points} points).</p>\n")
-
-
-def studies_html(studies: Studies) -> str:
-    """Return the overview of several studies as HTML."""
-    return _table(studies.columns(), f"Overview of {len(studies)} schemes")
-
-
-def _table(columns: Sequence[Column], caption: str) -> str:
-    left = [' class="left"' if column.left else "" for column in columns]
-    head = "".join(f"<th{a}>{html.escape(c.title)}</th>" for a, c in zip(left, columns))
-    rows = "\n".join(
-        "<tr>" + "".join(f"<td{a}>{_verdict(cell)}</td>" for a, cell in zip(left, row)) + "</tr>"
-        for row in zip(*(column.cells for column in columns)))
-    return (f'<div class="scroll"><table><caption>{html.escape(caption)}</caption>\n'
-            f"<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>\n")
-
-
-def _verdict(cell: str) -> str:
-    return f'<span class="fails">{cell}</span>' if cell == "fails" else html.escape(cell)
-
-
 def _run(study: Study) -> Solution:
     """One longer run of the scheme of a study, for the drift and the energy; or what there is."""
     initial = "project" if study.initial == "D_eps" else study.initial
@@ -201,8 +176,16 @@ def _run(study: Study) -> Solution:
         with warnings.catch_warnings():
             # The pictures show what the warning would say.
             warnings.simplefilter("ignore", _lib.DalembertWarning)
-            return integrate(study.system, study.scheme, study.q0, study.v0, t0=study.t0,
-                             h=(study.t_end - study.t0) / 20, steps=400, initial=initial)
+            return integrate(
+                study.system,
+                study.scheme,
+                study.q0,
+                study.v0,
+                t0=study.t0,
+                h=(study.t_end - study.t0) / 20,
+                steps=400,
+                initial=initial,
+            )
     except _lib.DalembertError as error:
         if error.partial is None:
             raise
@@ -216,33 +199,44 @@ def _figure(width: float, height: float) -> Any:
 
 
 def _convergence(studies: Studies, styles: dict[str, Any]) -> str:
-    groups = [[study for study in studies if study.scheme.order <= 2],
-              [study for study in studies if study.scheme.order > 2]]
+    groups = [
+        [study for study in studies if study.scheme.order <= 2],
+        [study for study in studies if study.scheme.order > 2],
+    ]
     groups = [group for group in groups if group]
     figure = _figure(6.0 * len(groups) if len(groups) > 1 else 8.0, 4.6)
     for group, ax in zip(groups, figure.subplots(1, len(groups), squeeze=False)[0]):
         plot.convergence(group, ax, styles=styles)
         if len(groups) > 1:
             ax.set_title("order up to 2" if group is groups[0] else "compositions")
-    return _svg(figure, "convergence", "Errors at the end over the step size, log-log.",
-                "The largest error of (q, v) at the end of the interval. Triangles have whole "
-                "slopes; hollow markers lie too close to roundoff to count for the fitted order in "
-                "the legend.")
+    return _svg(
+        figure,
+        "convergence",
+        "Errors at the end over the step size, log-log.",
+        "The largest error of (q, v) at the end of the interval. Triangles have whole "
+        "slopes; hollow markers lie too close to roundoff to count for the fitted order in "
+        "the legend.",
+    )
 
 
 def _drift(runs: list[Solution], styles: dict[str, Any]) -> str:
     figure = _figure(12.0, 4.4)
     plot.drift(runs, figure.subplots(1, 2, sharey=True), styles=styles)
-    return _svg(figure, "drift", "Relative residuals of D and of D_eps over time.",
-                "The relative residual of the constraint in D (left) and in D<sub>ε</sub> "
-                "(right). A scheme with moved nodes keeps D, one with kept nodes D<sub>ε</sub>. Of "
-                "each run the largest residual in each of 50 stretches is drawn; exact zeros are "
-                "drawn at 10<sup>−17</sup>, the dashed line is the unit roundoff u. Schemes "
-                "with several sub-steps have no D<sub>ε</sub>.")
+    return _svg(
+        figure,
+        "drift",
+        "Relative residuals of D and of D_eps over time.",
+        "The relative residual of the constraint in D (left) and in D<sub>ε</sub> "
+        "(right). A scheme with moved nodes keeps D, one with kept nodes D<sub>ε</sub>. Of "
+        "each run the largest residual in each of 50 stretches is drawn; exact zeros are "
+        "drawn at 10<sup>−17</sup>, the dashed line is the unit roundoff u. Schemes "
+        "with several sub-steps have no D<sub>ε</sub>.",
+    )
 
 
-def _energy(studies: Studies, runs: list[Solution], styles: dict[str, Any],
-            longest: Solution) -> str:
+def _energy(
+    studies: Studies, runs: list[Solution], styles: dict[str, Any], longest: Solution
+) -> str:
     groups: dict[str, list[Solution]] = {}
     for study, run in zip(studies, runs):
         order = study.scheme.order
@@ -250,19 +244,25 @@ def _energy(studies: Studies, runs: list[Solution], styles: dict[str, Any],
         groups.setdefault(key, []).append(run)
     figure = _figure(max(4.0 * len(groups), 8.0), 5.0)
     short = []
-    for (title, group), ax in zip(sorted(groups.items()),
-                                  figure.subplots(1, len(groups), squeeze=False)[0]):
+    for (title, group), ax in zip(
+        sorted(groups.items()), figure.subplots(1, len(groups), squeeze=False)[0]
+    ):
         plot.energy(group, ax, styles=styles)
         ax.set_title(title)
         if ax is not ax.figure.axes[0]:
             ax.set_ylabel("")
-        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False,
-                  fontsize="small")
+        ax.legend(
+            loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False, fontsize="small"
+        )
         short += [run.scheme.name for run in group if run.t[-1] != longest.t[-1]]
     broken = f" Runs that broke off: {html.escape(', '.join(short))}." if short else ""
-    return _svg(figure, "energy", "Relative energy error over time.",
-                f"The error of the energy over 400 steps of {abs(longest.h):g}, each panel on its "
-                f"own linear axis.{broken}")
+    return _svg(
+        figure,
+        "energy",
+        "Relative energy error over time.",
+        f"The error of the energy over 400 steps of {abs(longest.h):g}, each panel on its "
+        f"own linear axis.{broken}",
+    )
 
 
 def _svg(figure: Any, name: str, label: str, caption: str) -> str:
@@ -273,7 +273,7 @@ def _svg(figure: Any, name: str, label: str, caption: str) -> str:
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "path"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     svg = buffer.getvalue()
-    svg = svg[svg.index("<svg"):]
+    svg = svg[svg.index("<svg") :]
     svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", svg)
     svg = svg.replace("<svg ", f'<svg role="img" aria-label="{html.escape(label)}" ', 1)
     return f"<figure>\n{svg}<figcaption>{caption}</figcaption>\n</figure>"
@@ -292,9 +292,16 @@ def description(studies: Studies) -> dict[str, Any]:
         "v0": first.v0.tolist(),
         "t0": first.t0,
         "t_end": first.t_end,
-        "schemes": [{"name": x.scheme.name, "nodes": x.scheme.nodes, "initial": x.initial,
-                     "substeps": [list(map(float, sub)) for sub in x.scheme.substeps],
-                     "steps": x.steps.tolist()} for x in studies],
+        "schemes": [
+            {
+                "name": x.scheme.name,
+                "nodes": x.scheme.nodes,
+                "initial": x.initial,
+                "substeps": [list(map(float, sub)) for sub in x.scheme.substeps],
+                "steps": x.steps.tolist(),
+            }
+            for x in studies
+        ],
     }
 
 
@@ -306,14 +313,18 @@ def _reproduce(studies: Studies) -> str:
     data = description(studies)
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
     parameters = ", ".join(f"{key} = {x!r}" for key, x in data["parameters"].items()) or "none"
-    versions = (f"dalembert {_lib.version()}, Python "
-                f"{platform.python_version()}, NumPy {np.__version__}, matplotlib "
-                f"{matplotlib.__version__}, {platform.machine()}")
+    versions = (
+        f"dalembert {_lib.version()}, Python "
+        f"{platform.python_version()}, NumPy {np.__version__}, matplotlib "
+        f"{matplotlib.__version__}, {platform.machine()}"
+    )
     if system.name in systems.names():
         how = f"<pre>{html.escape(command(studies))}</pre>"
     else:
-        how = ("<p>The system is one of the user's own: the program that made it belongs to this "
-               "page.</p>")
+        how = (
+            "<p>The system is one of the user's own: the program that made it belongs to this "
+            "page.</p>"
+        )
     return f"""{how}
 <table>
 <tr><td class="left">versions</td><td class="left">{html.escape(versions)}</td></tr>

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sized
 from dataclasses import dataclass, field
 from typing import Any
 
-from . import _lib
+from . import _lib, arguments
 from ._lib import ffi, lib
 from .system import System
 
@@ -67,18 +68,18 @@ class Scheme:
     _kept: Any = field(init=False, repr=False, compare=False)  # what the dal_scheme points to
 
     def __post_init__(self) -> None:
-        name = _lib.text(self.name, "name").encode()
+        name = arguments.text(self.name, "name").encode()
         if not 0 < len(name) < 40:
             raise ValueError(f"name = {self.name!r}: expected 1 to 39 bytes, got {len(name)}")
         if not self.is_reference:
-            pairs = _lib.array(self.substeps, "substeps", (None, 2))
-            if len(pairs) == 0:
+            if isinstance(self.substeps, Sized) and len(self.substeps) == 0:
                 raise ValueError("substeps is empty: expected at least one (beta, fraction)")
+            pairs = arguments.array(self.substeps, "substeps", (None, 2))
             object.__setattr__(self, "substeps", tuple((float(b), float(f)) for b, f in pairs))
         kept = (
             ffi.new("dal_substep[]", list(self.substeps)),
-            ffi.new("char[]", _lib.text(self.help, "help").encode()),
-            ffi.new("char[]", _lib.text(self.reference, "reference").encode()),
+            ffi.new("char[]", arguments.text(self.help, "help").encode()),
+            ffi.new("char[]", arguments.text(self.reference, "reference").encode()),
         )
         record = ffi.new("dal_scheme *")
         record.name = name
@@ -87,9 +88,9 @@ class Scheme:
             record.count, record.substeps = len(self.substeps), kept[0]
         elif self.substeps:
             record.beta = self.substeps[0][0]
-        record.nodes = _lib.choice(self.nodes, "nodes", NODES)
-        record.order = _lib.integer(self.order, "order", 0, 2**31 - 1)
-        record.multiplier_order = _lib.integer(
+        record.nodes = arguments.choice(self.nodes, "nodes", NODES)
+        record.order = arguments.integer(self.order, "order", 0, 2**31 - 1)
+        record.multiplier_order = arguments.integer(
             self.multiplier_order, "multiplier_order", -(2**31), 2**31 - 1
         )
         record.symmetric = bool(self.symmetric)
@@ -124,7 +125,7 @@ class Scheme:
             return REFERENCE
         record = ffi.new("dal_scheme *")
         error = ffi.new("dal_error *")
-        status = lib.dal_scheme_find(record, _lib.text(name, "scheme").encode(), error)
+        status = lib.dal_scheme_find(record, arguments.text(name, "scheme").encode(), error)
         _lib.check(status, _lib.string(error.text))
         return cls._read(record)
 
@@ -162,7 +163,7 @@ class Scheme:
     @property
     def is_reference(self) -> bool:
         """True for the reference flow, which has no sub-steps."""
-        return self.name == "reference" and not self.substeps
+        return self.name == "reference" and len(self.substeps) == 0
 
     def is_explicit(self, system: System) -> bool:
         """Return whether a step on this system is a sequence of linear solves."""
@@ -183,7 +184,7 @@ class Scheme:
         _lib.check(status, f"{self.name!r} has no single sub-step, and so no D_eps")
         return float(shift[0]) * h
 
-    def initial(self, name: str | None) -> int:
+    def _initial(self, name: str | None) -> int:
         """Return the ``dal_initial`` of an argument ``initial``, which kept nodes need.
 
         Raises
@@ -202,7 +203,7 @@ class Scheme:
                 f"initial: needed, because {self.name!r} has kept nodes: one of "
                 f"{', '.join(map(repr, INITIAL))}"
             )
-        return _lib.choice(name, "initial", INITIAL)
+        return arguments.choice(name, "initial", INITIAL)
 
     def __str__(self) -> str:
         return self.name

@@ -5,16 +5,16 @@ from __future__ import annotations
 import contextlib
 import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _lib, geometry
+from . import _lib, arguments, geometry
 from ._lib import Array, ffi, lib
+from .examination import Check, examine
 
-__all__ = ["Check", "Difference", "System"]
+__all__ = ["System"]
 
 # What each bit of dal_missing is called in Python.
 _MISSING = {
@@ -27,99 +27,6 @@ _MISSING = {
 def differenced(bits: int) -> tuple[str, ...]:
     """Return the names of the derivatives in a sum of ``dal_missing``."""
     return tuple(name for bit, name in _MISSING.items() if bits & bit)
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A derivative compared with central differences.
-
-    Attributes
-    ----------
-    error : float
-        Worst ``|given - differenced| / (1 + |differenced|)`` over the entries.
-    given, expected : float
-        The two numbers at that entry.
-    row, column : int
-        Which entry it is.
-    checked : bool
-        False if the derivative was not provided, so that there is nothing to compare.
-    """
-
-    error: float
-    given: float
-    expected: float
-    row: int
-    column: int
-    checked: bool
-
-    def __str__(self) -> str:
-        if not self.checked:
-            return "not provided: differenced"
-        return (
-            f"worst error {self.error:.1e} at [{self.row}, {self.column}]: "
-            f"given {self.given:.10g}, by differences {self.expected:.10g}"
-        )
-
-
-@dataclass(frozen=True)
-class Check:
-    """What `System.check` found at one state; true if all is as it should be.
-
-    Attributes
-    ----------
-    passed : bool
-        True if everything below is as it should be.
-    V_q, V_qq, phi_q : Difference
-        gradient, hessian and forms_velocity_derivative against differences.
-    linearity : float
-        Worst change of mu(q) with v; mu must not depend on v.
-    rank : int
-        Of mu(q); should be m.
-    condition : float
-        Condition number of mu(q) in the mass metric.
-    mass_min, kernel_min : float
-        Smallest eigenvalues of the mass matrix M on R^n and on ker mu.
-    residual : float
-        ``max_a |mu^a v| / sum_i |mu^a_i v_i|``: 0 if the velocity lies in D.
-    curvature : float
-        Largest curvature of D over an orthonormal basis; 0 if D is integrable here.
-    integrable : bool
-        True if the curvature vanishes here: D may be a holonomic constraint in disguise.
-    text : str
-        The first thing found wrong, or a summary.
-    """
-
-    passed: bool
-    V_q: Difference
-    V_qq: Difference
-    phi_q: Difference
-    linearity: float
-    rank: int
-    condition: float
-    mass_min: float
-    kernel_min: float
-    residual: float
-    curvature: float
-    integrable: bool
-    text: str
-
-    def __bool__(self) -> bool:
-        return self.passed
-
-    def __str__(self) -> str:
-        lines = [
-            ("", ("passed: " if self.passed else "FAILED: ") + self.text),
-            ("gradient (V_q)", self.V_q),
-            ("hessian (V_qq)", self.V_qq),
-            ("d(mu v)/dq (phi_q)", self.phi_q),
-            ("change of mu with v", f"{self.linearity:.1e}"),
-            ("rank of mu", self.rank),
-            ("condition of mu", f"{self.condition:.3g}"),
-            ("smallest mass", f"{self.mass_min:.6g}, on ker mu {self.kernel_min:.6g}"),
-            ("|mu v|, relative", f"{self.residual:.1e}"),
-            ("curvature of D", f"{self.curvature:.3g}" + (", integrable" * self.integrable)),
-        ]
-        return "\n".join(f"{name:20} {value}" if name else str(value) for name, value in lines)
 
 
 class System:
@@ -219,8 +126,7 @@ class System:
             **(invariants or {}),
         }
         for key, function in functions.items():
-            if function is not None and not callable(function):
-                raise ValueError(f"{key} = {function!r}: expected a function")
+            arguments.function(function, key)
         if potential is None and (gradient is not None or hessian is not None):
             given = "gradient" if gradient is not None else "hessian"
             raise ValueError(f"{given} without potential: the energy needs potential(q) -> V")
@@ -236,7 +142,9 @@ class System:
             raise ValueError(f"coordinates = {coordinates!r}: expected {n} names")
         state = None
         if q0 is not None and v0 is not None:
-            state = np.concatenate([_lib.array(q0, "q0", (n,)), _lib.array(v0, "v0", (n,))])
+            state = np.concatenate(
+                [arguments.array(q0, "q0", (n,)), arguments.array(v0, "v0", (n,))]
+            )
         m = _number_of_constraints(forms, m, np.zeros(n) if state is None else state[:n])
 
         missing = 0
@@ -250,7 +158,8 @@ class System:
         )
         self._context = ffi.new_handle(self._callables)
         c_names, kept = _lib.strings(names)
-        texts = [ffi.new("char[]", text.encode()) for text in (name, help)]
+        c_name = ffi.new("char[]", arguments.text(name, "name").encode())
+        c_help = ffi.new("char[]", arguments.text(help, "help").encode())
         definition = ffi.new(
             "dal_system_def *",
             {
@@ -261,8 +170,8 @@ class System:
                 "constraint": ffi.NULL if m == 0 else lib.dal_py_constraint,
                 "missing": missing,
                 "ctx": self._context,
-                "name": texts[0],
-                "help": texts[1],
+                "name": c_name,
+                "help": c_help,
                 "coordinates": c_names,
                 "state": ffi.NULL if state is None else _lib.pointer(state),
             },
@@ -271,22 +180,22 @@ class System:
         self._invariants = dict(invariants or {})
         self._description: tuple[Any, ...] = (
             _restore,
-            dict(
-                mass=matrix,
-                forms=forms,
-                forms_velocity_derivative=forms_velocity_derivative,
-                potential=potential,
-                gradient=gradient,
-                hessian=hessian,
-                m=m,
-                name=name,
-                help=help,
-                coordinates=names,
-                q0=None if state is None else state[:n],
-                v0=None if state is None else state[n:],
-                exact=exact,
-                invariants=self._invariants,
-            ),
+            {
+                "mass": matrix,
+                "forms": forms,
+                "forms_velocity_derivative": forms_velocity_derivative,
+                "potential": potential,
+                "gradient": gradient,
+                "hessian": hessian,
+                "m": m,
+                "name": name,
+                "help": help,
+                "coordinates": names,
+                "q0": None if state is None else state[:n],
+                "v0": None if state is None else state[n:],
+                "exact": exact,
+                "invariants": self._invariants,
+            },
         )
         self._adopt(_lib.make("system", definition))
         del kept
@@ -294,7 +203,7 @@ class System:
     @classmethod
     def _builtin(cls, name: str, parameters: Mapping[str, Any]) -> System:
         """Make the system that comes with the library under ``name``."""
-        values = np.array([_lib.number(value, key) for key, value in parameters.items()])
+        values = np.array([arguments.number(value, key) for key, value in parameters.items()])
         c_names, kept = _lib.strings(list(parameters))
         c_name = ffi.new("char[]", name.encode())
         self = cls.__new__(cls)
@@ -445,7 +354,7 @@ class System:
         for k, row in enumerate(x):
             if self._invariants:
                 values[k] = [
-                    _lib.returned(f(row[:n].copy(), row[n:].copy()), (), name)
+                    arguments.returned(f(row[:n].copy(), row[n:].copy()), (), name)
                     for name, f in self._invariants.items()
                 ]
             elif names:
@@ -499,15 +408,15 @@ class System:
         >>> q
         array([0., 1., 0.])
         """
-        times = _lib.array(t, "t", (), (None,))
+        times = arguments.array(t, "t", (), (None,))
         n = self._n
         x0 = np.concatenate(geometry.initial(self, q0, v0))
         x = np.empty((times.size, 2 * n))
         for k, time in enumerate(np.atleast_1d(times)):
             if self._exact is not None:
                 q, v = self._exact(float(time), x0[:n].copy(), x0[n:].copy())
-                x[k, :n] = _lib.returned(q, (n,), "exact (q)")
-                x[k, n:] = _lib.returned(v, (n,), "exact (v)")
+                x[k, :n] = arguments.returned(q, (n,), "exact (q)")
+                x[k, n:] = arguments.returned(v, (n,), "exact (v)")
                 continue
             status = lib.dal_system_exact(
                 self._handle, float(time), _lib.pointer(x0), _lib.pointer(x, k)
@@ -547,34 +456,7 @@ class System:
         >>> bool(wrong.check([1, 0], [0, 0]))
         False
         """
-        x = np.concatenate(geometry.initial(self, q, v))
-        report = ffi.new("dal_check *")
-        error = ffi.new("dal_error *")
-        status = _lib.attempt(lib.dal_system_check, self._handle, _lib.pointer(x), report, error)
-        # A callback that is not finite is a finding; an exception of the user's is not.
-        if status < 0 and not (status == lib.DAL_EDOMAIN and _lib.string(report.text)):
-            raise _lib.failure(status, _lib.string(error.text))
-
-        def compared(c: Any) -> Difference:
-            return Difference(
-                c.error, c.given, c.expected, int(c.row), int(c.column), bool(c.checked)
-            )
-
-        return Check(
-            passed=bool(report.passed) and status == lib.DAL_SUCCESS,
-            V_q=compared(report.V_q),
-            V_qq=compared(report.V_qq),
-            phi_q=compared(report.phi_q),
-            linearity=report.linearity,
-            rank=int(report.rank),
-            condition=report.condition,
-            mass_min=report.mass_min,
-            kernel_min=report.kernel_min,
-            residual=report.residual,
-            curvature=report.curvature,
-            integrable=bool(report.integrable),
-            text=_lib.string(report.text),
-        )
+        return examine(self, q, v)
 
     # ---- mechanics on D: the functions of `geometry` as methods --------------------------
 
@@ -608,6 +490,12 @@ class System:
         return restore, tuple(description)
 
 
+def require_system(value: Any) -> None:
+    """Raise ValueError if an argument ``system`` is not one."""
+    if not isinstance(value, System):
+        raise ValueError(f"system = {value!r}: expected a dalembert.System")
+
+
 def _restore(description: dict[str, Any]) -> System:
     """Make a user's system again from its description."""
     return System(**description)
@@ -635,7 +523,9 @@ def _mass_matrix(
     mass: ArrayLike, n: int | None, coordinates: Sequence[str] | None, q0: ArrayLike | None
 ) -> Array:
     """Return M for a matrix, its diagonal, or one number; ValueError if n does not agree."""
-    matrix = _lib.array(mass, "mass", (None, None), (None,), ())
+    matrix = arguments.array(mass, "mass", (None, None), (None,), ())
+    if n is not None:
+        n = arguments.integer(n, "n", 1)
     if matrix.ndim == 0:
         if n is None and coordinates is not None:
             n = len(coordinates)
@@ -671,4 +561,4 @@ def _number_of_constraints(
                 f"it returned {rows}"
             )
         m = rows[0]
-    return m
+    return arguments.integer(m, "m", 0)

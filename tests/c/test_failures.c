@@ -1,7 +1,8 @@
-/* Everything around the library fails: callbacks at each of their calls, matrices that are singular,
- * iterations that diverge, sizes that overflow, pointers that are NULL.  What it owes then is the
- * status that the header names, a message with the numbers, states and outputs bit for bit as they
- * were, and an object that goes on as if nothing had happened.  GSL's handler aborts throughout. */
+/* Everything around the library fails: callbacks at each of their calls, matrices that are
+ * singular, iterations that diverge, sizes that overflow, pointers that are NULL.  What it owes
+ * then is the status that the header names, a message with the numbers, states and outputs bit for
+ * bit as they were, and an object that goes on as if nothing had happened.  GSL's handler aborts
+ * throughout. */
 #include "check.h"
 #include "../generic4.h"
 #include "internal.h"
@@ -727,7 +728,7 @@ static void test_disturbed_flow(dal_flow_method method, size_t every)
                     size_t done = 99;
                     plan_fault(&f, where, what, k, once ? k + 1 : SIZE_MAX);
                     memcpy(x, x0, sizeof x);
-                    int status = dal_flow_apply(flow, 0.0, 1.0, x, &accuracy);
+                    int status = dal_flow_apply(flow, 0.0, 1.0, x, k % 2 ? &accuracy : NULL);
                     CHECK(status == status_of(what) || (once && what != STOP && status == 0));
                     if (status) {
                         CHECK(memcmp(x, x0, sizeof x) == 0 && accuracy == UNTOUCHED);
@@ -934,8 +935,8 @@ static void test_singular_step(void)
     }
 }
 
-/* The chaotic oscillator by the midpoint scheme with h = 5: after a few steps of the default data the
- * equations of a step have no solution near the last state. */
+/* The chaotic oscillator by the midpoint scheme with h = 5: after a few steps of the default data
+ * Newton finds no solution of the equations of a step. */
 static void test_divergence(size_t solver)
 {
     dal_system *system = open_system("chaotic");
@@ -965,8 +966,8 @@ static void test_divergence(size_t solver)
     dal_system_free(system);
 }
 
-/* Steps far too long, on every system and by every scheme: whatever happens, the state that is shown
- * is finite, and a step that fails has not touched it. */
+/* Steps far too long, on every system and by every scheme: whatever happens, the state that is
+ * shown is finite, and a step that fails has not touched it. */
 static void test_blow_up(size_t solver)
 {
     static const double lengths[] = {3.0, -40.0, 1e3, 1e60, -1e160, 1e300};
@@ -1031,12 +1032,12 @@ static void test_overflow(size_t solver)
     dal_system_free(system);
 }
 
-/* States and steps put together from the ends of the range of double: a success is finite, a failure
- * has changed nothing. */
+/* States and steps put together from the ends of the range of double: a success is finite, a
+ * failure has changed nothing. */
 static void test_extreme_numbers(void)
 {
-    static const double palette[] = {0.0, 1.0, -1.0, 4.9406564584124654e-324, 1e-308, 1e-160, -1e-20,
-                                     1e20, -1e100, 1e160, 1e200, -1e308, DBL_MAX};
+    static const double palette[] = {0.0, 1.0, -1.0, 4.9406564584124654e-324, 1e-308, 1e-160,
+                                     -1e-20, 1e20, -1e100, 1e160, 1e200, -1e308, DBL_MAX};
     enum { COLOURS = sizeof palette / sizeof palette[0], TRIALS = 2000 };
     unsigned long state = 20240229;
 #define NEXT (state = (state * 1103515245UL + 12345UL) & 0x7fffffffUL, \
@@ -1379,10 +1380,11 @@ int main(void)
     test_disturbed_stride();
     for (size_t i = 0; i < SCHEMES; i++) test_disturbed_integration("generic4", schemes[i]);
     for (size_t solver = 0; solver < SOLVERS; solver++) {
-        test_disturbed_steps("particle", 0, solver, 1);
-        test_disturbed_steps("particle_oscillator", 0, solver, 1);
-        test_disturbed_steps("generic4", 0, solver,
-                             solvers[solver].solver == DAL_SOLVER_SCHUR ? 1 : 7);
+        /* every call; of the many that hybridsj makes a part */
+        const size_t every = solvers[solver].solver == DAL_SOLVER_SCHUR ? 1 : 7;
+        test_disturbed_steps("particle", 0, solver, every);
+        test_disturbed_steps("particle_oscillator", 0, solver, every);
+        test_disturbed_steps("generic4", 0, solver, every);
         test_refused_start(solver);
         test_divergence(solver);
         test_blow_up(solver);

@@ -100,8 +100,8 @@ static void test_definitions(dal_mechanics *mech, const dal_system *system, cons
 
 /* ---- identities of the ODE ---------------------------------------------------------------- */
 
-/* mu vdot + N v = 0, also off D; M vdot + V_q = mu^T lambda; on D the power of the reaction vanishes,
- * v.(M vdot + V_q) = 0, so E is a first integral. */
+/* mu vdot + N v = 0, also off D; M vdot + V_q = mu^T lambda; on D the power of the reaction,
+ * v.(M vdot + V_q), vanishes, so E is a first integral. */
 static void test_ode(dal_mechanics *mech, const dal_system *system, const double *x)
 {
     const size_t n = dal_system_n(system), m = dal_system_m(system);
@@ -109,7 +109,8 @@ static void test_ode(dal_mechanics *mech, const dal_system *system, const double
     if (system->def.potential) system->def.potential(x, NULL, force, NULL, system->def.ctx);
     system->def.constraint(x, x + n, NULL, mu, dmu, system->def.ctx);
     CHECK(dal_acceleration(mech, 0.0, x, vdot) == 0 && dal_multipliers(mech, 0.0, x, lambda) == 0);
-    const double size = 1 + sum_of_sizes(n, vdot) + sum_of_sizes(n, force) + sum_of_sizes(m, lambda);
+    const double size =
+        1 + sum_of_sizes(n, vdot) + sum_of_sizes(n, force) + sum_of_sizes(m, lambda);
     for (size_t a = 0; a < m; a++)
         CHECK_NEAR(dot(n, mu + a * n, vdot) + dot(n, dmu + a * n, x + n), 0.0, ROUNDOFF * size);
     dal__apply(n, n, dal_system_mass(system), vdot, balance);
@@ -171,7 +172,7 @@ static void test_mixing(dal_mechanics *mech, const dal_system *system, dal_mecha
     CHECK(dal_multipliers(mixed, 0.0, x, other) == 0);
     unmix(m, x, other, expected);
     CHECK_NEAR(largest_difference(m, lambda, expected), 0.0, 10 * ROUNDOFF * size);
-    CHECK(largest_difference(m, lambda, other) > 1e-3 || sum_of_sizes(m, lambda) < 1e-2);
+    CHECK(largest_difference(m, lambda, other) > 0.01 * sum_of_sizes(m, lambda));
 }
 
 /* ---- projections --------------------------------------------------------------------------- */
@@ -209,7 +210,9 @@ static void test_deformed(dal_mechanics *mech, const dal_system *system, const d
         const double shift = 0.05 * sign;
         double x[2 * N], d[N], Md[N], tangent[2 * N], distance = NAN;
         memcpy(x, x0, 2 * n * sizeof *x);
+        const size_t calls = mech->eval.constraint_calls;
         CHECK(dal_project(mech, shift, x, &distance) == 0);
+        CHECK(mech->eval.constraint_calls - calls <= 8); /* Newton, and not a slower iteration */
         CHECK(memcmp(x, x0, n * sizeof *x) == 0);
         CHECK(residual_of(system, shift, x) <= ROUNDOFF);
         for (size_t i = 0; i < n; i++) d[i] = x[n + i] - x0[n + i];
@@ -331,7 +334,8 @@ static void test_jacobian(dal_mechanics *mech, const dal_system *system, const d
         for (size_t j = 0; j < n + m; j++) {
             double *const unknown = j < n ? w + j : kappa + (j - n), centre = *unknown;
             *unknown = centre + d;
-            CHECK(dal_step_equations(mech, betas[b], h, x, w, kappa, up1, up2, NULL, NULL, NULL) == 0);
+            CHECK(dal_step_equations(mech, betas[b], h, x, w, kappa, up1, up2, NULL, NULL, NULL)
+                  == 0);
             *unknown = centre - d;
             CHECK(dal_step_equations(mech, betas[b], h, x, w, kappa, down1, down2, NULL, NULL, NULL)
                   == 0);
@@ -374,7 +378,8 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
     E[3] = relative[3] = 7.0;
     CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, E, NULL, NULL, NULL, &done) == DAL_EINVAL);
     CHECK(done == 3 && E[3] == 7.0 && strstr(dal_mechanics_message(mech), "x[1]") != NULL);
-    CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, relative, &done) == DAL_EINVAL);
+    CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, relative, &done)
+          == DAL_EINVAL);
     CHECK(done == 3 && relative[3] == 7.0);
 }
 
@@ -403,7 +408,8 @@ static void test_errors(void)
     dal_error error;
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     CHECK(dal_mechanics_new(NULL, system, &error) == DAL_EINVAL);
-    CHECK(dal_mechanics_new(&mech, NULL, &error) == DAL_EINVAL && strstr(error.text, "system is NULL"));
+    CHECK(dal_mechanics_new(&mech, NULL, &error) == DAL_EINVAL);
+    CHECK(strstr(error.text, "system is NULL") != NULL);
     mech = open_mechanics(system);
     CHECK(dal_mechanics_message(mech)[0] == '\0');
     double x[6] = {0, 0, 0, 1, 2, 3}, out[6] = {7, 7, 7, 7, 7, 7}, one = 7.0;
@@ -413,8 +419,7 @@ static void test_errors(void)
     CHECK(dal_acceleration(mech, 0, x, out) == DAL_ESINGULAR && out[0] == 7.0);
     CHECK(dal_field(mech, 0, x, out) == DAL_ESINGULAR && out[0] == 7.0);
     CHECK(dal_project(mech, 0.0, x, &one) == DAL_ESINGULAR && one == 7.0);
-    CHECK(dal_project(mech, 0.1, x, &one) != DAL_SUCCESS || residual_of(system, 0.1, x) < 1e-14);
-    memcpy(x, before, sizeof x);
+    CHECK(memcmp(x, before, sizeof x) == 0);
     CHECK(dal_energy(mech, x, &one) == DAL_SUCCESS && one == 7.0); /* (1 + 4 + 9)/2 */
     x[0] = 1e-3;
     CHECK(dal_multipliers(mech, 0, x, out) == DAL_SUCCESS);
@@ -455,7 +460,8 @@ static void test_no_constraint(void)
     CHECK(dal_acceleration(mech, 0.0, x, vdot) == 0);
     wide_potential(x, NULL, force, NULL, &w);
     dal__apply(3, 3, w.mass, vdot, balance);
-    for (size_t i = 0; i < 3; i++) CHECK_NEAR(balance[i], -force[i], ROUNDOFF * sum_of_sizes(3, force));
+    for (size_t i = 0; i < 3; i++)
+        CHECK_NEAR(balance[i], -force[i], ROUNDOFF * sum_of_sizes(3, force));
     test_jacobian(mech, system, x);
     test_definitions(mech, system, x);
     dal_mechanics_free(mech);

@@ -104,8 +104,8 @@ static void test_names(void)
     CHECK(dal_scheme_find(&scheme, "leapfrog_kl8", NULL) == DAL_SUCCESS && scheme.order == 8);
     CHECK(dal_scheme_find(&scheme, "midpoint_nodes", NULL) == DAL_SUCCESS);
 
-    const char *const wrong[] = {"", "euler", "1.5", "-0.5", "nan", "inf", "0.5x", "0.5-node", " 0.5",
-                                 "leapfrog-nodes", "leapfro", "leapfrog-", "MIDPOINT", "1e",
+    const char *const wrong[] = {"", "euler", "1.5", "-0.5", "nan", "inf", "0.5x", "0.5-node",
+                                 " 0.5", "leapfrog-nodes", "leapfro", "leapfrog-", "MIDPOINT", "1e",
                                  "leapfrog-kl8-and-much-more-than-forty-characters"};
     scheme.beta = 7.0;
     for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
@@ -126,7 +126,8 @@ static void check_invalid(const dal_scheme *scheme, const char *words)
 
 static void test_validation(void)
 {
-    const dal_substep too_long[] = {{0.5, 0.5}, {0.5, 0.5000001}}, zero[] = {{0.5, 1.0}, {0.5, 0.0}};
+    const dal_substep too_long[] = {{0.5, 0.5}, {0.5, 0.5000001}};
+    const dal_substep zero[] = {{0.5, 1.0}, {0.5, 0.0}};
     const dal_substep outside[] = {{0.5, 0.5}, {1.25, 0.5}}, unknown[] = {{NAN, 1.0}};
     const dal_substep infinite[] = {{0.5, INFINITY}}, two[] = {{0.0, 0.5}, {1.0, 0.5}};
     const dal_substep thirds[] = {{0.5, 0.333333333333333}, {0.5, 0.333333333333333},
@@ -139,7 +140,8 @@ static void test_validation(void)
     check_invalid(&(dal_scheme){.count = 2, .substeps = outside}, "sub-step 1: beta = 1.25");
     check_invalid(&(dal_scheme){.count = 1, .substeps = unknown}, "sub-step 0: beta");
     check_invalid(&(dal_scheme){.count = 1, .substeps = infinite}, "fraction = inf");
-    check_invalid(&(dal_scheme){.count = 2, .substeps = two, .nodes = DAL_KEPT_NODES}, "2 sub-steps");
+    check_invalid(&(dal_scheme){.count = 2, .substeps = two, .nodes = DAL_KEPT_NODES},
+                  "2 sub-steps");
     check_invalid(&(dal_scheme){.nodes = (dal_nodes)3}, "nodes = 3");
     CHECK(dal__scheme_check(&(dal_scheme){.count = 2, .substeps = two}, NULL) == DAL_SUCCESS);
     CHECK(dal__scheme_check(&(dal_scheme){.count = 3, .substeps = thirds}, NULL) == DAL_SUCCESS);
@@ -150,7 +152,8 @@ static void test_explicit_and_shift(void)
 {
     dal_system *const system = open_system("particle_oscillator");
     const dal_substep halves[] = {{0.0, 0.5}, {0.0, 0.5}}, one[] = {{0.25, 1.0}};
-    const dal_scheme twice = {.count = 2, .substeps = halves}, single = {.count = 1, .substeps = one};
+    const dal_scheme twice = {.count = 2, .substeps = halves};
+    const dal_scheme single = {.count = 1, .substeps = one};
     double shift = 7.0;
     for (size_t i = 0; i < NAMES; i++) {
         const dal_scheme s = find_scheme(names[i]);

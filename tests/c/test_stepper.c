@@ -56,7 +56,8 @@ static void flow(const dal_system *system, const dal_scheme *scheme, double h, s
 
 /* Whether x1, h lambda solve the equations of the beta-scheme, their terms being of the size that
  * scale says; and the identity of the energy,
- *   E1 - E0 = -(h/2)(v + v1).[(1-beta) V_q(q1) + beta V_q(q)] + (h/2) lambda.mu(q_k)(v + v1) + V1 - V0,
+ *   E1 - E0 = V1 - V0 - (h/2)(v + v1).[(1-beta) V_q(q1) + beta V_q(q)]
+ *           + (h/2) lambda.mu(q_k)(v + v1),
  * which follows from them. */
 static void check_equations(dal_mechanics *mechanics, const dal_system *system, double beta,
                             double h, const double *x, const double *x1, const double *lambda)
@@ -159,7 +160,8 @@ static void test_exact_energy(void)
     for (size_t s = 0; s < 2; s++) {
         dal_system *const system = open_system(names[s]);
         dal_mechanics *const mechanics = open_mechanics(system);
-        const dal_scheme midpoint = find_scheme("midpoint"), mirror = find_scheme("leapfrog-mirror");
+        const dal_scheme midpoint = find_scheme("midpoint");
+        const dal_scheme mirror = find_scheme("leapfrog-mirror");
         double x[2 * MOST_N], E0 = NAN, E = NAN;
         CHECK(dal_system_state(system, x) == 0 && dal_energy(mechanics, x, &E0) == 0);
         flow(system, &midpoint, 0.1, STEPS, x, x, NULL);
@@ -300,7 +302,8 @@ static void test_mixing(void)
     const double h = 0.05;
     for (size_t s = 0; s < SYSTEMS; s++)
         for (size_t j = 0; j < sizeof schemes / sizeof schemes[0]; j++) {
-            dal_system *const system = open_system(all_systems[s]), *const mixed = open_mixed(system);
+            dal_system *const system = open_system(all_systems[s]);
+            dal_system *const mixed = open_mixed(system);
             const dal_scheme scheme = find_scheme(schemes[j]);
             const size_t n = dal_system_n(system), m = dal_system_m(system);
             dal_stepper *const one = open_stepper(system, &scheme, NULL);
@@ -481,8 +484,8 @@ static void check_conjugate(const dal_system *system, double beta, double h)
     }
 }
 
-/* PROJECT: v moved along M^-1 mu^T onto D_eps, and that state is used; D_EPS accepts it, and refuses
- * data of D. */
+/* PROJECT: v moved along M^-1 mu^T onto D_eps, and that state is used; D_EPS accepts it, and
+ * refuses data of D. */
 static void check_starts(const dal_system *system, double h)
 {
     const size_t n = dal_system_n(system);
@@ -545,8 +548,8 @@ static void test_kept_nodes(void)
 
 /* ---- starts ------------------------------------------------------------------------------ */
 
-static void check_refused(dal_stepper *stepper, double t0, double h, const double *x, int consistency,
-                          int initial, int expected, const char *words)
+static void check_refused(dal_stepper *stepper, double t0, double h, const double *x,
+                          int consistency, int initial, int expected, const char *words)
 {
     double before[6];
     const double t = dal_stepper_time(stepper);

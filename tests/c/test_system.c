@@ -231,7 +231,7 @@ static void open_evaluator(workplace *w, const dal_system *system)
     dal__evaluator_bind(&w->eval, system);
 }
 
-/* A system like base whose callbacks are said to lack what missing says; they refuse to be asked. */
+/* A system like base whose callbacks lack what missing says, and refuse to be asked for it. */
 typedef struct lacking {
     const dal_system *base;
     unsigned missing;
@@ -289,7 +289,8 @@ static void check_differences(const char *name, unsigned missing)
         CHECK(dal__potential(&w.eval, q, V + 1, V_q[1], V_qq[1], &error) == DAL_SUCCESS);
         CHECK(dal__constraint(&exact.eval, q, v, mu[0], N_q[0], NULL) == DAL_SUCCESS);
         CHECK(dal__constraint(&w.eval, q, v, mu[1], N_q[1], &error) == DAL_SUCCESS);
-        const double scale = 1 + fabs(V[0]) + sum_of_sizes(n, V_q[0]) + sum_of_sizes(n * n, V_qq[0]);
+        const double scale =
+            1 + fabs(V[0]) + sum_of_sizes(n, V_q[0]) + sum_of_sizes(n * n, V_qq[0]);
         const double hessian = missing & DAL_MISSING_V_Q ? 1e-6 : 1e-12;
         CHECK(V[0] == V[1] && largest_difference(m * n, mu[0], mu[1]) == 0.0);
         CHECK_NEAR(largest_difference(n, V_q[0], V_q[1]), 0.0,

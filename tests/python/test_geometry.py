@@ -83,7 +83,7 @@ def test_project_onto_the_deformation(own):
         np.testing.assert_allclose(mu.T @ kappa, difference, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("keep", [["q1"], [False, True, False, False]])
+@pytest.mark.parametrize("keep", ["q1", ["q1"], [False, True, False, False]])
 def test_consistent_keeps_components(own, keep):
     q, v = several(own)
     system = own.system()
@@ -112,7 +112,7 @@ def test_consistent_with_too_much_kept(own):
         own.system().consistent(q[0], v[0], keep=["q0", "q1", "q2", "q3"])
 
 
-@pytest.mark.parametrize("keep", [["nowhere"], [True, False], [0, 1, 0, 0]])
+@pytest.mark.parametrize("keep", ["nowhere", ["nowhere"], [True, False], [0, 1, 0, 0], 5])
 def test_keep_is_named_in_errors(own, keep):
     with pytest.raises(ValueError, match="keep"):
         own.system().consistent(own.q0, own.v0(), keep=keep)

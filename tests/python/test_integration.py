@@ -160,6 +160,10 @@ def test_explicit_is_a_property_of_scheme_and_system(own):
         (lambda: dal.Scheme([(0, 0.5), (1, 0.5)], nodes="kept"), "kept"),
         (lambda: dal.Scheme([(0.5, 1)], nodes="fixed"), "nodes = 'fixed'.*'moved', 'kept'"),
         (lambda: dal.Scheme([]), "at least one"),
+        (lambda: dal.Scheme(3), r"substeps: expected shape \(N, 2\), got \(\)"),
+        (lambda: dal.Scheme([(0.5, 1)], name=3), "name = 3: expected a string"),
+        (lambda: dal.Scheme([(0.5, 1)], order=1.5), "order = 1.5: expected an integer"),
+        (lambda: dal.Scheme.find(3), "scheme = 3: expected a string"),
         (lambda: dal.Scheme([0.5, 1]), r"shape \(N, 2\), got \(2,\)"),
         (lambda: dal.Scheme([(0.5, 1)], name="x" * 40), "39 bytes"),
         (lambda: dal.Scheme.find("simpson"), "simpson.*leapfrog"),
@@ -208,8 +212,10 @@ def test_reference_refuses_data_off_D(particle):
         lambda: dal.reference(particle, [0, 1, 0], [1, 1, 3], 1.0),
         lambda: dal.integrate(particle, "reference", [0, 1, 0], [1, 1, 3], h=0.1, steps=1),
     ):
-        with pytest.raises(dal.NotOnConstraintError, match="0.5"):
+        with pytest.raises(dal.NotOnConstraintError, match="0.5.*consistent='project'"):
             call()
+    end = dal.reference(particle, [0, 1, 0], [1, 1, 3], t=0.0, consistent="project")
+    np.testing.assert_array_equal(end.v, [2, 1, 2])
     run = dal.integrate(
         particle, "reference", [0, 1, 0], [1, 1, 3], h=0.1, steps=1, consistent="project"
     )
@@ -274,7 +280,8 @@ def test_no_steps(own):
         ({"h": 0.1, "t_end": 1.0, "steps": 10}, "t_end and steps.*both"),
         ({"h": 0, "steps": 1}, "h = 0"),
         ({"h": np.nan, "steps": 1}, "h = nan"),
-        ({"h": [0.1], "steps": 1}, "h: expected shape"),
+        ({"h": [0.1], "steps": 1}, r"h = \[0.1\]: expected a finite number"),
+        ({"h": 0.1, "t_end": "x"}, "t_end = 'x': expected a finite number"),
         ({"h": 0.1, "steps": -1}, "steps = -1"),
         ({"h": 0.1, "steps": 1.0}, "steps = 1.0: expected an integer"),
         ({"h": 0.1, "steps": 10, "stride": 3}, "steps = 10.*stride = 3, 9 or 12"),
@@ -282,6 +289,9 @@ def test_no_steps(own):
         ({"h": 0.1, "steps": 1, "consistent": "maybe"}, "consistent = 'maybe'.*'check'"),
         ({"h": 0.1, "steps": 1, "initial": "D"}, "initial = 'D'.*moved"),
         ({"h": 0.1, "steps": 1, "scheme": "midpoint-nodes"}, "initial: needed.*'D_eps'"),
+        ({"h": 0.1, "steps": 1, "scheme": None}, "scheme = None: expected a Scheme"),
+        ({"h": 0.1, "steps": 1, "observer": 3}, "observer = 3: expected a function"),
+        ({"h": 0.1, "steps": 1, "progress": 3}, "progress = 3: expected True, False or a function"),
         ({"h": 0.1, "steps": 1, "solver": 3}, "solver = 3"),
         ({"h": 0.1, "steps": 1, "max_iterations": 0}, "max_iterations = 0"),
         ({"h": 0.1, "steps": 1, "q0": [0, 1]}, r"q0: expected shape \(3,\), got \(2,\)"),
@@ -475,6 +485,17 @@ def test_progress_as_a_function(particle):
     assert {total for _, total in told} == {steps}
     assert done == sorted(set(done)) and done[-1] == steps
     assert len(told) < 1000  # by blocks, not by steps
+
+
+def test_progress_between_two_stored_states(particle):
+    told = []
+    steps = 5_000_000  # in one interval, some 0.2 s
+    dal.integrate(
+        particle, "midpoint", h=1e-6, steps=steps, stride=steps,
+        progress=lambda *numbers: told.append(numbers),
+    )  # fmt: skip
+    done = [d for d, _ in told]
+    assert len(done) > 1 and done == sorted(set(done)) and done[-1] == steps
 
 
 def test_progress_as_a_bar(particle, capsys):

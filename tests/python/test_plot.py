@@ -30,8 +30,9 @@ def no_windows(monkeypatch):
 
 @pytest.fixture(scope="module")
 def studies():
-    return dal.studies(dal.systems.particle(), ["midpoint", "explicit", "midpoint-nodes"],
-                       steps=STEPS)
+    return dal.studies(
+        dal.systems.particle(), ["midpoint", "explicit", "midpoint-nodes"], steps=STEPS
+    )
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +49,9 @@ def test_convergence_draws_the_errors_and_says_the_orders(studies):
     assert ax.get_xscale() == ax.get_yscale() == "log"
     for study in studies:
         order = study.fits["global_state"].slope
-        line, = (x for x in ax.lines if x.get_label() == f"{study.scheme.name}: {order:.2f}")
+        (line,) = (x for x in ax.lines if x.get_label() == f"{study.scheme.name}: {order:.2f}")
         np.testing.assert_array_equal(line.get_xdata(), study.h)
-        np.testing.assert_array_equal(line.get_ydata(), np.maximum(study.q_error,
-                                                                   study.v_error))
+        np.testing.assert_array_equal(line.get_ydata(), np.maximum(study.q_error, study.v_error))
     assert "h" in ax.get_xlabel() and "units" in ax.get_xlabel()
     assert "(q, v) at t = 1" in ax.get_ylabel() and "units" in ax.get_ylabel()
     assert "particle" in ax.get_title()
@@ -64,18 +64,26 @@ def test_triangles_have_the_whole_slopes_and_lie_below_their_curves(studies):
         (x0, y0), (x1, y1), (x2, y2) = patch.get_xy()[:3]
         assert x1 == x2 and y0 == y1
         slopes.append(np.log(y2 / y1) / np.log(x1 / x0))
-        errors = [np.exp(np.interp(np.log(x2), np.log(s.h[::-1]), np.log(s.state_error[::-1])))
-                  for s in studies if round(s.fits["global_state"].slope) == round(slopes[-1])]
+        errors = [
+            np.exp(np.interp(np.log(x2), np.log(s.h[::-1]), np.log(s.state_error[::-1])))
+            for s in studies
+            if round(s.fits["global_state"].slope) == round(slopes[-1])
+        ]
         assert y2 < min(errors)
     np.testing.assert_allclose(sorted(slopes), [1, 2], rtol=1e-12)
     assert {"1", "2"} <= {text.get_text() for text in ax.texts}
 
 
-@pytest.mark.parametrize("quantity, errors, key, loss", [
-    ("q", "q_error", "global_q", 0), ("v", "v_error", "global_v", 0),
-    ("multipliers", "multiplier_error", "global_multipliers", 0),
-    ("local", "local_error", "state", 1),
-    ("reactions", "local_reaction_error", "reaction", 1)])
+@pytest.mark.parametrize(
+    "quantity, errors, key, loss",
+    [
+        ("q", "q_error", "global_q", 0),
+        ("v", "v_error", "global_v", 0),
+        ("multipliers", "multiplier_error", "global_multipliers", 0),
+        ("local", "local_error", "state", 1),
+        ("reactions", "local_reaction_error", "reaction", 1),
+    ],
+)
 def test_other_quantities(studies, quantity, errors, key, loss):
     ax = dal.plot.convergence(studies[0], quantity=quantity)
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), getattr(studies[0], errors))
@@ -95,8 +103,9 @@ def test_points_that_do_not_count_are_hollow():
 
 def test_exact_results_are_named_and_drawn_at_the_floor():
     # The momentum v_y of the particle is exact, and so is everything where v_x = 0.
-    study = dal.convergence(dal.systems.particle(), "midpoint", [0, 0.3, 0], [0, 0.5, 0],
-                            steps=STEPS)
+    study = dal.convergence(
+        dal.systems.particle(), "midpoint", [0, 0.3, 0], [0, 0.5, 0], steps=STEPS
+    )
     ax = dal.plot.convergence(study, quantity="v")
     assert texts(ax) == ["midpoint: exact"]
     line, hollow = ax.lines
@@ -135,15 +144,17 @@ def test_drift_has_both_sets_on_log_axes():
         return np.maximum(abs(vz - other) / (abs(vz) + abs(other)), 1e-17)
 
     # 2 n u: the residual of three terms, each with its roundoff.
-    for found, expected in ((of["midpoint"], residual(moved, 0)),
-                            (of["midpoint-nodes"], residual(kept, 0)),
-                            (of_eps["midpoint"], residual(moved, 0.025)),
-                            (of_eps["midpoint-nodes"], residual(kept, 0.025))):
+    for found, expected in (
+        (of["midpoint"], residual(moved, 0)),
+        (of["midpoint-nodes"], residual(kept, 0)),
+        (of_eps["midpoint"], residual(moved, 0.025)),
+        (of_eps["midpoint-nodes"], residual(kept, 0.025)),
+    ):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=6 * ROUNDOFF)
     assert of["midpoint"].max() < 1e-15 < 1e-4 < of["midpoint-nodes"].max()
     assert of_eps["midpoint-nodes"].max() < 1e-15 < 1e-4 < of_eps["midpoint"].max()
     for axis in (left, right):
-        dashed, = (line for line in axis.lines if len(line.get_xdata()) == 2)
+        (dashed,) = (line for line in axis.lines if len(line.get_xdata()) == 2)
         assert list(dashed.get_ydata()) == [ROUNDOFF] * 2 and dashed.get_linestyle() == "--"
         assert "units" in axis.get_xlabel()
     assert "residual" in left.get_ylabel()
@@ -151,8 +162,9 @@ def test_drift_has_both_sets_on_log_axes():
 
 
 def test_drift_of_a_long_run_shows_the_largest_of_each_stretch():
-    run = dal.integrate(dal.systems.particle(), "midpoint-nodes", h=0.05, steps=1000,
-                        initial="project")
+    run = dal.integrate(
+        dal.systems.particle(), "midpoint-nodes", h=0.05, steps=1000, initial="project"
+    )
     left, _ = dal.plot.drift(run)
     line = left.lines[0]
     relative = dal.geometry.relative_residual(run.system, run.q, run.v)
@@ -173,8 +185,9 @@ def test_energy_is_relative_on_a_linear_axis(run):
     assert ax.get_yscale() == "linear"
     E = 0.5 * (run.v**2).sum(axis=1)  # of the particle
     # Energies below 2 from some three terms, divided by a scale of at least 1.
-    np.testing.assert_allclose(ax.lines[0].get_ydata(), (E - E[0]) / max(E[0], 1), rtol=0,
-                               atol=32 * ROUNDOFF)
+    np.testing.assert_allclose(
+        ax.lines[0].get_ydata(), (E - E[0]) / max(E[0], 1), rtol=0, atol=32 * ROUNDOFF
+    )
     np.testing.assert_array_equal(ax.lines[0].get_xdata(), run.t)
     assert "E_0" in ax.get_ylabel() and "units" in ax.get_xlabel() and texts(ax) == ["midpoint"]
 
@@ -219,7 +232,11 @@ def test_bad_arguments_are_named(studies, run):
 
 def test_without_matplotlib_the_line_to_type_is_said(studies, run, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    for draw in (lambda: dal.plot.energy(run), studies.plot, lambda: dal.plot.drift(run),
-                 lambda: dal.report.write(studies, tmp_path / "report.html")):
-        with pytest.raises(ImportError, match=r'pip install "dalembert\[plot\]"'):
+    for draw in (
+        lambda: dal.plot.energy(run),
+        studies.plot,
+        lambda: dal.plot.drift(run),
+        lambda: dal.report.write(studies, tmp_path / "report.html"),
+    ):
+        with pytest.raises(ImportError, match="pip install matplotlib$"):
             draw()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dalembert as dal
-from dalembert import study as module
+from dalembert import refinement, table
 
 Q0, V0 = np.array([0.5, 0.3, -0.2]), np.array([1.0, 0.7, 0.3])
 STEPS = (10, 15, 20, 30, 40)
@@ -24,8 +24,10 @@ def exact_particle(t, q, v):
     y1 = y + w * t
     s, s1 = np.hypot(1, y), np.hypot(1, y1)
     c = vx * s
-    return (np.array([x + c / w * (np.arcsinh(y1) - np.arcsinh(y)), y1, z + c / w * (s1 - s)]),
-            np.array([c / s1, w, y1 * c / s1]))
+    return (
+        np.array([x + c / w * (np.arcsinh(y1) - np.arcsinh(y)), y1, z + c / w * (s1 - s)]),
+        np.array([c / s1, w, y1 * c / s1]),
+    )
 
 
 def midpoint_particle(t, steps, q, v):
@@ -59,26 +61,34 @@ def test_errors_are_those_of_the_scheme_solved_by_hand(midpoint):
         assert midpoint.q_error[i] == pytest.approx(np.abs(qs - q).max(), rel=0, abs=noise)
         assert midpoint.v_error[i] == pytest.approx(np.abs(vs - v).max(), rel=0, abs=noise)
         assert midpoint.multiplier_error[i] == pytest.approx(
-            abs(multiplier(qs, vs) - multiplier(q, v)), rel=0, abs=noise)
+            abs(multiplier(qs, vs) - multiplier(q, v)), rel=0, abs=noise
+        )
         q1, v1 = exact_particle(1 / steps, Q0, V0)
         qs, vs = midpoint_particle(1 / steps, 1, Q0, V0)
         assert midpoint.local_error[i] == pytest.approx(
-            max(np.abs(qs - q1).max(), np.abs(vs - v1).max()), rel=0, abs=noise)
+            max(np.abs(qs - q1).max(), np.abs(vs - v1).max()), rel=0, abs=noise
+        )
 
 
 def test_fits_are_least_squares_lines(midpoint):
     # The two computations differ by roundoff of sums of a few logarithms below 20.
-    for key, errors in (("global_state", midpoint.state_error),
-                        ("global_q", midpoint.q_error), ("global_v", midpoint.v_error),
-                        ("global_multipliers", midpoint.multiplier_error),
-                        ("state", midpoint.local_error),
-                        ("multipliers", midpoint.local_multiplier_error),
-                        ("reaction", midpoint.local_reaction_error),
-                        ("midpoint", midpoint.local_midpoint_error)):
+    for key, errors in (
+        ("global_state", midpoint.state_error),
+        ("global_q", midpoint.q_error),
+        ("global_v", midpoint.v_error),
+        ("global_multipliers", midpoint.multiplier_error),
+        ("state", midpoint.local_error),
+        ("multipliers", midpoint.local_multiplier_error),
+        ("midpoint", midpoint.local_midpoint_error),
+    ):
         assert (errors > 100 * midpoint.floor).all()
         slope = np.polyfit(np.log(midpoint.h), np.log(errors), 1)[0]
         assert midpoint.fits[key].slope == pytest.approx(slope, abs=1e-10)
         assert midpoint.fits[key].points == len(STEPS)
+    # The reactions, with their h^2 term at any order, over the finer half of the steps.
+    slope = np.polyfit(np.log(midpoint.h[2:]), np.log(midpoint.local_reaction_error[2:]), 1)[0]
+    assert midpoint.fits["reaction"].slope == pytest.approx(slope, abs=1e-10)
+    assert midpoint.fits["reaction"].points == 3
     assert midpoint.p == midpoint.fits["state"].slope - 1
     assert midpoint.s == midpoint.fits["reaction"].slope - 1
 
@@ -88,7 +98,8 @@ def test_local_orders_are_those_between_neighbours(midpoint):
     assert np.isnan(midpoint.q_orders[0])
     for i in range(1, len(STEPS)):
         assert midpoint.q_orders[i] == pytest.approx(
-            np.log(e[i - 1] / e[i]) / np.log(h[i - 1] / h[i]), rel=1e-12)
+            np.log(e[i - 1] / e[i]) / np.log(h[i - 1] / h[i]), rel=1e-12
+        )
     assert (abs(midpoint.v_orders[1:] - 2) < 0.2).all()
     assert (abs(midpoint.multiplier_orders[1:] - 2) < 0.2).all()
 
@@ -104,13 +115,15 @@ def test_what_midpoint_promises_holds(midpoint):
 
 
 def test_kept_nodes_keep_the_other_set_and_lose_an_order():
-    study = dal.convergence(dal.systems.particle(), "midpoint-nodes", Q0, V0, steps=STEPS,
-                            initial="D_eps")
+    study = dal.convergence(
+        dal.systems.particle(), "midpoint-nodes", Q0, V0, steps=STEPS, initial="D_eps"
+    )
     assert study.keeps == "D_eps" and study.holds is True
     assert round(study.p) == 1 and round(study.fits["global_state"].slope) == 1
     np.testing.assert_array_equal(study.state_error, np.maximum(study.q_error, study.v_error))
-    started_in_D = dal.convergence(dal.systems.particle(), "midpoint-nodes", Q0, V0, steps=STEPS,
-                                   initial="D")
+    started_in_D = dal.convergence(
+        dal.systems.particle(), "midpoint-nodes", Q0, V0, steps=STEPS, initial="D"
+    )
     assert round(started_in_D.s) == -1
 
 
@@ -138,15 +151,17 @@ def test_without_a_promise_there_is_no_verdict():
 
 def test_a_run_that_fails_is_an_entry_and_not_the_end():
     # y = -1, h v_y = 2: S = 1 + y y' = 0 exactly for beta = 1 (the first of these steps only).
-    study = dal.convergence(dal.systems.particle(), "endpoint", [0, -1, 0], [1, 1, -1], t_end=2,
-                            steps=(1, 40, 60, 80))
+    study = dal.convergence(
+        dal.systems.particle(), "endpoint", [0, -1, 0], [1, 1, -1], t_end=2, steps=(1, 40, 60, 80)
+    )
     assert study.failed[0] < 0 and np.isnan(study.q_error[0])
     assert (study.failed[1:] == 0).all() and np.isfinite(study.q_error[1:]).all()
     assert "-" in str(study) and study.to_dict()["q_error"][0] is None
 
 
-@pytest.mark.parametrize("name", ["explicit", "midpoint", "leapfrog-yoshida4", "midpoint-kl6",
-                                  "leapfrog-kl8"])
+@pytest.mark.parametrize(
+    "name", ["explicit", "midpoint", "leapfrog-yoshida4", "midpoint-kl6", "leapfrog-kl8"]
+)
 @pytest.mark.parametrize("t_end", [1.0, 5.0, -1.0])
 def test_default_steps_tell_the_order(name, t_end):
     study = dal.convergence(dal.systems.knife_edge(), name, t_end=t_end)
@@ -156,27 +171,42 @@ def test_default_steps_tell_the_order(name, t_end):
     assert list(study.steps) == sorted(set(study.steps)) and study.holds is True
 
 
-@pytest.mark.parametrize("above, window", [(16, [8, 10, 12, 14, 16]), (5, [2, 3, 4, 5]),
-                                           (3, [1, 2, 3]), (2, [1, 2]), (0, [1, 2, 3])])
+@pytest.mark.parametrize(
+    "above, window",
+    [(16, [8, 10, 12, 14, 16]), (5, [2, 3, 4, 5]), (3, [1, 2, 3]), (2, [1, 2]), (0, [1, 2, 3])],
+)
 def test_default_steps_are_the_finest_above_the_floor(above, window):
     asked = []
 
     def probe(duration, steps):
         asked.append(duration)
-        return SimpleNamespace(steps=steps, floor=1e-15, local_error=np.array(
-            [1.1e-13 if count <= above else 0.9e-13 for count in steps]))
+        return SimpleNamespace(
+            steps=np.array(steps),
+            floor=1e-15,
+            local_error=np.array([1.1e-13 if count <= above else 0.9e-13 for count in steps]),
+        )
 
-    steps = module._default_steps(6, 3.2, probe)
-    assert steps[:-len(module.FINE)] == [3 * count for count in window]
-    assert steps[-len(module.FINE):] == [3 * count for count in module.FINE]
+    steps = refinement._default_steps(6, 3.2, probe)
+    assert steps == [3 * count for count in (*window, *refinement.FINE)]
     assert asked == [3.2 / 3, 3.2]  # about a unit of time, and the whole for its floor
+
+
+def test_the_default_steps_are_fine_enough_for_reactions_that_change_sign():
+    # c1 h + c2 h^2 has a zero near h = 0.05 here: coarser steps say s = -0.2 and less.
+    studies = dal.studies(dal.systems.chaotic())
+    assert {study.verdict for study in studies} == {"holds"}
+    errors = dal.convergence(
+        dal.systems.chaotic(), "leapfrog-kl6", steps=(10, 12, 14, 16, 20)
+    ).local_reaction_error
+    assert np.abs(np.diff(np.log(errors))).max() > 0.5
 
 
 def test_every_named_scheme_has_a_verdict_with_the_default_steps():
     studies = dal.studies(dal.systems.particle())
     assert [study.scheme.name for study in studies] == [scheme.name for scheme in dal.schemes()]
     assert {study.scheme.name: study.verdict for study in studies} == {
-        scheme.name: "holds" for scheme in dal.schemes()}
+        scheme.name: "holds" for scheme in dal.schemes()
+    }
     assert studies.holds is True
     assert {study.initial for study in studies if study.scheme.nodes == "kept"} == {"D_eps"}
     assert {study.initial for study in studies if study.scheme.nodes == "moved"} == {None}
@@ -197,15 +227,36 @@ def flat(text):
     return " ".join(text.split())
 
 
+def test_one_scheme_is_a_collection_of_one_and_progress_is_told():
+    told = []
+    studies = dal.studies(
+        dal.systems.particle(),
+        "midpoint",
+        Q0,
+        V0,
+        steps=STEPS,
+        progress=lambda *numbers: told.append(numbers),
+    )
+    assert [study.scheme.name for study in studies] == ["midpoint"] and told == [(1, 1)]
+    with pytest.raises(ValueError, match="progress = 3"):
+        dal.studies(dal.systems.particle(), "midpoint", steps=STEPS, progress=3)
+
+
 def test_a_system_of_the_users_own_is_measured_against_the_flow():
-    own = dal.System(mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]],
-                     forms_velocity_derivative=lambda q, v: [[0, -v[0], 0]], q0=Q0, v0=V0)
+    own = dal.System(
+        mass=[1, 1, 1],
+        forms=lambda q: [[-q[1], 0, 1]],
+        forms_velocity_derivative=lambda q, v: [[0, -v[0], 0]],
+        q0=Q0,
+        v0=V0,
+    )
     study = dal.convergence(own, "midpoint", steps=(10, 15, 20))
     assert study.reference > 0 and study.holds is True
     with_exact = dal.convergence(dal.systems.particle(), "midpoint", Q0, V0, steps=(10, 15, 20))
     # The references differ by the accuracy of the flow, the runs not at all.
-    np.testing.assert_allclose(study.q_error, with_exact.q_error, rtol=0,
-                               atol=10 * study.reference + 64 * U)
+    np.testing.assert_allclose(
+        study.q_error, with_exact.q_error, rtol=0, atol=10 * study.reference + 64 * U
+    )
 
 
 def test_the_table_is_complete_and_fits(midpoint):
@@ -218,13 +269,13 @@ def test_the_table_is_complete_and_fits(midpoint):
     assert first[1] == f"{midpoint.q_error[0]:.1e}"
     assert first[3] == f"{midpoint.v_error[0]:.1e}"
     assert midpoint.text in flat(text)
-    assert "p over 5 points, s over 5 points" in flat(text)
+    assert "p over 5 points, s over 3 points" in flat(text)
 
 
 @pytest.mark.parametrize("width", [24, 37, 38, 39, 40, 60, 79])
 def test_every_cell_is_seen_on_a_narrow_terminal(midpoint, width):
-    wide = module._plain(midpoint.columns(), 100)
-    narrow = module._plain(midpoint.columns(), width)
+    wide = table.plain(table.columns(midpoint), 100)
+    narrow = table.plain(table.columns(midpoint), width)
     assert max(map(len, narrow)) <= width
     assert {*" ".join(wide).split()} == {*" ".join(narrow).split()}
 
@@ -267,24 +318,30 @@ def test_html_representation_has_the_table(midpoint):
     assert "<table>" in page and f"{midpoint.q_error[0]:.1e}" in page
 
 
-@pytest.mark.parametrize("wrong, message", [
-    (dict(scheme="trapezoid"), "trapezoid"),
-    (dict(scheme="reference"), "reference"),
-    (dict(steps=()), "steps is empty"),
-    (dict(steps=(10, 0)), r"steps\[1\] = 0"),
-    (dict(steps=(10, 1.5)), r"steps\[1\] = 1.5"),
-    (dict(t_end=0.0), "t_end"),
-    (dict(t_end=np.nan), "t_end"),
-    (dict(tolerance=-1.0), "tolerance"),
-    (dict(q0=[1, 2]), "q0"),
-    (dict(initial="D"), "initial"),
-    (dict(scheme="midpoint-nodes"), "initial"),
-    (dict(scheme="midpoint-nodes", initial="E"), "initial"),
-])
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        (dict(scheme="trapezoid"), "trapezoid"),
+        (dict(scheme="reference"), "reference"),
+        (dict(steps=()), "steps is empty"),
+        (dict(steps=(10, 0)), r"steps\[1\] = 0"),
+        (dict(steps=(10, 1.5)), r"steps\[1\] = 1.5"),
+        (dict(steps=10), "steps = 10: expected several"),
+        (dict(system="particle"), "system = 'particle': expected a dalembert.System"),
+        (dict(scheme=None), "scheme = None: expected a Scheme, the name of one, or beta"),
+        (dict(t_end=0.0), "t_end"),
+        (dict(t_end=np.nan), "t_end"),
+        (dict(tolerance=-1.0), "tolerance"),
+        (dict(q0=[1, 2]), "q0"),
+        (dict(initial="D"), "initial = 'D'.*moved nodes"),
+        (dict(scheme="midpoint-nodes"), "initial: needed.*'D_eps'"),
+        (dict(scheme="midpoint-nodes", initial="E"), "initial = 'E': expected one of 'D', 'D_eps'"),
+    ],
+)
 def test_bad_arguments_are_named(wrong, message):
-    given = {"scheme": "midpoint", **wrong}
+    given = {"system": dal.systems.particle(), "scheme": "midpoint", **wrong}
     with pytest.raises(ValueError, match=message):
-        dal.convergence(dal.systems.particle(), **given)
+        dal.convergence(**given)
 
 
 def test_data_off_D_and_missing_data_are_refused():

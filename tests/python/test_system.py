@@ -41,7 +41,7 @@ def test_parameters():
         (lambda: dal.systems.get("nonsense"), "nonsense.*particle"),
         (lambda: dal.systems.disk(radius=1), "radius.*R"),
         (lambda: dal.systems.disk(R=np.nan), "R = nan"),
-        (lambda: dal.systems.disk(R="1"), "R: expected real numbers"),
+        (lambda: dal.systems.disk(R="1"), "R = .*: expected a finite number"),
     ],
 )
 def test_wrong_names_and_parameters(call, text):
@@ -160,6 +160,10 @@ def test_number_of_constraints_is_asked_for_at_q0():
         ({"mass": [1, 1], "forms": lambda q: [1, 0]}, r"shape \(m, 2\).*returned \(2,\)"),
         ({"mass": [1, 1], "forms": lambda q: np.eye(2)}, "m = 2"),
         ({"mass": [1, 1], "m": 1}, "without forms"),
+        ({"mass": 1, "n": "a"}, "n = .a.: expected an integer"),
+        ({"mass": 1, "n": -1}, "n = -1: expected 1"),
+        ({"mass": [1, 1], "m": 1.5, "forms": lambda q: [[1, 0]]}, "m = 1.5: expected an integer"),
+        ({"mass": 1, "n": 2, "name": 3}, "name = 3: expected a string"),
     ],
 )
 def test_wrong_definitions(arguments, text):
@@ -230,7 +234,7 @@ def test_check_finds_nan():
 
 
 def test_check_needs_a_state():
-    with pytest.raises(ValueError, match="q0: needed"):
+    with pytest.raises(ValueError, match="q: needed"):
         dal.System(mass=[1]).check()
 
 

@@ -1,0 +1,119 @@
+"""What users give, and what their functions return, as the core takes it; or why not."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["array", "choice", "function", "integer", "number", "returned", "text"]
+
+Array = NDArray[np.float64]
+
+
+def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array:
+    """Return ``value`` as C-contiguous doubles of one of the shapes.
+
+    ``None`` in a shape stands for any length.
+
+    Raises
+    ------
+    ValueError
+        With the name, what came and what was expected, if ``value`` is no array of real finite
+        numbers, or has another shape.
+    """
+    wanted = " or ".join(map(_shape, shapes))
+    try:
+        result = _reals(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected real numbers of shape {wanted}, got {error}") from error
+    if not any(_fits(result, shape) for shape in shapes):
+        raise ValueError(f"{name}: expected shape {wanted}, got {result.shape}")
+    if not np.isfinite(result).all():
+        where = tuple(int(k) for k in np.argwhere(~np.isfinite(result))[0])
+        index = f"[{', '.join(map(str, where))}]" if where else ""
+        raise ValueError(f"{name}{index} = {result[where]}: expected finite numbers")
+    return result
+
+
+def _reals(value: Any) -> Array:
+    """Return anything array-like as C-contiguous doubles; TypeError or ValueError if it is not."""
+    given = np.asarray(value)
+    if value is None or given.dtype.kind not in "biufO":
+        raise TypeError("None" if value is None else f"values of type {given.dtype}")
+    return np.asarray(given, dtype=np.float64, order="C")
+
+
+def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
+    return array.ndim == len(shape) and all(
+        wanted in (None, length) for wanted, length in zip(shape, array.shape)
+    )
+
+
+def _shape(shape: tuple[int | None, ...]) -> str:
+    """Return a shape as Python writes it, with N for any length."""
+    lengths = ", ".join("N" if k is None else str(k) for k in shape)
+    return {0: "() (a number)", 1: f"({lengths},)"}.get(len(shape), f"({lengths})")
+
+
+def number(value: Any, name: str) -> float:
+    """Return ``value`` as a finite float; ValueError otherwise."""
+    try:
+        result = _reals(value)
+    except (TypeError, ValueError):
+        result = None
+    if result is None or result.shape != () or not np.isfinite(result):
+        raise ValueError(f"{name} = {value!r}: expected a finite number")
+    return float(result)
+
+
+def integer(value: Any, name: str, least: int, most: float = 2**63 - 1) -> int:
+    """Return ``value`` as an integer in least .. most; ValueError otherwise."""
+    try:
+        result = operator.index(value)
+    except TypeError:
+        raise ValueError(f"{name} = {value!r}: expected an integer") from None
+    if not least <= result <= most:
+        raise ValueError(f"{name} = {result}: expected {least} .. {most}")
+    return result
+
+
+def text(value: Any, name: str) -> str:
+    """Return ``value`` if it is a string without NUL, which C would end at; else ValueError."""
+    if not isinstance(value, str) or "\0" in value:
+        raise ValueError(f"{name} = {value!r}: expected a string")
+    return value
+
+
+def function(value: Any, name: str) -> None:
+    """Raise ValueError if ``value`` is neither None nor can be called."""
+    if value is not None and not callable(value):
+        raise ValueError(f"{name} = {value!r}: expected a function")
+
+
+def choice(value: Any, name: str, choices: dict[str, int]) -> int:
+    """Return the number of an option that is given by its name; ValueError otherwise."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{name} = {value!r}: expected one of {', '.join(map(repr, choices))}")
+    return choices[value]
+
+
+def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:
+    """Return what the callback ``name`` returned as doubles of ``shape``; NaN is left to C.
+
+    Raises
+    ------
+    ValueError
+        With the name, what came and what was expected.
+    """
+    try:
+        result = _reals(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name} has to return real numbers of shape {shape}, it returned {error}"
+        ) from error
+    if result.shape != shape:
+        raise ValueError(f"{name} has to return shape {shape}, it returned {result.shape}")
+    return result

@@ -1,0 +1,31 @@
+"""The examples in the docstrings, of every module."""
+
+import doctest
+import importlib
+import pkgutil
+
+import matplotlib
+import pytest
+
+import dalembert
+
+matplotlib.use("Agg")
+
+# Running __main__ would run the command, and what builds the extension is not installed.
+MODULES = sorted(
+    {module.name for module in pkgutil.iter_modules(dalembert.__path__)}
+    - {"__main__", "_core", "_ffi_build"}
+)
+
+
+@pytest.mark.parametrize("name", ["", *MODULES])
+def test_examples(name):
+    module = importlib.import_module(f"dalembert.{name}".rstrip("."))
+    assert doctest.testmod(module).failed == 0
+
+
+@pytest.mark.parametrize("name", sorted(set(dalembert.__all__) - {"systems"}))
+def test_what_is_called_has_an_example(name):
+    member = getattr(dalembert, name)
+    if callable(member) and not isinstance(member, type):
+        assert doctest.DocTestFinder(recurse=False).find(member)[0].examples
