@@ -91,7 +91,7 @@ typedef struct dal_kernel {
     double *mu_node, *mu, *N;     /* [m*n] */
 
     double *saved;                /* [2n] */
-    double *base, *step;          /* [n] the explicit part of v', the last change of w */
+    double *base, *goal, *step;   /* [n] the known part of v', all of it but Z^T kappa, w' - w */
     double *stored, *moved;       /* [n] see dal_kernel_place */
     double *Z;                    /* [m*n] */
     double *S, *scale, *r, *d, *kappa; /* [m*m], [m*m], [m] */
@@ -462,6 +462,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     const size_t n = k->n, m = k->m;
 #endif
     DAL_KERNEL_ARRAY(double, base, DAL_N);
+    DAL_KERNEL_ARRAY(double, goal, DAL_N);
     DAL_KERNEL_ARRAY(double, step, DAL_N);
     DAL_KERNEL_ARRAY(double, stored, DAL_N);
     DAL_KERNEL_ARRAY(double, moved, DAL_N);
@@ -485,14 +486,6 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
 
     const double before = kept ? 0.0 : s->before * h; /* a kept node is the state */
     for (size_t i = 0; i < n; i++) node[i] = x[i] + before * x[n + i];
-    if (m > 0) {
-        const bool shifted = linear && kept; /* the only linear stage where something moves */
-        const int returned = DAL_KERNEL_CONSTRAINT(k, node, x + n, mu_node, shifted ? N : NULL);
-        if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-        if (linear && !shifted) memset(N, 0, m * n * sizeof *N);
-        for (size_t a = 0; a < m; a++) dal_kernel_accelerate(k, n, mu_node + a * n, Z + a * n);
-    }
-
     /* The part of v' that is known, and its prediction. */
     double known = k->extent; /* the scale that roundoff has, together with the new velocity */
     for (size_t i = 0; i < n; i++) base[i] = x[n + i];
@@ -513,6 +506,21 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     for (size_t i = 0; i < n; i++) /* the latest value enters last, it is waited for */
         w[i] = (base[i] + (s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i]))
              + s->ahead[0] * pull[i];
+
+    /* mu at the prediction, and then at the node: more has to wait for the first. */
+    int predicted = 0; /* what the callback returned there */
+    if (linear) {
+        if (m > 0) memset(N, 0, m * n * sizeof *N); /* nothing depends on v' */
+    } else {
+        for (size_t i = 0; i < n; i++) point[i] = node[i] + b * w[i];
+        if (m > 0) predicted = DAL_KERNEL_CONSTRAINT(k, point, w, mu, N);
+        if (predicted < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, predicted);
+    }
+    if (m > 0) {
+        const int returned = DAL_KERNEL_CONSTRAINT(k, node, x + n, mu_node, NULL);
+        if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+        for (size_t a = 0; a < m; a++) dal_kernel_accelerate(k, n, mu_node + a * n, Z + a * n);
+    }
     for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
 
     /* Newton on (v', kappa), Hessian dropped, S frozen. */
@@ -520,10 +528,10 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     double last = HUGE_VAL, travelled = 0.0, reached = 0.0, bend = 0.0, least = 0.0;
     bool solved = false, settled = false;
     for (int iteration = 1; !solved; iteration++) {
-        int returned = 0;
-        if (!linear) {
+        int returned = iteration == 1 ? predicted : 0;
+        if (!linear && iteration > 1) {
             for (size_t i = 0; i < n; i++) point[i] = node[i] + b * w[i];
-            if (m > 0) returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, iteration == 1 ? N : NULL);
+            if (m > 0) returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, iteration == 2 ? N : NULL);
             if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
         }
         if (ends && returned == 0) {
@@ -537,10 +545,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         }
         k->stats.iterations++;
 
-        /* step = (what the first equation lacks) + Z^T d, with (mu + b N) step = -mu w */
-        if (ends) dal_kernel_accelerate(k, n, k->force1, step);
-        for (size_t i = 0; i < n; i++)
-            step[i] = (ends ? base[i] - h * s->end * step[i] : base[i]) - w[i];
+        /* The first equation is v' = goal + Z^T kappa; (mu + b N) step = -mu w is the second. */
+        if (ends) dal_kernel_accelerate(k, n, k->force1, goal);
+        for (size_t i = 0; i < n; i++) {
+            goal[i] = ends ? base[i] - h * s->end * goal[i] : base[i];
+            step[i] = goal[i] - w[i];
+        }
         if (iteration > 1 && m > 0)
             for (size_t i = 0; i < n; i++) step[i] += dal_kernel_column(n, m, Z, i, kappa);
         for (size_t a = 0; a < m; a++) {
@@ -552,8 +562,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         dal_lu_solve(m, S, row, r, d);
         for (size_t a = 0; a < m; a++) kappa[a] += d[a];
         for (size_t i = 0; i < n; i++) {
-            if (m > 0) step[i] += dal_kernel_column(n, m, Z, i, d);
-            w[i] += step[i];
+            const double next = m > 0 ? goal[i] + dal_kernel_column(n, m, Z, i, kappa) : goal[i];
+            step[i] = next - w[i];
+            w[i] = next;
         }
 
         const double size = dal_kernel_sum(n, step);
@@ -598,7 +609,10 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
             settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
                                          &k->stats.worst_residual);
         }
-        if (!settled || k->start_up > 0) {
+        /* The prediction of the residual is as good as N, which belongs to an earlier w: not at
+         * all where the velocity passes through zero, or where N was not asked for. */
+        const bool doubtful = reached < 1e-3 * known || (linear && kept);
+        if (!settled || doubtful || k->start_up > 0) {
             memmove(k->stored, stored, n * sizeof *stored);
             const int status = dal_kernel_correct(k);
             if (status) return status;

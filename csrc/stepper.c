@@ -79,8 +79,8 @@ static void plan_predictions(dal_stage *stage, size_t stages)
 static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
 {
     const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
-    double **const vectors[] = {&k->force0, &k->force1, &k->base, &k->step, &k->stored, &k->moved,
-                                &k->y, &k->R};
+    double **const vectors[] = {&k->force0, &k->force1, &k->base, &k->goal, &k->step, &k->stored,
+                                &k->moved, &k->y, &k->R};
     double **const forms[] = {&k->Z, &k->KZ};
     double **const multipliers[] = {&k->impulse, &k->r, &k->d, &k->kappa};
     dal__reserve(a, &k->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
