@@ -313,7 +313,10 @@ static int dal_kernel_correct(dal_kernel *k)
         for (size_t i = 0; i < n; i++)
             k->w[i] += dal_kernel_column(n, m, k->Z, i, k->d);
     }
-    return DAL_SUCCESS; /* the last correction is at the level of roundoff; D is checked no further */
+    /* the last correction was at the level of roundoff, if there was any sense in it */
+    return dal_kernel_sum(n, k->w) <= DBL_MAX
+               ? DAL_SUCCESS
+               : dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
 }
 
 /* The callbacks at the iterate w of dal_kernel_solve.  Positive: outside their domain or not finite,
@@ -421,7 +424,9 @@ static int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
         k->failure.scale = scale;
         if (!(size <= DBL_MAX)) break;
         if (size <= 4.0 * DAL_KERNEL_U * scale) return DAL_SUCCESS;
-        if (iteration >= 2 && size <= 1e-11 * scale && size >= last) return DAL_SUCCESS;
+        /* far from the origin mu moves by more than that with one rounding of q */
+        const double floor = 1e-11 + 16.0 * DAL_KERNEL_U * dal_kernel_sum(n, k->point);
+        if (iteration >= 2 && size <= floor * scale && size >= last) return DAL_SUCCESS;
         last = size;
     }
     return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_CONVERGE);
@@ -503,16 +508,18 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         for (size_t i = 0; i < n; i++) base[i] -= weight * step[i];
         known += dal_kernel_sum(n, base);
     }
-    for (size_t i = 0; i < n; i++) /* the latest value enters last, it is waited for */
-        w[i] = (base[i] + (s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i]))
-             + s->ahead[0] * pull[i];
+    /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
+    for (size_t i = 0; i < n; i++) {
+        const double early = base[i] + (s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i]);
+        w[i] = early + s->ahead[0] * pull[i];
+        if (!linear) point[i] = (node[i] + b * early) + b * s->ahead[0] * pull[i];
+    }
 
     /* mu at the prediction, and then at the node: more has to wait for the first. */
     int predicted = 0; /* what the callback returned there */
     if (linear) {
         if (m > 0) memset(N, 0, m * n * sizeof *N); /* nothing depends on v' */
     } else {
-        for (size_t i = 0; i < n; i++) point[i] = node[i] + b * w[i];
         if (m > 0) predicted = DAL_KERNEL_CONSTRAINT(k, point, w, mu, N);
         if (predicted < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, predicted);
     }
@@ -560,7 +567,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
             r[a] = -sum;
         }
         dal_lu_solve(m, S, row, r, d);
-        for (size_t a = 0; a < m; a++) kappa[a] += d[a];
+        for (size_t a = 0; a < m; a++) /* 0 + d would be waited for */
+            kappa[a] = iteration > 1 ? kappa[a] + d[a] : d[a];
         for (size_t i = 0; i < n; i++) {
             const double next = m > 0 ? goal[i] + dal_kernel_column(n, m, Z, i, kappa) : goal[i];
             step[i] = next - w[i];
@@ -577,7 +585,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
             k->contraction = 4.0 * (size > noise ? size : noise) / (last * bending);
         const bool stuck = iteration > 1 && size <= 1e-11 * extent && size >= last;
         const bool close = (size <= noise) | stuck; /* no branches: they could not be foretold */
-        if (close || !ends || k->contraction * bending * size <= noise) {
+        /* What is left of the first equation has one sign from step to step and adds up in the
+         * energy: it has to be a small part of a rounding. */
+        if (close || !ends || 64.0 * k->contraction * bending * size <= noise) {
             dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
             settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
                                          &k->stats.worst_residual);

@@ -20,7 +20,8 @@
  *      callbacks may.  Every other object belongs to one thread at a time.  There are no globals.
  *   7. GSL's error handler is never set, changed or provoked.  The one exception is memory: GSL
  *      can report a failed allocation only through its handler, so its workspaces are allocated
- *      only when an object is made (dal_flow_new; dal_stepper_new with DAL_SOLVER_MULTIROOT).
+ *      only when an object is made (dal_flow_new; dal_stepper_new with DAL_SOLVER_MULTIROOT); only
+ *      DAL_FLOW_MSBDF allocates as it goes, in GSL's factorisation of its matrix.
  *
  * The sections follow the floors of csrc/: ground, system, geometry, flow, schemes, runs. */
 #ifndef DALEMBERT_H

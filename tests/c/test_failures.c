@@ -116,10 +116,17 @@ static int faulty_potential(const double *q, double *V, double *V_q, double *V_q
     return answer(f);
 }
 
+/* "free": generic4 without its constraints. */
 static dal_system *open_system(const char *name)
 {
     dal_system *system = NULL;
+    double state[MOST];
+    generic4_state(state);
+    const dal_system_def unconstrained = {.n = 4, .mass = generic4_mass,
+                                          .potential = generic4_potential, .state = state};
     if (strcmp(name, "generic4") == 0) CHECK(generic4_new(&system, NULL) == 0);
+    else if (strcmp(name, "free") == 0)
+        CHECK(dal_system_new(&system, &unconstrained, NULL) == 0);
     else CHECK(dal_system_builtin(&system, name, NULL, NULL, 0, NULL) == 0);
     return system;
 }
@@ -133,7 +140,7 @@ static dal_system *open_faulty(const char *name, unsigned missing, fault *f, dou
     dal_system_def def = f->inner->def;
     def.ctx = f;
     def.missing = missing;
-    def.constraint = faulty_constraint;
+    if (def.constraint) def.constraint = faulty_constraint;
     if (def.potential) def.potential = faulty_potential;
     def.exact = NULL;
     def.invariants = 0;
@@ -147,7 +154,10 @@ static void close_faulty(dal_system *system, fault *f)
     dal_system_free(f->inner);
 }
 
-static size_t callbacks_of(const fault *f) { return f->inner->def.potential ? CALLBACKS : 1; }
+static bool has(const fault *f, callback where)
+{
+    return where == CONSTRAINT ? f->inner->def.constraint != NULL : f->inner->def.potential != NULL;
+}
 
 /* ---- a run that is disturbed at every call ------------------------------------------------ */
 
@@ -306,7 +316,8 @@ static void test_disturbed_steps(const char *system, unsigned missing, size_t so
     for (size_t i = 0; i < SCHEMES; i++) {
         bench b;
         open_bench(&b, system, missing, schemes[i], &solvers[solver]);
-        for (callback where = 0; where < callbacks_of(&b.f); where++) {
+        for (callback where = 0; where < CALLBACKS; where++) {
+            if (!has(&b.f, where)) continue;
             CHECK(b.calls[where] > STEPS);
             for (disturbance what = REFUSE; what < WRITE_NOTHING; what++)
                 for (size_t k = 0; k < b.calls[where]; k += every) {
@@ -330,7 +341,7 @@ static void test_disturbed_integration(const char *system, const char *scheme)
     bench b;
     open_bench(&b, system, 0, scheme, NULL);
     const size_t n = b.n, m = b.m;
-    for (callback where = 0; where < callbacks_of(&b.f); where++)
+    for (callback where = 0; where < CALLBACKS; where++)
         for (disturbance what = REFUSE; what < WRITE_NOTHING; what++)
             for (size_t k = 0; k < b.calls[where]; k++) {
                 double rows[(STEPS + 1) * MOST], reactions[STEPS * MOST_FORMS];
@@ -966,6 +977,42 @@ static void test_divergence(size_t solver)
     dal_system_free(system);
 }
 
+/* V = 10 (q ln q - q) for q > 0. */
+static int logarithmic_potential(const double *q, double *V_, double *V_q, double *V_qq, void *ctx)
+{
+    (void)ctx;
+    if (!(q[0] > 0.0)) return 1;
+    if (V_) *V_ = 10.0 * (q[0] * log(q[0]) - q[0]);
+    if (V_q) *V_q = 10.0 * log(q[0]);
+    if (V_qq) *V_qq = 10.0 / q[0];
+    return 0;
+}
+
+/* Midpoint with h = 2 from q = 1, v = 2: q' + 10 ln q' = 5.  From q' = 5 Newton's first step leads
+ * to 5 - 10 ln(5)/3 < 0, where there is no V: half of it does not. */
+static void test_halving(void)
+{
+    const double mass = 1.0, x0[2] = {1.0, 2.0};
+    const dal_system_def def = {.n = 1, .mass = &mass, .potential = logarithmic_potential};
+    const dal_scheme midpoint = {.beta = 0.5};
+    for (size_t i = 0; i < 2; i++) {
+        dal_system *system = NULL;
+        dal_stepper *stepper = NULL;
+        dal_stats stats;
+        CHECK(dal_system_new(&system, &def, NULL) == 0);
+        CHECK(dal_stepper_new(&stepper, system, &midpoint, &solvers[i], NULL) == 0);
+        CHECK(dal_stepper_start(stepper, 0.0, 2.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_step(stepper, NULL) == 0);
+        dal_stepper_stats(stepper, &stats);
+        CHECK(stats.halvings == 1 && stats.full_newtons == 1);
+        const double *const x = dal_stepper_state(stepper);
+        CHECK_NEAR(x[0] + 10.0 * log(x[0]), 5.0, 64 * DBL_EPSILON); /* of terms up to 5 */
+        CHECK_NEAR(x[0], 1.0 + 2.0 + x[1], 8 * DBL_EPSILON);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
 /* Steps far too long, on every system and by every scheme: whatever happens, the state that is
  * shown is finite, and a step that fails has not touched it. */
 static void test_blow_up(size_t solver)
@@ -1042,7 +1089,7 @@ static void test_extreme_numbers(void)
     unsigned long state = 20240229;
 #define NEXT (state = (state * 1103515245UL + 12345UL) & 0x7fffffffUL, \
               palette[(state >> 8) % COLOURS])
-    const char *const names[] = {"generic4", "particle_oscillator", "robot"};
+    const char *const names[] = {"generic4", "particle_oscillator", "robot", "free"};
     size_t successes = 0, steps = 0;
     for (size_t s = 0; s < sizeof names / sizeof names[0]; s++) {
         dal_system *system = open_system(names[s]);
@@ -1370,6 +1417,7 @@ int main(void)
     test_bad_mass();
     test_singular_constraints();
     test_singular_step();
+    test_halving();
     test_nothing_written();
     test_exact_and_invariants();
     test_disturbed_mechanics(0);
@@ -1385,6 +1433,7 @@ int main(void)
         test_disturbed_steps("particle", 0, solver, every);
         test_disturbed_steps("particle_oscillator", 0, solver, every);
         test_disturbed_steps("generic4", 0, solver, every);
+        test_disturbed_steps("free", 0, solver, every);
         test_refused_start(solver);
         test_divergence(solver);
         test_blow_up(solver);
