@@ -75,7 +75,7 @@ class System:
     -----
     Derivatives that are not given are replaced by central differences, see `differenced`.  A
     missing Hessian costs Newton's speed only; without the gradient or
-    ``forms_velocity_derivative`` accelerations and multipliers are good to about 1e-10.
+    ``forms_velocity_derivative`` accelerations and multipliers are good to about 1e-12.
 
     The arrays that the functions get are read-only copies, which may be kept.  An exception that
     a function raises comes back from the call that caused it.  A function may raise
