@@ -20,9 +20,6 @@ static const double derivative_tolerance = 1e-7;
 /* Errors of roundoff in sums of terms that were computed in a few operations. */
 static const double sum_tolerance = 1e-12;
 
-/* As everywhere in the library: what counts as lying in D. */
-static const double residual_tolerance = 1e-8;
-
 /* Curvature that comes from roundoff and differences, relative to the terms that cancel, and as
  * 1/length. */
 static const double curvature_tolerance = 1e-8, curvature_floor = 1e-10;
@@ -437,9 +434,9 @@ static int examine_constraint(examination *ex)
     if (!status) status = examine_rank(ex);
     if (!status) status = dal_relative_residual(&ex->mech, 0.0, ex->x, &found->residual);
     if (!status && found->rank == ex->m) status = examine_involutivity(ex);
-    if (!status && !(found->residual <= residual_tolerance))
+    if (!status && !(found->residual <= DAL_CONSISTENT))
         complain(found, "(q, v) is not in D: |mu v| is %.3g of sum |mu_i v_i|, more than %g",
-                 found->residual, residual_tolerance);
+                 found->residual, DAL_CONSISTENT);
     return status;
 }
 

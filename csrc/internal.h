@@ -14,6 +14,8 @@
 /* Unit roundoff u = 2^-53, and the bound on |mu^a v| / sum_i |mu^a_i v_i| after every step. */
 #define DAL_ROUNDOFF (DBL_EPSILON / 2)
 #define DAL_RESIDUAL_BOUND(n) (4.0 * (double)(n) * DAL_ROUNDOFF)
+/* The same of initial data that are taken to be meant to lie in D. */
+#define DAL_CONSISTENT 1e-8
 
 /* ---- floor 0: status.c, arena.c --------------------------------------------------------- */
 

@@ -25,7 +25,6 @@ static const double STEP_ROUNDINGS = 4.0;  /* the floor of one step in u times s
 static const double RUN_ROUNDINGS = 50.0;  /* and of a run, in which they add up */
 static const double SMALLEST_RANGE = 2.0;  /* of h over the points that count */
 static const double DEFAULT_TOLERANCE = 1e-13;
-static const double CONSISTENT = 1e-8;     /* |mu v| / sum |mu_i v_i| of data taken to be in D */
 
 typedef struct study {
     const dal_system *system;
@@ -487,9 +486,9 @@ static int place_on_D(study *self)
     double residual;
     memcpy(self->x0, self->def->x0, 2 * self->n * sizeof *self->x0);
     int status = dal_relative_residual(self->mech, 0.0, self->x0, &residual);
-    if (!status && residual > CONSISTENT)
+    if (!status && residual > DAL_CONSISTENT)
         return dal__fail(self->error, DAL_EOFFD, "x0 does not lie in D: |mu v| is %.3g of "
-                         "sum |mu_i v_i|, at most %g is accepted", residual, CONSISTENT);
+                         "sum |mu_i v_i|, at most %g is accepted", residual, DAL_CONSISTENT);
     if (!status) status = dal_project(self->mech, 0.0, self->x0, NULL);
     return status ? failed_mechanics(self, status) : DAL_SUCCESS;
 }

@@ -245,13 +245,12 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
 static int make_consistent(dal_stepper *self, double shift, dal_consistency consistency,
                            dal_stats *stats)
 {
-    const double tolerance = 1e-8;
     dal_mechanics *const mech = &self->mech;
     int status = dal_relative_residual(mech, shift, self->fresh, &stats->initial_residual);
-    if (!status && consistency == DAL_CHECK && !(stats->initial_residual <= tolerance))
+    if (!status && consistency == DAL_CHECK && !(stats->initial_residual <= DAL_CONSISTENT))
         return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: max_a |mu^a v| "
                          "/ sum_i |mu^a_i v_i| = %.3g, at most %g is accepted",
-                         shift == 0.0 ? "D" : "D_eps", stats->initial_residual, tolerance);
+                         shift == 0.0 ? "D" : "D_eps", stats->initial_residual, DAL_CONSISTENT);
     if (!status && consistency != DAL_ASSUME)
         status = dal_project(mech, shift, self->fresh, &stats->initial_correction);
     return status;
