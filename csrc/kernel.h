@@ -18,8 +18,8 @@
  * the three stages before; so the two evaluations of the constraint do not wait for each other.
  * The iteration stops when an estimate of its next residual is below roundoff, so that most stages
  * evaluate the constraint twice.  At the end the residual of D at the *stored* q~' is predicted from
- * the last evaluation, the rounding of q~' included, and mended; where that does not suffice, and in
- * the first two steps after a start, one more evaluation is made.  What does not contract, leaves
+ * the last evaluation, the rounding of q~' included, and mended; where that does not suffice, in the
+ * first two steps after a start, and in every 64th step, one more evaluation is made.  What does not contract, leaves
  * the domain of a callback or is not finite goes to dal_kernel_solve: the full Newton matrix with
  * the Hessian, and halved steps.
  *
@@ -47,6 +47,7 @@ typedef struct dal_stage {
     double before, after;    /* A, B */
     double start, node, end; /* weights of V_q at q~, q_k, q~' */
     double span;             /* A + B */
+    double reuse;            /* largest weight that V_q(q~') has, here or as start of the next stage */
     double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
 } dal_stage;
 
@@ -81,7 +82,10 @@ typedef struct dal_kernel {
     bool forced;           /* force0 is known */
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
     double contraction;    /* of the modified Newton iteration over B end, as last measured */
-    int start_up;          /* steps that still take an evaluated correction */
+    size_t age;            /* steps since the start, or since a failure */
+    bool audited;          /* this step evaluates the residual that others predict */
+    double trust;          /* what the residual that is left may be, relative; 0 in the first steps */
+    bool distrusted;       /* a prediction was wrong: from now on every step does */
 
     /* One block, laid out by dal_kernel_share: the step routine reaches its parts by constant offsets,
      * and callbacks see the same addresses at every call. */
@@ -108,6 +112,7 @@ typedef struct dal_kernel {
 } dal_kernel;
 
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
+enum { DAL_KERNEL_START_UP = 2, DAL_KERNEL_AUDIT = 64 }; /* steps at first, and between audits */
 
 #if defined(__GNUC__)
 #define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
@@ -265,7 +270,8 @@ static inline void dal_kernel_forget(dal_kernel *k)
     k->pulled = false;
     k->forced = false;
     k->contraction = HUGE_VAL;
-    k->start_up = 2;
+    k->age = 0;
+    k->distrusted = false;
     memset(k->pull, 0, 3 * k->n * sizeof *k->pull);
     k->extent = dal_kernel_sum(k->n, k->x + k->n);
 }
@@ -278,14 +284,14 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DALEMBERT_KERNEL_SOLVE
 
 /* The final correction v' <- v' - Z' C'^-1 mu(q~') v' at the stored q~', with an evaluation of its
- * own.  Works on k->stored and k->w; k->point is the q~' that belongs to them. */
-static int dal_kernel_correct(dal_kernel *k)
+ * own.  Works on k->stored and k->w; k->point is the q~' that belongs to them.  foretold: the
+ * residual was predicted to be within limit.  Where it is far from it, mu has a roundoff that no
+ * prediction knows of, as sin(a + b) has for large angles, and they are no longer relied on. */
+static int dal_kernel_correct(dal_kernel *k, bool foretold)
 {
     enum { MOST = 4 };
     const size_t n = k->n, m = k->m;
     const double limit = 2.0 * (double)n * DAL_KERNEL_U, shift = k->kept ? k->shift * k->h : 0.0;
-    if (!(dal_kernel_sum(n, k->stored) + dal_kernel_sum(n, k->w) <= DBL_MAX))
-        return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
     memset(k->moved, 0, n * sizeof *k->moved);
     for (int pass = 0; pass < MOST; pass++) {
         bool same = pass > 0;
@@ -299,10 +305,14 @@ static int dal_kernel_correct(dal_kernel *k)
             k->stats.corrections++;
             if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
         }
-        double least;
-        if (dal_kernel_settled(n, m, k->mu, k->N, k->w, k->moved, limit, k->r, &least,
-                               &k->stats.worst_residual))
-            return DAL_SUCCESS;
+        double least, unused = 0.0;
+        const bool last = pass == MOST - 1; /* what is left then is roundoff, and is reported */
+        if (dal_kernel_settled(n, m, k->mu, k->N, k->w, k->moved, last ? DBL_MAX : limit, k->r,
+                               &least, &k->stats.worst_residual))
+            break;
+        if (foretold && pass == 0)
+            k->distrusted = !dal_kernel_settled(n, m, k->mu, k->N, k->w, k->moved, 1.5 * limit,
+                                                k->r, &least, &unused);
         for (size_t a = 0; a < m; a++) dal_kernel_accelerate(k, n, k->mu + a * n, k->Z + a * n);
         if (!dal_kernel_factor(n, m, k->mu, k->N, 0.0, k->Z, k->S, k->scale, k->row)) {
             if (!(dal_kernel_sum(m * n, k->mu) <= DBL_MAX))
@@ -310,11 +320,13 @@ static int dal_kernel_correct(dal_kernel *k)
             return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
         }
         dal_lu_solve(m, k->S, k->row, k->r, k->d);
-        for (size_t i = 0; i < n; i++)
-            k->w[i] += dal_kernel_column(n, m, k->Z, i, k->d);
+        for (size_t i = 0; i < n; i++) { /* q~' is not changed: a kept node moves with v' */
+            const double change = dal_kernel_column(n, m, k->Z, i, k->d);
+            k->w[i] += change;
+            k->stored[i] += shift * change;
+        }
     }
-    /* the last correction was at the level of roundoff, if there was any sense in it */
-    return dal_kernel_sum(n, k->w) <= DBL_MAX
+    return dal_kernel_sum(n, k->w) + dal_kernel_sum(n, k->stored) <= DBL_MAX
                ? DAL_SUCCESS
                : dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
 }
@@ -531,7 +543,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
 
     /* Newton on (v', kappa), Hessian dropped, S frozen. */
-    const double bending = fabs(s->after * s->end);
+    const double bending = fabs(s->after * s->end), lasting = fabs(s->after) * s->reuse;
     double last = HUGE_VAL, travelled = 0.0, reached = 0.0, bend = 0.0, least = 0.0;
     bool solved = false, settled = false;
     for (int iteration = 1; !solved; iteration++) {
@@ -583,16 +595,19 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         travelled += size;
         if (ends && iteration > 1) /* it goes as h^2 B end V_qq; 4 is for safety */
             k->contraction = 4.0 * (size > noise ? size : noise) / (last * bending);
-        const bool stuck = iteration > 1 && size <= 1e-11 * extent && size >= last;
+        /* with V_q at q~' it may be the iteration that does not contract, not roundoff */
+        const bool stuck = !ends && iteration > 1 && size <= 1e-11 * extent && size >= last;
         const bool close = (size <= noise) | stuck; /* no branches: they could not be foretold */
-        /* What is left of the first equation has one sign from step to step and adds up in the
-         * energy: it has to be a small part of a rounding. */
-        if (close || !ends || 64.0 * k->contraction * bending * size <= noise) {
+        /* What is left of the first equation, here or in the next stage, has one sign from step to
+         * step and adds up in the energy: it has to be a small part of a rounding. */
+        if (close || !ends || 64.0 * k->contraction * lasting * size <= noise) {
             dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
             settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
                                          &k->stats.worst_residual);
-            /* bend travelled size / extent: what is left of the residual after this step, at most */
-            solved = close | (bend * travelled * size <= limit * least * extent);
+            /* bend travelled size / reached: what is left of the residual after this step, at most.
+             * N knows how mu bends only if the prediction is near: not where it moved as much as it
+             * is large, and not in the first steps, whose pull is unknown. */
+            solved = close | (bend * travelled * size <= k->trust * least * (reached - 2.0 * size));
         }
         if (!solved && (iteration >= 10 || (iteration >= 3 && size > 0.5 * last))) break;
         if (solved && ends && iteration == 1) k->contraction *= 2.0; /* measure again some day */
@@ -622,10 +637,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         /* The prediction of the residual is as good as N, which belongs to an earlier w: not at
          * all where the velocity passes through zero, or where N was not asked for. */
         const bool doubtful = reached < 1e-3 * known || (linear && kept);
-        if (!settled || doubtful || k->start_up > 0) {
+        if (!settled || doubtful || k->audited) {
             memmove(k->stored, stored, n * sizeof *stored);
-            const int status = dal_kernel_correct(k);
+            const int status = dal_kernel_correct(k, settled && !doubtful);
             if (status) return status;
+            memmove(stored, k->stored, n * sizeof *stored);
         }
     }
     if (m == 0 && !(dal_kernel_sum(n, stored) <= DBL_MAX)) /* else that has been seen to */
@@ -650,7 +666,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         k->force0 = k->force1;
         k->force1 = force;
     }
-    k->forced = ends;
+    k->forced = ends && solved; /* dal_kernel_solve may stop 1e-11 away */
     return DAL_SUCCESS;
 }
 
@@ -660,6 +676,9 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     int status = DAL_SUCCESS;
     size_t made = 0;
     for (; made < steps; made++) {
+        const bool fresh = k->age < DAL_KERNEL_START_UP;
+        k->trust = fresh ? 0.0 : 2.0 * (double)k->n * DAL_KERNEL_U;
+        k->audited = fresh || k->distrusted || k->age % DAL_KERNEL_AUDIT == 0;
         if (k->stages > 1) memcpy(k->saved, k->x, 2 * k->n * sizeof *k->x);
         if (k->potential || k->kept) {
             for (size_t j = 0; j < k->stages && !status; j++)
@@ -669,7 +688,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
                 status = DAL_KERNEL_STAGE(k, k->stage + j, true);
         }
         if (status) break;
-        if (k->start_up > 0) k->start_up--;
+        k->age++;
     }
     if (status && k->stages > 1) {
         memcpy(k->x, k->saved, 2 * k->n * sizeof *k->x);

@@ -40,6 +40,8 @@ static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *s
         }
         stage[stages++] = s;
     }
+    for (size_t j = 0; j < stages; j++)
+        stage[j].reuse = fmax(fabs(stage[j].end), fabs(stage[(j + 1) % stages].start));
     return stages;
 }
 
@@ -72,7 +74,8 @@ static void plan_predictions(dal_stage *stage, size_t stages)
             spans[back - 1] = s->span;
         }
         extrapolate(times, stage[j].before, stage[j].ahead);
-        for (int i = 0; i < 3; i++) stage[j].ahead[i] *= stage[j].span / spans[i];
+        for (int i = 0; i < 3; i++) /* a fused pair (0, a), (1, -a) has no span, and no lambda */
+            stage[j].ahead[i] *= spans[i] != 0.0 ? stage[j].span / spans[i] : 0.0;
     }
 }
 
