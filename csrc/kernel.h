@@ -310,9 +310,10 @@ static int dal_kernel_correct(dal_kernel *k, bool foretold)
         if (dal_kernel_settled(n, m, k->mu, k->N, k->w, k->moved, last ? DBL_MAX : limit, k->r,
                                &least, &k->stats.worst_residual))
             break;
-        if (foretold && pass == 0)
-            k->distrusted = !dal_kernel_settled(n, m, k->mu, k->N, k->w, k->moved, 1.5 * limit,
-                                                k->r, &least, &unused);
+        if (foretold && pass == 0
+            && !dal_kernel_settled(n, m, k->mu, k->N, k->w, k->moved, 1.5 * limit, k->r, &least,
+                                   &unused))
+            k->distrusted = true;
         for (size_t a = 0; a < m; a++) dal_kernel_accelerate(k, n, k->mu + a * n, k->Z + a * n);
         if (!dal_kernel_factor(n, m, k->mu, k->N, 0.0, k->Z, k->S, k->scale, k->row)) {
             if (!(dal_kernel_sum(m * n, k->mu) <= DBL_MAX))
