@@ -158,6 +158,8 @@ typedef struct multiroot multiroot;
 int dal__multiroot_new(multiroot **solver, const dal_system *system, dal_error *error);
 void dal__multiroot_free(multiroot *solver);
 const char *dal__multiroot_message(const multiroot *solver);
+/* Its evaluator, whose calls count as the stepper's. */
+evaluator *dal__multiroot_evaluator(multiroot *solver);
 size_t dal__multiroot_iterations(const multiroot *solver);
 /* One beta-scheme with step h (of either sign) from x[2n], in place; kappa[m] = h lambda. */
 int dal__multiroot_step(multiroot *solver, double beta, double h, double *x, double *kappa);

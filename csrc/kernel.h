@@ -14,17 +14,17 @@
  * How it is solved.  Newton on (v', kappa) with the Hessian of V dropped needs one m x m matrix
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
  * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of
- * v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from those of
- * the three stages before; so the two evaluations of the constraint do not wait for each other.
+ * v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from those
+ * of the three stages before; so the two evaluations of the constraint do not wait for each other.
  * The iteration stops when an estimate of its next residual is below roundoff, so that most stages
- * evaluate the constraint twice.  At the end the residual of D at the *stored* q~' is predicted from
- * the last evaluation, the rounding of q~' included, and mended; where that does not suffice, in the
- * first two steps after a start, and in every 64th step, one more evaluation is made.  What does not contract, leaves
- * the domain of a callback or is not finite goes to dal_kernel_solve: the full Newton matrix with
- * the Hessian, and halved steps.
+ * evaluate the constraint twice.  At the end the residual of D at the *stored* q~' is predicted
+ * from the last evaluation, the rounding of q~' included, and mended; where that does not suffice,
+ * in the first two steps after a start, and in every 64th step, one more evaluation is made.  What
+ * does not contract, leaves the domain of a callback or is not finite goes to dal_kernel_solve: the
+ * full Newton matrix with the Hessian, and halved steps.
  *
  * One text, many compilations.  The includer defines
- *     DAL_KERNEL                  name of the function to define: int (dal_kernel *, size_t, size_t *)
+ *     DAL_KERNEL                  name of the function: int (dal_kernel *, size_t, size_t *)
  *     DAL_N, DAL_M                sizes as constants; or neither, for sizes from the dal_kernel
  *     DAL_KERNEL_CONSTRAINT(k, q, v, mu, N)   and   DAL_KERNEL_POTENTIAL(k, q, V_q)
  *                                 how to call the system; by default through the pointers
@@ -47,7 +47,7 @@ typedef struct dal_stage {
     double before, after;    /* A, B */
     double start, node, end; /* weights of V_q at q~, q_k, q~' */
     double span;             /* A + B */
-    double reuse;            /* largest weight that V_q(q~') has, here or as start of the next stage */
+    double reuse;            /* largest weight of V_q(q~'), here or as start of the next stage */
     double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
 } dal_stage;
 
@@ -62,6 +62,8 @@ typedef enum dal_failure {
     DAL_FAILED_CONVERGE
 } dal_failure;
 
+/* Everything down to max_iterations, the arrays, h and x are set by the owner, who then calls
+ * dal_kernel_forget; the rest belongs to the step routine. */
 typedef struct dal_kernel {
     size_t n, m;
     dal_constraint_fn constraint;
@@ -84,11 +86,11 @@ typedef struct dal_kernel {
     double contraction;    /* of the modified Newton iteration over B end, as last measured */
     size_t age;            /* steps since the start, or since a failure */
     bool audited;          /* this step evaluates the residual that others predict */
-    double trust;          /* what the residual that is left may be, relative; 0 in the first steps */
+    double trust;          /* relative residual that may be left; 0 in the first steps */
     bool distrusted;       /* a prediction was wrong: from now on every step does */
 
-    /* One block, laid out by dal_kernel_share: the step routine reaches its parts by constant offsets,
-     * and callbacks see the same addresses at every call. */
+    /* One block, laid out by dal_kernel_share: the step routine reaches its parts by constant
+     * offsets, and callbacks see the same addresses at every call. */
     double *x;                    /* [2n] the state */
     double *node, *point, *w;     /* [n] q_k, the current q~', the current v' */
     double *pull;                 /* [3n] the pulls of the last stages, the latest first */
@@ -186,7 +188,8 @@ DAL_KERNEL_INLINE double dal_kernel_column(size_t n, size_t m, const double *Z, 
 }
 
 /* y <- M^-1 f. */
-DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, const double *f, double *y)
+DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, const double *f,
+                                             double *y)
 {
     const double *const inverse = k->mass_inverse;
     if (k->diagonal) {
@@ -197,8 +200,9 @@ DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, cons
 }
 
 /* S <- (mu + b N) Z^T, factored. */
-DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, const double *mu, const double *N, double b,
-                                    const double *Z, double *S, double *scale, size_t *row)
+DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, const double *mu, const double *N,
+                                        double b, const double *Z, double *S, double *scale,
+                                        size_t *row)
 {
     for (size_t a = 0; a < m; a++)
         for (size_t c = 0; c < m; c++) {
@@ -245,9 +249,9 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(size_t n, size_t m, const double *mu, 
 /* From the node and the new velocity to what is stored; moved is how far the q~' that it gives back
  * lies from the point of the last evaluation.  With kept nodes q_{k+1} = q_k + h v' is stored, and
  * its reader recovers q~' as q_{k+1} - (1-beta) h v'. */
-DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n, bool kept,
-                                    const double *node, const double *w, const double *point,
-                                    double *stored, double *moved)
+DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n,
+                                        bool kept, const double *node, const double *w,
+                                        const double *point, double *stored, double *moved)
 {
     if (kept) {
         const double h = s->span * k->h, shift = k->shift * k->h;
@@ -292,6 +296,8 @@ static int dal_kernel_correct(dal_kernel *k, bool foretold)
     enum { MOST = 4 };
     const size_t n = k->n, m = k->m;
     const double limit = 2.0 * (double)n * DAL_KERNEL_U, shift = k->kept ? k->shift * k->h : 0.0;
+    if (!(dal_kernel_sum(n, k->stored) + dal_kernel_sum(n, k->w) <= DBL_MAX))
+        return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
     memset(k->moved, 0, n * sizeof *k->moved);
     for (int pass = 0; pass < MOST; pass++) {
         bool same = pass > 0;
@@ -332,8 +338,8 @@ static int dal_kernel_correct(dal_kernel *k, bool foretold)
                : dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
 }
 
-/* The callbacks at the iterate w of dal_kernel_solve.  Positive: outside their domain or not finite,
- * with the reason in k->failure. */
+/* The callbacks at the iterate w of dal_kernel_solve.  DAL_EDOMAIN: outside their domain or not
+ * finite; the reason is in k->failure. */
 static int dal_kernel_evaluate(dal_kernel *k, const dal_stage *s)
 {
     const size_t n = k->n, m = k->m;
@@ -460,7 +466,7 @@ static int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
 #define DAL_KERNEL_JOIN(a, b) DAL_KERNEL_JOIN_(a, b)
 #define DAL_KERNEL_STAGE DAL_KERNEL_JOIN(DAL_KERNEL, _stage)
 
-/* Arrays that no callback sees: on the stack, for the registers, where their sizes are constants. */
+/* Arrays that no callback sees: on the stack, for the registers, where sizes are constants. */
 #ifdef DAL_N
 #define DAL_KERNEL_M (DAL_M > 0 ? DAL_M : 1)
 #define DAL_KERNEL_ARRAY(type, name, size) type name[size]
@@ -607,8 +613,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
                                          &k->stats.worst_residual);
             /* bend travelled size / reached: what is left of the residual after this step, at most.
              * N knows how mu bends only if the prediction is near: not where it moved as much as it
-             * is large, and not in the first steps, whose pull is unknown. */
-            solved = close | (bend * travelled * size <= k->trust * least * (reached - 2.0 * size));
+             * is large, not in the first steps, whose pull is unknown, and not where N is 0. */
+            solved = close | (bend * travelled * size < k->trust * least * (reached - 2.0 * size));
         }
         if (!solved && (iteration >= 10 || (iteration >= 3 && size > 0.5 * last))) break;
         if (solved && ends && iteration == 1) k->contraction *= 2.0; /* measure again some day */

@@ -26,6 +26,7 @@ struct multiroot {
 
 const char *dal__multiroot_message(const multiroot *solver) { return solver->error.text; }
 size_t dal__multiroot_iterations(const multiroot *solver) { return solver->iterations; }
+evaluator *dal__multiroot_evaluator(multiroot *solver) { return &solver->mech.eval; }
 
 static int evaluate(const gsl_vector *unknown, void *ctx, gsl_vector *f, gsl_matrix *J)
 {

@@ -210,6 +210,11 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     if (e->potential_ctx == e) stats->potential_calls = 0;
     stats->constraint_calls += e->constraint_calls;
     stats->potential_calls += e->potential_calls;
+    if (stepper->multiroot) {
+        const evaluator *const slow = dal__multiroot_evaluator(stepper->multiroot);
+        stats->constraint_calls += slow->constraint_calls;
+        stats->potential_calls += slow->potential_calls;
+    }
     stats->differenced = stepper->system->def.missing;
 }
 
@@ -293,6 +298,10 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     if (status) return status;
 
     self->mech.eval.constraint_calls = self->mech.eval.potential_calls = 0;
+    if (self->multiroot) {
+        evaluator *const slow = dal__multiroot_evaluator(self->multiroot);
+        slow->constraint_calls = slow->potential_calls = 0;
+    }
     memcpy(self->fresh, x, 2 * n * sizeof *x);
     status = probe(self);
     if (!status)
@@ -400,6 +409,10 @@ static int advance_multiroot(dal_stepper *self, size_t steps, size_t *done)
         }
         if (k->kept) status = move_node(self, shift, x);
         if (status) return status;
+        double relative;
+        status = dal_relative_residual(&self->mech, shift, x, &relative);
+        if (status) return status;
+        k->stats.worst_residual = fmax(k->stats.worst_residual, relative);
         memcpy(k->x, x, 2 * n * sizeof *x);
         k->stats.steps++;
     }

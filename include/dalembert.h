@@ -371,7 +371,7 @@ typedef enum dal_sizes {
 typedef struct dal_options {
     dal_solver solver;
     dal_sizes sizes;
-    int max_iterations; /* of Newton in a sub-step; 0: 50 */
+    int max_iterations; /* of the full Newton in a sub-step; 0: 50 */
 } dal_options;
 
 /* What is done with initial data (dal_stepper_start). */
@@ -398,10 +398,11 @@ typedef struct dal_stats {
     size_t iterations;          /* Newton iterations */
     size_t constraint_calls, potential_calls;
     size_t corrections;         /* final corrections that took an evaluation of their own */
-    size_t full_newtons;        /* sub-steps that needed the Hessian of V */
+    size_t full_newtons;        /* sub-steps that were handed to the full Newton */
     size_t halvings;            /* Newton steps halved because a callback left its domain */
     double worst_residual;      /* largest |mu^a v| / sum_i |mu^a_i v_i| after a step, as the step
-                                   itself predicts it from its last evaluation */
+                                   itself predicts it from its last evaluation; in every 64th step,
+                                   and once a prediction was wrong in every one, it is evaluated */
     double initial_residual;    /* the same of the data given to dal_stepper_start */
     double initial_correction;  /* how far these were moved, in the mass metric */
     unsigned differenced;       /* dal_missing: derivatives that were differenced */

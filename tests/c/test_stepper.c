@@ -783,6 +783,49 @@ static void test_corners(void)
         }
 }
 
+/* From rest d(mu v)/dq is 0, and tells nothing of how mu bends: the first step iterates. */
+static int bent_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, void *ctx)
+{
+    (void)ctx;
+    if (phi) phi[0] = q[0] * v[0] + (2 * q[1] + q[0]) * v[1] + v[2];
+    if (phi_v) phi_v[0] = q[0], phi_v[1] = 2 * q[1] + q[0], phi_v[2] = 1.0;
+    if (phi_q) phi_q[0] = v[0] + v[1], phi_q[1] = 2 * v[1], phi_q[2] = 0.0;
+    return 0;
+}
+
+static int slope_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    (void)ctx;
+    if (V) *V = q[2];
+    if (V_q) V_q[0] = V_q[1] = 0.0, V_q[2] = 1.0;
+    for (int i = 0; V_qq && i < 9; i++) V_qq[i] = 0.0;
+    return 0;
+}
+
+static void test_from_rest(void)
+{
+    const double mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, x0[6] = {0.5, 0.4, 0.0, 0.0, 0.0, 0.0};
+    const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = bent_constraint,
+                                .potential = slope_potential};
+    const dal_options all_unknowns = {.solver = DAL_SOLVER_MULTIROOT};
+    const char *const names[] = {"leapfrog", "midpoint", "endpoint"};
+    dal_system *system = NULL;
+    CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
+    for (size_t j = 0; j < sizeof names / sizeof names[0]; j++) {
+        const dal_scheme scheme = find_scheme(names[j]);
+        dal_stepper *const slow = open_stepper(system, &scheme, &all_unknowns);
+        double x[6];
+        CHECK(dal_stepper_start(slow, 0.0, 0.5, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_step(slow, NULL) == DAL_SUCCESS);
+        flow(system, &scheme, 0.5, 1, x0, x, NULL);
+        CHECK_NEAR(largest_difference(6, dal_stepper_state(slow), x), 0.0,
+                   ROUNDOFF * sum_of_sizes(6, x));
+        dal_stepper_free(slow);
+    }
+    dal_system_free(system);
+}
+
 /* A blade whose angle is the sum of two coordinates: far from the origin the rounding of the sum is
  * one that no derivative tells of.  The step finds out when it looks, in every 64th step at the
  * latest, and keeps the bound from then on. */
@@ -910,6 +953,7 @@ int main(void)
     test_sizes();
     test_multiroot();
     test_corners();
+    test_from_rest();
     test_far_from_the_origin();
     test_statistics();
     test_singular_step();
