@@ -16,6 +16,7 @@ may itself integrate, because an exception is kept only when the callback has al
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -125,6 +126,20 @@ _EXCEPTIONS: dict[int, type[Exception]] = {
 }
 
 
+# What an output of a callback is called in Python; an index means that an entry of it is meant.
+_PYTHON_NAMES = [
+    (re.compile(pattern), name)
+    for pattern, name in (
+        (r"(?:potential: )?\bV_q\[0,(\d+)\]", r"gradient[\1]"),
+        (r"(?:potential: )?\bV_qq(?=\[)", "hessian"),
+        (r"(?:constraint: )?\bphi_v(?=\[)", "forms"),
+        (r"(?:constraint: )?\bphi_q(?=\[)", "forms_velocity_derivative"),
+        (r"potential: V\[0,0\]", "potential"),
+        (r"\bx0(?= does not lie in D)", "(q0, v0)"),
+    )
+]
+
+
 class _Raised(threading.local):
     """The exception that a callback of this thread raised, until C has returned."""
 
@@ -150,7 +165,7 @@ def failure(
     exception, _raised.exception = _raised.exception, None
     if exception is not None and status in (lib.DAL_EUSER, lib.DAL_EDOMAIN):
         return exception
-    message = message or string(lib.dal_strerror(status))
+    message = in_python(message) or string(lib.dal_strerror(status))
     kind = _EXCEPTIONS.get(status, DalembertError)
     if issubclass(kind, DalembertError):
         return kind(message, status=status, step=step, t=t)
@@ -197,6 +212,13 @@ def version() -> str:
 def string(text: Any) -> str:
     """Return a C string, "" for NULL."""
     return ffi.string(text).decode("utf-8", "replace") if text != ffi.NULL else ""
+
+
+def in_python(message: str) -> str:
+    """Return a message of the core with the names that users of Python gave: gradient, not V_q."""
+    for pattern, name in _PYTHON_NAMES:
+        message = pattern.sub(name, message)
+    return message
 
 
 def strings(texts: list[str]) -> tuple[Any, list[Any]]:

@@ -76,7 +76,8 @@ def integer(value: Any, name: str, least: int, most: float = 2**63 - 1) -> int:
     except TypeError:
         raise ValueError(f"{name} = {value!r}: expected an integer") from None
     if not least <= result <= most:
-        raise ValueError(f"{name} = {result}: expected {least} .. {most}")
+        bound = f"at least {least}" if result < least else f"at most {most}"
+        raise ValueError(f"{name} = {result}: expected {bound}")
     return result
 
 

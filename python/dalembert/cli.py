@@ -1,12 +1,15 @@
 """The command ``dalembert``: studies of the built-in systems, and what there is.
 
-Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error.
+Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error; 130
+after Ctrl-C, 141 if nobody reads the output any more.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +17,7 @@ from typing import Any
 
 from . import _lib, extras, plot, report, systems
 from .refinement import studies
-from .scheme import INITIAL
+from .scheme import INITIAL, REFERENCE
 from .scheme import schemes as named_schemes
 
 __all__ = ["main"]
@@ -31,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0, 1 or 2; see the module.
+        See the module.
 
     Examples
     --------
@@ -46,7 +49,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:
         return int(stop.code or 0)
     try:
-        return int(given.run(given))
+        status = int(given.run(given))
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        # What is left in the buffer would raise again when the interpreter ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
     except (ValueError, ImportError) as error:
         print(f"dalembert {given.command}: {error}", file=sys.stderr)
         return 2
@@ -94,7 +103,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="X,Y,...",
         help="velocities at t = 0, in D (write --v0=-1,... for a minus)",
     )
-    study.add_argument("--t-end", type=float, default=1.0, metavar="T", help="default: 1")
+    study.add_argument(
+        "--t-end",
+        type=float,
+        metavar="T",
+        help="default: 1, or longer where errors would drown in roundoff",
+    )
     study.add_argument(
         "--steps",
         type=_counts,
@@ -179,6 +193,14 @@ def _systems(given: argparse.Namespace) -> int:
 
 def _schemes(given: argparse.Namespace) -> int:
     _list((record.name, record.help) for record in named_schemes())
+    print("\nBesides these:")
+    _list(
+        [
+            ("N", "a number in [0, 1]: the beta-scheme of this number"),
+            ("N-nodes", "the same at the original nodes: keeps D_eps"),
+            (REFERENCE.name, f"{REFERENCE.help}; has no order to study"),
+        ]
+    )
     return 0
 
 

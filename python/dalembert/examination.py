@@ -144,5 +144,5 @@ def examine(system: System, q: ArrayLike | None, v: ArrayLike | None) -> Check:
         residual=report.residual,
         curvature=report.curvature,
         integrable=bool(report.integrable),
-        text=_lib.string(report.text),
+        text=_lib.in_python(_lib.string(report.text)),
     )

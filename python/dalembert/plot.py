@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from . import extras, geometry
 from ._lib import ROUNDOFF, residual_bound
-from .study import counts
+from .solution import Solution
+from .study import Study, counts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from .solution import Solution
-    from .study import Studies, Study
+    from .study import Studies
 
 __all__ = ["convergence", "drift", "energy", "path", "styles"]
 
@@ -114,7 +114,7 @@ def convergence(
     Raises
     ------
     ValueError
-        If there is no such quantity, or nothing to draw.
+        If there is no such quantity, nothing to draw, or something else than a study.
     ImportError
         If matplotlib is not installed.
 
@@ -128,7 +128,7 @@ def convergence(
     if quantity not in QUANTITIES:
         raise ValueError(f"quantity is {quantity!r}; expected one of {', '.join(QUANTITIES)}")
     name, key, loss, label = QUANTITIES[quantity]
-    studies = _several(study, "study")
+    studies = _several(study, "study", Study)
     ax = _axes(ax)
     from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -195,7 +195,7 @@ def drift(
     Raises
     ------
     ValueError
-        If ``ax`` is not two axes, or there is nothing to draw.
+        If ``ax`` is not two axes, there is nothing to draw, or something else than a run.
     ImportError
         If matplotlib is not installed.
 
@@ -205,7 +205,7 @@ def drift(
     >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=100)
     >>> left, right = dal.plot.drift(run)
     """
-    solutions = _several(solution, "solution")
+    solutions = _several(solution, "solution", Solution)
     if ax is None:
         _, ax = _pyplot().subplots(1, 2, sharey=True, layout="constrained", figsize=(9, 3.8))
     axes = np.asarray(ax, dtype=object).ravel()
@@ -270,7 +270,7 @@ def energy(
     Raises
     ------
     ValueError
-        If there is nothing to draw.
+        If there is nothing to draw, or something else than a run.
     ImportError
         If matplotlib is not installed.
 
@@ -280,7 +280,7 @@ def energy(
     >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=100)
     >>> ax = dal.plot.energy(run)
     """
-    solutions = _several(solution, "solution")
+    solutions = _several(solution, "solution", Solution)
     ax = _axes(ax)
     styles = styles or _styles(solutions)
     for run in solutions:
@@ -328,6 +328,7 @@ def path(
     >>> dal.plot.path(run).get_xlabel()
     "x (user's units)"
     """
+    _require(solution, "solution", Solution)
     n = solution.q.shape[1]
     if len(coordinates) != 2 or not all(0 <= i < n for i in coordinates):
         raise ValueError(f"coordinates is {coordinates!r}; expected two of 0 to {n - 1}")
@@ -406,11 +407,20 @@ def _systems(items: Sequence[Any]) -> str:
     return ", ".join(dict.fromkeys(item.system.name for item in items))
 
 
-def _several(item: Any, what: str) -> list[Any]:
-    items = list(item) if isinstance(item, Sequence) else [item]
+def _several(item: Any, what: str, kind: type) -> list[Any]:
+    items = list(item) if isinstance(item, Sequence) and not isinstance(item, str) else [item]
     if not items:
         raise ValueError(f"{what} is empty; expected at least one")
+    for one in items:
+        _require(one, what, kind, " or several")
     return items
+
+
+def _require(item: Any, what: str, kind: type, more: str = "") -> None:
+    if not isinstance(item, kind):
+        raise ValueError(
+            f"{what} is a {type(item).__name__}; expected a dalembert.{kind.__name__}{more}"
+        )
 
 
 def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None) -> None:

@@ -19,9 +19,10 @@ from .system import System, require_system
 __all__ = ["convergence", "studies"]
 
 # Numbers of steps over one unit of time: what tells the order of the reactions, and low orders,
-# and the candidates for high orders.
+# and the candidates for high orders; COARSE is also how many units a longer step may take.
 FINE = (80, 120, 160, 240, 320, 480, 640)
 COARSE = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80)
+LONGEST = 16  # of the default intervals
 
 FITS = (
     "state",
@@ -40,7 +41,7 @@ def convergence(
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     *,
-    t_end: float = 1.0,
+    t_end: float | None = None,
     t0: float = 0.0,
     steps: Sequence[int] | None = None,
     initial: str | None = None,
@@ -56,7 +57,8 @@ def convergence(
     q0, v0 : array_like, shape (n,), optional
         Initial data in D, in the user's units.  Default: those of the system.
     t_end, t0 : float, optional
-        Interval of time, in the user's units.
+        Interval of time, in the user's units.  Default: one unit; without ``steps`` 2, 4, 8 or 16
+        where the errors of a high order over less than that are too close to roundoff.
     steps : sequence of int, optional
         Numbers of steps over the interval.  The default depends on the promised order: small
         steps, for high orders as small as the round-off floor allows.
@@ -87,25 +89,28 @@ def convergence(
     record = Scheme.of(scheme)
     if record.is_reference:
         raise ValueError("scheme = 'reference': expected one with a step size to refine")
-    t0, t_end = arguments.number(t0, "t0"), arguments.number(t_end, "t_end")
+    t0 = arguments.number(t0, "t0")
     start = record._initial(initial)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
+
+    def probe(duration: float, candidates: Sequence[int]) -> Study:
+        return convergence(
+            system,
+            record,
+            q0,
+            v0,
+            t0=t0,
+            steps=candidates,
+            initial=initial,
+            t_end=t0 + duration,
+            tolerance=tolerance,
+        )
+
+    if t_end is None:
+        t_end = t0 + (_default_duration(record.order, probe) if steps is None else 1.0)
+    t_end = arguments.number(t_end, "t_end")
     if steps is None:
-
-        def probe(duration: float, candidates: Sequence[int]) -> Study:
-            return convergence(
-                system,
-                record,
-                q0,
-                v0,
-                t0=t0,
-                steps=candidates,
-                initial=initial,
-                t_end=t0 + math.copysign(duration, t_end - t0),
-                tolerance=tolerance,
-            )
-
-        steps = _default_steps(record.order, abs(t_end - t0), probe)
+        steps = _default_steps(record.order, t_end - t0, probe)
     numbers = _counts(steps)
     c_numbers = ffi.new("size_t[]", numbers)
     definition = ffi.new(
@@ -176,7 +181,7 @@ def studies(
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     *,
-    t_end: float = 1.0,
+    t_end: float | None = None,
     t0: float = 0.0,
     steps: Sequence[int] | None = None,
     initial: str | None = None,
@@ -196,7 +201,7 @@ def studies(
         True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
         schemes.
     q0, v0, t_end, t0, steps, tolerance
-        As in `convergence`.
+        As in `convergence`; the default of t_end is that of the highest order, for all schemes.
 
     Returns
     -------
@@ -220,25 +225,37 @@ def studies(
     elif isinstance(schemes, str) or not isinstance(schemes, Iterable):
         schemes = [schemes]
     records = [Scheme.of(scheme) for scheme in schemes]
-    found = []
+    # The highest order first: it has the longest default interval.
+    places = sorted(range(len(records)), key=lambda i: -records[i].order)
+    found: dict[int, Study] = {}
     with extras.progress(progress, len(records), "scheme") as show:
-        for record in records:
-            start = (initial or "D_eps") if record.nodes == "kept" else None
-            found.append(
-                convergence(
-                    system,
-                    record,
-                    q0,
-                    v0,
-                    t_end=t_end,
-                    t0=t0,
-                    steps=steps,
-                    initial=start,
-                    tolerance=tolerance,
-                )
+        for i in places:
+            found[i] = convergence(
+                system,
+                records[i],
+                q0,
+                v0,
+                t_end=t_end,
+                t0=t0,
+                steps=steps,
+                initial=(initial or "D_eps") if records[i].nodes == "kept" else None,
+                tolerance=tolerance,
             )
+            t_end = found[i].t_end
             show(len(found))
-    return Studies(found)
+    return Studies(found[i] for i in range(len(records)))
+
+
+def _default_duration(order: int, probe: Callable[..., Study]) -> int:
+    """Return the shortest interval over which errors of this order tell it, 1 if none does."""
+    duration = 1
+    while order > 2 and duration <= LONGEST:
+        tried = probe(duration, COARSE)
+        clear = tried.steps[counts(tried.local_error, tried.floor)]
+        if len(clear) >= 3 and clear[-1] >= 2 * clear[0]:
+            return duration
+        duration *= 2
+    return 1
 
 
 def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> list[int]:
@@ -246,21 +263,27 @@ def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> 
 
     One-step errors h^(p+1) have to stand clear of the floor, with h as small as that allows: they
     are a power of h only in the limit.  Up to order 2 any small h will do.  For a higher order
-    ``probe`` studies some steps over about a unit of time, and the finest over a factor of two
-    are taken.  The reactions, whose order is low whatever p is, need the small h too: their
-    errors c1 h + c2 h^2 may change their sign where h is not (the core fits the finer half).
+    ``probe`` studies some steps over about a unit of time, and some over all of it, and the finest
+    over a factor of two are taken.  The reactions, whose order is low whatever p is, need the small
+    h too: their errors c1 h + c2 h^2 may change their sign where h is not (the core fits the finer
+    half).
     """
-    units = max(1, round(duration))
+    units = max(1, round(abs(duration)))
     if order <= 2:
         return [count * units for count in FINE]
     tried = probe(duration / units, COARSE)
-    floor = tried.floor if units == 1 else probe(duration, (1,)).floor
-    clear = [int(count) for count in tried.steps[counts(tried.local_error, floor)]]
+    longer = {math.ceil(units / k) for k in COARSE}
+    whole = tried if units == 1 else probe(duration, sorted({*longer, *COARSE}))
+
+    def above_floor(study: Study) -> list[int]:
+        return [int(count) for count in study.steps[counts(study.local_error, whole.floor)]]
+
+    clear = sorted({*above_floor(whole), *(count * units for count in above_floor(tried))})
     finest = [count for count in clear if 2 * count >= clear[-1]]
-    chosen = clear[-max(len(finest), 3) :] or COARSE[:3]
+    chosen = clear[-max(len(finest), 3) :] or [count * units for count in COARSE[:3]]
     if chosen[-1] < 2 * chosen[0]:
         chosen = clear[-len(chosen) - 1 :]
-    return [count * units for count in sorted({*chosen, *FINE})]
+    return sorted({*chosen, *(count * units for count in FINE)})
 
 
 def _counts(steps: Iterable[int]) -> list[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sized
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from . import _lib, arguments
@@ -126,7 +126,7 @@ class Scheme:
         record = ffi.new("dal_scheme *")
         error = ffi.new("dal_error *")
         status = lib.dal_scheme_find(record, arguments.text(name, "scheme").encode(), error)
-        _lib.check(status, _lib.string(error.text))
+        _lib.check(status, f"{_lib.string(error.text)}; and reference, the flow of GSL")
         return cls._read(record)
 
     @classmethod
@@ -137,11 +137,22 @@ class Scheme:
         if isinstance(value, str):
             return cls.find(value)
         try:
-            return cls.find(repr(float(value)))
+            beta = float(value)
         except TypeError:
             raise ValueError(
                 f"scheme = {value!r}: expected a Scheme, the name of one, or beta"
             ) from None
+        if not 0.0 <= beta <= 1.0:
+            raise ValueError(f"scheme = {value!r}: expected beta in [0, 1]")
+        # Not by its text: what C reads as a decimal point depends on the locale.
+        symmetric = beta == 0.5
+        return replace(
+            cls.find("0"),
+            substeps=((beta, 1.0),),
+            name=repr(beta),
+            order=2 if symmetric else 1,
+            symmetric=symmetric,
+        )
 
     @classmethod
     def _read(cls, record: Any) -> Scheme:

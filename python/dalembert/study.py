@@ -162,11 +162,18 @@ class Study:
         return orders
 
     @property
+    def promised(self) -> tuple[int, int]:
+        """The (p, s) that the scheme promises for a step from this start.
+
+        Kept nodes that start in D jump to D_eps in the first step, which costs one order of each.
+        """
+        jump = self.initial == "D" and self.scheme.shift(1.0) > 0.0
+        return self.scheme.order - jump, self.scheme.multiplier_order - jump
+
+    @property
     def promise(self) -> str:
         """The promised (p, s) in words, "nothing" for a record without a promise."""
-        if self.scheme.order == 0:
-            return "nothing"
-        return f"({self.scheme.order}, {self.scheme.multiplier_order})"
+        return "nothing" if self.scheme.order == 0 else str(self.promised)
 
     @property
     def keeps(self) -> str:
@@ -188,8 +195,8 @@ class Study:
 
     def __repr__(self) -> str:
         return (
-            f"<Study of {self.scheme.name} on {self.system.name}: p = {self.p:.2f}, "
-            f"s = {self.s:.2f}, {self.verdict}>"
+            f"<Study of {self.scheme.name} on {self.system.name}: p = {table.order(self.p)}, "
+            f"s = {table.order(self.s)}, {self.verdict}>"
         )
 
     def table(self, width: int = table.WIDTH) -> str:
@@ -257,7 +264,7 @@ class Study:
             "scheme": self.scheme.name,
             "nodes": self.scheme.nodes,
             "initial": self.initial,
-            "promised": {"p": self.scheme.order, "s": self.scheme.multiplier_order},
+            "promised": dict(zip("ps", self.promised)),
             **{name: [_plain_number(x) for x in getattr(self, name).tolist()] for name in arrays},
             "fits": {
                 key: {"slope": _plain_number(fit.slope), "points": fit.points, "exact": fit.exact}

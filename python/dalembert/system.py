@@ -474,7 +474,7 @@ class System:
 
     def __repr__(self) -> str:
         values = "".join(f", {key} = {value:g}" for key, value in self._parameters.items())
-        names = ", ".join(self.coordinates)
+        names = ", ".join(self.coordinates[:8]) + ", ..." * (self.n > 8)
         return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{values}>"
 
     def __copy__(self) -> System:

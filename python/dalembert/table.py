@@ -113,6 +113,7 @@ def overview(studies: Studies) -> list[Column]:
         column("promised", lambda study: study.promise),
         column("p", lambda study: study.fits["state"].order(1)),
         column("s", lambda study: study.fits["reaction"].order(1)),
+        column("at t_end", lambda study: study.fits["global_state"].order()),
         column("res. D", lambda study: number(_worst(study.residual))),
         column("D_eps", lambda study: number(_worst(study.residual_eps))),
         column("energy", lambda study: number(_worst(study.energy_error))),
@@ -134,7 +135,9 @@ def summary(study: Study) -> str:
     """Return the verdict in words, then the points that the fits rest on; two lines."""
     keys = {"q": "global_q", "v": "global_v", "lambda": "global_multipliers"}
     at_end = ", ".join(f"{name} {study.fits[key].order()}" for name, key in keys.items())
-    more = "; a longer interval allows larger steps" if study.verdict == "too few points" else ""
+    more = ""
+    if study.verdict == "too few points":
+        more = "; needed are three over a factor of two: take a longer interval, or fewer steps"
     return (
         f"{study.text}\n"
         f"p over {_points(study.fits['state'])}, s over {_points(study.fits['reaction'])}{more}; "

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import threading
 import time
@@ -344,3 +345,33 @@ def test_ctrl_c_while_a_trajectory_is_evaluated(own, interrupt):
     interrupt.start()
     with pytest.raises(KeyboardInterrupt):
         own.system().multipliers(q, v)
+
+
+# ---- what is not finite --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name, entry, text",
+    [
+        ("potential", (), r"potential = nan"),
+        ("gradient", (2,), r"gradient\[2\] = nan"),
+        ("hessian", (1, 2), r"hessian\[1,2\] = nan"),
+        ("forms", (1, 2), r"forms\[1,2\] = nan"),
+        ("forms_velocity_derivative", (0, 3), r"forms_velocity_derivative\[0,3\] = nan"),
+    ],
+)
+def test_what_is_not_finite_is_named_as_the_user_named_it(own, name, entry, text):
+    def broken(*arguments):
+        value = np.array(getattr(own, name)(*arguments), dtype=float)
+        value[entry] = np.nan
+        return value
+
+    functions = {key: getattr(own, key) for key in FUNCTIONS}
+    system = own.system(**{**functions, name: broken}, m=2)
+    found = system.check(own.q0, own.v0())
+    assert not found and re.match(text, found.text), found.text
+    if name != "hessian":  # which mechanics on D does not need
+        with pytest.raises(dal.DomainError, match="^" + text):
+            system.energy(own.q0, own.v0()) if name == "potential" else system.field(
+                own.q0, own.v0()
+            )

@@ -124,10 +124,24 @@ def test_systems_and_schemes_are_listed_one_line_each():
     assert [line.split()[0] for line in done.stdout.splitlines()] == list(dal.systems.names())
     done = run("schemes")
     assert done.returncode == 0
-    assert [line.split()[0] for line in done.stdout.splitlines()] == [
-        scheme.name for scheme in dal.schemes()
-    ]
-    assert all(len(line.split()) > 2 for line in done.stdout.splitlines())
+    lines, footer = (part.splitlines() for part in done.stdout.split("\n\nBesides these:\n"))
+    assert [line.split()[0] for line in lines] == [scheme.name for scheme in dal.schemes()]
+    assert [line.split()[0] for line in footer] == ["N", "N-nodes", "reference"]
+    assert all(len(line.split()) > 2 for line in [*lines, *footer])
+
+
+def test_a_reader_that_leaves_is_no_error():
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "dalembert", "study", "particle", "--no-report"],
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+    )
+    os.close(write)
+    assert done.returncode == 141 and done.stderr == ""
 
 
 def test_version():

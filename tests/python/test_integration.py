@@ -144,6 +144,19 @@ def test_table_of_schemes():
     assert dal.Scheme.find("0.3").substeps == ((0.3, 1.0),)
 
 
+@pytest.mark.parametrize("beta", [0, 0.25, 0.5, 1.0])
+def test_beta_as_a_number_is_the_scheme_of_that_number(beta, monkeypatch):
+    by_name = dal.Scheme.find(repr(float(beta)))
+    find = dal.Scheme.find
+
+    def without_point(name):
+        assert "." not in name, "C would read it by its locale"
+        return find(name)
+
+    monkeypatch.setattr(dal.Scheme, "find", without_point)
+    assert dal.Scheme.of(beta) == by_name
+
+
 def test_explicit_is_a_property_of_scheme_and_system(own):
     assert dal.Scheme.find("explicit").is_explicit(own.system())
     assert not dal.Scheme.find("midpoint").is_explicit(own.system())
@@ -167,7 +180,9 @@ def test_explicit_is_a_property_of_scheme_and_system(own):
         (lambda: dal.Scheme([0.5, 1]), r"shape \(N, 2\), got \(2,\)"),
         (lambda: dal.Scheme([(0.5, 1)], name="x" * 40), "39 bytes"),
         (lambda: dal.Scheme.find("simpson"), "simpson.*leapfrog"),
-        (lambda: dal.Scheme.of(1.5), "1.5"),
+        (lambda: dal.Scheme.of(1.5), r"scheme = 1.5: expected beta in \[0, 1\]"),
+        (lambda: dal.Scheme.of(float("nan")), "scheme = nan: expected beta"),
+        (lambda: dal.Scheme.find("leap"), '"leap"; there are .*a number.*-nodes.*and reference'),
         (lambda: dal.Scheme.of(None), "scheme"),
     ],
 )

@@ -228,6 +228,15 @@ def test_bad_arguments_are_named(studies, run):
         dal.plot.path(run, coordinates=(0, 3))
     with pytest.raises(ValueError, match="ax has 3 axes; expected two"):
         dal.plot.drift(run, pyplot.subplots(1, 3)[1])
+    with pytest.raises(ValueError, match="study is a Solution; expected a dalembert.Study or sev"):
+        dal.plot.convergence(run)
+    for draw in (dal.plot.energy, dal.plot.drift):
+        with pytest.raises(ValueError, match="solution is a str; expected a dalembert.Solution or"):
+            draw("x")
+        with pytest.raises(ValueError, match="solution is a Study; expected a dalembert.Solution"):
+            draw([run, studies[0]])
+    with pytest.raises(ValueError, match="solution is a list; expected a dalembert.Solution$"):
+        dal.plot.path([run])
 
 
 def test_without_matplotlib_the_line_to_type_is_said(studies, run, monkeypatch, tmp_path):

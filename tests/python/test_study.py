@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import sys
@@ -173,22 +174,30 @@ def test_default_steps_tell_the_order(name, t_end):
 
 @pytest.mark.parametrize(
     "above, window",
-    [(16, [8, 10, 12, 14, 16]), (5, [2, 3, 4, 5]), (3, [1, 2, 3]), (2, [1, 2]), (0, [1, 2, 3])],
+    [
+        (48, [24, 28, 30, 32, 36, 40, 42, 48]),
+        (7, [3, 4, 5, 6, 7]),
+        (3, [1, 2, 3]),
+        (2, [1, 2]),
+        (0, [3, 6, 9]),
+    ],
 )
 def test_default_steps_are_the_finest_above_the_floor(above, window):
+    # The errors of steps longer than 3.2 / above are clear of the floor.
     asked = []
 
     def probe(duration, steps):
         asked.append(duration)
+        over_all = [count * round(3.2 / duration) for count in steps]
         return SimpleNamespace(
             steps=np.array(steps),
             floor=1e-15,
-            local_error=np.array([1.1e-13 if count <= above else 0.9e-13 for count in steps]),
+            local_error=np.array([1.1e-13 if count <= above else 0.9e-13 for count in over_all]),
         )
 
     steps = refinement._default_steps(6, 3.2, probe)
-    assert steps == [3 * count for count in (*window, *refinement.FINE)]
-    assert asked == [3.2 / 3, 3.2]  # about a unit of time, and the whole for its floor
+    assert steps == [*window, *(3 * count for count in refinement.FINE)]
+    assert asked == [3.2 / 3, 3.2]  # about a unit of time, and the whole for longer steps
 
 
 def test_the_default_steps_are_fine_enough_for_reactions_that_change_sign():
@@ -201,8 +210,9 @@ def test_the_default_steps_are_fine_enough_for_reactions_that_change_sign():
     assert np.abs(np.diff(np.log(errors))).max() > 0.5
 
 
-def test_every_named_scheme_has_a_verdict_with_the_default_steps():
-    studies = dal.studies(dal.systems.particle())
+@pytest.mark.parametrize("system", dal.systems.names())
+def test_every_named_scheme_has_a_verdict_with_the_default_steps(system):
+    studies = dal.studies(dal.systems.get(system))
     assert [study.scheme.name for study in studies] == [scheme.name for scheme in dal.schemes()]
     assert {study.scheme.name: study.verdict for study in studies} == {
         scheme.name: "holds" for scheme in dal.schemes()
@@ -210,6 +220,46 @@ def test_every_named_scheme_has_a_verdict_with_the_default_steps():
     assert studies.holds is True
     assert {study.initial for study in studies if study.scheme.nodes == "kept"} == {"D_eps"}
     assert {study.initial for study in studies if study.scheme.nodes == "moved"} == {None}
+
+
+def test_small_errors_take_a_longer_interval_unless_one_is_given():
+    # One step of h = 1 is the only one whose error, 2e-10, is clear of roundoff.
+    disk = dal.systems.disk()
+    over_one = dal.convergence(disk, "leapfrog-kl8", t_end=1)
+    assert over_one.verdict == "too few points" and "take a longer interval" in flat(str(over_one))
+    for t_end in (2, 4, -4, 30):
+        study = dal.convergence(disk, "leapfrog-kl8", t_end=t_end)
+        assert study.holds is True and study.fits["state"].points >= 3
+    assert dal.convergence(disk, "leapfrog-kl8", t0=3).t_end == 5
+    assert dal.convergence(disk, "leapfrog").t_end == 1
+    assert {study.t_end for study in dal.studies(disk, ["leapfrog", "leapfrog-kl8"])} == {2}
+    straight = dal.System(mass=[1.0, 1.0], q0=[0, 0], v0=[1, 1])  # every scheme is exact
+    assert dal.convergence(straight, "leapfrog-kl8").t_end == 1
+
+
+def test_the_promise_is_that_for_the_start():
+    particle = dal.systems.particle()
+    for name, start, promise in (
+        ("midpoint-nodes", "D", (0, -1)),
+        ("midpoint-nodes", "D_eps", (1, 0)),
+        ("endpoint-nodes", "D", (1, 0)),  # beta = 1: D_eps is D
+        ("midpoint", None, (2, 0)),
+    ):
+        study = dal.convergence(particle, name, Q0, V0, steps=STEPS, initial=start)
+        assert study.promised == promise and f"promised {promise}" in study.text
+        assert study.to_dict()["promised"] == {"p": promise[0], "s": promise[1]}
+        assert study.holds is True
+    row = {column.title: column.cells[0] for column in table.overview(dal.study.Studies([study]))}
+    assert row["promised"] == "(2, 0)"
+    assert row["at t_end"] == f"{study.fits['global_state'].slope:.2f}"
+
+
+def test_orders_have_no_negative_zero():
+    study = dal.convergence(
+        dal.systems.particle(), "midpoint-nodes", Q0, V0, steps=STEPS, initial="D_eps"
+    )
+    assert "s = -0.00" not in repr(dataclasses.replace(study, s=-1e-3))
+    assert table.order(-1e-3) == "0.00"
 
 
 def test_a_collection_is_a_sequence_and_fails_with_its_worst():
@@ -345,7 +395,7 @@ def test_bad_arguments_are_named(wrong, message):
 
 
 def test_data_off_D_and_missing_data_are_refused():
-    with pytest.raises(dal.NotOnConstraintError, match="does not lie in D"):
+    with pytest.raises(dal.NotOnConstraintError, match=r"^\(q0, v0\) does not lie in D"):
         dal.convergence(dal.systems.particle(), "midpoint", [0, 1, 0], [1, 1, 0])
     with pytest.raises(ValueError, match="q0"):
         dal.convergence(dal.System(mass=[1.0]), "midpoint")

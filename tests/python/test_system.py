@@ -94,6 +94,8 @@ def test_properties(own):
     np.testing.assert_array_equal(system.v0, own.v0())
     assert not (system.mass.flags.writeable or system.q0.flags.writeable)
     assert "own(a, b, c, d)" in repr(system)
+    assert "chaotic(x, y1, " in repr(dal.systems.chaotic(pairs=400))
+    assert len(repr(dal.systems.chaotic(pairs=400))) < 120
 
 
 def test_mass_as_number_vector_and_matrix():
@@ -161,7 +163,7 @@ def test_number_of_constraints_is_asked_for_at_q0():
         ({"mass": [1, 1], "forms": lambda q: np.eye(2)}, "m = 2"),
         ({"mass": [1, 1], "m": 1}, "without forms"),
         ({"mass": 1, "n": "a"}, "n = .a.: expected an integer"),
-        ({"mass": 1, "n": -1}, "n = -1: expected 1"),
+        ({"mass": 1, "n": -1}, "n = -1: expected at least 1"),
         ({"mass": [1, 1], "m": 1.5, "forms": lambda q: [[1, 0]]}, "m = 1.5: expected an integer"),
         ({"mass": 1, "n": 2, "name": 3}, "name = 3: expected a string"),
     ],
