@@ -70,9 +70,14 @@ static double dot(size_t n, const double *a, const double *b)
 
 static const double *velocity(const dal_mechanics *mech, const double *x) { return x + mech->n; }
 
+static int null_argument(dal_mechanics *mech, const char *name)
+{
+    return dal__fail(&mech->error, DAL_EINVAL, "%s is NULL", name);
+}
+
 static int require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x)
 {
-    if (!x) return dal__fail(&mech->error, DAL_EINVAL, "%s is NULL", name);
+    if (!x) return null_argument(mech, name);
     for (size_t i = 0; i < count; i++)
         if (!isfinite(x[i]))
             return dal__fail(&mech->error, DAL_EINVAL, "%s[%zu] = %g is not finite", name, i, x[i]);
@@ -114,7 +119,8 @@ static void form_Z(dal_mechanics *mech, const double *mu)
 
 int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
 {
-    if (!mechanics || !E) return DAL_EINVAL;
+    if (!mechanics) return DAL_EINVAL;
+    if (!E) return null_argument(mechanics, "E");
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n;
     double V = 0.0;
@@ -139,7 +145,8 @@ static int forms_at(dal_mechanics *mech, double shift, const double *x, double *
 
 int dal_residual(dal_mechanics *mechanics, double shift, const double *x, double *residual)
 {
-    if (!mechanics || !residual) return DAL_EINVAL;
+    if (!mechanics) return DAL_EINVAL;
+    if (!residual) return null_argument(mechanics, "residual");
     dal_mechanics *const mech = mechanics;
     int status = require_finite(mech, "shift", 1, &shift);
     if (!status) status = require_finite(mech, "x", 2 * mech->n, x);
@@ -167,7 +174,8 @@ static double relative_residual(const dal_mechanics *mech, const double *v)
 
 int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x, double *worst)
 {
-    if (!mechanics || !worst) return DAL_EINVAL;
+    if (!mechanics) return DAL_EINVAL;
+    if (!worst) return null_argument(mechanics, "worst");
     dal_mechanics *const mech = mechanics;
     int status = require_finite(mech, "shift", 1, &shift);
     if (!status) status = require_finite(mech, "x", 2 * mech->n, x);
@@ -181,7 +189,8 @@ int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *
 
 int dal_gram(dal_mechanics *mechanics, const double *q, double *C)
 {
-    if (!mechanics || !C) return DAL_EINVAL;
+    if (!mechanics) return DAL_EINVAL;
+    if (!C) return null_argument(mechanics, "C");
     dal_mechanics *const mech = mechanics;
     int status = require_finite(mech, "q", mech->n, q);
     memset(mech->w, 0, mech->n * sizeof *mech->w); /* linear constraints: mu does not depend on v */
@@ -215,7 +224,8 @@ static int solve_multipliers(dal_mechanics *mech, const double *x)
 int dal_multipliers(dal_mechanics *mechanics, double t, const double *x, double *lambda)
 {
     (void)t;
-    if (!mechanics || !lambda) return DAL_EINVAL;
+    if (!mechanics) return DAL_EINVAL;
+    if (!lambda) return null_argument(mechanics, "lambda");
     const int status = solve_multipliers(mechanics, x);
     if (status) return status;
     memcpy(lambda, mechanics->lambda, mechanics->m * sizeof *lambda);
@@ -225,7 +235,8 @@ int dal_multipliers(dal_mechanics *mechanics, double t, const double *x, double 
 int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double *vdot)
 {
     (void)t;
-    if (!mechanics || !vdot) return DAL_EINVAL;
+    if (!mechanics) return DAL_EINVAL;
+    if (!vdot) return null_argument(mechanics, "vdot");
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n;
     const int status = solve_multipliers(mech, x);
@@ -241,7 +252,8 @@ int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double
 
 int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot)
 {
-    if (!mechanics || !xdot) return DAL_EINVAL;
+    if (!mechanics) return DAL_EINVAL;
+    if (!xdot) return null_argument(mechanics, "xdot");
     const size_t n = mechanics->n;
     const int status = dal_acceleration(mechanics, t, x, mechanics->w);
     if (status) return status;
@@ -401,7 +413,9 @@ int dal_step_equations(dal_mechanics *mechanics, double beta, double h, const do
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n, m = mech->m;
     const double *const v = velocity(mech, x), *const M = mech->eval.system->mass;
-    int status = require_finite(mech, "beta", 1, &beta);
+    if (!(beta >= 0.0 && beta <= 1.0))
+        return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
+    int status = DAL_SUCCESS;
     if (!status) status = require_finite(mech, "h", 1, &h);
     if (!status) status = require_finite(mech, "x", 2 * n, x);
     if (!status) status = require_finite(mech, "w", n, w);
@@ -439,7 +453,8 @@ int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift, 
 {
     (void)t0, (void)h;
     if (done) *done = 0;
-    if (!mechanics || (!x && count > 0)) return DAL_EINVAL;
+    if (!mechanics) return DAL_EINVAL;
+    if (!x && count > 0) return null_argument(mechanics, "x");
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n, m = mech->m;
     int status = require_finite(mech, "shift", 1, &shift);

@@ -22,7 +22,8 @@ static const double SLACK = 0.2;           /* by which an order may fall short o
 static const double ABOVE_FLOOR = 100.0;   /* an error counts beyond so many times the floor */
 static const double AT_FLOOR = 10.0;       /* errors up to so many times the floor are roundoff */
 static const double STEP_ROUNDINGS = 4.0;  /* the floor of one step in u times scale, */
-static const double RUN_ROUNDINGS = 50.0;  /* and of a run, in which they add up */
+static const double RUN_ROUNDINGS = 50.0;  /* and of a short run, in which they add up; */
+static const double WALK = 4.0;            /* sub-steps add so many times the root of their number */
 static const double SMALLEST_RANGE = 2.0;  /* of h over the points that count */
 static const double DEFAULT_TOLERANCE = 1e-13;
 
@@ -54,6 +55,8 @@ typedef struct study {
 
 /* ---- fits ------------------------------------------------------------------------------- */
 
+static double error_floor(const study *self, double roundings);
+
 void dal_fit_order(size_t count, const double *h, const double *errors, double floor,
                    dal_fit *fit)
 {
@@ -84,16 +87,45 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
     fit->slope = xy / xx;
 }
 
-/* The fit of one column of the table, the member of dal_order_point at offset. */
-static dal_fit fit_column(study *self, size_t offset, double floor)
+/* h and errors <- one column of the table, the member of dal_order_point at offset. */
+static void read_column(study *self, size_t offset)
 {
-    dal_fit fit;
     for (size_t i = 0; i < self->def->count; i++) {
         self->h[i] = self->points[i].h;
         memcpy(&self->errors[i], (const char *)&self->points[i] + offset, sizeof *self->errors);
     }
+}
+
+static dal_fit fit_column(study *self, size_t offset, double floor)
+{
+    dal_fit fit;
+    read_column(self, offset);
     dal_fit_order(self->def->count, self->h, self->errors, floor, &fit);
     return fit;
+}
+
+/* The fit of the errors at t_end.  Their roundoff is a walk of as many steps as the run has
+ * sub-steps, so the floor is higher for finer steps: an error that does not stand clear of its own
+ * floor is lowered to where it does not stand clear of the common one either. */
+static dal_fit fit_run(study *self, double floor)
+{
+    dal_fit fit;
+    for (size_t i = 0; i < self->def->count; i++) {
+        const double substeps = (double)self->points[i].steps
+                              * (double)dal__scheme_count(self->scheme);
+        const double own = error_floor(self, fmax(RUN_ROUNDINGS, WALK * sqrt(substeps)));
+        if (self->errors[i] <= AT_FLOOR * own) self->errors[i] = fmin(self->errors[i], floor);
+        else if (self->errors[i] <= ABOVE_FLOOR * own)
+            self->errors[i] = fmin(self->errors[i], ABOVE_FLOOR * floor);
+    }
+    dal_fit_order(self->def->count, self->h, self->errors, floor, &fit);
+    return fit;
+}
+
+static dal_fit fit_run_column(study *self, size_t offset, double floor)
+{
+    read_column(self, offset);
+    return fit_run(self, floor);
 }
 
 /* The fit of the reaction over the finer half of the steps, if that says anything.  Its errors are
@@ -117,13 +149,11 @@ static dal_fit fit_reaction(study *self, double floor)
 /* The fit of the state at t_end, the larger error of q and v. */
 static dal_fit fit_global_state(study *self, double floor)
 {
-    dal_fit fit;
     for (size_t i = 0; i < self->def->count; i++) {
         self->h[i] = self->points[i].h;
         self->errors[i] = fmax(self->points[i].q, self->points[i].v);
     }
-    dal_fit_order(self->def->count, self->h, self->errors, floor, &fit);
-    return fit;
+    return fit_run(self, floor);
 }
 
 /* ---- errors ----------------------------------------------------------------------------- */
@@ -355,7 +385,7 @@ static const char *order_text(const dal_fit *fit, double lost, char text[16])
 {
     if (fit->exact) snprintf(text, 16, "exact");
     else if (isnan(fit->slope)) snprintf(text, 16, "?");
-    else snprintf(text, 16, "%.2f", fit->slope - lost);
+    else snprintf(text, 16, "%.2f", round(100.0 * (fit->slope - lost)) / 100.0 + 0.0);
     return text;
 }
 
@@ -396,12 +426,14 @@ static void conclude(study *self, dal_order *order)
 {
     const double step = error_floor(self, STEP_ROUNDINGS), run = error_floor(self, RUN_ROUNDINGS);
 #define FIT(member, floor) fit_column(self, offsetof(dal_order_point, member), floor)
+#define FIT_RUN(member) fit_run_column(self, offsetof(dal_order_point, member), run)
     *order = (dal_order){
         .state = FIT(local_state, step), .multipliers = FIT(local_multipliers, step),
         .reaction = fit_reaction(self, step), .midpoint = FIT(local_midpoint, step),
-        .global_q = FIT(q, run), .global_v = FIT(v, run),
-        .global_multipliers = FIT(multipliers, run), .floor = run, .reference = self->accuracy,
+        .global_q = FIT_RUN(q), .global_v = FIT_RUN(v),
+        .global_multipliers = FIT_RUN(multipliers), .floor = run, .reference = self->accuracy,
     };
+#undef FIT_RUN
 #undef FIT
     order->p = order->state.slope - 1.0;
     order->s = order->reaction.slope - 1.0;
@@ -423,8 +455,8 @@ static int require_def(const dal_system *system, const dal_scheme *scheme,
                          : !def ? "def" : !def->x0 ? "def->x0" : "def->steps");
     if (!isfinite(def->t0) || !isfinite(def->t_end) || !isfinite(def->t_end - def->t0) ||
         def->t_end == def->t0)
-        return dal__fail(error, DAL_EINVAL, "from t0 = %g to t_end = %g is not a finite interval "
-                         "of time", def->t0, def->t_end);
+        return dal__fail(error, DAL_EINVAL, "t0 = %g, t_end = %g: an interval of finite length, not "
+                         "0, is needed", def->t0, def->t_end);
     if (def->count == 0)
         return dal__fail(error, DAL_EINVAL, "count = 0: at least one number of steps is needed");
     for (size_t i = 0; i < def->count; i++)

@@ -3,7 +3,6 @@
 
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 /* One symmetric step of size g, as sub-steps. */
@@ -99,12 +98,38 @@ int dal_scheme_at(dal_scheme *scheme, size_t i)
     return DAL_SUCCESS;
 }
 
+/* The decimal number at the start of text, *end behind it; NaN if there is none.  strtod would want
+ * the decimal point of the host's locale. */
+static double parse_decimal(const char *text, const char **end)
+{
+    double digits = 0.0, scale = 1.0;
+    bool any = false, behind_point = false;
+    for (;; text++) {
+        if (*text == '.' && !behind_point) {
+            behind_point = true;
+        } else if (*text >= '0' && *text <= '9') {
+            digits = 10.0 * digits + (*text - '0');
+            scale *= behind_point ? 10.0 : 1.0;
+            any = true;
+        } else {
+            break;
+        }
+    }
+    if (any && (*text == 'e' || *text == 'E') && text[1] == '-' && text[2] >= '0' && text[2] <= '9') {
+        int exponent = 0;
+        for (text += 2; *text >= '0' && *text <= '9' && exponent < 1000; text++)
+            exponent = 10 * exponent + (*text - '0');
+        for (; exponent > 0; exponent--) scale *= 10.0;
+    }
+    *end = text;
+    return any ? digits / scale : (double)NAN;
+}
+
 /* "0.3" or "0.3-nodes": the beta-scheme of that number.  false if name is not of this form. */
 static bool parse_number(dal_scheme *scheme, const char *name)
 {
-    char *end;
-    if (!strchr("0123456789.", name[0]) || name[0] == '\0') return false;
-    const double beta = strtod(name, &end);
+    const char *end;
+    const double beta = parse_decimal(name, &end);
     const bool kept = strcmp(end, "-nodes") == 0;
     if ((*end != '\0' && !kept) || !(beta >= 0.0 && beta <= 1.0)) return false;
     const bool moved_midpoint = beta == 0.5 && !kept;
@@ -176,6 +201,7 @@ int dal__scheme_check(const dal_scheme *scheme, dal_error *error)
 
 int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *system)
 {
+    if (!scheme) return 0;
     (void)system; /* the mass is constant and no force depends on v: only the record decides */
     for (size_t j = 0; j < dal__scheme_count(scheme); j++)
         if (dal__scheme_substep(scheme, j).beta != 0.0) return 0;

@@ -484,8 +484,8 @@ typedef struct dal_order {
     dal_fit midpoint;     /* slope of the reaction at the middle of the step, minus 1 */
     dal_fit global_q, global_v, global_multipliers; /* slopes at t_end */
     double p, s;          /* state.slope - 1, reaction.slope - 1 */
-    double floor;         /* of the errors at t_end: those below 100 floor do not count; one-step
-                             errors have a lower one, for they gather less roundoff */
+    double floor;         /* of the errors at t_end: those below 100 floor do not count; it is higher
+                             for runs of many sub-steps, and lower for one-step errors */
     double reference;     /* accuracy of the reference solution; 0 for an exact one */
     int keeps_D, keeps_D_eps; /* 1: residual within 4 n u after every step of every run */
     int holds;            /* the verdict: 1 if the set that the nodes promise is kept, s >=

@@ -374,6 +374,13 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
     CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, NULL, NULL) == DAL_SUCCESS);
     CHECK(dal_trajectory(mech, 0, 0.1, 0, 0, NULL, E, NULL, NULL, NULL, &done) == 0 && done == 0);
     CHECK(dal_trajectory(mech, 0, 0.1, 0, 1, NULL, E, NULL, NULL, NULL, &done) == DAL_EINVAL);
+    CHECK(strcmp(dal_mechanics_message(mech), "x is NULL") == 0);
+    CHECK(dal_multipliers(mech, 0.0, x, NULL) == DAL_EINVAL);
+    CHECK(strcmp(dal_mechanics_message(mech), "lambda is NULL") == 0);
+    CHECK(dal_energy(mech, x, NULL) == DAL_EINVAL);
+    CHECK(strcmp(dal_mechanics_message(mech), "E is NULL") == 0);
+    CHECK(dal_step_equations(mech, 1.5, 0.1, x, x, x, NULL, NULL, NULL, NULL, NULL) == DAL_EINVAL);
+    CHECK(strstr(dal_mechanics_message(mech), "beta = 1.5") != NULL);
     x[3 * 2 * n + 1] = NAN;
     E[3] = relative[3] = 7.0;
     CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, E, NULL, NULL, NULL, &done) == DAL_EINVAL);

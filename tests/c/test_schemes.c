@@ -105,7 +105,7 @@ static void test_names(void)
     CHECK(dal_scheme_find(&scheme, "midpoint_nodes", NULL) == DAL_SUCCESS);
 
     const char *const wrong[] = {"", "euler", "1.5", "-0.5", "nan", "inf", "0.5x", "0.5-node",
-                                 " 0.5", "leapfrog-nodes", "leapfro", "leapfrog-", "MIDPOINT", "1e",
+                                 " 0.5", "0,5", "0x1p-1", ".", "1e-", "leapfrog-nodes", "leapfro", "leapfrog-", "MIDPOINT", "1e",
                                  "leapfrog-kl8-and-much-more-than-forty-characters"};
     scheme.beta = 7.0;
     for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {

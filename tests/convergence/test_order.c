@@ -302,6 +302,20 @@ static void test_false_promises(void)
     expect_flag(&result, result.order.holds == -2, result.order.text); /* two points say nothing */
 }
 
+/* Over a long interval the roundoff of the fine steps grows, and must not be taken for errors. */
+static void test_long_intervals(void)
+{
+    static const size_t steps[] = {30, 45, 60, 90, 120, 180, 2400, 4800, 9600, 19200};
+    const char *const names[] = {"leapfrog-kl8", "midpoint-kl8"};
+    for (size_t i = 0; i < 2; i++) {
+        const dal_scheme scheme = find_scheme(names[i]);
+        measurement result = measure("particle", &scheme, DAL_INITIAL_NONE, 30.0,
+                                     sizeof steps / sizeof steps[0], steps);
+        expect_flag(&result, result.order.holds == 1, result.order.text);
+        expect_at_least(&result, &result.order.global_q, 7.5, "q at t_end");
+    }
+}
+
 /* ---- numbers that are known ---------------------------------------------------------------- */
 
 /* midpoint on the disk: v and the heading are exact, and lambda depends on nothing else. */
@@ -525,6 +539,7 @@ int main(void)
     test_kept_nodes("endpoint-nodes", false);
     test_own_records();
     test_false_promises();
+    test_long_intervals();
     test_disk();
     test_particle_step("explicit", 0.0);
     test_particle_step("midpoint", 0.5);
