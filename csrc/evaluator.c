@@ -1,4 +1,4 @@
-/* Floor 2: the callbacks of a system as the library calls them, and differences for what is missing. */
+/* Floor 2: the callbacks of a system as the library calls them; differences for what is missing. */
 #include "internal.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* Floor 3: mechanics on D: energy, C, lambda, the vector field, projections, the equations of a step.
+/* Floor 3: mechanics on D: energy, C, lambda, the vector field, projections, equations of a step.
  *
  * Throughout Z holds the rows M^-1 mu^a, so that C = mu Z^T. */
 #include "internal.h"
@@ -378,8 +378,8 @@ static int consistent(dal_mechanics *mech, const unsigned char *keep)
 
     form_gram(mech, mech->mu);
     if (!dal_lu_factor(m, n, mech->C, mech->scale, mech->row))
-        return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: the other %zu "
-                         "cannot satisfy %zu constraints", n - free_count, n, free_count, m);
+        return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu on the "
+                         "other %zu has rank below m = %zu", n - free_count, n, free_count, m);
     for (int pass = 0; pass < 2; pass++) { /* the second mends the roundoff of the first */
         for (size_t a = 0; a < m; a++) mech->residual[a] = -dot(n, mech->mu + a * n, mech->w);
         dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->lambda);

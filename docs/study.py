@@ -13,7 +13,9 @@ import matplotlib.pyplot as plt
 
 import dalembert as dal
 
-SCHEMES = ["explicit", "midpoint", "midpoint-nodes", "leapfrog-suzuki4", "leapfrog-kl6", "leapfrog-kl8"]
+SCHEMES = ["explicit", "midpoint", "midpoint-nodes"] + [
+    f"leapfrog-{composition}" for composition in ("suzuki4", "kl6", "kl8")
+]
 
 particle = dal.systems.particle()
 studies = dal.studies(particle, SCHEMES, t_end=4.0)

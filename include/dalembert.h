@@ -52,7 +52,8 @@ typedef enum dal_status {
     DAL_EINVAL = -1,       /* an argument is NULL, out of range or not finite */
     DAL_ENOMEM = -2,       /* memory could not be allocated, or its size overflows */
     DAL_EUSER = -3,        /* a callback returned a negative number */
-    DAL_EDOMAIN = -4,      /* a callback returned a positive number, NaN or Inf, or wrote nothing */
+    DAL_EDOMAIN = -4,      /* a callback returned a positive number, NaN or Inf, or (seen when a
+                              stepper starts, and by the check) wrote nothing */
     DAL_ESINGULAR = -5,    /* a matrix that has to be invertible is not, to working precision */
     DAL_ENOCONV = -6,      /* an iteration did not converge */
     DAL_EOFFD = -7,        /* initial data do not satisfy the constraint */
@@ -86,7 +87,8 @@ typedef int (*dal_potential_fn)(const double *q, double *V, double *V_q, double 
 typedef int (*dal_constraint_fn)(const double *q, const double *v, double *phi, double *phi_v,
                                  double *phi_q, void *ctx);
 
-/* A general normal Lagrangian: L; L_q[n]; L_v[n]; L_qq[n*n]; L_vq[i*n+j] = d2L/dv_i dq_j; L_vv[n*n].
+/* A general normal Lagrangian: L; L_q[n]; L_v[n]; L_qq[n*n]; L_vq[i*n+j] = d2L/dv_i dq_j;
+ * L_vv[n*n].
  * Reserved: dal_system_new answers DAL_EUNSUPPORTED. */
 typedef int (*dal_lagrangian_fn)(const double *q, const double *v, double *L, double *L_q,
                                  double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx);
@@ -155,7 +157,7 @@ DAL_API void dal_system_free(dal_system *system);
 DAL_API int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
                                const double *values, size_t count, dal_error *error);
 
-/* Number of built-in systems, the name of the i-th and one line about it; NULL if i is too large. */
+/* Number of built-in systems, the name of the i-th and one line about it; NULL: i is too large. */
 DAL_API size_t dal_builtin_count(void);
 DAL_API const char *dal_builtin_name(size_t i);
 DAL_API const char *dal_builtin_help(size_t i);
@@ -202,7 +204,7 @@ typedef struct dal_check {
     size_t rank;             /* of mu(q); should be m */
     double condition;        /* of mu(q) in the mass metric: sqrt of the condition of C */
     double mass_min;         /* smallest eigenvalue of M */
-    double kernel_min;       /* smallest eigenvalue of M on ker mu (theorem EUDAETh with "> 0", E1) */
+    double kernel_min;       /* smallest eigenvalue of M on ker mu (EUDAETh with "> 0", E1) */
     double residual;         /* max_a |mu^a v| / sum_i |mu^a_i v_i| */
     double curvature;        /* largest length of [X,Y] across D, X and Y from an orthonormal basis
                                 of D_q: by N(q,X)Y - N(q,Y)X with N(q,w) = d(mu w)/dq */
@@ -258,7 +260,8 @@ DAL_API int dal_field(dal_mechanics *mechanics, double t, const double *x, doubl
 DAL_API int dal_project(dal_mechanics *mechanics, double shift, double *x, double *distance);
 
 /* x[2n]: v <- the velocity in D_q nearest in the mass metric with v_i unchanged where keep[i] is
- * not 0 (keep[n], or NULL: none).  DAL_ESINGULAR if the kept components leave too little freedom. */
+ * not 0 (keep[n], or NULL: none).  DAL_ESINGULAR if the kept components leave too little freedom;
+ * also DAL_ENOMEM. */
 DAL_API int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *x,
                            double *distance);
 
@@ -296,9 +299,9 @@ DAL_API int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_met
 DAL_API void dal_flow_free(dal_flow *flow);
 DAL_API const char *dal_flow_message(const dal_flow *flow);
 
-/* x[2n] at t0 -> x at t1 (t1 < t0 is allowed), projected onto D at the end.  *accuracy (or NULL) <-
- * estimate of the error, the largest component of the difference to the result at a tolerance ten
- * times as large; asking for it costs a second integration.
+/* x[2n] at t0, which must lie in D, -> x at t1 (t1 < t0 is allowed), projected onto D at the end.
+ * *accuracy (or NULL) <- estimate of the error, the largest component of the difference to the
+ * result at a tolerance ten times as large; asking for it costs a second integration.
  * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed). */
 DAL_API int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy);
 
@@ -376,7 +379,7 @@ typedef struct dal_options {
 
 /* What is done with initial data (dal_stepper_start). */
 typedef enum dal_consistency {
-    DAL_CHECK = 0,   /* DAL_EOFFD unless |mu v| <= 1e-8 sum |mu_i v_i|; then corrected to roundoff */
+    DAL_CHECK = 0,   /* DAL_EOFFD unless |mu v| <= 1e-8 sum |mu_i v_i|; then mended to roundoff */
     DAL_PROJECT = 1, /* projected in the mass metric */
     DAL_ASSUME = 2   /* used as they are */
 } dal_consistency;
@@ -408,7 +411,10 @@ typedef struct dal_stats {
     unsigned differenced;       /* dal_missing: derivatives that were differenced */
 } dal_stats;
 
-/* A system, a scheme, and a state that is stepped.  A step never allocates. */
+/* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step
+ * |mu^a v| <= 4 n u sum_i |mu^a_i v_i| on the set that the scheme keeps, u = 2^-53, where the
+ * constraint callback computes mu(q) to full accuracy; a sum of large coordinates inside a sine, say,
+ * is found out within 64 steps, and from then on every step evaluates what it keeps. */
 typedef struct dal_stepper dal_stepper;
 
 /* options: or NULL for the defaults.
@@ -505,7 +511,7 @@ typedef struct dal_order_def {
     const size_t *steps;        /* [count] numbers of steps over t_end - t0 */
     size_t count;
     dal_initial initial;        /* for kept nodes */
-    double tolerance;           /* of the reference flow where there is no exact solution; 0: 1e-13 */
+    double tolerance;           /* of the flow where there is no exact solution; 0: 1e-13 */
 } dal_order_def;
 
 /* Step-size refinement of scheme on system: points[count] and *order.
