@@ -378,8 +378,9 @@ static int consistent(dal_mechanics *mech, const unsigned char *keep)
 
     form_gram(mech, mech->mu);
     if (!dal_lu_factor(m, n, mech->C, mech->scale, mech->row))
-        return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu on the "
-                         "other %zu has rank below m = %zu", n - free_count, n, free_count, m);
+        return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu "
+                         "restricted to the other %zu has rank below m = %zu", n - free_count, n,
+                         free_count, m);
     for (int pass = 0; pass < 2; pass++) { /* the second mends the roundoff of the first */
         for (size_t a = 0; a < m; a++) mech->residual[a] = -dot(n, mech->mu + a * n, mech->w);
         dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->lambda);
@@ -415,8 +416,7 @@ int dal_step_equations(dal_mechanics *mechanics, double beta, double h, const do
     const double *const v = velocity(mech, x), *const M = mech->eval.system->mass;
     if (!(beta >= 0.0 && beta <= 1.0))
         return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
-    int status = DAL_SUCCESS;
-    if (!status) status = require_finite(mech, "h", 1, &h);
+    int status = require_finite(mech, "h", 1, &h);
     if (!status) status = require_finite(mech, "x", 2 * n, x);
     if (!status) status = require_finite(mech, "w", n, w);
     if (!status && m > 0) status = require_finite(mech, "kappa", m, kappa);
@@ -426,7 +426,8 @@ int dal_step_equations(dal_mechanics *mechanics, double beta, double h, const do
     for (size_t i = 0; i < n; i++) mech->q[i] = x[i] + (1.0 - beta) * h * v[i];
     status = dal__constraint(&mech->eval, mech->q, v, mech->Z, NULL, &mech->error);
     for (size_t i = 0; i < n; i++) mech->q[i] += beta * h * w[i];
-    if (!status) status = dal__constraint(&mech->eval, mech->q, w, mech->mu, mech->dmu, &mech->error);
+    if (!status)
+        status = dal__constraint(&mech->eval, mech->q, w, mech->mu, mech->dmu, &mech->error);
     if (!status) status = dal__potential(&mech->eval, x, NULL, mech->step, NULL, &mech->error);
     if (!status)
         status = dal__potential(&mech->eval, mech->q, NULL, mech->force, K ? mech->hessian : NULL,

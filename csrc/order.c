@@ -23,7 +23,7 @@ static const double ABOVE_FLOOR = 100.0;   /* an error counts beyond so many tim
 static const double AT_FLOOR = 10.0;       /* errors up to so many times the floor are roundoff */
 static const double STEP_ROUNDINGS = 4.0;  /* the floor of one step in u times scale, */
 static const double RUN_ROUNDINGS = 50.0;  /* and of a short run, in which they add up; */
-static const double WALK = 4.0;            /* sub-steps add so many times the root of their number */
+static const double WALK = 4.0;            /* N sub-steps have so many times the root of N */
 static const double SMALLEST_RANGE = 2.0;  /* of h over the points that count */
 static const double DEFAULT_TOLERANCE = 1e-13;
 
@@ -106,7 +106,9 @@ static dal_fit fit_column(study *self, size_t offset, double floor)
 
 /* The fit of the errors at t_end.  Their roundoff is a walk of as many steps as the run has
  * sub-steps, so the floor is higher for finer steps: an error that does not stand clear of its own
- * floor is lowered to where it does not stand clear of the common one either. */
+ * floor is lowered to where it does not stand clear of the common one either.  Measured with up to
+ * 2e6 sub-steps over up to 100 units of time, the walk stays below 50 of these floors, and for most
+ * systems below 5. */
 static dal_fit fit_run(study *self, double floor)
 {
     dal_fit fit;
@@ -356,11 +358,13 @@ static int judge(const study *self, const dal_order *order, const dal_fit *run)
     const dal_fit *const step = &order->state;
     const promise of_step = promise_of_step(self);
     const bool both = starts_with_jump(self);
-    const bool known = both ? is_known(step) && is_known(run) : is_known(step) || is_known(run);
-    if (!known || !is_known(&order->reaction)) return -2;
     const bool step_holds = reaches(step, of_step.p + 1);
     const bool run_holds = reaches(run, self->scheme->order);
-    return (both ? step_holds && run_holds : step_holds || run_holds) &&
+    const bool reached = both ? step_holds && run_holds : step_holds || run_holds;
+    /* where either will do, one that falls short says nothing as long as the other is unknown */
+    const bool known = is_known(step) && is_known(run);
+    if (!(known || (!both && reached)) || !is_known(&order->reaction)) return -2;
+    return reached &&
            reaches(&order->reaction, of_step.s + 1) &&
            (self->kept ? order->keeps_D_eps : order->keeps_D);
 }
@@ -402,7 +406,7 @@ static const char *verdict_word(int holds)
 /* The verdict in words, with the numbers that it rests on. */
 static void write_verdict(const study *self, const dal_fit *run, double worst, dal_order *order)
 {
-    char p[16], s[16], at_end[16], promised[64] = "", failed[64] = "";
+    char p[16], s[16], at_end[16], promised[64] = "", kept[64] = "", failed[64] = "";
     size_t failures = 0;
     for (size_t i = 0; i < self->def->count; i++) failures += self->points[i].failed != 0;
     if (failures)
@@ -412,14 +416,15 @@ static void write_verdict(const study *self, const dal_fit *run, double worst, d
         snprintf(promised, sizeof promised, ", promised (%d, %d)%s", of_step.p, of_step.s,
                  starts_with_jump(self) ? " for the first step from D" : "");
     }
+    if (self->m > 0)
+        snprintf(kept, sizeof kept, "; %s %s %.1e at every step", self->kept ? "D_eps" : "D",
+                 (self->kept ? order->keeps_D_eps : order->keeps_D) ? "kept to" : "violated by",
+                 worst);
     snprintf(order->text, sizeof order->text,
-             "order (p, s) = (%s, %s) over %zu points%s, order %s at t_end: %s; "
-             "%s %s %.1e at every step%s.",
+             "order (p, s) = (%s, %s) over %zu point%s%s, order %s at t_end: %s%s%s.",
              order_text(&order->state, 1.0, p), order_text(&order->reaction, 1.0, s),
-             order->state.points, promised, order_text(run, 0.0, at_end),
-             verdict_word(order->holds), self->kept ? "D_eps" : "D",
-             (self->kept ? order->keeps_D_eps : order->keeps_D) ? "kept to" : "violated by",
-             worst, failed);
+             order->state.points, order->state.points == 1 ? "" : "s", promised,
+             order_text(run, 0.0, at_end), verdict_word(order->holds), kept, failed);
 }
 
 static void conclude(study *self, dal_order *order)
@@ -455,8 +460,8 @@ static int require_def(const dal_system *system, const dal_scheme *scheme,
                          : !def ? "def" : !def->x0 ? "def->x0" : "def->steps");
     if (!isfinite(def->t0) || !isfinite(def->t_end) || !isfinite(def->t_end - def->t0) ||
         def->t_end == def->t0)
-        return dal__fail(error, DAL_EINVAL, "t0 = %g, t_end = %g: an interval of finite length, not "
-                         "0, is needed", def->t0, def->t_end);
+        return dal__fail(error, DAL_EINVAL, "t0 = %g, t_end = %g: an interval of nonzero, finite "
+                         "length is needed", def->t0, def->t_end);
     if (def->count == 0)
         return dal__fail(error, DAL_EINVAL, "count = 0: at least one number of steps is needed");
     for (size_t i = 0; i < def->count; i++)

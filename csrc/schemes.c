@@ -115,7 +115,9 @@ static double parse_decimal(const char *text, const char **end)
             break;
         }
     }
-    if (any && (*text == 'e' || *text == 'E') && text[1] == '-' && text[2] >= '0' && text[2] <= '9') {
+    const bool exponent_follows = (*text == 'e' || *text == 'E') && text[1] == '-' &&
+                                  text[2] >= '0' && text[2] <= '9';
+    if (any && exponent_follows) {
         int exponent = 0;
         for (text += 2; *text >= '0' && *text <= '9' && exponent < 1000; text++)
             exponent = 10 * exponent + (*text - '0');

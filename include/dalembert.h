@@ -300,13 +300,16 @@ DAL_API void dal_flow_free(dal_flow *flow);
 DAL_API const char *dal_flow_message(const dal_flow *flow);
 
 /* x[2n] at t0, which must lie in D, -> x at t1 (t1 < t0 is allowed), projected onto D at the end.
- * *accuracy (or NULL) <- estimate of the error, the largest component of the difference to the
- * result at a tolerance ten times as large; asking for it costs a second integration.
+ * That x lies in D is not checked: off D the same ODE is integrated, which keeps mu v, and only
+ * the result is projected.  *accuracy (or NULL) <- estimate of the error, the largest component of
+ * the difference to the result at a tolerance ten times as large; asking for it costs a second
+ * integration.
  * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed). */
 DAL_API int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy);
 
-/* Rows 1..steps of x[(steps+1)*2n] from row 0: the states at t0 + k h.  On failure *done (or NULL)
- * rows after row 0 are valid. */
+/* Rows 1..steps of x[(steps+1)*2n] from row 0, which must lie in D (not checked either): the
+ * states at t0 + k h, projected.  On failure *done (or NULL) rows after row 0 are valid.  Errors as
+ * of dal_flow_apply. */
 DAL_API int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, double *x,
                                 size_t *done);
 
@@ -490,17 +493,17 @@ typedef struct dal_order {
     dal_fit midpoint;     /* slope of the reaction at the middle of the step, minus 1 */
     dal_fit global_q, global_v, global_multipliers; /* slopes at t_end */
     double p, s;          /* state.slope - 1, reaction.slope - 1 */
-    double floor;         /* of the errors at t_end: those below 100 floor do not count; it is higher
-                             for runs of many sub-steps, and lower for one-step errors */
+    double floor;         /* of the errors at t_end: those below 100 floor do not count; it is
+                             higher for runs of many sub-steps, and lower for one-step errors */
     double reference;     /* accuracy of the reference solution; 0 for an exact one */
     int keeps_D, keeps_D_eps; /* 1: residual within 4 n u after every step of every run */
     int holds;            /* the verdict: 1 if the set that the nodes promise is kept, s >=
                              multiplier_order - 0.2 (or exact), and p or the slope at t_end is at
                              least order - 0.2 (the one-step errors of high orders can reach
                              roundoff before their slope settles); 0 if not; -1 if the record
-                             promises nothing; -2 if too few points count.  With DAL_INITIAL_D the
-                             promise for the first step is (order - 1, multiplier_order - 1), and
-                             order at t_end (E12) */
+                             promises nothing; -2 if too few points count to tell.  With
+                             DAL_INITIAL_D the promise for the first step is (order - 1,
+                             multiplier_order - 1), and order at t_end (E12) */
     char text[508];       /* the verdict in words */
 } dal_order;
 

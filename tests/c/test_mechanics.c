@@ -246,7 +246,8 @@ static void test_consistent(void)
         const int status = dal_consistent(mech, keep, x, &distance);
         if (kept > SIZE - FORMS) {
             CHECK(status == DAL_ESINGULAR && distance == 7.0 && !memcmp(x, x0, sizeof x));
-            CHECK(strstr(dal_mechanics_message(mech), "are kept") != NULL);
+            CHECK(strstr(dal_mechanics_message(mech), "are kept: mu restricted to") != NULL);
+            CHECK(strstr(dal_mechanics_message(mech), "rank below m = 2") != NULL);
             continue;
         }
         CHECK(status == DAL_SUCCESS);
@@ -375,10 +376,21 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
     CHECK(dal_trajectory(mech, 0, 0.1, 0, 0, NULL, E, NULL, NULL, NULL, &done) == 0 && done == 0);
     CHECK(dal_trajectory(mech, 0, 0.1, 0, 1, NULL, E, NULL, NULL, NULL, &done) == DAL_EINVAL);
     CHECK(strcmp(dal_mechanics_message(mech), "x is NULL") == 0);
-    CHECK(dal_multipliers(mech, 0.0, x, NULL) == DAL_EINVAL);
-    CHECK(strcmp(dal_mechanics_message(mech), "lambda is NULL") == 0);
-    CHECK(dal_energy(mech, x, NULL) == DAL_EINVAL);
-    CHECK(strcmp(dal_mechanics_message(mech), "E is NULL") == 0);
+#define NAMED(call, name)                                                       \
+    CHECK((call) == DAL_EINVAL);                                                \
+    CHECK(strcmp(dal_mechanics_message(mech), name " is NULL") == 0)
+    NAMED(dal_energy(mech, x, NULL), "E");
+    NAMED(dal_energy(mech, NULL, E), "x");
+    NAMED(dal_residual(mech, 0.0, x, NULL), "residual");
+    NAMED(dal_relative_residual(mech, 0.0, x, NULL), "worst");
+    NAMED(dal_gram(mech, x, NULL), "C");
+    NAMED(dal_multipliers(mech, 0.0, x, NULL), "lambda");
+    NAMED(dal_acceleration(mech, 0.0, x, NULL), "vdot");
+    NAMED(dal_field(mech, 0.0, x, NULL), "xdot");
+    NAMED(dal_project(mech, 0.0, NULL, NULL), "x");
+    NAMED(dal_consistent(mech, NULL, NULL, NULL), "x");
+    NAMED(dal_step_equations(mech, 0.5, 0.1, x, NULL, x, NULL, NULL, NULL, NULL, NULL), "w");
+#undef NAMED
     CHECK(dal_step_equations(mech, 1.5, 0.1, x, x, x, NULL, NULL, NULL, NULL, NULL) == DAL_EINVAL);
     CHECK(strstr(dal_mechanics_message(mech), "beta = 1.5") != NULL);
     x[3 * 2 * n + 1] = NAN;

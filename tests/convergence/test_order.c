@@ -313,7 +313,33 @@ static void test_long_intervals(void)
                                      sizeof steps / sizeof steps[0], steps);
         expect_flag(&result, result.order.holds == 1, result.order.text);
         expect_at_least(&result, &result.order.global_q, 7.5, "q at t_end");
+        /* Three one-step errors whose slope has not settled, and no three at t_end. */
+        static const size_t coarse[] = {60, 90, 120, 180, 240, 360};
+        result = measure("particle", &scheme, DAL_INITIAL_NONE, 30.0, 6, coarse);
+        expect_flag(&result, result.order.state.slope < 9 - SLACK, "the slope has settled");
+        expect_flag(&result, isnan(result.order.global_q.slope), "three points count at t_end");
+        expect_flag(&result, result.order.holds == -2, result.order.text);
     }
+}
+
+/* Without constraints there is no D to speak of; a text counts its points. */
+static void test_unconstrained(void)
+{
+    static const size_t steps[] = {40};
+    static const double mass[] = {1.0}, x0[] = {0.4, 0.9};
+    const dal_system_def free_body = {.n = 1, .mass = mass};
+    const dal_scheme midpoint = find_scheme("midpoint");
+    const dal_order_def def = {.t_end = 1.0, .x0 = x0, .steps = steps, .count = 1};
+    dal_order_point point;
+    dal_order order;
+    dal_system *system = NULL;
+    CHECK(dal_system_new(&system, &free_body, NULL) == 0);
+    CHECK(dal_order_study(system, &midpoint, &def, &point, &order, NULL) == 0);
+    CHECK(strstr(order.text, "kept to") == NULL && strstr(order.text, "holds.") != NULL);
+    dal_system_free(system);
+    const measurement single = measure("generic4", &midpoint, DAL_INITIAL_NONE, 1.0, 1, steps);
+    CHECK(strstr(single.order.text, "over 1 point,") != NULL);
+    CHECK(strstr(single.order.text, "; D kept to ") != NULL);
 }
 
 /* ---- numbers that are known ---------------------------------------------------------------- */
@@ -504,6 +530,7 @@ static void test_arguments(void)
     } while (0)
     REFUSED(&midpoint, DAL_EINVAL, "t_end = nan", bad.t_end = NAN);
     REFUSED(&midpoint, DAL_EINVAL, "t_end = 0", bad.t_end = 0.0);
+    REFUSED(&midpoint, DAL_EINVAL, "nonzero, finite length", bad.t_end = 0.0);
     REFUSED(&midpoint, DAL_EINVAL, "x0 is NULL", bad.x0 = NULL);
     REFUSED(&midpoint, DAL_EINVAL, "count = 0", bad.count = 0);
     REFUSED(&midpoint, DAL_EINVAL, "steps[1] = 0", bad.steps = none);
@@ -540,6 +567,7 @@ int main(void)
     test_own_records();
     test_false_promises();
     test_long_intervals();
+    test_unconstrained();
     test_disk();
     test_particle_step("explicit", 0.0);
     test_particle_step("midpoint", 0.5);
