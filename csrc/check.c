@@ -74,16 +74,10 @@ static int value_phi(const double *q, double *phi, void *ctx)
 {
     examination *const ex = ctx;
     dal_mechanics *const mech = &ex->mech;
-    const int status = dal__constraint(&mech->eval, q, ex->velocity, ex->forms, NULL, &mech->error);
+    const int status = dal__constraint(&mech->eval, q, ex->velocity, NULL, ex->forms, NULL,
+                                       &mech->error);
     if (!status) dal__apply(ex->m, ex->n, ex->forms, ex->velocity, phi);
     return status;
-}
-
-static double largest(size_t count, const double *x)
-{
-    double most = 0.0;
-    for (size_t i = 0; i < count; i++) most = fmax(most, fabs(x[i]));
-    return most;
 }
 
 /* The rows x n matrix of derivatives given[] against differences of f. */
@@ -131,7 +125,7 @@ static int examine_potential(examination *ex)
     if (has_V_q) judge(ex, "V_q", "V", fabs(V), &ex->found.V_q);
     if (has_V_qq) {
         /* a differenced gradient has lost the spacing's worth of digits before */
-        const double size = largest(ex->n, ex->gradient) + (has_V_q ? 0.0 : 0x1p12 * fabs(V));
+        const double size = dal__largest(ex->n, ex->gradient) + (has_V_q ? 0.0 : 0x1p12 * fabs(V));
         judge(ex, "V_qq", "V_q", size, &ex->found.V_qq);
     }
     return DAL_SUCCESS;
@@ -146,11 +140,11 @@ static int examine_phi_q(examination *ex)
     if (ex->system->def.missing & DAL_MISSING_PHI_Q) return DAL_SUCCESS;
     for (int k = 0; k < 2; k++) {
         ex->velocity = velocities[k];
-        int status = dal__constraint(&mech->eval, ex->q, ex->velocity, mech->mu, mech->dmu,
+        int status = dal__constraint(&mech->eval, ex->q, ex->velocity, NULL, mech->mu, mech->dmu,
                                      &mech->error);
         if (!status) status = compare(ex, value_phi, ex->m, mech->dmu, &ex->found.phi_q);
         if (status) return status;
-        size = fmax(size, largest(ex->n, ex->velocity) * largest(ex->m * ex->n, mech->mu));
+        size = fmax(size, dal__largest(ex->n, ex->velocity) * dal__largest(ex->m * ex->n, mech->mu));
     }
     judge(ex, "phi_q", "phi_v v", size, &ex->found.phi_q);
     return DAL_SUCCESS;
@@ -165,9 +159,9 @@ static int examine_linearity(examination *ex)
     dal_mechanics *const mech = &ex->mech;
     const dal_system_def *const def = &ex->system->def;
     const size_t n = ex->n, m = ex->m;
-    int status = dal__constraint(&mech->eval, ex->q, ex->v, mech->mu, NULL, &mech->error);
+    int status = dal__constraint(&mech->eval, ex->q, ex->v, NULL, mech->mu, NULL, &mech->error);
     if (!status)
-        status = dal__constraint(&mech->eval, ex->q, ex->other, ex->forms, NULL, &mech->error);
+        status = dal__constraint(&mech->eval, ex->q, ex->other, NULL, ex->forms, NULL, &mech->error);
     if (status) return status;
     ex->found.linearity = 0.0;
     for (size_t k = 0; k < m * n; k++) {
@@ -197,47 +191,6 @@ static int examine_linearity(examination *ex)
 
 /* ---- rank and definiteness --------------------------------------------------------------- */
 
-static double dot(size_t n, const double *a, const double *b)
-{
-    double sum = 0.0;
-    for (size_t i = 0; i < n; i++) sum += a[i] * b[i];
-    return sum;
-}
-
-/* The rows of A[count*n] are rotated in pairs until they are orthogonal (one-sided Jacobi); then
- * their lengths are the singular values.  squares[count] <- their squares, for A divided by its
- * largest entry, which is returned; 0 for A = 0.  Not GSL's decompositions, because these report
- * through its handler what does not converge. */
-static double singular_values(size_t count, size_t n, double *A, double *squares)
-{
-    enum { SWEEPS = 60 };
-    const double unit = largest(count * n, A), tolerance = (double)n * DAL_ROUNDOFF;
-    for (size_t k = 0; k < count * n && unit > 0.0; k++) A[k] /= unit;
-    bool orthogonal = false;
-    for (int sweep = 0; sweep < SWEEPS && !orthogonal; sweep++) {
-        orthogonal = true;
-        for (size_t i = 0; i < count; i++) squares[i] = dot(n, A + i * n, A + i * n);
-        for (size_t i = 0; i < count; i++)
-            for (size_t j = i + 1; j < count; j++) {
-                double *const a = A + i * n, *const b = A + j * n;
-                const double p = dot(n, a, b);
-                if (fabs(p) <= tolerance * sqrt(squares[i]) * sqrt(squares[j])) continue;
-                const double zeta = (squares[j] - squares[i]) / (2.0 * p);
-                const double t = copysign(1.0, zeta) / (fabs(zeta) + hypot(1.0, zeta));
-                const double c = 1.0 / hypot(1.0, t), s = c * t;
-                for (size_t k = 0; k < n; k++) {
-                    const double old = a[k];
-                    a[k] = c * old - s * b[k];
-                    b[k] = s * old + c * b[k];
-                }
-                squares[i] = dot(n, a, a);
-                squares[j] = dot(n, b, b);
-                orthogonal = false;
-            }
-    }
-    return unit;
-}
-
 static double smallest(size_t count, const double *x)
 {
     double least = x[0];
@@ -248,7 +201,7 @@ static double smallest(size_t count, const double *x)
 /* The smallest eigenvalue of A A^T; destroys A[count*n]. */
 static double smallest_eigenvalue(examination *ex, size_t count, double *A)
 {
-    const double unit = singular_values(count, ex->n, A, ex->squares);
+    const double unit = dal__singular_values(count, ex->n, A, ex->squares);
     return unit * unit * smallest(count, ex->squares);
 }
 
@@ -267,14 +220,14 @@ static size_t rank_of(examination *ex, const double *mu)
     const size_t n = ex->n, m = ex->m;
     for (size_t a = 0; a < m; a++) {
         const double *const form = mu + a * n;
-        const double unit = largest(n, form);
+        const double unit = dal__largest(n, form);
         double square = 0.0;
         for (size_t i = 0; i < n && unit > 0.0; i++) square += form[i] / unit * (form[i] / unit);
         for (size_t i = 0; i < n; i++)
             ex->rows[a * n + i] = unit > 0.0 ? form[i] / unit / sqrt(square) : 0.0;
     }
-    singular_values(m, n, ex->rows, ex->squares);
-    const double least = 4.0 * (double)n * DBL_EPSILON * sqrt(largest(m, ex->squares));
+    dal__singular_values(m, n, ex->rows, ex->squares);
+    const double least = 4.0 * (double)n * DBL_EPSILON * sqrt(dal__largest(m, ex->squares));
     size_t rank = 0;
     for (size_t a = 0; a < m; a++) rank += sqrt(ex->squares[a]) > least;
     return rank;
@@ -287,11 +240,11 @@ static double condition_of(examination *ex, const double *mu)
     for (size_t a = 0; a < m; a++) {
         double *const y = ex->rows + a * n;
         for (size_t i = 0; i < n; i++)
-            y[i] = (mu[a * n + i] - dot(i, ex->factor + i * n, y)) / ex->factor[i * n + i];
+            y[i] = (mu[a * n + i] - dal__dot(i, ex->factor + i * n, y)) / ex->factor[i * n + i];
     }
-    singular_values(m, n, ex->rows, ex->squares);
+    dal__singular_values(m, n, ex->rows, ex->squares);
     const double least = smallest(m, ex->squares);
-    return least > 0.0 ? sqrt(largest(m, ex->squares) / least) : (double)INFINITY;
+    return least > 0.0 ? sqrt(dal__largest(m, ex->squares) / least) : (double)INFINITY;
 }
 
 /* X and R from mu^T = Q R: the columns of Q after the first m are orthogonal to the forms. */
@@ -372,11 +325,11 @@ static int examine_curvature(examination *ex, const double *q, double *curvature
 {
     dal_mechanics *const mech = &ex->mech;
     const size_t n = ex->n, m = ex->m, count = n - m;
-    int status = dal__constraint(&mech->eval, q, ex->v, mech->mu, NULL, &mech->error);
+    int status = dal__constraint(&mech->eval, q, ex->v, NULL, mech->mu, NULL, &mech->error);
     if (status) return status;
     split(ex, mech->mu);
     for (size_t k = 0; k < count && !status; k++)
-        status = dal__constraint(&mech->eval, q, ex->X + k * n, NULL, ex->N + k * m * n,
+        status = dal__constraint(&mech->eval, q, ex->X + k * n, NULL, NULL, ex->N + k * m * n,
                                  &mech->error);
     if (status) return status;
     double *const here = ex->value, *const there = ex->slope, *const bracket = ex->phi;
@@ -495,7 +448,7 @@ static void reserve(examination *ex, arena *a)
 /* A velocity in general position, of the size of v. */
 static void choose_other(examination *ex)
 {
-    const double size = 1.0 + largest(ex->n, ex->v);
+    const double size = 1.0 + dal__largest(ex->n, ex->v);
     for (size_t i = 0; i < ex->n; i++)
         ex->other[i] = ex->v[i] + size * (1.0 + 0.5 * sin((double)(i + 1)));
 }

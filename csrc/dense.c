@@ -3,6 +3,20 @@
 
 #include <math.h>
 
+double dal__dot(size_t n, const double *a, const double *b)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; i++) sum += a[i] * b[i];
+    return sum;
+}
+
+double dal__largest(size_t n, const double *x)
+{
+    double most = 0.0;
+    for (size_t i = 0; i < n; i++) most = fmax(most, fabs(x[i]));
+    return most;
+}
+
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y)
 {
     for (size_t i = 0; i < rows; i++) {
@@ -45,4 +59,35 @@ void dal__cholesky_solve(size_t n, const double *factor, double *x)
         for (size_t k = i + 1; k < n; k++) x[i] -= factor[k * n + i] * x[k];
         x[i] /= factor[i * n + i];
     }
+}
+
+/* Not by GSL's decompositions, because these report through its handler what does not converge. */
+double dal__singular_values(size_t count, size_t n, double *A, double *squares)
+{
+    enum { SWEEPS = 60 };
+    const double unit = dal__largest(count * n, A), tolerance = (double)n * DAL_ROUNDOFF;
+    for (size_t k = 0; k < count * n && unit > 0.0; k++) A[k] /= unit;
+    bool orthogonal = false;
+    for (int sweep = 0; sweep < SWEEPS && !orthogonal; sweep++) {
+        orthogonal = true;
+        for (size_t i = 0; i < count; i++) squares[i] = dal__dot(n, A + i * n, A + i * n);
+        for (size_t i = 0; i < count; i++)
+            for (size_t j = i + 1; j < count; j++) {
+                double *const a = A + i * n, *const b = A + j * n;
+                const double p = dal__dot(n, a, b);
+                if (fabs(p) <= tolerance * sqrt(squares[i]) * sqrt(squares[j])) continue;
+                const double zeta = (squares[j] - squares[i]) / (2.0 * p);
+                const double t = copysign(1.0, zeta) / (fabs(zeta) + hypot(1.0, zeta));
+                const double c = 1.0 / hypot(1.0, t), s = c * t;
+                for (size_t k = 0; k < n; k++) {
+                    const double old = a[k];
+                    a[k] = c * old - s * b[k];
+                    b[k] = s * old + c * b[k];
+                }
+                squares[i] = dal__dot(n, a, a);
+                squares[j] = dal__dot(n, b, b);
+                orthogonal = false;
+            }
+    }
+    return unit;
 }

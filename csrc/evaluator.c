@@ -39,7 +39,7 @@ int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t 
     return returned;
 }
 
-/* V, V_q and mu v as the functions of q that are differenced. */
+/* V, V_q and phi as the functions of q that are differenced. */
 
 static int value_V(const double *q, double *V, void *ctx)
 {
@@ -60,6 +60,7 @@ static int value_phi(const double *q, double *phi, void *ctx)
     evaluator *const e = ctx;
     const dal_system_def *def = &e->system->def;
     e->constraint_calls++;
+    if (def->kind != DAL_LINEAR) return def->constraint(q, e->velocity, phi, NULL, NULL, def->ctx);
     forget(def->m * def->n, e->forms);
     const int returned = def->constraint(q, e->velocity, NULL, e->forms, NULL, def->ctx);
     if (!returned) dal__apply(def->m, def->n, e->forms, e->velocity, phi);
@@ -152,6 +153,69 @@ static int complete_constraint(const double *q, const double *v, double *phi, do
     return returned;
 }
 
+/* The first derivatives of L, and f, as functions of q or v that are differenced: the point that
+ * moves is the argument, the other one is kept in the evaluator. */
+
+static int value_L_q(const double *q, double *L_q, void *ctx)
+{
+    evaluator *const e = ctx;
+    const dal_system_def *def = &e->system->def;
+    e->lagrangian_calls++;
+    return def->lagrangian(q, e->velocity, NULL, L_q, NULL, NULL, NULL, NULL, def->ctx);
+}
+
+static int value_L_v(const double *q, double *L_v, void *ctx)
+{
+    evaluator *const e = ctx;
+    const dal_system_def *def = &e->system->def;
+    e->lagrangian_calls++;
+    return def->lagrangian(q, e->velocity, NULL, NULL, L_v, NULL, NULL, NULL, def->ctx);
+}
+
+static int value_L_v_of_v(const double *v, double *L_v, void *ctx)
+{
+    evaluator *const e = ctx;
+    const dal_system_def *def = &e->system->def;
+    e->lagrangian_calls++;
+    return def->lagrangian(e->position, v, NULL, NULL, L_v, NULL, NULL, NULL, def->ctx);
+}
+
+static int value_f(const double *q, double *f, void *ctx)
+{
+    evaluator *const e = ctx;
+    const dal_system_def *def = &e->system->def;
+    e->force_calls++;
+    return def->force(e->time, q, e->velocity, f, NULL, NULL, def->ctx);
+}
+
+static int value_f_of_v(const double *v, double *f, void *ctx)
+{
+    evaluator *const e = ctx;
+    const dal_system_def *def = &e->system->def;
+    e->force_calls++;
+    return def->force(e->time, e->position, v, f, NULL, NULL, def->ctx);
+}
+
+/* matrix[n*n] <- df_i/dx_j at x, where f is one of the functions above. */
+static int differenced_matrix(evaluator *e, dal__function f, const double *x, double *matrix)
+{
+    const size_t n = e->system->def.n;
+    int returned = 0;
+    memcpy(e->point, x, n * sizeof *x);
+    for (size_t j = 0; j < n && !returned; j++)
+        returned = dal__difference(f, e, e->point, j, n, e->gradient, matrix + j, n);
+    return returned;
+}
+
+static void symmetrise(size_t n, double *A)
+{
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < i; j++) {
+            const double mean = 0.5 * (A[i * n + j] + A[j * n + i]);
+            A[i * n + j] = A[j * n + i] = mean;
+        }
+}
+
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n;
@@ -169,6 +233,7 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
     e->potential_ctx = def->ctx;
     e->constraint = def->constraint;
     e->constraint_ctx = def->ctx;
+    e->constant_mass = !def->lagrangian;
     if (def->potential && (def->missing & of_potential)) {
         e->potential = complete_potential;
         e->potential_ctx = e;
@@ -205,6 +270,7 @@ int dal__potential(evaluator *e, const double *q, double *V, double *V_q, double
         if (V_qq) memset(V_qq, 0, n * n * sizeof *V_qq);
         return DAL_SUCCESS;
     }
+    if (!V && !V_q && !V_qq) return DAL_SUCCESS;
     forget(1, V);
     forget(n, V_q);
     forget(n * n, V_qq);
@@ -217,17 +283,118 @@ int dal__potential(evaluator *e, const double *q, double *V, double *V_q, double
     return status;
 }
 
-int dal__constraint(evaluator *e, const double *q, const double *v, double *phi_v, double *phi_q,
-                    dal_error *error)
+int dal__constraint(evaluator *e, const double *q, const double *v, double *phi, double *phi_v,
+                    double *phi_q, dal_error *error)
 {
     const size_t n = e->system->def.n, m = e->system->def.m;
+    const bool linear = e->system->def.kind == DAL_LINEAR;
     if (m == 0) return DAL_SUCCESS;
-    forget(m * n, phi_v);
+    double *const forms = linear && phi && !phi_v ? e->forms : phi_v;
+    forget(m, phi);
+    forget(m * n, forms);
     forget(m * n, phi_q);
-    const int returned = e->constraint(q, v, NULL, phi_v, phi_q, e->constraint_ctx);
+    const int returned = e->constraint(q, v, linear ? NULL : phi, forms, phi_q, e->constraint_ctx);
     if (e->constraint_ctx != e) e->constraint_calls++;
     if (returned) return refuse(error, "constraint", returned);
-    int status = require_finite(error, "constraint", "phi_v", m, n, phi_v);
+    int status = require_finite(error, "constraint", "phi_v", m, n, forms);
     if (!status) status = require_finite(error, "constraint", "phi_q", m, n, phi_q);
+    if (!status && !linear) status = require_finite(error, "constraint", "phi", 1, m, phi);
+    if (!status && linear && phi) dal__apply(m, n, forms, v, phi);
+    return status;
+}
+
+/* The jet of v^T M v / 2 - V. */
+static int simple_lagrangian(evaluator *e, const double *q, const double *v, const dal__jet *jet,
+                             dal_error *error)
+{
+    const size_t n = e->system->def.n;
+    const double *const M = e->system->mass;
+    double V;
+    const int status = dal__potential(e, q, jet->L ? &V : NULL, jet->L_q, jet->L_qq, error);
+    if (status) return status;
+    for (size_t i = 0; jet->L_q && i < n; i++) jet->L_q[i] = -jet->L_q[i];
+    for (size_t k = 0; jet->L_qq && k < n * n; k++) jet->L_qq[k] = -jet->L_qq[k];
+    if (jet->L_v) dal__apply(n, n, M, v, jet->L_v);
+    if (jet->L_vq) memset(jet->L_vq, 0, n * n * sizeof *jet->L_vq);
+    if (jet->L_vv) memcpy(jet->L_vv, M, n * n * sizeof *jet->L_vv);
+    if (!jet->L) return DAL_SUCCESS;
+    dal__apply(n, n, M, v, e->gradient);
+    *jet->L = 0.5 * dal__dot(n, v, e->gradient) - V;
+    return DAL_SUCCESS;
+}
+
+int dal__lagrangian(evaluator *e, const double *q, const double *v, const dal__jet *jet,
+                    dal_error *error)
+{
+    const dal_system_def *const def = &e->system->def;
+    const size_t n = def->n;
+    if (e->constant_mass) return simple_lagrangian(e, q, v, jet, error);
+    double *const given_qq = def->missing & DAL_MISSING_L_QQ ? NULL : jet->L_qq;
+    double *const given_vq = def->missing & DAL_MISSING_L_VQ ? NULL : jet->L_vq;
+    double *const given_vv = def->missing & DAL_MISSING_L_VV ? NULL : jet->L_vv;
+    forget(1, jet->L);
+    forget(n, jet->L_q);
+    forget(n, jet->L_v);
+    forget(n * n, jet->L_qq);
+    forget(n * n, jet->L_vq);
+    forget(n * n, jet->L_vv);
+    int returned = 0;
+    if (jet->L || jet->L_q || jet->L_v || given_qq || given_vq || given_vv) {
+        e->lagrangian_calls++;
+        returned = def->lagrangian(q, v, jet->L, jet->L_q, jet->L_v, given_qq, given_vq, given_vv,
+                                   def->ctx);
+    }
+    e->position = q;
+    e->velocity = v;
+    if (!returned && jet->L_qq && !given_qq) {
+        returned = differenced_matrix(e, value_L_q, q, jet->L_qq);
+        symmetrise(n, jet->L_qq);
+    }
+    if (!returned && jet->L_vq && !given_vq)
+        returned = differenced_matrix(e, value_L_v, q, jet->L_vq);
+    if (!returned && jet->L_vv && !given_vv) {
+        returned = differenced_matrix(e, value_L_v_of_v, v, jet->L_vv);
+        symmetrise(n, jet->L_vv);
+    }
+    if (returned) return refuse(error, "lagrangian", returned);
+    int status = require_finite(error, "lagrangian", "L", 1, 1, jet->L);
+    if (!status) status = require_finite(error, "lagrangian", "L_q", 1, n, jet->L_q);
+    if (!status) status = require_finite(error, "lagrangian", "L_v", 1, n, jet->L_v);
+    if (!status) status = require_finite(error, "lagrangian", "L_qq", n, n, jet->L_qq);
+    if (!status) status = require_finite(error, "lagrangian", "L_vq", n, n, jet->L_vq);
+    if (!status) status = require_finite(error, "lagrangian", "L_vv", n, n, jet->L_vv);
+    return status;
+}
+
+int dal__force(evaluator *e, double t, const double *q, const double *v, double *f, double *f_q,
+               double *f_v, dal_error *error)
+{
+    const dal_system_def *const def = &e->system->def;
+    const size_t n = def->n;
+    if (!def->force) {
+        if (f) memset(f, 0, n * sizeof *f);
+        if (f_q) memset(f_q, 0, n * n * sizeof *f_q);
+        if (f_v) memset(f_v, 0, n * n * sizeof *f_v);
+        return DAL_SUCCESS;
+    }
+    double *const given_q = def->missing & DAL_MISSING_F_Q ? NULL : f_q;
+    double *const given_v = def->missing & DAL_MISSING_F_V ? NULL : f_v;
+    forget(n, f);
+    forget(n * n, f_q);
+    forget(n * n, f_v);
+    int returned = 0;
+    if (f || given_q || given_v) {
+        e->force_calls++;
+        returned = def->force(t, q, v, f, given_q, given_v, def->ctx);
+    }
+    e->time = t;
+    e->position = q;
+    e->velocity = v;
+    if (!returned && f_q && !given_q) returned = differenced_matrix(e, value_f, q, f_q);
+    if (!returned && f_v && !given_v) returned = differenced_matrix(e, value_f_of_v, v, f_v);
+    if (returned) return refuse(error, "force", returned);
+    int status = require_finite(error, "force", "f", 1, n, f);
+    if (!status) status = require_finite(error, "force", "f_q", n, n, f_q);
+    if (!status) status = require_finite(error, "force", "f_v", n, n, f_v);
     return status;
 }

@@ -53,12 +53,21 @@ bool dal__all_finite(size_t count, const double *x);
 
 /* ---- floor 1: dense.c, lu.h ------------------------------------------------------------- */
 
+double dal__dot(size_t n, const double *a, const double *b);
+/* max |x_i|, 0 for n = 0. */
+double dal__largest(size_t n, const double *x);
+
 /* y[rows] = A[rows*columns] x[columns]; y may not overlap. */
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y);
 
 /* Lower Cholesky factor of the symmetric A[n*n] in place; false if it is not positive definite, and
  * then *row and *pivot (or NULL) say where. */
 bool dal__cholesky(size_t n, double *A, size_t *row, double *pivot);
+/* The rows of A[count*n] are rotated in pairs until they are orthogonal (one-sided Jacobi); then
+ * their lengths are the singular values.  squares[count] <- their squares, for A divided by its
+ * largest entry, which is returned; 0 for A = 0. */
+double dal__singular_values(size_t count, size_t n, double *A, double *squares);
+
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
 
@@ -66,7 +75,7 @@ void dal__cholesky_solve(size_t n, const double *factor, double *x);
 
 struct dal_system {
     dal_system_def def;      /* the strings, mass and state point into the arena */
-    double *mass;            /* M[n*n] */
+    double *mass;            /* M[n*n]; NULL for a general Lagrangian, as the next */
     double *mass_inverse;    /* M^-1[n*n] */
     bool diagonal;           /* M is diagonal */
     size_t parameters;       /* of a built-in system */
@@ -88,10 +97,17 @@ typedef struct evaluator {
     void *potential_ctx;
     dal_constraint_fn constraint;
     void *constraint_ctx;
+    bool constant_mass;
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
-    const double *velocity;           /* [n] with which mu v is being differenced */
-    size_t potential_calls, constraint_calls;
+    double time;                      /* where what does not move stands in a difference, */
+    const double *position, *velocity; /* [n] */
+    size_t potential_calls, constraint_calls, lagrangian_calls, force_calls;
 } evaluator;
+
+/* Where L and its derivatives are to go; what is NULL is not wanted.  As in dal_lagrangian_fn. */
+typedef struct dal__jet {
+    double *L, *L_q, *L_v, *L_qq, *L_vq, *L_vv;
+} dal__jet;
 
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a);
 void dal__evaluator_bind(evaluator *e, const dal_system *system);
@@ -100,8 +116,14 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system);
  * names the callback, the component and the value. */
 int dal__potential(evaluator *e, const double *q, double *V, double *V_q, double *V_qq,
                    dal_error *error);
-int dal__constraint(evaluator *e, const double *q, const double *v, double *phi_v, double *phi_q,
+int dal__constraint(evaluator *e, const double *q, const double *v, double *phi, double *phi_v,
+                    double *phi_q, dal_error *error);
+/* Of every system: that of constant mass has the jet of v^T M v / 2 - V. */
+int dal__lagrangian(evaluator *e, const double *q, const double *v, const dal__jet *jet,
                     dal_error *error);
+/* Of every system: zeros where there is no force. */
+int dal__force(evaluator *e, double t, const double *q, const double *v, double *f, double *f_q,
+               double *f_v, dal_error *error);
 
 /* f[count] at q; returns 0, or what its callback returned. */
 typedef int (*dal__function)(const double *q, double *f, void *ctx);
@@ -112,19 +134,33 @@ typedef int (*dal__function)(const double *q, double *f, void *ctx);
 int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
                     double *value, double *slope, size_t stride);
 
-/* ---- floor 3: mechanics.c, check.c ------------------------------------------------------ */
+/* ---- floor 3: mechanics.c, step_equations.c, check.c ------------------------------------ */
 
 /* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation. */
 struct dal_mechanics {
     evaluator eval;
     size_t n, m;
-    double *mu, *dmu;             /* [m*n]: mu(q) and d(mu v)/dq */
+    double *phi;                  /* [m] */
+    double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
     double *Z;                    /* [m*n]: row a is M^-1 mu^a */
     double *C, *scale;            /* [m*m]: a matrix and the scale of its entries, see lu.h */
     size_t *row;                  /* [m] */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
-    double *hessian;              /* [n*n] */
+    double *hessian;              /* [n*n]: L_qq, or V_qq */
+    double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
+    double *L_vv, *factor;        /* [n*n]: M where it is not constant, and its Cholesky factor */
+    const double *metric;         /* [n*n] M at the last point where it was asked for */
+    /* of the equations of a step */
+    double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
+    double *node, *muk;           /* [n], [m*n] q_k, mu_k */
+    double *trial, *chetaev, *bend; /* [n], [m*n], [n*n]: where mu_k^T kappa is differenced, its value
+                                       and its derivative; of nonlinear constraints */
+    struct {
+        double t, beta, h;
+        bool kept;
+        const double *v;          /* [n] */
+    } start;                      /* of the step that dal__step_begin began */
     dal_error error;
     arena arena; /* used only by dal_mechanics_new */
 };
@@ -132,12 +168,43 @@ struct dal_mechanics {
 void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena *a);
 void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
 
+/* The helpers of mechanics.c leave the text of their failure in mech->error. */
+
+/* DAL_EINVAL unless x[count] is there and finite; name is that of the argument. */
+int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
+int dal__null_argument(dal_mechanics *mech, const char *name);
+/* M at (q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
+int dal__form_metric(dal_mechanics *mech, const double *q, const double *v);
+/* y[n] <- M^-1 f[n], M that of the last dal__form_metric; y and f may not overlap. */
+void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
+/* Z <- the rows M^-1 mu^a. */
+void dal__form_Z(dal_mechanics *mech, const double *mu);
+/* C <- B Z^T with the scale of its entries; then its factors. */
+void dal__form_gram(dal_mechanics *mech, const double *B);
+int dal__factor_gram(dal_mechanics *mech);
+/* max_a |phi^a| / (sum_i |mu^a_i v_i| + |phi^a - mu^a v|), the last term only if not linear. */
+double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
+                              const double *v);
+
+/* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone, which
+ * are those of that function and have been checked; kept: x is (q_k, v), the state of kept nodes.
+ * Then the rest, as often as needed; K_scale[n*n]: the sums of the absolute values of the terms of K
+ * (see lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n]
+ * the velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
+ * relative residual raises *worst.  The x of dal__step_begin must stay until the last
+ * dal__step_at. */
+int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
+                    const double *x);
+int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
+                 double *K, double *K_scale, double *B);
+int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst);
+
 /* ---- floor 4: flow.c -------------------------------------------------------------------- */
 
 /* dal_flow_apply without the accuracy; the projection onto D at the end only if project. */
 int dal__flow_apply(dal_flow *flow, double t0, double t1, double *x, bool project);
 
-/* ---- floor 6: schemes.c, kernels.c, multiroot.c, stepper.c ------------------------------- */
+/* ---- floor 6: schemes.c, kernels.c, newton.c, multiroot.c, stepper.c --------------------- */
 
 struct dal_kernel; /* kernel.h */
 
@@ -153,16 +220,36 @@ int dal__scheme_check(const dal_scheme *scheme, dal_error *error);
 size_t dal__scheme_count(const dal_scheme *scheme);
 dal_substep dal__scheme_substep(const dal_scheme *scheme, size_t j);
 
-/* The equations of a step solved by gsl_multiroot hybridsj in all n + m unknowns. */
+/* One beta-step of any system by the full Newton iteration on all n + m unknowns. */
+typedef struct newton {
+    size_t n, m;
+    int max_iterations;
+    bool warm;                      /* the last step is a guess for the next */
+    double *rate, *lambda;          /* [n], [m] its (v' - v)/h and kappa/h */
+    double *w, *kappa, *x;          /* [n], [m], [2n] */
+    double *R1, *R2, *B;            /* [n], [m], [m*n] */
+    double *K, *K_scale;            /* [n*n] */
+    size_t *K_row, *S_row;          /* [n], [m] */
+    double *y, *KZ, *step;          /* [n], [m*n], [n] */
+    double *S, *S_scale, *r, *d;    /* [m*m], [m*m], [m], [m] */
+} newton;
+
+void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);
+void dal__newton_bind(newton *solver, const dal_system *system, int max_iterations);
+/* Forgets the last step. */
+void dal__newton_forget(newton *solver);
+/* One beta-scheme with step h (of either sign) at time t from x[2n], in place; kappa[m] = h lambda.
+ * kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
+ * mech->error. */
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta, double h,
+                     bool kept, double *x, double *kappa, dal_stats *stats);
+
+/* The same by gsl_multiroot hybridsj. */
 typedef struct multiroot multiroot;
 int dal__multiroot_new(multiroot **solver, const dal_system *system, dal_error *error);
 void dal__multiroot_free(multiroot *solver);
-const char *dal__multiroot_message(const multiroot *solver);
-/* Its evaluator, whose calls count as the stepper's. */
-evaluator *dal__multiroot_evaluator(multiroot *solver);
-size_t dal__multiroot_iterations(const multiroot *solver);
-/* One beta-scheme with step h (of either sign) from x[2n], in place; kappa[m] = h lambda. */
-int dal__multiroot_step(multiroot *solver, double beta, double h, double *x, double *kappa);
+int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double beta, double h,
+                        bool kept, double *x, double *kappa, dal_stats *stats);
 
 /* What a stepper was made of, and the record that dal_stepper_message reads. */
 const dal_system *dal__stepper_system(const dal_stepper *stepper);

@@ -160,13 +160,6 @@ static dal_fit fit_global_state(study *self, double floor)
 
 /* ---- errors ----------------------------------------------------------------------------- */
 
-static double largest(size_t count, const double *x)
-{
-    double most = 0.0;
-    for (size_t i = 0; i < count; i++) most = fmax(most, fabs(x[i]));
-    return most;
-}
-
 static double largest_difference(size_t count, const double *x, const double *y)
 {
     double most = 0.0;
@@ -214,8 +207,8 @@ static int solve_reference(study *self)
  * The flow that stands in for an exact solution off D promises its tolerance. */
 static double error_floor(const study *self, double roundings)
 {
-    const double scale = fmax(fmax(largest(2 * self->n, self->x0), largest(2 * self->n, self->end)),
-                              largest(self->m, self->end_lambda));
+    const double scale = fmax(fmax(dal__largest(2 * self->n, self->x0), dal__largest(2 * self->n, self->end)),
+                              dal__largest(self->m, self->end_lambda));
     const bool stands_in = self->flow && self->system->def.exact;
     return fmax(stands_in ? self->tolerance : self->accuracy, roundings * DAL_ROUNDOFF * scale);
 }
@@ -271,11 +264,11 @@ static int watch_block(study *self, double h, size_t count, double energy0,
         const double error = fabs(self->energy[k] - energy0) / fmax(fabs(energy0), 1.0);
         point->energy = fmax(point->energy, error);
     }
-    point->residual = fmax(point->residual, largest(count, self->relative));
+    point->residual = fmax(point->residual, dal__largest(count, self->relative));
     if (isnan(self->shift)) return DAL_SUCCESS;
     status = dal_trajectory(self->mech, t, h, self->shift * h, count, x, NULL, NULL, NULL,
                             self->relative, NULL);
-    if (!status) point->residual_eps = fmax(point->residual_eps, largest(count, self->relative));
+    if (!status) point->residual_eps = fmax(point->residual_eps, dal__largest(count, self->relative));
     return status;
 }
 

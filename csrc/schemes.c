@@ -203,8 +203,8 @@ int dal__scheme_check(const dal_scheme *scheme, dal_error *error)
 
 int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *system)
 {
-    if (!scheme) return 0;
-    (void)system; /* the mass is constant and no force depends on v: only the record decides */
+    if (!scheme || !system) return 0;
+    if (!system->mass || system->def.force || system->def.kind == DAL_NONLINEAR) return 0;
     for (size_t j = 0; j < dal__scheme_count(scheme); j++)
         if (dal__scheme_substep(scheme, j).beta != 0.0) return 0;
     return 1;

@@ -8,9 +8,10 @@
 struct dal_stepper {
     const dal_system *system;
     dal_kernel kernel;
-    dal__advance_fn advance; /* the compilation of the step routine; NULL: the multiroot solver */
-    multiroot *multiroot;
-    dal_mechanics mech;      /* for initial data and for finding out what went wrong */
+    dal__advance_fn advance; /* the compilation of the step routine; NULL: one of the next two */
+    newton newton;
+    multiroot *multiroot;    /* NULL: newton */
+    dal_mechanics mech;      /* for initial data, for these two, and for what went wrong */
     size_t substeps;
     dal_substep *substep;
     dal_stage *stage;
@@ -136,8 +137,10 @@ static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_o
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
     k->max_iterations = options->max_iterations ? options->max_iterations : 50;
     dal_kernel_share(k, k->x);
-    if (options->solver == DAL_SOLVER_SCHUR)
+    const bool simple = system->mass && !system->def.force && system->def.kind == DAL_LINEAR;
+    if (simple && options->solver == DAL_SOLVER_SCHUR)
         self->advance = dal__kernel_for(k->n, k->m, options->sizes);
+    dal__newton_bind(&self->newton, system, k->max_iterations);
 }
 
 int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_scheme *scheme,
@@ -159,6 +162,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
     reserve_kernel(&shape.kernel, n, m, &memory);
+    dal__newton_reserve(&shape.newton, system, &memory);
     dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
     dal__reserve(&memory, &shape.stage, count, sizeof *shape.stage);
     dal__reserve(&memory, &shape.fresh, dal__times(2, n), sizeof(double));
@@ -210,11 +214,8 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     if (e->potential_ctx == e) stats->potential_calls = 0;
     stats->constraint_calls += e->constraint_calls;
     stats->potential_calls += e->potential_calls;
-    if (stepper->multiroot) {
-        const evaluator *const slow = dal__multiroot_evaluator(stepper->multiroot);
-        stats->constraint_calls += slow->constraint_calls;
-        stats->potential_calls += slow->potential_calls;
-    }
+    stats->lagrangian_calls = e->lagrangian_calls;
+    stats->force_calls = e->force_calls;
     stats->differenced = stepper->system->def.missing;
 }
 
@@ -256,9 +257,12 @@ static int make_consistent(dal_stepper *self, double shift, dal_consistency cons
     dal_mechanics *const mech = &self->mech;
     int status = dal_relative_residual(mech, shift, self->fresh, &stats->initial_residual);
     if (!status && consistency == DAL_CHECK && !(stats->initial_residual <= DAL_CONSISTENT))
-        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: max_a |mu^a v| "
-                         "/ sum_i |mu^a_i v_i| = %.3g, at most %g is accepted",
-                         shift == 0.0 ? "D" : "D_eps", stats->initial_residual, DAL_CONSISTENT);
+        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: %s = %.3g, at most "
+                         "%g is accepted", shift == 0.0 ? "D" : "D_eps",
+                         self->system->def.kind == DAL_LINEAR
+                             ? "max_a |mu^a v| / sum_i |mu^a_i v_i|"
+                             : "the relative residual of phi",
+                         stats->initial_residual, DAL_CONSISTENT);
     if (!status && consistency != DAL_ASSUME)
         status = dal_project(mech, shift, self->fresh, &stats->initial_correction);
     return status;
@@ -266,13 +270,20 @@ static int make_consistent(dal_stepper *self, double shift, dal_consistency cons
 
 /* Every output that the steps will ask for, once, into buffers that are NaN: what is never written
  * is found here. */
-static int probe(dal_stepper *self)
+static int probe(dal_stepper *self, double t0)
 {
     dal_mechanics *const mech = &self->mech;
     const double *const q = self->fresh, *const v = self->fresh + mech->n;
-    int status = dal__constraint(&mech->eval, q, v, mech->mu, mech->dmu, &mech->error);
+    const dal__jet jet = {.L_q = mech->force, .L_v = mech->momentum, .L_qq = mech->hessian,
+                          .L_vq = mech->L_vq, .L_vv = mech->L_vv};
+    const dal__jet simple = {.L_q = mech->force, .L_qq = mech->hessian};
+    int status = dal__constraint(&mech->eval, q, v, mech->phi, mech->mu, mech->dmu, &mech->error);
     if (!status)
-        status = dal__potential(&mech->eval, q, NULL, mech->force, mech->hessian, &mech->error);
+        status = dal__lagrangian(&mech->eval, q, v, mech->eval.constant_mass ? &simple : &jet,
+                                 &mech->error);
+    if (!status && mech->eval.system->def.force)
+        status = dal__force(&mech->eval, t0, q, v, mech->force, mech->f_q, mech->f_v,
+                            &mech->error);
     return status;
 }
 
@@ -297,13 +308,10 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     int status = check_start(self, t0, h, x, consistency, initial);
     if (status) return status;
 
-    self->mech.eval.constraint_calls = self->mech.eval.potential_calls = 0;
-    if (self->multiroot) {
-        evaluator *const slow = dal__multiroot_evaluator(self->multiroot);
-        slow->constraint_calls = slow->potential_calls = 0;
-    }
+    evaluator *const e = &self->mech.eval;
+    e->constraint_calls = e->potential_calls = e->lagrangian_calls = e->force_calls = 0;
     memcpy(self->fresh, x, 2 * n * sizeof *x);
-    status = probe(self);
+    status = probe(self, t0);
     if (!status)
         status = make_consistent(self, initial == DAL_INITIAL_D_EPS ? shift : 0.0, consistency,
                                  &stats);
@@ -319,6 +327,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     k->h = h;
     k->stats = stats;
     dal_kernel_forget(k);
+    dal__newton_forget(&self->newton);
     self->t0 = t0;
     self->steps = 0;
     self->started = true;
@@ -339,11 +348,11 @@ static void find_not_finite(dal_stepper *self, dal_error *found)
     for (size_t i = 0; i < n; i++) start[i] = k->x[i] - k->shift * k->h * k->x[n + i];
     if (dal__all_finite(n, k->node)
         && (dal__potential(&mech->eval, start, NULL, mech->force, NULL, found)
-            || dal__constraint(&mech->eval, k->node, k->x + n, mech->mu, NULL, found)
+            || dal__constraint(&mech->eval, k->node, k->x + n, NULL, mech->mu, NULL, found)
             || dal__potential(&mech->eval, k->node, NULL, mech->force, NULL, found)))
         return;
     if (dal__all_finite(n, k->point) && dal__all_finite(n, k->w)
-        && (dal__constraint(&mech->eval, k->point, k->w, mech->mu, mech->dmu, found)
+        && (dal__constraint(&mech->eval, k->point, k->w, NULL, mech->mu, mech->dmu, found)
             || dal__potential(&mech->eval, k->point, NULL, mech->force, NULL, found)))
         return;
     dal__fail(found, DAL_EDOMAIN, "a number is not finite; try a smaller h");
@@ -386,34 +395,30 @@ static void explain(dal_stepper *self, int status)
     dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %s", self->steps + 1, t, k->h, what);
 }
 
-/* The same records by the solver for all unknowns, sub-step by sub-step; what went wrong is in the
+/* The same records by a solver for all unknowns, sub-step by sub-step; what went wrong is in the
  * error of self->mech. */
-static int advance_multiroot(dal_stepper *self, size_t steps, size_t *done)
+static int advance_by_substeps(dal_stepper *self, size_t steps, size_t *done)
 {
     dal_kernel *const k = &self->kernel;
-    const size_t n = k->n;
     double *const x = k->saved;
-    const double shift = k->shift * k->h;
     for (*done = 0; *done < steps; ++*done) {
-        memcpy(x, k->x, 2 * n * sizeof *x);
-        int status = k->kept ? move_node(self, -shift, x) : DAL_SUCCESS;
-        if (status) return status;
+        double passed = 0.0; /* fraction of the step */
+        memcpy(x, k->x, 2 * k->n * sizeof *x);
         for (size_t j = 0; j < self->substeps; j++) {
             const dal_substep s = self->substep[j];
-            status = dal__multiroot_step(self->multiroot, s.beta, s.fraction * k->h, x, k->kappa);
-            k->stats.iterations += dal__multiroot_iterations(self->multiroot);
-            if (status)
-                return dal__fail(&self->mech.error, status, "%.400s",
-                                 dal__multiroot_message(self->multiroot));
+            const double t = self->t0 + ((double)(self->steps + *done) + passed) * k->h;
+            const double h = s.fraction * k->h;
+            const int status =
+                self->multiroot
+                    ? dal__multiroot_step(self->multiroot, &self->mech, t, s.beta, h, k->kept, x,
+                                          k->kappa, &k->stats)
+                    : dal__newton_step(&self->newton, &self->mech, t, s.beta, h, k->kept, x,
+                                       k->kappa, &k->stats);
+            if (status) return status;
             for (size_t a = 0; a < k->m; a++) k->impulse[a] += k->kappa[a];
+            passed += s.fraction;
         }
-        if (k->kept) status = move_node(self, shift, x);
-        if (status) return status;
-        double relative;
-        status = dal_relative_residual(&self->mech, shift, x, &relative);
-        if (status) return status;
-        k->stats.worst_residual = fmax(k->stats.worst_residual, relative);
-        memcpy(k->x, x, 2 * n * sizeof *x);
+        memcpy(k->x, x, 2 * k->n * sizeof *x);
         k->stats.steps++;
     }
     return DAL_SUCCESS;
@@ -430,7 +435,7 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
     size_t made = 0;
     for (size_t a = 0; a < k->m; a++) k->impulse[a] = 0.0;
     const int status = self->advance ? self->advance(k, steps, &made)
-                                     : advance_multiroot(self, steps, &made);
+                                     : advance_by_substeps(self, steps, &made);
     self->steps += made;
     if (done) *done = made;
     if (status) {

@@ -27,38 +27,58 @@ static int check_mass(const dal_system_def *def, dal_error *error)
     return DAL_SUCCESS;
 }
 
+/* Either mass and potential, or a Lagrangian; and nothing is called missing that is not there. */
+static int check_lagrangian(const dal_system_def *def, dal_error *error)
+{
+    const unsigned of_potential = DAL_MISSING_V_Q | DAL_MISSING_V_QQ;
+    const unsigned of_lagrangian = DAL_MISSING_L_QQ | DAL_MISSING_L_VQ | DAL_MISSING_L_VV;
+    const unsigned of_force = DAL_MISSING_F_Q | DAL_MISSING_F_V;
+    const unsigned known = of_potential | DAL_MISSING_PHI_Q | of_lagrangian | of_force;
+    if (def->missing & ~known)
+        return dal__fail(error, DAL_EINVAL, "missing = %#x has bits outside %#x", def->missing,
+                         known);
+    if (def->lagrangian && (def->mass || def->potential))
+        return dal__fail(error, DAL_EINVAL, "lagrangian and %s are both given: a system has either "
+                         "a Lagrangian, or a mass and perhaps a potential",
+                         def->mass ? "mass" : "potential");
+    if (!def->lagrangian && !def->mass)
+        return dal__fail(error, DAL_EINVAL, "mass is NULL, and so is lagrangian");
+    if (def->lagrangian && (def->missing & of_potential))
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: there is no potential, but a lagrangian",
+                         def->missing);
+    if (!def->lagrangian && (def->missing & of_lagrangian))
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: lagrangian is NULL", def->missing);
+    if (!def->force && (def->missing & of_force))
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: force is NULL", def->missing);
+    return DAL_SUCCESS;
+}
+
 static int check_def(const dal_system_def *def, dal_error *error)
 {
     const size_t n = def->n, m = def->m;
-    const unsigned known = DAL_MISSING_V_Q | DAL_MISSING_V_QQ | DAL_MISSING_PHI_Q;
     if (n < 1) return dal__fail(error, DAL_EINVAL, "n = %zu: at least one coordinate is needed", n);
     if (m >= n)
         return dal__fail(error, DAL_EINVAL, "m = %zu constraints on n = %zu coordinates: m < n is "
                          "needed", m, n);
     if (dal__times(dal__times(n, n), sizeof(double)) > PTRDIFF_MAX)
         return dal__fail(error, DAL_ENOMEM, "n = %zu: the size of an n x n matrix overflows", n);
-    if (def->lagrangian)
-        return dal__fail(error, DAL_EUNSUPPORTED, "a general Lagrangian is not supported: give mass "
-                         "and potential");
-    if (def->force)
-        return dal__fail(error, DAL_EUNSUPPORTED, "a generalized force is not supported");
-    if (def->kind != DAL_LINEAR)
-        return dal__fail(error, DAL_EUNSUPPORTED, "kind = %d: only linear constraints (DAL_LINEAR) "
-                         "are supported", (int)def->kind);
-    if (!def->mass) return dal__fail(error, DAL_EINVAL, "mass is NULL");
+    const int status = check_lagrangian(def, error);
+    if (status) return status;
+    if ((int)def->kind < DAL_LINEAR || def->kind > DAL_NONLINEAR)
+        return dal__fail(error, DAL_EINVAL, "kind = %d is not a dal_constraint_kind",
+                         (int)def->kind);
+    if (m == 0 && def->kind != DAL_LINEAR)
+        return dal__fail(error, DAL_EINVAL, "kind = %d with m = 0 constraints", (int)def->kind);
     if (m > 0 && !def->constraint)
         return dal__fail(error, DAL_EINVAL, "m = %zu and constraint is NULL", m);
     if (m == 0 && def->constraint)
         return dal__fail(error, DAL_EINVAL, "m = 0 and constraint is not NULL");
-    if (def->missing & ~known)
-        return dal__fail(error, DAL_EINVAL, "missing = %#x has bits outside %#x", def->missing,
-                         known);
     if (def->invariants > 0 && (!def->invariant || !def->invariant_names))
         return dal__fail(error, DAL_EINVAL, "invariants = %zu and %s is NULL", def->invariants,
                          def->invariant ? "invariant_names" : "invariant");
     if (def->state && !dal__all_finite(2 * n, def->state))
         return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
-    return check_mass(def, error);
+    return def->mass ? check_mass(def, error) : DAL_SUCCESS;
 }
 
 static size_t text_size(const char *text) { return text ? strlen(text) + 1 : 1; }
@@ -82,7 +102,7 @@ typedef struct possessions {
 
 static void plan(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
 {
-    const size_t n = def->n, square = dal__times(n, n);
+    const size_t n = def->n, square = def->mass ? dal__times(n, n) : 0;
     size_t text = text_size(def->name ? def->name : "system") + text_size(def->help);
     for (size_t i = 0; i < n; i++)
         text += def->coordinates ? text_size(def->coordinates[i]) : 24;
@@ -191,8 +211,12 @@ int dal__system_make(dal_system **system, const dal_system_def *def, size_t para
     *self = shape;
     self->arena = memory;
     self->def = *def;
-    self->diagonal = is_diagonal(def->n, def->mass);
-    memcpy(self->mass, def->mass, def->n * def->n * sizeof(double));
+    if (def->mass) {
+        self->diagonal = is_diagonal(def->n, def->mass);
+        memcpy(self->mass, def->mass, def->n * def->n * sizeof(double));
+    } else {
+        self->mass = self->mass_inverse = NULL;
+    }
     self->def.mass = self->mass;
     if (def->state) memcpy(own.state, def->state, 2 * def->n * sizeof(double));
     self->def.state = def->state ? own.state : NULL;
@@ -201,7 +225,8 @@ int dal__system_make(dal_system **system, const dal_system_def *def, size_t para
         self->def.ctx = self->parameter_values;
     }
     copy_names(self, &own, def);
-    status = self->diagonal ? invert_diagonal_mass(self, error) : invert_mass(self, error);
+    if (def->mass)
+        status = self->diagonal ? invert_diagonal_mass(self, error) : invert_mass(self, error);
     if (status) {
         dal_system_free(self);
         return status;
@@ -228,6 +253,8 @@ unsigned dal_system_missing(const dal_system *system) { return system->def.missi
 const char *dal_system_name(const dal_system *system) { return system->def.name; }
 const char *dal_system_help(const dal_system *system) { return system->def.help; }
 const double *dal_system_mass(const dal_system *system) { return system->mass; }
+dal_constraint_kind dal_system_kind(const dal_system *system) { return system->def.kind; }
+int dal_system_is_forced(const dal_system *system) { return system->def.force != NULL; }
 size_t dal_system_parameters(const dal_system *system) { return system->parameters; }
 size_t dal_system_invariants(const dal_system *system) { return system->def.invariants; }
 

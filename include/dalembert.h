@@ -79,22 +79,22 @@ DAL_API const char *dal_strerror(int status);
  * (q, v) is outside the domain of the functions (the step that asked is refused, DAL_EDOMAIN); or
  * < 0 to stop (DAL_EUSER).  ctx is the pointer of the definition and is never read here. */
 
-/* V; V_q[n] = dV/dq_i; V_qq[n*n] = d2V/dq_i dq_j.  q[n]. */
+/* V; V_q[n] = dV/dq_i; V_qq[n*n] = d2V/dq_i dq_j.  q[n].  The Lagrangian is v^T M v / 2 - V. */
 typedef int (*dal_potential_fn)(const double *q, double *V, double *V_q, double *V_qq, void *ctx);
 
-/* phi[m] = mu(q) v; phi_v[m*n] = dphi_a/dv_i, which is mu(q) for linear constraints;
- * phi_q[m*n] = d(mu(q) v)_a/dq_j, contracted with v.  q[n], v[n]. */
+/* phi[m], the constraint phi(q, v) = 0, which is mu(q) v for linear constraints; phi_v[m*n] =
+ * dphi_a/dv_i, which is mu(q) for them; phi_q[m*n] = dphi_a/dq_j, which is N(q, v) = d(mu v)/dq for
+ * them.  q[n], v[n]. */
 typedef int (*dal_constraint_fn)(const double *q, const double *v, double *phi, double *phi_v,
                                  double *phi_q, void *ctx);
 
-/* A general normal Lagrangian: L; L_q[n]; L_v[n]; L_qq[n*n]; L_vq[i*n+j] = d2L/dv_i dq_j;
- * L_vv[n*n].
- * Reserved: dal_system_new answers DAL_EUNSUPPORTED. */
+/* A general normal Lagrangian, L_vv positive definite: L; L_q[n]; L_v[n]; L_qq[n*n]; L_vq[i*n+j] =
+ * d2L/dv_i dq_j; L_vv[n*n].  q[n], v[n]. */
 typedef int (*dal_lagrangian_fn)(const double *q, const double *v, double *L, double *L_q,
                                  double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx);
 
-/* A generalized force f[n] at time t; f_q[n*n]; f_v[n*n].
- * Reserved: dal_system_new answers DAL_EUNSUPPORTED. */
+/* A generalized force, d/dt L_v - L_q = f + mu^T lambda: f[n] at time t; f_q[i*n+j] = df_i/dq_j;
+ * f_v[i*n+j] = df_i/dv_j.  q[n], v[n]. */
 typedef int (*dal_force_fn)(double t, const double *q, const double *v, double *f, double *f_q,
                             double *f_v, void *ctx);
 
@@ -106,15 +106,22 @@ typedef int (*dal_invariant_fn)(const double *x, double *values, void *ctx);
 
 typedef enum dal_constraint_kind {
     DAL_LINEAR = 0,    /* phi = mu(q) v; the residual is phi_v v, only the check asks for phi */
-    DAL_AFFINE = 1,    /* reserved: dal_system_new answers DAL_EUNSUPPORTED */
-    DAL_NONLINEAR = 2  /* reserved: dal_system_new answers DAL_EUNSUPPORTED */
+    DAL_AFFINE = 1,    /* phi = mu(q) v + a(q) */
+    DAL_NONLINEAR = 2  /* any phi(q, v) with phi_v of full rank; its reaction is phi_v^T lambda (Chetaev),
+                          and phi_v must not vanish with v: a phi that is quadratic in v has no D at
+                          rest */
 } dal_constraint_kind;
 
 /* Outputs that a callback does not provide; they are replaced by central differences. */
 typedef enum dal_missing {
     DAL_MISSING_V_Q = 1,   /* costs accuracy: V_q is then good to about 1e-12 relative */
     DAL_MISSING_V_QQ = 2,  /* costs Newton's speed only */
-    DAL_MISSING_PHI_Q = 4  /* lambda(q, v) and the reference flow are then good to about 1e-12 */
+    DAL_MISSING_PHI_Q = 4, /* lambda(q, v) and the reference flow are then good to about 1e-12 */
+    DAL_MISSING_L_QQ = 8,  /* costs Newton's speed only */
+    DAL_MISSING_L_VQ = 16, /* lambda(q, v) and the reference flow are then good to about 1e-12 */
+    DAL_MISSING_L_VV = 32, /* the same, and the metric of projections */
+    DAL_MISSING_F_Q = 64,  /* costs Newton's speed only */
+    DAL_MISSING_F_V = 128  /* costs Newton's speed only */
 } dal_missing;
 
 /* The definition of a system, filled by the caller, zero-initialised.  dal_system_new copies the
@@ -122,13 +129,13 @@ typedef enum dal_missing {
 typedef struct dal_system_def {
     size_t n;                       /* number of coordinates, n >= 1 */
     size_t m;                       /* number of constraints, 0 <= m < n */
-    const double *mass;             /* M[n*n], constant, symmetric, positive definite */
+    const double *mass;             /* M[n*n], constant, symmetric, positive definite; or NULL: */
+    dal_lagrangian_fn lagrangian;   /* instead of mass and potential, else NULL */
     dal_potential_fn potential;     /* or NULL: V = 0 */
     dal_constraint_fn constraint;   /* NULL if and only if m = 0 */
     dal_constraint_kind kind;
+    dal_force_fn force;             /* or NULL: none */
     unsigned missing;               /* sum of dal_missing */
-    dal_lagrangian_fn lagrangian;   /* reserved, NULL: instead of mass and potential */
-    dal_force_fn force;             /* reserved, NULL */
     void *ctx;
     const char *name;               /* or NULL: "system"; what follows may all be left out */
     const char *help;               /* one line */
@@ -144,7 +151,7 @@ typedef struct dal_system dal_system;
 
 /* *system <- a system, or untouched on failure.
  * DAL_EINVAL (sizes, missing or superfluous parts, mass matrix not finite, not symmetric or not
- * positive definite: the text names the entry), DAL_ENOMEM, DAL_EUNSUPPORTED. */
+ * positive definite: the text names the entry), DAL_ENOMEM. */
 DAL_API int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error);
 
 /* NULL is allowed.  Objects made from a system must be freed before it. */
@@ -168,7 +175,9 @@ DAL_API unsigned dal_system_missing(const dal_system *system);
 DAL_API const char *dal_system_name(const dal_system *system);
 DAL_API const char *dal_system_help(const dal_system *system);
 DAL_API const char *dal_system_coordinate(const dal_system *system, size_t i); /* NULL: i >= n */
-DAL_API const double *dal_system_mass(const dal_system *system);               /* [n*n] */
+DAL_API const double *dal_system_mass(const dal_system *system); /* [n*n]; NULL: not constant */
+DAL_API dal_constraint_kind dal_system_kind(const dal_system *system);
+DAL_API int dal_system_is_forced(const dal_system *system); /* 1: there is a generalized force */
 
 /* Parameters of a built-in system; a system of the user's own has none. */
 DAL_API size_t dal_system_parameters(const dal_system *system);
@@ -200,14 +209,18 @@ typedef struct dal_difference {
 typedef struct dal_check {
     int passed;              /* 1: all below is as it should be */
     dal_difference V_q, V_qq, phi_q;
-    double linearity;        /* worst |mu(q) at v - mu(q) at another v|: mu must not depend on v */
+    dal_difference phi_v;    /* of affine and nonlinear constraints, against phi */
+    dal_difference L_q, L_v, L_qq, L_vq, L_vv, f_q, f_v;
+    double linearity;        /* worst |mu(q) at v - mu(q) at another v|, which must not depend on v
+                                unless the constraint is nonlinear */
     size_t rank;             /* of mu(q); should be m */
     double condition;        /* of mu(q) in the mass metric: sqrt of the condition of C */
-    double mass_min;         /* smallest eigenvalue of M */
+    double mass_min;         /* smallest eigenvalue of M, which is L_vv at x */
     double kernel_min;       /* smallest eigenvalue of M on ker mu (EUDAETh with "> 0", E1) */
-    double residual;         /* max_a |mu^a v| / sum_i |mu^a_i v_i| */
+    double residual;         /* as dal_relative_residual */
     double curvature;        /* largest length of [X,Y] across D, X and Y from an orthonormal basis
-                                of D_q: by N(q,X)Y - N(q,Y)X with N(q,w) = d(mu w)/dq */
+                                of D_q: by N(q,X)Y - N(q,Y)X with N(q,w) = d(mu w)/dq; NaN unless
+                                the constraints are linear */
     int integrable;          /* 1: it vanishes here and nearby: D may be a holonomic constraint */
     char text[508];          /* the first thing found wrong, in words; or the summary */
 } dal_check;
@@ -229,54 +242,71 @@ DAL_API void dal_mechanics_free(dal_mechanics *mechanics);
 /* What the last failure was, with the numbers; "" if there was none. */
 DAL_API const char *dal_mechanics_message(const dal_mechanics *mechanics);
 
-/* *E <- v^T M v / 2 + V(q), a first integral on D.  Errors of this and the functions below:
- * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN; DAL_ESINGULAR where C is inverted. */
+/* In this section M is L_vv, and D = {phi(q, v) = 0}; mu is phi_v, and phi is mu v where the
+ * constraints are linear.  Errors of the functions below: DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN;
+ * DAL_ESINGULAR where C or M is inverted. */
+
+/* *E <- L_v v - L, which is v^T M v / 2 + V(q) for constant mass; a first integral on D unless
+ * there is a force, or the constraint forces work (dal_power). */
 DAL_API int dal_energy(dal_mechanics *mechanics, const double *x, double *E);
 
-/* residual[m] <- mu(q - shift v) v.  shift = 0 is D; shift = (1 - beta) h is the deformation D_eps
- * that the beta-scheme with kept nodes preserves (see deformedCons). */
+/* *constraint <- lambda . (phi_v v), the power of the constraint forces, which is 0 on D for linear
+ * constraints and dE/dt of an affine or nonlinear one (deformation); *force <- f . v.  Either may be
+ * NULL. */
+DAL_API int dal_power(dal_mechanics *mechanics, double t, const double *x, double *constraint,
+                      double *force);
+
+/* M[n*n] <- L_vv at x. */
+DAL_API int dal_metric(dal_mechanics *mechanics, const double *x, double *M);
+
+/* residual[m] <- phi(q - shift v, v).  shift = 0 is D; shift = (1 - beta) h is the deformation D_eps
+ * that the beta-scheme with kept nodes preserves (deformedCons). */
 DAL_API int dal_residual(dal_mechanics *mechanics, double shift, const double *x, double *residual);
 
-/* *worst <- max_a |mu^a v| / sum_i |mu^a_i v_i| with mu at q - shift v; 0 where the sum is 0. */
+/* *worst <- max_a |phi^a| / (sum_i |mu^a_i v_i| + |phi^a - mu^a v|) at (q - shift v, v), where the
+ * last term is 0 for linear constraints; 0 where the sum is 0. */
 DAL_API int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x,
                                   double *worst);
 
-/* C[m*m] <- mu M^-1 mu^T at q[n] (lemma lemmaC). */
-DAL_API int dal_gram(dal_mechanics *mechanics, const double *q, double *C);
+/* C[m*m] <- mu M^-1 mu^T at x (lemma lemmaC; Ceps). */
+DAL_API int dal_gram(dal_mechanics *mechanics, const double *x, double *C);
 
-/* lambda[m] <- -C^-1 (d(mu v)/dq v - mu M^-1 V_q) (lambdax); defined off D as well. */
+/* lambda[m] <- -C^-1 (phi_q v + mu f_v) with f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for
+ * constant mass and no force (f, lambdax, lambdaQV); defined off D as well. */
 DAL_API int dal_multipliers(dal_mechanics *mechanics, double t, const double *x, double *lambda);
 
-/* vdot[n] <- M^-1 (mu^T lambda - V_q). */
+/* vdot[n] <- f_v + M^-1 mu^T lambda. */
 DAL_API int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double *vdot);
 
-/* xdot[2n] <- (v, vdot): the vector field h of the ODE on D (h). */
+/* xdot[2n] <- (v, vdot): the vector field h of the ODE on D (h, ODEManifold, heps). */
 DAL_API int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot);
 
-/* x[2n]: v <- v - M^-1 mu^T C^-1 mu v with mu at q - shift v: to D for shift = 0 (linear), to D_eps
- * otherwise (Newton along M^-1 mu(q)^T).  It is the nearest consistent velocity in the mass metric
- * for shift = 0.  *distance (or NULL) <- the length of the correction in the mass metric.
- * Also DAL_ENOCONV for shift != 0. */
+/* x[2n]: v <- the velocity of D (shift = 0) or of D_eps on v + M^-1 mu(q)^T R^m, by Newton; for
+ * linear and affine constraints and shift = 0 that is v - M^-1 mu^T C^-1 phi, the nearest consistent
+ * velocity in the metric M.  *distance (or NULL) <- the length of the correction in that metric.
+ * Also DAL_ENOCONV. */
 DAL_API int dal_project(dal_mechanics *mechanics, double shift, double *x, double *distance);
 
-/* x[2n]: v <- the velocity in D_q nearest in the mass metric with v_i unchanged where keep[i] is
- * not 0 (keep[n], or NULL: none).  DAL_ESINGULAR if the kept components leave too little freedom;
- * also DAL_ENOMEM. */
+/* x[2n]: v <- the velocity in D_q nearest in the metric M with v_i unchanged where keep[i] is
+ * not 0 (keep[n], or NULL: none); for nonlinear constraints one that is consistent, found by Newton.
+ * DAL_ESINGULAR if the kept components leave too little freedom; also DAL_ENOMEM, DAL_ENOCONV. */
 DAL_API int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *x,
                            double *distance);
 
-/* The residual and the Jacobian [[K, -mu_k^T], [B, 0]] of one step of the beta-scheme from x[2n],
- * at a trial velocity w[n] and impulse kappa[m] = h lambda (DAELd1, DAELd2, Facil):
- *   q_k = q + (1-beta) h v,  q1 = q_k + beta h w,
- *   R1[n] = M (w - v) + h ((1-beta) V_q(q1) + beta V_q(q)) - mu(q_k)^T kappa,  R2[m] = mu(q1) w,
- *   K[n*n] = M + h^2 beta (1-beta) V_qq(q1),  B[m*n] = mu(q1) + beta h d(mu w)/dq(q1).
- * muk[m*n] <- mu(q_k).  Every output may be NULL. */
-DAL_API int dal_step_equations(dal_mechanics *mechanics, double beta, double h, const double *x,
-                               const double *w, const double *kappa, double *R1, double *R2,
-                               double *K, double *B, double *muk);
+/* The residual and the Jacobian [[K, -mu_k^T], [B, 0]] of one step of the beta-scheme from x[2n] at
+ * time t, at a trial velocity w[n] and impulse kappa[m] = h lambda (DAELd1, DAELd2, Facil):
+ *   q_k = q + (1-beta) h v,  q1 = q_k + beta h w,  F = L_q + f,
+ *   R1[n] = L_v(q1, w) - L_v(q, v) - h ((1-beta) F(t+h, q1, w) + beta F(t, q, v)) - mu_k^T kappa,
+ *   R2[m] = phi(q1, w),  mu_k = phi_v(q_k, (v+w)/2), which is mu(q_k) unless phi is nonlinear,
+ *   K[n*n] = dR1/dw,  B[m*n] = dR2/dw = phi_v + beta h phi_q at (q1, w).
+ * For constant mass and no force K = M + h^2 beta (1-beta) V_qq(q1).  muk[m*n] <- mu_k.  Every
+ * output may be NULL. */
+DAL_API int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h,
+                               const double *x, const double *w, const double *kappa, double *R1,
+                               double *R2, double *K, double *B, double *muk);
 
 /* Evaluates count rows (q, v) of x[count*2n]: energy[count]; multipliers[count*m] by lambdax;
- * residual[count*m] = mu(q - shift v) v; relative[count] as dal_relative_residual.  Outputs may be
+ * residual[count*m] = phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may be
  * NULL.  On failure *done (or NULL) is the number of rows that were evaluated. */
 DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift,
                            size_t count, const double *x, double *energy, double *multipliers,
@@ -326,7 +356,7 @@ typedef struct dal_substep {
 
 typedef enum dal_nodes {
     DAL_MOVED_NODES = 0, /* states at q~_k = (1-beta) q_{k-1} + beta q_k: keeps D */
-    DAL_KEPT_NODES = 1   /* states at the nodes q_k: keeps D_eps = {mu(q - (1-beta) h v) v = 0} */
+    DAL_KEPT_NODES = 1   /* states at the nodes q_k: keeps D_eps = {phi(q - (1-beta) h v, v) = 0} */
 } dal_nodes;
 
 /* A scheme is a record; one step routine runs every record.  To make one: zero-initialise, then
@@ -354,8 +384,9 @@ DAL_API int dal_scheme_find(dal_scheme *scheme, const char *name, dal_error *err
 DAL_API size_t dal_scheme_count(void);
 DAL_API int dal_scheme_at(dal_scheme *scheme, size_t i);
 
-/* 1 if every step of scheme on system is a sequence of linear solves, without iteration, that is
- * if every sub-step has beta = 0; else 0. */
+/* 1 if every step of scheme on system is a sequence of linear solves, without iteration: every
+ * sub-step has beta = 0, the mass is constant, no force, and the constraints are not nonlinear; else
+ * 0. */
 DAL_API int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *system);
 
 /* *shift <- 1 - beta of a record with a single sub-step: its D_eps has shift (1 - beta) h.
@@ -382,8 +413,8 @@ typedef struct dal_options {
 
 /* What is done with initial data (dal_stepper_start). */
 typedef enum dal_consistency {
-    DAL_CHECK = 0,   /* DAL_EOFFD unless |mu v| <= 1e-8 sum |mu_i v_i|; then mended to roundoff */
-    DAL_PROJECT = 1, /* projected in the mass metric */
+    DAL_CHECK = 0,   /* DAL_EOFFD unless the relative residual is <= 1e-8; then mended to roundoff */
+    DAL_PROJECT = 1, /* projected in the metric M */
     DAL_ASSUME = 2   /* used as they are */
 } dal_consistency;
 
@@ -403,6 +434,7 @@ typedef struct dal_stats {
     size_t substeps;            /* of the record, in these steps */
     size_t iterations;          /* Newton iterations */
     size_t constraint_calls, potential_calls;
+    size_t lagrangian_calls, force_calls;
     size_t corrections;         /* final corrections that took an evaluation of their own */
     size_t full_newtons;        /* sub-steps that were handed to the full Newton */
     size_t halvings;            /* Newton steps halved because a callback left its domain */

@@ -243,13 +243,15 @@ def multipliers(system: System, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> A
     return values[0] if single else values
 
 
-def gram(system: System, q: ArrayLike) -> Array:
-    """Return C(q) = mu M^-1 mu^T (lemma lemmaC), symmetric and positive definite.
+def gram(system: System, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+    """Return C = mu M^-1 mu^T (lemma lemmaC), symmetric and positive definite.
 
     Parameters
     ----------
     system : System
     q : array_like, shape (n,) or (N, n)
+    v : array_like, shape (n,) or (N, n), optional
+        Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
 
     Returns
     -------
@@ -257,7 +259,7 @@ def gram(system: System, q: ArrayLike) -> Array:
 
     Raises
     ------
-    ValueError, DomainError
+    ValueError, DomainError, SingularError
         As at the top of this module.
 
     Examples
@@ -266,12 +268,11 @@ def gram(system: System, q: ArrayLike) -> Array:
     >>> dal.systems.particle().gram([0, 1, 0])
     array([[2.]])
     """
-    q = arguments.array(q, "q", (system.n,), (None, system.n))
-    points = np.atleast_2d(q)
-    values = np.empty((len(points), system.m**2))
-    rows(system, lib.dal_gram, ((_lib.pointer(points, k),) for k in range(len(points))), values)
-    matrices = values.reshape(len(points), system.m, system.m)
-    return matrices[0] if q.ndim == 1 else matrices
+    x, single = states(system, q, np.zeros(np.shape(q)) if v is None else v)
+    values = np.empty((len(x), system.m**2))
+    rows(system, lib.dal_gram, ((_lib.pointer(x, k),) for k in range(len(x))), values)
+    matrices = values.reshape(len(x), system.m, system.m)
+    return matrices[0] if single else matrices
 
 
 def acceleration(system: System, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:

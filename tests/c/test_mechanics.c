@@ -300,7 +300,7 @@ static void test_equations_by_hand(void)
     const double k[3] = {1.0, 2.0, 1.5}, beta = 0.25, h = 0.2, kappa = 0.4;
     const double x[6] = {0.5, 0.3, -0.2, 1.0, 0.7, 0.3}, w[3] = {0.9, 0.6, 0.5};
     double R1[3], R2 = NAN, K[9], B[3], muk[3];
-    CHECK(dal_step_equations(mech, beta, h, x, w, &kappa, R1, &R2, K, B, muk) == 0);
+    CHECK(dal_step_equations(mech, 0.0, beta, h, x, w, &kappa, R1, &R2, K, B, muk) == 0);
     const double yk = 0.3 + 0.75 * 0.2 * 0.7, y1 = yk + 0.25 * 0.2 * 0.6;
     const double mu[3] = {-yk, 0.0, 1.0};
     for (size_t i = 0; i < 3; i++) {
@@ -330,15 +330,15 @@ static void test_jacobian(dal_mechanics *mech, const dal_system *system, const d
         double w[2 * N], kappa[M] = {0.3, -0.2}, K[N * N], B[M * N], muk[M * N];
         double up1[N], down1[N], up2[M], down2[M];
         somewhere(n, 77, w);
-        CHECK(dal_step_equations(mech, betas[b], h, x, w, kappa, NULL, NULL, K, B, muk) == 0);
+        CHECK(dal_step_equations(mech, 0.0, betas[b], h, x, w, kappa, NULL, NULL, K, B, muk) == 0);
         const double tolerance = 1e-9 * (1 + sum_of_sizes(n * n, K));
         for (size_t j = 0; j < n + m; j++) {
             double *const unknown = j < n ? w + j : kappa + (j - n), centre = *unknown;
             *unknown = centre + d;
-            CHECK(dal_step_equations(mech, betas[b], h, x, w, kappa, up1, up2, NULL, NULL, NULL)
+            CHECK(dal_step_equations(mech, 0.0, betas[b], h, x, w, kappa, up1, up2, NULL, NULL, NULL)
                   == 0);
             *unknown = centre - d;
-            CHECK(dal_step_equations(mech, betas[b], h, x, w, kappa, down1, down2, NULL, NULL, NULL)
+            CHECK(dal_step_equations(mech, 0.0, betas[b], h, x, w, kappa, down1, down2, NULL, NULL, NULL)
                   == 0);
             *unknown = centre;
             for (size_t i = 0; i < n; i++)
@@ -389,9 +389,9 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
     NAMED(dal_field(mech, 0.0, x, NULL), "xdot");
     NAMED(dal_project(mech, 0.0, NULL, NULL), "x");
     NAMED(dal_consistent(mech, NULL, NULL, NULL), "x");
-    NAMED(dal_step_equations(mech, 0.5, 0.1, x, NULL, x, NULL, NULL, NULL, NULL, NULL), "w");
+    NAMED(dal_step_equations(mech, 0.0, 0.5, 0.1, x, NULL, x, NULL, NULL, NULL, NULL, NULL), "w");
 #undef NAMED
-    CHECK(dal_step_equations(mech, 1.5, 0.1, x, x, x, NULL, NULL, NULL, NULL, NULL) == DAL_EINVAL);
+    CHECK(dal_step_equations(mech, 0.0, 1.5, 0.1, x, x, x, NULL, NULL, NULL, NULL, NULL) == DAL_EINVAL);
     CHECK(strstr(dal_mechanics_message(mech), "beta = 1.5") != NULL);
     x[3 * 2 * n + 1] = NAN;
     E[3] = relative[3] = 7.0;
@@ -456,9 +456,9 @@ static void test_errors(void)
     CHECK(dal_residual(mech, NAN, x, out) == DAL_EINVAL);
     CHECK(dal_energy(NULL, x, &one) == DAL_EINVAL && dal_energy(mech, NULL, &one) == DAL_EINVAL);
     CHECK(dal_energy(mech, x, NULL) == DAL_EINVAL && dal_field(mech, 0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_step_equations(mech, 0.5, NAN, x, x + 3, out, out, NULL, NULL, NULL, NULL)
+    CHECK(dal_step_equations(mech, 0.0, 0.5, NAN, x, x + 3, out, out, NULL, NULL, NULL, NULL)
           == DAL_EINVAL);
-    CHECK(dal_step_equations(mech, 0.5, 0.1, x, x + 3, NULL, out, NULL, NULL, NULL, NULL)
+    CHECK(dal_step_equations(mech, 0.0, 0.5, 0.1, x, x + 3, NULL, out, NULL, NULL, NULL, NULL)
           == DAL_EINVAL);
     dal_mechanics_free(mech);
     dal_system_free(system);

@@ -67,7 +67,7 @@ static void check_equations(dal_mechanics *mechanics, const dal_system *system, 
     double R1[MOST_N], R2[MOST_M], muk[MOST_M * MOST_N], kappa[MOST_M], g0[MOST_N], g1[MOST_N];
     double V0 = 0.0, V1 = 0.0, E0 = NAN, E1 = NAN;
     for (size_t a = 0; a < m; a++) kappa[a] = h * lambda[a];
-    CHECK(dal_step_equations(mechanics, beta, h, x, v1, kappa, R1, R2, NULL, NULL, muk) == 0);
+    CHECK(dal_step_equations(mechanics, 0.0, beta, h, x, v1, kappa, R1, R2, NULL, NULL, muk) == 0);
     memset(g0, 0, sizeof g0);
     memset(g1, 0, sizeof g1);
     if (system->def.potential) {

@@ -105,10 +105,12 @@ static void test_refused(void)
     REFUSED(def_.m = SIZE_MAX, DAL_EINVAL, "m = 18446744073709551615", "n = 2");
     REFUSED(def_.n = SIZE_MAX, DAL_ENOMEM, "n = 18446744073709551615", "overflows");
     REFUSED(def_.n = (size_t)1 << 31, DAL_ENOMEM, "n = 2147483648", "overflows");
-    REFUSED(def_.mass = NULL, DAL_EINVAL, "mass is NULL", "");
+    REFUSED(def_.mass = NULL, DAL_EINVAL, "mass is NULL", "lagrangian");
     REFUSED(def_.constraint = NULL, DAL_EINVAL, "m = 1", "constraint is NULL");
     REFUSED(def_.m = 0, DAL_EINVAL, "m = 0", "constraint is not NULL");
-    REFUSED(def_.missing = 8, DAL_EINVAL, "missing = 0x8", "");
+    REFUSED(def_.missing = 256, DAL_EINVAL, "missing = 0x100", "outside 0xff");
+    REFUSED(def_.missing = DAL_MISSING_L_VQ, DAL_EINVAL, "missing = 0x10", "lagrangian is NULL");
+    REFUSED(def_.missing = DAL_MISSING_F_V, DAL_EINVAL, "missing = 0x80", "force is NULL");
     REFUSED(def_.mass = unsymmetric, DAL_EINVAL, "mass[1,0] = 0.5", "mass[0,1] = 0.25");
     REFUSED(def_.mass = indefinite, DAL_EINVAL, "pivot 1", "is -3");
     REFUSED(def_.mass = semidefinite, DAL_EINVAL, "pivot 1", "mass[1,1] = 1");
@@ -121,10 +123,14 @@ static void test_refused(void)
             "invariant_names is NULL");
     REFUSED((def_.invariants = 1, def_.invariant_names = invariants), DAL_EINVAL, "invariants = 1",
             "invariant is NULL");
-    REFUSED(def_.kind = DAL_AFFINE, DAL_EUNSUPPORTED, "kind = 1", "");
-    REFUSED(def_.kind = DAL_NONLINEAR, DAL_EUNSUPPORTED, "kind = 2", "");
-    REFUSED(def_.lagrangian = lagrangian2, DAL_EUNSUPPORTED, "Lagrangian", "");
-    REFUSED(def_.force = force2, DAL_EUNSUPPORTED, "force", "");
+    REFUSED(def_.kind = (dal_constraint_kind)3, DAL_EINVAL, "kind = 3", "");
+    REFUSED((def_.m = 0, def_.constraint = NULL, def_.kind = DAL_AFFINE), DAL_EINVAL, "kind = 1",
+            "m = 0");
+    REFUSED(def_.lagrangian = lagrangian2, DAL_EINVAL, "lagrangian and mass", "both");
+    REFUSED((def_.lagrangian = lagrangian2, def_.mass = NULL), DAL_EINVAL,
+            "lagrangian and potential", "both");
+    REFUSED((def_.lagrangian = lagrangian2, def_.mass = NULL, def_.potential = NULL,
+             def_.missing = DAL_MISSING_V_QQ), DAL_EINVAL, "missing = 0x2", "no potential");
 
     dal_system *system = NULL;
     dal_error error = {0};
@@ -154,6 +160,7 @@ static void test_copies(void)
     def.invariant = invariant2;
     def.exact = exact2;
     def.missing = DAL_MISSING_V_QQ;
+    def.force = force2;
     dal_system *system = NULL;
     CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
     mass[0] = state[0] = 7.0;
@@ -163,6 +170,7 @@ static void test_copies(void)
 
     CHECK(dal_system_n(system) == 2 && dal_system_m(system) == 1);
     CHECK(dal_system_missing(system) == DAL_MISSING_V_QQ);
+    CHECK(dal_system_kind(system) == DAL_LINEAR && dal_system_is_forced(system) == 1);
     CHECK(strcmp(dal_system_name(system), "mine") == 0);
     CHECK(strcmp(dal_system_help(system), "a line") == 0);
     CHECK(strcmp(dal_system_coordinate(system, 0), "a") == 0);
@@ -287,8 +295,8 @@ static void check_differences(const char *name, unsigned missing)
         memcpy(before, q, sizeof before);
         CHECK(dal__potential(&exact.eval, q, V, V_q[0], V_qq[0], NULL) == DAL_SUCCESS);
         CHECK(dal__potential(&w.eval, q, V + 1, V_q[1], V_qq[1], &error) == DAL_SUCCESS);
-        CHECK(dal__constraint(&exact.eval, q, v, mu[0], N_q[0], NULL) == DAL_SUCCESS);
-        CHECK(dal__constraint(&w.eval, q, v, mu[1], N_q[1], &error) == DAL_SUCCESS);
+        CHECK(dal__constraint(&exact.eval, q, v, NULL, mu[0], N_q[0], NULL) == DAL_SUCCESS);
+        CHECK(dal__constraint(&w.eval, q, v, NULL, mu[1], N_q[1], &error) == DAL_SUCCESS);
         const double scale =
             1 + fabs(V[0]) + sum_of_sizes(n, V_q[0]) + sum_of_sizes(n * n, V_qq[0]);
         const double hessian = missing & DAL_MISSING_V_Q ? 1e-6 : 1e-12;
@@ -301,7 +309,7 @@ static void check_differences(const char *name, unsigned missing)
                    missing & DAL_MISSING_PHI_Q ? 1e-12 * (1 + sum_of_sizes(n, v)) : 0.0);
         CHECK(memcmp(q, before, n * sizeof *q) == 0);
         CHECK(dal__potential(&w.eval, q, NULL, V_q[1], NULL, &error) == DAL_SUCCESS);
-        CHECK(dal__constraint(&w.eval, q, v, mu[1], NULL, &error) == DAL_SUCCESS);
+        CHECK(dal__constraint(&w.eval, q, v, NULL, mu[1], NULL, &error) == DAL_SUCCESS);
     }
     CHECK(w.eval.potential_calls == l.potential_calls && l.potential_calls >= 20);
     CHECK(w.eval.constraint_calls == l.constraint_calls && l.constraint_calls >= 20);
@@ -367,13 +375,13 @@ static void test_faults(void)
     dal_error error = {0};
     double V_q[3], V_qq[9], mu[6], N[6];
     CHECK(dal__potential(&w.eval, q, NULL, V_q, V_qq, &error) == DAL_SUCCESS);
-    CHECK(dal__constraint(&w.eval, q, v, mu, N, &error) == DAL_SUCCESS && mu[5] == 1.0);
+    CHECK(dal__constraint(&w.eval, q, v, NULL, mu, N, &error) == DAL_SUCCESS && mu[5] == 1.0);
 
     const double values[] = {0.0, NAN, INFINITY, -INFINITY}; /* 0: never written */
     for (size_t k = 0; k < 4; k++) {
         f = (fault){0, 5, values[k]};
         memset(mu, 0, sizeof mu); /* what was there before must not pass for an answer */
-        CHECK(dal__constraint(&w.eval, q, v, mu, N, &error) == DAL_EDOMAIN);
+        CHECK(dal__constraint(&w.eval, q, v, NULL, mu, N, &error) == DAL_EDOMAIN);
         CHECK(strstr(error.text, "constraint") && strstr(error.text, "phi_v[1,2]"));
         CHECK(dal__potential(&w.eval, q, NULL, NULL, V_qq, &error) == DAL_EDOMAIN);
         CHECK(strstr(error.text, "potential") && strstr(error.text, "V_qq[1,2]"));
@@ -383,11 +391,11 @@ static void test_faults(void)
         CHECK(strstr(error.text, "V_q[0,1]") && error.status == DAL_EDOMAIN);
     }
     f = (fault){4, 99, 0.0};
-    CHECK(dal__constraint(&w.eval, q, v, mu, NULL, &error) == DAL_EDOMAIN);
+    CHECK(dal__constraint(&w.eval, q, v, NULL, mu, NULL, &error) == DAL_EDOMAIN);
     CHECK(strstr(error.text, "constraint returned 4") != NULL);
     CHECK(dal__potential(&w.eval, q, NULL, V_q, NULL, &error) == DAL_EDOMAIN);
     f.returned = -4;
-    CHECK(dal__constraint(&w.eval, q, v, mu, NULL, &error) == DAL_EUSER);
+    CHECK(dal__constraint(&w.eval, q, v, NULL, mu, NULL, &error) == DAL_EUSER);
     CHECK(dal__potential(&w.eval, q, NULL, V_q, NULL, &error) == DAL_EUSER);
     CHECK(strstr(error.text, "potential returned -4") != NULL);
     dal__release(&w.arena);
@@ -400,7 +408,7 @@ static void test_faults(void)
     double V = 1.0;
     CHECK(dal__potential(&w.eval, q, &V, V_q, V_qq, &error) == DAL_SUCCESS);
     CHECK(V == 0.0 && sum_of_sizes(3, V_q) == 0.0 && sum_of_sizes(9, V_qq) == 0.0);
-    CHECK(dal__constraint(&w.eval, q, v, NULL, NULL, &error) == DAL_SUCCESS);
+    CHECK(dal__constraint(&w.eval, q, v, NULL, NULL, NULL, &error) == DAL_SUCCESS);
     CHECK(w.eval.potential_calls == 0 && w.eval.constraint_calls == 0);
     dal__release(&w.arena);
     dal_system_free(system);

@@ -269,7 +269,7 @@ static void check_point(const subject *s, const subject *unconstrained,
     compare(where, "xdot: v", n, xdot, p->x + n);
     compare(where, "xdot: vdot", n, xdot + n, p->vdot);
     /* beta = 1 has its node at q */
-    CHECK(dal_step_equations(s->mechanics, 1.0, 0.1, p->x, p->x + n, lambda, NULL, NULL, NULL, NULL,
+    CHECK(dal_step_equations(s->mechanics, 0.0, 1.0, 0.1, p->x, p->x + n, lambda, NULL, NULL, NULL, NULL,
                              mu_k) == 0);
     compare(where, "mu", m * n, mu_k, p->mu);
 
@@ -302,7 +302,7 @@ static void check_equations(const subject *s, const equations_vector *e)
     double R1[N], R2[M], K[N * N], B[M * N], mu_k[M * N];
     char where[80];
     snprintf(where, sizeof where, "newton of %s (%s)", e->system, s->kind);
-    CHECK(dal_step_equations(s->mechanics, e->beta, e->h, e->x, e->w, e->kappa, R1, R2, K, B,
+    CHECK(dal_step_equations(s->mechanics, 0.0, e->beta, e->h, e->x, e->w, e->kappa, R1, R2, K, B,
                              mu_k) == 0);
     compare(where, "R1", n, R1, e->R1);
     compare(where, "R2", m, R2, e->R2);

@@ -1,0 +1,226 @@
+/* Floor 3: the equations of one beta-step and their Jacobian, for every system; and what is stored
+ * once they are solved. */
+#include "internal.h"
+#include "lu.h"
+
+#include <math.h>
+#include <string.h>
+
+/* F = L_q + f at (q, v). */
+static int total_force(dal_mechanics *mech, double t, const double *q, const double *v, double *F,
+                       double *scratch)
+{
+    const dal__jet wanted = {.L_q = F};
+    int status = dal__lagrangian(&mech->eval, q, v, &wanted, &mech->error);
+    if (status || !mech->eval.system->def.force) return status;
+    status = dal__force(&mech->eval, t, q, v, scratch, NULL, NULL, &mech->error);
+    for (size_t i = 0; !status && i < mech->n; i++) F[i] += scratch[i];
+    return status;
+}
+
+int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept, const double *x)
+{
+    const size_t n = mech->n;
+    const double *const v = x + n, before = (1.0 - beta) * h;
+    int status = DAL_SUCCESS;
+    mech->start.t = t;
+    mech->start.beta = beta;
+    mech->start.h = h;
+    mech->start.kept = kept;
+    mech->start.v = v;
+    for (size_t i = 0; i < n; i++) {
+        mech->node[i] = kept ? x[i] : x[i] + before * v[i];
+        mech->q[i] = kept ? x[i] - before * v[i] : x[i];
+    }
+    if (mech->eval.system->def.kind != DAL_NONLINEAR)
+        status = dal__constraint(&mech->eval, mech->node, v, NULL, mech->muk, NULL, &mech->error);
+    if (!status && !mech->eval.constant_mass) {
+        const dal__jet wanted = {.L_v = mech->momentum};
+        status = dal__lagrangian(&mech->eval, mech->q, v, &wanted, &mech->error);
+    }
+    memset(mech->reach, 0, n * sizeof *mech->reach);
+    if (status || beta == 0.0) return status;
+    status = total_force(mech, t, mech->q, v, mech->reach, mech->step);
+    for (size_t i = 0; i < n; i++) mech->reach[i] *= beta * h;
+    return status;
+}
+
+/* muk <- phi_v(q_k, (v + w)/2), along which a nonlinear constraint reacts. */
+static int chetaev_forms(dal_mechanics *mech, const double *w, double *muk)
+{
+    for (size_t i = 0; i < mech->n; i++) mech->step[i] = 0.5 * (mech->start.v[i] + w[i]);
+    return dal__constraint(&mech->eval, mech->node, mech->step, NULL, muk, NULL, &mech->error);
+}
+
+/* bend <- d(mu_k^T kappa)/dw, by central differences, which serve Newton's speed only. */
+static int evaluate_bend(dal_mechanics *mech, const double *w, const double *kappa)
+{
+    const size_t n = mech->n, m = mech->m;
+    double largest = dal__largest(n, w);
+    if (largest == 0.0) largest = 1.0;
+    const double d = cbrt(DBL_EPSILON) * largest;
+    memset(mech->bend, 0, n * n * sizeof *mech->bend);
+    for (size_t j = 0; j < n; j++)
+        for (int side = -1; side <= 1; side += 2) {
+            memcpy(mech->trial, w, n * sizeof *w);
+            mech->trial[j] += side * d;
+            const int status = chetaev_forms(mech, mech->trial, mech->chetaev);
+            if (status) return status;
+            for (size_t a = 0; a < m; a++)
+                for (size_t i = 0; i < n; i++)
+                    mech->bend[i * n + j] += side * mech->chetaev[a * n + i] * kappa[a] / (2.0 * d);
+        }
+    return DAL_SUCCESS;
+}
+
+/* w <- L_v(q1, w) - L_v(q, v), which is M (w - v) for constant mass; force <- F(t+h, q1, w). */
+static int evaluate_R1(dal_mechanics *mech, const double *w)
+{
+    const size_t n = mech->n;
+    int status = DAL_SUCCESS;
+    if (mech->eval.constant_mass) {
+        for (size_t i = 0; i < n; i++) mech->step[i] = w[i] - mech->start.v[i];
+        dal__apply(n, n, mech->metric, mech->step, mech->w);
+    } else {
+        const dal__jet wanted = {.L_v = mech->w};
+        status = dal__lagrangian(&mech->eval, mech->q, w, &wanted, &mech->error);
+        for (size_t i = 0; !status && i < n; i++) mech->w[i] -= mech->momentum[i];
+    }
+    if (status || mech->start.beta == 1.0) return status;
+    return total_force(mech, mech->start.t + mech->start.h, mech->q, w, mech->force, mech->step);
+}
+
+static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
+{
+    const size_t n = mech->n;
+    const double weight = mech->start.h * (1.0 - mech->start.beta);
+    for (size_t i = 0; i < n; i++) {
+        double sum = mech->w[i] - mech->reach[i];
+        if (weight != 0.0) sum -= weight * mech->force[i];
+        for (size_t a = 0; a < mech->m; a++) sum -= mech->muk[a * n + i] * kappa[a];
+        R1[i] = sum;
+    }
+}
+
+static int evaluate_K(dal_mechanics *mech, const double *w)
+{
+    const double beta = mech->start.beta, t = mech->start.t + mech->start.h;
+    const bool general = !mech->eval.constant_mass;
+    const dal__jet wanted = {.L_qq = beta != 0.0 && beta != 1.0 ? mech->hessian : NULL,
+                             .L_vq = general ? mech->L_vq : NULL,
+                             .L_vv = general ? mech->L_vv : NULL};
+    const int status = dal__lagrangian(&mech->eval, mech->q, w, &wanted, &mech->error);
+    if (status || !mech->eval.system->def.force || beta == 1.0) return status;
+    return dal__force(&mech->eval, t, mech->q, w, NULL, mech->f_q, mech->f_v, &mech->error);
+}
+
+/* K = L_vv + beta h L_vq - h (1-beta) [L_vq^T + f_v + beta h (L_qq + f_q)] - bend at (q1, w). */
+static void form_K(const dal_mechanics *mech, double *K, double *K_scale)
+{
+    const size_t n = mech->n;
+    const double a = mech->start.beta * mech->start.h, b = (1.0 - mech->start.beta) * mech->start.h;
+    const bool general = !mech->eval.constant_mass, forced = mech->eval.system->def.force != NULL;
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++) {
+            const size_t ij = i * n + j, ji = j * n + i;
+            const double terms[] = {
+                mech->metric[ij],
+                general ? a * mech->L_vq[ij] : 0.0,
+                general ? -b * mech->L_vq[ji] : 0.0,
+                a * b != 0.0 ? -b * a * mech->hessian[ij] : 0.0,
+                forced && b != 0.0 ? -b * mech->f_v[ij] : 0.0,
+                forced && b != 0.0 ? -b * a * mech->f_q[ij] : 0.0,
+                mech->eval.system->def.kind == DAL_NONLINEAR ? -mech->bend[ij] : 0.0,
+            };
+            double sum = 0.0, scale = 0.0;
+            for (size_t k = 0; k < sizeof terms / sizeof *terms; k++) {
+                sum += terms[k];
+                scale += fabs(terms[k]);
+            }
+            K[ij] = sum;
+            if (K_scale) K_scale[ij] = scale;
+        }
+}
+
+int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
+                 double *K, double *K_scale, double *B)
+{
+    const size_t n = mech->n, m = mech->m;
+    const double a = mech->start.beta * mech->start.h;
+    const bool nonlinear = mech->eval.system->def.kind == DAL_NONLINEAR;
+    int status = DAL_SUCCESS;
+    for (size_t i = 0; i < n; i++) mech->q[i] = mech->node[i] + a * w[i];
+    if (R2 || B)
+        status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, B ? mech->dmu : NULL,
+                                 &mech->error);
+    if (!status && nonlinear) status = chetaev_forms(mech, w, mech->muk);
+    if (!status && K) status = evaluate_K(mech, w);
+    if (!status && K && nonlinear) status = evaluate_bend(mech, w, kappa);
+    if (!status && R1) status = evaluate_R1(mech, w);
+    if (status) return status;
+    /* nothing is written before all of it is known */
+    if (R1) form_R1(mech, kappa, R1);
+    if (R2) memcpy(R2, mech->phi, m * sizeof *R2);
+    if (K) form_K(mech, K, K_scale);
+    for (size_t k = 0; B && k < m * n; k++) B[k] = mech->mu[k] + a * mech->dmu[k];
+    return DAL_SUCCESS;
+}
+
+int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst)
+{
+    enum { MOST = 4 };
+    const size_t n = mech->n, m = mech->m;
+    const double limit = 2.0 * (double)n * DAL_ROUNDOFF, h = mech->start.h, beta = mech->start.beta;
+    const double after = mech->start.kept ? h : beta * h;
+    const double shift = mech->start.kept ? (1.0 - beta) * h : 0.0;
+    double relative = 0.0;
+    for (size_t i = 0; i < n; i++) x[i] = mech->node[i] + after * w[i];
+    for (int pass = 1; m > 0; pass++) {
+        if (!dal__all_finite(n, x) || !dal__all_finite(n, w)) break;
+        for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * w[i];
+        int status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, NULL,
+                                     &mech->error);
+        if (status) return status;
+        relative = dal__relative_residual(mech, mech->mu, mech->phi, w);
+        if (relative <= limit || pass == MOST) break; /* what is left then is roundoff */
+        status = dal__form_metric(mech, mech->q, w);
+        if (status) return status;
+        dal__form_Z(mech, mech->mu);
+        dal__form_gram(mech, mech->mu);
+        status = dal__factor_gram(mech);
+        if (status) return status;
+        for (size_t a = 0; a < m; a++) mech->residual[a] = -mech->phi[a];
+        dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->lambda);
+        for (size_t i = 0; i < n; i++) { /* q~' is not changed: a kept node moves with w */
+            double change = 0.0;
+            for (size_t a = 0; a < m; a++) change += mech->Z[a * n + i] * mech->lambda[a];
+            w[i] += change;
+            x[i] += shift * change;
+        }
+    }
+    memcpy(x + n, w, n * sizeof *w);
+    if (!dal__all_finite(2 * n, x))
+        return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
+    *worst = fmax(*worst, relative);
+    return DAL_SUCCESS;
+}
+
+int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h, const double *x,
+                       const double *w, const double *kappa, double *R1, double *R2, double *K,
+                       double *B, double *muk)
+{
+    if (!mechanics) return DAL_EINVAL;
+    dal_mechanics *const mech = mechanics;
+    const size_t n = mech->n, m = mech->m;
+    if (!(beta >= 0.0 && beta <= 1.0))
+        return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
+    int status = dal__require_finite(mech, "t", 1, &t);
+    if (!status) status = dal__require_finite(mech, "h", 1, &h);
+    if (!status) status = dal__require_finite(mech, "x", 2 * n, x);
+    if (!status) status = dal__require_finite(mech, "w", n, w);
+    if (!status && m > 0) status = dal__require_finite(mech, "kappa", m, kappa);
+    if (!status) status = dal__step_begin(mech, t, beta, h, false, x);
+    if (!status) status = dal__step_at(mech, w, kappa, R1, R2, K, NULL, B);
+    if (!status && muk) memcpy(muk, mech->muk, m * n * sizeof *muk);
+    return status;
+}
