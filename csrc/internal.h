@@ -88,6 +88,10 @@ struct dal_system {
 int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
                      const char *const *names, const double *values, dal_error *error);
 
+/* dal_system_new with a ctx of size bytes that the system keeps a copy of. */
+int dal__system_wrap(dal_system **system, const dal_system_def *def, const void *ctx, size_t size,
+                     dal_error *error);
+
 /* The callbacks of a system as the rest of the library calls them: derivatives that the user does
  * not give are differenced, calls are counted.  One evaluator for each thread.  potential and
  * constraint may be called directly with their ctx (the hot path does, and counts by itself). */

@@ -1,8 +1,9 @@
 /* Floor 6: one beta-step of any system by Newton on all unknowns (w, kappa).
  *
- * What kernel.h does not do: a Lagrangian that is not v^T M v / 2 - V, generalized forces, affine and
- * nonlinear constraints.  The matrix [[K, -mu_k^T], [B, 0]] is reduced to the m x m Schur complement
- * S = B K^-1 mu_k^T.  The guess is the last step, scaled by h; where that fails, the state itself. */
+ * It does what kernel.h does not: a Lagrangian other than v^T M v / 2 - V, generalized forces, affine
+ * and nonlinear constraints.  The matrix [[K, -mu_k^T], [B, 0]] is reduced to the m x m Schur
+ * complement S = B K^-1 mu_k^T.  The guess is the last step, scaled by h; where that fails, the state
+ * itself. */
 #include "internal.h"
 #include "lu.h"
 
@@ -108,7 +109,8 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
         if (size <= 4.0 * DAL_ROUNDOFF * scale) return DAL_SUCCESS;
         if (iteration >= 2 && size <= 1e-11 * scale && size >= last) return DAL_SUCCESS;
         /* at least linear: the next step would be smaller by the same factor */
-        if (size * (size / last) <= DAL_ROUNDOFF / 16.0 * scale) return DAL_SUCCESS;
+        if (iteration >= 2 && size * (size / last) <= DAL_ROUNDOFF / 16.0 * scale)
+            return DAL_SUCCESS;
         last = size;
     }
     return dal__fail(&mech->error, DAL_ENOCONV, "Newton did not converge in %d iterations: last "

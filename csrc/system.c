@@ -95,6 +95,9 @@ static const char *copy_text(char **end, const char *text)
 /* The memory that a system owns, apart from what struct dal_system names. */
 typedef struct possessions {
     dal_system *self;
+    void *ctx;      /* of size bytes; what it is a copy of is at source */
+    const void *source;
+    size_t size;
     double *state;
     const char **coordinates, **invariant_names;
     char *text;
@@ -110,7 +113,7 @@ static void plan(arena *a, possessions *own, dal_system *shape, const dal_system
     dal__reserve(a, &own->self, 1, sizeof *own->self);
     dal__reserve(a, &shape->mass, square, sizeof(double));
     dal__reserve(a, &shape->mass_inverse, square, sizeof(double));
-    dal__reserve(a, &shape->parameter_values, shape->parameters, sizeof(double));
+    dal__reserve(a, &own->ctx, own->size, 1);
     dal__reserve(a, &own->state, dal__times(2, n), sizeof(double));
     dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
     dal__reserve(a, &own->invariant_names, def->invariants, sizeof *own->invariant_names);
@@ -191,8 +194,9 @@ static bool is_diagonal(size_t n, const double *A)
     return true;
 }
 
-int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
-                     const char *const *names, const double *values, dal_error *error)
+/* own: source and size of a ctx to be owned, or zeros; shape: what the system is to start as. */
+static int make(dal_system **system, const dal_system_def *def, dal_system shape, possessions own,
+                dal_error *error)
 {
     dal__fail(error, DAL_SUCCESS, "%s", "");
     if (!system || !def)
@@ -200,8 +204,6 @@ int dal__system_make(dal_system **system, const dal_system_def *def, size_t para
     int status = check_def(def, error);
     if (status) return status;
 
-    dal_system shape = {.parameters = parameters, .parameter_names = names};
-    possessions own = {0};
     arena memory = {0};
     plan(&memory, &own, &shape, def);
     status = dal__allocate(&memory, error);
@@ -220,10 +222,11 @@ int dal__system_make(dal_system **system, const dal_system_def *def, size_t para
     self->def.mass = self->mass;
     if (def->state) memcpy(own.state, def->state, 2 * def->n * sizeof(double));
     self->def.state = def->state ? own.state : NULL;
-    if (parameters > 0) {
-        memcpy(self->parameter_values, values, parameters * sizeof(double));
-        self->def.ctx = self->parameter_values;
+    if (own.size > 0) {
+        memcpy(own.ctx, own.source, own.size);
+        self->def.ctx = own.ctx;
     }
+    if (self->parameters > 0) self->parameter_values = own.ctx;
     copy_names(self, &own, def);
     if (def->mass)
         status = self->diagonal ? invert_diagonal_mass(self, error) : invert_mass(self, error);
@@ -237,7 +240,20 @@ int dal__system_make(dal_system **system, const dal_system_def *def, size_t para
 
 int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
 {
-    return dal__system_make(system, def, 0, NULL, NULL, error);
+    return make(system, def, (dal_system){0}, (possessions){0}, error);
+}
+
+int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
+                     const char *const *names, const double *values, dal_error *error)
+{
+    return make(system, def, (dal_system){.parameters = parameters, .parameter_names = names},
+                (possessions){.source = values, .size = parameters * sizeof *values}, error);
+}
+
+int dal__system_wrap(dal_system **system, const dal_system_def *def, const void *ctx, size_t size,
+                     dal_error *error)
+{
+    return make(system, def, (dal_system){0}, (possessions){.source = ctx, .size = size}, error);
 }
 
 void dal_system_free(dal_system *system)

@@ -164,6 +164,26 @@ DAL_API void dal_system_free(dal_system *system);
 DAL_API int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
                                const double *values, size_t count, dal_error *error);
 
+/* g[m] of the deformation phi + delta g; g_v[m*n], g_q[m*n] its derivatives.  q[n], v[n]. */
+typedef int (*dal_deformation_fn)(const double *q, const double *v, double *g, double *g_v,
+                                  double *g_q, void *ctx);
+
+/* *system <- base with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE): a system as
+ * any other, of the given kind (of phi + delta g as a function of v), with C_delta, lambda_delta and
+ * h_delta (Ceps, heps) from dal_gram, dal_multipliers and dal_field.  missing: DAL_MISSING_PHI_Q if
+ * g_q is not provided, else 0.  base and ctx must outlive it; exact solution, invariants and initial
+ * data are not taken over.
+ * DAL_EINVAL (NULL, delta not finite, kind, missing), DAL_ENOMEM, DAL_EUNSUPPORTED (m n > 4000). */
+DAL_API int dal_system_deform(dal_system **system, const dal_system *base, dal_deformation_fn g,
+                              void *ctx, double delta, dal_constraint_kind kind, unsigned missing,
+                              dal_error *error);
+
+/* *system <- base with the constraints phi(q - shift v, v) = 0, nonlinear: for shift = (1 - beta) h
+ * its D is the D_eps that the beta-scheme with kept nodes preserves (deformedCons, originalnodes).
+ * base must outlive it and provide phi_q.  Errors as of dal_system_deform. */
+DAL_API int dal_system_deform_nodes(dal_system **system, const dal_system *base, double shift,
+                                    dal_error *error);
+
 /* Number of built-in systems, the name of the i-th and one line about it; NULL: i is too large. */
 DAL_API size_t dal_builtin_count(void);
 DAL_API const char *dal_builtin_name(size_t i);
