@@ -76,6 +76,7 @@ static subject open_subject(const vector_system *is, int kind)
     static const char *const kinds[KINDS] = {"callbacks", "callbacks, no constraint", "built in"};
     subject s = {.is = is, .kind = kinds[kind], .n = is->n, .m = kind == UNCONSTRAINED ? 0 : is->m};
     const dal_system_def def = {.n = s.n, .m = s.m, .mass = is->mass, .potential = is->potential,
+                                .lagrangian = is->lagrangian,
                                 .constraint = s.m > 0 ? is->constraint : NULL};
     dal_error error = {0};
     const int status = kind == BUILTIN
@@ -149,13 +150,14 @@ static void check_residual(const subject *s, const char *where, double shift, co
  * n u |mu| |v|, so kappa to n u |M v|/|mu|, a few times over in a step. */
 static double reaction_noise(const subject *s, double h, const double *x)
 {
-    double mu[M * N], least = HUGE_VAL, momentum = 0.0;
+    double mu[M * N], mass[N * N], least = HUGE_VAL, momentum = 0.0;
     const double *const v = x + s->n;
+    CHECK(dal_metric(s->mechanics, x, mass) == 0);
     CHECK(s->is->constraint(x, v, NULL, mu, NULL, NULL) == 0);
     for (size_t a = 0; a < s->m; a++) least = fmin(least, largest(s->n, mu + a * s->n));
     for (size_t i = 0; i < s->n; i++) {
         double p = 0.0;
-        for (size_t j = 0; j < s->n; j++) p += s->is->mass[i * s->n + j] * v[j];
+        for (size_t j = 0; j < s->n; j++) p += mass[i * s->n + j] * v[j];
         momentum = fmax(momentum, fabs(p));
     }
     return 4.0 * (double)s->n * u * momentum / (fabs(h) * least);
@@ -250,11 +252,12 @@ static void check_point(const subject *s, const subject *unconstrained,
                         const point_vector *p)
 {
     const size_t n = s->n, m = s->m;
-    double energy, C[M * M], lambda[M], vdot[N], xdot[2 * N], mu_k[M * N], x[2 * N];
+    double energy, mass[N * N], C[M * M], lambda[M], vdot[N], xdot[2 * N], mu_k[M * N], x[2 * N];
     char where[80];
     snprintf(where, sizeof where, "continuous of %s (%s)", p->system, s->kind);
 
-    compare(where, "mass", n * n, dal_system_mass(s->system), p->mass);
+    CHECK(dal_metric(s->mechanics, p->x, mass) == 0);
+    compare(where, "mass", n * n, mass, p->mass);
     CHECK(dal_energy(s->mechanics, p->x, &energy) == 0);
     compare(where, "energy", 1, &energy, &p->energy);
     CHECK(dal_gram(s->mechanics, p->x, C) == 0);
@@ -269,8 +272,8 @@ static void check_point(const subject *s, const subject *unconstrained,
     compare(where, "xdot: v", n, xdot, p->x + n);
     compare(where, "xdot: vdot", n, xdot + n, p->vdot);
     /* beta = 1 has its node at q */
-    CHECK(dal_step_equations(s->mechanics, 0.0, 1.0, 0.1, p->x, p->x + n, lambda, NULL, NULL, NULL, NULL,
-                             mu_k) == 0);
+    CHECK(dal_step_equations(s->mechanics, 0.0, 1.0, 0.1, p->x, p->x + n, lambda, NULL, NULL, NULL,
+                             NULL, mu_k) == 0);
     compare(where, "mu", m * n, mu_k, p->mu);
 
     CHECK(dal_multipliers(s->mechanics, 0.0, p->off_x, lambda) == 0);
