@@ -51,7 +51,7 @@ size_t dal__times(size_t a, size_t b);
 
 bool dal__all_finite(size_t count, const double *x);
 
-/* ---- floor 1: dense.c, lu.h ------------------------------------------------------------- */
+/* ---- floor 1: dense.c, lu.h, ode.c ------------------------------------------------------ */
 
 double dal__dot(size_t n, const double *a, const double *b);
 /* max |x_i|, 0 for n = 0. */
@@ -70,6 +70,40 @@ double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
+
+/* dydt[N] <- the field at y[N], which is finite, and time t.  Returns 0, or a dal_status whose text
+ * it has written to error, never NULL: DAL_EUSER ends the integration, after any other a shorter
+ * step is tried. */
+typedef int (*dal__field_fn)(double t, const double *y, double *dydt, void *ctx, dal_error *error);
+
+/* y' = field(t, y) by an adaptive method.  Time is t0 + elapsed, and elapsed time is what is
+ * counted, so that short intervals lose no digits. */
+typedef struct ode ode;
+
+/* N >= 1; tolerance as of dal_flow_new; ctx is handed to the field.  DAL_EINVAL, DAL_ENOMEM.
+ * GSL's workspace is made here and never later, see rule 7 of the header. */
+int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
+                 dal__field_fn field, void *ctx, dal_error *error);
+void dal__ode_free(ode *self);
+
+/* Ready to integrate from y[N] at t0 over about span, not 0, whose sign is the direction; factor
+ * (1, or more: looser) is of the tolerance, up to 1 in all.  Errors of the field. */
+int dal__ode_begin(ode *self, double t0, double span, const double *y, double factor,
+                   dal_error *error);
+/* The same from where it stands, after its state was changed, towards elapsed time end. */
+int dal__ode_restart(ode *self, double end, dal_error *error);
+
+/* Takes the state to elapsed time end, from where it stands in the direction it began with; or one
+ * accepted step of that way, none at the end of it.  Steps end at end.  The field's errors where
+ * no step is short enough, DAL_ENOCONV (the step size collapsed, or millions of steps did not do;
+ * single steps are not counted).  After an error the state is that of the last accepted step, and
+ * integration begins anew. */
+int dal__ode_reach(ode *self, double end, dal_error *error);
+int dal__ode_step(ode *self, double end, dal_error *error);
+
+double *dal__ode_state(ode *self); /* [N]; whoever changes it restarts */
+double dal__ode_elapsed(const ode *self);
+size_t dal__ode_evaluations(const ode *self); /* of the field, since it was made */
 
 /* ---- floor 2: system.c, systems.c, evaluator.c ------------------------------------------ */
 

@@ -401,9 +401,9 @@ int main(void)
 
     for (maker what = SYSTEM; what < MAKERS; what++) test_failing(what);
     test_message();
-    test_failing_gsl(FLOW_RK8PD, 1);
-    test_failing_gsl(FLOW_MSADAMS, 1);
-    test_failing_gsl(FLOW_MSBDF, 1);
+    test_failing_gsl(FLOW_RK8PD, 2);
+    test_failing_gsl(FLOW_MSADAMS, 2);
+    test_failing_gsl(FLOW_MSBDF, 2);
     test_failing_gsl(STEPPER_MULTIROOT, 2);
 
     for (size_t i = 0; i < dal_scheme_count(); i++) {

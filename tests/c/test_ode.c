@@ -1,0 +1,457 @@
+/* The adaptive integrator against equations with known solutions, and how it fails. */
+#include "check.h"
+#include "internal.h"
+
+#include <gsl/gsl_errno.h>
+
+#include <stdlib.h>
+#include <string.h>
+
+enum { MOST = 40 };
+
+/* The library must never provoke it. */
+static void abort_on_gsl_error(const char *reason, const char *file, int line, int number)
+{
+    fprintf(stderr, "%s:%d: GSL's handler was called: %s (%d)\n", file, line, reason, number);
+    abort();
+}
+
+/* A field that fails as it is told to, and how often it was asked. */
+typedef struct problem {
+    size_t N, call, from, until; /* fails in calls from <= call < until */
+    int answer;                  /* the status; 0: gives NaN */
+    double rate;
+} problem;
+
+static int disturbed(problem *p, double *dydt, dal_error *error)
+{
+    const size_t call = p->call++;
+    if (call < p->from || call >= p->until) return 0;
+    if (p->answer) return dal__fail(error, p->answer, "call %zu failed", call);
+    dydt[0] = NAN;
+    return 0;
+}
+
+static int oscillator(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    (void)t;
+    dydt[0] = y[1];
+    dydt[1] = -y[0];
+    return disturbed(ctx, dydt, error);
+}
+
+/* y_i' = rate y_i / (i + 1). */
+static int exponential(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    const problem *const p = ctx;
+    (void)t;
+    for (size_t i = 0; i < p->N; i++) dydt[i] = p->rate * y[i] / (double)(i + 1);
+    return disturbed(ctx, dydt, error);
+}
+
+static int cosine(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    (void)y;
+    dydt[0] = cos(t);
+    return disturbed(ctx, dydt, error);
+}
+
+/* y' = rate (y - cos t) - sin t: y = cos t, to which all else decays fast if rate << 0. */
+static int prothero(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    const problem *const p = ctx;
+    dydt[0] = p->rate * (y[0] - cos(t)) - sin(t);
+    return disturbed(ctx, dydt, error);
+}
+
+static int square(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    (void)t;
+    dydt[0] = y[0] * y[0];
+    return disturbed(ctx, dydt, error);
+}
+
+/* y' = 1, not beyond y = 1; until counts the refusals. */
+static int to_the_wall(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    (void)t;
+    dydt[0] = 1.0;
+    if (!(y[0] > 1.0)) return 0;
+    ((problem *)ctx)->until++;
+    return dal__fail(error, DAL_EDOMAIN, "y = %.17g is beyond the wall", y[0]);
+}
+
+/* Free for |y| < 1/2, y'' = -+ 64 (|y| - 1/2)^3 beyond, not beyond |y| = 1: the long steps of the
+ * free motion overshoot. */
+static int before_the_wall(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    const double position = fabs(y[0]), depth = fmax(position - 0.5, 0.0);
+    const int status = to_the_wall(t, &position, dydt, ctx, error);
+    dydt[0] = y[1];
+    dydt[1] = -copysign(64.0 * depth * depth * depth, y[0]);
+    return status;
+}
+
+static ode *open_ode(size_t N, dal_flow_method method, double tolerance, dal__field_fn field,
+                     problem *p)
+{
+    ode *made = NULL;
+    dal_error error;
+    CHECK(dal__ode_new(&made, N, method, tolerance, field, p, &error) == 0);
+    return made;
+}
+
+/* From y[N] at t0 over span; the state is left in the integrator. */
+static int run(ode *self, double t0, double span, const double *y, double factor, dal_error *error)
+{
+    const int status = dal__ode_begin(self, t0, span, y, factor, error);
+    return status ? status : dal__ode_reach(self, span, error);
+}
+
+/* ---- accuracy --------------------------------------------------------------------------- */
+
+/* A method may make an error of its tolerance, relative and absolute, in every step.  rk8pd takes
+ * some steps a unit of time, the multistep methods up to 100; growing solutions let errors grow in
+ * proportion. */
+static const double tolerances[] = {1e-12, 1e-10, 1e-8};
+
+static double bound(dal_flow_method method, double span)
+{
+    const double steps = method == DAL_FLOW_RK8PD ? 5.0 : 100.0;
+    return steps * tolerances[method] * (1.0 + fabs(span));
+}
+
+static void test_oscillator(dal_flow_method method, double span)
+{
+    const double y0[2] = {1.0, 0.5};
+    problem p = {.from = SIZE_MAX};
+    dal_error error = {.text = "before"};
+    ode *self = open_ode(2, method, tolerances[method], oscillator, &p);
+    CHECK(run(self, 0.0, span, y0, 1.0, &error) == 0);
+    const double *const y = dal__ode_state(self);
+    CHECK_NEAR(y[0], cos(span) + 0.5 * sin(span), bound(method, span));
+    CHECK_NEAR(y[1], -sin(span) + 0.5 * cos(span), bound(method, span));
+    CHECK(dal__ode_elapsed(self) == span);
+    CHECK(p.call > 10 && dal__ode_evaluations(self) == p.call);
+    CHECK(strcmp(error.text, "before") == 0);
+    dal__ode_free(self);
+}
+
+/* Every component, for small and larger N. */
+static void test_exponential(dal_flow_method method, size_t N, double span)
+{
+    double y0[MOST];
+    problem p = {.N = N, .from = SIZE_MAX, .rate = 1.0};
+    for (size_t i = 0; i < N; i++) y0[i] = 1.0 + (double)i;
+    ode *self = open_ode(N, method, tolerances[method], exponential, &p);
+    CHECK(run(self, 7.0, span, y0, 1.0, NULL) == 0);
+    for (size_t i = 0; i < N; i++) {
+        const double exact = y0[i] * exp(span / (double)(i + 1));
+        const double growth = (1.0 + y0[i]) * (1.0 + exp(span / (double)(i + 1)));
+        CHECK_NEAR(dal__ode_state(self)[i], exact, growth * bound(method, span));
+    }
+    dal__ode_free(self);
+}
+
+/* The field sees t0 + elapsed, also in a step that starts late. */
+static void test_time(dal_flow_method method, double span)
+{
+    const double t0 = 1.25, y0[1] = {2.0};
+    problem p = {.from = SIZE_MAX};
+    ode *self = open_ode(1, method, tolerances[method], cosine, &p);
+    CHECK(run(self, t0, span, y0, 1.0, NULL) == 0);
+    const double y = dal__ode_state(self)[0];
+    CHECK_NEAR(y, 2.0 + sin(t0 + span) - sin(t0), 3.0 * bound(method, span));
+    dal__ode_free(self);
+}
+
+/* msbdf steps over what decays at once, which it can only with the right Jacobian; an explicit
+ * method has to resolve it. */
+static void test_stiff(void)
+{
+    const dal_flow_method methods[2] = {DAL_FLOW_MSBDF, DAL_FLOW_RK8PD};
+    const double y0[1] = {1.0};
+    size_t evaluations[2];
+    for (size_t i = 0; i < 2; i++) {
+        problem p = {.from = SIZE_MAX, .rate = -1e4};
+        ode *self = open_ode(1, methods[i], 1e-6, prothero, &p);
+        CHECK(run(self, 0.0, 10.0, y0, 1.0, NULL) == 0);
+        CHECK_NEAR(dal__ode_state(self)[0], cos(10.0), 1e-5); /* errors decay: a few tolerances */
+        evaluations[i] = dal__ode_evaluations(self);
+        dal__ode_free(self);
+    }
+    CHECK(10 * evaluations[0] < evaluations[1]);
+}
+
+/* Looser by a factor is the same as a tolerance that is larger by it. */
+static void test_factor(dal_flow_method method)
+{
+    const double y0[2] = {1.0, 0.5}, tolerance = 0x1p-20;
+    problem p = {.from = SIZE_MAX}, q = p, r = p;
+    ode *tight = open_ode(2, method, tolerance, oscillator, &p);
+    ode *loose = open_ode(2, method, 256.0 * tolerance, oscillator, &q);
+    ode *either = open_ode(2, method, tolerance, oscillator, &r);
+    CHECK(run(tight, 0.0, 5.0, y0, 1.0, NULL) == 0);
+    CHECK(run(loose, 0.0, 5.0, y0, 1.0, NULL) == 0);
+    CHECK(run(either, 0.0, 5.0, y0, 256.0, NULL) == 0);
+    CHECK(memcmp(dal__ode_state(either), dal__ode_state(loose), sizeof y0) == 0);
+    CHECK(q.call == r.call && q.call < p.call);
+    CHECK(run(either, 0.0, 5.0, y0, 1.0, NULL) == 0); /* it does not last */
+    CHECK(memcmp(dal__ode_state(either), dal__ode_state(tight), sizeof y0) == 0);
+    dal__ode_free(tight);
+    dal__ode_free(loose);
+    dal__ode_free(either);
+}
+
+/* ---- steps ------------------------------------------------------------------------------ */
+
+/* Step by step is the same to the last bit as all at once; nothing lies beyond the end. */
+static void test_steps(dal_flow_method method, double span)
+{
+    const double y0[2] = {1.0, 0.5};
+    double y[2], before = 0.0;
+    size_t steps = 0;
+    problem p = {.from = SIZE_MAX}, q = p;
+    ode *whole = open_ode(2, method, 1e-7, oscillator, &p);
+    ode *self = open_ode(2, method, 1e-7, oscillator, &q);
+    CHECK(run(whole, 0.5, span, y0, 1.0, NULL) == 0);
+    CHECK(dal__ode_begin(self, 0.5, span, y0, 1.0, NULL) == 0);
+    for (; dal__ode_elapsed(self) != span && steps < 10000; steps++) {
+        CHECK(dal__ode_step(self, span, NULL) == 0);
+        const double elapsed = dal__ode_elapsed(self);
+        CHECK(fabs(elapsed) > fabs(before) && fabs(elapsed) <= fabs(span));
+        CHECK_NEAR(dal__ode_state(self)[0], cos(elapsed) + 0.5 * sin(elapsed), 1e-4);
+        before = elapsed;
+    }
+    CHECK(steps > 3 && before == span);
+    CHECK(memcmp(dal__ode_state(self), dal__ode_state(whole), sizeof y0) == 0);
+    CHECK(p.call == q.call);
+
+    memcpy(y, dal__ode_state(self), sizeof y);
+    CHECK(dal__ode_step(self, span, NULL) == 0 && dal__ode_reach(self, span, NULL) == 0);
+    CHECK(memcmp(dal__ode_state(self), y, sizeof y) == 0 && p.call == q.call);
+    CHECK(dal__ode_reach(self, 2.0 * span, NULL) == 0); /* further on */
+    CHECK_NEAR(dal__ode_state(self)[1], 0.5 * cos(2.0 * span) - sin(2.0 * span), 1e-4);
+    dal__ode_free(whole);
+    dal__ode_free(self);
+}
+
+/* The oscillator is linear: doubled on the way, it is doubled at the end.  Its own state may be
+ * what it begins from. */
+static void test_restart(dal_flow_method method)
+{
+    const double y0[2] = {1.0, 0.5}, half = 1.5;
+    double y[2];
+    problem p = {.from = SIZE_MAX};
+    ode *self = open_ode(2, method, tolerances[method], oscillator, &p);
+    CHECK(run(self, 0.25, half, y0, 1.0, NULL) == 0);
+    double *const state = dal__ode_state(self);
+    memcpy(y, state, sizeof y);
+    for (size_t i = 0; i < 2; i++) state[i] *= 2.0;
+    CHECK(dal__ode_restart(self, 2.0 * half, NULL) == 0);
+    CHECK(dal__ode_elapsed(self) == half);
+    CHECK(dal__ode_reach(self, 2.0 * half, NULL) == 0);
+    CHECK_NEAR(state[0], 2.0 * cos(3.0) + sin(3.0), 4.0 * bound(method, 3.0));
+    CHECK_NEAR(state[1], cos(3.0) - 2.0 * sin(3.0), 4.0 * bound(method, 3.0));
+
+    memcpy(state, y, sizeof y);
+    CHECK(run(self, 0.25 + half, -half, state, 1.0, NULL) == 0); /* and back */
+    CHECK_NEAR(state[0], y0[0], 4.0 * bound(method, 3.0));
+    CHECK_NEAR(state[1], y0[1], 4.0 * bound(method, 3.0));
+    dal__ode_free(self);
+}
+
+/* y' = y^2 in the chart y, or in 1/y: (1/y)' = -1. */
+static int charted(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    (void)t, (void)error;
+    dydt[0] = *(const bool *)ctx ? -1.0 : y[0] * y[0];
+    return 0;
+}
+
+/* The solution 1/(2 - t) goes through infinity where the chart is changed after a step. */
+static void test_chart(dal_flow_method method)
+{
+    const double y0[1] = {0.5}, end = 3.0;
+    bool inverse = false;
+    size_t steps = 0;
+    ode *self = NULL;
+    CHECK(dal__ode_new(&self, 1, method, 1e-8, charted, &inverse, NULL) == 0);
+    CHECK(dal__ode_begin(self, 0.0, end, y0, 1.0, NULL) == 0);
+    double *const y = dal__ode_state(self);
+    for (; dal__ode_elapsed(self) != end && steps < 10000; steps++) {
+        CHECK(dal__ode_step(self, end, NULL) == 0);
+        if (inverse || y[0] < 1.5) continue;
+        inverse = true;
+        y[0] = 1.0 / y[0];
+        CHECK(dal__ode_restart(self, end, NULL) == 0);
+    }
+    CHECK(inverse && dal__ode_elapsed(self) == end);
+    CHECK_NEAR(y[0], -1.0, 1e-5); /* 100 steps; errors have grown by y^2 < 10 in the first chart */
+    dal__ode_free(self);
+}
+
+/* ---- failures --------------------------------------------------------------------------- */
+
+/* The field fails for good, from its k-th call on, for every k of the run. */
+static void test_failing(dal_flow_method method, int answer, int expected)
+{
+    const double y0[2] = {1.0, 0.5};
+    problem p = {.from = SIZE_MAX};
+    ode *self = open_ode(2, method, 1e-5, oscillator, &p);
+    CHECK(run(self, 0.0, 1.0, y0, 1.0, NULL) == 0);
+    const size_t calls = p.call;
+    CHECK(calls > 10);
+    for (size_t k = 0; k < calls; k++) {
+        dal_error error = {0};
+        p = (problem){.answer = answer, .from = k, .until = SIZE_MAX};
+        CHECK(run(self, 0.0, 1.0, y0, 1.0, &error) == expected);
+        CHECK(error.status == expected);
+        CHECK(strstr(error.text, answer ? "failed" : "the field at t = ") != NULL);
+        if (expected == DAL_EUSER) CHECK(p.call == k + 1); /* stop means stop */
+        CHECK(dal__all_finite(2, dal__ode_state(self)));
+    }
+    dal__ode_free(self);
+}
+
+/* One refused evaluation costs a shorter step, and the next run is as good as the first. */
+static void test_recovery(dal_flow_method method, int answer)
+{
+    const double y0[2] = {1.0, 0.5};
+    double first[2];
+    problem p = {.from = SIZE_MAX};
+    ode *self = open_ode(2, method, 1e-7, oscillator, &p);
+    CHECK(run(self, 0.0, 1.0, y0, 1.0, NULL) == 0);
+    memcpy(first, dal__ode_state(self), sizeof first);
+    const size_t calls = p.call;
+    for (size_t k = 1; k < calls; k++) {
+        p = (problem){.answer = answer, .from = k, .until = k + 1};
+        CHECK(run(self, 0.0, 1.0, y0, 1.0, NULL) == 0);
+        CHECK(p.call > k);
+        CHECK_NEAR(dal__ode_state(self)[0], first[0], 1e-4); /* 1000 tolerances */
+        p = (problem){.from = SIZE_MAX};
+        CHECK(run(self, 0.0, 1.0, y0, 1.0, NULL) == 0);
+        CHECK(memcmp(dal__ode_state(self), first, sizeof first) == 0 && p.call == calls);
+    }
+    dal__ode_free(self);
+}
+
+/* A solution that runs into the wall stops there, msbdf where its differences, y + 2e-5 at most,
+ * begin to do so.  One that turns before it goes on
+ * by shorter steps. */
+static void test_wall(dal_flow_method method)
+{
+    const double distance = method == DAL_FLOW_MSBDF ? 2e-5 : 1e-12;
+    const double y0[1] = {0.0};
+    problem p = {0};
+    dal_error error = {0};
+    ode *self = open_ode(1, method, 1e-6, to_the_wall, &p);
+    CHECK(run(self, 0.0, 2.0, y0, 1.0, &error) == DAL_EDOMAIN);
+    CHECK(error.status == DAL_EDOMAIN && strstr(error.text, "beyond the wall") != NULL);
+    CHECK_NEAR(dal__ode_state(self)[0], 1.0, distance);
+    CHECK_NEAR(dal__ode_elapsed(self), 1.0, distance);
+    CHECK(dal__ode_state(self)[0] <= 1.0);
+    dal__ode_free(self);
+
+    const double middle[2] = {0.0, 1.0}; /* turns at |y| = 0.92 */
+    p.until = 0;
+    self = open_ode(2, method, 1e-8, before_the_wall, &p);
+    CHECK(run(self, 0.0, 20.0, middle, 1.0, &error) == 0);
+    const double *const y = dal__ode_state(self), depth = fmax(fabs(y[0]) - 0.5, 0.0);
+    CHECK_NEAR(0.5 * y[1] * y[1] + 16.0 * pow(depth, 4.0), 0.5, 1e-5); /* 1000 tolerances */
+    CHECK(p.until > 0);
+    dal__ode_free(self);
+}
+
+/* 1/(1 - t) ends at t = 1: the step size collapses. */
+static void test_collapse(dal_flow_method method)
+{
+    const double y0[1] = {1.0};
+    problem p = {.from = SIZE_MAX};
+    dal_error error = {0};
+    ode *self = open_ode(1, method, 1e-6, square, &p);
+    CHECK(run(self, 0.0, 2.0, y0, 1.0, &error) == DAL_ENOCONV);
+    CHECK(error.status == DAL_ENOCONV);
+    CHECK(strstr(error.text, "the step size collapsed to h = ") != NULL);
+    CHECK(strstr(error.text, "(tolerance 1e-06)") != NULL);
+    CHECK_NEAR(dal__ode_elapsed(self), 1.0, 1e-3); /* the error, 100 steps of tolerance, and more */
+    CHECK(dal__all_finite(1, dal__ode_state(self)));
+    CHECK(run(self, 0.0, 0.5, y0, 1.0, &error) == 0); /* as good as new */
+    CHECK_NEAR(dal__ode_state(self)[0], 2.0, 1e-3);
+    dal__ode_free(self);
+}
+
+/* Data that no integration can begin from. */
+static void test_beginning(void)
+{
+    const double bad[2] = {1.0, INFINITY}, y0[2] = {1.0, 0.5};
+    problem p = {.from = SIZE_MAX};
+    dal_error error = {0};
+    ode *self = open_ode(2, DAL_FLOW_RK8PD, 1e-6, oscillator, &p);
+    CHECK(dal__ode_begin(self, 2.5, 1.0, bad, 1.0, &error) == DAL_EDOMAIN);
+    CHECK(strstr(error.text, "the state at t = 2.5 is not finite") != NULL && p.call == 0);
+    p = (problem){.answer = DAL_ESINGULAR, .until = SIZE_MAX};
+    CHECK(dal__ode_begin(self, 2.5, 1.0, y0, 1.0, &error) == DAL_ESINGULAR);
+    CHECK(error.status == DAL_ESINGULAR && strcmp(error.text, "call 0 failed") == 0);
+    p.from = SIZE_MAX;
+    CHECK(run(self, 2.5, 1.0, y0, 1.0, &error) == 0);
+    p = (problem){.answer = DAL_ESINGULAR, .until = SIZE_MAX};
+    CHECK(dal__ode_restart(self, 2.0, &error) == DAL_ESINGULAR);
+    dal__ode_free(self);
+}
+
+static void test_arguments(void)
+{
+    const double bad[] = {0.0, -1e-9, 0.11, NAN, INFINITY};
+    const size_t large[] = {SIZE_MAX, SIZE_MAX / 8, SIZE_MAX / 64};
+    problem p = {.from = SIZE_MAX};
+    ode *const none = NULL;
+    ode *self = none;
+    dal_error error = {0};
+    CHECK(dal__ode_new(&self, 2, (dal_flow_method)17, 1e-6, oscillator, &p, &error) == DAL_EINVAL);
+    CHECK(strstr(error.text, "method = 17") != NULL);
+    for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
+        CHECK(dal__ode_new(&self, 2, DAL_FLOW_RK8PD, bad[i], oscillator, &p, &error) == DAL_EINVAL);
+        CHECK(strstr(error.text, "tolerance = ") != NULL);
+    }
+    for (size_t i = 0; i < sizeof large / sizeof large[0]; i++)
+        CHECK(dal__ode_new(&self, large[i], DAL_FLOW_RK8PD, 0.1, oscillator, &p, &error)
+              == DAL_ENOMEM);
+    CHECK(error.status == DAL_ENOMEM && strstr(error.text, "overflows") != NULL);
+    error.text[0] = '\0';
+    CHECK(dal__ode_new(&self, (size_t)1 << 31, DAL_FLOW_MSBDF, 0.1, oscillator, &p, &error)
+          == DAL_ENOMEM);
+    CHECK(strstr(error.text, "overflows") != NULL);
+    CHECK(self == none);
+    dal__ode_free(NULL);
+}
+
+int main(void)
+{
+    gsl_set_error_handler(abort_on_gsl_error);
+    for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_MSBDF; method++) {
+        for (int sign = -1; sign <= 1; sign += 2) {
+            test_oscillator(method, sign * 3.0);
+            test_exponential(method, 1, sign * 2.0);
+            test_exponential(method, 3, sign * 2.0);
+            test_exponential(method, MOST, sign * 1.0);
+            test_time(method, sign * 4.0);
+            test_steps(method, sign * 3.0);
+        }
+        test_factor(method);
+        test_restart(method);
+        test_chart(method);
+        test_failing(method, DAL_EDOMAIN, DAL_EDOMAIN);
+        test_failing(method, DAL_ENOCONV, DAL_ENOCONV);
+        test_failing(method, DAL_EUSER, DAL_EUSER);
+        test_failing(method, 0, DAL_EDOMAIN);
+        test_recovery(method, DAL_ESINGULAR);
+        test_recovery(method, 0);
+        test_wall(method);
+        test_collapse(method);
+    }
+    test_stiff();
+    test_beginning();
+    test_arguments();
+    return check_done();
+}
