@@ -340,6 +340,37 @@ int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot)
     return DAL_SUCCESS;
 }
 
+int dal_perturbed(dal_mechanics *mechanics, double t, double weight, const double *x,
+                  const double *ghat, double *xdot, double *lambda)
+{
+    if (!mechanics) return DAL_EINVAL;
+    dal_mechanics *const mech = mechanics;
+    const size_t n = mech->n, m = mech->m;
+    int status = dal__require_finite(mech, "weight", 1, &weight);
+    if (!status) status = dal__require_finite(mech, "ghat", 2 * n, ghat);
+    if (!status) status = solve_multipliers(mech, t, x);
+    if (status) return status;
+    for (size_t a = 0; a < m; a++) /* hatLambday: C is still factored */
+        mech->residual[a] = -weight * (dal__dot(n, mech->dmu + a * n, ghat)
+                                       + dal__dot(n, mech->mu + a * n, ghat + n));
+    dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->phi);
+    for (size_t a = 0; a < m; a++) mech->lambda[a] += mech->phi[a];
+    for (size_t i = 0; i < n; i++) {
+        mech->step[i] = mech->force[i];
+        for (size_t a = 0; a < m; a++) mech->step[i] += mech->mu[a * n + i] * mech->lambda[a];
+    }
+    dal__accelerate(mech, mech->step, mech->w);
+    for (size_t i = 0; xdot && i < n; i++) {
+        const double v = x[n + i]; /* xdot may be x, or ghat */
+        mech->q[i] = v + weight * ghat[i];
+        mech->w[i] += weight * ghat[n + i];
+    }
+    if (xdot) memcpy(xdot, mech->q, n * sizeof *xdot);
+    if (xdot) memcpy(xdot + n, mech->w, n * sizeof *xdot);
+    if (lambda) memcpy(lambda, mech->lambda, m * sizeof *lambda);
+    return DAL_SUCCESS;
+}
+
 int dal_power(dal_mechanics *mechanics, double t, const double *x, double *constraint,
               double *force)
 {

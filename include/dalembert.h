@@ -301,6 +301,15 @@ DAL_API int dal_acceleration(dal_mechanics *mechanics, double t, const double *x
 /* xdot[2n] <- (v, vdot): the vector field h of the ODE on D (h, ODEManifold, heps). */
 DAL_API int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot);
 
+/* The DAE of motion with the perturbation weight ghat[2n] = weight (ghat_q, ghat_v),
+ *   qdot = v + weight ghat_q,  vdot = f_v + M^-1 mu^T lambda + weight ghat_v,  phi(q, v) = 0
+ * (PerturbedDAE): xdot[2n] <- its vector field on D (ODEPert; the form ODEPert2 is wrong, E2),
+ * lambda[m] <- its multiplier, that of dal_multipliers - weight C^-1 (phi_q ghat_q + mu ghat_v)
+ * (hatLambday).  Either may be NULL.  Tangent to D for every ghat; if (ghat_q, ghat_v) is tangent
+ * to D itself, lambda is that of the unperturbed problem. */
+DAL_API int dal_perturbed(dal_mechanics *mechanics, double t, double weight, const double *x,
+                          const double *ghat, double *xdot, double *lambda);
+
 /* x[2n]: v <- the velocity of D (shift = 0) or of D_eps on v + M^-1 mu(q)^T R^m, by Newton; for
  * linear and affine constraints and shift = 0 that is v - M^-1 mu^T C^-1 phi, the nearest consistent
  * velocity in the metric M.  *distance (or NULL) <- the length of the correction in that metric.
@@ -669,6 +678,59 @@ DAL_API int dal_order_study(const dal_system *system, const dal_scheme *scheme,
  * least three over a factor of two in h).  h[count], errors[count]. */
 DAL_API void dal_fit_order(size_t count, const double *h, const double *errors, double floor,
                            dal_fit *fit);
+
+/* ---- runs: embedding --------------------------------------------------------------------- */
+
+/* A scheme Phi of order p and step h is the period map of a flow that is perturbed periodically in
+ * time: with xi the coordinates of a chart, f the field of the ODE on D in them and F its flow, there
+ * is a 1-periodic g(tau, xi), bounded as h -> 0, such that Phi is the time-h map of
+ *     xidot = f(xi) + h^p g(t/h, xi)                              (pertODE, propoDisc, perturbedNhODExi).
+ * For h -> 0 it tends to -chi_0'(tau) d(xi), d the error constant of dal_embedding_limit.  With p + 1
+ * in place of p it grows as 1/h, with p - 1 it tends to 0: so it measures p (porder, pdisc). */
+typedef struct dal_embedding dal_embedding;
+
+typedef struct dal_embedding_def {
+    const dal_scheme *scheme; /* any record; of kept nodes the moved-node map is embedded, which is
+                                 its conjugate by (q, v) -> (q - (1-beta) h v, v) */
+    double h;                 /* the period, not 0 */
+    int order;                /* p; 0: the order of the record */
+    double tolerance;         /* of the flow; 0: 1e-14 */
+    int numerical;            /* 1: the reference flow even where there is an exact solution */
+} dal_embedding_def;
+
+/* DAL_EINVAL, DAL_ENOMEM, DAL_EUNSUPPORTED (a system with a force: it may depend on time). */
+DAL_API int dal_embedding_new(dal_embedding **embedding, const dal_system *system,
+                              const dal_embedding_def *def, dal_error *error);
+DAL_API void dal_embedding_free(dal_embedding *embedding);
+DAL_API const char *dal_embedding_message(const dal_embedding *embedding);
+
+/* The chart whose xi the functions below take and give: dal_chart_choose it first.  Borrowed. */
+DAL_API dal_chart *dal_embedding_chart(dal_embedding *embedding);
+/* p. */
+DAL_API int dal_embedding_order(const dal_embedding *embedding);
+/* About how much of g is noise: the accuracy of the flow (4 u for an exact solution) times
+ * h^-(p+1).  Where g is not larger, it says nothing. */
+DAL_API double dal_embedding_noise(const dal_embedding *embedding);
+
+/* Errors of the functions below: DAL_EINVAL (also where the chart has no choice yet), the errors of
+ * charts, flows and steps, and DAL_ENOCONV where h is too large.  tau is in units of h. */
+
+/* G[2n-m] <- the curve G~(tau, y) that starts in y[2n-m] and goes through Phi(y) at tau = 1, through
+ * Phi(Phi(y)) at tau = 2, ...; tau >= 0 (Gdef, Gtilde, period0). */
+DAL_API int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, double *G);
+
+/* y[2n-m] <- the start of the curve that goes through z[2n-m] at tau - floor(tau) (ztilde). */
+DAL_API int dal_embedding_source(dal_embedding *embedding, double tau, const double *z, double *y);
+
+/* g[2n-m] at (tau, z[2n-m]) (gdefinition).  Its image in the state, a vector tangent to D, is that of
+ * the Jacobian of dal_chart_jacobian (tildeg). */
+DAL_API int dal_embedding_field(dal_embedding *embedding, double tau, const double *z, double *g);
+
+/* d[2n-m] <- (Phi(z) - F(h, z)) / h^(p+1). */
+DAL_API int dal_embedding_limit(dal_embedding *embedding, const double *z, double *d);
+
+/* z[2n-m] at t0 -> at t1, along the perturbed ODE to a tolerance of 1e-12. */
+DAL_API int dal_embedding_flow(dal_embedding *embedding, double t0, double t1, double *z);
 
 /* </cdef> */
 
