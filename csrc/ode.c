@@ -15,12 +15,14 @@
 /* Accepted and refused steps of one integration; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
 
-/* The first step is a fraction of what the field suggests and of the interval.  No input makes the
- * step sizes that follow from these a round number: the iteration matrix 1 - h J of msbdf, which
- * GSL would report through its handler were it singular to the last bit, would be so only for an
- * exact coincidence such as h^2 k = 1. */
+/* The first step is a fraction of what the field suggests and of the interval. */
 static const double FIRST_STEP = 0.00618033988749895;
 static const double FIRST_FRACTION = 0.381966011250105;
+
+/* GSL would report the iteration matrix 1 - h J of msbdf through its handler were it singular to
+ * the last bit, as it is for round h and J with h J = 1.  The Jacobian is made too large by this
+ * share, which is harmless as Newton's method corrects it, and which no round numbers undo. */
+static const double NUDGE = 6.18033988749895e-10;
 
 struct ode {
     size_t N;
@@ -114,7 +116,7 @@ static int difference(double elapsed, const double y[], double *dfdy, double dfd
         self->point[j] = y[j];
         if (status != GSL_SUCCESS) return status;
         for (size_t i = 0; i < N; i++)
-            dfdy[i * N + j] = (self->right[i] - self->left[i]) / (above - below);
+            dfdy[i * N + j] = (1.0 + NUDGE) * (self->right[i] - self->left[i]) / (above - below);
     }
     if (!dal__all_finite(N * N, dfdy)) return faulty(self, "differenced Jacobian", elapsed);
     memset(dfdt, 0, N * sizeof *dfdt);

@@ -445,6 +445,8 @@ static void test_unstable_msbdf(void)
             CHECK(dal_flow_apply(flow, 0.0, t1, x, NULL) == 0);
             CHECK_NEAR(x[0], 1e-3 * cosh(factor), 1.0); /* tolerance 1e-2, steps, growth exp(4) */
         }
+        double rows[9 * 4] = {1e-3}; /* whole rows in one step */
+        CHECK(dal_flow_trajectory(flow, 0.0, ldexp(1.0, -exponent / 2), 8, rows, NULL) == 0);
         dal_flow_free(flow);
         dal_system_free(system);
     }

@@ -64,6 +64,16 @@ static int prothero(double t, const double *y, double *dydt, void *ctx, dal_erro
     return disturbed(ctx, dydt, error);
 }
 
+/* y'' = rate y. */
+static int spring(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    const problem *const p = ctx;
+    (void)t;
+    dydt[0] = y[1];
+    dydt[1] = p->rate * y[0];
+    return disturbed(ctx, dydt, error);
+}
+
 static int square(double t, const double *y, double *dydt, void *ctx, dal_error *error)
 {
     (void)t;
@@ -165,18 +175,17 @@ static void test_time(dal_flow_method method, double span)
     dal__ode_free(self);
 }
 
-/* msbdf steps over what decays at once, which it can only with the right Jacobian; an explicit
- * method has to resolve it. */
-static void test_stiff(void)
+/* msbdf steps over what decays, or hardly moves, which it can only with the right Jacobian; an
+ * explicit method has to resolve it. */
+static void test_stiff(size_t N, dal__field_fn field, double rate, const double *y0, double exact)
 {
     const dal_flow_method methods[2] = {DAL_FLOW_MSBDF, DAL_FLOW_RK8PD};
-    const double y0[1] = {1.0};
     size_t evaluations[2];
     for (size_t i = 0; i < 2; i++) {
-        problem p = {.from = SIZE_MAX, .rate = -1e4};
-        ode *self = open_ode(1, methods[i], 1e-6, prothero, &p);
+        problem p = {.from = SIZE_MAX, .rate = rate};
+        ode *self = open_ode(N, methods[i], 1e-6, field, &p);
         CHECK(run(self, 0.0, 10.0, y0, 1.0, NULL) == 0);
-        CHECK_NEAR(dal__ode_state(self)[0], cos(10.0), 1e-5); /* errors decay: a few tolerances */
+        CHECK_NEAR(dal__ode_state(self)[0], exact, 1e-5); /* errors decay: a few tolerances */
         evaluations[i] = dal__ode_evaluations(self);
         dal__ode_free(self);
     }
@@ -381,6 +390,22 @@ static void test_collapse(dal_flow_method method)
     dal__ode_free(self);
 }
 
+/* 1 - h J of msbdf is singular where h * rate = 1: ends and rates chosen to meet that do not. */
+static void test_singular_msbdf(void)
+{
+    const double y0[1] = {1e-3};
+    for (int exponent = -10; exponent <= 30; exponent++) {
+        problem p = {.N = 1, .from = SIZE_MAX, .rate = ldexp(1.0, exponent)};
+        ode *self = open_ode(1, DAL_FLOW_MSBDF, 1e-2, exponential, &p);
+        const double h = ldexp(1.0, -exponent);
+        CHECK(dal__ode_begin(self, 0.0, h, y0, 1.0, NULL) == 0);
+        for (int k = 1; k <= 4; k++) CHECK(dal__ode_reach(self, k * h, NULL) == 0);
+        /* tolerance 1e-2 a step, at most ten a unit, growth exp(4) */
+        CHECK_NEAR(dal__ode_state(self)[0], 1e-3 * exp(4.0), 4.0);
+        dal__ode_free(self);
+    }
+}
+
 /* Data that no integration can begin from. */
 static void test_beginning(void)
 {
@@ -450,7 +475,9 @@ int main(void)
         test_wall(method);
         test_collapse(method);
     }
-    test_stiff();
+    test_stiff(1, prothero, -1e4, (const double[1]){1.0}, cos(10.0));
+    test_stiff(2, spring, -1e8, (const double[2]){1e-12, 0.0}, 0.0);
+    test_singular_msbdf();
     test_beginning();
     test_arguments();
     return check_done();
