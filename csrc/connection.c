@@ -516,7 +516,6 @@ int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot)
 {
     if (!chart) return DAL_EINVAL;
     if (!xidot) return dal__null_argument(&chart->mech, "xidot");
-    const size_t n = chart->n;
     int status = require_xi(chart, xi);
     if (!status) status = lift_from_branch(chart, xi, chart->x);
     if (!status) status = dal_field(&chart->mech, t, chart->x, chart->y);

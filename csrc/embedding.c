@@ -63,7 +63,8 @@ static int make_parts(dal_embedding *self, const dal_embedding_def *def, dal_err
     int status = dal_chart_new(&self->chart, self->system, error);
     if (!status) status = dal_stepper_new(&self->stepper, self->system, &moved, NULL, error);
     if (!status && (def->numerical || !self->system->def.exact))
-        status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, self->tolerance, error);
+        status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, DAL_FLOW_X,
+                              self->tolerance, error);
     if (!status)
         status = dal__ode_new(&self->perturbed, self->width, DAL_FLOW_RK8PD, RUN_TOLERANCE,
                               perturbed_field, self, error);

@@ -1,4 +1,5 @@
-/* Floor 4: the reference flow, the ODE on D (h) by the adaptive integrator of ode.c. */
+/* Floor 4: the reference flow, the ODE on D (h) by the adaptive integrator of ode.c; in the states
+ * x, or in the coordinates xi of charts (ODExi). */
 #include "internal.h"
 
 #include <math.h>
@@ -7,10 +8,16 @@
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
 
+/* Accepted steps of one integration in xi; far more than any sensible one takes. */
+enum { MOST_STEPS = 10000000 };
+
 struct dal_flow {
     dal_mechanics mech;
+    bool in_xi;
+    dal_chart chart;         /* in xi only */
+    size_t chart_changes;
     ode *integrator;
-    double *result; /* [2n] */
+    double *result, *state;  /* [2n] */
     dal_error error;
     arena arena;
 };
@@ -33,27 +40,47 @@ static int field(double t, const double *x, double *dxdt, void *ctx, dal_error *
     return status;
 }
 
+/* The same in xi[2n-m], of the chart ctx. */
+static int field_in_xi(double t, const double *xi, double *dxidt, void *ctx, dal_error *error)
+{
+    dal_chart *const chart = ctx;
+    const int status = dal_chart_field(chart, t, xi, dxidt);
+    if (status) *error = chart->mech.error;
+    else if (!dal__all_finite(chart->width, dxidt))
+        return dal__fail(error, DAL_EDOMAIN, "the acceleration at t = %.17g is not finite", t);
+    return status;
+}
+
 /* Making. */
 
 int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method method,
-                 double tolerance, dal_error *error)
+                 dal_flow_coordinates coordinates, double tolerance, dal_error *error)
 {
     dal__fail(error, DAL_SUCCESS, "%s", "");
     if (!flow || !system)
         return dal__fail(error, DAL_EINVAL, "%s is NULL", flow ? "system" : "flow");
+    if (coordinates != DAL_FLOW_X && coordinates != DAL_FLOW_XI)
+        return dal__fail(error, DAL_EINVAL, "coordinates = %d is not a dal_flow_coordinates",
+                         (int)coordinates);
 
     arena memory = {0};
-    dal_flow shape = {0}, *self;
+    dal_flow shape = {.in_xi = coordinates == DAL_FLOW_XI}, *self;
+    const size_t n = dal_system_n(system), m = dal_system_m(system);
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
-    dal__reserve(&memory, &shape.result, 2 * dal_system_n(system), sizeof(double));
+    if (shape.in_xi) dal__chart_reserve(&shape.chart, system, &memory);
+    dal__reserve(&memory, &shape.result, 2 * n, sizeof(double));
+    dal__reserve(&memory, &shape.state, 2 * n, sizeof(double));
     int status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;
     self->arena = memory;
     dal__mechanics_bind(&self->mech, system);
-    status = dal__ode_new(&self->integrator, dimension(self), method, tolerance, field,
-                          &self->mech, error);
+    if (self->in_xi) dal__chart_bind(&self->chart, system);
+    status = self->in_xi ? dal__ode_new(&self->integrator, 2 * n - m, method, tolerance,
+                                        field_in_xi, &self->chart, error)
+                         : dal__ode_new(&self->integrator, 2 * n, method, tolerance, field,
+                                        &self->mech, error);
     if (status) dal_flow_free(self);
     else *flow = self;
     return status;
@@ -69,6 +96,8 @@ void dal_flow_free(dal_flow *flow)
 
 const char *dal_flow_message(const dal_flow *flow) { return flow->error.text; }
 
+size_t dal_flow_chart_changes(const dal_flow *flow) { return flow->chart_changes; }
+
 size_t dal_flow_evaluations(const dal_flow *flow)
 {
     return dal__ode_evaluations(flow->integrator);
@@ -76,23 +105,72 @@ size_t dal_flow_evaluations(const dal_flow *flow)
 
 /* Integration. */
 
-/* The failure of the mechanics is the failure of the flow. */
-static int pass_on(dal_flow *flow, int status)
+/* The failure of a part is the failure of the flow. */
+static int pass_on(dal_flow *flow, const dal_error *error, int status)
 {
-    flow->error = flow->mech.error;
+    flow->error = *error;
     return status;
 }
 
-/* The state of the integrator <- x[2n] at t0 taken to t1. */
+static int failed_chart(dal_flow *flow, int status)
+{
+    return pass_on(flow, &flow->chart.mech.error, status);
+}
+
+/* Ready to integrate from x[2n] at t0 over about span. */
+static int begin(dal_flow *flow, double t0, double span, const double *x, double factor)
+{
+    copy(flow, flow->state, x);
+    if (!flow->in_xi)
+        return dal__ode_begin(flow->integrator, t0, span, x, factor, &flow->error);
+    const int status = dal_chart_choose(&flow->chart, NULL, x);
+    if (status) return failed_chart(flow, status);
+    dal__chart_drop(&flow->chart, x, flow->chart.y);
+    return dal__ode_begin(flow->integrator, t0, span, flow->chart.y, factor, &flow->error);
+}
+
+/* flow->state <- psi(xi) of the integrator, in a chart that is well conditioned there. */
+static int renew_chart(dal_flow *flow, double end)
+{
+    double *const xi = dal__ode_state(flow->integrator);
+    int changed = 0, status = dal_chart_lift(&flow->chart, xi, flow->state);
+    if (!status) status = dal_chart_renew(&flow->chart, flow->state, &changed);
+    if (status) return failed_chart(flow, status);
+    if (!changed) return DAL_SUCCESS;
+    flow->chart_changes++;
+    dal__chart_drop(&flow->chart, flow->state, xi);
+    return dal__ode_restart(flow->integrator, end, &flow->error);
+}
+
+/* flow->state <- the state at elapsed time end. */
+static int reach(dal_flow *flow, double end)
+{
+    ode *const integrator = flow->integrator;
+    int status = DAL_SUCCESS;
+    if (!flow->in_xi) {
+        status = dal__ode_reach(integrator, end, &flow->error);
+        if (!status) copy(flow, flow->state, dal__ode_state(integrator));
+        return status;
+    }
+    for (size_t steps = 0; !status && dal__ode_elapsed(integrator) != end; steps++) {
+        if (steps == MOST_STEPS)
+            return dal__fail(&flow->error, DAL_ENOCONV, "%d steps in xi did not lead to the end of "
+                             "the interval", MOST_STEPS);
+        status = dal__ode_step(integrator, end, &flow->error);
+        if (!status) status = renew_chart(flow, end);
+    }
+    return status;
+}
+
+/* flow->state <- x[2n] at t0 taken to t1. */
 static int integrate(dal_flow *flow, double t0, double t1, const double *x, double factor,
                      bool project)
 {
-    ode *const integrator = flow->integrator;
-    int status = dal__ode_begin(integrator, t0, t1 - t0, x, factor, &flow->error);
-    if (!status) status = dal__ode_reach(integrator, t1 - t0, &flow->error);
-    if (status || !project) return status;
-    status = dal_project(&flow->mech, 0.0, dal__ode_state(integrator), NULL);
-    return status ? pass_on(flow, status) : DAL_SUCCESS;
+    int status = begin(flow, t0, t1 - t0, x, factor);
+    if (!status) status = reach(flow, t1 - t0);
+    if (status || !project || flow->in_xi) return status; /* psi(xi) lies in D */
+    status = dal_project(&flow->mech, 0.0, flow->state, NULL);
+    return status ? pass_on(flow, &flow->mech.error, status) : DAL_SUCCESS;
 }
 
 static int require_interval(dal_flow *flow, double t0, double t1, const double *x)
@@ -113,7 +191,7 @@ int dal__flow_apply(dal_flow *flow, double t0, double t1, double *x, bool projec
     int status = require_interval(flow, t0, t1, x);
     if (status || t1 == t0) return status;
     status = integrate(flow, t0, t1, x, 1.0, project);
-    if (!status) copy(flow, x, dal__ode_state(flow->integrator));
+    if (!status) copy(flow, x, flow->state);
     return status;
 }
 
@@ -129,12 +207,12 @@ int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accu
     }
     status = integrate(flow, t0, t1, x, 1.0, true);
     if (status) return status;
-    copy(flow, flow->result, dal__ode_state(flow->integrator));
+    copy(flow, flow->result, flow->state);
     status = integrate(flow, t0, t1, x, LOOSER, true);
     if (status) return status;
     double difference = 0.0;
     for (size_t i = 0; i < dimension(flow); i++)
-        difference = fmax(difference, fabs(flow->result[i] - dal__ode_state(flow->integrator)[i]));
+        difference = fmax(difference, fabs(flow->result[i] - flow->state[i]));
     copy(flow, x, flow->result);
     *accuracy = difference;
     return DAL_SUCCESS;
@@ -148,14 +226,14 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
     int status = require_interval(flow, t0, t0 + (double)steps * h, x);
     if (!status && h == 0.0) status = dal__fail(&flow->error, DAL_EINVAL, "h = 0");
     if (status || steps == 0) return status;
-    status = dal__ode_begin(flow->integrator, t0, h, x, 1.0, &flow->error);
+    status = begin(flow, t0, h, x, 1.0);
     for (size_t k = 1; !status && k <= steps; k++) {
         /* The rows are projected, the integration goes on without: it need not start anew. */
-        status = dal__ode_reach(flow->integrator, (double)k * h, &flow->error);
+        status = reach(flow, (double)k * h);
         if (status) break;
-        copy(flow, flow->result, dal__ode_state(flow->integrator));
-        status = dal_project(&flow->mech, 0.0, flow->result, NULL);
-        if (status) return pass_on(flow, status);
+        copy(flow, flow->result, flow->state);
+        if (!flow->in_xi) status = dal_project(&flow->mech, 0.0, flow->result, NULL);
+        if (status) return pass_on(flow, &flow->mech.error, status);
         copy(flow, x + k * N, flow->result);
         if (done) *done = k;
     }

@@ -126,7 +126,6 @@ int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta,
     const double *const v = x + n;
     int status = dal__step_begin(mech, t, beta, h, kept, x);
     if (status) return status;
-    stats->full_newtons++;
     bool solved = false;
     if (s->warm) {
         for (size_t i = 0; i < n; i++) s->w[i] = v[i] + h * s->rate[i];
@@ -134,6 +133,7 @@ int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta,
         status = iterate(s, mech, stats);
         solved = status == DAL_SUCCESS;
         if (status == DAL_EUSER) return status;
+        if (status) stats->full_newtons++;
     }
     if (!solved) {
         memcpy(s->w, v, n * sizeof *s->w);

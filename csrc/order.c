@@ -497,7 +497,7 @@ static int make_objects(study *self)
     if (!status)
         status = dal_stepper_new(&self->stepper, self->system, self->scheme, NULL, self->error);
     if (!status && (self->kept || !self->system->def.exact))
-        status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, self->tolerance,
+        status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, DAL_FLOW_X, self->tolerance,
                               self->error);
     return status ? status : reserve_arrays(self);
 }

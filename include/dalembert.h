@@ -438,18 +438,24 @@ typedef enum dal_flow_method {
     DAL_FLOW_MSBDF = 2    /* multistep BDF with a differenced Jacobian, for stiff potentials */
 } dal_flow_method;
 
+typedef enum dal_flow_coordinates {
+    DAL_FLOW_X = 0, /* the ODE in the states x (h) */
+    DAL_FLOW_XI = 1 /* the ODE in the coordinates of a chart (ODExi, ODExiConnec), which is changed on
+                       the way where it has become ill conditioned: every step lies in D */
+} dal_flow_coordinates;
+
 /* The flow of the ODE on D by an adaptive method of GSL (odeiv2). */
 typedef struct dal_flow dal_flow;
 
 /* tolerance: relative and absolute, for each step, in (0, 0.1]; 1e-13 is about the best. */
 DAL_API int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method method,
-                         double tolerance, dal_error *error);
+                         dal_flow_coordinates coordinates, double tolerance, dal_error *error);
 DAL_API void dal_flow_free(dal_flow *flow);
 DAL_API const char *dal_flow_message(const dal_flow *flow);
 
 /* x[2n] at t0, which must lie in D, -> x at t1 (t1 < t0 is allowed), projected onto D at the end.
- * That x lies in D is not checked: off D the same ODE is integrated, which keeps mu v, and only
- * the result is projected.  *accuracy (or NULL) <- estimate of the error, the largest component of
+ * That x lies in D is not checked: off D the same ODE is integrated, which keeps phi, and only the
+ * result is projected; in xi the part of v off D is dropped at once.  *accuracy (or NULL) <- estimate of the error, the largest component of
  * the difference to the result at a tolerance ten times as large; asking for it costs a second
  * integration.
  * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed). */
@@ -460,6 +466,9 @@ DAL_API int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, doub
  * of dal_flow_apply. */
 DAL_API int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, double *x,
                                 size_t *done);
+
+/* Changes of the chart so far; 0 but for DAL_FLOW_XI. */
+DAL_API size_t dal_flow_chart_changes(const dal_flow *flow);
 
 /* Evaluations of the vector field so far. */
 DAL_API size_t dal_flow_evaluations(const dal_flow *flow);
@@ -554,7 +563,8 @@ typedef struct dal_stats {
     size_t constraint_calls, potential_calls;
     size_t lagrangian_calls, force_calls;
     size_t corrections;         /* final corrections that took an evaluation of their own */
-    size_t full_newtons;        /* sub-steps that were handed to the full Newton */
+    size_t full_newtons;        /* sub-steps that the modified Newton handed to the full one; where
+                                   all are solved by the full one, that had to start anew */
     size_t halvings;            /* Newton steps halved because a callback left its domain */
     double worst_residual;      /* largest |mu^a v| / sum_i |mu^a_i v_i| after a step, as the step
                                    itself predicts it from its last evaluation; in every 64th step,

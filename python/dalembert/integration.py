@@ -30,6 +30,7 @@ METHODS = {
     "msadams": lib.DAL_FLOW_MSADAMS,
     "msbdf": lib.DAL_FLOW_MSBDF,
 }
+COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
 
 
 def integrate(
@@ -209,6 +210,7 @@ def reference(
     consistent: str = "check",
     method: str = "rk8pd",
     tolerance: float = 1e-13,
+    coordinates: str = "x",
 ) -> Reference:
     """Return the state of the ODE on D at one time, by an adaptive method of GSL.
 
@@ -228,6 +230,9 @@ def reference(
         Prince-Dormand 8(9), Adams, or BDF for stiff potentials.
     tolerance : float, optional
         Relative and absolute, for each step, in (0, 0.1].
+    coordinates : {"x", "xi"}, optional
+        Of the ODE: the states (q, v), or those of charts of D (`Chart`), which are changed on the
+        way where they become ill conditioned.
 
     Returns
     -------
@@ -256,7 +261,14 @@ def reference(
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     flow_method = arguments.choice(method, "method", METHODS)
     tolerance = arguments.number(tolerance, "tolerance")
-    flow = _lib.make("flow", system._handle, flow_method, tolerance, owner=system._handle)
+    flow = _lib.make(
+        "flow",
+        system._handle,
+        flow_method,
+        arguments.choice(coordinates, "coordinates", COORDINATES),
+        tolerance,
+        owner=system._handle,
+    )
     stepper = started_stepper(system, REFERENCE, x0, t0=t0, h=1.0, consistency=consistency)
     x = state(stepper, system)
     accuracy = ffi.new("double *")

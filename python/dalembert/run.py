@@ -229,7 +229,9 @@ class FlowRun(Run):
     def start(self, x0: Array, consistency: int, method: int, tolerance: float) -> None:
         """Make the flow and check the initial data; what is raised here has no part of a run."""
         handle = self.system._handle
-        self.flow = _lib.make("flow", handle, method, tolerance, owner=handle)
+        self.flow = _lib.make(
+            "flow", handle, method, lib.DAL_FLOW_X, tolerance, owner=handle
+        )
         stepper = started_stepper(
             self.system, REFERENCE, x0, t0=self.t0, h=self.h, consistency=consistency
         )

@@ -216,9 +216,9 @@ static int make(maker what, outputs *out, dal_error *error)
     case SYSTEM_DIAGONAL: return dal_system_new(&out->system, &plane, error);
     case BUILTIN: return dal_system_builtin(&out->system, "chaotic", NULL, NULL, 0, error);
     case MECHANICS: return dal_mechanics_new(&out->mechanics, generic4, error);
-    case FLOW_RK8PD: return dal_flow_new(&out->flow, generic4, DAL_FLOW_RK8PD, 1e-6, error);
-    case FLOW_MSADAMS: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSADAMS, 1e-6, error);
-    case FLOW_MSBDF: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSBDF, 1e-6, error);
+    case FLOW_RK8PD: return dal_flow_new(&out->flow, generic4, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, error);
+    case FLOW_MSADAMS: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSADAMS, DAL_FLOW_X, 1e-6, error);
+    case FLOW_MSBDF: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSBDF, DAL_FLOW_X, 1e-6, error);
     case STEPPER: return make_stepper(out, DAL_SOLVER_SCHUR, error);
     case STEPPER_MULTIROOT: return make_stepper(out, DAL_SOLVER_MULTIROOT, error);
     case CHECK_SYSTEM: return dal_system_check(generic4, state, &out->check, error);
@@ -378,7 +378,7 @@ static void test_flow(dal_flow_method method)
     size_t done;
     dal_flow *flow = NULL;
     memcpy(x, state, sizeof x);
-    CHECK(dal_flow_new(&flow, generic4, method, 1e-6, NULL) == 0);
+    CHECK(dal_flow_new(&flow, generic4, method, DAL_FLOW_X, 1e-6, NULL) == 0);
     const size_t calls = process.calls;
     const long live = process.live;
     CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &accuracy) == 0);

@@ -174,7 +174,7 @@ static void test_flow(void)
     const double d = 1e-2;
     unsigned seed = 11;
     test_derivatives(system);
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 1e-13, NULL) == 0);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
     random_state(mech, 3, &seed, x);
     for (int k = -2; k <= 2; k++) {
         double y[6];

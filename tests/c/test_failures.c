@@ -542,7 +542,7 @@ static void test_nothing_written(void)
             dal_flow *flow = NULL;
             double before[MOST];
             memcpy(before, x, sizeof x);
-            CHECK(dal_flow_new(&flow, system, method, 1e-6, NULL) == 0);
+            CHECK(dal_flow_new(&flow, system, method, DAL_FLOW_X, 1e-6, NULL) == 0);
             CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &E) == DAL_EDOMAIN && E == UNTOUCHED);
             CHECK(memcmp(x, before, sizeof x) == 0);
             CHECK(strstr(dal_flow_message(flow), names[forgotten]) != NULL);
@@ -725,7 +725,7 @@ static void test_disturbed_flow(dal_flow_method method, size_t every)
     double x0[MOST], x[MOST], end[MOST], rows[ROWS * MOST];
     dal_flow *flow = NULL;
     dal_system *system = open_faulty("generic4", 0, &f, x0);
-    CHECK(dal_flow_new(&flow, system, method, tolerance, NULL) == 0);
+    CHECK(dal_flow_new(&flow, system, method, DAL_FLOW_X, tolerance, NULL) == 0);
     for (callback where = 0; where < CALLBACKS; where++) {
         plan_fault(&f, where, REFUSE, 0, 0);
         memcpy(end, x0, sizeof end);
@@ -860,7 +860,7 @@ static void test_singular_constraints(void)
         fill(6, out, UNTOUCHED);
         CHECK(dal_system_new(&system, &def, NULL) == 0);
         CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
-        CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 1e-6, NULL) == 0);
+        CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == 0);
         CHECK(dal_multipliers(mechanics, 0.0, x, out) == DAL_ESINGULAR);
         CHECK(has_number(dal_mechanics_message(mechanics)));
         CHECK(dal_acceleration(mechanics, 0.0, x, out) == DAL_ESINGULAR);
@@ -1312,9 +1312,9 @@ static void test_null_flow(const dal_system *system, double *x)
 {
     dal_flow *flow = NULL;
     size_t done = 99;
-    CHECK(dal_flow_new(NULL, system, DAL_FLOW_RK8PD, 1e-6, NULL) == DAL_EINVAL);
-    CHECK(dal_flow_new(&flow, NULL, DAL_FLOW_RK8PD, 1e-6, NULL) == DAL_EINVAL && flow == NULL);
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 1e-6, NULL) == 0);
+    CHECK(dal_flow_new(NULL, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == DAL_EINVAL);
+    CHECK(dal_flow_new(&flow, NULL, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == DAL_EINVAL && flow == NULL);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == 0);
     CHECK(dal_flow_apply(NULL, 0.0, 1.0, x, NULL) == DAL_EINVAL);
     CHECK(dal_flow_apply(flow, 0.0, 1.0, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_flow_trajectory(NULL, 0.0, h, 1, x, &done) == DAL_EINVAL && done == 0);

@@ -37,7 +37,7 @@ static dal_flow *open_flow(const dal_system *system, dal_flow_method method, dou
 {
     dal_flow *flow = NULL;
     dal_error error;
-    CHECK(dal_flow_new(&flow, system, method, tolerance, &error) == 0);
+    CHECK(dal_flow_new(&flow, system, method, DAL_FLOW_X, tolerance, &error) == 0);
     return flow;
 }
 
@@ -452,6 +452,44 @@ static void test_unstable_msbdf(void)
     }
 }
 
+/* In the coordinates of charts: the same states, each in D without being projected, and the chart is
+ * changed on the way where the dependent coordinate of the start does not serve all of it. */
+static void test_in_xi(const char *name, dal_flow_method method, double tolerance, bool turns)
+{
+    double x0[MOST], in_x[MOST], in_xi[MOST], rows[21 * MOST], accuracy, relative;
+    dal_system *const system = open_system(name, x0);
+    const size_t N = 2 * dal_system_n(system);
+    dal_mechanics *mech = NULL;
+    dal_flow *const plain = open_flow(system, method, tolerance), *flow = NULL;
+    CHECK(dal_flow_new(&flow, system, method, DAL_FLOW_XI, tolerance, NULL) == 0);
+    CHECK(dal_mechanics_new(&mech, system, NULL) == 0);
+    for (int sign = -1; sign <= 1; sign += 2) {
+        memcpy(in_x, x0, sizeof in_x);
+        memcpy(in_xi, x0, sizeof in_xi);
+        CHECK(dal_flow_apply(plain, 0.0, 10.0 * sign, in_x, NULL) == 0);
+        CHECK(dal_flow_apply(flow, 0.0, 10.0 * sign, in_xi, &accuracy) == 0);
+        /* both have an error of this size, that of some hundred steps of size tolerance */
+        CHECK_NEAR(distance(N, in_x, in_xi), 0.0, 1e3 * tolerance * (1.0 + distance(N, in_x, x0)));
+        CHECK(accuracy <= 1e4 * tolerance);
+    }
+    CHECK(turns == (dal_flow_chart_changes(flow) > 0));
+    CHECK(dal_flow_chart_changes(plain) == 0);
+    memcpy(rows, x0, sizeof x0);
+    CHECK(dal_flow_trajectory(flow, 0.0, 0.5, 20, rows, NULL) == 0);
+    for (size_t k = 1; k <= 20; k++) {
+        CHECK(dal_relative_residual(mech, 0.0, rows + k * N, &relative) == 0);
+        CHECK(relative <= DAL_RESIDUAL_BOUND(N / 2));
+    }
+    memcpy(in_x, x0, sizeof in_x);
+    CHECK(dal_flow_apply(plain, 0.0, 10.0, in_x, NULL) == 0);
+    CHECK_NEAR(distance(N, in_x, rows + 20 * N), 0.0,
+               1e3 * tolerance * (1.0 + distance(N, in_x, x0)));
+    dal_flow_free(flow);
+    dal_flow_free(plain);
+    dal_mechanics_free(mech);
+    dal_system_free(system);
+}
+
 static void test_arguments(void)
 {
     double x0[MOST] = {0}, x[MOST], accuracy = -1.0;
@@ -459,17 +497,21 @@ static void test_arguments(void)
     dal_system *system = open_system("particle", x0);
     dal_flow *const none = NULL;
     dal_flow *flow = none;
-    CHECK(dal_flow_new(NULL, system, DAL_FLOW_RK8PD, 1e-9, &error) == DAL_EINVAL);
-    CHECK(dal_flow_new(&flow, NULL, DAL_FLOW_RK8PD, 1e-9, &error) == DAL_EINVAL);
-    CHECK(dal_flow_new(&flow, system, (dal_flow_method)17, 1e-9, &error) == DAL_EINVAL);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, (dal_flow_coordinates)5, 1e-9, &error)
+          == DAL_EINVAL);
+    CHECK(strstr(error.text, "coordinates = 5") != NULL && flow == NULL);
+    CHECK(dal_flow_new(NULL, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-9, &error) == DAL_EINVAL);
+    CHECK(dal_flow_new(&flow, NULL, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-9, &error) == DAL_EINVAL);
+    CHECK(dal_flow_new(&flow, system, (dal_flow_method)17, DAL_FLOW_X, 1e-9, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "17") != NULL);
     const double bad_tolerances[] = {0.0, -1e-9, 0.11, NAN, INFINITY};
     for (size_t i = 0; i < sizeof bad_tolerances / sizeof bad_tolerances[0]; i++)
-        CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, bad_tolerances[i], &error) == DAL_EINVAL);
+        CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, bad_tolerances[i], &error)
+              == DAL_EINVAL);
     CHECK(strstr(error.text, "tolerance = inf") != NULL);
     CHECK(flow == none);
 
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 0.1, &error) == 0);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 0.1, &error) == 0);
     memcpy(x, x0, sizeof x);
     CHECK(dal_flow_apply(NULL, 0.0, 1.0, x, NULL) == DAL_EINVAL);
     CHECK(dal_flow_apply(flow, 0.0, 1.0, NULL, NULL) == DAL_EINVAL);
@@ -491,6 +533,15 @@ static void test_arguments(void)
 int main(void)
 {
     gsl_set_error_handler(abort_on_gsl_error);
+    static const struct {
+        const char *name;
+        bool turns;
+    } systems[] = {{"particle", true}, {"particle_oscillator", false}, {"knife_edge", true},
+                   {"sleigh", false}, {"disk", false}, {"heisenberg", false}, {"generic4", false}};
+    for (size_t i = 0; i < sizeof systems / sizeof *systems; i++) {
+        test_in_xi(systems[i].name, DAL_FLOW_RK8PD, 1e-13, systems[i].turns);
+        test_in_xi(systems[i].name, DAL_FLOW_MSADAMS, 1e-9, systems[i].turns);
+    }
     test_reference(DAL_FLOW_RK8PD, 1e-13, 5);
     test_reference(DAL_FLOW_MSADAMS, 1e-11, 200);
     test_reference(DAL_FLOW_MSBDF, 1e-8, 200);

@@ -242,7 +242,7 @@ static void test_driven(unsigned missing)
     driven_exact(t0, t1, x0, exact);
     dal_flow *flow = NULL;
     double x[2] = {x0[0], x0[1]};
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 1e-13, NULL) == 0);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
     CHECK(dal_flow_apply(flow, t0, t1, x, NULL) == 0);
     CHECK_NEAR(largest_difference(2, x, exact), 0.0, 1e-12);
     dal_flow_free(flow);
@@ -435,7 +435,7 @@ static void test_curved_flow(void)
     const double d = 1e-2, t = 0.4;
     memcpy(x, curved_start, sizeof x);
     CHECK(dal_project(mech, 0.0, x, NULL) == 0);
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 1e-13, NULL) == 0);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
     for (int k = -2; k <= 2; k++) {
         double y[6];
         memcpy(y, x, sizeof y);
@@ -461,7 +461,7 @@ static void test_curved_orders(unsigned missing)
     CHECK(dal_project(mech, 0.0, start, NULL) == 0);
     memcpy(exact, start, sizeof exact);
     dal_flow *flow = NULL;
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 1e-13, NULL) == 0);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
     CHECK(dal_flow_apply(flow, 0.5, 1.5, exact, NULL) == 0);
     static const struct {
         const char *scheme;

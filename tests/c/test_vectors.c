@@ -354,7 +354,7 @@ static void check_reference(const subject *s, const reference_vector *r)
 
     dal_flow *flow = NULL;
     check_in(where, error.text,
-             dal_flow_new(&flow, s->system, DAL_FLOW_RK8PD, 1e-13, &error) == 0);
+             dal_flow_new(&flow, s->system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, &error) == 0);
     memcpy(x, r->x0, sizeof x);
     check_in(where, dal_flow_message(flow), dal_flow_apply(flow, 0.0, r->t, x, NULL) == 0);
     compare_end(s, where, 1e-12 * r->t, r, x);

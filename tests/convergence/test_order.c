@@ -405,7 +405,7 @@ static void test_run(void)
     dal_flow *flow = NULL;
     CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
     CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, NULL) == 0);
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 1e-14, NULL) == 0);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-14, NULL) == 0);
     CHECK(dal_stepper_start(stepper, 0.0, 3.0 / 600, x, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
     CHECK(dal_energy(mechanics, dal_stepper_state(stepper), &energy0) == 0);
     for (size_t k = 0; k < 600; k++) {
