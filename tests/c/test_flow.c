@@ -536,8 +536,8 @@ int main(void)
     static const struct {
         const char *name;
         bool turns;
-    } systems[] = {{"particle", true}, {"particle_oscillator", false}, {"knife_edge", true},
-                   {"sleigh", false}, {"disk", false}, {"heisenberg", false}, {"generic4", false}};
+    } systems[] = {{"particle", false}, {"particle_oscillator", false}, {"knife_edge", true},
+                   {"sleigh", true}, {"disk", false}, {"heisenberg", false}, {"generic4", false}};
     for (size_t i = 0; i < sizeof systems / sizeof *systems; i++) {
         test_in_xi(systems[i].name, DAL_FLOW_RK8PD, 1e-13, systems[i].turns);
         test_in_xi(systems[i].name, DAL_FLOW_MSADAMS, 1e-9, systems[i].turns);
