@@ -138,7 +138,7 @@ typedef int (*dal__function)(const double *q, double *f, void *ctx);
 int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
                     double *value, double *slope, size_t stride);
 
-/* ---- floor 3: mechanics.c, step_equations.c, check.c ------------------------------------ */
+/* ---- floor 3: mechanics.c, step_equations.c, connection.c, curve.c, check.c -------------- */
 
 /* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation. */
 struct dal_mechanics {
@@ -202,6 +202,41 @@ int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool k
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_scale, double *B);
 int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst);
+
+/* A chart of D, connection.c.  It may be part of another object, as a dal_mechanics may. */
+struct dal_chart {
+    dal_mechanics mech;
+    size_t n, m, width;      /* width = 2n - m, that of xi */
+    bool chosen;
+    size_t *place;           /* [n]: the dependent coordinates, then the independent ones */
+    double *branch;          /* [m] v_dependent where Newton starts */
+    double *B, *B_scale, *A; /* [m*m] factors, [m*m], [m*(n-m)] */
+    size_t *row;             /* [m] */
+    double *right, *solution; /* [m] */
+    double *x, *y;           /* [2n] */
+    double *tableau;         /* [m*n] */
+    size_t *former, *owner;  /* [n], [m] */
+    /* of dal_chart_step */
+    double *w, *R1, *step;   /* [n] */
+    double *R2, *kappa;      /* [m] */
+    double *K, *K_scale, *G, *G_scale; /* [n*n] */
+    double *slope;           /* [m*n] */
+    size_t *G_row;           /* [n] */
+    arena arena;             /* used only by dal_chart_new */
+};
+
+void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a);
+void dal__chart_bind(dal_chart *chart, const dal_system *system);
+
+/* dal_chart_lift without checking its arguments; for nonlinear constraints Newton starts at the
+ * v_dependent that stands in x[2n].  On failure x is spoiled. */
+int dal__chart_lift(dal_chart *chart, const double *xi, double *x);
+/* dal_chart_drop, the same. */
+void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);
+/* DAL_EINVAL unless there is a choice. */
+int dal__chart_ready(dal_chart *chart);
+/* Whether dal_chart_renew would keep the choice at x, and its condition. */
+int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool *keeps);
 
 /* ---- floor 4: flow.c -------------------------------------------------------------------- */
 

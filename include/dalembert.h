@@ -332,6 +332,95 @@ DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double
                            size_t count, const double *x, double *energy, double *multipliers,
                            double *residual, double *relative, size_t *done);
 
+/* ---- geometry: charts of D --------------------------------------------------------------- */
+
+/* D written by m dependent velocities as functions of the rest (Ehresmann connection): with B =
+ * phi_v[:, dependent] and A = B^-1 phi_v[:, independent] the coordinates are xi = (q, v_independent),
+ * 2n - m numbers, and psi(xi) is the state of D with v_dependent = -A v_independent, for affine
+ * constraints -A v_independent - B^-1 a; for nonlinear ones it is found by Newton.  A and B have
+ * their rows and columns in the order of dal_chart_dependent and dal_chart_independent.
+ *
+ * A chart is a system, a choice of the dependent coordinates and the workspace.  Its functions need
+ * a choice: DAL_EINVAL before the first one.  Their other errors: DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN;
+ * DAL_ESINGULAR where B is singular; for nonlinear constraints DAL_ENOCONV. */
+typedef struct dal_chart dal_chart;
+
+DAL_API int dal_chart_new(dal_chart **chart, const dal_system *system, dal_error *error);
+DAL_API void dal_chart_free(dal_chart *chart);
+/* What the last failure was, with the numbers, or the last change that dal_chart_renew made; "" if
+ * there was neither. */
+DAL_API const char *dal_chart_message(const dal_chart *chart);
+
+/* Chooses dependent[m], in any order; NULL: by pivoting at x[2n], with the components of v in the
+ * units 1/sqrt(M_ii), so that the choice does not depend on the units of q, and with exchanges until
+ * no entry of A exceeds 5/4 in them, so that it hardly depends on which forms describe D either.
+ * Newton for nonlinear constraints starts at the v_dependent of x. */
+DAL_API int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x);
+
+/* The choice: [m] and [n-m] indices, ascending, borrowed; NULL before the first one. */
+DAL_API const size_t *dal_chart_dependent(const dal_chart *chart);
+DAL_API const size_t *dal_chart_independent(const dal_chart *chart);
+
+/* *condition <- the largest singular value of [A, I] at x in the units 1/sqrt(M_ii): how much larger
+ * v can be than v_independent.  It is the condition of B once the forms are made orthonormal, 1 at
+ * best, and the same for mu and any B(q) mu; INFINITY where B is singular. */
+DAL_API int dal_chart_condition(dal_chart *chart, const double *x, double *condition);
+
+/* Keeps the choice where its condition at x is at most 10 sqrt(1 + m (n-m)), else chooses anew; a
+ * choice by pivoting starts eight times below this limit, so it does not flip back.  *changed (or
+ * NULL) <- whether the dependent coordinates changed; dal_chart_message then says from which to
+ * which.  For nonlinear constraints Newton starts at the v_dependent of x from then on. */
+DAL_API int dal_chart_renew(dal_chart *chart, const double *x, int *changed);
+
+/* A[m*(n-m)] and B[m*m] at x[2n], either may be NULL. */
+DAL_API int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B);
+
+/* v = hor + ver: hor[n] is the velocity of D with the v_independent of x, and ver[n] is zero in the
+ * independent components.  For linear constraints both are linear in v.  Either may be NULL. */
+DAL_API int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver);
+
+/* x[2n] <- psi(xi[2n-m]) (Embedd), with |phi_a| <= 4 n u of the size of its terms. */
+DAL_API int dal_chart_lift(dal_chart *chart, const double *xi, double *x);
+
+/* xi[2n-m] <- (q, v_independent) of x[2n]; the left inverse of psi. */
+DAL_API int dal_chart_drop(dal_chart *chart, const double *x, double *xi);
+
+/* J[2n*(2n-m)] <- dpsi/dxi (EhresJota), left[(2n-m)*2n] <- its left inverse, the derivative of
+ * dal_chart_drop (Inverse); either may be NULL. */
+DAL_API int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *left);
+
+/* xidot[2n-m] <- the ODE on D in these coordinates: left h(psi(xi)) (ODExi, ODExiConnec). */
+DAL_API int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot);
+
+/* The multipliers of the forms [A, I] from those of mu, and back: lambda_E[m] <- B^T lambda, lambda[m]
+ * <- B^-T lambda_E, B at x[2n]; mu^T lambda = [A, I]^T lambda_E.  They may overlap. */
+DAL_API int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambda,
+                                  double *lambda_E);
+DAL_API int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *lambda_E,
+                                       double *lambda);
+
+/* One beta-step with moved nodes from xi[2n-m] at time t, in place, with the multiplier eliminated
+ * (the decompositions that follow firstorder and secondorder): with R1 that of dal_step_equations
+ * for kappa = 0 and A, B at q_k,
+ *   R1_independent - A^T R1_dependent = 0,  phi(q1, w) = 0,
+ * and lambda_E[m] (or NULL) <- R1_dependent / h, the multiplier of [A, I] at q_k.
+ * Also DAL_ENOCONV for all constraints. */
+DAL_API int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi,
+                           double *lambda_E);
+
+/* ---- geometry: curves in D --------------------------------------------------------------- */
+
+/* The cut-off functions chi_0 = (1 + tanh cot(pi tau)) / 2 and chi_1 = 1 - chi_0 on 0 < tau < 1, both
+ * to full relative accuracy, and *slope <- dchi_0/dtau (CutOff); (1, 0, 0) for tau <= 0 and (0, 1, 0)
+ * for tau >= 1.  All derivatives vanish at the ends.  NaN for NaN.  Outputs may be NULL. */
+DAL_API void dal_cutoff(double tau, double *chi0, double *chi1, double *slope);
+
+/* x[2n] <- c(tau) = psi(chi_0 xi1 + chi_1 xi2), a curve in D from x1[2n] for tau <= 0 to x2[2n] for
+ * tau >= 1, which have to lie in D (yD, InterpolationD; not checked: only their q and v_independent
+ * matter).  For nonlinear constraints Newton starts at chi_0 v1 + chi_1 v2.  Errors as above. */
+DAL_API int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double tau,
+                            double *x);
+
 /* ---- flow ------------------------------------------------------------------------------ */
 
 typedef enum dal_flow_method {

@@ -1,0 +1,688 @@
+/* Floor 3: charts of D: the Ehresmann connection A, psi and its derivative, the ODE, the multipliers
+ * and the schemes in the coordinates xi = (q, v_independent).
+ *
+ * mu is phi_v, and B its dependent columns.  What is solved with B is the residual phi, so that D is
+ * kept to roundoff and affine constraints need no formula of their own. */
+#include "internal.h"
+#include "lu.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* A choice by pivoting is left when no entry of A exceeds EXCHANGE in the units 1/sqrt(M_ii), which
+ * bounds its condition by EXCHANGE sqrt(1 + m (n-m)); it is kept up to LIMIT sqrt(1 + m (n-m)). */
+static const double EXCHANGE = 1.25, LIMIT = 10.0;
+
+void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
+{
+    const size_t n = system->def.n, m = system->def.m;
+    const size_t nn = dal__times(n, n), mn = dal__times(m, n), mm = dal__times(m, m);
+    double **const vectors[] = {&chart->w, &chart->R1, &chart->step};
+    double **const multipliers[] = {&chart->branch, &chart->right, &chart->solution, &chart->R2,
+                                    &chart->kappa};
+    double **const squares[] = {&chart->K, &chart->K_scale, &chart->G, &chart->G_scale};
+    double **const forms[] = {&chart->A, &chart->tableau, &chart->slope};
+    dal__mechanics_reserve(&chart->mech, system, a);
+    for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
+        dal__reserve(a, vectors[i], n, sizeof(double));
+    for (size_t i = 0; i < sizeof multipliers / sizeof *multipliers; i++)
+        dal__reserve(a, multipliers[i], m, sizeof(double));
+    for (size_t i = 0; i < sizeof squares / sizeof *squares; i++)
+        dal__reserve(a, squares[i], nn, sizeof(double));
+    for (size_t i = 0; i < sizeof forms / sizeof *forms; i++)
+        dal__reserve(a, forms[i], mn, sizeof(double));
+    dal__reserve(a, &chart->B, mm, sizeof(double));
+    dal__reserve(a, &chart->B_scale, mm, sizeof(double));
+    dal__reserve(a, &chart->x, dal__times(2, n), sizeof(double));
+    dal__reserve(a, &chart->y, dal__times(2, n), sizeof(double));
+    dal__reserve(a, &chart->place, n, sizeof(size_t));
+    dal__reserve(a, &chart->former, n, sizeof(size_t));
+    dal__reserve(a, &chart->owner, m, sizeof(size_t));
+    dal__reserve(a, &chart->row, m, sizeof(size_t));
+    dal__reserve(a, &chart->G_row, n, sizeof(size_t));
+}
+
+void dal__chart_bind(dal_chart *chart, const dal_system *system)
+{
+    chart->n = system->def.n;
+    chart->m = system->def.m;
+    chart->width = 2 * chart->n - chart->m;
+    dal__mechanics_bind(&chart->mech, system);
+}
+
+int dal_chart_new(dal_chart **chart, const dal_system *system, dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!chart || !system)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", chart ? "system" : "chart");
+    arena memory = {0};
+    dal_chart shape = {0}, *self;
+    dal__reserve(&memory, &self, 1, sizeof *self);
+    dal__chart_reserve(&shape, system, &memory);
+    const int status = dal__allocate(&memory, error);
+    if (status) return status;
+    *self = shape;
+    self->arena = memory;
+    dal__chart_bind(self, system);
+    *chart = self;
+    return DAL_SUCCESS;
+}
+
+void dal_chart_free(dal_chart *chart)
+{
+    if (!chart) return;
+    arena memory = chart->arena; /* the object lies inside it */
+    dal__release(&memory);
+}
+
+const char *dal_chart_message(const dal_chart *chart) { return chart->mech.error.text; }
+
+const size_t *dal_chart_dependent(const dal_chart *chart)
+{
+    return chart && chart->chosen ? chart->place : NULL;
+}
+
+const size_t *dal_chart_independent(const dal_chart *chart)
+{
+    return chart && chart->chosen ? chart->place + chart->m : NULL;
+}
+
+static dal_constraint_kind kind(const dal_chart *chart)
+{
+    return chart->mech.eval.system->def.kind;
+}
+
+int dal__chart_ready(dal_chart *chart)
+{
+    if (chart->chosen) return DAL_SUCCESS;
+    return dal__fail(&chart->mech.error, DAL_EINVAL, "no dependent coordinates are chosen yet");
+}
+
+/* A choice, and a finite x[2n]. */
+static int require_state(dal_chart *chart, const double *x)
+{
+    const int status = dal__chart_ready(chart);
+    return status ? status : dal__require_finite(&chart->mech, "x", 2 * chart->n, x);
+}
+
+/* The names of count coordinates with commas between them, cut off where text[size] ends. */
+static void write_names(const dal_chart *chart, const size_t *place, size_t count, size_t size,
+                        char *text)
+{
+    size_t used = 0;
+    text[0] = '\0';
+    for (size_t k = 0; k < count && used + 1 < size; k++) {
+        const int length = snprintf(text + used, size - used, "%s%s", k ? ", " : "",
+                                    dal_system_coordinate(chart->mech.eval.system, place[k]));
+        if (length < 0) return;
+        used += (size_t)length;
+    }
+}
+
+/* ---- A and B ----------------------------------------------------------------------------- */
+
+/* scale[count*count] of a matrix, see lu.h, raised to what its row and its column have in common: a
+ * pivot that is small beside its row, in units in which the columns are alike, would spoil the
+ * others.  unit[count] is scratch. */
+static void equilibrate(size_t count, double *scale, double *unit)
+{
+    for (size_t k = 0; k < count; k++) {
+        unit[k] = 0.0;
+        for (size_t i = 0; i < count; i++) unit[k] = fmax(unit[k], scale[i * count + k]);
+    }
+    for (size_t i = 0; i < count; i++) {
+        double most = 0.0;
+        for (size_t k = 0; k < count; k++)
+            if (unit[k] > 0.0) most = fmax(most, scale[i * count + k] / unit[k]);
+        for (size_t k = 0; k < count; k++) scale[i * count + k] = most * unit[k];
+    }
+}
+
+/* B, or B^T, of mu[m*n], factored. */
+static int factor_B(dal_chart *chart, const double *mu, bool transposed)
+{
+    const size_t n = chart->n, m = chart->m;
+    for (size_t a = 0; a < m; a++)
+        for (size_t b = 0; b < m; b++) {
+            const size_t to = transposed ? b * m + a : a * m + b;
+            chart->B[to] = mu[a * n + chart->place[b]];
+            chart->B_scale[to] = fabs(chart->B[to]);
+        }
+    equilibrate(m, chart->B_scale, chart->right);
+    if (dal_lu_factor(m, n, chart->B, chart->B_scale, chart->row)) return DAL_SUCCESS;
+    char names[128];
+    write_names(chart, chart->place, m, sizeof names, names);
+    return dal__fail(&chart->mech.error, DAL_ESINGULAR, "the columns of mu that belong to the "
+                     "dependent coordinates %s form a singular matrix (pivot %zu of %zu)", names,
+                     chart->row[0], m);
+}
+
+/* mu at (q, v), phi_q if wanted, and B factored. */
+static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q)
+{
+    const int status = dal__constraint(&chart->mech.eval, q, v, NULL, chart->mech.mu, phi_q,
+                                       &chart->mech.error);
+    return status ? status : factor_B(chart, chart->mech.mu, false);
+}
+
+/* result[a*stride] <- B^-1 times the column of forms[m*n]. */
+static void solve_column(dal_chart *chart, const double *forms, size_t column, double *result,
+                         size_t stride)
+{
+    for (size_t a = 0; a < chart->m; a++) chart->right[a] = forms[a * chart->n + column];
+    dal_lu_solve(chart->m, chart->B, chart->row, chart->right, chart->solution);
+    for (size_t a = 0; a < chart->m; a++) result[a * stride] = chart->solution[a];
+}
+
+/* A of mu, whose B is factored. */
+static void form_A(dal_chart *chart)
+{
+    const size_t free = chart->n - chart->m;
+    for (size_t j = 0; j < free; j++)
+        solve_column(chart, chart->mech.mu, chart->place[chart->m + j], chart->A + j, free);
+}
+
+int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n, m = chart->m;
+    int status = require_state(chart, x);
+    if (!status) status = form_B(chart, x, x + n, NULL);
+    if (status) return status;
+    form_A(chart);
+    if (A) memcpy(A, chart->A, m * (n - m) * sizeof *A);
+    for (size_t a = 0; B && a < m; a++)
+        for (size_t b = 0; b < m; b++) B[a * m + b] = chart->mech.mu[a * n + chart->place[b]];
+    return DAL_SUCCESS;
+}
+
+/* ---- the choice -------------------------------------------------------------------------- */
+
+/* Elimination of column j by row a of the tableau, which then belongs to it. */
+static void exchange(dal_chart *chart, size_t a, size_t j)
+{
+    const size_t n = chart->n;
+    double *const T = chart->tableau;
+    const double pivot = T[a * n + j];
+    for (size_t k = 0; k < n; k++) T[a * n + k] /= pivot;
+    for (size_t b = 0; b < chart->m; b++) {
+        const double factor = T[b * n + j];
+        for (size_t k = 0; b != a && k < n; k++) T[b * n + k] -= factor * T[a * n + k];
+    }
+    chart->owner[a] = j;
+}
+
+/* The largest entry of the tableau outside the columns that have an owner, in the rows from first
+ * on; it is in row *a and column *j. */
+static double largest_entry(const dal_chart *chart, size_t owned, size_t first, size_t *a, size_t *j)
+{
+    double most = 0.0;
+    for (size_t k = 0; k < chart->n; k++) {
+        bool taken = false;
+        for (size_t b = 0; b < owned; b++) taken |= chart->owner[b] == k;
+        for (size_t b = first; !taken && b < chart->m; b++)
+            if (fabs(chart->tableau[b * chart->n + k]) > most) {
+                most = fabs(chart->tableau[b * chart->n + k]);
+                *a = b;
+                *j = k;
+            }
+    }
+    return most;
+}
+
+/* owner <- the dependent coordinates: [A, I] by Gauss and Jordan, then exchanges, each of which makes
+ * |det B| larger by the entry of A that it removes. */
+static int pivot_columns(dal_chart *chart)
+{
+    const size_t n = chart->n, m = chart->m;
+    double *const T = chart->tableau;
+    size_t a = 0, j = 0;
+    for (size_t b = 0; b < m; b++) { /* the size of a form means nothing */
+        double most = 0.0;
+        for (size_t k = 0; k < n; k++) {
+            T[b * n + k] = chart->mech.mu[b * n + k] / sqrt(chart->mech.metric[k * n + k]);
+            most = fmax(most, fabs(T[b * n + k]));
+        }
+        for (size_t k = 0; most > 0.0 && k < n; k++) T[b * n + k] /= most;
+    }
+    for (size_t row = 0; row < m; row++) {
+        if (!(largest_entry(chart, row, row, &a, &j) > 0.0))
+            return dal__fail(&chart->mech.error, DAL_ESINGULAR, "mu has rank %zu here, and not m = "
+                             "%zu: no choice of dependent coordinates is possible", row, m);
+        for (size_t k = 0; k < n && a != row; k++) {
+            const double entry = T[row * n + k];
+            T[row * n + k] = T[a * n + k];
+            T[a * n + k] = entry;
+        }
+        exchange(chart, row, j);
+    }
+    /* far more than are ever needed; a matrix without full rank could go on for ever */
+    for (size_t left = 4 * m * n; left > 0; left--) {
+        if (!(largest_entry(chart, m, 0, &a, &j) > EXCHANGE)) break;
+        exchange(chart, a, j);
+    }
+    return DAL_SUCCESS;
+}
+
+/* place <- owner, ascending, and then the rest. */
+static void arrange(dal_chart *chart)
+{
+    size_t dependent = 0, independent = chart->m;
+    for (size_t k = 0; k < chart->n; k++) {
+        bool owned = false;
+        for (size_t a = 0; a < chart->m; a++) owned |= chart->owner[a] == k;
+        chart->place[owned ? dependent++ : independent++] = k;
+    }
+}
+
+static int check_dependent(dal_chart *chart, const size_t *dependent)
+{
+    for (size_t a = 0; a < chart->m; a++) {
+        if (dependent[a] >= chart->n)
+            return dal__fail(&chart->mech.error, DAL_EINVAL, "dependent[%zu] = %zu: there are n = "
+                             "%zu coordinates", a, dependent[a], chart->n);
+        for (size_t b = 0; b < a; b++)
+            if (dependent[a] == dependent[b])
+                return dal__fail(&chart->mech.error, DAL_EINVAL, "dependent[%zu] and dependent[%zu] "
+                                 "are both %zu", b, a, dependent[a]);
+    }
+    return DAL_SUCCESS;
+}
+
+static void start_branch(dal_chart *chart, const double *x)
+{
+    for (size_t a = 0; a < chart->m; a++) chart->branch[a] = x[chart->n + chart->place[a]];
+}
+
+int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n, m = chart->m;
+    int status = dal__require_finite(&chart->mech, "x", 2 * n, x);
+    if (!status && dependent) status = check_dependent(chart, dependent);
+    if (!status)
+        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
+                                 &chart->mech.error);
+    if (!status && !dependent) status = dal__form_metric(&chart->mech, x, x + n);
+    if (!status && !dependent) status = pivot_columns(chart);
+    if (status) return status;
+    if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
+    memcpy(chart->former, chart->place, n * sizeof *chart->place);
+    arrange(chart);
+    status = factor_B(chart, chart->mech.mu, false);
+    if (status) {
+        memcpy(chart->place, chart->former, n * sizeof *chart->place);
+        return status;
+    }
+    chart->chosen = true;
+    start_branch(chart, x);
+    return DAL_SUCCESS;
+}
+
+/* INFINITY where B is singular. */
+static int evaluate_condition(dal_chart *chart, const double *x, double *condition)
+{
+    const size_t n = chart->n, m = chart->m, free = n - m;
+    int status = dal__form_metric(&chart->mech, x, x + n);
+    if (!status)
+        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
+                                 &chart->mech.error);
+    if (status) return status;
+    *condition = (double)INFINITY;
+    if (factor_B(chart, chart->mech.mu, false)) return DAL_SUCCESS;
+    form_A(chart);
+    for (size_t a = 0; a < m; a++)
+        for (size_t j = 0; j < free; j++) {
+            const size_t d = chart->place[a], i = chart->place[m + j];
+            chart->A[a * free + j] *= sqrt(chart->mech.metric[d * n + d]
+                                           / chart->mech.metric[i * n + i]);
+        }
+    const double unit = dal__singular_values(m, free, chart->A, chart->right);
+    *condition = hypot(1.0, unit * sqrt(dal__largest(m, chart->right)));
+    return DAL_SUCCESS;
+}
+
+int dal_chart_condition(dal_chart *chart, const double *x, double *condition)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!condition) return dal__null_argument(&chart->mech, "condition");
+    double value = 0.0;
+    int status = require_state(chart, x);
+    if (!status) status = evaluate_condition(chart, x, &value);
+    if (!status) *condition = value;
+    return status;
+}
+
+int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool *keeps)
+{
+    const double m = (double)chart->m, free = (double)(chart->n - chart->m);
+    const int status = evaluate_condition(chart, x, condition);
+    *keeps = *condition <= LIMIT * sqrt(1.0 + m * free);
+    return status;
+}
+
+int dal_chart_renew(dal_chart *chart, const double *x, int *changed)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n, m = chart->m;
+    char from[128] = "", to[128];
+    double condition = (double)INFINITY;
+    bool keeps = false;
+    int status = dal__require_finite(&chart->mech, "x", 2 * n, x);
+    if (!status && chart->chosen) status = dal__chart_keeps(chart, x, &condition, &keeps);
+    if (status) return status;
+    if (keeps) {
+        start_branch(chart, x);
+        if (changed) *changed = 0;
+        return DAL_SUCCESS;
+    }
+    if (chart->chosen) write_names(chart, chart->place, m, sizeof from, from);
+    status = dal_chart_choose(chart, NULL, x);
+    if (status) return status;
+    const bool other = memcmp(chart->former, chart->place, n * sizeof *chart->place) != 0;
+    if (changed) *changed = other;
+    write_names(chart, chart->place, m, sizeof to, to);
+    if (from[0])
+        dal__fail(&chart->mech.error, DAL_SUCCESS, "the dependent coordinates change from %s, whose "
+                  "condition is %.3g here, to %s", from, condition, to);
+    return DAL_SUCCESS;
+}
+
+/* ---- psi --------------------------------------------------------------------------------- */
+
+void dal__chart_drop(const dal_chart *chart, const double *x, double *xi)
+{
+    const size_t n = chart->n, m = chart->m;
+    memmove(xi, x, n * sizeof *xi);
+    for (size_t j = m; j < n; j++) chart->step[j] = x[n + chart->place[j]];
+    memcpy(xi + n, chart->step + m, (n - m) * sizeof *xi);
+}
+
+/* phi into mech.phi; of linear constraints from mu as it is, else with a new mu. */
+static int evaluate_phi(dal_chart *chart, const double *x, bool known)
+{
+    dal_mechanics *const mech = &chart->mech;
+    const double *const v = x + chart->n;
+    if (!known || kind(chart) != DAL_LINEAR)
+        return dal__constraint(&mech->eval, x, v, mech->phi, mech->mu, NULL, &mech->error);
+    dal__apply(chart->m, chart->n, mech->mu, v, mech->phi);
+    return DAL_SUCCESS;
+}
+
+/* The first solution is exact but for roundoff unless the constraints are nonlinear; what then
+ * follows mends the residual of what is stored. */
+int dal__chart_lift(dal_chart *chart, const double *xi, double *x)
+{
+    enum { MENDS = 3, MOST = 50 };
+    const size_t n = chart->n, m = chart->m;
+    const bool newton = kind(chart) == DAL_NONLINEAR;
+    const double limit = 2.0 * (double)n * DAL_ROUNDOFF;
+    double *const v = x + n, last = (double)INFINITY;
+    memmove(x, xi, n * sizeof *x);
+    for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
+    for (size_t a = 0; !newton && a < m; a++) v[chart->place[a]] = 0.0;
+    for (int iteration = 0;; iteration++) {
+        int status = evaluate_phi(chart, x, iteration > 0);
+        if (status) return status;
+        if (iteration > 0 || newton) {
+            const double relative = dal__relative_residual(&chart->mech, chart->mech.mu,
+                                                           chart->mech.phi, v);
+            if (relative <= limit || (!newton && iteration > MENDS)) break;
+        }
+        if (newton || iteration == 0) status = factor_B(chart, chart->mech.mu, false);
+        if (status) return status;
+        dal_lu_solve(m, chart->B, chart->row, chart->mech.phi, chart->solution);
+        double size = 0.0, scale = 0.0;
+        for (size_t a = 0; a < m; a++) {
+            v[chart->place[a]] -= chart->solution[a];
+            size += fabs(chart->solution[a]);
+        }
+        for (size_t i = 0; i < n; i++) scale += fabs(v[i]);
+        if (!newton) continue;
+        if (iteration > 0 && size <= 1e-11 * scale && size >= last) break; /* it is roundoff */
+        if (iteration == MOST || !(size <= DBL_MAX)) {
+            char names[128];
+            write_names(chart, chart->place, m, sizeof names, names);
+            return dal__fail(&chart->mech.error, DAL_ENOCONV, "Newton did not find the dependent "
+                             "velocities %s in %d iterations (last change %.3g of %.3g)", names,
+                             iteration, size, scale);
+        }
+        last = size;
+    }
+    if (dal__all_finite(2 * n, x)) return DAL_SUCCESS;
+    return dal__fail(&chart->mech.error, DAL_EDOMAIN, "the dependent velocities overflow");
+}
+
+/* psi(xi), Newton from the state of the choice. */
+static int lift_from_branch(dal_chart *chart, const double *xi, double *x)
+{
+    for (size_t a = 0; a < chart->m; a++) x[chart->n + chart->place[a]] = chart->branch[a];
+    return dal__chart_lift(chart, xi, x);
+}
+
+/* A choice, and a finite xi[2n-m]. */
+static int require_xi(dal_chart *chart, const double *xi)
+{
+    const int status = dal__chart_ready(chart);
+    return status ? status : dal__require_finite(&chart->mech, "xi", chart->width, xi);
+}
+
+int dal_chart_lift(dal_chart *chart, const double *xi, double *x)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!x) return dal__null_argument(&chart->mech, "x");
+    int status = require_xi(chart, xi);
+    if (!status) status = lift_from_branch(chart, xi, chart->x);
+    if (!status) memcpy(x, chart->x, 2 * chart->n * sizeof *x);
+    return status;
+}
+
+int dal_chart_drop(dal_chart *chart, const double *x, double *xi)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!xi) return dal__null_argument(&chart->mech, "xi");
+    const int status = require_state(chart, x);
+    if (!status) dal__chart_drop(chart, x, xi);
+    return status;
+}
+
+int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n;
+    int status = require_state(chart, x);
+    if (status) return status;
+    memcpy(chart->x, x, 2 * n * sizeof *x);
+    dal__chart_drop(chart, x, chart->y);
+    status = dal__chart_lift(chart, chart->y, chart->x);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
+    if (hor) memcpy(hor, chart->x + n, n * sizeof *hor);
+    if (ver) memcpy(ver, chart->w, n * sizeof *ver);
+    return DAL_SUCCESS;
+}
+
+int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *left)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n, m = chart->m, width = chart->width;
+    const size_t *const place = chart->place;
+    int status = require_xi(chart, xi);
+    if (!status) status = lift_from_branch(chart, xi, chart->x);
+    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu);
+    if (status) return status;
+    if (J) {
+        memset(J, 0, 2 * n * width * sizeof *J);
+        for (size_t i = 0; i < n; i++) J[i * width + i] = 1.0;
+        for (size_t j = m; j < n; j++) J[(n + place[j]) * width + n + j - m] = 1.0;
+        for (size_t k = 0; k < width; k++) {
+            solve_column(chart, k < n ? chart->mech.dmu : chart->mech.mu,
+                         k < n ? k : place[m + k - n], chart->A, 1);
+            for (size_t a = 0; a < m; a++) J[(n + place[a]) * width + k] = -chart->A[a];
+        }
+    }
+    if (left) {
+        memset(left, 0, 2 * n * width * sizeof *left);
+        for (size_t i = 0; i < n; i++) left[i * 2 * n + i] = 1.0;
+        for (size_t j = m; j < n; j++) left[(n + j - m) * 2 * n + n + place[j]] = 1.0;
+    }
+    return DAL_SUCCESS;
+}
+
+int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!xidot) return dal__null_argument(&chart->mech, "xidot");
+    int status = require_xi(chart, xi);
+    if (!status) status = lift_from_branch(chart, xi, chart->x);
+    if (!status) status = dal_field(&chart->mech, t, chart->x, chart->y);
+    if (!status) dal__chart_drop(chart, chart->y, xidot);
+    return status;
+}
+
+/* ---- multipliers ------------------------------------------------------------------------- */
+
+int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambda, double *lambda_E)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!lambda_E) return dal__null_argument(&chart->mech, "lambda_E");
+    const size_t n = chart->n, m = chart->m;
+    int status = require_state(chart, x);
+    if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
+    if (!status) status = form_B(chart, x, x + n, NULL);
+    if (status) return status;
+    for (size_t b = 0; b < m; b++) {
+        chart->solution[b] = 0.0;
+        for (size_t a = 0; a < m; a++)
+            chart->solution[b] += chart->mech.mu[a * n + chart->place[b]] * lambda[a];
+    }
+    memcpy(lambda_E, chart->solution, m * sizeof *lambda_E);
+    return DAL_SUCCESS;
+}
+
+int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *lambda_E,
+                               double *lambda)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!lambda) return dal__null_argument(&chart->mech, "lambda");
+    const size_t n = chart->n, m = chart->m;
+    int status = require_state(chart, x);
+    if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
+    if (!status)
+        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
+                                 &chart->mech.error);
+    if (!status) status = factor_B(chart, chart->mech.mu, true);
+    if (status) return status;
+    dal_lu_solve(m, chart->B, chart->row, lambda_E, chart->solution);
+    memcpy(lambda, chart->solution, m * sizeof *lambda);
+    return DAL_SUCCESS;
+}
+
+/* ---- the scheme -------------------------------------------------------------------------- */
+
+/* solution <- B_k^-T y_dependent with B_k^T factored: mu_k^T solution equals y in the dependent
+ * components.  y[i*stride]. */
+static void match_dependent(dal_chart *chart, const double *y, size_t stride)
+{
+    for (size_t a = 0; a < chart->m; a++) chart->right[a] = y[chart->place[a] * stride];
+    dal_lu_solve(chart->m, chart->B, chart->row, chart->right, chart->solution);
+}
+
+/* step[n] <- the Newton step of w for H^T R1 = 0, phi = 0, with the n-m rows H^T = [-A(q_k)^T, I];
+ * kappa <- that of R1_dependent = 0 at w. */
+static int newton_step(dal_chart *chart)
+{
+    dal_mechanics *const mech = &chart->mech;
+    const size_t n = chart->n, m = chart->m, free = n - m;
+    const size_t *const place = chart->place + m;
+    int status = dal__step_at(mech, chart->w, chart->kappa, chart->R1, chart->R2, chart->K,
+                              chart->K_scale, chart->slope);
+    if (!status) status = factor_B(chart, mech->muk, true);
+    if (status) return status;
+    match_dependent(chart, chart->R1, 1);
+    for (size_t a = 0; a < m; a++) {
+        chart->kappa[a] += chart->solution[a];
+        for (size_t i = 0; i < n; i++) chart->R1[i] -= mech->muk[a * n + i] * chart->solution[a];
+    }
+    for (size_t k = 0; k < n; k++) {
+        match_dependent(chart, chart->K + k, n);
+        for (size_t j = 0; j < free; j++) {
+            double sum = chart->K[place[j] * n + k], scale = chart->K_scale[place[j] * n + k];
+            for (size_t a = 0; a < m; a++) {
+                const double term = mech->muk[a * n + place[j]] * chart->solution[a];
+                sum -= term;
+                scale += fabs(term);
+            }
+            chart->G[j * n + k] = sum;
+            chart->G_scale[j * n + k] = scale;
+        }
+        for (size_t a = 0; a < m; a++) {
+            chart->G[(free + a) * n + k] = chart->slope[a * n + k];
+            chart->G_scale[(free + a) * n + k] = fabs(chart->slope[a * n + k]);
+        }
+    }
+    equilibrate(n, chart->G_scale, chart->y);
+    for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
+    for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
+    if (!dal_lu_factor(n, m + 1, chart->G, chart->G_scale, chart->G_row))
+        return dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these coordinates "
+                         "are singular: the constraints lose rank, or h = %g is too large here",
+                         mech->start.h);
+    dal_lu_solve(n, chart->G, chart->G_row, chart->y, chart->step);
+    return DAL_SUCCESS;
+}
+
+static int solve_step(dal_chart *chart)
+{
+    enum { MOST = 50 };
+    const size_t n = chart->n;
+    double last = (double)INFINITY;
+    memcpy(chart->w, chart->mech.start.v, n * sizeof *chart->w);
+    memset(chart->kappa, 0, chart->m * sizeof *chart->kappa);
+    for (int iteration = 1;; iteration++) {
+        const int status = newton_step(chart);
+        if (status) return status;
+        double size = 0.0, scale = 0.0;
+        for (size_t i = 0; i < n; i++) {
+            chart->w[i] += chart->step[i];
+            size += fabs(chart->step[i]);
+            scale += fabs(chart->w[i]) + fabs(chart->mech.start.v[i]);
+        }
+        if (size <= 4.0 * DAL_ROUNDOFF * scale) return DAL_SUCCESS;
+        if (iteration >= 2 && size <= 1e-11 * scale && size >= last) return DAL_SUCCESS;
+        if (iteration == MOST || !(size <= DBL_MAX))
+            return dal__fail(&chart->mech.error, DAL_ENOCONV, "Newton did not converge in %d "
+                             "iterations: last change %.3g of %.3g; try a smaller h", iteration,
+                             size, scale);
+        last = size;
+    }
+}
+
+int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi, double *lambda_E)
+{
+    if (!chart) return DAL_EINVAL;
+    dal_mechanics *const mech = &chart->mech;
+    const size_t m = chart->m;
+    double worst = 0.0;
+    if (!(beta >= 0.0 && beta <= 1.0))
+        return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
+    if (!(fabs(h) > 0.0 && isfinite(h)))
+        return dal__fail(&mech->error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
+    int status = dal__require_finite(mech, "t", 1, &t);
+    if (!status) status = require_xi(chart, xi);
+    if (!status) status = lift_from_branch(chart, xi, chart->x);
+    if (!status) status = dal__step_begin(mech, t, beta, h, false, chart->x);
+    if (!status) status = solve_step(chart);
+    for (size_t b = 0; !status && b < m; b++) {
+        double sum = 0.0;
+        for (size_t a = 0; a < m; a++)
+            sum += mech->muk[a * chart->n + chart->place[b]] * chart->kappa[a];
+        chart->R2[b] = sum / h;
+    }
+    if (!status) status = dal__step_settle(mech, chart->w, chart->y, &worst);
+    if (status) return status;
+    dal__chart_drop(chart, chart->y, xi);
+    if (lambda_E) memcpy(lambda_E, chart->R2, m * sizeof *lambda_E);
+    return DAL_SUCCESS;
+}
