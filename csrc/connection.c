@@ -122,6 +122,23 @@ static void write_names(const dal_chart *chart, const size_t *place, size_t coun
 
 /* ---- A and B ----------------------------------------------------------------------------- */
 
+/* scale[count*count] of a matrix, see lu.h, raised to what its row and its column have in common: a
+ * pivot that is small beside its row, in units in which the columns are alike, would spoil the
+ * others.  unit[count] is scratch. */
+static void equilibrate(size_t count, double *scale, double *unit)
+{
+    for (size_t k = 0; k < count; k++) {
+        unit[k] = 0.0;
+        for (size_t i = 0; i < count; i++) unit[k] = fmax(unit[k], scale[i * count + k]);
+    }
+    for (size_t i = 0; i < count; i++) {
+        double most = 0.0;
+        for (size_t k = 0; k < count; k++)
+            if (unit[k] > 0.0) most = fmax(most, scale[i * count + k] / unit[k]);
+        for (size_t k = 0; k < count; k++) scale[i * count + k] = most * unit[k];
+    }
+}
+
 /* B, or B^T, of mu[m*n], factored. */
 static int factor_B(dal_chart *chart, const double *mu, bool transposed)
 {
@@ -132,6 +149,7 @@ static int factor_B(dal_chart *chart, const double *mu, bool transposed)
             chart->B[to] = mu[a * n + chart->place[b]];
             chart->B_scale[to] = fabs(chart->B[to]);
         }
+    equilibrate(m, chart->B_scale, chart->right);
     if (dal_lu_factor(m, n, chart->B, chart->B_scale, chart->row)) return DAL_SUCCESS;
     char names[128];
     write_names(chart, chart->place, m, sizeof names, names);
@@ -604,6 +622,7 @@ static int newton_step(dal_chart *chart)
             chart->G_scale[(free + a) * n + k] = fabs(chart->slope[a * n + k]);
         }
     }
+    equilibrate(n, chart->G_scale, chart->y);
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
     if (!dal_lu_factor(n, m + 1, chart->G, chart->G_scale, chart->G_row))
@@ -657,7 +676,8 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
     if (!status) status = solve_step(chart);
     for (size_t b = 0; !status && b < m; b++) {
         double sum = 0.0;
-        for (size_t a = 0; a < m; a++) sum += mech->muk[a * chart->n + chart->place[b]] * chart->kappa[a];
+        for (size_t a = 0; a < m; a++)
+            sum += mech->muk[a * chart->n + chart->place[b]] * chart->kappa[a];
         chart->R2[b] = sum / h;
     }
     if (!status) status = dal__step_settle(mech, chart->w, chart->y, &worst);
