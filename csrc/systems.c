@@ -5,8 +5,10 @@
 #include <string.h>
 
 static const builtin *const table[] = {
-    &dal__particle,   &dal__particle_oscillator, &dal__knife_edge, &dal__sleigh, &dal__disk,
-    &dal__heisenberg, &dal__contact_oscillator,  &dal__robot,      &dal__chaotic,
+    &dal__particle,       &dal__particle_oscillator, &dal__knife_edge, &dal__sleigh,
+    &dal__sleigh_contact, &dal__disk,                &dal__heisenberg, &dal__contact_oscillator,
+    &dal__robot,          &dal__chaotic,             &dal__genmass,    &dal__rolling_disc,
+    &dal__ball_on_table,  &dal__snakeboard,          &dal__n_trailer,
 };
 enum { TABLE_COUNT = sizeof table / sizeof table[0] };
 
@@ -41,7 +43,7 @@ static void append_name(size_t size, char *text, const char *name)
 
 static int fail_unknown_system(const char *name, dal_error *error)
 {
-    char known[256] = "";
+    char known[400] = "";
     for (size_t i = 0; i < TABLE_COUNT; i++) append_name(sizeof known, known, table[i]->name);
     return dal__fail(error, DAL_EINVAL, "there is no built-in system \"%.60s\"; there are %s", name,
                      known);
@@ -111,7 +113,7 @@ static int make(dal_system **system, const builtin *record, const double *p, dal
     if (status) return status;
 
     if (record->mass) record->mass(p, mass);
-    else
+    else if (!record->lagrangian)
         for (size_t i = 0; i < n; i++) mass[i * n + i] = 1.0;
     record->state(p, state);
     for (size_t i = 0; i < n; i++) {
@@ -119,8 +121,9 @@ static int make(dal_system **system, const builtin *record, const double *p, dal
         names[i] = record->coordinate ? text[i] : record->coordinates[i];
     }
     const dal_system_def def = {
-        .n = n, .m = m, .mass = mass,
-        .potential = record->potential, .constraint = record->constraint,
+        .n = n, .m = m, .mass = record->lagrangian ? NULL : mass,
+        .potential = record->potential, .lagrangian = record->lagrangian,
+        .constraint = record->constraint, .kind = record->kind,
         .name = record->name, .help = record->help, .coordinates = names, .state = state,
         .exact = record->exact,
         .invariants = count_names(MAX_INVARIANTS, record->invariants),
@@ -152,5 +155,6 @@ int dal_system_builtin(dal_system **system, const char *name, const char *const 
         const int status = set_parameter(record, names[i], values[i], p, error);
         if (status) return status;
     }
-    return make(system, record, p, error);
+    const int status = record->check ? record->check(p, error) : DAL_SUCCESS;
+    return status ? status : make(system, record, p, error);
 }

@@ -10,7 +10,7 @@
 
 #include <math.h>
 
-enum { MAX_COORDINATES = 4, MAX_PARAMETERS = 5, MAX_INVARIANTS = 2, NAME_SIZE = 24 };
+enum { MAX_COORDINATES = 5, MAX_PARAMETERS = 5, MAX_INVARIANTS = 4, NAME_SIZE = 32 };
 
 /* The values that a parameter may take; WHOLE: 1, 2, ... up to its entry in most. */
 typedef enum range { FINITE, POSITIVE, NOT_NEGATIVE, WHOLE } range;
@@ -27,10 +27,13 @@ typedef struct builtin {
     double defaults[MAX_PARAMETERS];
     range ranges[MAX_PARAMETERS];
     unsigned most[MAX_PARAMETERS];
-    void (*mass)(const double *p, double *M); /* M[n*n]; NULL: M = 1 */
+    int (*check)(const double *p, dal_error *error); /* of parameters together; or NULL */
+    void (*mass)(const double *p, double *M); /* M[n*n]; NULL: M = 1, or L is in lagrangian */
     void (*state)(const double *p, double *x);
     dal_potential_fn potential;
+    dal_lagrangian_fn lagrangian; /* instead of mass and potential */
     dal_constraint_fn constraint;
+    dal_constraint_kind kind;
     dal_exact_fn exact;
     const char *invariants[MAX_INVARIANTS];
     dal_invariant_fn invariant;
@@ -39,11 +42,13 @@ typedef struct builtin {
 /* systems_particles.c */
 extern const builtin dal__particle, dal__particle_oscillator, dal__heisenberg;
 /* systems_oscillators.c */
-extern const builtin dal__contact_oscillator, dal__chaotic;
+extern const builtin dal__contact_oscillator, dal__chaotic, dal__genmass;
 /* systems_blades.c */
-extern const builtin dal__knife_edge, dal__sleigh;
+extern const builtin dal__knife_edge, dal__sleigh, dal__sleigh_contact;
 /* systems_rolling.c */
-extern const builtin dal__disk, dal__robot;
+extern const builtin dal__disk, dal__robot, dal__rolling_disc, dal__ball_on_table;
+/* systems_vehicles.c */
+extern const builtin dal__snakeboard, dal__n_trailer;
 
 static inline void set3(double *a, double a0, double a1, double a2)
 {

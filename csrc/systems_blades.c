@@ -165,12 +165,12 @@ static double clamp_time(double value, double t)
     return fmax(fmin(0.0, t), fmin(value, fmax(0.0, t)));
 }
 
-/* The centre of mass is a cos(theta), a sin(theta) ahead of the blade.  Beyond |s| = 40 the motion
- * is straight to roundoff; so the number of panels does not grow with t, but for a -> 0, where the
- * sleigh turns for ever: 2^20 panels (5e5 rad) are the limit of the domain. */
-static int sleigh_exact(double t, const double *x0, double *x, void *ctx)
+/* (x, y) is the point of the sleigh that lies a distance ahead of the blade.  Beyond |s| = 40 the
+ * motion is straight to roundoff; so the number of panels does not grow with t, but for a -> 0,
+ * where the sleigh turns for ever: 2^20 panels (5e5 rad) are the limit of the domain. */
+static int sleigh_flow(double t, const double *x0, double *x, const double *p, double ahead)
 {
-    const double *p = ctx, m = p[0], a = p[2], inertia = p[1] + m * a * a;
+    const double m = p[0], a = p[2], inertia = p[1] + m * a * a;
     const double c0 = cos(x0[2]), s0 = sin(x0[2]), u0 = x0[3] * c0 + x0[4] * s0, w0 = x0[5];
     if (w0 == 0.0) {
         const double X = x0[0] + u0 * c0 * t, Y = x0[1] + u0 * s0 * t;
@@ -188,12 +188,18 @@ static int sleigh_exact(double t, const double *x0, double *x, void *ctx)
     const double to = clamp_time((edge - motion.s0) / motion.k, t);
     const double panels = ceil(2 * fmax(fabs(motion.k), fabs(motion.W)) * fabs(to - from));
     if (!(panels <= 0x1p20)) return 1;
-    double xy[2] = {x0[0] + a * (c1 - c0) + u0 * c0 * from + u1 * c1 * (t - to),
-                    x0[1] + a * (s1 - s0) + u0 * s0 * from + u1 * s1 * (t - to)};
+    double xy[2] = {x0[0] + ahead * (c1 - c0) + u0 * c0 * from + u1 * c1 * (t - to),
+                    x0[1] + ahead * (s1 - s0) + u0 * s0 * from + u1 * s1 * (t - to)};
     sleigh_way(&motion, from, to, (size_t)panels, xy);
     set3(x, xy[0], xy[1], theta);
-    set3(x + 3, u1 * c1 - a * w1 * s1, u1 * s1 + a * w1 * c1, w1);
+    set3(x + 3, u1 * c1 - ahead * w1 * s1, u1 * s1 + ahead * w1 * c1, w1);
     return 0;
+}
+
+static int sleigh_exact(double t, const double *x0, double *x, void *ctx)
+{
+    const double *p = ctx;
+    return sleigh_flow(t, x0, x, p, p[2]);
 }
 
 /* a theta - sqrt(I/m) atan(sqrt(m/I) u/theta'): a times the heading of the sleigh where u = 0.  The
@@ -216,6 +222,77 @@ const builtin dal__sleigh = {
     .state = sleigh_state,
     .constraint = sleigh_constraint,
     .exact = sleigh_exact,
+    .invariants = {"a theta - sqrt(I/m) atan(sqrt(m/I) u/v_theta)"},
+    .invariant = sleigh_invariant,
+};
+
+/* ---- sleigh_contact: q = (x, y, theta), (x, y) the point of the blade -------------------- */
+
+/* The motion of the default data of the sleigh. */
+static void sleigh_contact_state(const double *p, double *x)
+{
+    const double a = p[2], theta = 0.3, u = 0.2, omega = 1.0;
+    set3(x, -a * cos(theta), -a * sin(theta), theta);
+    set3(x + 3, u * cos(theta), u * sin(theta), omega);
+}
+
+/* L = m |v|^2/2 + m a omega w + (J + m a^2) omega^2/2, w = -v_x sin(theta) + v_y cos(theta) */
+static int sleigh_contact_lagrangian(const double *q, const double *v, double *L, double *L_q,
+                                     double *L_v, double *L_qq, double *L_vq, double *L_vv,
+                                     void *ctx)
+{
+    const double *p = ctx, m = p[0], a = p[2], ma = m * a, inertia = p[1] + ma * a;
+    const double s = sin(q[2]), c = cos(q[2]), omega = v[2];
+    const double u = c * v[0] + s * v[1], w = c * v[1] - s * v[0]; /* w_theta = -u, u_theta = w */
+    if (L) *L = m * (v[0] * v[0] + v[1] * v[1]) / 2 + (ma * w + inertia * omega / 2) * omega;
+    if (L_q) set3(L_q, 0.0, 0.0, -ma * omega * u);
+    if (L_v)
+        set3(L_v, m * v[0] - ma * s * omega, m * v[1] + ma * c * omega, ma * w + inertia * omega);
+    if (L_qq) {
+        set3(L_qq, 0.0, 0.0, 0.0);
+        set3(L_qq + 3, 0.0, 0.0, 0.0);
+        set3(L_qq + 6, 0.0, 0.0, -ma * omega * w);
+    }
+    if (L_vq) {
+        set3(L_vq, 0.0, 0.0, -ma * c * omega);
+        set3(L_vq + 3, 0.0, 0.0, -ma * s * omega);
+        set3(L_vq + 6, 0.0, 0.0, -ma * u);
+    }
+    if (L_vv) {
+        set3(L_vv, m, 0.0, -ma * s);
+        set3(L_vv + 3, 0.0, m, ma * c);
+        set3(L_vv + 6, -ma * s, ma * c, inertia);
+    }
+    return 0;
+}
+
+/* mu = (-sin theta, cos theta, 0) */
+static int sleigh_contact_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                                     double *phi_q, void *ctx)
+{
+    (void)ctx;
+    const double s = sin(q[2]), c = cos(q[2]);
+    if (phi) phi[0] = c * v[1] - s * v[0];
+    if (phi_v) set3(phi_v, -s, c, 0.0);
+    if (phi_q) set3(phi_q, 0.0, 0.0, -c * v[0] - s * v[1]);
+    return 0;
+}
+
+static int sleigh_contact_exact(double t, const double *x0, double *x, void *ctx)
+{
+    return sleigh_flow(t, x0, x, ctx, 0.0);
+}
+
+const builtin dal__sleigh_contact = {
+    .name = "sleigh_contact",
+    .help = "the sleigh (m, J, a) by the point of its blade: its mass matrix depends on theta",
+    .n = 3, .m = 1, .coordinates = {"x", "y", "theta"},
+    .parameters = {"m", "J", "a"}, .defaults = {1.5, 0.8, 0.4},
+    .ranges = {POSITIVE, POSITIVE, FINITE},
+    .state = sleigh_contact_state,
+    .lagrangian = sleigh_contact_lagrangian,
+    .constraint = sleigh_contact_constraint,
+    .exact = sleigh_contact_exact,
     .invariants = {"a theta - sqrt(I/m) atan(sqrt(m/I) u/v_theta)"},
     .invariant = sleigh_invariant,
 };

@@ -1,4 +1,4 @@
-/* Floor 2: oscillators that are coupled by a constraint and a potential. */
+/* Floor 2: oscillators that are coupled by a constraint, a potential, or the metric. */
 #include "systems.h"
 
 #include <stdio.h>
@@ -169,4 +169,80 @@ const builtin dal__chaotic = {
     .state = chaotic_state,
     .potential = chaotic_potential,
     .constraint = chaotic_constraint,
+};
+
+/* ---- genmass: q = (q1, q2, q3), a Lagrangian in which nothing vanishes -------------------- */
+
+static void genmass_state(const double *p, double *x)
+{
+    (void)p;
+    set3(x, 0.4, -0.3, 0.2);
+    set3(x + 3, 0.6, 0.5, -305.0 / 1032);
+}
+
+/* L = v^T M v/2 + b v - V with
+ * M = [2 + q2^2/4, q3/5, 1/10; q3/5, 3/2 + cos(q1)/3, q1/6; 1/10, q1/6, 1 + q1^2/3],
+ * b = (q2 q3/4, sin(q1)/3, -q1 q2/5), V = (q1^2 + 2 q2^2 + 3 q3^2/2)/2 + q1^4/4 + q1 q2 q3/5 */
+static int genmass_lagrangian(const double *q, const double *v, double *L, double *L_q,
+                              double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    (void)ctx;
+    const double q1 = q[0], q2 = q[1], q3 = q[2], v1 = v[0], v2 = v[1], v3 = v[2];
+    const double s = sin(q1) / 3, c = cos(q1) / 3;
+    const double M11 = 2 + q2 * q2 / 4, M22 = 1.5 + c, M33 = 1 + q1 * q1 / 3;
+    const double M12 = q3 / 5, M13 = 0.1, M23 = q1 / 6;
+    const double b1 = q2 * q3 / 4, b2 = s, b3 = -q1 * q2 / 5;
+    if (L) {
+        const double V = (q1 * q1 + 2 * q2 * q2 + 1.5 * q3 * q3) / 2 + q1 * q1 * q1 * q1 / 4
+            + q1 * q2 * q3 / 5;
+        *L = (M11 * v1 * v1 + M22 * v2 * v2 + M33 * v3 * v3) / 2 + M12 * v1 * v2 + M13 * v1 * v3
+            + M23 * v2 * v3 + b1 * v1 + b2 * v2 + b3 * v3 - V;
+    }
+    if (L_q)
+        set3(L_q,
+             -s * v2 * v2 / 2 + v2 * v3 / 6 + q1 * v3 * v3 / 3 + c * v2 - q2 * v3 / 5
+                 - q1 - q1 * q1 * q1 - q2 * q3 / 5,
+             q2 * v1 * v1 / 4 + q3 * v1 / 4 - q1 * v3 / 5 - 2 * q2 - q1 * q3 / 5,
+             v1 * v2 / 5 + q2 * v1 / 4 - 1.5 * q3 - q1 * q2 / 5);
+    if (L_v)
+        set3(L_v, M11 * v1 + M12 * v2 + M13 * v3 + b1, M12 * v1 + M22 * v2 + M23 * v3 + b2,
+             M13 * v1 + M23 * v2 + M33 * v3 + b3);
+    if (L_qq) {
+        const double L_12 = -v3 / 5 - q3 / 5, L_13 = -q2 / 5, L_23 = v1 / 4 - q1 / 5;
+        set3(L_qq, -c * v2 * v2 / 2 + v3 * v3 / 3 - s * v2 - 1 - 3 * q1 * q1, L_12, L_13);
+        set3(L_qq + 3, L_12, v1 * v1 / 4 - 2, L_23);
+        set3(L_qq + 6, L_13, L_23, -1.5);
+    }
+    if (L_vq) {
+        set3(L_vq, 0.0, q2 * v1 / 2 + q3 / 4, v2 / 5 + q2 / 4);
+        set3(L_vq + 3, -s * v2 + v3 / 6 + c, 0.0, v1 / 5);
+        set3(L_vq + 6, v2 / 6 + 2 * q1 * v3 / 3 - q2 / 5, -q1 / 5, 0.0);
+    }
+    if (L_vv) {
+        set3(L_vv, M11, M12, M13);
+        set3(L_vv + 3, M12, M22, M23);
+        set3(L_vv + 6, M13, M23, M33);
+    }
+    return 0;
+}
+
+/* mu = (-q2, q1/2 + q3/4, 1 + q1^2/5) */
+static int genmass_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                              double *phi_q, void *ctx)
+{
+    (void)ctx;
+    const double mu[3] = {-q[1], q[0] / 2 + q[2] / 4, 1 + q[0] * q[0] / 5};
+    if (phi) phi[0] = mu[0] * v[0] + mu[1] * v[1] + mu[2] * v[2];
+    if (phi_v) set3(phi_v, mu[0], mu[1], mu[2]);
+    if (phi_q) set3(phi_q, v[1] / 2 + 2 * q[0] * v[2] / 5, -v[0], v[1] / 4);
+    return 0;
+}
+
+const builtin dal__genmass = {
+    .name = "genmass",
+    .help = "a general system: full mass matrix M(q), gyroscopic terms b(q) v, quartic potential",
+    .n = 3, .m = 1, .coordinates = {"q1", "q2", "q3"},
+    .state = genmass_state,
+    .lagrangian = genmass_lagrangian,
+    .constraint = genmass_constraint,
 };
