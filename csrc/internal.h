@@ -105,7 +105,7 @@ double *dal__ode_state(ode *self); /* [N]; whoever changes it restarts */
 double dal__ode_elapsed(const ode *self);
 size_t dal__ode_evaluations(const ode *self); /* of the field, since it was made */
 
-/* ---- floor 2: system.c, systems.c, evaluator.c ------------------------------------------ */
+/* ---- floor 2: system.c, systems*.c, evaluator.c ----------------------------------------- */
 
 struct dal_system {
     dal_system_def def;      /* the strings, mass and state point into the arena */

@@ -35,7 +35,7 @@ def symbols(archive: str) -> tuple[dict[str, str], dict[str, set[str]]]:
     uses: dict[str, set[str]] = defaultdict(set)
     source = ""
     for line in table.splitlines():
-        if member := re.fullmatch(r".*\[(?:csrc_)?(\w+\.c)\.o\]:", line):
+        if member := re.fullmatch(r".*\[(?:.*csrc_)?(\w+\.c)\.o\]:", line):
             source = member[1]
             uses[source] = set()
         elif line:

@@ -2,6 +2,17 @@
 
 ``dal.systems.names()`` lists them, ``dal.systems.particle()`` makes one, ``help(dal.systems.disk)``
 shows its coordinates and parameters.
+
+>>> import dalembert as dal
+>>> ball = dal.systems.ball_on_table(Omega=2)  # affine constraints
+>>> ball.coordinates
+('x', 'y', 'theta_x', 'theta_y', 'theta_z')
+>>> ball.parameters["Omega"], dal.systems.rolling_disc(m=2, g=0).parameters["m"]
+(2.0, 2.0)
+>>> dal.systems.snakeboard(J0=1)
+Traceback (most recent call last):
+    ...
+ValueError: parameters m = 1, r = 0.5, J0 = 1 of snakeboard; expected m r^2 > J0, and m r^2 is 0.25
 """
 
 from __future__ import annotations
@@ -49,6 +60,9 @@ def get(name: str, /, **parameters: float) -> System:
     >>> import dalembert as dal
     >>> dal.systems.get("knife-edge").name
     'knife_edge'
+    >>> train = dal.systems.get("n-trailer", trailers=10)
+    >>> train.n, train.m, train.coordinates[-1]
+    (13, 11, 'theta10')
     """
     return System._builtin(name, parameters)
 
