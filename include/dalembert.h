@@ -245,7 +245,10 @@ typedef struct dal_check {
     char text[508];          /* the first thing found wrong, in words; or the summary */
 } dal_check;
 
-/* *report <- the system examined at x[2n].  Findings are in the report; the return value is for
+/* *report <- the system examined at x[2n]; what depends on v also at another velocity, where it is
+ * defined there; a force at time 0, and with the other velocity at time 1.  The mass is examined at
+ * x, curvature and integrable (NaN, 0) only of linear constraints, and condition (NaN) only if M is
+ * positive definite.  Findings are in the report; the return value is for
  * what prevents the examination: DAL_EINVAL, DAL_ENOMEM, DAL_EUSER, DAL_EDOMAIN (a callback that
  * is not finite or writes nothing is a finding of its own: passed = 0 and DAL_EDOMAIN). */
 DAL_API int dal_system_check(const dal_system *system, const double *x, dal_check *report,
