@@ -207,7 +207,8 @@ DAL_API double dal_system_parameter(const dal_system *system, size_t i);        
 /* x[2n] <- the default initial data.  DAL_EUNSUPPORTED if there are none. */
 DAL_API int dal_system_state(const dal_system *system, double *x);
 
-/* x[2n] <- the exact state a time t after x0[2n], which must lie in D.
+/* x[2n] <- the exact state a time t after x0[2n], which must lie in D; where there is a force, of the
+ * solution that starts at time 0.
  * DAL_EUNSUPPORTED if the system carries no exact solution; DAL_EUSER, DAL_EDOMAIN, DAL_ENOMEM. */
 DAL_API int dal_system_exact(const dal_system *system, double t, const double *x0, double *x);
 
