@@ -1,9 +1,10 @@
-/* Floor 3: a system examined at one state: its derivatives, the rank of mu, the definiteness of M,
- * and whether D is involutive.
+/* Floor 3: a system examined at one state: its derivatives, the rank of mu = phi_v, whether M = L_vv
+ * is positive definite, and whether D is involutive.
  *
  * Eigenvalues and singular values are those of products with the Cholesky factor L of M = L L^T:
  * of M on R^n the squares of those of L, of M on ker mu those of X L with the rows of X an
- * orthonormal basis, of mu in the mass metric those of mu L^-T. */
+ * orthonormal basis, of mu in the mass metric those of mu L^-T.  An M that is not positive definite
+ * is made so by a multiple of the identity, which is subtracted from the eigenvalues again. */
 #include "internal.h"
 
 #include <gsl/gsl_linalg.h>
@@ -31,12 +32,14 @@ typedef struct examination {
     size_t n, m;
     dal_check found;
     double *point, *other;        /* [n]: a moved q, and a velocity that is not in D */
-    const double *velocity;       /* [n]: of the mu v that is differenced */
+    const double *velocity;       /* [n], and the time: where what is differenced stands */
+    double time;
+    bool moves_v;                 /* it is differenced in v, at q, and not in q */
     double *value, *slope;        /* [n] scratch of the differences */
     double *gradient, *hessian;   /* [n], [n*n] */
     double *forms;                /* [m*n] */
     double *phi;                  /* [m] */
-    double *factor;               /* [n*n] L */
+    double *factor, lift;         /* [n*n] L of M + lift times the identity */
     double *rows, *squares;       /* [n*n], [n]: whose singular values are sought */
     double *QR, *tau;             /* [n*m], [m]: mu^T = Q R */
     double *X;                    /* [(n-m)*n] rows: an orthonormal basis of ker mu */
@@ -70,22 +73,60 @@ static int value_V_q(const double *q, double *V_q, void *ctx)
     return dal__potential(&mech->eval, q, NULL, V_q, NULL, &mech->error);
 }
 
-static int value_phi(const double *q, double *phi, void *ctx)
+static const double *position(const examination *ex, const double *moved)
 {
-    examination *const ex = ctx;
-    dal_mechanics *const mech = &ex->mech;
-    const int status = dal__constraint(&mech->eval, q, ex->velocity, NULL, ex->forms, NULL,
-                                       &mech->error);
-    if (!status) dal__apply(ex->m, ex->n, ex->forms, ex->velocity, phi);
-    return status;
+    return ex->moves_v ? ex->q : moved;
 }
 
-/* The rows x n matrix of derivatives given[] against differences of f. */
-static int compare(examination *ex, dal__function f, size_t rows, const double *given,
-                   dal_difference *worst)
+static const double *velocity(const examination *ex, const double *moved)
 {
+    return ex->moves_v ? moved : ex->velocity;
+}
+
+static int value_jet(examination *ex, const double *moved, const dal__jet *wanted)
+{
+    return dal__lagrangian(&ex->mech.eval, position(ex, moved), velocity(ex, moved), wanted,
+                           &ex->mech.error);
+}
+
+static int value_L(const double *moved, double *L, void *ctx)
+{
+    return value_jet(ctx, moved, &(dal__jet){.L = L});
+}
+
+static int value_L_q(const double *moved, double *L_q, void *ctx)
+{
+    return value_jet(ctx, moved, &(dal__jet){.L_q = L_q});
+}
+
+static int value_L_v(const double *moved, double *L_v, void *ctx)
+{
+    return value_jet(ctx, moved, &(dal__jet){.L_v = L_v});
+}
+
+static int value_f(const double *moved, double *f, void *ctx)
+{
+    examination *const ex = ctx;
+    return dal__force(&ex->mech.eval, ex->time, position(ex, moved), velocity(ex, moved), f, NULL,
+                      NULL, &ex->mech.error);
+}
+
+/* mu v where the constraints are linear. */
+static int value_phi(const double *moved, double *phi, void *ctx)
+{
+    examination *const ex = ctx;
+    return dal__constraint(&ex->mech.eval, position(ex, moved), velocity(ex, moved), phi, NULL,
+                           NULL, &ex->mech.error);
+}
+
+/* The rows x n matrix of derivatives given[] against differences of f, in v if moves_v. */
+static int compare(examination *ex, dal__function f, bool moves_v, size_t rows,
+                   const double *given, dal_difference *worst)
+{
+    const double *const centre = moves_v ? ex->velocity : ex->q;
+    ex->moves_v = moves_v;
     for (size_t j = 0; j < ex->n; j++) {
-        memcpy(ex->point, ex->q, ex->n * sizeof *ex->point);
+        memcpy(ex->point, centre, ex->n * sizeof *ex->point);
         const int status = dal__difference(f, ex, ex->point, j, rows, ex->value, ex->slope, 1);
         if (status) return status;
         for (size_t i = 0; i < rows; i++) {
@@ -119,8 +160,9 @@ static int examine_potential(examination *ex)
     double V;
     int status = dal__potential(&mech->eval, ex->q, &V, ex->gradient, has_V_qq ? ex->hessian : NULL,
                                 &mech->error);
-    if (!status && has_V_q) status = compare(ex, value_V, 1, ex->gradient, &ex->found.V_q);
-    if (!status && has_V_qq) status = compare(ex, value_V_q, ex->n, ex->hessian, &ex->found.V_qq);
+    if (!status && has_V_q) status = compare(ex, value_V, false, 1, ex->gradient, &ex->found.V_q);
+    if (!status && has_V_qq)
+        status = compare(ex, value_V_q, false, ex->n, ex->hessian, &ex->found.V_qq);
     if (status) return status;
     if (has_V_q) judge(ex, "V_q", "V", fabs(V), &ex->found.V_q);
     if (has_V_qq) {
@@ -131,62 +173,205 @@ static int examine_potential(examination *ex)
     return DAL_SUCCESS;
 }
 
-/* phi_q at two velocities: at the given one it may vanish altogether. */
-static int examine_phi_q(examination *ex)
+/* What depends on v is examined at two velocities, because at the given one, which may be 0, it may
+ * vanish altogether.  The other one was not asked for, so what is not defined there is passed over.
+ * Each has a time of its own, for forces that vanish at time 0. */
+enum { VELOCITIES = 2 };
+
+static void stand_at(examination *ex, int k)
+{
+    ex->velocity = k == 0 ? ex->v : ex->other;
+    ex->time = k;
+}
+
+static bool passed_over(int k, int status) { return k > 0 && status == DAL_EDOMAIN; }
+
+static int compare_lagrangian(examination *ex, double *size, double *size_q, double *size_v)
 {
     dal_mechanics *const mech = &ex->mech;
-    const double *const velocities[2] = {ex->v, ex->other};
-    double size = 0.0;
-    if (ex->system->def.missing & DAL_MISSING_PHI_Q) return DAL_SUCCESS;
-    for (int k = 0; k < 2; k++) {
-        ex->velocity = velocities[k];
-        int status = dal__constraint(&mech->eval, ex->q, ex->velocity, NULL, mech->mu, mech->dmu,
-                                     &mech->error);
-        if (!status) status = compare(ex, value_phi, ex->m, mech->dmu, &ex->found.phi_q);
-        if (status) return status;
-        size = fmax(size, dal__largest(ex->n, ex->velocity) * dal__largest(ex->m * ex->n, mech->mu));
+    dal_check *const found = &ex->found;
+    const unsigned missing = ex->system->def.missing;
+    double L;
+    const dal__jet given = {
+        .L = &L, .L_q = ex->gradient, .L_v = mech->momentum,
+        .L_qq = missing & DAL_MISSING_L_QQ ? NULL : ex->hessian,
+        .L_vq = missing & DAL_MISSING_L_VQ ? NULL : mech->L_vq,
+        .L_vv = missing & DAL_MISSING_L_VV ? NULL : mech->L_vv,
+    };
+    int status = dal__lagrangian(&mech->eval, ex->q, ex->velocity, &given, &mech->error);
+    if (!status) status = compare(ex, value_L, false, 1, given.L_q, &found->L_q);
+    if (!status) status = compare(ex, value_L, true, 1, given.L_v, &found->L_v);
+    if (!status && given.L_qq)
+        status = compare(ex, value_L_q, false, ex->n, given.L_qq, &found->L_qq);
+    if (!status && given.L_vq)
+        status = compare(ex, value_L_v, false, ex->n, given.L_vq, &found->L_vq);
+    if (!status && given.L_vv)
+        status = compare(ex, value_L_v, true, ex->n, given.L_vv, &found->L_vv);
+    if (status) return status;
+    *size = fmax(*size, fabs(L));
+    *size_q = fmax(*size_q, dal__largest(ex->n, given.L_q));
+    *size_v = fmax(*size_v, dal__largest(ex->n, given.L_v));
+    return DAL_SUCCESS;
+}
+
+static int examine_lagrangian(examination *ex)
+{
+    double size = 0.0, size_q = 0.0, size_v = 0.0;
+    for (int k = 0; k < VELOCITIES; k++) {
+        stand_at(ex, k);
+        const int status = compare_lagrangian(ex, &size, &size_q, &size_v);
+        if (status && !passed_over(k, status)) return status;
     }
-    judge(ex, "phi_q", "phi_v v", size, &ex->found.phi_q);
+    judge(ex, "L_q", "L in q", size, &ex->found.L_q);
+    judge(ex, "L_v", "L in v", size, &ex->found.L_v);
+    judge(ex, "L_qq", "L_q in q", size_q, &ex->found.L_qq);
+    judge(ex, "L_vq", "L_v in q", size_v, &ex->found.L_vq);
+    judge(ex, "L_vv", "L_v in v", size_v, &ex->found.L_vv);
+    return DAL_SUCCESS;
+}
+
+static int compare_force(examination *ex, double *size)
+{
+    dal_mechanics *const mech = &ex->mech;
+    const unsigned missing = ex->system->def.missing;
+    double *const f_q = missing & DAL_MISSING_F_Q ? NULL : mech->f_q;
+    double *const f_v = missing & DAL_MISSING_F_V ? NULL : mech->f_v;
+    int status = dal__force(&mech->eval, ex->time, ex->q, ex->velocity, mech->force, f_q, f_v,
+                            &mech->error);
+    if (!status && f_q) status = compare(ex, value_f, false, ex->n, f_q, &ex->found.f_q);
+    if (!status && f_v) status = compare(ex, value_f, true, ex->n, f_v, &ex->found.f_v);
+    if (!status) *size = fmax(*size, dal__largest(ex->n, mech->force));
+    return status;
+}
+
+static int examine_force(examination *ex)
+{
+    double size = 0.0;
+    if (!ex->system->def.force) return DAL_SUCCESS;
+    for (int k = 0; k < VELOCITIES; k++) {
+        stand_at(ex, k);
+        const int status = compare_force(ex, &size);
+        if (status && !passed_over(k, status)) return status;
+    }
+    judge(ex, "f_q", "f in q", size, &ex->found.f_q);
+    judge(ex, "f_v", "f in v", size, &ex->found.f_v);
+    return DAL_SUCCESS;
+}
+
+static int compare_constraint(examination *ex, double *size)
+{
+    dal_mechanics *const mech = &ex->mech;
+    const bool linear = ex->system->def.kind == DAL_LINEAR;
+    double *const phi_q = ex->system->def.missing & DAL_MISSING_PHI_Q ? NULL : mech->dmu;
+    int status = dal__constraint(&mech->eval, ex->q, ex->velocity, ex->phi, mech->mu, phi_q,
+                                 &mech->error);
+    if (!status && phi_q) status = compare(ex, value_phi, false, ex->m, phi_q, &ex->found.phi_q);
+    if (!status && !linear)
+        status = compare(ex, value_phi, true, ex->m, mech->mu, &ex->found.phi_v);
+    if (status) return status;
+    *size = fmax(*size, dal__largest(ex->n, ex->velocity) * dal__largest(ex->m * ex->n, mech->mu));
+    if (!linear) *size = fmax(*size, dal__largest(ex->m, ex->phi));
+    return DAL_SUCCESS;
+}
+
+/* phi_v of linear constraints is what there is: nothing to compare it with. */
+static int examine_phi(examination *ex)
+{
+    const dal_constraint_kind kind = ex->system->def.kind;
+    double size = 0.0;
+    for (int k = 0; k < VELOCITIES; k++) {
+        stand_at(ex, k);
+        const int status = compare_constraint(ex, &size);
+        if (status && !(kind == DAL_NONLINEAR && passed_over(k, status))) return status;
+    }
+    judge(ex, "phi_v", "phi in v", size, &ex->found.phi_v);
+    judge(ex, "phi_q", kind == DAL_LINEAR ? "phi_v v" : "phi in q", size, &ex->found.phi_q);
     return DAL_SUCCESS;
 }
 
 /* ---- linearity --------------------------------------------------------------------------- */
 
-/* mu must be the same at both velocities; and phi, where the callback gives it, mu v.  Leaves mu
- * in mech.mu. */
-static int examine_linearity(examination *ex)
+/* The change of mu from one velocity to the other, which must vanish unless the constraints are
+ * nonlinear.  Leaves mu in mech.mu. */
+static int compare_forms(examination *ex)
 {
     dal_mechanics *const mech = &ex->mech;
-    const dal_system_def *const def = &ex->system->def;
     const size_t n = ex->n, m = ex->m;
+    const bool nonlinear = ex->system->def.kind == DAL_NONLINEAR;
     int status = dal__constraint(&mech->eval, ex->q, ex->v, NULL, mech->mu, NULL, &mech->error);
-    if (!status)
-        status = dal__constraint(&mech->eval, ex->q, ex->other, NULL, ex->forms, NULL, &mech->error);
+    if (status) return status;
+    status = dal__constraint(&mech->eval, ex->q, ex->other, NULL, ex->forms, NULL, &mech->error);
+    if (nonlinear && passed_over(1, status)) return DAL_SUCCESS;
     if (status) return status;
     ex->found.linearity = 0.0;
     for (size_t k = 0; k < m * n; k++) {
         const double change = fabs(ex->forms[k] - mech->mu[k]);
-        if (change > sum_tolerance * fabs(mech->mu[k]))
+        if (!nonlinear && change > sum_tolerance * fabs(mech->mu[k]))
             complain(&ex->found, "phi_v[%zu,%zu] is %.10g at v and %.10g at another velocity: mu "
                      "must not depend on v", k / n, k % n, mech->mu[k], ex->forms[k]);
         ex->found.linearity = fmax(ex->found.linearity, change);
     }
-    for (size_t a = 0; a < m; a++) ex->phi[a] = (double)NAN;
+    return DAL_SUCCESS;
+}
+
+/* *sum <- mu^a v, *scale <- the sum of the absolute values of its terms. */
+static void weigh(const examination *ex, size_t a, const double *v, double *sum, double *scale)
+{
+    *sum = *scale = 0.0;
+    for (size_t i = 0; i < ex->n; i++) {
+        const double term = ex->mech.mu[a * ex->n + i] * v[i];
+        *sum += term;
+        *scale += fabs(term);
+    }
+}
+
+/* phi of linear constraints, where the callback gives it, is mu v. */
+static int examine_linear(examination *ex)
+{
+    const dal_system_def *const def = &ex->system->def;
+    for (size_t a = 0; a < ex->m; a++) ex->phi[a] = (double)NAN;
     const int returned = def->constraint(ex->q, ex->other, ex->phi, ex->forms, NULL, def->ctx);
     if (returned)
-        return dal__fail(&mech->error, dal__callback_status(returned), "constraint returned %d "
+        return dal__fail(&ex->mech.error, dal__callback_status(returned), "constraint returned %d "
                          "when phi was asked for", returned);
-    for (size_t a = 0; a < m; a++) {
-        double sum = 0.0, scale = 0.0;
-        for (size_t i = 0; i < n; i++) {
-            sum += mech->mu[a * n + i] * ex->other[i];
-            scale += fabs(mech->mu[a * n + i] * ex->other[i]);
-        }
+    for (size_t a = 0; a < ex->m; a++) {
+        double sum, scale;
+        weigh(ex, a, ex->other, &sum, &scale);
         if (isfinite(ex->phi[a]) && fabs(ex->phi[a] - sum) > sum_tolerance * scale)
             complain(&ex->found, "phi[%zu] is given as %.10g, but phi_v v is %.10g: linear "
                      "constraints have phi = mu v", a, ex->phi[a], sum);
     }
     return DAL_SUCCESS;
+}
+
+/* a = phi - mu v of affine constraints is the same at both velocities. */
+static int examine_affine(examination *ex)
+{
+    dal_mechanics *const mech = &ex->mech;
+    int status = dal__constraint(&mech->eval, ex->q, ex->v, ex->phi, NULL, NULL, &mech->error);
+    if (!status)
+        status = dal__constraint(&mech->eval, ex->q, ex->other, ex->value, NULL, NULL,
+                                 &mech->error);
+    for (size_t a = 0; !status && a < ex->m; a++) {
+        double here, there, scale_here, scale_there;
+        weigh(ex, a, ex->v, &here, &scale_here);
+        weigh(ex, a, ex->other, &there, &scale_there);
+        const double scale = fabs(ex->phi[a]) + fabs(ex->value[a]) + scale_here + scale_there;
+        here = ex->phi[a] - here;
+        there = ex->value[a] - there;
+        if (fabs(there - here) > sum_tolerance * scale)
+            complain(&ex->found, "phi[%zu] - (phi_v v)[%zu] is %.10g at v and %.10g at another "
+                     "velocity: what is not linear in v must not depend on v", a, a, here, there);
+    }
+    return status;
+}
+
+static int examine_linearity(examination *ex)
+{
+    const dal_constraint_kind kind = ex->system->def.kind;
+    const int status = compare_forms(ex);
+    if (status || kind == DAL_NONLINEAR) return status;
+    return kind == DAL_LINEAR ? examine_linear(ex) : examine_affine(ex);
 }
 
 /* ---- rank and definiteness --------------------------------------------------------------- */
@@ -205,13 +390,27 @@ static double smallest_eigenvalue(examination *ex, size_t count, double *A)
     return unit * unit * smallest(count, ex->squares);
 }
 
-static void examine_mass(examination *ex)
+static int examine_mass(examination *ex)
 {
     const size_t n = ex->n;
-    memcpy(ex->factor, ex->system->mass, n * n * sizeof *ex->factor);
-    dal__cholesky(n, ex->factor, NULL, NULL); /* definite, or there would be no system */
-    memcpy(ex->rows, ex->factor, n * n * sizeof *ex->rows);
-    ex->found.mass_min = smallest_eigenvalue(ex, n, ex->rows);
+    double *const L = ex->factor;
+    const dal__jet wanted = {.L_vv = ex->hessian};
+    const int status = dal__lagrangian(&ex->mech.eval, ex->q, ex->v, &wanted, &ex->mech.error);
+    if (status) return status;
+    memcpy(L, ex->hessian, n * n * sizeof *L);
+    const bool definite = dal__cholesky(n, L, NULL, NULL); /* always, of constant mass */
+    if (!definite) { /* no eigenvalue is larger than n times the largest entry */
+        ex->lift = 2.0 * (double)n * fmax(dal__largest(n * n, ex->hessian), DBL_MIN);
+        memcpy(L, ex->hessian, n * n * sizeof *L);
+        for (size_t i = 0; i < n; i++) L[i * n + i] += ex->lift;
+        dal__cholesky(n, L, NULL, NULL);
+    }
+    memcpy(ex->rows, L, n * n * sizeof *ex->rows);
+    ex->found.mass_min = smallest_eigenvalue(ex, n, ex->rows) - ex->lift;
+    if (!definite)
+        complain(&ex->found, "L_vv is not positive definite: its smallest eigenvalue is %g",
+                 ex->found.mass_min);
+    return DAL_SUCCESS;
 }
 
 /* Rank of mu with rows of length 1, so that constraints may have different units. */
@@ -265,7 +464,7 @@ static void split(examination *ex, const double *mu)
     }
 }
 
-/* The smallest eigenvalue of X M X^T = (X L)(X L)^T. */
+/* The smallest eigenvalue of X M X^T = (X L)(X L)^T - lift X X^T. */
 static double kernel_min(examination *ex)
 {
     const size_t n = ex->n, count = ex->n - ex->m;
@@ -275,7 +474,7 @@ static double kernel_min(examination *ex)
             for (size_t i = j; i < n; i++) sum += ex->X[k * n + i] * ex->factor[i * n + j];
             ex->rows[k * n + j] = sum;
         }
-    return smallest_eigenvalue(ex, count, ex->rows);
+    return smallest_eigenvalue(ex, count, ex->rows) - ex->lift;
 }
 
 /* mu in mech.mu.  Also asks for lambda: C, which all schemes invert, squares the condition. */
@@ -284,10 +483,13 @@ static int examine_rank(examination *ex)
     dal_mechanics *const mech = &ex->mech;
     dal_check *const found = &ex->found;
     found->rank = rank_of(ex, mech->mu);
-    found->condition = condition_of(ex, mech->mu);
+    if (ex->lift == 0.0) found->condition = condition_of(ex, mech->mu);
     if (found->rank < ex->m) {
-        complain(found, "mu has rank %zu instead of %zu: a constraint vanishes or follows from the "
-                 "others", found->rank, ex->m);
+        complain(found, ex->system->def.kind == DAL_NONLINEAR
+                 ? "phi_v has rank %zu instead of %zu at this velocity: a constraint that is "
+                   "quadratic in v, for one, has no D at rest"
+                 : "mu has rank %zu instead of %zu: a constraint vanishes or follows from the "
+                   "others", found->rank, ex->m);
         return DAL_SUCCESS;
     }
     split(ex, mech->mu);
@@ -382,14 +584,15 @@ static int examine_involutivity(examination *ex)
 static int examine_constraint(examination *ex)
 {
     dal_check *const found = &ex->found;
-    int status = examine_phi_q(ex);
+    const bool linear = ex->system->def.kind == DAL_LINEAR;
+    int status = examine_phi(ex);
     if (!status) status = examine_linearity(ex);
     if (!status) status = examine_rank(ex);
     if (!status) status = dal_relative_residual(&ex->mech, 0.0, ex->x, &found->residual);
-    if (!status && found->rank == ex->m) status = examine_involutivity(ex);
+    if (!status && linear && found->rank == ex->m) status = examine_involutivity(ex);
     if (!status && !(found->residual <= DAL_CONSISTENT))
-        complain(found, "(q, v) is not in D: |mu v| is %.3g of sum |mu_i v_i|, more than %g",
-                 found->residual, DAL_CONSISTENT);
+        complain(found, "(q, v) is not in D: %s is %.3g of the sum of its terms, more than %g",
+                 linear ? "|mu v|" : "|phi|", found->residual, DAL_CONSISTENT);
     return status;
 }
 
@@ -411,7 +614,10 @@ static void summarize(const examination *ex, dal_check *found)
         return;
     }
     char shape[128];
-    if (ex->n - ex->m == 1)
+    if (ex->system->def.kind != DAL_LINEAR)
+        snprintf(shape, sizeof shape, "the constraints are %s in v",
+                 ex->system->def.kind == DAL_AFFINE ? "affine" : "nonlinear");
+    else if (ex->n - ex->m == 1)
         snprintf(shape, sizeof shape, "D has dimension n - m = 1, which is always integrable");
     else if (found->integrable)
         snprintf(shape, sizeof shape, "D is integrable here and nearby: it may be a holonomic "
@@ -477,8 +683,9 @@ int dal_system_check(const dal_system *system, const double *x, dal_check *repor
     const double unknown = (double)NAN; /* stays where the examination does not come to an end */
     found->linearity = found->condition = found->mass_min = found->kernel_min = unknown;
     found->residual = found->curvature = unknown;
-    examine_mass(&ex);
-    status = examine_potential(&ex);
+    status = system->mass ? examine_mass(&ex) : examine_lagrangian(&ex);
+    if (!status) status = system->mass ? examine_potential(&ex) : examine_mass(&ex);
+    if (!status) status = examine_force(&ex);
     if (!status && ex.m == 0) examine_no_constraint(&ex);
     if (!status && ex.m > 0) status = examine_constraint(&ex);
     if (status) {

@@ -174,6 +174,13 @@ static int failed_mechanics(const study *self, int status)
 
 /* ---- the reference ---------------------------------------------------------------------- */
 
+/* The exact solution starts at time 0; only a force can tell that from t0. */
+static bool has_exact(const study *self)
+{
+    const dal_system_def *const def = &self->system->def;
+    return def->exact && (!def->force || self->def->t0 == 0.0);
+}
+
 /* x[2n] at t <- the solution that starts in start[2n] at t0.  Off D there is only the flow. */
 static int exact_state(study *self, double t, const double *start, double *x)
 {
@@ -187,7 +194,7 @@ static int solve_reference(study *self)
 {
     const dal_order_def *const def = self->def;
     int status;
-    if (self->system->def.exact) {
+    if (has_exact(self)) {
         status = dal_system_exact(self->system, def->t_end - def->t0, self->x0, self->end);
         if (status)
             return dal__fail(self->error, status, "the exact solution at t_end = %g: %s",
@@ -207,9 +214,10 @@ static int solve_reference(study *self)
  * The flow that stands in for an exact solution off D promises its tolerance. */
 static double error_floor(const study *self, double roundings)
 {
-    const double scale = fmax(fmax(dal__largest(2 * self->n, self->x0), dal__largest(2 * self->n, self->end)),
-                              dal__largest(self->m, self->end_lambda));
-    const bool stands_in = self->flow && self->system->def.exact;
+    const size_t n = self->n;
+    const double states = fmax(dal__largest(2 * n, self->x0), dal__largest(2 * n, self->end));
+    const double scale = fmax(states, dal__largest(self->m, self->end_lambda));
+    const bool stands_in = self->flow && has_exact(self);
     return fmax(stands_in ? self->tolerance : self->accuracy, roundings * DAL_ROUNDOFF * scale);
 }
 
@@ -496,7 +504,7 @@ static int make_objects(study *self)
     int status = dal_mechanics_new(&self->mech, self->system, self->error);
     if (!status)
         status = dal_stepper_new(&self->stepper, self->system, self->scheme, NULL, self->error);
-    if (!status && (self->kept || !self->system->def.exact))
+    if (!status && (self->kept || !has_exact(self)))
         status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, DAL_FLOW_X, self->tolerance,
                               self->error);
     return status ? status : reserve_arrays(self);

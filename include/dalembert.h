@@ -207,7 +207,8 @@ DAL_API double dal_system_parameter(const dal_system *system, size_t i);        
 /* x[2n] <- the default initial data.  DAL_EUNSUPPORTED if there are none. */
 DAL_API int dal_system_state(const dal_system *system, double *x);
 
-/* x[2n] <- the exact state a time t after x0[2n], which must lie in D.
+/* x[2n] <- the exact state a time t after x0[2n], which must lie in D; where there is a force, of the
+ * solution that starts at time 0.
  * DAL_EUNSUPPORTED if the system carries no exact solution; DAL_EUSER, DAL_EDOMAIN, DAL_ENOMEM. */
 DAL_API int dal_system_exact(const dal_system *system, double t, const double *x0, double *x);
 
@@ -245,7 +246,10 @@ typedef struct dal_check {
     char text[508];          /* the first thing found wrong, in words; or the summary */
 } dal_check;
 
-/* *report <- the system examined at x[2n].  Findings are in the report; the return value is for
+/* *report <- the system examined at x[2n]; what depends on v also at another velocity, where it is
+ * defined there; a force at time 0, and with the other velocity at time 1.  The mass is examined at
+ * x, curvature and integrable (NaN, 0) only of linear constraints, and condition (NaN) only if M is
+ * positive definite.  Findings are in the report; the return value is for
  * what prevents the examination: DAL_EINVAL, DAL_ENOMEM, DAL_EUSER, DAL_EDOMAIN (a callback that
  * is not finite or writes nothing is a finding of its own: passed = 0 and DAL_EDOMAIN). */
 DAL_API int dal_system_check(const dal_system *system, const double *x, dal_check *report,

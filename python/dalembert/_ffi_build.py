@@ -18,8 +18,18 @@ OPENING, CLOSING = "/* <cdef> */", "/* </cdef> */"
 TRAMPOLINES = """
 extern "Python" int dal_py_potential(const double *q, double *V, double *V_q, double *V_qq,
                                      void *ctx);
-extern "Python" int dal_py_constraint(const double *q, const double *v, double *phi,
-                                      double *phi_v, double *phi_q, void *ctx);
+extern "Python" int dal_py_lagrangian(const double *q, const double *v, double *L, double *L_q,
+                                      double *L_v, double *L_qq, double *L_vq, double *L_vv,
+                                      void *ctx);
+extern "Python" int dal_py_force(double t, const double *q, const double *v, double *f, double *f_q,
+                                 double *f_v, void *ctx);
+extern "Python" int dal_py_linear(const double *q, const double *v, double *phi, double *phi_v,
+                                  double *phi_q, void *ctx);
+extern "Python" int dal_py_affine(const double *q, const double *v, double *phi, double *phi_v,
+                                  double *phi_q, void *ctx);
+extern "Python" int dal_py_nonlinear(const double *q, const double *v, double *phi, double *phi_v,
+                                     double *phi_q, void *ctx);
+extern "Python" int dal_py_exact(double t, const double *x0, double *x, void *ctx);
 extern "Python" int dal_py_observer(size_t step, double t, const double *x, void *ctx);
 """
 

@@ -18,11 +18,10 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ._core import ffi as ffi
 from ._core import lib as lib
@@ -100,7 +99,7 @@ class SingularError(DalembertError):
 
 
 class NotOnConstraintError(DalembertError, ValueError):
-    """Initial data do not satisfy the constraint mu(q) v = 0."""
+    """Initial data do not satisfy the constraint phi(q, v) = 0."""
 
     status = lib.DAL_EOFFD
 
@@ -126,18 +125,40 @@ _EXCEPTIONS: dict[int, type[Exception]] = {
 }
 
 
-# What an output of a callback is called in Python; an index means that an entry of it is meant.
-_PYTHON_NAMES = [
-    (re.compile(pattern), name)
-    for pattern, name in (
-        (r"(?:potential: )?\bV_q\[0,(\d+)\]", r"gradient[\1]"),
-        (r"(?:potential: )?\bV_qq(?=\[)", "hessian"),
-        (r"(?:constraint: )?\bphi_v(?=\[)", "forms"),
-        (r"(?:constraint: )?\bphi_q(?=\[)", "forms_velocity_derivative"),
-        (r"potential: V\[0,0\]", "potential"),
-        (r"\bx0(?= does not lie in D)", "(q0, v0)"),
-    )
-]
+# What an output of a callback is called in Python, by the kind of the constraints; an index means
+# that an entry of it is meant.
+_COMMON_NAMES = (
+    (r"(?:potential: )?\bV_q\[0,(\d+)\]", r"gradient[\1]"),
+    (r"(?:potential: )?\bV_qq(?=\[)", "hessian"),
+    (r"potential: V\[0,0\]", "potential"),
+    (r"lagrangian: L\[0,0\]", "lagrangian"),
+    (r"(?:lagrangian: )?\bL_([qv])\[0,(\d+)\]", r"lagrangian_\1[\2]"),
+    (r"(?:lagrangian: )?\bL_(qq|vq|vv)(?=\[)", r"lagrangian_\1"),
+    (r"force: f\[0,(\d+)\]", r"force[\1]"),
+    (r"(?:force: )?\bf_([qv])(?=\[)", r"force_\1"),
+    (r"\bx0(?= does not lie in D)", "(q0, v0)"),
+)
+_PYTHON_NAMES = {
+    kind: [(re.compile(pattern), name) for pattern, name in (*_COMMON_NAMES, *names)]
+    for kind, names in {
+        "linear": (
+            (r"(?:constraint: )?\bphi_v(?=\[)", "forms"),
+            (r"(?:constraint: )?\bphi_q(?=\[)", "forms_velocity_derivative"),
+        ),
+        "affine": (
+            (r"constraint: phi\[0,(\d+)\]", r"(forms v + affine)[\1]"),
+            (r"(?:constraint: )?\bphi_v(?=\[)", "forms"),
+            (
+                r"(?:constraint: )?\bphi_q(?=\[)",
+                "(forms_velocity_derivative + affine_derivative)",
+            ),
+        ),
+        "nonlinear": (
+            (r"constraint: phi\[0,(\d+)\]", r"constraint[\1]"),
+            (r"(?:constraint: )?\bphi_([qv])(?=\[)", r"constraint_\1"),
+        ),
+    }.items()
+}
 
 
 class _Raised(threading.local):
@@ -156,20 +177,26 @@ def attempt(function: Callable[..., int], *arguments: Any) -> int:
 
 
 def failure(
-    status: int, message: str, *, step: int | None = None, t: float | None = None
+    status: int,
+    message: str,
+    *,
+    kind: str = "linear",
+    step: int | None = None,
+    t: float | None = None,
 ) -> BaseException:
     """Return the exception for a status that is not success.
 
-    It is the very exception that a callback raised, where this is why C failed.
+    It is the very exception that a callback raised, where this is why C failed.  ``kind`` is that
+    of the constraints, whose functions the message may name.
     """
     exception, _raised.exception = _raised.exception, None
     if exception is not None and status in (lib.DAL_EUSER, lib.DAL_EDOMAIN):
         return exception
-    message = in_python(message) or string(lib.dal_strerror(status))
-    kind = _EXCEPTIONS.get(status, DalembertError)
-    if issubclass(kind, DalembertError):
-        return kind(message, status=status, step=step, t=t)
-    return kind(message)
+    message = in_python(message, kind) or string(lib.dal_strerror(status))
+    exception_type = _EXCEPTIONS.get(status, DalembertError)
+    if issubclass(exception_type, DalembertError):
+        return exception_type(message, status=status, step=step, t=t)
+    return exception_type(message)
 
 
 def check(status: int, message: str = "", *, step: int | None = None) -> None:
@@ -214,9 +241,9 @@ def string(text: Any) -> str:
     return ffi.string(text).decode("utf-8", "replace") if text != ffi.NULL else ""
 
 
-def in_python(message: str) -> str:
+def in_python(message: str, kind: str = "linear") -> str:
     """Return a message of the core with the names that users of Python gave: gradient, not V_q."""
-    for pattern, name in _PYTHON_NAMES:
+    for pattern, name in _PYTHON_NAMES[kind]:
         message = pattern.sub(name, message)
     return message
 
@@ -248,39 +275,38 @@ _from_handle, _buffer, _memmove = ffi.from_handle, ffi.buffer, ffi.memmove
 _frombuffer, _ndarray, _double = np.frombuffer, np.ndarray, np.dtype(np.float64)
 
 
+FUNCTIONS = (
+    "forms", "forms_velocity_derivative", "affine", "affine_derivative",
+    "constraint", "constraint_v", "constraint_q",
+    "potential", "gradient", "hessian",
+    "lagrangian", "lagrangian_q", "lagrangian_v", "lagrangian_qq", "lagrangian_vq", "lagrangian_vv",
+    "force", "force_q", "force_v",
+    "exact",
+)  # fmt: skip
+
+
 class Callables:
     """A user's functions of a system, and the shapes of what they return."""
 
-    __slots__ = (
-        "bytes", "forms", "forms_velocity_derivative", "gradient", "hessian", "matrix", "potential",
-        "square", "vector",
-    )  # fmt: skip
+    __slots__ = (*FUNCTIONS, "bytes", "matrix", "multipliers", "square", "vector")
 
-    def __init__(
-        self,
-        n: int,
-        m: int,
-        forms: Callable[[Array], ArrayLike] | None,
-        forms_velocity_derivative: Callable[[Array, Array], ArrayLike] | None,
-        potential: Callable[[Array], float] | None,
-        gradient: Callable[[Array], ArrayLike] | None,
-        hessian: Callable[[Array], ArrayLike] | None,
-    ) -> None:
-        self.forms = forms
-        self.forms_velocity_derivative = forms_velocity_derivative
-        self.potential = potential
-        self.gradient = gradient
-        self.hessian = hessian
+    def __init__(self, n: int, m: int, functions: Mapping[str, Callable[..., Any] | None]) -> None:
+        for name in FUNCTIONS:
+            setattr(self, name, functions[name])
         self.bytes = 8 * n
-        self.vector, self.matrix, self.square = (n,), (m, n), (n, n)
+        self.vector, self.multipliers, self.matrix, self.square = (n,), (m,), (m, n), (n, n)
+
+
+def _doubles(value: Any, shape: tuple[int, ...], name: str) -> Array:
+    """Return what a callback returned as C-contiguous doubles; such an array as it is."""
+    if type(value) is not _ndarray or value.dtype is not _double or value.shape != shape:
+        return returned(value, shape, name)
+    return value if value.flags.c_contiguous else value.copy()
 
 
 def _write(target: Any, value: Any, shape: tuple[int, ...], name: str) -> None:
-    """Copy what a callback returned to ``target``; an array of doubles needs no conversion."""
-    if type(value) is not _ndarray or value.dtype is not _double or value.shape != shape:
-        value = returned(value, shape, name)
-    elif not value.flags.c_contiguous:
-        value = value.copy()
+    """Copy what a callback returned to ``target``."""
+    value = _doubles(value, shape, name)
     _memmove(target, value, value.nbytes)
 
 
@@ -309,7 +335,45 @@ def dal_py_potential(q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) -> int:
 
 
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_constraint(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+def dal_py_lagrangian(
+    q: Any, v: Any, L: Any, L_q: Any, L_v: Any, L_qq: Any, L_vq: Any, L_vv: Any, ctx: Any
+) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if L:
+        value = call.lagrangian(point, velocity)
+        L[0] = value if isinstance(value, float) else returned(value, (), "lagrangian")
+    if L_q:
+        _write(L_q, call.lagrangian_q(point, velocity), call.vector, "lagrangian_q")
+    if L_v:
+        _write(L_v, call.lagrangian_v(point, velocity), call.vector, "lagrangian_v")
+    if L_qq:
+        _write(L_qq, call.lagrangian_qq(point, velocity), call.square, "lagrangian_qq")
+    if L_vq:
+        _write(L_vq, call.lagrangian_vq(point, velocity), call.square, "lagrangian_vq")
+    if L_vv:
+        _write(L_vv, call.lagrangian_vv(point, velocity), call.square, "lagrangian_vv")
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_force(t: float, q: Any, v: Any, f: Any, f_q: Any, f_v: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if f:
+        _write(f, call.force(t, point, velocity), call.vector, "force")
+    if f_q:
+        _write(f_q, call.force_q(t, point, velocity), call.square, "force_q")
+    if f_v:
+        _write(f_v, call.force_v(t, point, velocity), call.square, "force_v")
+    return 0
+
+
+# The core asks linear constraints for mu alone, and never for phi = mu v.
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_linear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     point = _frombuffer(_buffer(q, call.bytes)[:])
     if phi_v:
@@ -322,6 +386,50 @@ def dal_py_constraint(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any
             call.matrix,
             "forms_velocity_derivative",
         )
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_affine(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if phi or phi_v:
+        forms = _doubles(call.forms(point), call.matrix, "forms")
+        if phi_v:
+            _memmove(phi_v, forms, forms.nbytes)
+        if phi:
+            shift = _doubles(call.affine(point), call.multipliers, "affine")
+            _write(phi, forms @ velocity + shift, call.multipliers, "affine")
+    if phi_q:
+        name = "forms_velocity_derivative"
+        turn = _doubles(call.forms_velocity_derivative(point, velocity), call.matrix, name)
+        shift = _doubles(call.affine_derivative(point), call.matrix, "affine_derivative")
+        _write(phi_q, turn + shift, call.matrix, name)
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_nonlinear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if phi:
+        _write(phi, call.constraint(point, velocity), call.multipliers, "constraint")
+    if phi_v:
+        _write(phi_v, call.constraint_v(point, velocity), call.matrix, "constraint_v")
+    if phi_q:
+        _write(phi_q, call.constraint_q(point, velocity), call.matrix, "constraint_q")
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_exact(t: float, x0: Any, x: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    state = _buffer(x0, 2 * call.bytes)[:]
+    q, v = call.exact(t, _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :]))
+    _write(x, q, call.vector, "exact (q)")
+    _write(x + call.vector[0], v, call.vector, "exact (v)")
     return 0
 
 

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Check", "Difference", "examine"]
 
+DERIVATIVES = (
+    "V_q", "V_qq", "L_q", "L_v", "L_qq", "L_vq", "L_vv", "f_q", "f_v", "phi_v", "phi_q",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -69,20 +73,32 @@ class Check:
     ----------
     passed : bool
         True if everything below is as it should be.
-    V_q, V_qq, phi_q : Difference
-        gradient, hessian and forms_velocity_derivative against differences.
+    kind : {"linear", "affine", "nonlinear"}
+        Of the constraints.
+    general, forced : bool
+        True if the system has a Lagrangian of its own; if it has a force.
+    V_q, V_qq : Difference
+        gradient and hessian against differences.
+    L_q, L_v, L_qq, L_vq, L_vv : Difference
+        The derivatives of a general Lagrangian, lagrangian_q and so on.
+    f_q, f_v : Difference
+        force_q and force_v.
+    phi_v, phi_q : Difference
+        The derivatives of the constraints: phi_v is forms, against what it is the derivative of
+        where that is given, or constraint_v; phi_q is d(mu v)/dq, or constraint_q.
     linearity : float
-        Worst change of mu(q) with v; mu must not depend on v.
+        Worst change of mu with v; it must not depend on v, unless the constraints are nonlinear.
     rank : int
-        Of mu(q); should be m.
+        Of mu; should be m.
     condition : float
-        Condition number of mu(q) in the mass metric.
+        Condition number of mu in the mass metric.
     mass_min, kernel_min : float
-        Smallest eigenvalues of the mass matrix M on R^n and on ker mu.
+        Smallest eigenvalues of the mass matrix M at the state, on R^n and on ker mu.
     residual : float
-        ``max_a |mu^a v| / sum_i |mu^a_i v_i|``: 0 if the velocity lies in D.
+        As `System.relative_residual`: 0 if the velocity lies in D.
     curvature : float
-        Largest curvature of D over an orthonormal basis; 0 if D is integrable here.
+        Largest curvature of D over an orthonormal basis; 0 if D is integrable here.  NaN unless the
+        constraints are linear.
     integrable : bool
         True if the curvature vanishes here: D may be a holonomic constraint in disguise.
     text : str
@@ -90,8 +106,19 @@ class Check:
     """
 
     passed: bool
+    kind: str
+    general: bool
+    forced: bool
     V_q: Difference
     V_qq: Difference
+    L_q: Difference
+    L_v: Difference
+    L_qq: Difference
+    L_vq: Difference
+    L_vv: Difference
+    f_q: Difference
+    f_v: Difference
+    phi_v: Difference
     phi_q: Difference
     linearity: float
     rank: int
@@ -107,19 +134,36 @@ class Check:
         return self.passed
 
     def __str__(self) -> str:
-        lines = [
-            ("", ("passed: " if self.passed else "FAILED: ") + self.text),
-            ("gradient (V_q)", self.V_q),
-            ("hessian (V_qq)", self.V_qq),
-            ("d(mu v)/dq (phi_q)", self.phi_q),
+        curvature = f"{self.curvature:.3g}" + (", integrable" * self.integrable)
+        lines: list[tuple[str, Any]] = [
+            *self._derivatives(),
             ("change of mu with v", f"{self.linearity:.1e}"),
             ("rank of mu", self.rank),
             ("condition of mu", f"{self.condition:.3g}"),
             ("smallest mass", f"{self.mass_min:.6g}, on ker mu {self.kernel_min:.6g}"),
-            ("|mu v|, relative", f"{self.residual:.1e}"),
-            ("curvature of D", f"{self.curvature:.3g}" + (", integrable" * self.integrable)),
+            ("|phi|, relative", f"{self.residual:.1e}"),
+            ("curvature of D", curvature if self.kind == "linear" else f"- ({self.kind})"),
         ]
-        return "\n".join(f"{name:20} {value}" if name else str(value) for name, value in lines)
+        head = ("passed: " if self.passed else "FAILED: ") + self.text
+        return "\n".join([head, *(f"{name:20} {value}" for name, value in lines)])
+
+    def _derivatives(self) -> list[tuple[str, Difference]]:
+        """Return the derivatives that a system of this kind may have."""
+        found = [("gradient (V_q)", self.V_q), ("hessian (V_qq)", self.V_qq)]
+        if self.general:
+            names = ("L_q", "L_v", "L_qq", "L_vq", "L_vv")
+            found = [(f"lagrangian{name[1:]} ({name})", getattr(self, name)) for name in names]
+        if self.forced:
+            found += [("force_q (f_q)", self.f_q), ("force_v (f_v)", self.f_v)]
+        if self.kind == "nonlinear":
+            return [
+                *found,
+                ("constraint_v (phi_v)", self.phi_v),
+                ("constraint_q (phi_q)", self.phi_q),
+            ]
+        if self.kind == "affine":
+            found.append(("forms (phi_v)", self.phi_v))
+        return [*found, ("d(mu v)/dq (phi_q)" if self.kind == "linear" else "phi_q", self.phi_q)]
 
 
 def examine(system: System, q: ArrayLike | None, v: ArrayLike | None) -> Check:
@@ -130,12 +174,13 @@ def examine(system: System, q: ArrayLike | None, v: ArrayLike | None) -> Check:
     status = _lib.attempt(lib.dal_system_check, system._handle, _lib.pointer(x), report, error)
     # A callback that is not finite is a finding; an exception of the user's is not.
     if status < 0 and not (status == lib.DAL_EDOMAIN and _lib.string(report.text)):
-        raise _lib.failure(status, _lib.string(error.text))
+        raise _lib.failure(status, _lib.string(error.text), kind=system.kind)
     return Check(
         passed=bool(report.passed) and status == lib.DAL_SUCCESS,
-        V_q=Difference.read(report.V_q),
-        V_qq=Difference.read(report.V_qq),
-        phi_q=Difference.read(report.phi_q),
+        kind=system.kind,
+        general=system.mass is None,
+        forced=system.is_forced,
+        **{name: Difference.read(getattr(report, name)) for name in DERIVATIVES},
         linearity=report.linearity,
         rank=int(report.rank),
         condition=report.condition,
@@ -144,5 +189,5 @@ def examine(system: System, q: ArrayLike | None, v: ArrayLike | None) -> Check:
         residual=report.residual,
         curvature=report.curvature,
         integrable=bool(report.integrable),
-        text=_lib.in_python(_lib.string(report.text)),
+        text=_lib.in_python(_lib.string(report.text), system.kind),
     )

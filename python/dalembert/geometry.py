@@ -2,7 +2,8 @@
 
 Every function takes ``q`` and ``v`` of shape (n,) or (N, n), in the user's units, and puts the N
 first in the shape of its result.  They are also methods of `dalembert.System`.  The sign and the
-scale of the multiplier: d/dt L_v - L_q = mu^T lambda, so lambda is a force.
+scale of the multiplier: d/dt L_v - L_q = f + mu^T lambda, so lambda is a force.  Here M is L_vv,
+the mass matrix; D is {phi(q, v) = 0}; mu is phi_v, and phi is mu v for linear constraints.
 
 All of them raise ValueError if an argument has another shape or is not finite, DomainError if a
 function of the system is not, SingularError if mu(q) loses rank (``.step`` is the row that
@@ -29,7 +30,9 @@ __all__ = [
     "energy",
     "field",
     "gram",
+    "metric",
     "multipliers",
+    "power",
     "project",
     "relative_residual",
     "residual",
@@ -93,7 +96,7 @@ def trajectory(
                 lib.dal_trajectory, mechanics, t0 + start * h, h, shift, count,
                 _lib.pointer(x, start), *pointers, done,
             )  # fmt: skip
-            _check(status, mechanics, start + done[0])
+            _check(status, system, mechanics, start + done[0])
     return values
 
 
@@ -107,20 +110,23 @@ def rows(
     with system._workspace() as mechanics:
         for k, given in enumerate(inputs):
             output = () if values is None else (_lib.pointer(values, k),)
-            _check(_lib.attempt(function, mechanics, *given, *output), mechanics, k)
+            status = _lib.attempt(function, mechanics, *given, *output)
+            _check(status, system, mechanics, k)
 
 
-def _check(status: int, mechanics: Any, row: int) -> None:
+def _check(status: int, system: System, mechanics: Any, row: int) -> None:
     if status < 0:
         message = _lib.string(lib.dal_mechanics_message(mechanics))
-        raise _lib.failure(status, message, step=int(row))
+        raise _lib.failure(status, message, kind=system.kind, step=int(row))
 
 
 # ---- functions -----------------------------------------------------------------------------
 
 
 def energy(system: System, q: ArrayLike, v: ArrayLike) -> Any:
-    """Return E = v^T M v / 2 + V(q), a first integral on D.
+    """Return E = L_v v - L, which is v^T M v / 2 + V(q) for a constant mass.
+
+    It is a first integral on D, unless there is a force or the constraint forces work, see `power`.
 
     Parameters
     ----------
@@ -148,7 +154,9 @@ def energy(system: System, q: ArrayLike, v: ArrayLike) -> Any:
 
 
 def residual(system: System, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:
-    """Return mu(q - shift v) v, which is zero on D (shift 0) or on D_eps (shift (1 - beta) h).
+    """Return phi(q - shift v, v): zero on D (shift 0) or on D_eps (shift (1 - beta) h).
+
+    For linear constraints it is mu(q - shift v) v.
 
     Parameters
     ----------
@@ -179,9 +187,10 @@ def residual(system: System, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> 
 
 
 def relative_residual(system: System, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Any:
-    """Return max_a |mu^a v| / sum_i |mu^a_i v_i| with mu at q - shift v.
+    """Return max_a |phi^a| / (sum_i |mu^a_i v_i| + |phi^a - mu^a v|) at (q - shift v, v).
 
-    It does not change with the scale of mu or v; on D it is at the level of roundoff, 1e-16.
+    The last term is 0 for linear constraints.  It does not change with the scale of phi; on D it is
+    at the level of roundoff, 1e-16.
 
     Parameters
     ----------
@@ -211,9 +220,10 @@ def relative_residual(system: System, q: ArrayLike, v: ArrayLike, shift: float =
 
 
 def multipliers(system: System, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
-    """Return lambda = -C^-1 (d(mu v)/dq v - mu M^-1 V_q) (lambdax), with C = mu M^-1 mu^T.
+    """Return lambda = -C^-1 (phi_q v + mu f_v) (lambdax), with C = mu M^-1 mu^T.
 
-    It is defined off D as well.
+    Here f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for a constant mass and no force, and
+    phi_q v is d(mu v)/dq v for linear constraints.  It is defined off D as well.
 
     Parameters
     ----------
@@ -243,6 +253,86 @@ def multipliers(system: System, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> A
     return values[0] if single else values
 
 
+def metric(system: System, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+    """Return M = L_vv, the mass matrix at a state.
+
+    Parameters
+    ----------
+    system : System
+    q : array_like, shape (n,) or (N, n)
+    v : array_like, shape (n,) or (N, n), optional
+        Matters only if L is not quadratic in v; default 0.
+
+    Returns
+    -------
+    ndarray, shape (n, n) or (N, n, n)
+
+    Raises
+    ------
+    ValueError, DomainError
+        As at the top of this module.
+    SingularError
+        If it is not positive definite.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> polar = dal.System(
+    ...     lagrangian=lambda q, v: (v[0] ** 2 + (q[0] * v[1]) ** 2) / 2,
+    ...     lagrangian_q=lambda q, v: [q[0] * v[1] ** 2, 0],
+    ...     lagrangian_v=lambda q, v: [v[0], q[0] ** 2 * v[1]],
+    ...     lagrangian_vv=lambda q, v: [[1, 0], [0, q[0] ** 2]],
+    ...     coordinates=["r", "phi"],
+    ... )
+    >>> polar.metric([3, 0])
+    array([[1., 0.],
+           [0., 9.]])
+    """
+    return _matrices(system, lib.dal_metric, system.n, q, v)
+
+
+def power(system: System, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> tuple[Any, Any]:
+    """Return the powers lambda . (phi_v v) of the constraint forces and f . v of the force.
+
+    Their sum is dE/dt on D.  That of the constraint forces is 0 on D for linear constraints.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    t : float, optional
+        Time of the states.
+
+    Returns
+    -------
+    constraint, force : float or ndarray, shape (N,)
+
+    Raises
+    ------
+    ValueError, DomainError, SingularError
+        As at the top of this module.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> damped = dal.System(mass=[1, 1], force=lambda t, q, v: -v / 2)
+    >>> damped.power([0, 0], [2, 0])
+    (0.0, -2.0)
+    """
+    x, single = states(system, q, v)
+    t = arguments.number(t, "t")
+    values = np.empty((len(x), 2))
+    addresses = (_lib.pointer(values, k) for k in range(len(x)))
+    rows(
+        system,
+        lib.dal_power,
+        ((t, _lib.pointer(x, k), pair, pair + 1) for k, pair in enumerate(addresses)),
+    )
+    if single:
+        return float(values[0, 0]), float(values[0, 1])
+    return values[:, 0], values[:, 1]
+
+
 def gram(system: System, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     """Return C = mu M^-1 mu^T (lemma lemmaC), symmetric and positive definite.
 
@@ -268,15 +358,21 @@ def gram(system: System, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     >>> dal.systems.particle().gram([0, 1, 0])
     array([[2.]])
     """
+    return _matrices(system, lib.dal_gram, system.m, q, v)
+
+
+def _matrices(
+    system: System, function: Callable[..., int], size: int, q: ArrayLike, v: ArrayLike | None
+) -> Array:
     x, single = states(system, q, np.zeros(np.shape(q)) if v is None else v)
-    values = np.empty((len(x), system.m**2))
-    rows(system, lib.dal_gram, ((_lib.pointer(x, k),) for k in range(len(x))), values)
-    matrices = values.reshape(len(x), system.m, system.m)
+    values = np.empty((len(x), size**2))
+    rows(system, function, ((_lib.pointer(x, k),) for k in range(len(x))), values)
+    matrices = values.reshape(len(x), size, size)
     return matrices[0] if single else matrices
 
 
 def acceleration(system: System, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
-    """Return vdot = M^-1 (mu^T lambda - V_q).
+    """Return vdot = f_v + M^-1 mu^T lambda, with f_v as in `multipliers`.
 
     Parameters
     ----------
@@ -344,7 +440,8 @@ def _vectors(
 def project(system: System, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:
     """Return the velocity projected to D (shift 0) or to D_eps (shift (1 - beta) h).
 
-    For shift 0 it is v - M^-1 mu^T C^-1 mu v, the nearest one in the mass metric.
+    For shift 0, and constraints that are not nonlinear, it is v - M^-1 mu^T C^-1 phi, the nearest
+    one in the mass metric.
 
     Parameters
     ----------
@@ -362,7 +459,7 @@ def project(system: System, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> A
     ValueError, DomainError, SingularError
         As at the top of this module.
     ConvergenceError
-        For shift != 0, where the equation is not linear.
+        For shift != 0 or nonlinear constraints, where the equation is not linear in v.
 
     Examples
     --------
@@ -391,6 +488,8 @@ def consistent(
 ) -> Array:
     """Return the velocity in D nearest to v0 in the mass metric, with some components kept.
 
+    For nonlinear constraints it is one in D, found by Newton's iteration from v0.
+
     Parameters
     ----------
     system : System
@@ -408,6 +507,8 @@ def consistent(
         As at the top of this module.
     SingularError
         If the kept components leave too little freedom.
+    ConvergenceError
+        For nonlinear constraints, where the equation is not linear in v.
 
     Examples
     --------

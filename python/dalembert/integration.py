@@ -274,7 +274,7 @@ def reference(
     accuracy = ffi.new("double *")
     status = _lib.attempt(lib.dal_flow_apply, flow, t0, t, _lib.pointer(x), accuracy)
     if status < 0:
-        raise _lib.failure(status, _lib.string(lib.dal_flow_message(flow)))
+        raise _lib.failure(status, _lib.string(lib.dal_flow_message(flow)), kind=system.kind)
     return Reference(x[: system.n], x[system.n :], float(accuracy[0]))
 
 
@@ -331,7 +331,8 @@ def _available_memory() -> int:
 
 def _warn(solution: Solution) -> None:
     """Warn where a run that went through is doubtful."""
-    stats, bound = solution.stats, _lib.residual_bound(solution.system.n)
+    system, stats = solution.system, solution.stats
+    bound = _lib.residual_bound(system.n)
     if stats.worst_residual > 10 * bound:
         warnings.warn(
             f"the constraint is kept to {stats.worst_residual:.1e} only, expected {bound:.1e}; "
@@ -339,7 +340,8 @@ def _warn(solution: Solution) -> None:
             DalembertWarning,
             stacklevel=3,
         )
-    if stats.full_newtons > 0.1 * stats.substeps:
+    simple = system.mass is not None and system.kind == "linear" and not system.is_forced
+    if simple and stats.full_newtons > 0.1 * stats.substeps:
         warnings.warn(
             f"{stats.full_newtons} of {stats.substeps} sub-steps needed the Hessian of V: "
             f"h = {solution.h:g} is large for this potential",

@@ -131,7 +131,7 @@ def convergence(
         lib.dal_order_study, system._handle, record._record, definition, points, order, error
     )
     if status < 0:
-        raise _lib.failure(status, _lib.string(error.text))
+        raise _lib.failure(status, _lib.string(error.text), kind=system.kind)
 
     def column(member: str) -> Any:
         return np.array([getattr(point, member) for point in points])

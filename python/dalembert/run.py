@@ -44,7 +44,7 @@ def started_stepper(
     if status < 0:
         hint = "; consistent='project' would project v0" if status == lib.DAL_EOFFD else ""
         message = _lib.string(lib.dal_stepper_message(stepper)) + hint
-        raise _lib.failure(status, message, step=0, t=t0)
+        raise _lib.failure(status, message, kind=system.kind, step=0, t=t0)
     return stepper
 
 
@@ -159,7 +159,7 @@ class SchemeRun(Run):
         self.trampoline = lib.dal_py_observer if observed else ffi.NULL
 
     def stats(self) -> Statistics:
-        return Statistics._read(self.stepper)
+        return Statistics._read(self.stepper, self.system.kind)
 
     def blocks(self) -> Iterator[tuple[int, int]]:
         start, count = 0, 16 if self.stride <= BLOCK_STEPS else 1
@@ -216,7 +216,7 @@ class SchemeRun(Run):
             step = self.stats().steps
             t = lib.dal_stepper_time(self.stepper)
             message = _lib.string(lib.dal_stepper_message(self.stepper))
-            self.error = _lib.failure(status, message, step=step, t=t)
+            self.error = _lib.failure(status, message, kind=self.system.kind, step=step, t=t)
 
 
 class FlowRun(Run):
@@ -236,7 +236,7 @@ class FlowRun(Run):
             self.system, REFERENCE, x0, t0=self.t0, h=self.h, consistency=consistency
         )
         self.x[0] = state(stepper, self.system)
-        self.initial = Statistics._read(stepper)
+        self.initial = Statistics._read(stepper, self.system.kind)
         self.reactions.fill(np.nan)
 
     def stats(self) -> Statistics:
@@ -263,7 +263,9 @@ class FlowRun(Run):
         if status < 0:
             message = _lib.string(lib.dal_flow_message(self.flow))
             good = start + int(self.done[0])
-            self.error = _lib.failure(status, message, step=good * self.stride, t=self.time(good))
+            self.error = _lib.failure(
+                status, message, kind=self.system.kind, step=good * self.stride, t=self.time(good)
+            )
         for row in range(start + 1, start + 1 + int(self.done[0])):
             self.good = row
             if self.observe(row):

@@ -27,12 +27,13 @@ class Statistics:
         Steps made, and systems of equations solved in them.
     iterations : int
         Newton iterations.
-    constraint_calls, potential_calls : int
+    constraint_calls, potential_calls, lagrangian_calls, force_calls : int
         Calls of the system's functions.
     corrections : int
         Final corrections onto D that took an evaluation of their own.
     full_newtons : int
-        Sub-steps that needed the Hessian of V.
+        Sub-steps solved by the full Newton iteration: all of a general system, and those that
+        needed the Hessian of V.
     halvings : int
         Newton steps halved because a function left its domain.
     worst_residual : float
@@ -50,6 +51,8 @@ class Statistics:
     iterations: int = 0
     constraint_calls: int = 0
     potential_calls: int = 0
+    lagrangian_calls: int = 0
+    force_calls: int = 0
     corrections: int = 0
     full_newtons: int = 0
     halvings: int = 0
@@ -60,11 +63,11 @@ class Statistics:
     evaluations: int = 0
 
     @classmethod
-    def _read(cls, stepper: Any) -> Statistics:
+    def _read(cls, stepper: Any, kind: str) -> Statistics:
         stats = ffi.new("dal_stats *")
         lib.dal_stepper_stats(stepper, stats)
         values = {name: getattr(stats, name) for name, _ in ffi.typeof("dal_stats").fields}
-        return cls(**{**values, "differenced": differenced(stats.differenced)})
+        return cls(**{**values, "differenced": differenced(stats.differenced, kind)})
 
 
 class Solution(Mapping[str, Any]):
@@ -89,10 +92,10 @@ class Solution(Mapping[str, Any]):
         belonging to their middles.  NaN for the reference flow, which has none.
     energy : ndarray, shape (N+1,)
     constraint : ndarray, shape (N+1, m)
-        mu(q) v.
+        phi(q, v), which is mu(q) v for linear constraints.
     residual : ndarray, shape (N+1,)
-        Relative residual ``max_a |mu^a v| / sum_i |mu^a_i v_i|`` of the set that the scheme
-        keeps: D for moved nodes, D_eps (mu at q - shift v) for kept ones.
+        Relative residual, as `System.relative_residual`, of the set that the scheme keeps: D for
+        moved nodes, D_eps (phi at q - shift v) for kept ones.
     system : System
     scheme : Scheme
     h : float

@@ -446,6 +446,420 @@ static void test_line(void)
     CHECK(says(report.text, "always integrable") && !says(report.text, "disguise"));
 }
 
+/* ---- general systems -------------------------------------------------------------------- */
+
+typedef enum output {
+    NO_OUTPUT, OUT_L, OUT_L_Q, OUT_L_V, OUT_L_QQ, OUT_L_VQ, OUT_L_VV, OUT_F, OUT_F_Q, OUT_F_V,
+    OUT_PHI, OUT_PHI_V, OUT_PHI_Q, OUTPUTS
+} output;
+
+/* A system in which one entry of one output is off. */
+typedef struct general {
+    dal_constraint_kind kind;
+    output output;
+    size_t entry;
+    double amount;  /* what is added to it; NaN: the output is never written */
+    double bend;    /* an affine phi has this times v0^2 */
+    double turn;    /* phi_v has this times v1 in entry 0 */
+    double reach;   /* largest |v| in the domain of all functions; 0: no limit */
+    int call, calls, returned;
+} general;
+
+/* What an output points to, NULL if it is not to be written. */
+static double *open_output(const general *g, output which, double *x)
+{
+    return g->output == which && isnan(g->amount) ? NULL : x;
+}
+
+static void spoil(const general *g, output which, double *x)
+{
+    if (x && g->output == which && !isnan(g->amount)) x[g->entry] += g->amount;
+}
+
+static int enter(general *g, const double *v)
+{
+    if (++g->calls == g->call) return g->returned;
+    return g->reach > 0.0 && hypot(hypot(v[0], v[1]), v[2]) > g->reach;
+}
+
+static void fill_matrix(double *A, double a, double b, double c, double d, double e, double f,
+                        double g, double h, double i)
+{
+    const double entries[9] = {a, b, c, d, e, f, g, h, i};
+    if (A) memcpy(A, entries, sizeof entries);
+}
+
+static void fill_vector(double *x, double a, double b, double c)
+{
+    const double entries[3] = {a, b, c};
+    if (x) memcpy(x, entries, sizeof entries);
+}
+
+/* L = ((2 + sin x) u^2 + (2 + y^2/4) v^2 + 3 w^2)/2 + cos z u v/2 + w^4/24 + y w + sin x v
+ *     - x^2 y - cos z */
+static int general_lagrangian(const double *q, const double *qdot, double *L, double *L_q,
+                              double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    general *const g = ctx;
+    const double x = q[0], y = q[1], z = q[2], u = qdot[0], v = qdot[1], w = qdot[2];
+    const double sx = sin(x), cx = cos(x), sz = sin(z), cz = cos(z);
+    const int returned = enter(g, qdot);
+    if (returned) return returned;
+    L = open_output(g, OUT_L, L);
+    if (L)
+        *L = ((2 + sx) * u * u + (2 + y * y / 4) * v * v + 3 * w * w) / 2 + cz * u * v / 2
+           + w * w * w * w / 24 + y * w + sx * v - x * x * y - cz;
+    fill_vector(open_output(g, OUT_L_Q, L_q), cx * u * u / 2 + cx * v - 2 * x * y,
+                y * v * v / 4 + w - x * x, -sz * u * v / 2 + sz);
+    fill_vector(open_output(g, OUT_L_V, L_v), (2 + sx) * u + cz * v / 2,
+                (2 + y * y / 4) * v + cz * u / 2 + sx, 3 * w + w * w * w / 6 + y);
+    fill_matrix(open_output(g, OUT_L_QQ, L_qq), -sx * u * u / 2 - sx * v - 2 * y, -2 * x, 0,
+                -2 * x, v * v / 4, 0, 0, 0, -cz * u * v / 2 + cz);
+    fill_matrix(open_output(g, OUT_L_VQ, L_vq), cx * u, 0, -sz * v / 2, cx, y * v / 2, -sz * u / 2,
+                0, 1, 0);
+    fill_matrix(open_output(g, OUT_L_VV, L_vv), 2 + sx, cz / 2, 0, cz / 2, 2 + y * y / 4, 0, 0, 0,
+                3 + w * w / 2);
+    spoil(g, OUT_L, L);
+    spoil(g, OUT_L_Q, L_q);
+    spoil(g, OUT_L_V, L_v);
+    spoil(g, OUT_L_QQ, L_qq);
+    spoil(g, OUT_L_VQ, L_vq);
+    spoil(g, OUT_L_VV, L_vv);
+    return 0;
+}
+
+/* f = (cos t - x v, -v^3/3 + y, -u w sin z) */
+static int general_force(double t, const double *q, const double *qdot, double *f, double *f_q,
+                         double *f_v, void *ctx)
+{
+    general *const g = ctx;
+    const double x = q[0], y = q[1], z = q[2], u = qdot[0], v = qdot[1], w = qdot[2];
+    const int returned = enter(g, qdot);
+    if (returned) return returned;
+    fill_vector(open_output(g, OUT_F, f), cos(t) - x * v, -v * v * v / 3 + y, -u * w * sin(z));
+    fill_matrix(open_output(g, OUT_F_Q, f_q), -v, 0, 0, 0, 1, 0, 0, 0, -u * w * cos(z));
+    fill_matrix(open_output(g, OUT_F_V, f_v), 0, -x, 0, 0, -v * v, 0, -w * sin(z), 0, -u * sin(z));
+    spoil(g, OUT_F, f);
+    spoil(g, OUT_F_Q, f_q);
+    spoil(g, OUT_F_V, f_v);
+    return 0;
+}
+
+/* phi = w - sin y u - x v, that minus cos z, or w - (1 + x^2) sqrt(1 + u^2 + y^2 v^2) */
+static int general_constraint(const double *q, const double *qdot, double *phi, double *phi_v,
+                              double *phi_q, void *ctx)
+{
+    general *const g = ctx;
+    const double x = q[0], y = q[1], z = q[2], u = qdot[0], v = qdot[1], w = qdot[2];
+    const double affine = g->kind == DAL_AFFINE, s = sqrt(1 + u * u + y * y * v * v);
+    const int returned = enter(g, qdot);
+    if (returned) return returned;
+    phi = open_output(g, OUT_PHI, phi);
+    phi_v = open_output(g, OUT_PHI_V, phi_v);
+    phi_q = open_output(g, OUT_PHI_Q, phi_q);
+    if (g->kind == DAL_NONLINEAR) {
+        if (phi) *phi = w - (1 + x * x) * s;
+        fill_vector(phi_v, -(1 + x * x) * u / s, -(1 + x * x) * y * y * v / s, 1);
+        fill_vector(phi_q, -2 * x * s, -(1 + x * x) * y * v * v / s, 0);
+    } else {
+        if (phi) *phi = w - sin(y) * u - x * v - affine * cos(z) + g->bend * u * u;
+        fill_vector(phi_v, -sin(y) + g->turn * v, -x, 1);
+        fill_vector(phi_q, -v, -cos(y) * u, affine * sin(z));
+    }
+    spoil(g, OUT_PHI, phi);
+    spoil(g, OUT_PHI_V, phi_v);
+    spoil(g, OUT_PHI_Q, phi_q);
+    return 0;
+}
+
+/* A state in D. */
+static void general_state(dal_constraint_kind kind, double *x)
+{
+    general g = {.kind = kind};
+    double phi;
+    fill_vector(x, 0.4, 0.7, -0.3);
+    fill_vector(x + 3, 0.5, -0.6, 0.0);
+    general_constraint(x, x + 3, &phi, NULL, NULL, &g);
+    x[5] = -phi;
+}
+
+static int examine_general(general *g, unsigned missing, dal_check *report, dal_error *error)
+{
+    double x[6];
+    general_state(g->kind, x);
+    const dal_system_def def = {.n = 3, .m = 1, .lagrangian = general_lagrangian,
+                                .force = general_force, .constraint = general_constraint,
+                                .kind = g->kind, .missing = missing, .ctx = g};
+    return examine_def(&def, x, report, error);
+}
+
+static const dal_constraint_kind kinds[3] = {DAL_LINEAR, DAL_AFFINE, DAL_NONLINEAR};
+
+/* Roundoff of the differences: 1.5 u 2^11 = 3e-13 times values up to 10; L_vv at x by hand. */
+static void test_general(void)
+{
+    for (size_t i = 0; i < 3; i++) {
+        general right = {.kind = kinds[i]};
+        dal_check report;
+        dal_error error;
+        double x[6];
+        CHECK(examine_general(&right, 0, &report, &error) == 0 && report.passed);
+        if (!report.passed) fprintf(stderr, "kind %d: %s\n", (int)kinds[i], report.text);
+        const dal_difference *const all[] = {&report.L_q, &report.L_v, &report.L_qq, &report.L_vq,
+                                             &report.L_vv, &report.f_q, &report.f_v, &report.phi_q};
+        for (size_t k = 0; k < sizeof all / sizeof *all; k++)
+            CHECK(all[k]->checked && all[k]->error < 3e-11);
+        CHECK(!report.V_q.checked && !report.V_qq.checked);
+        CHECK(report.phi_v.checked == (kinds[i] != DAL_LINEAR) && report.phi_v.error < 3e-11);
+        CHECK(report.rank == 1 && report.residual <= 12 * DAL_ROUNDOFF);
+        CHECK_NEAR(report.condition, 1.0, 8 * DBL_EPSILON);
+        CHECK(isnan(report.curvature) == (kinds[i] != DAL_LINEAR) && !report.integrable);
+        CHECK((report.linearity == 0.0) == (kinds[i] != DAL_NONLINEAR));
+        CHECK(says(report.text, (const char *const[]){"not integrable", "affine", "nonlinear"}[i]));
+
+        general_state(kinds[i], x);
+        const double a = 2 + sin(x[0]), b = cos(x[2]) / 2, c = 2 + x[1] * x[1] / 4;
+        const double least = (a + c) / 2 - hypot((a - c) / 2, b);
+        CHECK_NEAR(report.mass_min, fmin(least, 3 + x[5] * x[5] / 2), 32 * DBL_EPSILON);
+        CHECK(report.kernel_min >= report.mass_min);
+    }
+}
+
+/* An entry that is off by 1e-3 is found there, and nowhere else. */
+static void test_general_entries(void)
+{
+    static const struct {
+        output output;
+        size_t entries;
+        const char *name;
+    } arrays[] = {{OUT_L_Q, 3, "L_q["}, {OUT_L_V, 3, "L_v["}, {OUT_L_QQ, 9, "L_qq["},
+                  {OUT_L_VQ, 9, "L_vq["}, {OUT_L_VV, 9, "L_vv["}, {OUT_F_Q, 9, "f_q["},
+                  {OUT_F_V, 9, "f_v["}, {OUT_PHI_V, 3, "phi_v["}, {OUT_PHI_Q, 3, "phi_q["}};
+    for (size_t k = 0; k < 3; k++)
+        for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++)
+            for (size_t entry = 0; entry < arrays[i].entries; entry++) {
+                general g = {.kind = kinds[k], .output = arrays[i].output, .entry = entry,
+                             .amount = 1e-3};
+                dal_check report;
+                if (g.kind == DAL_LINEAR && g.output == OUT_PHI_V) continue;
+                CHECK(examine_general(&g, 0, &report, NULL) == 0);
+                const dal_difference *const found[] = {
+                    &report.L_q, &report.L_v, &report.L_qq, &report.L_vq, &report.L_vv, &report.f_q,
+                    &report.f_v, &report.phi_v, &report.phi_q};
+                CHECK(!report.passed && strncmp(report.text, arrays[i].name,
+                                                strlen(arrays[i].name)) == 0);
+                CHECK(found[i]->row * 3 + found[i]->column == entry);
+                CHECK_NEAR(found[i]->given - found[i]->expected, 1e-3, 3e-11);
+                for (size_t other = 0; other < sizeof arrays / sizeof *arrays; other++)
+                    CHECK((found[other]->error > 1e-5) == (other == i));
+            }
+}
+
+/* mu and a of an affine constraint may be wrong by less than differences see. */
+static void test_affine(void)
+{
+    dal_check report;
+    general g = {.kind = DAL_AFFINE, .turn = 1e-9};
+    CHECK(examine_general(&g, 0, &report, NULL) == 0 && !report.passed);
+    CHECK(says(report.text, "phi_v[0,0]") && says(report.text, "must not depend on v"));
+    CHECK(report.phi_v.error < 1e-7 && report.linearity > 1e-9 && report.linearity < 1e-8);
+
+    g = (general){.kind = DAL_AFFINE, .bend = 1e-9};
+    CHECK(examine_general(&g, 0, &report, NULL) == 0 && !report.passed);
+    CHECK(says(report.text, "phi[0] - (phi_v v)[0]") && says(report.text, "not linear in v"));
+    CHECK(report.phi_v.error < 1e-7 && report.linearity == 0.0);
+
+    g = (general){.kind = DAL_AFFINE, .output = OUT_PHI, .amount = 0.25};
+    CHECK(examine_general(&g, 0, &report, NULL) == 0 && !report.passed);
+    CHECK(says(report.text, "not in D") && says(report.text, "|phi|") && report.residual > 0.05);
+}
+
+/* phi = u^2 + v^2 + w^2 - 1 */
+static int speed_squared(const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, void *ctx)
+{
+    (void)q, (void)ctx;
+    if (phi) *phi = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] - 1;
+    fill_vector(phi_v, 2 * v[0], 2 * v[1], 2 * v[2]);
+    fill_vector(phi_q, 0, 0, 0);
+    return 0;
+}
+
+static void test_rank_at_rest(void)
+{
+    const double mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    const double moving[6] = {0, 0, 0, 0.6, 0, -0.8}, rest[6] = {0};
+    const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = speed_squared,
+                                .kind = DAL_NONLINEAR};
+    dal_check report;
+    CHECK(examine_def(&def, moving, &report, NULL) == 0 && report.passed);
+    CHECK(examine_def(&def, rest, &report, NULL) == 0 && !report.passed && report.rank == 0);
+    CHECK(says(report.text, "rank 0 instead of 1") && says(report.text, "at rest"));
+}
+
+/* L = ctx[0] u^2/2 + ctx[1] v^2/2 */
+static int diagonal_lagrangian(const double *q, const double *v, double *L, double *L_q,
+                               double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    const double *const a = ctx;
+    (void)q;
+    if (L) *L = (a[0] * v[0] * v[0] + a[1] * v[1] * v[1]) / 2;
+    fill(2, L_q, 0.0);
+    if (L_v) L_v[0] = a[0] * v[0], L_v[1] = a[1] * v[1];
+    fill(4, L_qq, 0.0);
+    fill(4, L_vq, 0.0);
+    fill(4, L_vv, 0.0);
+    if (L_vv) L_vv[0] = a[0], L_vv[3] = a[1];
+    return 0;
+}
+
+/* mu = (0, 1) */
+static int second(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                  void *ctx)
+{
+    (void)q, (void)v, (void)phi, (void)ctx;
+    if (phi_v) phi_v[0] = 0.0, phi_v[1] = 1.0;
+    fill(2, phi_q, 0.0);
+    return 0;
+}
+
+/* Eigenvalues of an indefinite L_vv, to the roundoff of 2 n max |L_vv|. */
+static void test_indefinite(void)
+{
+    const double x[4] = {0, 0, 1, 0};
+    double a[2] = {2, -3};
+    const dal_system_def def = {.n = 2, .m = 1, .lagrangian = diagonal_lagrangian,
+                                .constraint = second, .ctx = a};
+    const dal_system_def free = {.n = 2, .lagrangian = diagonal_lagrangian, .ctx = a};
+    dal_check report;
+    CHECK(examine_def(&def, x, &report, NULL) == 0 && !report.passed && report.rank == 1);
+    CHECK(says(report.text, "L_vv is not positive definite") && says(report.text, "-3"));
+    CHECK_NEAR(report.mass_min, -3.0, 64 * DBL_EPSILON);
+    CHECK_NEAR(report.kernel_min, 2.0, 64 * DBL_EPSILON);
+    CHECK(isnan(report.condition));
+    CHECK(examine_def(&free, x, &report, NULL) == 0 && !report.passed);
+
+    /* Degenerate, although positive on ker mu: no scheme can invert it. */
+    a[1] = 0.0;
+    CHECK(examine_def(&def, x, &report, NULL) == 0 && !report.passed);
+    CHECK_NEAR(report.mass_min, 0.0, 64 * DBL_EPSILON);
+    CHECK_NEAR(report.kernel_min, 2.0, 64 * DBL_EPSILON);
+
+    const double sizes[] = {0.0, -1e-320, 1e300, -1e300, 1e308};
+    for (size_t i = 0; i < 5; i++)
+        for (size_t k = 0; k < 5; k++) {
+            a[0] = sizes[i];
+            a[1] = sizes[k];
+            const int status = examine_def(&def, x, &report, NULL);
+            CHECK(status == 0 || status == DAL_EDOMAIN);
+            CHECK(report.text[0] != '\0');
+        }
+}
+
+/* The Lagrangian of a constant mass is that mass. */
+static void test_same_mass(void)
+{
+    const double mass[4] = {2, 0, 0, 3}, x[4] = {0, 0, 1, 0};
+    double a[2] = {2, 3};
+    const dal_system_def simple = {.n = 2, .m = 1, .mass = mass, .constraint = second};
+    const dal_system_def general = {.n = 2, .m = 1, .lagrangian = diagonal_lagrangian,
+                                    .constraint = second, .ctx = a};
+    dal_check one, other;
+    CHECK(examine_def(&simple, x, &one, NULL) == 0 && one.passed);
+    CHECK(examine_def(&general, x, &other, NULL) == 0 && other.passed);
+    CHECK(one.mass_min == other.mass_min && one.kernel_min == other.kernel_min);
+    CHECK(one.condition == other.condition && one.curvature == other.curvature);
+}
+
+/* f = sin(t) (v^2, 0), whose f_v is said to be 0: right at time 0 only. */
+static int late_force(double t, const double *q, const double *v, double *f, double *f_q,
+                      double *f_v, void *ctx)
+{
+    (void)q, (void)ctx;
+    if (f) f[0] = sin(t) * v[0] * v[0], f[1] = 0.0;
+    fill(4, f_q, 0.0);
+    fill(4, f_v, 0.0);
+    return 0;
+}
+
+static void test_late_force(void)
+{
+    const double mass[4] = {2, 0, 0, 3}, x[4] = {0, 0, 1, 0};
+    const dal_system_def def = {.n = 2, .mass = mass, .force = late_force};
+    dal_check report;
+    CHECK(examine_def(&def, x, &report, NULL) == 0 && !report.passed);
+    CHECK(says(report.text, "f_v[0,0]") && report.f_v.given == 0.0 && report.f_q.error == 0.0);
+}
+
+/* The second velocity lies outside the domain of L, f and a nonlinear phi: it is passed over. */
+static void test_passed_over(void)
+{
+    dal_check report;
+    general g = {.kind = DAL_NONLINEAR, .reach = 3.0}; /* |v| at x is about 1.6 */
+    CHECK(examine_general(&g, 0, &report, NULL) == 0 && report.passed);
+    CHECK(report.L_vv.checked && report.f_v.checked && report.phi_v.checked);
+    CHECK(isnan(report.linearity));
+    g = (general){.kind = DAL_NONLINEAR, .reach = 1.0};
+    CHECK(examine_general(&g, 0, &report, NULL) == DAL_EDOMAIN && !report.passed);
+    CHECK(says(report.text, "outside its domain"));
+}
+
+static void test_general_missing(void)
+{
+    const unsigned bits[] = {DAL_MISSING_L_QQ, DAL_MISSING_L_VQ, DAL_MISSING_L_VV,
+                             DAL_MISSING_F_Q, DAL_MISSING_F_V, DAL_MISSING_PHI_Q};
+    for (size_t k = 0; k < 3; k++)
+        for (unsigned subset = 0; subset < 64; subset++) {
+            general g = {.kind = kinds[k]};
+            dal_check report;
+            unsigned missing = 0;
+            for (size_t i = 0; i < 6; i++)
+                if (subset >> i & 1) missing |= bits[i];
+            CHECK(examine_general(&g, missing, &report, NULL) == 0 && report.passed);
+            const dal_difference *const found[] = {&report.L_qq, &report.L_vq, &report.L_vv,
+                                                   &report.f_q, &report.f_v, &report.phi_q};
+            for (size_t i = 0; i < 6; i++) CHECK(found[i]->checked == !(subset >> i & 1));
+        }
+}
+
+static void test_general_unwritten(void)
+{
+    static const char *const names[OUTPUTS] = {
+        [OUT_L] = ": L[", [OUT_L_Q] = ": L_q[", [OUT_L_V] = ": L_v[", [OUT_L_QQ] = ": L_qq[",
+        [OUT_L_VQ] = ": L_vq[", [OUT_L_VV] = ": L_vv[", [OUT_F] = ": f[", [OUT_F_Q] = ": f_q[",
+        [OUT_F_V] = ": f_v[", [OUT_PHI] = ": phi[", [OUT_PHI_V] = ": phi_v[",
+        [OUT_PHI_Q] = ": phi_q["};
+    for (size_t k = 0; k < 3; k++)
+        for (int i = OUT_L; i < OUTPUTS; i++) {
+            general g = {.kind = kinds[k], .output = (output)i, .amount = (double)NAN};
+            dal_check report;
+            dal_error error;
+            if (i == OUT_PHI && g.kind == DAL_LINEAR) continue;
+            CHECK(examine_general(&g, 0, &report, &error) == DAL_EDOMAIN && !report.passed);
+            CHECK(says(report.text, names[i]) && says(report.text, "not written"));
+            CHECK(strcmp(report.text, error.text) == 0);
+        }
+}
+
+/* Every call of an examination that stops stops it, and leaves the report alone. */
+static void test_general_calls(void)
+{
+    for (size_t k = 0; k < 3; k++)
+        for (int call = 1;; call++) {
+            general g = {.kind = kinds[k], .call = call, .returned = -1};
+            dal_check report, untouched;
+            dal_error error;
+            memset(&untouched, 0x7f, sizeof untouched);
+            const int status = examine_general(&g, 0, &report, &error);
+            if (g.calls < call) {
+                CHECK(call > 200 && status == 0 && report.passed);
+                break;
+            }
+            CHECK(status == DAL_EUSER && error.status == DAL_EUSER);
+            CHECK(memcmp(&report, &untouched, sizeof report) == 0);
+        }
+}
+
 /* ---- callbacks that fail ---------------------------------------------------------------- */
 
 static void test_unwritten(void)
@@ -548,6 +962,17 @@ int main(void)
     test_disguise(DAL_MISSING_PHI_Q);
     test_exceptional_point();
     test_line();
+    test_general();
+    test_general_entries();
+    test_affine();
+    test_rank_at_rest();
+    test_indefinite();
+    test_same_mass();
+    test_late_force();
+    test_passed_over();
+    test_general_missing();
+    test_general_unwritten();
+    test_general_calls();
     test_unwritten();
     test_every_call((double)NAN, 0, DAL_EDOMAIN);
     test_every_call(0.0, 1, DAL_EDOMAIN);
