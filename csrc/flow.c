@@ -10,6 +10,7 @@ static const double LOOSER = 10.0;
 struct dal_flow {
     dal_mechanics mech;
     ode *integrator;
+    double tolerance;
     double *result; /* [2n] */
     dal_error error;
     arena arena;
@@ -43,7 +44,7 @@ int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method meth
         return dal__fail(error, DAL_EINVAL, "%s is NULL", flow ? "system" : "flow");
 
     arena memory = {0};
-    dal_flow shape = {0}, *self;
+    dal_flow shape = {.tolerance = tolerance}, *self;
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
     dal__reserve(&memory, &shape.result, 2 * dal_system_n(system), sizeof(double));
@@ -73,6 +74,12 @@ size_t dal_flow_evaluations(const dal_flow *flow)
 {
     return dal__ode_evaluations(flow->integrator);
 }
+
+dal_mechanics *dal__flow_mechanics(dal_flow *flow) { return &flow->mech; }
+
+double dal__flow_tolerance(const dal_flow *flow) { return flow->tolerance; }
+
+dal_error *dal__flow_error(dal_flow *flow) { return &flow->error; }
 
 /* Integration. */
 
