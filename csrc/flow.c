@@ -17,6 +17,7 @@ struct dal_flow {
     dal_chart chart;         /* in xi only */
     size_t chart_changes;
     ode *integrator;
+    double tolerance;
     double *result, *state;  /* [2n] */
     dal_error error;
     arena arena;
@@ -64,7 +65,7 @@ int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method meth
                          (int)coordinates);
 
     arena memory = {0};
-    dal_flow shape = {.in_xi = coordinates == DAL_FLOW_XI}, *self;
+    dal_flow shape = {.in_xi = coordinates == DAL_FLOW_XI, .tolerance = tolerance}, *self;
     const size_t n = dal_system_n(system), m = dal_system_m(system);
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
@@ -102,6 +103,12 @@ size_t dal_flow_evaluations(const dal_flow *flow)
 {
     return dal__ode_evaluations(flow->integrator);
 }
+
+dal_mechanics *dal__flow_mechanics(dal_flow *flow) { return &flow->mech; }
+
+double dal__flow_tolerance(const dal_flow *flow) { return flow->tolerance; }
+
+dal_error *dal__flow_error(dal_flow *flow) { return &flow->error; }
 
 /* Integration. */
 

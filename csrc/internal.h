@@ -51,7 +51,7 @@ size_t dal__times(size_t a, size_t b);
 
 bool dal__all_finite(size_t count, const double *x);
 
-/* ---- floor 1: dense.c, lu.h, ode.c ------------------------------------------------------ */
+/* ---- floor 1: dense.c, roots.c, lu.h, ode.c --------------------------------------------- */
 
 double dal__dot(size_t n, const double *a, const double *b);
 /* max |x_i|, 0 for n = 0. */
@@ -70,6 +70,28 @@ double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
+
+/* size equations in as many unknowns z.  at: residual[size], J[size*size] its derivative and the
+ * scale of the entries of J (see lu.h); a status.  The sum |dz_i| over the first measured unknowns
+ * decides, against base + sum |z_i| over the same. */
+typedef struct dal__equations {
+    int (*at)(void *ctx, const double *z, double *residual, double *J, double *scale);
+    void *ctx;
+    size_t size, measured;
+    double base;
+    const char *singular; /* what to say if J is */
+} dal__equations;
+
+typedef struct dal__root {
+    double *z, *residual, *step; /* [size]: z the guess, then the root */
+    double *J, *scale;           /* [size*size] */
+    size_t *row;                 /* [size] */
+} dal__root;
+
+void dal__root_reserve(dal__root *root, size_t most, arena *a);
+/* From the guess in root->z.  DAL_ESINGULAR, DAL_ENOCONV; what at returns is for at to explain,
+ * after a step that led to DAL_EDOMAIN has been halved in vain. */
+int dal__find_root(dal__root *root, const dal__equations *equations, dal_error *error);
 
 /* dydt[N] <- the field at y[N], which is finite, and time t.  Returns 0, or a dal_status whose text
  * it has written to error, never NULL: DAL_EUSER ends the integration, after any other a shorter
@@ -276,6 +298,77 @@ int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool 
 
 /* dal_flow_apply without the accuracy; the projection onto D at the end only if project. */
 int dal__flow_apply(dal_flow *flow, double t0, double t1, double *x, bool project);
+
+/* What a flow is made of, and the record that dal_flow_message reads. */
+dal_mechanics *dal__flow_mechanics(dal_flow *flow);
+double dal__flow_tolerance(const dal_flow *flow);
+dal_error *dal__flow_error(dal_flow *flow);
+
+/* ---- floor 5: difference_map.c, discrete_lagrangian.c, dla.c, exact_constraint.c ---------- */
+
+/* Two nodes one step h apart, and the difference quotient w = (q1 - q0)/h, which may be known to
+ * more digits than the nodes leave. */
+typedef struct dal__pair {
+    double h;
+    const double *q0, *q1, *w; /* [n] */
+} dal__pair;
+
+/* A finite difference map, and what it gives at a pair. */
+typedef struct dal__rho {
+    dal_difference_map map;
+    size_t n;
+    double *g, *f;              /* [n] */
+    double *g_0, *g_1;          /* [n*n] */
+    double *f_0, *f_1;          /* [n*n] times h, so that they do not grow as h goes to 0 */
+    double *point, *value, *slope; /* [2n], [2n], [2n*2n]; NULL unless derivatives are differenced */
+} dal__rho;
+
+void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a);
+/* After the allocation. */
+void dal__rho_bind(dal__rho *rho);
+/* g and f at the pair, and the derivatives if slopes. */
+int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error);
+/* q0, q1 [n] <- the pair with rho(q0, q1) = x[2n]; root for 2n unknowns. */
+int dal__rho_invert(dal__rho *rho, dal__root *root, double h, const double *x, double *q0,
+                    double *q1, dal_error *error);
+
+struct dal_discrete {
+    dal_mechanics mech;
+    size_t n, m;
+    dal__rho lagrangian, constraint; /* of L_d, of D_d */
+    dal__rho moved;                  /* of L_d too: its second derivatives are differenced */
+    dal__root root;                  /* for 2n unknowns */
+    double *q0, *q1, *w, *node;      /* [n] a pair of our own, and the node between two pairs */
+    double *state;                   /* [2n] */
+    double *force, *L_v;             /* [n] F = L_q + f and L_v at rho(pair) */
+    double *minus, *plus;            /* [n] p^- and p^+ */
+    double *L_qq, *L_vq, *L_vv, *f_q, *f_v; /* [n*n] */
+    double *X, *X_scale, *Y, *Y_scale;      /* [n*n] products on the way to K */
+    double *K, *K_scale;             /* [n*n] dp^-/dw */
+    double *phi, *phi_v, *phi_q;     /* [m], [m*n], [m*n] at rho(pair) */
+    double *B, *B_scale;             /* [m*n] d phi_d/dw */
+    double *muk;                     /* [m*n] the forms along which the constraint reacts */
+    double *point, *value, *bend;    /* [n], [n], [n*n] of differences by w or by q1 */
+    struct {                         /* of the step that is being solved */
+        double t, h;                 /* the time of the pair before */
+        const double *node, *kappa;  /* [n] q_k; [m] */
+    } step;
+    double *momentum, *velocity;     /* [n] p^+_k; v_k */
+    arena arena;
+};
+
+/* DAL_EINVAL unless h is finite and not 0; unless the nodes are finite too. */
+int dal__discrete_step_size(dal_discrete *d, double h);
+int dal__discrete_require(dal_discrete *d, double h, const char *name0, const double *q0,
+                          const char *name1, const double *q1);
+/* d->w <- (q1 - q0)/h; the pair. */
+dal__pair dal__discrete_pair(dal_discrete *d, double h, const double *q0, const double *q1);
+/* minus, plus [n] (or NULL) <- p^- = -D_1 L_d and p^+ = D_2 L_d, with the forces at time t of the
+ * pair if forced; d->K if derivative. */
+int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pair *pair,
+                          double *minus, double *plus, bool derivative);
+/* d->phi, d->phi_v, and d->B if derivative. */
+int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool derivative);
 
 /* ---- floor 6: schemes.c, kernels.c, newton.c, multiroot.c, stepper.c --------------------- */
 

@@ -1,0 +1,328 @@
+/* Floor 5: the discrete Lagrange-d'Alembert equations, and the maps that they define: on pairs of
+ * nodes, and on states. */
+#include "internal.h"
+#include "lu.h"
+
+#include <math.h>
+#include <string.h>
+
+static bool is_nonlinear(const dal_discrete *d)
+{
+    return d->mech.eval.system->def.kind == DAL_NONLINEAR;
+}
+
+/* muk <- phi_v(node, v). */
+static int reaction_forms(dal_discrete *d, const double *node, const double *v, double *muk)
+{
+    return dal__constraint(&d->mech.eval, node, v, NULL, muk, NULL, &d->mech.error);
+}
+
+/* muk <- phi_v(q_k, (v_k + v)/2), which only a nonlinear constraint asks for. */
+static int middle_forms(dal_discrete *d, const double *v, double *muk)
+{
+    for (size_t i = 0; i < d->n; i++) d->mech.step[i] = 0.5 * (d->velocity[i] + v[i]);
+    return reaction_forms(d, d->step.node, d->mech.step, muk);
+}
+
+/* The equations after the pair at time t: its p^+, its velocity, and mu_k where that is known. */
+static int begin(dal_discrete *d, double t, const dal__pair *pair)
+{
+    const size_t n = d->n;
+    int status = dal__discrete_momenta(d, t, true, pair, NULL, d->momentum, false);
+    if (!status) status = dal__rho_at(&d->constraint, pair, false, &d->mech.error);
+    if (status) return status;
+    memcpy(d->velocity, d->constraint.f, n * sizeof *d->velocity);
+    d->step.t = t;
+    d->step.h = pair->h;
+    d->step.node = pair->q1;
+    return is_nonlinear(d) ? DAL_SUCCESS : reaction_forms(d, pair->q1, d->velocity, d->muk);
+}
+
+/* mu_k^T kappa as a function of w, to be differenced. */
+static int value_reaction(const double *w, double *value, void *ctx)
+{
+    dal_discrete *const d = ctx;
+    const size_t n = d->n;
+    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + d->step.h * w[i];
+    const dal__pair pair = {d->step.h, d->step.node, d->q1, w};
+    int status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    if (!status) status = middle_forms(d, d->constraint.f, d->phi_q);
+    if (status) return status;
+    memset(value, 0, n * sizeof *value);
+    for (size_t a = 0; a < d->m; a++)
+        for (size_t i = 0; i < n; i++) value[i] += d->phi_q[a * n + i] * d->step.kappa[a];
+    return DAL_SUCCESS;
+}
+
+/* d->K += -d(mu_k^T kappa)/dw. */
+static int subtract_bend(dal_discrete *d, const double *w)
+{
+    const size_t n = d->n;
+    memcpy(d->point, w, n * sizeof *d->point);
+    for (size_t j = 0; j < n; j++) {
+        const int status = dal__difference(value_reaction, d, d->point, j, n, d->value,
+                                           d->bend + j, n);
+        if (status) return status;
+    }
+    for (size_t k = 0; k < n * n; k++) {
+        d->K[k] -= d->bend[k];
+        d->K_scale[k] += fabs(d->bend[k]);
+    }
+    return DAL_SUCCESS;
+}
+
+/* J[(n+m)*(n+m)] <- [[K, -mu_k^T], [B, 0]] with the scale of its entries (or NULL). */
+static void assemble(const dal_discrete *d, double *J, double *scale)
+{
+    const size_t n = d->n, m = d->m, N = n + m;
+    memset(J, 0, N * N * sizeof *J);
+    if (scale) memset(scale, 0, N * N * sizeof *scale);
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++) {
+            J[i * N + j] = d->K[i * n + j];
+            if (scale) scale[i * N + j] = d->K_scale[i * n + j];
+        }
+    for (size_t a = 0; a < m; a++)
+        for (size_t i = 0; i < n; i++) {
+            J[i * N + n + a] = -d->muk[a * n + i];
+            J[(n + a) * N + i] = d->B[a * n + i];
+            if (!scale) continue;
+            scale[i * N + n + a] = fabs(d->muk[a * n + i]);
+            scale[(n + a) * N + i] = d->B_scale[a * n + i];
+        }
+}
+
+/* The step equations at z = (w, kappa), kappa = h lambda. */
+static int equations_at(void *ctx, const double *z, double *residual, double *J, double *scale)
+{
+    dal_discrete *const d = ctx;
+    const size_t n = d->n, m = d->m;
+    const double h = d->step.h, *const w = z, *const kappa = z + n;
+    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i];
+    const dal__pair pair = {h, d->step.node, d->q1, w};
+    d->step.kappa = kappa;
+    int status = dal__discrete_momenta(d, d->step.t + h, true, &pair, d->minus, NULL, true);
+    if (!status && is_nonlinear(d)) status = subtract_bend(d, w);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i]; /* it was moved */
+    status = dal__discrete_constraint(d, &pair, true);
+    if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) {
+        residual[i] = d->minus[i] - d->momentum[i];
+        for (size_t a = 0; a < m; a++) residual[i] -= d->muk[a * n + i] * kappa[a];
+    }
+    memcpy(residual + n, d->phi, m * sizeof *residual);
+    assemble(d, J, scale);
+    return DAL_SUCCESS;
+}
+
+/* d->root.z <- (w, kappa) of the pair after the given one, which is at time t. */
+static int solve(dal_discrete *d, double t, const dal__pair *pair)
+{
+    const size_t n = d->n, m = d->m;
+    dal__equations equations = {.at = equations_at, .ctx = d, .size = n + m, .measured = n,
+                                .singular = "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is "
+                                "singular: the constraints lose rank, or h is too large here"};
+    const int status = begin(d, t, pair);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) equations.base += fabs(pair->w[i]);
+    memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
+    memset(d->root.z + n, 0, m * sizeof *d->root.z);
+    return dal__find_root(&d->root, &equations, &d->mech.error);
+}
+
+static int require_next(dal_discrete *d, const double *q)
+{
+    if (dal__all_finite(d->n, q)) return DAL_SUCCESS;
+    return dal__fail(&d->mech.error, DAL_EDOMAIN, "the new node overflows with h = %g", d->step.h);
+}
+
+static void copy_multipliers(const dal_discrete *d, double *lambda)
+{
+    for (size_t a = 0; lambda && a < d->m; a++) lambda[a] = d->root.z[d->n + a] / d->step.h;
+}
+
+/* ---- the equations ------------------------------------------------------------------------ */
+
+int dal_discrete_residual(dal_discrete *discrete, double t, double h, const double *q_before,
+                          const double *q, const double *q_after, const double *lambda,
+                          double *residual)
+{
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n, m = d->m;
+    if (!residual) return dal__null_argument(&d->mech, "residual");
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_require(d, h, "q_before", q_before, "q", q);
+    if (!status) status = dal__require_finite(&d->mech, "q_after", n, q_after);
+    if (!status && m > 0) status = dal__require_finite(&d->mech, "lambda", m, lambda);
+    if (status) return status;
+    dal__pair pair = dal__discrete_pair(d, h, q_before, q);
+    status = begin(d, t, &pair);
+    pair = dal__discrete_pair(d, h, q, q_after);
+    if (!status) status = dal__discrete_momenta(d, t + h, true, &pair, d->minus, NULL, false);
+    if (!status) status = dal__discrete_constraint(d, &pair, false);
+    if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) {
+        residual[i] = d->momentum[i] - d->minus[i];
+        for (size_t a = 0; a < m; a++) residual[i] += h * d->muk[a * n + i] * lambda[a];
+    }
+    memcpy(residual + n, d->phi, m * sizeof *residual);
+    return DAL_SUCCESS;
+}
+
+/* Of the matrix J[N*N], in the order of the arguments; J is destroyed. */
+static void examine(dal_discrete *d, int *sign, double *logarithm, double *condition)
+{
+    const size_t N = d->n + d->m;
+    double *const J = d->root.J, *const scale = d->root.scale, *const squares = d->root.residual;
+    size_t *const row = d->root.row;
+    int s = 1;
+    double l = 0.0, most = 0.0, least = HUGE_VAL;
+    assemble(d, J, scale);
+    const bool regular = dal_lu_factor(N, N, J, scale, row);
+    for (size_t k = 0; regular && k < N; k++) {
+        if (J[k * N + k] < 0.0) s = -s;
+        l -= log(fabs(J[k * N + k])); /* the diagonal is inverted */
+        for (; row[k] != k; s = -s) { /* the permutation, one exchange at a time */
+            const size_t other = row[k];
+            row[k] = row[other];
+            row[other] = other;
+        }
+    }
+    assemble(d, J, NULL);
+    dal__singular_values(N, N, J, squares);
+    for (size_t k = 0; k < N; k++) {
+        most = fmax(most, squares[k]);
+        least = fmin(least, squares[k]);
+    }
+    *sign = regular ? s : 0;
+    *logarithm = regular ? l : -HUGE_VAL;
+    *condition = regular && least > 0.0 ? sqrt(most / least) : HUGE_VAL;
+}
+
+int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const double *q,
+                            const double *q_after, double *matrix, int *sign,
+                            double *logarithm, double *condition)
+{
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n, m = d->m, N = n + m;
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_require(d, h, "q", q, "q_after", q_after);
+    if (status) return status;
+    const dal__pair pair = dal__discrete_pair(d, h, q, q_after);
+    status = dal__discrete_momenta(d, t + h, true, &pair, NULL, NULL, true);
+    if (!status) status = dal__discrete_constraint(d, &pair, true);
+    if (!status) status = reaction_forms(d, q, d->constraint.f, d->muk);
+    if (status) return status;
+    int s;
+    double l, c;
+    examine(d, &s, &l, &c);
+    if (n % 2 == 1 && h > 0.0) s = -s; /* of (-1/h)^n */
+    if (sign) *sign = s;
+    if (logarithm) *logarithm = l - (double)n * log(fabs(h));
+    if (condition) *condition = c;
+    if (!matrix) return DAL_SUCCESS;
+    assemble(d, d->root.J, NULL);
+    for (size_t i = 0; i < N; i++)
+        for (size_t j = 0; j < N; j++)
+            matrix[i * N + j] = (i < n ? -1.0 : 1.0) / (j < n ? h : 1.0) * d->root.J[i * N + j];
+    return DAL_SUCCESS;
+}
+
+/* ---- maps --------------------------------------------------------------------------------- */
+
+int dal_discrete_step(dal_discrete *discrete, double t, double h, double *q0, double *q1,
+                      double *lambda)
+{
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n;
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
+    if (status) return status;
+    const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
+    status = solve(d, t, &pair);
+    for (size_t i = 0; i < n; i++) d->q1[i] = q1[i] + h * d->root.z[i];
+    if (!status) status = require_next(d, d->q1);
+    if (status) return status;
+    memcpy(q0, q1, n * sizeof *q0);
+    memcpy(q1, d->q1, n * sizeof *q1);
+    copy_multipliers(d, lambda);
+    return DAL_SUCCESS;
+}
+
+static int require_on_constraint(dal_discrete *d, const dal__pair *pair)
+{
+    const int status = dal__discrete_constraint(d, pair, false);
+    if (status) return status;
+    const double relative =
+        dal__relative_residual(&d->mech, d->phi_v, d->phi, d->constraint.f);
+    if (relative <= DAL_CONSISTENT) return DAL_SUCCESS;
+    return dal__fail(&d->mech.error, DAL_EOFFD, "the first pair of nodes does not lie in D_d: its "
+                     "relative residual is %.3g, more than %g", relative, DAL_CONSISTENT);
+}
+
+int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps, double *nodes,
+                     double *lambda, size_t *done)
+{
+    if (done) *done = 0;
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n;
+    int status = dal__require_finite(&d->mech, "t0", 1, &t0);
+    if (!status) status = dal__discrete_step_size(d, h);
+    if (!status) status = dal__require_finite(&d->mech, "nodes", 2 * n, nodes);
+    if (status) return status;
+    dal__pair pair = dal__discrete_pair(d, h, nodes, nodes + n);
+    status = require_on_constraint(d, &pair);
+    for (size_t k = 0; !status && k < steps; k++) {
+        pair.q0 = nodes + k * n;
+        pair.q1 = pair.q0 + n;
+        status = solve(d, t0 + (double)k * h, &pair);
+        for (size_t i = 0; i < n; i++) d->q1[i] = pair.q1[i] + h * d->root.z[i];
+        if (!status) status = require_next(d, d->q1);
+        if (status) break;
+        memcpy(d->w, d->root.z, n * sizeof *d->w);
+        memcpy(nodes + (k + 2) * n, d->q1, n * sizeof *nodes);
+        copy_multipliers(d, lambda ? lambda + k * d->m : NULL);
+        if (done) *done = k + 1;
+    }
+    return status;
+}
+
+int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda)
+{
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n;
+    double unused = 0.0;
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_step_size(d, h);
+    if (!status) status = dal__require_finite(&d->mech, "x", 2 * n, x);
+    if (!status)
+        status = dal__rho_invert(&d->constraint, &d->root, h, x, d->q0, d->node, &d->mech.error);
+    if (status) return status;
+    dal__pair pair = dal__discrete_pair(d, h, d->q0, d->node);
+    if (!d->constraint.map.map) pair.w = x + n;
+    status = solve(d, t, &pair);
+    for (size_t i = 0; i < n; i++) d->q1[i] = d->node[i] + h * d->root.z[i];
+    if (!status) status = require_next(d, d->q1);
+    pair = (dal__pair){h, d->node, d->q1, d->root.z};
+    if (!status) status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    if (status) return status;
+    /* Corrected as a step with beta = 0, whose state stands at its node. */
+    memcpy(d->mech.node, d->constraint.g, n * sizeof *d->mech.node);
+    memcpy(d->w, d->constraint.f, n * sizeof *d->w);
+    d->mech.start.h = h;
+    d->mech.start.beta = 0.0;
+    d->mech.start.kept = false;
+    status = dal__step_settle(&d->mech, d->w, d->state, &unused);
+    if (status) return status;
+    memcpy(x, d->state, 2 * n * sizeof *x);
+    copy_multipliers(d, lambda);
+    return DAL_SUCCESS;
+}

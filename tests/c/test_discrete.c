@@ -1,0 +1,690 @@
+/* Discrete mechanics on pairs of nodes: maps, L_d and D_d with their derivatives, the DLA equations,
+ * the node map and the velocity integrator, and what they conserve.
+ *
+ * ROUNDOFF is what one step may err by, relative to sum |q| + sum |v| + 1: Newton stops at 4 u, and the
+ * conditions of the matrices are below 30 for the states used here.  What passes through the nodes
+ * loses u |q|/h instead. */
+#include "../fixtures.h"
+#include "check.h"
+
+#define ROUNDOFF (128 * U)
+
+enum { N = 16, M = 8 };
+
+static const char *const all_systems[] = {"particle", "particle_oscillator", "knife_edge", "sleigh",
+                                          "disk", "heisenberg", "contact_oscillator", "robot",
+                                          "chaotic", "generic4", "uneven_edge"};
+enum { SYSTEMS = sizeof all_systems / sizeof all_systems[0] };
+
+static const double betas[] = {0.0, 0.3, 0.5, 1.0};
+enum { BETAS = sizeof betas / sizeof betas[0] };
+
+/* ---- rich: a system with everything --------------------------------------------------------
+ *   L = (M0 v0^2 + M1 v1^2 + v2^2)/2 + v0 v2/5 + q1 v0 - q0 q2 v1/3 - V,
+ *   M0 = 1 + q1^2/4, M1 = 3/2 + sin(q0)/4, V = (q0^2 + 2 q1^2 + 3 q2^2/2)/2 + q0^4/8,
+ *   f = (3 sin(t)/10 - v0/10, q0 cos(t)/5, q1 v0/20 - v2/10),
+ *   phi = -q1 v0 + sin(q2) v1/3 + (1 + q0^2/10) v2      linear
+ *         + 1/5 + q0 q2/10                              affine
+ *         + 3 v0^2/20 + q2 v0 v1/10                     nonlinear */
+
+typedef struct rich {
+    dal_constraint_kind kind;
+} rich;
+
+static int rich_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
+                           double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    const double M0 = 1 + q[1] * q[1] / 4, M1 = 1.5 + sin(q[0]) / 4;
+    const double V = (q[0] * q[0] + 2 * q[1] * q[1] + 1.5 * q[2] * q[2]) / 2 + pow(q[0], 4) / 8;
+    (void)ctx;
+    if (L)
+        *L = (M0 * v[0] * v[0] + M1 * v[1] * v[1] + v[2] * v[2]) / 2 + v[0] * v[2] / 5
+             + q[1] * v[0] - q[0] * q[2] * v[1] / 3 - V;
+    if (L_q) {
+        L_q[0] = cos(q[0]) * v[1] * v[1] / 8 - q[2] * v[1] / 3 - q[0] - pow(q[0], 3) / 2;
+        L_q[1] = q[1] * v[0] * v[0] / 4 + v[0] - 2 * q[1];
+        L_q[2] = -q[0] * v[1] / 3 - 1.5 * q[2];
+    }
+    if (L_v) {
+        L_v[0] = M0 * v[0] + v[2] / 5 + q[1];
+        L_v[1] = M1 * v[1] - q[0] * q[2] / 3;
+        L_v[2] = v[2] + v[0] / 5;
+    }
+    if (L_qq) {
+        const double a = -sin(q[0]) * v[1] * v[1] / 8 - 1 - 1.5 * q[0] * q[0], b = -v[1] / 3;
+        memcpy(L_qq, (double[]){a, 0, b, 0, v[0] * v[0] / 4 - 2, 0, b, 0, -1.5}, 9 * sizeof a);
+    }
+    if (L_vq)
+        memcpy(L_vq, (double[]){0, q[1] * v[0] / 2 + 1, 0, cos(q[0]) * v[1] / 4 - q[2] / 3, 0,
+                                -q[0] / 3, 0, 0, 0}, 9 * sizeof *L_vq);
+    if (L_vv) memcpy(L_vv, (double[]){M0, 0, 0.2, 0, M1, 0, 0.2, 0, 1}, 9 * sizeof *L_vv);
+    return 0;
+}
+
+static int rich_force(double t, const double *q, const double *v, double *f, double *f_q,
+                      double *f_v, void *ctx)
+{
+    (void)ctx;
+    if (f) {
+        f[0] = 0.3 * sin(t) - v[0] / 10;
+        f[1] = q[0] * cos(t) / 5;
+        f[2] = q[1] * v[0] / 20 - v[2] / 10;
+    }
+    if (f_q) memcpy(f_q, (double[]){0, 0, 0, cos(t) / 5, 0, 0, 0, v[0] / 20, 0}, 9 * sizeof *f_q);
+    if (f_v) memcpy(f_v, (double[]){-0.1, 0, 0, 0, 0, 0, q[1] / 20, 0, -0.1}, 9 * sizeof *f_v);
+    return 0;
+}
+
+static int rich_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, void *ctx)
+{
+    const dal_constraint_kind kind = ((const rich *)ctx)->kind;
+    const double affine = kind != DAL_LINEAR, bent = kind == DAL_NONLINEAR;
+    const double mu[3] = {-q[1], sin(q[2]) / 3, 1 + q[0] * q[0] / 10};
+    if (phi)
+        *phi = mu[0] * v[0] + mu[1] * v[1] + mu[2] * v[2] + affine * (0.2 + q[0] * q[2] / 10)
+               + bent * (0.15 * v[0] * v[0] + q[2] * v[0] * v[1] / 10);
+    if (phi_v) {
+        phi_v[0] = mu[0] + bent * (0.3 * v[0] + q[2] * v[1] / 10);
+        phi_v[1] = mu[1] + bent * q[2] * v[0] / 10;
+        phi_v[2] = mu[2];
+    }
+    if (phi_q) {
+        phi_q[0] = q[0] * v[2] / 5 + affine * q[2] / 10;
+        phi_q[1] = -v[0];
+        phi_q[2] = cos(q[2]) * v[1] / 3 + affine * q[0] / 10 + bent * v[0] * v[1] / 10;
+    }
+    return 0;
+}
+
+static const double rich_state[6] = {0.4, -0.3, 0.5, 0.6, -0.5, 0.3};
+
+/* *is is filled and has to outlive the system; m is 0 or 1. */
+static dal_system *open_rich(rich *is, size_t m, dal_constraint_kind kind, bool forced)
+{
+    is->kind = kind;
+    const dal_system_def def = {.n = 3, .m = m, .lagrangian = rich_lagrangian,
+                                .constraint = m ? rich_constraint : NULL, .kind = kind,
+                                .force = forced ? rich_force : NULL, .ctx = is, .name = "rich",
+                                .state = rich_state};
+    dal_system *system = NULL;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "rich", error.text);
+    return system;
+}
+
+/* ---- maps ----------------------------------------------------------------------------------- */
+
+/* g = (q0 + q1)/2 + (q1 - q0)^2/10, f = sinh((q1 - q0)/2)/(h/2), in each coordinate: symmetric under
+ * the exchange of the nodes with h -> -h.  ctx: n. */
+static int bent_map(double h, const double *q0, const double *q1, double *g, double *f,
+                    double *g_0, double *g_1, double *f_0, double *f_1, void *ctx)
+{
+    const size_t n = *(const size_t *)ctx;
+    double *const matrices[] = {g_0, g_1, f_0, f_1};
+    for (size_t k = 0; k < 4; k++)
+        if (matrices[k]) memset(matrices[k], 0, n * n * sizeof *g);
+    for (size_t i = 0; i < n; i++) {
+        const double d = q1[i] - q0[i];
+        g[i] = (q0[i] + q1[i]) / 2 + d * d / 10;
+        f[i] = sinh(d / 2) / (h / 2);
+        if (g_0) g_0[i * n + i] = 0.5 - d / 5;
+        if (g_1) g_1[i * n + i] = 0.5 + d / 5;
+        if (f_0) f_0[i * n + i] = -cosh(d / 2) / h;
+        if (f_1) f_1[i * n + i] = cosh(d / 2) / h;
+    }
+    return 0;
+}
+
+/* Coupled and not symmetric: g_i = q0_i + 3 d_i/10 + d_i d_(i+1)/7, f_i = (d_i + d_(i+1)^2/9)/h with
+ * d = q1 - q0 and i + 1 mod n. */
+static int mixed_map(double h, const double *q0, const double *q1, double *g, double *f,
+                     double *g_0, double *g_1, double *f_0, double *f_1, void *ctx)
+{
+    const size_t n = *(const size_t *)ctx;
+    double *const matrices[] = {g_0, g_1, f_0, f_1};
+    for (size_t k = 0; k < 4; k++)
+        if (matrices[k]) memset(matrices[k], 0, n * n * sizeof *g);
+    for (size_t i = 0; i < n; i++) {
+        const size_t j = (i + 1) % n;
+        const double d = q1[i] - q0[i], e = q1[j] - q0[j];
+        g[i] = q0[i] + 0.3 * d + d * e / 7;
+        f[i] = (d + e * e / 9) / h;
+        if (g_0) {
+            g_0[i * n + i] = 0.7 - e / 7;
+            g_0[i * n + j] = -d / 7;
+            g_1[i * n + i] = 0.3 + e / 7;
+            g_1[i * n + j] = d / 7;
+            f_0[i * n + i] = -1 / h;
+            f_0[i * n + j] = -2 * e / (9 * h);
+            f_1[i * n + i] = 1 / h;
+            f_1[i * n + j] = 2 * e / (9 * h);
+        }
+    }
+    return 0;
+}
+
+static dal_difference_map rho_beta(double beta) { return (dal_difference_map){.beta = beta}; }
+
+static dal_discrete *open_discrete(const dal_system *system, dal_difference_map lagrangian,
+                                   const dal_difference_map *constraint)
+{
+    dal_discrete *discrete = NULL;
+    dal_error error = {0};
+    need(dal_discrete_new(&discrete, system, &lagrangian, constraint, &error),
+         dal_system_name(system), error.text);
+    return discrete;
+}
+
+static dal_flow *open_flow(const dal_system *system)
+{
+    dal_flow *flow = NULL;
+    dal_error error = {0};
+    need(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-14, &error), "flow", error.text);
+    return flow;
+}
+
+/* The default state, moved a little and projected onto D. */
+static void state_of(const dal_system *system, double *x)
+{
+    unsigned seed = 7;
+    need(dal_system_state(system, x), "state", "");
+    for (size_t i = 0; i < 2 * dal_system_n(system); i++) x[i] += 0.2 * next_number(&seed);
+    dal_mechanics *const mechanics = open_mechanics(system);
+    need(dal_project(mechanics, 0.0, x, NULL), "project", dal_mechanics_message(mechanics));
+    dal_mechanics_free(mechanics);
+}
+
+#define GOOD(discrete, call) \
+    check_true((call) == DAL_SUCCESS, dal_discrete_message(discrete), __FILE__, __LINE__)
+
+static double dot(size_t n, const double *a, const double *b)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; i++) sum += a[i] * b[i];
+    return sum;
+}
+
+/* The determinant, by elimination with the largest pivot. */
+static double determinant(size_t n, const double *A)
+{
+    double a[N * N], det = 1.0;
+    memcpy(a, A, n * n * sizeof *a);
+    for (size_t j = 0; j < n; j++) {
+        size_t best = j;
+        for (size_t i = j; i < n; i++)
+            if (fabs(a[i * n + j]) > fabs(a[best * n + j])) best = i;
+        for (size_t k = 0; k < n && best != j; k++) {
+            const double swap = a[j * n + k];
+            a[j * n + k] = a[best * n + k];
+            a[best * n + k] = swap;
+        }
+        if (best != j) det = -det;
+        det *= a[j * n + j];
+        if (det == 0.0) return det;
+        for (size_t i = j + 1; i < n; i++) {
+            const double l = a[i * n + j] / a[j * n + j];
+            for (size_t k = j; k < n; k++) a[i * n + k] -= l * a[j * n + k];
+        }
+    }
+    return det;
+}
+
+/* slope of log(error) over log(h) between two steps */
+static double slope(double error, double next, double factor)
+{
+    return log(error / next) / log(factor);
+}
+
+/* ---- by hand -------------------------------------------------------------------------------- */
+
+/* The particle on springs with rho^(1/4). */
+static void test_by_hand(void)
+{
+    dal_system *const system = open_system("particle_oscillator");
+    dal_discrete *const d = open_discrete(system, rho_beta(0.25), NULL);
+    const double h = 0.2, q0[3] = {0.5, 0.3, -0.2}, q1[3] = {0.7, 0.2, 0.1}, k[3] = {1, 2, 1.5};
+    double x[6], p[3], q[3], L = NAN, D1[3], D2[3], D12[9], phi = NAN, phi1[3], phi2[3];
+    double expected = 0.0, residual[4], momenta[6];
+    CHECK(dal_discrete_message(d)[0] == '\0');
+    GOOD(d, dal_discrete_state(d, h, q0, q1, x));
+    GOOD(d, dal_discrete_nodes(d, h, x, p, q));
+    GOOD(d, dal_discrete_lagrangian(d, h, q0, q1, &L, D1, D2, D12));
+    GOOD(d, dal_discrete_momenta(d, 0.0, h, q0, q1, momenta, momenta + 3));
+    for (size_t i = 0; i < 3; i++) {
+        const double g = 0.75 * q0[i] + 0.25 * q1[i], f = (q1[i] - q0[i]) / h;
+        CHECK_NEAR(x[i], g, 2 * U);
+        CHECK_NEAR(x[3 + i], f, 4 * U);
+        CHECK_NEAR(p[i], q0[i], 4 * U);
+        CHECK_NEAR(q[i], q1[i], 4 * U);
+        expected += h * (f * f - k[i] * g * g) / 2;
+        CHECK_NEAR(D1[i], -f - 0.75 * h * k[i] * g, 16 * U);
+        CHECK_NEAR(D2[i], f - 0.25 * h * k[i] * g, 16 * U);
+        CHECK(momenta[i] == -D1[i] && momenta[3 + i] == D2[i]);
+        for (size_t j = 0; j < 3; j++)
+            CHECK_NEAR(D12[3 * i + j], i == j ? -1 / h - 0.1875 * h * k[i] : 0.0, 64 * U);
+    }
+    CHECK_NEAR(L, expected, 16 * U);
+    GOOD(d, dal_discrete_constraint(d, h, q0, q1, &phi, phi1, phi2));
+    const double y = 0.275, vx = x[3];
+    CHECK_NEAR(phi, x[5] - y * vx, 16 * U);
+    CHECK_NEAR(phi1[0], y / h, 16 * U);
+    CHECK_NEAR(phi1[1], -0.75 * vx, 16 * U);
+    CHECK_NEAR(phi1[2], -1 / h, 16 * U);
+    CHECK_NEAR(phi2[0], -y / h, 16 * U);
+    CHECK_NEAR(phi2[1], -0.25 * vx, 16 * U);
+    CHECK_NEAR(phi2[2], 1 / h, 16 * U);
+    const double q2[3] = {0.8, 0.0, 0.5}, lambda = 0.7;
+    GOOD(d, dal_discrete_residual(d, 0.0, h, q0, q1, q2, &lambda, residual));
+    for (size_t i = 0; i < 3; i++) {
+        const double g0 = 0.75 * q0[i] + 0.25 * q1[i], g1 = 0.75 * q1[i] + 0.25 * q2[i];
+        const double mu[3] = {-0.2, 0, 1};
+        CHECK_NEAR(residual[i], (q1[i] - q0[i]) / h - (q2[i] - q1[i]) / h
+                   - h * k[i] * (0.25 * g0 + 0.75 * g1) + h * mu[i] * lambda, 32 * U);
+    }
+    CHECK_NEAR(residual[3], 0.4 / h - (0.75 * 0.2) * 0.1 / h, 16 * U);
+    dal_discrete_free(d);
+    dal_discrete_free(NULL);
+    dal_system_free(system);
+}
+
+/* ---- derivatives ---------------------------------------------------------------------------- */
+
+typedef struct pair_function {
+    dal_discrete *d;
+    double h;
+    enum { VALUE, FIRST, PHI } what;
+} pair_function;
+
+/* A function of (q0, q1)[2n]. */
+static int of_pair(const double *q, double *out, void *ctx)
+{
+    const pair_function *const p = ctx;
+    const size_t n = p->d->n;
+    if (p->what == PHI) return dal_discrete_constraint(p->d, p->h, q, q + n, out, NULL, NULL);
+    return dal_discrete_lagrangian(p->d, p->h, q, q + n, p->what == VALUE ? out : NULL,
+                                   p->what == FIRST ? out : NULL, NULL, NULL);
+}
+
+/* D_1 L_d, D_2 L_d, D_1 D_2 L_d, D_1 phi_d, D_2 phi_d against differences, which err by 1e-11 of the
+ * largest derivative; those of a map whose derivatives are differenced again by 1e-12/h and more. */
+static void test_derivatives(const dal_system *system, dal_difference_map lagrangian,
+                             const dal_difference_map *constraint)
+{
+    const size_t n = dal_system_n(system), m = dal_system_m(system);
+    dal_discrete *const d = open_discrete(system, lagrangian, constraint);
+    for (int sign = -1; sign <= 1; sign += 2) {
+        const double h = 0.2 * sign;
+        double x[2 * N], q[2 * N], D1[N], D2[N], D12[N * N], phi1[M * N], phi2[M * N];
+        double value[N], column[N];
+        state_of(system, x);
+        for (size_t i = 0; i < n; i++) {
+            q[i] = x[i];
+            q[n + i] = x[i] + h * x[n + i];
+        }
+        GOOD(d, dal_discrete_lagrangian(d, h, q, q + n, NULL, D1, D2, D12));
+        GOOD(d, dal_discrete_constraint(d, h, q, q + n, NULL, phi1, phi2));
+        const double size = 1 + sum_of_sizes(n, D1) + sum_of_sizes(n, D2)
+                          + sum_of_sizes(n * n, D12) + sum_of_sizes(m * n, phi1);
+        const double tolerance = (lagrangian.differenced ? 1e-8 : 1e-10) * size;
+        pair_function p = {d, h, VALUE};
+        for (size_t j = 0; j < 2 * n; j++) {
+            p.what = VALUE;
+            CHECK(dal__difference(of_pair, &p, q, j, 1, value, column, 1) == 0);
+            CHECK_NEAR(column[0], j < n ? D1[j] : D2[j - n], tolerance);
+            p.what = FIRST;
+            CHECK(dal__difference(of_pair, &p, q, j, n, value, column, 1) == 0);
+            for (size_t i = 0; j >= n && i < n; i++)
+                CHECK_NEAR(column[i], D12[i * n + j - n], tolerance);
+            p.what = PHI;
+            CHECK(dal__difference(of_pair, &p, q, j, m, value, column, 1) == 0);
+            for (size_t a = 0; a < m; a++)
+                CHECK_NEAR(column[a], j < n ? phi1[a * n + j] : phi2[a * n + j - n], tolerance);
+        }
+    }
+    dal_discrete_free(d);
+}
+
+/* rho after its inverse is the identity: to Newton's 4 u in the nodes, which a quotient by h
+ * amplifies. */
+static void test_inverse(const dal_system *system, dal_difference_map map)
+{
+    const size_t n = dal_system_n(system);
+    dal_discrete *const d = open_discrete(system, map, NULL);
+    for (int k = 0; k < 4; k++) {
+        const double h = (const double[]){0.2, -0.2, 1e-3, 0.5}[k];
+        double x[2 * N], y[2 * N], q0[N], q1[N];
+        state_of(system, x);
+        GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+        GOOD(d, dal_discrete_state(d, h, q0, q1, y));
+        const double size = sum_of_sizes(2 * n, x);
+        CHECK_NEAR(largest_difference(2 * n, x, y), 0.0, 16 * U * size * (1 + 1 / fabs(h)));
+    }
+    dal_discrete_free(d);
+}
+
+/* ---- the step ------------------------------------------------------------------------------- */
+
+/* The equations hold after a step, with its multipliers; p^- - p^+ = h mu^T lambda; a run makes the
+ * same steps; and the state runs along: rho F rho^-1. */
+static void test_step(const dal_system *system, dal_difference_map lagrangian,
+                      const dal_difference_map *constraint, double h)
+{
+    enum { STEPS = 5 };
+    const size_t n = dal_system_n(system), m = dal_system_m(system);
+    dal_discrete *const d = open_discrete(system, lagrangian, constraint);
+    const dal_difference_map *const of_D = constraint ? constraint : &lagrangian;
+    double x[2 * N], q0[N], q1[N], nodes[(STEPS + 2) * N], lambda[STEPS * M], y[2 * N];
+    size_t done = 99;
+    const double t0 = 0.4;
+    state_of(system, x);
+    GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+    memcpy(nodes, q0, n * sizeof *q0);
+    memcpy(nodes + n, q1, n * sizeof *q1);
+    GOOD(d, dal_discrete_run(d, t0, h, STEPS, nodes, lambda, &done));
+    CHECK(done == STEPS);
+    for (size_t k = 0; k < STEPS; k++) {
+        const double t = t0 + (double)k * h, *const q = nodes + (k + 1) * n;
+        const double size = (1 + sum_of_sizes(2 * n, x)) * (1 + 1 / fabs(h));
+        double before[N], one[M], residual[N + M], plus[N], minus[N], mu[M * N], by_state[M];
+        memcpy(before, q1, sizeof before);
+        GOOD(d, dal_discrete_step(d, t, h, q0, q1, one));
+        CHECK(memcmp(q0, before, n * sizeof *q0) == 0);
+        CHECK_NEAR(largest_difference(n, q1, q + n), 0.0, ROUNDOFF * size);
+        CHECK_NEAR(fabs(h) * largest_difference(m, one, lambda + k * m), 0.0, ROUNDOFF * size);
+        GOOD(d, dal_discrete_residual(d, t, h, q - n, q, q + n, lambda + k * m, residual));
+        CHECK_NEAR(dal__largest(n + m, residual), 0.0, ROUNDOFF * size);
+
+        GOOD(d, dal_discrete_momenta(d, t, h, q - n, q, NULL, plus));
+        GOOD(d, dal_discrete_momenta(d, t + h, h, q, q + n, minus, NULL));
+        double v[2 * N], w[2 * N];
+        GOOD(d, dal_discrete_state(d, h, q - n, q, v));
+        GOOD(d, dal_discrete_state(d, h, q, q + n, w));
+        for (size_t i = 0; i < n; i++) v[i] = (v[n + i] + w[n + i]) / 2;
+        if (m > 0) CHECK(system->def.constraint(q, v, NULL, mu, NULL, system->def.ctx) == 0);
+        for (size_t i = 0; i < n; i++) {
+            for (size_t a = 0; a < m; a++) plus[i] += h * mu[a * n + i] * lambda[k * m + a];
+            CHECK_NEAR(minus[i], plus[i], ROUNDOFF * size);
+        }
+        GOOD(d, dal_discrete_advance(d, t, h, x, by_state));
+        GOOD(d, dal_discrete_state(d, h, q, q + n, y));
+        CHECK_NEAR(largest_difference(2 * n, x, y), 0.0, ROUNDOFF * size * (double)(k + 1));
+        CHECK_NEAR(fabs(h) * largest_difference(m, by_state, lambda + k * m), 0.0,
+                   ROUNDOFF * size * (double)(k + 1));
+        if (of_D->map == NULL && system->def.kind == DAL_LINEAR)
+            CHECK(residual_of(system, 0.0, x) <= DAL_RESIDUAL_BOUND(n));
+        double relative = NAN;
+        dal_mechanics *const mech = open_mechanics(system);
+        CHECK(dal_relative_residual(mech, 0.0, x, &relative) == 0);
+        CHECK(relative <= DAL_RESIDUAL_BOUND(n)); /* for every map */
+        dal_mechanics_free(mech);
+    }
+    dal_discrete_free(d);
+}
+
+/* The commutative diagram: moved nodes, kept nodes and the node map with one another, and with what
+ * the steppers do. */
+static void test_diagram(const dal_system *system, double beta, double h)
+{
+    enum { STEPS = 6 };
+    const size_t n = dal_system_n(system), m = dal_system_m(system);
+    dal_discrete *const d = open_discrete(system, rho_beta(beta), NULL);
+    const dal_scheme moved = {.name = "moved", .beta = beta};
+    const dal_scheme kept = {.name = "kept", .beta = beta, .nodes = DAL_KEPT_NODES};
+    dal_stepper *const on_D = open_stepper(system, &moved, NULL);
+    dal_stepper *const on_D_eps = open_stepper(system, &kept, NULL);
+    double x[2 * N], q0[N], q1[N], lambda[M], reaction[M], y[2 * N], nodes[(STEPS + 2) * N];
+    const double t0 = 0.3;
+    state_of(system, x);
+    need(dal_stepper_start(on_D, t0, h, x, DAL_ASSUME, DAL_INITIAL_NONE), "moved", "");
+    need(dal_stepper_start(on_D_eps, t0, h, x, DAL_ASSUME, DAL_INITIAL_SHIFT), "kept", "");
+    GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+    memcpy(nodes, q0, n * sizeof *q0);
+    memcpy(nodes + n, q1, n * sizeof *q1);
+    GOOD(d, dal_discrete_run(d, t0, h, STEPS, nodes, NULL, NULL));
+    for (size_t k = 0; k < STEPS; k++) {
+        const double *const state = dal_stepper_state(on_D), *const node = dal_stepper_state(on_D_eps);
+        const double tolerance = ROUNDOFF * (double)(k + 1) * (1 + sum_of_sizes(2 * n, x));
+        CHECK(dal_step(on_D, reaction) == 0 && dal_step(on_D_eps, NULL) == 0);
+        GOOD(d, dal_discrete_advance(d, t0 + (double)k * h, h, x, lambda));
+        CHECK_NEAR(largest_difference(2 * n, x, state), 0.0, tolerance);
+        CHECK_NEAR(fabs(h) * largest_difference(m, lambda, reaction), 0.0, tolerance);
+        /* S(q~, v) = (q~ + (1-beta) h v, v) */
+        for (size_t i = 0; i < n; i++) {
+            y[i] = x[i] + (1 - beta) * h * x[n + i];
+            y[n + i] = x[n + i];
+        }
+        CHECK_NEAR(largest_difference(2 * n, y, node), 0.0, tolerance);
+        CHECK_NEAR(largest_difference(n, nodes + (k + 2) * n, node), 0.0, tolerance);
+        GOOD(d, dal_discrete_state(d, h, nodes + (k + 1) * n, nodes + (k + 2) * n, y));
+        CHECK_NEAR(largest_difference(2 * n, x, y), 0.0, tolerance / fabs(h));
+    }
+    dal_stepper_free(on_D);
+    dal_stepper_free(on_D_eps);
+    dal_discrete_free(d);
+}
+
+/* ---- regularity ----------------------------------------------------------------------------- */
+
+/* The matrix against its blocks; its determinant against another elimination, and against
+ * (-1/h)^n det K det S with K and B of the step equations at the same point. */
+static void test_regularity(const dal_system *system, double beta, double h)
+{
+    const size_t n = dal_system_n(system), m = dal_system_m(system), L = n + m;
+    const bool linear = system->def.kind != DAL_NONLINEAR;
+    dal_discrete *const d = open_discrete(system, rho_beta(beta), NULL);
+    dal_mechanics *const mech = open_mechanics(system);
+    double x[2 * N], q0[N], q1[N], q2[N], matrix[(N + M) * (N + M)], logarithm = NAN, condition = NAN;
+    double D12[N * N], phi2[M * N], K[N * N], B[M * N], mu[M * N], kappa[M] = {0}, S[M * M];
+    const double t = 0.7;
+    int sign = 9;
+    state_of(system, x);
+    GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+    const double *const w = x + n;
+    for (size_t i = 0; i < n; i++) q2[i] = q1[i] + h * w[i];
+    GOOD(d, dal_discrete_regularity(d, t, h, q1, q2, matrix, &sign, &logarithm, &condition));
+    GOOD(d, dal_discrete_lagrangian(d, h, q1, q2, NULL, NULL, NULL, D12));
+    GOOD(d, dal_discrete_constraint(d, h, q1, q2, NULL, NULL, phi2));
+    CHECK(dal_step_equations(mech, t, beta, h, x, w, kappa, NULL, NULL, K, B, mu) == 0);
+    const double size = (1 + sum_of_sizes(n * n, D12)) * 16 * U / fabs(h);
+    for (size_t i = 0; i < L; i++)
+        for (size_t j = 0; j < L; j++) {
+            const double is = matrix[i * L + j];
+            if (i >= n && j >= n) CHECK(is == 0.0);
+            else if (i >= n) CHECK_NEAR(is, phi2[(i - n) * n + j], size);
+            else if (j >= n) CHECK_NEAR(is, mu[(j - n) * n + i], size);
+            else CHECK_NEAR(is, -K[i * n + j] / h, size);
+            if (i < n && j < n && !system->def.force) CHECK_NEAR(is, D12[i * n + j], size);
+        }
+    if (linear || m == 0) {
+        const double det = determinant(L, matrix);
+        CHECK_NEAR(sign * exp(logarithm) / det, 1.0, 1e-11);
+        double columns[N * M];
+        for (size_t a = 0; a < m; a++) { /* K^-1 mu^T by Cramer's rule */
+            double replaced[N * N];
+            for (size_t i = 0; i < n; i++) {
+                memcpy(replaced, K, n * n * sizeof *K);
+                for (size_t k = 0; k < n; k++) replaced[k * n + i] = mu[a * n + k];
+                columns[a * n + i] = determinant(n, replaced) / determinant(n, K);
+            }
+        }
+        for (size_t a = 0; a < m; a++)
+            for (size_t b = 0; b < m; b++) S[a * m + b] = dot(n, B + a * n, columns + b * n);
+        const double expected = pow(-1 / h, (double)n) * determinant(n, K) * determinant(m, S);
+        CHECK_NEAR(sign * exp(logarithm) / expected, 1.0, 1e-11);
+        CHECK(condition >= 1.0 && condition < 1e3);
+    }
+    GOOD(d, dal_discrete_regularity(d, t, h, q1, q2, NULL, NULL, NULL, NULL));
+    dal_mechanics_free(mech);
+    dal_discrete_free(d);
+}
+
+/* Particle, beta = 1, y = -1, h v_y = 2: S = 1 + y' y = 0 exactly (E15). */
+static void test_singular(void)
+{
+    dal_system *const system = open_system("particle");
+    dal_discrete *const d = open_discrete(system, rho_beta(1.0), NULL);
+    const double h = 0.5, x[6] = {0.5, -1.0, 0.2, 1.0, 4.0, -1.0};
+    double q0[3], q1[3], lambda = 7.0, y[6], logarithm = NAN, condition = NAN;
+    int sign = 9;
+    GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+    const double before[6] = {q0[0], q0[1], q0[2], q1[0], q1[1], q1[2]};
+    CHECK(dal_discrete_step(d, 0.0, h, q0, q1, &lambda) == DAL_ESINGULAR && lambda == 7.0);
+    CHECK(memcmp(q0, before, sizeof q0) == 0 && memcmp(q1, before + 3, sizeof q1) == 0);
+    CHECK(strstr(dal_discrete_message(d), "singular") != NULL);
+    memcpy(y, x, sizeof y);
+    CHECK(dal_discrete_advance(d, 0.0, h, y, &lambda) == DAL_ESINGULAR);
+    CHECK(memcmp(y, x, sizeof y) == 0 && lambda == 7.0);
+    const double q2[3] = {1.0, 1.0, 0.0};
+    GOOD(d, dal_discrete_regularity(d, 0.0, h, q1, q2, NULL, &sign, &logarithm, &condition));
+    CHECK(sign == 0 && logarithm == -INFINITY && condition == INFINITY);
+    /* nearby: det = (-1/h)^3 (1 + y y') */
+    const double near[3] = {1.0, 1.0 - 0x1p-20, 0.0};
+    GOOD(d, dal_discrete_regularity(d, 0.0, h, q1, near, NULL, &sign, &logarithm, &condition));
+    CHECK(sign == -1);
+    CHECK_NEAR(logarithm, log(8 * 0x1p-20), 1e-9);
+    CHECK(condition > 1e5 && condition < 1e7);
+    dal_discrete_free(d);
+    dal_system_free(system);
+}
+
+/* ---- orders --------------------------------------------------------------------------------- */
+
+/* L_d of the nodes q(t0), q(t0 + h) against the action, by Gauss's rule with 5 nodes along the flow:
+ * O(h^3) if and only if beta = 1/2, else O(h^2). */
+static void test_action(dal_system *system)
+{
+    static const double at[5] = {0.0, 0.53846931010568309, -0.53846931010568309,
+                                 0.90617984593866399, -0.90617984593866399};
+    static const double weight[5] = {0.56888888888888889, 0.47862867049936647, 0.47862867049936647,
+                                     0.23692688505618909, 0.23692688505618909};
+    const size_t n = dal_system_n(system);
+    dal_flow *const flow = open_flow(system);
+    dal_mechanics *const mech = open_mechanics(system);
+    for (size_t b = 0; b < BETAS; b++) {
+        dal_discrete *const d = open_discrete(system, rho_beta(betas[b]), NULL);
+        double error[3];
+        for (int k = 0; k < 3; k++) {
+            const double h = ldexp(0.1, -k);
+            double x0[2 * N], x[2 * N], end[2 * N], action = 0.0, L = NAN, E = NAN, L_d = NAN;
+            state_of(system, x0);
+            memcpy(end, x0, sizeof end);
+            CHECK(dal_flow_apply(flow, 0.0, h, end, NULL) == 0);
+            for (int i = 0; i < 5; i++) {
+                memcpy(x, x0, sizeof x);
+                CHECK(dal_flow_apply(flow, 0.0, h * (1 + at[i]) / 2, x, NULL) == 0);
+                const dal__jet wanted = {.L = &L};
+                CHECK(dal__lagrangian(&mech->eval, x, x + n, &wanted, NULL) == 0);
+                action += h / 2 * weight[i] * L;
+            }
+            (void)E;
+            GOOD(d, dal_discrete_lagrangian(d, h, x0, end, &L_d, NULL, NULL, NULL));
+            error[k] = fabs(L_d - action);
+        }
+        const double expected = betas[b] == 0.5 ? 3 : 2;
+        CHECK_NEAR(slope(error[1], error[2], 2), expected, 0.15);
+        dal_discrete_free(d);
+    }
+    dal_mechanics_free(mech);
+    dal_flow_free(flow);
+}
+
+/* p from the error of one step and of half the step, for the state. */
+static double measured_order(const dal_system *system, dal_difference_map lagrangian,
+                             dal_difference_map constraint)
+{
+    const size_t n = dal_system_n(system);
+    dal_discrete *const d = open_discrete(system, lagrangian, &constraint);
+    dal_flow *const flow = open_flow(system);
+    double error[2];
+    for (int k = 0; k < 2; k++) {
+        const double h = ldexp(0.02, -k);
+        double x[2 * N], y[2 * N];
+        state_of(system, x);
+        memcpy(y, x, sizeof y);
+        CHECK(dal_flow_apply(flow, 0.3, 0.3 + h, y, NULL) == 0);
+        GOOD(d, dal_discrete_advance(d, 0.3, h, x, NULL));
+        error[k] = largest_difference(2 * n, x, y);
+    }
+    dal_flow_free(flow);
+    dal_discrete_free(d);
+    return slope(error[0], error[1], 2) - 1;
+}
+
+static void test_orders(const dal_system *system)
+{
+    const size_t n = dal_system_n(system);
+    size_t size = n;
+    const dal_difference_map bent = {.map = bent_map, .ctx = &size, .beta = 0.5};
+    const dal_difference_map mixed = {.map = mixed_map, .ctx = &size, .beta = 0.3};
+    CHECK_NEAR(measured_order(system, bent, bent), 2, 0.15);
+    CHECK_NEAR(measured_order(system, mixed, mixed), 1, 0.15);
+    CHECK_NEAR(measured_order(system, rho_beta(0.5), rho_beta(0.5)), 2, 0.15);
+    CHECK_NEAR(measured_order(system, rho_beta(0.0), rho_beta(0.0)), 1, 0.15);
+    for (size_t a = 0; a < BETAS; a++)
+        for (size_t b = 0; b < BETAS; b++)
+            printf("%s: beta_L = %g, beta_D = %g: order %.3f\n", dal_system_name(system), betas[a],
+                   betas[b], measured_order(system, rho_beta(betas[a]), rho_beta(betas[b])));
+}
+
+int main(void)
+{
+    test_by_hand();
+    test_singular();
+    for (size_t s = 0; s < SYSTEMS; s++) {
+        dal_system *const system = open_system(all_systems[s]);
+        const size_t n = dal_system_n(system);
+        fprintf(stderr, "%s\n", all_systems[s]);
+        size_t size = n;
+        const dal_difference_map bent = {.map = bent_map, .ctx = &size, .beta = 0.5};
+        for (size_t b = 0; b < BETAS; b++) {
+            test_diagram(system, betas[b], 0.05);
+            test_diagram(system, betas[b], -0.05);
+            test_regularity(system, betas[b], 0.05);
+            test_regularity(system, betas[b], -0.1);
+        }
+        test_step(system, rho_beta(0.3), NULL, 0.05);
+        test_step(system, bent, NULL, 0.05);
+        test_derivatives(system, bent, NULL);
+        test_inverse(system, bent);
+        dal_system_free(system);
+    }
+    for (int k = 0; k < 16; k++) {
+        rich is;
+        const dal_constraint_kind kind = (dal_constraint_kind)(k % 4 % 3);
+        const bool unconstrained = k % 4 == 3;
+        dal_system *const system = open_rich(&is, !unconstrained, kind, k / 4 % 2);
+        size_t size = 3;
+        const dal_difference_map bent = {.map = bent_map, .ctx = &size, .beta = 0.5};
+        const dal_difference_map mixed = {.map = mixed_map, .ctx = &size, .beta = 0.3};
+        const dal_difference_map lazy = {.map = mixed_map, .ctx = &size, .differenced = 1};
+        const dal_difference_map half = rho_beta(0.5), one = rho_beta(1.0);
+        if (k >= 8) {
+            if (k % 4 == 0) test_action(system);
+            if (k >= 12) test_orders(system);
+            dal_system_free(system);
+            continue;
+        }
+        fprintf(stderr, "k=%d\n", k);
+        test_derivatives(system, mixed, NULL);
+        test_derivatives(system, bent, &mixed);
+        test_derivatives(system, lazy, NULL);
+        test_derivatives(system, rho_beta(0.3), &bent);
+        test_inverse(system, bent);
+        test_inverse(system, mixed);
+        test_step(system, bent, NULL, 0.05);
+        test_step(system, mixed, NULL, -0.1);
+        test_step(system, bent, &half, 0.05);
+        test_step(system, half, &mixed, 0.05);
+        test_step(system, half, &one, 0.05);
+        test_step(system, lazy, NULL, 0.05);
+        for (size_t b = 0; b < BETAS; b++) {
+            test_diagram(system, betas[b], 0.05);
+            test_diagram(system, betas[b], -0.05);
+            test_regularity(system, betas[b], 0.1);
+            test_regularity(system, betas[b], -0.1);
+        }
+        dal_system_free(system);
+    }
+    return check_done();
+}
