@@ -477,21 +477,23 @@ def missing_plus() -> Rows:
 
 @point("E25", "'reduces to the standard trapezoidal rule'")
 def trapezoidal_rule() -> Rows:
-    h, q, v = 0.1, 0.6, 0.8
-    # One coordinate, mass 1 + q^2, no constraint: L_v = (1 + q^2) v, L_q = q v^2.
-    w = v
-    for _ in range(60):  # contracts by a factor of about h
-        q1 = q + h / 2 * (v + w)
-        w = ((1 + q**2) * v + h / 2 * (q * v**2 + q1 * w**2)) / (1 + q1**2)
-    bends = (-q * v**2 / (1 + q**2), -q1 * w**2 / (1 + q1**2))
-    free = dal.System(mass=MASS, potential=potential, gradient=gradient)
-    x = four()
-    run = dal.integrate(free, "midpoint", x.q0, x.v0, h=h, steps=1)
-    kicks = free.acceleration(run.q, run.v).sum(axis=0)
+    flat = dal.System(mass=MASS, potential=potential, gradient=gradient)
+    curved = dal.System(
+        n=1,
+        lagrangian=lambda q, v: (1 + q[0] ** 2) * v[0] ** 2 / 2,
+        lagrangian_q=lambda q, v: q * v**2,
+        lagrangian_v=lambda q, v: (1 + q**2) * v,
+    )
+
+    def residual(system: dal.System, q: Any, v: Any) -> float:
+        run = dal.integrate(system, "midpoint", q, v, h=0.1, steps=1)
+        forces = system.acceleration(run.q, run.v)
+        return error(run.v[1] - run.v[0], 0.05 * forces.sum(axis=0))
+
     yield zero(
         "h = 0.1, m = 0: residual of the trapezoidal rule, mass 1 + q^2 and constant mass",
-        abs(w - v - h / 2 * sum(bends)),
-        error(run.v[1] - run.v[0], h / 2 * kicks),
+        residual(curved, [0.6], [0.8]),
+        residual(flat, four().q0, four().v0),
     )
 
 
@@ -617,28 +619,28 @@ def deformed_constraint() -> Rows:
         v = particle.project(q0, v0, shift=h / 2)
         x = np.concatenate(step(particle, "midpoint-nodes", h, q0, v, initial="D_eps")[:2])
         start = np.concatenate([q0, v])
-        deformed.append(error(flow(deformed_particle(h / 2), start, h), x))
+        deformed.append(error(flow(field(deformed_particle(h / 2)), start, h), x))
         start[:n] -= h / 2 * v
         exact = np.concatenate(particle.exact(h, start[:n], v))
         exact[:n] += h / 2 * exact[n:]
         conjugate.append(error(exact, x))
     text = "particle, one step at original nodes against heps on D_{h/2}, against S F S^-1"
     yield order(text, 3, deformed, conjugate)
-    v = particle.project(q0, v0, shift=0.05)
-    vdot = deformed_particle(0.05)(np.concatenate([q0, v]))[n:]  # its last entry is lambda_delta
+    system, v = deformed_particle(0.05), particle.project(q0, v0, shift=0.05)
+    power = v @ system.acceleration(q0, v)
     text = "particle, heps on D_{h/2}, h = 0.1: dE/dt against lambda_delta delta v_x v_y"
-    yield zero(text, None, abs(v @ vdot - vdot[2] * 0.05 * v[0] * v[1]))
+    yield zero(text, None, abs(power - system.multipliers(q0, v)[0] * 0.05 * v[0] * v[1]))
 
 
-def deformed_particle(delta: float) -> Callable[[Any], Any]:
-    """Return the vector field heps of the particle, phi = v_z - y v_x + delta v_x v_y."""
-
-    def deformed(x: Any) -> Any:
-        _, y, _, vx, vy, _ = x
-        normal = np.array([-y + delta * vy, delta * vx, 1.0])
-        return np.concatenate([x[3:], vx * vy / (normal @ normal) * normal])
-
-    return deformed
+def deformed_particle(delta: float) -> dal.System:
+    """Return the particle on D_delta, v_z - y v_x + delta v_x v_y = 0."""
+    return dal.System(
+        mass=[1, 1, 1],
+        constraint=lambda q, v: [v[2] - q[1] * v[0] + delta * v[0] * v[1]],
+        constraint_v=lambda q, v: [[-q[1] + delta * v[1], delta * v[0], 1]],
+        constraint_q=lambda q, v: [[0, -v[0], 0]],
+        m=1,
+    )
 
 
 # ---- the table -----------------------------------------------------------------------------
