@@ -24,6 +24,7 @@ static const double AT_FLOOR = 10.0;       /* errors up to so many times the flo
 static const double STEP_ROUNDINGS = 4.0;  /* the floor of one step in u times scale, */
 static const double RUN_ROUNDINGS = 50.0;  /* and of a short run, in which they add up; */
 static const double WALK = 4.0;            /* N sub-steps have so many times the root of N */
+static const double UNSETTLED = 0.1;       /* a slope that still rises so much is no order yet */
 static const double SMALLEST_RANGE = 2.0;  /* of h over the points that count */
 static const double DEFAULT_TOLERANCE = 1e-13;
 
@@ -57,6 +58,23 @@ typedef struct study {
 
 static double error_floor(const study *self, double roundings);
 
+/* The slope between the point of the smallest h among those above least, and the next one. */
+static double finest_slope(size_t count, const double *h, const double *errors, double least)
+{
+    size_t first = count, second = count;
+    for (size_t i = 0; i < count; i++) {
+        if (!(isfinite(errors[i]) && errors[i] > least)) continue;
+        if (first == count || fabs(h[i]) < fabs(h[first])) {
+            second = first;
+            first = i;
+        } else if (fabs(h[i]) > fabs(h[first]) && (second == count || fabs(h[i]) < fabs(h[second]))) {
+            second = i;
+        }
+    }
+    if (second == count) return NAN;
+    return log(errors[second] / errors[first]) / log(fabs(h[second] / h[first]));
+}
+
 void dal_fit_order(size_t count, const double *h, const double *errors, double floor,
                    dal_fit *fit)
 {
@@ -73,7 +91,7 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
         shortest = fmin(shortest, fabs(h[i]));
         longest = fmax(longest, fabs(h[i]));
     }
-    *fit = (dal_fit){.slope = NAN, .points = points, .exact = finite > 0 && above == 0};
+    *fit = (dal_fit){.slope = NAN, .finest = NAN, .points = points, .exact = finite > 0 && above == 0};
     if (points < FEWEST_POINTS || longest < SMALLEST_RANGE * shortest) return;
 
     const double mean_x = sum_x / (double)points, mean_y = sum_y / (double)points;
@@ -85,6 +103,7 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
         xy += x * (log(errors[i]) - mean_y);
     }
     fit->slope = xy / xx;
+    fit->finest = finest_slope(count, h, errors, ABOVE_FLOOR * floor);
 }
 
 /* h and errors <- one column of the table, the member of dal_order_point at offset. */
@@ -353,6 +372,12 @@ static bool reaches(const dal_fit *fit, int least)
     return fit->exact || fit->slope >= least - SLACK;
 }
 
+/* Falls short, and says so: a slope that still rises with finer steps does not. */
+static bool falls_short(const dal_fit *fit, int least)
+{
+    return is_known(fit) && !reaches(fit, least) && !(fit->finest > fit->slope + UNSETTLED);
+}
+
 static int judge(const study *self, const dal_order *order, const dal_fit *run)
 {
     if (self->scheme->order == 0) return -1;
@@ -362,9 +387,11 @@ static int judge(const study *self, const dal_order *order, const dal_fit *run)
     const bool step_holds = reaches(step, of_step.p + 1);
     const bool run_holds = reaches(run, self->scheme->order);
     const bool reached = both ? step_holds && run_holds : step_holds || run_holds;
+    const bool step_short = falls_short(step, of_step.p + 1);
+    const bool run_short = falls_short(run, self->scheme->order);
     /* where either will do, one that falls short says nothing as long as the other is unknown */
-    const bool known = is_known(step) && is_known(run);
-    if (!(known || (!both && reached)) || !is_known(&order->reaction)) return -2;
+    const bool missed = both ? step_short || run_short : step_short && run_short;
+    if (!(reached || missed) || !is_known(&order->reaction)) return -2;
     return reached &&
            reaches(&order->reaction, of_step.s + 1) &&
            (self->kept ? order->keeps_D_eps : order->keeps_D);
@@ -400,7 +427,7 @@ static const char *verdict_word(int holds)
     case 1: return "holds";
     case 0: return "does not hold";
     case -1: return "the record promises nothing";
-    default: return "too few errors stand clear of the floor to tell";
+    default: return "the errors that stand clear of the floor are too few, or too coarse, to tell";
     }
 }
 

@@ -231,7 +231,7 @@ const builtin dal__rolling_disc = {
     .name = "rolling_disc",
     .help = "rolling disc that may lean and fall, unlike disk; inertia A diametral, C axial",
     .n = 5, .m = 2, .coordinates = {"x", "y", "alpha", "beta", "gamma"},
-    .parameters = {"m", "r", "A", "C", "g"}, .defaults = {0.3048, 0.05, 1.905e-4, 3.81e-4, 9.81},
+    .parameters = {"m", "r", "A", "C", "g"}, .defaults = {1.0, 1.0, 0.25, 0.5, 9.81},
     .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE, NOT_NEGATIVE},
     .state = rolling_disc_state,
     .lagrangian = rolling_disc_lagrangian,

@@ -141,11 +141,12 @@ static void n_trailer_coordinate(const double *p, size_t i, char text[NAME_SIZE]
  * of the angle between them. */
 static void n_trailer_state(const double *p, double *x)
 {
-    static const double first[4] = {0.0, 0.3, 0.1, -0.2};
+    static const double first[4] = {0.2, 0.5, 0.3, 0.0};
     const size_t trailers = n_trailer_trailers(p), n = trailers + 3;
     double speed = 1.0;
     for (size_t i = 0; i <= trailers; i++) x[2 + i] = first[i < 4 ? i : 3];
-    x[n] = speed;
+    x[n] = speed * cos(first[0]);
+    x[n + 1] = speed * sin(first[0]);
     x[n + 2] = 0.5;
     for (size_t i = 1; i <= trailers; i++) {
         const double bend = x[1 + i] - x[2 + i];

@@ -758,6 +758,8 @@ DAL_API int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, dou
 /* A fitted order: errors ~ h^slope over the points that count. */
 typedef struct dal_fit {
     double slope;    /* NaN if fewer than three points count */
+    double finest;   /* the slope between the two finest of them: where it is larger by more than
+                        0.1 the errors are not yet a power of h */
     size_t points;   /* how many counted */
     int exact;       /* 1: every error is at the level of roundoff */
 } dal_fit;
@@ -794,7 +796,8 @@ typedef struct dal_order {
                              multiplier_order - 0.2 (or exact), and p or the slope at t_end is at
                              least order - 0.2 (the one-step errors of high orders can reach
                              roundoff before their slope settles); 0 if not; -1 if the record
-                             promises nothing; -2 if too few points count to tell.  With
+                             promises nothing; -2 if too few points count to tell, or the slope
+                             falls short but has not settled.  With
                              DAL_INITIAL_D the promise for the first step is (order - 1,
                              multiplier_order - 1), and order at t_end (E12) */
     char text[508];       /* the verdict in words */

@@ -97,7 +97,7 @@ class Study:
     keeps_D, keeps_D_eps : bool
         Whether the residual stayed at roundoff at every stored state of every run.
     holds : bool or None
-        The verdict; None if nothing is promised or too few points count.
+        The verdict; None if nothing is promised or the errors do not tell.
     text : str
         The verdict in words.
     """
@@ -185,9 +185,9 @@ class Study:
 
     @property
     def verdict(self) -> str:
-        """One word: "holds", "fails", "no promise" or "too few points"."""
+        """One word: "holds", "fails", "no promise" or "undecided"."""
         if self.holds is None:
-            return "no promise" if self.scheme.order == 0 else "too few points"
+            return "no promise" if self.scheme.order == 0 else "undecided"
         return "holds" if self.holds else "fails"
 
     def __str__(self) -> str:

@@ -642,7 +642,7 @@ static void test_runs(void)
         {{"snakeboard", {NULL}, {0}},
          {0, 0, 0, 0, 0.4, -0.15 / tan(0.4), 0, 0.3, 0.5, 0.05}, 5, 5000,
          {-0.910531327032, -1.112283874546, 1.972870468825, 2.027129531175, 0.65}, NAN},
-        {{"rolling_disc", {NULL}, {0}},
+        {{"rolling_disc", {"m", "r", "A", "C"}, {0.3048, 0.05, 1.905e-4, 3.81e-4}},
          {0, 0.495642212863, 0, lean, 0, 0.05 * (spin + yaw * sin(lean)), -0.025 * cos(lean), yaw,
           0.5, spin}, 2, 20000,
          {0.354615808017, -0.304923743517, -2.30724368196, 0.092239103786, 21.559510749861}, NAN},
@@ -715,8 +715,8 @@ static void test_data_with_parameters(void)
         {{"ball_on_table", {"a", "Omega"}, {2, 3}}, 5,
          {0.5, -0.2, 0, 0, 0, 0.3, 0.4, 0.55, -0.15, 0.7}},
         {{"n_trailer", {"trailers", "d"}, {5, 2}}, 8,
-         {0, 0, 0, 0.3, 0.1, -0.2, -0.2, -0.2, 1, 0, 0.5, -sin(0.3) / 2, cos(0.3) * sin(0.2) / 2,
-          cos(0.3) * cos(0.2) * sin(0.3) / 2}},
+         {0, 0, 0.2, 0.5, 0.3, 0, 0, 0, cos(0.2), sin(0.2), 0.5, -sin(0.3) / 2,
+          cos(0.3) * sin(0.2) / 2, cos(0.3) * cos(0.2) * sin(0.3) / 2}},
     };
     for (size_t k = 0; k < sizeof expected / sizeof expected[0]; k++) {
         dal_system *system = make(&expected[k].system);
@@ -771,7 +771,7 @@ static void test_description(void)
         {"chaotic", {NULL}, {"pairs"}, {3}, {0}, 1, 0, false},
         {"genmass", {"q1", "q2", "q3"}, {NULL}, {0}, {0}, 1, 0, false},
         {"rolling_disc", {"x", "y", "alpha", "beta", "gamma"}, {"m", "r", "A", "C", "g"},
-         {0.3048, 0.05, 1.905e-4, 3.81e-4, 9.81}, {0}, 2, 0, false},
+         {1, 1, 0.25, 0.5, 9.81}, {0}, 2, 0, false},
         {"ball_on_table", {"x", "y", "theta_x", "theta_y", "theta_z"}, {"m", "J", "a", "Omega"},
          {1, 0.1, 0.5, 1}, {0.7, -0.18, 0.17, -0.1065}, 2, 4, true},
         {"snakeboard", {"x", "y", "theta", "psi", "phi"}, {"m", "r", "J0", "J1"},

@@ -147,7 +147,7 @@ def test_without_a_promise_there_is_no_verdict():
     own = dal.convergence(dal.systems.particle(), dal.Scheme([(0.3, 1.0)]), Q0, V0, steps=STEPS)
     assert own.holds is None and own.verdict == "no promise" and own.promise == "nothing"
     few = dal.convergence(dal.systems.particle(), "midpoint", Q0, V0, steps=(10, 11))
-    assert few.holds is None and few.verdict == "too few points"
+    assert few.holds is None and few.verdict == "undecided"
 
 
 def test_a_run_that_fails_is_an_entry_and_not_the_end():
@@ -214,9 +214,11 @@ def test_the_default_steps_are_fine_enough_for_reactions_that_change_sign():
 def test_every_named_scheme_has_a_verdict_with_the_default_steps(system):
     studies = dal.studies(dal.systems.get(system))
     assert [study.scheme.name for study in studies] == [scheme.name for scheme in dal.schemes()]
-    assert {study.scheme.name: study.verdict for study in studies} == {
-        scheme.name: "holds" for scheme in dal.schemes()
-    }
+    # The errors of order 8 can reach roundoff before they are a power of h.
+    assert all(
+        study.verdict == "holds" or (study.verdict == "undecided" and study.scheme.order == 8)
+        for study in studies
+    )
     assert studies.holds is True
     assert {study.initial for study in studies if study.scheme.nodes == "kept"} == {"D_eps"}
     assert {study.initial for study in studies if study.scheme.nodes == "moved"} == {None}
@@ -226,7 +228,7 @@ def test_small_errors_take_a_longer_interval_unless_one_is_given():
     # One step of h = 1 is the only one whose error, 2e-10, is clear of roundoff.
     disk = dal.systems.disk()
     over_one = dal.convergence(disk, "leapfrog-kl8", t_end=1)
-    assert over_one.verdict == "too few points" and "take a longer interval" in flat(str(over_one))
+    assert over_one.verdict == "undecided" and "take a longer interval" in flat(str(over_one))
     for t_end in (2, 4, -4, 30):
         study = dal.convergence(disk, "leapfrog-kl8", t_end=t_end)
         assert study.holds is True and study.fits["state"].points >= 3
