@@ -538,6 +538,9 @@ class System:
     def check(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> Check:
         """Examine the system at a state: derivatives, rank, definiteness, integrability.
 
+        What depends on v is examined at another velocity too, where it is defined there, and the
+        force at times 0 and 1.
+
         Parameters
         ----------
         q, v : array_like, shape (n,), optional

@@ -147,3 +147,199 @@ def particle_in_python():
         v0=[1, 0.7, 0.3],
         name="particle",
     )
+
+
+class General:
+    """A system in R^3 with a Lagrangian of its own, a force, and a constraint of any kind.
+
+    L = ((2 + sin x) u^2 + (2 + y^2/4) v^2 + 3 w^2)/2 + cos z u v/2 + w^4/24 + y w + sin x v
+        - x^2 y - cos z.
+    """
+
+    q0 = np.array([0.4, 0.7, -0.3])
+    lagrangians = (
+        "lagrangian", "lagrangian_q", "lagrangian_v",
+        "lagrangian_qq", "lagrangian_vq", "lagrangian_vv",
+    )  # fmt: skip
+    forces = ("force", "force_q", "force_v")
+    constraints = {
+        "linear": ("forms", "forms_velocity_derivative"),
+        "affine": ("forms", "forms_velocity_derivative", "affine", "affine_derivative"),
+        "nonlinear": ("constraint", "constraint_v", "constraint_q"),
+    }
+
+    def __init__(self, kind):
+        self.kind = kind
+
+    @property
+    def functions(self):
+        """Names of all functions of the system."""
+        return (*self.lagrangians, *self.forces, *self.constraints[self.kind])
+
+    def system(self, **changes):
+        """Return it as a System, with some arguments changed."""
+        arguments = {name: getattr(self, name) for name in self.functions}
+        arguments |= {"q0": self.q0, "v0": self.v0(), "coordinates": "xyz", "name": "general"}
+        return dal.System(**{**arguments, **changes})
+
+    def v0(self):
+        """Return a velocity in D at q0: phi = w - (what u and v tell)."""
+        v = np.array([0.5, -0.6, 0.0])
+        v[2] -= self.phi(self.q0, v)[0]
+        return v
+
+    # ---- functions of the system -----------------------------------------------------------
+
+    def lagrangian(self, q, qdot):
+        (x, y, z), (u, v, w) = q, qdot
+        kinetic = (2 + np.sin(x)) * u**2 / 2 + (2 + y**2 / 4) * v**2 / 2 + 3 * w**2 / 2
+        kinetic += np.cos(z) * u * v / 2 + w**4 / 24 + y * w + np.sin(x) * v
+        return kinetic - x**2 * y - np.cos(z)
+
+    def lagrangian_q(self, q, qdot):
+        (x, y, z), (u, v, w) = q, qdot
+        return np.array(
+            [
+                np.cos(x) * u**2 / 2 + np.cos(x) * v - 2 * x * y,
+                y * v**2 / 4 + w - x**2,
+                np.sin(z) - np.sin(z) * u * v / 2,
+            ]
+        )
+
+    def lagrangian_v(self, q, qdot):
+        (x, y, z), (u, v, w) = q, qdot
+        return np.array(
+            [
+                (2 + np.sin(x)) * u + np.cos(z) * v / 2,
+                (2 + y**2 / 4) * v + np.cos(z) * u / 2 + np.sin(x),
+                3 * w + w**3 / 6 + y,
+            ]
+        )
+
+    def lagrangian_qq(self, q, qdot):
+        (x, y, z), (u, v, _) = q, qdot
+        first = -np.sin(x) * u**2 / 2 - np.sin(x) * v - 2 * y
+        last = np.cos(z) - np.cos(z) * u * v / 2
+        return np.array([[first, -2 * x, 0.0], [-2 * x, v**2 / 4, 0.0], [0.0, 0.0, last]])
+
+    def lagrangian_vq(self, q, qdot):
+        (x, y, z), (u, v, _) = q, qdot
+        return np.array(
+            [
+                [np.cos(x) * u, 0.0, -np.sin(z) * v / 2],
+                [np.cos(x), y * v / 2, -np.sin(z) * u / 2],
+                [0.0, 1.0, 0.0],
+            ]
+        )
+
+    def lagrangian_vv(self, q, qdot):
+        (x, y, z), w = q, qdot[2]
+        c = np.cos(z) / 2
+        return np.array(
+            [[2 + np.sin(x), c, 0.0], [c, 2 + y**2 / 4, 0.0], [0.0, 0.0, 3 + w**2 / 2]]
+        )
+
+    def force(self, t, q, qdot):
+        (x, y, z), (u, v, w) = q, qdot
+        return np.array([np.cos(t) - x * v, y - v**3 / 3, -u * w * np.sin(z)])
+
+    def force_q(self, t, q, qdot):
+        z, (u, v, w) = q[2], qdot
+        return np.array([[-v, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -u * w * np.cos(z)]])
+
+    def force_v(self, t, q, qdot):
+        (x, _, z), (u, v, w) = q, qdot
+        s = np.sin(z)
+        return np.array([[0.0, -x, 0.0], [0.0, -(v**2), 0.0], [-w * s, 0.0, -u * s]])
+
+    def forms(self, q):
+        return np.array([[-np.sin(q[1]), -q[0], 1.0]])
+
+    def forms_velocity_derivative(self, q, qdot):
+        return np.array([[-qdot[1], -np.cos(q[1]) * qdot[0], 0.0]])
+
+    def affine(self, q):
+        return np.array([-np.cos(q[2])])
+
+    def affine_derivative(self, q):
+        return np.array([[0.0, 0.0, np.sin(q[2])]])
+
+    def constraint(self, q, qdot):
+        (x, y, _), (u, v, w) = q, qdot
+        return np.array([w - (1 + x**2) * np.sqrt(1 + u**2 + (y * v) ** 2)])
+
+    def constraint_v(self, q, qdot):
+        (x, y, _), (u, v, _) = q, qdot
+        factor = -(1 + x**2) / np.sqrt(1 + u**2 + (y * v) ** 2)
+        return np.array([[factor * u, factor * y**2 * v, 1.0]])
+
+    def constraint_q(self, q, qdot):
+        (x, y, _), (u, v, _) = q, qdot
+        root = np.sqrt(1 + u**2 + (y * v) ** 2)
+        return np.array([[-2 * x * root, -(1 + x**2) * y * v**2 / root, 0.0]])
+
+    # ---- formulas --------------------------------------------------------------------------
+
+    def phi(self, q, v):
+        if self.kind == "nonlinear":
+            return self.constraint(q, v)
+        return self.forms(q) @ v + (self.affine(q) if self.kind == "affine" else 0.0)
+
+    def phi_v(self, q, v):
+        return self.constraint_v(q, v) if self.kind == "nonlinear" else self.forms(q)
+
+    def phi_q(self, q, v):
+        if self.kind == "nonlinear":
+            return self.constraint_q(q, v)
+        shift = self.affine_derivative(q) if self.kind == "affine" else 0.0
+        return self.forms_velocity_derivative(q, v) + shift
+
+    def energy(self, q, v):
+        return self.lagrangian_v(q, v) @ v - self.lagrangian(q, v)
+
+    def acceleration(self, t, q, v):
+        """vdot and lambda from the saddle point system [[L_vv, -phi_v^T], [phi_v, 0]]."""
+        mu = self.phi_v(q, v)
+        A = np.block([[self.lagrangian_vv(q, v), -mu.T], [mu, np.zeros((1, 1))]])
+        f = self.lagrangian_q(q, v) - self.lagrangian_vq(q, v) @ v + self.force(t, q, v)
+        x = np.linalg.solve(A, np.concatenate([f, -self.phi_q(q, v) @ v]))
+        return x[:3], x[3:]
+
+    def beta_step(self, beta, t, h, q, v):
+        """One step of the beta-scheme from its equations alone: q, v and lambda."""
+        qk = q + (1 - beta) * h * v
+
+        def total(t, q, v):
+            return self.lagrangian_q(q, v) + self.force(t, q, v)
+
+        def equations(unknowns):
+            w, kappa = unknowns[:3], unknowns[3:]
+            q1 = qk + beta * h * w
+            kick = h * ((1 - beta) * total(t + h, q1, w) + beta * total(t, q, v))
+            change = self.lagrangian_v(q1, w) - self.lagrangian_v(q, v)
+            react = self.phi_v(qk, (v + w) / 2).T @ kappa
+            return np.concatenate([change - kick - react, self.phi(q1, w)])
+
+        unknowns, d = np.concatenate([v, [0.0]]), 1e-5
+        for _ in range(12):  # the differenced Jacobian makes it converge linearly, by 1e-9 or so
+            columns = [
+                (equations(unknowns + d * e) - equations(unknowns - d * e)) / (2 * d)
+                for e in np.eye(4)
+            ]
+            unknowns = unknowns - np.linalg.solve(np.transpose(columns), equations(unknowns))
+        return qk + beta * h * unknowns[:3], unknowns[:3], unknowns[3:] / h
+
+    def residual(self, q, v):
+        """Largest |phi| / (sum_i |mu_i v_i| + |phi - mu v|)."""
+        mu, phi = self.phi_v(q, v), self.phi(q, v)
+        scale = np.abs(mu) @ np.abs(v)
+        scale = scale + (np.abs(phi - mu @ v) if self.kind != "linear" else 0.0)
+        return float(np.max(np.abs(phi) / scale))
+
+
+KINDS = ("linear", "affine", "nonlinear")
+
+
+@pytest.fixture(params=KINDS)
+def general(request):
+    return General(request.param)

@@ -31,7 +31,7 @@ BUILTIN = {
     "disk": "disk",
     "heis": "heisenberg",
 }
-NAMES = [name for name, system in VECTORS["systems"].items() if system["constant_mass"]]
+NAMES = list(VECTORS["systems"])
 SUBJECTS = [(name, "formulas") for name in NAMES] + [(name, "built in") for name in BUILTIN]
 
 # Of the largest component of a vector, or of 1: the data are rounded when they are read, and so is
@@ -73,7 +73,7 @@ def derivative(formula, x):
 
 
 class Formulas:
-    """The functions of a system of the data: mu, V and their derivatives at a q."""
+    """The functions of a system of the data: mu, V, M, b and their derivatives at a q."""
 
     def __init__(self, entry):
         self.names = entry["coordinates"]
@@ -83,15 +83,24 @@ class Formulas:
             "cos": np.cos,
             **{name: float(Fraction(text)) for name, text in entry["params"].items()},
         }
-        self.mass = self.array(entry["mass_matrix"])([])
+        self.constant_mass = entry["constant_mass"]
+        self.M = self.array(entry["mass_matrix"])
+        self.M_q = self.array(self.gradients_of(entry["mass_matrix"]))
+        self.M_qq = self.array(self.gradients_of(self.gradients_of(entry["mass_matrix"])))
+        self.b = self.array(entry["b"])
+        self.b_q = self.array(self.gradients_of(entry["b"]))
+        self.b_qq = self.array(self.gradients_of(self.gradients_of(entry["b"])))
         self.mu = self.array(entry["mu"])
-        self.mu_q = self.array([[self.gradient_of(f) for f in row] for row in entry["mu"]])
+        self.mu_q = self.array(self.gradients_of(entry["mu"]))
         self.V = self.array(entry["V"])
-        self.V_q = self.array(self.gradient_of(entry["V"]))
-        self.V_qq = self.array([self.gradient_of(f) for f in self.gradient_of(entry["V"])])
+        self.V_q = self.array(self.gradients_of(entry["V"]))
+        self.V_qq = self.array(self.gradients_of(self.gradients_of(entry["V"])))
         self.forces = entry["V"] != "0"
 
-    def gradient_of(self, formula):
+    def gradients_of(self, formula):
+        """Return a formula, or an array of them, with its gradients as the last axis."""
+        if isinstance(formula, list):
+            return [self.gradients_of(f) for f in formula]
         return [derivative(formula, x) for x in self.names]
 
     def array(self, formulas):
@@ -104,8 +113,27 @@ class Formulas:
 
     def system(self, constrained=True):
         """Return the System, if wanted without its constraints."""
-        arguments = {"mass": self.mass, "coordinates": self.names}
-        if self.forces:
+        arguments = {"coordinates": self.names}
+        if not self.constant_mass:
+            arguments |= {
+                "lagrangian": lambda q, v: v @ self.M(q) @ v / 2 + self.b(q) @ v - self.V(q),
+                "lagrangian_q": lambda q, v: (
+                    np.einsum("ijk,i,j->k", self.M_q(q), v, v) / 2 + v @ self.b_q(q) - self.V_q(q)
+                ),
+                "lagrangian_v": lambda q, v: self.M(q) @ v + self.b(q),
+                "lagrangian_qq": lambda q, v: (
+                    np.einsum("ijkl,i,j->kl", self.M_qq(q), v, v) / 2
+                    + np.einsum("ikl,i->kl", self.b_qq(q), v)
+                    - self.V_qq(q)
+                ),
+                "lagrangian_vq": lambda q, v: (
+                    np.einsum("ikj,k->ij", self.M_q(q), v) + self.b_q(q)
+                ),
+                "lagrangian_vv": lambda q, v: self.M(q),
+            }
+        else:
+            arguments["mass"] = self.M(np.zeros(len(self.names)))
+        if self.constant_mass and self.forces:
             arguments |= {"potential": self.V, "gradient": self.V_q, "hessian": self.V_qq}
         if constrained:
             arguments |= {
@@ -146,7 +174,7 @@ def reaction_noise(name, h, q, v):
     """Roundoff of kappa/h for the solution kappa of C kappa = -mu w: n u |M v| / (|h| |mu|)."""
     own = formulas(name)
     least = np.min(np.max(np.abs(own.mu(q)), axis=1))
-    return 4 * len(q) * U * np.max(np.abs(own.mass @ v)) / (abs(h) * least)
+    return 4 * len(q) * U * np.max(np.abs(own.M(q) @ v)) / (abs(h) * least)
 
 
 def residual(name, q, v):
@@ -196,7 +224,7 @@ def test_continuous(name, kind):
     without_constraints = formulas(name).system(constrained=False)
     for entry in entries("continuous", name):
         q, v = array(entry["q"]), array(entry["v"])
-        near(subject.mass, entry["mass"])
+        near(subject.metric(q), entry["mass"])
         near(subject.energy(q, v), entry["energy"])
         near(subject.gram(q), entry["C"])
         near(subject.multipliers(q, v), entry["lambda"])
