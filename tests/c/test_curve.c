@@ -190,7 +190,7 @@ static void test_order(const dal_system *system, const char *scheme, size_t stri
     dal_mechanics *const mech = open_mechanics(system);
     dal_flow *flow = NULL;
     double buffer[2 * N * ROWS], error[2] = {0.0, 0.0}, relative = NAN;
-    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, 1e-13, NULL) == 0);
+    CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
     for (size_t level = 0; level < 2; level++) {
         const double step = level == 0 ? h : h / 2;
         const run r = make_run(system, scheme, 0.5, step, level == 0 ? rows : 2 * rows - 1, stride,
