@@ -20,7 +20,7 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     const size_t nn = dal__times(n, n), mn = dal__times(m, n), mm = dal__times(m, m);
     double **const vectors[] = {&chart->w, &chart->R1, &chart->step};
     double **const multipliers[] = {&chart->branch, &chart->right, &chart->solution, &chart->R2,
-                                    &chart->kappa};
+                                    &chart->kappa, &chart->kept_branch};
     double **const squares[] = {&chart->K, &chart->K_scale, &chart->G, &chart->G_scale};
     double **const forms[] = {&chart->A, &chart->tableau, &chart->slope};
     dal__mechanics_reserve(&chart->mech, system, a);
@@ -36,6 +36,10 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     dal__reserve(a, &chart->B_scale, mm, sizeof(double));
     dal__reserve(a, &chart->x, dal__times(2, n), sizeof(double));
     dal__reserve(a, &chart->y, dal__times(2, n), sizeof(double));
+    dal__reserve(a, &chart->first, dal__times(3, n), sizeof(double));
+    dal__reserve(a, &chart->second, dal__times(3, n), sizeof(double));
+    dal__reserve(a, &chart->kept_place, n, sizeof(size_t));
+    dal__reserve(a, &chart->last_place, n, sizeof(size_t));
     dal__reserve(a, &chart->place, n, sizeof(size_t));
     dal__reserve(a, &chart->former, n, sizeof(size_t));
     dal__reserve(a, &chart->owner, m, sizeof(size_t));

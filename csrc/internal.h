@@ -278,6 +278,11 @@ struct dal_chart {
     double *K, *K_scale, *G, *G_scale; /* [n*n] */
     double *slope;           /* [m*n] */
     size_t *G_row;           /* [n] */
+    /* of dal_chart_interpolate */
+    double *first, *second;  /* [3n] (q, v, vdot) at the ends of an interval */
+    size_t *kept_place;      /* [n] the caller's choice */
+    double *kept_branch;     /* [m] */
+    size_t *last_place;      /* [n] that of the state before */
     arena arena;             /* used only by dal_chart_new */
 };
 

@@ -435,6 +435,21 @@ DAL_API void dal_cutoff(double tau, double *chi0, double *chi1, double *slope);
 DAL_API int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double tau,
                             double *x);
 
+/* Between the rows (q, v) of x[rows*2n], which stand at t0 + k h, k < rows: out[count*2n] <- the
+ * states at the times t[count], in any order, between t0 and t0 + (rows-1) h (up to 1e-9 of that).
+ * xi is interpolated after Hermite, q from q, v and vdot in degree 5, v_independent from v and vdot in
+ * degree 3, and lifted by psi: the states lie in D to roundoff and have an error O(h^4) beside that
+ * of the rows.  At the time of a row they are that row.  shift = 0 is D; for rows of kept nodes shift
+ * is (1-beta) times the step of the scheme, q - shift v is what is interpolated, and the states lie in
+ * D_eps (where the first row does not, as with DAL_INITIAL_D, the states jump behind it).
+ * The coordinates are chosen by pivoting in the middle of each interval, and again at a state where
+ * that choice is ill conditioned; *changes (or NULL) <- how often they changed from one state to the
+ * next.  The choice of the chart is neither needed nor changed.  On failure *done (or NULL) states
+ * were computed.  DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV. */
+DAL_API int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, size_t rows,
+                                  const double *x, size_t count, const double *t, double *out,
+                                  size_t *changes, size_t *done);
+
 /* ---- flow ------------------------------------------------------------------------------ */
 
 typedef enum dal_flow_method {

@@ -43,6 +43,13 @@ typedef struct projection_vector {
     double beta, h, x[2 * N], v1[N];
 } projection_vector;
 
+/* A, B, psi(xi) and the multipliers of [A, I] for a choice of dependent coordinates. */
+typedef struct chart_vector {
+    const char *system;
+    size_t dependent[M]; /* ascending */
+    double xi[2 * N], A[M * N], B[M * M], v_dep[M], multipliers[M], multipliers_E[M];
+} chart_vector;
+
 /* The state of the flow at time t. */
 typedef struct reference_vector {
     const char *system;
@@ -327,6 +334,31 @@ static void check_projection(const subject *s, const projection_vector *p)
     check_residual(s, where, shift, x);
 }
 
+static void check_chart(const subject *s, const chart_vector *c)
+{
+    const size_t n = s->n, m = s->m;
+    double x[2 * N] = {0.0}, A[M * N], B[M * M], v_dep[M], lambda[M], lambda_E[M];
+    char where[80];
+    dal_chart *chart = NULL;
+    snprintf(where, sizeof where, "ehresmann of %s (%s)", c->system, s->kind);
+    CHECK(dal_chart_new(&chart, s->system, NULL) == 0);
+    memcpy(x, c->xi, n * sizeof *x);
+    check_in(where, dal_chart_message(chart), dal_chart_choose(chart, c->dependent, x) == 0);
+    check_in(where, dal_chart_message(chart), dal_chart_lift(chart, c->xi, x) == 0);
+    for (size_t a = 0; a < m; a++) v_dep[a] = x[n + c->dependent[a]];
+    compare(where, "v_dep", m, v_dep, c->v_dep);
+    CHECK(dal_chart_connection(chart, x, A, B) == 0);
+    compare(where, "A", m * (n - m), A, c->A);
+    compare(where, "B", m * m, B, c->B);
+    CHECK(dal_multipliers(s->mechanics, 0.0, x, lambda) == 0);
+    compare(where, "multipliers", m, lambda, c->multipliers);
+    CHECK(dal_chart_multipliers(chart, x, lambda, lambda_E) == 0);
+    compare(where, "multipliers of [A, I]", m, lambda_E, c->multipliers_E);
+    CHECK(dal_chart_multipliers_back(chart, x, c->multipliers_E, lambda) == 0);
+    compare(where, "multipliers and back", m, lambda, c->multipliers);
+    dal_chart_free(chart);
+}
+
 /* ---- end states of the flow --------------------------------------------------------------- */
 
 /* error is that of x; the gradients of lambda and E are at most 10 in these systems. */
@@ -387,6 +419,8 @@ static void check_formulas(const subject *s, const subject *unconstrained)
         if (is_of(s, equations_vectors[i].system)) check_equations(s, &equations_vectors[i]);
     for (size_t i = 0; i < LENGTH(projection_vectors); i++)
         if (is_of(s, projection_vectors[i].system)) check_projection(s, &projection_vectors[i]);
+    for (size_t i = 0; i < LENGTH(chart_vectors); i++)
+        if (is_of(s, chart_vectors[i].system)) check_chart(s, &chart_vectors[i]);
     for (size_t i = 0; i < LENGTH(reference_vectors); i++)
         if (is_of(s, reference_vectors[i].system)) check_reference(s, &reference_vectors[i]);
 }

@@ -107,6 +107,18 @@ def projection(entry):
     )
 
 
+def chart(entry):
+    """Return the Ehresmann connection in a choice of dependent coordinates: a chart_vector."""
+    return record(
+        system=quoted(entry["system"]),
+        dependent="{" + ", ".join(map(str, entry["dependent"])) + "}",
+        xi=array(entry["q"], entry["v_ind"]),
+        **{name: array(entry[name]) for name in ("A", "B", "v_dep")},
+        multipliers=array(entry["lambda"]),
+        multipliers_E=array(entry["lambda_E"]),
+    )
+
+
 def reference(name, entry, t):
     """Return an end state of the flow: a reference_vector."""
     start, end = entry["initial"], entry["states"][t]
@@ -142,6 +154,7 @@ def main(vectors_path, reference_path, output, *wanted):
         "point": [point(entry) for entry in vectors["continuous"]],
         "equations": [equations(entry) for entry in vectors["newton"]],
         "embedding": [embedding(entry) for entry in vectors["embedding"]],
+        "chart": [chart(entry) for entry in vectors["ehresmann"]],
         "projection": [projection(entry) for entry in vectors["projection"]],
         "reference": [
             reference(name, references[name], t) for name in vectors["systems"] for t in ("1", "10")
