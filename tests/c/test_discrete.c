@@ -942,6 +942,22 @@ static void test_exact(const dal_system *system, bool even)
 
 /* ---- failures ------------------------------------------------------------------------------- */
 
+/* Two nodes that meet in one point: f = 0. */
+static int flat_map(double h, const double *q0, const double *q1, double *g, double *f,
+                    double *g_0, double *g_1, double *f_0, double *f_1, void *ctx)
+{
+    (void)h, (void)ctx;
+    for (size_t i = 0; i < 3; i++) {
+        g[i] = (q0[i] + q1[i]) / 2;
+        f[i] = 0.0;
+        for (size_t j = 0; g_0 && j < 3; j++) {
+            g_0[3 * i + j] = g_1[3 * i + j] = (i == j) / 2.0;
+            f_0[3 * i + j] = f_1[3 * i + j] = 0.0;
+        }
+    }
+    return 0;
+}
+
 /* rho^(1/2) that refuses long steps, stops, or forgets. */
 typedef struct moody {
     enum { FINE, REFUSES, STOPS, FORGETS, FORGETS_SLOPE, NANS } mood;
@@ -1129,6 +1145,20 @@ static void test_errors(void)
     dal_discrete_free(d);
 
     dal_flow *const flow = open_flow(system);
+    /* maps without an inverse: none at all, none for this h, where f turns back */
+    const dal_difference_map flat = {.map = flat_map};
+    double left[3] = {7, 7, 7}, right[3] = {7, 7, 7};
+    d = open_discrete(system, flat, NULL);
+    CHECK(dal_discrete_nodes(d, 0.1, (double[]){0, 0, 0, 1, 1, 1}, left, right) == DAL_ESINGULAR);
+    CHECK(strstr(dal_discrete_message(d), "has no inverse") != NULL);
+    dal_discrete_free(d);
+    size_t three = 3;
+    const dal_difference_map mixed = {.map = mixed_map, .ctx = &three};
+    d = open_discrete(system, mixed, NULL); /* d + d^2/9 >= -9/4 */
+    CHECK(dal_discrete_nodes(d, 1.0, (double[]){0, 0, 0, -3, -3, -3}, left, right) < 0);
+    CHECK(left[0] == 7.0 && right[0] == 7.0);
+    dal_discrete_free(d);
+
     double v0[3] = {7, 7, 7};
     CHECK(dal_exact_velocity(NULL, 0.0, 0.1, q0, q1, v0, NULL) == DAL_EINVAL);
     CHECK(dal_exact_velocity(flow, 0.0, 0.1, NULL, q1, v0, NULL) == DAL_EINVAL);

@@ -107,6 +107,19 @@ def projection(entry):
     )
 
 
+def node(entry):
+    """Return a step of the node map: a node_vector."""
+    return record(
+        system=quoted(entry["system"]),
+        beta=number(entry["beta"]),
+        h=number(entry["eps"]),
+        before=array(entry["q_prev"]),
+        q=array(entry["q_k"]),
+        after=array(entry["q_next"]),
+        multipliers=array(entry["lambda"]),
+    )
+
+
 def reference(name, entry, t):
     """Return an end state of the flow: a reference_vector."""
     start, end = entry["initial"], entry["states"][t]
@@ -143,6 +156,7 @@ def main(vectors_path, reference_path, output, *wanted):
         "equations": [equations(entry) for entry in vectors["newton"]],
         "embedding": [embedding(entry) for entry in vectors["embedding"]],
         "projection": [projection(entry) for entry in vectors["projection"]],
+        "node": [node(entry) for entry in vectors["node"]],
         "reference": [
             reference(name, references[name], t) for name in vectors["systems"] for t in ("1", "10")
         ],
