@@ -867,7 +867,8 @@ def exact_velocity(
     tolerance = arguments.number(tolerance, "tolerance")
     q0 = arguments.array(q0, "q0", (system.n,))
     q1 = arguments.array(q1, "q1", (system.n,))
-    flow = _lib.make("flow", system._handle, lib.DAL_FLOW_RK8PD, tolerance, owner=system._handle)
+    handle, method = system._handle, lib.DAL_FLOW_RK8PD
+    flow = _lib.make("flow", handle, method, lib.DAL_FLOW_X, tolerance, owner=handle)
     v0, defect = np.empty(system.n), np.empty(system.m)
     status = _lib.attempt(
         lib.dal_exact_velocity, flow, t0, h, *map(_lib.pointer, (q0, q1, v0, defect))

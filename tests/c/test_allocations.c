@@ -422,7 +422,7 @@ int main(void)
     CHECK(dal_system_builtin(&particle, "particle", NULL, NULL, 0, NULL) == 0);
     CHECK(generic4_new(&generic4, NULL) == 0);
     CHECK(dal_mechanics_new(&mechanics, generic4, NULL) == 0);
-    CHECK(dal_flow_new(&reference, generic4, DAL_FLOW_RK8PD, 1e-6, NULL) == 0);
+    CHECK(dal_flow_new(&reference, generic4, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == 0);
     generic4_state(state);
 
     for (maker what = SYSTEM; what < MAKERS; what++) test_failing(what);

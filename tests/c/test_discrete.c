@@ -1,9 +1,9 @@
-/* Discrete mechanics on pairs of nodes: maps, L_d and D_d with their derivatives, the DLA equations,
- * the node map and the velocity integrator, and what they conserve.
+/* Discrete mechanics on pairs of nodes: maps, L_d and D_d with their derivatives, the DLA
+ * equations, the node map and the velocity integrator, and what they conserve.
  *
- * ROUNDOFF is what one step may err by, relative to sum |q| + sum |v| + 1: Newton stops at 4 u, and the
- * conditions of the matrices are below 30 for the states used here.  What passes through the nodes
- * loses u |q|/h instead. */
+ * ROUNDOFF is what one step may err by, relative to sum |q| + sum |v| + 1: Newton stops at 4 u,
+ * and the conditions of the matrices are below 30 for the states used here.  What passes through
+ * the nodes loses u |q|/h instead. */
 #include "../fixtures.h"
 #include "check.h"
 
@@ -115,8 +115,8 @@ static dal_system *open_rich(rich *is, size_t m, dal_constraint_kind kind, bool 
 
 /* ---- maps ----------------------------------------------------------------------------------- */
 
-/* g = (q0 + q1)/2 + (q1 - q0)^2/10, f = sinh((q1 - q0)/2)/(h/2), in each coordinate: symmetric under
- * the exchange of the nodes with h -> -h.  ctx: n. */
+/* g = (q0 + q1)/2 + (q1 - q0)^2/10, f = sinh((q1 - q0)/2)/(h/2), in each coordinate: symmetric
+ * under the exchange of the nodes with h -> -h.  ctx: n. */
 static int bent_map(double h, const double *q0, const double *q1, double *g, double *f,
                     double *g_0, double *g_1, double *f_0, double *f_1, void *ctx)
 {
@@ -136,8 +136,8 @@ static int bent_map(double h, const double *q0, const double *q1, double *g, dou
     return 0;
 }
 
-/* Coupled and not symmetric: g_i = q0_i + 3 d_i/10 + d_i d_(i+1)/7, f_i = (d_i + d_(i+1)^2/9)/h with
- * d = q1 - q0 and i + 1 mod n. */
+/* Coupled and not symmetric: g_i = q0_i + 3 d_i/10 + d_i d_(i+1)/7, f_i = (d_i + d_(i+1)^2/9)/h
+ * with d = q1 - q0 and i + 1 mod n. */
 static int mixed_map(double h, const double *q0, const double *q1, double *g, double *f,
                      double *g_0, double *g_1, double *f_0, double *f_1, void *ctx)
 {
@@ -180,7 +180,8 @@ static dal_flow *open_flow(const dal_system *system)
 {
     dal_flow *flow = NULL;
     dal_error error = {0};
-    need(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-14, &error), "flow", error.text);
+    need(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-14, &error), "flow",
+         error.text);
     return flow;
 }
 
@@ -306,8 +307,9 @@ static int of_pair(const double *q, double *out, void *ctx)
                                    p->what == FIRST ? out : NULL, NULL, NULL);
 }
 
-/* D_1 L_d, D_2 L_d, D_1 D_2 L_d, D_1 phi_d, D_2 phi_d against differences, which err by 1e-11 of the
- * largest derivative; those of a map whose derivatives are differenced again by 1e-12/h and more. */
+/* D_1 L_d, D_2 L_d, D_1 D_2 L_d, D_1 phi_d, D_2 phi_d against differences, which err by 1e-11 of
+ * the largest derivative; those of a map whose derivatives are differenced again by 1e-12/h and
+ * more. */
 static void test_derivatives(const dal_system *system, dal_difference_map lagrangian,
                              const dal_difference_map *constraint)
 {
@@ -443,7 +445,8 @@ static void test_diagram(const dal_system *system, double beta, double h)
     memcpy(nodes + n, q1, n * sizeof *q1);
     GOOD(d, dal_discrete_run(d, t0, h, STEPS, nodes, NULL, NULL));
     for (size_t k = 0; k < STEPS; k++) {
-        const double *const state = dal_stepper_state(on_D), *const node = dal_stepper_state(on_D_eps);
+        const double *const state = dal_stepper_state(on_D);
+        const double *const node = dal_stepper_state(on_D_eps);
         const double tolerance = ROUNDOFF * (double)(k + 1) * (1 + sum_of_sizes(2 * n, x));
         CHECK(dal_step(on_D, reaction) == 0 && dal_step(on_D_eps, NULL) == 0);
         GOOD(d, dal_discrete_advance(d, t0 + (double)k * h, h, x, lambda));
@@ -474,7 +477,8 @@ static void test_regularity(const dal_system *system, double beta, double h)
     const bool linear = system->def.kind != DAL_NONLINEAR;
     dal_discrete *const d = open_discrete(system, rho_beta(beta), NULL);
     dal_mechanics *const mech = open_mechanics(system);
-    double x[2 * N], q0[N], q1[N], q2[N], matrix[(N + M) * (N + M)], logarithm = NAN, condition = NAN;
+    double x[2 * N], q0[N], q1[N], q2[N], logarithm = NAN, condition = NAN;
+    double matrix[(N + M) * (N + M)];
     double D12[N * N], phi2[M * N], K[N * N], B[M * N], mu[M * N], kappa[M] = {0}, S[M * M];
     const double t = 0.7;
     int sign = 9;
@@ -550,8 +554,8 @@ static void test_singular(void)
 
 /* ---- orders --------------------------------------------------------------------------------- */
 
-/* L_d of the nodes q(t0), q(t0 + h) against the action, by Gauss's rule with 5 nodes along the flow:
- * O(h^3) if and only if beta = 1/2, else O(h^2). */
+/* L_d of the nodes q(t0), q(t0 + h) against the action, by Gauss's rule with 5 nodes along the
+ * flow: O(h^3) if and only if beta = 1/2, else O(h^2). */
 static void test_action(dal_system *system)
 {
     static const double at[5] = {0.0, 0.53846931010568309, -0.53846931010568309,
@@ -611,8 +615,8 @@ static double measured_order(const dal_system *system, dal_difference_map lagran
 }
 
 /* The same map twice: order 2 if it is symmetric.  Two of them: if L is v^T M v/2 - V, the L_d of
- * beta_L and of 1/2 differ by W(q1) - W(q0), which the equations do not see, and O(h^3); then only D_d
- * decides.  Else both have to be symmetric. */
+ * beta_L and of 1/2 differ by W(q1) - W(q0), which the equations do not see, and O(h^3); then only
+ * D_d decides.  Else both have to be symmetric. */
 static void test_orders(const dal_system *system)
 {
     const bool simple = dal_system_mass(system) != NULL;
@@ -664,9 +668,9 @@ static void pull_back(size_t n, const double *J, double *form)
         }
 }
 
-/* The discrete Euler-Lagrange flow (q_k, p_k) -> (q_(k+1), p_(k+1)) is symplectic: dq ^ dp, pulled back
- * to pairs of nodes from before the step and from after it, is the same two-form.  Differences of
- * order 4 err by 1e-12 of the derivatives.  With a force that damps it is not. */
+/* The discrete Euler-Lagrange flow (q_k, p_k) -> (q_(k+1), p_(k+1)) is symplectic: dq ^ dp, pulled
+ * back to pairs of nodes from before the step and from after it, is the same two-form.
+ * Differences of order 4 err by 1e-12 of the derivatives.  With a force that damps it is not. */
 static void test_symplectic(const dal_system *system, dal_difference_map map, double h)
 {
     const size_t n = dal_system_n(system);
@@ -710,7 +714,8 @@ static void test_trapezoidal(void)
         CHECK_NEAR(force[i], -h / 2 * (g0[i] + g1[i]), ROUNDOFF * (1 + sum_of_sizes(8, y)));
     dal_discrete_free(d);
     dal_system_free(system);
-    /* and not with a mass that depends on q (E25): v' - v is another combination of accelerations */
+    /* and not with a mass that depends on q (E25): v' - v is another combination of
+     * accelerations */
     rich is;
     dal_system *const uneven = open_rich(&is, 0, DAL_LINEAR, false);
     dal_discrete *const e = open_discrete(uneven, rho_beta(0.5), NULL);
@@ -908,8 +913,9 @@ static void test_exact_particle(void)
     dal_system_free(system);
 }
 
-/* v0 comes back from where the flow takes it; and the defect of D_d^beta on D_d^E is O(h), O(h^2) for
- * beta = 1/2.  even: phi_d does not depend on beta (d(mu v)/dq v = 0), so that it is O(h^2) for all. */
+/* v0 comes back from where the flow takes it; and the defect of D_d^beta on D_d^E is O(h), O(h^2)
+ * for beta = 1/2.  even: phi_d does not depend on beta (d(mu v)/dq v = 0), so that it is O(h^2)
+ * for all. */
 static void test_exact(const dal_system *system, bool even)
 {
     const size_t n = dal_system_n(system), m = dal_system_m(system);
