@@ -49,8 +49,8 @@ static int require_finite(const char *name, size_t columns, size_t count, const 
 {
     for (size_t i = 0; i < count; i++)
         if (!isfinite(x[i]))
-            return dal__fail(error, DAL_EDOMAIN, "difference map: %s[%zu,%zu] = %g is not finite, or "
-                             "was not written", name, i / columns, i % columns, x[i]);
+            return dal__fail(error, DAL_EDOMAIN, "difference map: %s[%zu,%zu] = %g is not finite, "
+                             "or was not written", name, i / columns, i % columns, x[i]);
     return DAL_SUCCESS;
 }
 

@@ -1,8 +1,8 @@
 /* Floor 5: the discrete Lagrangian and constraint of a pair of nodes, with their derivatives.
  *
- * A pair is (q0, w) rather than (q0, q1) inside: derivatives by w = (q1 - q0)/h do not grow as h goes
- * to 0.  So K = dp^-/dw = -h D_1 D_2 L_d and B = dphi_d/dw = h D_2 phi_d, which for rho^beta are those
- * of dal_step_equations. */
+ * A pair is (q0, w) rather than (q0, q1) inside: derivatives by w = (q1 - q0)/h do not grow as h
+ * goes to 0.  So K = dp^-/dw = -h D_1 D_2 L_d and B = dphi_d/dw = h D_2 phi_d, which for rho^beta
+ * are those of dal_step_equations. */
 #include "internal.h"
 
 #include <math.h>
@@ -28,8 +28,8 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
     arena memory = {0};
     dal_discrete shape = {.n = n, .m = m}, *self;
     double **const vectors[] = {&shape.q0, &shape.q1, &shape.w, &shape.node, &shape.force,
-                                &shape.L_v, &shape.minus, &shape.plus, &shape.momentum, &shape.velocity,
-                                &shape.point, &shape.value};
+                                &shape.L_v, &shape.minus, &shape.plus, &shape.momentum,
+                                &shape.velocity, &shape.point, &shape.value};
     double **const matrices[] = {&shape.L_qq, &shape.L_vq, &shape.L_vv, &shape.f_q, &shape.f_v,
                                  &shape.X, &shape.X_scale, &shape.Y, &shape.Y_scale, &shape.K,
                                  &shape.K_scale, &shape.bend};

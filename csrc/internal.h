@@ -325,7 +325,7 @@ typedef struct dal__rho {
     double *g, *f;              /* [n] */
     double *g_0, *g_1;          /* [n*n] */
     double *f_0, *f_1;          /* [n*n] times h, so that they do not grow as h goes to 0 */
-    double *point, *value, *slope; /* [2n], [2n], [2n*2n]; NULL unless derivatives are differenced */
+    double *point, *value, *slope; /* [2n], [2n], [2n*2n] of differenced derivatives */
 } dal__rho;
 
 void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a);

@@ -1,13 +1,19 @@
-"""A C example and its Python twin print the same words and the same numbers.
+"""Examples do what they say.
 
-Usage: ``python check_examples.py PROGRAM EXAMPLE.py``
+Usage: ``python check_examples.py PROGRAM EXAMPLE.py``: a C example and its Python twin print the
+same words and the same numbers.
+
+Usage: ``python check_examples.py EXAMPLE.py``: a script finds what it expects, which its exit
+status tells, and draws a picture if it is given a name for it and there is matplotlib.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 # Both run the same steps, but a compiler may contract or reorder the operations of an example's own
@@ -35,7 +41,29 @@ def same(one: str, other: str) -> bool:
     return math.isclose(a, b, rel_tol=RELATIVE, abs_tol=ROUNDOFF)
 
 
-def main(program: str, script: str) -> str | None:
+def numbers(words: list[str]) -> int:
+    """Count the words with a digit."""
+    return sum(any(c.isdigit() for c in word) for word in words)
+
+
+def alone(script: str) -> str | None:
+    """Run a script without a twin, with a picture where matplotlib can draw it."""
+    if importlib.util.find_spec("matplotlib") is None:
+        words = output(sys.executable, script)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            picture = Path(folder) / "picture.png"
+            words = output(sys.executable, script, str(picture))
+            if not picture.read_bytes().startswith(b"\x89PNG"):
+                return f"{script}: the picture is no PNG"
+    if numbers(words) == 0:
+        return f"{script} prints no number"
+    print(f"{numbers(words)} numbers")
+    return None
+
+
+def twins(program: str, script: str) -> str | None:
+    """Compare what a C program and its Python twin print."""
     in_c = output(str(Path(program).resolve()))
     in_python = output(sys.executable, script)
     for k, (one, other) in enumerate(zip(in_c, in_python)):
@@ -43,12 +71,11 @@ def main(program: str, script: str) -> str | None:
             return f"word {k}: {program} prints {one!r}, {script} prints {other!r}"
     if len(in_c) != len(in_python):
         return f"{program} prints {len(in_c)} words, {script} prints {len(in_python)}"
-    numbers = sum(any(c.isdigit() for c in word) for word in in_c)
-    if numbers == 0:
+    if numbers(in_c) == 0:
         return f"{program} prints no number"
-    print(f"{numbers} numbers agree")
+    print(f"{numbers(in_c)} numbers agree")
     return None
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(alone(*sys.argv[1:]) if len(sys.argv) == 2 else twins(*sys.argv[1:]))

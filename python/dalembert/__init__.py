@@ -22,6 +22,7 @@ from ._lib import (
     NotOnConstraintError,
     SingularError,
 )
+from .discrete import DifferenceMap, Discrete, NodeRun, Regularity, exact_velocity
 from .examination import Check, Difference
 from .integration import Reference, integrate, reference
 from .refinement import convergence, studies
@@ -38,10 +39,14 @@ __all__ = [
     "DalembertError",
     "DalembertWarning",
     "Difference",
+    "DifferenceMap",
+    "Discrete",
     "DomainError",
     "Fit",
+    "NodeRun",
     "NotOnConstraintError",
     "Reference",
+    "Regularity",
     "Scheme",
     "SingularError",
     "Solution",
@@ -50,6 +55,7 @@ __all__ = [
     "Study",
     "System",
     "convergence",
+    "exact_velocity",
     "geometry",
     "integrate",
     "plot",

@@ -433,6 +433,52 @@ def dal_py_exact(t: float, x0: Any, x: Any, ctx: Any) -> int:
     return 0
 
 
+class MapCallables:
+    """A user's finite difference map of n coordinates."""
+
+    __slots__ = ("bytes", "derivatives", "map", "square", "vector")
+
+    def __init__(
+        self, n: int, map: Callable[..., Any], derivatives: Callable[..., Any] | None
+    ) -> None:
+        self.map = map
+        self.derivatives = derivatives
+        self.bytes = 8 * n
+        self.vector, self.square = (n,), (n, n)
+
+
+_OF_MAP = ("map (g)", "map (f)")
+_OF_DERIVATIVES = tuple(f"derivatives (d{x}/d{q})" for x in "gf" for q in ("q0", "q1"))
+
+
+def _write_several(
+    targets: tuple[Any, ...], values: Any, shape: tuple[int, ...], names: tuple[str, ...]
+) -> None:
+    """Copy what a callback returned as a tuple to as many targets."""
+    name = names[0].split()[0]
+    try:
+        values = tuple(values)
+    except TypeError:
+        values = ()
+    if len(values) != len(targets):
+        raise ValueError(f"{name} has to return {len(targets)} arrays of shape {shape}")
+    for target, value, what in zip(targets, values, names):
+        _write(target, value, shape, what)
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_map(
+    h: float, q0: Any, q1: Any, g: Any, f: Any, g_0: Any, g_1: Any, f_0: Any, f_1: Any, ctx: Any
+) -> int:
+    call = _from_handle(ctx)
+    pair = [_frombuffer(_buffer(q, call.bytes)[:]) for q in (q0, q1)]
+    _write_several((g, f), call.map(h, *pair), call.vector, _OF_MAP)
+    if g_0:
+        targets = (g_0, g_1, f_0, f_1)
+        _write_several(targets, call.derivatives(h, *pair), call.square, _OF_DERIVATIVES)
+    return 0
+
+
 class Observer:
     """A user's observer of a run; it sees every stored state once, whatever the blocks are."""
 

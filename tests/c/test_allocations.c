@@ -167,11 +167,12 @@ enum { MOST = 8, COUNT = 3 };
 /* What the makers are made from. */
 static dal_system *particle, *generic4;
 static dal_mechanics *mechanics;
+static dal_flow *reference;
 static double state[MOST];
 
 typedef enum maker {
     SYSTEM, SYSTEM_DIAGONAL, BUILTIN, MECHANICS, FLOW_RK8PD, FLOW_MSADAMS, FLOW_MSBDF, STEPPER,
-    STEPPER_MULTIROOT, CHECK_SYSTEM, STUDY, CONSISTENT, EXACT, INVARIANT, MAKERS
+    STEPPER_MULTIROOT, DISCRETE, CHECK_SYSTEM, STUDY, CONSISTENT, EXACT, INVARIANT, VELOCITY, MAKERS
 } maker;
 
 static const unsigned char untouched = 0x55;
@@ -182,6 +183,7 @@ typedef struct outputs {
     dal_mechanics *mechanics;
     dal_flow *flow;
     dal_stepper *stepper;
+    dal_discrete *discrete;
     dal_check check;
     dal_order_point points[COUNT];
     dal_order order;
@@ -211,6 +213,7 @@ static int make(maker what, outputs *out, dal_error *error)
     static const double diagonal[4] = {1.0, 0.0, 0.0, 2.0};
     static const unsigned char keep[4] = {0, 1, 0, 0};
     const dal_system_def plane = {.n = 2, .mass = diagonal};
+    const dal_difference_map map = {.beta = 0.5};
     switch (what) {
     case SYSTEM: return generic4_new(&out->system, error);
     case SYSTEM_DIAGONAL: return dal_system_new(&out->system, &plane, error);
@@ -221,21 +224,25 @@ static int make(maker what, outputs *out, dal_error *error)
     case FLOW_MSBDF: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSBDF, DAL_FLOW_X, 1e-6, error);
     case STEPPER: return make_stepper(out, DAL_SOLVER_SCHUR, error);
     case STEPPER_MULTIROOT: return make_stepper(out, DAL_SOLVER_MULTIROOT, error);
+    case DISCRETE: return dal_discrete_new(&out->discrete, generic4, &map, NULL, error);
     case CHECK_SYSTEM: return dal_system_check(generic4, state, &out->check, error);
     case STUDY: return make_study(out, error);
     case CONSISTENT:
         return dal_consistent(mechanics, keep, out->x, &out->distance);
     case EXACT: return dal_system_exact(particle, 1.0, state, out->x);
     case INVARIANT: return dal_system_invariant(particle, state, out->x);
+    case VELOCITY:
+        return dal_exact_velocity(reference, 0.0, 0.1, state, state, out->x, NULL);
     case MAKERS: break;
     }
     return DAL_EINVAL;
 }
 
-/* These have no error record of their own; the last two no message at all. */
+/* These have no error record of their own; EXACT and INVARIANT no message at all. */
 static const char *message(maker what, const dal_error *error)
 {
     if (what == CONSISTENT) return dal_mechanics_message(mechanics);
+    if (what == VELOCITY) return dal_flow_message(reference);
     if (what == EXACT || what == INVARIANT) return dal_strerror(DAL_ENOMEM);
     CHECK(error->status == DAL_ENOMEM);
     return error->text;
@@ -250,6 +257,7 @@ static void prepare(outputs *out)
 static void release(maker what, outputs *out)
 {
     if (what <= BUILTIN) dal_system_free(out->system);
+    if (what == DISCRETE) dal_discrete_free(out->discrete);
     if (what == MECHANICS) dal_mechanics_free(out->mechanics);
     if (FLOW_RK8PD <= what && what <= FLOW_MSBDF) dal_flow_free(out->flow);
     if (what == STEPPER || what == STEPPER_MULTIROOT) dal_stepper_free(out->stepper);
@@ -372,6 +380,23 @@ static void test_trajectory(void)
     CHECK(process.calls == calls);
 }
 
+/* Steps on nodes and on states. */
+static void test_discrete(void)
+{
+    const dal_difference_map map = {.beta = 0.5};
+    double x[MOST], nodes[12 * MOST / 2], lambda[2];
+    dal_discrete *discrete = NULL;
+    memcpy(x, state, sizeof x);
+    CHECK(dal_discrete_new(&discrete, generic4, &map, NULL, NULL) == 0);
+    const size_t calls = process.calls;
+    CHECK(dal_discrete_nodes(discrete, 0.01, x, nodes, nodes + MOST / 2) == 0);
+    CHECK(dal_discrete_run(discrete, 0.0, 0.01, 10, nodes, NULL, NULL) == 0);
+    CHECK(dal_discrete_advance(discrete, 0.0, 0.01, x, lambda) == 0);
+    CHECK(dal_discrete_advance(discrete, 0.0, NAN, x, lambda) == DAL_EINVAL);
+    CHECK(process.calls == calls);
+    dal_discrete_free(discrete);
+}
+
 static void test_flow(dal_flow_method method)
 {
     double x[MOST], accuracy;
@@ -397,6 +422,7 @@ int main(void)
     CHECK(dal_system_builtin(&particle, "particle", NULL, NULL, 0, NULL) == 0);
     CHECK(generic4_new(&generic4, NULL) == 0);
     CHECK(dal_mechanics_new(&mechanics, generic4, NULL) == 0);
+    CHECK(dal_flow_new(&reference, generic4, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == 0);
     generic4_state(state);
 
     for (maker what = SYSTEM; what < MAKERS; what++) test_failing(what);
@@ -415,9 +441,11 @@ int main(void)
         test_steps(generic4, &scheme, (dal_options){.solver = DAL_SOLVER_MULTIROOT}, STEPS / 100);
     }
     test_trajectory();
+    test_discrete();
     for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_MSBDF; method++)
         test_flow(method);
 
+    dal_flow_free(reference);
     dal_mechanics_free(mechanics);
     dal_system_free(generic4);
     dal_system_free(particle);

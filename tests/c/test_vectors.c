@@ -50,6 +50,12 @@ typedef struct chart_vector {
     double xi[2 * N], A[M * N], B[M * M], v_dep[M], multipliers[M], multipliers_E[M];
 } chart_vector;
 
+/* A step of the node map. */
+typedef struct node_vector {
+    const char *system;
+    double beta, h, before[N], q[N], after[N], multipliers[M];
+} node_vector;
+
 /* The state of the flow at time t. */
 typedef struct reference_vector {
     const char *system;
@@ -359,6 +365,30 @@ static void check_chart(const subject *s, const chart_vector *c)
     dal_chart_free(chart);
 }
 
+/* What passes through the nodes loses u |q|/h of v, and that once more by h of lambda. */
+static void check_node(const subject *s, const node_vector *p)
+{
+    const dal_difference_map map = {.beta = p->beta};
+    const size_t n = s->n, m = s->m;
+    double q0[N], q1[N], lambda[M], residual[N + M], zero[N + M] = {0.0};
+    dal_discrete *discrete = NULL;
+    char where[80];
+    snprintf(where, sizeof where, "node of %s (%s), beta %g, h %g", p->system, s->kind, p->beta,
+             p->h);
+    CHECK(dal_discrete_new(&discrete, s->system, &map, NULL, NULL) == 0);
+    memcpy(q0, p->before, sizeof q0);
+    memcpy(q1, p->q, sizeof q1);
+    check_in(where, dal_discrete_message(discrete),
+             dal_discrete_step(discrete, 0.0, p->h, q0, q1, lambda) == 0);
+    compare(where, "q_k", n, q0, p->q);
+    compare(where, "q_(k+1)", n, q1, p->after);
+    compare_within(64 * u / (p->h * p->h), where, "lambda", m, lambda, p->multipliers);
+    CHECK(dal_discrete_residual(discrete, 0.0, p->h, p->before, p->q, p->after, p->multipliers,
+                                residual) == 0);
+    compare_within(64 * u / fabs(p->h), where, "residual", n + m, residual, zero);
+    dal_discrete_free(discrete);
+}
+
 /* ---- end states of the flow --------------------------------------------------------------- */
 
 /* error is that of x; the gradients of lambda and E are at most 10 in these systems. */
@@ -421,6 +451,8 @@ static void check_formulas(const subject *s, const subject *unconstrained)
         if (is_of(s, projection_vectors[i].system)) check_projection(s, &projection_vectors[i]);
     for (size_t i = 0; i < LENGTH(chart_vectors); i++)
         if (is_of(s, chart_vectors[i].system)) check_chart(s, &chart_vectors[i]);
+    for (size_t i = 0; i < LENGTH(node_vectors); i++)
+        if (is_of(s, node_vectors[i].system)) check_node(s, &node_vectors[i]);
     for (size_t i = 0; i < LENGTH(reference_vectors); i++)
         if (is_of(s, reference_vectors[i].system)) check_reference(s, &reference_vectors[i]);
 }

@@ -119,6 +119,19 @@ def chart(entry):
     )
 
 
+def node(entry):
+    """Return a step of the node map: a node_vector."""
+    return record(
+        system=quoted(entry["system"]),
+        beta=number(entry["beta"]),
+        h=number(entry["eps"]),
+        before=array(entry["q_prev"]),
+        q=array(entry["q_k"]),
+        after=array(entry["q_next"]),
+        multipliers=array(entry["lambda"]),
+    )
+
+
 def reference(name, entry, t):
     """Return an end state of the flow: a reference_vector."""
     start, end = entry["initial"], entry["states"][t]
@@ -156,6 +169,7 @@ def main(vectors_path, reference_path, output, *wanted):
         "embedding": [embedding(entry) for entry in vectors["embedding"]],
         "chart": [chart(entry) for entry in vectors["ehresmann"]],
         "projection": [projection(entry) for entry in vectors["projection"]],
+        "node": [node(entry) for entry in vectors["node"]],
         "reference": [
             reference(name, references[name], t) for name in vectors["systems"] for t in ("1", "10")
         ],
