@@ -340,7 +340,7 @@ class System:
         )
         self._kind = _KINDS[lib.dal_system_kind(handle)]
         self._is_forced = bool(lib.dal_system_is_forced(handle))
-        self._mass = None
+        self._mass: Array | None = None
         mass = lib.dal_system_mass(handle)
         if mass != ffi.NULL:
             self._mass = _lib.doubles(mass, self._n**2).reshape(self._n, self._n)
