@@ -92,20 +92,30 @@ def test_json_on_standard_output_stands_alone():
 
 
 def test_a_verdict_that_fails_is_status_1():
-    # Steps of 2 to 5 are far from where the error is a power of h.
+    # Steps of 5 to 20 are far from where the error is a power of h.
     done = run(
         "study",
-        "particle",
+        "knife_edge",
         "--scheme",
         "midpoint",
         "--t-end",
         "20",
         "--steps",
-        "4,5,6,8,10",
+        "1,2,3,4",
         "--no-report",
     )
     assert done.returncode == 1
     assert "midpoint does not deliver what is promised" in flat(done.stdout)
+
+
+def test_slopes_that_still_rise_are_undecided():
+    done = run(
+        "study", "particle", "--scheme", "midpoint", "--t-end", "20", "--steps", "4,5,6,8,10",
+        "--no-report",
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert "take finer steps" in flat(done.stdout)
+    assert "On particle there is no verdict on midpoint." in flat(done.stdout)
 
 
 def test_a_wrong_promise_is_status_1(monkeypatch, capsys):
