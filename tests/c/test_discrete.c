@@ -239,8 +239,8 @@ static double slope(double error, double next, double factor)
 
 /* ---- roots ---------------------------------------------------------------------------------- */
 
-/* 0: log z, which is not defined for z <= 0; 1: z^2 + 1; 2: z^3 - 1, whose derivative vanishes at 0;
- * 3: z^2, to which Newton converges linearly. */
+/* 0: log z, which is not defined for z <= 0; 1: z^2 + 1; 2: z^3 - 1, whose derivative vanishes at
+ * 0; 3: z^2, to which Newton converges linearly. */
 static int one_equation(void *ctx, const double *z, double *residual, double *J, double *scale)
 {
     const int which = *(const int *)ctx;
