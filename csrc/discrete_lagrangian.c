@@ -23,7 +23,7 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
             return dal__fail(error, DAL_EINVAL, "%s->beta = %g is not in [0, 1]",
                              i ? "constraint" : "lagrangian", betas[i]);
 
-    const size_t n = system->def.n, m = system->def.m, most = m > n ? n + m : 2 * n;
+    const size_t n = system->def.n, m = system->def.m;
     const size_t nn = dal__times(n, n), mn = dal__times(m, n);
     arena memory = {0};
     dal_discrete shape = {.n = n, .m = m}, *self;
@@ -39,7 +39,7 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
     dal__rho_reserve(&shape.lagrangian, lagrangian, n, &memory);
     dal__rho_reserve(&shape.constraint, of_constraint, n, &memory);
     dal__rho_reserve(&shape.moved, lagrangian, n, &memory);
-    dal__root_reserve(&shape.root, most, &memory);
+    dal__root_reserve(&shape.root, dal__times(2, n), &memory); /* m < n */
     for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
         dal__reserve(&memory, vectors[i], n, sizeof(double));
     for (size_t i = 0; i < sizeof matrices / sizeof *matrices; i++)

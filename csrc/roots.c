@@ -48,6 +48,9 @@ int dal__find_root(dal__root *root, const dal__equations *e, dal_error *error)
         if (!dal__all_finite(e->size, root->z)) break;
         if (size <= 4.0 * DAL_ROUNDOFF * scale) return DAL_SUCCESS;
         if (iteration >= 2 && size <= 1e-11 * scale && size >= last) return DAL_SUCCESS;
+        /* at least linear: the next step would be smaller by the same factor */
+        if (iteration >= 2 && size * (size / last) <= DAL_ROUNDOFF / 16.0 * scale)
+            return DAL_SUCCESS;
         last = size;
     }
     return dal__fail(error, DAL_ENOCONV, "Newton did not converge: last change %.3g of %.3g; try a "

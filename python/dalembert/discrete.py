@@ -437,9 +437,7 @@ class Discrete:
         )
         return phi
 
-    def constraint_derivatives(
-        self, h: float, q0: ArrayLike, q1: ArrayLike
-    ) -> tuple[Array, Array]:
+    def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
         """Return D_1 phi_d and D_2 phi_d.
 
         Parameters
@@ -607,9 +605,7 @@ class Discrete:
         )
         return residual
 
-    def regularity(
-        self, h: float, q: ArrayLike, q_after: ArrayLike, t: float = 0.0
-    ) -> Regularity:
+    def regularity(self, h: float, q: ArrayLike, q_after: ArrayLike, t: float = 0.0) -> Regularity:
         """Return the matrix that has to be invertible where q_after is to be found.
 
         It is (RegularityDLA) with the right sides of prop. REG: the node map is defined near
@@ -653,9 +649,7 @@ class Discrete:
         )  # fmt: skip
         return Regularity(matrix, int(sign[0]), float(logarithm[0]), float(condition[0]))
 
-    def step(
-        self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0
-    ) -> tuple[Array, Array]:
+    def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> tuple[Array, Array]:
         """Return the node after the pair (q0, q1), and the multipliers (NHFlow).
 
         The pair need not lie in D_d; the new one does.
@@ -693,9 +687,7 @@ class Discrete:
         h, t = arguments.number(h, "h"), arguments.number(t, "t")
         pair = [node.copy() for node in self._nodes((q0, "q0"), (q1, "q1"))]
         multipliers = np.empty(self._system.m)
-        self._call(
-            lib.dal_discrete_step, t, h, *map(_lib.pointer, pair), _lib.pointer(multipliers)
-        )
+        self._call(lib.dal_discrete_step, t, h, *map(_lib.pointer, pair), _lib.pointer(multipliers))
         return pair[1], multipliers
 
     def run(

@@ -237,6 +237,54 @@ static double slope(double error, double next, double factor)
     return log(error / next) / log(factor);
 }
 
+/* ---- roots ---------------------------------------------------------------------------------- */
+
+/* 0: log z, which is not defined for z <= 0; 1: z^2 + 1; 2: z^3 - 1, whose derivative vanishes at
+ * 0; 3: z^2, to which Newton converges linearly. */
+static int one_equation(void *ctx, const double *z, double *residual, double *J, double *scale)
+{
+    const int which = *(const int *)ctx;
+    if (which == 0 && !(z[0] > 0.0)) return DAL_EDOMAIN;
+    residual[0] = which == 0 ? log(z[0]) : which == 1 ? z[0] * z[0] + 1
+                : which == 2 ? pow(z[0], 3) - 1 : z[0] * z[0];
+    J[0] = which == 0 ? 1 / z[0] : which == 2 ? 3 * z[0] * z[0] : 2 * z[0];
+    scale[0] = fabs(J[0]);
+    return DAL_SUCCESS;
+}
+
+static void test_roots(void)
+{
+    static const struct {
+        int which, status;
+        double guess, root;
+    } cases[] = {
+        {0, DAL_SUCCESS, 1.5, 1.0},
+        {0, DAL_SUCCESS, 10.0, 1.0}, /* the first step leads to -13, its quarter to 4.2 */
+        {0, DAL_SUCCESS, 1e6, 1.0},
+        {0, DAL_EDOMAIN, -1.0, NAN},
+        {1, DAL_ENOCONV, 0.7, NAN},
+        {2, DAL_SUCCESS, 3.0, 1.0},
+        {2, DAL_ESINGULAR, 0.0, NAN},
+        {3, DAL_ENOCONV, 1.0, NAN},
+    };
+    for (size_t c = 0; c < sizeof cases / sizeof *cases; c++) {
+        dal__root root;
+        arena memory = {0};
+        dal_error error = {0};
+        int which = cases[c].which;
+        dal__root_reserve(&root, 1, &memory);
+        need(dal__allocate(&memory, &error), "root", error.text);
+        const dal__equations equations = {.at = one_equation, .ctx = &which, .size = 1,
+                                          .measured = 1, .singular = "flat"};
+        root.z[0] = cases[c].guess;
+        CHECK(dal__find_root(&root, &equations, &error) == cases[c].status);
+        if (!cases[c].status) CHECK_NEAR(root.z[0], cases[c].root, 4 * U);
+        if (cases[c].status == DAL_ESINGULAR) CHECK(strcmp(error.text, "flat") == 0);
+        if (cases[c].status == DAL_ENOCONV) CHECK(strstr(error.text, "smaller h") != NULL);
+        dal__release(&memory);
+    }
+}
+
 /* ---- by hand -------------------------------------------------------------------------------- */
 
 /* The particle on springs with rho^(1/4). */
@@ -380,6 +428,12 @@ static void test_step(const dal_system *system, dal_difference_map lagrangian,
     size_t done = 99;
     const double t0 = 0.4;
     state_of(system, x);
+    /* Newton converges quadratically: 5 iterations at most, with two evaluations of L each */
+    if (!dal_system_mass(system)) {
+        memcpy(y, x, sizeof y);
+        GOOD(d, dal_discrete_advance(d, t0, h, y, NULL));
+        CHECK(d->mech.eval.lagrangian_calls <= 1 + 5 * 2);
+    }
     GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
     memcpy(nodes, q0, n * sizeof *q0);
     memcpy(nodes + n, q1, n * sizeof *q1);
@@ -422,6 +476,27 @@ static void test_step(const dal_system *system, dal_difference_map lagrangian,
         dal_mechanics_free(mech);
     }
     dal_discrete_free(d);
+}
+
+/* From states with rho^beta nothing is lost to the nodes, however small h is. */
+static void test_small_steps(const dal_system *system)
+{
+    const size_t n = dal_system_n(system);
+    const double h = 1e-7;
+    for (size_t b = 0; b < BETAS; b++) {
+        const dal_scheme scheme = {.name = "beta", .beta = betas[b]};
+        dal_discrete *const d = open_discrete(system, rho_beta(betas[b]), NULL);
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        double x[2 * N];
+        state_of(system, x);
+        need(dal_stepper_start(stepper, 0.0, h, x, DAL_ASSUME, DAL_INITIAL_NONE), "start", "");
+        CHECK(dal_step(stepper, NULL) == 0);
+        GOOD(d, dal_discrete_advance(d, 0.0, h, x, NULL));
+        CHECK_NEAR(largest_difference(2 * n, x, dal_stepper_state(stepper)), 0.0,
+                   ROUNDOFF * (1 + sum_of_sizes(2 * n, x)));
+        dal_stepper_free(stepper);
+        dal_discrete_free(d);
+    }
 }
 
 /* The commutative diagram: moved nodes, kept nodes and the node map with one another, and with what
@@ -1194,6 +1269,7 @@ static void test_errors(void)
 
 int main(void)
 {
+    test_roots();
     test_by_hand();
     test_singular();
     test_trapezoidal();
@@ -1216,6 +1292,7 @@ int main(void)
             test_regularity(system, betas[b], -0.1);
         }
         test_step(system, rho_beta(0.3), NULL, 0.05);
+        test_small_steps(system);
         test_step(system, bent, NULL, 0.05);
         test_derivatives(system, bent, NULL);
         test_inverse(system, bent);

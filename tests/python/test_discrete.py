@@ -194,6 +194,33 @@ def test_two_maps(own):
     assert abs(v - dal.Discrete(system, 0.0).advance(h, system.q0, system.v0)[1]).max() > 1e-6
 
 
+def test_general_system():
+    """A Lagrangian of the user's own, a force in time, an affine constraint: the scheme's steps."""
+
+    def lagrangian(q, v):
+        return (1 + q[1] ** 2) * v[0] ** 2 / 2 + v[1] ** 2 + v[2] ** 2 / 2 - q[0] ** 2
+
+    system = dal.System(
+        lagrangian=lagrangian,
+        lagrangian_q=lambda q, v: [-2 * q[0], q[1] * v[0] ** 2, 0],
+        lagrangian_v=lambda q, v: [(1 + q[1] ** 2) * v[0], 2 * v[1], v[2]],
+        force=lambda t, q, v: [np.sin(t), 0, -v[2] / 10],
+        forms=lambda q: [[-q[1], 0, 1]],
+        affine=lambda q: [q[0] / 5],
+        q0=[0.3, 0.4, 0.1],
+        v0=[1, 0.5, 0.34],
+    )
+    solution = dal.integrate(system, "midpoint", h=0.05, steps=10, t0=0.3)
+    discrete = dal.Discrete(system, 0.5)
+    q, v = system.q0, system.v0
+    for k in range(10):
+        q, v, multipliers = discrete.advance(0.05, q, v, t=0.3 + 0.05 * k)
+        # L_vv and the like are differenced, which costs Newton's speed only
+        np.testing.assert_allclose(q, solution.q[k + 1], atol=SOLVED)
+        np.testing.assert_allclose(v, solution.v[k + 1], atol=SOLVED)
+        np.testing.assert_allclose(multipliers, solution.reactions[k], atol=SOLVED / 0.05)
+
+
 def test_without_constraints():
     system = dal.System(mass=[1, 2], potential=lambda q: q @ q / 2, gradient=lambda q: q)
     discrete = dal.Discrete(system, 0.5)
