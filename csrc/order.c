@@ -1,4 +1,4 @@
-/* Floor 6: the order (p, s) of a scheme, measured by refining the step.
+/* Floor 7: the order (p, s) of a scheme, measured by refining the step.
  *
  * p and s are slopes of the error of one step from exact data, minus 1: p of the state, s of the
  * scheme's own multiplier against lambda(t0 + h).  For kept nodes the data are those that the run

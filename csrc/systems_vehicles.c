@@ -36,23 +36,26 @@ static void snakeboard_state(const double *p, double *x)
     x[9] = 0.05;
 }
 
-/* The axles move along themselves only: their normals are (-sin, cos) of theta +- phi. */
+/* The axles move along themselves only: their normals are (-sin, cos) of theta +- phi.  By the
+ * addition theorems, because theta + phi is rounded, and theta may be large. */
 static int snakeboard_constraint(const double *q, const double *v, double *phi, double *phi_v,
                                  double *phi_q, void *ctx)
 {
-    const double *p = ctx, r = p[1], side[2] = {q[4], -q[4]};
+    const double *p = ctx, r = p[1];
+    const double heading[2] = {cos(q[2]), sin(q[2])}, turn[2] = {cos(q[4]), sin(q[4])};
     for (size_t i = 0; i < 2; i++) {
-        const double s = sin(q[2] + side[i]), c = cos(q[2] + side[i]);
         const double arm = i == 0 ? -r : r, sign = i == 0 ? 1.0 : -1.0;
-        if (phi) phi[i] = c * v[1] - s * v[0] + arm * cos(q[4]) * v[2];
+        const double s = heading[1] * turn[0] + sign * (heading[0] * turn[1]);
+        const double c = heading[0] * turn[0] - sign * (heading[1] * turn[1]);
+        if (phi) phi[i] = c * v[1] - s * v[0] + arm * turn[0] * v[2];
         if (phi_v) {
-            const double mu[5] = {-s, c, arm * cos(q[4]), 0.0, 0.0};
+            const double mu[5] = {-s, c, arm * turn[0], 0.0, 0.0};
             memcpy(phi_v + 5 * i, mu, sizeof mu);
         }
         if (phi_q) {
             const double turned = -c * v[0] - s * v[1];
             const double slope[5] = {0.0, 0.0, turned, 0.0,
-                                     sign * turned - arm * sin(q[4]) * v[2]};
+                                     sign * turned - arm * turn[1] * v[2]};
             memcpy(phi_q + 5 * i, slope, sizeof slope);
         }
     }

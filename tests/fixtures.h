@@ -133,21 +133,28 @@ static inline double largest_difference(size_t count, const double *x, const dou
     return worst;
 }
 
-/* max_a |mu^a v| / sum_i |mu^a_i v_i| with mu at q - shift v, from the callback itself. */
+/* max_a |mu^a v| / sum_i |mu^a_i v_i| with mu at q - shift v, from the callback itself; of affine
+ * and nonlinear constraints with phi for mu v, and phi - mu v among the terms. */
 static inline double residual_of(const dal_system *system, double shift, const double *x)
 {
     enum { MOST_N = 48, MOST_ENTRIES = 160 };
     const size_t n = system->def.n, m = system->def.m;
-    double q[MOST_N], mu[MOST_ENTRIES], worst = 0.0;
+    double q[MOST_N], mu[MOST_ENTRIES], phi[MOST_N], worst = 0.0;
+    const bool linear = system->def.kind == DAL_LINEAR;
     if (n > MOST_N || m * n > MOST_ENTRIES) exit(2);
     for (size_t i = 0; i < n; i++) q[i] = x[i] - shift * x[n + i];
-    if (m > 0 && system->def.constraint(q, x + n, NULL, mu, NULL, system->def.ctx)) exit(2);
+    if (m > 0 && system->def.constraint(q, x + n, linear ? NULL : phi, mu, NULL, system->def.ctx))
+        exit(2);
     for (size_t a = 0; a < m; a++) {
         double sum = 0.0, scale = 0.0;
         for (size_t i = 0; i < n; i++) {
             const double term = mu[a * n + i] * x[n + i];
             sum += term;
             scale += fabs(term);
+        }
+        if (!linear) {
+            scale += fabs(phi[a] - sum);
+            sum = phi[a];
         }
         if (!(fabs(sum) <= worst * scale)) worst = fabs(sum) / scale;
     }

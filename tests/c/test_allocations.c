@@ -440,6 +440,18 @@ int main(void)
         test_steps(generic4, &scheme, (dal_options){.sizes = DAL_SIZES_RUNTIME}, STEPS / 10);
         test_steps(generic4, &scheme, (dal_options){.solver = DAL_SOLVER_MULTIROOT}, STEPS / 100);
     }
+    /* Lagrangians of any form, affine and nonlinear constraints. */
+    static const char *const others[] = {"sleigh_contact", "ball_on_table"};
+    for (size_t k = 0; k < 2; k++) {
+        dal_system *general = NULL;
+        CHECK(dal_system_builtin(&general, others[k], NULL, NULL, 0, NULL) == 0);
+        for (size_t i = 0; i < dal_scheme_count(); i++) {
+            dal_scheme scheme;
+            CHECK(dal_scheme_at(&scheme, i) == 0);
+            test_steps(general, &scheme, (dal_options){0}, STEPS / 100);
+        }
+        dal_system_free(general);
+    }
     test_trajectory();
     test_discrete();
     for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_MSBDF; method++)
