@@ -1,5 +1,5 @@
-/* Floor 3: curves inside D: between two states with the cut-off functions, and through the rows of a
- * run. */
+/* Floor 3: curves inside D: between two states with the cut-off functions, and through the rows of
+ * a run. */
 #include "internal.h"
 #include "lu.h"
 
@@ -106,8 +106,8 @@ static void evaluate_polynomials(dal_chart *chart, double h, double s)
     }
 }
 
-/* chart->x[2n] <- the state at s of the interval whose ends are loaded; *pivoted: the choice is that
- * of its middle. */
+/* chart->x[2n] <- the state at s of the interval whose ends are loaded; *pivoted: the choice is
+ * that of its middle. */
 static int interpolate(dal_chart *chart, double h, double s, bool *pivoted)
 {
     double condition = 0.0;
