@@ -525,7 +525,8 @@ int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *le
         for (size_t k = 0; k < width; k++) {
             solve_column(chart, k < n ? chart->mech.dmu : chart->mech.mu,
                          k < n ? k : place[m + k - n], chart->A, 1);
-            for (size_t a = 0; a < m; a++) J[(n + place[a]) * width + k] = -chart->A[a];
+            for (size_t a = 0; a < m; a++) /* 0, and not -0 */
+                J[(n + place[a]) * width + k] = 0.0 - chart->A[a];
         }
     }
     if (left) {

@@ -383,8 +383,9 @@ DAL_API int dal_chart_condition(dal_chart *chart, const double *x, double *condi
 
 /* Keeps the choice where its condition at x is at most 10 sqrt(1 + m (n-m)), else chooses anew; a
  * choice by pivoting starts eight times below this limit, so it does not flip back.  *changed (or
- * NULL) <- whether the dependent coordinates changed, as they do when first chosen; dal_chart_message then says from which to
- * which.  For nonlinear constraints Newton starts at the v_dependent of x from then on. */
+ * NULL) <- whether the dependent coordinates changed, as they do when first chosen;
+ * dal_chart_message then says from which to which.  For nonlinear constraints Newton starts at the
+ * v_dependent of x from then on. */
 DAL_API int dal_chart_renew(dal_chart *chart, const double *x, int *changed);
 
 /* A[m*(n-m)] and B[m*m] at x[2n], either may be NULL. */

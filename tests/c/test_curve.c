@@ -363,11 +363,11 @@ static void test_failures(void)
     REFUSED(0, NAN, 0, 3, rows, 4, t, out, "h = nan");
     REFUSED(NAN, 0.1, 0, 3, rows, 4, t, out, "t0[0] = nan");
     REFUSED(0, 0.1, INFINITY, 3, rows, 4, t, out, "shift[0] = inf");
-    REFUSED(0, 0.1, 0, 2, rows, 4, t, out, "t[3] = 0.14999999999999999 lies outside of the rows, "
-            "which go from 0 to 0.10000000000000001");
-    REFUSED(0, -0.1, 0, 3, rows, 4, t, out, "t[1] = 0.0500");
-    REFUSED(0, 0.1, 0, 3, rows, 1, (double[]){NAN}, out, "t[0] = nan");
-    REFUSED(0, 0.1, 0, 1, rows, 1, t + 1, out, "t[0] = 0.05");
+    REFUSED(0, 0.1, 0, 2, rows, 4, t, out, "t = 0.15 lies outside of the stored states, "
+            "which go from 0 to 0.1");
+    REFUSED(0, -0.1, 0, 3, rows, 4, t, out, "t = 0.05 lies");
+    REFUSED(0, 0.1, 0, 3, rows, 1, (double[]){NAN}, out, "t = nan lies");
+    REFUSED(0, 0.1, 0, 1, rows, 1, t + 1, out, "t = 0.05 lies");
 #undef REFUSED
     CHECK(dal_chart_interpolate(NULL, 0, 0.1, 0, 3, rows, 4, t, out, NULL, NULL) == DAL_EINVAL);
     for (size_t k = 0; k < 24; k++) CHECK(out[k] == 7.0);
