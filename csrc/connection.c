@@ -1,8 +1,8 @@
-/* Floor 3: charts of D: the Ehresmann connection A, psi and its derivative, the ODE, the multipliers
- * and the schemes in the coordinates xi = (q, v_independent).
+/* Floor 3: charts of D: the Ehresmann connection A, psi and its derivative, the ODE, the
+ * multipliers and the schemes in the coordinates xi = (q, v_independent).
  *
- * mu is phi_v, and B its dependent columns.  What is solved with B is the residual phi, so that D is
- * kept to roundoff and affine constraints need no formula of their own. */
+ * mu is phi_v, and B its dependent columns.  What is solved with B is the residual phi, so that D
+ * is kept to roundoff and affine constraints need no formula of their own. */
 #include "internal.h"
 #include "lu.h"
 
@@ -219,7 +219,8 @@ static void exchange(dal_chart *chart, size_t a, size_t j)
 
 /* The largest entry of the tableau outside the columns that have an owner, in the rows from first
  * on; it is in row *a and column *j. */
-static double largest_entry(const dal_chart *chart, size_t owned, size_t first, size_t *a, size_t *j)
+static double largest_entry(const dal_chart *chart, size_t owned, size_t first, size_t *a,
+                            size_t *j)
 {
     double most = 0.0;
     for (size_t k = 0; k < chart->n; k++) {
@@ -235,8 +236,8 @@ static double largest_entry(const dal_chart *chart, size_t owned, size_t first, 
     return most;
 }
 
-/* owner <- the dependent coordinates: [A, I] by Gauss and Jordan, then exchanges, each of which makes
- * |det B| larger by the entry of A that it removes. */
+/* owner <- the dependent coordinates: [A, I] by Gauss and Jordan, then exchanges, each of which
+ * makes |det B| larger by the entry of A that it removes. */
 static int pivot_columns(dal_chart *chart)
 {
     const size_t n = chart->n, m = chart->m;
@@ -288,8 +289,8 @@ static int check_dependent(dal_chart *chart, const size_t *dependent)
                              "%zu coordinates", a, dependent[a], chart->n);
         for (size_t b = 0; b < a; b++)
             if (dependent[a] == dependent[b])
-                return dal__fail(&chart->mech.error, DAL_EINVAL, "dependent[%zu] and dependent[%zu] "
-                                 "are both %zu", b, a, dependent[a]);
+                return dal__fail(&chart->mech.error, DAL_EINVAL, "dependent[%zu] and "
+                                 "dependent[%zu] are both %zu", b, a, dependent[a]);
     }
     return DAL_SUCCESS;
 }
@@ -381,15 +382,16 @@ int dal_chart_renew(dal_chart *chart, const double *x, int *changed)
         if (changed) *changed = 0;
         return DAL_SUCCESS;
     }
-    if (chart->chosen) write_names(chart, chart->place, m, sizeof from, from);
+    const bool first = !chart->chosen;
+    if (!first) write_names(chart, chart->place, m, sizeof from, from);
     status = dal_chart_choose(chart, NULL, x);
     if (status) return status;
     const bool other = memcmp(chart->former, chart->place, n * sizeof *chart->place) != 0;
-    if (changed) *changed = other;
+    if (changed) *changed = first || other;
     write_names(chart, chart->place, m, sizeof to, to);
-    if (from[0])
-        dal__fail(&chart->mech.error, DAL_SUCCESS, "the dependent coordinates change from %s, whose "
-                  "condition is %.3g here, to %s", from, condition, to);
+    if (!first && other)
+        dal__fail(&chart->mech.error, DAL_SUCCESS, "the dependent coordinates change from %s, "
+                  "whose condition is %.3g here, to %s", from, condition, to);
     return DAL_SUCCESS;
 }
 
@@ -523,7 +525,8 @@ int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *le
         for (size_t k = 0; k < width; k++) {
             solve_column(chart, k < n ? chart->mech.dmu : chart->mech.mu,
                          k < n ? k : place[m + k - n], chart->A, 1);
-            for (size_t a = 0; a < m; a++) J[(n + place[a]) * width + k] = -chart->A[a];
+            for (size_t a = 0; a < m; a++) /* 0, and not -0 */
+                J[(n + place[a]) * width + k] = 0.0 - chart->A[a];
         }
     }
     if (left) {
@@ -630,9 +633,9 @@ static int newton_step(dal_chart *chart)
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
     if (!dal_lu_factor(n, m + 1, chart->G, chart->G_scale, chart->G_row))
-        return dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these coordinates "
-                         "are singular: the constraints lose rank, or h = %g is too large here",
-                         mech->start.h);
+        return dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these "
+                         "coordinates are singular: the constraints lose rank, or h = %g is too "
+                         "large here", mech->start.h);
     dal_lu_solve(n, chart->G, chart->G_row, chart->y, chart->step);
     return DAL_SUCCESS;
 }
@@ -672,7 +675,8 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
     if (!(beta >= 0.0 && beta <= 1.0))
         return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
     if (!(fabs(h) > 0.0 && isfinite(h)))
-        return dal__fail(&mech->error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
+        return dal__fail(&mech->error, DAL_EINVAL, "h = %g: expected a finite step other than 0",
+                         h);
     int status = dal__require_finite(mech, "t", 1, &t);
     if (!status) status = require_xi(chart, xi);
     if (!status) status = lift_from_branch(chart, xi, chart->x);

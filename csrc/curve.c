@@ -1,5 +1,5 @@
-/* Floor 3: curves inside D: between two states with the cut-off functions, and through the rows of a
- * run. */
+/* Floor 3: curves inside D: between two states with the cut-off functions, and through the rows of
+ * a run. */
 #include "internal.h"
 #include "lu.h"
 
@@ -106,8 +106,8 @@ static void evaluate_polynomials(dal_chart *chart, double h, double s)
     }
 }
 
-/* chart->x[2n] <- the state at s of the interval whose ends are loaded; *pivoted: the choice is that
- * of its middle. */
+/* chart->x[2n] <- the state at s of the interval whose ends are loaded; *pivoted: the choice is
+ * that of its middle. */
 static int interpolate(dal_chart *chart, double h, double s, bool *pivoted)
 {
     double condition = 0.0;
@@ -162,8 +162,8 @@ static int check_times(dal_chart *chart, const rows *r, size_t count, const doub
     const double slack = SLACK * fmax(fabs(r->h), high - low);
     for (size_t k = 0; k < count; k++)
         if (!(t[k] >= low - slack && t[k] <= high + slack))
-            return dal__fail(&chart->mech.error, DAL_EINVAL, "t[%zu] = %.17g lies outside of the "
-                             "rows, which go from %.17g to %.17g", k, t[k], r->t0, end);
+            return dal__fail(&chart->mech.error, DAL_EINVAL, "t = %.12g lies outside of the stored "
+                             "states, which go from %.12g to %.12g", t[k], r->t0, end);
     return DAL_SUCCESS;
 }
 

@@ -349,14 +349,15 @@ DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double
 /* ---- geometry: charts of D --------------------------------------------------------------- */
 
 /* D written by m dependent velocities as functions of the rest (Ehresmann connection): with B =
- * phi_v[:, dependent] and A = B^-1 phi_v[:, independent] the coordinates are xi = (q, v_independent),
- * 2n - m numbers, and psi(xi) is the state of D with v_dependent = -A v_independent, for affine
- * constraints -A v_independent - B^-1 a; for nonlinear ones it is found by Newton.  A and B have
- * their rows and columns in the order of dal_chart_dependent and dal_chart_independent.
+ * phi_v[:, dependent] and A = B^-1 phi_v[:, independent] the coordinates are xi = (q,
+ * v_independent), 2n - m numbers, and psi(xi) is the state of D with v_dependent = -A
+ * v_independent, for affine constraints -A v_independent - B^-1 a; for nonlinear ones it is found
+ * by Newton.  A and B have their rows and columns in the order of dal_chart_dependent and
+ * dal_chart_independent.
  *
  * A chart is a system, a choice of the dependent coordinates and the workspace.  Its functions need
- * a choice: DAL_EINVAL before the first one.  Their other errors: DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN;
- * DAL_ESINGULAR where B is singular; for nonlinear constraints DAL_ENOCONV. */
+ * a choice: DAL_EINVAL before the first one.  Their other errors: DAL_EINVAL, DAL_EUSER,
+ * DAL_EDOMAIN; DAL_ESINGULAR where B is singular; for nonlinear constraints DAL_ENOCONV. */
 typedef struct dal_chart dal_chart;
 
 DAL_API int dal_chart_new(dal_chart **chart, const dal_system *system, dal_error *error);
@@ -366,24 +367,25 @@ DAL_API void dal_chart_free(dal_chart *chart);
 DAL_API const char *dal_chart_message(const dal_chart *chart);
 
 /* Chooses dependent[m], in any order; NULL: by pivoting at x[2n], with the components of v in the
- * units 1/sqrt(M_ii), so that the choice does not depend on the units of q, and with exchanges until
- * no entry of A exceeds 5/4 in them, so that it hardly depends on which forms describe D either.
- * Newton for nonlinear constraints starts at the v_dependent of x. */
+ * units 1/sqrt(M_ii), so that the choice does not depend on the units of q, and with exchanges
+ * until no entry of A exceeds 5/4 in them, so that it hardly depends on which forms describe D
+ * either.  Newton for nonlinear constraints starts at the v_dependent of x. */
 DAL_API int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x);
 
 /* The choice: [m] and [n-m] indices, ascending, borrowed; NULL before the first one. */
 DAL_API const size_t *dal_chart_dependent(const dal_chart *chart);
 DAL_API const size_t *dal_chart_independent(const dal_chart *chart);
 
-/* *condition <- the largest singular value of [A, I] at x in the units 1/sqrt(M_ii): how much larger
- * v can be than v_independent.  It is the condition of B once the forms are made orthonormal, 1 at
- * best, and the same for mu and any B(q) mu; INFINITY where B is singular. */
+/* *condition <- the largest singular value of [A, I] at x in the units 1/sqrt(M_ii): how much
+ * larger v can be than v_independent.  It is the condition of B once the forms are made
+ * orthonormal, 1 at best, and the same for mu and any B(q) mu; INFINITY where B is singular. */
 DAL_API int dal_chart_condition(dal_chart *chart, const double *x, double *condition);
 
 /* Keeps the choice where its condition at x is at most 10 sqrt(1 + m (n-m)), else chooses anew; a
  * choice by pivoting starts eight times below this limit, so it does not flip back.  *changed (or
- * NULL) <- whether the dependent coordinates changed; dal_chart_message then says from which to
- * which.  For nonlinear constraints Newton starts at the v_dependent of x from then on. */
+ * NULL) <- whether the dependent coordinates changed, as they do when first chosen;
+ * dal_chart_message then says from which to which.  For nonlinear constraints Newton starts at the
+ * v_dependent of x from then on. */
 DAL_API int dal_chart_renew(dal_chart *chart, const double *x, int *changed);
 
 /* A[m*(n-m)] and B[m*m] at x[2n], either may be NULL. */
@@ -406,8 +408,8 @@ DAL_API int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, do
 /* xidot[2n-m] <- the ODE on D in these coordinates: left h(psi(xi)) (ODExi, ODExiConnec). */
 DAL_API int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot);
 
-/* The multipliers of the forms [A, I] from those of mu, and back: lambda_E[m] <- B^T lambda, lambda[m]
- * <- B^-T lambda_E, B at x[2n]; mu^T lambda = [A, I]^T lambda_E.  They may overlap. */
+/* The multipliers of the forms [A, I] from those of mu, and back: lambda_E[m] <- B^T lambda,
+ * lambda[m] <- B^-T lambda_E, B at x[2n]; mu^T lambda = [A, I]^T lambda_E.  They may overlap. */
 DAL_API int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambda,
                                   double *lambda_E);
 DAL_API int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *lambda_E,
@@ -424,9 +426,10 @@ DAL_API int dal_chart_step(dal_chart *chart, double t, double beta, double h, do
 
 /* ---- geometry: curves in D --------------------------------------------------------------- */
 
-/* The cut-off functions chi_0 = (1 + tanh cot(pi tau)) / 2 and chi_1 = 1 - chi_0 on 0 < tau < 1, both
- * to full relative accuracy, and *slope <- dchi_0/dtau (CutOff); (1, 0, 0) for tau <= 0 and (0, 1, 0)
- * for tau >= 1.  All derivatives vanish at the ends.  NaN for NaN.  Outputs may be NULL. */
+/* The cut-off functions chi_0 = (1 + tanh cot(pi tau)) / 2 and chi_1 = 1 - chi_0 on 0 < tau < 1,
+ * both to full relative accuracy, and *slope <- dchi_0/dtau (CutOff); (1, 0, 0) for tau <= 0 and
+ * (0, 1, 0) for tau >= 1.  All derivatives vanish at the ends.  NaN for NaN.  Every output may be
+ * NULL. */
 DAL_API void dal_cutoff(double tau, double *chi0, double *chi1, double *slope);
 
 /* x[2n] <- c(tau) = psi(chi_0 xi1 + chi_1 xi2), a curve in D from x1[2n] for tau <= 0 to x2[2n] for
@@ -437,15 +440,15 @@ DAL_API int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2
 
 /* Between the rows (q, v) of x[rows*2n], which stand at t0 + k h, k < rows: out[count*2n] <- the
  * states at the times t[count], in any order, between t0 and t0 + (rows-1) h (up to 1e-9 of that).
- * xi is interpolated after Hermite, q from q, v and vdot in degree 5, v_independent from v and vdot in
- * degree 3, and lifted by psi: the states lie in D to roundoff and have an error O(h^4) beside that
- * of the rows.  At the time of a row they are that row.  shift = 0 is D; for rows of kept nodes shift
- * is (1-beta) times the step of the scheme, q - shift v is what is interpolated, and the states lie in
- * D_eps (where the first row does not, as with DAL_INITIAL_D, the states jump behind it).
- * The coordinates are chosen by pivoting in the middle of each interval, and again at a state where
- * that choice is ill conditioned; *changes (or NULL) <- how often they changed from one state to the
- * next.  The choice of the chart is neither needed nor changed.  On failure *done (or NULL) states
- * were computed.  DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV. */
+ * xi is interpolated after Hermite, q from q, v and vdot in degree 5, v_independent from v and vdot
+ * in degree 3, and lifted by psi: the states lie in D to roundoff and have an error O(h^4) beside
+ * that of the rows.  At the time of a row they are that row.  shift = 0 is D; for rows of kept
+ * nodes shift is (1-beta) times the step of the scheme, q - shift v is what is interpolated, and
+ * the states lie in D_eps (where the first row does not, as with DAL_INITIAL_D, the states jump
+ * behind it).  The coordinates are chosen by pivoting in the middle of each interval, and again at a
+ * state where that choice is ill conditioned; *changes (or NULL) <- how often they changed from one
+ * state to the next.  The choice of the chart is neither needed nor changed.  On failure *done (or
+ * NULL) states were computed.  DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV. */
 DAL_API int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, size_t rows,
                                   const double *x, size_t count, const double *t, double *out,
                                   size_t *changes, size_t *done);

@@ -22,18 +22,20 @@ from ._lib import (
     NotOnConstraintError,
     SingularError,
 )
+from .chart import Chart
 from .discrete import DifferenceMap, Discrete, NodeRun, Regularity, exact_velocity
 from .examination import Check, Difference
 from .integration import Reference, integrate, reference
 from .refinement import convergence, studies
 from .scheme import Scheme, schemes
-from .solution import Solution, Statistics
+from .solution import Solution, States, Statistics
 from .study import Fit, Studies, Study
 from .system import System
 
 __version__ = _lib.version()
 
 __all__ = [
+    "Chart",
     "Check",
     "ConvergenceError",
     "DalembertError",
@@ -50,6 +52,7 @@ __all__ = [
     "Scheme",
     "SingularError",
     "Solution",
+    "States",
     "Statistics",
     "Studies",
     "Study",

@@ -8,13 +8,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from . import _lib, extras, geometry
+from . import _lib, arguments, extras, geometry
 from ._lib import Array, ffi, lib
 from .scheme import Scheme
 from .system import System, differenced
 
-__all__ = ["Solution", "Statistics"]
+__all__ = ["Solution", "States", "Statistics"]
+
+# States in one call of C: a fraction of a second at most, so that Ctrl-C is seen between two.
+_BLOCK = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,25 @@ class Statistics:
         lib.dal_stepper_stats(stepper, stats)
         values = {name: getattr(stats, name) for name, _ in ffi.typeof("dal_stats").fields}
         return cls(**{**values, "differenced": differenced(stats.differenced, kind)})
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """States between the stored ones of a run.
+
+    Attributes
+    ----------
+    t : float or ndarray, shape (N,)
+    q, v : ndarray, shape (n,) or (N, n)
+    chart_changes : int
+        How often the dependent coordinates in which the run was interpolated changed from one of
+        these states to the next.
+    """
+
+    t: Any
+    q: Array
+    v: Array
+    chart_changes: int
 
 
 class Solution(Mapping[str, Any]):
@@ -199,6 +222,63 @@ class Solution(Mapping[str, Any]):
                     t0=float(self.t[0]), h=self.stride * self.h, shift=shift,
                 )  # fmt: skip
             return self._computed[name]
+
+    def __call__(self, t: ArrayLike) -> States:
+        """Return the states at times between the stored ones, in the set that the scheme keeps.
+
+        The positions and the velocities of independent coordinates are interpolated by
+        polynomials, the other velocities follow from the constraint.  So the states lie in D, or
+        in D_eps for kept nodes, to roundoff; their error has the order of the scheme, up to 4 in
+        the distance of the stored states.  A stored state comes back as it is.
+
+        Parameters
+        ----------
+        t : array_like, shape () or (N,)
+            Times in the user's units, in any order.
+
+        Returns
+        -------
+        States
+            With ``t``, ``q`` and ``v``.
+
+        Raises
+        ------
+        ValueError
+            If a time lies outside of the run, or is not a finite number.
+        SingularError, DomainError
+            If the constraint has not full rank at a state, or a function is not defined there.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> system = dal.systems.particle()
+        >>> run = dal.integrate(system, "midpoint", h=0.1, t_end=10)
+        >>> state = run(2.345)
+        >>> bool(system.relative_residual(state.q, state.v) < 1e-15)
+        True
+        >>> run([0.15, 0.25, 0.35]).q.shape
+        (3, 3)
+        """
+        times = arguments.array(t, "t", (), (None,))
+        flat = np.ascontiguousarray(times.reshape(-1))
+        n, handle = self.system.n, self.system._handle
+        x = np.empty((flat.size, 2 * n))
+        changes, some = 0, ffi.new("size_t *")
+        chart = _lib.make("chart", handle, owner=handle)
+        for start in range(0, flat.size, _BLOCK):
+            first = max(start - 1, 0)  # again, to see whether the chart changes after it
+            status = _lib.attempt(
+                lib.dal_chart_interpolate, chart, float(self.t[0]), self.stride * self.h,
+                self.shift, len(self.x), _lib.pointer(self.x),
+                min(start + _BLOCK, flat.size) - first, _lib.pointer(flat, first),
+                _lib.pointer(x, first), some, ffi.NULL,
+            )  # fmt: skip
+            if status < 0:
+                raise _lib.failure(status, _lib.string(lib.dal_chart_message(chart)))
+            changes += int(some[0])
+        if times.ndim == 0:
+            return States(float(times), x[0, :n], x[0, n:], changes)
+        return States(times, x[:, :n], x[:, n:], changes)
 
     def to_xarray(self) -> Any:
         """Return the run as an ``xarray.Dataset``.

@@ -171,8 +171,9 @@ static dal_flow *reference;
 static double state[MOST];
 
 typedef enum maker {
-    SYSTEM, SYSTEM_DIAGONAL, BUILTIN, MECHANICS, FLOW_RK8PD, FLOW_MSADAMS, FLOW_MSBDF, STEPPER,
-    STEPPER_MULTIROOT, DISCRETE, CHECK_SYSTEM, STUDY, CONSISTENT, EXACT, INVARIANT, VELOCITY, MAKERS
+    SYSTEM, SYSTEM_DIAGONAL, BUILTIN, MECHANICS, CHART, FLOW_RK8PD, FLOW_MSADAMS, FLOW_MSBDF,
+    STEPPER, STEPPER_MULTIROOT, DISCRETE, CHECK_SYSTEM, STUDY, CONSISTENT, EXACT, INVARIANT,
+    VELOCITY, MAKERS
 } maker;
 
 static const unsigned char untouched = 0x55;
@@ -181,6 +182,7 @@ static const unsigned char untouched = 0x55;
 typedef struct outputs {
     dal_system *system;
     dal_mechanics *mechanics;
+    dal_chart *chart;
     dal_flow *flow;
     dal_stepper *stepper;
     dal_discrete *discrete;
@@ -219,6 +221,7 @@ static int make(maker what, outputs *out, dal_error *error)
     case SYSTEM_DIAGONAL: return dal_system_new(&out->system, &plane, error);
     case BUILTIN: return dal_system_builtin(&out->system, "chaotic", NULL, NULL, 0, error);
     case MECHANICS: return dal_mechanics_new(&out->mechanics, generic4, error);
+    case CHART: return dal_chart_new(&out->chart, generic4, error);
     case FLOW_RK8PD: return dal_flow_new(&out->flow, generic4, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, error);
     case FLOW_MSADAMS: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSADAMS, DAL_FLOW_X, 1e-6, error);
     case FLOW_MSBDF: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSBDF, DAL_FLOW_X, 1e-6, error);
@@ -259,6 +262,7 @@ static void release(maker what, outputs *out)
     if (what <= BUILTIN) dal_system_free(out->system);
     if (what == DISCRETE) dal_discrete_free(out->discrete);
     if (what == MECHANICS) dal_mechanics_free(out->mechanics);
+    if (what == CHART) dal_chart_free(out->chart);
     if (FLOW_RK8PD <= what && what <= FLOW_MSBDF) dal_flow_free(out->flow);
     if (what == STEPPER || what == STEPPER_MULTIROOT) dal_stepper_free(out->stepper);
 }
@@ -397,6 +401,23 @@ static void test_discrete(void)
     dal_discrete_free(discrete);
 }
 
+static void test_chart(void)
+{
+    enum { STATES = 7 };
+    double xi[MOST], x[MOST], out[STATES * MOST], t[STATES], J[MOST * MOST];
+    dal_chart *chart = NULL;
+    for (size_t k = 0; k < ROWS; k++) memcpy(rows + k * MOST, state, sizeof state);
+    for (size_t k = 0; k < STATES; k++) t[k] = 0.03 * (double)k;
+    CHECK(dal_chart_new(&chart, generic4, NULL) == 0);
+    const size_t calls = process.calls;
+    CHECK(dal_chart_renew(chart, state, NULL) == 0 && dal_chart_drop(chart, state, xi) == 0);
+    CHECK(dal_chart_step(chart, 0.0, 0.5, 0.1, xi, NULL) == 0);
+    CHECK(dal_chart_lift(chart, xi, x) == 0 && dal_chart_jacobian(chart, xi, J, NULL) == 0);
+    CHECK(dal_chart_interpolate(chart, 0.0, 0.1, 0.0, ROWS, rows, STATES, t, out, NULL, NULL) == 0);
+    CHECK(process.calls == calls);
+    dal_chart_free(chart);
+}
+
 static void test_flow(dal_flow_method method)
 {
     double x[MOST], accuracy;
@@ -454,6 +475,7 @@ int main(void)
     }
     test_trajectory();
     test_discrete();
+    test_chart();
     for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_MSBDF; method++)
         test_flow(method);
 

@@ -321,6 +321,24 @@ def test_projection(name, kind):
         assert residual(name, q - shift * projected, projected) <= 4 * len(q) * U
 
 
+@pytest.mark.parametrize(("name", "kind"), SUBJECTS)
+def test_ehresmann(name, kind):
+    """A, B, psi and the multipliers of [A, I] for a choice of dependent coordinates."""
+    subject = system(name, kind)
+    for entry in entries("ehresmann", name):
+        q = array(entry["q"])
+        dependent = [subject.coordinates[i] for i in entry["dependent"]]
+        chart = dal.Chart(subject, q, dependent=dependent)
+        near(chart.A(q), entry["A"])
+        near(chart.B(q), entry["B"])
+        _, v = chart.lift([*q, *array(entry["v_ind"])])
+        near(v[entry["independent"]], entry["v_ind"])
+        near(v[entry["dependent"]], entry["v_dep"])
+        near(subject.multipliers(q, v), entry["lambda"])
+        near(chart.multipliers(q, v), entry["lambda_E"])
+        near(chart.multipliers_back(q, v, array(entry["lambda_E"])), entry["lambda"])
+
+
 @pytest.mark.parametrize("t", ["1", "10"])
 @pytest.mark.parametrize(("name", "kind"), SUBJECTS)
 def test_reference(name, kind, t):
