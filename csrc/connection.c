@@ -670,8 +670,7 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
 {
     if (!chart) return DAL_EINVAL;
     dal_mechanics *const mech = &chart->mech;
-    const size_t m = chart->m;
-    double worst = 0.0;
+    const size_t n = chart->n, m = chart->m;
     if (!(beta >= 0.0 && beta <= 1.0))
         return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
     if (!(fabs(h) > 0.0 && isfinite(h)))
@@ -682,14 +681,18 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
     if (!status) status = lift_from_branch(chart, xi, chart->x);
     if (!status) status = dal__step_begin(mech, t, beta, h, false, chart->x);
     if (!status) status = solve_step(chart);
-    for (size_t b = 0; !status && b < m; b++) {
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) {
+        chart->y[i] = mech->node[i] + beta * h * chart->w[i];
+        chart->y[n + i] = chart->w[i];
+    }
+    if (!dal__all_finite(2 * n, chart->y))
+        return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
+    for (size_t b = 0; b < m; b++) {
         double sum = 0.0;
-        for (size_t a = 0; a < m; a++)
-            sum += mech->muk[a * chart->n + chart->place[b]] * chart->kappa[a];
+        for (size_t a = 0; a < m; a++) sum += mech->muk[a * n + chart->place[b]] * chart->kappa[a];
         chart->R2[b] = sum / h;
     }
-    if (!status) status = dal__step_settle(mech, chart->w, chart->y, &worst);
-    if (status) return status;
     dal__chart_drop(chart, chart->y, xi);
     if (lambda_E) memcpy(lambda_E, chart->R2, m * sizeof *lambda_E);
     return DAL_SUCCESS;

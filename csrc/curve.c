@@ -84,25 +84,22 @@ static int load_end(dal_chart *chart, const rows *r, size_t k, double *end)
     return dal_acceleration(&chart->mech, time_of(r, k), end, end + 2 * n);
 }
 
-/* chart->x <- the polynomials at s of the interval [0, 1]; from the nearer end, so that they take
- * its values exactly. */
+/* chart->x <- the polynomials at s, 0 and 1 at the ends of the interval. */
 static void evaluate_polynomials(dal_chart *chart, double h, double s)
 {
     const size_t n = chart->n;
-    const bool swap = s > 0.5;
-    const double *const near = swap ? chart->second : chart->first;
-    const double *const far = swap ? chart->first : chart->second;
-    const double z = swap ? 1.0 - s : s, k = swap ? -h : h, zz = z * z, left = 1.0 - z;
-    const double q_far = zz * z * (10.0 - 15.0 * z + 6.0 * zz);
-    const double q_rate = z - zz * z * (6.0 - 8.0 * z + 3.0 * zz);
-    const double q_rate_far = -zz * z * (4.0 - 7.0 * z + 3.0 * zz);
-    const double q_bend = 0.5 * zz * left * left * left, q_bend_far = 0.5 * zz * z * left * left;
-    const double v_far = zz * (3.0 - 2.0 * z), v_rate = z * left * left, v_rate_far = -zz * left;
+    const double *const p = chart->first, *const r = chart->second;
+    const double left = 1.0 - s, ss = s * s, sss = ss * s;
+    const double q_end = sss * (10.0 - 15.0 * s + 6.0 * ss);
+    const double q_rate = s - sss * (6.0 - 8.0 * s + 3.0 * ss);
+    const double q_rate_end = -sss * (4.0 - 7.0 * s + 3.0 * ss);
+    const double q_bend = 0.5 * ss * left * left * left, q_bend_end = 0.5 * sss * left * left;
+    const double v_end = ss * (3.0 - 2.0 * s), v_rate = s * left * left, v_rate_end = -ss * left;
     for (size_t i = 0; i < n; i++) {
-        const double v = near[n + i], w = far[n + i], a = near[2 * n + i], b = far[2 * n + i];
-        chart->x[i] = near[i] + ((far[i] - near[i]) * q_far + k * (v * q_rate + w * q_rate_far)
-                                 + k * k * (a * q_bend + b * q_bend_far));
-        chart->x[n + i] = v + ((w - v) * v_far + k * (a * v_rate + b * v_rate_far));
+        const double v = p[n + i], w = r[n + i], a = p[2 * n + i], b = r[2 * n + i];
+        chart->x[i] = p[i] + ((r[i] - p[i]) * q_end + h * (v * q_rate + w * q_rate_end)
+                              + h * h * (a * q_bend + b * q_bend_end));
+        chart->x[n + i] = v + ((w - v) * v_end + h * (a * v_rate + b * v_rate_end));
     }
 }
 
@@ -131,7 +128,7 @@ static int interpolate(dal_chart *chart, double h, double s, bool *pivoted)
 }
 
 /* chart->x in D moves to its node q + shift v.  That rounds q; what it does to the residual at q -
- * shift v is mended with B as it is, the node moving along. */
+ * shift v is mended with B as it is. */
 static int move_to_node(dal_chart *chart, double shift)
 {
     enum { MENDS = 3 };
@@ -147,10 +144,7 @@ static int move_to_node(dal_chart *chart, double shift)
         const double relative = dal__relative_residual(mech, mech->mu, mech->phi, v);
         if (relative <= 2.0 * (double)n * DAL_ROUNDOFF || pass > MENDS) break;
         dal_lu_solve(m, chart->B, chart->row, mech->phi, chart->solution);
-        for (size_t a = 0; a < m; a++) {
-            v[chart->place[a]] -= chart->solution[a];
-            q[chart->place[a]] -= shift * chart->solution[a];
-        }
+        for (size_t a = 0; a < m; a++) v[chart->place[a]] -= chart->solution[a];
     }
     return DAL_SUCCESS;
 }

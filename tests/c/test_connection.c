@@ -550,6 +550,7 @@ static void test_branches(void)
 
 static void test_no_constraint(void)
 {
+    dal_system *system_of_line = NULL;
     wide w;
     dal_system *const system = open_wide(&w, 3, 0, true, true);
     subject s = open_subject(system, 4);
@@ -570,6 +571,17 @@ static void test_no_constraint(void)
     test_step(&s);
     close_subject(&s);
     dal_system_free(system);
+
+    const dal_system_def line = {.n = 1, .mass = vector_mass_one};
+    double fast[2] = {0.0, 1e300};
+    CHECK(dal_system_new(&system_of_line, &line, NULL) == 0);
+    dal_chart *const chart = open_chart(system_of_line);
+    CHECK(dal_chart_choose(chart, NULL, fast) == 0);
+    CHECK(dal_chart_step(chart, 0.0, 0.5, 1e10, fast, NULL) == DAL_EDOMAIN);
+    CHECK(fast[0] == 0.0 && strstr(dal_chart_message(chart), "overflows with h = 1e+10") != NULL);
+    CHECK(dal_chart_step(chart, 0.0, 0.5, 1e5, fast, NULL) == 0 && fast[1] == 1e300);
+    dal_chart_free(chart);
+    dal_system_free(system_of_line);
 }
 
 /* Two forms that coincide where q0 = 0; outside its domain for q0 > 10, stops for q0 < -10. */
@@ -580,6 +592,79 @@ static int degenerate(const double *q, const double *v, double *phi, double *phi
     vector_set(phi_v, 6, (double[]){1.0, 2.0, 0.3, 1.0, 2.0, 0.3 + q[0]});
     vector_set(phi_q, 6, (double[]){0.0, 0.0, 0.0, v[2], 0.0, 0.0});
     return q[0] > 10.0 ? 1 : q[0] < -10.0 ? -1 : 0;
+}
+
+/* The first two columns are parallel, but for the rounding of 2.1. */
+static int parallel(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                    void *ctx)
+{
+    (void)q, (void)v, (void)phi, (void)ctx;
+    vector_set(phi_v, 6, (double[]){0.1, 0.7, 1.0, 0.3, 2.1, 2.0});
+    vector_set(phi_q, 6, (double[6]){0.0});
+    return 0;
+}
+
+/* Elimination by the largest entry takes the first two columns and gives A = (2, 1). */
+static int exchanged(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                     void *ctx)
+{
+    (void)q, (void)v, (void)phi, (void)ctx;
+    vector_set(phi_v, 6, (double[]){1.0, -1.0, 1.0, 0.0, 5.0, 5.0});
+    vector_set(phi_q, 6, (double[6]){0.0});
+    return 0;
+}
+
+static int steep(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                 void *ctx)
+{
+    (void)q, (void)v, (void)phi, (void)ctx;
+    vector_set(phi_v, 2, (double[]){1.0, 1e-300});
+    vector_set(phi_q, 2, (double[2]){0.0});
+    return 0;
+}
+
+/* v_1 = -1e300 v_0 */
+static void test_overflow(void)
+{
+    const double mass[4] = {1, 0, 0, 1};
+    const dal_system_def def = {.n = 2, .m = 1, .mass = mass, .constraint = steep};
+    const size_t second = 1;
+    double xi[3] = {0.0, 0.0, 1.0}, x[4] = {0.0};
+    dal_system *system = NULL;
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_chart *const chart = open_chart(system);
+    CHECK(dal_chart_choose(chart, &second, x) == 0 && dal_chart_lift(chart, xi, x) == 0);
+    CHECK_NEAR(x[3], -1e300, 1e300 * 4 * U);
+    xi[2] = 1e10;
+    CHECK(dal_chart_lift(chart, xi, x) == DAL_EDOMAIN && x[2] == 1.0);
+    CHECK(strstr(dal_chart_message(chart), "overflow") != NULL);
+    dal_chart_free(chart);
+    dal_system_free(system);
+}
+
+static void test_pivoting(void)
+{
+    const double x[6] = {0.0};
+    const size_t first[2] = {1, 0};
+    dal_system_def def = {.n = 3, .m = 2, .mass = vector_mass_one, .constraint = exchanged};
+    dal_system *system = NULL;
+    double A[2];
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_chart *chart = open_chart(system);
+    CHECK(dal_chart_choose(chart, NULL, x) == 0 && dal_chart_connection(chart, x, A, NULL) == 0);
+    CHECK(dal_chart_independent(chart)[0] == 0);
+    CHECK_NEAR(A[0], -0.5, 2 * U);
+    CHECK_NEAR(A[1], 0.5, 2 * U);
+    dal_chart_free(chart);
+    dal_system_free(system);
+
+    def.constraint = parallel;
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    chart = open_chart(system);
+    CHECK(dal_chart_choose(chart, first, x) == DAL_ESINGULAR);
+    CHECK(dal_chart_choose(chart, NULL, x) == 0 && dal_chart_dependent(chart)[1] == 2);
+    dal_chart_free(chart);
+    dal_system_free(system);
 }
 
 static void test_failures(void)
@@ -736,6 +821,8 @@ int main(void)
     test_renewal();
     test_branches();
     test_no_constraint();
+    test_pivoting();
+    test_overflow();
     test_singular_step();
     test_failures();
     return check_done();

@@ -224,9 +224,10 @@ static void test_order(const dal_system *system, const char *scheme, size_t stri
 static void test_rows(const dal_system *system, const char *scheme, double h)
 {
     const size_t n = dal_system_n(system);
-    double buffer[2 * N * ROWS], t[ROWS], out[2 * N * ROWS], again[2 * N];
+    double buffer[2 * N * (ROWS + 1)], t[ROWS], out[2 * N * ROWS], again[2 * N];
     dal_chart *const chart = open_chart(system);
     const run r = make_run(system, scheme, 0.1, h, ROWS, 3, buffer);
+    for (size_t i = 0; i < 2 * n; i++) buffer[2 * n * ROWS + i] = NAN; /* no row of it */
     for (size_t k = 0; k < ROWS; k++) t[k] = 0.1 + (double)(3 * k) * (h / 3);
     CHECK(between(chart, &r, ROWS, t, out) == 0);
     CHECK(memcmp(out, r.x, 2 * n * ROWS * sizeof *out) == 0);
@@ -239,6 +240,15 @@ static void test_rows(const dal_system *system, const char *scheme, double h)
         CHECK(memcmp(again, out + 2 * n * k, 2 * n * sizeof *again) == 0);
     }
     CHECK(dal_chart_dependent(chart) == NULL); /* nothing was chosen by it */
+
+    /* the end of a run that was meant, 1e-10 of the run beyond the last row; and no more */
+    const double end = 0.1 + (ROWS - 1) * h, span = (ROWS - 1) * h;
+    t[0] = end + 1e-10 * span;
+    CHECK(between(chart, &r, 1, t, again) == 0);
+    CHECK_NEAR(largest_difference(2 * n, again, r.x + 2 * n * (ROWS - 1)), 0.0,
+               1e-9 * (1 + sum_of_sizes(2 * n, again)));
+    t[0] = end + 1e-8 * span;
+    CHECK(between(chart, &r, 1, t, again) == DAL_EINVAL);
     dal_chart_free(chart);
 }
 
@@ -267,25 +277,55 @@ static void test_kept_nodes(const dal_system *system)
     dal_chart_free(chart);
 }
 
+/* An angle that passes 2^20 is rounded more coarsely from there on, which turns the forms by 1e-10
+ * between a node and the moved one: v follows. */
+static void test_large_angles(void)
+{
+    dal_system *const disk = open_system("disk");
+    dal_mechanics *const mech = open_mechanics(disk);
+    dal_chart *const chart = open_chart(disk);
+    double state[8] = {0.0, 0.0, 0.1, 0x1p20 - 0.2, 0.8, 0.3, 1.1, 0.9};
+    double rows[8 * 9], t[TIMES], x[8 * TIMES];
+    CHECK(dal_project(mech, 0.0, state, NULL) == 0);
+    dal_system_def def = disk->def;
+    def.state = state;
+    def.exact = NULL;
+    def.invariants = 0;
+    dal_system *system = NULL;
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    const run r = make_run(system, "midpoint-nodes", 0.0, 0.1, 9, 1, rows);
+    for (size_t k = 0; k < TIMES; k++) t[k] = 0.8 * ((double)k + 0.41) / TIMES;
+    CHECK(between(chart, &r, TIMES, t, x) == 0);
+    for (size_t k = 0; k < TIMES; k++) {
+        double relative = NAN;
+        CHECK(dal_relative_residual(mech, r.shift, x + 8 * k, &relative) == 0);
+        CHECK(relative <= DAL_RESIDUAL_BOUND(4));
+    }
+    dal_system_free(system);
+    dal_chart_free(chart);
+    dal_mechanics_free(mech);
+    dal_system_free(disk);
+}
+
 /* From y = -3 to 3 the particle depends in x, in z, in x again; and the caller's choice stays. */
 static void test_changes(void)
 {
     dal_system *const system = open_system("particle");
     dal_mechanics *const mech = open_mechanics(system);
     dal_chart *const chart = open_chart(system);
-    const double x0[6] = {0.0, -3.0, 0.0, 1.0, 1.0, -3.0}, far[6] = {0.0, 9.0, 0.0, 1.0, 1.0, 9.0};
+    const double x0[6] = {0.0, -3.0, 0.0, 1.0, 1.0, -3.0}, flat[6] = {0.0, 0.0, 0.0, 1.0, 1.0, 0.0};
     double rows[6 * 61], t[TIMES], out[6 * TIMES];
     size_t changes = 99, done = 99;
     const size_t *dependent;
     for (size_t k = 0; k < 61; k++)
         CHECK(dal_system_exact(system, 0.1 * (double)k, x0, rows + 6 * k) == 0);
     for (size_t k = 0; k < TIMES; k++) t[k] = 6.0 * ((double)k + 0.3) / TIMES;
-    CHECK(dal_chart_choose(chart, NULL, far) == 0);
+    CHECK(dal_chart_choose(chart, NULL, flat) == 0);
     CHECK(dal_chart_interpolate(chart, 0.0, 0.1, 0.0, 61, rows, TIMES, t, out, &changes, &done)
           == 0);
     CHECK(changes == 2 && done == TIMES);
     dependent = dal_chart_dependent(chart);
-    CHECK(dependent != NULL && dependent[0] == 0);
+    CHECK(dependent != NULL && dependent[0] == 2);
     for (size_t k = 0; k < TIMES; k++) {
         double exact[6], relative = NAN;
         CHECK(dal_system_exact(system, t[k], x0, exact) == 0);
@@ -296,6 +336,37 @@ static void test_changes(void)
     }
     dal_chart_free(chart);
     dal_mechanics_free(mech);
+    dal_system_free(system);
+}
+
+/* phi = v_z^2 - v_x^2 - v_y^2, two branches: between rows on one the chart stays on the other. */
+static int cone(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                void *ctx)
+{
+    (void)q, (void)ctx;
+    if (phi) phi[0] = v[2] * v[2] - v[0] * v[0] - v[1] * v[1];
+    vector_set(phi_v, 3, (double[]){-2 * v[0], -2 * v[1], 2 * v[2]});
+    vector_set(phi_q, 3, (double[3]){0.0});
+    return 0;
+}
+
+static void test_branches(void)
+{
+    const dal_system_def def = {.n = 3, .m = 1, .mass = vector_mass_one, .constraint = cone,
+                                .kind = DAL_NONLINEAR};
+    const double up[6] = {0, 0, 0, 3, 4, 5}, rows[12] = {0, 0, 0, 3, 4, -5, 3, 4, -5, 3, 4, -5};
+    const double t = 0.5, xi[5] = {1, 2, 3, 5, 12}, middle[6] = {1.5, 2, -2.5, 3, 4, -5};
+    const size_t z = 2;
+    dal_system *system = NULL;
+    double x[6];
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_chart *const chart = open_chart(system);
+    CHECK(dal_chart_choose(chart, &z, up) == 0);
+    CHECK(dal_chart_interpolate(chart, 0.0, 1.0, 0.0, 2, rows, 1, &t, x, NULL, NULL) == 0);
+    CHECK_NEAR(largest_difference(6, x, middle), 0.0, 32 * U);
+    CHECK(dal_chart_lift(chart, xi, x) == 0);
+    CHECK_NEAR(x[5], 13.0, 32 * U);
+    dal_chart_free(chart);
     dal_system_free(system);
 }
 
@@ -469,7 +540,9 @@ int main(void)
     test_order(bent, "midpoint", 1, 0.05, 2);
     test_order(bent, "midpoint-kl8", 1, 0.1, 4);
     close_with_state(bent, held);
+    test_large_angles();
     test_changes();
+    test_branches();
     test_coarse();
     test_failures();
     return check_done();

@@ -288,6 +288,8 @@ def test_ends_of_a_run():
     run = dal.integrate(dal.systems.particle(), h=1 / 3 + 1e-11, t_end=1.0)
     assert run.t[-1] != 1.0
     near(run(1.0).q, run.q[-1], 1e-10)
+    short = dal.integrate(dal.systems.particle(), h=1 / 3 - 1e-11, t_end=1.0)
+    near(short(1.0).q, short.q[-1] + (1.0 - short.t[-1]) * short.v[-1], 1e-15)
     for t in (-1e-6, 1.001, np.inf, np.nan):
         with pytest.raises(ValueError, match="t = |t = nan|expected finite"):
             run(t)
