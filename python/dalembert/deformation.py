@@ -81,7 +81,9 @@ def deformed(
         raise ValueError("g(q, v) and g_v(q, v) -> dg/dv: expected both")
     number = arguments.choice(kind, "kind", _lib.KINDS)
     if number < _lib.KINDS[system.kind]:
-        raise ValueError(f"kind = {kind!r}: the constraints of the system are {system.kind} already")
+        raise ValueError(
+            f"kind = {kind!r}: the constraints of the system are {system.kind} already"
+        )
     callables = _lib.DeformationCallables(system.n, system.m, g, g_v, g_q)
     context = ffi.new_handle(callables)
     handle = _lib.adopt(

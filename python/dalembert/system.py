@@ -576,6 +576,7 @@ class System:
     multipliers = geometry.multipliers
     acceleration = geometry.acceleration
     field = geometry.field
+    perturbed = geometry.perturbed
     project = geometry.project
     consistent = geometry.consistent
 
