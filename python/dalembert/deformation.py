@@ -137,6 +137,9 @@ def at_kept_nodes(system: System, shift: float) -> System:
     True
     """
     shift = arguments.number(shift, "shift")
+    if lib.dal_system_missing(system._handle) & lib.DAL_MISSING_PHI_Q:
+        needed = "constraint_q" if system.kind == "nonlinear" else "forms_velocity_derivative"
+        raise ValueError(f"{needed}: needed, the system {system.name!r} does not provide it")
     new = lib.dal_system_deform_nodes
     handle = _lib.adopt("system", new, system._handle, shift, owner=system)
     return system._derived(handle, (at_kept_nodes, system, shift))

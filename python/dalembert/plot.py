@@ -372,7 +372,7 @@ def perturbation(
     Raises
     ------
     ValueError
-        If it is no embedding, or a step is 0 or not finite.
+        If it is no embedding, there are no steps, or one is 0 or not finite.
     ImportError
         If matplotlib is not installed.
 
@@ -387,7 +387,9 @@ def perturbation(
 
     _require(embedding, "embedding", Embedding)
     ax = _axes(ax)
-    steps = [embedding.h / 2**k for k in range(3)] if hs is None else hs
+    steps = [embedding.h / 2**k for k in range(3)] if hs is None else list(hs)
+    if not steps:
+        raise ValueError("hs is empty; expected at least one step")
     found = [embedding.with_step(h) for h in steps]
     taus = np.arange(1, 200) / 200
     for one, style in zip(found, styles(map(str, found)).values()):
