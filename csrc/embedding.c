@@ -185,8 +185,8 @@ static double accuracy(const dal_embedding *self)
     return self->flow ? self->tolerance : 4.0 * DAL_ROUNDOFF;
 }
 
-/* self->y <- the y with G~(tau, y) = z, 0 <= tau < 1; F1 and F2 are those of y.  A change that does not
- * shrink any more is either the accuracy of the flow, or that of an iteration which diverges. */
+/* self->y <- the y with G~(tau, y) = z, 0 <= tau < 1; F1 and F2 are those of y.  A change that does
+ * not shrink any more is either the accuracy of the flow, or that of an iteration which diverges. */
 static int solve_source(dal_embedding *self, double tau, const double *z)
 {
     enum { MOST = 100 };

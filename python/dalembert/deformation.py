@@ -1,4 +1,4 @@
-"""Systems whose constraints are those of another system, deformed; methods of `dalembert.System`."""
+"""Systems whose constraints are those of another one, deformed; methods of `dalembert.System`."""
 
 from __future__ import annotations
 

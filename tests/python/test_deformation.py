@@ -46,7 +46,9 @@ class Bent:
     delta = 0.3
 
     def g(self, q, v):
-        return np.array([np.sin(q[0]) * v[1] ** 2 + v[0] * v[2] * q[3], v[3] ** 2 / 2 + q[1] * v[0]])
+        return np.array(
+            [np.sin(q[0]) * v[1] ** 2 + v[0] * v[2] * q[3], v[3] ** 2 / 2 + q[1] * v[0]]
+        )
 
     def g_v(self, q, v):
         return np.array(
@@ -375,6 +377,8 @@ def test_refused(own, bent, particle):
     bare = own.system(forms_velocity_derivative=None)
     with pytest.raises(ValueError, match="^forms_velocity_derivative: needed.*'own'"):
         bare.at_kept_nodes(0.1)
-    bare = dal.System(mass=[1, 1], constraint=lambda q, v: [v[0]], constraint_v=lambda q, v: [[1, 0]])
+    bare = dal.System(
+        mass=[1, 1], constraint=lambda q, v: [v[0]], constraint_v=lambda q, v: [[1, 0]]
+    )
     with pytest.raises(ValueError, match="^constraint_q: needed"):
         bare.at_kept_nodes(0.1)
