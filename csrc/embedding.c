@@ -179,11 +179,19 @@ static int branches(dal_embedding *self, double tau, const double *y)
     return status;
 }
 
-/* self->y <- the y with G~(tau, y) = z, 0 <= tau < 1; F1 and F2 are those of y. */
+/* Of the flow: its tolerance, or roundoff where it is exact. */
+static double accuracy(const dal_embedding *self)
+{
+    return self->flow ? self->tolerance : 4.0 * DAL_ROUNDOFF;
+}
+
+/* self->y <- the y with G~(tau, y) = z, 0 <= tau < 1; F1 and F2 are those of y.  A change that does
+ * not shrink any more is either the accuracy of the flow, or that of an iteration which diverges. */
 static int solve_source(dal_embedding *self, double tau, const double *z)
 {
     enum { MOST = 100 };
     const size_t width = self->width;
+    const double small = 1e4 * accuracy(self) * (1.0 + dal__largest(width, z));
     double chi1, last = INFINITY;
     dal_cutoff(tau, NULL, &chi1, NULL);
     int status = flow(self, -self->h * tau, z, self->y);
@@ -196,16 +204,15 @@ static int solve_source(dal_embedding *self, double tau, const double *z)
         if (status) break;
         double change = 0.0;
         for (size_t i = 0; i < width; i++) change = fmax(change, fabs(self->next[i] - self->y[i]));
-        if (!(change < last)) return DAL_SUCCESS; /* roundoff, or the accuracy of the flow */
+        if (!(change < last)) break;
         memcpy(self->y, self->next, width * sizeof *self->y);
         status = branches(self, tau, self->y);
         if (change == 0.0) return status;
         last = change;
     }
-    if (status) return status;
-    return dal__fail(&self->error, DAL_ENOCONV, "no curve through z at tau = %g was found in %d "
-                     "iterations (last change %g): h = %g is too large", tau, (int)MOST, last,
-                     self->h);
+    if (status || last <= small) return status;
+    return dal__fail(&self->error, DAL_ENOCONV, "no curve through z at tau = %g was found (last "
+                     "change %g): h = %g is too large", tau, last, self->h);
 }
 
 /* A choice of the chart, and finite arguments. */
@@ -284,8 +291,7 @@ int dal_embedding_field(dal_embedding *embedding, double tau, const double *z, d
 
 double dal_embedding_noise(const dal_embedding *embedding)
 {
-    const double accuracy = embedding->flow ? embedding->tolerance : 4.0 * DAL_ROUNDOFF;
-    return accuracy * pow(fabs(embedding->h), -(embedding->order + 1));
+    return accuracy(embedding) * pow(fabs(embedding->h), -(embedding->order + 1));
 }
 
 int dal_embedding_limit(dal_embedding *embedding, const double *z, double *d)

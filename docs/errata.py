@@ -259,6 +259,27 @@ def perturbed_field() -> Rows:
     yield zero(text, abs(trace - system.n), abs(trace - system.m))
     text = "acceleration / eps^p against the saddle point system, ODEPert2 and ODEPert"
     yield zero(text, error(short, exact) / small, error(whole, exact) / small)
+    text = "particle, beta = 0, h = 0.2: period map of ODEPert2, of ODEPert, with g~, against Phi"
+    start, end = np.concatenate([particle.q0, particle.v0]), step(particle, "explicit", 0.2)[:2]
+    misses = (
+        error(flow(perturbed_particle(0.2, printed), [*start, 0.0], 0.2)[:6], np.concatenate(end))
+        for printed in (True, False)
+    )
+    yield zero(text, *misses, 1e-5)  # the period is integrated in 16 steps of order 4
+
+
+def perturbed_particle(h: float, printed: bool) -> Callable[[Any], Any]:
+    """Return the field of (q, v, t) for beta = 0 and ghat = g~, by ODEPert2 or by ODEPert."""
+    embedding = dal.embedding(particle, "explicit", h)
+
+    def of(x: Any) -> Any:
+        q, v, t = x[:3], x[3:6], x[6]
+        push = embedding.g_tilde(t / h, embedding.chart.drop(q, v))
+        if printed:
+            push[3:] = 0.0
+        return np.append(particle.perturbed(q, v, push, weight=h)[0], 1.0)
+
+    return of
 
 
 @point("E13", "proof of lemma lemmaC")

@@ -24,6 +24,7 @@ from ._lib import (
 )
 from .chart import Chart
 from .discrete import DifferenceMap, Discrete, NodeRun, Regularity, exact_velocity
+from .embeddings import Embedding, embedding
 from .examination import Check, Difference
 from .integration import Reference, integrate, reference
 from .refinement import convergence, studies
@@ -44,6 +45,7 @@ __all__ = [
     "DifferenceMap",
     "Discrete",
     "DomainError",
+    "Embedding",
     "Fit",
     "NodeRun",
     "NotOnConstraintError",
@@ -58,6 +60,7 @@ __all__ = [
     "Study",
     "System",
     "convergence",
+    "embedding",
     "exact_velocity",
     "geometry",
     "integrate",

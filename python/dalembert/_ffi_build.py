@@ -29,6 +29,8 @@ extern "Python" int dal_py_affine(const double *q, const double *v, double *phi,
                                   double *phi_q, void *ctx);
 extern "Python" int dal_py_nonlinear(const double *q, const double *v, double *phi, double *phi_v,
                                      double *phi_q, void *ctx);
+extern "Python" int dal_py_deformation(const double *q, const double *v, double *g, double *g_v,
+                                       double *g_q, void *ctx);
 extern "Python" int dal_py_exact(double t, const double *x0, double *x, void *ctx);
 extern "Python" int dal_py_map(double h, const double *q0, const double *q1, double *g, double *f,
                                double *g_0, double *g_1, double *f_0, double *f_1, void *ctx);

@@ -275,6 +275,9 @@ _from_handle, _buffer, _memmove = ffi.from_handle, ffi.buffer, ffi.memmove
 _frombuffer, _ndarray, _double = np.frombuffer, np.ndarray, np.dtype(np.float64)
 
 
+# The kinds of constraints, by their names.
+KINDS = {"linear": lib.DAL_LINEAR, "affine": lib.DAL_AFFINE, "nonlinear": lib.DAL_NONLINEAR}
+
 FUNCTIONS = (
     "forms", "forms_velocity_derivative", "affine", "affine_derivative",
     "constraint", "constraint_v", "constraint_q",
@@ -430,6 +433,38 @@ def dal_py_exact(t: float, x0: Any, x: Any, ctx: Any) -> int:
     q, v = call.exact(t, _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :]))
     _write(x, q, call.vector, "exact (q)")
     _write(x + call.vector[0], v, call.vector, "exact (v)")
+    return 0
+
+
+class DeformationCallables:
+    """A user's g of phi + delta g, and the shapes of what it returns."""
+
+    __slots__ = ("bytes", "g", "g_q", "g_v", "matrix", "multipliers")
+
+    def __init__(
+        self,
+        n: int,
+        m: int,
+        g: Callable[..., Any],
+        g_v: Callable[..., Any],
+        g_q: Callable[..., Any] | None,
+    ) -> None:
+        self.g, self.g_v, self.g_q = g, g_v, g_q
+        self.bytes = 8 * n
+        self.multipliers, self.matrix = (m,), (m, n)
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_deformation(q: Any, v: Any, g: Any, g_v: Any, g_q: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if g:
+        _write(g, call.g(point, velocity), call.multipliers, "g")
+    if g_v:
+        _write(g_v, call.g_v(point, velocity), call.matrix, "g_v")
+    if g_q:
+        _write(g_q, call.g_q(point, velocity), call.matrix, "g_q")
     return 0
 
 

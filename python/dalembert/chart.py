@@ -105,12 +105,16 @@ class Chart:
         except IndexError:
             handle = self.system._handle
             chart = _lib.make("chart", handle, owner=handle)
-            x = _lib.pointer(self._x)
-            _check(_lib.attempt(lib.dal_chart_choose, chart, self._place, x), chart, None)
+            self._choose(chart)
         try:
             yield chart
         finally:
             self._workspaces.append(chart)
+
+    def _choose(self, chart: Any) -> None:
+        """Make the choice of this chart that of a ``dal_chart``."""
+        x = _lib.pointer(self._x)
+        _check(_lib.attempt(lib.dal_chart_choose, chart, self._place, x), chart, None)
 
     def _rows(self, function: Callable[..., int], inputs: Iterable[tuple[Any, ...]]) -> None:
         """Call ``function(chart, *given)``, one call for each row."""
@@ -267,8 +271,7 @@ class Chart:
         x = np.concatenate([q, v])
         changed = ffi.new("int *")
         chart = _lib.make("chart", system._handle, owner=system._handle)
-        start = _lib.pointer(self._x)
-        _check(_lib.attempt(lib.dal_chart_choose, chart, self._place, start), chart, None)
+        self._choose(chart)
         status = _lib.attempt(lib.dal_chart_renew, chart, _lib.pointer(x), changed)
         _check(status, chart, None)
         if changed[0]:

@@ -32,6 +32,7 @@ __all__ = [
     "gram",
     "metric",
     "multipliers",
+    "perturbed",
     "power",
     "project",
     "relative_residual",
@@ -435,6 +436,68 @@ def _vectors(
     values = np.empty((len(x), width))
     rows(system, function, ((t, _lib.pointer(x, k)) for k in range(len(x))), values)
     return values[0] if single else values
+
+
+def perturbed(
+    system: System,
+    q: ArrayLike,
+    v: ArrayLike,
+    ghat: ArrayLike,
+    weight: float = 1.0,
+    t: float = 0.0,
+) -> tuple[Array, Array]:
+    """Return the field and the multipliers of the perturbed equations of motion (PerturbedDAE).
+
+    They are qdot = v + weight ghat_q, vdot = f_v + M^-1 mu^T lambda + weight ghat_v with
+    phi(q, v) = 0; on D their field is tangent to D for every ghat (ODEPert).  The multipliers are
+    those of `multipliers` minus weight C^-1 (phi_q ghat_q + mu ghat_v) (hatLambday): the same, if
+    ghat is tangent to D itself.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    ghat : array_like, shape (2n,) or (N, 2n)
+        (ghat_q, ghat_v).
+    weight : float, optional
+        h^p, say.
+    t : float, optional
+        Time of the states.
+
+    Returns
+    -------
+    field : ndarray, shape (2n,) or (N, 2n)
+        (qdot, vdot).
+    multipliers : ndarray, shape (m,) or (N, m)
+
+    Raises
+    ------
+    ValueError, DomainError, SingularError
+        As at the top of this module.
+
+    Examples
+    --------
+    A push in direction z, of which the constraint v_z = y v_x lets a part go to x:
+
+    >>> import dalembert as dal
+    >>> particle = dal.systems.particle()
+    >>> particle.perturbed([0, 1, 0], [0, 0, 0], [0, 0, 0, 0, 0, 2])
+    (array([0., 0., 0., 1., 0., 1.]), array([-1.]))
+    """
+    x, single = states(system, q, v)
+    shape = (2 * system.n,) if single else (len(x), 2 * system.n)
+    push = np.atleast_2d(arguments.array(ghat, "ghat", shape))
+    weight, t = arguments.number(weight, "weight"), arguments.number(t, "t")
+    values, forces = np.empty_like(x), np.empty((len(x), system.m))
+    rows(
+        system,
+        lib.dal_perturbed,
+        (
+            (t, weight, *(_lib.pointer(each, k) for each in (x, push, values, forces)))
+            for k in range(len(x))
+        ),
+    )
+    return (values[0], forces[0]) if single else (values, forces)
 
 
 def project(system: System, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:

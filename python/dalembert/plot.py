@@ -21,10 +21,12 @@ from .study import Study, counts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike
 
+    from .embeddings import Embedding
     from .study import Studies
 
-__all__ = ["convergence", "drift", "energy", "path", "styles"]
+__all__ = ["convergence", "drift", "energy", "path", "perturbation", "styles"]
 
 Style = Mapping[str, Any]
 
@@ -342,6 +344,63 @@ def path(
     ax.set_ylabel(f"{names[1]} (user's units)")
     ax.set_title(f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}")
     ax.legend(frameon=False)
+    return ax
+
+
+def perturbation(
+    embedding: Embedding,
+    ax: Axes | None = None,
+    *,
+    hs: Sequence[float] | None = None,
+    z: ArrayLike | None = None,
+) -> Axes:
+    """Draw the largest component of |g| over tau for several h.
+
+    With the order of the scheme the curves nearly lie on each other; with one more they double as
+    h is halved.  A thin horizontal line is the noise of the curve of the same style, below which
+    it says nothing; where all is well it cannot be told from 0, and stands in the legend.
+
+    Parameters
+    ----------
+    embedding : Embedding
+    ax : matplotlib axes, optional
+    hs : sequence of float, optional
+        Steps.  Default: that of the embedding, a half and a quarter of it.
+    z : array_like, shape (2n-m,), optional
+        Where.  Default: ``embedding.start``.
+
+    Raises
+    ------
+    ValueError
+        If it is no embedding, there are no steps, or one is 0 or not finite.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> midpoint = dal.embedding(dal.systems.particle(), "midpoint", h=0.1)
+    >>> dal.plot.perturbation(midpoint).get_xlabel()
+    'time in units of the period, tau = t/h'
+    """
+    from .embeddings import Embedding
+
+    _require(embedding, "embedding", Embedding)
+    ax = _axes(ax)
+    steps = [embedding.h / 2**k for k in range(3)] if hs is None else list(hs)
+    if not steps:
+        raise ValueError("hs is empty; expected at least one step")
+    found = [embedding.with_step(h) for h in steps]
+    taus = np.arange(1, 200) / 200
+    for one, style in zip(found, styles(map(str, found)).values()):
+        size = np.abs(one.g(taus, z)).max(axis=-1)
+        line = {"color": style["color"], "linestyle": style["linestyle"]}
+        ax.plot(taus, size, label=f"{one.h:g}, noise {one.noise:.0e}", **line)
+        ax.axhline(one.noise, linewidth=0.8, zorder=1, **line)
+    ax.set_xlabel("time in units of the period, tau = t/h")
+    ax.set_ylabel("largest component of |g| (user's units)")
+    ax.set_title(f"{embedding.system.name}: {embedding.scheme.name} with p = {embedding.order}")
+    _legend(ax, "step h")
     return ax
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _lib, arguments, geometry
+from . import _lib, arguments, deformation, geometry
 from ._lib import FUNCTIONS, Array, ffi, lib
 from .examination import Check, examine
 
@@ -32,11 +32,7 @@ _MISSING_PHI_Q = {
     "nonlinear": ("constraint_q",),
 }
 
-_KINDS = {
-    lib.DAL_LINEAR: "linear",
-    lib.DAL_AFFINE: "affine",
-    lib.DAL_NONLINEAR: "nonlinear",
-}
+_KINDS = {number: name for name, number in _lib.KINDS.items()}
 _CONSTRAINTS = {
     lib.DAL_LINEAR: lib.dal_py_linear,
     lib.DAL_AFFINE: lib.dal_py_affine,
@@ -301,20 +297,20 @@ class System:
         values = np.array([arguments.number(value, key) for key, value in parameters.items()])
         c_names, kept = _lib.strings(list(parameters))
         c_name = ffi.new("char[]", name.encode())
+        new = lib.dal_system_builtin
+        handle = _lib.adopt("system", new, c_name, c_names, _lib.pointer(values), len(values))
+        del kept
+        self = cls._derived(handle, ())
+        self._description = (_restore_builtin, self.name, self.parameters)
+        return self
+
+    @classmethod
+    def _derived(cls, handle: Any, description: tuple[Any, ...]) -> System:
+        """Make the system of a C one; the description is the call that makes it again."""
         self = cls.__new__(cls)
         self._invariants = {}
-        self._adopt(
-            _lib.adopt(
-                "system",
-                lib.dal_system_builtin,
-                c_name,
-                c_names,
-                _lib.pointer(values),
-                len(values),
-            )
-        )
-        del kept
-        self._description = (_restore_builtin, self.name, self.parameters)
+        self._description = description
+        self._adopt(handle)
         return self
 
     def _adopt(self, handle: Any) -> None:
@@ -580,8 +576,14 @@ class System:
     multipliers = geometry.multipliers
     acceleration = geometry.acceleration
     field = geometry.field
+    perturbed = geometry.perturbed
     project = geometry.project
     consistent = geometry.consistent
+
+    # ---- other constraints: the functions of `deformation` as methods --------------------
+
+    deformed = deformation.deformed
+    at_kept_nodes = deformation.at_kept_nodes
 
     # ---- as an object --------------------------------------------------------------------
 
@@ -603,7 +605,7 @@ class System:
 
     def __reduce__(self) -> tuple[Any, ...]:
         restore, *description = self._description
-        if restore is _restore:
+        if isinstance(description[0], dict):
             _refuse_unpicklable(self.name, description[0])
         return restore, tuple(description)
 
@@ -627,7 +629,7 @@ def _restore_builtin(name: str, parameters: dict[str, float]) -> System:
 def _refuse_unpicklable(name: str, description: dict[str, Any]) -> None:
     """Raise PicklingError, with the line to change, for a function that does not pickle."""
     functions = {key: f for key, f in description.items() if callable(f)}
-    for key, function in {**functions, **description["invariants"]}.items():
+    for key, function in {**functions, **description.get("invariants", {})}.items():
         try:
             pickle.dumps(function)
         except Exception as error:

@@ -185,6 +185,25 @@ static void test_limit(double beta, int order)
     dal_system_free(system);
 }
 
+/* With h so large that the curves do not cover the states, no g is made up: the iteration says so,
+ * whether it diverges or does not settle. */
+static void test_too_large(const char *name, const char *scheme_name, double h)
+{
+    dal_system *const system = open_system(name);
+    const dal_scheme scheme = find_scheme(scheme_name);
+    const dal_embedding_def def = {.scheme = &scheme, .h = h};
+    double z[WIDTH], g[WIDTH] = {7.0}, y[WIDTH] = {7.0};
+    dal_embedding *const embedding = open_embedding(system, &def, NULL, z);
+    CHECK(dal_embedding_field(embedding, 0.55, z, g) == DAL_ENOCONV && g[0] == 7.0);
+    CHECK(strstr(dal_embedding_message(embedding), "is too large") != NULL);
+    CHECK(dal_embedding_source(embedding, 0.55, z, y) == DAL_ENOCONV && y[0] == 7.0);
+    memcpy(y, z, sizeof y);
+    CHECK(dal_embedding_flow(embedding, 0.0, h, y) == DAL_ENOCONV);
+    CHECK(memcmp(y, z, sizeof y) == 0);
+    dal_embedding_free(embedding);
+    dal_system_free(system);
+}
+
 static void test_failures(void)
 {
     dal_system *const system = open_system("particle");
@@ -248,6 +267,7 @@ int main(void)
     test_limit(0.0, 1);
     test_limit(1.0, 1);
     test_limit(0.5, 2);
+    test_too_large("sleigh", "explicit", 5.0);
     test_failures();
     return check_done();
 }
