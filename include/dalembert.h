@@ -293,7 +293,7 @@ DAL_API int dal_residual(dal_mechanics *mechanics, double shift, const double *x
 DAL_API int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x,
                                   double *worst);
 
-/* C[m*m] <- mu M^-1 mu^T at x (lemma lemmaC; Ceps). */
+/* C[m*m] <- mu M^-1 mu^T at x (lemmaC; Ceps). */
 DAL_API int dal_gram(dal_mechanics *mechanics, const double *x, double *C);
 
 /* lambda[m] <- -C^-1 (phi_q v + mu f_v) with f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for
