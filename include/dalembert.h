@@ -1,6 +1,6 @@
 /* dalembert.h - nonholonomic mechanics and its structure preserving integrators.
  *
- * A system is a triple (Q = R^n, L, D): a Lagrangian and velocity constraints mu(q) v = 0.
+ * A system is a triple (Q = R^n, L, D): a Lagrangian and velocity constraints mu(q) v = 0 (LC).
  * The library discretises the Lagrange-d'Alembert principle after F. Jimenez and J. Scheurle,
  * "On the discretization of nonholonomic dynamics in R^n" (arXiv 1407.2116), so that the discrete
  * flow stays in D, or in a known deformation D_eps of it, to roundoff.  Words in (parentheses)
@@ -14,8 +14,8 @@
  *   3. Functions that can fail return a dal_status: 0 is success, negative is failure.  On failure
  *      every output and every state is as it was, counters excepted.
  *   4. An output pointer that says "or NULL" may be NULL when it is not wanted.
- *   5. The sign and the scale of the multiplier are fixed once: d/dt L_v - L_q = mu^T lambda, so
- *      lambda is a force and not an impulse.
+ *   5. The sign and the scale of the multiplier are fixed once: d/dt L_v - L_q = mu^T lambda
+ *      (LdAeqs), so lambda is a force and not an impulse.
  *   6. A dal_system is constant after it is made and may be shared by threads as far as its
  *      callbacks may.  Every other object belongs to one thread at a time.  There are no globals.
  *   7. GSL's error handler is never set, changed or provoked.  The one exception is memory: GSL
@@ -235,7 +235,7 @@ typedef struct dal_check {
     dal_difference L_q, L_v, L_qq, L_vq, L_vv, f_q, f_v;
     double linearity;        /* worst |mu(q) at v - mu(q) at another v|, which must not depend on v
                                 unless the constraint is nonlinear */
-    size_t rank;             /* of mu(q); should be m */
+    size_t rank;             /* of mu(q); should be m (FullRank, RegularitySet) */
     double condition;        /* of mu(q) in the mass metric: sqrt of the condition of C */
     double mass_min;         /* smallest eigenvalue of M, which is L_vv at x */
     double kernel_min;       /* smallest eigenvalue of M on ker mu (EUDAETh with "> 0", E1) */
@@ -281,7 +281,7 @@ DAL_API int dal_energy(dal_mechanics *mechanics, const double *x, double *E);
 DAL_API int dal_power(dal_mechanics *mechanics, double t, const double *x, double *constraint,
                       double *force);
 
-/* M[n*n] <- L_vv at x. */
+/* M[n*n] <- L_vv at x (metric). */
 DAL_API int dal_metric(dal_mechanics *mechanics, const double *x, double *M);
 
 /* residual[m] <- phi(q - shift v, v).  shift = 0 is D; shift = (1 - beta) h is the deformation D_eps
@@ -293,25 +293,25 @@ DAL_API int dal_residual(dal_mechanics *mechanics, double shift, const double *x
 DAL_API int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x,
                                   double *worst);
 
-/* C[m*m] <- mu M^-1 mu^T at x (lemma lemmaC; Ceps). */
+/* C[m*m] <- mu M^-1 mu^T at x (lemmaC; Ceps). */
 DAL_API int dal_gram(dal_mechanics *mechanics, const double *x, double *C);
 
 /* lambda[m] <- -C^-1 (phi_q v + mu f_v) with f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for
  * constant mass and no force (f, lambdax, lambdaQV); defined off D as well. */
 DAL_API int dal_multipliers(dal_mechanics *mechanics, double t, const double *x, double *lambda);
 
-/* vdot[n] <- f_v + M^-1 mu^T lambda. */
+/* vdot[n] <- f_v + M^-1 mu^T lambda (soODE). */
 DAL_API int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double *vdot);
 
-/* xdot[2n] <- (v, vdot): the vector field h of the ODE on D (h, ODEManifold, heps). */
+/* xdot[2n] <- (v, vdot): the vector field h of the ODE on D (h, ODEManifold, ODExMec, heps). */
 DAL_API int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot);
 
 /* The DAE of motion with the perturbation weight ghat[2n] = weight (ghat_q, ghat_v),
  *   qdot = v + weight ghat_q,  vdot = f_v + M^-1 mu^T lambda + weight ghat_v,  phi(q, v) = 0
  * (PerturbedDAE): xdot[2n] <- its vector field on D (ODEPert; the form ODEPert2 is wrong, E2),
  * lambda[m] <- its multiplier, that of dal_multipliers - weight C^-1 (phi_q ghat_q + mu ghat_v)
- * (hatLambday).  Either may be NULL.  Tangent to D for every ghat; if (ghat_q, ghat_v) is tangent
- * to D itself, lambda is that of the unperturbed problem. */
+ * (hatLambday).  Either may be NULL.  Tangent to D for every ghat (hatperp); if (ghat_q, ghat_v) is
+ * tangent to D itself, lambda is that of the unperturbed problem (LargeRemark). */
 DAL_API int dal_perturbed(dal_mechanics *mechanics, double t, double weight, const double *x,
                           const double *ghat, double *xdot, double *lambda);
 
@@ -321,8 +321,9 @@ DAL_API int dal_perturbed(dal_mechanics *mechanics, double t, double weight, con
  * Also DAL_ENOCONV. */
 DAL_API int dal_project(dal_mechanics *mechanics, double shift, double *x, double *distance);
 
-/* x[2n]: v <- the velocity in D_q nearest in the metric M with v_i unchanged where keep[i] is
- * not 0 (keep[n], or NULL: none); for nonlinear constraints one that is consistent, found by Newton.
+/* x[2n]: v <- the velocity in D_q nearest in the metric M with v_i unchanged where keep[i] is not 0
+ * (keep[n], or NULL: none): data to start from (InitialData).  For nonlinear constraints one that
+ * is consistent, found by Newton.
  * DAL_ESINGULAR if the kept components leave too little freedom; also DAL_ENOMEM, DAL_ENOCONV. */
 DAL_API int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *x,
                            double *distance);
@@ -339,7 +340,8 @@ DAL_API int dal_step_equations(dal_mechanics *mechanics, double t, double beta, 
                                const double *x, const double *w, const double *kappa, double *R1,
                                double *R2, double *K, double *B, double *muk);
 
-/* Evaluates count rows (q, v) of x[count*2n]: energy[count]; multipliers[count*m] by lambdax;
+/* Evaluates count rows (q, v) of x[count*2n]: energy[count]; multipliers[count*m] by lambdax, which
+ * have the order of the rows (rmkpdisc);
  * residual[count*m] = phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may be
  * NULL.  On failure *done (or NULL) is the number of rows that were evaluated. */
 DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift,
@@ -405,7 +407,8 @@ DAL_API int dal_chart_drop(dal_chart *chart, const double *x, double *xi);
  * dal_chart_drop (Inverse); either may be NULL. */
 DAL_API int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *left);
 
-/* xidot[2n-m] <- the ODE on D in these coordinates: left h(psi(xi)) (ODExi, ODExiConnec). */
+/* xidot[2n-m] <- the ODE on D in these coordinates: left h(psi(xi)) (ODExi, ODEred, ODExiConnec;
+ * ODExiEps). */
 DAL_API int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot);
 
 /* The multipliers of the forms [A, I] from those of mu, and back: lambda_E[m] <- B^T lambda,
@@ -476,7 +479,8 @@ DAL_API int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_met
 DAL_API void dal_flow_free(dal_flow *flow);
 DAL_API const char *dal_flow_message(const dal_flow *flow);
 
-/* x[2n] at t0, which must lie in D, -> x at t1 (t1 < t0 is allowed), projected onto D at the end.
+/* x[2n] at t0, which must lie in D, -> x at t1 (t1 < t0 is allowed), projected onto D at the end
+ * (ODEflow).
  * That x lies in D is not checked: off D the same ODE is integrated, which keeps phi, and only the
  * result is projected; in xi the part of v off D is dropped at once.  *accuracy (or NULL) <- estimate of the error, the largest component of
  * the difference to the result at a tolerance ten times as large; asking for it costs a second
@@ -559,7 +563,7 @@ DAL_API int dal_discrete_lagrangian(dal_discrete *discrete, double h, const doub
                                     const double *q1, double *L_d, double *D1, double *D2,
                                     double *D12);
 
-/* phi_d[m] (DiscNHSet); D1[m*n] = dphi_d/dq0; D2[m*n] = dphi_d/dq1.  Outputs may be NULL. */
+/* phi_d[m] (DiscNHSet, Ff); D1[m*n] = dphi_d/dq0; D2[m*n] = dphi_d/dq1.  Outputs may be NULL. */
 DAL_API int dal_discrete_constraint(dal_discrete *discrete, double h, const double *q0,
                                     const double *q1, double *phi_d, double *D1, double *D2);
 
@@ -583,7 +587,7 @@ DAL_API int dal_discrete_residual(dal_discrete *discrete, double t, double h,
                                   const double *q_before, const double *q, const double *q_after,
                                   const double *lambda, double *residual);
 
-/* The matrix that has to be invertible where q_after is to be found (RegularityDLA, E15):
+/* The matrix that has to be invertible where q_after is to be found (REG, RegularityDLA, E15):
  *   matrix[(n+m)*(n+m)] = [[D_1 D_2 L_d + df^-/dq1, mu(q)^T], [D_2 phi_d, 0]] at (q, q_after),
  * with mu = phi_v(q, f) if phi is nonlinear; t is the time of the pair before.  Its determinant is
  * *sign exp(*logarithm), with *sign = 0 and -Inf where it vanishes to working precision, and equals
@@ -608,10 +612,10 @@ DAL_API int dal_discrete_step(dal_discrete *discrete, double t, double h, double
 DAL_API int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps,
                              double *nodes, double *lambda, size_t *done);
 
-/* The velocity integrator rho' F rho'^-1 (VNI, propoDcont): x[2n] at time t -> the state at t + h;
- * lambda[m] (or NULL) <- lambda_(k+1).  Afterwards x lies in D to roundoff, as after dal_step.
- * With both maps rho^beta it is the beta-scheme; with maps of the user's own the nodes lose u
- * |q|/h of v in each step.  Also DAL_ESINGULAR, DAL_ENOCONV. */
+/* The velocity integrator rho' F rho'^-1 (VNI, propoDcont, diagram): x[2n] at time t -> the state
+ * at t + h; lambda[m] (or NULL) <- lambda_(k+1).  Afterwards x lies in D to roundoff, as after
+ * dal_step.  With both maps rho^beta it is the beta-scheme; with maps of the user's own the nodes
+ * lose u |q|/h of v in each step.  Also DAL_ESINGULAR, DAL_ENOCONV. */
 DAL_API int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x,
                                  double *lambda);
 
@@ -632,6 +636,7 @@ typedef struct dal_substep {
     double fraction; /* not 0; the fractions of a record sum to 1 */
 } dal_substep;
 
+/* What a run shows of a pair of nodes (q_{k-1}, q_k) (ros). */
 typedef enum dal_nodes {
     DAL_MOVED_NODES = 0, /* states at q~_k = (1-beta) q_{k-1} + beta q_k: keeps D */
     DAL_KEPT_NODES = 1   /* states at the nodes q_k: keeps D_eps = {phi(q - (1-beta) h v, v) = 0} */
@@ -739,9 +744,9 @@ DAL_API int dal_stepper_new(dal_stepper **stepper, const dal_system *system,
 DAL_API void dal_stepper_free(dal_stepper *stepper);
 DAL_API const char *dal_stepper_message(const dal_stepper *stepper);
 
-/* Start from x[2n] at time t0 with step h (negative: backwards; 0 is DAL_EINVAL).  x is not
- * changed; the state used is that of dal_stepper_state.  A change of h or of the state is a new
- * start.  On failure the stepper is as it was.
+/* Start from x[2n] (InitialData) at time t0 with step h (negative: backwards; 0 is DAL_EINVAL).  x
+ * is not changed; the state used is that of dal_stepper_state.  A change of h or of the state is a
+ * new start.  On failure the stepper is as it was.
  * DAL_EINVAL, DAL_EOFFD, DAL_ESINGULAR, DAL_ENOCONV, DAL_EUSER, DAL_EDOMAIN. */
 DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
                               dal_consistency consistency, dal_initial initial);
@@ -751,7 +756,8 @@ DAL_API const double *dal_stepper_state(const dal_stepper *stepper);
 DAL_API double dal_stepper_time(const dal_stepper *stepper);
 DAL_API void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats);
 
-/* One step.  reaction[m] (or NULL) <- the scheme's own multiplier, sum_j h_j lambda_j / h, a force.
+/* One step (DAELd1, DAELd2).  reaction[m] (or NULL) <- the scheme's own multiplier, sum_j h_j
+ * lambda_j / h, a force (LamLd1, lamdaGR).
  * DAL_EINVAL (not started), DAL_ESINGULAR, DAL_ENOCONV, DAL_EUSER, DAL_EDOMAIN. */
 DAL_API int dal_step(dal_stepper *stepper, double *reaction);
 
@@ -787,7 +793,7 @@ typedef struct dal_order_point {
     double h;
     size_t steps;
     double q, v, multipliers;         /* at t_end, against the reference; lambda(q, v) by lambdax */
-    double local_state;               /* (q, v) after one step from exact data */
+    double local_state;               /* (q, v) after one step from exact data (porder) */
     double local_multipliers;         /* lambda(q, v) after that step */
     double local_reaction;            /* the scheme's own multiplier of that step against
                                          lambda(t0 + h) (pdisc) */
@@ -805,7 +811,7 @@ typedef struct dal_order {
                              steps, because its h^2 term is there at any order */
     dal_fit midpoint;     /* slope of the reaction at the middle of the step, minus 1 */
     dal_fit global_q, global_v, global_multipliers; /* slopes at t_end */
-    double p, s;          /* state.slope - 1, reaction.slope - 1 */
+    double p, s;          /* state.slope - 1, reaction.slope - 1 (firstorder, secondorder) */
     double floor;         /* of the errors at t_end: those below 100 floor do not count; it is
                              higher for runs of many sub-steps, and lower for one-step errors */
     double reference;     /* accuracy of the reference solution; 0 for an exact one */
@@ -848,7 +854,7 @@ DAL_API void dal_fit_order(size_t count, const double *h, const double *errors, 
 /* A scheme Phi of order p and step h is the period map of a flow that is perturbed periodically in
  * time: with xi the coordinates of a chart, f the field of the ODE on D in them and F its flow, there
  * is a 1-periodic g(tau, xi), bounded as h -> 0, such that Phi is the time-h map of
- *     xidot = f(xi) + h^p g(t/h, xi)                              (pertODE, propoDisc, perturbedNhODExi).
+ *     xidot = f(xi) + h^p g(t/h, xi)          (pertODE, propoDisc; on D: Coro, perturbedNhODExi).
  * For h -> 0 it tends to -chi_0'(tau) d(xi), d the error constant of dal_embedding_limit.  With p + 1
  * in place of p it grows as 1/h, with p - 1 it tends to 0: so it measures p (porder, pdisc). */
 typedef struct dal_embedding dal_embedding;
@@ -886,8 +892,8 @@ DAL_API int dal_embedding_curve(dal_embedding *embedding, double tau, const doub
 /* y[2n-m] <- the start of the curve that goes through z[2n-m] at tau - floor(tau) (ztilde). */
 DAL_API int dal_embedding_source(dal_embedding *embedding, double tau, const double *z, double *y);
 
-/* g[2n-m] at (tau, z[2n-m]) (gdefinition).  Its image in the state, a vector tangent to D, is that of
- * the Jacobian of dal_chart_jacobian (tildeg). */
+/* g[2n-m] at (tau, z[2n-m]) (gdefinition, period1).  Its image in the state, a vector tangent to D,
+ * is that of the Jacobian of dal_chart_jacobian (tildeg). */
 DAL_API int dal_embedding_field(dal_embedding *embedding, double tau, const double *z, double *g);
 
 /* d[2n-m] <- (Phi(z) - F(h, z)) / h^(p+1). */

@@ -127,6 +127,48 @@ static void test_ode(dal_mechanics *mech, const dal_system *system, const double
     CHECK_NEAR(dot(n, xd + n, balance), 0.0, 20 * ROUNDOFF * size * (1 + sum_of_sizes(n, xd + n)));
 }
 
+/* The perturbed DAE for any ghat: its field and multiplier fulfil the n + m equations
+ *   M (vdot - weight ghat_v) + V_q = mu^T lambda,  mu vdot + phi_q (v + weight ghat_q) = 0,
+ * which have one solution.  A ghat across D, (0, M^-1 mu^T c), changes lambda by -weight c only. */
+static void test_perturbed(dal_mechanics *mech, const dal_system *system, const double *x)
+{
+    const size_t n = dal_system_n(system), m = dal_system_m(system);
+    const double weight = 0.3, *const mass = dal_system_mass(system);
+    double mu[M * N], dmu[M * N], force[N] = {0}, ghat[2 * N], xdot[2 * N], other[2 * N];
+    double lambda[M], shifted[M], free[N], balance[N], factor[N * N];
+    if (system->def.potential) system->def.potential(x, NULL, force, NULL, system->def.ctx);
+    system->def.constraint(x, x + n, NULL, mu, dmu, system->def.ctx);
+    somewhere(n, 5, ghat);
+    CHECK(dal_perturbed(mech, 0.0, weight, x, ghat, xdot, lambda) == 0);
+    const double size = 1 + sum_of_sizes(2 * n, xdot) + sum_of_sizes(2 * n, ghat)
+                      + sum_of_sizes(n, force) + sum_of_sizes(m, lambda);
+    for (size_t i = 0; i < n; i++) {
+        CHECK_NEAR(xdot[i], x[n + i] + weight * ghat[i], 2 * U * size);
+        free[i] = xdot[n + i] - weight * ghat[n + i];
+    }
+    dal__apply(n, n, mass, free, balance);
+    for (size_t i = 0; i < n; i++) {
+        double reaction = 0.0;
+        for (size_t a = 0; a < m; a++) reaction += mu[a * n + i] * lambda[a];
+        CHECK_NEAR(balance[i] + force[i], reaction, 10 * ROUNDOFF * size);
+    }
+    for (size_t a = 0; a < m; a++)
+        CHECK_NEAR(dot(n, mu + a * n, xdot + n) + dot(n, dmu + a * n, xdot), 0.0,
+                   10 * ROUNDOFF * size);
+
+    memset(ghat, 0, sizeof ghat);
+    for (size_t i = 0; i < n; i++)
+        for (size_t a = 0; a < m; a++) ghat[n + i] += mu[a * n + i] * (1.0 + (double)a);
+    memcpy(factor, mass, n * n * sizeof *factor);
+    CHECK(dal__cholesky(n, factor, NULL, NULL));
+    dal__cholesky_solve(n, factor, ghat + n);
+    CHECK(dal_perturbed(mech, 0.0, weight, x, ghat, other, shifted) == 0);
+    CHECK(dal_field(mech, 0.0, x, xdot) == 0 && dal_multipliers(mech, 0.0, x, lambda) == 0);
+    CHECK_NEAR(largest_difference(2 * n, other, xdot), 0.0, 10 * ROUNDOFF * size);
+    for (size_t a = 0; a < m; a++)
+        CHECK_NEAR(shifted[a], lambda[a] - weight * (1.0 + (double)a), 10 * ROUNDOFF * size);
+}
+
 /* Along the field: mu v keeps its value off D and E its value on D.  One classical Runge-Kutta step
  * of h errs by h^5 times a constant below 100. */
 static void test_first_integrals(dal_mechanics *mech, const dal_system *system, const double *x0)
@@ -494,6 +536,7 @@ static void test_system(dal_system *system, unsigned seed)
     somewhere(dal_system_n(system), seed, x);
     test_definitions(mech, system, x);
     test_ode(mech, system, x);
+    test_perturbed(mech, system, x);
     test_first_integrals(mech, system, x);
     test_projection(mech, system, x);
     test_deformed(mech, system, x);

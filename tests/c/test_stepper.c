@@ -121,6 +121,73 @@ static void test_equations_of(const dal_system *system, const double *x0)
     dal_mechanics_free(mechanics);
 }
 
+/* beta = 0: the reaction in closed form, lambda = -C^-1 mu w / h at q1 = q + h v with w = v - h M^-1
+ * V_q(q1). */
+static void test_explicit_reaction(const dal_system *system, const double *x, double h)
+{
+    const size_t n = dal_system_n(system), m = dal_system_m(system);
+    const dal_scheme scheme = beta_scheme(0.0);
+    dal_mechanics *const mechanics = open_mechanics(system);
+    double y[2 * MOST_N], lambda[MOST_M], C[MOST_M * MOST_M], impulse[MOST_M], end[2 * MOST_N];
+    double kick[MOST_N] = {0.0}, factor[MOST_N * MOST_N];
+    for (size_t i = 0; i < n; i++) y[i] = x[i] + h * x[n + i];
+    if (system->def.potential) {
+        CHECK(system->def.potential(y, NULL, kick, NULL, system->def.ctx) == 0);
+        memcpy(factor, dal_system_mass(system), n * n * sizeof *factor);
+        CHECK(dal__cholesky(n, factor, NULL, NULL));
+        dal__cholesky_solve(n, factor, kick);
+    }
+    for (size_t i = 0; i < n; i++) y[n + i] = x[n + i] - h * kick[i];
+    CHECK(dal_gram(mechanics, y, C) == 0 && dal_residual(mechanics, 0.0, y, impulse) == 0);
+    CHECK(dal__cholesky(m, C, NULL, NULL));
+    dal__cholesky_solve(m, C, impulse);
+    flow(system, &scheme, h, 1, x, end, lambda);
+    for (size_t a = 0; a < m; a++)
+        CHECK_NEAR(h * lambda[a], -impulse[a], ROUNDOFF * sum_of_sizes(2 * n, y));
+    dal_mechanics_free(mechanics);
+}
+
+/* vddot[n] <- the second derivative of v along the motion through x: vdot differenced along it. */
+static void second_derivative(dal_mechanics *mechanics, size_t n, const double *x, double *vddot)
+{
+    const double d = 0x1p-16; /* errs by d^2 and u/d: 1e-9 */
+    double xdot[2 * MOST_N], y[2 * MOST_N], up[MOST_N], down[MOST_N];
+    CHECK(dal_field(mechanics, 0.0, x, xdot) == 0);
+    for (size_t i = 0; i < 2 * n; i++) y[i] = x[i] + d * xdot[i];
+    CHECK(dal_acceleration(mechanics, 0.0, y, up) == 0);
+    for (size_t i = 0; i < 2 * n; i++) y[i] = x[i] - d * xdot[i];
+    CHECK(dal_acceleration(mechanics, 0.0, y, down) == 0);
+    for (size_t i = 0; i < n; i++) vddot[i] = (up[i] - down[i]) / (2 * d);
+}
+
+/* A step in powers of h: v + h vdot for every beta, and for beta = 1/2 h^2 vddot/2 besides.  What is
+ * left after these two terms is O(h^2) and O(h^3): from h to h/4 it falls by 16 and by 64, up to
+ * terms of the next order, a few h. */
+static void test_expansions(const dal_system *system, const double *x)
+{
+    const size_t n = dal_system_n(system);
+    dal_mechanics *const mechanics = open_mechanics(system);
+    double vdot[MOST_N], vddot[MOST_N], rest[2][MOST_N], end[2 * MOST_N];
+    CHECK(dal_acceleration(mechanics, 0.0, x, vdot) == 0);
+    second_derivative(mechanics, n, x, vddot);
+    for (size_t b = 0; b < BETAS; b++) {
+        const dal_scheme scheme = beta_scheme(betas[b]);
+        const bool symmetric = betas[b] == 0.5;
+        for (int k = 0; k < 2; k++) {
+            const double h = k == 0 ? 0x1p-7 : 0x1p-9;
+            flow(system, &scheme, h, 1, x, end, NULL);
+            for (size_t i = 0; i < n; i++)
+                rest[k][i] = end[n + i] - x[n + i] - h * vdot[i]
+                           - (symmetric ? h * h / 2 * vddot[i] : 0.0);
+        }
+        const double coarse = dal__largest(n, rest[0]), fine = dal__largest(n, rest[1]);
+        if (coarse <= ROUNDOFF * sum_of_sizes(2 * n, x)) continue; /* the disk, at beta = 1/2 */
+        check_near(log2(coarse / fine) / 2, symmetric ? 3.0 : 2.0, 0.2, "power of h",
+                   system->def.name, (int)b);
+    }
+    dal_mechanics_free(mechanics);
+}
+
 /* Every built-in system; sizes beyond the compiled ones, with M diagonal and full. */
 static void test_equations(void)
 {
@@ -129,6 +196,9 @@ static void test_equations(void)
         dal_system *const system = open_system(all_systems[s]);
         state_of(system, x);
         test_equations_of(system, x);
+        test_explicit_reaction(system, x, 0.05);
+        test_explicit_reaction(system, x, -0.05);
+        test_expansions(system, x);
         dal_system_free(system);
     }
     static const size_t sizes[][2] = {{1, 0}, {3, 2}, {6, 5}, {8, 4}, {9, 1}, {12, 6}};
