@@ -5,6 +5,7 @@ import gc
 import json
 import pickle
 import re
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -248,6 +249,21 @@ def test_the_base_lives_as_long():
     gc.collect()
     twice = once_more.field(q, v)
     np.testing.assert_allclose(twice, expected, rtol=0, atol=1e-9)  # its g_q is differenced
+
+
+def test_the_handle_keeps_the_base():
+    """What C holds is the handle: with it the base lives, and with it it goes."""
+    for deform in (lambda base: with_product(base, 0.1), lambda base: base.at_kept_nodes(0.1)):
+        base = dal.System(
+            mass=[1, 1, 1], forms=particle_forms, forms_velocity_derivative=particle_derivative
+        )
+        alive, handle = weakref.ref(base), deform(base)._handle
+        del base
+        gc.collect()
+        assert alive() is not None
+        del handle
+        gc.collect()
+        assert alive() is None
 
 
 def test_pickle():
