@@ -13,7 +13,8 @@
 #include <string.h>
 
 static const double DEFAULT_TOLERANCE = 1e-14; /* of the flow: its error is multiplied by h^-(p+1) */
-static const double RUN_TOLERANCE = 1e-12;     /* of the perturbed flow */
+static const double RUN_TOLERANCE = 1e-12;     /* of the perturbed flow, */
+enum { STEPS_A_PERIOD = 1000 };                /* which takes about 50 of them */
 
 struct dal_embedding {
     const dal_system *system;
@@ -23,6 +24,7 @@ struct dal_embedding {
     ode *perturbed;
     double h, tolerance;
     int order;
+    int refused;          /* status of the last evaluation of g that failed */
     size_t width;         /* 2n - m */
     double *x, *moved;    /* [2n] */
     double *y, *next, *z, *F1, *F2, *field1, *field2, *field0; /* [width] */
@@ -315,7 +317,9 @@ static int perturbed_field(double t, const double *z, double *zdot, void *ctx, d
     const int status = perturbation(self, t / self->h, z);
     if (status) {
         *error = self->error;
-        return status;
+        self->refused = status;
+        /* no shorter step helps where h is too large for the embedding: that ends it */
+        return status == DAL_ENOCONV ? DAL_EUSER : status;
     }
     for (size_t i = 0; i < self->width; i++) zdot[i] = self->field0[i] + self->next[i];
     return DAL_SUCCESS;
@@ -329,8 +333,17 @@ int dal_embedding_flow(dal_embedding *embedding, double t0, double t1, double *z
     if (!status && !isfinite(t1))
         status = dal__fail(&self->error, DAL_EINVAL, "t1 = %g is not finite", t1);
     if (status || t0 == t1) return status;
+    /* Where h is too large for the embedding the steps become tiny, and each takes many flows. */
+    const double most = STEPS_A_PERIOD * (1.0 + fabs((t1 - t0) / self->h));
     status = dal__ode_begin(self->perturbed, t0, t1 - t0, z, 1.0, &self->error);
-    if (!status) status = dal__ode_reach(self->perturbed, t1 - t0, &self->error);
+    for (double steps = 0.0; !status && dal__ode_elapsed(self->perturbed) != t1 - t0; steps++) {
+        if (steps >= most)
+            return dal__fail(&self->error, DAL_ENOCONV, "%d steps did not lead through a period at "
+                             "t = %g: h = %g is too large", STEPS_A_PERIOD,
+                             t0 + dal__ode_elapsed(self->perturbed), self->h);
+        status = dal__ode_step(self->perturbed, t1 - t0, &self->error);
+    }
+    if (status == DAL_EUSER) status = self->refused;
     if (!status) memcpy(z, dal__ode_state(self->perturbed), self->width * sizeof *z);
     return status;
 }
