@@ -4,12 +4,16 @@
 #include <math.h>
 #include <string.h>
 
-/* A power of two near u^(1/5) max(1, |q|), so that q+d and q-d are exact. */
+/* A power of two near (u max(1, |q|))^(1/5), so that q+d and q-d are exact.  Roundoff of a function
+ * that grows with q asks for d to grow with q; an angle, whose sine has its unit of 1 wherever it
+ * stands, for d to stay: the power balances the two.  Where q is so large that d would be lost in
+ * it, d is a few units of its last place. */
 static double spacing(double q)
 {
     int exponent;
     frexp(fmax(1.0, fabs(q)), &exponent);
-    return ldexp(1.0, exponent - 12);
+    const int power = (exponent - 1) / 5 - 11, least = exponent - 48;
+    return ldexp(1.0, power > least ? power : least);
 }
 
 /* Outputs start as NaN, so that one that is never written is found as one that is not finite. */

@@ -113,7 +113,9 @@ typedef enum dal_constraint_kind {
                           rest */
 } dal_constraint_kind;
 
-/* Outputs that a callback does not provide; they are replaced by central differences. */
+/* Outputs that a callback does not provide; they are replaced by central differences.  These are for
+ * functions that vary over 1 or more in q, as sines of angles do; 1e-12 below is for |q| up to about
+ * 10, and beyond, also for an angle of many turns, it becomes about (1e-16 |q|)^(4/5). */
 typedef enum dal_missing {
     DAL_MISSING_V_Q = 1,   /* costs accuracy: V_q is then good to about 1e-12 relative */
     DAL_MISSING_V_QQ = 2,  /* costs Newton's speed only */
