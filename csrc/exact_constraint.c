@@ -31,7 +31,7 @@ static int shoot(search *s)
     const size_t n = mech->n, m = mech->m;
     const double *const v = s->x + n;
     memcpy(s->end, s->x, 2 * n * sizeof *s->end);
-    int status = dal__flow_apply(s->flow, s->t0, s->t0 + s->h, s->end, false);
+    int status = dal__flow_apply(s->flow, s->t0, s->h, s->end, false);
     if (status) return status;
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
     if (m == 0) return DAL_SUCCESS;

@@ -58,6 +58,9 @@ double dal__dot(size_t n, const double *a, const double *b);
 double dal__largest(size_t n, const double *x);
 double dal__sum_of_sizes(size_t n, const double *x);
 
+/* x, which may be NULL, becomes NaN: so an output that is never written is found as not finite. */
+void dal__forget(size_t count, double *x);
+
 /* y[rows] = A[rows*columns] x[columns]; y may not overlap. */
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y);
 
@@ -321,8 +324,9 @@ int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool 
 
 /* ---- floor 4: flow.c -------------------------------------------------------------------- */
 
-/* dal_flow_apply without the accuracy; the projection onto D at the end only if project. */
-int dal__flow_apply(dal_flow *flow, double t0, double t1, double *x, bool project);
+/* dal_flow_apply over span, without checking its arguments and without the accuracy; the projection
+ * onto D at the end only if project. */
+int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project);
 
 /* What a flow is made of, and the record that dal_flow_message reads. */
 dal_mechanics *dal__flow_mechanics(dal_flow *flow);

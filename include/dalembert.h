@@ -882,7 +882,7 @@ DAL_API double dal_embedding_noise(const dal_embedding *embedding);
  * charts, flows and steps, and DAL_ENOCONV where h is too large.  tau is in units of h. */
 
 /* G[2n-m] <- the curve G~(tau, y) that starts in y[2n-m] and goes through Phi(y) at tau = 1, through
- * Phi(Phi(y)) at tau = 2, ...; tau >= 0 (Gdef, Gtilde, period0). */
+ * Phi(Phi(y)) at tau = 2, ..., a step for each; 0 <= tau <= 2^53 (Gdef, Gtilde, period0). */
 DAL_API int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, double *G);
 
 /* y[2n-m] <- the start of the curve that goes through z[2n-m] at tau - floor(tau) (ztilde). */
