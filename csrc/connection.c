@@ -644,25 +644,22 @@ static int solve_step(dal_chart *chart)
 {
     enum { MOST = 50 };
     const size_t n = chart->n;
-    double last = (double)INFINITY;
+    dal__progress p = {.last = (double)INFINITY, .lagging = true}; /* kappa */
     memcpy(chart->w, chart->mech.start.v, n * sizeof *chart->w);
     memset(chart->kappa, 0, chart->m * sizeof *chart->kappa);
-    for (int iteration = 1;; iteration++) {
+    for (p.iteration = 1;; p.iteration++) {
         const int status = newton_step(chart);
         if (status) return status;
-        double size = 0.0, scale = 0.0;
-        for (size_t i = 0; i < n; i++) {
-            chart->w[i] += chart->step[i];
-            size += fabs(chart->step[i]);
-            scale += fabs(chart->w[i]) + fabs(chart->mech.start.v[i]);
-        }
-        if (size <= 4.0 * DAL_ROUNDOFF * scale) return DAL_SUCCESS;
-        if (iteration >= 2 && size <= 1e-11 * scale && size >= last) return DAL_SUCCESS;
-        if (iteration == MOST || !(size <= DBL_MAX))
+        for (size_t i = 0; i < n; i++) chart->w[i] += chart->step[i];
+        p.size = dal__sum_of_sizes(n, chart->step);
+        p.scale = dal__sum_of_sizes(n, chart->w) + dal__step_base(&chart->mech);
+        p.extent = dal__sum_of_sizes(n, chart->mech.q);
+        if (dal__newton_is_done(&p)) return DAL_SUCCESS;
+        if (p.iteration == MOST || !(p.size <= DBL_MAX))
             return dal__fail(&chart->mech.error, DAL_ENOCONV, "Newton did not converge in %d "
-                             "iterations: last change %.3g of %.3g; try a smaller h", iteration,
-                             size, scale);
-        last = size;
+                             "iterations: last change %.3g of %.3g; try a smaller h", p.iteration,
+                             p.size, p.scale);
+        p.last = p.size;
     }
 }
 

@@ -67,11 +67,14 @@ static int deformed(const double *q, const double *v, double *phi, double *phi_v
     double scratch[MOST_ENTRIES], row[MOST_ENTRIES];
     int returned = base_constraint(&self->base, q, v, phi, phi_v, phi_q, scratch);
     if (!returned && (phi || phi_v)) {
+        if (phi) dal__forget(m, row);
+        if (phi_v) dal__forget(mn, scratch);
         returned = self->g(q, v, phi ? row : NULL, phi_v ? scratch : NULL, NULL, self->ctx);
         if (!returned && phi) add(m, self->delta, row, phi);
         if (!returned && phi_v) add(mn, self->delta, scratch, phi_v);
     }
     if (!returned && phi_q) {
+        dal__forget(mn, scratch);
         returned = self->g(q, v, NULL, NULL, scratch, self->ctx);
         if (!returned) add(mn, self->delta, scratch, phi_q);
     }

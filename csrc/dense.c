@@ -17,6 +17,18 @@ double dal__largest(size_t n, const double *x)
     return most;
 }
 
+double dal__sum_of_sizes(size_t n, const double *x)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; i++) sum += fabs(x[i]);
+    return sum;
+}
+
+void dal__forget(size_t count, double *x)
+{
+    for (size_t i = 0; x && i < count; i++) x[i] = (double)NAN;
+}
+
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y)
 {
     for (size_t i = 0; i < rows; i++) {

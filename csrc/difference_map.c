@@ -32,12 +32,6 @@ void dal__rho_bind(dal__rho *rho)
     }
 }
 
-/* Outputs start as NaN, so that one that is never written is found as one that is not finite. */
-static void forget(size_t count, double *x)
-{
-    for (size_t i = 0; i < count; i++) x[i] = (double)NAN;
-}
-
 static int refuse(int returned, dal_error *error)
 {
     return dal__fail(error, dal__callback_status(returned), "difference map returned %d (%s)",
@@ -95,9 +89,9 @@ static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error
     const bool given = slopes && !rho->map.differenced;
     double *const matrices[] = {rho->g_0, rho->g_1, rho->f_0, rho->f_1};
     static const char *const names[] = {"g_0", "g_1", "f_0", "f_1"};
-    forget(n, rho->g);
-    forget(n, rho->f);
-    for (size_t i = 0; given && i < 4; i++) forget(nn, matrices[i]);
+    dal__forget(n, rho->g);
+    dal__forget(n, rho->f);
+    for (size_t i = 0; given && i < 4; i++) dal__forget(nn, matrices[i]);
     const int returned = rho->map.map(pair->h, pair->q0, pair->q1, rho->g, rho->f,
                                       given ? rho->g_0 : NULL, given ? rho->g_1 : NULL,
                                       given ? rho->f_0 : NULL, given ? rho->f_1 : NULL,

@@ -92,6 +92,20 @@ static void assemble(const dal_discrete *d, double *J, double *scale)
         }
 }
 
+/* What the roundoff of w is relative to beside w: the velocity before and the terms of the equations
+ * of motion as changes of velocity, see dal__step_base. */
+static double base_of_equations(const dal_discrete *d, const double *kappa)
+{
+    const size_t n = d->n;
+    double base = dal__sum_of_sizes(n, d->velocity);
+    for (size_t i = 0; i < n; i++) {
+        double sum = fabs(d->minus[i]) + fabs(d->momentum[i]);
+        for (size_t a = 0; a < d->m; a++) sum += fabs(d->muk[a * n + i] * kappa[a]);
+        if (d->L_vv[i * n + i] > 0.0) base += sum / d->L_vv[i * n + i];
+    }
+    return base;
+}
+
 /* The step equations at z = (w, kappa), kappa = h lambda. */
 static int equations_at(void *ctx, const double *z, double *residual, double *J, double *scale)
 {
@@ -113,6 +127,8 @@ static int equations_at(void *ctx, const double *z, double *residual, double *J,
         for (size_t a = 0; a < m; a++) residual[i] -= d->muk[a * n + i] * kappa[a];
     }
     memcpy(residual + n, d->phi, m * sizeof *residual);
+    d->root.base = base_of_equations(d, kappa);
+    d->root.extent = dal__sum_of_sizes(n, d->constraint.g);
     assemble(d, J, scale);
     return DAL_SUCCESS;
 }
@@ -121,12 +137,11 @@ static int equations_at(void *ctx, const double *z, double *residual, double *J,
 static int solve(dal_discrete *d, double t, const dal__pair *pair)
 {
     const size_t n = d->n, m = d->m;
-    dal__equations equations = {.at = equations_at, .ctx = d, .size = n + m, .measured = n,
+    const dal__equations equations = {.at = equations_at, .ctx = d, .size = n + m, .measured = n,
                                 .singular = "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is "
                                 "singular: the constraints lose rank, or h is too large here"};
     const int status = begin(d, t, pair);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) equations.base += fabs(pair->w[i]);
     memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
     memset(d->root.z + n, 0, m * sizeof *d->root.z);
     return dal__find_root(&d->root, &equations, &d->mech.error);

@@ -15,6 +15,7 @@
 static const double DEFAULT_TOLERANCE = 1e-14; /* of the flow: its error is multiplied by h^-(p+1) */
 static const double RUN_TOLERANCE = 1e-12;     /* of the perturbed flow, */
 enum { STEPS_A_PERIOD = 1000 };                /* which takes about 50 of them */
+static const double MOST_PERIODS = 0x1p53;     /* beyond, tau has no phase */
 
 struct dal_embedding {
     const dal_system *system;
@@ -187,6 +188,13 @@ static double accuracy(const dal_embedding *self)
     return self->flow ? self->tolerance : 4.0 * DAL_ROUNDOFF;
 }
 
+/* tau modulo 1, below 1 also where that rounds to 1. */
+static double phase_of(double tau)
+{
+    const double phase = tau - floor(tau);
+    return phase < 1.0 ? phase : 0.0;
+}
+
 /* self->y <- the y with G~(tau, y) = z, 0 <= tau < 1; F1 and F2 are those of y.  A change that does
  * not shrink any more is either the accuracy of the flow, or that of an iteration which diverges. */
 static int solve_source(dal_embedding *self, double tau, const double *z)
@@ -217,16 +225,21 @@ static int solve_source(dal_embedding *self, double tau, const double *z)
                      "change %g): h = %g is too large", tau, last, self->h);
 }
 
-/* A choice of the chart, and finite arguments. */
-static int check_arguments(dal_embedding *self, double tau, const double *z, const void *output,
-                           const char *name)
+static int require_number(dal_embedding *self, const char *name, double number)
+{
+    if (isfinite(number)) return DAL_SUCCESS;
+    return dal__fail(&self->error, DAL_EINVAL, "%s = %g is not finite", name, number);
+}
+
+/* A choice of the chart, finite coordinates z[width] that the caller calls name, and an output. */
+static int check_arguments(dal_embedding *self, const char *name, const double *z,
+                           const char *output_name, const void *output)
 {
     if (!z || !output)
-        return dal__fail(&self->error, DAL_EINVAL, "%s is NULL", z ? name : "z");
-    if (!isfinite(tau)) return dal__fail(&self->error, DAL_EINVAL, "tau = %g is not finite", tau);
+        return dal__fail(&self->error, DAL_EINVAL, "%s is NULL", z ? output_name : name);
     for (size_t i = 0; i < self->width; i++)
         if (!isfinite(z[i]))
-            return dal__fail(&self->error, DAL_EINVAL, "z[%zu] = %g is not finite", i, z[i]);
+            return dal__fail(&self->error, DAL_EINVAL, "%s[%zu] = %g is not finite", name, i, z[i]);
     const int status = dal__chart_ready(self->chart);
     return status ? fail(self, status, "chart", dal_chart_message(self->chart)) : DAL_SUCCESS;
 }
@@ -235,9 +248,9 @@ int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, d
 {
     if (!embedding) return DAL_EINVAL;
     dal_embedding *const self = embedding;
-    int status = check_arguments(self, tau, y, G, "G");
-    if (!status && tau < 0.0)
-        status = dal__fail(&self->error, DAL_EINVAL, "tau = %g is negative", tau);
+    int status = check_arguments(self, "y", y, "G", G);
+    if (!status && !(tau >= 0.0 && tau <= MOST_PERIODS))
+        status = dal__fail(&self->error, DAL_EINVAL, "tau = %g is not in [0, %g]", tau, MOST_PERIODS);
     if (status) return status;
     memcpy(self->y, y, self->width * sizeof *y);
     for (; !status && tau > 1.0; tau -= 1.0) status = step(self, self->y, self->y);
@@ -253,8 +266,9 @@ int dal_embedding_source(dal_embedding *embedding, double tau, const double *z, 
 {
     if (!embedding) return DAL_EINVAL;
     dal_embedding *const self = embedding;
-    int status = check_arguments(self, tau, z, y, "y");
-    if (!status) status = solve_source(self, tau - floor(tau), z);
+    int status = require_number(self, "tau", tau);
+    if (!status) status = check_arguments(self, "z", z, "y", y);
+    if (!status) status = solve_source(self, phase_of(tau), z);
     if (!status) memcpy(y, self->y, self->width * sizeof *y);
     return status;
 }
@@ -264,7 +278,7 @@ int dal_embedding_source(dal_embedding *embedding, double tau, const double *z, 
 /* next <- h^p g at (tau, z); field0 <- f(z). */
 static int perturbation(dal_embedding *self, double tau, const double *z)
 {
-    const double phase = tau - floor(tau);
+    const double phase = phase_of(tau);
     double chi0, chi1, slope;
     int status = solve_source(self, phase, z);
     if (!status) status = field(self, z, self->field0);
@@ -284,7 +298,8 @@ int dal_embedding_field(dal_embedding *embedding, double tau, const double *z, d
 {
     if (!embedding) return DAL_EINVAL;
     dal_embedding *const self = embedding;
-    int status = check_arguments(self, tau, z, g, "g");
+    int status = require_number(self, "tau", tau);
+    if (!status) status = check_arguments(self, "z", z, "g", g);
     if (!status) status = perturbation(self, tau, z);
     const double scale = pow(self->h, self->order);
     for (size_t i = 0; !status && i < self->width; i++) g[i] = self->next[i] / scale;
@@ -300,7 +315,7 @@ int dal_embedding_limit(dal_embedding *embedding, const double *z, double *d)
 {
     if (!embedding) return DAL_EINVAL;
     dal_embedding *const self = embedding;
-    int status = check_arguments(self, 0.0, z, d, "d");
+    int status = check_arguments(self, "z", z, "d", d);
     if (!status) status = step(self, z, self->F2);
     if (!status) status = flow(self, self->h, z, self->F1);
     const double scale = pow(self->h, self->order + 1);
@@ -329,9 +344,9 @@ int dal_embedding_flow(dal_embedding *embedding, double t0, double t1, double *z
 {
     if (!embedding) return DAL_EINVAL;
     dal_embedding *const self = embedding;
-    int status = check_arguments(self, t0, z, z, "z");
-    if (!status && !isfinite(t1))
-        status = dal__fail(&self->error, DAL_EINVAL, "t1 = %g is not finite", t1);
+    int status = require_number(self, "t0", t0);
+    if (!status) status = require_number(self, "t1", t1);
+    if (!status) status = check_arguments(self, "z", z, "z", z);
     if (status || t0 == t1) return status;
     /* Where h is too large for the embedding the steps become tiny, and each takes many flows. */
     const double most = STEPS_A_PERIOD * (1.0 + fabs((t1 - t0) / self->h));

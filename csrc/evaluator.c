@@ -4,19 +4,16 @@
 #include <math.h>
 #include <string.h>
 
-/* A power of two near u^(1/5) max(1, |q|), so that q+d and q-d are exact. */
+/* A power of two near (u max(1, |q|))^(1/5), so that q+d and q-d are exact.  Roundoff of a function
+ * that grows with q asks for d to grow with q; an angle, whose sine has its unit of 1 wherever it
+ * stands, for d to stay: the power balances the two.  Where q is so large that d would be lost in
+ * it, d is a few units of its last place. */
 static double spacing(double q)
 {
     int exponent;
     frexp(fmax(1.0, fabs(q)), &exponent);
-    return ldexp(1.0, exponent - 12);
-}
-
-/* Outputs start as NaN, so that one that is never written is found as one that is not finite. */
-static void forget(size_t count, double *x)
-{
-    if (x)
-        for (size_t i = 0; i < count; i++) x[i] = (double)NAN;
+    const int power = (exponent - 1) / 5 - 11, least = exponent - 48;
+    return ldexp(1.0, power > least ? power : least);
 }
 
 /* f' = (8 (f(q+d) - f(q-d)) - (f(q+2d) - f(q-2d))) / 12d  +  O(d^4 f^(5)/30, 1.5 u f/d) */
@@ -30,7 +27,7 @@ int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t 
     for (size_t i = 0; i < count; i++) slope[i * stride] = 0.0;
     for (int k = 0; k < 4 && !returned; k++) {
         point[j] = q + offsets[k] * d;
-        forget(count, value);
+        dal__forget(count, value);
         returned = f(point, value, ctx);
         for (size_t i = 0; i < count; i++) slope[i * stride] += weights[k] * value[i];
     }
@@ -61,7 +58,7 @@ static int value_phi(const double *q, double *phi, void *ctx)
     const dal_system_def *def = &e->system->def;
     e->constraint_calls++;
     if (def->kind != DAL_LINEAR) return def->constraint(q, e->velocity, phi, NULL, NULL, def->ctx);
-    forget(def->m * def->n, e->forms);
+    dal__forget(def->m * def->n, e->forms);
     const int returned = def->constraint(q, e->velocity, NULL, e->forms, NULL, def->ctx);
     if (!returned) dal__apply(def->m, def->n, e->forms, e->velocity, phi);
     return returned;
@@ -271,9 +268,9 @@ int dal__potential(evaluator *e, const double *q, double *V, double *V_q, double
         return DAL_SUCCESS;
     }
     if (!V && !V_q && !V_qq) return DAL_SUCCESS;
-    forget(1, V);
-    forget(n, V_q);
-    forget(n * n, V_qq);
+    dal__forget(1, V);
+    dal__forget(n, V_q);
+    dal__forget(n * n, V_qq);
     const int returned = e->potential(q, V, V_q, V_qq, e->potential_ctx);
     if (e->potential_ctx != e) e->potential_calls++;
     if (returned) return refuse(error, "potential", returned);
@@ -290,9 +287,9 @@ int dal__constraint(evaluator *e, const double *q, const double *v, double *phi,
     const bool linear = e->system->def.kind == DAL_LINEAR;
     if (m == 0) return DAL_SUCCESS;
     double *const forms = linear && phi && !phi_v ? e->forms : phi_v;
-    forget(m, phi);
-    forget(m * n, forms);
-    forget(m * n, phi_q);
+    dal__forget(m, phi);
+    dal__forget(m * n, forms);
+    dal__forget(m * n, phi_q);
     const int returned = e->constraint(q, v, linear ? NULL : phi, forms, phi_q, e->constraint_ctx);
     if (e->constraint_ctx != e) e->constraint_calls++;
     if (returned) return refuse(error, "constraint", returned);
@@ -332,12 +329,12 @@ int dal__lagrangian(evaluator *e, const double *q, const double *v, const dal__j
     double *const given_qq = def->missing & DAL_MISSING_L_QQ ? NULL : jet->L_qq;
     double *const given_vq = def->missing & DAL_MISSING_L_VQ ? NULL : jet->L_vq;
     double *const given_vv = def->missing & DAL_MISSING_L_VV ? NULL : jet->L_vv;
-    forget(1, jet->L);
-    forget(n, jet->L_q);
-    forget(n, jet->L_v);
-    forget(n * n, jet->L_qq);
-    forget(n * n, jet->L_vq);
-    forget(n * n, jet->L_vv);
+    dal__forget(1, jet->L);
+    dal__forget(n, jet->L_q);
+    dal__forget(n, jet->L_v);
+    dal__forget(n * n, jet->L_qq);
+    dal__forget(n * n, jet->L_vq);
+    dal__forget(n * n, jet->L_vv);
     int returned = 0;
     if (jet->L || jet->L_q || jet->L_v || given_qq || given_vq || given_vv) {
         e->lagrangian_calls++;
@@ -379,9 +376,9 @@ int dal__force(evaluator *e, double t, const double *q, const double *v, double 
     }
     double *const given_q = def->missing & DAL_MISSING_F_Q ? NULL : f_q;
     double *const given_v = def->missing & DAL_MISSING_F_V ? NULL : f_v;
-    forget(n, f);
-    forget(n * n, f_q);
-    forget(n * n, f_v);
+    dal__forget(n, f);
+    dal__forget(n * n, f_q);
+    dal__forget(n * n, f_v);
     int returned = 0;
     if (f || given_q || given_v) {
         e->force_calls++;

@@ -17,13 +17,6 @@ typedef struct search {
     arena arena;
 } search;
 
-static double sum_of_sizes(size_t n, const double *x)
-{
-    double sum = 0.0;
-    for (size_t i = 0; i < n; i++) sum += fabs(x[i]);
-    return sum;
-}
-
 /* The error record of the flow is the one that is read. */
 static int pass_on(search *s, int status)
 {
@@ -38,7 +31,7 @@ static int shoot(search *s)
     const size_t n = mech->n, m = mech->m;
     const double *const v = s->x + n;
     memcpy(s->end, s->x, 2 * n * sizeof *s->end);
-    int status = dal__flow_apply(s->flow, s->t0, s->t0 + s->h, s->end, false);
+    int status = dal__flow_apply(s->flow, s->t0, s->h, s->end, false);
     if (status) return status;
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
     if (m == 0) return DAL_SUCCESS;
@@ -62,14 +55,14 @@ static int find_velocity(search *s)
     enum { MOST = 60 };
     const size_t n = s->mech->n;
     double *const v = s->x + n;
-    const double extent = sum_of_sizes(n, s->x) + sum_of_sizes(n, s->q1);
+    const double extent = dal__sum_of_sizes(n, s->x) + dal__sum_of_sizes(n, s->q1);
     double last = HUGE_VAL, size = 0.0, scale = 0.0;
     for (int iteration = 1; iteration <= MOST; iteration++) {
         int status = pass_on(s, dal_project(s->mech, 0.0, s->x, NULL));
         if (!status) status = shoot(s);
         if (status) return status;
-        size = sum_of_sizes(n, s->end);
-        scale = sum_of_sizes(n, v) + sum_of_sizes(n, s->miss);
+        size = dal__sum_of_sizes(n, s->end);
+        scale = dal__sum_of_sizes(n, v) + dal__sum_of_sizes(n, s->miss);
         /* what the flow and the digits of the nodes leave of a quotient by h */
         const double noise = 4.0 * DAL_ROUNDOFF * scale + (dal__flow_tolerance(s->flow)
                              + DAL_ROUNDOFF) * (extent + scale) / fabs(s->h);

@@ -169,12 +169,12 @@ static int reach(dal_flow *flow, double end)
     return status;
 }
 
-/* flow->state <- x[2n] at t0 taken to t1. */
-static int integrate(dal_flow *flow, double t0, double t1, const double *x, double factor,
+/* flow->state <- x[2n] at t0 taken to t0 + span. */
+static int integrate(dal_flow *flow, double t0, double span, const double *x, double factor,
                      bool project)
 {
-    int status = begin(flow, t0, t1 - t0, x, factor);
-    if (!status) status = reach(flow, t1 - t0);
+    int status = begin(flow, t0, span, x, factor);
+    if (!status) status = reach(flow, span);
     if (status || !project || flow->in_xi) return status; /* psi(xi) lies in D */
     status = dal_project(&flow->mech, 0.0, flow->state, NULL);
     return status ? pass_on(flow, &flow->mech.error, status) : DAL_SUCCESS;
@@ -192,12 +192,10 @@ static int require_interval(dal_flow *flow, double t0, double t1, const double *
     return DAL_SUCCESS;
 }
 
-int dal__flow_apply(dal_flow *flow, double t0, double t1, double *x, bool project)
+int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project)
 {
-    if (!flow) return DAL_EINVAL;
-    int status = require_interval(flow, t0, t1, x);
-    if (status || t1 == t0) return status;
-    status = integrate(flow, t0, t1, x, 1.0, project);
+    if (span == 0.0) return DAL_SUCCESS;
+    const int status = integrate(flow, t0, span, x, 1.0, project);
     if (!status) copy(flow, x, flow->state);
     return status;
 }
@@ -205,17 +203,17 @@ int dal__flow_apply(dal_flow *flow, double t0, double t1, double *x, bool projec
 int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy)
 {
     if (!flow) return DAL_EINVAL;
-    if (!accuracy) return dal__flow_apply(flow, t0, t1, x, true);
     int status = require_interval(flow, t0, t1, x);
     if (status) return status;
+    if (!accuracy) return dal__flow_apply(flow, t0, t1 - t0, x, true);
     if (t1 == t0) {
         *accuracy = 0.0;
         return DAL_SUCCESS;
     }
-    status = integrate(flow, t0, t1, x, 1.0, true);
+    status = integrate(flow, t0, t1 - t0, x, 1.0, true);
     if (status) return status;
     copy(flow, flow->result, flow->state);
-    status = integrate(flow, t0, t1, x, LOOSER, true);
+    status = integrate(flow, t0, t1 - t0, x, LOOSER, true);
     if (status) return status;
     double difference = 0.0;
     for (size_t i = 0; i < dimension(flow); i++)

@@ -54,8 +54,12 @@ bool dal__all_finite(size_t count, const double *x);
 /* ---- floor 1: dense.c, roots.c, lu.h, ode.c --------------------------------------------- */
 
 double dal__dot(size_t n, const double *a, const double *b);
-/* max |x_i|, 0 for n = 0. */
+/* max |x_i|, 0 for n = 0; sum |x_i|. */
 double dal__largest(size_t n, const double *x);
+double dal__sum_of_sizes(size_t n, const double *x);
+
+/* x, which may be NULL, becomes NaN: so an output that is never written is found as not finite. */
+void dal__forget(size_t count, double *x);
 
 /* y[rows] = A[rows*columns] x[columns]; y may not overlap. */
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y);
@@ -71,14 +75,27 @@ double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
 
+/* Where Newton's iteration stands.  size: of the last step; last: of the one before.  Roundoff of the
+ * unknowns is relative to scale.  extent: sum |q_i| of the point that the equations are evaluated at,
+ * whose own rounding moves what depends on it. */
+typedef struct dal__progress {
+    int iteration; /* from 1 */
+    double size, last, scale, extent;
+    bool lagging;  /* something is wanted that is one step behind */
+} dal__progress;
+
+/* Whether the last step is roundoff; or the next one would be, if it is smaller by the same factor,
+ * unless something is lagging; or the steps are small and no longer shrink. */
+bool dal__newton_is_done(const dal__progress *p);
+
 /* size equations in as many unknowns z.  at: residual[size], J[size*size] its derivative and the
  * scale of the entries of J (see lu.h); a status.  The sum |dz_i| over the first measured unknowns
- * decides, against base + sum |z_i| over the same. */
+ * decides, against sum |z_i| over the same + base of the root; that and extent are 0 unless at sets
+ * them. */
 typedef struct dal__equations {
     int (*at)(void *ctx, const double *z, double *residual, double *J, double *scale);
     void *ctx;
     size_t size, measured;
-    double base;
     const char *singular; /* what to say if J is */
 } dal__equations;
 
@@ -86,6 +103,7 @@ typedef struct dal__root {
     double *z, *residual, *step; /* [size]: z the guess, then the root */
     double *J, *scale;           /* [size*size] */
     size_t *row;                 /* [size] */
+    double base, extent;         /* see dal__progress */
 } dal__root;
 
 void dal__root_reserve(dal__root *root, size_t most, arena *a);
@@ -220,6 +238,7 @@ struct dal_mechanics {
         double t, beta, h;
         bool kept;
         const double *v;          /* [n] */
+        double base;              /* see dal__step_base */
     } start;                      /* of the step that dal__step_begin began */
     dal_error error;
     arena arena; /* used only by dal_mechanics_new */
@@ -257,6 +276,10 @@ int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool k
                     const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_scale, double *B);
+/* What the roundoff of w is relative to beside w: the sizes of v and of the terms of R1, as changes
+ * of velocity, at the last dal__step_at that gave R1 and K.  They may be far larger than w: at rest,
+ * where a reaction balances a force. */
+double dal__step_base(const dal_mechanics *mech);
 int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst);
 
 /* A chart of D, connection.c.  It may be part of another object, as a dal_mechanics may. */
@@ -301,8 +324,9 @@ int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool 
 
 /* ---- floor 4: flow.c -------------------------------------------------------------------- */
 
-/* dal_flow_apply without the accuracy; the projection onto D at the end only if project. */
-int dal__flow_apply(dal_flow *flow, double t0, double t1, double *x, bool project);
+/* dal_flow_apply over span, without checking its arguments and without the accuracy; the projection
+ * onto D at the end only if project. */
+int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project);
 
 /* What a flow is made of, and the record that dal_flow_message reads. */
 dal_mechanics *dal__flow_mechanics(dal_flow *flow);

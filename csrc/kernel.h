@@ -221,7 +221,7 @@ DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, const double *mu, co
 /* The residual of D at the q~' that the stored state gives back, r <- -(mu w + N moved): mu and N
  * were evaluated at a point that lies moved away.  True if it is within limit for every constraint,
  * relative to sum_i |mu^a_i w_i|; then *worst is kept up to date, and *least is the smallest sum.
- * Never true if a component of w or moved is not finite: 0 times it is NaN. */
+ * Never true if a component of mu, w or moved is not finite: 0 times it is NaN. */
 DAL_KERNEL_INLINE bool dal_kernel_settled(size_t n, size_t m, const double *mu, const double *N,
                                       const double *w, const double *moved, double limit, double *r,
                                       double *least, double *worst)
@@ -237,7 +237,7 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(size_t n, size_t m, const double *mu, 
         }
         sum += dal_kernel_dot(n, N + a * n, moved);
         r[a] = -sum;
-        if (!(fabs(sum) <= limit * scale)) settled = false;
+        if (!(limit * scale - fabs(sum) >= 0.0)) settled = false; /* nor if both are infinite */
         if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
         if (scale < smallest) smallest = scale;
     }

@@ -1,10 +1,12 @@
-/* lu.h - LU factors of a small dense matrix whose entries are sums that may cancel.
+/* lu.h - LU factors of a dense matrix whose entries are sums that may cancel.
  *
  * Along with A goes scale, which holds for each entry the sum of the absolute values of the terms
  * that were added up to it.  Pivots are chosen relative to their scale, and a pivot that is not
  * larger than the rounding error of its own sum counts as zero.  So the test for singularity does
  * not change when rows, columns or coordinates are rescaled, and an exact 0 = 1 - 1 and a 1e-17
- * that ought to be 0 are found alike.  Header only: generated code has no library to link. */
+ * that ought to be 0 are found alike.  The elimination adds its terms to the scale; but of the errors
+ * that these terms bring along only the largest counts: their sum would double at each pivot, and
+ * every large matrix would be singular.  Header only: generated code has no library to link. */
 #ifndef DALEMBERT_LU_H
 #define DALEMBERT_LU_H
 
@@ -54,8 +56,10 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, size_t terms, double *A, double *scale
             const double l = A[i * m + j] * inverse;
             A[i * m + j] = l;
             for (size_t k = j + 1; k < m; k++) {
-                A[i * m + k] -= l * A[j * m + k];
-                scale[i * m + k] += fabs(l) * scale[j * m + k];
+                const double term = l * A[j * m + k], before = fabs(l) * scale[j * m + k];
+                A[i * m + k] -= term;
+                if (before > scale[i * m + k]) scale[i * m + k] = before;
+                scale[i * m + k] += fabs(term);
             }
         }
     }

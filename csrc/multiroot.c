@@ -100,6 +100,15 @@ void dal__multiroot_free(multiroot *solver)
     dal__release(&memory);
 }
 
+/* hybridsj anew from unknown, which may be its own. */
+static void start(multiroot *s, const gsl_vector *unknown)
+{
+    const size_t size = s->n + s->m;
+    for (size_t i = 0; i < size; i++) s->guess[i] = gsl_vector_get(unknown, i);
+    const gsl_vector_const_view guess = gsl_vector_const_view_array(s->guess, size);
+    gsl_multiroot_fdfsolver_set(s->solver, &s->equations, &guess.vector);
+}
+
 /* Iterates until the steps are at the level of roundoff, or no longer shrink. */
 static int iterate(multiroot *s, dal_stats *stats)
 {
@@ -112,10 +121,10 @@ static int iterate(multiroot *s, dal_stats *stats)
         if (s->status) return s->status;
         const gsl_vector *const unknown = gsl_multiroot_fdfsolver_root(s->solver);
         const gsl_vector *const change = gsl_multiroot_fdfsolver_dx(s->solver);
-        double size = 0.0, scale = 0.0;
+        double size = 0.0, scale = dal__step_base(s->mech);
         for (size_t i = 0; i < s->n; i++) {
             size += fabs(gsl_vector_get(change, i));
-            scale += fabs(gsl_vector_get(unknown, i)) + fabs(s->mech->start.v[i]);
+            scale += fabs(gsl_vector_get(unknown, i));
         }
         if (!(size <= DBL_MAX)) break;
         const bool stuck = returned == GSL_ENOPROG || returned == GSL_ENOPROGJ;
@@ -123,8 +132,13 @@ static int iterate(multiroot *s, dal_stats *stats)
         if ((stuck || (iteration >= 2 && size >= last)) && size <= 1e-11 * scale)
             return DAL_SUCCESS;
         if (returned && !stuck) break;
-        if (stuck) break;
         last = size;
+        /* a guess near 0 gives a trust region of that size, too small for the way to the root */
+        if (stuck) {
+            start(s, unknown);
+            if (s->status) return s->status;
+            last = HUGE_VAL;
+        }
     }
     return dal__fail(&s->mech->error, DAL_ENOCONV, "hybridsj did not converge in %d iterations",
                      iteration);
@@ -153,7 +167,7 @@ int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double
     memcpy(s->guess, x + n, n * sizeof *s->guess);
     memset(s->guess + n, 0, m * sizeof *s->guess);
     const gsl_vector_const_view guess = gsl_vector_const_view_array(s->guess, n + m);
-    gsl_multiroot_fdfsolver_set(s->solver, &s->equations, &guess.vector);
+    start(s, &guess.vector);
     int status = s->status ? s->status : iterate(s, stats);
     if (status) return status;
 

@@ -42,13 +42,6 @@ void dal__newton_bind(newton *solver, const dal_system *system, int max_iteratio
 
 void dal__newton_forget(newton *solver) { solver->warm = false; }
 
-static double sum_of_sizes(size_t n, const double *x)
-{
-    double sum = 0.0;
-    for (size_t i = 0; i < n; i++) sum += fabs(x[i]);
-    return sum;
-}
-
 /* step and d <- the Newton step of w and kappa, from R1, R2, K, B and mech->muk. */
 static int solve_linear(newton *s, dal_mechanics *mech)
 {
@@ -88,12 +81,12 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
 {
     enum { HALVINGS = 40 };
     const size_t n = s->n, m = s->m;
-    double last = HUGE_VAL, size = 0.0, scale = 0.0;
-    int halvings = 0, iteration = 1;
-    for (; iteration <= s->max_iterations; iteration++) {
+    dal__progress p = {.last = HUGE_VAL};
+    int halvings = 0;
+    for (p.iteration = 1; p.iteration <= s->max_iterations; p.iteration++) {
         int status;
         while ((status = dal__step_at(mech, s->w, s->kappa, s->R1, s->R2, s->K, s->K_scale, s->B))
-                   == DAL_EDOMAIN && iteration > 1 && halvings++ < HALVINGS) {
+                   == DAL_EDOMAIN && p.iteration > 1 && halvings++ < HALVINGS) {
             for (size_t i = 0; i < n; i++) s->w[i] -= s->step[i] *= 0.5;
             for (size_t a = 0; a < m; a++) s->kappa[a] -= s->d[a] *= 0.5;
             stats->halvings++;
@@ -103,19 +96,16 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
         stats->iterations++;
         for (size_t i = 0; i < n; i++) s->w[i] += s->step[i];
         for (size_t a = 0; a < m; a++) s->kappa[a] += s->d[a];
-        size = sum_of_sizes(n, s->step);
-        scale = sum_of_sizes(n, s->w) + sum_of_sizes(n, mech->start.v);
-        if (!(size <= DBL_MAX)) break;
-        if (size <= 4.0 * DAL_ROUNDOFF * scale) return DAL_SUCCESS;
-        if (iteration >= 2 && size <= 1e-11 * scale && size >= last) return DAL_SUCCESS;
-        /* at least linear: the next step would be smaller by the same factor */
-        if (iteration >= 2 && size * (size / last) <= DAL_ROUNDOFF / 16.0 * scale)
-            return DAL_SUCCESS;
-        last = size;
+        p.size = dal__sum_of_sizes(n, s->step);
+        p.scale = dal__sum_of_sizes(n, s->w) + dal__step_base(mech);
+        p.extent = dal__sum_of_sizes(n, mech->q);
+        if (!(p.size <= DBL_MAX)) break;
+        if (dal__newton_is_done(&p)) return DAL_SUCCESS;
+        p.last = p.size;
     }
     return dal__fail(&mech->error, DAL_ENOCONV, "Newton did not converge in %d iterations: last "
-                     "change %.3g of %.3g; try a smaller h", iteration - (size <= DBL_MAX), size,
-                     scale);
+                     "change %.3g of %.3g; try a smaller h",
+                     p.iteration - (p.size <= DBL_MAX), p.size, p.scale);
 }
 
 int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta, double h,

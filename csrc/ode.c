@@ -49,13 +49,6 @@ static void copy(const ode *self, double *to, const double *from)
     memcpy(to, from, self->N * sizeof *to);
 }
 
-static double largest(size_t count, const double *x)
-{
-    double most = 0.0;
-    for (size_t i = 0; i < count; i++) most = fmax(most, fabs(x[i]));
-    return most;
-}
-
 static const char *method_name(dal_flow_method method)
 {
     switch (method) {
@@ -191,7 +184,7 @@ int dal__ode_restart(ode *self, double end, dal_error *error)
     gsl_odeiv2_step_reset(self->driver->s);
     self->order = 1;
     const double change =
-        FIRST_STEP * (1.0 + largest(self->N, self->state)) / largest(self->N, self->slope);
+        FIRST_STEP * (1.0 + dal__largest(self->N, self->state)) / dal__largest(self->N, self->slope);
     self->h = copysign(fmin(change, FIRST_FRACTION * fabs(span)), span);
     return DAL_SUCCESS;
 }

@@ -14,11 +14,14 @@ void dal__root_reserve(dal__root *root, size_t most, arena *a)
     dal__reserve(a, &root->row, most, sizeof(size_t));
 }
 
-static double sum_of_sizes(size_t n, const double *x)
+bool dal__newton_is_done(const dal__progress *p)
 {
-    double sum = 0.0;
-    for (size_t i = 0; i < n; i++) sum += fabs(x[i]);
-    return sum;
+    /* far from the origin what depends on q moves by more than 1e-11 with one rounding of q */
+    const double floor = 1e-11 + 16.0 * DAL_ROUNDOFF * p->extent;
+    if (p->size <= 4.0 * DAL_ROUNDOFF * p->scale) return true;
+    if (p->iteration < 2) return false;
+    if (p->size >= p->last) return p->size <= floor * p->scale;
+    return !p->lagging && p->size * (p->size / p->last) <= DAL_ROUNDOFF / 16.0 * p->scale;
 }
 
 /* The equations at z; a step that led out of their domain is halved. */
@@ -35,24 +38,22 @@ static int evaluate(dal__root *root, const dal__equations *e, bool may_halve)
 int dal__find_root(dal__root *root, const dal__equations *e, dal_error *error)
 {
     enum { MOST = 50 };
-    double last = HUGE_VAL, size = 0.0, scale = 0.0;
-    for (int iteration = 1; iteration <= MOST; iteration++) {
-        const int status = evaluate(root, e, iteration > 1);
+    dal__progress p = {.last = HUGE_VAL};
+    root->base = root->extent = 0.0;
+    for (p.iteration = 1; p.iteration <= MOST; p.iteration++) {
+        const int status = evaluate(root, e, p.iteration > 1);
         if (status) return status;
         if (!dal_lu_factor(e->size, e->size, root->J, root->scale, root->row))
             return dal__fail(error, DAL_ESINGULAR, "%s", e->singular);
         dal_lu_solve(e->size, root->J, root->row, root->residual, root->step);
         for (size_t i = 0; i < e->size; i++) root->z[i] += root->step[i] = -root->step[i];
-        size = sum_of_sizes(e->measured, root->step);
-        scale = sum_of_sizes(e->measured, root->z) + e->base;
+        p.size = dal__sum_of_sizes(e->measured, root->step);
+        p.scale = dal__sum_of_sizes(e->measured, root->z) + root->base;
+        p.extent = root->extent;
         if (!dal__all_finite(e->size, root->z)) break;
-        if (size <= 4.0 * DAL_ROUNDOFF * scale) return DAL_SUCCESS;
-        if (iteration >= 2 && size <= 1e-11 * scale && size >= last) return DAL_SUCCESS;
-        /* at least linear: the next step would be smaller by the same factor */
-        if (iteration >= 2 && size * (size / last) <= DAL_ROUNDOFF / 16.0 * scale)
-            return DAL_SUCCESS;
-        last = size;
+        if (dal__newton_is_done(&p)) return DAL_SUCCESS;
+        p.last = p.size;
     }
     return dal__fail(error, DAL_ENOCONV, "Newton did not converge: last change %.3g of %.3g; try a "
-                     "smaller h", size, scale);
+                     "smaller h", p.size, p.scale);
 }

@@ -28,6 +28,7 @@ int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool k
     mech->start.h = h;
     mech->start.kept = kept;
     mech->start.v = v;
+    mech->start.base = 0.0;
     for (size_t i = 0; i < n; i++) {
         mech->node[i] = kept ? x[i] : x[i] + before * v[i];
         mech->q[i] = kept ? x[i] - before * v[i] : x[i];
@@ -102,6 +103,24 @@ static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
     }
 }
 
+/* The terms of R1, of which L_v(q, v) and L_v(q1, w) are about the same, as changes of velocity. */
+static double base_of_R1(const dal_mechanics *mech, const double *kappa)
+{
+    const size_t n = mech->n;
+    const double weight = fabs(mech->start.h * (1.0 - mech->start.beta));
+    double base = dal__sum_of_sizes(n, mech->start.v);
+    for (size_t i = 0; i < n; i++) {
+        double sum = fabs(mech->w[i]) + fabs(mech->reach[i]);
+        if (!mech->eval.constant_mass) sum += fabs(mech->momentum[i]);
+        if (weight != 0.0) sum += weight * fabs(mech->force[i]);
+        for (size_t a = 0; a < mech->m; a++) sum += fabs(mech->muk[a * n + i] * kappa[a]);
+        if (mech->metric[i * n + i] > 0.0) base += sum / mech->metric[i * n + i];
+    }
+    return base;
+}
+
+double dal__step_base(const dal_mechanics *mech) { return mech->start.base; }
+
 static int evaluate_K(dal_mechanics *mech, const double *w)
 {
     const double beta = mech->start.beta, t = mech->start.t + mech->start.h;
@@ -160,6 +179,7 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     if (status) return status;
     /* nothing is written before all of it is known */
     if (R1) form_R1(mech, kappa, R1);
+    if (R1 && K) mech->start.base = base_of_R1(mech, kappa);
     if (R2) memcpy(R2, mech->phi, m * sizeof *R2);
     if (K) form_K(mech, K, K_scale);
     for (size_t k = 0; B && k < m * n; k++) B[k] = mech->mu[k] + a * mech->dmu[k];
@@ -191,11 +211,12 @@ int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst)
         if (status) return status;
         for (size_t a = 0; a < m; a++) mech->residual[a] = -mech->phi[a];
         dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->lambda);
-        for (size_t i = 0; i < n; i++) { /* q~' is not changed: a kept node moves with w */
+        for (size_t i = 0; i < n; i++) {
             double change = 0.0;
             for (size_t a = 0; a < m; a++) change += mech->Z[a * n + i] * mech->lambda[a];
             w[i] += change;
-            x[i] += shift * change;
+            /* q~' is not changed: a kept node moves with w, and gives back the same q~' */
+            if (shift != 0.0) x[i] = mech->q[i] + shift * w[i];
         }
     }
     memcpy(x + n, w, n * sizeof *w);

@@ -113,7 +113,9 @@ typedef enum dal_constraint_kind {
                           rest */
 } dal_constraint_kind;
 
-/* Outputs that a callback does not provide; they are replaced by central differences. */
+/* Outputs that a callback does not provide; they are replaced by central differences.  These are for
+ * functions that vary over 1 or more in q, as sines of angles do; 1e-12 below is for |q| up to about
+ * 10, and beyond, also for an angle of many turns, it becomes about (1e-16 |q|)^(4/5). */
 typedef enum dal_missing {
     DAL_MISSING_V_Q = 1,   /* costs accuracy: V_q is then good to about 1e-12 relative */
     DAL_MISSING_V_QQ = 2,  /* costs Newton's speed only */
@@ -886,7 +888,7 @@ DAL_API double dal_embedding_noise(const dal_embedding *embedding);
  * charts, flows and steps, and DAL_ENOCONV where h is too large.  tau is in units of h. */
 
 /* G[2n-m] <- the curve G~(tau, y) that starts in y[2n-m] and goes through Phi(y) at tau = 1, through
- * Phi(Phi(y)) at tau = 2, ...; tau >= 0 (Gdef, Gtilde, period0). */
+ * Phi(Phi(y)) at tau = 2, ..., a step for each; 0 <= tau <= 2^53 (Gdef, Gtilde, period0). */
 DAL_API int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, double *G);
 
 /* y[2n-m] <- the start of the curve that goes through z[2n-m] at tau - floor(tau) (ztilde). */

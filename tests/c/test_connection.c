@@ -481,6 +481,25 @@ static void test_invariance(void)
     dal_system_free(system);
 }
 
+/* Fifty trailers in line: 51 constraints, whose chart is as good as that of three. */
+static void test_many_constraints(void)
+{
+    const char *const names[] = {"trailers"};
+    const double fifty = 50.0;
+    dal_system *system = NULL;
+    double x[106], back[106], xi[55], condition = NAN;
+    need(dal_system_builtin(&system, "n_trailer", names, &fifty, 1, NULL), "n_trailer", "");
+    dal_chart *const chart = open_chart(system);
+    CHECK(dal_system_state(system, x) == 0);
+    CHECK(dal_chart_choose(chart, NULL, x) == 0);
+    CHECK(dal_chart_condition(chart, x, &condition) == 0 && condition < 1.2);
+    CHECK(dal_chart_drop(chart, x, xi) == 0 && dal_chart_lift(chart, xi, back) == 0);
+    CHECK_NEAR(largest_difference(106, x, back), 0.0, 53 * U);
+    CHECK(dal_chart_step(chart, 0.0, 0.5, 0.01, xi, NULL) == 0);
+    dal_chart_free(chart);
+    dal_system_free(system);
+}
+
 /* The particle: with z dependent A = (-y, 0), with x dependent A = (0, -1/y).  The limit is
  * 10 sqrt(3): they are kept for |y| < 17.2 and |y| > 1/17.2, and no change is undone at once. */
 static void test_renewal(void)
@@ -818,6 +837,7 @@ int main(void)
     dal_system_free(large);
     test_errata();
     test_invariance();
+    test_many_constraints();
     test_renewal();
     test_branches();
     test_no_constraint();

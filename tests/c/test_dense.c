@@ -190,6 +190,30 @@ static void test_lu(void)
     CHECK(x[0] == 2.0 && x[1] == 2.0);
 }
 
+/* Large matrices that are well conditioned: what a pivot could have lost does not add up. */
+static void test_large_lu(void)
+{
+    enum { N = 120 };
+    static double A[N * N], scale[N * N], LU[N * N];
+    static size_t row[N];
+    unsigned seed = 3;
+    for (int kind = 0; kind < 2; kind++) {
+        double x[N], b[N], y[N];
+        for (size_t i = 0; i < N; i++)
+            for (size_t j = 0; j < N; j++) {
+                const double lower = i > j ? 0.9 : i == j ? 1.0 : 0.0; /* x_i - x_(i-1) decays */
+                A[i * N + j] = kind == 0 ? next_number(&seed) - 0.5 : lower;
+                scale[i * N + j] = kind == 0 ? fabs(A[i * N + j]) : 1.0;
+            }
+        for (size_t i = 0; i < N; i++) x[i] = next_number(&seed);
+        dal__apply(N, N, A, x, b);
+        memcpy(LU, A, sizeof A);
+        CHECK(dal_lu_factor(N, 2, LU, scale, row) == 1);
+        dal_lu_solve(N, LU, row, b, y);
+        CHECK_NEAR(largest_difference(N, x, y), 0.0, N * U * 1e4);
+    }
+}
+
 static void test_singular(void)
 {
     size_t row[MOST] = {99};
@@ -258,6 +282,7 @@ int main(void)
     test_apply();
     test_cholesky();
     test_lu();
+    test_large_lu();
     test_singular();
     test_rescaling();
     return check_done();

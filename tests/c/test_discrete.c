@@ -975,6 +975,11 @@ static void test_exact_particle(void)
     CHECK_NEAR(v0[1], b, 1e-12);
     CHECK_NEAR(v0[2], c / s0 * q0[1], 1e-12);
     CHECK_NEAR(defect, 0.0, 1e-12);
+    double late[3]; /* t0 + h - t0 is not h */
+    CHECK(dal_exact_velocity(flow, 1e15, h, q0, q1, late, NULL) == 0);
+    CHECK_NEAR(largest_difference(3, late, v0), 0.0, 0.0);
+    CHECK(dal_exact_velocity(flow, 1e18, h, q0, q1, late, NULL) == 0);
+    CHECK_NEAR(largest_difference(3, late, v0), 0.0, 0.0);
     q1[2] += 1e-3; /* off it: what is missed is orthogonal to D at q0, (x, z) along (-y0, 1) */
     CHECK(dal_exact_velocity(flow, 0.0, h, q0, q1, v0, &defect) == 0);
     CHECK(defect > 0.5e-3 / h && defect < 2e-3 / h);

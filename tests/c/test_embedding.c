@@ -240,7 +240,17 @@ static void test_failures(void)
     CHECK(dal_embedding_field(embedding, 0.5, z, NULL) == DAL_EINVAL);
     CHECK(dal_embedding_curve(embedding, -0.5, z, g) == DAL_EINVAL);
     CHECK(strstr(dal_embedding_message(embedding), "tau = -0.5") != NULL);
+    CHECK(dal_embedding_curve(embedding, 1e300, z, g) == DAL_EINVAL); /* for ever */
+    CHECK(strstr(dal_embedding_message(embedding), "tau = 1e+300") != NULL);
+    CHECK(dal_embedding_curve(embedding, 0.5, NULL, g) == DAL_EINVAL);
+    CHECK(strstr(dal_embedding_message(embedding), "y is NULL") != NULL);
     CHECK(dal_embedding_flow(embedding, 0.0, INFINITY, z) == DAL_EINVAL && z[0] == 0.5);
+    CHECK(strstr(dal_embedding_message(embedding), "t1 = inf") != NULL);
+    CHECK(dal_embedding_flow(embedding, NAN, 1.0, z) == DAL_EINVAL && z[0] == 0.5);
+    CHECK(strstr(dal_embedding_message(embedding), "t0 = nan") != NULL);
+    double y[5]; /* just below an integer is where the curves start */
+    CHECK(dal_embedding_source(embedding, -1e-18, z, y) == 0);
+    for (int i = 0; i < 5; i++) CHECK_NEAR(y[i], z[i], 4 * U);
     z[1] = NAN;
     CHECK(dal_embedding_source(embedding, 0.5, z, g) == DAL_EINVAL);
     CHECK(strstr(dal_embedding_message(embedding), "z[1] = nan") != NULL);
