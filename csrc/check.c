@@ -1,5 +1,5 @@
-/* Floor 3: a system examined at one state: its derivatives, the rank of mu = phi_v, whether M = L_vv
- * is positive definite, and whether D is involutive.
+/* Floor 3: a system examined at one state: its derivatives, the rank of mu = phi_v, whether M =
+ * L_vv is positive definite, and whether D is involutive.
  *
  * Eigenvalues and singular values are those of products with the Cholesky factor L of M = L L^T:
  * of M on R^n the squares of those of L, of M on ker mu those of X L with the rows of X an

@@ -1,8 +1,8 @@
 /* Floor 3: systems whose constraint is that of another system, deformed.
  *
- * A deformed system is a system as any other: its callbacks call those of its base, which it borrows,
- * with the ctx of the base.  It may be shared by threads as far as the base may, so what a call needs
- * beside its outputs lies on the stack. */
+ * A deformed system is a system as any other: its callbacks call those of its base, which it
+ * borrows, with the ctx of the base.  It may be shared by threads as far as the base may, so what
+ * a call needs beside its outputs lies on the stack. */
 #include "internal.h"
 
 #include <math.h>
@@ -137,8 +137,8 @@ int dal_system_deform(dal_system **system, const dal_system *base, dal_deformati
         return dal__fail(error, DAL_EINVAL, "%s is NULL",
                          !system ? "system" : !base ? "base" : "g");
     if (missing & ~(unsigned)DAL_MISSING_PHI_Q)
-        return dal__fail(error, DAL_EINVAL, "missing = %#x: only DAL_MISSING_PHI_Q, for g_q, can be "
-                         "missing", missing);
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: only DAL_MISSING_PHI_Q, for g_q, is "
+                         "allowed", missing);
     if (kind < base->def.kind)
         return dal__fail(error, DAL_EINVAL, "kind = %d, but the base is of kind %d already",
                          (int)kind, (int)base->def.kind);

@@ -92,8 +92,8 @@ static void assemble(const dal_discrete *d, double *J, double *scale)
         }
 }
 
-/* What the roundoff of w is relative to beside w: the velocity before and the terms of the equations
- * of motion as changes of velocity, see dal__step_base. */
+/* What the roundoff of w is relative to beside w: the velocity before and the terms of the
+ * equations of motion as changes of velocity, see dal__step_base. */
 static double base_of_equations(const dal_discrete *d, const double *kappa)
 {
     const size_t n = d->n;

@@ -1,10 +1,11 @@
 /* Floor 7: a scheme as the period map of a periodically perturbed flow (pertODE, propoDisc).
  *
  * With F the flow of the ODE in xi, f its field, Phi the scheme with step h and chi_0, chi_1 the
- * cut-off functions, the curve G~(tau, y) = chi_0 F(h tau, y) + chi_1 F(h tau - h, Phi(y)) leads from
- * y to Phi(y) while tau goes from 0 to 1 (Gdef, Gtilde).  The field that has these curves as solutions
- * is f + h^p g(tau, xi), 1-periodic in tau.  g at z takes the y whose curve passes through z at tau
- * (ztilde), by a contraction with the factor O(h^(p+1)), and no derivative of G~ (gdefinition):
+ * cut-off functions, the curve G~(tau, y) = chi_0 F(h tau, y) + chi_1 F(h tau - h, Phi(y)) leads
+ * from y to Phi(y) while tau goes from 0 to 1 (Gdef, Gtilde).  The field that has these curves as
+ * solutions is f + h^p g(tau, xi), 1-periodic in tau.  g at z takes the y whose curve passes
+ * through z at tau (ztilde), by a contraction with the factor O(h^(p+1)), and no derivative of G~
+ * (gdefinition):
  *     h^p g = (chi_0'/h) (F1 - F2) + chi_0 f(F1) + chi_1 f(F2) - f(z),
  * F1 = F(h tau, y), F2 = F(h tau - h, Phi(y)). */
 #include "internal.h"
@@ -12,7 +13,7 @@
 #include <math.h>
 #include <string.h>
 
-static const double DEFAULT_TOLERANCE = 1e-14; /* of the flow: its error is multiplied by h^-(p+1) */
+static const double DEFAULT_TOLERANCE = 1e-14; /* of the flow, times h^-(p+1) in g */
 static const double RUN_TOLERANCE = 1e-12;     /* of the perturbed flow, */
 enum { STEPS_A_PERIOD = 1000 };                /* which takes about 50 of them */
 static const double MOST_PERIODS = 0x1p53;     /* beyond, tau has no phase */
@@ -196,7 +197,8 @@ static double phase_of(double tau)
 }
 
 /* self->y <- the y with G~(tau, y) = z, 0 <= tau < 1; F1 and F2 are those of y.  A change that does
- * not shrink any more is either the accuracy of the flow, or that of an iteration which diverges. */
+ * not shrink any more is either the accuracy of the flow, or that of an iteration which
+ * diverges. */
 static int solve_source(dal_embedding *self, double tau, const double *z)
 {
     enum { MOST = 100 };
@@ -250,7 +252,8 @@ int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, d
     dal_embedding *const self = embedding;
     int status = check_arguments(self, "y", y, "G", G);
     if (!status && !(tau >= 0.0 && tau <= MOST_PERIODS))
-        status = dal__fail(&self->error, DAL_EINVAL, "tau = %g is not in [0, %g]", tau, MOST_PERIODS);
+        status = dal__fail(&self->error, DAL_EINVAL, "tau = %g is not in [0, %g]", tau,
+                           MOST_PERIODS);
     if (status) return status;
     memcpy(self->y, y, self->width * sizeof *y);
     for (; !status && tau > 1.0; tau -= 1.0) status = step(self, self->y, self->y);

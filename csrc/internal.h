@@ -75,9 +75,9 @@ double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
 
-/* Where Newton's iteration stands.  size: of the last step; last: of the one before.  Roundoff of the
- * unknowns is relative to scale.  extent: sum |q_i| of the point that the equations are evaluated at,
- * whose own rounding moves what depends on it. */
+/* Where Newton's iteration stands.  size: of the last step; last: of the one before.  Roundoff of
+ * the unknowns is relative to scale.  extent: sum |q_i| of the point that the equations are
+ * evaluated at, whose own rounding moves what depends on it. */
 typedef struct dal__progress {
     int iteration; /* from 1 */
     double size, last, scale, extent;
@@ -232,8 +232,8 @@ struct dal_mechanics {
     /* of the equations of a step */
     double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
     double *node, *muk;           /* [n], [m*n] q_k, mu_k */
-    double *trial, *chetaev, *bend; /* [n], [m*n], [n*n]: where mu_k^T kappa is differenced, its value
-                                       and its derivative; of nonlinear constraints */
+    double *trial, *chetaev, *bend; /* [n], [m*n], [n*n] of nonlinear constraints: where mu_k^T
+                                       kappa is differenced, its value and its derivative */
     struct {
         double t, beta, h;
         bool kept;
@@ -265,20 +265,20 @@ int dal__factor_gram(dal_mechanics *mech);
 double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
                               const double *v);
 
-/* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone, which
- * are those of that function and have been checked; kept: x is (q_k, v), the state of kept nodes.
- * Then the rest, as often as needed; K_scale[n*n]: the sums of the absolute values of the terms of K
- * (see lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n]
- * the velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
- * relative residual raises *worst.  The x of dal__step_begin must stay until the last
- * dal__step_at. */
+/* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone,
+ * which are those of that function and have been checked; kept: x is (q_k, v), the state of kept
+ * nodes. Then the rest, as often as needed; K_scale[n*n]: the sums of the absolute values of the
+ * terms of K (see lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new
+ * state, with w[n] the velocity that was found, corrected so that phi at the q~' that x gives back
+ * is roundoff; the relative residual raises *worst.  The x of dal__step_begin must stay until the
+ * last dal__step_at. */
 int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
                     const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_scale, double *B);
 /* What the roundoff of w is relative to beside w: the sizes of v and of the terms of R1, as changes
- * of velocity, at the last dal__step_at that gave R1 and K.  They may be far larger than w: at rest,
- * where a reaction balances a force. */
+ * of velocity, at the last dal__step_at that gave R1 and K.  They may be far larger than w: at
+ * rest, where a reaction balances a force. */
 double dal__step_base(const dal_mechanics *mech);
 int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst);
 

@@ -4,9 +4,10 @@
  * that were added up to it.  Pivots are chosen relative to their scale, and a pivot that is not
  * larger than the rounding error of its own sum counts as zero.  So the test for singularity does
  * not change when rows, columns or coordinates are rescaled, and an exact 0 = 1 - 1 and a 1e-17
- * that ought to be 0 are found alike.  The elimination adds its terms to the scale; but of the errors
- * that these terms bring along only the largest counts: their sum would double at each pivot, and
- * every large matrix would be singular.  Header only: generated code has no library to link. */
+ * that ought to be 0 are found alike.  The elimination adds its terms to the scale; but of the
+ * errors that these terms bring along only the largest counts: their sum would double at each
+ * pivot, and every large matrix would be singular.  Header only: generated code has no library to
+ * link. */
 #ifndef DALEMBERT_LU_H
 #define DALEMBERT_LU_H
 

@@ -477,8 +477,8 @@ int dal_project(dal_mechanics *mechanics, double shift, double *x, double *dista
     return accept(mech, x, distance);
 }
 
-/* Z <- the directions in which the free components alone may move, [M_ff^-1 mu_f^T, 0]: those of the
- * saddle point system of min (w-v)^T M (w-v) with mu w = 0 and w_i = v_i for the kept i. */
+/* Z <- the directions in which the free components alone may move, [M_ff^-1 mu_f^T, 0]: those of
+ * the saddle point system of min (w-v)^T M (w-v) with mu w = 0 and w_i = v_i for the kept i. */
 static int form_free_Z(dal_mechanics *mech, const unsigned char *keep, size_t *free_count)
 {
     const size_t n = mech->n, m = mech->m;

@@ -184,7 +184,8 @@ int dal__ode_restart(ode *self, double end, dal_error *error)
     gsl_odeiv2_step_reset(self->driver->s);
     self->order = 1;
     const double change =
-        FIRST_STEP * (1.0 + dal__largest(self->N, self->state)) / dal__largest(self->N, self->slope);
+        FIRST_STEP * (1.0 + dal__largest(self->N, self->state))
+        / dal__largest(self->N, self->slope);
     self->h = copysign(fmin(change, FIRST_FRACTION * fabs(span)), span);
     return DAL_SUCCESS;
 }

@@ -67,7 +67,8 @@ static double finest_slope(size_t count, const double *h, const double *errors, 
         if (first == count || fabs(h[i]) < fabs(h[first])) {
             second = first;
             first = i;
-        } else if (fabs(h[i]) > fabs(h[first]) && (second == count || fabs(h[i]) < fabs(h[second]))) {
+        } else if (fabs(h[i]) > fabs(h[first])
+                   && (second == count || fabs(h[i]) < fabs(h[second]))) {
             second = i;
         }
     }
@@ -91,7 +92,8 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
         shortest = fmin(shortest, fabs(h[i]));
         longest = fmax(longest, fabs(h[i]));
     }
-    *fit = (dal_fit){.slope = NAN, .finest = NAN, .points = points, .exact = finite > 0 && above == 0};
+    *fit = (dal_fit){.slope = NAN, .finest = NAN, .points = points,
+                     .exact = finite > 0 && above == 0};
     if (points < FEWEST_POINTS || longest < SMALLEST_RANGE * shortest) return;
 
     const double mean_x = sum_x / (double)points, mean_y = sum_y / (double)points;
@@ -150,8 +152,9 @@ static dal_fit fit_run_column(study *self, size_t offset, double floor)
 }
 
 /* The fit of the reaction over the finer half of the steps, if that says anything.  Its errors are
- * c1 h + c2 h^2 whatever p is: where a high order wants coarse steps, the second term still matters,
- * and where the two have opposite signs the errors of the coarse steps have no slope at all. */
+ * c1 h + c2 h^2 whatever p is: where a high order wants coarse steps, the second term still
+ * matters, and where the two have opposite signs the errors of the coarse steps have no slope at
+ * all. */
 static dal_fit fit_reaction(study *self, double floor)
 {
     const size_t count = self->def->count;
@@ -295,8 +298,9 @@ static int watch_block(study *self, double h, size_t count, double energy0,
     if (isnan(self->shift)) return DAL_SUCCESS;
     status = dal_trajectory(self->mech, t, h, self->shift * h, count, x, NULL, NULL, NULL,
                             self->relative, NULL);
-    if (!status) point->residual_eps = fmax(point->residual_eps, dal__largest(count, self->relative));
-    return status;
+    if (status) return status;
+    point->residual_eps = fmax(point->residual_eps, dal__largest(count, self->relative));
+    return DAL_SUCCESS;
 }
 
 /* The run to t_end: what it keeps on the way, and its errors there. */
@@ -532,8 +536,8 @@ static int make_objects(study *self)
     if (!status)
         status = dal_stepper_new(&self->stepper, self->system, self->scheme, NULL, self->error);
     if (!status && (self->kept || !has_exact(self)))
-        status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, DAL_FLOW_X, self->tolerance,
-                              self->error);
+        status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, DAL_FLOW_X,
+                              self->tolerance, self->error);
     return status ? status : reserve_arrays(self);
 }
 

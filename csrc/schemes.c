@@ -64,7 +64,8 @@ static const dal_scheme table[] = {
     {.name = "endpoint", .beta = 1.0, .order = 1, .reference = paper,
      .help = "beta 1 (Facil): the adjoint of explicit; its nodes keep D as well"},
     {.name = "leapfrog-mirror", SUBSTEPS(leapfrog_mirror), .order = 2, .symmetric = 1,
-     .reference = paper, .help = "beta 1 then 0 at half steps: V at the ends of the step, as RATTLE"},
+     .reference = paper,
+     .help = "beta 1 then 0 at half steps: V at the ends of the step, as RATTLE"},
     {.name = "midpoint-nodes", .beta = 0.5, .nodes = DAL_KEPT_NODES, .order = 1, .reference = paper,
      .help = "midpoint at the original nodes: keeps D_eps, order 1 in the state"},
     {.name = "explicit-nodes", .beta = 0.0, .nodes = DAL_KEPT_NODES, .order = 1, .reference = paper,
@@ -181,8 +182,8 @@ int dal__scheme_check(const dal_scheme *scheme, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "scheme.nodes = %d is neither DAL_MOVED_NODES nor "
                          "DAL_KEPT_NODES", (int)scheme->nodes);
     if (scheme->nodes == DAL_KEPT_NODES && count > 1)
-        return dal__fail(error, DAL_EINVAL, "scheme has %zu sub-steps: kept nodes need a single one",
-                         count);
+        return dal__fail(error, DAL_EINVAL, "scheme has %zu sub-steps: kept nodes need a single "
+                         "one", count);
     for (size_t j = 0; j < count; j++) {
         const dal_substep step = dal__scheme_substep(scheme, j);
         if (!(step.beta >= 0.0 && step.beta <= 1.0))

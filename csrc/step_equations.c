@@ -18,7 +18,8 @@ static int total_force(dal_mechanics *mech, double t, const double *q, const dou
     return status;
 }
 
-int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept, const double *x)
+int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
+                    const double *x)
 {
     const size_t n = mech->n;
     const double *const v = x + n, before = (1.0 - beta) * h;

@@ -240,8 +240,9 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     if ((int)initial < DAL_INITIAL_NONE || initial > DAL_INITIAL_SHIFT)
         return dal__fail(error, DAL_EINVAL, "initial = %d is not a dal_initial", (int)initial);
     if (k->kept && initial == DAL_INITIAL_NONE)
-        return dal__fail(error, DAL_EINVAL, "a scheme with kept nodes needs initial: data in D used "
-                         "as they are, in D_eps, projected onto D_eps, or shifted to the node");
+        return dal__fail(error, DAL_EINVAL, "a scheme with kept nodes needs initial: data in D "
+                         "used as they are, in D_eps, projected onto D_eps, or shifted to the "
+                         "node");
     if (!k->kept && initial != DAL_INITIAL_NONE)
         return dal__fail(error, DAL_EINVAL, "initial = %d: only a scheme with kept nodes takes it",
                          (int)initial);
@@ -257,8 +258,8 @@ static int make_consistent(dal_stepper *self, double shift, dal_consistency cons
     dal_mechanics *const mech = &self->mech;
     int status = dal_relative_residual(mech, shift, self->fresh, &stats->initial_residual);
     if (!status && consistency == DAL_CHECK && !(stats->initial_residual <= DAL_CONSISTENT))
-        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: %s = %.3g, at most "
-                         "%g is accepted", shift == 0.0 ? "D" : "D_eps",
+        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: %s = %.3g, "
+                         "at most %g is accepted", shift == 0.0 ? "D" : "D_eps",
                          self->system->def.kind == DAL_LINEAR
                              ? "max_a |mu^a v| / sum_i |mu^a_i v_i|"
                              : "the relative residual of phi",
@@ -392,7 +393,8 @@ static void explain(dal_stepper *self, int status)
                  "%.3g; try a smaller h", k->failure.iterations, k->failure.size, k->failure.scale);
         break;
     }
-    dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %s", self->steps + 1, t, k->h, what);
+    dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %s", self->steps + 1, t, k->h,
+              what);
 }
 
 /* The same records by a solver for all unknowns, sub-step by sub-step; what went wrong is in the

@@ -44,8 +44,8 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
     if (!def->lagrangian && !def->mass)
         return dal__fail(error, DAL_EINVAL, "mass is NULL, and so is lagrangian");
     if (def->lagrangian && (def->missing & of_potential))
-        return dal__fail(error, DAL_EINVAL, "missing = %#x: there is no potential, but a lagrangian",
-                         def->missing);
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: there is no potential, but a "
+                         "lagrangian", def->missing);
     if (!def->lagrangian && (def->missing & of_lagrangian))
         return dal__fail(error, DAL_EINVAL, "missing = %#x: lagrangian is NULL", def->missing);
     if (!def->force && (def->missing & of_force))

@@ -107,15 +107,15 @@ typedef int (*dal_invariant_fn)(const double *x, double *values, void *ctx);
 
 typedef enum dal_constraint_kind {
     DAL_LINEAR = 0,    /* phi = mu(q) v; the residual is phi_v v, only the check asks for phi */
-    DAL_AFFINE = 1,    /* phi = mu(q) v + a(q) */
-    DAL_NONLINEAR = 2  /* any phi(q, v) with phi_v of full rank; its reaction is phi_v^T lambda (Chetaev),
-                          and phi_v must not vanish with v: a phi that is quadratic in v has no D at
-                          rest */
+    DAL_AFFINE = 1,    /* phi = mu(q) v + a(q), beyond the paper as the next */
+    DAL_NONLINEAR = 2  /* any phi(q, v) with phi_v of full rank, and with the reaction phi_v^T
+                          lambda (Chetaev), beyond the paper; a phi that is quadratic in v has no
+                          D at rest, where phi_v vanishes */
 } dal_constraint_kind;
 
-/* Outputs that a callback does not provide; they are replaced by central differences.  These are for
- * functions that vary over 1 or more in q, as sines of angles do; 1e-12 below is for |q| up to about
- * 10, and beyond, also for an angle of many turns, it becomes about (1e-16 |q|)^(4/5). */
+/* Outputs that a callback does not provide; they are replaced by central differences.  These are
+ * for functions that vary over 1 or more in q, as sines of angles do; 1e-12 below is for |q| up to
+ * about 10, and beyond, also for an angle of many turns, it becomes about (1e-16 |q|)^(4/5). */
 typedef enum dal_missing {
     DAL_MISSING_V_Q = 1,   /* costs accuracy: V_q is then good to about 1e-12 relative */
     DAL_MISSING_V_QQ = 2,  /* costs Newton's speed only */
@@ -171,11 +171,11 @@ DAL_API int dal_system_builtin(dal_system **system, const char *name, const char
 typedef int (*dal_deformation_fn)(const double *q, const double *v, double *g, double *g_v,
                                   double *g_q, void *ctx);
 
-/* *system <- base with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE): a system as
- * any other, of the given kind (of phi + delta g as a function of v), with C_delta, lambda_delta and
- * h_delta (Ceps, heps) from dal_gram, dal_multipliers and dal_field.  missing: DAL_MISSING_PHI_Q if
- * g_q is not provided, else 0.  base and ctx must outlive it; exact solution, invariants and initial
- * data are not taken over.
+/* *system <- base with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE): a system
+ * as any other, of the given kind (of phi + delta g as a function of v), with C_delta,
+ * lambda_delta and h_delta (Ceps, heps) from dal_gram, dal_multipliers and dal_field.  missing:
+ * DAL_MISSING_PHI_Q if g_q is not provided, else 0.  base and ctx must outlive it; exact solution,
+ * invariants and initial data are not taken over.
  * DAL_EINVAL (NULL, delta not finite, kind, missing), DAL_ENOMEM, DAL_EUNSUPPORTED (m n > 4000). */
 DAL_API int dal_system_deform(dal_system **system, const dal_system *base, dal_deformation_fn g,
                               void *ctx, double delta, dal_constraint_kind kind, unsigned missing,
@@ -210,8 +210,8 @@ DAL_API double dal_system_parameter(const dal_system *system, size_t i);        
 /* x[2n] <- the default initial data.  DAL_EUNSUPPORTED if there are none. */
 DAL_API int dal_system_state(const dal_system *system, double *x);
 
-/* x[2n] <- the exact state a time t after x0[2n], which must lie in D; where there is a force, of the
- * solution that starts at time 0.
+/* x[2n] <- the exact state a time t after x0[2n], which must lie in D; where there is a force, of
+ * the solution that starts at time 0.
  * DAL_EUNSUPPORTED if the system carries no exact solution; DAL_EUSER, DAL_EDOMAIN, DAL_ENOMEM. */
 DAL_API int dal_system_exact(const dal_system *system, double t, const double *x0, double *x);
 
@@ -278,16 +278,16 @@ DAL_API const char *dal_mechanics_message(const dal_mechanics *mechanics);
 DAL_API int dal_energy(dal_mechanics *mechanics, const double *x, double *E);
 
 /* *constraint <- lambda . (phi_v v), the power of the constraint forces, which is 0 on D for linear
- * constraints and dE/dt of an affine or nonlinear one (deformation); *force <- f . v.  Either may be
- * NULL. */
+ * constraints and dE/dt of an affine or nonlinear one (deformation); *force <- f . v.  Either may
+ * be NULL. */
 DAL_API int dal_power(dal_mechanics *mechanics, double t, const double *x, double *constraint,
                       double *force);
 
 /* M[n*n] <- L_vv at x (metric). */
 DAL_API int dal_metric(dal_mechanics *mechanics, const double *x, double *M);
 
-/* residual[m] <- phi(q - shift v, v).  shift = 0 is D; shift = (1 - beta) h is the deformation D_eps
- * that the beta-scheme with kept nodes preserves (deformedCons). */
+/* residual[m] <- phi(q - shift v, v).  shift = 0 is D; shift = (1 - beta) h is the deformation
+ * D_eps that the beta-scheme with kept nodes preserves (deformedCons). */
 DAL_API int dal_residual(dal_mechanics *mechanics, double shift, const double *x, double *residual);
 
 /* *worst <- max_a |phi^a| / (sum_i |mu^a_i v_i| + |phi^a - mu^a v|) at (q - shift v, v), where the
@@ -318,9 +318,9 @@ DAL_API int dal_perturbed(dal_mechanics *mechanics, double t, double weight, con
                           const double *ghat, double *xdot, double *lambda);
 
 /* x[2n]: v <- the velocity of D (shift = 0) or of D_eps on v + M^-1 mu(q)^T R^m, by Newton; for
- * linear and affine constraints and shift = 0 that is v - M^-1 mu^T C^-1 phi, the nearest consistent
- * velocity in the metric M.  *distance (or NULL) <- the length of the correction in that metric.
- * Also DAL_ENOCONV. */
+ * linear and affine constraints and shift = 0 that is v - M^-1 mu^T C^-1 phi, the nearest
+ * consistent velocity in the metric M.  *distance (or NULL) <- the length of the correction in
+ * that metric. Also DAL_ENOCONV. */
 DAL_API int dal_project(dal_mechanics *mechanics, double shift, double *x, double *distance);
 
 /* x[2n]: v <- the velocity in D_q nearest in the metric M with v_i unchanged where keep[i] is not 0
@@ -344,8 +344,8 @@ DAL_API int dal_step_equations(dal_mechanics *mechanics, double t, double beta, 
 
 /* Evaluates count rows (q, v) of x[count*2n]: energy[count]; multipliers[count*m] by lambdax, which
  * have the order of the rows (rmkpdisc);
- * residual[count*m] = phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may be
- * NULL.  On failure *done (or NULL) is the number of rows that were evaluated. */
+ * residual[count*m] = phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may
+ * be NULL.  On failure *done (or NULL) is the number of rows that were evaluated. */
 DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift,
                            size_t count, const double *x, double *energy, double *multipliers,
                            double *residual, double *relative, size_t *done);
@@ -450,10 +450,11 @@ DAL_API int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2
  * that of the rows.  At the time of a row they are that row.  shift = 0 is D; for rows of kept
  * nodes shift is (1-beta) times the step of the scheme, q - shift v is what is interpolated, and
  * the states lie in D_eps (where the first row does not, as with DAL_INITIAL_D, the states jump
- * behind it).  The coordinates are chosen by pivoting in the middle of each interval, and again at a
- * state where that choice is ill conditioned; *changes (or NULL) <- how often they changed from one
- * state to the next.  The choice of the chart is neither needed nor changed.  On failure *done (or
- * NULL) states were computed.  DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV. */
+ * behind it).  The coordinates are chosen by pivoting in the middle of each interval, and again at
+ * a state where that choice is ill conditioned; *changes (or NULL) <- how often they changed from
+ * one state to the next.  The choice of the chart is neither needed nor changed.  On failure *done
+ * (or NULL) states were computed.  DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR,
+ * DAL_ENOCONV. */
 DAL_API int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, size_t rows,
                                   const double *x, size_t count, const double *t, double *out,
                                   size_t *changes, size_t *done);
@@ -468,8 +469,8 @@ typedef enum dal_flow_method {
 
 typedef enum dal_flow_coordinates {
     DAL_FLOW_X = 0, /* the ODE in the states x (h) */
-    DAL_FLOW_XI = 1 /* the ODE in the coordinates of a chart (ODExi, ODExiConnec), which is changed on
-                       the way where it has become ill conditioned: every step lies in D */
+    DAL_FLOW_XI = 1 /* the ODE in the coordinates of a chart (ODExi, ODExiConnec), which is changed
+                       on the way where it has become ill conditioned: every step lies in D */
 } dal_flow_coordinates;
 
 /* The flow of the ODE on D by an adaptive method of GSL (odeiv2). */
@@ -484,9 +485,9 @@ DAL_API const char *dal_flow_message(const dal_flow *flow);
 /* x[2n] at t0, which must lie in D, -> x at t1 (t1 < t0 is allowed), projected onto D at the end
  * (ODEflow).
  * That x lies in D is not checked: off D the same ODE is integrated, which keeps phi, and only the
- * result is projected; in xi the part of v off D is dropped at once.  *accuracy (or NULL) <- estimate of the error, the largest component of
- * the difference to the result at a tolerance ten times as large; asking for it costs a second
- * integration.
+ * result is projected; in xi the part of v off D is dropped at once.  *accuracy (or NULL) <-
+ * estimate of the error, the largest component of the difference to the result at a tolerance ten
+ * times as large; asking for it costs a second integration.
  * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed). */
 DAL_API int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy);
 
@@ -670,8 +671,8 @@ DAL_API size_t dal_scheme_count(void);
 DAL_API int dal_scheme_at(dal_scheme *scheme, size_t i);
 
 /* 1 if every step of scheme on system is a sequence of linear solves, without iteration: every
- * sub-step has beta = 0, the mass is constant, no force, and the constraints are not nonlinear; else
- * 0. */
+ * sub-step has beta = 0, the mass is constant, no force, and the constraints are not nonlinear;
+ * else 0. */
 DAL_API int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *system);
 
 /* *shift <- 1 - beta of a record with a single sub-step: its D_eps has shift (1 - beta) h.
@@ -698,7 +699,7 @@ typedef struct dal_options {
 
 /* What is done with initial data (dal_stepper_start). */
 typedef enum dal_consistency {
-    DAL_CHECK = 0,   /* DAL_EOFFD unless the relative residual is <= 1e-8; then mended to roundoff */
+    DAL_CHECK = 0,   /* DAL_EOFFD unless the relative residual is <= 1e-8; then mended */
     DAL_PROJECT = 1, /* projected in the metric M */
     DAL_ASSUME = 2   /* used as they are */
 } dal_consistency;
@@ -734,8 +735,8 @@ typedef struct dal_stats {
 
 /* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step
  * |mu^a v| <= 4 n u sum_i |mu^a_i v_i| on the set that the scheme keeps, u = 2^-53, where the
- * constraint callback computes mu(q) to full accuracy; a sum of large coordinates inside a sine, say,
- * is found out within 64 steps, and from then on every step evaluates what it keeps. */
+ * constraint callback computes mu(q) to full accuracy; a sum of large coordinates inside a sine,
+ * say, is found out within 64 steps, and from then on every step evaluates what it keeps. */
 typedef struct dal_stepper dal_stepper;
 
 /* options: or NULL for the defaults.
@@ -774,10 +775,10 @@ DAL_API int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, si
 typedef int (*dal_observer_fn)(size_t step, double t, const double *x, void *ctx);
 
 /* steps steps from the stepper's state, every stride-th state stored (steps a multiple of stride).
- * x[(steps/stride + 1)*2n] (or NULL) <- the states, row 0 the state now; reactions[(steps/stride)*m]
- * (or NULL) <- the mean reaction over each interval, which belongs to its middle.  observer or NULL.
- * *done (or NULL) <- steps made and stored.  A second call goes on where this one stopped.
- * DAL_STOPPED, DAL_EINVAL and the errors of dal_step. */
+ * x[(steps/stride + 1)*2n] (or NULL) <- the states, row 0 the state now;
+ * reactions[(steps/stride)*m] (or NULL) <- the mean reaction over each interval, which belongs to
+ * its middle.  observer or NULL. *done (or NULL) <- steps made and stored.  A second call goes on
+ * where this one stopped. DAL_STOPPED, DAL_EINVAL and the errors of dal_step. */
 DAL_API int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, double *x,
                           double *reactions, dal_observer_fn observer, void *ctx, size_t *done);
 
@@ -840,8 +841,8 @@ typedef struct dal_order_def {
 } dal_order_def;
 
 /* Step-size refinement of scheme on system: points[count] and *order.
- * DAL_EINVAL, DAL_ENOMEM, and the errors of the reference flow.  A run that fails is a failed point,
- * not a failed study. */
+ * DAL_EINVAL, DAL_ENOMEM, and the errors of the reference flow.  A run that fails is a failed
+ * point, not a failed study. */
 DAL_API int dal_order_study(const dal_system *system, const dal_scheme *scheme,
                             const dal_order_def *def, dal_order_point *points, dal_order *order,
                             dal_error *error);
@@ -854,11 +855,11 @@ DAL_API void dal_fit_order(size_t count, const double *h, const double *errors, 
 /* ---- runs: embedding --------------------------------------------------------------------- */
 
 /* A scheme Phi of order p and step h is the period map of a flow that is perturbed periodically in
- * time: with xi the coordinates of a chart, f the field of the ODE on D in them and F its flow, there
- * is a 1-periodic g(tau, xi), bounded as h -> 0, such that Phi is the time-h map of
+ * time: with xi the coordinates of a chart, f the field of the ODE on D in them and F its flow,
+ * there is a 1-periodic g(tau, xi), bounded as h -> 0, such that Phi is the time-h map of
  *     xidot = f(xi) + h^p g(t/h, xi)          (pertODE, propoDisc; on D: Coro, perturbedNhODExi).
- * For h -> 0 it tends to -chi_0'(tau) d(xi), d the error constant of dal_embedding_limit.  With p + 1
- * in place of p it grows as 1/h, with p - 1 it tends to 0: so it measures p (porder, pdisc). */
+ * For h -> 0 it tends to -chi_0'(tau) d(xi), d the error constant of dal_embedding_limit.  With
+ * p + 1 in place of p it grows as 1/h, with p - 1 it tends to 0: so it measures p (porder, pdisc). */
 typedef struct dal_embedding dal_embedding;
 
 typedef struct dal_embedding_def {
@@ -887,8 +888,9 @@ DAL_API double dal_embedding_noise(const dal_embedding *embedding);
 /* Errors of the functions below: DAL_EINVAL (also where the chart has no choice yet), the errors of
  * charts, flows and steps, and DAL_ENOCONV where h is too large.  tau is in units of h. */
 
-/* G[2n-m] <- the curve G~(tau, y) that starts in y[2n-m] and goes through Phi(y) at tau = 1, through
- * Phi(Phi(y)) at tau = 2, ..., a step for each; 0 <= tau <= 2^53 (Gdef, Gtilde, period0). */
+/* G[2n-m] <- the curve G~(tau, y) that starts in y[2n-m] and goes through Phi(y) at tau = 1,
+ * through Phi(Phi(y)) at tau = 2, ..., a step for each; 0 <= tau <= 2^53 (Gdef, Gtilde,
+ * period0). */
 DAL_API int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, double *G);
 
 /* y[2n-m] <- the start of the curve that goes through z[2n-m] at tau - floor(tau) (ztilde). */

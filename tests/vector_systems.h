@@ -1,5 +1,5 @@
-/* vector_systems.h - the systems of tests/data/vectors.json, written from the formulas and parameters
- * that stand there, and not from the library's own. */
+/* vector_systems.h - the systems of tests/data/vectors.json, written from the formulas and
+ * parameters that stand there, and not from the library's own. */
 #ifndef DALEMBERT_TESTS_VECTOR_SYSTEMS_H
 #define DALEMBERT_TESTS_VECTOR_SYSTEMS_H
 

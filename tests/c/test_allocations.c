@@ -222,9 +222,12 @@ static int make(maker what, outputs *out, dal_error *error)
     case BUILTIN: return dal_system_builtin(&out->system, "chaotic", NULL, NULL, 0, error);
     case MECHANICS: return dal_mechanics_new(&out->mechanics, generic4, error);
     case CHART: return dal_chart_new(&out->chart, generic4, error);
-    case FLOW_RK8PD: return dal_flow_new(&out->flow, generic4, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, error);
-    case FLOW_MSADAMS: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSADAMS, DAL_FLOW_X, 1e-6, error);
-    case FLOW_MSBDF: return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSBDF, DAL_FLOW_X, 1e-6, error);
+    case FLOW_RK8PD:
+        return dal_flow_new(&out->flow, generic4, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, error);
+    case FLOW_MSADAMS:
+        return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSADAMS, DAL_FLOW_X, 1e-6, error);
+    case FLOW_MSBDF:
+        return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSBDF, DAL_FLOW_X, 1e-6, error);
     case STEPPER: return make_stepper(out, DAL_SOLVER_SCHUR, error);
     case STEPPER_MULTIROOT: return make_stepper(out, DAL_SOLVER_MULTIROOT, error);
     case DISCRETE: return dal_discrete_new(&out->discrete, generic4, &map, NULL, error);

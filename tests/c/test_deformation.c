@@ -46,8 +46,8 @@ static dal_system *deform(const dal_system *base, dal_deformation_fn g, void *ct
     return system;
 }
 
-/* The numbers of the group "deformed" of vectors.json, of 36 digits there; every one is a sum of a few
- * terms of size 1. */
+/* The numbers of the group "deformed" of vectors.json, of 36 digits there; every one is a sum of a
+ * few terms of size 1. */
 static void test_vectors(void)
 {
     static const struct {
@@ -162,7 +162,8 @@ static void test_linear(void)
     dal_system_free(base);
 }
 
-/* The flow on D_delta stays there by itself, and its energy changes by the power of the reactions. */
+/* The flow on D_delta stays there by itself, and its energy changes by the power of the
+ * reactions. */
 static void test_flow(void)
 {
     dal_system *const base = open_system("particle_oscillator");

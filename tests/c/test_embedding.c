@@ -151,7 +151,7 @@ static void test_measures_order(const char *name, const char *scheme, int order)
         most = fmax(most, g);
     }
     check_true(most < 1.5 * least, name, scheme, (int)(100 * most / least));
-    for (int wrong = order == 1 ? 1 : -1; wrong <= 1; wrong += 2) { /* 0 would be the record's own */
+    for (int wrong = order == 1 ? 1 : -1; wrong <= 1; wrong += 2) { /* 0: the record's own */
         const double ratio = bound(system, scheme, 0.04, order + wrong)
                            / bound(system, scheme, 0.08, order + wrong);
         CHECK_NEAR(ratio, wrong > 0 ? 2.0 : 0.5, wrong > 0 ? 0.25 : 0.06);
@@ -169,9 +169,11 @@ static void test_limit(double beta, int order)
     double z[5], d[5], g[5], slope;
     dal_embedding *const embedding = open_embedding(system, &def, dependent, z);
     const double y = z[1], a = z[3], b = z[4], s = 1 + y * y;
-    const double first[5] = {a * b * y / (2 * s), 0.0, -a * b / (2 * s), -a * b * b / (2 * s * s), 0};
+    const double first[5] = {a * b * y / (2 * s), 0.0, -a * b / (2 * s), -a * b * b / (2 * s * s),
+                             0};
     const double second[5] = {a * b * b * (2 * y * y - 1) / (12 * s * s), 0.0,
-                              -a * b * b * y / (4 * s * s), -a * b * b * b * y / (4 * s * s * s), 0};
+                              -a * b * b * y / (4 * s * s), -a * b * b * b * y / (4 * s * s * s),
+                              0};
     const double sign = beta == 1.0 ? -1.0 : 1.0;
     const double *const expected = order == 1 ? first : second;
     CHECK(dal_embedding_limit(embedding, z, d) == 0);

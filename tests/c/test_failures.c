@@ -580,8 +580,8 @@ static int ask(dal_mechanics *mechanics, question about, double *answers)
     case PROJECT_SHIFTED: return dal_project(mechanics, 0.1, x, out);
     case CONSISTENT: return dal_consistent(mechanics, keep, x, out);
     case EQUATIONS:
-        return dal_step_equations(mechanics, 0.0, 0.5, h, x, w, kappa, out, out + 4, out + 6, out + 22,
-                                  out + 30);
+        return dal_step_equations(mechanics, 0.0, 0.5, h, x, w, kappa, out, out + 4, out + 6,
+                                  out + 22, out + 30);
     case QUESTIONS: break;
     }
     return DAL_EINVAL;
@@ -1292,11 +1292,16 @@ static void test_null_mechanics(const dal_system *system, const double *x0)
     CHECK(dal_consistent(NULL, NULL, x, out) == DAL_EINVAL);
     CHECK(dal_consistent(mech, NULL, NULL, out) == DAL_EINVAL);
     CHECK(dal_consistent(mech, (const unsigned char[3]){1, 0, 0}, NULL, out) == DAL_EINVAL);
-    CHECK(dal_step_equations(NULL, 0.0, 0.5, h, x, x, x, out, NULL, NULL, NULL, NULL) == DAL_EINVAL);
-    CHECK(dal_step_equations(mech, 0.0, 0.5, h, NULL, x, x, out, NULL, NULL, NULL, NULL) == DAL_EINVAL);
-    CHECK(dal_step_equations(mech, 0.0, 0.5, h, x, NULL, x, out, NULL, NULL, NULL, NULL) == DAL_EINVAL);
-    CHECK(dal_step_equations(mech, 0.0, 0.5, h, x, x, NULL, out, NULL, NULL, NULL, NULL) == DAL_EINVAL);
-    CHECK(dal_step_equations(mech, 0.0, NAN, h, x, x, x, out, NULL, NULL, NULL, NULL) == DAL_EINVAL);
+    CHECK(dal_step_equations(NULL, 0.0, 0.5, h, x, x, x, out, NULL, NULL, NULL, NULL)
+          == DAL_EINVAL);
+    CHECK(dal_step_equations(mech, 0.0, 0.5, h, NULL, x, x, out, NULL, NULL, NULL, NULL)
+          == DAL_EINVAL);
+    CHECK(dal_step_equations(mech, 0.0, 0.5, h, x, NULL, x, out, NULL, NULL, NULL, NULL)
+          == DAL_EINVAL);
+    CHECK(dal_step_equations(mech, 0.0, 0.5, h, x, x, NULL, out, NULL, NULL, NULL, NULL)
+          == DAL_EINVAL);
+    CHECK(dal_step_equations(mech, 0.0, NAN, h, x, x, x, out, NULL, NULL, NULL, NULL)
+          == DAL_EINVAL);
     CHECK(dal_step_equations(mech, 0.0, 0.5, h, x, x, x, NULL, NULL, NULL, NULL, NULL) == 0);
     CHECK(dal_trajectory(NULL, 0.0, h, 0.0, 1, x, out, NULL, NULL, NULL, &done) == DAL_EINVAL);
     CHECK(dal_trajectory(mech, 0.0, h, 0.0, 1, NULL, out, NULL, NULL, NULL, &done) == DAL_EINVAL);
@@ -1313,7 +1318,8 @@ static void test_null_flow(const dal_system *system, double *x)
     dal_flow *flow = NULL;
     size_t done = 99;
     CHECK(dal_flow_new(NULL, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == DAL_EINVAL);
-    CHECK(dal_flow_new(&flow, NULL, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == DAL_EINVAL && flow == NULL);
+    CHECK(dal_flow_new(&flow, NULL, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL)
+          == DAL_EINVAL && flow == NULL);
     CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == 0);
     CHECK(dal_flow_apply(NULL, 0.0, 1.0, x, NULL) == DAL_EINVAL);
     CHECK(dal_flow_apply(flow, 0.0, 1.0, NULL, NULL) == DAL_EINVAL);

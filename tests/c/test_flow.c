@@ -452,8 +452,8 @@ static void test_unstable_msbdf(void)
     }
 }
 
-/* In the coordinates of charts: the same states, each in D without being projected, and the chart is
- * changed on the way where the dependent coordinate of the start does not serve all of it. */
+/* In the coordinates of charts: the same states, each in D without being projected, and the chart
+ * is changed on the way where the dependent coordinate of the start does not serve all of it. */
 static void test_in_xi(const char *name, dal_flow_method method, double tolerance, bool turns)
 {
     double x0[MOST], in_x[MOST], in_xi[MOST], rows[21 * MOST], accuracy, relative;

@@ -771,7 +771,8 @@ static void test_rest(void)
 }
 
 /* A vehicle that stands far from the origin and has turned by as many radians: one rounding of q
- * moves mu by more than what Newton's iteration mends, and a node has to give back its q~ exactly. */
+ * moves mu by more than what Newton's iteration mends, and a node has to give back its q~
+ * exactly. */
 static void test_far(const char *name, double far)
 {
     dal_system *const system = open_system(name);
@@ -814,9 +815,9 @@ static void test_far(const char *name, double far)
     dal_system_free(system);
 }
 
-/* Differences at angles of many turns, and far from the origin: with the spacing of the library their
- * error is (u |q|)^(4/5), for sines and for what grows with q alike; 16 is for the fifth derivatives
- * and the terms. */
+/* Differences at angles of many turns, and far from the origin: with the spacing of the library
+ * their error is (u |q|)^(4/5), for sines and for what grows with q alike; 16 is for the fifth
+ * derivatives and the terms. */
 static void test_far_differences(const char *name)
 {
     dal_system *const base = open_system(name);

@@ -377,10 +377,12 @@ static void test_jacobian(dal_mechanics *mech, const dal_system *system, const d
         for (size_t j = 0; j < n + m; j++) {
             double *const unknown = j < n ? w + j : kappa + (j - n), centre = *unknown;
             *unknown = centre + d;
-            CHECK(dal_step_equations(mech, 0.0, betas[b], h, x, w, kappa, up1, up2, NULL, NULL, NULL)
+            CHECK(dal_step_equations(mech, 0.0, betas[b], h, x, w, kappa, up1, up2, NULL, NULL,
+                                     NULL)
                   == 0);
             *unknown = centre - d;
-            CHECK(dal_step_equations(mech, 0.0, betas[b], h, x, w, kappa, down1, down2, NULL, NULL, NULL)
+            CHECK(dal_step_equations(mech, 0.0, betas[b], h, x, w, kappa, down1, down2, NULL, NULL,
+                                     NULL)
                   == 0);
             *unknown = centre;
             for (size_t i = 0; i < n; i++)
@@ -433,7 +435,8 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
     NAMED(dal_consistent(mech, NULL, NULL, NULL), "x");
     NAMED(dal_step_equations(mech, 0.0, 0.5, 0.1, x, NULL, x, NULL, NULL, NULL, NULL, NULL), "w");
 #undef NAMED
-    CHECK(dal_step_equations(mech, 0.0, 1.5, 0.1, x, x, x, NULL, NULL, NULL, NULL, NULL) == DAL_EINVAL);
+    CHECK(dal_step_equations(mech, 0.0, 1.5, 0.1, x, x, x, NULL, NULL, NULL, NULL, NULL)
+          == DAL_EINVAL);
     CHECK(strstr(dal_mechanics_message(mech), "beta = 1.5") != NULL);
     x[3 * 2 * n + 1] = NAN;
     E[3] = relative[3] = 7.0;

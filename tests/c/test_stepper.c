@@ -121,8 +121,8 @@ static void test_equations_of(const dal_system *system, const double *x0)
     dal_mechanics_free(mechanics);
 }
 
-/* beta = 0: the reaction in closed form, lambda = -C^-1 mu w / h at q1 = q + h v with w = v - h M^-1
- * V_q(q1). */
+/* beta = 0: the reaction in closed form, lambda = -C^-1 mu w / h at q1 = q + h v with w = v - h
+ * M^-1 V_q(q1). */
 static void test_explicit_reaction(const dal_system *system, const double *x, double h)
 {
     const size_t n = dal_system_n(system), m = dal_system_m(system);
@@ -160,8 +160,8 @@ static void second_derivative(dal_mechanics *mechanics, size_t n, const double *
     for (size_t i = 0; i < n; i++) vddot[i] = (up[i] - down[i]) / (2 * d);
 }
 
-/* A step in powers of h: v + h vdot for every beta, and for beta = 1/2 h^2 vddot/2 besides.  What is
- * left after these two terms is O(h^2) and O(h^3): from h to h/4 it falls by 16 and by 64, up to
+/* A step in powers of h: v + h vdot for every beta, and for beta = 1/2 h^2 vddot/2 besides.  What
+ * is left after these two terms is O(h^2) and O(h^3): from h to h/4 it falls by 16 and by 64, up to
  * terms of the next order, a few h. */
 static void test_expansions(const dal_system *system, const double *x)
 {
