@@ -859,7 +859,8 @@ DAL_API void dal_fit_order(size_t count, const double *h, const double *errors, 
  * there is a 1-periodic g(tau, xi), bounded as h -> 0, such that Phi is the time-h map of
  *     xidot = f(xi) + h^p g(t/h, xi)          (pertODE, propoDisc; on D: Coro, perturbedNhODExi).
  * For h -> 0 it tends to -chi_0'(tau) d(xi), d the error constant of dal_embedding_limit.  With
- * p + 1 in place of p it grows as 1/h, with p - 1 it tends to 0: so it measures p (porder, pdisc). */
+ * p + 1 in place of p it grows as 1/h, with p - 1 it tends to 0: so it measures p (porder,
+ * pdisc). */
 typedef struct dal_embedding dal_embedding;
 
 typedef struct dal_embedding_def {
