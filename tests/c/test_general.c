@@ -167,7 +167,7 @@ static void test_same_mechanics(const char *name)
         dal_system *const other = open_disguise(base, as);
         dal_mechanics *const mech = open_mechanics(other);
         const double tolerance = as == DIFFERENCED ? 1e-10 : 4000 * U;
-        for (int trial = 0; trial < 6; trial++) {
+        for (int trial = 0; trial < 20; trial++) {
             double x[2 * MOST_N], y[2 * MOST_N], a[2 * MOST_N], b[2 * MOST_N], d[2], E[2], power[2];
             double M[MOST_N * MOST_N], C[2][MOST_M * MOST_M];
             for (size_t i = 0; i < 2 * n; i++) x[i] = next_number(&seed);
