@@ -335,7 +335,11 @@ static int evaluate_condition(dal_chart *chart, const double *x, double *conditi
                                  &chart->mech.error);
     if (status) return status;
     *condition = (double)INFINITY;
-    if (factor_B(chart, chart->mech.mu, false)) return DAL_SUCCESS;
+    const dal_error before = chart->mech.error;
+    if (factor_B(chart, chart->mech.mu, false)) { /* an answer, not a failure */
+        chart->mech.error = before;
+        return DAL_SUCCESS;
+    }
     form_A(chart);
     for (size_t a = 0; a < m; a++)
         for (size_t j = 0; j < free; j++) {

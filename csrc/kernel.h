@@ -327,10 +327,10 @@ static int dal_kernel_correct(dal_kernel *k, bool foretold)
             return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
         }
         dal_lu_solve(m, k->S, k->row, k->r, k->d);
-        for (size_t i = 0; i < n; i++) { /* q~' is not changed: a kept node moves with v' */
-            const double change = dal_kernel_column(n, m, k->Z, i, k->d);
-            k->w[i] += change;
-            k->stored[i] += shift * change;
+        for (size_t i = 0; i < n; i++) {
+            k->w[i] += dal_kernel_column(n, m, k->Z, i, k->d);
+            /* q~' is not changed: a kept node moves with v', and gives back the same q~' */
+            if (k->kept) k->stored[i] = k->point[i] + shift * k->w[i];
         }
     }
     return dal_kernel_sum(n, k->w) + dal_kernel_sum(n, k->stored) <= DBL_MAX

@@ -208,7 +208,7 @@ static int exact_state(study *self, double t, const double *start, double *x)
 {
     if (!self->flow) return dal_system_exact(self->system, t - self->def->t0, start, x);
     memcpy(x, start, 2 * self->n * sizeof *x);
-    return dal__flow_apply(self->flow, self->def->t0, t, x, !self->kept);
+    return dal__flow_apply(self->flow, self->def->t0, t - self->def->t0, x, !self->kept);
 }
 
 /* The state and lambda at t_end, and how well they are known. */

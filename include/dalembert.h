@@ -20,8 +20,9 @@
  *      callbacks may.  Every other object belongs to one thread at a time.  There are no globals.
  *   7. GSL's error handler is never set, changed or provoked.  The one exception is memory: GSL
  *      can report a failed allocation only through its handler, so its workspaces are allocated
- *      only when an object is made (dal_flow_new; dal_stepper_new with DAL_SOLVER_MULTIROOT); only
- *      DAL_FLOW_MSBDF allocates as it goes, in GSL's factorisation of its matrix.
+ *      only when an object is made (dal_flow_new, dal_embedding_new, dal_stepper_new with
+ *      DAL_SOLVER_MULTIROOT, and dal_order_study, which makes a flow); only DAL_FLOW_MSBDF
+ *      allocates as it goes, in GSL's factorisation of its matrix.
  *
  * The sections follow the floors of csrc/: ground, system, geometry, flow, discretisation, schemes,
  * runs. */
@@ -432,7 +433,8 @@ DAL_API int dal_chart_step(dal_chart *chart, double t, double beta, double h, do
 /* ---- geometry: curves in D --------------------------------------------------------------- */
 
 /* The cut-off functions chi_0 = (1 + tanh cot(pi tau)) / 2 and chi_1 = 1 - chi_0 on 0 < tau < 1,
- * both to full relative accuracy, and *slope <- dchi_0/dtau (CutOff); (1, 0, 0) for tau <= 0 and
+ * both without cancellation, to a relative error of a few u |log chi|, and *slope <- dchi_0/dtau
+ * (CutOff); (1, 0, 0) for tau <= 0 and
  * (0, 1, 0) for tau >= 1.  All derivatives vanish at the ends.  NaN for NaN.  Every output may be
  * NULL. */
 DAL_API void dal_cutoff(double tau, double *chi0, double *chi1, double *slope);

@@ -527,6 +527,7 @@ static void test_renewal(void)
     const size_t x_depends = 0;
     CHECK(dal_chart_choose(chart, &x_depends, beside) == 0);
     CHECK(dal_chart_condition(chart, at_infinity, &condition) == 0 && condition == INFINITY);
+    CHECK(strstr(dal_chart_message(chart), "singular") == NULL); /* that is no failure */
     CHECK(dal_chart_renew(chart, at_infinity, NULL) == 0 && dal_chart_dependent(chart)[0] == 2);
     dal_chart_free(chart);
     dal_system_free(system);

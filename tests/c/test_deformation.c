@@ -182,7 +182,7 @@ static void test_flow(void)
         memcpy(y, x, sizeof y);
         CHECK(dal__flow_apply(flow, 0.0, k * d, y, false) == 0);
         CHECK(dal_energy(mech, y, &E[k + 2]) == 0);
-        CHECK(dal__flow_apply(flow, k * d, 2.0, y, false) == 0);
+        CHECK(dal__flow_apply(flow, k * d, 2.0 - k * d, y, false) == 0);
         CHECK(dal_relative_residual(mech, 0.0, y, &residual) == 0 && residual < 1e-11);
     }
     CHECK(dal_power(mech, 0.0, x, &power, NULL) == 0 && fabs(power) > 1e-4);
