@@ -441,7 +441,7 @@ def test_wrong_points_are_named(midpoint, method):
 
 
 def test_other_wrong_arguments(midpoint):
-    with pytest.raises(ValueError, match="tau = -0.5 is negative"):
+    with pytest.raises(ValueError, match="tau = -0.5 is not in"):
         midpoint.curve(-0.5)
     with pytest.raises(ValueError, match="t1 = inf"):
         midpoint.flow(0, np.inf)
