@@ -350,7 +350,7 @@ static int observing(size_t step, double t, const double *x, void *ctx)
 static void test_steps(const dal_system *system, const dal_scheme *scheme, dal_options options,
                        size_t steps)
 {
-    double x[MOST];
+    double x[16];
     dal_stepper *stepper = NULL;
     dal_stats stats;
     const bool kept = scheme->nodes == DAL_KEPT_NODES;

@@ -194,7 +194,7 @@ static void test_too_large(const char *name, const char *scheme_name, double h)
     dal_system *const system = open_system(name);
     const dal_scheme scheme = find_scheme(scheme_name);
     const dal_embedding_def def = {.scheme = &scheme, .h = h};
-    double z[WIDTH], g[WIDTH] = {7.0}, y[WIDTH] = {7.0};
+    double z[WIDTH] = {0.0}, g[WIDTH] = {7.0}, y[WIDTH] = {7.0};
     dal_embedding *const embedding = open_embedding(system, &def, NULL, z);
     CHECK(dal_embedding_field(embedding, 0.55, z, g) == DAL_ENOCONV && g[0] == 7.0);
     CHECK(strstr(dal_embedding_message(embedding), "is too large") != NULL);
