@@ -103,6 +103,15 @@ class Check:
         True if the curvature vanishes here: D may be a holonomic constraint in disguise.
     text : str
         The first thing found wrong, or a summary.
+    growth : tuple of int or None
+        Growth vector of D at a general point: dimensions of D, D + [D, D], ... until they stay; n at
+        last if D is bracket generating, n - k if there are k holonomic constraints in disguise.  Of
+        systems made by `System.from_sympy` with linear constraints, else None.
+    holonomic : tuple of str
+        Those of their constraints that are holonomic in disguise, each by itself or, if that is
+        said, several together.
+    exact : bool
+        True if ``growth`` is proved, False if it was seen at random points to 30 digits.
     """
 
     passed: bool
@@ -129,6 +138,9 @@ class Check:
     curvature: float
     integrable: bool
     text: str
+    growth: tuple[int, ...] | None = None
+    holonomic: tuple[str, ...] = ()
+    exact: bool = False
 
     def __bool__(self) -> bool:
         return self.passed
@@ -144,6 +156,10 @@ class Check:
             ("|phi|, relative", f"{self.residual:.1e}"),
             ("curvature of D", curvature if self.kind == "linear" else f"- ({self.kind})"),
         ]
+        if self.growth is not None:
+            how = "" if self.exact else " (seen at random points)"
+            lines.append(("growth vector of D", f"{self.growth}{how}"))
+        lines += [("holonomic in disguise", text) for text in self.holonomic]
         head = ("passed: " if self.passed else "FAILED: ") + self.text
         return "\n".join([head, *(f"{name:20} {value}" for name, value in lines)])
 
