@@ -139,7 +139,7 @@ static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_o
     dal_kernel_share(k, k->x);
     const bool simple = system->mass && !system->def.force && system->def.kind == DAL_LINEAR;
     if (simple && options->solver == DAL_SOLVER_SCHUR)
-        self->advance = system->def.kernel && options->sizes == DAL_SIZES_AUTO
+        self->advance = system->def.kernel && !k->kept && options->sizes == DAL_SIZES_AUTO
                             ? system->def.kernel
                             : dal__kernel_for(k->n, k->m, options->sizes);
     dal__newton_bind(&self->newton, system, k->max_iterations);

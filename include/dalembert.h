@@ -154,7 +154,8 @@ typedef struct dal_system_def {
     dal_invariant_fn invariant;
     size_t ctx_size;                /* 0: ctx is borrowed; else it is copied */
     dal_kernel_fn kernel;           /* the step routine compiled for this system, or NULL; only for
-                                       constant mass, linear constraints, no force, nothing missing */
+                                       constant mass, linear constraints, no force, nothing missing.
+                                       It makes the steps of moved nodes */
     size_t kernel_size;             /* sizeof(dal_kernel) as its compiler saw it */
 } dal_system_def;
 

@@ -144,8 +144,8 @@ def _function(made: Program, model: Model, function: Function, fast: bool, power
     inline = fast and function.name in ("constraint", "potential") and operations <= _INLINED
     used = {s.name for e in [*reduced, *(e for _, e in temporaries)] for s in e.free_symbols}
 
-    made.add("DAL_KERNEL_INLINE" if inline else "static")
-    made.add(f"int model_{function.name}({_SIGNATURES[function.name]}, const double *p)\n{{")
+    made.add("DAL_KERNEL_INLINE int" if inline else "static int")
+    made.add(f"model_{function.name}({_SIGNATURES[function.name]}, const double *p)\n{{")
     arrays = _SIGNATURES[function.name]
     for letter, symbols in (("q", model.q), ("v", model.v), ("p", model.p)):
         for i, symbol in enumerate(symbols):
@@ -241,12 +241,10 @@ def _kernel(made: Program, model: Model) -> None:
         constrain = "((void)(k), (void)(q), (void)(v), (void)(mu), (void)(N), 0)"
     if potential:
         made.add(_INSIDE_POTENTIAL)
-        pull = "model_inside_potential(k, q, V_q)"
-    else:
-        pull = "((void)(k), (void)(q), (void)(V_q), 0)"
     made.add(f"#define DAL_N {model.n}\n#define DAL_M {model.m}\n#define DAL_KERNEL model_steps")
     made.add(f"#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) {constrain}")
-    made.add(f"#define DAL_KERNEL_POTENTIAL(k, q, V_q) {pull}")
+    if potential:
+        made.add("#define DAL_KERNEL_POTENTIAL(k, q, V_q) model_inside_potential(k, q, V_q)")
     made.add("#include <dalembert/kernel.h>\n")
 
 
@@ -307,7 +305,7 @@ def _constructor(made: Program, model: Model, fast: bool, name: str, system: Any
     count, n = len(model.parameters), model.n
     arguments = "".join(f"double p{i}, " for i in range(count))
     for i, (key, value) in enumerate(system.parameters.items()):
-        made.add(f"/* p{i} is " + "".join(c if c.isalnum() else "_" for c in key)
+        made.add(f"/* p{i} is " + "".join(c if c.isascii() and c.isalnum() else "_" for c in key)
                  + f", {value!r} where this was generated. */")  # fmt: skip
     made.add("/* *system <- the system; as dal_system_new, which returns the status. */")
     made.add(f"int {name}_system(dal_system **system, {arguments}dal_error *error);\n")

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from ._lib import ffi
+from .extras import require
 
-__all__ = ["ARGUMENTS", "Pointer", "context", "find"]
+__all__ = ["ARGUMENTS", "Pointer", "context", "find", "numba_wanted"]
 
 # Number of arguments of the callbacks of dalembert.h.
 ARGUMENTS = {"potential": 5, "constraint": 6, "lagrangian": 9, "force": 7}
@@ -107,6 +108,35 @@ def _capsule(value: Any) -> tuple[Pointer, None]:
     pointer.restype, pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     signature = value.signature.encode() if value.signature else None
     return Pointer(pointer(value.function, signature) or 0, value), None
+
+
+def numba_wanted() -> Any:
+    """Return ``wanted(output)`` for numba functions: whether a pointer is not NULL.
+
+    Numba has no such test of its own, and a callback has to leave out what is not wanted.
+
+    Raises
+    ------
+    ImportError
+        If numba is not installed.
+
+    Examples
+    --------
+    >>> from dalembert import pointers
+    >>> wanted = pointers.numba_wanted()  # doctest: +SKIP
+    """
+    numba = require("numba", "a test for numba functions")
+    from numba.extending import intrinsic
+
+    @intrinsic
+    def wanted(typing: Any, pointer: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            number = builder.ptrtoint(values[0], context.get_value_type(numba.types.intp))
+            return builder.icmp_unsigned("!=", number, number.type(0))
+
+        return numba.types.boolean(pointer), generate
+
+    return wanted
 
 
 def context(given: Any, pointers: Mapping[str, Pointer]) -> tuple[Any, Any]:
