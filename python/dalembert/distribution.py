@@ -94,9 +94,9 @@ class _Point:
 
     def _turn(self, a: int, X: Sequence[Any], Y: Sequence[Any]) -> Any:
         slope, n = self.slope[a], self.n
-        return mpmath.fsum(
-            slope[i][j] * (X[j] * Y[i] - X[i] * Y[j]) for i in range(n) for j in range(n)
-        )
+        terms = [slope[i][j] * (X[j] * Y[i] - X[i] * Y[j]) for i in range(n) for j in range(n)]
+        found = mpmath.fsum(terms)
+        return found if abs(found) > _TINY * sum(map(abs, terms)) else mpmath.mpf(0)
 
     def integrable(self, a: int) -> bool:
         """Return whether d mu^a ^ mu^a vanishes here: then the one constraint is holonomic."""

@@ -272,7 +272,8 @@ def _pairs(given: Iterable[Any] | None, expressions: list[Expr]) -> list[tuple[s
         moving = set().union(*(e.atoms(Velocity) for e in expressions))
         made |= {Coordinate(v.name.removesuffix(".d"), real=True) for v in moving}
         functions = set().union(*(e.atoms(AppliedUndef) for e in expressions))
-        given = [*sorted(made, key=order_made), *sorted(functions, key=str)]
+        moved = {f for f in functions if len(f.args) == 1 and _is_time(f.args[0])}
+        given = [*sorted(made, key=order_made), *sorted(moved, key=str)]
     elif isinstance(given, Mapping):
         given = list(given.items())
     found = []
@@ -293,6 +294,13 @@ def _pairs(given: Iterable[Any] | None, expressions: list[Expr]) -> list[tuple[s
                 "or a pair of symbols (q, v)"
             )
     return found
+
+
+def _is_time(argument: Expr) -> bool:
+    """Return whether a function of this is a coordinate; of a coordinate it is none."""
+    from .model import Coordinate
+
+    return bool(argument.is_Symbol) and not isinstance(argument, Coordinate)
 
 
 def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list[Expr]]:
