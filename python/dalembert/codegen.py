@@ -104,7 +104,7 @@ def program(model: Model, name: str | None = None, system: Any = None) -> Progra
     return made
 
 
-_QUIET = """#if defined(__GNUC__) && !defined(__clang__) /* it cannot see that S is factored first */
+_QUIET = """#if defined(__GNUC__) && !defined(__clang__) /* gcc cannot see that S is set first */
 #pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
 #endif"""
 
@@ -131,7 +131,9 @@ def _power(made: Program, exponent: int) -> None:
 # ---- callbacks ---------------------------------------------------------------------------------
 
 
-def _function(made: Program, model: Model, function: Function, fast: bool, powers: set[int]) -> None:
+def _function(
+    made: Program, model: Model, function: Function, fast: bool, powers: set[int]
+) -> None:
     """Write a callback: what is common to its outputs, then each output that is wanted."""
     flat = [e for _, expressions in function.outputs for e in expressions]
     temporaries, reduced = function.engine.cse(flat)
@@ -155,7 +157,8 @@ def _function(made: Program, model: Model, function: Function, fast: bool, power
     for letter, symbols in (("q", model.q), ("v", model.v), ("p", model.p)):
         for i, symbol in enumerate(symbols):
             if symbol.name in used:
-                made.add(f"    const double {symbol.name} = {_element(letter, i, arrays, model.n)};")
+                place = _element(letter, i, arrays, model.n)
+                made.add(f"    const double {symbol.name} = {place};")
     inputs = [i for i in _names(arrays) if i in ("t", "q", "v", "start")]
     made.add("    " + ", ".join(f"(void){name}" for name in [*inputs, "p"]) + ";")
     print_c = Printer(powers)
@@ -253,8 +256,8 @@ def _kernel(made: Program, model: Model) -> None:
     made.add("#include <dalembert/kernel.h>\n")
 
 
-_INSIDE_CONSTRAINT = """DAL_KERNEL_INLINE int model_inside_constraint(dal_kernel *k, const double *q,
-    const double *v, double *mu, double *N)
+_INSIDE_CONSTRAINT = """DAL_KERNEL_INLINE int model_inside_constraint(
+    dal_kernel *k, const double *q, const double *v, double *mu, double *N)
 {
     k->stats.constraint_calls++;
     return model_constraint(q, v, NULL, mu, N, k->constraint_ctx);

@@ -2,9 +2,9 @@
 
 The compiler is ``$CC``, else the first of cc, gcc and clang.  What it made is kept in
 ``$DALEMBERT_CACHE``, else ``$XDG_CACHE_HOME/dalembert``, else ``~/.cache/dalembert``: one file for
-each model, version of the package and of SymPy, compiler and flags, with the C beside it.  A file is
-written under another name and renamed, and ends in a digest of itself, so that processes may write
-the same one at once, and what was cut short or comes from elsewhere is made again.
+each model, version of the package and of SymPy, compiler and flags, with the C beside it.  A file
+is written under another name and renamed, and ends in a digest of itself, so that processes may
+write the same one at once, and what was cut short or comes from elsewhere is made again.
 """
 
 from __future__ import annotations

@@ -176,7 +176,7 @@ def _fields(mu: list[list[Expr]], q: Sequence[Expr], pivots: list[int]) -> list[
 def _further(
     mu: list[list[Expr]], q: Sequence[Expr], pivots: list[int], points: Points, known: int
 ) -> list[int]:
-    """Return the dimensions after D + [D, D], which has dimension known, as far as they are found."""
+    """Return the dimensions after that of D + [D, D], known, as far as they are found."""
     n = len(q)
     if len(mu) > 4:
         return []

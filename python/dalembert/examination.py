@@ -104,14 +104,16 @@ class Check:
     text : str
         The first thing found wrong, or a summary.
     growth : tuple of int or None
-        Growth vector of D at a general point: dimensions of D, D + [D, D], ... until they stay; n at
-        last if D is bracket generating, n - k if there are k holonomic constraints in disguise.  Of
-        systems made by `System.from_sympy` with linear constraints, else None.
+        Growth vector of D at a general point: dimensions of D, D + [D, D], ...  Its end is n if D
+        is bracket generating; n - k, twice, if there are k holonomic constraints in disguise; any
+        other if further brackets were too large to form.  Of systems made by `System.from_sympy`
+        with linear constraints, else None.
     holonomic : tuple of str
-        Those of their constraints that are holonomic in disguise, each by itself or, if that is
-        said, several together.
+        Those of their constraints that are holonomic in disguise by themselves, and how many are
+        if several are taken together.
     exact : bool
-        True if ``growth`` is proved, False if it was seen at random points to 30 digits.
+        True if it is proved whether D is integrable, or bracket generating; False if that was seen
+        at random points to 30 digits.
     """
 
     passed: bool

@@ -1,8 +1,8 @@
 """Models: a Lagrangian and constraints as SymPy expressions, and what follows from them.
 
-Everything here works on canonical symbols, ``q0 ... v0 ... p0 ... t``, whatever the user calls them:
-the user's names are never part of a generated program, and models that differ in names alone are
-compiled once.  Nothing is simplified and no matrix is inverted; both were seen to run for minutes.
+Everything here works on canonical symbols, ``q0 ... v0 ... p0 ... t``, whatever the user calls
+them: the user's names are never part of a generated program, and models that differ in names alone
+are compiled once.  Nothing is simplified and no matrix is inverted; both were seen to run for minutes.
 """
 
 from __future__ import annotations

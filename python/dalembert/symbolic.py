@@ -70,7 +70,7 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     >>> import dalembert as dal
     >>> x, y = dal.coordinates("x y")
     >>> x.d * y
-    x.d*y
+    y*x.d
     """
     _sympy()
     from .model import make_coordinates

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -162,10 +162,12 @@ class System:
     A system of constant mass without force and with linear constraints is integrated by the fastest
     step routine; all others by Newton's iteration on all n + m unknowns.
 
-    ``potential``, ``constraint``, ``lagrangian`` and ``force`` may be C functions, with the arguments
-    of ``dal_potential_fn`` and so on in ``dalembert.h``: a numba ``cfunc``, a function pointer of
-    ctypes or cffi, or a SciPy ``LowLevelCallable``.  Then all four have to be, with the derivatives
-    among their outputs; m is needed; and a step is as fast as from C.
+    ``potential``, ``constraint``, ``lagrangian`` and ``force`` may be C functions, with the
+    arguments of ``dal_potential_fn`` and so on in ``dalembert.h``: a numba ``cfunc`` (see
+    `dalembert.pointers.numba_wanted`), a function pointer of ctypes or cffi, or a SciPy
+    ``LowLevelCallable``.  Then all that are given have to be, with the derivatives among their
+    outputs; m is needed; and a step is as fast as from C.  Python functions are called once for
+    each evaluation, which is the slow path, vectorised or not.
 
     The arrays that the functions get are read-only copies, which may be kept.  An exception that
     a function raises comes back from the call that caused it.  A function may raise
