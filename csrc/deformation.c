@@ -126,6 +126,8 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
     def.exact = NULL;
     def.invariant = NULL;
     def.invariants = 0;
+    def.ctx_size = 0;
+    def.kernel = NULL;
     return dal__system_wrap(system, &def, self, sizeof *self, error);
 }
 

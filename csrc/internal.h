@@ -401,13 +401,8 @@ int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool deriva
 
 /* ---- floor 6: schemes.c, kernels.c, newton.c, multiroot.c, stepper.c --------------------- */
 
-struct dal_kernel; /* kernel.h */
-
-/* Makes steps steps; *done <- how many succeeded. */
-typedef int (*dal__advance_fn)(struct dal_kernel *k, size_t steps, size_t *done);
-
 /* The compilation of the step routine to use for these sizes. */
-dal__advance_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes);
+dal_kernel_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes);
 
 /* The sub-steps of a record: its own, or the only one {beta, 1}.  DAL_EINVAL if the record is not
  * valid; the text says why. */

@@ -27,7 +27,9 @@
  *     DAL_KERNEL                  name of the function: int (dal_kernel *, size_t, size_t *)
  *     DAL_N, DAL_M                sizes as constants; or neither, for sizes from the dal_kernel
  *     DAL_KERNEL_CONSTRAINT(k, q, v, mu, N)   and   DAL_KERNEL_POTENTIAL(k, q, V_q)
- *                                 how to call the system; by default through the pointers
+ *                                 how to call the system, the second only where there is a V; the
+ *                                 routine then makes the steps of moved nodes only.  By default the
+ *                                 pointers are called
  * and includes this file once for each.  All compilations make the same operations in the same
  * order, so they give the same bits (build with -ffp-contract=off).  Nothing here allocates, and
  * nothing here needs libdalembert or GSL. */
@@ -118,8 +120,10 @@ enum { DAL_KERNEL_START_UP = 2, DAL_KERNEL_AUDIT = 64 }; /* steps at first, and 
 
 #if defined(__GNUC__)
 #define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
+#define DAL_KERNEL_COLD static __attribute__((cold, noinline)) /* saves a third of compiling */
 #else
 #define DAL_KERNEL_INLINE static inline
+#define DAL_KERNEL_COLD static
 #endif
 
 static inline size_t dal_kernel_shared(size_t n, size_t m) { return 8 * n + 3 * m * n; }
@@ -291,7 +295,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
  * own.  Works on k->stored and k->w; k->point is the q~' that belongs to them.  foretold: the
  * residual was predicted to be within limit.  Where it is far from it, mu has a roundoff that no
  * prediction knows of, as sin(a + b) has for large angles, and they are no longer relied on. */
-static int dal_kernel_correct(dal_kernel *k, bool foretold)
+DAL_KERNEL_COLD int dal_kernel_correct(dal_kernel *k, bool foretold)
 {
     enum { MOST = 4 };
     const size_t n = k->n, m = k->m;
@@ -340,7 +344,7 @@ static int dal_kernel_correct(dal_kernel *k, bool foretold)
 
 /* The callbacks at the iterate w of dal_kernel_solve.  DAL_EDOMAIN: outside their domain or not
  * finite; the reason is in k->failure. */
-static int dal_kernel_evaluate(dal_kernel *k, const dal_stage *s)
+DAL_KERNEL_COLD int dal_kernel_evaluate(dal_kernel *k, const dal_stage *s)
 {
     const size_t n = k->n, m = k->m;
     const double b = s->after * k->h;
@@ -362,7 +366,7 @@ static int dal_kernel_evaluate(dal_kernel *k, const dal_stage *s)
 }
 
 /* y <- K^-1 (-R1) and KZ <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K. */
-static int dal_kernel_linearise(dal_kernel *k, const dal_stage *s)
+DAL_KERNEL_COLD int dal_kernel_linearise(dal_kernel *k, const dal_stage *s)
 {
     const size_t n = k->n, m = k->m;
     if (!k->potential || s->end == 0.0) { /* K = M */
@@ -395,7 +399,7 @@ static int dal_kernel_linearise(dal_kernel *k, const dal_stage *s)
 
 /* Newton with the full matrix [[K, -mu_node^T], [mu + B h N, 0]] from w = v, kappa = 0; a step that
  * leaves the domain of a callback is halved.  On success w, kappa, mu, N and point are set. */
-static int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
+DAL_KERNEL_COLD int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
 {
     enum { HALVINGS = 40 };
     const size_t n = k->n, m = k->m;
@@ -457,7 +461,17 @@ static int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
 
 #ifdef DAL_KERNEL
 
-#ifndef DAL_KERNEL_CONSTRAINT
+#ifdef DAL_KERNEL_CONSTRAINT
+#define DAL_KERNEL_INSIDE 1
+#ifdef DAL_KERNEL_POTENTIAL
+#define DAL_KERNEL_PULLED true
+#else
+#define DAL_KERNEL_PULLED false
+#define DAL_KERNEL_POTENTIAL(k, q, V_q) 0
+#endif
+#else
+#define DAL_KERNEL_INSIDE 0
+#define DAL_KERNEL_PULLED ((k)->potential != NULL)
 #define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) dal_kernel_constraint(k, q, v, mu, N)
 #define DAL_KERNEL_POTENTIAL(k, q, V_q) dal_kernel_potential(k, q, V_q)
 #endif
@@ -500,7 +514,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     const double h = k->h, b = s->after * h;
     const double limit = 2.0 * (double)n * DAL_KERNEL_U;
     const bool linear = b == 0.0;                    /* mu(q~') is mu(q_k) */
-    const bool kept = !plain && k->kept, potential = !plain && k->potential;
+    const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
+    const bool potential = !plain && DAL_KERNEL_PULLED;
     const bool ends = potential && s->end != 0.0;    /* V_q at the unknown q~' */
     double *const x = k->x; /* the others as dal_kernel_share laid them out */
     double *const node = x + 2 * n, *const w = x + 4 * n, *const pull = x + 5 * n;
@@ -687,6 +702,10 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         k->trust = fresh ? 0.0 : 2.0 * (double)k->n * DAL_KERNEL_U;
         k->audited = fresh || k->distrusted || k->age % DAL_KERNEL_AUDIT == 0;
         if (k->stages > 1) memcpy(k->saved, k->x, 2 * k->n * sizeof *k->x);
+#if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
+        for (size_t j = 0; j < k->stages && !status; j++)
+            status = DAL_KERNEL_STAGE(k, k->stage + j, !DAL_KERNEL_PULLED);
+#else
         if (k->potential || k->kept) {
             for (size_t j = 0; j < k->stages && !status; j++)
                 status = DAL_KERNEL_STAGE(k, k->stage + j, false);
@@ -694,6 +713,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
             for (size_t j = 0; j < k->stages && !status; j++)
                 status = DAL_KERNEL_STAGE(k, k->stage + j, true);
         }
+#endif
         if (status) break;
         k->age++;
     }
@@ -706,6 +726,8 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     return status;
 }
 
+#undef DAL_KERNEL_INSIDE
+#undef DAL_KERNEL_PULLED
 #undef DAL_KERNEL_ARRAY
 #undef DAL_KERNEL_M
 #undef DAL_KERNEL_STAGE

@@ -22,9 +22,9 @@
 #define DAL_ROW 8
 #include "kernel_row.h"
 
-dal__advance_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes)
+dal_kernel_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes)
 {
-    static const dal__advance_fn table[8][5] = {
+    static const dal_kernel_fn table[8][5] = {
         {kernel_1_0, NULL, NULL, NULL, NULL},
         {kernel_2_0, kernel_2_1, NULL, NULL, NULL},
         {kernel_3_0, kernel_3_1, kernel_3_2, NULL, NULL},
@@ -34,6 +34,6 @@ dal__advance_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes)
         {kernel_7_0, kernel_7_1, kernel_7_2, kernel_7_3, kernel_7_4},
         {kernel_8_0, kernel_8_1, kernel_8_2, kernel_8_3, kernel_8_4},
     };
-    const dal__advance_fn fixed = n <= 8 && m <= 4 ? table[n - 1][m] : NULL;
+    const dal_kernel_fn fixed = n <= 8 && m <= 4 ? table[n - 1][m] : NULL;
     return fixed && sizes == DAL_SIZES_AUTO ? fixed : kernel_any;
 }

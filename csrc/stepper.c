@@ -8,7 +8,7 @@
 struct dal_stepper {
     const dal_system *system;
     dal_kernel kernel;
-    dal__advance_fn advance; /* the compilation of the step routine; NULL: one of the next two */
+    dal_kernel_fn advance; /* the compilation of the step routine; NULL: one of the next two */
     newton newton;
     multiroot *multiroot;    /* NULL: newton */
     dal_mechanics mech;      /* for initial data, for these two, and for what went wrong */
@@ -139,7 +139,9 @@ static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_o
     dal_kernel_share(k, k->x);
     const bool simple = system->mass && !system->def.force && system->def.kind == DAL_LINEAR;
     if (simple && options->solver == DAL_SOLVER_SCHUR)
-        self->advance = dal__kernel_for(k->n, k->m, options->sizes);
+        self->advance = system->def.kernel && !k->kept && options->sizes == DAL_SIZES_AUTO
+                            ? system->def.kernel
+                            : dal__kernel_for(k->n, k->m, options->sizes);
     dal__newton_bind(&self->newton, system, k->max_iterations);
 }
 

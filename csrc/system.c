@@ -1,5 +1,6 @@
 /* Floor 2: the triple (Q, L, D) as an object: validation, copies, what it says about itself. */
 #include "internal.h"
+#include "kernel.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -53,6 +54,25 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
     return DAL_SUCCESS;
 }
 
+/* The step routine of the system's own, which has its callbacks inside. */
+static int check_kernel(const dal_system_def *def, dal_error *error)
+{
+    if (!def->kernel) return DAL_SUCCESS;
+    if (def->kernel_size != sizeof(dal_kernel))
+        return dal__fail(error, DAL_EINVAL, "kernel_size = %zu: this library was built with a "
+                         "dal_kernel of %zu bytes; compile the kernel with its kernel.h",
+                         def->kernel_size, sizeof(dal_kernel));
+    const char *const why = !def->mass ? "mass is NULL"
+                            : def->force ? "there is a force"
+                            : def->kind != DAL_LINEAR ? "the constraints are not linear"
+                            : def->missing ? "derivatives are missing"
+                                           : NULL;
+    if (!why) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "kernel is not NULL, and %s: a kernel makes the steps of "
+                     "constant mass and linear constraints, without force, with all derivatives",
+                     why);
+}
+
 static int check_def(const dal_system_def *def, dal_error *error)
 {
     const size_t n = def->n, m = def->m;
@@ -62,7 +82,7 @@ static int check_def(const dal_system_def *def, dal_error *error)
                          "needed", m, n);
     if (dal__times(dal__times(n, n), sizeof(double)) > PTRDIFF_MAX)
         return dal__fail(error, DAL_ENOMEM, "n = %zu: the size of an n x n matrix overflows", n);
-    const int status = check_lagrangian(def, error);
+    int status = check_lagrangian(def, error);
     if (status) return status;
     if ((int)def->kind < DAL_LINEAR || def->kind > DAL_NONLINEAR)
         return dal__fail(error, DAL_EINVAL, "kind = %d is not a dal_constraint_kind",
@@ -78,7 +98,11 @@ static int check_def(const dal_system_def *def, dal_error *error)
                          def->invariant ? "invariant_names" : "invariant");
     if (def->state && !dal__all_finite(2 * n, def->state))
         return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
-    return def->mass ? check_mass(def, error) : DAL_SUCCESS;
+    if (def->ctx_size > 0 && !def->ctx)
+        return dal__fail(error, DAL_EINVAL, "ctx_size = %zu and ctx is NULL", def->ctx_size);
+    status = check_kernel(def, error);
+    if (!status && def->mass) status = check_mass(def, error);
+    return status;
 }
 
 static size_t text_size(const char *text) { return text ? strlen(text) + 1 : 1; }
@@ -240,7 +264,8 @@ static int make(dal_system **system, const dal_system_def *def, dal_system shape
 
 int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
 {
-    return make(system, def, (dal_system){0}, (possessions){0}, error);
+    const possessions own = {.source = def ? def->ctx : NULL, .size = def ? def->ctx_size : 0};
+    return make(system, def, (dal_system){0}, own, error);
 }
 
 int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,

@@ -128,8 +128,14 @@ typedef enum dal_missing {
     DAL_MISSING_F_V = 128  /* costs Newton's speed only */
 } dal_missing;
 
+struct dal_kernel; /* kernel.h */
+
+/* Makes steps steps of kernel; *done <- how many succeeded.  What kernel.h defines as DAL_KERNEL. */
+typedef int (*dal_kernel_fn)(struct dal_kernel *kernel, size_t steps, size_t *done);
+
 /* The definition of a system, filled by the caller, zero-initialised.  dal_system_new copies the
- * struct, the mass matrix, the names and the state; ctx is borrowed. */
+ * struct, the mass matrix, the names and the state; ctx is borrowed, or copied if ctx_size says how
+ * many bytes it has. */
 typedef struct dal_system_def {
     size_t n;                       /* number of coordinates, n >= 1 */
     size_t m;                       /* number of constraints, 0 <= m < n */
@@ -149,13 +155,19 @@ typedef struct dal_system_def {
     size_t invariants;              /* number of first integrals besides the energy */
     const char *const *invariant_names; /* [invariants] */
     dal_invariant_fn invariant;
+    size_t ctx_size;                /* 0: ctx is borrowed; else it is copied */
+    dal_kernel_fn kernel;           /* the step routine compiled for this system, or NULL; only for
+                                       constant mass, linear constraints, no force, nothing missing.
+                                       It makes the steps of moved nodes */
+    size_t kernel_size;             /* sizeof(dal_kernel) as its compiler saw it */
 } dal_system_def;
 
 typedef struct dal_system dal_system;
 
 /* *system <- a system, or untouched on failure.
  * DAL_EINVAL (sizes, missing or superfluous parts, mass matrix not finite, not symmetric or not
- * positive definite: the text names the entry), DAL_ENOMEM. */
+ * positive definite: the text names the entry; a kernel from another version of kernel.h),
+ * DAL_ENOMEM. */
 DAL_API int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error);
 
 /* NULL is allowed.  Objects made from a system must be freed before it. */

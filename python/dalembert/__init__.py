@@ -31,6 +31,7 @@ from .refinement import convergence, studies
 from .scheme import Scheme, schemes
 from .solution import Solution, States, Statistics
 from .study import Fit, Studies, Study
+from .symbolic import coordinates
 from .system import System
 
 __version__ = _lib.version()
@@ -60,6 +61,7 @@ __all__ = [
     "Study",
     "System",
     "convergence",
+    "coordinates",
     "embedding",
     "exact_velocity",
     "geometry",

@@ -1,4 +1,4 @@
-"""The command ``dalembert``: studies of the built-in systems, and what there is.
+"""The command ``dalembert``: studies of the built-in systems, what there is, and the cache.
 
 Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error; 130
 after Ctrl-C, 141 if nobody reads the output any more.
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _lib, extras, plot, report, systems
+from . import _lib, compiler, extras, plot, report, systems
 from .refinement import studies
 from .scheme import INITIAL, REFERENCE
 from .scheme import schemes as named_schemes
@@ -136,6 +136,12 @@ def _parser() -> argparse.ArgumentParser:
 
     commands.add_parser("systems", help="list the built-in systems").set_defaults(run=_systems)
     commands.add_parser("schemes", help="list the named schemes").set_defaults(run=_schemes)
+    cache = commands.add_parser(
+        "cache", help="show or empty the cache of compiled models",
+        description="Show where compiled models are kept, and what there is.",
+    )  # fmt: skip
+    cache.add_argument("--clear", action="store_true", help="remove them")
+    cache.set_defaults(run=_cache)
     return parser
 
 
@@ -201,6 +207,15 @@ def _schemes(given: argparse.Namespace) -> int:
             (REFERENCE.name, f"{REFERENCE.help}; has no order to study"),
         ]
     )
+    return 0
+
+
+def _cache(given: argparse.Namespace) -> int:
+    found = compiler.entries()
+    size = sum(path.stat().st_size for path in found)
+    print(f"{compiler.folder()}: {len(found)} compiled models, {size / 1024:.0f} KiB")
+    if given.clear:
+        print(f"removed {compiler.clear()}")
     return 0
 
 

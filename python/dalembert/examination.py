@@ -103,6 +103,17 @@ class Check:
         True if the curvature vanishes here: D may be a holonomic constraint in disguise.
     text : str
         The first thing found wrong, or a summary.
+    growth : tuple of int or None
+        Growth vector of D at a general point: dimensions of D, D + [D, D], ...  Its end is n if D
+        is bracket generating; n - k, twice, if there are k holonomic constraints in disguise; any
+        other if further brackets were too large to form.  Of systems made by `System.from_sympy`
+        with linear constraints, else None.
+    holonomic : tuple of str
+        Those of their constraints that are holonomic in disguise by themselves, and how many are
+        if several are taken together.
+    exact : bool
+        True if it is proved whether D is integrable, or bracket generating; False if that was seen
+        at random points to 30 digits.
     """
 
     passed: bool
@@ -129,6 +140,9 @@ class Check:
     curvature: float
     integrable: bool
     text: str
+    growth: tuple[int, ...] | None = None
+    holonomic: tuple[str, ...] = ()
+    exact: bool = False
 
     def __bool__(self) -> bool:
         return self.passed
@@ -144,6 +158,10 @@ class Check:
             ("|phi|, relative", f"{self.residual:.1e}"),
             ("curvature of D", curvature if self.kind == "linear" else f"- ({self.kind})"),
         ]
+        if self.growth is not None:
+            how = "" if self.exact else " (seen at random points)"
+            lines.append(("growth vector of D", f"{self.growth}{how}"))
+        lines += [("holonomic in disguise", text) for text in self.holonomic]
         head = ("passed: " if self.passed else "FAILED: ") + self.text
         return "\n".join([head, *(f"{name:20} {value}" for name, value in lines)])
 

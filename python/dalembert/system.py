@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _lib, arguments, deformation, geometry
+from . import _lib, arguments, deformation, geometry, pointers, symbolic
 from ._lib import FUNCTIONS, Array, ffi, lib
 from .examination import Check, examine
 
@@ -37,6 +38,18 @@ _CONSTRAINTS = {
     lib.DAL_LINEAR: lib.dal_py_linear,
     lib.DAL_AFFINE: lib.dal_py_affine,
     lib.DAL_NONLINEAR: lib.dal_py_nonlinear,
+}
+
+_KIND_NAMES = {name: kind for kind, name in _KINDS.items()}
+_OUTPUTS = {
+    "V_q": lib.DAL_MISSING_V_Q,
+    "V_qq": lib.DAL_MISSING_V_QQ,
+    "phi_q": lib.DAL_MISSING_PHI_Q,
+    "L_qq": lib.DAL_MISSING_L_QQ,
+    "L_vq": lib.DAL_MISSING_L_VQ,
+    "L_vv": lib.DAL_MISSING_L_VV,
+    "f_q": lib.DAL_MISSING_F_Q,
+    "f_v": lib.DAL_MISSING_F_V,
 }
 
 # What each function makes no sense without.
@@ -123,6 +136,12 @@ class System:
         force that depends on time, the solution that starts at time 0.
     invariants : mapping of str to callable, optional
         ``invariant(q, v) -> float`` by name: first integrals besides the energy.
+    kind : {"linear", "affine", "nonlinear"}, optional
+        Of a ``constraint`` that is a C function; default "linear".
+    missing : sequence of str, optional
+        Outputs that C functions do not write: "V_q", "V_qq", "phi_q", "L_qq", ...
+    ctx : array, address or pointer, optional
+        What C functions get as their last argument; kept alive, and theirs to read.
 
     Raises
     ------
@@ -138,6 +157,13 @@ class System:
 
     A system of constant mass without force and with linear constraints is integrated by the fastest
     step routine; all others by Newton's iteration on all n + m unknowns.
+
+    ``potential``, ``constraint``, ``lagrangian`` and ``force`` may be C functions, with the
+    arguments of ``dal_potential_fn`` and so on in ``dalembert.h``: a numba ``cfunc`` (see
+    `dalembert.pointers.numba_wanted`), a function pointer of ctypes or cffi, or a SciPy
+    ``LowLevelCallable``.  Then all that are given have to be, with the derivatives among their
+    outputs; m is needed; and a step is as fast as from C.  Python functions are called once for
+    each evaluation, which is the slow path, vectorised or not.
 
     The arrays that the functions get are read-only copies, which may be kept.  An exception that
     a function raises comes back from the call that caused it.  A function may raise
@@ -219,12 +245,27 @@ class System:
         v0: ArrayLike | None = None,
         exact: Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None = None,
         invariants: Mapping[str, Callable[[Array, Array], float]] | None = None,
+        kind: str | None = None,
+        missing: Sequence[str] | None = None,
+        ctx: Any = None,
     ) -> None:
         given = locals()
         functions: dict[str, Callable[..., Any] | None] = {key: given[key] for key in FUNCTIONS}
+        compiled = {
+            key: found
+            for key in pointers.ARGUMENTS
+            if (found := pointers.find(key, given[key])) is not None
+        }
         for key, function in {**functions, **(invariants or {})}.items():
-            arguments.function(function, key)
-        _require_parts(functions, mass)
+            if key not in compiled:
+                arguments.function(function, key)
+        if compiled:
+            _require_compiled(functions, compiled, mass, m)
+        else:
+            _require_parts(functions, mass)
+            for key in ("kind", "missing", "ctx"):
+                if given[key] is not None:
+                    raise ValueError(f"{key} = {given[key]!r}: only C functions take it")
         if (q0 is None) != (v0 is None):
             raise ValueError("q0 and v0: expected both or none")
 
@@ -241,14 +282,31 @@ class System:
             state = np.concatenate(
                 [arguments.array(q0, "q0", (size,)), arguments.array(v0, "v0", (size,))]
             )
-        m = _number_of_constraints(forms, constraint, m, size, state)
-        kind = lib.DAL_LINEAR
-        if m > 0:
-            kind = lib.DAL_AFFINE if affine is not None else kind
-            kind = lib.DAL_NONLINEAR if constraint is not None else kind
-
-        self._callables = _lib.Callables(size, m, functions)
-        self._context = ffi.new_handle(self._callables)
+        if compiled:
+            m = arguments.integer(0 if m is None else m, "m", 0)
+            c_kind = arguments.choice("linear" if kind is None else kind, "kind", _KIND_NAMES)
+            c_missing = sum({arguments.choice(key, "missing", _OUTPUTS) for key in missing or ()})
+            context, self._kept = pointers.context(ctx, compiled)
+            callbacks = {
+                key: ffi.cast(f"dal_{key}_fn", found.address) for key, found in compiled.items()
+            }
+            self._exact = exact
+        else:
+            m = _number_of_constraints(forms, constraint, m, size, state)
+            c_kind = lib.DAL_LINEAR
+            if m > 0:
+                c_kind = lib.DAL_AFFINE if affine is not None else c_kind
+                c_kind = lib.DAL_NONLINEAR if constraint is not None else c_kind
+            c_missing = _missing(functions, m, _KINDS[c_kind])
+            self._callables = _lib.Callables(size, m, functions)
+            context = self._context = ffi.new_handle(self._callables)
+            callbacks = {
+                "lagrangian": ffi.NULL if lagrangian is None else lib.dal_py_lagrangian,
+                "potential": ffi.NULL if potential is None else lib.dal_py_potential,
+                "constraint": ffi.NULL if m == 0 else _CONSTRAINTS[c_kind],
+                "force": ffi.NULL if force is None else lib.dal_py_force,
+                "exact": ffi.NULL if exact is None else lib.dal_py_exact,
+            }
         c_names, kept = _lib.strings(names)
         c_name = ffi.new("char[]", arguments.text(name, "name").encode())
         c_help = ffi.new("char[]", arguments.text(help, "help").encode())
@@ -258,18 +316,14 @@ class System:
                 "n": size,
                 "m": m,
                 "mass": ffi.NULL if matrix is None else _lib.pointer(matrix),
-                "lagrangian": ffi.NULL if lagrangian is None else lib.dal_py_lagrangian,
-                "potential": ffi.NULL if potential is None else lib.dal_py_potential,
-                "constraint": ffi.NULL if m == 0 else _CONSTRAINTS[kind],
-                "kind": kind,
-                "force": ffi.NULL if force is None else lib.dal_py_force,
-                "missing": _missing(functions, m, _KINDS[kind]),
-                "ctx": self._context,
+                "kind": c_kind,
+                "missing": c_missing,
+                "ctx": context,
                 "name": c_name,
                 "help": c_help,
                 "coordinates": c_names,
                 "state": ffi.NULL if state is None else _lib.pointer(state),
-                "exact": ffi.NULL if exact is None else lib.dal_py_exact,
+                **callbacks,
             },
         )
         self._invariants = dict(invariants or {})
@@ -290,6 +344,250 @@ class System:
         )
         self._adopt(_lib.make("system", definition))
         del kept
+
+    # What systems of other origins than Python functions have besides.
+    _symbolic: symbolic.Symbolic | None = None
+    _exact: Callable[..., tuple[ArrayLike, ArrayLike]] | None = None
+
+    @classmethod
+    def from_sympy(
+        cls,
+        L: Any,
+        constraints: Any = (),
+        coordinates: Iterable[Any] | None = None,
+        parameters: Mapping[Any, Any] | None = None,
+        *,
+        force: Mapping[Any, Any] | None = None,
+        name: str = "system",
+        help: str = "",
+        q0: Any = None,
+        v0: Any = None,
+        exact: Any = None,
+        invariants: Mapping[str, Any] | None = None,
+    ) -> System:
+        """Return the system of a Lagrangian and constraints that are SymPy expressions.
+
+        Everything is differentiated and compiled to C, step routine included, and kept in a cache
+        (see `dalembert.compiler`).  Parameters stay free: `with_parameters` compiles nothing.
+
+        Parameters
+        ----------
+        L : sympy.Expr
+            The Lagrangian.  If it is v^T M v / 2 - V(q) with a constant M, the fast step routine is
+            used.
+        constraints : sequence, optional
+            What vanishes, or an ``Eq``; linear, affine or nonlinear in the velocities, see `kind`.
+            A list of n coefficients, and a row of a matrix, is a one-form mu(q).
+        coordinates : sequence, optional
+            Of `dalembert.coordinates`; of dynamicsymbols, whose velocities are their derivatives;
+            or pairs (q, v) of symbols.  Default: all that occur, those of `dalembert.coordinates`
+            in the order in which they were made, then dynamicsymbols by name.
+        parameters : mapping, optional
+            Symbol, or its name, to value.
+        force : mapping, optional
+            Coordinate to component of a generalized force, d/dt L_v - L_q = f + mu^T lambda, in
+            coordinates, velocities and the time ``dynamicsymbols._t``.
+        name, help : str, optional
+            As of `System`.
+        q0, v0 : sequence, optional
+            Default initial data; numbers, or expressions in the parameters.
+        exact : sequence or callable, optional
+            The exact solution: 2n expressions (q, v) in the time and in the symbols of the
+            coordinates and velocities, which stand for the initial data; or
+            ``exact(t, q0, v0, **parameters) -> (q, v)``.
+        invariants : mapping, optional
+            Name to expression, or to ``invariant(q, v, **parameters) -> float``.
+
+        Returns
+        -------
+        System
+
+        Raises
+        ------
+        ValueError
+            If a symbol is left over, something has no place in a system, or a function is not
+            among what can be compiled.  The text names it.
+        dalembert.compiler.CompilerError
+            If the compiler refuses the program; the text has the line, and what it comes from.
+        ImportError
+            If SymPy is not installed.
+
+        Warns
+        -----
+        DalembertWarning
+            If there is no C compiler, so that Python functions are used; or no cache.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> x, y, z = dal.coordinates("x y z")
+        >>> own = dal.System.from_sympy(
+        ...     L=(x.d**2 + y.d**2 + z.d**2) / 2, constraints=[z.d - y * x.d]
+        ... )
+        >>> own
+        <System system(x, y, z): n = 3, m = 1>
+        >>> own.multipliers([0, 1, 0], [1, 1, 1])
+        array([0.5])
+        """
+        state = None if q0 is None and v0 is None else symbolic.initial_data(q0, v0)
+        in_model = state is not None and not isinstance(state, np.ndarray)
+        named = dict(invariants or {})
+        model, values = symbolic.make_model(
+            L,
+            constraints,
+            coordinates,
+            parameters,
+            force,
+            state if in_model else None,
+            exact if symbolic.is_expressions(exact) else None,
+            {key: e for key, e in named.items() if symbolic.is_expressions(e)},
+        )
+        return cls._from_model(
+            model,
+            values,
+            arguments.text(name, "name"),
+            arguments.text(help, "help"),
+            None if in_model else state,
+            None if symbolic.is_expressions(exact) else exact,
+            {key: None if symbolic.is_expressions(e) else e for key, e in named.items()},
+        )
+
+    @classmethod
+    def from_lagranges_method(
+        cls, lm: Any, parameters: Mapping[Any, Any] | None = None, **options: Any
+    ) -> System:
+        """Return the system of a ``sympy.physics.mechanics.LagrangesMethod``.
+
+        Its Lagrangian, ``nonhol_coneqs`` and ``forcelist`` are taken.  Mind the sign of the
+        multipliers: here d/dt L_v - L_q = f + mu^T lambda.  The equations of a LagrangesMethod and
+        its ``solve_multipliers`` have -lambda, its ``rhs()`` has lambda.
+
+        Parameters
+        ----------
+        lm : sympy.physics.mechanics.LagrangesMethod
+            Before or after ``form_lagranges_equations()``.
+        parameters, **options
+            As of `from_sympy`.
+
+        Raises
+        ------
+        ValueError
+            If there are holonomic constraints, the time is left over, or it is no LagrangesMethod.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
+        >>> x, y = dynamicsymbols("x y")
+        >>> lm = LagrangesMethod(x.diff() ** 2 / 2 + y.diff() ** 2 / 2 - x, [x, y],
+        ...                      nonhol_coneqs=[y.diff() - x * x.diff()])
+        >>> dal.System.from_lagranges_method(lm).multipliers([0, 0], [1, 0])
+        array([1.])
+        """
+        return cls.from_sympy(parameters=parameters, **{**symbolic.from_method(lm), **options})
+
+    @classmethod
+    def from_mechanics_system(
+        cls, system: Any, parameters: Mapping[Any, Any] | None = None, **options: Any
+    ) -> System:
+        """Return the system of a ``sympy.physics.mechanics.System``.
+
+        Its bodies give the Lagrangian, with their potential energies; its loads and actuators the
+        force; its nonholonomic constraints are kept.  Generalized speeds are replaced by velocities
+        after the kinematic differential equations.
+
+        Parameters
+        ----------
+        system : sympy.physics.mechanics.System
+        parameters, **options
+            As of `from_sympy`.
+
+        Raises
+        ------
+        ValueError
+            If there are holonomic constraints or auxiliary speeds, or it is no such System.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> from sympy.physics import mechanics
+        >>> q, u = mechanics.dynamicsymbols("q u")
+        >>> wall = mechanics.RigidBody("W")
+        >>> system = mechanics.System.from_newtonian(wall)
+        >>> bob = mechanics.Particle("P", mass=2)
+        >>> bob.potential_energy = 3 * q**2 / 2
+        >>> system.add_joints(mechanics.PrismaticJoint("J", wall, bob, q, u))
+        >>> dal.System.from_mechanics_system(system).acceleration([1], [0])
+        array([-1.5])
+        """
+        given = symbolic.from_system(system)
+        return cls.from_sympy(parameters=parameters, **{**given, **options})
+
+    @classmethod
+    def _from_model(
+        cls,
+        model: Any,
+        values: dict[str, float],
+        name: str,
+        help: str,
+        state: Array | None,
+        exact: Callable[..., Any] | None,
+        invariants: dict[str, Callable[..., Any] | None],
+    ) -> System:
+        """Make a system from a model; an invariant that is None is an expression of the model."""
+        source, given = symbolic.Symbolic(model, values), invariants
+        library = source.library()
+        n = model.n
+        if model.state is not None:
+            state = source.matrix(library, "state", (2 * n,))
+        if state is not None and len(state) != 2 * n:
+            raise ValueError(f"(q0, v0): expected {n} numbers each, got {len(state)} in all")
+        mass = source.matrix(library, "mass", (n, n))
+        in_python = library is None
+        if in_python or any(invariants.values()):
+            invariants = {**source.invariants(invariants)}
+        if library is None:
+            source.warn(name)
+            self = cls(
+                mass=mass,
+                n=n,
+                m=model.m,
+                name=name,
+                help=help,
+                coordinates=model.coordinates,
+                q0=None if state is None else state[:n],
+                v0=None if state is None else state[n:],
+                invariants=invariants,
+                **source.in_python(),
+            )
+        else:
+            self = cls.__new__(cls)
+            self._kept = library
+            definition = ffi.new("dal_system_def *", library.definition[0])
+            c_names, kept = _lib.strings(list(model.coordinates))
+            c_invariants, also_kept = _lib.strings(list(invariants))
+            c_name, c_help = ffi.new("char[]", name.encode()), ffi.new("char[]", help.encode())
+            definition.name, definition.help, definition.coordinates = c_name, c_help, c_names
+            definition.mass = ffi.NULL if mass is None else _lib.pointer(mass)
+            definition.state = ffi.NULL if state is None else _lib.pointer(state)
+            if values:
+                definition.ctx = _lib.pointer(source.parameters)
+                definition.ctx_size = source.parameters.nbytes
+            if definition.invariant != ffi.NULL and None in invariants.values():
+                definition.invariants = len(invariants)
+                definition.invariant_names = c_invariants
+                self._invariants = {}
+            else:
+                self._invariants = dict(invariants)
+            self._adopt(_lib.make("system", definition))
+            del kept, also_kept
+        if exact is not None:
+            arguments.function(exact, "exact")
+            self._exact = source.bound(exact)
+        self._symbolic = source
+        self._parameters = dict(values)
+        self._description = (_restore_model, model, values, name, help, state, exact, given)
+        return self
 
     @classmethod
     def _builtin(cls, name: str, parameters: Mapping[str, Any]) -> System:
@@ -476,6 +774,8 @@ class System:
     @property
     def has_exact(self) -> bool:
         """True if `exact` gives the exact solution."""
+        if self._exact is not None:
+            return True
         if self._description[0] is _restore:
             return self._callables.exact is not None
         x = np.zeros(2 * self._n) if self._state is None else self._state.copy()
@@ -518,6 +818,11 @@ class System:
         x0 = np.concatenate(geometry.initial(self, q0, v0))
         x = np.empty((times.size, 2 * n))
         for k, time in enumerate(np.atleast_1d(times)):
+            if self._exact is not None:
+                found = self._exact(float(time), x0[:n].copy(), x0[n:].copy())
+                x[k, :n] = arguments.returned(found[0], (n,), "exact (q)")
+                x[k, n:] = arguments.returned(found[1], (n,), "exact (v)")
+                continue
             status = _lib.attempt(
                 lib.dal_system_exact,
                 self._handle,
@@ -563,7 +868,93 @@ class System:
         >>> bool(wrong.check([1, 0], [0, 0]))
         False
         """
-        return examine(self, q, v)
+        found = examine(self, q, v)
+        if self._symbolic is None or self._m == 0 or self._kind != "linear":
+            return found
+        from . import distribution
+
+        told = distribution.examine(self._symbolic.model, self._parameters)
+        return dataclasses.replace(
+            found, growth=told.growth, holonomic=told.holonomic, exact=told.exact
+        )
+
+    # ---- from expressions ----------------------------------------------------------------
+
+    def with_parameters(self, **parameters: float) -> System:
+        """Return the system with other values of some parameters; nothing is compiled.
+
+        Parameters
+        ----------
+        **parameters : float
+            New values, in the user's units.
+
+        Returns
+        -------
+        System
+
+        Raises
+        ------
+        ValueError
+            If the system has no such parameter.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.systems.disk().with_parameters(R=0.5).parameters["R"]
+        0.5
+        """
+        for key in parameters:
+            if key not in self._parameters:
+                raise ValueError(
+                    f"parameters: {self.name!r} has no {key!r}; it has "
+                    f"{', '.join(self._parameters) or 'none'}"
+                )
+        restore, first, *rest = self._description
+        values = {
+            **self._parameters,
+            **{key: symbolic.parameter_value(x, key) for key, x in parameters.items()},
+        }
+        if restore is _restore_model:
+            return type(self)._from_model(first, values, *rest[1:])
+        return type(self)._builtin(first, values) if restore is _restore_builtin else self
+
+    def c_source(self, name: str | None = None) -> str:
+        """Return a C file with the system, for a program that is linked with libdalembert.
+
+        It has one function, ``int NAME_system(dal_system **system, double p0, ..., dal_error
+        *error)``, with the parameters in the order of `parameters`; what it makes steps as fast as
+        this system.  ``cc own.c main.c -ffp-contract=off $(pkg-config --cflags --libs dalembert)``
+
+        Parameters
+        ----------
+        name : str, optional
+            The NAME, a C identifier.  Default: the system's name.
+
+        Raises
+        ------
+        ValueError
+            If the system was not made from expressions, or the name is no identifier.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> x, y = dal.coordinates("x y")
+        >>> own = dal.System.from_sympy(L=(x.d**2 + y.d**2) / 2, constraints=[y.d - x * x.d])
+        >>> "int own_system(dal_system **system, dal_error *error);" in own.c_source("own")
+        True
+        """
+        if self._symbolic is None:
+            raise ValueError(f"the system {self.name!r} was not made by from_sympy")
+        from . import codegen
+
+        made = codegen.program(
+            self._symbolic.model, symbolic.c_identifier(name, self.name), self
+        )
+        return made.source
+
+    def _repr_latex_(self) -> str | None:
+        """Return L, mu and the equations of motion for a notebook; None if they are not known."""
+        return None if self._symbolic is None else f"${self._symbolic.model.latex()}$"
 
     # ---- mechanics on D: the functions of `geometry` as methods --------------------------
 
@@ -607,6 +998,10 @@ class System:
         restore, *description = self._description
         if isinstance(description[0], dict):
             _refuse_unpicklable(self.name, description[0])
+        if restore is _restore_model:
+            exact, invariants = description[-2:]
+            functions = {key: f for key, f in invariants.items() if f is not None}
+            _refuse_unpicklable(self.name, {"exact": exact, "invariants": functions})
         return restore, tuple(description)
 
 
@@ -619,6 +1014,11 @@ def require_system(value: Any) -> None:
 def _restore(description: dict[str, Any]) -> System:
     """Make a user's system again from its description."""
     return System(**description)
+
+
+def _restore_model(*description: Any) -> System:
+    """Make a system again from its model."""
+    return System._from_model(*description)
 
 
 def _restore_builtin(name: str, parameters: dict[str, float]) -> System:
@@ -664,6 +1064,28 @@ def _require_parts(functions: dict[str, Callable[..., Any] | None], mass: Any) -
             f"{derivatives.pop()} alone: expected forms_velocity_derivative and "
             "affine_derivative, both or none"
         )
+
+
+def _require_compiled(
+    functions: dict[str, Callable[..., Any] | None],
+    compiled: Mapping[str, pointers.Pointer],
+    mass: Any,
+    m: int | None,
+) -> None:
+    """Raise ValueError if something does not go together with C functions."""
+    for key, function in functions.items():
+        if function is not None and key != "exact" and key not in compiled:
+            raise ValueError(
+                f"{key} = {function!r} together with the C function {next(iter(compiled))}: "
+                "expected C functions for potential, constraint, lagrangian and force, with their "
+                "derivatives among the outputs, or Python functions"
+            )
+    if (mass is None) == ("lagrangian" not in compiled):
+        raise ValueError("mass and lagrangian: expected one of the two")
+    if mass is None and "potential" in compiled:
+        raise ValueError("potential and lagrangian: expected one of the two")
+    if ("constraint" in compiled) != bool(m):
+        raise ValueError(f"m = {m}: expected the number of constraints, with a constraint only")
 
 
 def _missing(functions: dict[str, Callable[..., Any] | None], m: int, kind: str) -> int:

@@ -1,0 +1,347 @@
+"""Compiles generated C, and keeps what was compiled.
+
+The compiler is ``$CC``, else the first of cc, gcc and clang.  What it made is kept in
+``$DALEMBERT_CACHE``, else ``$XDG_CACHE_HOME/dalembert``, else ``~/.cache/dalembert``: one file for
+each model, version of the package and of SymPy, compiler and flags, with the C beside it.  A file
+is written under another name and renamed, and ends in a digest of itself, so that processes may
+write the same one at once, and what was cut short or comes from elsewhere is made again.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import importlib.resources
+import os
+import platform
+import re
+import shlex
+import shutil
+import stat
+import subprocess
+import tempfile
+import threading
+import warnings
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from . import _lib
+from ._lib import DalembertError, DalembertWarning
+
+__all__ = ["Compiler", "CompilerError", "Library", "clear", "entries", "find", "folder", "library"]
+
+# -O3 without vectorisation makes the fastest step, as measured; contraction would change bits.
+FLAGS = ("-std=c11", "-O3", "-fno-tree-vectorize", "-fno-math-errno", "-ffp-contract=off",
+         "-fPIC", "-shared", "-Werror=implicit-function-declaration")  # fmt: skip
+
+HEADERS = ("dalembert.h", "kernel.h", "lu.h")
+
+_MARK = b"dalembert compiled this"
+
+
+class CompilerError(DalembertError):
+    """The C compiler refused a generated program, or could not be run."""
+
+
+# ---- the compiler ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler.
+
+    Attributes
+    ----------
+    command : tuple of str
+        What runs it.
+    identity : str
+        What tells it from another one, or from another version of itself.
+    """
+
+    command: tuple[str, ...]
+    identity: str
+
+
+def find() -> Compiler | None:
+    """Return the C compiler, or None if there is none.
+
+    Examples
+    --------
+    >>> from dalembert import compiler
+    >>> compiler.find() is None or compiler.find().command[0] != ""
+    True
+    """
+    wanted = os.environ.get("CC", "")
+    for candidate in [shlex.split(wanted)] if wanted.strip() else [["cc"], ["gcc"], ["clang"]]:
+        path = shutil.which(candidate[0])
+        if path is not None:
+            real = os.path.realpath(path)
+            about = os.stat(real)
+            identity = f"{real} {about.st_size} {about.st_mtime_ns} {candidate[1:]}"
+            return Compiler((path, *candidate[1:]), identity)
+    return None
+
+
+def compile_program(compiler: Compiler, source: str, origin: Callable[[int], str]) -> bytes:
+    """Return the shared library made from a source.
+
+    Raises
+    ------
+    CompilerError
+        With the line of C that the compiler refused, and ``origin`` of its number: what it was
+        generated from.
+    """
+    with tempfile.TemporaryDirectory(prefix="dalembert-") as directory:
+        root = Path(directory)
+        (root / "dalembert").mkdir()
+        for name, text in _headers().items():
+            (root / ("" if name == "dalembert.h" else "dalembert") / name).write_text(text)
+        (root / "model.c").write_text(source, encoding="ascii")
+        command = [*compiler.command, *FLAGS, "-I.", "model.c", "-o", "model.so", "-lm"]
+        try:
+            done = subprocess.run(
+                command, cwd=root, capture_output=True, text=True, errors="replace", check=False
+            )
+        except OSError as error:
+            raise CompilerError(f"{shlex.join(command)}: {error}") from error
+        if done.returncode != 0 or not (root / "model.so").exists():
+            raise CompilerError(_explain(command, source, done.stderr, origin))
+        return (root / "model.so").read_bytes()
+
+
+def _explain(command: list[str], source: str, printed: str, origin: Callable[[int], str]) -> str:
+    """Return what a compiler complained about, in words about the model."""
+    lines = [f"the C compiler refused a generated program: {shlex.join(command)}"]
+    found = re.search(r"^model\.c:(\d+):.*error:\s*(.*)$", printed, flags=re.M)
+    if found is None:
+        return "\n".join([*lines, printed.strip() or "it said nothing"])
+    number = int(found[1])
+    text = source.split("\n")[number - 1].strip()
+    lines += [f"line {number}: {found[2]}", f"  {text[:1000]}"]
+    if where := origin(number):
+        lines.append(f"which is {where[:1000]}")
+    return "\n".join(lines)
+
+
+@functools.cache
+def _headers() -> dict[str, str]:
+    """Return the headers of the library, which are data of the package."""
+    place = importlib.resources.files(__package__).joinpath("include")
+    return {name: place.joinpath(name).read_text(encoding="utf-8") for name in HEADERS}
+
+
+@functools.cache
+def _generator() -> str:
+    """Return a digest of all that turns a model into C, headers and versions included."""
+    digest = hashlib.sha256(repr((_lib.version(), FLAGS, platform.machine())).encode())
+    here = importlib.resources.files(__package__)
+    for name in ("model.py", "codegen.py", "compiler.py"):
+        digest.update(here.joinpath(name).read_bytes())
+    for name, text in _headers().items():
+        digest.update(f"{name}\n{text}".encode())
+    return digest.hexdigest()
+
+
+# ---- the cache ---------------------------------------------------------------------------------
+
+
+def folder() -> Path:
+    """Return where compiled models are kept.
+
+    Examples
+    --------
+    >>> from dalembert import compiler
+    >>> compiler.folder().is_absolute()
+    True
+    """
+    if own := os.environ.get("DALEMBERT_CACHE"):
+        return Path(own).absolute()
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    # the rule of XDG: a path that is not absolute is ignored
+    return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "dalembert"
+
+
+def entries() -> list[Path]:
+    """Return the compiled models that are kept, the largest first.
+
+    Examples
+    --------
+    >>> from dalembert import compiler
+    >>> all(path.suffix == ".so" for path in compiler.entries())
+    True
+    """
+    try:
+        found = [p for p in folder().iterdir() if re.fullmatch(r"[0-9a-f]{64}\.so", p.name)]
+        return sorted(found, key=lambda path: (-path.stat().st_size, path.name))
+    except OSError:
+        return []
+
+
+def clear() -> int:
+    """Remove all compiled models, and return how many there were."""
+    count = 0
+    for path in entries():
+        path.unlink(missing_ok=True)
+        path.with_suffix(".c").unlink(missing_ok=True)
+        count += 1
+    with_rest = folder()
+    if with_rest.is_dir():
+        for path in with_rest.glob("*.new"):  # of a process that was killed
+            path.unlink(missing_ok=True)
+    return count
+
+
+def _sealed(content: bytes, key: str) -> bytes:
+    """Return a library with a digest of itself at its end, where the loader does not look."""
+    return content + _MARK + hashlib.sha256(content + key.encode()).digest()
+
+
+def _is_sound(path: Path, key: str) -> bool:
+    """Return whether a file is a whole library made for this key."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return False
+    body = content[: -len(_MARK) - 32]
+    return content == _sealed(body, key)
+
+
+def _require_private(directory: Path) -> None:
+    """Raise OSError unless only the user can write to a directory: what is in it will be run."""
+    about = directory.stat()
+    if about.st_uid != os.getuid() or stat.S_IMODE(about.st_mode) & 0o022:
+        raise PermissionError(f"{directory}: others can write there")
+
+
+def _store(directory: Path, key: str, source: str, content: bytes) -> Path:
+    """Write a library and its source, whole or not at all; OSError if that cannot be done."""
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _require_private(directory)
+    path = directory / f"{key}.so"
+    for target, data in ((path.with_suffix(".c"), source.encode()), (path, _sealed(content, key))):
+        handle, name = tempfile.mkstemp(suffix=".new", dir=directory)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            if target is path:
+                os.chmod(name, 0o700)
+            os.replace(name, target)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    return path
+
+
+@functools.cache
+def _private_folder() -> tempfile.TemporaryDirectory[str]:
+    """Return a directory of this process, for when the cache cannot be written."""
+    return tempfile.TemporaryDirectory(prefix="dalembert-")
+
+
+# ---- libraries ---------------------------------------------------------------------------------
+
+
+class Library:
+    """A compiled model, loaded.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    definition : cdata
+        ``dal_system_def *``: what does not depend on parameters.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._loaded = ctypes.CDLL(str(path))
+        address = ctypes.addressof(ctypes.c_char.in_dll(self._loaded, "dal_model"))
+        self.definition = _lib.ffi.cast("dal_system_def *", address)
+
+    def has(self, name: str) -> bool:
+        """Return whether there is a function ``dal_model_NAME`` of the parameters."""
+        return hasattr(self._loaded, f"dal_model_{name}")
+
+    def evaluate(self, name: str, parameters: _lib.Array, output: _lib.Array) -> None:
+        """Call ``dal_model_NAME(output, parameters)``."""
+        function = getattr(self._loaded, f"dal_model_{name}")
+        function.restype = None
+        function(ctypes.c_void_p(output.ctypes.data), ctypes.c_void_p(parameters.ctypes.data))
+
+
+_libraries: weakref.WeakValueDictionary[str, Library] = weakref.WeakValueDictionary()
+_lock = threading.Lock()
+
+
+def library(
+    key: str, versions: str, program: Callable[[], tuple[str, Callable[[int], str]]]
+) -> Library | None:
+    """Return the library of a model, compiled now or before; None without a compiler.
+
+    Parameters
+    ----------
+    key : str
+        Digest of the model.
+    versions : str
+        Of what derives the program from the model.
+    program : callable
+        ``program() -> (source, origin)``, called only if the library has to be compiled.
+
+    Raises
+    ------
+    CompilerError
+        If the compiler refuses the program.
+    """
+    compiler = find()
+    if compiler is None:
+        return None
+    parts = (key, versions, _generator(), compiler.identity)
+    key = hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    with _lock:
+        found = _libraries.get(key)
+    if found is None:
+        found = _load_or_compile(compiler, key, program)
+        with _lock:
+            found = _libraries.setdefault(key, found)
+    return found
+
+
+def _load_or_compile(
+    compiler: Compiler, key: str, program: Callable[[], tuple[str, Callable[[int], str]]]
+) -> Library:
+    """Load a library from the cache, or make it and put it there."""
+    path = folder() / f"{key}.so"
+    try:
+        _require_private(path.parent)
+        if _is_sound(path, key):
+            return Library(path)
+    except OSError:  # not there; or what others can write, or the loader refuses: made again
+        pass
+    source, origin = program()
+    content = compile_program(compiler, source, origin)
+    try:
+        return Library(_store(path.parent, key, source, content))
+    except OSError as error:
+        warnings.warn(
+            f"compiled models cannot be kept in {path.parent} ({error}), and will be compiled "
+            "again by the next process; DALEMBERT_CACHE names another folder",
+            DalembertWarning,
+            stacklevel=2,
+        )
+        return Library(_store(Path(_private_folder().name), key, source, content))
+
+
+def origin_of(made: Any, shown: Callable[[Any], Any]) -> Callable[[int], str]:
+    """Return the function that says what a line of a program computes."""
+
+    def origin(line: int) -> str:
+        if line not in made.origins:
+            return ""
+        what, expression = made.origins[line]
+        return f"{what} = {shown(expression.together())}"
+
+    return origin

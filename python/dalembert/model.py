@@ -1,0 +1,575 @@
+"""Models: a Lagrangian and constraints as SymPy expressions, and what follows from them.
+
+Everything here works on canonical symbols, ``q0 ... v0 ... p0 ... t``, whatever the user calls
+them: the user's names are never part of a generated program, and models that differ in names alone
+are compiled once.  Nothing is simplified and no matrix is inverted; both were seen to run for minutes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import math
+import random
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mpmath
+import sympy
+from sympy.core.function import AppliedUndef
+
+try:
+    import symengine
+except ImportError:
+    symengine = None
+
+__all__ = ["Coordinate", "Derived", "Model", "Velocity"]
+
+Expr = Any  # sympy has no types
+
+
+# ---- symbols ---------------------------------------------------------------------------------
+
+
+class Velocity(sympy.Symbol):
+    """The velocity ``x.d`` of a coordinate."""
+
+    __slots__ = ()
+
+    def _latex(self, printer: Any) -> str:
+        return rf"\dot{{{printer._print(sympy.Symbol(self.name.removesuffix('.d')))}}}"
+
+
+class Coordinate(sympy.Symbol):
+    """A coordinate, a SymPy symbol with its velocity `d`; made by `dalembert.coordinates`."""
+
+    __slots__ = ()
+
+    @property
+    def d(self) -> Velocity:
+        """The velocity of the coordinate, a symbol too."""
+        return Velocity(f"{self.name}.d", real=True)
+
+
+# When a name was last made by `dalembert.coordinates`: the order that a model has by default.
+_made: dict[str, int] = {}
+
+
+def make_coordinates(names: Sequence[str]) -> tuple[Coordinate, ...]:
+    """Return a coordinate for each name, and remember their order."""
+    for name in names:
+        _made.pop(name, None)
+        _made[name] = max(_made.values(), default=0) + 1
+    return tuple(Coordinate(name, real=True) for name in names)
+
+
+def order_made(coordinate: Coordinate) -> tuple[int, str]:
+    """Return what sorts coordinates in the order in which they were made."""
+    return _made.get(coordinate.name, 0), coordinate.name
+
+
+@functools.cache
+def canonical(letter: str, count: int) -> tuple[Expr, ...]:
+    """Return the symbols letter0, letter1, ..."""
+    return tuple(sympy.Symbol(f"{letter}{i}", real=True) for i in range(count))
+
+
+TIME = sympy.Symbol("t", real=True)
+
+
+# ---- two ways to differentiate ---------------------------------------------------------------
+
+
+# What SymEngine differentiates as SymPy does; for the rest it lacks assumptions or rules.
+_SMOOTH = (
+    sympy.Add, sympy.Mul, sympy.Pow, sympy.Symbol, sympy.Number, sympy.NumberSymbol,
+    sympy.exp, sympy.log, sympy.sin, sympy.cos, sympy.tan, sympy.asin, sympy.acos, sympy.atan,
+    sympy.sinh, sympy.cosh, sympy.tanh,
+)  # fmt: skip
+
+
+class _SymPy:
+    """Derivatives and common subexpressions by SymPy."""
+
+    name = f"sympy {sympy.__version__}"
+
+    @staticmethod
+    def take(expression: Expr) -> Expr:
+        return expression
+
+    @staticmethod
+    def diff(expression: Expr, symbol: Expr) -> Expr:
+        return sympy.diff(expression, symbol)
+
+    @staticmethod
+    def cse(expressions: list[Expr]) -> tuple[list[tuple[Expr, Expr]], list[Expr]]:
+        temporaries = sympy.numbered_symbols("x")
+        return sympy.cse(expressions, temporaries, order="none", list=False)
+
+    @staticmethod
+    def give(expression: Expr) -> Expr:
+        return expression
+
+
+class _SymEngine:
+    """The same by SymEngine, 60 to 80 times faster."""
+
+    name = f"symengine {getattr(symengine, '__version__', '')}"
+
+    @staticmethod
+    def take(expression: Expr) -> Expr:
+        return symengine.sympify(expression)
+
+    @staticmethod
+    def diff(expression: Expr, symbol: Expr) -> Expr:
+        return symengine.diff(expression, symbol)
+
+    @staticmethod
+    def cse(expressions: list[Expr]) -> tuple[list[tuple[Expr, Expr]], list[Expr]]:
+        return symengine.cse(expressions)
+
+    @staticmethod
+    def give(expression: Expr) -> Expr:
+        found = sympy.sympify(expression)
+        # SymEngine's symbols have no assumptions; only those of the model have any.
+        return found.xreplace({s: sympy.Symbol(s.name, real=True) for s in found.free_symbols})
+
+
+def engine_for(expressions: Iterable[Expr]) -> Any:
+    """Return the faster way that is there and knows all that occurs."""
+    if symengine is None:
+        return _SymPy
+    for expression in expressions:
+        if not all(isinstance(e, _SMOOTH) for e in sympy.preorder_traversal(expression)):
+            return _SymPy
+    return _SymEngine
+
+
+def default_engine() -> str:
+    """Return the name and version of what differentiates smooth models."""
+    return _SymPy.name if symengine is None else _SymEngine.name
+
+
+# ---- what an expression is, seen at points ---------------------------------------------------
+
+
+DIGITS, ZERO = 50, mpmath.mpf(10) ** -30
+
+
+class Points:
+    """Random points, with 50 digits, at which expressions in given symbols are compared with 0.
+
+    An expression that is not 0 at one of them is not zero.  One that vanishes at all of them to 30
+    digits is zero, as far as anybody will ever see: this decides what no bounded amount of
+    simplification does, such as whether ``m*sin(a)**2 + m*cos(a)**2`` depends on a.
+    """
+
+    def __init__(self, symbols: Sequence[Expr], count: int = 3, seed: int = 1) -> None:
+        self.symbols = tuple(symbols)
+        source = random.Random(seed)
+        self.values = [
+            [mpmath.mpf(source.randint(2**40, 2**41)) / 2**41 for _ in symbols]
+            for _ in range(count)
+        ]
+
+    def evaluate(self, expressions: Sequence[Expr]) -> list[list[Any]]:
+        """Return the values at the points where all of them are finite."""
+        function = sympy.lambdify(self.symbols, list(expressions), "mpmath", cse=True)
+        found = []
+        with mpmath.workdps(DIGITS):
+            for point in self.values:
+                try:
+                    values = [mpmath.mpmathify(value) for value in function(*point)]
+                except (ValueError, ZeroDivisionError):
+                    continue
+                if all(mpmath.isfinite(value) for value in values):
+                    found.append(values)
+        return found
+
+    def vanish(self, expressions: Sequence[Expr]) -> bool:
+        """Return whether all expressions are zero; False where that cannot be seen."""
+        expressions = [e for e in expressions if e != 0]
+        if not expressions:
+            return True
+        found = self.evaluate(expressions)
+        return bool(found) and all(abs(value) < ZERO for values in found for value in values)
+
+
+# ---- the model -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function of the generated program: its outputs, in order, each with its expressions."""
+
+    name: str
+    outputs: tuple[tuple[str, tuple[Expr, ...]], ...]
+    engine: Any
+
+
+@dataclass(frozen=True)
+class Derived:
+    """What a model turns out to be, and the functions that are generated from it.
+
+    Attributes
+    ----------
+    kind : {"linear", "affine", "nonlinear"}
+        Of the constraints in v.
+    mass : tuple of expressions or None
+        M, row by row, where it is constant and L = v^T M v / 2 - V(q); in the parameters alone.
+    functions : tuple of Function
+        potential, lagrangian, constraint, force, mass, ... as far as they are there.
+    """
+
+    kind: str
+    mass: tuple[Expr, ...] | None
+    functions: tuple[Function, ...]
+
+    def function(self, name: str) -> Function | None:
+        """Return the function of this name, None if the model has none."""
+        return next((f for f in self.functions if f.name == name), None)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A Lagrangian and constraints in canonical symbols, and the names the user has for them.
+
+    Attributes
+    ----------
+    coordinates, parameters : tuple of str
+        Names; q0 is the first coordinate, v0 its velocity, p0 the first parameter.
+    L : sympy.Expr
+        The Lagrangian.
+    constraints : tuple of sympy.Expr
+        What has to vanish.
+    force : tuple of sympy.Expr or None
+        The n components of the generalized force; may contain t.
+    state : tuple of sympy.Expr or None
+        Default initial data (q, v), in the parameters.
+    exact : tuple of sympy.Expr or None
+        The exact solution (q, v) at time t, in the initial data q0 ... v0 ...
+    invariants : tuple of sympy.Expr
+        First integrals besides the energy.
+    """
+
+    coordinates: tuple[str, ...]
+    parameters: tuple[str, ...]
+    L: Expr
+    constraints: tuple[Expr, ...]
+    force: tuple[Expr, ...] | None = None
+    state: tuple[Expr, ...] | None = None
+    exact: tuple[Expr, ...] | None = None
+    invariants: tuple[Expr, ...] = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        fields = dataclasses.fields(self)
+        return Model, tuple(getattr(self, field.name) for field in fields)
+
+    @property
+    def n(self) -> int:
+        return len(self.coordinates)
+
+    @property
+    def m(self) -> int:
+        return len(self.constraints)
+
+    @property
+    def q(self) -> tuple[Expr, ...]:
+        return canonical("q", self.n)
+
+    @property
+    def v(self) -> tuple[Expr, ...]:
+        return canonical("v", self.n)
+
+    @property
+    def p(self) -> tuple[Expr, ...]:
+        return canonical("p", len(self.parameters))
+
+    @functools.cached_property
+    def key(self) -> str:
+        """A digest of everything but the names."""
+        parts = [
+            (self.L,), self.constraints, self.force, self.state, self.exact, self.invariants
+        ]  # fmt: skip
+        texts = [None if part is None else [sympy.srepr(e) for e in part] for part in parts]
+        text = repr((self.n, len(self.parameters), texts))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @functools.cached_property
+    def derived(self) -> Derived:
+        """Kind, mass and derivatives; the expensive part."""
+        return _derive(self)
+
+    def shown(self, expression: Expr) -> Expr:
+        """Return an expression with the user's names, for people to read."""
+        return expression.xreplace(self._names)
+
+    @functools.cached_property
+    def _names(self) -> dict[Expr, Expr]:
+        found = dict(zip(self.p, map(sympy.Symbol, self.parameters)))
+        for q, v, name in zip(self.q, self.v, self.coordinates):
+            coordinate = Coordinate(name, real=True)
+            found |= {q: coordinate, v: coordinate.d}
+        return found
+
+    # ---- as Python functions --------------------------------------------------------------
+
+    def callables(self, name: str) -> dict[str, Callable[..., Any]]:
+        """Return a function of Python for each output of a function: (q, v, p) or (t, q, v, p)."""
+        function = self.derived.function(name)
+        arguments = [self.q, self.v, self.p]
+        if name in ("force", "exact"):
+            arguments.insert(0, TIME)
+        return {
+            output: sympy.lambdify(
+                arguments, [function.engine.give(e) for e in expressions], "math", cse=True
+            )
+            for output, expressions in (function.outputs if function else ())
+        }
+
+    # ---- for people ------------------------------------------------------------------------
+
+    def latex(self) -> str:
+        """Return L, mu and the ODE on D as LaTeX, in an aligned environment."""
+        return _latex(self)
+
+
+def _derive(model: Model) -> Derived:
+    """Differentiate, and see what the model is."""
+    q, v = model.q, model.v
+    engine = engine_for([model.L, *model.constraints])
+    L_v = [engine.diff(engine.take(model.L), engine.take(x)) for x in v]
+    L_vv = _symmetric(engine, L_v, v)
+    functions = []
+    rest = dict.fromkeys(v, sympy.Integer(0))
+    mass = _constant_mass(model, engine, L_v, L_vv)
+    if mass is not None:
+        V = -model.L.xreplace(rest)
+        if V != 0 and not Points([*q, *model.p]).vanish([V]):
+            V = engine.take(V)
+            V_q = [engine.diff(V, engine.take(x)) for x in q]
+            outputs = {"V": [V], "V_q": V_q, "V_qq": _symmetric(engine, V_q, q)}
+            functions.append(_function("potential", outputs, engine))
+        functions.append(Function("mass", (("M", mass),), _SymPy))
+    else:
+        L = engine.take(model.L)
+        L_q = [engine.diff(L, engine.take(x)) for x in q]
+        outputs = {
+            "L": [L], "L_q": L_q, "L_v": L_v,
+            "L_qq": _symmetric(engine, L_q, q),
+            "L_vq": [engine.diff(e, engine.take(x)) for e in L_v for x in q],
+            "L_vv": L_vv,
+        }  # fmt: skip
+        functions.append(_function("lagrangian", outputs, engine))
+
+    kind = "linear"
+    if model.m > 0:
+        phi = [engine.take(e) for e in model.constraints]
+        phi_v = [engine.diff(e, engine.take(x)) for e in phi for x in v]
+        kind = _kind(model, engine, phi_v)
+        if kind != "nonlinear":  # phi_v may have v in it that cancels
+            phi_v = [_without(engine, e, rest) for e in phi_v]
+        outputs = {
+            "phi": phi,
+            "phi_v": phi_v,
+            "phi_q": [engine.diff(e, engine.take(x)) for e in phi for x in q],
+        }
+        functions.append(_function("constraint", outputs, engine))
+    if model.force is not None:
+        engine = engine_for(model.force)
+        f = [engine.take(e) for e in model.force]
+        outputs = {
+            "f": f,
+            "f_q": [engine.diff(e, engine.take(x)) for e in f for x in q],
+            "f_v": [engine.diff(e, engine.take(x)) for e in f for x in v],
+        }
+        functions.append(_function("force", outputs, engine))
+    for name, output, expressions in (
+        ("state", "x", model.state),
+        ("exact", "x", model.exact),
+        ("invariant", "values", model.invariants),
+    ):
+        if expressions:
+            functions.append(Function(name, ((output, tuple(expressions)),), _SymPy))
+    return Derived(kind, mass, tuple(functions))
+
+
+def _function(name: str, outputs: dict[str, Sequence[Expr]], engine: Any) -> Function:
+    return Function(name, tuple((key, tuple(e)) for key, e in outputs.items()), engine)
+
+
+def _symmetric(engine: Any, gradient: Sequence[Expr], x: Sequence[Expr]) -> list[Expr]:
+    """Return the matrix of second derivatives; what is below the diagonal is what is above it."""
+    upper = {
+        (i, j): engine.diff(gradient[i], engine.take(x[j]))
+        for i in range(len(x))
+        for j in range(i, len(x))
+    }
+    return [upper[min(i, j), max(i, j)] for i in range(len(x)) for j in range(len(x))]
+
+
+def _without(engine: Any, expression: Expr, values: dict[Expr, Expr]) -> Expr:
+    """Return an expression with some symbols replaced by numbers."""
+    if engine is _SymPy:
+        return expression.xreplace(values)
+    return expression.subs({engine.take(s): engine.take(x) for s, x in values.items()})
+
+
+def _names_in(expressions: Iterable[Expr]) -> set[str]:
+    return {str(s) for e in expressions for s in e.free_symbols}
+
+
+def _constant_mass(
+    model: Model, engine: Any, L_v: Sequence[Expr], L_vv: Sequence[Expr]
+) -> tuple[Expr, ...] | None:
+    """Return M if L = v^T M v / 2 - V(q) with a constant M; else None."""
+    state = (*model.q, *model.v)
+    zero = dict.fromkeys(state, sympy.Integer(0))
+    M = [engine.give(e) for e in L_vv]
+    if _names_in(M) & {s.name for s in state}:
+        # M is what it is at q = 0, if it is the same everywhere
+        constant = [e.xreplace(zero) for e in M]
+        if any(e.has(sympy.nan, sympy.zoo, sympy.oo) for e in constant):
+            return None
+        differences = [a - b for a, b in zip(M, constant) if a != b]
+        if not Points([*state, *model.p]).vanish(differences):
+            return None
+        M = constant
+    rest = dict.fromkeys(model.v, sympy.Integer(0))
+    gyroscopic = [engine.give(_without(engine, e, rest)) for e in L_v]
+    if not Points([*model.q, *model.p]).vanish(gyroscopic):
+        return None
+    return tuple(M)
+
+
+def _kind(model: Model, engine: Any, phi_v: Sequence[Expr]) -> str:
+    """Return the kind of the constraints, whose derivatives by v are phi_v."""
+    m, n, names = model.m, model.n, {s.name for s in model.v}
+    everything = Points([*model.q, *model.v, *model.p])
+    if _names_in(phi_v) & names:
+        bends = [engine.diff(e, engine.take(x)) for e in phi_v for x in model.v]
+        if not everything.vanish([engine.give(e) for e in bends]):
+            return "nonlinear"
+    rest = dict.fromkeys(model.v, sympy.Integer(0))
+    shift = [e.xreplace(rest) for e in model.constraints]
+    for a in range(m):
+        if everything.vanish([engine.give(e) for e in phi_v[a * n : (a + 1) * n]]):
+            raise ValueError(
+                f"constraints[{a}] = {model.shown(model.constraints[a])}: expected a velocity in "
+                "it; a constraint on the coordinates alone is holonomic, and can be given as its "
+                "time derivative, whose D is then kept"
+            )
+    return "linear" if everything.vanish(shift) else "affine"
+
+
+# ---- LaTeX -----------------------------------------------------------------------------------
+
+
+def _latex_symbol(name: str) -> str:
+    """Return a name as LaTeX; a strange one letter by letter, so that it cannot be a command."""
+    if name.replace("_", "").isalnum() and name.isascii():
+        return str(sympy.latex(sympy.Symbol(name)))
+    safe = "".join(c if c.isalnum() else " " for c in name)
+    return rf"\mathtt{{{safe}}}"
+
+
+def _latex(model: Model) -> str:
+    names: dict[Expr, str] = dict(zip(model.p, map(_latex_symbol, model.parameters)))
+    for q, v, name in zip(model.q, model.v, model.coordinates):
+        names |= {q: _latex_symbol(name), v: rf"\dot{{{_latex_symbol(name)}}}"}
+    derived = model.derived
+
+    def tex(expression: Expr) -> str:
+        return str(sympy.latex(expression, symbol_names=names))
+
+    def outputs(name: str, output: str, rows: int) -> str:
+        function = derived.function(name)
+        assert function is not None
+        entries = [function.engine.give(e) for e in dict(function.outputs)[output]]
+        return tex(sympy.Matrix(rows, len(entries) // rows, entries))
+
+    n, m = model.n, model.m
+    lines = [f"L &= {tex(model.L)}"]
+    if m > 0 and derived.kind == "linear":
+        lines.append(rf"\mu &= {outputs('constraint', 'phi_v', m)}, \quad \mu \dot q = 0")
+    elif m > 0:
+        lines.append(rf"\varphi &= {outputs('constraint', 'phi', m)} = 0")
+    form = r"\mu" if derived.kind == "linear" else r"\varphi_v"
+    react = rf" + {form}^T \lambda" if m > 0 else ""
+    force = " + f" if model.force is not None else ""
+    if derived.mass is not None:
+        V_q = "" if derived.function("potential") is None else "-V_q"
+        left, right = r"M \ddot q", f"{V_q}{force}{react}".removeprefix(" + ") or "0"
+        lines.append(rf"M &= {tex(sympy.Matrix(n, n, list(derived.mass)))}")
+        if V_q:
+            lines.append(rf"V_q &= {outputs('potential', 'V_q', n)}")
+        inverse, pull = "M^{-1}", f"{V_q}{force}".removeprefix(" + ") or "0"
+    else:
+        left, right = r"L_{vv} \ddot q", rf"L_q - L_{{vq}} \dot q{force}{react}"
+        lines.append(rf"L_{{vv}} &= {outputs('lagrangian', 'L_vv', n)}")
+        lines.append(rf"L_q - L_{{vq}} \dot q &= {_latex_pull(model, tex)}")
+        inverse, pull = "L_{vv}^{-1}", rf"L_q - L_{{vq}} \dot q{force}"
+    if model.force is not None:
+        lines.append(rf"f &= {tex(sympy.Matrix(n, 1, list(model.force)))}")
+    lines.append(rf"{left} &= {right}")
+    if m > 0:
+        turn = r"\varphi_q \dot q"
+        lines.append(
+            rf"\lambda &= -({form} {inverse} {form}^T)^{{-1}} \left({turn}"
+            + ("" if pull == "0" else rf" + {form} {inverse} ({pull})")
+            + r"\right)"
+        )
+        slope = derived.function("constraint")
+        assert slope is not None
+        phi_q = [slope.engine.give(e) for e in dict(slope.outputs)["phi_q"]]
+        turned = sympy.Matrix(m, n, phi_q) * sympy.Matrix(n, 1, list(model.v))
+        lines.append(rf"{turn} &= {tex(turned)}")
+    return r"\begin{aligned}" + r" \\ ".join(lines) + r"\end{aligned}"
+
+
+def _latex_pull(model: Model, tex: Callable[[Expr], str]) -> str:
+    function = model.derived.function("lagrangian")
+    assert function is not None
+    outputs = {
+        key: [function.engine.give(e) for e in expressions] for key, expressions in function.outputs
+    }
+    L_vq = sympy.Matrix(model.n, model.n, outputs["L_vq"])
+    return tex(sympy.Matrix(model.n, 1, outputs["L_q"]) - L_vq * sympy.Matrix(model.v))
+
+
+# ---- what may occur in a model ---------------------------------------------------------------
+
+
+# Functions that both C and the math module have, or that are printed by their definition.
+FUNCTIONS = {
+    sympy.sin: "sin", sympy.cos: "cos", sympy.tan: "tan",
+    sympy.asin: "asin", sympy.acos: "acos", sympy.atan: "atan", sympy.atan2: "atan2",
+    sympy.sinh: "sinh", sympy.cosh: "cosh", sympy.tanh: "tanh",
+    sympy.asinh: "asinh", sympy.acosh: "acosh", sympy.atanh: "atanh",
+    sympy.exp: "exp", sympy.log: "log", sympy.Abs: "fabs",
+    sympy.erf: "erf", sympy.erfc: "erfc",
+}  # fmt: skip
+_STRUCTURE = (
+    sympy.Add, sympy.Mul, sympy.Pow, sympy.Symbol, sympy.Rational, sympy.Float,
+    sympy.NumberSymbol, sympy.sec, sympy.csc, sympy.cot, sympy.sign, sympy.Heaviside,
+    sympy.Max, sympy.Min, sympy.Piecewise, sympy.functions.elementary.piecewise.ExprCondPair,
+    sympy.core.relational.Relational, sympy.logic.boolalg.BooleanAtom,
+    sympy.And, sympy.Or, sympy.Not,
+)  # fmt: skip
+
+
+def require_known(expression: Expr, where: str) -> None:
+    """Raise ValueError if an expression has a part for which no program is generated."""
+    for e in sympy.preorder_traversal(expression):
+        if isinstance(e, (*_STRUCTURE, *FUNCTIONS)) and not e.has(sympy.I):
+            if isinstance(e, sympy.Float | sympy.Rational) and not math.isfinite(float(e)):
+                raise ValueError(f"{where}: {e} is not finite, or too large for a double")
+            continue
+        if isinstance(e, AppliedUndef):
+            raise ValueError(f"{where}: {e} is an unknown function; is it a coordinate?")
+        names = ", ".join(sorted({*FUNCTIONS.values(), "sqrt", "Abs", "Piecewise", "Max", "Min"}))
+        raise ValueError(
+            f"{where}: {e} ({type(e).__name__}) is not among what can be compiled: {names}"
+        )
