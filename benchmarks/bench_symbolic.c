@@ -1,7 +1,7 @@
 /* bench_symbolic.c - a model compiled by the Python package, against what is written by hand.
  *
- * Usage: bench_symbolic SYSTEM MODEL.so [PARAMETER...], SYSTEM the index of a bench_system, MODEL.so
- * the same system as bench_symbolic.py made it from expressions. */
+ * Usage: bench_symbolic SYSTEM MODEL.so [PARAMETER...], SYSTEM the index of a bench_system,
+ * MODEL.so the same system as bench_symbolic.py made it from expressions. */
 #include "bench.h"
 #include "hand_loop.h"
 

@@ -130,7 +130,8 @@ typedef enum dal_missing {
 
 struct dal_kernel; /* kernel.h */
 
-/* Makes steps steps of kernel; *done <- how many succeeded.  What kernel.h defines as DAL_KERNEL. */
+/* Makes steps steps of kernel; *done <- how many succeeded.  What kernel.h defines as
+ * DAL_KERNEL. */
 typedef int (*dal_kernel_fn)(struct dal_kernel *kernel, size_t steps, size_t *done);
 
 /* The definition of a system, filled by the caller, zero-initialised.  dal_system_new copies the

@@ -2,7 +2,8 @@
 
 Everything here works on canonical symbols, ``q0 ... v0 ... p0 ... t``, whatever the user calls
 them: the user's names are never part of a generated program, and models that differ in names alone
-are compiled once.  Nothing is simplified and no matrix is inverted; both were seen to run for minutes.
+are compiled once.  Nothing is simplified and no matrix is inverted; both were seen to run for
+minutes.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-/* The step routine compiled for one system, with its callbacks inside, as a program does that brings
- * its own kernel: the same bits as the library's, and what is refused. */
+/* The step routine compiled for one system, with its callbacks inside, as a program does that
+ * brings its own kernel: the same bits as the library's, and what is refused. */
 #include "../fixtures.h"
 #include "check.h"
 
@@ -229,7 +229,8 @@ static void test_bad_definitions(void)
     refused(&def, "ctx is NULL");
 }
 
-/* A deformation is another system: it has neither the kernel nor the size of the ctx of its base. */
+/* A deformation is another system: it has neither the kernel nor the size of the ctx of its
+ * base. */
 static void test_deformed(void)
 {
     dal_system *const base = open_blade(0);

@@ -524,7 +524,8 @@ def test_lagranges_method_round_trip():
     state = [*method.q, *method.q.diff(dynamicsymbols._t)]
     plain = sympy.symbols("s:6")
     rule = dict(zip(state, plain))
-    rhs = sympy.lambdify([plain], list(method.rhs().subs(values).subs(dict(reversed(rule.items())))))
+    back = dict(reversed(rule.items()))
+    rhs = sympy.lambdify([plain], list(method.rhs().subs(values).subs(back)))
     q0 = np.array([0.1, -0.2, 0.3])
     v0 = system.project(q0, np.array([0.4, 0.8, 1.0]))
     found = solve_ivp(lambda _, s: rhs(s)[:6], (0, 2), [*q0, *v0], rtol=1e-12, atol=1e-13,
