@@ -167,6 +167,12 @@ static inline int dal_kernel_potential(dal_kernel *k, const double *q, double *V
     return k->potential(q, NULL, V_q, NULL, k->potential_ctx);
 }
 
+/* memcpy would want arrays of the stack in memory, and not in registers. */
+DAL_KERNEL_INLINE void dal_kernel_copy(size_t n, const double *from, double *to)
+{
+    for (size_t i = 0; i < n; i++) to[i] = from[i];
+}
+
 /* Sums begin with their first term: 0.0 + x costs an addition, and it is on the critical path. */
 DAL_KERNEL_INLINE double dal_kernel_sum(size_t n, const double *x)
 {
@@ -636,11 +642,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         last = size;
     }
     if (!solved) {
-        memmove(k->base, base, n * sizeof *base);
-        memmove(k->Z, Z, m * n * sizeof *Z);
+        dal_kernel_copy(n, base, k->base);
+        dal_kernel_copy(m * n, Z, k->Z);
         const int status = dal_kernel_solve(k, s);
         if (status) return status;
-        memmove(kappa, k->kappa, m * sizeof *kappa);
+        dal_kernel_copy(m, k->kappa, kappa);
         reached = dal_kernel_sum(n, w);
         dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
         settled = false;
@@ -660,10 +666,10 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
          * all where the velocity passes through zero, or where N was not asked for. */
         const bool doubtful = reached < 1e-3 * known || (linear && kept);
         if (!settled || doubtful || k->audited) {
-            memmove(k->stored, stored, n * sizeof *stored);
+            dal_kernel_copy(n, stored, k->stored);
             const int status = dal_kernel_correct(k, settled && !doubtful);
             if (status) return status;
-            memmove(stored, k->stored, n * sizeof *stored);
+            dal_kernel_copy(n, k->stored, stored);
         }
     }
     if (m == 0 && !(dal_kernel_sum(n, stored) <= DBL_MAX)) /* else that has been seen to */
