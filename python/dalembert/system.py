@@ -845,7 +845,8 @@ class System:
         Parameters
         ----------
         q, v : array_like, shape (n,), optional
-            Where to look, in the user's units.  Default: the system's initial data.
+            Where to look, in the user's units.  Default: the system's initial data; without any,
+            and if the system was made by `from_sympy`, some state in D.
 
         Returns
         -------
@@ -868,6 +869,8 @@ class System:
         >>> bool(wrong.check([1, 0], [0, 0]))
         False
         """
+        if q is None and v is None and self._state is None and self._symbolic is not None:
+            q, v = self._general_state()
         found = examine(self, q, v)
         if self._symbolic is None or self._m == 0 or self._kind != "linear":
             return found
@@ -877,6 +880,15 @@ class System:
         return dataclasses.replace(
             found, growth=told.growth, holonomic=told.holonomic, exact=told.exact
         )
+
+    def _general_state(self) -> tuple[Array, Array]:
+        """Return some state in D, in no special position."""
+        source = np.random.default_rng(1)
+        q, v = source.uniform(0.2, 1.0, (2, self._n))
+        try:
+            return q, self.project(q, v)
+        except _lib.DalembertError:  # the examination says why
+            return q, v
 
     # ---- from expressions ----------------------------------------------------------------
 
