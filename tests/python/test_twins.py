@@ -93,13 +93,13 @@ def sleigh_contact(q, m, J, a):
     return L, [-sin(theta) * x.d + cos(theta) * y.d]
 
 
-def disk(q, m, I, J, R):  # noqa: E741
+def disk(q, m, I, J, R):
     x, y, theta, phi = q
     L = (m * square(x.d, y.d) + I * theta.d**2 + J * phi.d**2) / 2
     return L, [x.d - R * cos(phi) * theta.d, y.d - R * sin(phi) * theta.d]
 
 
-def robot(q, m, I, J, R, k):  # noqa: E741
+def robot(q, m, I, J, R, k):
     x, y, phi, theta = q
     L = (m * square(x.d, y.d) + I * phi.d**2 + J * theta.d**2) / 2 - k * sin(theta)
     return L, [x.d - R * cos(phi) * theta.d, y.d - R * sin(phi) * theta.d]
