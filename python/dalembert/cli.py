@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _lib, compiler, extras, plot, report, systems
+from . import _lib, catalogue, compiler, extras, plot, report, systems
 from .refinement import studies
 from .scheme import INITIAL, REFERENCE
 from .scheme import schemes as named_schemes
@@ -194,6 +194,8 @@ def _study(given: argparse.Namespace) -> int:
 def _systems(given: argparse.Namespace) -> int:
     found = [systems.get(name) for name in systems.names()]
     _list((system.name, system.help) for system in found)
+    print("\nWritten in SymPy, which they need:")
+    _list((name, catalogue.about(name)) for name in systems.names_in_sympy())
     return 0
 
 

@@ -318,7 +318,7 @@ def _reproduce(studies: Studies) -> str:
         f"{platform.python_version()}, NumPy {np.__version__}, matplotlib "
         f"{matplotlib.__version__}, {platform.machine()}"
     )
-    if system.name in systems.names():
+    if system.name in (*systems.names(), *systems.names_in_sympy()):
         how = f"<pre>{html.escape(command(studies))}</pre>"
     else:
         how = (

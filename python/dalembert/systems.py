@@ -1,7 +1,8 @@
-"""The systems that come with the library: one function for each, made from the C catalogue.
+"""The systems that come with the library: one function for each.
 
-``dal.systems.names()`` lists them, ``dal.systems.particle()`` makes one, ``help(dal.systems.disk)``
-shows its coordinates and parameters.
+``dal.systems.names()`` lists those that are written in C, ``dal.systems.names_in_sympy()`` those
+that need SymPy, see `dalembert.catalogue`; ``dal.systems.particle()`` makes one, and
+``help(dal.systems.disk)`` shows its coordinates and parameters.
 
 >>> import dalembert as dal
 >>> ball = dal.systems.ball_on_table(Omega=2)  # affine constraints
@@ -20,15 +21,15 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 
-from . import _lib
+from . import _lib, catalogue
 from ._lib import lib
 from .system import System
 
-__all__ = ["get", "names"]
+__all__ = ["get", "names", "names_in_sympy"]
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of the systems that come with the library.
+    """Return the names of the systems that are written in C, which need nothing else.
 
     Examples
     --------
@@ -39,13 +40,25 @@ def names() -> tuple[str, ...]:
     return tuple(_lib.string(lib.dal_builtin_name(i)) for i in range(lib.dal_builtin_count()))
 
 
+def names_in_sympy() -> tuple[str, ...]:
+    """Return the names of the systems that are written in SymPy, and need it.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> "roller_racer" in dal.systems.names_in_sympy()
+    True
+    """
+    return tuple(catalogue.__all__)
+
+
 def get(name: str, /, **parameters: float) -> System:
     """Return the system of this name, with some parameters changed from their defaults.
 
     Parameters
     ----------
     name : str
-        One of `names`; ``-`` and ``_`` are the same.
+        One of `names` or `names_in_sympy`; ``-`` and ``_`` are the same.
     **parameters : float
         As ``System.parameters`` lists them, in the user's units.
 
@@ -54,6 +67,8 @@ def get(name: str, /, **parameters: float) -> System:
     ValueError
         If there is no such system or parameter, or a parameter is out of its range; the text
         lists what there is.
+    ImportError
+        If the system is written in SymPy, and that is not installed.
 
     Examples
     --------
@@ -64,7 +79,17 @@ def get(name: str, /, **parameters: float) -> System:
     >>> train.n, train.m, train.coordinates[-1]
     (13, 11, 'theta10')
     """
-    return System._builtin(name, parameters)
+    plain = name.replace("-", "_") if isinstance(name, str) else name
+    if plain not in names_in_sympy():
+        return System._builtin(name, parameters)
+    make: Callable[..., System] = getattr(catalogue, plain)
+    known = inspect.signature(make).parameters
+    for key in parameters:
+        if key not in known:
+            raise ValueError(
+                f"parameters: {plain!r} has no {key!r}; it has {', '.join(known) or 'none'}"
+            )
+    return make(**parameters)
 
 
 def _maker(name: str) -> Callable[..., System]:
@@ -95,11 +120,14 @@ def _maker(name: str) -> Callable[..., System]:
 
 
 def __getattr__(name: str) -> Callable[..., System]:
+    if name in names_in_sympy():
+        return getattr(catalogue, name)  # type: ignore[no-any-return]
     if name not in names():
-        raise AttributeError(f"there is no system {name!r}; there are {', '.join(names())}")
+        there = ", ".join([*names(), *names_in_sympy()])
+        raise AttributeError(f"there is no system {name!r}; there are {there}")
     globals()[name] = maker = _maker(name)
     return maker
 
 
 def __dir__() -> list[str]:
-    return [*__all__, *names()]
+    return [*__all__, *names(), *names_in_sympy()]
