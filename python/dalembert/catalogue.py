@@ -6,7 +6,7 @@ them is called, and what it makes is compiled once, see `dalembert.compiler`.
 >>> import dalembert as dal
 >>> car = dal.systems.steered_car(l=0.4)
 >>> car
-<System steered_car(x, y, theta, phi): n = 4, m = 2>
+<System steered_car(x, y, theta, phi): n = 4, m = 2, m = 1, J = 0.2, K = 0.1, l = 0.4>
 >>> car.invariants
 ('v_theta + v_phi', 'm (v_x^2 + v_y^2) + J v_theta^2')
 """
@@ -140,7 +140,7 @@ def two_wheeled_robot(
     *,
     m: float = 2.0,
     J: float = 0.3,
-    I: float = 0.05,  # noqa: E741
+    I: float = 0.05,
     a: float = 0.2,
     b: float = 0.3,
     r: float = 0.1,
