@@ -35,6 +35,11 @@ void dal__reserve(arena *a, void *slot, size_t count, size_t size)
     a->size += (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 }
 
+void dal__reserve_doubles(arena *a, size_t slots, double **const slot[], size_t count)
+{
+    for (size_t i = 0; i < slots; i++) dal__reserve(a, slot[i], count, sizeof(double));
+}
+
 int dal__allocate(arena *a, dal_error *error)
 {
     if (a->overflow) return dal__fail(error, DAL_ENOMEM, "the size of the workspace overflows");

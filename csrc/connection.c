@@ -24,14 +24,10 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     double **const squares[] = {&chart->K, &chart->K_scale, &chart->G, &chart->G_scale};
     double **const forms[] = {&chart->A, &chart->tableau, &chart->slope};
     dal__mechanics_reserve(&chart->mech, system, a);
-    for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
-        dal__reserve(a, vectors[i], n, sizeof(double));
-    for (size_t i = 0; i < sizeof multipliers / sizeof *multipliers; i++)
-        dal__reserve(a, multipliers[i], m, sizeof(double));
-    for (size_t i = 0; i < sizeof squares / sizeof *squares; i++)
-        dal__reserve(a, squares[i], nn, sizeof(double));
-    for (size_t i = 0; i < sizeof forms / sizeof *forms; i++)
-        dal__reserve(a, forms[i], mn, sizeof(double));
+    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
+    dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
+    dal__reserve_doubles(a, DAL_LENGTH(squares), squares, nn);
+    dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
     dal__reserve(a, &chart->B, mm, sizeof(double));
     dal__reserve(a, &chart->B_scale, mm, sizeof(double));
     dal__reserve(a, &chart->x, dal__times(2, n), sizeof(double));
@@ -126,23 +122,6 @@ static void write_names(const dal_chart *chart, const size_t *place, size_t coun
 
 /* ---- A and B ----------------------------------------------------------------------------- */
 
-/* scale[count*count] of a matrix, see lu.h, raised to what its row and its column have in common: a
- * pivot that is small beside its row, in units in which the columns are alike, would spoil the
- * others.  unit[count] is scratch. */
-static void equilibrate(size_t count, double *scale, double *unit)
-{
-    for (size_t k = 0; k < count; k++) {
-        unit[k] = 0.0;
-        for (size_t i = 0; i < count; i++) unit[k] = fmax(unit[k], scale[i * count + k]);
-    }
-    for (size_t i = 0; i < count; i++) {
-        double most = 0.0;
-        for (size_t k = 0; k < count; k++)
-            if (unit[k] > 0.0) most = fmax(most, scale[i * count + k] / unit[k]);
-        for (size_t k = 0; k < count; k++) scale[i * count + k] = most * unit[k];
-    }
-}
-
 /* B, or B^T, of mu[m*n], factored. */
 static int factor_B(dal_chart *chart, const double *mu, bool transposed)
 {
@@ -153,7 +132,7 @@ static int factor_B(dal_chart *chart, const double *mu, bool transposed)
             chart->B[to] = mu[a * n + chart->place[b]];
             chart->B_scale[to] = fabs(chart->B[to]);
         }
-    equilibrate(m, chart->B_scale, chart->right);
+    dal__equilibrate(m, chart->B_scale, chart->right);
     if (dal_lu_factor(m, n, chart->B, chart->B_scale, chart->row)) return DAL_SUCCESS;
     char names[128];
     write_names(chart, chart->place, m, sizeof names, names);
@@ -633,7 +612,7 @@ static int newton_step(dal_chart *chart)
             chart->G_scale[(free + a) * n + k] = fabs(chart->slope[a * n + k]);
         }
     }
-    equilibrate(n, chart->G_scale, chart->y);
+    dal__equilibrate(n, chart->G_scale, chart->y);
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
     if (!dal_lu_factor(n, m + 1, chart->G, chart->G_scale, chart->G_row))

@@ -103,3 +103,17 @@ double dal__singular_values(size_t count, size_t n, double *A, double *squares)
     }
     return unit;
 }
+
+void dal__equilibrate(size_t count, double *scale, double *unit)
+{
+    for (size_t k = 0; k < count; k++) {
+        unit[k] = 0.0;
+        for (size_t i = 0; i < count; i++) unit[k] = fmax(unit[k], scale[i * count + k]);
+    }
+    for (size_t i = 0; i < count; i++) {
+        double most = 0.0;
+        for (size_t k = 0; k < count; k++)
+            if (unit[k] > 0.0) most = fmax(most, scale[i * count + k] / unit[k]);
+        for (size_t k = 0; k < count; k++) scale[i * count + k] = most * unit[k];
+    }
+}

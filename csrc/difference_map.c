@@ -12,8 +12,7 @@ void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, ar
     rho->n = n;
     dal__reserve(a, &rho->g, n, sizeof(double));
     dal__reserve(a, &rho->f, n, sizeof(double));
-    for (size_t i = 0; i < sizeof matrices / sizeof *matrices; i++)
-        dal__reserve(a, matrices[i], nn, sizeof(double));
+    dal__reserve_doubles(a, DAL_LENGTH(matrices), matrices, nn);
     dal__reserve(a, &rho->point, twice, sizeof(double));
     dal__reserve(a, &rho->value, twice, sizeof(double));
     dal__reserve(a, &rho->slope, dal__times(twice, twice), sizeof(double));

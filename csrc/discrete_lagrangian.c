@@ -40,12 +40,9 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
     dal__rho_reserve(&shape.constraint, of_constraint, n, &memory);
     dal__rho_reserve(&shape.moved, lagrangian, n, &memory);
     dal__root_reserve(&shape.root, dal__times(2, n), &memory); /* m < n */
-    for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
-        dal__reserve(&memory, vectors[i], n, sizeof(double));
-    for (size_t i = 0; i < sizeof matrices / sizeof *matrices; i++)
-        dal__reserve(&memory, matrices[i], nn, sizeof(double));
-    for (size_t i = 0; i < sizeof forms / sizeof *forms; i++)
-        dal__reserve(&memory, forms[i], mn, sizeof(double));
+    dal__reserve_doubles(&memory, DAL_LENGTH(vectors), vectors, n);
+    dal__reserve_doubles(&memory, DAL_LENGTH(matrices), matrices, nn);
+    dal__reserve_doubles(&memory, DAL_LENGTH(forms), forms, mn);
     dal__reserve(&memory, &shape.phi, m, sizeof(double));
     dal__reserve(&memory, &shape.state, dal__times(2, n), sizeof(double));
     const int status = dal__allocate(&memory, error);
@@ -125,15 +122,21 @@ int dal_discrete_nodes(dal_discrete *discrete, double h, const double *x, double
 
 /* ---- the discrete Lagrangian -------------------------------------------------------------- */
 
+/* Which factor of a product is a diagonal matrix: the slopes of rho^beta are. */
+typedef enum diagonal { NEITHER, THE_FIRST, THE_SECOND } diagonal;
+
 /* C[rows*n] += factor A B with A[rows*n], or A^T with A[n*n], and B[n*n]; C_scale += the sum of the
  * sizes of the terms, where B_scale is that of B, or NULL: |B|. */
-static void add_product(size_t rows, size_t n, double factor, const double *A, bool transpose,
-                        const double *B, const double *B_scale, double *C, double *C_scale)
+static void add_product(size_t rows, size_t n, double factor, diagonal which, const double *A,
+                        bool transpose, const double *B, const double *B_scale, double *C,
+                        double *C_scale)
 {
     for (size_t i = 0; i < rows; i++)
         for (size_t j = 0; j < n; j++) {
             double sum = 0.0, scale = 0.0;
-            for (size_t k = 0; k < n; k++) {
+            const size_t first = which == NEITHER ? 0 : which == THE_FIRST ? i : j;
+            const size_t end = which == NEITHER ? n : first + 1;
+            for (size_t k = first; k < end; k++) {
                 const double a = transpose ? A[k * n + i] : A[i * n + k], b = B[k * n + j];
                 sum += a * b;
                 scale += fabs(a) * (B_scale ? B_scale[k * n + j] : fabs(b));
@@ -175,36 +178,34 @@ static int value_held(const double *q1, double *value, void *ctx)
     return DAL_SUCCESS;
 }
 
-/* d->K: by F and L_v at rho, then by the second derivatives of rho. */
-static int form_K(dal_discrete *d, double t, bool forced, const dal__pair *pair)
+/* d->K: by F and L_v at rho, whose derivatives are known, then by the second derivatives of rho. */
+static int form_K(dal_discrete *d, bool forced, const dal__pair *pair)
 {
     const size_t n = d->n, nn = n * n;
     const double h = pair->h;
     dal__rho *const rho = &d->lagrangian;
-    const dal__jet wanted = {.L_qq = d->L_qq, .L_vq = d->L_vq, .L_vv = d->L_vv};
-    int status = dal__lagrangian(&d->mech.eval, rho->g, rho->f, &wanted, &d->mech.error);
-    if (!status && forced)
-        status = dal__force(&d->mech.eval, t, rho->g, rho->f, NULL, d->f_q, d->f_v, &d->mech.error);
-    if (status) return status;
+    const diagonal slope = rho->map.map ? NEITHER : THE_SECOND;
+    const diagonal outer = rho->map.map ? NEITHER : THE_FIRST;
     double *const zeroed[] = {d->X, d->X_scale, d->Y, d->Y_scale, d->K, d->K_scale};
     for (size_t i = 0; i < sizeof zeroed / sizeof *zeroed; i++)
         memset(zeroed[i], 0, nn * sizeof *zeroed[i]);
     /* X = h dF/dw, Y = dL_v/dw */
-    add_product(n, n, h * h, d->L_qq, false, rho->g_1, NULL, d->X, d->X_scale);
-    add_product(n, n, h, d->L_vq, true, rho->f_1, NULL, d->X, d->X_scale);
+    add_product(n, n, h * h, slope, d->L_qq, false, rho->g_1, NULL, d->X, d->X_scale);
+    add_product(n, n, h, slope, d->L_vq, true, rho->f_1, NULL, d->X, d->X_scale);
     if (forced) {
-        add_product(n, n, h * h, d->f_q, false, rho->g_1, NULL, d->X, d->X_scale);
-        add_product(n, n, h, d->f_v, false, rho->f_1, NULL, d->X, d->X_scale);
+        add_product(n, n, h * h, slope, d->f_q, false, rho->g_1, NULL, d->X, d->X_scale);
+        add_product(n, n, h, slope, d->f_v, false, rho->f_1, NULL, d->X, d->X_scale);
     }
-    add_product(n, n, h, d->L_vq, false, rho->g_1, NULL, d->Y, d->Y_scale);
-    add_product(n, n, 1.0, d->L_vv, false, rho->f_1, NULL, d->Y, d->Y_scale);
-    add_product(n, n, -1.0, rho->g_0, true, d->X, d->X_scale, d->K, d->K_scale);
-    add_product(n, n, -1.0, rho->f_0, true, d->Y, d->Y_scale, d->K, d->K_scale);
+    add_product(n, n, h, slope, d->L_vq, false, rho->g_1, NULL, d->Y, d->Y_scale);
+    add_product(n, n, 1.0, slope, d->L_vv, false, rho->f_1, NULL, d->Y, d->Y_scale);
+    add_product(n, n, -1.0, outer, rho->g_0, true, d->X, d->X_scale, d->K, d->K_scale);
+    add_product(n, n, -1.0, outer, rho->f_0, true, d->Y, d->Y_scale, d->K, d->K_scale);
     if (!rho->map.map) return DAL_SUCCESS;
     held is = {d, h, pair->q0};
     memcpy(d->point, pair->q1, n * sizeof *d->point);
     for (size_t j = 0; j < n; j++) {
-        status = dal__difference(value_held, &is, d->point, j, n, d->value, d->bend + j, n);
+        const int status =
+            dal__difference(value_held, &is, d->point, j, n, d->value, d->bend + j, n);
         if (status) return status;
     }
     for (size_t k = 0; k < nn; k++) {
@@ -224,10 +225,14 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
     const bool push = forced && d->mech.eval.system->def.force;
     int status = dal__rho_at(rho, pair, true, &d->mech.error);
     if (status) return status;
-    const dal__jet wanted = {.L_q = d->force, .L_v = d->L_v};
+    const dal__jet wanted = {.L_q = d->force, .L_v = d->L_v,
+                             .L_qq = derivative ? d->L_qq : NULL,
+                             .L_vq = derivative ? d->L_vq : NULL,
+                             .L_vv = derivative ? d->L_vv : NULL};
     status = dal__lagrangian(&d->mech.eval, rho->g, rho->f, &wanted, &d->mech.error);
     if (!status && push)
-        status = dal__force(&d->mech.eval, time, rho->g, rho->f, d->value, NULL, NULL,
+        status = dal__force(&d->mech.eval, time, rho->g, rho->f, d->value,
+                            derivative ? d->f_q : NULL, derivative ? d->f_v : NULL,
                             &d->mech.error);
     if (status) return status;
     for (size_t i = 0; push && i < n; i++) d->force[i] += d->value[i];
@@ -235,7 +240,7 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
     if (plus) memset(plus, 0, n * sizeof *plus);
     if (minus) add_momentum(d, -1.0, h, rho->g_0, rho->f_0, minus);
     if (plus) add_momentum(d, 1.0, h, rho->g_1, rho->f_1, plus);
-    return derivative ? form_K(d, time, push, pair) : DAL_SUCCESS;
+    return derivative ? form_K(d, push, pair) : DAL_SUCCESS;
 }
 
 int dal_discrete_lagrangian(dal_discrete *discrete, double h, const double *q0, const double *q1,
@@ -303,10 +308,11 @@ int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool deriva
         status = dal__constraint(&d->mech.eval, rho->g, rho->f, d->phi, d->phi_v,
                                  derivative ? d->phi_q : NULL, &d->mech.error);
     if (status || !derivative) return status;
+    const diagonal slope = rho->map.map ? NEITHER : THE_SECOND;
     memset(d->B, 0, m * n * sizeof *d->B);
     memset(d->B_scale, 0, m * n * sizeof *d->B_scale);
-    add_product(m, n, pair->h, d->phi_q, false, rho->g_1, NULL, d->B, d->B_scale);
-    add_product(m, n, 1.0, d->phi_v, false, rho->f_1, NULL, d->B, d->B_scale);
+    add_product(m, n, pair->h, slope, d->phi_q, false, rho->g_1, NULL, d->B, d->B_scale);
+    add_product(m, n, 1.0, slope, d->phi_v, false, rho->f_1, NULL, d->B, d->B_scale);
     return DAL_SUCCESS;
 }
 
@@ -324,8 +330,9 @@ int dal_discrete_constraint(dal_discrete *discrete, double h, const double *q0, 
     if (phi_d) memcpy(phi_d, d->phi, d->m * sizeof *phi_d);
     for (size_t k = 0; D2 && k < mn; k++) D2[k] = d->B[k] / h;
     if (!D1) return DAL_SUCCESS;
+    const diagonal slope = d->constraint.map.map ? NEITHER : THE_SECOND;
     memset(D1, 0, mn * sizeof *D1);
-    add_product(d->m, n, 1.0, d->phi_q, false, d->constraint.g_0, NULL, D1, d->B_scale);
-    add_product(d->m, n, 1.0 / h, d->phi_v, false, d->constraint.f_0, NULL, D1, d->B_scale);
+    add_product(d->m, n, 1.0, slope, d->phi_q, false, d->constraint.g_0, NULL, D1, d->B_scale);
+    add_product(d->m, n, 1.0 / h, slope, d->phi_v, false, d->constraint.f_0, NULL, D1, d->B_scale);
     return DAL_SUCCESS;
 }

@@ -197,6 +197,7 @@ static void examine(dal_discrete *d, int *sign, double *logarithm, double *condi
     int s = 1;
     double l = 0.0, most = 0.0, least = HUGE_VAL;
     assemble(d, J, scale);
+    dal__equilibrate(N, scale, d->root.step);
     const bool regular = dal_lu_factor(N, N, J, scale, row);
     for (size_t k = 0; regular && k < N; k++) {
         if (J[k * N + k] < 0.0) s = -s;

@@ -96,8 +96,7 @@ int dal_embedding_new(dal_embedding **embedding, const dal_system *system,
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__reserve(&memory, &shape.x, 2 * n, sizeof(double));
     dal__reserve(&memory, &shape.moved, 2 * n, sizeof(double));
-    for (size_t i = 0; i < sizeof coordinates / sizeof *coordinates; i++)
-        dal__reserve(&memory, coordinates[i], width, sizeof(double));
+    dal__reserve_doubles(&memory, DAL_LENGTH(coordinates), coordinates, width);
     status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;

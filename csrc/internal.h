@@ -17,6 +17,8 @@
 /* The same of initial data that are taken to be meant to lie in D. */
 #define DAL_CONSISTENT 1e-8
 
+#define DAL_LENGTH(array) (sizeof(array) / sizeof(array)[0])
+
 /* ---- floor 0: status.c, arena.c --------------------------------------------------------- */
 
 #if defined(__GNUC__)
@@ -42,6 +44,8 @@ typedef struct arena {
 
 /* Plans count elements of size bytes for *slot (the address of a pointer to any object type). */
 void dal__reserve(arena *a, void *slot, size_t count, size_t size);
+/* The same of doubles for each of slot[slots]. */
+void dal__reserve_doubles(arena *a, size_t slots, double **const slot[], size_t count);
 /* Zero-filled memory for all that was reserved; DAL_ENOMEM. */
 int dal__allocate(arena *a, dal_error *error);
 void dal__release(arena *a);
@@ -71,6 +75,12 @@ bool dal__cholesky(size_t n, double *A, size_t *row, double *pivot);
  * their lengths are the singular values.  squares[count] <- their squares, for A divided by its
  * largest entry, which is returned; 0 for A = 0. */
 double dal__singular_values(size_t count, size_t n, double *A, double *squares);
+
+/* scale[count*count] of a matrix, see lu.h, raised to what its row and its column have in common: a
+ * pivot that is small beside its row, in units in which the columns are alike, would spoil the
+ * others.  For matrices whose entries are not sums, where lu.h alone would not choose among pivots.
+ * unit[count] is scratch. */
+void dal__equilibrate(size_t count, double *scale, double *unit);
 
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);

@@ -19,14 +19,10 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     double **const multipliers[] = {&mech->phi, &mech->lambda, &mech->residual};
     double **const matrices[] = {&mech->L_vq, &mech->L_vv, &mech->factor};
     dal__evaluator_reserve(&mech->eval, system, a);
-    for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
-        dal__reserve(a, vectors[i], n, sizeof(double));
-    for (size_t i = 0; i < sizeof forms / sizeof *forms; i++)
-        dal__reserve(a, forms[i], mn, sizeof(double));
-    for (size_t i = 0; i < sizeof multipliers / sizeof *multipliers; i++)
-        dal__reserve(a, multipliers[i], m, sizeof(double));
-    for (size_t i = 0; i < sizeof matrices / sizeof *matrices; i++)
-        dal__reserve(a, matrices[i], general, sizeof(double));
+    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
+    dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
+    dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
+    dal__reserve_doubles(a, DAL_LENGTH(matrices), matrices, general);
     dal__reserve(a, &mech->f_q, forced, sizeof(double));
     dal__reserve(a, &mech->f_v, forced, sizeof(double));
     dal__reserve(a, &mech->chetaev, nonlinear ? mn : 0, sizeof(double));
@@ -95,13 +91,10 @@ int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, con
 
 /* ---- M and C ----------------------------------------------------------------------------- */
 
-int dal__form_metric(dal_mechanics *mech, const double *q, const double *v)
+/* The factor of the metric in mech->L_vv. */
+static int factor_metric(dal_mechanics *mech)
 {
     const size_t n = mech->n;
-    if (mech->eval.constant_mass) return DAL_SUCCESS;
-    const dal__jet wanted = {.L_vv = mech->L_vv};
-    const int status = dal__lagrangian(&mech->eval, q, v, &wanted, &mech->error);
-    if (status) return status;
     size_t row = 0;
     double pivot = 0.0;
     memcpy(mech->factor, mech->L_vv, n * n * sizeof *mech->factor);
@@ -109,6 +102,14 @@ int dal__form_metric(dal_mechanics *mech, const double *q, const double *v)
     return dal__fail(&mech->error, DAL_ESINGULAR, "L_vv is not positive definite: pivot %zu of its "
                      "Cholesky factor is %g where L_vv[%zu,%zu] = %g", row, pivot, row, row,
                      mech->L_vv[row * n + row]);
+}
+
+int dal__form_metric(dal_mechanics *mech, const double *q, const double *v)
+{
+    if (mech->eval.constant_mass) return DAL_SUCCESS;
+    const dal__jet wanted = {.L_vv = mech->L_vv};
+    const int status = dal__lagrangian(&mech->eval, q, v, &wanted, &mech->error);
+    return status ? status : factor_metric(mech);
 }
 
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y)
@@ -266,9 +267,10 @@ static int form_force(dal_mechanics *mech, double t, const double *x)
     const size_t n = mech->n;
     const double *const v = velocity(mech, x);
     const bool general = !mech->eval.constant_mass;
-    const dal__jet wanted = {.L_q = mech->force, .L_vq = general ? mech->L_vq : NULL};
+    const dal__jet wanted = {.L_q = mech->force, .L_vq = general ? mech->L_vq : NULL,
+                             .L_vv = general ? mech->L_vv : NULL};
     int status = dal__lagrangian(&mech->eval, x, v, &wanted, &mech->error);
-    if (!status) status = dal__form_metric(mech, x, v);
+    if (!status && general) status = factor_metric(mech);
     if (status) return status;
     for (size_t i = 0; general && i < n; i++)
         mech->force[i] -= dal__dot(n, mech->L_vq + i * n, v);
@@ -423,9 +425,9 @@ static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
     enum { MOST = 50 };
     const size_t n = mech->n, m = mech->m;
     const bool one_step = shift == 0.0 && mech->eval.system->def.kind != DAL_NONLINEAR;
-    double last = INFINITY;
+    dal__progress p = {.iteration = 1, .last = INFINITY};
     memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
-    for (int iteration = 1;; iteration++) {
+    for (;; p.iteration++) {
         for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * mech->w[i];
         int status = dal__constraint(&mech->eval, mech->q, mech->w, mech->phi, mech->mu,
                                      shift != 0.0 ? mech->dmu : NULL, &mech->error);
@@ -437,22 +439,21 @@ static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
         status = dal__factor_gram(mech);
         if (status) return status;
         dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->lambda);
-        double size = 0.0, scale = 0.0;
+        p.size = 0.0;
         for (size_t i = 0; i < n; i++) {
             double step = 0.0;
             for (size_t a = 0; a < m; a++) step += mech->Z[a * n + i] * mech->lambda[a];
             mech->w[i] += step;
-            size += fabs(step);
-            scale += fabs(mech->w[i]) + fabs(velocity(mech, x)[i]);
+            p.size += fabs(step);
         }
-        if (one_step && iteration == 2) return DAL_SUCCESS;
-        if (size <= 4.0 * DAL_ROUNDOFF * scale) return DAL_SUCCESS;
-        if (iteration >= 2 && size <= 1e-11 * scale && size >= last) return DAL_SUCCESS;
-        if (iteration == MOST || !(size <= DBL_MAX))
+        p.scale = dal__sum_of_sizes(n, mech->w) + dal__sum_of_sizes(n, velocity(mech, x));
+        p.extent = dal__sum_of_sizes(n, mech->q);
+        if ((one_step && p.iteration == 2) || dal__newton_is_done(&p)) return DAL_SUCCESS;
+        if (p.iteration == MOST || !(p.size <= DBL_MAX))
             return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of %s was found in %d "
                              "iterations (shift = %g, last change %g)",
-                             shift == 0.0 ? "D" : "D_eps", iteration, shift, size);
-        last = size;
+                             shift == 0.0 ? "D" : "D_eps", p.iteration, shift, p.size);
+        p.last = p.size;
     }
 }
 

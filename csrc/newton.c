@@ -17,10 +17,8 @@ void dal__newton_reserve(newton *solver, const dal_system *system, arena *a)
     double **const vectors[] = {&solver->rate, &solver->w, &solver->R1, &solver->y, &solver->step};
     double **const multipliers[] = {&solver->lambda, &solver->kappa, &solver->R2, &solver->r,
                                     &solver->d};
-    for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
-        dal__reserve(a, vectors[i], n, sizeof(double));
-    for (size_t i = 0; i < sizeof multipliers / sizeof *multipliers; i++)
-        dal__reserve(a, multipliers[i], m, sizeof(double));
+    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
+    dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
     dal__reserve(a, &solver->x, dal__times(2, n), sizeof(double));
     dal__reserve(a, &solver->B, mn, sizeof(double));
     dal__reserve(a, &solver->KZ, mn, sizeof(double));

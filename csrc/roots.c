@@ -7,8 +7,7 @@
 void dal__root_reserve(dal__root *root, size_t most, arena *a)
 {
     double **const vectors[] = {&root->z, &root->residual, &root->step};
-    for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
-        dal__reserve(a, vectors[i], most, sizeof(double));
+    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, most);
     dal__reserve(a, &root->J, dal__times(most, most), sizeof(double));
     dal__reserve(a, &root->scale, dal__times(most, most), sizeof(double));
     dal__reserve(a, &root->row, most, sizeof(size_t));
@@ -43,6 +42,7 @@ int dal__find_root(dal__root *root, const dal__equations *e, dal_error *error)
     for (p.iteration = 1; p.iteration <= MOST; p.iteration++) {
         const int status = evaluate(root, e, p.iteration > 1);
         if (status) return status;
+        dal__equilibrate(e->size, root->scale, root->step);
         if (!dal_lu_factor(e->size, e->size, root->J, root->scale, root->row))
             return dal__fail(error, DAL_ESINGULAR, "%s", e->singular);
         dal_lu_solve(e->size, root->J, root->row, root->residual, root->step);

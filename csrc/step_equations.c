@@ -6,18 +6,6 @@
 #include <math.h>
 #include <string.h>
 
-/* F = L_q + f at (q, v). */
-static int total_force(dal_mechanics *mech, double t, const double *q, const double *v, double *F,
-                       double *scratch)
-{
-    const dal__jet wanted = {.L_q = F};
-    int status = dal__lagrangian(&mech->eval, q, v, &wanted, &mech->error);
-    if (status || !mech->eval.system->def.force) return status;
-    status = dal__force(&mech->eval, t, q, v, scratch, NULL, NULL, &mech->error);
-    for (size_t i = 0; !status && i < mech->n; i++) F[i] += scratch[i];
-    return status;
-}
-
 int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
                     const double *x)
 {
@@ -36,13 +24,14 @@ int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool k
     }
     if (mech->eval.system->def.kind != DAL_NONLINEAR)
         status = dal__constraint(&mech->eval, mech->node, v, NULL, mech->muk, NULL, &mech->error);
-    if (!status && !mech->eval.constant_mass) {
-        const dal__jet wanted = {.L_v = mech->momentum};
-        status = dal__lagrangian(&mech->eval, mech->q, v, &wanted, &mech->error);
-    }
     memset(mech->reach, 0, n * sizeof *mech->reach);
-    if (status || beta == 0.0) return status;
-    status = total_force(mech, t, mech->q, v, mech->reach, mech->step);
+    const dal__jet wanted = {.L_q = beta != 0.0 ? mech->reach : NULL,
+                             .L_v = mech->eval.constant_mass ? NULL : mech->momentum};
+    if (!status) status = dal__lagrangian(&mech->eval, mech->q, v, &wanted, &mech->error);
+    if (!status && beta != 0.0 && mech->eval.system->def.force) {
+        status = dal__force(&mech->eval, t, mech->q, v, mech->step, NULL, NULL, &mech->error);
+        for (size_t i = 0; i < n; i++) mech->reach[i] += mech->step[i];
+    }
     for (size_t i = 0; i < n; i++) mech->reach[i] *= beta * h;
     return status;
 }
@@ -75,21 +64,32 @@ static int evaluate_bend(dal_mechanics *mech, const double *w, const double *kap
     return DAL_SUCCESS;
 }
 
-/* w <- L_v(q1, w) - L_v(q, v), which is M (w - v) for constant mass; force <- F(t+h, q1, w). */
-static int evaluate_R1(dal_mechanics *mech, const double *w)
+/* What R1 and K need of the Lagrangian and the force at (q1, w), each called once: w <- L_v(q1, w)
+ * - L_v(q, v), which is M (w - v) for constant mass; force <- F(t+h, q1, w); second derivatives. */
+static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
 {
     const size_t n = mech->n;
-    int status = DAL_SUCCESS;
-    if (mech->eval.constant_mass) {
+    const double beta = mech->start.beta, t = mech->start.t + mech->start.h;
+    const bool general = !mech->eval.constant_mass, ends = beta != 1.0; /* F acts at q1 */
+    const dal__jet wanted = {.L_q = R1 && ends ? mech->force : NULL,
+                             .L_v = R1 && general ? mech->w : NULL,
+                             .L_qq = K && ends && beta != 0.0 ? mech->hessian : NULL,
+                             .L_vq = K && general ? mech->L_vq : NULL,
+                             .L_vv = K && general ? mech->L_vv : NULL};
+    int status = dal__lagrangian(&mech->eval, mech->q, w, &wanted, &mech->error);
+    if (!status && ends && mech->eval.system->def.force) {
+        status = dal__force(&mech->eval, t, mech->q, w, R1 ? mech->step : NULL,
+                            K ? mech->f_q : NULL, K ? mech->f_v : NULL, &mech->error);
+        for (size_t i = 0; R1 && i < n; i++) mech->force[i] += mech->step[i];
+    }
+    if (status || !R1) return status;
+    if (general) {
+        for (size_t i = 0; i < n; i++) mech->w[i] -= mech->momentum[i];
+    } else {
         for (size_t i = 0; i < n; i++) mech->step[i] = w[i] - mech->start.v[i];
         dal__apply(n, n, mech->metric, mech->step, mech->w);
-    } else {
-        const dal__jet wanted = {.L_v = mech->w};
-        status = dal__lagrangian(&mech->eval, mech->q, w, &wanted, &mech->error);
-        for (size_t i = 0; !status && i < n; i++) mech->w[i] -= mech->momentum[i];
     }
-    if (status || mech->start.beta == 1.0) return status;
-    return total_force(mech, mech->start.t + mech->start.h, mech->q, w, mech->force, mech->step);
+    return DAL_SUCCESS;
 }
 
 static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
@@ -121,18 +121,6 @@ static double base_of_R1(const dal_mechanics *mech, const double *kappa)
 }
 
 double dal__step_base(const dal_mechanics *mech) { return mech->start.base; }
-
-static int evaluate_K(dal_mechanics *mech, const double *w)
-{
-    const double beta = mech->start.beta, t = mech->start.t + mech->start.h;
-    const bool general = !mech->eval.constant_mass;
-    const dal__jet wanted = {.L_qq = beta != 0.0 && beta != 1.0 ? mech->hessian : NULL,
-                             .L_vq = general ? mech->L_vq : NULL,
-                             .L_vv = general ? mech->L_vv : NULL};
-    const int status = dal__lagrangian(&mech->eval, mech->q, w, &wanted, &mech->error);
-    if (status || !mech->eval.system->def.force || beta == 1.0) return status;
-    return dal__force(&mech->eval, t, mech->q, w, NULL, mech->f_q, mech->f_v, &mech->error);
-}
 
 /* K = L_vv + beta h L_vq - h (1-beta) [L_vq^T + f_v + beta h (L_qq + f_q)] - bend at (q1, w). */
 static void form_K(const dal_mechanics *mech, double *K, double *K_scale)
@@ -174,9 +162,8 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
         status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, B ? mech->dmu : NULL,
                                  &mech->error);
     if (!status && nonlinear) status = chetaev_forms(mech, w, mech->muk);
-    if (!status && K) status = evaluate_K(mech, w);
     if (!status && K && nonlinear) status = evaluate_bend(mech, w, kappa);
-    if (!status && R1) status = evaluate_R1(mech, w);
+    if (!status && (R1 || K)) status = evaluate(mech, w, R1 != NULL, K != NULL);
     if (status) return status;
     /* nothing is written before all of it is known */
     if (R1) form_R1(mech, kappa, R1);

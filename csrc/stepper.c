@@ -89,12 +89,9 @@ static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
     double **const multipliers[] = {&k->impulse, &k->r, &k->d, &k->kappa};
     dal__reserve(a, &k->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(2, n), sizeof(double));
-    for (size_t i = 0; i < sizeof vectors / sizeof *vectors; i++)
-        dal__reserve(a, vectors[i], n, sizeof(double));
-    for (size_t i = 0; i < sizeof forms / sizeof *forms; i++)
-        dal__reserve(a, forms[i], mn, sizeof(double));
-    for (size_t i = 0; i < sizeof multipliers / sizeof *multipliers; i++)
-        dal__reserve(a, multipliers[i], m, sizeof(double));
+    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
+    dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
+    dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
     dal__reserve(a, &k->S, mm, sizeof(double));
     dal__reserve(a, &k->scale, mm, sizeof(double));
     dal__reserve(a, &k->row, m, sizeof(size_t));
