@@ -412,18 +412,21 @@ def dal_py_affine(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) ->
     return 0
 
 
+def _constrain(call: Any, q: Any, v: Any, outputs: dict[str, Any]) -> int:
+    """Answer for m functions of (q, v), their derivatives by v and by q: names and targets."""
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    shapes = (call.multipliers, call.matrix, call.matrix)
+    for (name, target), shape in zip(outputs.items(), shapes, strict=True):
+        if target:
+            _write(target, getattr(call, name)(point, velocity), shape, name)
+    return 0
+
+
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
 def dal_py_nonlinear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
-    point = _frombuffer(_buffer(q, call.bytes)[:])
-    velocity = _frombuffer(_buffer(v, call.bytes)[:])
-    if phi:
-        _write(phi, call.constraint(point, velocity), call.multipliers, "constraint")
-    if phi_v:
-        _write(phi_v, call.constraint_v(point, velocity), call.matrix, "constraint_v")
-    if phi_q:
-        _write(phi_q, call.constraint_q(point, velocity), call.matrix, "constraint_q")
-    return 0
+    return _constrain(call, q, v, {"constraint": phi, "constraint_v": phi_v, "constraint_q": phi_q})
 
 
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
@@ -457,15 +460,7 @@ class DeformationCallables:
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
 def dal_py_deformation(q: Any, v: Any, g: Any, g_v: Any, g_q: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
-    point = _frombuffer(_buffer(q, call.bytes)[:])
-    velocity = _frombuffer(_buffer(v, call.bytes)[:])
-    if g:
-        _write(g, call.g(point, velocity), call.multipliers, "g")
-    if g_v:
-        _write(g_v, call.g_v(point, velocity), call.matrix, "g_v")
-    if g_q:
-        _write(g_q, call.g_q(point, velocity), call.matrix, "g_q")
-    return 0
+    return _constrain(call, q, v, {"g": g, "g_v": g_v, "g_q": g_q})
 
 
 class MapCallables:

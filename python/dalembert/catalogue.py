@@ -387,6 +387,8 @@ def _make(
     **more: Any,
 ) -> System:
     name = system.__name__
-    return System.from_sympy(
+    made = System.from_sympy(
         L, constraints, coordinates, parameters, name=name, help=about(name), **more
     )
+    made._of_library = True
+    return made

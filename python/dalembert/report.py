@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _lib, plot, systems
+from . import _lib, plot
 from .integration import integrate
 from .solution import Solution
 from .study import Studies, Study
@@ -318,7 +318,7 @@ def _reproduce(studies: Studies) -> str:
         f"{platform.python_version()}, NumPy {np.__version__}, matplotlib "
         f"{matplotlib.__version__}, {platform.machine()}"
     )
-    if system.name in (*systems.names(), *systems.names_in_sympy()):
+    if system._of_library:
         how = f"<pre>{html.escape(command(studies))}</pre>"
     else:
         how = (

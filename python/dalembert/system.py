@@ -346,6 +346,7 @@ class System:
         del kept
 
     # What systems of other origins than Python functions have besides.
+    _of_library = False  # True: `systems.get` with the name and the parameters makes it again
     _symbolic: symbolic.Symbolic | None = None
     _exact: Callable[..., tuple[ArrayLike, ArrayLike]] | None = None
 
@@ -600,6 +601,7 @@ class System:
         del kept
         self = cls._derived(handle, ())
         self._description = (_restore_builtin, self.name, self.parameters)
+        self._of_library = True
         return self
 
     @classmethod

@@ -4,8 +4,10 @@ import ctypes
 import pickle
 
 import cffi
+import numba
 import numpy as np
 import pytest
+import scipy
 
 import dalembert as dal
 from dalembert import compiler, pointers
@@ -90,7 +92,6 @@ def of_cffi(library, name):
 
 
 def of_scipy(library, name):
-    scipy = pytest.importorskip("scipy", reason="SciPy is not needed to build or use dalembert")
     ctx = ctypes.cast(ctypes.c_void_p(SPRINGS.ctypes.data), ctypes.c_void_p)
     return scipy.LowLevelCallable(of_ctypes(library, name), ctx)
 
@@ -168,7 +169,6 @@ def test_what_a_callback_returns_stops_the_run(library):
 
 def test_numba():
     """A cfunc has no Python in it, and gives the bits of C."""
-    numba = pytest.importorskip("numba", reason="numba is not needed to build or use dalembert")
     pointer = numba.types.CPointer(numba.types.double)
     wanted = pointers.numba_wanted()
 

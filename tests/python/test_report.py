@@ -127,13 +127,14 @@ def test_a_failure_is_said_first(tmp_path):
     assert '<span class="fails">fails</span>' in text and "<claims>" not in text
 
 
-def test_a_system_of_the_users_own(tmp_path):
+@pytest.mark.parametrize("name", ["mine", "particle"])  # also one called as the library's is
+def test_a_system_of_the_users_own(name, tmp_path):
     own = dal.System(
-        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], q0=[0, 1, 0], v0=[1, 1, 1], name="mine"
+        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], q0=[0, 1, 0], v0=[1, 1, 1], name=name
     )
     studies = dal.studies(own, ["midpoint"], steps=STEPS)
     text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "one of the user's own" in text and "dalembert study mine" not in text
+    assert "one of the user's own" in text and f"dalembert study {name}" not in text
 
 
 def test_a_run_that_breaks_off_is_named(tmp_path):
