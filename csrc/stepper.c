@@ -114,6 +114,12 @@ static int check_options(const dal_options *options, dal_error *error)
     return DAL_SUCCESS;
 }
 
+/* Whether kernel.h makes its steps; those of all others are newton's. */
+static bool has_step_routine(const dal_system *system)
+{
+    return system->mass && !system->def.force && system->def.kind == DAL_LINEAR;
+}
+
 static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_options *options)
 {
     const dal_system *system = self->system;
@@ -134,8 +140,7 @@ static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_o
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
     k->max_iterations = options->max_iterations ? options->max_iterations : 50;
     dal_kernel_share(k, k->x);
-    const bool simple = system->mass && !system->def.force && system->def.kind == DAL_LINEAR;
-    if (simple && options->solver == DAL_SOLVER_SCHUR)
+    if (has_step_routine(system) && options->solver == DAL_SOLVER_SCHUR)
         self->advance = system->def.kernel && !k->kept && options->sizes == DAL_SIZES_AUTO
                             ? system->def.kernel
                             : dal__kernel_for(k->n, k->m, options->sizes);
@@ -161,7 +166,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
     reserve_kernel(&shape.kernel, n, m, &memory);
-    dal__newton_reserve(&shape.newton, system, &memory);
+    if (!has_step_routine(system)) dal__newton_reserve(&shape.newton, system, &memory);
     dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
     dal__reserve(&memory, &shape.stage, count, sizeof *shape.stage);
     dal__reserve(&memory, &shape.fresh, dal__times(2, n), sizeof(double));
