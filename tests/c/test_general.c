@@ -840,6 +840,26 @@ static void test_far_nodes(const char *name, double far)
     dal_system_free(system);
 }
 
+/* Projections onto D_eps there: one rounding of q moves mu by more than 1e-11, so that what Newton
+ * changes does not get smaller than that. */
+static void test_far_projection(const char *name, double far)
+{
+    dal_system *const system = open_system(name);
+    dal_mechanics *const mech = open_mechanics(system);
+    const size_t n = system->def.n;
+    double x[2 * MOST_N];
+    unsigned seed = 17;
+    for (int trial = 0; trial < 200; trial++) {
+        for (size_t i = 0; i < n; i++) x[i] = far * (1.0 + next_number(&seed));
+        for (size_t i = 0; i < n; i++) x[n + i] = next_number(&seed);
+        CHECK(dal_project(mech, 0.1, x, NULL) == 0);
+        /* q - shift v, which rounds by u far, is where D_eps is */
+        CHECK(residual_of(system, 0.1, x) <= DAL_RESIDUAL_BOUND(n) + 16 * U * far);
+    }
+    dal_mechanics_free(mech);
+    dal_system_free(system);
+}
+
 /* Differences at angles of many turns, and far from the origin: with the spacing of the library
  * their error is (u |q|)^(4/5), for sines and for what grows with q alike; 16 is for the fifth
  * derivatives and the terms. */
@@ -873,6 +893,9 @@ int main(void)
         test_same_steps(names[i]);
         test_same_mechanics(names[i]);
     }
+    test_far_projection("knife_edge", 1e5);
+    test_far_projection("knife_edge", 1e8);
+    test_far_projection("n_trailer", 1e7);
     test_driven(0);
     test_driven(DAL_MISSING_F_Q | DAL_MISSING_F_V);
     test_power_of_force();
