@@ -409,10 +409,14 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
 /* d->phi, d->phi_v, and d->B if derivative. */
 int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool derivative);
 
-/* ---- floor 6: schemes.c, kernels.c, newton.c, multiroot.c, stepper.c --------------------- */
+/* ---- floor 6: schemes.c, kernels.c, finish.c, newton.c, multiroot.c, stepper.c ------------ */
 
 /* The compilation of the step routine to use for these sizes. */
 dal_kernel_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes);
+
+struct dal_stage;
+/* As finish of a dal_kernel. */
+int dal__kernel_finish(struct dal_kernel *k, const struct dal_stage *s, bool solved, bool foretold);
 
 /* The sub-steps of a record: its own, or the only one {beta, 1}.  DAL_EINVAL if the record is not
  * valid; the text says why. */

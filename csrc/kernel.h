@@ -20,8 +20,12 @@
  * evaluate the constraint twice.  At the end the residual of D at the *stored* q~' is predicted
  * from the last evaluation, the rounding of q~' included, and mended; where that does not suffice,
  * in the first two steps after a start, and in every 64th step, one more evaluation is made.  What
- * does not contract, leaves the domain of a callback or is not finite goes to dal_kernel_solve: the
- * full Newton matrix with the Hessian, and halved steps.
+ * does not contract, leaves the domain of a callback or is not finite goes to dal_kernel.finish:
+ * the full Newton matrix with the Hessian, and halved steps.
+ *
+ * In a steady system mu depends only on coordinates that no reaction pushes (a blade whose heading
+ * is free).  Where V does not act at q~' either, mu(q~') is known before v', the equations are
+ * linear in kappa, and the first correction is the solution: nothing is predicted or estimated.
  *
  * One text, many compilations.  The includer defines
  *     DAL_KERNEL                  name of the function: int (dal_kernel *, size_t, size_t *)
@@ -30,9 +34,11 @@
  *                                 how to call the system, the second only where there is a V; the
  *                                 routine then makes the steps of moved nodes only.  By default the
  *                                 pointers are called
+ *     DAL_KERNEL_PATTERN          with these, if wanted: a dal_pattern, in braces
+ *     DAL_KERNEL_STEADY           with these, if wanted: 1 if the system is steady
  * and includes this file once for each.  All compilations make the same operations in the same
- * order, so they give the same bits (build with -ffp-contract=off).  Nothing here allocates, and
- * nothing here needs libdalembert or GSL. */
+ * order but for terms that are 0, so they give the same bits (build with -ffp-contract=off).
+ * Nothing here allocates, and nothing here needs libdalembert or GSL. */
 #ifndef DALEMBERT_KERNEL_H
 #define DALEMBERT_KERNEL_H
 
@@ -43,7 +49,6 @@
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
-#include <string.h>
 
 typedef struct dal_stage {
     double before, after;    /* A, B */
@@ -52,6 +57,19 @@ typedef struct dal_stage {
     double reuse;            /* largest weight of V_q(q~'), here or as start of the next stage */
     double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
 } dal_stage;
+
+/* Which entries may be other than 0: bit a*n + i for entry (a, i), so n <= 8; or DAL_KERNEL_ALL.
+ * Terms with the others are left out. */
+typedef struct dal_pattern {
+    unsigned long long inverse; /* M^-1 */
+    unsigned long long mu, Z;   /* and Z = mu M^-1 */
+    unsigned long long N;
+    unsigned long long pull;    /* [n] where v' is not known in advance: by Z, or V_q at q~' */
+} dal_pattern;
+
+#define DAL_KERNEL_ALL (~0ULL)
+#define DAL_KERNEL_HAS(mask, index) \
+    ((mask) == DAL_KERNEL_ALL || ((mask) != 0 && ((mask) >> (index) & 1)))
 
 /* What stopped a stage. */
 typedef enum dal_failure {
@@ -64,20 +82,49 @@ typedef enum dal_failure {
     DAL_FAILED_CONVERGE
 } dal_failure;
 
+/* The vectors and matrices of a stage. */
+typedef struct dal_arrays {
+    double *x;                    /* [2n] the state */
+    double *pull;                 /* [3n] the pulls of the last stages, the latest first */
+    double *node, *point, *w;     /* [n] q_k, the current q~', the current v' */
+    double *mu_node, *mu, *N;     /* [m*n] */
+    double *base, *goal, *step;   /* [n] the known part of v', all of it but Z^T kappa, w' - w */
+    double *stored, *moved;       /* [n] see dal_kernel_place */
+    double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
+    double *S, *scale, *r, *d, *kappa; /* [m*m], [m*m], [m] */
+    size_t *row;                  /* [m] */
+} dal_arrays;
+
+/* How far a stage has come. */
+typedef struct dal_progress {
+    double known, reached;  /* sum |v_i|, and |base_i| where there is a V; sum |w_i| */
+    double last, travelled; /* the size of the last change of w, and of all together */
+    double since;           /* of those after N was evaluated */
+    double least, turned;   /* the smallest sum_i |mu^a_i w_i|; sum |N^a_i| sum |moved_i| */
+    double trust;           /* relative residual that may be left; 0 in the first steps */
+    int iteration;
+    bool solved, settled;   /* the equations; and the residual of D at what is stored */
+} dal_progress;
+
 /* Everything down to max_iterations, the arrays, h and x are set by the owner, who then calls
  * dal_kernel_forget; the rest belongs to the step routine. */
-typedef struct dal_kernel {
+typedef struct dal_kernel dal_kernel;
+struct dal_kernel {
     size_t n, m;
     dal_constraint_fn constraint;
     dal_potential_fn potential; /* NULL: V = 0 */
     void *constraint_ctx, *potential_ctx;
     const double *mass, *mass_inverse; /* [n*n] */
     bool diagonal;
+    bool steady;  /* and V acts at no q~' */
     size_t stages;
     const dal_stage *stage;
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
     double shift; /* 1 - beta */
     int max_iterations;
+    /* What is left of a stage, on at: the full Newton iteration if not solved, and the residual of
+     * D at what is stored, evaluated, and mended.  foretold: it was predicted to be roundoff. */
+    int (*finish)(dal_kernel *k, const dal_stage *s, bool solved, bool foretold);
 
     double h;
     double *impulse;       /* [m] sum of kappa since dal_advance began */
@@ -87,24 +134,13 @@ typedef struct dal_kernel {
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
     double contraction;    /* of the modified Newton iteration over B end, as last measured */
     size_t age;            /* steps since the start, or since a failure */
-    bool audited;          /* this step evaluates the residual that others predict */
-    double trust;          /* relative residual that may be left; 0 in the first steps */
-    bool distrusted;       /* a prediction was wrong: from now on every step does */
+    bool distrusted;       /* a prediction was wrong: from now on every step evaluates */
 
-    /* One block, laid out by dal_kernel_share: the step routine reaches its parts by constant
-     * offsets, and callbacks see the same addresses at every call. */
-    double *x;                    /* [2n] the state */
-    double *node, *point, *w;     /* [n] q_k, the current q~', the current v' */
-    double *pull;                 /* [3n] the pulls of the last stages, the latest first */
-    double *mu_node, *mu, *N;     /* [m*n] */
-
-    double *saved;                /* [2n] */
-    double *base, *goal, *step;   /* [n] the known part of v', all of it but Z^T kappa, w' - w */
-    double *stored, *moved;       /* [n] see dal_kernel_place */
-    double *Z;                    /* [m*n] */
-    double *S, *scale, *r, *d, *kappa; /* [m*m], [m*m], [m] */
-    size_t *row;                       /* [m] */
-    double *K, *K_scale, *y, *KZ, *R;  /* [n*n], [n*n], [n], [m*n], [n]: dal_kernel_solve only */
+    /* From at.x to at.N one block, laid out by dal_kernel_share: the step routine reaches its parts
+     * by constant offsets, and callbacks see the same addresses at every call. */
+    dal_arrays at;
+    double *saved;                     /* [2n] */
+    double *K, *K_scale, *y, *R;       /* [n*n], [n*n], [n], [n]: finish only, as */
     size_t *K_row;                     /* [n] */
 
     dal_stats stats;
@@ -113,17 +149,17 @@ typedef struct dal_kernel {
         int returned, iterations;
         double size, scale;
     } failure;
-} dal_kernel;
+};
 
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
 enum { DAL_KERNEL_START_UP = 2, DAL_KERNEL_AUDIT = 64 }; /* steps at first, and between audits */
 
 #if defined(__GNUC__)
 #define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
-#define DAL_KERNEL_COLD static __attribute__((cold, noinline)) /* saves a third of compiling */
+#define DAL_KERNEL_RARE(condition) __builtin_expect(!!(condition), 0)
 #else
 #define DAL_KERNEL_INLINE static inline
-#define DAL_KERNEL_COLD static
+#define DAL_KERNEL_RARE(condition) (condition)
 #endif
 
 static inline size_t dal_kernel_shared(size_t n, size_t m) { return 8 * n + 3 * m * n; }
@@ -132,14 +168,14 @@ static inline size_t dal_kernel_shared(size_t n, size_t m) { return 8 * n + 3 * 
 static inline void dal_kernel_share(dal_kernel *k, double *block)
 {
     const size_t n = k->n, m = k->m;
-    k->x = block;
-    k->node = block + 2 * n;
-    k->point = block + 3 * n;
-    k->w = block + 4 * n;
-    k->pull = block + 5 * n;
-    k->mu_node = block + 8 * n;
-    k->mu = k->mu_node + m * n;
-    k->N = k->mu + m * n;
+    k->at.x = block;
+    k->at.node = block + 2 * n;
+    k->at.point = block + 3 * n;
+    k->at.w = block + 4 * n;
+    k->at.pull = block + 5 * n;
+    k->at.mu_node = block + 8 * n;
+    k->at.mu = k->at.mu_node + m * n;
+    k->at.N = k->at.mu + m * n;
 }
 
 static inline int dal_kernel_fail(dal_kernel *k, int status, dal_failure kind)
@@ -167,13 +203,8 @@ static inline int dal_kernel_potential(dal_kernel *k, const double *q, double *V
     return k->potential(q, NULL, V_q, NULL, k->potential_ctx);
 }
 
-/* memcpy would want arrays of the stack in memory, and not in registers. */
-DAL_KERNEL_INLINE void dal_kernel_copy(size_t n, const double *from, double *to)
-{
-    for (size_t i = 0; i < n; i++) to[i] = from[i];
-}
-
-/* Sums begin with their first term: 0.0 + x costs an addition, and it is on the critical path. */
+/* Sums begin with their first term, or with -0, which x + -0 = x lets the compiler leave out: 0 + x
+ * costs an addition, and it is on the critical path. */
 DAL_KERNEL_INLINE double dal_kernel_sum(size_t n, const double *x)
 {
     double sum = n > 0 ? fabs(x[0]) : 0.0;
@@ -181,101 +212,193 @@ DAL_KERNEL_INLINE double dal_kernel_sum(size_t n, const double *x)
     return sum;
 }
 
-DAL_KERNEL_INLINE double dal_kernel_dot(size_t n, const double *a, const double *b)
+/* Row a of A[..*n], whose pattern is mask, times x[n]. */
+DAL_KERNEL_INLINE double dal_kernel_dot(size_t n, unsigned long long mask, const double *A,
+                                        size_t a, const double *x)
 {
-    double sum = a[0] * b[0];
-    for (size_t i = 1; i < n; i++) sum += a[i] * b[i];
+    double sum = DAL_KERNEL_HAS(mask, a * n) ? A[a * n] * x[0] : -0.0;
+    for (size_t i = 1; i < n; i++)
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += A[a * n + i] * x[i];
     return sum;
 }
 
 /* Component i of Z^T c, for m > 0. */
-DAL_KERNEL_INLINE double dal_kernel_column(size_t n, size_t m, const double *Z, size_t i,
-                                       const double *c)
+DAL_KERNEL_INLINE double dal_kernel_column(size_t n, size_t m, unsigned long long mask,
+                                           const double *Z, size_t i, const double *c)
 {
-    double sum = Z[i] * c[0];
-    for (size_t a = 1; a < m; a++) sum += Z[a * n + i] * c[a];
+    double sum = DAL_KERNEL_HAS(mask, i) ? Z[i] * c[0] : -0.0;
+    for (size_t a = 1; a < m; a++)
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += Z[a * n + i] * c[a];
     return sum;
 }
 
 /* y <- M^-1 f. */
-DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, const double *f,
-                                             double *y)
+DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, unsigned long long mask,
+                                             const double *f, double *y)
 {
     const double *const inverse = k->mass_inverse;
-    if (k->diagonal) {
+    if (mask == DAL_KERNEL_ALL && k->diagonal) {
         for (size_t i = 0; i < n; i++) y[i] = inverse[i * n + i] * f[i];
         return;
     }
-    for (size_t i = 0; i < n; i++) y[i] = dal_kernel_dot(n, inverse + i * n, f);
+    for (size_t i = 0; i < n; i++) y[i] = dal_kernel_dot(n, mask, inverse, i, f);
 }
 
 /* S <- (mu + b N) Z^T, factored. */
-DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, const double *mu, const double *N,
-                                        double b, const double *Z, double *S, double *scale,
-                                        size_t *row)
+DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, double b,
+                                        const dal_arrays *at)
 {
     for (size_t a = 0; a < m; a++)
         for (size_t c = 0; c < m; c++) {
-            double sum = (mu[a * n] + b * N[a * n]) * Z[c * n], size = fabs(sum);
-            for (size_t i = 1; i < n; i++) {
-                const double term = (mu[a * n + i] + b * N[a * n + i]) * Z[c * n + i];
+            double sum = -0.0, size = -0.0;
+            for (size_t i = 0; i < n; i++) {
+                const bool turns = DAL_KERNEL_HAS(has.N, a * n + i);
+                if (!DAL_KERNEL_HAS(has.Z, c * n + i)
+                    || !(turns || DAL_KERNEL_HAS(has.mu, a * n + i))) continue;
+                const double mu = at->mu[a * n + i];
+                const double term = (turns ? mu + b * at->N[a * n + i] : mu) * at->Z[c * n + i];
                 sum += term;
                 size += fabs(term);
             }
-            S[a * m + c] = sum;
-            scale[a * m + c] = size;
+            at->S[a * m + c] = sum;
+            at->scale[a * m + c] = size;
         }
-    return dal_lu_factor(m, n, S, scale, row);
+    return dal_lu_factor(m, n, at->S, at->scale, at->row);
 }
 
 /* The residual of D at the q~' that the stored state gives back, r <- -(mu w + N moved): mu and N
  * were evaluated at a point that lies moved away.  True if it is within limit for every constraint,
- * relative to sum_i |mu^a_i w_i|; then *worst is kept up to date, and *least is the smallest sum.
- * Never true if a component of mu, w or moved is not finite: 0 times it is NaN. */
-DAL_KERNEL_INLINE bool dal_kernel_settled(size_t n, size_t m, const double *mu, const double *N,
-                                      const double *w, const double *moved, double limit, double *r,
-                                      double *least, double *worst)
+ * relative to sum_i |mu^a_i w_i|; then *worst is kept up to date.  p->least is the smallest sum.
+ * Never true if an entry of mu or w, or one of moved that N acts on, is not finite: 0 times it is
+ * NaN. */
+DAL_KERNEL_INLINE bool dal_kernel_settled(size_t n, size_t m, dal_pattern has, const dal_arrays *at,
+                                          double limit, dal_progress *p, double *worst)
 {
     bool settled = true;
-    double largest = *worst, smallest = DBL_MAX;
+    double largest = *worst, least = DBL_MAX, slope = -0.0, way = -0.0;
     for (size_t a = 0; a < m; a++) {
-        double sum = mu[a * n] * w[0], scale = fabs(sum);
-        for (size_t i = 1; i < n; i++) {
-            const double term = mu[a * n + i] * w[i];
+        double sum = -0.0, scale = -0.0;
+        for (size_t i = 0; i < n; i++) {
+            if (!DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
+            const double term = at->mu[a * n + i] * at->w[i];
             sum += term;
             scale += fabs(term);
         }
-        sum += dal_kernel_dot(n, N + a * n, moved);
-        r[a] = -sum;
+        double turn = -0.0;
+        for (size_t i = 0; i < n; i++) {
+            if (!DAL_KERNEL_HAS(has.N, a * n + i)) continue;
+            if (DAL_KERNEL_HAS(has.pull, i)) turn += at->N[a * n + i] * at->moved[i];
+            slope += fabs(at->N[a * n + i]);
+        }
+        sum += turn;
+        at->r[a] = -sum;
         if (!(limit * scale - fabs(sum) >= 0.0)) settled = false; /* nor if both are infinite */
         if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
-        if (scale < smallest) smallest = scale;
+        if (scale < least) least = scale;
     }
-    *least = smallest;
+    p->least = least;
+    for (size_t i = 0; has.N && i < n; i++)
+        if (DAL_KERNEL_HAS(has.pull, i)) way += fabs(at->moved[i]);
+    p->turned = slope * way;
     if (settled) *worst = largest;
     return settled;
+}
+
+/* Whether N, which belongs to a w that lies since away, is good for N moved: far from the origin
+ * moved is a rounding of q that is not small. */
+DAL_KERNEL_INLINE bool dal_kernel_foresees(double limit, const dal_progress *p)
+{
+    return p->turned * p->since <= limit * p->least * p->reached;
 }
 
 /* From the node and the new velocity to what is stored; moved is how far the q~' that it gives back
  * lies from the point of the last evaluation.  With kept nodes q_{k+1} = q_k + h v' is stored, and
  * its reader recovers q~' as q_{k+1} - (1-beta) h v'. */
 DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n,
-                                        bool kept, const double *node, const double *w,
-                                        const double *point, double *stored, double *moved)
+                                        bool kept, const dal_arrays *at)
 {
-    if (kept) {
-        const double h = s->span * k->h, shift = k->shift * k->h;
-        for (size_t i = 0; i < n; i++) {
-            stored[i] = node[i] + h * w[i];
-            moved[i] = (stored[i] - shift * w[i]) - point[i];
-        }
-    } else {
-        const double b = s->after * k->h;
-        for (size_t i = 0; i < n; i++) {
-            stored[i] = node[i] + b * w[i];
-            moved[i] = stored[i] - point[i];
-        }
+    const double reach = (kept ? s->span : s->after) * k->h, shift = k->shift * k->h;
+    for (size_t i = 0; i < n; i++) {
+        at->stored[i] = at->node[i] + reach * at->w[i];
+        at->moved[i] = (kept ? at->stored[i] - shift * at->w[i] : at->stored[i]) - at->point[i];
     }
+}
+
+/* One correction of w and kappa, from mu and N at point, and V_q(point) in k->force1 if ends.
+ * first: kappa was 0.  The equations are v' = goal + Z^T kappa, and mu v' + b N (v' - w) = 0, where
+ * b N (v' - w) is how mu v' changes with q~'. */
+DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s, size_t n,
+                                         size_t m, dal_pattern has, bool ends, bool first,
+                                         const dal_arrays *at)
+{
+    const double h = k->h, b = s->after * h;
+    if (ends) dal_kernel_accelerate(k, n, has.inverse, k->force1, at->goal);
+    for (size_t i = 0; i < n; i++) {
+        at->goal[i] = ends ? at->base[i] - h * s->end * at->goal[i] : at->base[i];
+        at->step[i] = at->goal[i];
+        if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
+            at->step[i] += dal_kernel_column(n, m, has.Z, at->Z, i, at->kappa);
+    }
+    for (size_t a = 0; a < m; a++) {
+        double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->step);
+        if (has.N) {
+            double turn = -0.0;
+            for (size_t i = 0; i < n; i++)
+                if (DAL_KERNEL_HAS(has.N, a * n + i) && DAL_KERNEL_HAS(has.pull, i))
+                    turn += at->N[a * n + i] * (at->step[i] - at->w[i]);
+            sum += b * turn;
+        }
+        at->r[a] = -sum;
+    }
+    dal_lu_solve(m, at->S, at->row, at->r, at->d);
+    for (size_t a = 0; a < m; a++) /* 0 + d would be waited for */
+        at->kappa[a] = first ? at->d[a] : at->kappa[a] + at->d[a];
+    for (size_t i = 0; i < n; i++) {
+        if (!DAL_KERNEL_HAS(has.pull, i)) continue;
+        const double reaction = m > 0 ? dal_kernel_column(n, m, has.Z, at->Z, i, at->kappa) : -0.0;
+        const double next = at->goal[i] + reaction;
+        at->step[i] = next - at->w[i];
+        at->w[i] = next;
+    }
+}
+
+/* Looks at the last correction: p->solved if what the next would change is roundoff.  Returns
+ * whether another one may help. */
+DAL_KERNEL_INLINE bool dal_kernel_judge(dal_kernel *k, const dal_stage *s, size_t n, size_t m,
+                                        dal_pattern has, bool ends, bool kept, bool first,
+                                        const dal_arrays *at, dal_progress *p)
+{
+    const double limit = 2.0 * (double)n * DAL_KERNEL_U;
+    const double bending = fabs(s->after * s->end), lasting = fabs(s->after) * s->reuse;
+    double size = -0.0;
+    for (size_t i = 0; i < n; i++)
+        if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(at->step[i]);
+    dal_kernel_place(k, s, n, kept, at);
+    if (!(size <= DBL_MAX)) return false;
+    p->reached = dal_kernel_sum(n, at->w);
+    p->travelled += size;
+    p->since = p->iteration <= 2 ? size : p->since + size;
+    const double extent = p->known + p->reached, noise = 4.0 * DAL_KERNEL_U * extent;
+    if (ends && !first) /* it goes as h^2 B end V_qq; 4 is for safety */
+        k->contraction = 4.0 * (size > noise ? size : noise) / (p->last * bending);
+    /* with V_q at q~' it may be the iteration that does not contract, not roundoff */
+    const bool stuck = !ends && !first && size <= 1e-11 * extent && size >= p->last;
+    const bool close = (size <= noise) | stuck; /* no branches: they could not be foretold */
+    /* What is left of the first equation, here or in the next stage, has one sign from step to
+     * step and adds up in the energy: it has to be a small part of a rounding. */
+    if (close || !ends || 64.0 * k->contraction * lasting * size <= noise) {
+        p->settled = dal_kernel_settled(n, m, has, at, limit, p, &k->stats.worst_residual)
+                  && (first || dal_kernel_foresees(limit, p));
+        /* What is left of the residual, at most.  N knows how mu bends only if the prediction is
+         * near: not where it moved as much as it is large, not in the first steps, whose pull is
+         * unknown, and not where N is 0. */
+        const double left = has.N ? 10.0 * p->turned * p->travelled : 0.0;
+        p->solved = close | (left < p->trust * p->least * (p->reached - 2.0 * size));
+    }
+    const bool slow = !first && p->iteration >= 3 && size > 0.5 * p->last;
+    if (p->solved && ends && first) k->contraction *= 2.0; /* measure again some day */
+    p->last = size;
+    return p->iteration < 10 && !slow;
 }
 
 /* The state of the predictor, as after a start. */
@@ -286,184 +409,13 @@ static inline void dal_kernel_forget(dal_kernel *k)
     k->contraction = HUGE_VAL;
     k->age = 0;
     k->distrusted = false;
-    memset(k->pull, 0, 3 * k->n * sizeof *k->pull);
-    k->extent = dal_kernel_sum(k->n, k->x + k->n);
+    for (size_t i = 0; i < 3 * k->n; i++) k->at.pull[i] = 0.0;
+    k->extent = dal_kernel_sum(k->n, k->at.x + k->n);
 }
 
 #endif /* DALEMBERT_KERNEL_H */
 
-/* ---- off the hot path, once for a file that compiles a step routine ---------------------- */
-
-#if defined(DAL_KERNEL) && !defined(DALEMBERT_KERNEL_SOLVE)
-#define DALEMBERT_KERNEL_SOLVE
-
-/* The final correction v' <- v' - Z' C'^-1 mu(q~') v' at the stored q~', with an evaluation of its
- * own.  Works on k->stored and k->w; k->point is the q~' that belongs to them.  foretold: the
- * residual was predicted to be within limit.  Where it is far from it, mu has a roundoff that no
- * prediction knows of, as sin(a + b) has for large angles, and they are no longer relied on. */
-DAL_KERNEL_COLD int dal_kernel_correct(dal_kernel *k, bool foretold)
-{
-    enum { MOST = 4 };
-    const size_t n = k->n, m = k->m;
-    const double limit = 2.0 * (double)n * DAL_KERNEL_U, shift = k->kept ? k->shift * k->h : 0.0;
-    if (!(dal_kernel_sum(n, k->stored) + dal_kernel_sum(n, k->w) <= DBL_MAX))
-        return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
-    memset(k->moved, 0, n * sizeof *k->moved);
-    for (int pass = 0; pass < MOST; pass++) {
-        bool same = pass > 0;
-        for (size_t i = 0; i < n; i++) {
-            const double q = k->stored[i] - shift * k->w[i];
-            if (q != k->point[i]) same = false;
-            k->point[i] = q;
-        }
-        if (!same) {
-            const int returned = dal_kernel_constraint(k, k->point, k->w, k->mu, NULL);
-            k->stats.corrections++;
-            if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-        }
-        double least, unused = 0.0;
-        const bool last = pass == MOST - 1; /* what is left then is roundoff, and is reported */
-        if (dal_kernel_settled(n, m, k->mu, k->N, k->w, k->moved, last ? DBL_MAX : limit, k->r,
-                               &least, &k->stats.worst_residual))
-            break;
-        if (foretold && pass == 0
-            && !dal_kernel_settled(n, m, k->mu, k->N, k->w, k->moved, 1.5 * limit, k->r, &least,
-                                   &unused))
-            k->distrusted = true;
-        for (size_t a = 0; a < m; a++) dal_kernel_accelerate(k, n, k->mu + a * n, k->Z + a * n);
-        if (!dal_kernel_factor(n, m, k->mu, k->N, 0.0, k->Z, k->S, k->scale, k->row)) {
-            if (!(dal_kernel_sum(m * n, k->mu) <= DBL_MAX))
-                return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
-            return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
-        }
-        dal_lu_solve(m, k->S, k->row, k->r, k->d);
-        for (size_t i = 0; i < n; i++) {
-            k->w[i] += dal_kernel_column(n, m, k->Z, i, k->d);
-            /* q~' is not changed: a kept node moves with v', and gives back the same q~' */
-            if (k->kept) k->stored[i] = k->point[i] + shift * k->w[i];
-        }
-    }
-    return dal_kernel_sum(n, k->w) + dal_kernel_sum(n, k->stored) <= DBL_MAX
-               ? DAL_SUCCESS
-               : dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
-}
-
-/* The callbacks at the iterate w of dal_kernel_solve.  DAL_EDOMAIN: outside their domain or not
- * finite; the reason is in k->failure. */
-DAL_KERNEL_COLD int dal_kernel_evaluate(dal_kernel *k, const dal_stage *s)
-{
-    const size_t n = k->n, m = k->m;
-    const double b = s->after * k->h;
-    for (size_t i = 0; i < n; i++) k->point[i] = k->node[i] + b * k->w[i];
-    double total = 0.0;
-    if (m > 0) {
-        const int returned = dal_kernel_constraint(k, k->point, k->w, k->mu, k->N);
-        if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-        total += dal_kernel_sum(m * n, k->mu) + dal_kernel_sum(m * n, k->N);
-    }
-    if (k->potential && s->end != 0.0) {
-        k->stats.potential_calls++;
-        const int returned =
-            k->potential(k->point, NULL, k->force1, k->K, k->potential_ctx);
-        if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-        total += dal_kernel_sum(n, k->force1) + dal_kernel_sum(n * n, k->K);
-    }
-    return total <= DBL_MAX ? DAL_SUCCESS : dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
-}
-
-/* y <- K^-1 (-R1) and KZ <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K. */
-DAL_KERNEL_COLD int dal_kernel_linearise(dal_kernel *k, const dal_stage *s)
-{
-    const size_t n = k->n, m = k->m;
-    if (!k->potential || s->end == 0.0) { /* K = M */
-        for (size_t i = 0; i < n; i++) {
-            k->y[i] = k->base[i] - k->w[i];
-            if (m > 0) k->y[i] += dal_kernel_column(n, m, k->Z, i, k->kappa);
-        }
-        memcpy(k->KZ, k->Z, m * n * sizeof *k->KZ);
-        return DAL_SUCCESS;
-    }
-    const double weight = k->h * s->end;
-    for (size_t i = 0; i < n; i++) {
-        double sum = -weight * k->force1[i];
-        for (size_t j = 0; j < n; j++) {
-            const double bend = weight * s->after * k->h * k->K[i * n + j];
-            sum -= k->mass[i * n + j] * (k->w[j] - k->base[j]);
-            k->K[i * n + j] = k->mass[i * n + j] + bend;
-            k->K_scale[i * n + j] = fabs(k->mass[i * n + j]) + fabs(bend);
-        }
-        if (m > 0) sum += dal_kernel_column(n, m, k->mu_node, i, k->kappa);
-        k->R[i] = sum;
-    }
-    if (!dal_lu_factor(n, 2, k->K, k->K_scale, k->K_row))
-        return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_K);
-    dal_lu_solve(n, k->K, k->K_row, k->R, k->y);
-    for (size_t a = 0; a < m; a++)
-        dal_lu_solve(n, k->K, k->K_row, k->mu_node + a * n, k->KZ + a * n);
-    return DAL_SUCCESS;
-}
-
-/* Newton with the full matrix [[K, -mu_node^T], [mu + B h N, 0]] from w = v, kappa = 0; a step that
- * leaves the domain of a callback is halved.  On success w, kappa, mu, N and point are set. */
-DAL_KERNEL_COLD int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
-{
-    enum { HALVINGS = 40 };
-    const size_t n = k->n, m = k->m;
-    const double b = s->after * k->h;
-    double last = HUGE_VAL;
-    int halvings = 0;
-    if (!(dal_kernel_sum(m * n, k->Z) + dal_kernel_sum(n, k->base) <= DBL_MAX))
-        return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
-    k->stats.full_newtons++;
-    memcpy(k->w, k->x + n, n * sizeof *k->w);
-    memset(k->kappa, 0, m * sizeof *k->kappa);
-    for (int iteration = 1; iteration <= k->max_iterations; iteration++) {
-        int status;
-        while ((status = dal_kernel_evaluate(k, s)) == DAL_EDOMAIN && iteration > 1
-               && halvings++ < HALVINGS) {
-            for (size_t i = 0; i < n; i++) k->w[i] -= k->step[i] *= 0.5;
-            for (size_t a = 0; a < m; a++) k->kappa[a] -= k->d[a] *= 0.5;
-            k->stats.halvings++;
-        }
-        if (status) return status;
-        status = dal_kernel_linearise(k, s);
-        if (status) return status;
-        k->stats.iterations++;
-        if (!dal_kernel_factor(n, m, k->mu, k->N, b, k->KZ, k->S, k->scale, k->row))
-            return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_S);
-        for (size_t a = 0; a < m; a++) {
-            double sum = 0.0;
-            for (size_t i = 0; i < n; i++)
-                sum += k->mu[a * n + i] * k->w[i]
-                     + (k->mu[a * n + i] + b * k->N[a * n + i]) * k->y[i];
-            k->r[a] = -sum;
-        }
-        dal_lu_solve(m, k->S, k->row, k->r, k->d);
-        for (size_t i = 0; i < n; i++) {
-            k->step[i] = k->y[i];
-            if (m > 0) k->step[i] += dal_kernel_column(n, m, k->KZ, i, k->d);
-            k->w[i] += k->step[i];
-        }
-        for (size_t a = 0; a < m; a++) k->kappa[a] += k->d[a];
-        const double size = dal_kernel_sum(n, k->step);
-        const double scale = dal_kernel_sum(n, k->w) + dal_kernel_sum(n, k->x + n)
-                           + dal_kernel_sum(n, k->base);
-        k->failure.iterations = iteration;
-        k->failure.size = size;
-        k->failure.scale = scale;
-        if (!(size <= DBL_MAX)) break;
-        if (size <= 4.0 * DAL_KERNEL_U * scale) return DAL_SUCCESS;
-        /* far from the origin mu moves by more than that with one rounding of q */
-        const double floor = 1e-11 + 16.0 * DAL_KERNEL_U * dal_kernel_sum(n, k->point);
-        if (iteration >= 2 && size <= floor * scale && size >= last) return DAL_SUCCESS;
-        last = size;
-    }
-    return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_CONVERGE);
-}
-
-#endif /* DALEMBERT_KERNEL_SOLVE */
-
-/* ---- the hot path, once for each inclusion ---------------------------------------------- */
+/* ---- the step routine, once for each inclusion ------------------------------------------ */
 
 #ifdef DAL_KERNEL
 
@@ -481,30 +433,66 @@ DAL_KERNEL_COLD int dal_kernel_solve(dal_kernel *k, const dal_stage *s)
 #define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) dal_kernel_constraint(k, q, v, mu, N)
 #define DAL_KERNEL_POTENTIAL(k, q, V_q) dal_kernel_potential(k, q, V_q)
 #endif
+#ifndef DAL_KERNEL_PATTERN
+#define DAL_KERNEL_PATTERN \
+    {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL}
+#endif
+#ifndef DAL_KERNEL_STEADY
+#define DAL_KERNEL_STEADY 0
+#endif
 
 #define DAL_KERNEL_JOIN_(a, b) a##b
 #define DAL_KERNEL_JOIN(a, b) DAL_KERNEL_JOIN_(a, b)
 #define DAL_KERNEL_STAGE DAL_KERNEL_JOIN(DAL_KERNEL, _stage)
+#define DAL_KERNEL_COPY DAL_KERNEL_JOIN(DAL_KERNEL, _copy)
 
-/* Arrays that no callback sees: on the stack, for the registers, where sizes are constants. */
+/* Arrays that no function outside sees: on the stack, for the registers, where sizes are constants.
+ * SHARED: those that callbacks see, unless they are inside. */
 #ifdef DAL_N
 #define DAL_KERNEL_M (DAL_M > 0 ? DAL_M : 1)
 #define DAL_KERNEL_ARRAY(type, name, size) type name[size]
 #else
 #define DAL_KERNEL_M 0
-#define DAL_KERNEL_ARRAY(type, name, size) type *const name = k->name
+#define DAL_KERNEL_ARRAY(type, name, size) type *const name = k->at.name
+#endif
+#if DAL_KERNEL_INSIDE
+#define DAL_KERNEL_SHARED(name, size, offset) double name[size]
+#else
+#define DAL_KERNEL_SHARED(name, size, offset) double *const name = x + (offset)
 #endif
 
-/* plain is a constant where this is inlined: V = 0 and moved nodes, so that what serves only the
- * others costs nothing. */
+/* An index that stays a variable would keep an array in memory, also if that is off the hot path,
+ * where the compiler does not unroll by itself. */
+#if DAL_KERNEL_INSIDE && DAL_N <= 8 && defined(__GNUC__)
+#define DAL_KERNEL_UNROLL _Pragma("GCC unroll 64")
+#else
+#define DAL_KERNEL_UNROLL
+#endif
+
+/* memcpy would want arrays in memory too. */
+DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
+{
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) to[i] = from[i];
+}
+
+/* plain and audited are constants or nearly so where this is inlined.  plain: V = 0 and moved
+ * nodes, so that what serves only the others costs nothing; audited: the residual is evaluated. */
 DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *const s,
-                                       const bool plain)
+                                       const bool plain, const double trust, const bool audited,
+                                       double *const x, double *const pull, double *const extent)
 {
 #ifdef DAL_N
     const size_t n = DAL_N, m = DAL_M;
 #else
     const size_t n = k->n, m = k->m;
 #endif
+    DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
+    DAL_KERNEL_SHARED(point, DAL_N, 3 * n);
+    DAL_KERNEL_SHARED(w, DAL_N, 4 * n);
+    DAL_KERNEL_SHARED(mu_node, DAL_KERNEL_M * DAL_N, 8 * n);
+    DAL_KERNEL_SHARED(mu, DAL_KERNEL_M * DAL_N, 8 * n + m * n);
+    DAL_KERNEL_SHARED(N, DAL_KERNEL_M * DAL_N, 8 * n + 2 * m * n);
     DAL_KERNEL_ARRAY(double, base, DAL_N);
     DAL_KERNEL_ARRAY(double, goal, DAL_N);
     DAL_KERNEL_ARRAY(double, step, DAL_N);
@@ -513,218 +501,231 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     DAL_KERNEL_ARRAY(double, Z, DAL_KERNEL_M * DAL_N);
     DAL_KERNEL_ARRAY(double, S, DAL_KERNEL_M * DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(double, scale, DAL_KERNEL_M * DAL_KERNEL_M);
-    DAL_KERNEL_ARRAY(size_t, row, DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(double, r, DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(double, d, DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(double, kappa, DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(size_t, row, DAL_KERNEL_M);
+    const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, stored,
+                           moved, Z, S, scale, r, d, kappa, row};
     const double h = k->h, b = s->after * h;
     const double limit = 2.0 * (double)n * DAL_KERNEL_U;
-    const bool linear = b == 0.0;                    /* mu(q~') is mu(q_k) */
+    const bool linear = b == 0.0; /* mu(q~') is mu(q_k) */
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
     const bool potential = !plain && DAL_KERNEL_PULLED;
-    const bool ends = potential && s->end != 0.0;    /* V_q at the unknown q~' */
-    double *const x = k->x; /* the others as dal_kernel_share laid them out */
-    double *const node = x + 2 * n, *const w = x + 4 * n, *const pull = x + 5 * n;
-    double *const mu_node = x + 8 * n, *const N = mu_node + 2 * m * n;
-    double *const point = linear ? node : x + 3 * n;
-    double *const mu = linear ? mu_node : mu_node + m * n;
+    const bool ends = potential && s->end != 0.0; /* V_q at the unknown q~' */
+    const bool steady = (DAL_KERNEL_STEADY && plain) || k->steady;
+    dal_pattern has = DAL_KERNEL_PATTERN;
+    if (DAL_KERNEL_STEADY && plain) has.N = 0;
+    dal_progress p = {.known = *extent, .last = HUGE_VAL, .trust = trust, .iteration = 1};
 
     const double before = kept ? 0.0 : s->before * h; /* a kept node is the state */
     for (size_t i = 0; i < n; i++) node[i] = x[i] + before * x[n + i];
     /* The part of v' that is known, and its prediction. */
-    double known = k->extent; /* the scale that roundoff has, together with the new velocity */
     for (size_t i = 0; i < n; i++) base[i] = x[n + i];
     if (potential) {
         double *const force = s->node != 0.0 ? k->force1 : k->force0;
         if (s->node != 0.0 || !k->forced) {
-            double *const start = s->node != 0.0 ? node : x + 3 * n; /* q~, where q~' will be */
             const double shift = kept ? k->shift * h : 0.0;
-            for (size_t i = 0; s->node == 0.0 && i < n; i++) start[i] = x[i] - shift * x[n + i];
-            const int returned = DAL_KERNEL_POTENTIAL(k, start, force);
+            DAL_KERNEL_UNROLL
+            for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
+                point[i] = s->node != 0.0 ? node[i] : x[i] - shift * x[n + i];
+            const int returned = DAL_KERNEL_POTENTIAL(k, point, force);
             if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         }
         const double weight = h * (s->node != 0.0 ? s->node : s->start);
-        dal_kernel_accelerate(k, n, force, step);
+        dal_kernel_accelerate(k, n, has.inverse, force, step);
         for (size_t i = 0; i < n; i++) base[i] -= weight * step[i];
-        known += dal_kernel_sum(n, base);
+        p.known += dal_kernel_sum(n, base);
     }
     /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
     for (size_t i = 0; i < n; i++) {
-        const double early = base[i] + (s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i]);
-        w[i] = early + s->ahead[0] * pull[i];
-        if (!linear) point[i] = (node[i] + b * early) + b * s->ahead[0] * pull[i];
+        const bool pulled = !steady && DAL_KERNEL_HAS(has.pull, i);
+        double early = base[i];
+        if (pulled) early += s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i];
+        w[i] = early;
+        point[i] = node[i] + b * early;
+        if (pulled) {
+            w[i] += s->ahead[0] * pull[i];
+            point[i] += b * s->ahead[0] * pull[i];
+        }
     }
 
     /* mu at the prediction, and then at the node: more has to wait for the first. */
     int predicted = 0; /* what the callback returned there */
-    if (linear) {
-        if (m > 0) memset(N, 0, m * n * sizeof *N); /* nothing depends on v' */
-    } else {
-        if (m > 0) predicted = DAL_KERNEL_CONSTRAINT(k, point, w, mu, N);
-        if (predicted < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, predicted);
-    }
+    if (m > 0 && !linear)
+        predicted = DAL_KERNEL_CONSTRAINT(k, point, w, mu, steady ? NULL : N);
+    if (predicted < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, predicted);
     if (m > 0) {
         const int returned = DAL_KERNEL_CONSTRAINT(k, node, x + n, mu_node, NULL);
         if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-        for (size_t a = 0; a < m; a++) dal_kernel_accelerate(k, n, mu_node + a * n, Z + a * n);
+        for (size_t a = 0; a < m; a++)
+            dal_kernel_accelerate(k, n, has.inverse, mu_node + a * n, Z + a * n);
     }
-    for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
+    if (linear) DAL_KERNEL_COPY(m * n, mu_node, mu);
+    if (linear || (steady && has.N)) {
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < m * n; i++) N[i] = 0.0;
+    }
 
     /* Newton on (v', kappa), Hessian dropped, S frozen. */
-    const double bending = fabs(s->after * s->end), lasting = fabs(s->after) * s->reuse;
-    double last = HUGE_VAL, travelled = 0.0, reached = 0.0, bend = 0.0, least = 0.0;
-    bool solved = false, settled = false;
-    for (int iteration = 1; !solved; iteration++) {
-        int returned = iteration == 1 ? predicted : 0;
-        if (!linear && iteration > 1) {
-            for (size_t i = 0; i < n; i++) point[i] = node[i] + b * w[i];
-            if (m > 0) returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, iteration == 2 ? N : NULL);
-            if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-        }
-        if (ends && returned == 0) {
-            returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
-            if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-        }
-        if (returned > 0) break;
-        if (iteration == 1) {
-            if (!dal_kernel_factor(n, m, mu, N, b, Z, S, scale, row)) break;
-            bend = 10.0 * fabs(b) * dal_kernel_sum(m * n, N);
-        }
+    int returned = predicted;
+    if (ends && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
+    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+    if (returned == 0 && dal_kernel_factor(n, m, has, b, &at)) {
+        bool going = true;
         k->stats.iterations++;
-
-        /* The first equation is v' = goal + Z^T kappa; (mu + b N) step = -mu w is the second. */
-        if (ends) dal_kernel_accelerate(k, n, k->force1, goal);
-        for (size_t i = 0; i < n; i++) {
-            goal[i] = ends ? base[i] - h * s->end * goal[i] : base[i];
-            step[i] = goal[i] - w[i];
+        dal_kernel_newton(k, s, n, m, has, ends, true, &at);
+        if (steady) {
+            dal_kernel_place(k, s, n, kept, &at);
+            p.reached = dal_kernel_sum(n, w);
+            p.settled = dal_kernel_settled(n, m, has, &at, limit, &p,
+                                           &k->stats.worst_residual);
+            p.solved = true;
+        } else {
+            going = dal_kernel_judge(k, s, n, m, has, ends, kept, true, &at, &p);
         }
-        if (iteration > 1 && m > 0)
-            for (size_t i = 0; i < n; i++) step[i] += dal_kernel_column(n, m, Z, i, kappa);
-        for (size_t a = 0; a < m; a++) {
-            double sum = mu[a * n] * w[0] + (mu[a * n] + b * N[a * n]) * step[0];
-            for (size_t i = 1; i < n; i++)
-                sum += mu[a * n + i] * w[i] + (mu[a * n + i] + b * N[a * n + i]) * step[i];
-            r[a] = -sum;
+        while ((going && !p.solved)) {
+            p.iteration++;
+            if (!linear) {
+                DAL_KERNEL_UNROLL
+                for (size_t i = 0; i < n; i++) point[i] = node[i] + b * w[i];
+                if (m > 0)
+                    returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, p.iteration == 2 ? N : NULL);
+                if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+            }
+            if (ends && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
+            if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+            if (returned > 0) break;
+            k->stats.iterations++;
+            dal_kernel_newton(k, s, n, m, has, ends, false, &at);
+            going = dal_kernel_judge(k, s, n, m, has, ends, kept, false, &at, &p);
         }
-        dal_lu_solve(m, S, row, r, d);
-        for (size_t a = 0; a < m; a++) /* 0 + d would be waited for */
-            kappa[a] = iteration > 1 ? kappa[a] + d[a] : d[a];
-        for (size_t i = 0; i < n; i++) {
-            const double next = m > 0 ? goal[i] + dal_kernel_column(n, m, Z, i, kappa) : goal[i];
-            step[i] = next - w[i];
-            w[i] = next;
-        }
-
-        const double size = dal_kernel_sum(n, step);
-        reached = dal_kernel_sum(n, w);
-        const double extent = known + reached;
-        const double noise = 4.0 * DAL_KERNEL_U * extent;
-        if (!(size <= DBL_MAX)) break;
-        travelled += size;
-        if (ends && iteration > 1) /* it goes as h^2 B end V_qq; 4 is for safety */
-            k->contraction = 4.0 * (size > noise ? size : noise) / (last * bending);
-        /* with V_q at q~' it may be the iteration that does not contract, not roundoff */
-        const bool stuck = !ends && iteration > 1 && size <= 1e-11 * extent && size >= last;
-        const bool close = (size <= noise) | stuck; /* no branches: they could not be foretold */
-        /* What is left of the first equation, here or in the next stage, has one sign from step to
-         * step and adds up in the energy: it has to be a small part of a rounding. */
-        if (close || !ends || 64.0 * k->contraction * lasting * size <= noise) {
-            dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
-            settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
-                                         &k->stats.worst_residual);
-            /* bend travelled size / reached: what is left of the residual after this step, at most.
-             * N knows how mu bends only if the prediction is near: not where it moved as much as it
-             * is large, not in the first steps, whose pull is unknown, and not where N is 0. */
-            solved = close | (bend * travelled * size < k->trust * least * (reached - 2.0 * size));
-        }
-        if (!solved && (iteration >= 10 || (iteration >= 3 && size > 0.5 * last))) break;
-        if (solved && ends && iteration == 1) k->contraction *= 2.0; /* measure again some day */
-        last = size;
-    }
-    if (!solved) {
-        dal_kernel_copy(n, base, k->base);
-        dal_kernel_copy(m * n, Z, k->Z);
-        const int status = dal_kernel_solve(k, s);
-        if (status) return status;
-        dal_kernel_copy(m, k->kappa, kappa);
-        reached = dal_kernel_sum(n, w);
-        dal_kernel_place(k, s, n, kept, node, w, point, stored, moved);
-        settled = false;
-    }
-
-    /* The residual of D at what is stored. */
-    if (m > 0) {
-        if (solved && !settled) {
+        /* The residual of D at what is stored. */
+        if (DAL_KERNEL_RARE(m > 0 && p.solved && !p.settled)) {
             dal_lu_solve(m, S, row, r, d);
-            for (size_t i = 0; i < n; i++) w[i] += dal_kernel_column(n, m, Z, i, d);
-            for (size_t i = 0; kept && i < n; i++)
-                moved[i] = (stored[i] - k->shift * h * w[i]) - point[i];
-            settled = dal_kernel_settled(n, m, mu, N, w, moved, limit, r, &least,
-                                         &k->stats.worst_residual);
+            p.since = 0.0;
+            DAL_KERNEL_UNROLL
+            for (size_t i = 0; i < n; i++) {
+                if (!DAL_KERNEL_HAS(has.pull, i)) continue;
+                const double mended = w[i] + dal_kernel_column(n, m, has.Z, Z, i, d);
+                p.since += fabs(mended - w[i]);
+                w[i] = mended;
+                if (kept) moved[i] = (stored[i] - k->shift * h * w[i]) - point[i];
+            }
+            p.settled = dal_kernel_settled(n, m, has, &at, limit, &p, &k->stats.worst_residual)
+                     && dal_kernel_foresees(limit, &p);
         }
-        /* The prediction of the residual is as good as N, which belongs to an earlier w: not at
-         * all where the velocity passes through zero, or where N was not asked for. */
-        const bool doubtful = reached < 1e-3 * known || (linear && kept);
-        if (!settled || doubtful || k->audited) {
-            dal_kernel_copy(n, stored, k->stored);
-            const int status = dal_kernel_correct(k, settled && !doubtful);
-            if (status) return status;
-            dal_kernel_copy(n, k->stored, stored);
-        }
+    } else {
+        DAL_KERNEL_COPY(n, node, stored);
+        DAL_KERNEL_UNROLL
+        for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
     }
-    if (m == 0 && !(dal_kernel_sum(n, stored) <= DBL_MAX)) /* else that has been seen to */
-        return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
+    /* The prediction of the residual is as good as N, which belongs to an earlier w: not at all
+     * where the velocity passes through zero, or where N was not asked for. */
+    const bool doubtful = (!steady && p.reached < 1e-3 * p.known) || (linear && kept);
+    bool finite = true; /* where nothing else has seen to it */
+    if (m == 0 || has.N != DAL_KERNEL_ALL) {
+        double total = stored[0];
+        DAL_KERNEL_UNROLL
+        for (size_t i = 1; i < n; i++) total += stored[i];
+        finite = fabs(total) <= DBL_MAX;
+    }
+    if (DAL_KERNEL_RARE(!p.solved || !finite
+                        || (m > 0 && (!p.settled || doubtful || audited)))) {
+        DAL_KERNEL_COPY(2 * n, x, k->at.x);
+        DAL_KERNEL_COPY(n, node, k->at.node);
+        DAL_KERNEL_COPY(n, w, k->at.w);
+        DAL_KERNEL_COPY(n, base, k->at.base);
+        DAL_KERNEL_COPY(n, stored, k->at.stored);
+        DAL_KERNEL_COPY(m * n, Z, k->at.Z);
+        DAL_KERNEL_COPY(m * n, mu_node, k->at.mu_node);
+        const int status = k->finish(k, s, p.solved, p.settled && !doubtful);
+        if (status) return status;
+        DAL_KERNEL_COPY(n, k->at.w, w);
+        DAL_KERNEL_COPY(n, k->at.stored, stored);
+        if (!p.solved) DAL_KERNEL_COPY(m, k->at.kappa, kappa);
+        if (!p.solved) p.reached = dal_kernel_sum(n, w);
+    }
 
+    DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        pull[2 * n + i] = pull[n + i];
-        pull[n + i] = pull[i];
-        pull[i] = w[i] - base[i];
+        if (!steady && DAL_KERNEL_HAS(has.pull, i)) {
+            pull[2 * n + i] = pull[n + i];
+            pull[n + i] = pull[i];
+            pull[i] = w[i] - base[i];
+        }
         x[i] = stored[i];
         x[n + i] = w[i];
     }
-    k->extent = reached;
-    for (size_t a = 0; a < m; a++) k->impulse[a] += kappa[a];
-    if (!k->pulled) { /* the best guess of the past */
-        memcpy(pull + n, pull, n * sizeof *pull);
-        memcpy(pull + 2 * n, pull, n * sizeof *pull);
+    if (DAL_KERNEL_RARE(!steady && !k->pulled)) { /* the best guess of the past */
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) pull[n + i] = pull[2 * n + i] = pull[i];
         k->pulled = true;
     }
+    *extent = p.reached;
+    for (size_t a = 0; a < m; a++) k->impulse[a] += kappa[a];
     if (ends) {
         double *const force = k->force0;
         k->force0 = k->force1;
         k->force1 = force;
     }
-    k->forced = ends && solved; /* dal_kernel_solve may stop 1e-11 away */
+    k->forced = ends && p.solved; /* the full Newton iteration may stop 1e-11 away */
     return DAL_SUCCESS;
 }
 
 /* steps steps of k.  *done <- how many were made; on failure the state is that after the last. */
 static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 {
+#ifdef DAL_N
+    const size_t n = DAL_N;
+#else
+    const size_t n = k->n;
+#endif
+    const size_t stages = k->stages;
+    size_t made = 0, age = k->age;
+    double extent = k->extent;
     int status = DAL_SUCCESS;
-    size_t made = 0;
-    for (; made < steps; made++) {
-        const bool fresh = k->age < DAL_KERNEL_START_UP;
-        k->trust = fresh ? 0.0 : 2.0 * (double)k->n * DAL_KERNEL_U;
-        k->audited = fresh || k->distrusted || k->age % DAL_KERNEL_AUDIT == 0;
-        if (k->stages > 1) memcpy(k->saved, k->x, 2 * k->n * sizeof *k->x);
+#if DAL_KERNEL_INSIDE
+    double x[2 * DAL_N], pull[3 * DAL_N];
+    DAL_KERNEL_COPY(2 * n, k->at.x, x);
+    DAL_KERNEL_COPY(3 * n, k->at.pull, pull);
+#else
+    double *const x = k->at.x, *const pull = x + 5 * n;
+#endif
+    while (made < steps) {
+        const bool fresh = age < DAL_KERNEL_START_UP;
+        const bool audited = fresh || k->distrusted || age % DAL_KERNEL_AUDIT == 0;
+        const double trust = fresh ? 0.0 : 2.0 * (double)n * DAL_KERNEL_U;
+        if (DAL_KERNEL_RARE(stages > 1)) DAL_KERNEL_COPY(2 * n, x, k->saved);
+        size_t j = 0;
 #if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
-        for (size_t j = 0; j < k->stages && !status; j++)
-            status = DAL_KERNEL_STAGE(k, k->stage + j, !DAL_KERNEL_PULLED);
+        do
+            status = DAL_KERNEL_STAGE(k, k->stage + j, !DAL_KERNEL_PULLED, trust, audited, x, pull,
+                                      &extent);
+        while (!status && ++j < stages);
 #else
         if (k->potential || k->kept) {
-            for (size_t j = 0; j < k->stages && !status; j++)
-                status = DAL_KERNEL_STAGE(k, k->stage + j, false);
+            do
+                status = DAL_KERNEL_STAGE(k, k->stage + j, false, trust, audited, x, pull, &extent);
+            while (!status && ++j < stages);
         } else {
-            for (size_t j = 0; j < k->stages && !status; j++)
-                status = DAL_KERNEL_STAGE(k, k->stage + j, true);
+            do
+                status = DAL_KERNEL_STAGE(k, k->stage + j, true, trust, audited, x, pull, &extent);
+            while (!status && ++j < stages);
         }
 #endif
         if (status) break;
-        k->age++;
+        made++;
+        age++;
     }
-    if (status && k->stages > 1) {
-        memcpy(k->x, k->saved, 2 * k->n * sizeof *k->x);
+#if DAL_KERNEL_INSIDE
+    DAL_KERNEL_COPY(2 * n, x, k->at.x);
+    DAL_KERNEL_COPY(3 * n, pull, k->at.pull);
+#endif
+    k->extent = extent;
+    k->age = age;
+    if (status && stages > 1) {
+        DAL_KERNEL_COPY(2 * n, k->saved, k->at.x);
         dal_kernel_forget(k);
     }
     k->stats.steps += made;
@@ -735,10 +736,15 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_KERNEL_INSIDE
 #undef DAL_KERNEL_PULLED
 #undef DAL_KERNEL_ARRAY
+#undef DAL_KERNEL_SHARED
+#undef DAL_KERNEL_UNROLL
 #undef DAL_KERNEL_M
+#undef DAL_KERNEL_COPY
 #undef DAL_KERNEL_STAGE
 #undef DAL_KERNEL_JOIN
 #undef DAL_KERNEL_JOIN_
+#undef DAL_KERNEL_STEADY
+#undef DAL_KERNEL_PATTERN
 #undef DAL_KERNEL_CONSTRAINT
 #undef DAL_KERNEL_POTENTIAL
 #undef DAL_KERNEL

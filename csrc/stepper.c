@@ -4,6 +4,7 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 struct dal_stepper {
     const dal_system *system;
@@ -83,18 +84,18 @@ static void plan_predictions(dal_stage *stage, size_t stages)
 static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
 {
     const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
-    double **const vectors[] = {&k->force0, &k->force1, &k->base, &k->goal, &k->step, &k->stored,
-                                &k->moved, &k->y, &k->R};
-    double **const forms[] = {&k->Z, &k->KZ};
-    double **const multipliers[] = {&k->impulse, &k->r, &k->d, &k->kappa};
-    dal__reserve(a, &k->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
+    dal_arrays *const at = &k->at;
+    double **const vectors[] = {&k->force0, &k->force1, &at->base, &at->goal, &at->step,
+                                &at->stored, &at->moved, &k->y, &k->R};
+    double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
+    dal__reserve(a, &at->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(2, n), sizeof(double));
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
-    dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
-    dal__reserve(a, &k->S, mm, sizeof(double));
-    dal__reserve(a, &k->scale, mm, sizeof(double));
-    dal__reserve(a, &k->row, m, sizeof(size_t));
+    dal__reserve(a, &at->Z, mn, sizeof(double));
+    dal__reserve(a, &at->S, mm, sizeof(double));
+    dal__reserve(a, &at->scale, mm, sizeof(double));
+    dal__reserve(a, &at->row, m, sizeof(size_t));
     dal__reserve(a, &k->K, nn, sizeof(double));
     dal__reserve(a, &k->K_scale, nn, sizeof(double));
     dal__reserve(a, &k->K_row, n, sizeof(size_t));
@@ -112,6 +113,15 @@ static int check_options(const dal_options *options, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "options.max_iterations = %d is negative",
                          options->max_iterations);
     return DAL_SUCCESS;
+}
+
+/* Whether the step routine knows mu(q~') before v'. */
+static bool is_steady(const dal_stepper *self, bool kept)
+{
+    bool ends = false; /* V acts at some q~' */
+    for (size_t j = 0; j < self->kernel.stages; j++)
+        if (self->stage[j].end != 0.0) ends = true;
+    return self->system->def.steady && !kept && !(self->system->def.potential && ends);
 }
 
 /* Whether kernel.h makes its steps; those of all others are newton's. */
@@ -139,7 +149,9 @@ static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_o
     k->kept = scheme->nodes == DAL_KEPT_NODES;
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
     k->max_iterations = options->max_iterations ? options->max_iterations : 50;
-    dal_kernel_share(k, k->x);
+    dal_kernel_share(k, k->at.x);
+    k->finish = dal__kernel_finish;
+    k->steady = is_steady(self, k->kept);
     if (has_step_routine(system) && options->solver == DAL_SOLVER_SCHUR)
         self->advance = system->def.kernel && !k->kept && options->sizes == DAL_SIZES_AUTO
                             ? system->def.kernel
@@ -198,7 +210,7 @@ void dal_stepper_free(dal_stepper *stepper)
 }
 
 const char *dal_stepper_message(const dal_stepper *stepper) { return stepper->error.text; }
-const double *dal_stepper_state(const dal_stepper *stepper) { return stepper->kernel.x; }
+const double *dal_stepper_state(const dal_stepper *stepper) { return stepper->kernel.at.x; }
 
 const dal_system *dal__stepper_system(const dal_stepper *stepper) { return stepper->system; }
 dal_error *dal__stepper_error(dal_stepper *stepper) { return &stepper->error; }
@@ -273,6 +285,26 @@ static int make_consistent(dal_stepper *self, double shift, dal_consistency cons
     return status;
 }
 
+/* Whether a system that is declared steady is so at the initial data, where mu and d(mu v)/dq are
+ * in mech: no coordinate that mu depends on is pushed by a reaction. */
+static int check_steady(dal_mechanics *mech)
+{
+    const size_t n = mech->n, m = mech->m;
+    dal__form_Z(mech, mech->mu);
+    for (size_t i = 0; i < n; i++) {
+        double pushed = 0.0, turns = 0.0;
+        for (size_t a = 0; a < m; a++) {
+            pushed = fmax(pushed, fabs(mech->Z[a * n + i]));
+            turns = fmax(turns, fabs(mech->dmu[a * n + i]));
+        }
+        if (pushed != 0.0 && turns != 0.0)
+            return dal__fail(&mech->error, DAL_EINVAL, "the system is declared steady, but "
+                             "coordinate %zu is pushed by a reaction (M^-1 mu^T has %g there), and "
+                             "mu depends on it (d(mu v)/dq has %g)", i, pushed, turns);
+    }
+    return DAL_SUCCESS;
+}
+
 /* Every output that the steps will ask for, once, into buffers that are NaN: what is never written
  * is found here. */
 static int probe(dal_stepper *self, double t0)
@@ -283,6 +315,7 @@ static int probe(dal_stepper *self, double t0)
                           .L_vq = mech->L_vq, .L_vv = mech->L_vv};
     const dal__jet simple = {.L_q = mech->force, .L_qq = mech->hessian};
     int status = dal__constraint(&mech->eval, q, v, mech->phi, mech->mu, mech->dmu, &mech->error);
+    if (!status && mech->eval.system->def.steady) status = check_steady(mech);
     if (!status)
         status = dal__lagrangian(&mech->eval, q, v, mech->eval.constant_mass ? &simple : &jet,
                                  &mech->error);
@@ -328,7 +361,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
         return status;
     }
 
-    memcpy(k->x, self->fresh, 2 * n * sizeof *x);
+    memcpy(k->at.x, self->fresh, 2 * n * sizeof *x);
     k->h = h;
     k->stats = stats;
     dal_kernel_forget(k);
@@ -350,15 +383,15 @@ static void find_not_finite(dal_stepper *self, dal_error *found)
     dal_mechanics *const mech = &self->mech;
     const size_t n = k->n;
     double *const start = self->fresh;
-    for (size_t i = 0; i < n; i++) start[i] = k->x[i] - k->shift * k->h * k->x[n + i];
-    if (dal__all_finite(n, k->node)
+    for (size_t i = 0; i < n; i++) start[i] = k->at.x[i] - k->shift * k->h * k->at.x[n + i];
+    if (dal__all_finite(n, k->at.node)
         && (dal__potential(&mech->eval, start, NULL, mech->force, NULL, found)
-            || dal__constraint(&mech->eval, k->node, k->x + n, NULL, mech->mu, NULL, found)
-            || dal__potential(&mech->eval, k->node, NULL, mech->force, NULL, found)))
+            || dal__constraint(&mech->eval, k->at.node, k->at.x + n, NULL, mech->mu, NULL, found)
+            || dal__potential(&mech->eval, k->at.node, NULL, mech->force, NULL, found)))
         return;
-    if (dal__all_finite(n, k->point) && dal__all_finite(n, k->w)
-        && (dal__constraint(&mech->eval, k->point, k->w, NULL, mech->mu, mech->dmu, found)
-            || dal__potential(&mech->eval, k->point, NULL, mech->force, NULL, found)))
+    if (dal__all_finite(n, k->at.point) && dal__all_finite(n, k->at.w)
+        && (dal__constraint(&mech->eval, k->at.point, k->at.w, NULL, mech->mu, mech->dmu, found)
+            || dal__potential(&mech->eval, k->at.point, NULL, mech->force, NULL, found)))
         return;
     dal__fail(found, DAL_EDOMAIN, "a number is not finite; try a smaller h");
 }
@@ -409,7 +442,7 @@ static int advance_by_substeps(dal_stepper *self, size_t steps, size_t *done)
     double *const x = k->saved;
     for (*done = 0; *done < steps; ++*done) {
         double passed = 0.0; /* fraction of the step */
-        memcpy(x, k->x, 2 * k->n * sizeof *x);
+        memcpy(x, k->at.x, 2 * k->n * sizeof *x);
         for (size_t j = 0; j < self->substeps; j++) {
             const dal_substep s = self->substep[j];
             const double t = self->t0 + ((double)(self->steps + *done) + passed) * k->h;
@@ -417,14 +450,14 @@ static int advance_by_substeps(dal_stepper *self, size_t steps, size_t *done)
             const int status =
                 self->multiroot
                     ? dal__multiroot_step(self->multiroot, &self->mech, t, s.beta, h, k->kept, x,
-                                          k->kappa, &k->stats)
+                                          k->at.kappa, &k->stats)
                     : dal__newton_step(&self->newton, &self->mech, t, s.beta, h, k->kept, x,
-                                       k->kappa, &k->stats);
+                                       k->at.kappa, &k->stats);
             if (status) return status;
-            for (size_t a = 0; a < k->m; a++) k->impulse[a] += k->kappa[a];
+            for (size_t a = 0; a < k->m; a++) k->impulse[a] += k->at.kappa[a];
             passed += s.fraction;
         }
-        memcpy(k->x, x, 2 * k->n * sizeof *x);
+        memcpy(k->at.x, x, 2 * k->n * sizeof *x);
         k->stats.steps++;
     }
     return DAL_SUCCESS;

@@ -73,6 +73,16 @@ static int check_kernel(const dal_system_def *def, dal_error *error)
                      why);
 }
 
+static int check_steady(const dal_system_def *def, dal_error *error)
+{
+    const char *const why = !def->steady ? NULL
+                            : !def->mass ? "mass is NULL"
+                            : def->kind != DAL_LINEAR ? "the constraints are not linear"
+                                                      : NULL;
+    if (!why) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "steady = %d, and %s", def->steady, why);
+}
+
 static int check_def(const dal_system_def *def, dal_error *error)
 {
     const size_t n = def->n, m = def->m;
@@ -101,6 +111,7 @@ static int check_def(const dal_system_def *def, dal_error *error)
     if (def->ctx_size > 0 && !def->ctx)
         return dal__fail(error, DAL_EINVAL, "ctx_size = %zu and ctx is NULL", def->ctx_size);
     status = check_kernel(def, error);
+    if (!status) status = check_steady(def, error);
     if (!status && def->mass) status = check_mass(def, error);
     return status;
 }

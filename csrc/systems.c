@@ -123,7 +123,7 @@ static int make(dal_system **system, const builtin *record, const double *p, dal
     const dal_system_def def = {
         .n = n, .m = m, .mass = record->lagrangian ? NULL : mass,
         .potential = record->potential, .lagrangian = record->lagrangian,
-        .constraint = record->constraint, .kind = record->kind,
+        .constraint = record->constraint, .kind = record->kind, .steady = record->steady,
         .name = record->name, .help = record->help, .coordinates = names, .state = state,
         .exact = record->exact,
         .invariants = count_names(MAX_INVARIANTS, record->invariants),

@@ -34,6 +34,7 @@ typedef struct builtin {
     dal_lagrangian_fn lagrangian; /* instead of mass and potential */
     dal_constraint_fn constraint;
     dal_constraint_kind kind;
+    int steady;
     dal_exact_fn exact;
     const char *invariants[MAX_INVARIANTS];
     dal_invariant_fn invariant;

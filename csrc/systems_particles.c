@@ -73,7 +73,7 @@ const builtin dal__particle = {
     .help = "free particle with v_z = y v_x",
     .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
     .state = particle_state,
-    .constraint = particle_constraint,
+    .constraint = particle_constraint, .steady = 1,
     .exact = particle_exact,
     .invariants = {"v_y", "v_x sqrt(1 + y^2)"}, .invariant = particle_invariant,
 };
@@ -86,7 +86,7 @@ const builtin dal__particle_oscillator = {
     .ranges = {FINITE, FINITE, FINITE},
     .state = particle_state,
     .potential = potential_springs,
-    .constraint = particle_constraint,
+    .constraint = particle_constraint, .steady = 1,
     .invariants = {"(v_y^2 + k2 y^2)/2"}, .invariant = particle_oscillator_invariant,
 };
 

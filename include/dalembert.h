@@ -161,6 +161,10 @@ typedef struct dal_system_def {
                                        constant mass, linear constraints, no force, nothing missing.
                                        It makes the steps of moved nodes */
     size_t kernel_size;             /* sizeof(dal_kernel) as its compiler saw it */
+    int steady;                     /* nonzero: mu depends only on coordinates that no reaction
+                                       pushes, those i with row i of M^-1 mu^T zero, as on the
+                                       heading of a blade; only for constant mass and linear
+                                       constraints.  Steps are then linear, and faster */
 } dal_system_def;
 
 typedef struct dal_system dal_system;

@@ -282,6 +282,7 @@ static inline dal_system *open_mixed(dal_system *base)
 {
     dal_system_def def = base->def;
     def.ctx = base;
+    def.steady = 0; /* B(q) mu depends on every coordinate */
     def.constraint = mixed_constraint;
     def.potential = base->def.potential ? mixed_potential : NULL;
     def.exact = NULL;

@@ -15,6 +15,7 @@ import sympy
 from sympy.logic.boolalg import BooleanFalse, BooleanTrue
 
 from .model import FUNCTIONS, Function, Model
+from .pattern import pattern
 
 __all__ = ["Program", "program"]
 
@@ -251,6 +252,10 @@ def _kernel(made: Program, model: Model) -> None:
         made.add(_INSIDE_POTENTIAL)
     made.add(f"#define DAL_N {model.n}\n#define DAL_M {model.m}\n#define DAL_KERNEL model_steps")
     made.add(f"#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) {constrain}")
+    zeros = pattern(model)
+    if initializer := zeros.initializer():
+        made.add(f"#define DAL_KERNEL_PATTERN {initializer}")
+    made.add(f"#define DAL_KERNEL_STEADY {int(zeros.steady)}")
     if potential:
         made.add("#define DAL_KERNEL_POTENTIAL(k, q, V_q) model_inside_potential(k, q, V_q)")
     made.add("#include <dalembert/kernel.h>\n")
@@ -288,6 +293,7 @@ def _definition(model: Model, fast: bool) -> list[str]:
             found.append(f".{member} = model_call_{name}")
     if fast:
         found += [".kernel = model_steps", ".kernel_size = sizeof(dal_kernel)"]
+        found += [f".steady = {int(pattern(model).steady)}"]
     return found
 
 

@@ -136,6 +136,10 @@ class System:
         force that depends on time, the solution that starts at time 0.
     invariants : mapping of str to callable, optional
         ``invariant(q, v) -> float`` by name: first integrals besides the energy.
+    steady : bool, optional
+        Whether mu depends only on coordinates that no reaction pushes, those i with row i of
+        M^-1 mu^T zero, as on the heading of a blade; only with ``mass`` and ``forms``.  Steps are
+        then linear, and faster.
     kind : {"linear", "affine", "nonlinear"}, optional
         Of a ``constraint`` that is a C function; default "linear".
     missing : sequence of str, optional
@@ -245,6 +249,7 @@ class System:
         v0: ArrayLike | None = None,
         exact: Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None = None,
         invariants: Mapping[str, Callable[[Array, Array], float]] | None = None,
+        steady: bool = False,
         kind: str | None = None,
         missing: Sequence[str] | None = None,
         ctx: Any = None,
@@ -318,6 +323,7 @@ class System:
                 "mass": ffi.NULL if matrix is None else _lib.pointer(matrix),
                 "kind": c_kind,
                 "missing": c_missing,
+                "steady": int(bool(steady)),
                 "ctx": context,
                 "name": c_name,
                 "help": c_help,
@@ -340,6 +346,7 @@ class System:
                 "q0": None if state is None else state[:size],
                 "v0": None if state is None else state[size:],
                 "invariants": self._invariants,
+                "steady": steady,
             },
         )
         self._adopt(_lib.make("system", definition))

@@ -856,6 +856,44 @@ static void test_mass(void)
     dal_system_free(system);
 }
 
+/* What is declared steady is so, and what is not declared is not: no coordinate, and some
+ * coordinate, moves mu and is pushed by a reaction. */
+static void test_steady(void)
+{
+    size_t found = 0;
+    for (size_t c = 0; c < CHOICES; c++) {
+        dal_system *const system = make(&choices[c]);
+        const dal_system_def *const def = &system->def;
+        const size_t n = def->n, m = def->m;
+        if (def->mass && def->kind == DAL_LINEAR) {
+            double q[MAX_N], v[MAX_N], mu[MAX_M * MAX_N], N[MAX_M * MAX_N];
+            for (size_t i = 0; i < n; i++) {
+                q[i] = 0.1 + 0.07 * (double)i;
+                v[i] = 1.0 - 0.3 * (double)i;
+            }
+            CHECK(def->constraint(q, v, NULL, mu, N, def->ctx) == 0);
+            bool both = false;
+            for (size_t i = 0; i < n; i++) {
+                bool pushed = false, turns = false;
+                for (size_t a = 0; a < m; a++) {
+                    double z = 0.0;
+                    for (size_t j = 0; j < n; j++)
+                        z += system->mass_inverse[i * n + j] * mu[a * n + j];
+                    pushed |= z != 0.0;
+                    turns |= N[a * n + i] != 0.0;
+                }
+                both |= pushed && turns;
+            }
+            CHECK(both == !def->steady);
+            found += def->steady != 0;
+        } else {
+            CHECK(!def->steady);
+        }
+        dal_system_free(system);
+    }
+    CHECK(found == 15); /* of the choices */
+}
+
 /* What dal_system_builtin refuses, and that the text names what was wrong. */
 static void test_errors(void)
 {
@@ -952,6 +990,7 @@ int main(void)
     test_heisenberg_symmetry();
     test_description();
     test_mass();
+    test_steady();
     test_errors();
     return check_done();
 }

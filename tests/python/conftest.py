@@ -146,6 +146,7 @@ def particle_in_python():
         q0=[0.5, 0.3, -0.2],
         v0=[1, 0.7, 0.3],
         name="particle",
+        steady=True,
     )
 
 

@@ -105,6 +105,7 @@ def test_same_run_as_the_built_in_system(library, make):
         potential=make(library, "potential"),
         constraint=make(library, "constraint"),
         m=1,
+        steady=True,
         **ctx,
         **START,
     )
@@ -186,7 +187,7 @@ def test_numba():
             phi_q[2] = 0.0
         return 0
 
-    own = dal.System(mass=[1, 1, 1], constraint=constraint, m=1, **START)
+    own = dal.System(mass=[1, 1, 1], constraint=constraint, m=1, steady=True, **START)
     run = dal.integrate(own, "midpoint", h=0.01, steps=500)
     expected = dal.integrate(dal.systems.particle(), "midpoint", *START.values(), h=0.01, steps=500)
     np.testing.assert_array_equal(run.y, expected.y)

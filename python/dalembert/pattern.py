@@ -1,0 +1,101 @@
+"""Which entries of a model's matrices are zero everywhere: what its step routine leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .model import Model
+
+__all__ = ["Pattern", "pattern"]
+
+_MOST = 8  # coordinates; n*n bits have to fit into a word of 64
+
+Rows = list[list[bool]]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """The entries that may be other than zero, as ``dal_pattern`` of kernel.h.
+
+    Attributes
+    ----------
+    inverse, mu, Z, N, pull : list of list of bool
+        Row by row; ``pull`` has one row.
+    steady : bool
+        Whether no reaction pushes a coordinate that mu depends on.
+    """
+
+    inverse: Rows
+    mu: Rows
+    Z: Rows
+    N: Rows
+    pull: Rows
+    steady: bool
+
+    def initializer(self) -> str | None:
+        """Return the ``dal_pattern`` in C; None if there are too many coordinates for one."""
+        if len(self.inverse) > _MOST:
+            return None
+        masks = (self.inverse, self.mu, self.Z, self.N, self.pull)
+        return "{" + ", ".join(f"{_mask(rows):#x}ULL" for rows in masks) + "}"
+
+
+def _mask(rows: Rows) -> int:
+    """Return the bits a*n + i of the entries (a, i)."""
+    flat = [entry for row in rows for entry in row]
+    return sum(1 << k for k, entry in enumerate(flat) if entry)
+
+
+def pattern(model: Model) -> Pattern:
+    """Return the pattern of a model of constant mass with linear constraints.
+
+    Parameters
+    ----------
+    model : Model
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> from dalembert.pattern import pattern
+    >>> x, y, z = dal.coordinates("x y z")
+    >>> particle = dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2) / 2, [z.d - y * x.d])
+    >>> found = pattern(particle._symbolic.model)
+    >>> found.mu, found.pull, found.steady
+    ([[True, False, True]], [[True, False, True]], True)
+    """
+    n, m = model.n, model.m
+    mass = model.derived.mass
+    assert mass is not None
+    inverse = _inverse(_rows(mass, n))
+    mu, N = _outputs(model, "constraint", "phi_v", m), _outputs(model, "constraint", "phi_q", m)
+    forces = _outputs(model, "potential", "V_q", 1)
+    Z, fall = _times(mu, inverse), _times(forces, inverse)
+    pushed = [any(row[i] for row in Z) for i in range(n)]
+    pull = [pushed[i] or any(row[i] for row in fall) for i in range(n)]
+    steady = m > 0 and not any(row[i] and pushed[i] for row in N for i in range(n))
+    return Pattern(inverse, mu, Z, N, [pull], steady)
+
+
+def _rows(entries: Sequence[Any], n: int) -> Rows:
+    return [[e != 0 for e in entries[k : k + n]] for k in range(0, len(entries), n)]
+
+
+def _outputs(model: Model, name: str, output: str, rows: int) -> Rows:
+    """Return the pattern of an output of a function; of no rows if the model has none."""
+    function = model.derived.function(name)
+    return [] if function is None or rows == 0 else _rows(dict(function.outputs)[output], model.n)
+
+
+def _times(A: Rows, B: Rows) -> Rows:
+    """Return the pattern of A B, B square."""
+    return [[any(a and b[i] for a, b in zip(row, B)) for i in range(len(B))] for row in A]
+
+
+def _inverse(M: Rows) -> Rows:
+    """Return the pattern of M^-1: coordinates that M couples, through others too, fill a block."""
+    found, before = M, None
+    while found != before:
+        found, before = _times(found, found), found
+    return found
