@@ -195,7 +195,7 @@ def _systems(given: argparse.Namespace) -> int:
     found = [systems.get(name) for name in systems.names()]
     _list((system.name, system.help) for system in found)
     print("\nWritten in SymPy, which they need:")
-    _list((name, catalogue.about(name)) for name in systems.names_in_sympy())
+    _list((name, catalogue.about(name)["help"]) for name in systems.names_in_sympy())
     return 0
 
 

@@ -19,6 +19,7 @@ ValueError: parameters m = 1, r = 0.5, J0 = 1 of snakeboard; expected m r^2 > J0
 from __future__ import annotations
 
 import inspect
+import textwrap
 from collections.abc import Callable
 
 from . import _lib, catalogue
@@ -101,13 +102,15 @@ def _maker(name: str) -> Callable[..., System]:
 
     make.__name__ = make.__qualname__ = name
     values = "\n".join(f"{key} : float, default {x:g}" for key, x in default.parameters.items())
+    formulas = "\n".join(f"    {line}" for line in default.formulas)
     make.__doc__ = (
-        f"{default.help}\n\n"
-        f"Coordinates: {', '.join(default.coordinates)}.  "
-        f"{default.n} coordinates, {default.m} constraints"
-        f"{', with an exact solution' if default.has_exact else ''}.\n"
+        f"{default.help}\n\n{textwrap.fill(default.description, 96)}\n\n"
+        f"Coordinates {', '.join(default.coordinates)}; {default.m} constraint"
+        f"{'s' * (default.m > 1)}"
+        f"{', with an exact solution' if default.has_exact else ''}::\n\n{formulas}\n"
         + (f"\nParameters\n----------\n{values}\n" if values else "")
         + "\nReturns\n-------\nSystem\n"
+        + f"\nReferences\n----------\n{textwrap.fill(default.source, 96)}\n"
     )
     make.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [

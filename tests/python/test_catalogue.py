@@ -144,7 +144,9 @@ def test_describes_itself(name):
     system = make(name)
     function = getattr(dal.systems, name)
     assert system.name == name == function.__name__ and name in dir(dal.systems)
-    assert system.help == catalogue.about(name) and system.help in function.__doc__
+    about = {key: getattr(system, key) for key in ("help", "description", "source")}
+    assert about == catalogue.about(name) and all(about.values())
+    assert system.help in function.__doc__
     assert f"Coordinates {', '.join(system.coordinates)}" in function.__doc__
     assert all(key in function.__doc__ for key in system.parameters)
     assert system.relative_residual(system.q0, system.v0) <= 64 * U
