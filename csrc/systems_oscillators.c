@@ -172,9 +172,9 @@ static int chaotic_constraint(const double *q, const double *v, double *phi, dou
 const builtin dal__chaotic = {
     .name = "chaotic",
     .help = "chaotic quartic oscillator with v_x = -sum y_i v_zi; 2 pairs + 1 coordinates",
-    .description = "Oscillators x, y_i and z_i, i = 1, ..., pairs, coupled by quartic terms; "
-                   "without the term z1^2 z2^2 for a single pair. It starts with one of the ten "
-                   "sets of data of energy 3.06 that the source has for three pairs.",
+    .description = "Oscillators `x`, `y_i` and `z_i` with i = 1, ..., pairs, coupled by quartic "
+                   "terms; without the term `z1^2 z2^2` for a single pair. It starts with one of "
+                   "the ten sets of data of energy 3.06 that the source has for three pairs.",
     .source = "R. McLachlan, M. Perlmutter: Integrators for nonholonomic mechanical systems, "
               "J. Nonlinear Sci. 16 (2006) 283-328",
     .formulas = "L = (v_x^2 + sum_i(v_y_i^2 + v_z_i^2))/2 - (x^2 + z1^2 z2^2 + sum_i(y_i^2 + z_i^2 "

@@ -353,10 +353,10 @@ const builtin dal__ball_on_table = {
     .name = "ball_on_table",
     .help = "homogeneous ball (m, J, radius a) on a table that turns by Omega: affine constraints",
     .description = "A ball of mass m, inertia J and radius a that rolls on a table, which turns by "
-                   "Omega about the origin: (x, y) is the point of contact, theta_x, theta_y, "
-                   "theta_z are the integrals of the angular velocity. The centre goes round in a "
-                   "circle. The table does work, so the energy is not constant; the last of the "
-                   "invariants takes its place.",
+                   "Omega about the origin: (x, y) is the point of contact, `theta_x`, "
+                   "`theta_y`, `theta_z` are the integrals of the angular velocity. The centre "
+                   "goes round in a circle. The table does work, so the energy is not constant; "
+                   "the last of the invariants takes its place.",
     .source = "J. I. Neimark, N. A. Fufaev: Dynamics of Nonholonomic Systems, AMS, 1972; F. Fassò, "
               "N. Sansonetto: Conservation of 'moving' energy in nonholonomic systems with affine "
               "constraints and integrability of spheres on rotating surfaces, J. Nonlinear Sci. 26 "

@@ -76,8 +76,8 @@ const builtin dal__snakeboard = {
     .help = "snakeboard (m, half length r) with rotor J0 (psi) and axles J1 turned by phi and -phi",
     .description = "A board with middle (x, y) and heading theta, a rotor at angle psi to it "
                    "(inertia J0), and an axle (inertia J1) at either end, a distance r from the "
-                   "middle and turned by phi and -phi. m is the mass of all, and m r^2 the inertia "
-                   "of all about the middle, so m r^2 > J0.",
+                   "middle and turned by phi and -phi. m is the mass of all, and `m r^2` the "
+                   "inertia of all about the middle, which is larger than J0.",
     .source = "J. Ostrowski, A. Lewis, R. Murray, J. Burdick: Nonholonomic mechanics and "
               "locomotion: the snakeboard example, IEEE Int. Conf. Robot. Autom. (1994); "
               "A. M. Bloch, P. S. Krishnaprasad, J. E. Marsden, R. M. Murray: Nonholonomic "
@@ -271,9 +271,9 @@ const builtin dal__n_trailer = {
     .name = "n_trailer",
     .help = "axle that pulls a chain of trailers on bars of length d; each has mass m, inertia J",
     .description = "Axles 0, 1, ..., trailers of mass m and inertia J in a chain: (x, y) is the "
-                   "middle of the first, theta_i the heading of axle i, and each hangs on the one "
-                   "before by a bar of length d along its own heading. All move along themselves "
-                   "only; (u_i, w_i) is the velocity of axle i.",
+                   "middle of the first, `theta_i` the heading of axle i, and each hangs on the "
+                   "one before by a bar of length d along its own heading. All move along "
+                   "themselves only; `u_i` and `w_i` are the velocity of axle i.",
     .source = "A. Bravo-Doddoli, L. C. García-Naranjo: The dynamics of an articulated n-trailer "
               "vehicle, Regul. Chaotic Dyn. 20 (2015) 497-517",
     .formulas = "L = sum_i(m (u_i^2 + w_i^2) + J v_theta_i^2)/2\n"

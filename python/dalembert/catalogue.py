@@ -162,8 +162,8 @@ def two_wheeled_robot(
         L = (m (u^2 + (w + a theta')^2) + J theta'^2 + I (right'^2 + left'^2))/2
         w = 0,  u + b theta' = r right',  u - b theta' = r left'
 
-    One of the constraints is holonomic in disguise: `r (right - left) - 2 b theta` is constant.  The
-    rest is a sleigh, whose second invariant has `A = m + 2 I/r^2` and
+    One of the constraints is holonomic in disguise: `r (right - left) - 2 b theta` is constant.
+    The rest is a sleigh, whose second invariant has `A = m + 2 I/r^2` and
     `B = J + m a^2 + 2 I b^2/r^2` in it.
 
     Parameters
@@ -224,9 +224,9 @@ def cvt(*, c: float = 0.2) -> System:
         L = (x'^2 + y'^2 + z'^2)/2 - (x^2 + z^2)/2 - y^2/2 - c y^3
         x' + y z' = 0
 
-    Nothing acts upon the driver: its energy is constant, and that of the pair x, z.  With `c = 0` it
-    is `contact_oscillator`; otherwise the driver swings out of centre, by which the energy of the
-    pair drifts under most integrators.
+    Nothing acts upon the driver: its energy is constant, and that of the pair x, z.  With `c = 0`
+    it is `contact_oscillator`; otherwise the driver swings out of centre, by which the energy of
+    the pair drifts under most integrators.
 
     Parameters
     ----------

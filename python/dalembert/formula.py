@@ -1,8 +1,8 @@
-"""Formulas in plain text, as systems carry them, read and written as MathML.
+"""Formulas in plain text, as systems carry them: reading them, and writing them as MathML.
 
 ``v_theta^2/2`` is a half of the square of the velocity of theta; a blank is a product, a name with
-a bracket at it a function: ``J v_theta^2``, ``m (v_x + v_y)``, ``sqrt(A B)``.  ``sum_i(y_i z_i)`` is
-a sum over i.  A quotient has all before it, up to a sign, above its line.
+a bracket at it a function: ``J v_theta^2``, ``m (v_x + v_y)``, ``sqrt(A B)``.  ``sum_i(y_i z_i)``
+is a sum over i.  A quotient has all before it, up to a sign, above its line.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass
 
-__all__ = ["mathml", "names"]
+__all__ = ["Node", "mathml", "names", "read"]
 
 _TOKENS = re.compile(
     r"\s*(?:(?P<number>\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
@@ -22,8 +22,8 @@ _TOKENS = re.compile(
 
 GREEK = dict(
     zip(
-        "alpha beta gamma delta epsilon eps zeta eta theta iota kappa lambda mu nu xi omicron pi rho "
-        "sigma tau upsilon phi chi psi omega".split(),
+        "alpha beta gamma delta epsilon eps zeta eta theta iota kappa lambda mu nu xi omicron pi "
+        "rho sigma tau upsilon phi chi psi omega".split(),
         "αβγδεεζηθικλμνξοπρστυφχψω",
     )
 )
@@ -75,6 +75,123 @@ def names(text: str) -> set[str]:
     return {token.text for token in _tokens(text) if token.kind == "name"}
 
 
+@dataclass(frozen=True)
+class Node:
+    """A part of a formula.
+
+    Attributes
+    ----------
+    kind : str
+        "number", "name", "call" (of a function), "power", "product", "quotient", "sum", "minus"
+        (the negative), "bracket", "equation", or "list" (with commas).
+    text : str
+        Of a number, a name, the name of a function.
+    parts : tuple of Node
+    """
+
+    kind: str
+    text: str = ""
+    parts: tuple[Node, ...] = ()
+
+
+def read(text: str) -> Node:
+    """Return a formula as a tree.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+
+    Examples
+    --------
+    >>> from dalembert import formula
+    >>> [part.text for part in formula.read("2 x").parts]
+    ['2', 'x']
+    """
+    return _Reader(text).all()
+
+
+class _Reader:
+    """Reads a formula from left to right."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.tokens = _tokens(text)
+        self.place = 0
+
+    @property
+    def next(self) -> str:
+        """Kind of the next token."""
+        return self.tokens[self.place].kind
+
+    def take(self, *kinds: str) -> _Token:
+        """Return the next token, which has to be of some kind."""
+        token = self.tokens[self.place]
+        if token.kind not in kinds:
+            raise ValueError(f"formula = {self.text!r}: {token.text!r} out of place")
+        self.place += 1
+        return token
+
+    def several(self, sign: str, kind: str) -> Node:
+        """Sums with a sign between them."""
+        parts = [self.sum()]
+        while self.next == sign:
+            self.take(sign)
+            parts.append(self.sum())
+        return parts[0] if len(parts) == 1 else Node(kind, parts=tuple(parts))
+
+    def all(self) -> Node:
+        found = self.several("=", "equation")
+        self.take("end")
+        return found
+
+    def sum(self) -> Node:
+        parts = []
+        while not parts or self.next in ("-", "+"):
+            sign = self.take("-", "+").kind if self.next in ("-", "+") else "+"
+            term = self.term()
+            parts.append(Node("minus", parts=(term,)) if sign == "-" else term)
+        return parts[0] if len(parts) == 1 else Node("sum", parts=tuple(parts))
+
+    def term(self) -> Node:
+        """Factors, and quotients of what stands before by the next factor."""
+        factors = [self.factor()]
+        while self.next in ("number", "name", "function", "(", "/"):
+            if self.next == "/":
+                self.take("/")
+                factors = [Node("quotient", parts=(_product(factors), self.factor()))]
+            else:
+                factors.append(self.factor())
+        return _product(factors)
+
+    def factor(self) -> Node:
+        base = self.base()
+        if self.next != "^":
+            return base
+        self.take("^")
+        if self.next == "-":
+            self.take("-")
+            return Node("power", parts=(base, Node("minus", parts=(self.base(),))))
+        return Node("power", parts=(base, self.base()))
+
+    def base(self) -> Node:
+        token = self.take("number", "name", "function", "(")
+        if token.kind in ("number", "name"):
+            return Node(token.kind, token.text)
+        inside = self.several(",", "list")
+        self.take(")")
+        if token.kind == "(":
+            return Node("bracket", parts=(inside,))
+        return Node("call", token.text, (inside,))
+
+
+def _product(factors: list[Node]) -> Node:
+    return factors[0] if len(factors) == 1 else Node("product", parts=tuple(factors))
+
+
+# ---- MathML --------------------------------------------------------------------------------------
+
+
 def mathml(text: str, coordinates: Collection[str] = ()) -> str:
     """Return a formula as MathML, a line of its own; as code, if it cannot be read.
 
@@ -94,106 +211,68 @@ def mathml(text: str, coordinates: Collection[str] = ()) -> str:
     '<code>x?</code>'
     """
     try:
-        return f'<math display="block">{_Reader(text, coordinates).equation()}</math>'
+        tree = read(text)
     except ValueError:
         return f"<code>{html.escape(text)}</code>"
+    return f'<math display="block">{_Writer(coordinates).write(tree)}</math>'
 
 
-class _Reader:
-    """Reads a formula from left to right, and returns the MathML of its parts."""
+class _Writer:
+    """Writes the parts of a formula."""
 
-    def __init__(self, text: str, coordinates: Collection[str]) -> None:
-        self.text = text
+    def __init__(self, coordinates: Collection[str]) -> None:
         self.coordinates = set(coordinates)
-        self.tokens = _tokens(text)
-        self.place = 0
 
-    @property
-    def next(self) -> _Token:
-        return self.tokens[self.place]
+    def write(self, node: Node) -> str:
+        parts = [self.write(part) for part in node.parts]
+        match node.kind:
+            case "number":
+                return f"<mn>{node.text}</mn>"
+            case "name":
+                return self.name(node.text)
+            case "call":
+                return self.call(node.text, parts[0])
+            case "power":
+                return f"<msup>{parts[0]}{self.bare(node.parts[1])}</msup>"
+            case "product":
+                return _row(parts, '<mspace width="0.17em"></mspace>')
+            case "quotient":
+                return f"<mfrac>{self.bare(node.parts[0])}{self.bare(node.parts[1])}</mfrac>"
+            case "minus":
+                return _row(["<mo>−</mo>", parts[0]])
+            case "sum":
+                signs = ["" if part.kind == "minus" else "<mo>+</mo>" for part in node.parts]
+                return _row([signs[k] + x if k else x for k, x in enumerate(parts)])
+            case "bracket":
+                return _bracketed(parts[0])
+            case "equation":
+                return _row(parts, "<mo>=</mo>")
+            case _:
+                return _row(parts, "<mo>,</mo>")
 
-    def take(self, *kinds: str) -> _Token:
-        """Return the next token, which has to be of some kind."""
-        token = self.next
-        if token.kind not in kinds:
-            raise ValueError(f"formula = {self.text!r}: {token.text!r} out of place")
-        self.place += 1
-        return token
+    def bare(self, node: Node) -> str:
+        """What stands above or below a line, or as an exponent: without brackets."""
+        return self.write(node.parts[0] if node.kind == "bracket" else node)
 
-    def equation(self) -> str:
-        parts = [self.sum()]
-        while self.next.kind in ("=", ","):
-            sign = self.take("=", ",").text
-            parts += [f"<mo>{sign}</mo>", self.sum()]
-        self.take("end")
-        return _row(parts)
-
-    def sum(self) -> str:
-        parts = []
-        if self.next.kind in ("-", "+"):
-            parts.append(_sign(self.take("-", "+").text))
-        parts.append(self.term())
-        while self.next.kind in ("-", "+"):
-            parts += [_sign(self.take("-", "+").text), self.term()]
-        return _row(parts)
-
-    def term(self) -> str:
-        """Factors, and quotients of what stands before by the next factor."""
-        factors = [self.factor()]
-        while self.next.kind in ("number", "name", "function", "(", "/"):
-            if self.next.kind == "/":
-                self.take("/")
-                above = _bare(_row(_spaced(factors)))
-                factors = [f"<mfrac>{above}{_bare(self.factor())}</mfrac>"]
-            else:
-                factors.append(self.factor())
-        return _row(_spaced(factors))
-
-    def factor(self) -> str:
-        base = self.base()
-        if self.next.kind != "^":
-            return base
-        self.take("^")
-        exponent = _sign(self.take("-").text) if self.next.kind == "-" else ""
-        exponent = _row([x for x in (exponent, _bare(self.base())) if x])
-        return f"<msup>{base}{exponent}</msup>"
-
-    def base(self) -> str:
-        token = self.take("number", "name", "function", "(")
-        if token.kind == "number":
-            return f"<mn>{token.text}</mn>"
-        if token.kind == "name":
-            return self.name(token.text)
-        if token.kind == "(":
-            return _bracketed(self.closed())
-        if token.text == "sqrt":
-            return f"<msqrt>{self.closed()}</msqrt>"
-        if token.text.startswith("sum_"):
-            index = token.text.removeprefix("sum_")
-            inside = _bracketed(self.closed())
-            return _row([f"<munder><mo>∑</mo>{_letter(index)}</munder>", inside])
-        return _row([self.name(token.text), "<mo>&#x2061;</mo>", _bracketed(self.closed())])
-
-    def closed(self) -> str:
-        parts = [self.sum()]
-        while self.next.kind == ",":
-            self.take(",")
-            parts += ["<mo>,</mo>", self.sum()]
-        self.take(")")
-        return _row(parts)
+    def call(self, name: str, inside: str) -> str:
+        if name == "sqrt":
+            return f"<msqrt>{inside}</msqrt>"
+        if name.startswith("sum_"):
+            index = _letter(name.removeprefix("sum_"))
+            return _row([f"<munder><mo>∑</mo>{index}</munder>", _bracketed(inside)])
+        return _row([self.name(name), _bracketed(inside)], "<mo>&#x2061;</mo>")
 
     def name(self, text: str) -> str:
         """A letter with its indices; with a dot, if it is the velocity of a coordinate."""
         dot = text.startswith("v_") and self.is_coordinate(text.removeprefix("v_"))
         letter, _, index = (text.removeprefix("v_") if dot else text).partition("_")
-        number = re.search(r"\d*$", letter)
-        digits = number[0] if number and number.start() > 0 else ""
-        base = _letter(letter.removesuffix(digits) if digits else letter)
+        digits = re.sub(r"^.*?\D(?=\d*$)", "", letter)
+        base = _letter(letter.removesuffix(digits))
         if dot:
             base = f"<mover>{base}<mo>˙</mo></mover>"
-        parts = [f"<mn>{digits}</mn>"] if digits else []
-        parts += [_index(part) for part in index.split("_") if part]
-        return f"<msub>{base}{_row(parts)}</msub>" if parts else base
+        below = [f"<mn>{digits}</mn>"] if digits else []
+        below += [_index(part) for part in index.split("_") if part]
+        return f"<msub>{base}{_row(below)}</msub>" if below else base
 
     def is_coordinate(self, text: str) -> bool:
         """Whether this is a coordinate, or ``theta_i`` where there are theta0, theta1, ..."""
@@ -203,16 +282,8 @@ class _Reader:
         return index == "i" and any(re.fullmatch(rf"{letter}\d+", x) for x in self.coordinates)
 
 
-def _row(parts: list[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"<mrow>{''.join(parts)}</mrow>"
-
-
-def _spaced(factors: list[str]) -> list[str]:
-    """Factors with a thin space between them, which a reader needs: m a, not ma."""
-    spaced = factors[:1]
-    for factor in factors[1:]:
-        spaced += ['<mspace width="0.17em"></mspace>', factor]
-    return spaced
+def _row(parts: list[str], between: str = "") -> str:
+    return parts[0] if len(parts) == 1 else f"<mrow>{between.join(parts)}</mrow>"
 
 
 def _bracketed(inside: str) -> str:
@@ -221,31 +292,15 @@ def _bracketed(inside: str) -> str:
     return f"<mrow><mo{size}>(</mo>{inside}<mo{size}>)</mo></mrow>"
 
 
-def _bare(row: str) -> str:
-    """What stands above or below a line, or as an exponent, without the brackets around all."""
-    match = re.fullmatch(r"<mrow><mo[^>]*>\(</mo>(.*)<mo[^>]*>\)</mo></mrow>", row)
-    if match is None:
-        return row
-    depth = 0
-    for bracket in re.findall(r">([()])<", match[1]):
-        depth += 1 if bracket == "(" else -1
-        if depth < 0:
-            return row
-    return match[1]
-
-
-def _sign(text: str) -> str:
-    return f"<mo>{'−' if text == '-' else text}</mo>"
-
-
 def _letter(text: str) -> str:
     return f"<mi>{GREEK.get(text, text)}</mi>"
 
 
 def _index(text: str) -> str:
-    if text.startswith("("):
-        return "".join(
-            f"<mn>{x}</mn>" if x.isdigit() else _sign(x) if x in "+-" else _letter(x)
-            for x in re.findall(r"\d+|[-+]|[A-Za-z]+", text)
-        )
-    return f"<mn>{text}</mn>" if text.isdigit() else _letter(text)
+    """An index: a number, a letter, or (i-1)."""
+    found = [
+        f"<mn>{x}</mn>" if x.isdigit() else f"<mo>{x.replace('-', '−')}</mo>" if x in "+-"
+        else _letter(x)
+        for x in re.findall(r"\d+|[-+]|[A-Za-z]+", text)
+    ]  # fmt: skip
+    return _row(found)
