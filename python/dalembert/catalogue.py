@@ -99,11 +99,14 @@ def roller_racer(
         -sin(theta + phi) x' + cos(theta + phi) y' + (d1 cos(phi) + d2) theta' + d2 phi' = 0
 
     Beside the energy there is one more invariant, which is not among those of the system because
-    there is an elliptic integral in it: `atan2(sqrt(1 + N K/d2^2) (u sin(phi) - d1 v_theta
-    cos(phi)), d1 u cos(phi) sqrt(m/J) + v_theta sin(phi) sqrt(J/m))` less the integral of
-    `d1/(sqrt(m J) N sqrt(1 + N K/d2^2))` over phi, with `N = sin(phi)^2/m + (d1 cos(phi))^2/J` and
-    the speed u along the heading.  The handle comes to rest in the end, and the racer goes round in
-    a circle.
+    there is an elliptic integral in it.  It stands in the docstring, where u is the speed along the
+    heading, and N is `sin(phi)^2/m + d1^2 cos(phi)^2/J`::
+
+        atan2(sqrt(1 + K N/d2^2) (u sin(phi) - d1 theta' cos(phi)),
+              d1 u cos(phi) sqrt(m/J) + theta' sin(phi) sqrt(J/m))
+        - integral of d1/(sqrt(m J) N sqrt(1 + K N/d2^2)) over phi
+
+    The handle comes to rest in the end, and the racer goes round in a circle.
 
     Parameters
     ----------

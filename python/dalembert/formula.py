@@ -191,6 +191,8 @@ def _product(factors: list[Node]) -> Node:
 
 # ---- MathML --------------------------------------------------------------------------------------
 
+LINE = 70  # letters of a formula in one line
+
 
 def mathml(text: str, coordinates: Collection[str] = ()) -> str:
     """Return a formula as MathML, a line of its own; as code, if it cannot be read.
@@ -241,14 +243,39 @@ class _Writer:
             case "minus":
                 return _row(["<mo>−</mo>", parts[0]])
             case "sum":
-                signs = ["" if part.kind == "minus" else "<mo>+</mo>" for part in node.parts]
-                return _row([signs[k] + x if k else x for k, x in enumerate(parts)])
+                return _row(self.terms(node))
             case "bracket":
                 return _bracketed(parts[0])
             case "equation":
-                return _row(parts, "<mo>=</mo>")
+                return self.equation(node, parts)
             case _:
                 return _row(parts, "<mo>,</mo>")
+
+    def terms(self, node: Node) -> list[str]:
+        """The terms of a sum, each with the sign before it."""
+        found = []
+        for k, part in enumerate(node.parts):
+            sign = "<mo>−</mo>" if part.kind == "minus" else "<mo>+</mo>" if k else ""
+            found.append(sign + self.write(part.parts[0] if part.kind == "minus" else part))
+        return found
+
+    def equation(self, node: Node, parts: list[str]) -> str:
+        """In one line; with a long sum at its end in several, broken before a sign."""
+        last = node.parts[-1]
+        if last.kind != "sum" or sum(map(_length, parts)) <= LINE:
+            return _row(parts, "<mo>=</mo>")
+        lines = [""]
+        for term in self.terms(last):
+            if lines[-1] and _length(lines[-1]) + _length(term) > LINE:
+                lines.append("")
+            lines[-1] += term
+        left = [_row([*parts[:-1], ""], "<mo>=</mo>"), *[""] * (len(lines) - 1)]
+        rows = (
+            f'<mtr><mtd style="text-align: right">{a}</mtd>'
+            f'<mtd style="text-align: left"><mrow>{b}</mrow></mtd></mtr>'
+            for a, b in zip(left, lines)
+        )
+        return f'<mtable displaystyle="true">{"".join(rows)}</mtable>'
 
     def bare(self, node: Node) -> str:
         """What stands above or below a line, or as an exponent: without brackets."""
@@ -260,7 +287,7 @@ class _Writer:
         if name.startswith("sum_"):
             index = _letter(name.removeprefix("sum_"))
             return _row([f"<munder><mo>∑</mo>{index}</munder>", _bracketed(inside)])
-        return _row([self.name(name), _bracketed(inside)], "<mo>&#x2061;</mo>")
+        return _row([_letter(name), _bracketed(inside)], "<mo>&#x2061;</mo>")
 
     def name(self, text: str) -> str:
         """A letter with its indices; with a dot, if it is the velocity of a coordinate."""
@@ -280,6 +307,11 @@ class _Writer:
             return True
         letter, _, index = text.rpartition("_")
         return index == "i" and any(re.fullmatch(rf"{letter}\d+", x) for x in self.coordinates)
+
+
+def _length(text: str) -> int:
+    """How many letters are seen; those of a fraction count as if they stood side by side."""
+    return len(re.sub("<[^>]*>", "", text))
 
 
 def _row(parts: list[str], between: str = "") -> str:

@@ -39,9 +39,10 @@ CSS = """
 .card p { margin: 0 0 .3rem; font-size: .92rem; line-height: 1.4; }
 .card .note { font: .8rem/1.4 system-ui, sans-serif; }
 .card figure { margin: 0; }
-math { font-family: math, "Cambria Math", "STIX Two Math", "Latin Modern Math", serif; }
+math { font-family: math, "Cambria Math", "STIX Two Math", "Latin Modern Math", "STIX Math",
+       serif; }
 .formulas { overflow-x: auto; padding: .2rem 0; }
-.formulas math { margin: .5rem 0 .5rem 1.5rem; width: max-content; font-size: 1.08em; }
+.formulas math { margin: .7rem 0 .7rem 1.5rem; width: max-content; font-size: 1.08em; }
 td math { font-size: 1.15em; }
 .facts td { vertical-align: top; padding: .12rem 1.1rem .12rem 0; }
 .facts td + td { white-space: normal; }
@@ -417,7 +418,7 @@ def _invariant(system: System, name: str) -> str:
     if found <= known:
         return shown
     expression = model.formula(model.invariants[system.invariants.index(name)])
-    return f"{shown}<br>= {_cell(expression, system)}"
+    return f"{shown}<br>= {_inline(expression, system)}"
 
 
 def _digits(x: float) -> str:

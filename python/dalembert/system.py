@@ -317,6 +317,8 @@ class System:
             }
         c_names, kept = _lib.strings(names)
         about = {"name": name, "help": help, "description": description, "source": source}
+        if isinstance(formulas, str):
+            raise ValueError(f"formulas = {formulas!r}: expected several lines")
         lines = [arguments.text(line, "formulas") for line in formulas]
         texts = _texts({**about, "formulas": "\n".join(lines)})
         definition = ffi.new(

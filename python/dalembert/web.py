@@ -67,15 +67,16 @@ def figure(width: float, height: float, layout: str | None = "constrained") -> A
 
 
 def svg(figure: Any, name: str, label: str, caption: str = "") -> str:
-    """Return a figure as inline SVG: ids that begin with the name, a fixed salt and no date.
+    """Return a figure as inline SVG: ids that begin with the name, a fixed salt, no date.
 
     The label is what a reader hears who does not see it; caption as HTML.
     """
     import matplotlib
 
     buffer = io.StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
+        figure.savefig(buffer, format="svg", metadata=nothing)
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", text)
