@@ -5,6 +5,7 @@ A page is self-contained: no script, no network, the same bytes every time.
 
 from __future__ import annotations
 
+import functools
 import html
 import re
 import warnings
@@ -24,9 +25,10 @@ from .table import number
 
 __all__ = ["available", "page", "write"]
 
-# The typical run, and the accurate one that is compared with what is known.
-SCHEME, STEP, STEPS = "leapfrog", 0.02, 1000
-FINE, FINE_STEP, TIMES = "leapfrog-kl8", 0.05, (1, 10)
+# The typical run, and the accurate one; the times at which both are compared with what is known.
+END, TIMES = 20, (1, 10)
+SCHEME, STEP = "leapfrog", 0.02
+FINE, FINE_STEP = "leapfrog-kl8", 0.05
 SHOWN = 8  # coordinates over time, at most
 
 CSS = """
@@ -116,7 +118,7 @@ def write(
         for k, (x, name) in enumerate(zip(found, names)):
             show(k)
             system = x if isinstance(x, System) else systems.get(x)
-            run = _run(system, SCHEME, STEP, STEPS)
+            run = _run(system, SCHEME, STEP)
             paths.append(place / f"{name}.html")
             paths[-1].write_text(_page(system, run, names), encoding="utf-8")
             cards.append(_card(system, run))
@@ -163,7 +165,7 @@ def page(system: System) -> str:
     plot.require_matplotlib()
     require_system(system)
     _require_start(system)
-    return _page(system, _run(system, SCHEME, STEP, STEPS), ())
+    return _page(system, _run(system, SCHEME, STEP), ())
 
 
 def _require_start(system: System) -> None:
@@ -176,11 +178,11 @@ def _slug(system: System) -> str:
     return re.sub(r"[^A-Za-z0-9_-]", "_", system.name)
 
 
-def _run(system: System, scheme: str, h: float, steps: int) -> Solution:
+def _run(system: System, scheme: str, h: float) -> Solution:
     """Return a run, or as much of it as there is."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", _lib.DalembertWarning)  # the page shows what it would say
-        return integrate(system, scheme, h=h, steps=steps, throw=False)
+        return integrate(system, scheme, h=h, t_end=END, throw=False)
 
 
 # ---- the index ---------------------------------------------------------------------------------
@@ -223,6 +225,7 @@ def _card(system: System, run: Solution) -> str:
 
 def _page(system: System, run: Solution, names: Sequence[str]) -> str:
     text = html.escape
+    runs = (run, _run(system, FINE, FINE_STEP))
     back = '<a href="index.html">catalogue</a>' if names else "system"
     parts = [
         f'<p class="eyebrow">dalembert {back}</p>',
@@ -234,9 +237,9 @@ def _page(system: System, run: Solution, names: Sequence[str]) -> str:
         _picture(system, run),
         _facts(system),
         _start(system),
-        _invariants(system, run),
+        _invariants(system, runs),
         _known(system),
-        _accuracy(system, run),
+        _accuracy(system, runs),
         _reproduce(system, run),
         _links(system, names),
     ]
@@ -373,10 +376,8 @@ def _conserves(system: System) -> bool:
     return system.kind == "linear" and not system.is_forced
 
 
-def _invariants(system: System, run: Solution) -> str:
+def _invariants(system: System, runs: Sequence[Solution]) -> str:
     """The first integrals, and how far they drift in the typical run and in the accurate one."""
-    fine = _run(system, FINE, FINE_STEP, round(STEPS * STEP / FINE_STEP))
-    runs = (run, fine)
     values = [system.invariant(x.q, x.v) for x in runs]
     rows = []
     if _conserves(system):
@@ -400,7 +401,7 @@ def _invariants(system: System, run: Solution) -> str:
     )
     return (
         f"<h2>Invariants</h2>\n{_table(rows, head)}\n{note}"
-        f'<p class="note">The drift is the largest change from t = 0 to {STEPS * STEP:g}.</p>'
+        f'<p class="note">The drift is the largest change from t = 0 to {END}.</p>'
     )
 
 
@@ -457,13 +458,11 @@ def _known(system: System) -> str:
     )
 
 
-def _accuracy(system: System, run: Solution) -> str:
+def _accuracy(system: System, runs: Sequence[Solution]) -> str:
     """How far runs are from the exact solution and from the reference."""
     states = {x.t: np.array([*x.q, *x.v], dtype=float) for x in _known_states(system)}
-    fine = _run(system, FINE, FINE_STEP, round(TIMES[-1] / FINE_STEP))
     subjects = [
-        (f"{SCHEME}, h = {STEP:g}", lambda t: _state(run, t)),
-        (f"{FINE}, h = {FINE_STEP:g}", lambda t: _state(fine, t)),
+        (f"{run.scheme.name}, h = {run.h:g}", functools.partial(_state, run)) for run in runs
     ]
     rows = []
     if system.has_exact:
@@ -593,7 +592,7 @@ def _draw_residual(run: Solution, ax: Any) -> None:
 
 
 def _caption(system: System, run: Solution) -> str:
-    words = [f"A typical run: {SCHEME} with h = {STEP:g} to t = {STEPS * STEP:g}."]
+    words = [f"A typical run: {SCHEME} with h = {STEP:g} to t = {END}."]
     if not run.success:
         words.append(f"It broke off at t = {run.t[-1]:g}: {html.escape(run.message)}.")
     shown = f"first {SHOWN} coordinates" if system.n > SHOWN else "coordinates"
@@ -654,7 +653,7 @@ def python_lines(system: System) -> str:
     return f"""import dalembert as dal
 
 system = dal.systems.{system.name}({values})
-run = dal.integrate(system, {SCHEME!r}, h={STEP!r}, steps={STEPS})
+run = dal.integrate(system, {SCHEME!r}, h={STEP!r}, t_end={END})
 print(run.x[-1])"""
 
 
@@ -694,7 +693,7 @@ def c_lines(system: System) -> str:
         return puts(error.text), 1;
     dal_system_state(system, x);
     if (dal_stepper_start(stepper, 0.0, {STEP!r}, x, DAL_CHECK, DAL_INITIAL_NONE)
-        || dal_advance(stepper, {STEPS}, NULL, NULL))
+        || dal_advance(stepper, {round(END / STEP)}, NULL, NULL))
         return puts(dal_stepper_message(stepper)), 1;
     for (int i = 0; i < {size}; i++) printf("%.17g\\n", dal_stepper_state(stepper)[i]);
     dal_stepper_free(stepper);

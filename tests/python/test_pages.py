@@ -145,8 +145,8 @@ def test_invariants_and_their_drift(subject):
     """The numbers are those of the runs that the page names."""
     system, _, page = subject
     runs = [
-        dal.integrate(system, "leapfrog", h=0.02, steps=1000),
-        dal.integrate(system, "leapfrog-kl8", h=0.05, steps=400),
+        dal.integrate(system, "leapfrog", h=0.02, t_end=20),
+        dal.integrate(system, "leapfrog-kl8", h=0.05, t_end=20),
     ]
     drifts = [system.invariant(run.q, run.v) for run in runs]
     if system.kind == "linear":
@@ -212,7 +212,7 @@ def run_c(directory, text, *sources):
 def test_c_lines_make_the_run(parameters, tmp_path):
     system = dal.systems.sleigh(**parameters)
     end = run_c(tmp_path, dal.pages.page(system))
-    assert end == list(dal.integrate(system, "leapfrog", h=0.02, steps=1000).x[-1])
+    assert end == list(dal.integrate(system, "leapfrog", h=0.02, t_end=20).x[-1])
 
 
 def test_c_lines_of_a_system_in_sympy(tmp_path):
@@ -221,7 +221,7 @@ def test_c_lines_of_a_system_in_sympy(tmp_path):
     assert '.source = "K. Modin, O. Verdier' in source and '.formulas = "L = (v_x^2' in source
     (tmp_path / "cvt.c").write_text(source)
     end = run_c(tmp_path, dal.pages.page(system), "cvt.c")
-    assert end == list(dal.integrate(system, "leapfrog", h=0.02, steps=1000).x[-1])
+    assert end == list(dal.integrate(system, "leapfrog", h=0.02, t_end=20).x[-1])
 
 
 # ---- the index, and files ------------------------------------------------------------------------
@@ -248,21 +248,17 @@ def test_links_lead_somewhere(folder):
 
 
 def test_the_same_bytes_again(folder, tmp_path):
-    """In another process, whose sets are in another order."""
+    """In another process, whose sets are in another order; where only the links are others."""
     code = "import sys, dalembert as dal; dal.pages.write(sys.argv[1], sys.argv[2:])"
-    some = ["sleigh", "snakeboard", "two_wheeled_robot"]
-    again = []
-    for seed in ("1", "2"):
-        again.append(tmp_path / seed)
-        env = {**os.environ, "PYTHONHASHSEED": seed}
-        subprocess.run([sys.executable, "-c", code, str(again[-1]), *some], env=env, check=True)
-    for name in ("index", *some):
-        one, other = ((place / f"{name}.html").read_bytes() for place in again)
-        assert one == other
-    drawn = re.compile(r"<figure>.*?</figure>", re.S)  # the links are others
+    some = ["sleigh", "two_wheeled_robot"]
+    env = {**os.environ, "PYTHONHASHSEED": "1"}
+    subprocess.run([sys.executable, "-c", code, str(tmp_path), *some], env=env, check=True)
     for name in some:
-        texts = [(x / f"{name}.html").read_text("utf-8") for x in (folder, again[0])]
-        assert drawn.findall(texts[0]) == drawn.findall(texts[1])
+        one, other = (
+            re.sub("<nav>.*</nav>", "", (place / f"{name}.html").read_text("utf-8"))
+            for place in (folder, tmp_path)
+        )
+        assert one == other
 
 
 def test_pages_are_replaced_and_others_left_alone(tmp_path):

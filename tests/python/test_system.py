@@ -104,7 +104,7 @@ def test_description_source_and_formulas(own):
     system = own.system(**about)
     for one in (system, pickle.loads(pickle.dumps(system))):
         assert {key: getattr(one, key) for key in about} == about
-    deformed = system.deformed(lambda q, v: np.zeros(2), 0.1)
+    deformed = system.at_kept_nodes(0.1)
     assert (deformed.description, deformed.source, deformed.formulas) == ("", "", ())
 
 
