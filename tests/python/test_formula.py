@@ -163,6 +163,8 @@ def test_fractions_and_roots_lose_their_brackets():
     assert found.count("<mo") - found.count("<mo>+") == 2  # those of d
     assert re.search(r"<mfrac><mrow><mi>a</mi><mo>\+</mo><mi>b</mi></mrow>", found)
     assert "(" not in Words(formula.mathml("x^(a + b)")).text
+    above = re.search("<mfrac>(.*)<mn>2</mn></mfrac>", formula.mathml("a b/2 c"))
+    assert Words(above[1]).text == "ab"
     assert 'stretchy="false"' in formula.mathml("m (a + b)")
     assert 'stretchy="false"' not in formula.mathml("m (a/b)")
 

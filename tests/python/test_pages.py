@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import os
+import pickle
 import re
 import shutil
 import subprocess
@@ -136,6 +137,10 @@ def test_growth(subject):
     assert page.cell("growth vector").startswith(GROWTH[system.name])
     reaches = GROWTH[system.name].endswith(f" {system.n})")
     assert ("bracket generating" in page.words) == reaches
+    leaves = {"disguised": 6, "two_wheeled_robot": 4}.get(system.name)
+    assert ("foliation" in page.words) == (leaves is not None)
+    assert leaves is None or f"by leaves of dimension {leaves};" in page.words
+    assert ("were not formed" in page.words) == (system.name == "n_trailer")
     assert ("holonomic in disguise" in page.words) == (
         system.name in ("disguised", "two_wheeled_robot")
     )
@@ -298,9 +303,15 @@ def test_a_system_of_the_users_own(tmp_path):
 
 
 def test_a_library_system_with_other_parameters():
-    page = Page(dal.pages.page(dal.systems.steered_car(l=0.4)))
-    assert "dal.systems.steered_car(l=0.4)" in page.words
-    assert "Reference to 30 digits" not in page.words  # it is for the default parameters
+    short = dal.systems.steered_car(l=0.4)
+    for system in (
+        short,
+        dal.systems.steered_car().with_parameters(l=0.4),
+        pickle.loads(pickle.dumps(short)),
+    ):
+        page = Page(dal.pages.page(system))
+        assert "dal.systems.steered_car(l=0.4)" in page.words
+        assert "Reference to 30 digits" not in page.words  # it is for the default parameters
 
 
 @pytest.mark.parametrize("kind", ["free", "forced", "nonlinear"])
