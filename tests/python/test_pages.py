@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import html
 import os
 import pickle
@@ -118,29 +119,34 @@ def test_a_page_says_what_the_system_says(subject):
 
 
 GROWTH = {
-    "particle": "(2, 3)", "particle_oscillator": "(2, 3)", "knife_edge": "(2, 3)",
-    "sleigh": "(2, 3)", "sleigh_contact": "(2, 3)", "disk": "(2, 3, 4)", "heisenberg": "(2, 3)",
-    "contact_oscillator": "(2, 3)", "robot": "(2, 3, 4)", "chaotic": "(6, 7)",
-    "genmass": "(2, 3)", "rolling_disc": "(3, 4, 5)", "snakeboard": "(3, 4, 5)",
-    "n_trailer": "(2, 3, 4", "steered_car": "(2, 3, 4)", "roller_racer": "(2, 3, 4)",
-    "two_wheeled_robot": "(2, 3, 4, 4)", "cvt": "(2, 3)", "sleigh_with_rotor": "(3, 4)",
-    "disguised": "(6, 6)",
+    "particle": (2, 3), "particle_oscillator": (2, 3), "knife_edge": (2, 3), "sleigh": (2, 3),
+    "sleigh_contact": (2, 3), "disk": (2, 3, 4), "heisenberg": (2, 3),
+    "contact_oscillator": (2, 3), "robot": (2, 3, 4), "chaotic": (6, 7), "genmass": (2, 3),
+    "rolling_disc": (3, 4, 5), "snakeboard": (3, 4, 5), "n_trailer": (2, 3, 4),
+    "steered_car": (2, 3, 4), "roller_racer": (2, 3, 4), "two_wheeled_robot": (2, 3, 4, 4),
+    "cvt": (2, 3), "sleigh_with_rotor": (3, 4), "disguised": (6, 6),
 }  # fmt: skip
 
 
 def test_growth(subject):
-    """As known from literature: (2, 3) for contact structures and blades, (2, 3, 4) for wheels."""
+    """As in the literature: (2, 3) for contact structures and blades, (2, 3, 4) for wheels.
+
+    Of the trailers it goes on by one each; how far that is seen depends on the patience.
+    """
     system, _, page = subject
     if system.kind != "linear":
         assert system.name not in GROWTH and "growth" not in page.words
         return
-    assert page.cell("growth vector").startswith(GROWTH[system.name])
-    reaches = GROWTH[system.name].endswith(f" {system.n})")
-    assert ("bracket generating" in page.words) == reaches
-    leaves = {"disguised": 6, "two_wheeled_robot": 4}.get(system.name)
-    assert ("foliation" in page.words) == (leaves is not None)
-    assert leaves is None or f"by leaves of dimension {leaves};" in page.words
-    assert ("were not formed" in page.words) == (system.name == "n_trailer")
+    cell = page.cell("growth vector")
+    found = ast.literal_eval(cell.partition(":")[0])
+    known = GROWTH[system.name]
+    assert found[: len(known)] == known and (found == known or system.name == "n_trailer")
+    words = {
+        "D is bracket generating": found[-1] == system.n,
+        f"D lies in a foliation by leaves of dimension {found[-1]};": found[-1] == found[-2],
+        "further brackets were not formed": found[-2] < found[-1] < system.n,
+    }
+    assert {text for text, holds in words.items() if holds} == {x for x in words if x in cell}
     assert ("holonomic in disguise" in page.words) == (
         system.name in ("disguised", "two_wheeled_robot")
     )
