@@ -82,8 +82,8 @@ def write(
     Raises
     ------
     ValueError
-        If there is no system of a name, a system has no initial data, two have the same name, or
-        there are none.
+        If there is no system of a name, a system has no initial data, two have the same name, one
+        is called index, or there are none.
     ImportError
         If matplotlib is not installed, or SymPy and a system needs it; the text has the line to
         type.
@@ -105,6 +105,8 @@ def write(
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"chosen: {name} is there {names.count(name)} times")
+    if "index" in names:
+        raise ValueError("chosen: a system is called index, as the list of all pages is")
     for x, name in zip(found, names):
         if isinstance(x, System):
             _require_start(x)

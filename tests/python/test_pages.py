@@ -362,6 +362,7 @@ def test_refused(tmp_path, monkeypatch):
         (["disk", "disk"], "chosen: disk is there 2 times"),
         (["sleigh", dal.systems.sleigh()], "sleigh is there 2 times"),
         ([bare], "'bare' has no initial data"),
+        ([dal.System(mass=[1], q0=[0], v0=[1], name="index")], "a system is called index"),
         (["disk", 3], "no system 3"),
     ):
         with pytest.raises(ValueError, match=text):
