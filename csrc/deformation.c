@@ -122,6 +122,7 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
     def.kind = kind;
     def.missing = base->def.missing | missing;
     def.name = name;
+    def.description = def.source = def.formulas = NULL;
     def.state = NULL;
     def.exact = NULL;
     def.invariant = NULL;

@@ -141,7 +141,8 @@ typedef struct possessions {
 static void plan(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
 {
     const size_t n = def->n, square = def->mass ? dal__times(n, n) : 0;
-    size_t text = text_size(def->name ? def->name : "system") + text_size(def->help);
+    size_t text = text_size(def->name ? def->name : "system") + text_size(def->help)
+        + text_size(def->description) + text_size(def->source) + text_size(def->formulas);
     for (size_t i = 0; i < n; i++)
         text += def->coordinates ? text_size(def->coordinates[i]) : 24;
     for (size_t i = 0; i < def->invariants; i++) text += text_size(def->invariant_names[i]);
@@ -160,6 +161,9 @@ static void copy_names(dal_system *system, possessions *own, const dal_system_de
     char *end = own->text;
     system->def.name = copy_text(&end, def->name ? def->name : "system");
     system->def.help = copy_text(&end, def->help);
+    system->def.description = copy_text(&end, def->description);
+    system->def.source = copy_text(&end, def->source);
+    system->def.formulas = copy_text(&end, def->formulas);
     for (size_t i = 0; i < def->n; i++) {
         char generic[24];
         snprintf(generic, sizeof generic, "q%zu", i);
@@ -304,6 +308,9 @@ size_t dal_system_m(const dal_system *system) { return system->def.m; }
 unsigned dal_system_missing(const dal_system *system) { return system->def.missing; }
 const char *dal_system_name(const dal_system *system) { return system->def.name; }
 const char *dal_system_help(const dal_system *system) { return system->def.help; }
+const char *dal_system_description(const dal_system *system) { return system->def.description; }
+const char *dal_system_source(const dal_system *system) { return system->def.source; }
+const char *dal_system_formulas(const dal_system *system) { return system->def.formulas; }
 const double *dal_system_mass(const dal_system *system) { return system->mass; }
 dal_constraint_kind dal_system_kind(const dal_system *system) { return system->def.kind; }
 int dal_system_is_forced(const dal_system *system) { return system->def.force != NULL; }

@@ -17,7 +17,8 @@ typedef enum range { FINITE, POSITIVE, NOT_NEGATIVE, WHOLE } range;
 
 /* p is the array of the parameters; in outputs of mass and state stand zeros before the call. */
 typedef struct builtin {
-    const char *name, *help;
+    const char *name, *help, *description, *source;
+    const char *formulas; /* as of a dal_system_def */
     size_t n, m;
     const char *coordinates[MAX_COORDINATES];
     /* Instead of n, m and coordinates where they depend on the parameters: */

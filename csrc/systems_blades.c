@@ -80,6 +80,14 @@ static int knife_edge_invariant(const double *x, double *values, void *ctx)
 const builtin dal__knife_edge = {
     .name = "knife_edge",
     .help = "knife edge (mass m, inertia J) on an incline, x downhill with acceleration gs",
+    .description = "An edge (mass m, inertia J) at (x, y) with heading theta, which moves along "
+                   "itself only, on a plane that slopes down along x; gs is g times the sine of "
+                   "the slope. It turns uniformly, and so drifts sideways instead of sliding down.",
+    .source = "J. I. Neimark, N. A. Fufaev: Dynamics of Nonholonomic Systems, AMS, 1972; "
+              "A. M. Bloch: Nonholonomic Mechanics and Control, Springer, 2003",
+    .formulas = "L = (m (v_x^2 + v_y^2) + J v_theta^2)/2 + m gs x\n"
+                "v_x sin(theta) - v_y cos(theta) = 0\n"
+                "where u = v_x cos(theta) + v_y sin(theta)",
     .n = 3, .m = 1, .coordinates = {"x", "y", "theta"},
     .parameters = {"m", "J", "gs"}, .defaults = {2.0, 0.75, 2.5},
     .ranges = {POSITIVE, POSITIVE, FINITE},
@@ -215,6 +223,15 @@ static int sleigh_invariant(const double *x, double *values, void *ctx)
 const builtin dal__sleigh = {
     .name = "sleigh",
     .help = "Chaplygin sleigh (m, J), centre of mass a distance a ahead of the blade",
+    .description = "A body (mass m, inertia J) on a blade and two points that slide freely: (x, y) "
+                   "is the centre of mass, theta the heading, and the blade stands a distance a "
+                   "behind. It ends up going straight, blade behind for a > 0.",
+    .source = "S. A. Chaplygin: On the theory of motion of nonholonomic systems. The "
+              "reducing-multiplier theorem (1911), Regul. Chaotic Dyn. 13 (2008) 369-376",
+    .formulas = "L = (m (v_x^2 + v_y^2) + J v_theta^2)/2\n"
+                "v_y cos(theta) - v_x sin(theta) - a v_theta = 0\n"
+                "where u = v_x cos(theta) + v_y sin(theta)\n"
+                "where I = J + m a^2",
     .n = 3, .m = 1, .coordinates = {"x", "y", "theta"},
     .parameters = {"m", "J", "a"}, .defaults = {1.5, 0.8, 0.4},
     .ranges = {POSITIVE, POSITIVE, FINITE},
@@ -286,6 +303,16 @@ static int sleigh_contact_exact(double t, const double *x0, double *x, void *ctx
 const builtin dal__sleigh_contact = {
     .name = "sleigh_contact",
     .help = "the sleigh (m, J, a) by the point of its blade: its mass matrix depends on theta",
+    .description = "The body and the motion of `sleigh` (mass m, inertia J about the centre of "
+                   "mass), with (x, y) the point of the blade; the centre of mass is a distance a "
+                   "ahead.",
+    .source = "S. A. Chaplygin: On the theory of motion of nonholonomic systems. The "
+              "reducing-multiplier theorem (1911), Regul. Chaotic Dyn. 13 (2008) 369-376",
+    .formulas = "L = (m (v_x^2 + v_y^2) + I v_theta^2)/2 + m a v_theta w\n"
+                "v_y cos(theta) - v_x sin(theta) = 0\n"
+                "where u = v_x cos(theta) + v_y sin(theta)\n"
+                "where w = v_y cos(theta) - v_x sin(theta)\n"
+                "where I = J + m a^2",
     .n = 3, .m = 1, .coordinates = {"x", "y", "theta"},
     .parameters = {"m", "J", "a"}, .defaults = {1.5, 0.8, 0.4},
     .ranges = {POSITIVE, POSITIVE, FINITE},

@@ -51,6 +51,14 @@ static int contact_oscillator_invariant(const double *x, double *values, void *c
 const builtin dal__contact_oscillator = {
     .name = "contact_oscillator",
     .help = "oscillators x, z with coupling eps x^2 z^2, v_x = -y v_z driven by oscillator y",
+    .description = "Two oscillators x and z, coupled by the constraint and by a term of size eps "
+                   "in the potential. The ratio y of the gearbox between them is an oscillator of "
+                   "its own, which nothing acts upon. It starts with energy 3/2, of which y has "
+                   "1/2.",
+    .source = "R. McLachlan, M. Perlmutter: Integrators for nonholonomic mechanical systems, "
+              "J. Nonlinear Sci. 16 (2006) 283-328",
+    .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2 - (x^2 + y^2 + z^2 + eps x^2 z^2)/2\n"
+                "v_x + y v_z = 0",
     .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
     .parameters = {"eps"}, .defaults = {0.0}, .ranges = {NOT_NEGATIVE},
     .state = contact_oscillator_state,
@@ -164,6 +172,14 @@ static int chaotic_constraint(const double *q, const double *v, double *phi, dou
 const builtin dal__chaotic = {
     .name = "chaotic",
     .help = "chaotic quartic oscillator with v_x = -sum y_i v_zi; 2 pairs + 1 coordinates",
+    .description = "Oscillators `x`, `y_i` and `z_i` with i = 1, ..., pairs, coupled by quartic "
+                   "terms; without the term `z1^2 z2^2` for a single pair. It starts with one of "
+                   "the ten sets of data of energy 3.06 that the source has for three pairs.",
+    .source = "R. McLachlan, M. Perlmutter: Integrators for nonholonomic mechanical systems, "
+              "J. Nonlinear Sci. 16 (2006) 283-328",
+    .formulas = "L = (v_x^2 + sum_i(v_y_i^2 + v_z_i^2))/2 - (x^2 + z1^2 z2^2 + sum_i(y_i^2 + z_i^2 "
+                "+ y_i^2 z_i^2))/2\n"
+                "v_x + sum_i(y_i v_z_i) = 0",
     .sizes = chaotic_sizes, .coordinate = chaotic_coordinate,
     .parameters = {"pairs"}, .defaults = {3.0}, .ranges = {WHOLE}, .most = {1000},
     .state = chaotic_state,
@@ -241,6 +257,15 @@ static int genmass_constraint(const double *q, const double *v, double *phi, dou
 const builtin dal__genmass = {
     .name = "genmass",
     .help = "a general system: full mass matrix M(q), gyroscopic terms b(q) v, quartic potential",
+    .description = "No mechanism: a Lagrangian in which no term vanishes, to test what holds in "
+                   "general: a full mass matrix that depends on the coordinates, terms linear in "
+                   "the velocities, and a quartic potential.",
+    .source = "made up for the tests of this library",
+    .formulas = "L = ((2 + q2^2/4) v_q1^2 + (3/2 + cos(q1)/3) v_q2^2 + (1 + q1^2/3) v_q3^2)/2 "
+                "+ q3 v_q1 v_q2/5 + v_q1 v_q3/10 + q1 v_q2 v_q3/6 "
+                "+ q2 q3 v_q1/4 + sin(q1) v_q2/3 - q1 q2 v_q3/5 - V\n"
+                "-q2 v_q1 + (q1/2 + q3/4) v_q2 + (1 + q1^2/5) v_q3 = 0\n"
+                "where V = (q1^2 + 2 q2^2 + 3 q3^2/2)/2 + q1^4/4 + q1 q2 q3/5",
     .n = 3, .m = 1, .coordinates = {"q1", "q2", "q3"},
     .state = genmass_state,
     .lagrangian = genmass_lagrangian,

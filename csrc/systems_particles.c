@@ -71,6 +71,12 @@ static int particle_oscillator_invariant(const double *x, double *values, void *
 const builtin dal__particle = {
     .name = "particle",
     .help = "free particle with v_z = y v_x",
+    .description = "A particle of mass 1 in space, which climbs as it runs along x, the more the "
+                   "larger y is: the example of the paper that this library is after.",
+    .source = "R. M. Rosenberg: Analytical Dynamics of Discrete Systems, Plenum Press, 1977; "
+              "L. Bates, J. Śniatycki: Nonholonomic reduction, Rep. Math. Phys. 32 (1993) 99-115",
+    .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2\n"
+                "v_z - y v_x = 0",
     .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
     .state = particle_state,
     .constraint = particle_constraint, .steady = 1,
@@ -81,6 +87,14 @@ const builtin dal__particle = {
 const builtin dal__particle_oscillator = {
     .name = "particle_oscillator",
     .help = "particle with v_z = y v_x on springs k1, k2, k3",
+    .description = "The particle of `particle` on springs of stiffness k1, k2, k3 along x, y, z. "
+                   "The oscillator y is free, and drives the rest.",
+    .source = "J. Cortés, S. Martínez: Non-holonomic integrators, Nonlinearity 14 (2001) "
+              "1365-1392; L. C. García-Naranjo, M. Vermeeren: Structure preserving "
+              "discretization of time-reparametrized Hamiltonian systems with application to "
+              "nonholonomic mechanics, J. Comput. Dyn. 8 (2021) 241-271",
+    .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2 - (k1 x^2 + k2 y^2 + k3 z^2)/2\n"
+                "v_z - y v_x = 0",
     .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
     .parameters = {"k1", "k2", "k3"}, .defaults = {1.0, 2.0, 1.5},
     .ranges = {FINITE, FINITE, FINITE},
@@ -112,6 +126,14 @@ static int heisenberg_constraint(const double *q, const double *v, double *phi, 
 const builtin dal__heisenberg = {
     .name = "heisenberg",
     .help = "particle with v_z = x v_y - y v_x on springs k1, k2, k3",
+    .description = "A particle of mass 1 on springs of stiffness k1, k2, k3; D is the contact "
+                   "structure of the Heisenberg group. With k1 = k2 and k3 = 0 the constraint "
+                   "takes no force.",
+    .source = "R. W. Brockett: Control theory and singular Riemannian geometry, in: New Directions "
+              "in Applied Mathematics, Springer, 1982; A. M. Bloch: Nonholonomic Mechanics and "
+              "Control, Springer, 2003",
+    .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2 - (k1 x^2 + k2 y^2 + k3 z^2)/2\n"
+                "y v_x - x v_y + v_z = 0",
     .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
     .parameters = {"k1", "k2", "k3"}, .defaults = {1.0, 2.25, 0.5},
     .ranges = {FINITE, FINITE, FINITE},

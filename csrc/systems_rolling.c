@@ -74,6 +74,14 @@ static int disk_invariant(const double *x, double *values, void *ctx)
 const builtin dal__disk = {
     .name = "disk",
     .help = "vertical rolling disk of radius R; inertia I rolling (theta), J heading (phi)",
+    .description = "A disk of mass m and radius R that stays upright: (x, y) is the point of "
+                   "contact, theta the angle by which it has rolled (inertia I), phi its heading "
+                   "(inertia J). Both angles turn uniformly, and the path is a circle.",
+    .source = "J. I. Neimark, N. A. Fufaev: Dynamics of Nonholonomic Systems, AMS, 1972; "
+              "A. M. Bloch: Nonholonomic Mechanics and Control, Springer, 2003",
+    .formulas = "L = (m (v_x^2 + v_y^2) + I v_theta^2 + J v_phi^2)/2\n"
+                "v_x - R v_theta cos(phi) = 0\n"
+                "v_y - R v_theta sin(phi) = 0",
     .n = 4, .m = 2, .coordinates = {"x", "y", "theta", "phi"},
     .parameters = {"m", "I", "J", "R"}, .defaults = {1.2, 0.5, 0.3, 0.7},
     .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE},
@@ -124,6 +132,13 @@ static int robot_invariant(const double *x, double *values, void *ctx)
 const builtin dal__robot = {
     .name = "robot",
     .help = "rolling robot with V = k sin(theta); inertia I heading (phi), J rolling (theta)",
+    .description = "A robot of mass m on wheels of radius R: (x, y) is its place, phi its heading "
+                   "(inertia I), theta the angle by which the wheels have rolled (inertia J), on "
+                   "which a torque from the potential k sin(theta) acts.",
+    .source = "J. Cortés, S. Martínez: Non-holonomic integrators, Nonlinearity 14 (2001) 1365-1392",
+    .formulas = "L = (m (v_x^2 + v_y^2) + I v_phi^2 + J v_theta^2)/2 - k sin(theta)\n"
+                "v_x - R v_theta cos(phi) = 0\n"
+                "v_y - R v_theta sin(phi) = 0",
     .n = 4, .m = 2, .coordinates = {"x", "y", "phi", "theta"},
     .parameters = {"m", "I", "J", "R", "k"}, .defaults = {1.0, 1.0, 1.0, 1.0, 10.0},
     .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE, FINITE},
@@ -230,6 +245,18 @@ static int rolling_disc_constraint(const double *q, const double *v, double *phi
 const builtin dal__rolling_disc = {
     .name = "rolling_disc",
     .help = "rolling disc that may lean and fall, unlike disk; inertia A diametral, C axial",
+    .description = "A disc of mass m and radius r under gravity g: (x, y) lies below its centre, "
+                   "alpha is the yaw, beta the lean (0: upright), gamma the spin; inertia A about "
+                   "a diameter, C about the axis. It starts in a steady circle about the origin.",
+    .source = "O. M. O'Reilly: The dynamics of rolling disks and sliding disks, Nonlinear Dyn. 10 "
+              "(1996) 287-305; the steady circle after C. Le Saux, R. I. Leine, C. Glocker: "
+              "Dynamics of a rolling disk in the presence of dry friction, J. Nonlinear Sci. 15 "
+              "(2005) 27-61",
+    .formulas = "L = (m (v_x^2 + v_y^2 + r^2 sin(beta)^2 v_beta^2) + A (v_beta^2 + cos(beta)^2 "
+                "v_alpha^2) + C omega^2)/2 - m g r cos(beta)\n"
+                "v_x - r omega cos(alpha) - r v_beta cos(beta) sin(alpha) = 0\n"
+                "v_y - r omega sin(alpha) + r v_beta cos(beta) cos(alpha) = 0\n"
+                "where omega = v_gamma + v_alpha sin(beta)",
     .n = 5, .m = 2, .coordinates = {"x", "y", "alpha", "beta", "gamma"},
     .parameters = {"m", "r", "A", "C", "g"}, .defaults = {1.0, 1.0, 0.25, 0.5, 9.81},
     .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE, NOT_NEGATIVE},
@@ -325,6 +352,18 @@ static int ball_invariant(const double *x, double *values, void *ctx)
 const builtin dal__ball_on_table = {
     .name = "ball_on_table",
     .help = "homogeneous ball (m, J, radius a) on a table that turns by Omega: affine constraints",
+    .description = "A ball of mass m, inertia J and radius a that rolls on a table, which turns by "
+                   "Omega about the origin: (x, y) is the point of contact, `theta_x`, "
+                   "`theta_y`, `theta_z` are the integrals of the angular velocity. The centre "
+                   "goes round in a circle. The table does work, so the energy is not constant; "
+                   "the last of the invariants takes its place.",
+    .source = "J. I. Neimark, N. A. Fufaev: Dynamics of Nonholonomic Systems, AMS, 1972; F. Fassò, "
+              "N. Sansonetto: Conservation of 'moving' energy in nonholonomic systems with affine "
+              "constraints and integrability of spheres on rotating surfaces, J. Nonlinear Sci. 26 "
+              "(2016) 519-544",
+    .formulas = "L = (m (v_x^2 + v_y^2) + J (v_theta_x^2 + v_theta_y^2 + v_theta_z^2))/2\n"
+                "v_x - a v_theta_y + Omega y = 0\n"
+                "v_y + a v_theta_x - Omega x = 0",
     .n = 5, .m = 2, .coordinates = {"x", "y", "theta_x", "theta_y", "theta_z"},
     .parameters = {"m", "J", "a", "Omega"}, .defaults = {1.0, 0.1, 0.5, 1.0},
     .ranges = {POSITIVE, POSITIVE, POSITIVE, FINITE},

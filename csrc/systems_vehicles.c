@@ -74,6 +74,18 @@ static int snakeboard_invariant(const double *x, double *values, void *ctx)
 const builtin dal__snakeboard = {
     .name = "snakeboard",
     .help = "snakeboard (m, half length r) with rotor J0 (psi) and axles J1 turned by phi and -phi",
+    .description = "A board with middle (x, y) and heading theta, a rotor at angle psi to it "
+                   "(inertia J0), and an axle (inertia J1) at either end, a distance r from the "
+                   "middle and turned by phi and -phi. m is the mass of all, and `m r^2` the "
+                   "inertia of all about the middle, which is larger than J0.",
+    .source = "J. Ostrowski, A. Lewis, R. Murray, J. Burdick: Nonholonomic mechanics and "
+              "locomotion: the snakeboard example, IEEE Int. Conf. Robot. Autom. (1994); "
+              "A. M. Bloch, P. S. Krishnaprasad, J. E. Marsden, R. M. Murray: Nonholonomic "
+              "mechanical systems with symmetry, Arch. Ration. Mech. Anal. 136 (1996) 21-99",
+    .formulas = "L = (m (v_x^2 + v_y^2 + r^2 v_theta^2) + J0 v_psi^2)/2 + J0 v_psi v_theta "
+                "+ J1 v_phi^2\n"
+                "v_y cos(theta + phi) - v_x sin(theta + phi) - r v_theta cos(phi) = 0\n"
+                "v_y cos(theta - phi) - v_x sin(theta - phi) + r v_theta cos(phi) = 0",
     .n = 5, .m = 2, .coordinates = {"x", "y", "theta", "psi", "phi"},
     .parameters = {"m", "r", "J0", "J1"}, .defaults = {1.0, 0.5, 0.1, 0.05},
     .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE},
@@ -258,6 +270,18 @@ static int n_trailer_invariant(const double *x, double *values, void *ctx)
 const builtin dal__n_trailer = {
     .name = "n_trailer",
     .help = "axle that pulls a chain of trailers on bars of length d; each has mass m, inertia J",
+    .description = "Axles 0, 1, ..., trailers of mass m and inertia J in a chain: (x, y) is the "
+                   "middle of the first, `theta_i` the heading of axle i, and each hangs on the "
+                   "one before by a bar of length d along its own heading. All move along "
+                   "themselves only; `u_i` and `w_i` are the velocity of axle i.",
+    .source = "A. Bravo-Doddoli, L. C. García-Naranjo: The dynamics of an articulated n-trailer "
+              "vehicle, Regul. Chaotic Dyn. 20 (2015) 497-517",
+    .formulas = "L = sum_i(m (u_i^2 + w_i^2) + J v_theta_i^2)/2\n"
+                "w_i cos(theta_i) - u_i sin(theta_i) = 0\n"
+                "where u_0 = v_x\n"
+                "where w_0 = v_y\n"
+                "where u_i = u_(i-1) + d v_theta_i sin(theta_i)\n"
+                "where w_i = w_(i-1) - d v_theta_i cos(theta_i)",
     .sizes = n_trailer_sizes, .coordinate = n_trailer_coordinate,
     .parameters = {"trailers", "d", "m", "J"}, .defaults = {3.0, 1.0, 1.0, 0.1},
     .ranges = {WHOLE, POSITIVE, POSITIVE, POSITIVE}, .most = {MAX_TRAILERS},

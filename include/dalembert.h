@@ -150,6 +150,11 @@ typedef struct dal_system_def {
     void *ctx;
     const char *name;               /* or NULL: "system"; what follows may all be left out */
     const char *help;               /* one line */
+    const char *description;        /* some sentences: what coordinates and parameters are */
+    const char *source;             /* where it is from, in the literature */
+    const char *formulas;           /* lines: "L = ...", the constraints "... = 0", and "where NAME
+                                       = ..." for what else is in them or in names of invariants;
+                                       v_x is the velocity of x, a blank a product */
     const char *const *coordinates; /* [n] names, or NULL: q0, q1, ... */
     const double *state;            /* [2n] initial data to start from by default, or NULL */
     dal_exact_fn exact;             /* or NULL */
@@ -193,7 +198,7 @@ typedef int (*dal_deformation_fn)(const double *q, const double *v, double *g, d
  * as any other, of the given kind (of phi + delta g as a function of v), with C_delta,
  * lambda_delta and h_delta (Ceps, heps) from dal_gram, dal_multipliers and dal_field.  missing:
  * DAL_MISSING_PHI_Q if g_q is not provided, else 0.  base and ctx must outlive it; exact solution,
- * invariants and initial data are not taken over.
+ * invariants, initial data, description, source and formulas are not taken over.
  * DAL_EINVAL (NULL, delta not finite, kind, missing), DAL_ENOMEM, DAL_EUNSUPPORTED (m n > 4000). */
 DAL_API int dal_system_deform(dal_system **system, const dal_system *base, dal_deformation_fn g,
                               void *ctx, double delta, dal_constraint_kind kind, unsigned missing,
@@ -215,6 +220,10 @@ DAL_API size_t dal_system_m(const dal_system *system);
 DAL_API unsigned dal_system_missing(const dal_system *system);
 DAL_API const char *dal_system_name(const dal_system *system);
 DAL_API const char *dal_system_help(const dal_system *system);
+/* As of the definition; "" where it says nothing. */
+DAL_API const char *dal_system_description(const dal_system *system);
+DAL_API const char *dal_system_source(const dal_system *system);
+DAL_API const char *dal_system_formulas(const dal_system *system);
 DAL_API const char *dal_system_coordinate(const dal_system *system, size_t i); /* NULL: i >= n */
 DAL_API const double *dal_system_mass(const dal_system *system); /* [n*n]; NULL: not constant */
 DAL_API dal_constraint_kind dal_system_kind(const dal_system *system);

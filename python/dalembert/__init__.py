@@ -13,7 +13,7 @@ True
 
 import logging
 
-from . import _lib, geometry, plot, report, systems
+from . import _lib, geometry, pages, plot, report, systems
 from ._lib import (
     ConvergenceError,
     DalembertError,
@@ -66,6 +66,7 @@ __all__ = [
     "exact_velocity",
     "geometry",
     "integrate",
+    "pages",
     "plot",
     "reference",
     "report",

@@ -1,7 +1,8 @@
 """Systems that come with the library as SymPy expressions: cars, robots, a gearbox, a control case.
 
 They are functions of `dalembert.systems` like those written in C.  SymPy is imported when one of
-them is called, and what it makes is compiled once, see `dalembert.compiler`.
+them is called, and what it makes is compiled once, see `dalembert.compiler`.  The docstring of each
+is the one place for what it says about itself: help, description and source of the system.
 
 >>> import dalembert as dal
 >>> car = dal.systems.steered_car(l=0.4)
@@ -14,6 +15,7 @@ them is called, and what it makes is compiled once, see `dalembert.compiler`.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -40,8 +42,8 @@ def steered_car(*, m: float = 1.0, J: float = 0.2, K: float = 0.1, l: float = 0.
         -sin(theta) x' + cos(theta) y' = 0
         -sin(theta + phi) x' + cos(theta + phi) y' + l cos(phi) theta' = 0
 
-    No constraint acts on phi; so theta' + phi' is constant, and with the energy
-    m (x'^2 + y'^2) + J theta'^2.
+    No constraint acts on phi; so the momentum of the front axle is constant, and the energy of the
+    rest.
 
     Parameters
     ----------
@@ -55,13 +57,14 @@ def steered_car(*, m: float = 1.0, J: float = 0.2, K: float = 0.1, l: float = 0.
     System
         It starts at q0 = (0, 0, 1/5, 3/10) at speed 1, with phi' = 1/2.
 
-    Notes
-    -----
-    After M. Kobilarov, J. E. Marsden, G. S. Sukhatme: Geometric discretization of nonholonomic
-    systems with symmetries, Discrete Contin. Dyn. Syst. S 3 (2010) 61-84.
+    References
+    ----------
+    M. Kobilarov, J. E. Marsden, G. S. Sukhatme: Geometric discretization of nonholonomic
+    systems with symmetries, Discrete Contin. Dyn. Syst. Ser. S 3 (2010) 61-84
     """
-    given = _positive(m=m, J=J, K=K, l=l)
-    sympy, (x, y, theta, phi), (m_, J_, K_, l_) = _start(steered_car, "x y theta phi", given)
+    given = {"m": m, "J": J, "K": K, "l": l}
+    sympy, (x, y, theta, phi), symbols = _start(steered_car, "x y theta phi", given, "m J K l")
+    m_, J_, K_, l_ = symbols
     cos, sin = sympy.cos, sympy.sin
     heading, steering = sympy.Rational(1, 5), sympy.Rational(3, 10)
     return _make(
@@ -95,7 +98,15 @@ def roller_racer(
         -sin(theta) x' + cos(theta) y' = 0
         -sin(theta + phi) x' + cos(theta + phi) y' + (d1 cos(phi) + d2) theta' + d2 phi' = 0
 
-    The energy is the only invariant that is given.
+    Beside the energy there is one more invariant, which is not among those of the system because
+    there is an elliptic integral in it.  It stands in the docstring, where u is the speed along the
+    heading, and N is `sin(phi)^2/m + d1^2 cos(phi)^2/J`::
+
+        atan2(sqrt(1 + K N/d2^2) (u sin(phi) - d1 theta' cos(phi)),
+              d1 u cos(phi) sqrt(m/J) + theta' sin(phi) sqrt(J/m))
+        - integral of d1/(sqrt(m J) N sqrt(1 + K N/d2^2)) over phi
+
+    The handle comes to rest in the end, and the racer goes round in a circle.
 
     Parameters
     ----------
@@ -109,13 +120,14 @@ def roller_racer(
     System
         It starts at q0 = (0, 0, 0, 2/5) at speed 1, with theta' = 1/2.
 
-    Notes
-    -----
-    After P. S. Krishnaprasad, D. P. Tsakiris: Oscillations, SE(2)-snakes and motion control: a
-    study of the roller racer, Dyn. Syst. 16 (2001) 347-397.
+    References
+    ----------
+    P. S. Krishnaprasad, D. P. Tsakiris: Oscillations, SE(2)-snakes and motion control: a
+    study of the roller racer, Dyn. Syst. 16 (2001) 347-397
     """
-    given = _positive(m=m, J=J, K=K, d1=d1, d2=d2)
-    sympy, (x, y, theta, phi), symbols = _start(roller_racer, "x y theta phi", given)
+    given = {"m": m, "J": J, "K": K, "d1": d1, "d2": d2}
+    names = "x y theta phi"
+    sympy, (x, y, theta, phi), symbols = _start(roller_racer, names, given, "m J K d1 d2")
     m_, J_, K_, d1_, d2_ = symbols
     cos, sin = sympy.cos, sympy.sin
     bend, turn = sympy.Rational(2, 5), sympy.Rational(1, 2)
@@ -147,16 +159,15 @@ def two_wheeled_robot(
 ) -> System:
     """Robot on two wheels (inertia I, radius r) at distance b either side, centre of mass a ahead.
 
-    Coordinates x, y, theta, right, left: middle of the axle, heading, angles of the wheels.  With
-    the speed u = cos(theta) x' + sin(theta) y' along the heading and w = -sin(theta) x' +
-    cos(theta) y' across it::
+    Coordinates x, y, theta, right, left: middle of the axle, heading, angles of the wheels; the
+    speed along the heading is `u = v_x cos(theta) + v_y sin(theta)`, and w is that across it::
 
         L = (m (u^2 + (w + a theta')^2) + J theta'^2 + I (right'^2 + left'^2))/2
         w = 0,  u + b theta' = r right',  u - b theta' = r left'
 
-    r (right - left) - 2 b theta is constant: one of the constraints is holonomic in disguise.  With
-    A = m + 2 I/r^2 and B = J + m a^2 + 2 I b^2/r^2 the rest is a sleigh: A u' = m a theta'^2 and
-    B theta'' = -m a u theta', so that m a theta/sqrt(A B) - atan(sqrt(A/B) u/theta') is constant.
+    One of the constraints is holonomic in disguise: `r (right - left) - 2 b theta` is constant.
+    The rest is a sleigh, whose second invariant has `A = m + 2 I/r^2` and
+    `B = J + m a^2 + 2 I b^2/r^2` in it.
 
     Parameters
     ----------
@@ -172,15 +183,16 @@ def two_wheeled_robot(
     System
         It starts at q0 = (0, 0, 3/10, 0, 0) at speed 1/5, with theta' = 1.
 
-    Notes
-    -----
-    After G. Campion, G. Bastin, B. d'Andréa-Novel: Structural properties and classification of
+    References
+    ----------
+    G. Campion, G. Bastin, B. d'Andréa-Novel: Structural properties and classification of
     kinematic and dynamic models of wheeled mobile robots, IEEE Trans. Robot. Autom. 12 (1996)
-    47-62.
+    47-62
     """
-    given = _positive(m=m, J=J, I=I) | {"a": a} | _positive(b=b, r=r)
+    given = {"m": m, "J": J, "I": I, "a": a, "b": b, "r": r}
     names = "x y theta right left"
-    sympy, (x, y, theta, right, left), symbols = _start(two_wheeled_robot, names, given)
+    sympy, q, symbols = _start(two_wheeled_robot, names, given, "m J I b r")
+    x, y, theta, right, left = q
     m_, J_, I_, a_, b_, r_ = symbols
     cos, sin = sympy.cos, sympy.sin
     u = cos(theta) * x.d + sin(theta) * y.d
@@ -194,7 +206,7 @@ def two_wheeled_robot(
         given,
         (T + J_ * theta.d**2 + I_ * (right.d**2 + left.d**2)) / 2,
         [across, u + b_ * theta.d - r_ * right.d, u - b_ * theta.d - r_ * left.d],
-        [x, y, theta, right, left],
+        q,
         q0=[0, 0, heading, 0, 0],
         v0=[
             speed * cos(heading), speed * sin(heading), 1, (speed + b_) / r_, (speed - b_) / r_,
@@ -210,14 +222,14 @@ def two_wheeled_robot(
 def cvt(*, c: float = 0.2) -> System:
     """Gearbox (CVT) between oscillators x and z, whose ratio y swings in V = y^2/2 + c y^3.
 
-    Coordinates x, y, z::
+    Coordinates x, y, z: the two oscillators, with y, the driver, between them::
 
-        L = (x'^2 + y'^2 + z'^2)/2 - (x^2 + z^2)/2 - V(y),  V = y^2/2 + c y^3
+        L = (x'^2 + y'^2 + z'^2)/2 - (x^2 + z^2)/2 - y^2/2 - c y^3
         x' + y z' = 0
 
-    The driver y is free: its energy y'^2/2 + V(y) is constant, and that of the pair x, z.  With
-    c = 0 it is the contact oscillator; otherwise the driver swings out of centre, by which the
-    energy of the pair drifts under most integrators.
+    Nothing acts upon the driver: its energy is constant, and that of the pair x, z.  With `c = 0`
+    it is `contact_oscillator`; otherwise the driver swings out of centre, by which the energy of
+    the pair drifts under most integrators.
 
     Parameters
     ----------
@@ -229,10 +241,10 @@ def cvt(*, c: float = 0.2) -> System:
     System
         It starts at rest at q0 = (1, 1/2, 0).
 
-    Notes
-    -----
-    After K. Modin, O. Verdier: What makes nonholonomic integrators work?, Numer. Math. 145 (2020)
-    405-435.
+    References
+    ----------
+    K. Modin, O. Verdier: What makes nonholonomic integrators work?, Numer. Math. 145 (2020)
+    405-435
     """
     given = {"c": c}
     _, (x, y, z), (c_,) = _start(cvt, "x y z", given)
@@ -246,7 +258,7 @@ def cvt(*, c: float = 0.2) -> System:
         q0=[1, 0.5, 0],
         v0=[0, 0, 0],
         invariants={
-            "v_y^2/2 + V(y)": y.d**2 / 2 + V,
+            "v_y^2/2 + y^2/2 + c y^3": y.d**2 / 2 + V,
             "(x^2 + z^2 + (1 + y^2) v_z^2)/2": (x**2 + z**2 + (1 + y**2) * z.d**2) / 2,
         },
     )
@@ -263,8 +275,10 @@ def sleigh_with_rotor(
         L = (m (x'^2 + y'^2) + J theta'^2 + K (theta' + psi')^2)/2 - k psi^2/2
         -sin(theta) x' + cos(theta) y' - a theta' = 0
 
-    The energy is the only invariant that is given.  For k = 0 the sleigh does not feel the rotor,
-    and moves as `dalembert.systems.sleigh` does.
+    Beside the energy there is an invariant for `k = 0` only: no constraint acts on psi, so the
+    momentum `K (v_theta + v_psi)` of the rotor changes by the torque `-k psi` of the spring alone.
+    Without the spring the sleigh does not feel the rotor, and moves as `sleigh` does; with it, the
+    rotor is stopped in the end, and the sleigh goes straight.
 
     Parameters
     ----------
@@ -280,13 +294,15 @@ def sleigh_with_rotor(
     System
         It starts at q0 = (0, 0, 3/10, 3/5) at speed 1/5, with theta' = 1 and psi' = -1/2.
 
-    Notes
-    -----
-    After I. A. Bizyaev, A. V. Borisov, I. S. Mamaev: The Chaplygin sleigh with parametric
-    excitation, Regul. Chaotic Dyn. 22 (2017) 955-975, where the motion of the rotor is given.
+    References
+    ----------
+    I. A. Bizyaev, A. V. Borisov, I. S. Mamaev: The Chaplygin sleigh with parametric
+    excitation: chaotic dynamics and nonholonomic acceleration, Regul. Chaotic Dyn. 22 (2017)
+    955-975, where the motion inside the sleigh is given instead
     """
-    given = _positive(m=m, J=J) | {"a": a} | _positive(K=K) | {"k": k}
-    sympy, (x, y, theta, psi), symbols = _start(sleigh_with_rotor, "x y theta psi", given)
+    given = {"m": m, "J": J, "a": a, "K": K, "k": k}
+    names = "x y theta psi"
+    sympy, (x, y, theta, psi), symbols = _start(sleigh_with_rotor, names, given, "m J K")
     m_, J_, a_, K_, k_ = symbols
     cos, sin = sympy.cos, sympy.sin
     heading, speed = sympy.Rational(3, 10), sympy.Rational(1, 5)
@@ -310,23 +326,22 @@ def sleigh_with_rotor(
 def disguised() -> System:
     """Quartic oscillators with v_x = -sum z_i v_zi, a holonomic constraint in disguise.
 
-    Coordinates x, y1, y2, y3, z1, z2, z3; the Lagrangian and the start of
-    `dalembert.systems.chaotic`::
+    Coordinates x, y1, y2, y3, z1, z2, z3; the Lagrangian and the start of `chaotic`::
 
         L = |v|^2/2 - (|q|^2 + z1^2 z2^2 + sum y_i^2 z_i^2)/2
         x' + z1 z1' + z2 z2' + z3 z3' = 0
 
-    The constraint is the time derivative of x + (z1^2 + z2^2 + z3^2)/2, which is constant: the
-    control case for what should hold of nonholonomic systems only, and for `System.check`.
+    The constraint is the time derivative of the invariant: the control case for what should hold of
+    nonholonomic systems only, and for the check of a system.
 
     Returns
     -------
     System
 
-    Notes
-    -----
+    References
+    ----------
     The Lagrangian is that of R. McLachlan, M. Perlmutter: Integrators for nonholonomic mechanical
-    systems, J. Nonlinear Sci. 16 (2006) 283-328.
+    systems, J. Nonlinear Sci. 16 (2006) 283-328
 
     Examples
     --------
@@ -354,20 +369,25 @@ def disguised() -> System:
 # ---- what they share ---------------------------------------------------------------------------
 
 
-def about(name: str) -> str:
-    """Return the line that says what a system is; without SymPy."""
-    return (inspect.getdoc(globals()[name]) or "").partition("\n")[0]
-
-
-def _positive(**values: float) -> dict[str, float]:
-    for key, value in values.items():
-        if not arguments.number(value, key) > 0:
-            raise ValueError(f"{key} = {value}: expected a positive number")
-    return values
+def about(name: str) -> dict[str, str]:
+    """Return what a system says about itself: help, description and source; without SymPy."""
+    summary, _, rest = (inspect.getdoc(globals()[name]) or "").partition("\n\n")
+    extended, *sections = re.split(r"\n\n(\w+)\n-+\n", f"\n\n{rest}")
+    named = dict(zip(sections[::2], sections[1::2]))
+    paragraphs = [x for x in extended.strip().split("\n\n") if not x.startswith(" ")]
+    prose = " ".join(" ".join(paragraphs).replace("::", ".").split())
+    return {
+        "help": summary,
+        "description": prose,
+        "source": " ".join(named.get("References", "").split()),
+    }
 
 
 def _start(
-    system: Callable[..., System], coordinates: str, parameters: dict[str, float]
+    system: Callable[..., System],
+    coordinates: str,
+    parameters: dict[str, float],
+    positive: str = "",
 ) -> tuple[Any, tuple[Any, ...], list[Any]]:
     """Return SymPy, the coordinates, and a symbol for each parameter."""
     for key, value in parameters.items():
@@ -375,7 +395,10 @@ def _start(
     if not extras.is_there("sympy"):
         raise ImportError(f"the system {system.__name__} needs SymPy: pip install 'dalembert[sym]'")
     sympy = extras.require("sympy", f"the system {system.__name__}")
-    return sympy, symbolic.coordinates(coordinates), [sympy.Symbol(key) for key in parameters]
+    symbols = [
+        sympy.Symbol(key, positive=True if key in positive.split() else None) for key in parameters
+    ]
+    return sympy, symbolic.coordinates(coordinates), symbols
 
 
 def _make(
@@ -388,7 +411,7 @@ def _make(
 ) -> System:
     name = system.__name__
     made = System.from_sympy(
-        L, constraints, coordinates, parameters, name=name, help=about(name), **more
+        L, constraints, coordinates, parameters, name=name, **about(name), **more
     )
     made._of_library = True
     return made

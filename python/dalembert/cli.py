@@ -1,4 +1,4 @@
-"""The command ``dalembert``: studies of the built-in systems, what there is, and the cache.
+"""The command ``dalembert``: studies of the systems, their pages, what there is, and the cache.
 
 Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error; 130
 after Ctrl-C, 141 if nobody reads the output any more.
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _lib, catalogue, compiler, extras, plot, report, systems
+from . import _lib, catalogue, compiler, extras, pages, plot, report, systems
 from .refinement import studies
 from .scheme import INITIAL, REFERENCE
 from .scheme import schemes as named_schemes
@@ -134,6 +134,27 @@ def _parser() -> argparse.ArgumentParser:
     )
     study.set_defaults(run=_study)
 
+    book = commands.add_parser(
+        "catalogue",
+        help="a page for each system, with its formulas and a run, and an index",
+        description="Write DIR/index.html and a page DIR/NAME.html for each system: formulas, "
+        "parameters, initial data, a picture of a run, invariants and how they drift, the exact "
+        "solution or a reference to 30 digits, the source in the literature, and the lines of "
+        "Python and C that make it.  The pages need no network and no script; files of these names "
+        "are replaced.  A system in SymPy is compiled the first time, which takes some seconds.",
+    )
+    book.add_argument(
+        "folder", metavar="DIR", nargs="?", type=Path, default=Path("catalogue"),
+        help="where to, made if it is not there (default: catalogue)",
+    )  # fmt: skip
+    book.add_argument(
+        "--system",
+        action="append",
+        metavar="NAME",
+        help="see `dalembert systems`; again for more (default: all)",
+    )
+    book.set_defaults(run=_catalogue)
+
     commands.add_parser("systems", help="list the built-in systems").set_defaults(run=_systems)
     commands.add_parser("schemes", help="list the named schemes").set_defaults(run=_schemes)
     cache = commands.add_parser(
@@ -191,11 +212,28 @@ def _study(given: argparse.Namespace) -> int:
     return 1 if found.holds is False else 0
 
 
+def _catalogue(given: argparse.Namespace) -> int:
+    names = given.system or pages.available()
+    if not given.folder.parent.is_dir():
+        raise ValueError(f"{given.folder}: there is no folder {given.folder.parent}")
+
+    def show(done: int, total: int) -> None:
+        if done < total:
+            print(f"page {done + 1} of {total}: {names[done]}", file=sys.stderr)
+
+    index, *_ = pages.write(given.folder, names, progress=show)
+    print(f"catalogue: {index}", file=sys.stderr)
+    left_out = ", ".join(x for x in systems.names_in_sympy() if x not in pages.available())
+    if left_out and not given.system:
+        print(f"catalogue: left out, because they need SymPy: {left_out}", file=sys.stderr)
+    return 0
+
+
 def _systems(given: argparse.Namespace) -> int:
     found = [systems.get(name) for name in systems.names()]
     _list((system.name, system.help) for system in found)
     print("\nWritten in SymPy, which they need:")
-    _list((name, catalogue.about(name)) for name in systems.names_in_sympy())
+    _list((name, catalogue.about(name)["help"]) for name in systems.names_in_sympy())
     return 0
 
 

@@ -329,7 +329,10 @@ def _constructor(made: Program, model: Model, fast: bool, name: str, system: Any
     values = ", ".join(f"p{i}" for i in range(count))
     made.add(f"    double p[{max(count, 1)}] = {{{values or '0.0'}}};")
     members = [*_definition(model, fast), f".name = {c_string(system.name)}"]
-    members += [f".help = {c_string(system.help)}", ".coordinates = coordinates", ".ctx = p"]
+    texts = {"help": system.help, "description": system.description, "source": system.source}
+    texts["formulas"] = "\n".join(system.formulas)
+    members += [f".{key} = {c_string(text)}" for key, text in texts.items()]
+    members += [".coordinates = coordinates", ".ctx = p"]
     members += [".ctx_size = sizeof p"]
     if model.derived.mass is not None:
         made.add(f"    double mass[{n * n}];\n    model_mass(mass, p);")

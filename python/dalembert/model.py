@@ -253,6 +253,8 @@ class Model:
         The exact solution (q, v) at time t, in the initial data q0 ... v0 ...
     invariants : tuple of sympy.Expr
         First integrals besides the energy.
+    assumptions : tuple of tuple of str
+        For each parameter what has to hold of its values: "positive", ...
     """
 
     coordinates: tuple[str, ...]
@@ -263,6 +265,7 @@ class Model:
     state: tuple[Expr, ...] | None = None
     exact: tuple[Expr, ...] | None = None
     invariants: tuple[Expr, ...] = ()
+    assumptions: tuple[tuple[str, ...], ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         fields = dataclasses.fields(self)
@@ -331,6 +334,31 @@ class Model:
         }
 
     # ---- for people ------------------------------------------------------------------------
+
+    def formula(self, expression: Expr) -> str:
+        """Return an expression as plain text: v_x for the velocity of x, a blank for a product.
+
+        Terms with velocities come first.
+        """
+        symbols = (*self.q, *self.v, *self.p)
+        names = [*self.coordinates, *(f"v_{name}" for name in self.coordinates), *self.parameters]
+        expression = expression.xreplace(dict(zip(symbols, map(sympy.Symbol, names))))
+        moving = {sympy.Symbol(name) for name in names[self.n : 2 * self.n]}
+        parts: tuple[list[Expr], list[Expr]] = ([], [])
+        for term in sympy.Add.make_args(expression):
+            parts[not term.free_symbols & moving].append(term)
+        texts = [str(sympy.factor_terms(sympy.Add(*part))) for part in parts if part]
+        text = " + ".join(texts).replace("+ -", "- ")
+        return text.replace("**", "^").replace("*", " ")
+
+    def formulas(self) -> tuple[str, ...]:
+        """Return L, the constraints and the force as plain text, a line each."""
+        force = zip(self.coordinates, self.force or ())
+        return (
+            f"L = {self.formula(self.L)}",
+            *(f"{self.formula(phi)} = 0" for phi in self.constraints),
+            *(f"f_{name} = {self.formula(f)}" for name, f in force if f != 0),
+        )
 
     def latex(self) -> str:
         """Return L, mu and the ODE on D as LaTeX, in an aligned environment."""

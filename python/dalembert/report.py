@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import html
-import io
 import json
 import platform
-import re
 import shlex
 import warnings
 from collections.abc import Sequence
@@ -16,46 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from . import _lib, plot
+from . import _lib, plot, web
 from .integration import integrate
 from .solution import Solution
 from .study import Studies, Study
 from .table import studies_html, study_html
 
 __all__ = ["write"]
-
-CSS = """
-:root { color-scheme: light; }
-body { font: 17px/1.55 Georgia, "Times New Roman", serif; color: #111; background: #fff;
-       max-width: 62rem; margin: 2.5rem auto; padding: 0 1.25rem; }
-h1 { font-size: 1.75rem; line-height: 1.25; margin: 0 0 .75rem; }
-h2 { font-size: 1.2rem; margin: 2.4rem 0 .4rem; border-bottom: 1px solid #bbb; }
-.eyebrow { font: 600 .8rem/1.4 system-ui, sans-serif; letter-spacing: .06em; color: #555;
-           margin: 0 0 .35rem; }
-figure { margin: .8rem 0 0; }
-figure svg { width: 100%; height: auto; }
-figcaption, .note { font-size: .92rem; color: #333; max-width: 46rem; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font: .82rem/1.5 system-ui, sans-serif;
-        font-variant-numeric: tabular-nums; margin: .6rem 0 1.2rem; }
-caption { text-align: left; font-weight: 600; padding: .3rem 0; }
-th, td { text-align: right; padding: .12rem 0 .12rem 1.1rem; white-space: pre; }
-th:first-child, td:first-child { padding-left: 0; }
-th { border-bottom: 1px solid #777; font-weight: 600; vertical-align: bottom; }
-.left { text-align: left; }
-.fails { font-weight: 700; color: #a11; }
-code, pre { font: .85rem/1.5 ui-monospace, "DejaVu Sans Mono", monospace; }
-pre { background: #f4f4f2; padding: .7rem .9rem; white-space: pre-wrap; overflow-wrap: anywhere; }
-summary { cursor: pointer; font-size: 1.2rem; font-weight: 700; margin-top: 2rem; }
-@page { margin: 16mm; }
-@media print {
-  body { font-size: 10.5pt; margin: 0; max-width: none; padding: 0; }
-  figure, table { break-inside: avoid; }
-  h2 { break-after: avoid; }
-  details::details-content { content-visibility: visible; height: auto; }
-}
-"""
-
 
 def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
     """Write the report of studies on one system as an HTML page.
@@ -128,16 +93,8 @@ def page(studies: Studies) -> str:
         if kept
         else ""
     )
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{text(system.name)}: {"fails" if studies.holds is False else "study"}</title>
-<style>{CSS}</style>
-</head>
-<body>
-<p class="eyebrow">dalembert study: {text(system.name)}</p>
+    title = f"{system.name}: {'fails' if studies.holds is False else 'study'}"
+    body = f"""<p class="eyebrow">dalembert study: {text(system.name)}</p>
 <h1>{text(studies.sentence())}</h1>
 <p>{text(about)}Runs go from t = {first.t0:g} to {first.t_end:g}, start in {text(start)},
 v = ({text(velocity)}), and are compared with {reference}.{kept_note} All numbers are in the
@@ -163,10 +120,8 @@ set is kept to roundoff.</p>
 <details>
 <summary>How to reproduce</summary>
 {_reproduce(studies)}
-</details>
-</body>
-</html>
-"""
+</details>"""
+    return web.page(title, body)
 
 
 def _run(study: Study) -> Solution:
@@ -192,24 +147,18 @@ def _run(study: Study) -> Solution:
         return error.partial
 
 
-def _figure(width: float, height: float) -> Any:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def _convergence(studies: Studies, styles: dict[str, Any]) -> str:
     groups = [
         [study for study in studies if study.scheme.order <= 2],
         [study for study in studies if study.scheme.order > 2],
     ]
     groups = [group for group in groups if group]
-    figure = _figure(6.0 * len(groups) if len(groups) > 1 else 8.0, 4.6)
+    figure = web.figure(6.0 * len(groups) if len(groups) > 1 else 8.0, 4.6)
     for group, ax in zip(groups, figure.subplots(1, len(groups), squeeze=False)[0]):
         plot.convergence(group, ax, styles=styles)
         if len(groups) > 1:
             ax.set_title("order up to 2" if group is groups[0] else "compositions")
-    return _svg(
+    return web.svg(
         figure,
         "convergence",
         "Errors at the end over the step size, log-log.",
@@ -220,9 +169,9 @@ def _convergence(studies: Studies, styles: dict[str, Any]) -> str:
 
 
 def _drift(runs: list[Solution], styles: dict[str, Any]) -> str:
-    figure = _figure(12.0, 4.4)
+    figure = web.figure(12.0, 4.4)
     plot.drift(runs, figure.subplots(1, 2, sharey=True), styles=styles)
-    return _svg(
+    return web.svg(
         figure,
         "drift",
         "Relative residuals of D and of D_eps over time.",
@@ -242,7 +191,7 @@ def _energy(
         order = study.scheme.order
         key = "order 1 or none" if order < 2 else "order 2" if order == 2 else "order 4 and more"
         groups.setdefault(key, []).append(run)
-    figure = _figure(max(4.0 * len(groups), 8.0), 5.0)
+    figure = web.figure(max(4.0 * len(groups), 8.0), 5.0)
     short = []
     for (title, group), ax in zip(
         sorted(groups.items()), figure.subplots(1, len(groups), squeeze=False)[0]
@@ -256,27 +205,13 @@ def _energy(
         )
         short += [run.scheme.name for run in group if run.t[-1] != longest.t[-1]]
     broken = f" Runs that broke off: {html.escape(', '.join(short))}." if short else ""
-    return _svg(
+    return web.svg(
         figure,
         "energy",
         "Relative energy error over time.",
         f"The error of the energy over 400 steps of {abs(longest.h):g}, each panel on its "
         f"own linear axis.{broken}",
     )
-
-
-def _svg(figure: Any, name: str, label: str, caption: str) -> str:
-    """The figure as inline SVG: ids of its own, a fixed salt and no date."""
-    import matplotlib
-
-    buffer = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", svg)
-    svg = svg.replace("<svg ", f'<svg role="img" aria-label="{html.escape(label)}" ', 1)
-    return f"<figure>\n{svg}<figcaption>{caption}</figcaption>\n</figure>"
 
 
 def description(studies: Studies) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import keyword
+import math
 import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -31,6 +32,7 @@ __all__ = [
     "is_expressions",
     "make_model",
     "parameter_value",
+    "require_assumed",
 ]
 
 Expr = Any
@@ -114,6 +116,7 @@ def make_model(
 
     q, v = models.canonical("q", n), models.canonical("v", n)
     rule = dict(zip(symbols, models.canonical("p", len(symbols))))
+    used = {symbol.name: {symbol} for symbol in symbols}
     velocities = {velocity: v[i] for i, (_, _, velocity) in enumerate(pairs)}
     positions = {position: q[i] for i, (_, position, _) in enumerate(pairs)}
     times = [q.args[0] for _, q, _ in pairs if not q.is_Symbol]
@@ -126,7 +129,10 @@ def make_model(
         unknown = {d for d in found.atoms(sympy.Derivative) if d not in velocities}
         if unknown:
             raise ValueError(f"{where}: {unknown.pop()} is no velocity of a coordinate")
-        found = found.xreplace({**positions, **velocities, **_matching(found, rule)})
+        matching = _matching(found, rule)
+        for symbol in matching:
+            used[symbol.name].add(symbol)
+        found = found.xreplace({**positions, **velocities, **matching})
         allowed = {*q, *v, *rule.values()}
         if with_time:
             found = found.xreplace({time: models.TIME})
@@ -187,6 +193,7 @@ def make_model(
                 translate(_expression(e, key), f"invariants[{key!r}]")
                 for key, e in (invariants or {}).items()
             ),
+            assumptions=tuple(_assumed(used[name]) for name in values),
         ),
         values,
     )
@@ -335,6 +342,32 @@ def _matching(expression: Expr, rule: dict[Expr, Expr]) -> dict[Expr, Expr]:
         for symbol in expression.free_symbols
         if symbol.name in by_name and not isinstance(symbol, Coordinate | Velocity)
     }
+
+
+# What SymPy uses of a symbol when it simplifies, and so has to hold of its value; the first that
+# does not is named, so the stronger ones stand first.
+_ASSUMED: dict[str, tuple[str, Callable[[float], bool]]] = {
+    "positive": ("a positive number", lambda x: x > 0),
+    "negative": ("a negative number", lambda x: x < 0),
+    "nonnegative": ("a number >= 0", lambda x: x >= 0),
+    "nonpositive": ("a number <= 0", lambda x: x <= 0),
+    "nonzero": ("a number other than 0", lambda x: x != 0),
+    "integer": ("a whole number", lambda x: x == math.floor(x)),
+}
+
+
+def _assumed(symbols: Iterable[Expr]) -> tuple[str, ...]:
+    """Return what is assumed of any of some symbols for the same parameter."""
+    return tuple(word for word in _ASSUMED if any(getattr(s, f"is_{word}") for s in symbols))
+
+
+def require_assumed(model: Model, values: Mapping[str, float]) -> None:
+    """Raise ValueError if the value of a parameter is not what its symbol assumes."""
+    for (name, value), words in zip(values.items(), model.assumptions):
+        for word in words:
+            expected, holds = _ASSUMED[word]
+            if not holds(value):
+                raise ValueError(f"{name} = {value:.15g}: expected {expected}")
 
 
 # ---- sympy.physics.mechanics -------------------------------------------------------------------

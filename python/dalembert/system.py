@@ -127,6 +127,11 @@ class System:
         ``constraint``, at (q0, v0) or at (0, (1, ..., 1)).
     name, help : str, optional
         A name, and one line about the system.
+    description, source : str, optional
+        What coordinates and parameters are, in some sentences; where the system is from.
+    formulas : sequence of str, optional
+        "L = ...", the constraints "... = 0", and "where NAME = ..." for what else is in them or in
+        names of invariants; ``v_x`` is the velocity of x, a blank a product, ``^`` a power.
     coordinates : sequence of str, optional
         Names of the coordinates; default "q0", "q1", ...
     q0, v0 : array_like, shape (n,), optional
@@ -244,6 +249,9 @@ class System:
         m: int | None = None,
         name: str = "system",
         help: str = "",
+        description: str = "",
+        source: str = "",
+        formulas: Sequence[str] = (),
         coordinates: Sequence[str] | None = None,
         q0: ArrayLike | None = None,
         v0: ArrayLike | None = None,
@@ -313,8 +321,11 @@ class System:
                 "exact": ffi.NULL if exact is None else lib.dal_py_exact,
             }
         c_names, kept = _lib.strings(names)
-        c_name = ffi.new("char[]", arguments.text(name, "name").encode())
-        c_help = ffi.new("char[]", arguments.text(help, "help").encode())
+        about = {"name": name, "help": help, "description": description, "source": source}
+        if isinstance(formulas, str):
+            raise ValueError(f"formulas = {formulas!r}: expected several lines")
+        lines = [arguments.text(line, "formulas") for line in formulas]
+        texts = _texts({**about, "formulas": "\n".join(lines)})
         definition = ffi.new(
             "dal_system_def *",
             {
@@ -325,8 +336,7 @@ class System:
                 "missing": c_missing,
                 "steady": int(bool(steady)),
                 "ctx": context,
-                "name": c_name,
-                "help": c_help,
+                **texts,
                 "coordinates": c_names,
                 "state": ffi.NULL if state is None else _lib.pointer(state),
                 **callbacks,
@@ -340,8 +350,8 @@ class System:
                 "mass": matrix,
                 "n": size,
                 "m": m,
-                "name": name,
-                "help": help,
+                **about,
+                "formulas": lines,
                 "coordinates": names,
                 "q0": None if state is None else state[:size],
                 "v0": None if state is None else state[size:],
@@ -350,7 +360,7 @@ class System:
             },
         )
         self._adopt(_lib.make("system", definition))
-        del kept
+        del kept, texts
 
     # What systems of other origins than Python functions have besides.
     _of_library = False  # True: `systems.get` with the name and the parameters makes it again
@@ -368,6 +378,8 @@ class System:
         force: Mapping[Any, Any] | None = None,
         name: str = "system",
         help: str = "",
+        description: str = "",
+        source: str = "",
         q0: Any = None,
         v0: Any = None,
         exact: Any = None,
@@ -391,11 +403,12 @@ class System:
             or pairs (q, v) of symbols.  Default: all that occur, those of `dalembert.coordinates`
             in the order in which they were made, then dynamicsymbols by name.
         parameters : mapping, optional
-            Symbol, or its name, to value.
+            Symbol, or its name, to value.  What a symbol assumes, as ``positive=True``, has to hold
+            of every value that it gets, here and in `with_parameters`.
         force : mapping, optional
             Coordinate to component of a generalized force, d/dt L_v - L_q = f + mu^T lambda, in
             coordinates, velocities and the time ``dynamicsymbols._t``.
-        name, help : str, optional
+        name, help, description, source : str, optional
             As of `System`.
         q0, v0 : sequence, optional
             Default initial data; numbers, or expressions in the parameters.
@@ -453,8 +466,7 @@ class System:
         return cls._from_model(
             model,
             values,
-            arguments.text(name, "name"),
-            arguments.text(help, "help"),
+            {"name": name, "help": help, "description": description, "source": source},
             None if in_model else state,
             None if symbolic.is_expressions(exact) else exact,
             {key: None if symbolic.is_expressions(e) else e for key, e in named.items()},
@@ -536,13 +548,14 @@ class System:
         cls,
         model: Any,
         values: dict[str, float],
-        name: str,
-        help: str,
+        about: dict[str, str],
         state: Array | None,
         exact: Callable[..., Any] | None,
         invariants: dict[str, Callable[..., Any] | None],
     ) -> System:
         """Make a system from a model; an invariant that is None is an expression of the model."""
+        symbolic.require_assumed(model, values)
+        texts = _texts(about)
         source, given = symbolic.Symbolic(model, values), invariants
         library = source.library()
         n = model.n
@@ -555,13 +568,12 @@ class System:
         if in_python or any(invariants.values()):
             invariants = {**source.invariants(invariants)}
         if library is None:
-            source.warn(name)
+            source.warn(about["name"])
             self = cls(
                 mass=mass,
                 n=n,
                 m=model.m,
-                name=name,
-                help=help,
+                **about,
                 coordinates=model.coordinates,
                 q0=None if state is None else state[:n],
                 v0=None if state is None else state[n:],
@@ -574,8 +586,9 @@ class System:
             definition = ffi.new("dal_system_def *", library.definition[0])
             c_names, kept = _lib.strings(list(model.coordinates))
             c_invariants, also_kept = _lib.strings(list(invariants))
-            c_name, c_help = ffi.new("char[]", name.encode()), ffi.new("char[]", help.encode())
-            definition.name, definition.help, definition.coordinates = c_name, c_help, c_names
+            definition.coordinates = c_names
+            for key, text in texts.items():
+                setattr(definition, key, text)
             definition.mass = ffi.NULL if mass is None else _lib.pointer(mass)
             definition.state = ffi.NULL if state is None else _lib.pointer(state)
             if values:
@@ -588,13 +601,13 @@ class System:
             else:
                 self._invariants = dict(invariants)
             self._adopt(_lib.make("system", definition))
-            del kept, also_kept
+            del kept, also_kept, texts
         if exact is not None:
             arguments.function(exact, "exact")
             self._exact = source.bound(exact)
         self._symbolic = source
         self._parameters = dict(values)
-        self._description = (_restore_model, model, values, name, help, state, exact, given)
+        self._description = (_restore_model, model, values, about, state, exact, given)
         return self
 
     @classmethod
@@ -628,6 +641,9 @@ class System:
         self._m = int(lib.dal_system_m(handle))
         self._name = _lib.string(lib.dal_system_name(handle))
         self._help = _lib.string(lib.dal_system_help(handle))
+        self._about = _lib.string(lib.dal_system_description(handle))
+        self._source = _lib.string(lib.dal_system_source(handle))
+        self._formulas = tuple(_lib.string(lib.dal_system_formulas(handle)).splitlines())
         self._coordinates = tuple(
             _lib.string(lib.dal_system_coordinate(handle, i)) for i in range(self._n)
         )
@@ -690,6 +706,34 @@ class System:
     def help(self) -> str:
         """One line about the system."""
         return self._help
+
+    @property
+    def description(self) -> str:
+        """What its coordinates and parameters are, in some sentences; "" if it does not say."""
+        return self._about
+
+    @property
+    def source(self) -> str:
+        """Where it is from, in the literature; "" if it does not say."""
+        return self._source
+
+    @property
+    def formulas(self) -> tuple[str, ...]:
+        """L, the constraints, and what else is in them or in names of invariants, a line each.
+
+        ``v_x`` is the velocity of x, a blank a product, ``^`` a power.  Those of a system that was
+        made by `from_sympy` follow from its expressions.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.systems.particle().formulas
+        ('L = (v_x^2 + v_y^2 + v_z^2)/2', 'v_z - y v_x = 0')
+        """
+        if self._symbolic is None:
+            return self._formulas
+        formulas: tuple[str, ...] = self._symbolic.model.formulas()
+        return formulas
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -916,7 +960,7 @@ class System:
         Raises
         ------
         ValueError
-            If the system has no such parameter.
+            If the system has no such parameter, or the value is out of its range.
 
         Examples
         --------
@@ -936,7 +980,9 @@ class System:
             **{key: symbolic.parameter_value(x, key) for key, x in parameters.items()},
         }
         if restore is _restore_model:
-            return type(self)._from_model(first, values, *rest[1:])
+            made = type(self)._from_model(first, values, *rest[1:])
+            made._of_library = self._of_library
+            return made
         return type(self)._builtin(first, values) if restore is _restore_builtin else self
 
     def c_source(self, name: str | None = None) -> str:
@@ -1023,6 +1069,7 @@ class System:
             exact, invariants = description[-2:]
             functions = {key: f for key, f in invariants.items() if f is not None}
             _refuse_unpicklable(self.name, {"exact": exact, "invariants": functions})
+            description = [self._of_library, *description]
         return restore, tuple(description)
 
 
@@ -1037,9 +1084,16 @@ def _restore(description: dict[str, Any]) -> System:
     return System(**description)
 
 
-def _restore_model(*description: Any) -> System:
+def _restore_model(of_library: bool, *description: Any) -> System:
     """Make a system again from its model."""
-    return System._from_model(*description)
+    system = System._from_model(*description)
+    system._of_library = of_library
+    return system
+
+
+def _texts(about: Mapping[str, str]) -> dict[str, Any]:
+    """Return the texts of a definition as C strings, which have to be kept alive."""
+    return {key: ffi.new("char[]", arguments.text(x, key).encode()) for key, x in about.items()}
 
 
 def _restore_builtin(name: str, parameters: dict[str, float]) -> System:

@@ -18,14 +18,19 @@ ValueError: parameters m = 1, r = 0.5, J0 = 1 of snakeboard; expected m r^2 > J0
 
 from __future__ import annotations
 
+import functools
+import importlib.resources
 import inspect
+import json
+import textwrap
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from . import _lib, catalogue
 from ._lib import lib
 from .system import System
 
-__all__ = ["get", "names", "names_in_sympy"]
+__all__ = ["KnownState", "get", "known_states", "names", "names_in_sympy", "plain_name"]
 
 
 def names() -> tuple[str, ...]:
@@ -79,9 +84,9 @@ def get(name: str, /, **parameters: float) -> System:
     >>> train.n, train.m, train.coordinates[-1]
     (13, 11, 'theta10')
     """
-    plain = name.replace("-", "_") if isinstance(name, str) else name
+    plain = plain_name(name)
     if plain not in names_in_sympy():
-        return System._builtin(name, parameters)
+        return System._builtin(plain, parameters)
     make: Callable[..., System] = getattr(catalogue, plain)
     known = inspect.signature(make).parameters
     for key in parameters:
@@ -90,6 +95,85 @@ def get(name: str, /, **parameters: float) -> System:
                 f"parameters: {plain!r} has no {key!r}; it has {', '.join(known) or 'none'}"
             )
     return make(**parameters)
+
+
+@dataclass(frozen=True)
+class KnownState:
+    """A state that is known to 30 digits.
+
+    Attributes
+    ----------
+    t : float
+        Time since the start.
+    q, v : tuple of str
+        The n coordinates and velocities, in decimals.
+    """
+
+    t: float
+    q: tuple[str, ...]
+    v: tuple[str, ...]
+
+
+def known_states(name: str) -> tuple[KnownState, ...]:
+    """Return states of a system with its default parameters and data, known to 30 digits.
+
+    They were computed by two methods, see ``tests/data/make_references.py``, with parameters and
+    data that are decimals exactly: a = 0.4 is 2/5.
+
+    Parameters
+    ----------
+    name : str
+        One of `names` or `names_in_sympy`; ``-`` and ``_`` are the same.
+
+    Returns
+    -------
+    tuple of KnownState
+        At t = 0, 1 and 10.
+
+    Raises
+    ------
+    ValueError
+        If there is no such system.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> start, one, ten = dal.systems.known_states("cvt")
+    >>> one.q[0]
+    '0.937266465602263978857429501611'
+    """
+    plain = plain_name(name)
+    return tuple(
+        KnownState(float(t), tuple(state["q"]), tuple(state["v"]))
+        for t, state in _references()[plain].items()
+    )
+
+
+@functools.cache
+def _references() -> dict[str, dict[str, dict[str, list[str]]]]:
+    text = importlib.resources.files(__package__).joinpath("references.json").read_text("ascii")
+    return json.loads(text)  # type: ignore[no-any-return]
+
+
+def plain_name(name: str) -> str:
+    """Return the name of a system as it is in `names` or `names_in_sympy`: with _ for -.
+
+    Raises
+    ------
+    ValueError
+        If it is in neither; the text lists what there is.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.plain_name("knife-edge")
+    'knife_edge'
+    """
+    plain = name.replace("-", "_") if isinstance(name, str) else name
+    there = [*names(), *names_in_sympy()]
+    if plain not in there:
+        raise ValueError(f"there is no system {name!r}; there are {', '.join(there)}")
+    return plain
 
 
 def _maker(name: str) -> Callable[..., System]:
@@ -101,13 +185,15 @@ def _maker(name: str) -> Callable[..., System]:
 
     make.__name__ = make.__qualname__ = name
     values = "\n".join(f"{key} : float, default {x:g}" for key, x in default.parameters.items())
+    formulas = "\n".join(f"    {line}" for line in default.formulas)
     make.__doc__ = (
-        f"{default.help}\n\n"
-        f"Coordinates: {', '.join(default.coordinates)}.  "
-        f"{default.n} coordinates, {default.m} constraints"
-        f"{', with an exact solution' if default.has_exact else ''}.\n"
+        f"{default.help}\n\n{textwrap.fill(default.description, 96)}\n\n"
+        f"Coordinates {', '.join(default.coordinates)}; {default.m} constraint"
+        f"{'s' * (default.m > 1)}"
+        f"{', with an exact solution' if default.has_exact else ''}::\n\n{formulas}\n"
         + (f"\nParameters\n----------\n{values}\n" if values else "")
         + "\nReturns\n-------\nSystem\n"
+        + f"\nReferences\n----------\n{textwrap.fill(default.source, 96)}\n"
     )
     make.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [

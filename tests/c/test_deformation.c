@@ -131,6 +131,8 @@ static void test_linear(void)
     dal_mechanics *const plain = open_mechanics(base), *const mech = open_mechanics(same);
     unsigned seed = 1;
     CHECK(strcmp(dal_system_name(same), "particle_oscillator_deformed") == 0);
+    CHECK(dal_system_formulas(base)[0] == 'L' && dal_system_formulas(same)[0] == '\0');
+    CHECK(dal_system_source(same)[0] == '\0' && dal_system_description(same)[0] == '\0');
     CHECK(dal_system_kind(tilted) == DAL_LINEAR && dal_system_n(tilted) == 3);
     CHECK(strcmp(dal_system_coordinate(tilted, 1), "y") == 0);
     for (int trial = 0; trial < 10; trial++) {

@@ -148,12 +148,16 @@ static void test_copies(void)
 {
     double mass[4] = {2, 0.5, 0.5, 1}, state[4] = {1, 2, 3, 4};
     char name[] = "mine", help[] = "a line", first[] = "a", second[] = "b", integral[] = "c";
+    char description[] = "two lines", source[] = "a book", formulas[] = "L = V\nx = 0";
     const char *names[2] = {first, second}, *invariants[1] = {integral};
     dal_system_def def = good();
     def.mass = mass;
     def.state = state;
     def.name = name;
     def.help = help;
+    def.description = description;
+    def.source = source;
+    def.formulas = formulas;
     def.coordinates = names;
     def.invariants = 1;
     def.invariant_names = invariants;
@@ -165,6 +169,7 @@ static void test_copies(void)
     CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
     mass[0] = state[0] = 7.0;
     name[0] = help[0] = first[0] = second[0] = integral[0] = '!';
+    description[0] = source[0] = formulas[0] = '!';
     names[0] = invariants[0] = NULL;
     memset(&def, 0, sizeof def);
 
@@ -173,6 +178,9 @@ static void test_copies(void)
     CHECK(dal_system_kind(system) == DAL_LINEAR && dal_system_is_forced(system) == 1);
     CHECK(strcmp(dal_system_name(system), "mine") == 0);
     CHECK(strcmp(dal_system_help(system), "a line") == 0);
+    CHECK(strcmp(dal_system_description(system), "two lines") == 0);
+    CHECK(strcmp(dal_system_source(system), "a book") == 0);
+    CHECK(strcmp(dal_system_formulas(system), "L = V\nx = 0") == 0);
     CHECK(strcmp(dal_system_coordinate(system, 0), "a") == 0);
     CHECK(strcmp(dal_system_coordinate(system, 1), "b") == 0);
     CHECK(dal_system_coordinate(system, 2) == NULL);
@@ -197,6 +205,8 @@ static void test_copies(void)
     const dal_system_def bare = {.n = 3, .mass = diagonal};
     CHECK(dal_system_new(&system, &bare, NULL) == DAL_SUCCESS);
     CHECK(strcmp(dal_system_name(system), "system") == 0 && dal_system_help(system)[0] == '\0');
+    CHECK(dal_system_description(system)[0] == '\0' && dal_system_source(system)[0] == '\0');
+    CHECK(dal_system_formulas(system)[0] == '\0');
     CHECK(strcmp(dal_system_coordinate(system, 2), "q2") == 0);
     CHECK(dal_system_state(system, x) == DAL_EUNSUPPORTED);
     CHECK(dal_system_exact(system, 1.0, x, x) == DAL_EUNSUPPORTED);

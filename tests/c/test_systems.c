@@ -352,6 +352,9 @@ static void test_choice(const choice *c)
     const size_t n = dal_system_n(system);
     CHECK(!strcmp(dal_system_name(system), c->name));
     CHECK(strlen(dal_system_help(system)) > 10 && !strchr(dal_system_help(system), '\n'));
+    CHECK(strlen(dal_system_description(system)) > 10 && strlen(dal_system_source(system)) > 10);
+    CHECK(!strncmp(dal_system_formulas(system), "L = ", 4)); /* all of it: test_formula.py */
+    CHECK(strstr(dal_system_formulas(system), " = 0") != NULL);
     for (size_t i = 0; c->parameters[i]; i++)
         for (size_t j = 0; j < dal_system_parameters(system); j++)
             if (!strcmp(dal_system_parameter_name(system, j), c->parameters[i]))

@@ -1,10 +1,14 @@
 """The systems that are written in SymPy, against equations of motion that are reduced by hand."""
 
 import importlib.util
+import json
 import os
 import subprocess
 import sys
+from fractions import Fraction
+from pathlib import Path
 
+import mpmath
 import numpy as np
 import pytest
 from conftest import U
@@ -99,33 +103,6 @@ REDUCED = {f.__name__: f for f in (
     steered_car, roller_racer, two_wheeled_robot, cvt, sleigh_with_rotor, disguised,
 )}  # fmt: skip
 
-# q at t = 1 from the default data: the equations above by Taylor series of mpmath with 30 digits.
-REFERENCE = {
-    "steered_car": [
-        "0.75409824933650350318", "0.52860906645149633602", "1.1026926469644799718",
-        "0.51597985225476649431",
-    ],
-    "roller_racer": [
-        "0.88258626173339106653", "0.28237207141979522004", "0.71878108049376619858",
-        "0.88993027125554877340",
-    ],
-    "two_wheeled_robot": [
-        "0.14448846766361989807", "0.14915093705139771323", "1.2677885868361911589",
-        "5.0630383647487676615", "-0.74369315626837929199",
-    ],
-    "cvt": ["0.93726646560226397886", "0.21430180336820884176", "0.17518534504306869711"],
-    "sleigh_with_rotor": [
-        "-0.025834646157570034570", "0.56807522979142530232", "1.2894588126805353303",
-        "-0.19220725992054710205",
-    ],
-    "disguised": [
-        "1.1910733863595522562", "0.36333844745037294001", "0.072002210461911528232",
-        "0.025625590420168557271", "0.62501703093763897266", "0.75628923474871561961",
-        "1.2387973092051067341",
-    ],
-}  # fmt: skip
-
-
 def make(name):
     return dal.systems.get(name)
 
@@ -134,7 +111,7 @@ def make(name):
 
 
 def test_every_system_is_here():
-    assert set(REDUCED) == set(REFERENCE) == set(NAMES) == set(catalogue.__all__)
+    assert set(REDUCED) == set(NAMES) == set(catalogue.__all__)
     assert len(NAMES) + len(dal.systems.names()) >= 21
     assert not set(NAMES) & set(dal.systems.names())
 
@@ -144,7 +121,9 @@ def test_describes_itself(name):
     system = make(name)
     function = getattr(dal.systems, name)
     assert system.name == name == function.__name__ and name in dir(dal.systems)
-    assert system.help == catalogue.about(name) and system.help in function.__doc__
+    about = {key: getattr(system, key) for key in ("help", "description", "source")}
+    assert about == catalogue.about(name) and all(about.values())
+    assert system.help in function.__doc__
     assert f"Coordinates {', '.join(system.coordinates)}" in function.__doc__
     assert all(key in function.__doc__ for key in system.parameters)
     assert system.relative_residual(system.q0, system.v0) <= 64 * U
@@ -167,13 +146,6 @@ def test_acceleration(name):
         expected = np.array(REDUCED[name](changed, q.tolist(), v.tolist()), dtype=float)
         size = max(1.0, np.abs(expected).max())
         np.testing.assert_allclose(system.acceleration(q, v), expected, rtol=0, atol=1e-12 * size)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_reference_to_20_digits(name):
-    """The flow, whose tolerance is 1e-13 for a step, of which there are about 10."""
-    expected = [float(text) for text in REFERENCE[name]]
-    np.testing.assert_allclose(dal.reference(make(name), t=1.0).q, expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -213,6 +185,107 @@ def test_midpoint(name):
     assert system.relative_residual(run.q, run.v).max() <= 64 * U
 
 
+# ---- known states, of all systems ----------------------------------------------------------------
+
+
+EVERY = (*dal.systems.names(), *NAMES)
+
+
+def numbers(state):
+    return np.array([*state.q, *state.v], dtype=float)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_known_states(name):
+    """Against the data of the system, the flow, and the exact solution.
+
+    The flow has a tolerance of 1e-13 for a step, of which there are about 10 in a unit of time, and
+    the motions separate by less than a factor 10 in one and 1000 in ten.
+    """
+    system = make(name)
+    start, one, ten = dal.systems.known_states(name.replace("_", "-"))
+    assert (start.t, one.t, ten.t) == (0, 1, 10)
+    first = np.concatenate([system.q0, system.v0])
+    size = max(1.0, np.abs(first).max())
+    np.testing.assert_allclose(numbers(start), first, rtol=0, atol=4 * U * size)
+    for state, tolerance in ((one, 1e-11), (ten, 1e-9)):
+        assert len(state.q) == len(state.v) == system.n
+        flow = dal.reference(system, t=state.t)
+        found, known = np.concatenate([flow.q, flow.v]), numbers(state)
+        size = max(1.0, np.abs(known).max())
+        np.testing.assert_allclose(found, known, rtol=0, atol=tolerance * size)
+        if system.has_exact:
+            exact = np.concatenate(system.exact(state.t))
+            np.testing.assert_allclose(exact, known, rtol=0, atol=1e-13 * size)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_digits_of_known_states(name):
+    """30 digits, at most 30 of them behind the point; fewer only where a number ends."""
+    for state in dal.systems.known_states(name)[1:]:
+        texts = (*state.q, *state.v)
+        full = 0
+        for text in texts:
+            digits, _, exponent = text.lstrip("-").replace(".", "").partition("e")
+            ends = Fraction(text).limit_denominator(10**4) == Fraction(text)
+            assert len(digits.lstrip("0")) <= 30
+            assert ends or len(digits.lstrip("0")) >= 26 + int(exponent or 0)
+            full += not ends
+        assert full >= len(texts) / 2
+
+
+def script():
+    """The program that wrote the known states."""
+    path = Path(__file__).parents[1] / "data" / "make_references.py"
+    spec = importlib.util.spec_from_file_location("make_references", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("name", "k"), [*((name, 1) for name in EVERY), ("cvt", 2), ("contact_oscillator", 2)]
+)
+def test_known_states_to_25_digits(name, k):
+    """By one of the two methods, of order 22 with steps of 1/8, from exact data and in 30 digits.
+
+    Its error is below 1e-30, roundoff that of some thousand operations.
+    """
+    program, system = script(), make(name)
+    states = dal.systems.known_states(name)
+    with mpmath.workdps(30):
+        start = [mpmath.mpf(str(e.evalf(32))) for e in program.exact_start(system)]
+        known = [mpmath.mpf(text) for text in (*states[0].q, *states[0].v)]
+        assert max(abs(a - b) for a, b in zip(start, known)) < 1e-28
+        times = [int(x.t) for x in states[1 : k + 1]]
+        *_, end = program.extrapolated(program.field(system), known, times, steps=8, columns=11)
+        known = [mpmath.mpf(text) for text in (*states[k].q, *states[k].v)]
+        assert max(abs(a - b) for a, b in zip(end, known)) < 1e-25
+
+
+IN_VECTORS = {
+    "particle": "particle", "particle_osc": "particle_oscillator", "knife": "knife_edge",
+    "sleigh": "sleigh", "sleigh_contact": "sleigh_contact", "disk": "disk",
+    "heis": "heisenberg", "genmass": "genmass",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", IN_VECTORS)
+def test_known_states_are_those_of_the_vectors(name):
+    """Which have 40 digits, from other programs: the last of the 30 may be rounded otherwise."""
+    data = Path(__file__).parents[1] / "data" / "reference.json"
+    theirs = json.loads(data.read_text(encoding="ascii"))[name]["states"]
+    for state in dal.systems.known_states(IN_VECTORS[name])[1:]:
+        other = theirs[f"{state.t:g}"]
+        for a, b in zip((*state.q, *state.v), (*other["q"], *other["v"])):
+            assert abs(Fraction(a) - Fraction(b)) <= Fraction(1, 10**29) * (1 + abs(Fraction(b)))
+
+
+def test_known_states_of_nothing():
+    with pytest.raises(ValueError, match="no system 'pendulum'; there are particle, "):
+        dal.systems.known_states("pendulum")
+
+
 # ---- against other systems ---------------------------------------------------------------------
 
 
@@ -247,6 +320,51 @@ def test_disguised_stays_on_its_surface():
     assert errors[0] < 1e-2 and 3.5 < errors[0] / errors[1] < 4.5
 
 
+def test_invariant_of_the_roller_racer():
+    """The one with the elliptic integral, which its docstring states."""
+    system = make("roller_racer")
+    m, J, K, d1, d2 = system.parameters.values()
+
+    def square(phi):
+        return sin(phi) ** 2 / m + (d1 * cos(phi)) ** 2 / J
+
+    def slope(phi):
+        return d1 / (mpmath.sqrt(m * J) * square(phi) * mpmath.sqrt(1 + square(phi) * K / d2**2))
+
+    run = dal.integrate(system, "reference", h=0.5, t_end=5)
+    phi, turn = run.q[:, 3], run.v[:, 2]
+    u = np.cos(run.q[:, 2]) * run.v[:, 0] + np.sin(run.q[:, 2]) * run.v[:, 1]
+    s, c = np.sin(phi), np.cos(phi)
+    N = s**2 / m + (d1 * c) ** 2 / J
+    angle = np.unwrap(np.arctan2(
+        np.sqrt(1 + N * K / d2**2) * (u * s - d1 * turn * c),
+        d1 * u * c * np.sqrt(m / J) + turn * s * np.sqrt(J / m),
+    ))  # fmt: skip
+    values = angle - [float(mpmath.quad(slope, [0, x])) for x in phi]
+    assert np.ptp(phi) > 3 and np.ptp(angle) > 2
+    assert np.ptp(values) < 1e-11  # the flow, 1e-13 for each of some dozen steps
+
+
+def test_rotor_has_no_invariant_but_the_energy():
+    """Every motion ends in one that the energy tells: straight on, with the rotor at rest."""
+    system = make("sleigh_with_rotor")
+    source = np.random.default_rng(4)
+    for _ in range(3):
+        q = system.q0 + source.uniform(-0.5, 0.5, 4)
+        v = system.project(q, system.v0 + source.uniform(-0.5, 0.5, 4))
+        run = dal.integrate(system, "reference", q, v, h=10, t_end=400)
+        end, theta = run.v[-1], run.q[-1, 2]
+        u = np.cos(theta) * end[0] + np.sin(theta) * end[1]
+        assert u == pytest.approx(np.sqrt(2 * run.energy[0] / system.parameters["m"]), rel=1e-6)
+        assert np.abs([end[2], end[3], run.q[-1, 3]]).max() < 1e-3
+        momentum = run.v[:, 2] + run.v[:, 3]
+        assert np.ptp(momentum) > 0.1
+    free = system.with_parameters(k=0)
+    run = dal.integrate(free, "midpoint", h=0.05, t_end=10)
+    momentum = run.v[:, 2] + run.v[:, 3]
+    assert np.ptp(momentum) < 1e-13
+
+
 # ---- without SymPy, and what is refused --------------------------------------------------------
 
 
@@ -275,6 +393,10 @@ def test_without_sympy(monkeypatch):
         (lambda: dal.systems.two_wheeled_robot(a="1"), "a = '1': expected a finite number"),
         (lambda: dal.systems.get("cvt", d=1), "parameters: 'cvt' has no 'd'; it has c"),
         (lambda: dal.systems.get("disguised", d=1), "has no 'd'; it has none"),
+        (lambda: make("steered_car").with_parameters(l=0), "l = 0: expected a positive number"),
+        (lambda: make("roller_racer").with_parameters(d2=-0.5), "d2 = -0.5: expected a positive"),
+        (lambda: make("cvt").with_parameters(c=np.inf), "c = inf: expected a finite number"),
+        (lambda: dal.systems.snakeboard().with_parameters(J0=1), "expected m r"),
     ],
 )
 def test_refused(call, text):

@@ -1,5 +1,6 @@
 """Systems from SymPy: what is accepted and refused, what is generated, against exact arithmetic."""
 
+import functools
 import importlib
 import json
 import pickle
@@ -382,6 +383,42 @@ def test_parameters_stay_free():
         dal.System(mass=[1]).with_parameters(m=1)
 
 
+def test_values_are_what_their_symbols_assume():
+    """sqrt(m^2) is m because m is positive: so it has to be, here and in with_parameters."""
+    x = dal.coordinates("x")[0]
+    words = {
+        "positive": (2, -1, "-1: expected a positive number"),
+        "negative": (-2, 0, "0: expected a negative number"),
+        "nonnegative": (0, -0.5, "-0.5: expected a number >= 0"),
+        "nonpositive": (0, 0.5, "0.5: expected a number <= 0"),
+        "nonzero": (1, 0, "0: expected a number other than 0"),
+        "integer": (3, 2.5, "2.5: expected a whole number"),
+    }
+    for word, (good, bad, text) in words.items():
+        k = sympy.Symbol("k", real=True, **{word: True})
+        for key in (k, "k"):  # what stands in L counts, too
+            make = functools.partial(dal.System.from_sympy, x.d**2 / 2 - k**2 * x, name="fall")
+            system = make(parameters={key: good})
+            for again in (system, pickle.loads(pickle.dumps(system))):
+                with pytest.raises(ValueError, match=f"k = {text}"):
+                    again.with_parameters(k=bad)
+                assert again.with_parameters(k=2 * good).parameters == {"k": 2.0 * good}
+            with pytest.raises(ValueError, match=f"k = {text}"):
+                make(parameters={key: bad})
+    free = dal.System.from_sympy(x.d**2 / 2 - sympy.Symbol("k") * x, parameters={"k": 1})
+    assert free.with_parameters(k=-1).parameters == {"k": -1.0}
+
+
+def test_what_it_says_about_itself_stays():
+    x = dal.coordinates("x")[0]
+    k = sympy.Symbol("k")
+    about = {"name": "fall", "help": "a line", "description": "two lines", "source": "a book"}
+    system = dal.System.from_sympy(x.d**2 / 2 - k * x, parameters={k: 1}, **about)
+    for again in (system, pickle.loads(pickle.dumps(system)), system.with_parameters(k=2)):
+        assert {key: getattr(again, key) for key in about} == about
+        assert again.formulas == ("L = v_x^2/2 - k x",)
+
+
 def test_exact_and_invariants_by_expressions():
     """A falling point: exact solution and angular momentum, compiled; the study uses them."""
     x, y = dal.coordinates("x y")
@@ -439,6 +476,7 @@ def test_refused_by_name():
         (lambda: from_sympy(X.diff("t") ** 2 + X.diff("t", 2)), "no velocity of a coordinate"),
         (lambda: from_sympy(L, exact=[x]), "exact: expected 4 expressions, got 1"),
         (lambda: from_sympy(L, name="a\0b"), "name"),
+        (lambda: from_sympy(L, source=3), "source = 3: expected a string"),
         (lambda: dal.coordinates("x x"), "expected different names"),
         (lambda: dal.coordinates(""), "at least one"),
         (lambda: dal.systems.particle().c_source(), "was not made by from_sympy"),

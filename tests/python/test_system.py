@@ -87,6 +87,7 @@ def test_invariants_of_the_catalogue():
 def test_properties(own):
     system = own.system(help="a line", coordinates=["a", "b", "c", "d"])
     assert (system.n, system.m, system.name, system.help) == (4, 2, "own", "a line")
+    assert (system.description, system.source, system.formulas) == ("", "", ())
     assert system.coordinates == ("a", "b", "c", "d")
     assert system.parameters == {} and system.invariants == () and system.differenced == ()
     np.testing.assert_array_equal(system.mass, own.mass)
@@ -96,6 +97,23 @@ def test_properties(own):
     assert "own(a, b, c, d)" in repr(system)
     assert "chaotic(x, y1, " in repr(dal.systems.chaotic(pairs=400))
     assert len(repr(dal.systems.chaotic(pairs=400))) < 120
+
+
+def test_description_source_and_formulas(own):
+    about = {"description": "größe", "source": "a book", "formulas": ("L = T", "v_a = 0")}
+    system = own.system(**about)
+    for one in (system, pickle.loads(pickle.dumps(system))):
+        assert {key: getattr(one, key) for key in about} == about
+    deformed = system.at_kept_nodes(0.1)
+    assert (deformed.description, deformed.source, deformed.formulas) == ("", "", ())
+
+
+def test_every_system_of_the_library_says_where_it_is_from():
+    for name in dal.systems.names():
+        system = dal.systems.get(name)
+        assert system.description.endswith(".") and len(system.source) > 10
+        assert system.source.split()[0] in getattr(dal.systems, name).__doc__
+        assert "\n    " + system.formulas[0] + "\n" in getattr(dal.systems, name).__doc__
 
 
 def test_mass_as_number_vector_and_matrix():
@@ -166,6 +184,9 @@ def test_number_of_constraints_is_asked_for_at_q0():
         ({"mass": 1, "n": -1}, "n = -1: expected at least 1"),
         ({"mass": [1, 1], "m": 1.5, "forms": lambda q: [[1, 0]]}, "m = 1.5: expected an integer"),
         ({"mass": 1, "n": 2, "name": 3}, "name = 3: expected a string"),
+        ({"mass": 1, "n": 2, "source": b"x"}, "source = b'x': expected a string"),
+        ({"mass": 1, "n": 2, "formulas": [3]}, "formulas = 3: expected a string"),
+        ({"mass": 1, "n": 2, "formulas": "L = T"}, "formulas = 'L = T': expected several lines"),
     ],
 )
 def test_wrong_definitions(arguments, text):
