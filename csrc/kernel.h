@@ -257,8 +257,8 @@ DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, dou
                     || !(turns || DAL_KERNEL_HAS(has.mu, a * n + i))) continue;
                 const double mu = at->mu[a * n + i];
                 const double term = (turns ? mu + b * at->N[a * n + i] : mu) * at->Z[c * n + i];
-                sum += term;
-                size += fabs(term);
+                sum = i > 0 ? sum + term : term;
+                size = i > 0 ? size + fabs(term) : fabs(term);
             }
             at->S[a * m + c] = sum;
             at->scale[a * m + c] = size;
@@ -281,8 +281,8 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(size_t n, size_t m, dal_pattern has, c
         for (size_t i = 0; i < n; i++) {
             if (!DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
             const double term = at->mu[a * n + i] * at->w[i];
-            sum += term;
-            scale += fabs(term);
+            sum = i > 0 ? sum + term : term;
+            scale = i > 0 ? scale + fabs(term) : fabs(term);
         }
         double turn = -0.0;
         for (size_t i = 0; i < n; i++) {
