@@ -4,6 +4,8 @@ The formulas are transcribed into NumPy from the definitions, so that what the c
 compared with something computed another way.
 """
 
+from html.parser import HTMLParser
+
 import numpy as np
 import pytest
 
@@ -344,3 +346,46 @@ KINDS = ("linear", "affine", "nonlinear")
 @pytest.fixture(params=KINDS)
 def general(request):
     return General(request.param)
+
+
+VOID = {"meta", "br", "hr", "img", "link", "input"}
+
+
+class Page(HTMLParser):
+    """Collects ids, links, tables and text, and checks that tags are closed in order."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.ids, self.tags, self.links, self.rows = [], [], [], [], []
+        self.words = ""
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.ids += [value for key, value in attrs if key == "id"]
+        self.links += [value for key, value in attrs if key == "href" and tag == "a"]
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.ids += [value for key, value in attrs if key == "id"]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" in self.open or "title" in self.open or "svg" in self.open:
+            return
+        self.words += data
+        if {"td", "th"} & set(self.open):
+            self.rows[-1][-1] += data
+
+    def cell(self, first, column=1):
+        """The entry of the first row that begins like this."""
+        return next(row[column] for row in self.rows if row and row[0].startswith(first))

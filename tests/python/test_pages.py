@@ -10,11 +10,11 @@ import re
 import shutil
 import subprocess
 import sys
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import Page
 from test_compiler import compile_c
 
 import dalembert as dal
@@ -22,47 +22,6 @@ from dalembert import cli, extras, formula, pages
 
 NAMES = (*dal.systems.names(), *dal.systems.names_in_sympy())
 VOCABULARIES = {f"http://www.w3.org/{x}" for x in ("2000/svg", "1999/xlink")}
-VOID = {"meta", "br", "hr", "img", "link", "input"}
-
-
-class Page(HTMLParser):
-    """Collects ids, links, tables and text, and checks that tags are closed in order."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.ids, self.tags, self.links, self.rows = [], [], [], [], []
-        self.words = ""
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.ids += [value for key, value in attrs if key == "id"]
-        self.links += [value for key, value in attrs if key == "href" and tag == "a"]
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append("")
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.ids += [value for key, value in attrs if key == "id"]
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if "style" in self.open or "title" in self.open or "svg" in self.open:
-            return
-        self.words += data
-        if {"td", "th"} & set(self.open):
-            self.rows[-1][-1] += data
-
-    def cell(self, first, column=1):
-        """The entry of the first row that begins like this."""
-        return next(row[column] for row in self.rows if row and row[0].startswith(first))
 
 
 @pytest.fixture(scope="module")
