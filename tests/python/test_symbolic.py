@@ -268,6 +268,17 @@ def test_one_text_two_compilations(name, scheme):
     assert np.abs(ends[0][: system.n] - q0).max() > 0.1
 
 
+def test_many_coordinates():
+    """Too many for a step routine of their own; the run-time version makes the steps."""
+    q = dal.coordinates(" ".join(f"x{i}" for i in range(40)))
+    rows = [a.d - b * c.d for a, b, c in zip(q, q[10:], q[20:30])]
+    large = dal.System.from_sympy(sum(x.d**2 for x in q) / 2, rows, coordinates=list(q))
+    assert large._kept.definition.kernel == _lib.ffi.NULL
+    q0 = np.linspace(-1, 1, 40)
+    run = dal.integrate(large, "midpoint", q0, large.project(q0, np.cos(q0)), h=0.01, steps=100)
+    assert run.success and run.residual.max() <= 4 * 40 * U
+
+
 def c_record(record):
     found = _lib.ffi.new("dal_scheme *")
     error = _lib.ffi.new("dal_error *")
