@@ -4,6 +4,8 @@ import itertools
 import math
 import random
 import re
+import subprocess
+import sys
 from fractions import Fraction
 
 import mpmath
@@ -476,6 +478,15 @@ def test_functions_that_are_not_smooth():
     report = system.check(np.zeros(4), np.zeros(4))
     assert report.growth is None and report.general_growth == (2, 3, 4)
     assert "not known; the motions along D" in str(report)
+
+
+def test_functions_need_no_sympy():
+    program = (
+        "import sys; sys.modules['sympy'] = sys.modules['mpmath'] = None\n"
+        "import dalembert as dal; print(dal.systems.disk().check().growth)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "(2, 3, 4)\n"
 
 
 def test_no_growth_vector_of_other_constraints():
