@@ -500,7 +500,9 @@ def test_functions_need_no_sympy():
         "import sys; sys.modules['sympy'] = sys.modules['mpmath'] = None\n"
         "import dalembert as dal; print(dal.systems.disk().check().growth)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert done.stdout == "(2, 3, 4)\n"
 
 
