@@ -417,12 +417,24 @@ static int accept(dal_mechanics *mech, double *x, double *distance)
     return DAL_SUCCESS;
 }
 
+/* phi, where w was, <- phi at w, which is mech->step from there; the constraints are not nonlinear.
+ * Returns whether w is consistent to roundoff, or nearly so on the last pass. */
+static bool is_consistent(dal_mechanics *mech, bool last)
+{
+    const size_t n = mech->n;
+    for (size_t a = 0; a < mech->m; a++)
+        mech->phi[a] += dal__dot(n, mech->mu + a * n, mech->step);
+    const double relative = dal__relative_residual(mech, mech->mu, mech->phi, mech->w);
+    return relative <= (last ? DAL_CONSISTENT : 2.0 * (double)n * DBL_EPSILON);
+}
+
 /* Newton for phi(q - shift w, w) = 0 along w = v + Z^T kappa with Z as it is, into mech->w.  The
  * equation is linear in w for shift = 0 unless the constraints are nonlinear; then the second pass
- * mends the roundoff of the first. */
+ * mends the roundoff of the first, and further ones that of C where it is nearly singular.  A C
+ * that is singular but for roundoff may pass as regular; the residual tells. */
 static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
 {
-    enum { MOST = 50 };
+    enum { MOST = 50, PASSES = 8 };
     const size_t n = mech->n, m = mech->m;
     const bool one_step = shift == 0.0 && mech->eval.system->def.kind != DAL_NONLINEAR;
     dal__progress p = {.iteration = 1, .last = INFINITY};
@@ -443,12 +455,22 @@ static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
         for (size_t i = 0; i < n; i++) {
             double step = 0.0;
             for (size_t a = 0; a < m; a++) step += mech->Z[a * n + i] * mech->lambda[a];
-            mech->w[i] += step;
+            mech->step[i] = step;
+            if (step != 0.0) mech->w[i] += step; /* a -0.0 that is kept stays one */
             p.size += fabs(step);
         }
         p.scale = dal__sum_of_sizes(n, mech->w) + dal__sum_of_sizes(n, velocity(mech, x));
         p.extent = dal__sum_of_sizes(n, mech->q);
-        if ((one_step && p.iteration == 2) || dal__newton_is_done(&p)) return DAL_SUCCESS;
+        if (!one_step || p.iteration == 1) {
+            if (dal__newton_is_done(&p)) return DAL_SUCCESS;
+        } else {
+            const bool last = p.iteration == PASSES;
+            if (!(p.size <= DBL_MAX) || is_consistent(mech, last))
+                return DAL_SUCCESS; /* what overflows is not accepted */
+            if (last)
+                return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular to working "
+                                 "precision: no velocity of D was found in %d passes", PASSES);
+        }
         if (p.iteration == MOST || !(p.size <= DBL_MAX))
             return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of %s was found in %d "
                              "iterations (shift = %g, last change %g)",
@@ -531,6 +553,9 @@ int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *
         return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu "
                          "restricted to the other %zu has rank below m = %zu", n - free_count, n,
                          free_count, m);
+    if (status == DAL_ENOCONV && free_count < n)
+        return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of D was found with %zu of %zu "
+                         "components kept: there may be none", n - free_count, n);
     return status ? status : accept(mech, x, distance);
 }
 

@@ -104,16 +104,21 @@ class Check:
     text : str
         The first thing found wrong, or a summary.
     growth : tuple of int or None
-        Growth vector of D at a general point: dimensions of D, D + [D, D], ...  Its end is n if D
-        is bracket generating; n - k, twice, if there are k holonomic constraints in disguise; any
-        other if further brackets were too large to form.  Of systems made by `System.from_sympy`
-        with linear constraints, else None.
+        Growth vector of D: dimensions of D, D + [D, D], ...  At q, if q was given; else at a
+        general point, near the initial data unless the system was made by `System.from_sympy`.
+        Its end is n if D is bracket generating; n - k, twice, if there are k holonomic constraints
+        in disguise; for anything else see `growth_note`.  None if it is not known, or the
+        constraints are not linear.
+    general_growth : tuple of int or None
+        At a general point; where it differs, q is a singular one.
+    growth_note : str
+        Why ``growth`` ends before that, or "".
     holonomic : tuple of str
-        Those of their constraints that are holonomic in disguise by themselves, and how many are
-        if several are taken together.
+        Of a system made by `System.from_sympy`: its constraints that are holonomic in disguise by
+        themselves, and how many are if several are taken together.
     exact : bool
-        True if it is proved whether D is integrable, or bracket generating; False if that was seen
-        at random points to 30 digits.
+        Of such a system: True if it is proved whether D is integrable, or bracket generating;
+        False if that was seen at random points to 30 digits.
     """
 
     passed: bool
@@ -141,6 +146,8 @@ class Check:
     integrable: bool
     text: str
     growth: tuple[int, ...] | None = None
+    general_growth: tuple[int, ...] | None = None
+    growth_note: str = ""
     holonomic: tuple[str, ...] = ()
     exact: bool = False
 
@@ -159,8 +166,13 @@ class Check:
             ("curvature of D", curvature if self.kind == "linear" else f"- ({self.kind})"),
         ]
         if self.growth is not None:
-            how = "" if self.exact else " (seen at random points)"
-            lines.append(("growth vector of D", f"{self.growth}{how}"))
+            how = "" if self.exact else " (seen at points)"
+            note = f"; {self.growth_note}" if self.growth_note else ""
+            lines.append(("growth vector of D", f"{self.growth}{how}{note}"))
+        elif self.growth_note:
+            lines.append(("growth vector of D", f"not known; {self.growth_note}"))
+        if self.general_growth != self.growth:
+            lines.append(("at a general point", self.general_growth))
         lines += [("holonomic in disguise", text) for text in self.holonomic]
         head = ("passed: " if self.passed else "FAILED: ") + self.text
         return "\n".join([head, *(f"{name:20} {value}" for name, value in lines)])

@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import numpy as np
 import sympy
 
 from . import symbolic
+from ._lib import Array, DalembertError
 from .formula import Node, read
 from .model import FUNCTIONS, Model
 from .system import System
 
-__all__ = ["model"]
+__all__ = ["agree", "model"]
 
 Expr = Any
 
@@ -42,6 +44,33 @@ def model(system: System) -> Model:
     -x*y.d + y*x.d + z.d
     """
     return _Formulas(system).model()
+
+
+def agree(found: Model, system: System, q: Array) -> bool:
+    """Return whether the linear constraints of a model are those of a system, at q and nearby.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> from dalembert import expressions
+    >>> system = dal.systems.disk()
+    >>> expressions.agree(expressions.model(system), system, system.q0)
+    True
+    """
+    if found.derived.kind != "linear":
+        return False
+    n, p = system.n, list(system.parameters.values())
+    forms = found.callables("constraint")["phi_v"]
+    for size in (0.0, 0.01, 0.1):
+        place = q + size * (1 + abs(q)) * np.cos(np.arange(1, n + 1))
+        try:
+            one = np.reshape(forms(place, np.zeros(n), p), (-1, n))
+            other = system.residual(np.tile(place, (n, 1)), np.eye(n)).T
+        except (DalembertError, ArithmeticError, ValueError):
+            return False
+        if one.shape != other.shape or not np.allclose(one, other, rtol=1e-12, atol=1e-12):
+            return False
+    return True
 
 
 class _Formulas:

@@ -46,13 +46,18 @@ _BLOCK = 1 << 14
 # ---- states --------------------------------------------------------------------------------
 
 
-def states(system: System, q: ArrayLike, v: ArrayLike) -> tuple[Array, bool]:
-    """Return the rows (q, v), shape (N, 2n), always a copy, and whether it was a single state."""
+def states(
+    system: System, q: ArrayLike, v: ArrayLike, names: tuple[str, str] = ("q", "v")
+) -> tuple[Array, bool]:
+    """Return the rows (q, v), shape (N, 2n), always a copy, and whether it was a single state.
+
+    ``names`` are those of the two arguments.
+    """
     n = system.n
-    q = arguments.array(q, "q", (n,), (None, n))
-    v = arguments.array(v, "v", (n,), (None, n))
+    q = arguments.array(q, names[0], (n,), (None, n))
+    v = arguments.array(v, names[1], (n,), (None, n))
     if q.shape != v.shape:
-        raise ValueError(f"v: expected shape {q.shape} as q has, got {v.shape}")
+        raise ValueError(f"{names[1]}: expected shape {q.shape} as {names[0]} has, got {v.shape}")
     return np.concatenate([np.atleast_2d(q), np.atleast_2d(v)], axis=1), q.ndim == 1
 
 
@@ -547,7 +552,7 @@ def consistent(
     system: System,
     q0: ArrayLike,
     v0: ArrayLike,
-    keep: str | Iterable[str] | Iterable[bool] | None = None,
+    keep: str | int | Iterable[str] | Iterable[int] | Iterable[bool] | None = None,
 ) -> Array:
     """Return the velocity in D nearest to v0 in the mass metric, with some components kept.
 
@@ -557,8 +562,9 @@ def consistent(
     ----------
     system : System
     q0, v0 : array_like, shape (n,) or (N, n)
-    keep : str, iterable of str, or iterable of bool, optional
-        Coordinates whose velocities stay as they are: their names, or n truth values.
+    keep : str, int, iterable of str, of int, or of bool, optional
+        Coordinates whose velocities stay as they are, bit by bit: their names, their places from 0,
+        or n truth values.
 
     Returns
     -------
@@ -569,7 +575,7 @@ def consistent(
     ValueError, DomainError
         As at the top of this module.
     SingularError
-        If the kept components leave too little freedom.
+        If the kept components leave too little freedom, even where v0 is in D as it is.
     ConvergenceError
         For nonlinear constraints, where the equation is not linear in v.
 
@@ -579,7 +585,7 @@ def consistent(
     >>> dal.systems.particle().consistent([0, 1, 0], [1, 1, 3], keep=["z"])
     array([3., 1., 3.])
     """
-    x, single = states(system, q0, v0)
+    x, single = states(system, q0, v0, ("q0", "v0"))
     mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
     distances = np.empty(len(x))
     rows(system, lib.dal_consistent, ((mask, _lib.pointer(x, k)) for k in range(len(x))), distances)
@@ -588,21 +594,28 @@ def consistent(
 
 
 def _mask(system: System, keep: Any) -> list[int]:
-    """Return n zeros and ones for names of coordinates or for n truth values."""
+    """Return n zeros and ones for names or places of coordinates, or for n truth values."""
+    n, names = system.n, system.coordinates
     try:
-        keep = [keep] if isinstance(keep, str) else list(keep)
+        given = [keep] if isinstance(keep, str | bytes) else list(keep)
     except TypeError:
-        keep = [keep]
-    if all(isinstance(k, str) for k in keep):
-        unknown = [k for k in keep if k not in system.coordinates]
-        if unknown:
+        given = [keep]
+    if given and all(isinstance(k, bool | np.bool_) for k in given):
+        if len(given) != n:
+            raise ValueError(f"keep: expected {n} truth values, got {len(given)}")
+        return [int(k) for k in given]
+    places = []
+    for k in given:
+        if isinstance(k, str) and k in names:
+            places.append(names.index(k))
+        elif isinstance(k, str):
+            raise ValueError(f"keep: there is no coordinate {k!r}; there are {', '.join(names)}")
+        elif isinstance(k, int | np.integer) and not isinstance(k, bool):
+            places.append(arguments.integer(k, "keep", 0, n - 1))
+            if places.count(k) > 1:
+                raise ValueError(f"keep = {keep!r}: {k} is there twice; truth values are bool")
+        else:
             raise ValueError(
-                f"keep: there is no coordinate {unknown[0]!r}; there are "
-                f"{', '.join(system.coordinates)}"
+                f"keep = {keep!r}: expected names or places of coordinates, or {n} truth values"
             )
-        return [int(c in keep) for c in system.coordinates]
-    if len(keep) != system.n or not all(isinstance(k, (bool, np.bool_)) for k in keep):
-        raise ValueError(
-            f"keep = {keep!r}: expected names of coordinates or {system.n} truth values"
-        )
-    return [int(k) for k in keep]
+    return [int(i in places) for i in range(n)]

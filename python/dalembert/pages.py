@@ -5,6 +5,7 @@ A page is self-contained: no script, no network, the same bytes every time.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import html
 import re
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _lib, extras, formula, plot, systems, web
+from . import _lib, extras, formula, growth, plot, systems, web
 from ._lib import Array
 from .examination import Check
 from .integration import integrate
@@ -334,26 +335,27 @@ def _facts(system: System) -> str:
 
 def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
     """How D grows by brackets; for a system in C after its formulas, if SymPy is there."""
-    growth, holonomic, exact = found.growth, found.holonomic, found.exact
-    if growth is None and system.formulas and extras.is_there("sympy"):
+    grown, holonomic, exact = found.growth, found.holonomic, found.exact
+    digits = 16 if system._symbolic is None else 30
+    if system._symbolic is None and system.formulas and extras.is_there("sympy"):
         from . import distribution, expressions
 
-        try:
-            told = distribution.examine(expressions.model(system), system.parameters)
-        except ValueError:  # the formulas are for readers only
-            return []
-        growth, holonomic, exact = told.growth, told.holonomic, told.exact
-    if growth is None:
+        with contextlib.suppress(ValueError):  # formulas may be for readers only
+            model = expressions.model(system)
+            if expressions.agree(model, system, system.q0):
+                told = distribution.examine(model, system.parameters, system.q0)
+                grown, holonomic, exact, digits = told.growth, told.holonomic, told.exact, 30
+    if grown is None:
         return []
-    if growth[-1] == system.n:
+    if grown[-1] == system.n:
         what = "D is bracket generating"
-    elif len(growth) > 1 and growth[-1] == growth[-2]:
-        what = f"D lies in a foliation by leaves of dimension {growth[-1]}"
+    elif growth.is_settled(grown, system.n):
+        what = f"D lies in a foliation by leaves of dimension {grown[-1]}"
     else:
-        what = "further brackets were not formed"
-    how = "proved" if exact else "seen at random points, to 30 digits"
+        what = found.growth_note
+    how = "proved" if exact else f"seen at random points, to {digits} digits"
     return [
-        ("growth vector of D", f"{growth}: {what}; {how}"),
+        ("growth vector of D", f"{grown}: {what}; {how}"),
         *(("holonomic in disguise", text) for text in holonomic),
     ]
 

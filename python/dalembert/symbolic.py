@@ -9,6 +9,7 @@ import functools
 import keyword
 import math
 import os
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -39,7 +40,7 @@ Expr = Any
 
 _WITHOUT_COMPILER = (
     "no C compiler was found ({where}), so the system {name!r} runs on Python functions: a step "
-    "takes 10 to 100 times as long; install gcc or clang, or set CC"
+    "takes 30 to 300 times as long; install gcc or clang, or set CC"
 )
 
 
@@ -588,7 +589,15 @@ class Symbolic:
         """Say what it costs that there is no compiler."""
         where = f"CC = {os.environ['CC']}" if os.environ.get("CC") else "cc, gcc, clang"
         text = _WITHOUT_COMPILER.format(where=where, name=name)
-        warnings.warn(text, DalembertWarning, stacklevel=4)
+        warnings.warn(text, DalembertWarning, stacklevel=2 + _depth())
+
+
+def _depth() -> int:
+    """Return how many calls of this package lie between its caller and the user."""
+    frame, depth = sys._getframe(1), 0
+    while frame.f_back is not None and frame.f_globals.get("__package__") == __package__:
+        frame, depth = frame.f_back, depth + 1
+    return depth - 1
 
 
 def c_identifier(name: str | None, default: str) -> str:

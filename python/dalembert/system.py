@@ -6,14 +6,17 @@ import contextlib
 import dataclasses
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _lib, arguments, deformation, geometry, pointers, symbolic
+from . import _lib, arguments, deformation, extras, geometry, growth, pointers, symbolic
 from ._lib import FUNCTIONS, Array, ffi, lib
 from .examination import Check, examine
+
+if TYPE_CHECKING:
+    from .model import Model
 
 __all__ = ["System"]
 
@@ -890,16 +893,19 @@ class System:
         return x[..., :n], x[..., n:]
 
     def check(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> Check:
-        """Examine the system at a state: derivatives, rank, definiteness, integrability.
+        """Examine the system at a state: derivatives, rank, definiteness, integrability, growth.
 
         What depends on v is examined at another velocity too, where it is defined there, and the
-        force at times 0 and 1.
+        force at times 0 and 1.  The growth vector of D is found with 77 digits for a system made by
+        `from_sympy`, and for one whose formulas say what it is, if those of its functions are too
+        few and SymPy is installed.
 
         Parameters
         ----------
         q, v : array_like, shape (n,), optional
             Where to look, in the user's units.  Default: the system's initial data; without any,
-            and if the system was made by `from_sympy`, some state in D.
+            and if the system was made by `from_sympy`, some state in D.  The growth vector is that
+            at q if q is given, else that at a general point.
 
         Returns
         -------
@@ -921,18 +927,41 @@ class System:
         ... )
         >>> bool(wrong.check([1, 0], [0, 0]))
         False
+        >>> trailers = dal.systems.n_trailer(trailers=2)
+        >>> trailers.check().growth
+        (2, 3, 4, 5)
+
+        It grows more slowly where the first trailer stands at a right angle to the car:
+
+        >>> trailers.check([0, 0, 3.141592653589793 / 2, 0, 0], [0, 0, 0, 0, 0]).growth
+        (2, 3, 4, 4, 5)
         """
+        asked = q is not None
         if q is None and v is None and self._state is None and self._symbolic is not None:
             q, v = self._general_state()
         found = examine(self, q, v)
-        if self._symbolic is None or self._m == 0 or self._kind != "linear":
+        if self._m == 0 or self._kind != "linear":
             return found
+        place, _ = geometry.initial(self, q, v, "q", "v")
+        at = place if asked else None
+        if self._symbolic is not None:
+            return self._grown(found, self._symbolic.model, place, at)
+        here, general, note = growth.of_functions(self, place, asked)
+        if note and self._formulas and extras.is_there("sympy"):
+            from . import expressions
+
+            with contextlib.suppress(ValueError):  # formulas may be for readers only
+                model = expressions.model(self)
+                if expressions.agree(model, self, place):
+                    return self._grown(found, model, place, at)
+        return dataclasses.replace(found, growth=here, general_growth=general, growth_note=note)
+
+    def _grown(self, found: Check, model: Model, near: Array, at: Array | None) -> Check:
+        """Return what was found with the growth vector of the model's D."""
         from . import distribution
 
-        told = distribution.examine(self._symbolic.model, self._parameters)
-        return dataclasses.replace(
-            found, growth=told.growth, holonomic=told.holonomic, exact=told.exact
-        )
+        told = distribution.examine(model, self._parameters, near, at)
+        return dataclasses.replace(found, **dataclasses.asdict(told))
 
     def _general_state(self) -> tuple[Array, Array]:
         """Return some state in D, in no special position."""

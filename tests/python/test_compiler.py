@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pickle
 import re
 import shutil
 import stat
@@ -315,7 +316,7 @@ def test_no_compiler(cache, monkeypatch):
         fast = dal.System.from_sympy(L_case, constraints, **options)
         with monkeypatch.context() as change:
             change.setenv("CC", "/nowhere/cc")
-            with pytest.warns(dal.DalembertWarning, match=r"CC = /nowhere/cc.*10 to 100 times"):
+            with pytest.warns(dal.DalembertWarning, match=r"CC = /nowhere/cc.*30 to 300 times"):
                 slow = dal.System.from_sympy(L_case, constraints, **options)
             with pytest.warns(dal.DalembertWarning):
                 other = slow.with_parameters(a=0.8)
@@ -330,6 +331,62 @@ def test_no_compiler(cache, monkeypatch):
         expected = dal.integrate(fast, "midpoint", state[0], v0, h=0.01, steps=50)
         # 50 steps, each solved to roundoff of numbers of size 1
         np.testing.assert_allclose(run.y, expected.y, rtol=0, atol=50 * 64 * 2.0**-53)
+
+
+@pytest.mark.parametrize("make", [slide, dal.systems.cvt])
+def test_no_compiler_on_the_path(cache, monkeypatch, make, tmp_path):
+    """The warning says what was looked for, and shows the line of the user."""
+    fast = make()
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.warns(dal.DalembertWarning, match=r"\(cc, gcc, clang\).*'\w+' runs on") as caught:
+        slow = make()
+        again = pickle.loads(pickle.dumps(slow))
+        changed = slow.with_parameters()
+    assert len(caught) == 3 and {w.filename for w in caught} == {__file__}
+    q, v = np.full(fast.n, 0.3), np.full(fast.n, 0.4)
+    for system in (slow, again, changed):
+        np.testing.assert_allclose(
+            system.acceleration(q, v), fast.acceleration(q, v), rtol=64 * 2.0**-53
+        )
+    assert slow.c_source() == fast.c_source()
+
+
+WITHOUT = """
+import sys
+for name in ("symengine", "numba", "scipy"):
+    sys.modules[name] = None  # an import of it raises ImportError
+sys.path[:0] = [sys.argv[1]]
+import numpy as np, dalembert as dal, test_compiler
+system = test_compiler.slide()
+run = dal.integrate(system, "leapfrog", [0.5, 0.2], system.project([0.5, 0.2], [1, 0.3]),
+                    h=0.01, steps=100)
+print(*map(repr, run.y[:, -1].tolist()))
+print(system.check([0.5, 0.2], [1.0, np.sin(0.5)]).growth, system._repr_latex_())
+dal.reference(system, [0.5, 0.2], [1.0, np.sin(0.5)], t=1.0)
+try:
+    dal.pointers.numba_wanted()
+except ImportError as error:
+    print(error)
+"""
+
+
+def test_without_what_is_optional(cache):
+    """Neither SymEngine, numba and SciPy nor a compiler: the same, slower."""
+    here = str(Path(__file__).parent)
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT, here], capture_output=True, text=True, check=True,
+        env={**os.environ, "CC": "/nowhere/cc"},
+    )  # fmt: skip
+    assert done.stderr.count("DalembertWarning: no C compiler was found") == 1
+    end, growth, numba = done.stdout.splitlines()
+    system = slide()
+    v = system.project([0.5, 0.2], [1, 0.3])
+    run = dal.integrate(system, "leapfrog", [0.5, 0.2], v, h=0.01, steps=100)
+    found = [float(x) for x in end.split()]
+    np.testing.assert_allclose(found, run.y[:, -1], rtol=0, atol=100 * 64 * 2.0**-53)
+    assert growth == f"(1, 1) {system._repr_latex_()}"
+    assert numba.endswith("needs numba: pip install numba")
 
 
 def test_first_compiler_found(monkeypatch, tmp_path):

@@ -1,10 +1,12 @@
 """The geometry functions against formulas in NumPy, at one state and at stacked ones."""
 
+import re
+
 import numpy as np
 import pytest
 
 import dalembert as dal
-from conftest import U
+from conftest import KINDS, General, U
 
 # Sums of at most 4 terms of size 1 to 10 and solves with condition below 100: 1e-13 is about
 # 1000 u, far below any sign or factor.
@@ -108,14 +110,81 @@ def test_consistent_without_keep_is_the_projection(own):
 
 def test_consistent_with_too_much_kept(own):
     q, v = several(own, 1)
-    with pytest.raises(dal.SingularError):
+    with pytest.raises(dal.SingularError, match="4 of 4 components are kept"):
         own.system().consistent(q[0], v[0], keep=["q0", "q1", "q2", "q3"])
+    with pytest.raises(dal.SingularError, match="2 of 3 components are kept") as caught:
+        dal.systems.particle().consistent(np.zeros((3, 3)), np.ones((3, 3)), keep=["y", "z"])
+    assert caught.value.step == 0
 
 
-@pytest.mark.parametrize("keep", ["nowhere", ["nowhere"], [True, False], [0, 1, 0, 0], 5])
-def test_keep_is_named_in_errors(own, keep):
-    with pytest.raises(ValueError, match="keep"):
+@pytest.mark.parametrize("kind", KINDS)
+def test_consistent_in_many_ways(kind):
+    """Names, places and truth values are one; bits are kept; D is reached to 4 n u."""
+    system = General(kind).system()
+    source = np.random.default_rng(3)
+    curved = kind == "nonlinear"  # not every v has a consistent velocity nearby then
+    for keep in (["x"], ["y", "x"], *([] if curved else ([], ["x", "z"]))):
+        places = [system.coordinates.index(c) for c in keep]
+        for size in (1e-3, 1.0, *([] if curved else [1e3])):
+            q, v = source.uniform(-0.5, 0.5, (2, 4, 3))
+            v *= size
+            v[0, 0] = -0.0
+            w = system.consistent(q, v, keep)
+            assert w[:, places].tobytes() == v[:, places].tobytes()
+            # a nonlinear equation is solved to the accuracy of its own terms
+            assert system.relative_residual(q, w).max() <= 4 * 3 * U * (1 + curved)
+            truth = [c in keep for c in system.coordinates]
+            for same in (iter(keep), places, np.array(places, dtype=int), truth, np.array(truth)):
+                np.testing.assert_array_equal(system.consistent(q, v, keep=same), w)
+    if not curved:
+        alone = system.consistent(q[0], v[0], keep=2)
+        np.testing.assert_array_equal(alone, system.consistent(q[0], v[0], keep="z"))
+
+
+def test_no_consistent_velocity():
+    """A speed of 2 with a larger component kept; then one that is just possible."""
+    system = dal.System(
+        mass=[1, 1],
+        constraint=lambda q, v: [v @ v - 4],
+        constraint_v=lambda q, v: [2 * v],
+        coordinates=["x", "y"],
+    )
+    with pytest.raises(dal.ConvergenceError, match="1 of 2 components kept: there may be none"):
+        system.consistent([0, 0], [3, 1], keep="x")
+    v = system.consistent([0, 0], [1.5, 1], keep="x")
+    np.testing.assert_allclose(v, [1.5, np.sqrt(1.75)], rtol=4 * U)
+
+
+@pytest.mark.parametrize(
+    ("keep", "text"),
+    [
+        ("nowhere", "there is no coordinate 'nowhere'; there are q0, q1, q2, q3"),
+        (["q0", "nowhere"], "there is no coordinate 'nowhere'"),
+        ("", "there is no coordinate ''"),
+        ([True, False], "keep: expected 4 truth values, got 2"),
+        ([0, 1, 0, 0], "0 is there twice; truth values are bool"),
+        ([0, 4], "keep = 4: expected at most 3"),
+        (-1, "keep = -1: expected at least 0"),
+        (1.0, "keep = 1.0: expected names or places of coordinates, or 4 truth values"),
+        ([None], "expected names or places"),
+        (b"q0", "expected names or places"),
+        ([True, 1], "expected names or places"),
+    ],
+)
+def test_keep_is_named_in_errors(own, keep, text):
+    with pytest.raises(ValueError, match=re.escape(text)):
         own.system().consistent(own.q0, own.v0(), keep=keep)
+
+
+def test_states_are_named_in_errors(own):
+    system = own.system()
+    for q, v, text in (
+        ([0, 1], own.v0(), "q0: expected shape (4,) or (N, 4), got (2,)"),
+        (own.q0, [own.v0()], "v0: expected shape (4,) as q0 has, got (1, 4)"),
+        (own.q0, [1, np.inf, 0, 0], "v0[1] = inf"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(text)):
+            system.consistent(q, v, keep="q1")
 
 
 def test_functions_are_methods(own):

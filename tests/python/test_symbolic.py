@@ -18,7 +18,7 @@ from sympy.physics import mechanics
 from sympy.physics.mechanics import dynamicsymbols
 
 import dalembert as dal
-from dalembert import _lib, distribution, model, symbolic
+from dalembert import _lib, model, symbolic
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data" / "vectors.json").read_text("ascii"))
 
@@ -699,92 +699,6 @@ def test_mechanics_refused():
     made.add_holonomic_constraints(x**2 - 1)
     with pytest.raises(ValueError, match="holonomic constraint"):
         dal.System.from_mechanics_system(made)
-
-
-# ---- integrability -----------------------------------------------------------------------------
-
-
-x, y, z, w = dal.coordinates("x y z w")
-sin, cos, exp = sympy.sin, sympy.cos, sympy.exp
-
-INTEGRABLE = [
-    ([z.d], [x, y, z]),
-    ([x * x.d + y * y.d + z * z.d], [x, y, z]),
-    ([y * x.d + x * y.d - z.d], [x, y, z]),
-    ([exp(x) * (y * x.d + x * y.d + cos(z) * z.d)], [x, y, z]),
-    ([cos(x) * y.d + sin(x) * sin(x) * z.d + cos(x) ** 2 * z.d - z.d], [x, y, z]),
-    ([z * x.d + z * y.d + (x + y) * z.d], [x, y, z]),
-    ([x.d - y * z.d, y.d], [x, y, z, w]),
-    ([sin(x) * x.d + w.d, y.d - z * w.d - w * z.d], [x, y, z, w]),
-    ([y * x.d - x * y.d], [x, y, z]),
-    ([x.d + y.d, z.d + w * x.d + w * y.d], [x, y, z, w]),
-]
-NOT_INTEGRABLE = [
-    ([z.d - y * x.d], [x, y, z], (2, 3)),
-    ([sin(z) * x.d - cos(z) * y.d], [x, y, z], (2, 3)),
-    ([-sin(z) * x.d + cos(z) * y.d - z.d / 2], [x, y, z], (2, 3)),
-    ([z.d + y * x.d - x * y.d], [x, y, z], (2, 3)),
-    ([x.d - cos(w) * z.d, y.d - sin(w) * z.d], [x, y, z, w], (2, 3, 4)),
-    ([y.d - z * x.d, z.d - w * x.d], [x, y, z, w], (2, 3, 4)),
-    ([w.d - y * x.d], [x, y, z, w], (3, 4)),
-    ([z.d - y**2 * x.d], [x, y, z], (2, 3)),
-    ([exp(x) * z.d - y * x.d], [x, y, z], (2, 3)),
-    ([x.d, w.d - y * z.d], [x, y, z, w], (2, 3, 3)),
-]
-
-
-@pytest.mark.parametrize(("constraints", "q"), INTEGRABLE)
-def test_integrable(constraints, q):
-    system = dal.System.from_sympy(sum(c.d**2 for c in q) / 2, constraints, q)
-    n, m = len(q), len(constraints)
-    found = distribution.examine(system._symbolic.model, {})
-    assert found.growth == (n - m, n - m) and found.exact
-    assert found.holonomic
-    report = system.check([0.4, 0.5, 0.6, 0.7][:n], np.zeros(n))
-    assert report.integrable and report.growth == found.growth
-    assert "holonomic in disguise" in str(report)
-
-
-@pytest.mark.parametrize(("constraints", "q", "growth"), NOT_INTEGRABLE)
-def test_not_integrable(constraints, q, growth):
-    system = dal.System.from_sympy(sum(c.d**2 for c in q) / 2, constraints, q)
-    report = system.check([0.4, 0.5, 0.6, 0.7][: len(q)], np.zeros(len(q)))
-    assert report.growth == growth and not report.integrable
-    if growth[-1] < len(q):  # one of the constraints is holonomic, and is named
-        assert report.holonomic == ("constraints[0]: x.d = 0",)
-    else:
-        assert report.exact and report.holonomic == ()
-
-
-def test_values_of_parameters_decide():
-    """With a = 0 the constraint is a holonomic one."""
-    a = sympy.Symbol("a")
-    system = dal.System.from_sympy(
-        (x.d**2 + y.d**2 + z.d**2) / 2, [z.d - a * y * x.d], [x, y, z], {a: 1}
-    )
-    state = [0.1, 0.2, 0.3], [0, 0, 0]
-    assert system.check(*state).growth == (2, 3)
-    plain = system.with_parameters(a=0).check(*state)
-    assert plain.growth == (2, 2)
-    assert len(plain.holonomic) == 1 and plain.holonomic[0].startswith("constraints[0]: ")
-
-
-def test_check_finds_a_state_by_itself():
-    system = dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2) / 2, [z.d - y * x.d], [x, y, z])
-    assert system.check() and system.check().growth == (2, 3)
-    twice = [z.d - y * x.d, 2 * z.d - 2 * y * x.d]
-    report = dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2) / 2, twice, [x, y, z]).check()
-    assert not report and report.rank == 1 and "rank" in report.text
-    with pytest.raises(ValueError, match="no initial data"):
-        dal.System(mass=[1, 1]).check()
-
-
-def test_trailers_have_long_growth_vectors():
-    report = trailer(1).check([0.1, 0.2, 0.3, 0.5], [0, 0, 0, 0])
-    assert report.growth == (2, 3, 4)
-    state = np.zeros((2, 8))
-    report = trailer(5).check(*state)  # m = 6: only the first bracket is formed
-    assert report.growth[:2] == (2, 3) and not report.integrable
 
 
 def test_reserved_names_of_c():
