@@ -101,6 +101,7 @@ typedef struct dal_progress {
     double last, travelled; /* the size of the last change of w, and of all together */
     double since;           /* of those after N was evaluated */
     double least, turned;   /* the smallest sum_i |mu^a_i w_i|; sum |N^a_i| sum |moved_i| */
+    double bent;            /* sum |mu^a_i - mu_node^a_i| */
     double trust;           /* relative residual that may be left; 0 in the first steps */
     int iteration;
     bool solved, settled;   /* the equations; and the residual of D at what is stored */
@@ -389,10 +390,11 @@ DAL_KERNEL_INLINE bool dal_kernel_judge(dal_kernel *k, const dal_stage *s, size_
     if (close || !ends || 64.0 * k->contraction * lasting * size <= noise) {
         p->settled = dal_kernel_settled(n, m, has, at, limit, p, &k->stats.worst_residual)
                   && (first || dal_kernel_foresees(limit, p));
-        /* What is left of the residual, at most.  N knows how mu bends only if the prediction is
-         * near: not where it moved as much as it is large, not in the first steps, whose pull is
-         * unknown, and not where N is 0. */
-        const double left = has.N ? 10.0 * p->turned * p->travelled : 0.0;
+        /* What is left of the residual, at most.  How mu bends is seen in N, and in how far mu has
+         * come from the node: N is small also where a velocity passes through 0, or where mu turns
+         * back.  They know it only if the prediction is near: not where it moved as much as it is
+         * large, and not in the first steps, whose pull is unknown. */
+        const double left = has.N ? 10.0 * p->travelled * (p->turned + p->bent * size) : 0.0;
         p->solved = close | (left < p->trust * p->least * (p->reached - 2.0 * size));
     }
     const bool slow = !first && p->iteration >= 3 && size > 0.5 * p->last;
@@ -582,9 +584,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
                                            &k->stats.worst_residual);
             p.solved = true;
         } else {
+            for (size_t i = 0; i < m * n; i++)
+                if (DAL_KERNEL_HAS(has.mu, i)) p.bent += fabs(mu[i] - mu_node[i]);
             going = dal_kernel_judge(k, s, n, m, has, ends, kept, true, &at, &p);
         }
-        while ((going && !p.solved)) {
+        while (going && !p.solved) {
             p.iteration++;
             if (!linear) {
                 DAL_KERNEL_UNROLL
@@ -603,7 +607,6 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         /* The residual of D at what is stored. */
         if (DAL_KERNEL_RARE(m > 0 && p.solved && !p.settled)) {
             dal_lu_solve(m, S, row, r, d);
-            p.since = 0.0;
             DAL_KERNEL_UNROLL
             for (size_t i = 0; i < n; i++) {
                 if (!DAL_KERNEL_HAS(has.pull, i)) continue;

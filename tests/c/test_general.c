@@ -815,6 +815,54 @@ static void test_far(const char *name, double far)
     dal_system_free(system);
 }
 
+/* mu = (1 + k y^2, a, 1): it turns back at y = 0, and v_x may pass through 0 as it bends; *ctx is
+ * {k, a}. */
+static int bowl(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                void *ctx)
+{
+    const double k = ((const double *)ctx)[0], a = ((const double *)ctx)[1];
+    const double x = 1.0 + k * q[1] * q[1];
+    if (phi) *phi = x * v[0] + a * v[1] + v[2];
+    if (phi_v) {
+        phi_v[0] = x;
+        phi_v[1] = a;
+        phi_v[2] = 1.0;
+    }
+    if (phi_q) {
+        phi_q[0] = phi_q[2] = 0.0;
+        phi_q[1] = 2.0 * k * q[1] * v[0];
+    }
+    return 0;
+}
+
+/* Where N = d(mu v)/dq is small and mu bends none the less, the steps are still in D. */
+static void test_bowl(void)
+{
+    const char *const names[] = {"midpoint", "leapfrog-kl8", "endpoint", "0.3", "midpoint-suzuki4"};
+    const double mass[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
+    unsigned seed = 1;
+    double worst = 0.0;
+    for (int start = 0; start < 1000; start++) {
+        double shape[2] = {0.5 + fabs(next_number(&seed)), 0.2 + 0.3 * next_number(&seed)}, x[6];
+        const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = bowl,
+                                    .ctx = shape};
+        dal_system *system = NULL;
+        CHECK(dal_system_new(&system, &def, NULL) == 0);
+        const dal_scheme scheme = find_scheme(names[start % 5]);
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        for (int i = 0; i < 6; i++) x[i] = next_number(&seed);
+        x[1] = -0.5 * fabs(x[1]);
+        x[4] = 0.3 + fabs(x[4]);
+        const double h = 0.1 * exp(1.6 * next_number(&seed));
+        CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
+        for (int step = 0; step < 50 && dal_step(stepper, NULL) == 0; step++)
+            worst = fmax(worst, residual_of(system, 0.0, dal_stepper_state(stepper)));
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+    CHECK_NEAR(worst, 0.0, DAL_RESIDUAL_BOUND(3));
+}
+
 /* What of the residual of D_eps no state can avoid: shift v rounds before q - shift v is formed. */
 static double unavoidable(const dal_system *system, double shift, const double *x)
 {
@@ -936,6 +984,7 @@ int main(void)
     test_far_nodes("heisenberg", 1e3);
     test_far_nodes("heisenberg", 1e5);
     test_far_nodes("knife_edge", 1e7);
+    test_bowl();
     test_far_differences("sleigh_contact");
     test_far_differences("rolling_disc");
     test_far_differences("n_trailer");
