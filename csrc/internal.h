@@ -409,10 +409,12 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
 /* d->phi, d->phi_v, and d->B if derivative. */
 int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool derivative);
 
-/* ---- floor 6: schemes.c, kernels.c, finish.c, newton.c, multiroot.c, stepper.c ------------ */
+/* ---- floor 6: schemes.c, kernels.c and _large.c, finish.c, newton.c, multiroot.c, stepper.c */
 
 /* The compilation of the step routine to use for these sizes. */
 dal_kernel_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes);
+/* One for n = 7 and 8, m <= 4; else NULL. */
+dal_kernel_fn dal__kernel_of_many(size_t n, size_t m);
 
 struct dal_stage;
 /* As finish of a dal_kernel. */
