@@ -18,7 +18,7 @@ from sympy.physics import mechanics
 from sympy.physics.mechanics import dynamicsymbols
 
 import dalembert as dal
-from dalembert import _lib, model, symbolic
+from dalembert import _lib, codegen, model, symbolic
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data" / "vectors.json").read_text("ascii"))
 
@@ -374,6 +374,19 @@ def test_keys_tell_models_apart():
     keys = [key(L) for L in different] + [key(kinetic, [y.d]), key(kinetic, [y.d - x.d])]
     assert len(set(keys)) == len(keys)
     assert key(y.d**2 / 2 - y * x + x.d**2 / 2) == key(kinetic - x * y)
+
+
+def test_large_callbacks_are_called():
+    """Small ones are inlined in the step routine; those of many operations are not."""
+    x, y = dal.coordinates("x y")
+    for count, head in ((1, "DAL_KERNEL_INLINE int"), (150, "static int")):
+        V = sum(sympy.sin(k * x) / k for k in range(1, count + 1))
+        found, _ = symbolic.make_model(
+            (x.d**2 + y.d**2) / 2 - V, [y.d - x * x.d], [x, y], None, None, None, None, None
+        )
+        source = codegen.program(found).source
+        assert f"{head}\nmodel_potential(" in source
+        assert "DAL_KERNEL_INLINE int\nmodel_constraint(" in source
 
 
 def test_constant_mass_is_found():
