@@ -105,6 +105,22 @@ def start_up() -> bool:
     return all(kept)
 
 
+def growth_vector() -> bool:
+    """Of the largest of the systems, to its end; the least of some."""
+    system = trailers(10)
+    q = np.linspace(0.1, 1.3, system.n)
+    times: list[list[float]] = [[], []]
+    for _ in range(3):
+        for found, at in zip(times, ((), (q, np.zeros(system.n)))):
+            start = time.perf_counter()
+            assert system.check(*at).growth == tuple(range(2, 14))
+            found.append(time.perf_counter() - start)
+    print("seconds of a check of the car with 10 trailers, growth vector of D and all")
+    kept = [at_most("at a general point", min(times[0]), 10),
+            at_most("at a given point", min(times[1]), 20)]
+    return all(kept)
+
+
 def stored_steps(program: str) -> bool:
     """Store a million steps from Python and from C."""
     system = particle()
@@ -133,6 +149,7 @@ def main(steps: str, store: str) -> int:
             kept.append(done.returncode == 0)
         kept.append(stored_steps(store))
         kept.append(start_up())
+        kept.append(growth_vector())
     return 0 if all(kept) else 1
 
 

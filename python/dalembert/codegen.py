@@ -147,9 +147,8 @@ def _function(
         start += len(expressions)
 
     users = _users(temporaries, values)
-    operations = sum(sympy.count_ops(e) for _, e in temporaries)
-    operations += sum(sympy.count_ops(e) for e in reduced)
-    inline = fast and function.name in ("constraint", "potential") and operations <= _INLINED
+    inline = fast and function.name in ("constraint", "potential")
+    inline = inline and _are_few([*reduced, *(e for _, e in temporaries)])
     used = {s.name for e in [*reduced, *(e for _, e in temporaries)] for s in e.free_symbols}
 
     made.add("DAL_KERNEL_INLINE int" if inline else "static int")
@@ -186,6 +185,12 @@ def _function(
     made.add("    return 0;\n}\n")
     if function.name not in ("mass", "state"):
         _wrapper(made, function.name)
+
+
+def _are_few(expressions: Sequence[Any]) -> bool:
+    """Return whether there are few enough operations to be inlined."""
+    left = _INLINED
+    return all((left := left - sympy.count_ops(e)) >= 0 for e in expressions)
 
 
 def _names(signature: str) -> list[str]:

@@ -17,7 +17,6 @@ import sympy
 from sympy.logic.boolalg import BooleanAtom
 
 from ._lib import Array
-from .model import FUNCTIONS
 
 __all__ = ["BITS", "NotAnalytic", "Tape", "fixed", "real"]
 
@@ -208,7 +207,7 @@ class Tape:
         return self._operation(operation)
 
     def _function(self, e: Expr) -> Array:
-        function = getattr(mpmath, FUNCTIONS.get(e.func, e.func.__name__))
+        function = getattr(mpmath, e.func.__name__)
         slopes: list[Array] = []
         found = self._composed(e, function, [self.series(a) for a in e.args], slopes)
         self._series[e] = found  # the slope of the exponential is the exponential

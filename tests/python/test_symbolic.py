@@ -18,7 +18,7 @@ from sympy.physics import mechanics
 from sympy.physics.mechanics import dynamicsymbols
 
 import dalembert as dal
-from dalembert import _lib, model, symbolic
+from dalembert import _lib, codegen, model, symbolic
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data" / "vectors.json").read_text("ascii"))
 
@@ -324,6 +324,69 @@ def test_order_of_coordinates():
     assert dal.System.from_sympy(x.d**2 + z.d**2, coordinates=[z, x]).coordinates == ("z", "x")
     assert x == dal.coordinates("x")[0] and x.d == dal.coordinates("x")[0].d
     assert x.d != sympy.Symbol("x.d", real=True) and pickle.loads(pickle.dumps(x.d)) == x.d
+
+
+def test_values_at_points():
+    """Of smooth expressions and of others, complex ones too, against SymPy's own to 45 digits."""
+    a, b = symbols = sympy.symbols("a b", real=True)
+    smooth = [
+        a**3 / b - sympy.pi * a, sympy.sin(a * b) + sympy.Float(0.1), sympy.sqrt(a - 5) * b,
+        sympy.exp(-a) ** b, sympy.log(b) * sympy.atan(a), sympy.Rational(2, 3), sympy.asin(a + 1),
+        (a + b) ** sympy.Rational(-5, 2), sympy.E**a * sympy.cosh(b),
+    ]  # fmt: skip
+    points = model.Points(symbols)
+    for expressions in (smooth, [*smooth, sympy.Abs(a - b), sympy.Piecewise((a, a > b), (b, True))]):
+        found = points.evaluate(expressions)
+        assert len(found) == len(points.values) == 3
+        for place, values in zip(points.values, found):
+            at = {c: sympy.Rational(int(x * 2**41), 2**41) for c, x in zip(symbols, place)}
+            for e, value in zip(expressions, values):
+                expected = sympy.N(e.subs(at), 55).as_real_imag()
+                with mpmath.workdps(60):
+                    assert abs(mpmath.mpc(*map(mpmath.mpf, expected)) - value) < 1e-45
+    pole = 1 / (a - sympy.Rational(int(points.values[1][0] * 2**41), 2**41))
+    for expressions in ([pole, a], [pole, sympy.Abs(a)]):
+        assert [values[1] for values in points.evaluate(expressions)] == [
+            points.values[0][0], points.values[2][0]
+        ]  # fmt: skip
+    assert points.vanish([sympy.sin(a) ** 2 + sympy.cos(a) ** 2 - 1, sympy.Integer(0)])
+    assert points.vanish([(a - 5) ** sympy.Rational(1, 2) - sympy.sqrt(a - 5) * (a / a)])
+    assert not points.vanish([a - b]) and points.vanish([])
+
+
+def test_keys_tell_models_apart():
+    """Equal ones have equal keys, in whatever order their parts were given."""
+    x, y = dal.coordinates("x y")
+    m = sympy.Symbol("m")
+    kinetic = (x.d**2 + y.d**2) / 2
+
+    def key(L, constraints=()):
+        found, _ = symbolic.make_model(L, constraints, [x, y], {m: 1}, None, None, None, None)
+        return found.key
+
+    different = [
+        kinetic, kinetic - x, kinetic - y, kinetic - m * x, kinetic - x * y, kinetic - x**2,
+        kinetic - sympy.sin(x), kinetic - sympy.cos(x), kinetic - 2 * x, kinetic - x / 2,
+        kinetic - sympy.Float(0.5) * x, kinetic - sympy.sin(x + y), kinetic - sympy.sin(x) - y,
+        kinetic - sympy.Piecewise((x, x > 0), (y, True)),
+        kinetic - sympy.Piecewise((x, x >= 0), (y, True)),
+    ]  # fmt: skip
+    keys = [key(L) for L in different] + [key(kinetic, [y.d]), key(kinetic, [y.d - x.d])]
+    assert len(set(keys)) == len(keys)
+    assert key(y.d**2 / 2 - y * x + x.d**2 / 2) == key(kinetic - x * y)
+
+
+def test_large_callbacks_are_called():
+    """Small ones are inlined in the step routine; those of many operations are not."""
+    x, y = dal.coordinates("x y")
+    for count, head in ((1, "DAL_KERNEL_INLINE int"), (150, "static int")):
+        V = sum(sympy.sin(k * x) / k for k in range(1, count + 1))
+        found, _ = symbolic.make_model(
+            (x.d**2 + y.d**2) / 2 - V, [y.d - x * x.d], [x, y], None, None, None, None, None
+        )
+        source = codegen.program(found).source
+        assert f"{head}\nmodel_potential(" in source
+        assert "DAL_KERNEL_INLINE int\nmodel_constraint(" in source
 
 
 def test_constant_mass_is_found():
