@@ -128,10 +128,11 @@ static dal_system *open_blade_as(variety kind, int refuses)
 
 static dal_system *open_blade(int refuses) { return open_blade_as(STEADY, refuses); }
 
-/* One text, two compilations: every record gives the same bits and the same counts. */
+/* One text, two compilations: every record gives the same bits and the same counts, in one call or
+ * in several. */
 static void test_same_bits(variety kind)
 {
-    enum { STEPS = 1000 };
+    enum { STEPS = 1000, CALLS = 10 };
     const char *const names[] = {"explicit", "midpoint", "endpoint", "0.3", "leapfrog",
                                  "midpoint-nodes", "midpoint-suzuki4", "leapfrog-kl8"};
     const dal_options run_time = {.sizes = DAL_SIZES_RUNTIME};
@@ -146,8 +147,10 @@ static void test_same_bits(variety kind)
         dal_stats a, b;
         CHECK(dal_stepper_start(own, 0.0, 0.02, state, DAL_CHECK, initial) == 0);
         CHECK(dal_stepper_start(library, 0.0, 0.02, state, DAL_CHECK, initial) == 0);
-        CHECK(dal_advance(own, STEPS, &one, NULL) == 0);
-        CHECK(dal_advance(library, STEPS, &two, NULL) == 0);
+        for (int call = 0; call < CALLS; call++)
+            CHECK(dal_advance(own, STEPS / CALLS, &one, NULL) == 0);
+        CHECK(dal_advance(library, STEPS - STEPS / CALLS, NULL, NULL) == 0);
+        CHECK(dal_advance(library, STEPS / CALLS, &two, NULL) == 0);
         CHECK(memcmp(dal_stepper_state(own), dal_stepper_state(library), 6 * sizeof one) == 0);
         CHECK(one == two);
         CHECK(largest_difference(6, dal_stepper_state(own), state) > 0.1);
@@ -160,6 +163,147 @@ static void test_same_bits(variety kind)
         dal_stepper_free(own);
         dal_stepper_free(library);
     }
+    dal_system_free(system);
+}
+
+/* The same where the full Newton iteration takes over, which sees only what it is handed, and where
+ * it fails too. */
+static void test_handed_over(void)
+{
+    enum { STEPS = 200 };
+    const char *const names[] = {"midpoint", "0.3", "midpoint-suzuki4"};
+    const dal_options run_time = {.sizes = DAL_SIZES_RUNTIME};
+    dal_system *const system = open_blade_as(IN_FULL, 0);
+    size_t full = 0;
+    for (size_t j = 0; j < sizeof names / sizeof *names; j++) {
+        const dal_scheme scheme = find_scheme(names[j]);
+        dal_stepper *const own = open_stepper(system, &scheme, NULL);
+        dal_stepper *const library = open_stepper(system, &scheme, &run_time);
+        dal_stats a, b;
+        CHECK(dal_stepper_start(own, 0.0, 7.0, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_stepper_start(library, 0.0, 7.0, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        int status = 0;
+        for (int step = 0; step < STEPS && !status; step++) {
+            status = dal_step(own, NULL);
+            CHECK(dal_step(library, NULL) == status);
+            CHECK(memcmp(dal_stepper_state(own), dal_stepper_state(library), sizeof state) == 0);
+        }
+        CHECK(strcmp(dal_stepper_message(own), dal_stepper_message(library)) == 0);
+        dal_stepper_stats(own, &a);
+        dal_stepper_stats(library, &b);
+        CHECK(a.full_newtons == b.full_newtons);
+        full += a.full_newtons;
+        dal_stepper_free(own);
+        dal_stepper_free(library);
+    }
+    CHECK(full > STEPS);
+    dal_system_free(system);
+}
+
+/* A blade whose potential refuses after so many calls; never if that is negative. */
+typedef struct hesitant {
+    blade shape;
+    int calls;
+} hesitant;
+
+static int hesitant_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    hesitant *const self = ctx;
+    if (self->calls == 0) return 1;
+    if (self->calls > 0) self->calls--;
+    return potential(q, V, V_q, V_qq, &self->shape);
+}
+
+static int hesitant_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                               double *phi_q, void *ctx)
+{
+    return constraint(q, v, phi, phi_v, phi_q, &((hesitant *)ctx)->shape);
+}
+
+/* A step of several stages that fails in any of them, and is then made again, is that of a stepper
+ * started where it failed: nothing of the failed one is left. */
+static void test_made_again(void)
+{
+    hesitant self = {.shape = {.slope = 5.0, .wobble = 0.1}};
+    dal_system_def def = blade_def(&self.shape);
+    def.kernel = NULL;
+    def.steady = 0;
+    def.constraint = hesitant_constraint;
+    def.potential = hesitant_potential;
+    def.ctx = &self;
+    def.ctx_size = 0;
+    dal_system *system = NULL;
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    const dal_scheme scheme = find_scheme("midpoint-suzuki4");
+    dal_stepper *const one = open_stepper(system, &scheme, NULL);
+    dal_stepper *const two = open_stepper(system, &scheme, NULL);
+    int failed = 0;
+    for (int calls = 0; calls < 40; calls++) {
+        self.calls = -1;
+        CHECK(dal_stepper_start(one, 0.0, 0.1, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_advance(one, 3, NULL, NULL) == 0);
+        double before[6];
+        memcpy(before, dal_stepper_state(one), sizeof before);
+        self.calls = calls;
+        const int status = dal_step(one, NULL);
+        if (!status) break; /* it takes no more */
+        self.calls = -1;
+        failed++;
+        CHECK(status == DAL_EDOMAIN);
+        CHECK(memcmp(dal_stepper_state(one), before, sizeof before) == 0);
+        CHECK(dal_stepper_start(two, 0.0, 0.1, before, DAL_ASSUME, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_advance(one, 5, NULL, NULL) == 0 && dal_advance(two, 5, NULL, NULL) == 0);
+        CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(two), sizeof before) == 0);
+    }
+    CHECK(failed >= 10); /* two for each of five stages */
+    dal_stepper_free(one);
+    dal_stepper_free(two);
+    dal_system_free(system);
+}
+
+/* What overflows is seen also where it is in nothing that is computed with: mu = (1, 1/2, 0). */
+static int level_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                            double *phi_q, void *ctx)
+{
+    (void)q, (void)ctx;
+    if (phi) *phi = v[0] + 0.5 * v[1];
+    if (phi_v) {
+        phi_v[0] = 1.0;
+        phi_v[1] = 0.5;
+        phi_v[2] = 0.0;
+    }
+    if (phi_q) memset(phi_q, 0, 3 * sizeof *phi_q);
+    return 0;
+}
+
+static int inside_level(dal_kernel *k, const double *q, const double *v, double *mu, double *N)
+{
+    k->stats.constraint_calls++;
+    return level_constraint(q, v, NULL, mu, N, k->constraint_ctx);
+}
+
+#define DAL_N 3
+#define DAL_M 1
+#define DAL_KERNEL level_step
+#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) inside_level(k, q, v, mu, N)
+#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x0ULL, 0x3ULL}
+#include "kernel.h"
+
+static void test_overflow(void)
+{
+    const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = level_constraint,
+                                .kernel = level_step, .kernel_size = sizeof(dal_kernel)};
+    const double x[6] = {0.0, 0.0, 0.0, 1.0, -2.0, 1e307};
+    dal_system *system = NULL;
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    const dal_scheme scheme = find_scheme("midpoint");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, 8.0, x, DAL_ASSUME, DAL_INITIAL_NONE) == 0);
+    size_t done = 0;
+    CHECK(dal_advance(stepper, 5, NULL, &done) == DAL_EDOMAIN && done == 2);
+    CHECK(strstr(dal_stepper_message(stepper), "not finite") != NULL);
+    CHECK(dal_stepper_state(stepper)[2] == 16e307);
+    dal_stepper_free(stepper);
     dal_system_free(system);
 }
 
@@ -357,6 +501,9 @@ int main(void)
     test_same_bits(STEADY);
     test_same_bits(IN_FULL);
     test_same_bits(FREE);
+    test_handed_over();
+    test_made_again();
+    test_overflow();
     test_steady();
     test_false_declaration();
     test_it_is_used();
