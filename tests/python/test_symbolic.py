@@ -335,7 +335,8 @@ def test_values_at_points():
         (a + b) ** sympy.Rational(-5, 2), sympy.E**a * sympy.cosh(b),
     ]  # fmt: skip
     points = model.Points(symbols)
-    for expressions in (smooth, [*smooth, sympy.Abs(a - b), sympy.Piecewise((a, a > b), (b, True))]):
+    others = [sympy.Abs(a - b), sympy.Piecewise((a, a > b), (b, True))]
+    for expressions in (smooth, smooth + others):
         found = points.evaluate(expressions)
         assert len(found) == len(points.values) == 3
         for place, values in zip(points.values, found):
