@@ -169,15 +169,16 @@ typedef struct dal_system_def {
     int steady;                     /* nonzero: mu depends only on coordinates that no reaction
                                        pushes, those i with row i of M^-1 mu^T zero, as on the
                                        heading of a blade; only for constant mass and linear
-                                       constraints.  Steps are then linear, and faster */
+                                       constraints.  Steps where V does not act at q~' are then
+                                       linear, and faster */
 } dal_system_def;
 
 typedef struct dal_system dal_system;
 
 /* *system <- a system, or untouched on failure.
  * DAL_EINVAL (sizes, missing or superfluous parts, mass matrix not finite, not symmetric or not
- * positive definite: the text names the entry; a kernel from another version of kernel.h),
- * DAL_ENOMEM. */
+ * positive definite: the text names the entry; a kernel from another version of kernel.h; steady
+ * where it may not be), DAL_ENOMEM. */
 DAL_API int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error);
 
 /* NULL is allowed.  Objects made from a system must be freed before it. */
@@ -778,7 +779,8 @@ DAL_API const char *dal_stepper_message(const dal_stepper *stepper);
 /* Start from x[2n] (InitialData) at time t0 with step h (negative: backwards; 0 is DAL_EINVAL).  x
  * is not changed; the state used is that of dal_stepper_state.  A change of h or of the state is a
  * new start.  On failure the stepper is as it was.
- * DAL_EINVAL, DAL_EOFFD, DAL_ESINGULAR, DAL_ENOCONV, DAL_EUSER, DAL_EDOMAIN. */
+ * DAL_EINVAL (also a system declared steady that is seen not to be), DAL_EOFFD, DAL_ESINGULAR,
+ * DAL_ENOCONV, DAL_EUSER, DAL_EDOMAIN. */
 DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
                               dal_consistency consistency, dal_initial initial);
 
