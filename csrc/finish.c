@@ -135,7 +135,7 @@ static int solve(dal_kernel *k, const dal_stage *s)
  * its own roundoff of what it takes away. */
 static int correct(dal_kernel *k)
 {
-    enum { MOST = 4 };
+    enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
     const double shift = k->kept ? k->shift * k->h : 0.0;

@@ -292,7 +292,7 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
 
 int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative)
 {
-    enum { MOST = 4 };
+    enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */
     const size_t n = mech->n, m = mech->m;
     const double before = dal_residual_speed(n, mech->per_unit, w);
     for (int pass = 1;; pass++) {
@@ -540,8 +540,13 @@ static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
 /* The velocity of D, or D_eps, that belongs to x, into mech->w; Z says along what. */
 static int find_velocity(dal_mechanics *mech, double shift, const double *x)
 {
-    double relative = 0.0;
-    int status = solve_velocity(mech, shift, x);
+    const size_t n = mech->n;
+    double relative;
+    int status = DAL_SUCCESS;
+    if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR)
+        status = solve_velocity(mech, shift, x);
+    else
+        memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
     if (status || shift != 0.0) return status;
     status = dal__constraint(&mech->eval, x, mech->w, mech->phi, mech->mu, NULL, &mech->error);
     return status ? status : dal__mend(mech, x, mech->w, &relative);
