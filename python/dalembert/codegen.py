@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import sympy
-from sympy.logic.boolalg import BooleanFalse, BooleanTrue
+from sympy.logic.boolalg import Boolean, BooleanFalse, BooleanTrue
 
-from .model import FUNCTIONS, Function, Model
+from .model import FUNCTIONS, Function, Model, nearest
 from .pattern import pattern
 
 __all__ = ["Program", "program"]
@@ -109,10 +109,14 @@ def program(model: Model, name: str | None = None, system: Any = None) -> Progra
     return made
 
 
-_HELPERS = """static inline double model_sign(double x) { return (double)((x > 0.0) - (x < 0.0)); }
-static inline double model_step(double x) { return x > 0.0 ? 1.0 : x < 0.0 ? 0.0 : 0.5; }
-static inline double model_larger(double a, double b) { return a > b ? a : b; }
-static inline double model_smaller(double a, double b) { return a < b ? a : b; }
+# Where an argument is no number, they are none.
+_HELPERS = """static inline double model_sign(double x) { return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x; }
+static inline double model_step(double x, double at_zero)
+{
+    return x > 0.0 ? 1.0 : x < 0.0 ? 0.0 : x == 0.0 ? at_zero : x;
+}
+static inline double model_larger(double a, double b) { return a > b || a != a ? a : b; }
+static inline double model_smaller(double a, double b) { return a < b || a != a ? a : b; }
 """
 
 
@@ -165,7 +169,10 @@ def _function(
 
     def temporary(symbol: Any, expression: Any, indent: str) -> None:
         what = f"a part of {' and '.join(sorted(users[symbol]))}"
-        line = f"{indent}const double {symbol.name} = {print_c(expression)};"
+        if isinstance(expression, Boolean) and not expression.is_Symbol:
+            line = f"{indent}const int {symbol.name} = {print_c.condition(expression)};"
+        else:
+            line = f"{indent}const double {symbol.name} = {print_c(expression)};"
         made.compute(line, what, _whole(expression, temporaries))
 
     for symbol, expression in temporaries:
@@ -399,7 +406,7 @@ class Printer:
         sign = ""
         if coefficient.is_negative:
             sign, coefficient = "-", -coefficient
-        if coefficient.is_Rational and coefficient.q != 1:
+        if coefficient.is_Rational and coefficient.q != 1 and _is_short(coefficient):
             if coefficient.p != 1 or not above:
                 above.insert(0, self._number(sympy.Integer(coefficient.p)))
             below.insert(0, self._number(sympy.Integer(coefficient.q)))
@@ -425,9 +432,9 @@ class Printer:
         return f"pow({self(base)}, {self(exponent)})"
 
     def _number(self, e: Any) -> str:
-        if e.is_Rational and e.q != 1 and max(abs(e.p), e.q) < 2**53:
+        if e.is_Rational and e.q != 1 and _is_short(e):
             return f"({self._number(sympy.Integer(e.p))} / {e.q}.0)"
-        text = repr(float(e))
+        text = repr(nearest(e))
         return f"({text})" if text.startswith("-") else text
 
     def _function(self, e: Any) -> str:
@@ -440,9 +447,7 @@ class Printer:
         if isinstance(e, sympy.sign):
             return f"model_sign({self(e.args[0])})"
         if isinstance(e, sympy.Heaviside):
-            return f"model_step({self(e.args[0])})"
-        if isinstance(e, sympy.DiracDelta):
-            return "0.0"  # the derivative of a jump, away from it
+            return f"model_step({', '.join(map(self, e.args))})"
         if isinstance(e, sympy.Max | sympy.Min):
             name = "model_larger" if isinstance(e, sympy.Max) else "model_smaller"
             text = self(e.args[0])
@@ -452,18 +457,26 @@ class Printer:
         if isinstance(e, sympy.Piecewise):
             text = "NAN"
             for value, condition in reversed(e.args):
-                text = f"({self._condition(condition)} ? {self(value)} : {text})"
+                text = f"({self.condition(condition)} ? {self(value)} : {text})"
             return text
         raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
 
-    def _condition(self, e: Any) -> str:
+    def condition(self, e: Any) -> str:
+        """Return a condition, 0 or 1 in C."""
+        if e.is_Symbol:
+            return str(e.name)
         if isinstance(e, BooleanTrue | BooleanFalse):
             return "1" if e else "0"
         if isinstance(e, sympy.core.relational.Relational):
             return f"({self(e.lhs)} {e.rel_op} {self(e.rhs)})"
         if isinstance(e, sympy.Not):
-            return f"!{self._condition(e.args[0])}"
+            return f"!{self.condition(e.args[0])}"
         if isinstance(e, sympy.And | sympy.Or):
             sign = " && " if isinstance(e, sympy.And) else " || "
-            return f"({sign.join(map(self._condition, e.args))})"
+            return f"({sign.join(map(self.condition, e.args))})"
         raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
+
+
+def _is_short(e: Any) -> bool:
+    """Return whether a rational number is a quotient of two doubles."""
+    return bool(max(abs(e.p), e.q) < 2**53)

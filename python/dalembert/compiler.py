@@ -141,7 +141,7 @@ def _generator() -> str:
     """Return a digest of all that turns a model into C, headers and versions included."""
     digest = hashlib.sha256(repr((_lib.version(), FLAGS, platform.machine())).encode())
     here = importlib.resources.files(__package__)
-    for name in ("model.py", "pattern.py", "codegen.py", "compiler.py"):
+    for name in ("model.py", "zeros.py", "pattern.py", "codegen.py", "compiler.py"):
         digest.update(here.joinpath(name).read_bytes())
     for name, text in _headers().items():
         digest.update(f"{name}\n{text}".encode())
