@@ -167,13 +167,18 @@ def _function(
     made.add("    " + ", ".join(f"(void){name}" for name in [*inputs, "p"]) + ";")
     print_c = Printer(powers)
 
+    def compute(left: str, expression: Any, what: str, printed: Any = print_c) -> None:
+        try:
+            made.compute(f"{left} = {printed(expression)};", what, _whole(expression, temporaries))
+        except ValueError as error:
+            raise ValueError(f"{what} of the {function.name}: {error}") from None
+
     def temporary(symbol: Any, expression: Any, indent: str) -> None:
         what = f"a part of {' and '.join(sorted(users[symbol]))}"
         if isinstance(expression, Boolean) and not expression.is_Symbol:
-            line = f"{indent}const int {symbol.name} = {print_c.condition(expression)};"
+            compute(f"{indent}const int {symbol.name}", expression, what, print_c.condition)
         else:
-            line = f"{indent}const double {symbol.name} = {print_c(expression)};"
-        made.compute(line, what, _whole(expression, temporaries))
+            compute(f"{indent}const double {symbol.name}", expression, what)
 
     for symbol, expression in temporaries:
         if len(users[symbol]) > 1:
@@ -186,8 +191,7 @@ def _function(
         columns = model.n if len(expressions) > max(model.n, model.m) else len(expressions)
         for k, expression in enumerate(values[output]):
             index = f"{k // columns}, {k % columns}" if columns < len(expressions) else f"{k}"
-            line = f"        {output}[{k}] = {print_c(expression)};"
-            made.compute(line, f"{output}[{index}]", _whole(expression, temporaries))
+            compute(f"        {output}[{k}]", expression, f"{output}[{index}]")
         made.add("    }")
     made.add("    return 0;\n}\n")
     if function.name not in ("mass", "state"):

@@ -461,17 +461,30 @@ def _energy(
 
 
 def _exact(e: Expr) -> Expr:
-    """Return an expression with rational numbers for its doubles: what it says is then exact."""
-    return e.xreplace({x: sympy.Rational(x) for x in e.atoms(sympy.Float)})
+    """Return an expression as it is differentiated.
+
+    Its doubles are the rational numbers that they are, so that nothing is lost; what has no
+    derivative in SymPy unless its argument is known to be real is written otherwise.
+    """
+    e = e.xreplace({x: sympy.Rational(x) for x in e.atoms(sympy.Float)})
+    unsure = {x for x in e.atoms(sympy.Abs, sympy.sign) if not x.args[0].is_extended_real}
+    if unsure:
+        e = e.replace(lambda x: x in unsure and x.func == sympy.Abs, _larger)
+        e = e.replace(lambda x: x in unsure, lambda x: 2 * sympy.Heaviside(x.args[0]) - 1)
+    return e
 
 
-def in_doubles(e: Expr) -> Expr:
+def _larger(absolute: Expr) -> Expr:
+    return sympy.Max(absolute.args[0], -absolute.args[0])
+
+
+def in_doubles(e: Expr, digits: int = 15) -> Expr:
     """Return an expression with doubles for the rational numbers that are not short."""
-    return e.xreplace({x: sympy.Float(nearest(x), 17) for x in e.atoms(sympy.Rational)
+    return e.xreplace({x: sympy.Float(nearest(x), digits) for x in e.atoms(sympy.Rational)
                        if max(abs(x.p), x.q) >= 2**53})  # fmt: skip
 
 
-def nearest(x: Expr, where: str = "a number of the generated program") -> float:
+def nearest(x: Expr, where: str = "") -> float:
     """Return the double nearest to a number, however long; ValueError if it is out of range."""
     try:
         found = x.p / x.q if x.is_Rational else float(x)
@@ -479,13 +492,13 @@ def nearest(x: Expr, where: str = "a number of the generated program") -> float:
         found = math.inf
     if math.isinf(found) or (x != 0 and abs(found) < sys.float_info.min):
         size = "large" if math.isinf(found) else "small"
-        raise ValueError(f"{where}: {sympy.N(x, 5)} is too {size} for a double")
+        raise ValueError(f"{where}{': ' * bool(where)}{sympy.N(x, 5)} is too {size} for a double")
     return found
 
 
 def _for_python(e: Expr) -> Expr:
     """Return an expression as `lambdify` takes it: a Piecewise without a default is NaN there."""
-    return in_doubles(e).replace(
+    return in_doubles(e, 17).replace(
         lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != True,  # noqa: E712
         lambda part: part.func(*part.args, (sympy.nan, True)),
     )
@@ -652,7 +665,9 @@ _STRUCTURE = (
 )  # fmt: skip
 
 
-def require_known(expression: Expr, where: str) -> None:
+def require_known(
+    expression: Expr, where: str, shown: Callable[[Expr], Expr] = lambda e: e
+) -> None:
     """Raise ValueError if an expression has a part for which no program is generated."""
     for e in sympy.preorder_traversal(expression):
         if isinstance(e, (*_STRUCTURE, *FUNCTIONS)):
@@ -660,8 +675,9 @@ def require_known(expression: Expr, where: str) -> None:
                 nearest(e, where)
             continue
         if isinstance(e, AppliedUndef):
-            raise ValueError(f"{where}: {e} is an unknown function; is it a coordinate?")
-        names = ", ".join(sorted({*FUNCTIONS.values(), "sqrt", "Abs", "Piecewise", "Max", "Min"}))
+            raise ValueError(f"{where}: {shown(e)} is an unknown function; is it a coordinate?")
+        names = {f.__name__ for f in (*FUNCTIONS, *_STRUCTURE) if issubclass(f, sympy.Function)}
         raise ValueError(
-            f"{where}: {e} ({type(e).__name__}) is not among what can be compiled: {names}"
+            f"{where}: {shown(e)} ({type(e).__name__}) is not among what can be compiled: "
+            f"{', '.join(sorted({*names, 'sqrt', 'Max', 'Min', 'And', 'Or', 'Not'}))}"
         )

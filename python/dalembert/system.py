@@ -455,7 +455,7 @@ class System:
         """
         state = None if q0 is None and v0 is None else symbolic.initial_data(q0, v0)
         in_model = state is not None and not isinstance(state, np.ndarray)
-        named = dict(invariants or {})
+        named = symbolic.mapping(invariants, "invariants")
         model, values = symbolic.make_model(
             L,
             constraints,

@@ -5,10 +5,12 @@ import os
 import pickle
 import re
 import shutil
+import signal
 import stat
 import subprocess
 import sys
 import threading
+import time
 import warnings
 from pathlib import Path
 
@@ -144,6 +146,42 @@ def real_headers(found=compiler._headers()):
 
 def changed(headers):
     return {name: text + "/* changed */\n" for name, text in headers.items()}
+
+
+def test_what_others_could_have_written_is_made_again(cache, compiled):
+    """It is sound, and the folder is private now; but it was not always."""
+    slide()
+    (path,) = compiler.entries()
+    spoil = [lambda: path.chmod(0o720), lambda: path.chmod(0o702)]
+    if os.getuid() == 0:
+        spoil.append(lambda: os.chown(path, 12345, -1))
+    for count, change in enumerate(spoil):
+        change()
+        forget()
+        assert energy(slide()) == pytest.approx(EXPECTED, rel=1e-15)
+        assert len(compiled) == count + 2
+        about = path.stat()
+        assert about.st_uid == os.getuid() and not about.st_mode & 0o022
+    forget()
+    slide()
+    assert len(compiled) == len(spoil) + 1
+
+
+def test_directories_of_killed_compilers_are_removed(cache, tmp_path, monkeypatch):
+    """Old ones that are ours; nothing that has another name, is young, or only a link."""
+    place, elsewhere = tmp_path / "tmp", tmp_path / "elsewhere"
+    monkeypatch.setattr(compiler.tempfile, "tempdir", str(place))
+    old, young, other = (place / f"dalembert-{x}" for x in ("compiles-1", "compiles-2", "1"))
+    for directory in (old, young, other, elsewhere):
+        directory.mkdir(parents=True)
+        (directory / "model.c").write_text("")
+    link = place / "dalembert-compiles-3"
+    link.symlink_to(elsewhere)
+    for path in (old, other, elsewhere, link):
+        os.utime(path, (0, 0), follow_symlinks=False)
+    slide()
+    assert sorted(place.iterdir()) == sorted([young, other, link])
+    assert (elsewhere / "model.c").exists()
 
 
 def make_and_run(_):
@@ -428,6 +466,62 @@ def test_a_compiler_that_cannot_run(cache, monkeypatch, tmp_path):
     monkeypatch.setenv("CC", str(broken))
     with pytest.raises(compiler.CompilerError, match="no licence"):
         slide()
+
+
+def hanging(tmp_path):
+    """A compiler that starts another process, and waits for it; where that one's number stands."""
+    wrapper, child = tmp_path / "cc", tmp_path / "child"
+    wrapper.write_text(f"#!/bin/sh\nsleep 1000 &\necho $! >{child}.new\n"
+                       f"mv {child}.new {child}\nwait\n")  # fmt: skip
+    wrapper.chmod(0o755)
+    return wrapper, child
+
+
+def wait_until(holds):
+    end = time.monotonic() + 20
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def is_running(child):
+    """Whether a process runs, and has not only not been waited for."""
+    try:
+        text = Path(f"/proc/{child.read_text().strip()}/stat").read_text()
+    except OSError:
+        return False
+    return text.rpartition(")")[2].split()[0] != "Z"
+
+
+def test_a_compiler_that_hangs(cache, tmp_path, monkeypatch):
+    """It is killed after a limit, with what it started."""
+    wrapper, child = hanging(tmp_path)
+    place = tmp_path / "tmp"
+    place.mkdir()
+    monkeypatch.setattr(compiler.tempfile, "tempdir", str(place))
+    monkeypatch.setenv("CC", str(wrapper))
+    monkeypatch.setattr(compiler, "LIMIT", 1.0)
+    with pytest.raises(compiler.CompilerError, match="did not end within 1 s: .*cc"):
+        slide()
+    wait_until(lambda: not is_running(child))
+    assert child.exists() and not list(place.iterdir())
+
+
+def test_interrupting_a_compiler(cache, tmp_path):
+    wrapper, child = hanging(tmp_path)
+    place = tmp_path / "tmp"
+    place.mkdir()
+    code = "import sys; sys.path[:0] = [sys.argv[1]]; import test_compiler; test_compiler.slide()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(Path(__file__).parent)], stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "CC": str(wrapper), "TMPDIR": str(place)},
+    )  # fmt: skip
+    wait_until(child.exists)
+    process.send_signal(signal.SIGINT)
+    _, printed = process.communicate(timeout=20)
+    assert "KeyboardInterrupt" in printed
+    wait_until(lambda: not is_running(child))
+    assert not list(place.iterdir())
 
 
 # ---- for C programs ------------------------------------------------------------------------------
