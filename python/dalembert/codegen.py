@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import sympy
-from sympy.logic.boolalg import Boolean, BooleanFalse, BooleanTrue
+from sympy.logic.boolalg import BooleanFalse, BooleanTrue
 
 from .model import FUNCTIONS, Function, Model, nearest
 from .pattern import pattern
@@ -167,18 +167,15 @@ def _function(
     made.add("    " + ", ".join(f"(void){name}" for name in [*inputs, "p"]) + ";")
     print_c = Printer(powers)
 
-    def compute(left: str, expression: Any, what: str, printed: Any = print_c) -> None:
+    def compute(left: str, expression: Any, what: str) -> None:
         try:
-            made.compute(f"{left} = {printed(expression)};", what, _whole(expression, temporaries))
+            made.compute(f"{left} = {print_c(expression)};", what, _whole(expression, temporaries))
         except ValueError as error:
             raise ValueError(f"{what} of the {function.name}: {error}") from None
 
     def temporary(symbol: Any, expression: Any, indent: str) -> None:
         what = f"a part of {' and '.join(sorted(users[symbol]))}"
-        if isinstance(expression, Boolean) and not expression.is_Symbol:
-            compute(f"{indent}const int {symbol.name}", expression, what, print_c.condition)
-        else:
-            compute(f"{indent}const double {symbol.name}", expression, what)
+        compute(f"{indent}const double {symbol.name}", expression, what)
 
     for symbol, expression in temporaries:
         if len(users[symbol]) > 1:
@@ -461,23 +458,22 @@ class Printer:
         if isinstance(e, sympy.Piecewise):
             text = "NAN"
             for value, condition in reversed(e.args):
-                text = f"({self.condition(condition)} ? {self(value)} : {text})"
+                text = self(value) if condition == True else (  # noqa: E712
+                    f"({self._condition(condition)} ? {self(value)} : {text})"
+                )
             return text
         raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
 
-    def condition(self, e: Any) -> str:
-        """Return a condition, 0 or 1 in C."""
-        if e.is_Symbol:
-            return str(e.name)
+    def _condition(self, e: Any) -> str:
         if isinstance(e, BooleanTrue | BooleanFalse):
             return "1" if e else "0"
         if isinstance(e, sympy.core.relational.Relational):
             return f"({self(e.lhs)} {e.rel_op} {self(e.rhs)})"
         if isinstance(e, sympy.Not):
-            return f"!{self.condition(e.args[0])}"
+            return f"!{self._condition(e.args[0])}"
         if isinstance(e, sympy.And | sympy.Or):
             sign = " && " if isinstance(e, sympy.And) else " || "
-            return f"({sign.join(map(self.condition, e.args))})"
+            return f"({sign.join(map(self._condition, e.args))})"
         raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
 
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import sympy
 from sympy.core.function import AppliedUndef
+from sympy.logic.boolalg import Boolean
 
 try:
     import symengine
@@ -153,8 +154,18 @@ class _SymPy:
 
     @staticmethod
     def cse(expressions: list[Expr]) -> tuple[list[tuple[Expr, Expr]], list[Expr]]:
-        temporaries = sympy.numbered_symbols("x")
-        return sympy.cse(expressions, temporaries, order="none", list=False)
+        found, reduced = sympy.cse(
+            expressions, sympy.numbered_symbols("x"), order="none", list=False
+        )
+        conditions: dict[Expr, Expr] = {}  # what is no number stays where it is
+        temporaries = []
+        for symbol, e in found:
+            e = e.xreplace(conditions)
+            if isinstance(e, Boolean) and not e.is_Symbol:
+                conditions[symbol] = e
+            else:
+                temporaries.append((symbol, e))
+        return temporaries, [e.xreplace(conditions) for e in reduced]
 
     @staticmethod
     def give(expression: Expr) -> Expr:

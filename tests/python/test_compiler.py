@@ -316,6 +316,27 @@ def test_hostile_names(cache, tmp_path):
     compile_c(tmp_path, "hostile.c", "-c", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function")
 
 
+def test_dollars_in_pictures_and_reports(tmp_path):
+    """A name is drawn letter by letter: between dollars it would be a formula that is none."""
+    plot = pytest.importorskip("matplotlib.pyplot")
+    x, y = dal.coordinates([r"$\foo$", "a$b$"])
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2 - x**2, [y.d - x * x.d], name="$x_$", q0=[1, 0.5], v0=[1, 1]
+    )
+    scheme = dal.Scheme([(0.5, 1.0)], name=r"$\beta_$")
+    run = dal.integrate(system, scheme, h=0.1, steps=5)
+    study = dal.convergence(system, scheme, t_end=1)
+    drawn = [dal.plot.path(run), dal.plot.energy(run), study.plot()]
+    for ax in drawn:
+        ax.figure.savefig(tmp_path / "picture.svg")
+    assert [ax.get_title().startswith(r"\$x_\$: ") for ax in drawn] == [True] * 3
+    assert r"\$\foo\$" in drawn[0].get_xlabel()
+    plot.close("all")
+    dal.report.write([study], tmp_path / "report.html")
+    assert "$x_$" in (tmp_path / "report.html").read_text()
+    assert "$x_$" in dal.pages.page(system)
+
+
 def test_texts_in_c_are_what_they_were(tmp_path):
     for text in (*HOSTILE, "", "a" * 5000, "\t\a\x01", "0\0017"):
         constant = codegen.c_string(text)

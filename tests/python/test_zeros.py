@@ -258,7 +258,10 @@ def test_a_jump_of_mu_is_not_steady():
     """It has no derivative, but mu depends on x, which the reaction pushes."""
     smooth, jumping = ([z.d - k * y.d - 2 * x.d] for k in (3, Piecewise((1, x < 2), (3, True))))
     assert pattern(made(T, smooth)._symbolic.model).steady
-    assert not pattern(made(T, jumping)._symbolic.model).steady
+    system = made(T, jumping)
+    assert not pattern(system._symbolic.model).steady
+    state = [3, 1, 1], system.project([3, 1, 1], [1, 2, 3])
+    assert bool(system.check(*state)) and system.check(*state).growth == (2, 2)
 
 
 def test_units_of_any_size():
@@ -321,6 +324,11 @@ def test_pieces_without_a_default():
     """Outside them nothing is known: a DomainError, compiled and not."""
     for V in (Piecewise((x**2, x < 1)), Max(0, log(1 - x)), Min(log(1 - x), 9)):
         part = made(T - V)
+        assert np.isfinite(part.acceleration([0.5, 0, 0], [0, 0, 0])).all()
+        with pytest.raises(dal.DomainError):
+            part.acceleration([2, 0, 0], [0, 0, 0])
+    for push in (sign(log(1 - x)), Heaviside(log(1 - x)), Max(log(1 - x), 0), Min(log(1 - x), 0)):
+        part = made(T, force={x: push})
         assert np.isfinite(part.acceleration([0.5, 0, 0], [0, 0, 0])).all()
         with pytest.raises(dal.DomainError):
             part.acceleration([2, 0, 0], [0, 0, 0])
