@@ -110,7 +110,10 @@ def program(model: Model, name: str | None = None, system: Any = None) -> Progra
 
 
 # Where an argument is no number, they are none.
-_HELPERS = """static inline double model_sign(double x) { return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x; }
+_HELPERS = """static inline double model_sign(double x)
+{
+    return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x;
+}
 static inline double model_step(double x, double at_zero)
 {
     return x > 0.0 ? 1.0 : x < 0.0 ? 0.0 : x == 0.0 ? at_zero : x;
@@ -458,7 +461,7 @@ class Printer:
         if isinstance(e, sympy.Piecewise):
             text = "NAN"
             for value, condition in reversed(e.args):
-                text = self(value) if condition == True else (  # noqa: E712
+                text = self(value) if condition == sympy.true else (
                     f"({self._condition(condition)} ? {self(value)} : {text})"
                 )
             return text

@@ -111,8 +111,9 @@ def _vanishes_with(factor: Expr, argument: Expr) -> bool:
     places = [factor.subs(argument, 0).subs(-argument, 0)]
     for s in argument.free_symbols:
         slope = argument.diff(s)
-        if all(p.name.startswith("p") for p in slope.free_symbols):  # only parameters
-            places.append(factor.xreplace({s: sympy.expand(s - argument / slope)}))
+        root = sympy.expand(s - argument / slope)
+        if s not in root.free_symbols and all(p.name[0] == "p" for p in slope.free_symbols):
+            places.append(factor.xreplace({s: root}))  # linear, with a factor of parameters
     return any(map(is_zero, places))
 
 
@@ -490,9 +491,11 @@ def _larger(absolute: Expr) -> Expr:
 
 
 def in_doubles(e: Expr, digits: int = 15) -> Expr:
-    """Return an expression with doubles for the rational numbers that are not short."""
-    return e.xreplace({x: sympy.Float(nearest(x), digits) for x in e.atoms(sympy.Rational)
-                       if max(abs(x.p), x.q) >= 2**53})  # fmt: skip
+    """Return an expression with doubles of so many digits for numbers that are not short."""
+    return e.xreplace({
+        x: sympy.Float(nearest(x), digits) for x in e.atoms(sympy.Rational, sympy.Float)
+        if x.is_Float or max(abs(x.p), x.q) >= 2**53
+    })  # fmt: skip
 
 
 def nearest(x: Expr, where: str = "") -> float:
@@ -510,7 +513,7 @@ def nearest(x: Expr, where: str = "") -> float:
 def _for_python(e: Expr) -> Expr:
     """Return an expression as `lambdify` takes it: a Piecewise without a default is NaN there."""
     return in_doubles(e, 17).replace(
-        lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != True,  # noqa: E712
+        lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != sympy.true,
         lambda part: part.func(*part.args, (sympy.nan, True)),
     )
 
@@ -544,8 +547,11 @@ def _constant_mass(
     """Return M if it is proved that L = v^T M v / 2 - V(q) with a constant M, else None; and V."""
     rest = dict.fromkeys(model.v, sympy.Integer(0))
     origin = rest | dict.fromkeys(model.q, sympy.Integer(0))
-    M = tuple(engine.give(e).xreplace(origin) for e in L_vv)  # if it is the same everywhere
+    given = [engine.give(e) for e in L_vv]
+    M = tuple(e.xreplace(origin) for e in given)  # if it is the same everywhere
     V = -L.xreplace(rest)
+    if not all(e == c or is_zero(e - c) for e, c in zip(given, M)):
+        return None, V  # which the whole would tell, but later
     products = [a * b / 2 for a in model.v for b in model.v]
     kinetic = sympy.Add(*(e * product for e, product in zip(M, products)))
     return M if is_zero(L + V - kinetic) else None, V

@@ -32,7 +32,7 @@ _ONE: Monomial = ()
 _LARGEST = 16
 
 # Products of terms after which the question is left open: about a tenth of a second.
-_PATIENCE = 50_000
+_PATIENCE = 20_000
 
 
 class _Undecided(Exception):
@@ -207,7 +207,8 @@ class _Form:
             found: Polynomial = {}
             for (term, x), exponent in zip(a.items(), exponents):
                 whole, rest = divmod(exponent + shift, degree)
-                kept = tuple(sorted((dict(term) | {g: rest}).items() if rest else (p for p in term if p[0] != g)))
+                others = dict(term) | {g: rest}
+                kept = tuple(sorted((letter, k) for letter, k in others.items() if k))
                 found = _sum(found, self.times({kept: x}, self.power(base, whole)), 1)
             a = found
         return a

@@ -327,9 +327,13 @@ def test_pieces_without_a_default():
         assert np.isfinite(part.acceleration([0.5, 0, 0], [0, 0, 0])).all()
         with pytest.raises(dal.DomainError):
             part.acceleration([2, 0, 0], [0, 0, 0])
-    for push in (sign(log(1 - x)), Heaviside(log(1 - x)), Max(log(1 - x), 0), Min(log(1 - x), 0)):
+    unknown = log(1 - x)  # beyond x = 1
+    for push in (
+        sign(unknown), Heaviside(unknown), Max(unknown, 0, y), Min(unknown, 0, y),
+        sign((x - 2) / y), Abs((x - 2) / y),
+    ):  # fmt: skip
         part = made(T, force={x: push})
-        assert np.isfinite(part.acceleration([0.5, 0, 0], [0, 0, 0])).all()
+        assert np.isfinite(part.acceleration([0.5, 1, 0], [0, 0, 0])).all()
         with pytest.raises(dal.DomainError):
             part.acceleration([2, 0, 0], [0, 0, 0])
 
@@ -347,7 +351,8 @@ def test_without_a_compiler(monkeypatch):
         with monkeypatch.context() as change:
             change.setenv("CC", "/nowhere/cc")
             with pytest.warns(dal.DalembertWarning, match="no C compiler"):
-                slow = made(case, constraints, force=force)
+                slow = made(case, constraints, force=force, invariants={"p": Float(0.1 + 0.2) * x})
+        assert slow.invariant(*at) == {"p": (0.1 + 0.2) * 3}
         assert slow.energy(*at) == pytest.approx(fast.energy(*at), rel=8 * U)
         np.testing.assert_allclose(slow.acceleration(*at), fast.acceleration(*at), rtol=64 * U)
         with pytest.raises((dal.DomainError, ValueError)):
