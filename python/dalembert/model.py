@@ -106,15 +106,26 @@ def _diff(expression: Expr, symbol: Expr, almost: bool = False) -> Expr:
     return found
 
 
+_Step = sympy.Function("_Step")
+
+
 def _vanishes_with(factor: Expr, argument: Expr) -> bool:
-    """Return whether a factor is proved to be 0 where an argument is."""
+    """Return whether a factor is proved to be 0 where an argument is.
+
+    A step that is made there has any value: that of sign(x)^3 is 0 at 0, and yet it jumps.
+    """
+    factor = factor.replace(sympy.sign, lambda u: 2 * _Step(u) - 1)
+    factor = factor.replace(sympy.Heaviside, lambda u, _: _Step(u))
     places = [factor.subs(argument, 0).subs(-argument, 0)]
     for s in argument.free_symbols:
         slope = argument.diff(s)
         root = sympy.expand(s - argument / slope)
         if s not in root.free_symbols and all(p.name[0] == "p" for p in slope.free_symbols):
             places.append(factor.xreplace({s: root}))  # linear, with a factor of parameters
-    return any(map(is_zero, places))
+    return any(
+        is_zero(e.replace(_Step, lambda u: sympy.Heaviside(u) if u.is_nonzero else _Step(u)))
+        for e in places
+    )
 
 
 @contextlib.contextmanager
