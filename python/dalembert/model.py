@@ -119,9 +119,8 @@ def _vanishes_with(factor: Expr, argument: Expr) -> bool:
     places = [factor.subs(argument, 0).subs(-argument, 0)]
     for s in argument.free_symbols:
         slope = argument.diff(s)
-        root = sympy.expand(s - argument / slope)
-        if s not in root.free_symbols and all(p.name[0] == "p" for p in slope.free_symbols):
-            places.append(factor.xreplace({s: root}))  # linear, with a factor of parameters
+        if all(p.name[0] == "p" for p in slope.free_symbols):  # parameters: it is 0 nowhere
+            places.append(factor.xreplace({s: sympy.expand(s - argument / slope)}))
     return any(
         is_zero(e.replace(_Step, lambda u: sympy.Heaviside(u) if u.is_nonzero else _Step(u)))
         for e in places

@@ -283,6 +283,7 @@ def test_units_of_any_size():
         np.testing.assert_allclose(fall.acceleration([0, 1, 0], [0, 0, 0]), expected, rtol=4 * U)
     tiny = Float("1e-160")  # its square is no double; a product of both is not needed
     assert made(T - sin(tiny * x) / tiny).acceleration([1, 0, 0], [0, 0, 0])[0] == -1
+    assert made(T - 7).energy([0, 0, 0], [0, 0, 0]) == 7
     with pytest.raises(ValueError, match=r"V_qq.* of the potential: .*E-320 is too small for a do"):
         made(T - sin(tiny * x))
     for size, word in (("1e-310", "small"), ("1e400", "large")):
@@ -347,7 +348,9 @@ def test_pieces_without_a_default():
         with pytest.raises(dal.DomainError):
             part.acceleration([2, 0, 0], [0, 0, 0])
     unknown = log(1 - x)  # beyond x = 1
-    pushes = [sign(unknown), Heaviside(unknown), Max(unknown, 0, y), Min(unknown, 0, y)]
+    pushes = [sign(unknown), Heaviside(unknown)]
+    pushes += [extreme(unknown, log(1 + y)) for extreme in (Max, Min)]
+    pushes += [extreme(unknown, log(3 - y)) for extreme in (Max, Min)]  # in the other order
     for push in (*pushes, sign(exp(500 * x) - exp(400 * x))):  # infinite, both
         part = made(T, force={x: push})
         assert np.isfinite(part.acceleration([0.5, 1, 0], [0, 0, 0])).all()
