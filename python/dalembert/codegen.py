@@ -14,7 +14,7 @@ from typing import Any
 import sympy
 from sympy.logic.boolalg import BooleanFalse, BooleanTrue
 
-from .model import FUNCTIONS, Function, Model
+from .model import FUNCTIONS, Function, Model, nearest
 from .pattern import pattern
 
 __all__ = ["Program", "program"]
@@ -109,10 +109,17 @@ def program(model: Model, name: str | None = None, system: Any = None) -> Progra
     return made
 
 
-_HELPERS = """static inline double model_sign(double x) { return (double)((x > 0.0) - (x < 0.0)); }
-static inline double model_step(double x) { return x > 0.0 ? 1.0 : x < 0.0 ? 0.0 : 0.5; }
-static inline double model_larger(double a, double b) { return a > b ? a : b; }
-static inline double model_smaller(double a, double b) { return a < b ? a : b; }
+# Where an argument is no number, they are none.
+_HELPERS = """static inline double model_sign(double x)
+{
+    return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x;
+}
+static inline double model_step(double x, double at_zero)
+{
+    return x > 0.0 ? 1.0 : x < 0.0 ? 0.0 : x == 0.0 ? at_zero : x;
+}
+static inline double model_larger(double a, double b) { return a > b || a != a ? a : b; }
+static inline double model_smaller(double a, double b) { return a < b || a != a ? a : b; }
 """
 
 
@@ -163,10 +170,15 @@ def _function(
     made.add("    " + ", ".join(f"(void){name}" for name in [*inputs, "p"]) + ";")
     print_c = Printer(powers)
 
+    def compute(left: str, expression: Any, what: str) -> None:
+        try:
+            made.compute(f"{left} = {print_c(expression)};", what, _whole(expression, temporaries))
+        except ValueError as error:
+            raise ValueError(f"{what} of the {function.name}: {error}") from None
+
     def temporary(symbol: Any, expression: Any, indent: str) -> None:
         what = f"a part of {' and '.join(sorted(users[symbol]))}"
-        line = f"{indent}const double {symbol.name} = {print_c(expression)};"
-        made.compute(line, what, _whole(expression, temporaries))
+        compute(f"{indent}const double {symbol.name}", expression, what)
 
     for symbol, expression in temporaries:
         if len(users[symbol]) > 1:
@@ -179,8 +191,7 @@ def _function(
         columns = model.n if len(expressions) > max(model.n, model.m) else len(expressions)
         for k, expression in enumerate(values[output]):
             index = f"{k // columns}, {k % columns}" if columns < len(expressions) else f"{k}"
-            line = f"        {output}[{k}] = {print_c(expression)};"
-            made.compute(line, f"{output}[{index}]", _whole(expression, temporaries))
+            compute(f"        {output}[{k}]", expression, f"{output}[{index}]")
         made.add("    }")
     made.add("    return 0;\n}\n")
     if function.name not in ("mass", "state"):
@@ -399,7 +410,7 @@ class Printer:
         sign = ""
         if coefficient.is_negative:
             sign, coefficient = "-", -coefficient
-        if coefficient.is_Rational and coefficient.q != 1:
+        if coefficient.is_Rational and coefficient.q != 1 and _is_short(coefficient):
             if coefficient.p != 1 or not above:
                 above.insert(0, self._number(sympy.Integer(coefficient.p)))
             below.insert(0, self._number(sympy.Integer(coefficient.q)))
@@ -425,9 +436,9 @@ class Printer:
         return f"pow({self(base)}, {self(exponent)})"
 
     def _number(self, e: Any) -> str:
-        if e.is_Rational and e.q != 1 and max(abs(e.p), e.q) < 2**53:
+        if e.is_Rational and e.q != 1 and _is_short(e):
             return f"({self._number(sympy.Integer(e.p))} / {e.q}.0)"
-        text = repr(float(e))
+        text = repr(nearest(e))
         return f"({text})" if text.startswith("-") else text
 
     def _function(self, e: Any) -> str:
@@ -440,9 +451,7 @@ class Printer:
         if isinstance(e, sympy.sign):
             return f"model_sign({self(e.args[0])})"
         if isinstance(e, sympy.Heaviside):
-            return f"model_step({self(e.args[0])})"
-        if isinstance(e, sympy.DiracDelta):
-            return "0.0"  # the derivative of a jump, away from it
+            return f"model_step({', '.join(map(self, e.args))})"
         if isinstance(e, sympy.Max | sympy.Min):
             name = "model_larger" if isinstance(e, sympy.Max) else "model_smaller"
             text = self(e.args[0])
@@ -452,7 +461,9 @@ class Printer:
         if isinstance(e, sympy.Piecewise):
             text = "NAN"
             for value, condition in reversed(e.args):
-                text = f"({self._condition(condition)} ? {self(value)} : {text})"
+                text = self(value) if condition == sympy.true else (
+                    f"({self._condition(condition)} ? {self(value)} : {text})"
+                )
             return text
         raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
 
@@ -467,3 +478,8 @@ class Printer:
             sign = " && " if isinstance(e, sympy.And) else " || "
             return f"({sign.join(map(self._condition, e.args))})"
         raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
+
+
+def _is_short(e: Any) -> bool:
+    """Return whether a rational number is a quotient of two doubles."""
+    return bool(max(abs(e.p), e.q) < 2**53)

@@ -4,11 +4,13 @@ The compiler is ``$CC``, else the first of cc, gcc and clang.  What it made is k
 ``$DALEMBERT_CACHE``, else ``$XDG_CACHE_HOME/dalembert``, else ``~/.cache/dalembert``: one file for
 each model, version of the package and of SymPy, compiler and flags, with the C beside it.  A file
 is written under another name and renamed, and ends in a digest of itself, so that processes may
-write the same one at once, and what was cut short or comes from elsewhere is made again.
+write the same one at once, and what was cut short or comes from elsewhere is made again.  It is
+loaded only if nobody else could have written it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -18,10 +20,12 @@ import platform
 import re
 import shlex
 import shutil
+import signal
 import stat
 import subprocess
 import tempfile
 import threading
+import time
 import warnings
 import weakref
 from collections.abc import Callable
@@ -41,6 +45,11 @@ FLAGS = ("-std=c11", "-O3", "-fno-tree-vectorize", "-fno-gcse", "-fno-schedule-i
          "-Werror=implicit-function-declaration")  # fmt: skip
 
 HEADERS = ("dalembert.h", "kernel.h", "lu.h", "residual.h")
+
+# Seconds after which a compiler is taken to hang; a large model takes some.
+LIMIT = 600.0
+
+_PLACE = "dalembert-compiles-"  # begins the names of the directories in which compilers run
 
 _MARK = b"dalembert compiled this"
 
@@ -97,22 +106,53 @@ def compile_program(compiler: Compiler, source: str, origin: Callable[[int], str
         With the line of C that the compiler refused, and ``origin`` of its number: what it was
         generated from.
     """
-    with tempfile.TemporaryDirectory(prefix="dalembert-") as directory:
+    _remove_left()
+    with tempfile.TemporaryDirectory(prefix=_PLACE) as directory:
         root = Path(directory)
         (root / "dalembert").mkdir()
         for name, text in _headers().items():
             (root / ("" if name == "dalembert.h" else "dalembert") / name).write_text(text)
         (root / "model.c").write_text(source, encoding="ascii")
         command = [*compiler.command, *FLAGS, "-I.", "model.c", "-o", "model.so", "-lm"]
-        try:
-            done = subprocess.run(
-                command, cwd=root, capture_output=True, text=True, errors="replace", check=False
-            )
-        except OSError as error:
-            raise CompilerError(f"{shlex.join(command)}: {error}") from error
-        if done.returncode != 0 or not (root / "model.so").exists():
-            raise CompilerError(_explain(command, source, done.stderr, origin))
+        status, printed = _run(command, root)
+        if status != 0 or not (root / "model.so").exists():
+            raise CompilerError(_explain(command, source, printed, origin))
         return (root / "model.so").read_bytes()
+
+
+def _run(command: list[str], root: Path) -> tuple[int, str]:
+    """Run a compiler in a directory; its status, and what it said.
+
+    It leads a group of processes of its own, which ends with it: after the limit, on Ctrl-C, too.
+    """
+    try:
+        process = subprocess.Popen(
+            command, cwd=root, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True,
+        )  # fmt: skip
+    except OSError as error:
+        raise CompilerError(f"{shlex.join(command)}: {error}") from error
+    with process:
+        try:
+            _, printed = process.communicate(timeout=LIMIT)
+        except BaseException as error:
+            if process.returncode is None:
+                os.killpg(process.pid, signal.SIGKILL)
+            if isinstance(error, subprocess.TimeoutExpired):
+                text = f"the C compiler did not end within {LIMIT:g} s: {shlex.join(command)}"
+                raise CompilerError(text) from None
+            raise
+    return process.returncode, printed
+
+
+def _remove_left() -> None:
+    """Remove the directories of compilers whose process was killed: our own, and too old."""
+    for path in Path(tempfile.gettempdir()).glob(f"{_PLACE}*"):
+        with contextlib.suppress(OSError):
+            about = path.lstat()
+            old = about.st_mtime < time.time() - 2 * LIMIT
+            if old and stat.S_ISDIR(about.st_mode) and about.st_uid == os.getuid():
+                shutil.rmtree(path)
 
 
 def _explain(command: list[str], source: str, printed: str, origin: Callable[[int], str]) -> str:
@@ -141,7 +181,7 @@ def _generator() -> str:
     """Return a digest of all that turns a model into C, headers and versions included."""
     digest = hashlib.sha256(repr((_lib.version(), FLAGS, platform.machine())).encode())
     here = importlib.resources.files(__package__)
-    for name in ("model.py", "pattern.py", "codegen.py", "compiler.py"):
+    for name in ("model.py", "zeros.py", "pattern.py", "codegen.py", "compiler.py"):
         digest.update(here.joinpath(name).read_bytes())
     for name, text in _headers().items():
         digest.update(f"{name}\n{text}".encode())
@@ -203,20 +243,18 @@ def _sealed(content: bytes, key: str) -> bytes:
 
 
 def _is_sound(path: Path, key: str) -> bool:
-    """Return whether a file is a whole library made for this key."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return False
+    """Return whether a file is a whole library made for this key, that only the user can write."""
+    _require_private(path)
+    content = path.read_bytes()
     body = content[: -len(_MARK) - 32]
     return content == _sealed(body, key)
 
 
-def _require_private(directory: Path) -> None:
-    """Raise OSError unless only the user can write to a directory: what is in it will be run."""
-    about = directory.stat()
+def _require_private(path: Path) -> None:
+    """Raise OSError unless only the user can write to a file, or in a directory: it will be run."""
+    about = path.stat()
     if about.st_uid != os.getuid() or stat.S_IMODE(about.st_mode) & 0o022:
-        raise PermissionError(f"{directory}: others can write there")
+        raise PermissionError(f"{path}: others can write there")
 
 
 def _store(directory: Path, key: str, source: str, content: bytes) -> Path:

@@ -8,23 +8,26 @@ minutes.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
 import math
-import random
-from collections.abc import Callable, Iterable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import mpmath
 import sympy
 from sympy.core.function import AppliedUndef
+from sympy.logic.boolalg import Boolean
 
 try:
     import symengine
 except ImportError:
     symengine = None
+
+from .zeros import is_zero
 
 __all__ = ["Coordinate", "Derived", "Model", "Velocity"]
 
@@ -80,6 +83,64 @@ def canonical(letter: str, count: int) -> tuple[Expr, ...]:
 TIME = sympy.Symbol("t", real=True)
 
 
+# ---- jumps -----------------------------------------------------------------------------------
+
+
+class _Jump(Exception):
+    """A derivative that needs a DiracDelta of args[1], by the symbol args[0]."""
+
+
+def _diff(expression: Expr, symbol: Expr, almost: bool = False) -> Expr:
+    """Return a derivative as a function.
+
+    A DiracDelta is left out where its factor vanishes with its argument, as in the derivative of
+    x^2 sign(x); and anywhere if `almost`, for a derivative that may be wrong where something jumps.
+    """
+    found = sympy.diff(expression, symbol)
+    for delta in found.atoms(sympy.DiracDelta):
+        mark = sympy.Dummy(real=True)
+        marked = found.xreplace({delta: mark})
+        if not almost and not _vanishes_with(marked.diff(mark), delta.args[0]):
+            raise _Jump(symbol, delta.args[0])
+        found = marked.xreplace({mark: sympy.Integer(0)})
+    return found
+
+
+_Step = sympy.Function("_Step")
+
+
+def _vanishes_with(factor: Expr, argument: Expr) -> bool:
+    """Return whether a factor is proved to be 0 where an argument is.
+
+    A step that is made there has any value: that of sign(x)^3 is 0 at 0, and yet it jumps.
+    """
+    factor = factor.replace(sympy.sign, lambda u: 2 * _Step(u) - 1)
+    factor = factor.replace(sympy.Heaviside, lambda u, _: _Step(u))
+    places = [factor.subs(argument, 0).subs(-argument, 0)]
+    for s in argument.free_symbols:
+        slope = argument.diff(s)
+        if all(p.name[0] == "p" for p in slope.free_symbols):  # parameters: it is 0 nowhere
+            places.append(factor.xreplace({s: sympy.expand(s - argument / slope)}))
+    return any(
+        is_zero(e.replace(_Step, lambda u: sympy.Heaviside(u) if u.is_nonzero else _Step(u)))
+        for e in places
+    )
+
+
+@contextlib.contextmanager
+def _naming(model: Model, where: str) -> Iterator[None]:
+    """Say in the user's names where there is a jump."""
+    try:
+        yield
+    except _Jump as jump:
+        x, argument = map(model.shown, jump.args)
+        raise ValueError(
+            f"{where}: its derivative by {x} needs DiracDelta({argument}), for it jumps where "
+            f"{argument} = 0; write a Piecewise, whose jumps exert no force, or a smooth step of "
+            "width w, such as (1 + tanh(x/w))/2 for Heaviside(x)"
+        ) from None
+
+
 # ---- two ways to differentiate ---------------------------------------------------------------
 
 
@@ -100,14 +161,22 @@ class _SymPy:
     def take(expression: Expr) -> Expr:
         return expression
 
-    @staticmethod
-    def diff(expression: Expr, symbol: Expr) -> Expr:
-        return sympy.diff(expression, symbol)
+    diff = staticmethod(_diff)
 
     @staticmethod
     def cse(expressions: list[Expr]) -> tuple[list[tuple[Expr, Expr]], list[Expr]]:
-        temporaries = sympy.numbered_symbols("x")
-        return sympy.cse(expressions, temporaries, order="none", list=False)
+        found, reduced = sympy.cse(
+            expressions, sympy.numbered_symbols("x"), order="none", list=False
+        )
+        conditions: dict[Expr, Expr] = {}  # what is no number stays where it is
+        temporaries = []
+        for symbol, e in found:
+            e = e.xreplace(conditions)
+            if isinstance(e, Boolean) and not e.is_Symbol:
+                conditions[symbol] = e
+            else:
+                temporaries.append((symbol, e))
+        return temporaries, [e.xreplace(conditions) for e in reduced]
 
     @staticmethod
     def give(expression: Expr) -> Expr:
@@ -124,8 +193,8 @@ class _SymEngine:
         return symengine.sympify(expression)
 
     @staticmethod
-    def diff(expression: Expr, symbol: Expr) -> Expr:
-        return symengine.diff(expression, symbol)
+    def diff(expression: Expr, symbol: Expr, almost: bool = False) -> Expr:
+        return symengine.diff(expression, symbol)  # what is smooth has no jumps
 
     @staticmethod
     def cse(expressions: list[Expr]) -> tuple[list[tuple[Expr, Expr]], list[Expr]]:
@@ -160,88 +229,6 @@ def _are_smooth(expressions: Iterable[Expr]) -> bool:
 def default_engine() -> str:
     """Return the name and version of what differentiates smooth models."""
     return _SymPy.name if symengine is None else _SymEngine.name
-
-
-# ---- what an expression is, seen at points ---------------------------------------------------
-
-
-DIGITS, ZERO = 50, mpmath.mpf(10) ** -30
-
-
-class Points:
-    """Random points, with 50 digits, at which expressions in given symbols are compared with 0.
-
-    An expression that is not 0 at one of them is not zero.  One that vanishes at all of them to 30
-    digits is zero, as far as anybody will ever see: this decides what no bounded amount of
-    simplification does, such as whether ``m*sin(a)**2 + m*cos(a)**2`` depends on a.
-    """
-
-    def __init__(self, symbols: Sequence[Expr], count: int = 3, seed: int = 1) -> None:
-        self.symbols = tuple(symbols)
-        source = random.Random(seed)
-        self.values = [
-            [mpmath.mpf(source.randint(2**40, 2**41)) / 2**41 for _ in symbols]
-            for _ in range(count)
-        ]
-
-    def evaluate(self, expressions: Sequence[Expr]) -> list[list[Any]]:
-        """Return the values at the points where all of them are finite."""
-        found = []
-        function = self._function(expressions)
-        with mpmath.workdps(DIGITS):
-            for point in self.values:
-                try:
-                    values = [mpmath.mpmathify(value) for value in function(point)]
-                except (ValueError, ZeroDivisionError):
-                    continue
-                if all(mpmath.isfinite(value) for value in values):
-                    found.append(values)
-        return found
-
-    def _function(self, expressions: Sequence[Expr]) -> Callable[[Sequence[Any]], list[Any]]:
-        """Return the expressions as a function of a point."""
-        if _are_smooth(expressions):
-
-            def direct(point: Sequence[Any]) -> list[Any]:
-                known = dict(zip(self.symbols, point))
-                return [_value(e, known) for e in expressions]
-
-            return direct
-        made = sympy.lambdify([self.symbols], list(expressions), "mpmath", cse=True)
-        return lambda point: list(made(point))
-
-    def vanish(self, expressions: Sequence[Expr]) -> bool:
-        """Return whether all expressions are zero; False where that cannot be seen."""
-        expressions = [e for e in expressions if e != 0]
-        if not expressions:
-            return True
-        found = self.evaluate(expressions)
-        return bool(found) and all(abs(value) < ZERO for values in found for value in values)
-
-
-def _value(e: Expr, known: dict[Expr, Any]) -> Any:
-    """Return the value of a smooth expression, and keep those of its parts.
-
-    To print and compile it, as ``lambdify`` does, takes ten times as long as three values.
-    """
-    found = known.get(e)
-    if found is None:
-        if e.is_Add:
-            found = mpmath.fsum([_value(a, known) for a in e.args])
-        elif e.is_Mul:
-            found = mpmath.fprod([_value(a, known) for a in e.args])
-        elif e.is_Pow and e.exp.is_Integer:
-            found = _value(e.base, known) ** int(e.exp)
-        elif e.is_Pow:
-            found = mpmath.power(_value(e.base, known), _value(e.exp, known))
-        elif e.is_Rational:
-            found = mpmath.mpf(int(e.p)) / int(e.q)
-        elif e.args:
-            found = getattr(mpmath, e.func.__name__)(_value(e.args[0], known))
-        else:  # pi, a Float
-            found = e._to_mpmath(mpmath.mp.prec)
-        known[e] = found
-    return found
 
 
 # ---- the model -------------------------------------------------------------------------------
@@ -374,7 +361,8 @@ class Model:
             arguments.insert(0, TIME)
         return {
             output: sympy.lambdify(
-                arguments, [function.engine.give(e) for e in expressions], "math", cse=True
+                arguments, [_for_python(function.engine.give(e)) for e in expressions], "math",
+                cse=True,
             )
             for output, expressions in (function.outputs if function else ())
         }
@@ -424,52 +412,33 @@ def _structure(e: Expr) -> str:
 def _derive(model: Model) -> Derived:
     """Differentiate, and see what the model is."""
     q, v = model.q, model.v
-    engine = engine_for([model.L, *model.constraints])
-    L_v = [engine.diff(engine.take(model.L), engine.take(x)) for x in v]
-    L_vv = _symmetric(engine, L_v, v)
+    lagrangian, constraints = _exact(model.L), [_exact(e) for e in model.constraints]
+    engine = engine_for([lagrangian, *constraints])
     functions = []
-    rest = dict.fromkeys(v, sympy.Integer(0))
-    mass = _constant_mass(model, engine, L_v, L_vv)
+    with _naming(model, "L"):
+        mass, function = _energy(model, engine, lagrangian)
+        functions += [] if function is None else [function]
     if mass is not None:
-        V = -model.L.xreplace(rest)
-        if V != 0 and not Points([*q, *model.p]).vanish([V]):
-            V = engine.take(V)
-            V_q = [engine.diff(V, engine.take(x)) for x in q]
-            outputs = {"V": [V], "V_q": V_q, "V_qq": _symmetric(engine, V_q, q)}
-            functions.append(_function("potential", outputs, engine))
         functions.append(Function("mass", (("M", mass),), _SymPy))
-    else:
-        L = engine.take(model.L)
-        L_q = [engine.diff(L, engine.take(x)) for x in q]
-        outputs = {
-            "L": [L], "L_q": L_q, "L_v": L_v,
-            "L_qq": _symmetric(engine, L_q, q),
-            "L_vq": [engine.diff(e, engine.take(x)) for e in L_v for x in q],
-            "L_vv": L_vv,
-        }  # fmt: skip
-        functions.append(_function("lagrangian", outputs, engine))
-
     kind = "linear"
+    phi_v, phi_q = [], []
+    for a, e in enumerate(constraints):
+        with _naming(model, f"constraints[{a}]"):
+            phi = engine.take(e)
+            phi_v += [engine.diff(phi, engine.take(x)) for x in v]
+            phi_q += [engine.diff(phi, engine.take(x)) for x in q]
     if model.m > 0:
-        phi = [engine.take(e) for e in model.constraints]
-        phi_v = [engine.diff(e, engine.take(x)) for e in phi for x in v]
-        kind = _kind(model, engine, phi_v)
-        if kind != "nonlinear":  # phi_v may have v in it that cancels
-            phi_v = [_without(engine, e, rest) for e in phi_v]
+        kind, phi_v = _kind(model, engine, constraints, phi_v)
         outputs = {
-            "phi": phi,
-            "phi_v": phi_v,
-            "phi_q": [engine.diff(e, engine.take(x)) for e in phi for x in q],
-        }
+            "phi": [engine.take(e) for e in constraints], "phi_v": phi_v, "phi_q": phi_q
+        }  # fmt: skip
         functions.append(_function("constraint", outputs, engine))
     if model.force is not None:
         engine = engine_for(model.force)
-        f = [engine.take(e) for e in model.force]
-        outputs = {
-            "f": f,
-            "f_q": [engine.diff(e, engine.take(x)) for e in f for x in q],
-            "f_v": [engine.diff(e, engine.take(x)) for e in f for x in v],
-        }
+        f = [engine.take(_exact(e)) for e in model.force]
+        outputs = {"f": f}
+        for key, symbols in (("f_q", q), ("f_v", v)):
+            outputs[key] = [engine.diff(e, engine.take(x), almost=True) for e in f for x in symbols]
         functions.append(_function("force", outputs, engine))
     for name, output, expressions in (
         ("state", "x", model.state),
@@ -481,14 +450,94 @@ def _derive(model: Model) -> Derived:
     return Derived(kind, mass, tuple(functions))
 
 
+def _energy(
+    model: Model, engine: Any, lagrangian: Expr
+) -> tuple[tuple[Expr, ...] | None, Function | None]:
+    """Return M and the potential if M is constant; else None and the Lagrangian."""
+    q, v = model.q, model.v
+    L = engine.take(lagrangian)
+    L_v = [engine.diff(L, engine.take(x)) for x in v]
+    L_vv = _symmetric(engine, L_v, v)
+    for i, name in enumerate(model.coordinates):
+        if all(e == 0 for e in L_vv[i * model.n : (i + 1) * model.n]):
+            raise ValueError(
+                f"L: {model.shown(v[i])} is not in it, or only linearly, so that {name} has no "
+                f"mass; expected a kinetic energy of {name}, such as m*{model.shown(v[i])}**2/2"
+            )
+    mass, V = _constant_mass(model, engine, lagrangian, L_vv)
+    if mass is not None:
+        if is_zero(V):
+            return mass, None
+        V = engine.take(V)
+        V_q = [engine.diff(V, engine.take(x)) for x in q]
+        outputs = {"V": [V], "V_q": V_q, "V_qq": _symmetric(engine, V_q, q, almost=True)}
+        return mass, _function("potential", outputs, engine)
+    L_q = [engine.diff(L, engine.take(x)) for x in q]
+    outputs = {
+        "L": [L], "L_q": L_q, "L_v": L_v,
+        "L_qq": _symmetric(engine, L_q, q, almost=True),
+        "L_vq": [engine.diff(e, engine.take(x)) for e in L_v for x in q],
+        "L_vv": L_vv,
+    }  # fmt: skip
+    return None, _function("lagrangian", outputs, engine)
+
+
+def _exact(e: Expr) -> Expr:
+    """Return an expression as it is differentiated.
+
+    Its doubles are the rational numbers that they are, so that nothing is lost; what has no
+    derivative in SymPy unless its argument is known to be real is written otherwise.
+    """
+    e = e.xreplace({x: sympy.Rational(x) for x in e.atoms(sympy.Float)})
+    unsure = {x for x in e.atoms(sympy.Abs, sympy.sign) if not x.args[0].is_extended_real}
+    if unsure:
+        e = e.replace(lambda x: x in unsure and x.func == sympy.Abs, _larger)
+        e = e.replace(lambda x: x in unsure, lambda x: 2 * sympy.Heaviside(x.args[0]) - 1)
+    return e
+
+
+def _larger(absolute: Expr) -> Expr:
+    return sympy.Max(absolute.args[0], -absolute.args[0])
+
+
+def in_doubles(e: Expr, digits: int = 15) -> Expr:
+    """Return an expression with doubles of so many digits for numbers that are not short."""
+    return e.xreplace({
+        x: sympy.Float(nearest(x), digits) for x in e.atoms(sympy.Rational, sympy.Float)
+        if x.is_Float or max(abs(x.p), x.q) >= 2**53
+    })  # fmt: skip
+
+
+def nearest(x: Expr, where: str = "") -> float:
+    """Return the double nearest to a number, however long; ValueError if it is out of range."""
+    try:
+        found = x.p / x.q if x.is_Rational else float(x)
+    except OverflowError:
+        found = math.inf
+    if math.isinf(found) or (x != 0 and abs(found) < sys.float_info.min):
+        size = "large" if math.isinf(found) else "small"
+        raise ValueError(f"{where}{': ' * bool(where)}{sympy.N(x, 5)} is too {size} for a double")
+    return found
+
+
+def _for_python(e: Expr) -> Expr:
+    """Return an expression as `lambdify` takes it: a Piecewise without a default is NaN there."""
+    return in_doubles(e, 17).replace(
+        lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != sympy.true,
+        lambda part: part.func(*part.args, (sympy.nan, True)),
+    )
+
+
 def _function(name: str, outputs: dict[str, Sequence[Expr]], engine: Any) -> Function:
     return Function(name, tuple((key, tuple(e)) for key, e in outputs.items()), engine)
 
 
-def _symmetric(engine: Any, gradient: Sequence[Expr], x: Sequence[Expr]) -> list[Expr]:
+def _symmetric(
+    engine: Any, gradient: Sequence[Expr], x: Sequence[Expr], almost: bool = False
+) -> list[Expr]:
     """Return the matrix of second derivatives; what is below the diagonal is what is above it."""
     upper = {
-        (i, j): engine.diff(gradient[i], engine.take(x[j]))
+        (i, j): engine.diff(gradient[i], engine.take(x[j]), almost)
         for i in range(len(x))
         for j in range(i, len(x))
     }
@@ -502,51 +551,48 @@ def _without(engine: Any, expression: Expr, values: dict[Expr, Expr]) -> Expr:
     return expression.subs({engine.take(s): engine.take(x) for s, x in values.items()})
 
 
-def _names_in(expressions: Iterable[Expr]) -> set[str]:
-    return {str(s) for e in expressions for s in e.free_symbols}
-
-
 def _constant_mass(
-    model: Model, engine: Any, L_v: Sequence[Expr], L_vv: Sequence[Expr]
-) -> tuple[Expr, ...] | None:
-    """Return M if L = v^T M v / 2 - V(q) with a constant M; else None."""
-    state = (*model.q, *model.v)
-    zero = dict.fromkeys(state, sympy.Integer(0))
-    M = [engine.give(e) for e in L_vv]
-    if _names_in(M) & {s.name for s in state}:
-        # M is what it is at q = 0, if it is the same everywhere
-        constant = [e.xreplace(zero) for e in M]
-        if any(e.has(sympy.nan, sympy.zoo, sympy.oo) for e in constant):
-            return None
-        differences = [a - b for a, b in zip(M, constant) if a != b]
-        if not Points([*state, *model.p]).vanish(differences):
-            return None
-        M = constant
+    model: Model, engine: Any, L: Expr, L_vv: Sequence[Expr]
+) -> tuple[tuple[Expr, ...] | None, Expr]:
+    """Return M if it is proved that L = v^T M v / 2 - V(q) with a constant M, else None; and V."""
     rest = dict.fromkeys(model.v, sympy.Integer(0))
-    gyroscopic = [engine.give(_without(engine, e, rest)) for e in L_v]
-    if not Points([*model.q, *model.p]).vanish(gyroscopic):
-        return None
-    return tuple(M)
+    origin = rest | dict.fromkeys(model.q, sympy.Integer(0))
+    given = [engine.give(e) for e in L_vv]
+    M = tuple(e.xreplace(origin) for e in given)  # if it is the same everywhere
+    V = -L.xreplace(rest)
+    if not all(e == c or is_zero(e - c) for e, c in zip(given, M)):
+        return None, V  # which the whole would tell, but later
+    products = [a * b / 2 for a in model.v for b in model.v]
+    kinetic = sympy.Add(*(e * product for e, product in zip(M, products)))
+    return M if is_zero(L + V - kinetic) else None, V
 
 
-def _kind(model: Model, engine: Any, phi_v: Sequence[Expr]) -> str:
-    """Return the kind of the constraints, whose derivatives by v are phi_v."""
-    m, n, names = model.m, model.n, {s.name for s in model.v}
-    everything = Points([*model.q, *model.v, *model.p])
-    if _names_in(phi_v) & names:
-        bends = [engine.diff(e, engine.take(x)) for e in phi_v for x in model.v]
-        if not everything.vanish([engine.give(e) for e in bends]):
-            return "nonlinear"
-    rest = dict.fromkeys(model.v, sympy.Integer(0))
-    shift = [e.xreplace(rest) for e in model.constraints]
-    for a in range(m):
-        if everything.vanish([engine.give(e) for e in phi_v[a * n : (a + 1) * n]]):
+def _kind(
+    model: Model, engine: Any, phi: Sequence[Expr], phi_v: list[Expr]
+) -> tuple[str, list[Expr]]:
+    """Return the kind of the constraints, and phi_v without v unless they are nonlinear.
+
+    They are affine if it is proved that phi = mu(q) v + a(q), linear if a is proved to be zero.
+    """
+    n, rest = model.n, dict.fromkeys(model.v, sympy.Integer(0))
+    given = [engine.give(e) for e in phi_v]
+    mu = [e.xreplace(rest) for e in given]
+    shift = [e.xreplace(rest) for e in phi]
+    affine = all(
+        is_zero(e - b - sympy.Add(*(c * x for c, x in zip(mu[a * n : (a + 1) * n], model.v))))
+        for a, (e, b) in enumerate(zip(phi, shift))
+    )
+    for a in range(model.m):
+        if all(map(is_zero, (mu if affine else given)[a * n : (a + 1) * n])):
             raise ValueError(
                 f"constraints[{a}] = {model.shown(model.constraints[a])}: expected a velocity in "
                 "it; a constraint on the coordinates alone is holonomic, and can be given as its "
                 "time derivative, whose D is then kept"
             )
-    return "linear" if everything.vanish(shift) else "affine"
+    if not affine:
+        return "nonlinear", phi_v
+    phi_v = [_without(engine, e, rest) for e in phi_v]
+    return "linear" if all(map(is_zero, shift)) else "affine", phi_v
 
 
 # ---- LaTeX -----------------------------------------------------------------------------------
@@ -572,7 +618,7 @@ def _latex(model: Model) -> str:
     def outputs(name: str, output: str, rows: int) -> str:
         function = derived.function(name)
         assert function is not None
-        entries = [function.engine.give(e) for e in dict(function.outputs)[output]]
+        entries = [in_doubles(function.engine.give(e)) for e in dict(function.outputs)[output]]
         return tex(sympy.Matrix(rows, len(entries) // rows, entries))
 
     n, m = model.n, model.m
@@ -587,7 +633,7 @@ def _latex(model: Model) -> str:
     if derived.mass is not None:
         V_q = "" if derived.function("potential") is None else "-V_q"
         left, right = r"M \ddot q", f"{V_q}{force}{react}".removeprefix(" + ") or "0"
-        lines.append(rf"M &= {tex(sympy.Matrix(n, n, list(derived.mass)))}")
+        lines.append(rf"M &= {tex(sympy.Matrix(n, n, list(map(in_doubles, derived.mass))))}")
         if V_q:
             lines.append(rf"V_q &= {outputs('potential', 'V_q', n)}")
         inverse, pull = "M^{-1}", f"{V_q}{force}".removeprefix(" + ") or "0"
@@ -608,7 +654,7 @@ def _latex(model: Model) -> str:
         )
         slope = derived.function("constraint")
         assert slope is not None
-        phi_q = [slope.engine.give(e) for e in dict(slope.outputs)["phi_q"]]
+        phi_q = [in_doubles(slope.engine.give(e)) for e in dict(slope.outputs)["phi_q"]]
         turned = sympy.Matrix(m, n, phi_q) * sympy.Matrix(n, 1, list(model.v))
         lines.append(rf"{turn} &= {tex(turned)}")
     return r"\begin{aligned}" + r" \\ ".join(lines) + r"\end{aligned}"
@@ -618,7 +664,8 @@ def _latex_pull(model: Model, tex: Callable[[Expr], str]) -> str:
     function = model.derived.function("lagrangian")
     assert function is not None
     outputs = {
-        key: [function.engine.give(e) for e in expressions] for key, expressions in function.outputs
+        key: [in_doubles(function.engine.give(e)) for e in expressions]
+        for key, expressions in function.outputs
     }
     L_vq = sympy.Matrix(model.n, model.n, outputs["L_vq"])
     return tex(sympy.Matrix(model.n, 1, outputs["L_q"]) - L_vq * sympy.Matrix(model.v))
@@ -645,16 +692,19 @@ _STRUCTURE = (
 )  # fmt: skip
 
 
-def require_known(expression: Expr, where: str) -> None:
+def require_known(
+    expression: Expr, where: str, shown: Callable[[Expr], Expr] = lambda e: e
+) -> None:
     """Raise ValueError if an expression has a part for which no program is generated."""
     for e in sympy.preorder_traversal(expression):
         if isinstance(e, (*_STRUCTURE, *FUNCTIONS)):
-            if isinstance(e, sympy.Float | sympy.Rational) and not math.isfinite(float(e)):
-                raise ValueError(f"{where}: {e} is not finite, or too large for a double")
+            if isinstance(e, sympy.Float | sympy.Rational):
+                nearest(e, where)
             continue
         if isinstance(e, AppliedUndef):
-            raise ValueError(f"{where}: {e} is an unknown function; is it a coordinate?")
-        names = ", ".join(sorted({*FUNCTIONS.values(), "sqrt", "Abs", "Piecewise", "Max", "Min"}))
+            raise ValueError(f"{where}: {shown(e)} is an unknown function; is it a coordinate?")
+        names = {f.__name__ for f in (*FUNCTIONS, *_STRUCTURE) if issubclass(f, sympy.Function)}
         raise ValueError(
-            f"{where}: {e} ({type(e).__name__}) is not among what can be compiled: {names}"
+            f"{where}: {shown(e)} ({type(e).__name__}) is not among what can be compiled: "
+            f"{', '.join(sorted({*names, 'sqrt', 'Max', 'Min', 'And', 'Or', 'Not'}))}"
         )

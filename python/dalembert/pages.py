@@ -520,7 +520,7 @@ def _label(name: str) -> str:
     """The name of a coordinate for matplotlib: theta_x as a letter with an index."""
     letter, digits, index = re.fullmatch(r"([^\d_]*)(\d*)_?(.*)", name).groups()  # type: ignore
     if not name.isascii() or not name.replace("_", "").isalnum() or not letter:
-        return name.replace("$", r"\$")
+        return plot.plain(name)
     letter = formula.GREEK.get(letter, letter)
     letter = letter if len(letter) == 1 else rf"\mathrm{{{letter}}}"
     below = digits + formula.GREEK.get(index, index)

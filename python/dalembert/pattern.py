@@ -74,8 +74,15 @@ def pattern(model: Model) -> Pattern:
     Z, fall = _times(mu, inverse), _times(forces, inverse)
     pushed = [any(row[i] for row in Z) for i in range(n)]
     pull = [pushed[i] or any(row[i] for row in fall) for i in range(n)]
-    steady = m > 0 and not any(row[i] and pushed[i] for row in N for i in range(n))
+    steady = m > 0 and not any(pushed[i] for i in range(n) if model.q[i].name in _bending(model))
     return Pattern(inverse, mu, Z, N, [pull], steady)
+
+
+def _bending(model: Model) -> set[str]:
+    """Return the names of what mu depends on: not only where it has a derivative."""
+    function = model.derived.function("constraint")
+    assert function is not None
+    return {str(s) for e in dict(function.outputs)["phi_v"] for s in e.free_symbols}
 
 
 def _rows(entries: Sequence[Any], n: int) -> Rows:

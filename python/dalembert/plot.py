@@ -143,7 +143,7 @@ def convergence(
         clear = counts(error, item.floor)
         style = dict(styles[item.scheme.name])
         (line,) = ax.loglog(
-            h[clear], error[clear], label=f"{item.scheme.name}: {fit.order(loss)}", **style
+            h[clear], error[clear], label=plain(f"{item.scheme.name}: {fit.order(loss)}"), **style
         )
         ax.plot(
             h[~clear],
@@ -217,7 +217,7 @@ def drift(
     for run in solutions:
         style = _over_time(styles[run.scheme.name], min(len(run.t), STRETCHES))
         in_D, in_D_eps = _residuals(run)
-        axes[0].plot(*_stretches(run.t, in_D), label=run.scheme.name, **style)
+        axes[0].plot(*_stretches(run.t, in_D), label=plain(run.scheme.name), **style)
         if in_D_eps is None:
             continue
         # Kept nodes may start in D and jump to D_eps in the first step: that start is a point.
@@ -290,7 +290,7 @@ def energy(
         ax.plot(
             run.t,
             (run.energy - run.energy[0]) / scale,
-            label=run.scheme.name,
+            label=plain(run.scheme.name),
             **_over_time(styles[run.scheme.name], len(run.t)),
         )
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
@@ -339,10 +339,11 @@ def path(
     ax.plot(first, second, color=COLOURS[0])
     ax.plot(first[:1], second[:1], color=COLOURS[1], marker="o", linestyle="none", label="start")
     ax.set_aspect("equal", adjustable="datalim")
-    names = [solution.system.coordinates[i] for i in coordinates]
+    names = [plain(solution.system.coordinates[i]) for i in coordinates]
     ax.set_xlabel(f"{names[0]} (user's units)")
     ax.set_ylabel(f"{names[1]} (user's units)")
-    ax.set_title(f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}")
+    title = f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}"
+    ax.set_title(plain(title))
     ax.legend(frameon=False)
     return ax
 
@@ -399,7 +400,8 @@ def perturbation(
         ax.axhline(one.noise, linewidth=0.8, zorder=1, **line)
     ax.set_xlabel("time in units of the period, tau = t/h")
     ax.set_ylabel("largest component of |g| (user's units)")
-    ax.set_title(f"{embedding.system.name}: {embedding.scheme.name} with p = {embedding.order}")
+    title = f"{embedding.system.name}: {embedding.scheme.name} with p = {embedding.order}"
+    ax.set_title(plain(title))
     _legend(ax, "step h")
     return ax
 
@@ -463,7 +465,12 @@ def _styles(items: Sequence[Any]) -> dict[str, dict[str, Any]]:
 
 
 def _systems(items: Sequence[Any]) -> str:
-    return ", ".join(dict.fromkeys(item.system.name for item in items))
+    return plain(", ".join(dict.fromkeys(item.system.name for item in items)))
+
+
+def plain(text: str) -> str:
+    """Return a text of the user as Matplotlib draws it letter by letter: a $ begins no formula."""
+    return text.replace("$", r"\$")
 
 
 def _several(item: Any, what: str, kind: type) -> list[Any]:

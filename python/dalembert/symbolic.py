@@ -32,6 +32,7 @@ __all__ = [
     "initial_data",
     "is_expressions",
     "make_model",
+    "mapping",
     "parameter_value",
     "require_assumed",
 ]
@@ -78,7 +79,7 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     _sympy()
     from .model import make_coordinates
 
-    words = names.replace(",", " ").split() if isinstance(names, str) else list(names)
+    words = names.replace(",", " ").split() if isinstance(names, str) else _several(names, "names")
     for word in words:
         arguments.text(word, "names")
     if not words or len(set(words)) != len(words):
@@ -106,7 +107,7 @@ def make_model(
     L = _expression(L, "L")
     given = _constraints(constraints)
     forces = None if force is None else _force(force)
-    pairs = _pairs(coordinates, [L, *_flat(given), *(forces or {}).values(), *(forces or {})])
+    pairs = _pairs(coordinates, L, [*_flat(given), *(forces or {}).values(), *(forces or {})])
     n = len(pairs)
     names = [name for name, _, _ in pairs]
     if n == 0:
@@ -138,7 +139,8 @@ def make_model(
         if with_time:
             found = found.xreplace({time: models.TIME})
             allowed.add(models.TIME)
-        models.require_known(found, where)
+        names_of = {c: s for s, c in (positions | velocities | matching).items()}
+        models.require_known(found, where, lambda e: e.xreplace(names_of))
         left = sorted(str(s) for s in found.free_symbols - allowed)
         if str(time) in left:
             raise ValueError(
@@ -171,7 +173,7 @@ def make_model(
             components[q.index(positions[key])] = translate(expression, f"force[{key}]", True)
 
     def several(given: Any, name: str, count: int, with_time: bool = False) -> Any:
-        found = [_expression(e, name) for e in given]
+        found = [_expression(e, name) for e in _several(given, name)]
         if len(found) != count:
             raise ValueError(f"{name}: expected {count} expressions, got {len(found)}")
         return tuple(translate(e, f"{name}[{i}]", with_time) for i, e in enumerate(found))
@@ -204,10 +206,17 @@ def initial_data(q0: Any, v0: Any) -> Any:
     """Return (q0, v0) as one array of numbers; as a list, if there are expressions in it."""
     if q0 is None or v0 is None:
         raise ValueError("q0 and v0: expected both or none")
-    both = [*q0, *v0]
+    both = [*_several(q0, "q0"), *_several(v0, "v0")]
     if any(getattr(x, "free_symbols", None) for x in both):
         return both
     return np.array([parameter_value(x, "(q0, v0)") for x in both])
+
+
+def mapping(given: Any, name: str) -> dict[Any, Any]:
+    """Return a mapping that was given, or an empty one for None; ValueError for anything else."""
+    if not isinstance(given, Mapping | None):
+        raise ValueError(f"{name} = {given!r}: expected a mapping")
+    return dict(given or {})
 
 
 def is_expressions(value: Any) -> bool:
@@ -244,7 +253,7 @@ def _constraints(given: Any) -> list[Any]:
     if isinstance(given, sympy.Expr | sympy.Eq):
         given = [given]
     found: list[Any] = []
-    for a, one in enumerate(given):
+    for a, one in enumerate(_several(given, "constraints")):
         where = f"constraints[{a}]"
         if isinstance(one, sympy.Eq):
             found.append(_expression(one.lhs - one.rhs, where))
@@ -257,35 +266,45 @@ def _constraints(given: Any) -> list[Any]:
     return found
 
 
+def _several(given: Any, name: str) -> list[Any]:
+    """Return what was given one after another; ValueError if it was not."""
+    if isinstance(given, str | bytes) or not isinstance(given, Iterable):
+        raise ValueError(f"{name} = {given!r}: expected a sequence")
+    return list(given)
+
+
 def _flat(given: Iterable[Any]) -> list[Expr]:
     return [e for one in given for e in (one if isinstance(one, list) else [one])]
 
 
 def _force(given: Any) -> dict[Expr, Expr]:
     """Return the components of a force that are given, by the coordinate."""
-    if not isinstance(given, Mapping):
-        raise ValueError(f"force = {given!r}: expected a mapping of coordinates to components")
-    return {key: _expression(value, f"force[{key}]") for key, value in given.items()}
+    return {
+        key: _expression(value, f"force[{key}]") for key, value in mapping(given, "force").items()
+    }
 
 
-def _pairs(given: Iterable[Any] | None, expressions: list[Expr]) -> list[tuple[str, Expr, Expr]]:
-    """Return name, symbol and velocity of each coordinate, as given or as they occur."""
+def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Expr]]:
+    """Return name, symbol and velocity of each coordinate, as given or as they occur.
+
+    A function of time is a coordinate if it occurs in L; elsewhere it may be an input.
+    """
     sympy = _sympy()
     from sympy.core.function import AppliedUndef
 
     from .model import Coordinate, Velocity, order_made
 
     if given is None:
-        made = set().union(*(e.atoms(Coordinate) for e in expressions))
-        moving = set().union(*(e.atoms(Velocity) for e in expressions))
+        made = set().union(*(e.atoms(Coordinate) for e in [L, *others]))
+        moving = set().union(*(e.atoms(Velocity) for e in [L, *others]))
         made |= {Coordinate(v.name.removesuffix(".d"), real=True) for v in moving}
-        functions = set().union(*(e.atoms(AppliedUndef) for e in expressions))
+        functions = L.atoms(AppliedUndef)
         moved = {f for f in functions if len(f.args) == 1 and _is_time(f.args[0])}
         given = [*sorted(made, key=order_made), *sorted(moved, key=str)]
     elif isinstance(given, Mapping):
         given = list(given.items())
     found = []
-    for one in given:
+    for one in _several(given, "coordinates"):
         if isinstance(one, Coordinate):
             found.append((one.name, one, one.d))
         elif isinstance(one, AppliedUndef) and len(one.args) == 1:
@@ -315,7 +334,7 @@ def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list
     """Return the values of parameters by name, and their symbols."""
     sympy = _sympy()
     values, symbols = {}, []
-    for key, value in (given or {}).items():
+    for key, value in mapping(given, "parameters").items():
         symbol = sympy.Symbol(key) if isinstance(key, str) else key
         if not isinstance(symbol, sympy.Symbol):
             raise ValueError(f"parameters: {key!r}: expected a symbol, or its name")
@@ -328,9 +347,12 @@ def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list
 
 def parameter_value(value: Any, name: str) -> float:
     """Return the value of a parameter; ValueError if it is no finite number."""
-    if getattr(value, "is_number", False):
-        value = float(value)
-    return arguments.number(value, name)
+    try:
+        return arguments.number(float(value) if hasattr(value, "is_number") else value, name)
+    except OverflowError:
+        raise ValueError(f"{name}: expected a finite number, this is too large") from None
+    except TypeError:
+        raise ValueError(f"{name} = {value!r}: expected a real number") from None
 
 
 def _matching(expression: Expr, rule: dict[Expr, Expr]) -> dict[Expr, Expr]:

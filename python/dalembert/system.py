@@ -393,6 +393,12 @@ class System:
         Everything is differentiated and compiled to C, step routine included, and kept in a cache
         (see `dalembert.compiler`).  Parameters stay free: `with_parameters` compiles nothing.
 
+        A term is left out only where it is proved to be zero, so walls such as ``Max(0, x - 2)**2``
+        and numbers of any unit are kept.  The derivative of a ``Piecewise`` is that of its pieces:
+        a jump exerts no force.  Outside of all its pieces it is not defined, and callbacks end in a
+        `DomainError`.  Where Newton's method alone needs a derivative (V_qq, L_qq, f_q, f_v), that
+        of a jump is taken as 0.
+
         Parameters
         ----------
         L : sympy.Expr
@@ -429,8 +435,8 @@ class System:
         Raises
         ------
         ValueError
-            If a symbol is left over, something has no place in a system, or a function is not
-            among what can be compiled.  The text names it.
+            If a symbol is left over, something has no place in a system, a function is not among
+            what can be compiled, or a derivative needs a ``DiracDelta``.  The text names it.
         dalembert.compiler.CompilerError
             If the compiler refuses the program; the text has the line, and what it comes from.
         ImportError
@@ -455,7 +461,7 @@ class System:
         """
         state = None if q0 is None and v0 is None else symbolic.initial_data(q0, v0)
         in_model = state is not None and not isinstance(state, np.ndarray)
-        named = dict(invariants or {})
+        named = symbolic.mapping(invariants, "invariants")
         model, values = symbolic.make_model(
             L,
             constraints,

@@ -5,10 +5,12 @@ import os
 import pickle
 import re
 import shutil
+import signal
 import stat
 import subprocess
 import sys
 import threading
+import time
 import warnings
 from pathlib import Path
 
@@ -146,6 +148,42 @@ def changed(headers):
     return {name: text + "/* changed */\n" for name, text in headers.items()}
 
 
+def test_what_others_could_have_written_is_made_again(cache, compiled):
+    """It is sound, and the folder is private now; but it was not always."""
+    slide()
+    (path,) = compiler.entries()
+    spoil = [lambda: path.chmod(0o720), lambda: path.chmod(0o702)]
+    if os.getuid() == 0:
+        spoil.append(lambda: os.chown(path, 12345, -1))
+    for count, change in enumerate(spoil):
+        change()
+        forget()
+        assert energy(slide()) == pytest.approx(EXPECTED, rel=1e-15)
+        assert len(compiled) == count + 2
+        about = path.stat()
+        assert about.st_uid == os.getuid() and not about.st_mode & 0o022
+    forget()
+    slide()
+    assert len(compiled) == len(spoil) + 1
+
+
+def test_directories_of_killed_compilers_are_removed(cache, tmp_path, monkeypatch):
+    """Old ones that are ours; nothing that has another name, is young, or only a link."""
+    place, elsewhere = tmp_path / "tmp", tmp_path / "elsewhere"
+    monkeypatch.setattr(compiler.tempfile, "tempdir", str(place))
+    old, young, other = (place / f"dalembert-{x}" for x in ("compiles-1", "compiles-2", "1"))
+    for directory in (old, young, other, elsewhere):
+        directory.mkdir(parents=True)
+        (directory / "model.c").write_text("")
+    link = place / "dalembert-compiles-3"
+    link.symlink_to(elsewhere)
+    for path in (old, other, elsewhere, link):
+        os.utime(path, (0, 0), follow_symlinks=False)
+    slide()
+    assert sorted(place.iterdir()) == sorted([young, other, link])
+    assert (elsewhere / "model.c").exists()
+
+
 def make_and_run(_):
     """Make the system in a process of its own; the result and whether there was a warning."""
     forget()
@@ -276,6 +314,27 @@ def test_hostile_names(cache, tmp_path):
     assert "__import__" not in re.sub(r'"[^"\n]*"|/\*.*?\*/', "", source)
     (tmp_path / "hostile.c").write_text(source)
     compile_c(tmp_path, "hostile.c", "-c", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function")
+
+
+def test_dollars_in_pictures_and_reports(tmp_path):
+    """A name is drawn letter by letter: between dollars it would be a formula that is none."""
+    plot = pytest.importorskip("matplotlib.pyplot")
+    x, y = dal.coordinates([r"$\foo$", "a$b$"])
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2 - x**2, [y.d - x * x.d], name="$x_$", q0=[1, 0.5], v0=[1, 1]
+    )
+    scheme = dal.Scheme([(0.5, 1.0)], name=r"$\beta_$")
+    run = dal.integrate(system, scheme, h=0.1, steps=5)
+    study = dal.convergence(system, scheme, t_end=1)
+    drawn = [dal.plot.path(run), dal.plot.energy(run), study.plot()]
+    for ax in drawn:
+        ax.figure.savefig(tmp_path / "picture.svg")
+    assert [ax.get_title().startswith(r"\$x_\$: ") for ax in drawn] == [True] * 3
+    assert r"\$\foo\$" in drawn[0].get_xlabel()
+    plot.close("all")
+    dal.report.write([study], tmp_path / "report.html")
+    assert "$x_$" in (tmp_path / "report.html").read_text()
+    assert "$x_$" in dal.pages.page(system)
 
 
 def test_texts_in_c_are_what_they_were(tmp_path):
@@ -428,6 +487,62 @@ def test_a_compiler_that_cannot_run(cache, monkeypatch, tmp_path):
     monkeypatch.setenv("CC", str(broken))
     with pytest.raises(compiler.CompilerError, match="no licence"):
         slide()
+
+
+def hanging(tmp_path):
+    """A compiler that starts another process, and waits for it; where that one's number stands."""
+    wrapper, child = tmp_path / "cc", tmp_path / "child"
+    wrapper.write_text(f"#!/bin/sh\nsleep 1000 &\necho $! >{child}.new\n"
+                       f"mv {child}.new {child}\nwait\n")  # fmt: skip
+    wrapper.chmod(0o755)
+    return wrapper, child
+
+
+def wait_until(holds):
+    end = time.monotonic() + 20
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def is_running(child):
+    """Whether a process runs, and has not only not been waited for."""
+    try:
+        text = Path(f"/proc/{child.read_text().strip()}/stat").read_text()
+    except OSError:
+        return False
+    return text.rpartition(")")[2].split()[0] != "Z"
+
+
+def test_a_compiler_that_hangs(cache, tmp_path, monkeypatch):
+    """It is killed after a limit, with what it started."""
+    wrapper, child = hanging(tmp_path)
+    place = tmp_path / "tmp"
+    place.mkdir()
+    monkeypatch.setattr(compiler.tempfile, "tempdir", str(place))
+    monkeypatch.setenv("CC", str(wrapper))
+    monkeypatch.setattr(compiler, "LIMIT", 1.0)
+    with pytest.raises(compiler.CompilerError, match="did not end within 1 s: .*cc"):
+        slide()
+    wait_until(lambda: not is_running(child))
+    assert child.exists() and not list(place.iterdir())
+
+
+def test_interrupting_a_compiler(cache, tmp_path):
+    wrapper, child = hanging(tmp_path)
+    place = tmp_path / "tmp"
+    place.mkdir()
+    code = "import sys; sys.path[:0] = [sys.argv[1]]; import test_compiler; test_compiler.slide()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(Path(__file__).parent)], stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "CC": str(wrapper), "TMPDIR": str(place)},
+    )  # fmt: skip
+    wait_until(child.exists)
+    process.send_signal(signal.SIGINT)
+    _, printed = process.communicate(timeout=20)
+    assert "KeyboardInterrupt" in printed
+    wait_until(lambda: not is_running(child))
+    assert not list(place.iterdir())
 
 
 # ---- for C programs ------------------------------------------------------------------------------

@@ -326,35 +326,6 @@ def test_order_of_coordinates():
     assert x.d != sympy.Symbol("x.d", real=True) and pickle.loads(pickle.dumps(x.d)) == x.d
 
 
-def test_values_at_points():
-    """Of smooth expressions and of others, complex ones too, against SymPy's own to 45 digits."""
-    a, b = symbols = sympy.symbols("a b", real=True)
-    smooth = [
-        a**3 / b - sympy.pi * a, sympy.sin(a * b) + sympy.Float(0.1), sympy.sqrt(a - 5) * b,
-        sympy.exp(-a) ** b, sympy.log(b) * sympy.atan(a), sympy.Rational(2, 3), sympy.asin(a + 1),
-        (a + b) ** sympy.Rational(-5, 2), sympy.E**a * sympy.cosh(b),
-    ]  # fmt: skip
-    points = model.Points(symbols)
-    others = [sympy.Abs(a - b), sympy.Piecewise((a, a > b), (b, True))]
-    for expressions in (smooth, smooth + others):
-        found = points.evaluate(expressions)
-        assert len(found) == len(points.values) == 3
-        for place, values in zip(points.values, found):
-            at = {c: sympy.Rational(int(x * 2**41), 2**41) for c, x in zip(symbols, place)}
-            for e, value in zip(expressions, values):
-                expected = sympy.N(e.subs(at), 55).as_real_imag()
-                with mpmath.workdps(60):
-                    assert abs(mpmath.mpc(*map(mpmath.mpf, expected)) - value) < 1e-45
-    pole = 1 / (a - sympy.Rational(int(points.values[1][0] * 2**41), 2**41))
-    for expressions in ([pole, a], [pole, sympy.Abs(a)]):
-        assert [values[1] for values in points.evaluate(expressions)] == [
-            points.values[0][0], points.values[2][0]
-        ]  # fmt: skip
-    assert points.vanish([sympy.sin(a) ** 2 + sympy.cos(a) ** 2 - 1, sympy.Integer(0)])
-    assert points.vanish([(a - 5) ** sympy.Rational(1, 2) - sympy.sqrt(a - 5) * (a / a)])
-    assert not points.vanish([a - b]) and points.vanish([])
-
-
 def test_keys_tell_models_apart():
     """Equal ones have equal keys, in whatever order their parts were given."""
     x, y = dal.coordinates("x y")
@@ -521,9 +492,9 @@ def test_exact_and_invariants_by_expressions():
 
 
 def test_refused_by_name():
-    x, y = dal.coordinates("x y")
+    x, y, z = dal.coordinates("x y z")
     m, t = sympy.symbols("m t")
-    f = sympy.Function("f")
+    f, u = sympy.Function("f"), sympy.Function("u")(t)
     X = dynamicsymbols("X")
     L = (x.d**2 + y.d**2) / 2
     from_sympy = dal.System.from_sympy
@@ -543,6 +514,30 @@ def test_refused_by_name():
         (lambda: from_sympy(L, [sympy.true]), "does not depend on anything"),
         (lambda: from_sympy(L, [[1, 2, 3]]), "expected 2 coefficients, got 3"),
         (lambda: from_sympy(L, parameters={m: "heavy"}), "m = 'heavy'"),
+        (lambda: from_sympy(L, parameters={m: 10**400}), "m: .* this is too large"),
+        (lambda: from_sympy(L, parameters={m: sympy.Integer(10) ** 400}), "m = inf"),
+        (lambda: from_sympy(L, parameters={m: sympy.I}), "m = I: expected a real number"),
+        (lambda: from_sympy(L, parameters=b"x"), "parameters = b'x': expected a mapping"),
+        (lambda: from_sympy(L, force=b"x"), "force = b'x': expected a mapping"),
+        (lambda: from_sympy(L, invariants=[x.d]), "invariants = .x.d.: expected a mapping"),
+        (lambda: from_sympy(L, coordinates=5), "coordinates = 5: expected a sequence"),
+        (lambda: from_sympy(L, constraints=5), "constraints = 5: expected a sequence"),
+        (lambda: from_sympy(L, constraints="x"), "constraints = 'x': expected a sequence"),
+        (lambda: from_sympy(L, exact=5), "exact = 5: expected a sequence"),
+        (lambda: from_sympy(L, q0=5, v0=[0, 0]), "q0 = 5: expected a sequence"),
+        (lambda: from_sympy(L, q0=[0, 0], v0=5), "v0 = 5: expected a sequence"),
+        (lambda: dal.coordinates(b"x y"), "names = b'x y': expected a sequence"),
+        (lambda: dal.coordinates(5), "names = 5: expected a sequence"),
+        (lambda: from_sympy(L, [y.d - t * x.d]), "constraints.0.: the time t is left over"),
+        (lambda: from_sympy(L, force={x: u}), r"force\[x\]: u\(t\) is an unknown function"),
+        (lambda: from_sympy(L, force={x: u.diff(t)}), r"force\[x\]: Derivative\(u\(t\), t\) is no"),
+        (lambda: from_sympy(L, [y.d - u * x.d]), r"constraints\[0\]: u\(t\) is an unknown"),
+        (lambda: from_sympy(L, force={x: m}), r"force\[x\]: m is neither a coordinate"),
+        (lambda: from_sympy(L - z), r"L: z\.d is not in it, .* so that z has no mass"),
+        (lambda: from_sympy(L, coordinates=[x, y, z]), r"L: z\.d is not in it"),
+        (lambda: from_sympy(L + x * z.d), r"L: z\.d is not in it, or only linearly"),
+        (lambda: from_sympy(L - X), r"L: X\.d is not in it"),
+        (lambda: from_sympy(L - sympy.Mod(x, 2)), r"L: Mod\(x, 2\) \(Mod\) is not among"),
         (lambda: from_sympy(L, parameters={"m": 1, m: 2}), "m is there twice"),
         (lambda: from_sympy(L, force={m: 1}), "force: m is no coordinate"),
         (lambda: from_sympy(L, q0=[0, 0]), "q0 and v0: expected both"),

@@ -1,0 +1,235 @@
+"""Whether an expression is zero everywhere: decided exactly, over the rational numbers.
+
+An expression is written as a polynomial, with rational coefficients and exponents of any sign, in
+its symbols, in the sines, cosines and exponentials of the terms of their arguments, in roots and
+sums that stand in a denominator, and in whatever else occurs, each of these a letter.  The
+relations between them, such as s^2 = 1 - c^2, are then put in.  What is left is empty only if the
+expression is zero wherever it is defined.  The converse does not hold: of Max(0, x) Max(0, -x)
+nothing is known.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Hashable
+from typing import Any
+
+import sympy
+from sympy import QQ
+
+__all__ = ["is_zero"]
+
+Expr = Any
+
+# A monomial is its letters and their exponents, by letter; a polynomial has its coefficients.
+Monomial = tuple[tuple[int, int], ...]
+Polynomial = dict[Monomial, Any]
+
+_ONE: Monomial = ()
+
+# A larger multiple of an angle, or power of a sum, is a letter of its own.
+_LARGEST = 16
+
+# Products of terms after which the question is left open: about a tenth of a second.
+_PATIENCE = 20_000
+
+
+class _Undecided(Exception):
+    """It takes too long, or something that may be zero stands in a denominator."""
+
+
+def is_zero(expression: Expr) -> bool:
+    """Return whether an expression is proved to be zero wherever it is defined.
+
+    Examples
+    --------
+    >>> import sympy
+    >>> from dalembert.zeros import is_zero
+    >>> x, y = sympy.symbols("x y", real=True)
+    >>> is_zero(sympy.cos(x - y) - sympy.cos(x) * sympy.cos(y) - sympy.sin(x) * sympy.sin(y))
+    True
+    >>> is_zero(sympy.Max(0, x - 2)), is_zero(sympy.Float("1e-60") * x)
+    (False, False)
+    """
+    if expression.is_Number:
+        return bool(expression == 0)
+    try:
+        form = _Form(expression)
+        return not form.reduced(form.of(expression))
+    except _Undecided:
+        return False
+
+
+class _Form:
+    """Polynomials in letters.
+
+    Letter g of ``relations`` satisfies g^k = B, with B in the letters before it.
+    """
+
+    def __init__(self, expression: Expr) -> None:
+        self.letters: dict[Hashable, int] = {}
+        self.relations: dict[int, tuple[int, Polynomial]] = {}
+        self.known: dict[Expr, Polynomial] = {}
+        self.left = _PATIENCE
+        self.units: dict[Monomial, int] = {}
+        for e in expression.atoms(*_PERIODIC, *_EXPONENTIAL):
+            for term, count in self.of(e.args[0]).items():
+                self.units[term] = math.lcm(self.units.get(term, 1), int(count.denominator))
+        self.known.clear()
+
+    def letter(self, key: Hashable, exponent: int = 1) -> Polynomial:
+        """Return a letter, a new one for what was not seen before."""
+        return {((self.letters.setdefault(key, len(self.letters)), exponent),): QQ(1)}
+
+    def times(self, a: Polynomial, b: Polynomial) -> Polynomial:
+        self.left -= len(a) * len(b)
+        if self.left < 0:
+            raise _Undecided
+        found: Polynomial = {}
+        for one, x in a.items():
+            for other, y in b.items():
+                term = _product(one, other)
+                found[term] = found.get(term, 0) + x * y
+        return {term: x for term, x in found.items() if x}
+
+    def power(self, a: Polynomial, exponent: int) -> Polynomial:
+        """Return a^exponent; a sum below a fraction line becomes a letter."""
+        if len(a) == 1:
+            ((term, x),) = a.items()
+            return {tuple((g, k * exponent) for g, k in term): x**exponent}
+        if exponent < 0:
+            return self.root(a, 1, exponent)
+        found: Polynomial = {_ONE: QQ(1)}
+        for _ in range(exponent):
+            found = self.times(found, a)
+        return found
+
+    def root(self, a: Polynomial, degree: int, exponent: int) -> Polynomial:
+        """Return the letter g^exponent, where g^degree = a."""
+        if not self.reduced(a):
+            raise _Undecided
+        found = self.letter((degree, frozenset(a.items())), exponent)
+        ((term, _),) = found.items()
+        self.relations[term[0][0]] = degree, a
+        return found
+
+    def of(self, e: Expr) -> Polynomial:
+        """Return the polynomial of an expression."""
+        found = self.known.get(e)
+        if found is None:
+            found = self.known[e] = self._of(e)
+        return found
+
+    def _of(self, e: Expr) -> Polynomial:
+        if e.is_Rational or e.is_Float:
+            value = sympy.Rational(e)
+            return {_ONE: QQ(value.p, value.q)} if value else {}
+        if e.is_Add:
+            found: Polynomial = {}
+            for part in e.args:
+                for term, x in self.of(part).items():
+                    found[term] = found.get(term, 0) + x
+            return {term: x for term, x in found.items() if x}
+        if e.is_Mul:
+            return functools.reduce(self.times, map(self.of, e.args))
+        if e.is_Pow and e.exp.is_Rational and max(abs(e.exp.p), e.exp.q) <= _LARGEST:
+            base = self.of(e.base)
+            if e.exp.q == 1:
+                return self.power(base, e.exp.p)
+            return self.root(base, e.exp.q, e.exp.p)
+        if isinstance(e, _PERIODIC):
+            return self.periodic(e)
+        if isinstance(e, _EXPONENTIAL):
+            return self.exponential(e)
+        return self.letter(e)
+
+    def multiples(self, e: Expr) -> list[tuple[Monomial, int]] | None:
+        """Return the argument of a function as whole multiples of units; None if they are large."""
+        found = [(term, x * self.units.get(term, 1)) for term, x in self.of(e.args[0]).items()]
+        if any(x.denominator != 1 or abs(x) > _LARGEST for _, x in found):
+            return None
+        return [(term, int(x)) for term, x in found]
+
+    def periodic(self, e: Expr) -> Polynomial:
+        """Return a trigonometric function in the sines and cosines of the terms of its argument."""
+        multiples = self.multiples(e)
+        if multiples is None:
+            return self.letter(e)
+        cosine: Polynomial = {_ONE: QQ(1)}
+        sine: Polynomial = {}
+        for term, count in multiples:
+            c = self.letter(("cos", term))
+            s = self.letter(("sin", term))
+            ((letters, _),) = s.items()
+            self.relations[letters[0][0]] = 2, _sum({_ONE: QQ(1)}, self.times(c, c), -1)
+            for _ in range(abs(count)):
+                sign = 1 if count > 0 else -1
+                cosine, sine = (
+                    _sum(self.times(cosine, c), self.times(sine, s), -sign),
+                    _sum(self.times(sine, c), self.times(cosine, s), sign),
+                )
+        above, below = {
+            sympy.sin: (sine, None), sympy.cos: (cosine, None), sympy.tan: (sine, cosine),
+            sympy.cot: (cosine, sine), sympy.sec: (None, cosine), sympy.csc: (None, sine),
+        }[e.func]  # fmt: skip
+        found = {_ONE: QQ(1)} if above is None else above
+        return found if below is None else self.times(found, self.power(below, -1))
+
+    def exponential(self, e: Expr) -> Polynomial:
+        """Return an exponential or hyperbolic function in exponentials of terms."""
+        multiples = self.multiples(e)
+        if multiples is None:
+            return self.letter(e)
+        up: Polynomial = {_ONE: QQ(1)}
+        for term, count in multiples:
+            up = self.times(up, self.letter(("exp", term), count))
+        down = self.power(up, -1)
+        if isinstance(e, sympy.exp):
+            return up
+        sine, cosine = _sum(up, down, -1), _sum(up, down, 1)
+        if isinstance(e, sympy.tanh):
+            return self.times(sine, self.power(cosine, -1))
+        return {t: x / 2 for t, x in (sine if isinstance(e, sympy.sinh) else cosine).items()}
+
+    def reduced(self, a: Polynomial) -> Polynomial:
+        """Return a, times something that is not zero, with all relations put in.
+
+        Later letters first, for they are made of earlier ones.
+        """
+        for g in sorted(self.relations, reverse=True):
+            degree, base = self.relations[g]
+            exponents = [dict(term).get(g, 0) for term in a]
+            least = min(exponents, default=0)
+            shift = -(least // degree) * degree if least < 0 else 0
+            if not shift and max(exponents, default=0) < degree:
+                continue
+            found: Polynomial = {}
+            for (term, x), exponent in zip(a.items(), exponents):
+                whole, rest = divmod(exponent + shift, degree)
+                others = dict(term) | {g: rest}
+                kept = tuple(sorted((letter, k) for letter, k in others.items() if k))
+                found = _sum(found, self.times({kept: x}, self.power(base, whole)), 1)
+            a = found
+        return a
+
+
+_PERIODIC = (sympy.sin, sympy.cos, sympy.tan, sympy.cot, sympy.sec, sympy.csc)
+_EXPONENTIAL = (sympy.exp, sympy.sinh, sympy.cosh, sympy.tanh)
+
+
+def _product(one: Monomial, other: Monomial) -> Monomial:
+    if not one or not other:
+        return one or other
+    found = dict(one)
+    for g, k in other:
+        found[g] = found.get(g, 0) + k
+    return tuple(sorted((g, k) for g, k in found.items() if k))
+
+
+def _sum(a: Polynomial, b: Polynomial, sign: int) -> Polynomial:
+    """Return a + sign b."""
+    found = dict(a)
+    for term, x in b.items():
+        found[term] = found.get(term, 0) + sign * x
+    return {term: x for term, x in found.items() if x}
