@@ -254,9 +254,26 @@ def strings(texts: list[str]) -> tuple[Any, list[Any]]:
     return ffi.new("const char *[]", kept), kept
 
 
-def pointer(array: Array, row: int = 0) -> Any:
-    """Return the address of ``array[row]``; the caller keeps the array alive."""
-    return ffi.from_buffer("double[]", array) + row * (array.strides[0] // array.itemsize)
+def pointer(array: Array, row: int = 0, count: int = 0, *, output: bool = False) -> Any:
+    """Return the address of ``array[row]``; the caller keeps the array alive.
+
+    C reads, or for an ``output`` writes, ``count`` doubles from there.
+
+    Raises
+    ------
+    ValueError
+        If the array does not hold C-contiguous doubles, so many after its row, or cannot be
+        written to.
+    """
+    if array.dtype != _double:
+        raise ValueError(f"an array of {array.dtype}: expected float64")
+    address = ffi.from_buffer("double[]", array, output)
+    start = row * (array.size // len(array)) if row else 0
+    if not 0 <= start <= len(address) - count:
+        raise ValueError(
+            f"an array of shape {array.shape}: expected {count} numbers from row {row} on"
+        )
+    return address + start
 
 
 def doubles(address: Any, count: int) -> Array:
