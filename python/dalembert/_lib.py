@@ -17,6 +17,7 @@ may itself integrate, because an exception is kept only when the callback has al
 from __future__ import annotations
 
 import re
+import reprlib
 import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -450,9 +451,8 @@ def dal_py_nonlinear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any)
 def dal_py_exact(t: float, x0: Any, x: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     state = _buffer(x0, 2 * call.bytes)[:]
-    q, v = call.exact(t, _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :]))
-    _write(x, q, call.vector, "exact (q)")
-    _write(x + call.vector[0], v, call.vector, "exact (v)")
+    values = call.exact(t, _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :]))
+    _write_several((x, x + call.vector[0]), values, call.vector, ("exact (q)", "exact (v)"))
     return 0
 
 
@@ -502,14 +502,16 @@ def _write_several(
     targets: tuple[Any, ...], values: Any, shape: tuple[int, ...], names: tuple[str, ...]
 ) -> None:
     """Copy what a callback returned as a tuple to as many targets."""
-    name = names[0].split()[0]
     try:
-        values = tuple(values)
+        several = tuple(values)
     except TypeError:
-        values = ()
-    if len(values) != len(targets):
-        raise ValueError(f"{name} has to return {len(targets)} arrays of shape {shape}")
-    for target, value, what in zip(targets, values, names):
+        several = ()
+    if len(several) != len(targets):
+        raise ValueError(
+            f"{names[0].split()[0]} has to return {len(targets)} arrays of shape {shape}, "
+            f"it returned {reprlib.repr(values)}"
+        )
+    for target, value, what in zip(targets, several, names):
         _write(target, value, shape, what)
 
 
@@ -541,7 +543,13 @@ class Observer:
         if step == self.last:
             return False
         self.last = step
-        return bool(self.function(step, t, q, v))
+        answer = self.function(step, t, q, v)
+        try:
+            return bool(answer)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"observer has to return whether to stop, it returned {reprlib.repr(answer)}"
+            ) from error
 
 
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
