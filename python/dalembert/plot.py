@@ -8,6 +8,7 @@ in black and white.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -331,17 +332,20 @@ def path(
     "x (user's units)"
     """
     _require(solution, "solution", Solution)
-    n = solution.q.shape[1]
-    if len(coordinates) != 2 or not all(0 <= i < n for i in coordinates):
+    n = solution.system.n
+    try:
+        i, j = map(operator.index, coordinates)
+    except (TypeError, ValueError):
+        i = j = -1
+    if not (0 <= i < n and 0 <= j < n):
         raise ValueError(f"coordinates is {coordinates!r}; expected two of 0 to {n - 1}")
     ax = _axes(ax)
-    first, second = (solution.q[:, i] for i in coordinates)
+    first, second = solution.q[:, i], solution.q[:, j]
     ax.plot(first, second, color=COLOURS[0])
     ax.plot(first[:1], second[:1], color=COLOURS[1], marker="o", linestyle="none", label="start")
     ax.set_aspect("equal", adjustable="datalim")
-    names = [solution.system.coordinates[i] for i in coordinates]
-    ax.set_xlabel(f"{names[0]} (user's units)")
-    ax.set_ylabel(f"{names[1]} (user's units)")
+    ax.set_xlabel(f"{solution.system.coordinates[i]} (user's units)")
+    ax.set_ylabel(f"{solution.system.coordinates[j]} (user's units)")
     ax.set_title(f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}")
     ax.legend(frameon=False)
     return ax

@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 import traceback
+import warnings
 
 import numpy as np
 import pytest
@@ -269,6 +270,40 @@ def test_domain_error_of_the_user(own):
     assert caught.value is outside
     assert caught.value.partial.q[:, 0].max() <= 0.35
     assert dal.integrate(system, "midpoint", h=H, steps=100, throw=False).success is False
+
+
+def test_a_domain_error_shortens_the_step():
+    """V = q - log(q)/100 for q > 0: Newton's first step from q = 1 ends at q < 0."""
+    refused = []
+
+    def inside(q, value):
+        if q[0] <= 0:
+            refused.append(dal.DomainError(f"q = {q[0]} is behind the wall"))
+            raise refused[-1]
+        return value
+
+    def run(max_iterations):
+        refused.clear()
+        return dal.integrate(
+            system, "midpoint", [1], [0], h=1.5, steps=1, max_iterations=max_iterations
+        )
+
+    system = dal.System(
+        mass=[1],
+        potential=lambda q: inside(q, q[0] - np.log(q[0]) / 100),
+        gradient=lambda q: inside(q, [1 - 1 / (100 * q[0])]),
+        hessian=lambda q: inside(q, [[1 / (100 * q[0] ** 2)]]),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", dal.DalembertWarning)  # h is large, that is the point
+        assert run(50).stats.halvings > 0 and refused
+    # What was overcome is not what a later call failed of, in C or outside of its domain.
+    broken = dal.System(mass=[1], potential=lambda q: 0, gradient=lambda q: [np.nan])
+    with pytest.raises(dal.DomainError, match="gradient.0. = nan"):
+        broken.acceleration([0], [0])
+    with pytest.raises(dal.ConvergenceError, match="Newton did not converge in 2 iterations"):
+        run(2)
+    assert refused
 
 
 def test_a_function_may_integrate(own):

@@ -166,6 +166,7 @@ def test_what_a_run_says_of_itself(own):
     assert not failed.success and failed.status < 0 and failed.nodes == "moved"
     assert "FAILED" in str(failed) and str(failed).endswith("DomainError: a wall>")
     kept = dal.integrate(own.system(), "midpoint-nodes", h=0.05, steps=4, initial="project")
+    assert run.shift == 0.0
     assert "worst residual of D_eps" in str(kept) and (kept.nodes, kept.shift) == ("kept", 0.025)
     reference = dal.integrate(own.system(), "reference", h=0.05, steps=4)
     assert "residual" not in str(reference) and np.isnan(reference.reactions).all()
