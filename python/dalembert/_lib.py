@@ -269,7 +269,7 @@ def pointer(array: Array, row: int = 0, count: int = 0, *, output: bool = False)
     if array.dtype != _double:
         raise ValueError(f"an array of {array.dtype}: expected float64")
     address = ffi.from_buffer("double[]", array, output)
-    start = row * (array.size // len(array)) if row else 0
+    start = row * (array.size // max(len(array), 1)) if row else 0
     if not 0 <= start <= len(address) - count:
         raise ValueError(
             f"an array of shape {array.shape}: expected {count} numbers from row {row} on"
