@@ -94,9 +94,10 @@ class Tree:
             return False, str(error)
         finally:
             path.write_text(mutation.text, encoding="utf-8")
+        reason = f", although {mutation.reason}" if mutation.reason else ""
         if failed:
-            return not mutation.reason, f"caught by {failed}{' against the reason' * bool(mutation.reason)}"
-        return bool(mutation.reason), f"survives: {mutation.reason or 'for no reason'}"
+            return not reason, f"caught by {failed}{reason}"
+        return bool(reason), f"survives: {mutation.reason or 'for no reason'}"
 
 
 def arguments():

@@ -135,7 +135,7 @@ def convergence(
     ax = _axes(ax)
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    styles = styles or _styles(studies)
+    styles = _styles(studies, styles)
     triangles: dict[int, tuple[float, NDArray[np.float64], NDArray[np.float64]]] = {}
     for item in studies:
         fit, error = item.fits[key], getattr(item, name)
@@ -214,7 +214,8 @@ def drift(
     axes = np.asarray(ax, dtype=object).ravel()
     if len(axes) != 2:
         raise ValueError(f"ax has {len(axes)} axes; expected two, for D and for D_eps")
-    styles = styles or _styles(solutions)
+    axes = np.array([_axes(axis) for axis in axes])
+    styles = _styles(solutions, styles)
     for run in solutions:
         style = _over_time(styles[run.scheme.name], min(len(run.t), STRETCHES))
         in_D, in_D_eps = _residuals(run)
@@ -285,7 +286,7 @@ def energy(
     """
     solutions = _several(solution, "solution", Solution)
     ax = _axes(ax)
-    styles = styles or _styles(solutions)
+    styles = _styles(solutions, styles)
     for run in solutions:
         scale = max(abs(run.energy[0]), 1.0)
         ax.plot(
@@ -462,8 +463,9 @@ def _over_time(style: Style, points: int) -> dict[str, Any]:
     return {**style, "markevery": max(1, points // 12), "markersize": 4, "linewidth": 1.2}
 
 
-def _styles(items: Sequence[Any]) -> dict[str, dict[str, Any]]:
-    return styles(item.scheme.name for item in items)
+def _styles(items: Sequence[Any], given: Mapping[str, Style] | None) -> dict[str, Style]:
+    """The styles that are given, and others for the rest of the schemes."""
+    return {**styles(item.scheme.name for item in items), **(given or {})}
 
 
 def _systems(items: Sequence[Any]) -> str:
@@ -481,8 +483,9 @@ def _several(item: Any, what: str, kind: type) -> list[Any]:
 
 def _require(item: Any, what: str, kind: type, more: str = "") -> None:
     if not isinstance(item, kind):
+        package = kind.__module__.partition(".")[0]
         raise ValueError(
-            f"{what} is a {type(item).__name__}; expected a dalembert.{kind.__name__}{more}"
+            f"{what} is a {type(item).__name__}; expected a {package}.{kind.__name__}{more}"
         )
 
 
@@ -496,9 +499,9 @@ def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None)
 
 
 def _axes(ax: Axes | None) -> Axes:
-    if ax is not None:
-        return ax
-    _, ax = _pyplot().subplots(layout="constrained")
+    if ax is None:
+        _, ax = _pyplot().subplots(layout="constrained")
+    _require(ax, "ax", extras.require("matplotlib.axes", "a picture").Axes)
     return ax
 
 

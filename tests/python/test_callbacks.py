@@ -116,7 +116,10 @@ def test_anything_array_like_may_be_returned(own, kind):
 def test_an_argument_may_be_returned():
     """Of V = q.q/2 the gradient is q, the very array that was given; of the force v it is v."""
     system = dal.System(
-        mass=[1, 1], potential=lambda q: q @ q / 2, gradient=lambda q: q, hessian=lambda q: np.eye(2)
+        mass=[1, 1],
+        potential=lambda q: q @ q / 2,
+        gradient=lambda q: q,
+        hessian=lambda q: np.eye(2),
     )
     # Half a period of the midpoint rule, (1 - i h/2) / (1 + i h/2) = exp(-i h') in q + i v.
     h = 2 * np.tan(np.pi / 20)

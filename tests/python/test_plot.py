@@ -295,6 +295,8 @@ def test_axes_that_are_given_are_used(studies, run):
 def test_styles_of_the_caller_are_used(studies):
     ax = dal.plot.convergence(studies[0], styles={"midpoint": {"color": "black", "marker": "x"}})
     assert ax.lines[0].get_marker() == "x"
+    ax = dal.plot.convergence(studies, styles={"explicit": {"color": "red"}})
+    assert [line.get_color() for line in ax.lines[::2]] == ["#0072B2", "red", "#009E73"]
 
 
 def test_bad_arguments_are_named(studies, run):
@@ -311,6 +313,11 @@ def test_bad_arguments_are_named(studies, run):
             dal.plot.path(run, coordinates=pair)
     with pytest.raises(ValueError, match="ax has 3 axes; expected two"):
         dal.plot.drift(run, pyplot.subplots(1, 3)[1])
+    for draw in (dal.plot.energy, dal.plot.path, lambda run, ax: dal.plot.drift(run, [5, ax])):
+        with pytest.raises(ValueError, match=r"ax is a (list|int); expected a matplotlib\.Axes"):
+            draw(run, [])
+    with pytest.raises(ValueError, match="ax is a int; expected a matplotlib.Axes"):
+        studies.plot(5)
     with pytest.raises(ValueError, match="study is a Solution; expected a dalembert.Study or sev"):
         dal.plot.convergence(run)
     for draw in (dal.plot.energy, dal.plot.drift):
