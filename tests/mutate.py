@@ -73,15 +73,15 @@ class Tree:
         return json.loads(subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout)
 
     def first_to_fail(self, names, limit):
-        """Return the first of the tests that fails or takes longer than limit, or None."""
+        """Return which is the first of the tests that fails or takes too long, or None."""
         made = sorted({x for name in names for x in self.tests[name][1]})
         if output := self.run("ninja", "-C", self.build, *made):
             raise RuntimeError("it does not build\n" + output[-2000:])
         for name in names:
             factor = str(limit / self.tests[name][0])
             test = ["meson", "test", "-C", self.build, "--no-rebuild", "-t", factor, name]
-            if self.run(*test):
-                return name
+            if output := self.run(*test):
+                return name + ", which runs out of time" * ("TIMEOUT" in output)
         return None
 
     def judge(self, mutation, limit):
