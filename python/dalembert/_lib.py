@@ -229,6 +229,15 @@ def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None
     return ffi.gc(slot[0], release)
 
 
+class Constant:
+    """An object whose public attributes are set once: C counts on them."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.__dict__ and not name.startswith("_"):
+            raise AttributeError(f"{type(self).__name__}.{name} does not change")
+        super().__setattr__(name, value)
+
+
 # ---- texts and buffers ---------------------------------------------------------------------
 
 

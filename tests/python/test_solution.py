@@ -172,3 +172,36 @@ def test_what_a_run_says_of_itself(own):
     assert "residual" not in str(reference) and np.isnan(reference.reactions).all()
     free = dal.integrate(dal.System(mass=[1], q0=[0], v0=[1]), h=0.1, steps=4)
     assert "residual" not in str(free)
+
+
+# ---- other objects that C counts on --------------------------------------------------------
+
+
+def test_a_chart_and_an_embedding_do_not_change(particle):
+    """Their workspaces in C were made for the system, the scheme and the step of the beginning."""
+    large = dal.System(mass=np.eye(40), q0=np.zeros(40), v0=np.zeros(40))
+    chart, embedding = dal.Chart(particle), dal.embedding(particle, "midpoint", h=0.1)
+    for thing, name, value in (
+        (chart, "system", large),
+        (chart, "dependent", ()),
+        (embedding, "chart", dal.Chart(large)),
+        (embedding, "scheme", dal.Scheme.find("leapfrog")),
+        (embedding, "start", np.zeros(2)),
+        (embedding, "h", 0.2),
+    ):
+        with pytest.raises(AttributeError, match=f"{type(thing).__name__}.{name} does not change"):
+            setattr(thing, name, value)
+    assert copy.deepcopy(chart).system is particle
+
+
+def test_a_system_is_made_once(particle_in_python):
+    with pytest.raises(TypeError, match="__init__ is called once"):
+        particle_in_python.__init__(mass=np.eye(40))
+    run = dal.integrate(particle_in_python, h=0.1, steps=2)
+    assert run.energy.shape == (3,)
+
+
+@pytest.mark.parametrize("name", ["n", "m"])
+def test_a_subclass_leaves_the_sizes_alone(name):
+    with pytest.raises(TypeError, match=f"{name} of a System is that of its functions"):
+        type("Own", (dal.System,), {name: 2})
