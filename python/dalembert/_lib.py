@@ -17,6 +17,7 @@ may itself integrate, because an exception is kept only when the callback has al
 from __future__ import annotations
 
 import re
+import reprlib
 import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -228,6 +229,15 @@ def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None
     return ffi.gc(slot[0], release)
 
 
+class Constant:
+    """An object whose public attributes are set once: C counts on them."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.__dict__ and not name.startswith("_"):
+            raise AttributeError(f"{type(self).__name__}.{name} does not change")
+        super().__setattr__(name, value)
+
+
 # ---- texts and buffers ---------------------------------------------------------------------
 
 
@@ -254,9 +264,26 @@ def strings(texts: list[str]) -> tuple[Any, list[Any]]:
     return ffi.new("const char *[]", kept), kept
 
 
-def pointer(array: Array, row: int = 0) -> Any:
-    """Return the address of ``array[row]``; the caller keeps the array alive."""
-    return ffi.from_buffer("double[]", array) + row * (array.strides[0] // array.itemsize)
+def pointer(array: Array, row: int = 0, count: int = 0, *, output: bool = False) -> Any:
+    """Return the address of ``array[row]``; the caller keeps the array alive.
+
+    C reads, or for an ``output`` writes, ``count`` doubles from there.
+
+    Raises
+    ------
+    ValueError
+        If the array does not hold C-contiguous doubles, so many after its row, or cannot be
+        written to.
+    """
+    if array.dtype != _double:
+        raise ValueError(f"an array of {array.dtype}: expected float64")
+    address = ffi.from_buffer("double[]", array, output)
+    start = row * (array.size // max(len(array), 1)) if row else 0
+    if not 0 <= start <= len(address) - count:
+        raise ValueError(
+            f"an array of shape {array.shape}: expected {count} numbers from row {row} on"
+        )
+    return address + start
 
 
 def doubles(address: Any, count: int) -> Array:
@@ -433,9 +460,8 @@ def dal_py_nonlinear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any)
 def dal_py_exact(t: float, x0: Any, x: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     state = _buffer(x0, 2 * call.bytes)[:]
-    q, v = call.exact(t, _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :]))
-    _write(x, q, call.vector, "exact (q)")
-    _write(x + call.vector[0], v, call.vector, "exact (v)")
+    values = call.exact(t, _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :]))
+    _write_several((x, x + call.vector[0]), values, call.vector, ("exact (q)", "exact (v)"))
     return 0
 
 
@@ -485,14 +511,16 @@ def _write_several(
     targets: tuple[Any, ...], values: Any, shape: tuple[int, ...], names: tuple[str, ...]
 ) -> None:
     """Copy what a callback returned as a tuple to as many targets."""
-    name = names[0].split()[0]
     try:
-        values = tuple(values)
+        several = tuple(values)
     except TypeError:
-        values = ()
-    if len(values) != len(targets):
-        raise ValueError(f"{name} has to return {len(targets)} arrays of shape {shape}")
-    for target, value, what in zip(targets, values, names):
+        several = ()
+    if len(several) != len(targets):
+        raise ValueError(
+            f"{names[0].split()[0]} has to return {len(targets)} arrays of shape {shape}, "
+            f"it returned {reprlib.repr(values)}"
+        )
+    for target, value, what in zip(targets, several, names):
         _write(target, value, shape, what)
 
 
@@ -524,7 +552,13 @@ class Observer:
         if step == self.last:
             return False
         self.last = step
-        return bool(self.function(step, t, q, v))
+        answer = self.function(step, t, q, v)
+        try:
+            return bool(answer)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"observer has to return whether to stop, it returned {reprlib.repr(answer)}"
+            ) from error
 
 
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)

@@ -28,7 +28,7 @@ __all__ = ["Chart", "cutoff"]
 _log = logging.getLogger(__name__)
 
 
-class Chart:
+class Chart(_lib.Constant):
     """Coordinates xi = (q, v of the independent coordinates) of D.
 
     With B the columns of mu(q) that belong to the dependent coordinates, and A = B^-1 times the

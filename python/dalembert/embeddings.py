@@ -42,7 +42,7 @@ FRACTIONS = (1, 2 / 3, 1 / 2, 1 / 3, 1 / 4)
 CLEAR = 100  # as many times g stands above its noise, if it is meaningful
 
 
-class Embedding:
+class Embedding(_lib.Constant):
     """A scheme with the step h as the time-h map of xidot = f(xi) + h^p g(t/h, xi).
 
     `embedding` makes it.  What the methods take as ``z`` and return are coordinates xi of `chart`,

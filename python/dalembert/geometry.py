@@ -82,25 +82,25 @@ def trajectory(
     system: System,
     x: Array,
     output: str,
-    width: int | None,
     *,
     t0: float = 0.0,
     h: float = 0.0,
     shift: float = 0.0,
 ) -> Array:
     """Evaluate one output of ``dal_trajectory`` on the rows of ``x``, shape (N, 2n)."""
-    outputs = ("energy", "multipliers", "residual", "relative")
-    values = np.empty((len(x),) if width is None else (len(x), width))
+    outputs = {"energy": (), "multipliers": (system.m,), "residual": (system.m,), "relative": ()}
+    values = np.empty((len(x), *outputs[output]))
     done = ffi.new("size_t *")
     with system._workspace() as mechanics:
         for start in range(0, len(x), _BLOCK):
-            pointers = [
-                _lib.pointer(values, start) if name == output else ffi.NULL for name in outputs
-            ]
             count = min(_BLOCK, len(x) - start)
+            pointers = [
+                _lib.pointer(values, start, output=True) if name == output else ffi.NULL
+                for name in outputs
+            ]
             status = _lib.attempt(
                 lib.dal_trajectory, mechanics, t0 + start * h, h, shift, count,
-                _lib.pointer(x, start), *pointers, done,
+                _lib.pointer(x, start, count * 2 * system.n), *pointers, done,
             )  # fmt: skip
             _check(status, system, mechanics, start + done[0])
     return values
@@ -155,7 +155,7 @@ def energy(system: System, q: ArrayLike, v: ArrayLike) -> Any:
     1.5
     """
     x, single = states(system, q, v)
-    values = trajectory(system, x, "energy", None)
+    values = trajectory(system, x, "energy")
     return float(values[0]) if single else values
 
 
@@ -188,7 +188,7 @@ def residual(system: System, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> 
     """
     x, single = states(system, q, v)
     shift = arguments.number(shift, "shift")
-    values = trajectory(system, x, "residual", system.m, shift=shift)
+    values = trajectory(system, x, "residual", shift=shift)
     return values[0] if single else values
 
 
@@ -221,7 +221,7 @@ def relative_residual(system: System, q: ArrayLike, v: ArrayLike, shift: float =
     0.5
     """
     x, single = states(system, q, v)
-    values = trajectory(system, x, "relative", None, shift=arguments.number(shift, "shift"))
+    values = trajectory(system, x, "relative", shift=arguments.number(shift, "shift"))
     return float(values[0]) if single else values
 
 
@@ -255,7 +255,7 @@ def multipliers(system: System, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> A
     array([0.5])
     """
     x, single = states(system, q, v)
-    values = trajectory(system, x, "multipliers", system.m, t0=arguments.number(t, "t"))
+    values = trajectory(system, x, "multipliers", t0=arguments.number(t, "t"))
     return values[0] if single else values
 
 

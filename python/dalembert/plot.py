@@ -8,6 +8,7 @@ in black and white.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -134,7 +135,7 @@ def convergence(
     ax = _axes(ax)
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    styles = styles or _styles(studies)
+    styles = _styles(studies, styles)
     triangles: dict[int, tuple[float, NDArray[np.float64], NDArray[np.float64]]] = {}
     for item in studies:
         fit, error = item.fits[key], getattr(item, name)
@@ -213,7 +214,8 @@ def drift(
     axes = np.asarray(ax, dtype=object).ravel()
     if len(axes) != 2:
         raise ValueError(f"ax has {len(axes)} axes; expected two, for D and for D_eps")
-    styles = styles or _styles(solutions)
+    axes = np.array([_axes(axis) for axis in axes])
+    styles = _styles(solutions, styles)
     for run in solutions:
         style = _over_time(styles[run.scheme.name], min(len(run.t), STRETCHES))
         in_D, in_D_eps = _residuals(run)
@@ -284,7 +286,7 @@ def energy(
     """
     solutions = _several(solution, "solution", Solution)
     ax = _axes(ax)
-    styles = styles or _styles(solutions)
+    styles = _styles(solutions, styles)
     for run in solutions:
         scale = max(abs(run.energy[0]), 1.0)
         ax.plot(
@@ -331,17 +333,21 @@ def path(
     "x (user's units)"
     """
     _require(solution, "solution", Solution)
-    n = solution.q.shape[1]
-    if len(coordinates) != 2 or not all(0 <= i < n for i in coordinates):
+    n = solution.system.n
+    try:
+        i, j = map(operator.index, coordinates)
+    except (TypeError, ValueError):
+        i = j = -1
+    if not (0 <= i < n and 0 <= j < n):
         raise ValueError(f"coordinates is {coordinates!r}; expected two of 0 to {n - 1}")
     ax = _axes(ax)
-    first, second = (solution.q[:, i] for i in coordinates)
+    first, second = solution.q[:, i], solution.q[:, j]
     ax.plot(first, second, color=COLOURS[0])
     ax.plot(first[:1], second[:1], color=COLOURS[1], marker="o", linestyle="none", label="start")
     ax.set_aspect("equal", adjustable="datalim")
-    names = [plain(solution.system.coordinates[i]) for i in coordinates]
-    ax.set_xlabel(f"{names[0]} (user's units)")
-    ax.set_ylabel(f"{names[1]} (user's units)")
+    names = solution.system.coordinates
+    ax.set_xlabel(f"{plain(names[i])} (user's units)")
+    ax.set_ylabel(f"{plain(names[j])} (user's units)")
     title = f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}"
     ax.set_title(plain(title))
     ax.legend(frameon=False)
@@ -460,8 +466,9 @@ def _over_time(style: Style, points: int) -> dict[str, Any]:
     return {**style, "markevery": max(1, points // 12), "markersize": 4, "linewidth": 1.2}
 
 
-def _styles(items: Sequence[Any]) -> dict[str, dict[str, Any]]:
-    return styles(item.scheme.name for item in items)
+def _styles(items: Sequence[Any], given: Mapping[str, Style] | None) -> dict[str, Style]:
+    """The styles that are given, and others for the rest of the schemes."""
+    return {**styles(item.scheme.name for item in items), **(given or {})}
 
 
 def _systems(items: Sequence[Any]) -> str:
@@ -484,8 +491,9 @@ def _several(item: Any, what: str, kind: type) -> list[Any]:
 
 def _require(item: Any, what: str, kind: type, more: str = "") -> None:
     if not isinstance(item, kind):
+        package = kind.__module__.partition(".")[0]
         raise ValueError(
-            f"{what} is a {type(item).__name__}; expected a dalembert.{kind.__name__}{more}"
+            f"{what} is a {type(item).__name__}; expected a {package}.{kind.__name__}{more}"
         )
 
 
@@ -499,9 +507,9 @@ def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None)
 
 
 def _axes(ax: Axes | None) -> Axes:
-    if ax is not None:
-        return ax
-    _, ax = _pyplot().subplots(layout="constrained")
+    if ax is None:
+        _, ax = _pyplot().subplots(layout="constrained")
+    _require(ax, "ax", extras.require("matplotlib.axes", "a picture").Axes)
     return ax
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from . import arguments
 from ._lib import ffi
 from .extras import require
 
@@ -160,8 +162,8 @@ def _address(value: Any) -> int:
         return int(value.ctypes.data)
     if isinstance(value, _CData):
         return int(ffi.cast("uintptr_t", value))
-    if isinstance(value, int):
-        return value
+    if isinstance(value, int) and not isinstance(value, bool):
+        return arguments.integer(value, "ctx", 0, 2 * sys.maxsize + 1)
     if isinstance(value, ctypes.Array | ctypes.Structure):
         return ctypes.addressof(value)
     if isinstance(value, ctypes._SimpleCData | ctypes._Pointer):

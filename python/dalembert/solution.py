@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from . import _lib, arguments, extras, geometry
 from ._lib import Array, ffi, lib
 from .scheme import Scheme
-from .system import System, differenced
+from .system import System, differenced, require_system
 
 __all__ = ["Solution", "States", "Statistics"]
 
@@ -41,7 +41,7 @@ class Statistics:
     halvings : int
         Newton steps halved because a function left its domain.
     worst_residual : float
-        Largest relative residual of the kept set after a step, as the step predicts it.
+        Largest relative residual of the kept set after a step.
     initial_residual, initial_correction : float
         Relative residual of the initial data, and how far they were moved in the mass metric.
     differenced : tuple of str
@@ -93,10 +93,12 @@ class States:
     chart_changes: int
 
 
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Solution(Mapping[str, Any]):
     """A run: states, and what is computed from them when it is asked for.
 
-    Everything is an attribute and a key.  ``len`` is the number of keys, as for any mapping.
+    Everything is an attribute and a key.  ``len`` is the number of keys, as for any mapping.  A run
+    does not change: its arrays are read-only, ``run.q.copy()`` may be written to.
 
     Attributes
     ----------
@@ -148,35 +150,55 @@ class Solution(Mapping[str, Any]):
         "stride",
     )  # fmt: skip
 
-    def __init__(
-        self,
-        *,
-        system: System,
-        scheme: Scheme,
-        x: Array,
-        reactions: Array,
-        t0: float,
-        h: float,
-        stride: int,
-        stats: Statistics,
-        status: int,
-        message: str,
-    ) -> None:
-        self.system = system
-        self.scheme = scheme
-        self.x = x
-        self.reactions = reactions
-        self.h = h
-        self.stride = stride
-        self.stats = stats
-        self.status = status
-        self.success = status >= 0
-        self.message = message
-        self.nodes = scheme.nodes
-        self.shift = scheme.shift(h) if scheme.nodes == "kept" else 0.0
-        self.t = t0 + np.arange(len(x)) * stride * h
-        self._lock = threading.Lock()
-        self._computed: dict[str, Array] = {}
+    system: System
+    scheme: Scheme
+    x: Array
+    reactions: Array
+    t0: float
+    h: float
+    stride: int
+    stats: Statistics
+    status: int
+    message: str
+    _computed: dict[str, Array] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        require_system(self.system)
+        if not isinstance(self.scheme, Scheme):
+            raise ValueError(f"scheme = {self.scheme!r}: expected a dalembert.Scheme")
+        arguments.number(self.t0, "t0")
+        arguments.number(self.h, "h")
+        arguments.integer(self.stride, "stride", 1)
+        n, m = self.system.n, self.system.m
+        x = arguments.array(self.x, "x", (None, 2 * n))
+        reactions = np.asarray(self.reactions, dtype=float)  # NaN for the reference flow
+        if len(x) == 0 or reactions.shape != (len(x) - 1, m):
+            raise ValueError(
+                f"x and reactions: expected shapes (N+1, {2 * n}) and (N, {m}), "
+                f"got {x.shape} and {reactions.shape}"
+            )
+        for name, array in (("x", x), ("reactions", reactions)):
+            object.__setattr__(self, name, _read_only(array[:]))
+
+    @property
+    def success(self) -> bool:
+        """True unless a step failed."""
+        return self.status >= 0
+
+    @property
+    def nodes(self) -> str:
+        """Which nodes the scheme has: "moved" or "kept"."""
+        return self.scheme.nodes
+
+    @property
+    def shift(self) -> float:
+        """0 for moved nodes, (1 - beta) h for kept ones."""
+        return self.scheme.shift(self.h) if self.nodes == "kept" else 0.0
+
+    @property
+    def t(self) -> Array:
+        """Times of the states, shape (N+1,)."""
+        return self._once("t", lambda: self.t0 + np.arange(len(self.x)) * self.stride * self.h)
 
     @property
     def q(self) -> Array:
@@ -196,32 +218,40 @@ class Solution(Mapping[str, Any]):
     @property
     def multipliers(self) -> Array:
         """lambda(q, v) by the formula, shape (N+1, m)."""
-        return self._evaluate("multipliers", "multipliers", self.system.m)
+        return self._evaluate("multipliers", "multipliers")
 
     @property
     def energy(self) -> Array:
         """Energy, shape (N+1,)."""
-        return self._evaluate("energy", "energy", None)
+        return self._evaluate("energy", "energy")
 
     @property
     def constraint(self) -> Array:
         """mu(q) v, shape (N+1, m)."""
-        return self._evaluate("constraint", "residual", self.system.m)
+        return self._evaluate("constraint", "residual")
 
     @property
     def residual(self) -> Array:
         """Relative residual of the set that the scheme keeps, shape (N+1,)."""
-        return self._evaluate("residual", "relative", None, self.shift)
+        return self._evaluate("residual", "relative", self.shift)
 
-    def _evaluate(self, name: str, output: str, width: int | None, shift: float = 0.0) -> Array:
-        """Compute a quantity from the stored states, once."""
-        with self._lock:
-            if name not in self._computed:
-                self._computed[name] = geometry.trajectory(
-                    self.system, self.x, output, width,
-                    t0=float(self.t[0]), h=self.stride * self.h, shift=shift,
-                )  # fmt: skip
-            return self._computed[name]
+    def _evaluate(self, name: str, output: str, shift: float = 0.0) -> Array:
+        """Return a quantity of the stored states."""
+        return self._once(
+            name,
+            lambda: geometry.trajectory(
+                self.system, self.x, output, t0=self.t0, h=self.stride * self.h, shift=shift
+            ),
+        )
+
+    def _once(self, name: str, compute: Callable[[], Array]) -> Array:
+        """Compute an array when it is asked for first.
+
+        Without a lock, which a fork would leave locked: of two threads the first to end wins.
+        """
+        if name not in self._computed:
+            self._computed.setdefault(name, compute())
+        return _read_only(self._computed[name])
 
     def __call__(self, t: ArrayLike) -> States:
         """Return the states at times between the stored ones, in the set that the scheme keeps.
@@ -260,22 +290,27 @@ class Solution(Mapping[str, Any]):
         (3, 3)
         """
         times = arguments.array(t, "t", (), (None,))
-        flat = np.ascontiguousarray(times.reshape(-1))
-        n, handle = self.system.n, self.system._handle
+        flat = times.reshape(-1)
+        n, handle, h = self.system.n, self.system._handle, self.stride * self.h
         x = np.empty((flat.size, 2 * n))
         changes, some = 0, ffi.new("size_t *")
         chart = _lib.make("chart", handle, owner=handle)
+        before = flat[:0]  # the last time between stored states: seen again for a change after it
         for start in range(0, flat.size, _BLOCK):
-            first = max(start - 1, 0)  # again, to see whether the chart changes after it
+            these = np.concatenate([before, flat[start : start + _BLOCK]])
+            part = np.empty((len(these), 2 * n))
             status = _lib.attempt(
-                lib.dal_chart_interpolate, chart, float(self.t[0]), self.stride * self.h,
-                self.shift, len(self.x), _lib.pointer(self.x),
-                min(start + _BLOCK, flat.size) - first, _lib.pointer(flat, first),
-                _lib.pointer(x, first), some, ffi.NULL,
+                lib.dal_chart_interpolate, chart, self.t0, h, self.shift,
+                len(self.x), _lib.pointer(self.x, 0, len(self.x) * 2 * n),
+                len(these), _lib.pointer(these), _lib.pointer(part, output=True), some, ffi.NULL,
             )  # fmt: skip
             if status < 0:
-                raise _lib.failure(status, _lib.string(lib.dal_chart_message(chart)))
+                message = _lib.string(lib.dal_chart_message(chart))
+                raise _lib.failure(status, message, kind=self.system.kind)
             changes += int(some[0])
+            x[start : start + _BLOCK] = part[len(before) :]
+            nearest = np.rint((these - self.t0) / h).astype(int).clip(0, len(self.x) - 1)
+            before = these[(part != self.x[nearest]).any(axis=1)][-1:]
         if times.ndim == 0:
             return States(float(times), x[0, :n], x[0, n:], changes)
         return States(times, x[:, :n], x[:, n:], changes)
@@ -345,12 +380,9 @@ class Solution(Mapping[str, Any]):
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *self._KEYS})
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {key: x for key, x in self.__dict__.items() if key != "_lock"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._lock = threading.Lock()
+    def __reduce__(self) -> tuple[Any, ...]:  # by way of the constructor, which checks the arrays
+        given = {x.name: getattr(self, x.name) for x in fields(self) if x.init}
+        return partial(type(self), **given), (), {"_computed": self._computed}
 
     def __repr__(self) -> str:
         kept = "D_eps" if self.nodes == "kept" else "D"
@@ -363,3 +395,8 @@ class Solution(Mapping[str, Any]):
         if not self.scheme.is_reference and self.system.m > 0:
             lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
         return "\n".join([*lines, f"  {self.message}>"])
+
+
+def _read_only(array: Array) -> Array:
+    array.flags.writeable = False
+    return array

@@ -265,6 +265,8 @@ class System:
         missing: Sequence[str] | None = None,
         ctx: Any = None,
     ) -> None:
+        if hasattr(self, "_handle"):
+            raise TypeError("a System does not change: __init__ is called once")
         given = locals()
         functions: dict[str, Callable[..., Any] | None] = {key: given[key] for key in FUNCTIONS}
         compiled = {
@@ -362,7 +364,7 @@ class System:
                 "steady": steady,
             },
         )
-        self._adopt(_lib.make("system", definition))
+        self._adopt(_lib.make("system", definition, owner=context))
         del kept, texts
 
     # What systems of other origins than Python functions have besides.
@@ -1089,6 +1091,11 @@ class System:
             + (", forced" if self._is_forced else "")
         )
         return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{traits}{values}>"
+
+    def __init_subclass__(cls) -> None:
+        for name in ("n", "m"):
+            if name in cls.__dict__:
+                raise TypeError(f"{name} of a System is that of its functions, not of the class")
 
     def __copy__(self) -> System:
         return self

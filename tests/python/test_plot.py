@@ -36,6 +36,12 @@ def studies():
 
 
 @pytest.fixture(scope="module")
+def rolling():
+    """With steps so large that every quantity has a slope of its own."""
+    return dal.convergence(dal.systems.sleigh(), "midpoint", steps=(2, 4, 6))
+
+
+@pytest.fixture(scope="module")
 def run():
     return dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=40)
 
@@ -52,9 +58,28 @@ def test_convergence_draws_the_errors_and_says_the_orders(studies):
         (line,) = (x for x in ax.lines if x.get_label() == f"{study.scheme.name}: {order:.2f}")
         np.testing.assert_array_equal(line.get_xdata(), study.h)
         np.testing.assert_array_equal(line.get_ydata(), np.maximum(study.q_error, study.v_error))
-    assert "h" in ax.get_xlabel() and "units" in ax.get_xlabel()
-    assert "(q, v) at t = 1" in ax.get_ylabel() and "units" in ax.get_ylabel()
-    assert "particle" in ax.get_title()
+    assert ax.get_xlabel() == "step h (user's units of time)"
+    assert ax.get_ylabel() == "error of (q, v) at t = 1 (user's units)"
+    assert ax.get_title() == "particle: convergence"
+    assert ax.get_legend().get_title().get_text() == "scheme: fitted order"
+
+
+def test_steps_backwards_and_several_systems():
+    found = [
+        dal.convergence(system, "midpoint", t_end=-0.5, steps=STEPS)
+        for system in (dal.systems.particle(), dal.systems.heisenberg())
+    ]
+    ax = dal.plot.convergence(found)
+    assert ax.get_title() == "particle, heisenberg: convergence"
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), 0.5 / np.array(STEPS))
+    (triangle,) = ax.patches  # one for both, below the lower
+    (x0, _), (x1, _), (_, top) = triangle.get_xy()[:3]
+    assert 0.5 / 30 < x0 < x1 < 0.5 / 10
+    assert top < min(np.interp(x1, abs(s.h[::-1]), s.state_error[::-1]) for s in found)
+    # a factor 3 of steps: marks at 1, 2 and 5; a factor of 1000: at 1 only
+    assert {0.02, 0.05} <= set(np.round(ax.xaxis.get_major_locator().tick_values(0.01, 0.1), 9))
+    wide = dal.plot.convergence(dal.convergence(found[0].system, "midpoint", steps=(2, 999)))
+    assert 0.02 not in np.round(wide.xaxis.get_major_locator().tick_values(0.001, 0.5), 9)
 
 
 def test_triangles_have_the_whole_slopes_and_lie_below_their_curves(studies):
@@ -69,25 +94,32 @@ def test_triangles_have_the_whole_slopes_and_lie_below_their_curves(studies):
             for s in studies
             if round(s.fits["global_state"].slope) == round(slopes[-1])
         ]
-        assert y2 < min(errors)
+        # half of the lowest of the curves that have the slope
+        np.testing.assert_allclose(y2, min(errors) / 2, rtol=1e-9)
     np.testing.assert_allclose(sorted(slopes), [1, 2], rtol=1e-12)
     assert {"1", "2"} <= {text.get_text() for text in ax.texts}
 
 
 @pytest.mark.parametrize(
-    "quantity, errors, key, loss",
+    "quantity, errors, key, loss, label",
     [
-        ("q", "q_error", "global_q", 0),
-        ("v", "v_error", "global_v", 0),
-        ("multipliers", "multiplier_error", "global_multipliers", 0),
-        ("local", "local_error", "state", 1),
-        ("reactions", "local_reaction_error", "reaction", 1),
+        ("q", "q_error", "global_q", 0, "q at t = 1"),
+        ("v", "v_error", "global_v", 0, "v at t = 1"),
+        ("multipliers", "multiplier_error", "global_multipliers", 0, "lambda at t = 1"),
+        ("local", "local_error", "state", 1, "(q, v) after one step"),
+        ("reactions", "local_reaction_error", "reaction", 1, "the scheme's multiplier after one s"),
     ],
 )
-def test_other_quantities(studies, quantity, errors, key, loss):
-    ax = dal.plot.convergence(studies[0], quantity=quantity)
-    np.testing.assert_array_equal(ax.lines[0].get_ydata(), getattr(studies[0], errors))
-    assert texts(ax) == [f"midpoint: {studies[0].fits[key].slope - loss:.2f}"]
+def test_other_quantities(rolling, quantity, errors, key, loss, label):
+    ax = dal.plot.convergence(rolling, quantity=quantity)
+    error = getattr(rolling, errors)
+    for line in ax.lines:
+        assert set(line.get_ydata()) <= set(error)
+    assert sum(len(line.get_ydata()) for line in ax.lines) == len(error)
+    orders = {name: f"{fit.slope:.2f}" for name, fit in rolling.fits.items()}
+    assert len({orders[name] for name in ("global_q", "global_v", "global_multipliers")}) == 3
+    assert texts(ax) == [f"midpoint: {rolling.fits[key].slope - loss:.2f}"]
+    assert ax.get_ylabel().startswith(f"error of {label}")
 
 
 def test_points_that_do_not_count_are_hollow():
@@ -156,20 +188,38 @@ def test_drift_has_both_sets_on_log_axes():
     for axis in (left, right):
         (dashed,) = (line for line in axis.lines if len(line.get_xdata()) == 2)
         assert list(dashed.get_ydata()) == [ROUNDOFF] * 2 and dashed.get_linestyle() == "--"
-        assert "units" in axis.get_xlabel()
-    assert "residual" in left.get_ylabel()
+        assert axis.get_xlabel() == "time t (user's units)"
+        assert [(text.get_text(), text.xy) for text in axis.texts] == [("u", (1, ROUNDOFF))]
+        lowest, highest = axis.get_ylim()  # roundoff looks small, and a zero is seen
+        assert lowest <= 1e-17 / 4 and highest >= 1e-8
+    assert left.get_ylabel() == "relative residual of the constraint"
+    assert left.get_title() == r"$D$:  $\mu(q)\,v = 0$"
+    assert right.get_title() == r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$"
     assert min(map(np.min, [*of.values(), *of_eps.values()])) >= 1e-17
 
 
 def test_drift_of_a_long_run_shows_the_largest_of_each_stretch():
-    run = dal.integrate(
-        dal.systems.particle(), "midpoint-nodes", h=0.05, steps=1000, initial="project"
-    )
+    system = dal.systems.particle_oscillator()
+    run = dal.integrate(system, "midpoint-nodes", h=0.05, steps=1000, initial="project")
     left, _ = dal.plot.drift(run)
     line = left.lines[0]
     relative = dal.geometry.relative_residual(run.system, run.q, run.v)
-    assert len(line.get_xdata()) == 50 and max(line.get_ydata()) == relative.max()
-    assert line.get_ydata()[-1] == relative[980:].max() and line.get_xdata()[-1] == run.t[980]
+    # 1001 states in 50 stretches: of 20, and one of 21
+    starts = [1001 * k // 50 for k in range(50)]
+    np.testing.assert_array_equal(line.get_xdata(), run.t[starts])
+    largest = [relative[a:b].max() for a, b in zip(starts, [*starts[1:], 1001])]
+    np.testing.assert_array_equal(line.get_ydata(), largest)
+
+
+def test_roundoff_looks_small_and_a_zero_is_seen(run):
+    """On axes of its own, where no other curve makes room."""
+    _, axes = pyplot.subplots(1, 2)
+    left, _ = dal.plot.drift(run, axes)
+    lowest, highest = left.get_ylim()
+    assert lowest <= 1e-17 / 4 and highest >= 1e-8
+    resting = dal.integrate(run.system, "midpoint", [0, 0, 0], [0, 1, 0], h=0.05, steps=4)
+    left, _ = dal.plot.drift(resting, pyplot.subplots(1, 2)[1])
+    assert set(left.lines[0].get_ydata()) == {1e-17} and left.get_ylim()[0] <= 1e-17 / 4
 
 
 def test_a_start_off_D_eps_is_a_hollow_point():
@@ -180,16 +230,45 @@ def test_a_start_off_D_eps_is_a_hollow_point():
     assert list(start.get_xdata()) == [0] and start.get_ydata()[0] > 1e-4
 
 
-def test_energy_is_relative_on_a_linear_axis(run):
+@pytest.mark.parametrize("height", [-90.0, 0.0, 90.0])
+@pytest.mark.parametrize("speed", [1.0, 8.0])
+def test_energy_is_relative_on_a_linear_axis(speed, height):
+    """The particle under a constant force: E = v.v/2 + z, from -90 to 140."""
+    system = dal.System(
+        mass=[1, 1, 1],
+        forms=lambda q: [[-q[1], 0, 1]],
+        forms_velocity_derivative=lambda q, v: [[0, -v[0], 0]],
+        potential=lambda q: q[2],
+        gradient=lambda q: [0, 0, 1],
+        name="falling",
+    )
+    v0 = np.array([1, 0.7, 0.3]) * speed
+    run = dal.integrate(system, "midpoint", [0.5, 0.3, height], v0, h=0.05, steps=40)
     ax = dal.plot.energy(run)
     assert ax.get_yscale() == "linear"
-    E = 0.5 * (run.v**2).sum(axis=1)  # of the particle
-    # Energies below 2 from some three terms, divided by a scale of at least 1.
+    E = 0.5 * (run.v**2).sum(axis=1) + run.q[:, 2]
+    expected = (E - E[0]) / max(abs(E[0]), 1)
+    # Energies of some four terms, none larger than 200, divided by a scale of at least 1.
     np.testing.assert_allclose(
-        ax.lines[0].get_ydata(), (E - E[0]) / max(E[0], 1), rtol=0, atol=32 * ROUNDOFF
+        ax.lines[0].get_ydata(), expected, rtol=0, atol=200 * 16 * ROUNDOFF / max(abs(E[0]), 1)
     )
+    assert np.ptp(expected) > 1e-7
     np.testing.assert_array_equal(ax.lines[0].get_xdata(), run.t)
-    assert "E_0" in ax.get_ylabel() and "units" in ax.get_xlabel() and texts(ax) == ["midpoint"]
+    assert list(ax.lines[1].get_ydata()) == [0, 0]
+    assert ax.get_ylabel() == r"energy error  $(E - E_0) / \max(|E_0|, 1)$"
+    assert ax.get_xlabel() == "time t (user's units)" and texts(ax) == ["midpoint"]
+    assert ax.get_title() == "falling: energy"
+
+
+def test_a_dozen_markers_and_a_legend_beside_many_curves():
+    system = dal.systems.particle()
+    names = ["midpoint", "leapfrog", "explicit", "endpoint", "leapfrog-suzuki4"]
+    runs = [dal.integrate(system, name, h=0.05, steps=240) for name in names]
+    ax = dal.plot.energy(runs)
+    assert {line.get_markevery() for line in ax.lines[:5]} == {241 // 12}
+    few = dal.plot.energy(runs[:4])
+    assert ax.get_legend().get_bbox_to_anchor().x0 > ax.bbox.x1
+    assert few.get_legend().get_bbox_to_anchor().x0 == few.bbox.x0
 
 
 def test_path_has_equal_axes_and_a_start(run):
@@ -198,7 +277,8 @@ def test_path_has_equal_axes_and_a_start(run):
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), run.q[:, 2])
     assert (ax.lines[1].get_xdata()[0], ax.lines[1].get_ydata()[0]) == (run.q[0, 0], run.q[0, 2])
     assert ax.get_aspect() == 1 and texts(ax) == ["start"]
-    assert ax.get_xlabel().startswith("x ") and ax.get_ylabel().startswith("z ")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (user's units)", "z (user's units)")
+    assert ax.get_title() == "particle: path, midpoint, h = 0.05"
 
 
 def test_axes_that_are_given_are_used(studies, run):
@@ -215,6 +295,8 @@ def test_axes_that_are_given_are_used(studies, run):
 def test_styles_of_the_caller_are_used(studies):
     ax = dal.plot.convergence(studies[0], styles={"midpoint": {"color": "black", "marker": "x"}})
     assert ax.lines[0].get_marker() == "x"
+    ax = dal.plot.convergence(studies, styles={"explicit": {"color": "red"}})
+    assert [line.get_color() for line in ax.lines[::2]] == ["#0072B2", "red", "#009E73"]
 
 
 def test_bad_arguments_are_named(studies, run):
@@ -226,8 +308,16 @@ def test_bad_arguments_are_named(studies, run):
         dal.plot.energy([])
     with pytest.raises(ValueError, match=r"coordinates is \(0, 3\); expected two of 0 to 2"):
         dal.plot.path(run, coordinates=(0, 3))
+    for pair in ((0, -1), (0,), (0, 1, 2), ("x", "y"), (0, 1.5), 5, None):
+        with pytest.raises(ValueError, match=r"coordinates is .*; expected two of 0 to 2"):
+            dal.plot.path(run, coordinates=pair)
     with pytest.raises(ValueError, match="ax has 3 axes; expected two"):
         dal.plot.drift(run, pyplot.subplots(1, 3)[1])
+    for draw in (dal.plot.energy, dal.plot.path, lambda run, ax: dal.plot.drift(run, [5, ax])):
+        with pytest.raises(ValueError, match=r"ax is a (list|int); expected a matplotlib\.Axes"):
+            draw(run, [])
+    with pytest.raises(ValueError, match="ax is a int; expected a matplotlib.Axes"):
+        studies.plot(5)
     with pytest.raises(ValueError, match="study is a Solution; expected a dalembert.Study or sev"):
         dal.plot.convergence(run)
     for draw in (dal.plot.energy, dal.plot.drift):

@@ -1,7 +1,9 @@
 """C functions as callbacks: of numba, ctypes, cffi and SciPy; at C speed, no Python in the step."""
 
 import ctypes
+import gc
 import pickle
+import weakref
 
 import cffi
 import numba
@@ -91,8 +93,8 @@ def of_cffi(library, name):
     return ffi.addressof(opened, name)
 
 
-def of_scipy(library, name):
-    ctx = ctypes.cast(ctypes.c_void_p(SPRINGS.ctypes.data), ctypes.c_void_p)
+def of_scipy(library, name, given=SPRINGS):
+    ctx = ctypes.cast(ctypes.c_void_p(given.ctypes.data), ctypes.c_void_p)
     return scipy.LowLevelCallable(of_ctypes(library, name), ctx)
 
 
@@ -116,6 +118,18 @@ def test_same_run_as_the_built_in_system(library, make):
     np.testing.assert_array_equal(run.y, expected.y)
     np.testing.assert_array_equal(run.reactions, expected.reactions)
     assert own.check()
+
+
+def test_a_context_lives_as_long_as_the_system(library):
+    springs = SPRINGS.copy()
+    alive = weakref.ref(springs)
+    own = dal.System(mass=[1, 1, 1], potential=of_ctypes(library, "potential"), ctx=springs)
+    del springs
+    gc.collect()
+    assert alive() is not None
+    del own
+    gc.collect()
+    assert alive() is None
 
 
 def test_force_and_lagrangian(library):
@@ -222,7 +236,16 @@ def test_refused(library):
         ({**good, "kind": "cubic"}, "kind = 'cubic'"),
         ({**good, "missing": ["V"]}, "missing = 'V'"),
         ({**good, "ctx": "parameters"}, "ctx = 'parameters'"),
+        ({**good, "ctx": True}, "ctx = True: expected an array, an address, or a pointer"),
+        ({**good, "ctx": -1}, "ctx = -1: expected at least 0"),
+        ({**good, "ctx": 2**64}, f"ctx = {2**64}: expected at most {2**64 - 1}"),
+        ({**good, "ctx": SPRINGS[::2]}, "ctx: expected a contiguous array"),
         ({**good, "constraint": ctypes.CFUNCTYPE(ctypes.c_int)(0)}, "NULL"),
+        (
+            {**good, "constraint": of_scipy(library, "constraint"),
+             "potential": of_scipy(library, "potential", SPRINGS.copy())},
+            "ctx: the callbacks have different user_data",
+        ),
         ({"mass": [1, 1], "kind": "linear"}, "only C functions"),
         ({"mass": [1, 1], "ctx": 5}, "only C functions"),
     ]

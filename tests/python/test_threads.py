@@ -1,10 +1,13 @@
 """Threads: many runs on one system, exceptions in the right thread, no lock held by C."""
 
+import os
 import pickle
+import signal
 import subprocess
 import sys
 import threading
 import time
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -62,6 +65,39 @@ def test_one_solution(own):
     run = dal.integrate(own.system(), "midpoint", h=H, steps=200)
     found = together(8, lambda i: run.multipliers)
     assert all(x is found[0] for x in found)
+
+
+def test_a_fork_while_a_thread_computes(own):
+    """The child of a fork has no threads that would open a lock: it computes on its own."""
+    parent, waiting = os.getpid(), threading.Event()
+    inside, go_on = threading.Event(), threading.Event()
+
+    def potential(q):
+        if waiting.is_set() and os.getpid() == parent:
+            inside.set()
+            go_on.wait(20)
+        return own.potential(q)
+
+    run = dal.integrate(own.system(potential=potential), "midpoint", h=H, steps=20)
+    expected = run.system.energy(run.q, run.v)
+    waiting.set()
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(lambda: run.energy)
+        assert inside.wait(20)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # a fork beside threads is meant
+            child = os.fork()
+        if child == 0:
+            signal.alarm(10)
+            right = False
+            try:
+                right = np.array_equal(run.energy, expected)
+            finally:
+                os._exit(0 if right else 1)
+        status = os.waitpid(child, 0)[1]
+        go_on.set()
+        np.testing.assert_array_equal(running.result(), expected)
+    assert status == 0, f"the child ended with {status}; 14: it waited for ever"
 
 
 def test_exceptions_stay_in_their_thread(own):
