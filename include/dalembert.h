@@ -493,7 +493,8 @@ DAL_API int dal_chart_interpolate(dal_chart *chart, double t0, double h, double 
 typedef enum dal_flow_method {
     DAL_FLOW_RK8PD = 0,   /* Prince-Dormand 8(9), the default */
     DAL_FLOW_MSADAMS = 1, /* multistep Adams, orders 1 to 12 */
-    DAL_FLOW_MSBDF = 2    /* multistep BDF with a differenced Jacobian, for stiff potentials */
+    DAL_FLOW_RODAS = 2    /* Rosenbrock, order 4(3), with a differenced Jacobian, for stiff
+                             potentials */
 } dal_flow_method;
 
 typedef enum dal_flow_coordinates {
@@ -502,7 +503,7 @@ typedef enum dal_flow_coordinates {
                        on the way where it has become ill conditioned: every step lies in D */
 } dal_flow_coordinates;
 
-/* The flow of the ODE on D by an adaptive method of GSL (odeiv2). */
+/* The flow of the ODE on D by an adaptive method: GSL's (odeiv2), but for rodas. */
 typedef struct dal_flow dal_flow;
 
 /* tolerance: relative and absolute, for each step, in (0, 0.1]; 1e-13 is about the best. */

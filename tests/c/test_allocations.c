@@ -171,7 +171,7 @@ static dal_flow *reference;
 static double state[MOST];
 
 typedef enum maker {
-    SYSTEM, SYSTEM_DIAGONAL, BUILTIN, MECHANICS, CHART, FLOW_RK8PD, FLOW_MSADAMS, FLOW_MSBDF,
+    SYSTEM, SYSTEM_DIAGONAL, BUILTIN, MECHANICS, CHART, FLOW_RK8PD, FLOW_MSADAMS, FLOW_RODAS,
     STEPPER, STEPPER_MULTIROOT, DISCRETE, CHECK_SYSTEM, STUDY, CONSISTENT, EXACT, INVARIANT,
     VELOCITY, MAKERS
 } maker;
@@ -226,8 +226,8 @@ static int make(maker what, outputs *out, dal_error *error)
         return dal_flow_new(&out->flow, generic4, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, error);
     case FLOW_MSADAMS:
         return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSADAMS, DAL_FLOW_X, 1e-6, error);
-    case FLOW_MSBDF:
-        return dal_flow_new(&out->flow, generic4, DAL_FLOW_MSBDF, DAL_FLOW_X, 1e-6, error);
+    case FLOW_RODAS:
+        return dal_flow_new(&out->flow, generic4, DAL_FLOW_RODAS, DAL_FLOW_X, 1e-6, error);
     case STEPPER: return make_stepper(out, DAL_SOLVER_SCHUR, error);
     case STEPPER_MULTIROOT: return make_stepper(out, DAL_SOLVER_MULTIROOT, error);
     case DISCRETE: return dal_discrete_new(&out->discrete, generic4, &map, NULL, error);
@@ -266,7 +266,7 @@ static void release(maker what, outputs *out)
     if (what == DISCRETE) dal_discrete_free(out->discrete);
     if (what == MECHANICS) dal_mechanics_free(out->mechanics);
     if (what == CHART) dal_chart_free(out->chart);
-    if (FLOW_RK8PD <= what && what <= FLOW_MSBDF) dal_flow_free(out->flow);
+    if (FLOW_RK8PD <= what && what <= FLOW_RODAS) dal_flow_free(out->flow);
     if (what == STEPPER || what == STEPPER_MULTIROOT) dal_stepper_free(out->stepper);
 }
 
@@ -435,7 +435,7 @@ static void test_flow(dal_flow_method method)
     CHECK(dal_flow_trajectory(flow, 1.0, -0.01, 100, rows, &done) == 0 && done == 100);
     CHECK(dal_flow_apply(flow, 0.0, NAN, x, NULL) == DAL_EINVAL);
     /* msbdf factors its iteration matrix by gsl_linalg_LU_decomp, which asks for a permutation */
-    if (method != DAL_FLOW_MSBDF) CHECK(process.calls == calls);
+    if (method != DAL_FLOW_RODAS) CHECK(process.calls == calls);
     CHECK(process.live == live);
     dal_flow_free(flow);
 }
@@ -453,7 +453,7 @@ int main(void)
     test_message();
     test_failing_gsl(FLOW_RK8PD, 2);
     test_failing_gsl(FLOW_MSADAMS, 2);
-    test_failing_gsl(FLOW_MSBDF, 2);
+    test_failing_gsl(FLOW_RODAS, 2);
     test_failing_gsl(STEPPER_MULTIROOT, 2);
 
     for (size_t i = 0; i < dal_scheme_count(); i++) {
@@ -479,7 +479,7 @@ int main(void)
     test_trajectory();
     test_discrete();
     test_chart();
-    for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_MSBDF; method++)
+    for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_RODAS; method++)
         test_flow(method);
 
     dal_flow_free(reference);

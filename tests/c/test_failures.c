@@ -537,7 +537,7 @@ static void test_nothing_written(void)
             CHECK(dal_step(stepper, NULL) == DAL_EINVAL);
             dal_stepper_free(stepper);
         }
-        for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_MSBDF; method++) {
+        for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_RODAS; method++) {
             if (forgotten == V || forgotten == V_QQ) break; /* it asks for neither */
             dal_flow *flow = NULL;
             double before[MOST];
@@ -1448,7 +1448,7 @@ int main(void)
     test_extreme_numbers();
     test_disturbed_flow(DAL_FLOW_RK8PD, 1);
     test_disturbed_flow(DAL_FLOW_MSADAMS, 5);
-    test_disturbed_flow(DAL_FLOW_MSBDF, 7);
+    test_disturbed_flow(DAL_FLOW_RODAS, 7);
     test_disturbed_study("leapfrog", 3);
     test_disturbed_study("midpoint", 5);
     return check_done();
