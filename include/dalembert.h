@@ -20,9 +20,10 @@
  *      callbacks may.  Every other object belongs to one thread at a time.  There are no globals.
  *   7. GSL's error handler is never set, changed or provoked.  The one exception is memory: GSL
  *      can report a failed allocation only through its handler, so its workspaces are allocated
- *      only when an object is made (dal_flow_new, dal_embedding_new, dal_stepper_new with
- *      DAL_SOLVER_MULTIROOT, and dal_order_study, which makes a flow); only DAL_FLOW_MSBDF
- *      allocates as it goes, in GSL's factorisation of its matrix.
+ *      only when an object is made: dal_flow_new (but for DAL_FLOW_RODAS), dal_embedding_new,
+ *      dal_stepper_new with DAL_SOLVER_MULTIROOT, and dal_order_study, which makes a flow.  With a
+ *      handler that returns these return DAL_ENOMEM; only GSL itself may then have lost a block,
+ *      for DAL_FLOW_MSADAMS and DAL_SOLVER_MULTIROOT.
  *
  * The sections follow the floors of csrc/: ground, system, geometry, flow, discretisation, schemes,
  * runs. */
