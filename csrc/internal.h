@@ -27,6 +27,9 @@ __attribute__((format(printf, 3, 4)))
 /* Writes the text (printf format) and the status to error, which may be NULL; returns status. */
 int dal__fail(dal_error *error, int status, const char *format, ...);
 
+/* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
+int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);
+
 /* Status of what a user's callback returned: 0, DAL_EDOMAIN for > 0, DAL_EUSER for < 0. */
 int dal__callback_status(int returned);
 

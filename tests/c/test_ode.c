@@ -245,6 +245,22 @@ static void test_steps(dal_flow_method method, double span)
     dal__ode_free(self);
 }
 
+/* A step that is accepted and too short for the clock does not go on without it. */
+static void test_clock(dal_flow_method method)
+{
+    const double y0[1] = {0.0};
+    problem p = {.N = 1, .from = SIZE_MAX, .rate = 1e-3};
+    dal_error error = {0};
+    ode *self = open_ode(1, method, 1e-6, exponential, &p);
+    CHECK(run(self, 0.0, 1.0, y0, 1.0, NULL) == 0);
+    p.rate = -1e18;
+    dal__ode_state(self)[0] = 1.0; /* the first step is about 1e-20 */
+    CHECK(dal__ode_restart(self, 2.0, NULL) == 0);
+    CHECK(dal__ode_reach(self, 2.0, &error) == DAL_ENOCONV);
+    CHECK(strstr(error.text, "collapsed to h = ") != NULL && dal__ode_elapsed(self) == 1.0);
+    dal__ode_free(self);
+}
+
 /* The oscillator is linear: doubled on the way, it is doubled at the end.  Its own state may be
  * what it begins from. */
 static void test_restart(dal_flow_method method)
@@ -563,6 +579,7 @@ int main(void)
         }
         test_factor(method);
         test_restart(method);
+        test_clock(method);
         test_chart(method);
         test_failing(method, DAL_EDOMAIN, DAL_EDOMAIN);
         test_failing(method, DAL_ENOCONV, DAL_ENOCONV);
