@@ -143,6 +143,9 @@ void dal__ode_free(ode *self);
  * (1, or more: looser) is of the tolerance, up to 1 in all.  Errors of the field. */
 int dal__ode_begin(ode *self, double t0, double span, const double *y, double factor,
                    dal_error *error);
+/* From here on, until the next beginning, no step is longer; the first one is shorter too.  So it
+ * looks at the field elsewhere than without. */
+void dal__ode_shorten(ode *self, double longest);
 /* The same from where it stands, after its state was changed, towards elapsed time end. */
 int dal__ode_restart(ode *self, double end, dal_error *error);
 

@@ -22,6 +22,7 @@ enum { MOST_STEPS = 10000000 };
 /* The first step is a fraction of what the field suggests and of the interval. */
 static const double FIRST_STEP = 0.00618033988749895;
 static const double FIRST_FRACTION = 0.381966011250105;
+static const double SHORTER = 0.6;
 
 /* RODAS of order 4 with an embedded method of order 3, L-stable and stiffly accurate, so that it
  * sees the field where a step ends: E. Hairer and G. Wanner, Solving Ordinary Differential Equations
@@ -58,6 +59,7 @@ struct ode {
     double level;               /* the tolerance of this integration */
     double t0;       /* time is t0 + elapsed, so that short intervals lose no digits */
     double elapsed;
+    double longest;  /* step */
     double h;        /* suggested for the next step, with the sign of the direction */
     unsigned order;  /* of msadams when the last accepted step began */
     bool current;    /* the Jacobian is that of the state */
@@ -295,8 +297,15 @@ int dal__ode_begin(ode *self, double t0, double span, const double *y, double fa
     self->level = factor * self->tolerance;
     self->t0 = t0;
     self->elapsed = 0.0;
+    self->longest = HUGE_VAL;
     memmove(self->state, y, self->N * sizeof *y); /* y may be the state */
     return dal__ode_restart(self, span, error);
+}
+
+void dal__ode_shorten(ode *self, double longest)
+{
+    self->longest = longest;
+    self->h *= SHORTER;
 }
 
 /* Whether the errors of a step of size h are allowed; self->h <- the size to go on with, for a
@@ -358,6 +367,7 @@ static int collapsed(const ode *self, double h, dal_error *error)
 static int attempt_towards(ode *self, double end, bool *accepted, dal_error *error)
 {
     const double left = end - self->elapsed;
+    if (fabs(self->h) > self->longest) self->h = copysign(self->longest, self->h);
     const bool last = fabs(self->h) >= fabs(left);
     /* Two halves instead of a step and a very short one. */
     const double h = last ? left : fabs(self->h) > 0.5 * fabs(left) ? 0.5 * left : self->h;

@@ -518,7 +518,10 @@ DAL_API const char *dal_flow_message(const dal_flow *flow);
  * That x lies in D is not checked: off D the same ODE is integrated, which keeps phi, and only the
  * result is projected; in xi the part of v off D is dropped at once.  *accuracy (or NULL) <-
  * estimate of the error, the largest component of the difference to the result at a tolerance ten
- * times as large; asking for it costs a second integration.
+ * times as large with steps of at most 1/17 of the interval, or roundoff if that is larger; asking
+ * for it costs a second integration.  What happens between the evaluations of both, as a short push
+ * in a long rest, is not seen: integrate from one such event to the next.  DAL_FLOW_MSADAMS takes
+ * two evaluations for a step, and is for smooth forces only.
  * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed). */
 DAL_API int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy);
 

@@ -81,6 +81,77 @@ static const struct reference {
                       0.0873345206605238, 0.6830740371106078}},
 };
 
+/* q'' = a force, of which the motion from (0, 1) is known. */
+typedef enum push { SPRING, GRAVITY, STEP, PULSE, WAVE } push;
+
+static int pushing(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
+                   void *ctx)
+{
+    (void)v, (void)f_q, (void)f_v;
+    switch (*(const push *)ctx) {
+    case SPRING: f[0] = -q[0]; break;
+    case GRAVITY: f[0] = 1.0; break;
+    case STEP: f[0] = t > 1e-3; break;
+    case PULSE: f[0] = exp(-25.0 * (t - 5.0) * (t - 5.0)); break;
+    case WAVE: f[0] = cos(t); break;
+    }
+    return 0;
+}
+
+static void pushed(push by, double t0, double t1, double *x)
+{
+    const double T = t1 - t0, late = T - 1e-3, c = 5.0 * (t1 - 5.0), root = sqrt(acos(-1.0));
+    switch (by) {
+    case SPRING: x[0] = sin(T), x[1] = cos(T); break;
+    case GRAVITY: x[0] = T + 0.5 * T * T, x[1] = 1.0 + T; break;
+    case STEP: x[0] = T + 0.5 * late * late, x[1] = 1.0 + late; break;
+    case PULSE:
+        x[1] = 1.0 + root / 10.0 * (erf(c) + 1.0);
+        x[0] = T + root / 50.0 * (c * (erf(c) + 1.0) + exp(-c * c) / root);
+        break;
+    case WAVE:
+        x[1] = 1.0 + sin(t1) - sin(t0);
+        x[0] = (1.0 - sin(t0)) * T - cos(t1) + cos(t0);
+        break;
+    }
+}
+
+/* The result is never farther from the truth than ten times what is claimed, also where both
+ * integrations could take the same few steps. */
+static void test_claims(void)
+{
+    static const struct {
+        push by;
+        double t0, t1;
+    } cases[] = {{SPRING, 0.0, 1e-9}, {SPRING, 0.0, 0.05}, {SPRING, 0.0, 0.2}, {SPRING, 0.0, 0.5},
+                 {SPRING, 0.0, -3.0}, {SPRING, 0.0, 1e3}, {GRAVITY, 0.0, 10.0},
+                 {GRAVITY, 0.0, 1e4}, {STEP, 0.0, 10.0}, {PULSE, 0.0, 10.0},
+                 {WAVE, 1e8, 1e8 + 10.0}, {WAVE, -1e8, -1e8 + 1e-6}};
+    static const double mass[1] = {1.0};
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        push by = cases[i].by;
+        const dal_system_def def = {.n = 1, .mass = mass, .force = pushing, .ctx = &by,
+                                    .missing = DAL_MISSING_F_Q | DAL_MISSING_F_V};
+        dal_system *system = NULL;
+        double exact[2] = {0};
+        CHECK(dal_system_new(&system, &def, NULL) == 0);
+        pushed(by, cases[i].t0, cases[i].t1, exact);
+        for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_RODAS; method++)
+            for (int digits = 4; digits <= 10; digits += 3) {
+                if (method == DAL_FLOW_MSADAMS && by >= STEP) continue; /* see the header */
+                double x[2] = {0.0, 1.0}, accuracy;
+                dal_flow *flow = open_flow(system, method, pow(10.0, -digits));
+                CHECK(dal_flow_apply(flow, cases[i].t0, cases[i].t1, x, &accuracy) == 0);
+                CHECK_NEAR(distance(2, x, exact), 0.0, 10.0 * accuracy);
+                CHECK(accuracy <= 1e3 * pow(10.0, -digits) * (1.0 + fabs(x[0]))
+                                      * (1.0 + fabs(cases[i].t1 - cases[i].t0))
+                                  + 1e-7 * (fabs(cases[i].t0) > 0.0));
+                dal_flow_free(flow);
+            }
+        dal_system_free(system);
+    }
+}
+
 /* A method may make an error of its tolerance in every step, and the dynamics lets errors grow:
  * share is the number of such errors a unit of time.  rk8pd takes 1 to 5 steps a unit, most of
  * them far better than they have to be; the multistep methods, which start with order 1, take 50 to
@@ -97,8 +168,9 @@ static void test_reference(dal_flow_method method, double tolerance, double shar
         memcpy(x, x0, sizeof x);
         CHECK(dal_flow_apply(flow, 0.0, r->t, x, &accuracy) == 0);
         CHECK_NEAR(distance(2 * n, x, r->x), 0.0, share * tolerance * r->t);
-        /* The estimate is the error of a run ten times as loose. */
-        CHECK(accuracy >= distance(2 * n, x, r->x));
+        /* The estimate is the error of a run ten times as loose; or, where that has to take shorter
+         * steps and is the better one, that of this run. */
+        CHECK(2.0 * accuracy >= distance(2 * n, x, r->x));
         CHECK(accuracy <= 10 * share * tolerance * r->t);
 
         dal_mechanics *mechanics = NULL;
@@ -615,6 +687,7 @@ int main(void)
         test_in_xi(systems[i].name, DAL_FLOW_RK8PD, 1e-13, systems[i].turns);
         test_in_xi(systems[i].name, DAL_FLOW_MSADAMS, 1e-9, systems[i].turns);
     }
+    test_claims();
     test_turns("knife_edge");
     test_turns("sleigh");
     test_reference(DAL_FLOW_RK8PD, 1e-13, 5);
