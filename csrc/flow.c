@@ -8,8 +8,8 @@
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
 
-/* And at the most such a share of the interval is a step of it.  Where the tolerance lets steps grow
- * freely both integrations would else take the same ones, and make the same error. */
+/* And at the most such a share of the interval is a step of it.  Where the tolerance lets steps
+ * grow freely both integrations would else take the same ones, and make the same error. */
 static const double LONGEST = 0.0578;
 
 /* Accepted steps of one integration in xi; far more than any sensible one takes. */

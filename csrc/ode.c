@@ -25,9 +25,9 @@ static const double FIRST_FRACTION = 0.381966011250105;
 static const double SHORTER = 0.6;
 
 /* RODAS of order 4 with an embedded method of order 3, L-stable and stiffly accurate, so that it
- * sees the field where a step ends: E. Hairer and G. Wanner, Solving Ordinary Differential Equations
- * II, 2nd edition, IV.7.  Of stage i: where on the step it is; its share of f_t; how the stages
- * before it enter the state that it sees, and its right side. */
+ * sees the field where a step ends: E. Hairer and G. Wanner, Solving Ordinary Differential
+ * Equations II, 2nd edition, IV.7.  Of stage i: where on the step it is; its share of f_t; how the
+ * stages before it enter the state that it sees, and its right side. */
 enum { STAGES = 6, RODAS_ORDER = 3 };
 static const double GAMMA = 0.25;
 static const struct {
@@ -148,7 +148,7 @@ static int difference(ode *self)
 }
 
 /* rate <- the derivative of the field by time where the step begins, one-sided of order 2, as there
- * may be no field before.  Beside the step what it sees of time is short, and exact to its order. */
+ * may be no field before.  It looks no farther than 1/32 of the step. */
 static int differ_in_time(ode *self, double h)
 {
     const double d = h / 64.0;

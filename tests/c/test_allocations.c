@@ -327,8 +327,8 @@ static void test_failing(maker what)
 }
 
 /* Every allocation fails once in turn, GSL's own included, whose handler returns: nothing is made,
- * the text says memory, and nothing is leaked but what GSL itself forgets, a block at each of so many
- * places: in msadams_alloc one, in gsl_matrix_alloc two for each of three matrices. */
+ * the text says memory, and nothing is leaked but what GSL itself forgets, a block at each of so
+ * many places: in msadams_alloc one, in gsl_matrix_alloc two for each of three matrices. */
 static void test_failing_gsl(maker what, size_t forgetful)
 {
     gsl_error_handler_t *const handler = gsl_set_error_handler_off();

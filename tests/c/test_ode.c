@@ -418,7 +418,7 @@ static void test_singular_rodas(void)
         for (int whole = 0; whole <= 1; whole++) {
             CHECK(dal__ode_begin(self, 0.0, whole ? 3.0 * h : h, y0, 1.0, NULL) == 0);
             CHECK(dal__ode_reach(self, h, NULL) == 0);
-            /* some ten steps with an error of at most 1e-4 (1 + y), all growing by exp(4) or less */
+            /* some ten steps with an error of at most 1e-4 (1 + y), growing by exp(4) or less */
             CHECK_NEAR(dal__ode_state(self)[0], 1e-3 * exp(4.0), 20e-4 * exp(4.0));
             CHECK_NEAR(dal__ode_state(self)[0] / (1e-3 * exp(4.0)), 1.0, 0.5);
         }

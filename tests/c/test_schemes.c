@@ -137,7 +137,7 @@ static void test_validation(void)
     const dal_substep outside[] = {{0.5, 0.5}, {1.25, 0.5}}, unknown[] = {{NAN, 1.0}};
     const dal_substep infinite[] = {{0.5, INFINITY}}, two[] = {{0.0, 0.5}, {1.0, 0.5}};
     const dal_substep thirds[] = {{0.5, 0.333333333333333}, {0.5, 0.333333333333333},
-                                  {0.5, 0.333333333333334}};
+                                  {0.5, 0.333333333333333}};
     check_invalid(&(dal_scheme){.beta = -0.1}, "beta = -0.1");
     check_invalid(&(dal_scheme){.beta = NAN}, "beta = ");
     check_invalid(&(dal_scheme){.count = 2}, "count = 2");
