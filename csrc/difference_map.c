@@ -47,6 +47,12 @@ static int require_finite(const char *name, size_t columns, size_t count, const 
     return DAL_SUCCESS;
 }
 
+static int require_state(const dal__rho *rho, dal_error *error)
+{
+    const int status = require_finite("g", rho->n, rho->n, rho->g, error);
+    return status ? status : require_finite("f", rho->n, rho->n, rho->f, error);
+}
+
 /* (g, f)[2n] at (q0, q1)[2n], to be differenced. */
 typedef struct both {
     const dal__rho *rho;
@@ -96,8 +102,7 @@ static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error
                                       given ? rho->f_0 : NULL, given ? rho->f_1 : NULL,
                                       rho->map.ctx);
     if (returned) return refuse(returned, error);
-    int status = require_finite("g", n, n, rho->g, error);
-    if (!status) status = require_finite("f", n, n, rho->f, error);
+    int status = require_state(rho, error);
     if (status || !slopes) return status;
     if (!given) status = difference_slopes(rho, pair, error);
     for (size_t i = 0; !status && i < 4; i++)
@@ -117,7 +122,7 @@ int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *er
         rho->g[i] = (1.0 - beta) * pair->q0[i] + beta * pair->q1[i];
         rho->f[i] = pair->w[i];
     }
-    return DAL_SUCCESS;
+    return require_state(rho, error);
 }
 
 /* ---- the inverse -------------------------------------------------------------------------- */
@@ -162,7 +167,8 @@ int dal__rho_invert(dal__rho *rho, dal__root *root, double h, const double *x, d
             q0[i] = x[i] - beta * h * v[i];
             q1[i] = x[i] + (1.0 - beta) * h * v[i];
         }
-        return DAL_SUCCESS;
+        const int status = dal__require_output(error, "q0", n, q0);
+        return status ? status : dal__require_output(error, "q1", n, q1);
     }
     inversion in = {rho, h, x, error};
     const dal__equations equations = {.at = inverse_at, .ctx = &in, .size = 2 * n,

@@ -147,15 +147,20 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
     return dal__find_root(&d->root, &equations, &d->mech.error);
 }
 
-static int require_next(dal_discrete *d, const double *q)
+/* d->q1 <- the node that the root leads to from q; its multipliers where they are wanted. */
+static int hand_over(dal_discrete *d, const double *q, const double *lambda)
 {
-    if (dal__all_finite(d->n, q)) return DAL_SUCCESS;
-    return dal__fail(&d->mech.error, DAL_EDOMAIN, "the new node overflows with h = %g", d->step.h);
+    double *const multipliers = d->root.z + d->n;
+    for (size_t i = 0; i < d->n; i++) d->q1[i] = q[i] + d->step.h * d->root.z[i];
+    for (size_t a = 0; a < d->m; a++) multipliers[a] /= d->step.h;
+    const int status = dal__require_output(&d->mech.error, "q1", d->n, d->q1);
+    if (status || !lambda) return status;
+    return dal__require_output(&d->mech.error, "lambda", d->m, multipliers);
 }
 
 static void copy_multipliers(const dal_discrete *d, double *lambda)
 {
-    for (size_t a = 0; lambda && a < d->m; a++) lambda[a] = d->root.z[d->n + a] / d->step.h;
+    if (lambda) memcpy(lambda, d->root.z + d->n, d->m * sizeof *lambda);
 }
 
 /* ---- the equations ------------------------------------------------------------------------ */
@@ -180,12 +185,15 @@ int dal_discrete_residual(dal_discrete *discrete, double t, double h, const doub
     if (!status) status = dal__discrete_constraint(d, &pair, false);
     if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
     if (status) return status;
+    double *const sides = d->root.residual;
     for (size_t i = 0; i < n; i++) {
-        residual[i] = d->momentum[i] - d->minus[i];
-        for (size_t a = 0; a < m; a++) residual[i] += h * d->muk[a * n + i] * lambda[a];
+        sides[i] = d->momentum[i] - d->minus[i];
+        for (size_t a = 0; a < m; a++) sides[i] += h * d->muk[a * n + i] * lambda[a];
     }
-    memcpy(residual + n, d->phi, m * sizeof *residual);
-    return DAL_SUCCESS;
+    memcpy(sides + n, d->phi, m * sizeof *sides);
+    status = dal__require_output(&d->mech.error, "residual", n + m, sides);
+    if (!status) memcpy(residual, sides, (n + m) * sizeof *residual);
+    return status;
 }
 
 /* Of the matrix J[N*N], in the order of the arguments; J is destroyed. */
@@ -235,17 +243,23 @@ int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const do
     if (!status) status = reaction_forms(d, q, d->constraint.f, d->muk);
     if (status) return status;
     int s;
-    double l, c;
+    double l, c, *const J = d->root.J;
+    assemble(d, J, d->root.scale);
+    status = dal__require_output(&d->mech.error, "matrix", N * N, J);
+    if (!status) status = dal__require_output(&d->mech.error, "terms of matrix", N * N,
+                                              d->root.scale);
+    if (status) return status;
     examine(d, &s, &l, &c);
     if (n % 2 == 1 && h > 0.0) s = -s; /* of (-1/h)^n */
+    assemble(d, J, NULL);
+    for (size_t i = 0; i < N; i++)
+        for (size_t j = 0; j < N; j++) J[i * N + j] *= (i < n ? -1.0 : 1.0) / (j < n ? h : 1.0);
+    if (matrix) status = dal__require_output(&d->mech.error, "matrix", N * N, J);
+    if (status) return status;
     if (sign) *sign = s;
     if (logarithm) *logarithm = l - (double)n * log(fabs(h));
     if (condition) *condition = c;
-    if (!matrix) return DAL_SUCCESS;
-    assemble(d, d->root.J, NULL);
-    for (size_t i = 0; i < N; i++)
-        for (size_t j = 0; j < N; j++)
-            matrix[i * N + j] = (i < n ? -1.0 : 1.0) / (j < n ? h : 1.0) * d->root.J[i * N + j];
+    if (matrix) memcpy(matrix, J, N * N * sizeof *matrix);
     return DAL_SUCCESS;
 }
 
@@ -262,8 +276,7 @@ int dal_discrete_step(dal_discrete *discrete, double t, double h, double *q0, do
     if (status) return status;
     const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
     status = solve(d, t, &pair);
-    for (size_t i = 0; i < n; i++) d->q1[i] = q1[i] + h * d->root.z[i];
-    if (!status) status = require_next(d, d->q1);
+    if (!status) status = hand_over(d, q1, lambda);
     if (status) return status;
     memcpy(q0, q1, n * sizeof *q0);
     memcpy(q1, d->q1, n * sizeof *q1);
@@ -299,8 +312,7 @@ int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps, 
         pair.q0 = nodes + k * n;
         pair.q1 = pair.q0 + n;
         status = solve(d, t0 + (double)k * h, &pair);
-        for (size_t i = 0; i < n; i++) d->q1[i] = pair.q1[i] + h * d->root.z[i];
-        if (!status) status = require_next(d, d->q1);
+        if (!status) status = hand_over(d, pair.q1, lambda);
         if (status) break;
         memcpy(d->w, d->root.z, n * sizeof *d->w);
         memcpy(nodes + (k + 2) * n, d->q1, n * sizeof *nodes);
@@ -325,8 +337,7 @@ int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, 
     dal__pair pair = dal__discrete_pair(d, h, d->q0, d->node);
     if (!d->constraint.map.map) pair.w = x + n;
     status = solve(d, t, &pair);
-    for (size_t i = 0; i < n; i++) d->q1[i] = d->node[i] + h * d->root.z[i];
-    if (!status) status = require_next(d, d->q1);
+    if (!status) status = hand_over(d, d->node, lambda);
     pair = (dal__pair){h, d->node, d->q1, d->root.z};
     if (!status) status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
     if (status) return status;

@@ -66,7 +66,8 @@ static int find_velocity(search *s)
         /* what the flow and the digits of the nodes leave of a quotient by h */
         const double noise = 4.0 * DAL_ROUNDOFF * scale + (dal__flow_tolerance(s->flow)
                              + DAL_ROUNDOFF) * (extent + scale) / fabs(s->h);
-        if (size <= noise) return DAL_SUCCESS;
+        if (size <= noise) return dal__require_output(dal__flow_error(s->flow), "defect",
+                                                      s->mech->m, s->defect);
         if (iteration == MOST || !(size <= DBL_MAX) || size > 1e3 * fmin(last, scale)) break;
         for (size_t i = 0; i < n; i++) v[i] += s->end[i];
         last = size;

@@ -8,6 +8,10 @@
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
 
+/* And at the most such a share of the interval is a step of it.  Where the tolerance lets steps
+ * grow freely both integrations would else take the same ones, and make the same error. */
+static const double LONGEST = 0.0578;
+
 /* Accepted steps of one integration in xi; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
 
@@ -174,6 +178,7 @@ static int integrate(dal_flow *flow, double t0, double span, const double *x, do
                      bool project)
 {
     int status = begin(flow, t0, span, x, factor);
+    if (!status && factor > 1.0) dal__ode_shorten(flow->integrator, LONGEST * fabs(span));
     if (!status) status = reach(flow, span);
     if (status || !project || flow->in_xi) return status; /* psi(xi) lies in D */
     status = dal_project(&flow->mech, 0.0, flow->state, NULL);
@@ -200,6 +205,18 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
     return status;
 }
 
+/* *error <- what roundoff does at the least: to the result, and to the time that a force sees. */
+static int roundoff(dal_flow *flow, double t0, double t1, double *error)
+{
+    const size_t N = dimension(flow);
+    *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result);
+    if (!dal_system_is_forced(flow->mech.eval.system)) return DAL_SUCCESS;
+    const int status = dal_field(&flow->mech, t1, flow->result, flow->state);
+    if (status) return pass_on(flow, &flow->mech.error, status);
+    *error += DAL_ROUNDOFF * fmax(fabs(t0), fabs(t1)) * dal__largest(N, flow->state);
+    return DAL_SUCCESS;
+}
+
 int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy)
 {
     if (!flow) return DAL_EINVAL;
@@ -218,8 +235,11 @@ int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accu
     double difference = 0.0;
     for (size_t i = 0; i < dimension(flow); i++)
         difference = fmax(difference, fabs(flow->result[i] - flow->state[i]));
+    double least;
+    status = roundoff(flow, t0, t1, &least);
+    if (status) return status;
     copy(flow, x, flow->result);
-    *accuracy = difference;
+    *accuracy = fmax(difference, least);
     return DAL_SUCCESS;
 }
 

@@ -27,6 +27,9 @@ __attribute__((format(printf, 3, 4)))
 /* Writes the text (printf format) and the status to error, which may be NULL; returns status. */
 int dal__fail(dal_error *error, int status, const char *format, ...);
 
+/* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
+int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);
+
 /* Status of what a user's callback returned: 0, DAL_EDOMAIN for > 0, DAL_EUSER for < 0. */
 int dal__callback_status(int returned);
 
@@ -152,6 +155,9 @@ void dal__ode_free(ode *self);
  * (1, or more: looser) is of the tolerance, up to 1 in all.  Errors of the field. */
 int dal__ode_begin(ode *self, double t0, double span, const double *y, double factor,
                    dal_error *error);
+/* From here on, until the next beginning, no step is longer; the first one is shorter too.  So it
+ * looks at the field elsewhere than without. */
+void dal__ode_shorten(ode *self, double longest);
 /* The same from where it stands, after its state was changed, towards elapsed time end. */
 int dal__ode_restart(ode *self, double end, dal_error *error);
 

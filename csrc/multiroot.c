@@ -85,8 +85,7 @@ int dal__multiroot_new(multiroot **solver, const dal_system *system, dal_error *
     self->solver = gsl_multiroot_fdfsolver_alloc(gsl_multiroot_fdfsolver_hybridsj, n + m);
     if (!self->solver) {
         dal__multiroot_free(self);
-        return dal__fail(error, DAL_ENOMEM, "gsl_multiroot_fdfsolver_alloc failed for %zu unknowns",
-                         n + m);
+        return dal__fail(error, DAL_ENOMEM, "out of memory for hybridsj in %zu unknowns", n + m);
     }
     *solver = self;
     return DAL_SUCCESS;

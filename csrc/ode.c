@@ -1,10 +1,14 @@
-/* Floor 1: one ordinary differential equation, by an adaptive method of GSL.
+/* Floor 1: one ordinary differential equation, by an adaptive method: GSL's explicit ones, and a
+ * stiff one of our own.
  *
- * The loop over steps is our own, over gsl_odeiv2_step and gsl_odeiv2_control: it refuses a step
- * that is not finite (GSL takes NaN for accurate), takes a shorter one where the field says that
- * it left its domain, and leaves GSL no reason to raise its handler.  The driver is there because
- * the multistep methods ask it for the tolerance. */
+ * The loop over steps is our own, over gsl_odeiv2_step: it refuses a step that is not finite (GSL
+ * takes NaN for accurate), takes a shorter one where the field says that it left its domain, and
+ * leaves GSL no reason to raise its handler.  GSL's implicit methods would: they hand a singular
+ * matrix 1 - h J to its LU, and allocate in every step.  Its driver and control follow a null
+ * pointer when memory runs out; so they are our own, for msadams, which asks them for the
+ * tolerance. */
 #include "internal.h"
+#include "lu.h"
 
 #include <gsl/gsl_errno.h>
 #include <gsl/gsl_odeiv2.h>
@@ -18,11 +22,29 @@ enum { MOST_STEPS = 10000000 };
 /* The first step is a fraction of what the field suggests and of the interval. */
 static const double FIRST_STEP = 0.00618033988749895;
 static const double FIRST_FRACTION = 0.381966011250105;
+static const double SHORTER = 0.6;
 
-/* GSL would report the iteration matrix 1 - h J of msbdf through its handler were it singular to
- * the last bit, as it is for round h and J with h J = 1.  The Jacobian is made too large by this
- * share, which is harmless as Newton's method corrects it, and which no round numbers undo. */
-static const double NUDGE = 6.18033988749895e-10;
+/* RODAS of order 4 with an embedded method of order 3, L-stable and stiffly accurate, so that it
+ * sees the field where a step ends: E. Hairer and G. Wanner, Solving Ordinary Differential
+ * Equations II, 2nd edition, IV.7.  Of stage i: where on the step it is; its share of f_t; how the
+ * stages before it enter the state that it sees, and its right side. */
+enum { STAGES = 6, RODAS_ORDER = 3 };
+static const double GAMMA = 0.25;
+static const struct {
+    double at, f_t, a[STAGES - 1], c[STAGES - 1];
+} stages[STAGES] = {
+    {0.0, 0.25, {0.0}, {0.0}},
+    {0.386, -0.1043, {1.544}, {-5.6688}},
+    {0.21, 0.1035, {0.9466785280815826, 0.2557011698983284},
+     {-2.430093356833875, -0.2063599157091915}},
+    {0.63, -0.0362, {3.314825187068521, 2.896124015972201, 0.9986419139977817},
+     {-0.1073529058151375, -9.594562251023355, -20.47028614809616}},
+    {1.0, 0.0, {1.221224509226641, 6.019134481288629, 12.53708332932087, -0.687886036105895},
+     {7.496443313967647, -10.24680431464352, -33.99990352819905, 11.7089089320616}},
+    {1.0, 0.0, {1.221224509226641, 6.019134481288629, 12.53708332932087, -0.687886036105895, 1.0},
+     {8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136,
+      -6.058818238834054}},
+};
 
 struct ode {
     size_t N;
@@ -30,17 +52,26 @@ struct ode {
     double tolerance;
     dal__field_fn field;
     void *ctx;
+    gsl_odeiv2_step *step;      /* of GSL's method; NULL for rodas */
     gsl_odeiv2_system system;
-    gsl_odeiv2_driver *driver;
+    gsl_odeiv2_control control; /* reads level */
+    gsl_odeiv2_driver driver;
+    double level;               /* the tolerance of this integration */
     double t0;       /* time is t0 + elapsed, so that short intervals lose no digits */
     double elapsed;
+    double longest;  /* step */
     double h;        /* suggested for the next step, with the sign of the direction */
-    unsigned order;  /* of the multistep method when the last accepted step began */
+    unsigned order;  /* of msadams when the last accepted step began */
+    bool current;    /* the Jacobian is that of the state */
     dal_error fault; /* of the field in the last attempt */
     size_t evaluations;
     double *state, *before;                   /* [N] */
     double *slope, *slope_after, *step_error; /* [N] */
-    double *point, *right, *left;             /* [N]: of the differenced Jacobian */
+    /* of rodas */
+    double *point, *right, *left, *rate;      /* [N]; rate: the derivative of the field by time */
+    double *jacobian, *matrix, *scale;        /* [N*N] */
+    double *stage;                            /* [STAGES*N] */
+    size_t *row;                              /* [N] */
     arena arena;
 };
 
@@ -54,20 +85,20 @@ static const char *method_name(dal_flow_method method)
     switch (method) {
     case DAL_FLOW_RK8PD: return "rk8pd";
     case DAL_FLOW_MSADAMS: return "msadams";
-    case DAL_FLOW_MSBDF: return "msbdf";
+    case DAL_FLOW_RODAS: return "rodas";
     }
     return NULL;
 }
 
-static const gsl_odeiv2_step_type *method_type(dal_flow_method method)
+/* The error that a step may make of y, relative and absolute. */
+static int allowed(void *level, double y, double dydt, double h, size_t i, double *error)
 {
-    switch (method) {
-    case DAL_FLOW_RK8PD: return gsl_odeiv2_step_rk8pd;
-    case DAL_FLOW_MSADAMS: return gsl_odeiv2_step_msadams;
-    case DAL_FLOW_MSBDF: return gsl_odeiv2_step_msbdf;
-    }
-    return NULL;
+    (void)dydt, (void)h, (void)i;
+    *error = *(const double *)level * fabs(y) + *(const double *)level;
+    return GSL_SUCCESS;
 }
+
+static const gsl_odeiv2_control_type control_type = {.name = "dalembert", .errlevel = allowed};
 
 /* The field, as GSL calls it.  What fails leaves its status and text in fault. */
 
@@ -92,72 +123,141 @@ static int evaluate(double elapsed, const double y[], double dydt[], void *param
     return dal__all_finite(self->N, dydt) ? GSL_SUCCESS : faulty(self, "field", elapsed);
 }
 
-/* dfdy[N*N] <- the Jacobian of the field by central differences, error O(d^2) + O(u/d).  No method
- * here reads dfdt[N]. */
-static int difference(double elapsed, const double y[], double *dfdy, double dfdt[], void *params)
+/* The Jacobian of the field at the state by central differences, error O(d^2) + O(u/d). */
+static int difference(ode *self)
 {
-    ode *const self = params;
     const size_t N = self->N;
+    const double *const y = self->state;
     copy(self, self->point, y);
     for (size_t j = 0; j < N; j++) {
         const double d = cbrt(DBL_EPSILON) * (1.0 + fabs(y[j]));
         const double above = y[j] + d, below = y[j] - d;
         self->point[j] = above;
-        int status = evaluate(elapsed, self->point, self->right, self);
+        int status = evaluate(self->elapsed, self->point, self->right, self);
         self->point[j] = below;
-        if (status == GSL_SUCCESS) status = evaluate(elapsed, self->point, self->left, self);
+        if (!status) status = evaluate(self->elapsed, self->point, self->left, self);
         self->point[j] = y[j];
-        if (status != GSL_SUCCESS) return status;
+        if (status) return status;
         for (size_t i = 0; i < N; i++)
-            dfdy[i * N + j] = (1.0 + NUDGE) * (self->right[i] - self->left[i]) / (above - below);
+            self->jacobian[i * N + j] = (self->right[i] - self->left[i]) / (above - below);
     }
-    if (!dal__all_finite(N * N, dfdy)) return faulty(self, "differenced Jacobian", elapsed);
-    memset(dfdt, 0, N * sizeof *dfdt);
+    if (!dal__all_finite(N * N, self->jacobian))
+        return faulty(self, "differenced Jacobian", self->elapsed);
+    self->current = true;
     return GSL_SUCCESS;
+}
+
+/* rate <- the derivative of the field by time where the step begins, one-sided of order 2, as there
+ * may be no field before.  It looks no farther than 1/32 of the step. */
+static int differ_in_time(ode *self, double h)
+{
+    const double d = h / 64.0;
+    int status = evaluate(self->elapsed + d, self->state, self->right, self);
+    if (!status) status = evaluate(self->elapsed + 2.0 * d, self->state, self->left, self);
+    for (size_t i = 0; !status && i < self->N; i++)
+        self->rate[i] = (4.0 * (self->right[i] - self->slope[i]) - (self->left[i] - self->slope[i]))
+                      / (2.0 * d);
+    return status;
+}
+
+/* matrix <- the factors of 1/(gamma h) - J. */
+static bool factor(ode *self, double h)
+{
+    const size_t N = self->N;
+    const double one = 1.0 / (GAMMA * h);
+    for (size_t i = 0; i < N * N; i++) {
+        const double diagonal = i % (N + 1) == 0 ? one : 0.0;
+        self->matrix[i] = diagonal - self->jacobian[i];
+        self->scale[i] = fabs(diagonal) + fabs(self->jacobian[i]);
+    }
+    if (!dal__all_finite(N * N, self->scale)) return false;
+    dal__equilibrate(N, self->scale, self->point);
+    return dal_lu_factor(N, N, self->matrix, self->scale, self->row);
+}
+
+/* One step of rodas, as gsl_odeiv2_step_apply. */
+static int rosenbrock(ode *self, double h)
+{
+    const size_t N = self->N;
+    int status = self->current ? GSL_SUCCESS : difference(self);
+    if (!status) status = differ_in_time(self, h);
+    if (!status && !factor(self, h)) status = GSL_ESING;
+    for (size_t s = 0; !status && s < STAGES; s++) {
+        copy(self, self->point, self->state);
+        for (size_t r = 0; r < s; r++)
+            for (size_t i = 0; i < N; i++)
+                self->point[i] += stages[s].a[r] * self->stage[r * N + i];
+        status = evaluate(self->elapsed + stages[s].at * h, self->point, self->right, self);
+        for (size_t i = 0; !status && i < N; i++) {
+            self->right[i] += h * stages[s].f_t * self->rate[i];
+            for (size_t r = 0; r < s; r++)
+                self->right[i] += stages[s].c[r] / h * self->stage[r * N + i];
+        }
+        if (!status)
+            dal_lu_solve(N, self->matrix, self->row, self->right, self->stage + s * N);
+    }
+    if (status) return status;
+    copy(self, self->step_error, self->stage + (STAGES - 1) * N);
+    for (size_t i = 0; i < N; i++) self->state[i] = self->point[i] + self->step_error[i];
+    return evaluate(self->elapsed + h, self->state, self->slope_after, self);
 }
 
 /* Making. */
 
+static void plan(ode *shape, arena *memory)
+{
+    const size_t N = shape->N, N2 = dal__times(N, N);
+    double **const vectors[] = {&shape->state, &shape->before, &shape->slope, &shape->slope_after,
+                                &shape->step_error};
+    double **const scratch[] = {&shape->point, &shape->right, &shape->left, &shape->rate};
+    double **const matrices[] = {&shape->jacobian, &shape->matrix, &shape->scale};
+    dal__reserve_doubles(memory, DAL_LENGTH(vectors), vectors, N);
+    if (shape->method != DAL_FLOW_RODAS) return;
+    dal__reserve_doubles(memory, DAL_LENGTH(scratch), scratch, N);
+    dal__reserve_doubles(memory, DAL_LENGTH(matrices), matrices, N2);
+    dal__reserve(memory, &shape->stage, dal__times(STAGES, N), sizeof(double));
+    dal__reserve(memory, &shape->row, N, sizeof(size_t));
+}
+
 int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
                  dal__field_fn field, void *ctx, dal_error *error)
 {
-    if (!method_type(method))
+    if (!method_name(method))
         return dal__fail(error, DAL_EINVAL, "method = %d is not a dal_flow_method", (int)method);
     if (!(tolerance > 0.0 && tolerance <= 0.1))
         return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in (0, 0.1]", tolerance);
 
-    if (method == DAL_FLOW_MSBDF && dal__times(N, N) > PTRDIFF_MAX / sizeof(double))
-        return dal__fail(error, DAL_ENOMEM, "the size of the Jacobian overflows"); /* in GSL */
-
     arena memory = {0};
     ode shape = {.N = N, .method = method, .tolerance = tolerance, .field = field, .ctx = ctx};
     ode *self;
-    double **const arrays[] = {&shape.state, &shape.before, &shape.slope, &shape.slope_after,
-                               &shape.step_error, &shape.point, &shape.right, &shape.left};
     dal__reserve(&memory, &self, 1, sizeof *self);
-    for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++)
-        dal__reserve(&memory, arrays[i], N, sizeof(double));
+    plan(&shape, &memory);
     const int status = dal__allocate(&memory, error);
     if (status) return status;
 
     *self = shape;
     self->arena = memory;
-    self->system = (gsl_odeiv2_system){evaluate, difference, N, self};
-    self->driver = gsl_odeiv2_driver_alloc_y_new(&self->system, method_type(method), FIRST_STEP,
-                                                 tolerance, tolerance);
-    if (!self->driver) {
+    *integrator = self;
+    if (method == DAL_FLOW_RODAS) return DAL_SUCCESS;
+    self->system = (gsl_odeiv2_system){evaluate, NULL, N, self};
+    self->control = (gsl_odeiv2_control){&control_type, &self->level};
+    self->driver = (gsl_odeiv2_driver){.sys = &self->system, .c = &self->control};
+    self->step = gsl_odeiv2_step_alloc(method == DAL_FLOW_RK8PD ? gsl_odeiv2_step_rk8pd
+                                                                : gsl_odeiv2_step_msadams, N);
+    if (!self->step) {
         dal__release(&memory);
+        *integrator = NULL;
         return dal__fail(error, DAL_ENOMEM, "out of memory for the workspace of %s",
                          method_name(method));
     }
-    *integrator = self;
+    gsl_odeiv2_step_set_driver(self->step, &self->driver);
     return DAL_SUCCESS;
 }
 
 void dal__ode_free(ode *self)
 {
     if (!self) return;
-    gsl_odeiv2_driver_free(self->driver);
+    gsl_odeiv2_step_free(self->step);
     arena memory = self->arena; /* the object lies inside it */
     dal__release(&memory);
 }
@@ -181,8 +281,9 @@ int dal__ode_restart(ode *self, double end, dal_error *error)
 {
     const double span = end - self->elapsed;
     if (evaluate(self->elapsed, self->state, self->slope, self)) return pass_on(self, error);
-    gsl_odeiv2_step_reset(self->driver->s);
+    if (self->step) gsl_odeiv2_step_reset(self->step);
     self->order = 1;
+    self->current = false;
     const double change =
         FIRST_STEP * (1.0 + dal__largest(self->N, self->state))
         / dal__largest(self->N, self->slope);
@@ -193,31 +294,56 @@ int dal__ode_restart(ode *self, double end, dal_error *error)
 int dal__ode_begin(ode *self, double t0, double span, const double *y, double factor,
                    dal_error *error)
 {
-    const double tolerance = factor * self->tolerance;
+    self->level = factor * self->tolerance;
     self->t0 = t0;
     self->elapsed = 0.0;
+    self->longest = HUGE_VAL;
     memmove(self->state, y, self->N * sizeof *y); /* y may be the state */
-    gsl_odeiv2_control_init(self->driver->c, tolerance, tolerance, 1.0, 0.0);
     return dal__ode_restart(self, span, error);
+}
+
+void dal__ode_shorten(ode *self, double longest)
+{
+    self->longest = longest;
+    self->h *= SHORTER;
+}
+
+/* Whether the errors of a step of size h are allowed; self->h <- the size to go on with, for a
+ * method of this order. */
+static bool accurate(ode *self, double h, unsigned order)
+{
+    double worst = DBL_MIN;
+    for (size_t i = 0; i < self->N; i++) {
+        double most;
+        allowed(&self->level, self->state[i], 0.0, h, i, &most);
+        worst = fmax(worst, fabs(self->step_error[i]) / most);
+    }
+    if (worst > 1.1) self->h = h * fmax(0.9 / pow(worst, 1.0 / order), 0.2);
+    else if (worst < 0.5)
+        self->h = h * fmin(fmax(0.9 / pow(worst, 1.0 / (order + 1.0)), 1.0), 5.0);
+    return worst <= 1.1;
 }
 
 /* One step of size h from elapsed time; on refusal the state is as it was.  Either way self->h is
  * the size to go on with. */
 static bool attempt(ode *self, double h)
 {
-    gsl_odeiv2_step *const step = self->driver->s;
-    const unsigned order = gsl_odeiv2_step_order(step);
+    gsl_odeiv2_step *const step = self->step;
+    const unsigned before = step ? gsl_odeiv2_step_order(step) : RODAS_ORDER;
     self->fault.status = DAL_SUCCESS;
     self->h = h;
     copy(self, self->before, self->state);
-    const int status = gsl_odeiv2_step_apply(step, self->elapsed, h, self->state, self->step_error,
-                                             self->slope, self->slope_after, &self->system);
+    const int status = step ? gsl_odeiv2_step_apply(step, self->elapsed, h, self->state,
+                                                    self->step_error, self->slope,
+                                                    self->slope_after, &self->system)
+                            : rosenbrock(self, h);
+    const unsigned after = step ? gsl_odeiv2_step_order(step) : RODAS_ORDER;
     const bool finite = status == GSL_SUCCESS && dal__all_finite(self->N, self->state) &&
                         dal__all_finite(self->N, self->step_error);
-    if (finite && gsl_odeiv2_control_hadjust(self->driver->c, step, self->state, self->step_error,
-                                             self->slope_after, &self->h) != GSL_ODEIV_HADJ_DEC) {
+    if (finite && accurate(self, h, after)) {
         copy(self, self->slope, self->slope_after);
-        self->order = order;
+        self->order = before;
+        self->current = false;
         return true;
     }
     copy(self, self->state, self->before);
@@ -225,7 +351,7 @@ static bool attempt(ode *self, double h)
     /* A multistep method is interrupted halfway by a field that fails; and one whose order fell by
      * two since the step that it goes back to would call GSL's handler. */
     const bool interrupted = self->fault.status || (status == GSL_SUCCESS && !finite);
-    if (interrupted || self->order > gsl_odeiv2_step_order(step) + 1) gsl_odeiv2_step_reset(step);
+    if (step && (interrupted || self->order > after + 1)) gsl_odeiv2_step_reset(step);
     return false;
 }
 
@@ -241,6 +367,7 @@ static int collapsed(const ode *self, double h, dal_error *error)
 static int attempt_towards(ode *self, double end, bool *accepted, dal_error *error)
 {
     const double left = end - self->elapsed;
+    if (fabs(self->h) > self->longest) self->h = copysign(self->longest, self->h);
     const bool last = fabs(self->h) >= fabs(left);
     /* Two halves instead of a step and a very short one. */
     const double h = last ? left : fabs(self->h) > 0.5 * fabs(left) ? 0.5 * left : self->h;

@@ -1,6 +1,7 @@
 /* Floor 0: status codes in words, and the error record. */
 #include "internal.h"
 
+#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 
@@ -33,6 +34,15 @@ int dal__fail(dal_error *error, int status, const char *format, ...)
         error->status = status;
     }
     return status;
+}
+
+int dal__require_output(dal_error *error, const char *name, size_t count, const double *x)
+{
+    for (size_t i = 0; x && i < count; i++)
+        if (!isfinite(x[i]))
+            return dal__fail(error, DAL_EDOMAIN, "the result %s[%zu] = %g is not finite", name, i,
+                             x[i]);
+    return DAL_SUCCESS;
 }
 
 int dal__callback_status(int returned)

@@ -20,9 +20,10 @@
  *      callbacks may.  Every other object belongs to one thread at a time.  There are no globals.
  *   7. GSL's error handler is never set, changed or provoked.  The one exception is memory: GSL
  *      can report a failed allocation only through its handler, so its workspaces are allocated
- *      only when an object is made (dal_flow_new, dal_embedding_new, dal_stepper_new with
- *      DAL_SOLVER_MULTIROOT, and dal_order_study, which makes a flow); only DAL_FLOW_MSBDF
- *      allocates as it goes, in GSL's factorisation of its matrix.
+ *      only when an object is made: dal_flow_new (but for DAL_FLOW_RODAS), dal_embedding_new,
+ *      dal_stepper_new with DAL_SOLVER_MULTIROOT, and dal_order_study, which makes a flow.  With a
+ *      handler that returns these return DAL_ENOMEM; only GSL itself may then have lost a block,
+ *      for DAL_FLOW_MSADAMS and DAL_SOLVER_MULTIROOT.
  *
  * The sections follow the floors of csrc/: ground, system, geometry, flow, discretisation, schemes,
  * runs. */
@@ -500,7 +501,8 @@ DAL_API int dal_chart_interpolate(dal_chart *chart, double t0, double h, double 
 typedef enum dal_flow_method {
     DAL_FLOW_RK8PD = 0,   /* Prince-Dormand 8(9), the default */
     DAL_FLOW_MSADAMS = 1, /* multistep Adams, orders 1 to 12 */
-    DAL_FLOW_MSBDF = 2    /* multistep BDF with a differenced Jacobian, for stiff potentials */
+    DAL_FLOW_RODAS = 2    /* Rosenbrock, order 4(3), with a differenced Jacobian, for stiff
+                             potentials */
 } dal_flow_method;
 
 typedef enum dal_flow_coordinates {
@@ -509,7 +511,7 @@ typedef enum dal_flow_coordinates {
                        on the way where it has become ill conditioned: every step lies in D */
 } dal_flow_coordinates;
 
-/* The flow of the ODE on D by an adaptive method of GSL (odeiv2). */
+/* The flow of the ODE on D by an adaptive method: GSL's (odeiv2), but for rodas. */
 typedef struct dal_flow dal_flow;
 
 /* tolerance: relative and absolute, for each step, in (0, 0.1]; 1e-13 is about the best. */
@@ -523,7 +525,10 @@ DAL_API const char *dal_flow_message(const dal_flow *flow);
  * That x lies in D is not checked: off D the same ODE is integrated, which keeps phi, and only the
  * result is projected; in xi the part of v off D is dropped at once.  *accuracy (or NULL) <-
  * estimate of the error, the largest component of the difference to the result at a tolerance ten
- * times as large; asking for it costs a second integration.
+ * times as large with steps of at most 1/17 of the interval, or roundoff if that is larger; asking
+ * for it costs a second integration.  What happens between the evaluations of both, as a short push
+ * in a long rest, is not seen: integrate from one such event to the next.  DAL_FLOW_MSADAMS takes
+ * two evaluations for a step, and is for smooth forces only.
  * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed). */
 DAL_API int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy);
 

@@ -28,7 +28,7 @@ SIZES = {"auto": lib.DAL_SIZES_AUTO, "runtime": lib.DAL_SIZES_RUNTIME}
 METHODS = {
     "rk8pd": lib.DAL_FLOW_RK8PD,
     "msadams": lib.DAL_FLOW_MSADAMS,
-    "msbdf": lib.DAL_FLOW_MSBDF,
+    "rodas": lib.DAL_FLOW_RODAS,
 }
 COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
 
@@ -95,7 +95,7 @@ def integrate(
         Which compilation of the step is used; the bits are the same.
     max_iterations : int, optional
         Of Newton in a sub-step.
-    method : {"rk8pd", "msadams", "msbdf"}, optional
+    method : {"rk8pd", "msadams", "rodas"}, optional
         Of the reference flow.
     tolerance : float, optional
         Of the reference flow, relative and absolute, for each of its steps.
@@ -226,7 +226,7 @@ def reference(
         Times; ``t < t0`` is allowed.
     consistent : {"check", "project", "assume"}, optional
         As in `integrate`.
-    method : {"rk8pd", "msadams", "msbdf"}, optional
+    method : {"rk8pd", "msadams", "rodas"}, optional
         Prince-Dormand 8(9), Adams, or BDF for stiff potentials.
     tolerance : float, optional
         Relative and absolute, for each step, in (0, 0.1].

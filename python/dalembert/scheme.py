@@ -241,8 +241,8 @@ def _validator() -> System:
 REFERENCE = Scheme(
     (),
     name="reference",
-    help="adaptive integration of the ODE on D by GSL: best for short accurate runs",
-    reference="GSL odeiv2: rk8pd, msadams, msbdf",
+    help="adaptive integration of the ODE on D: best for short accurate runs",
+    reference="GSL odeiv2: rk8pd, msadams; Hairer and Wanner 1996: rodas",
 )
 
 

@@ -324,6 +324,14 @@ static int failing(const double *q, const double *v, double *g, double *g_v, dou
     return *(const int *)ctx;
 }
 
+/* Never called. */
+static int no_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, void *ctx)
+{
+    (void)q, (void)v, (void)phi, (void)phi_v, (void)phi_q, (void)ctx;
+    return -1;
+}
+
 static void test_failures(void)
 {
     dal_system *const base = open_system("particle");
@@ -351,6 +359,25 @@ static void test_failures(void)
             DAL_EINVAL, "no constraints");
     REFUSED(dal_system_deform_nodes(&system, base, INFINITY, &error), DAL_EINVAL, "shift = inf");
     REFUSED(dal_system_deform_nodes(&system, NULL, 0.1, &error), DAL_EINVAL, "base is NULL");
+    /* phi_v is formed on the stack: 62 * 63 entries are not too many, 63 * 64 are */
+    for (size_t n = 63; n <= 64; n++) {
+        double many[64 * 64] = {0};
+        for (size_t i = 0; i < n; i++) many[i * n + i] = 1.0;
+        const dal_system_def def = {.n = n, .m = n - 1, .mass = many, .constraint = no_constraint,
+                                    .missing = DAL_MISSING_PHI_Q};
+        dal_system *large = NULL;
+        CHECK(dal_system_new(&large, &def, NULL) == 0);
+        if (n == 63) {
+            CHECK(dal_system_deform(&system, large, product, &one, 0.1, DAL_LINEAR, 0, NULL) == 0);
+            CHECK(dal_system_missing(system) == DAL_MISSING_PHI_Q); /* that of the base */
+            dal_system_free(system);
+            system = NULL;
+        } else {
+            REFUSED(dal_system_deform(&system, large, product, &one, 0.1, DAL_LINEAR, 0, &error),
+                    DAL_EUNSUPPORTED, "m n = 63 * 64");
+        }
+        dal_system_free(large);
+    }
 #undef REFUSED
     static const int answers[3] = {1, -1, 0}; /* 0: and nothing is written */
     for (int k = 0; k < 3; k++) {

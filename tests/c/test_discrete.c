@@ -1046,7 +1046,7 @@ static int flat_map(double h, const double *q0, const double *q1, double *g, dou
 
 /* rho^(1/2) that refuses long steps, stops, or forgets. */
 typedef struct moody {
-    enum { FINE, REFUSES, STOPS, FORGETS, FORGETS_SLOPE, NANS } mood;
+    enum { FINE, REFUSES, STOPS, FORGETS_PLACE, FORGETS, FORGETS_SLOPE, NANS } mood;
     double longest;
     size_t refused, calls, spoil; /* from call spoil on it is moody */
 } moody;
@@ -1061,7 +1061,8 @@ static int moody_map(double h, const double *q0, const double *q1, double *g, do
             is->refused++;
             return 1;
         }
-        g[i] = now && is->mood == NANS ? NAN : (q0[i] + q1[i]) / 2;
+        if (!now || is->mood != FORGETS_PLACE) g[i] = (q0[i] + q1[i]) / 2;
+        if (now && is->mood == NANS) g[i] = NAN;
         if (!now || is->mood != FORGETS) f[i] = (q1[i] - q0[i]) / h;
         for (size_t j = 0; g_0 && j < 3; j++) {
             g_0[3 * i + j] = g_1[3 * i + j] = (i == j) / 2.0;
@@ -1080,13 +1081,14 @@ static void test_moods(void)
     } cases[] = {
         {REFUSES, DAL_EDOMAIN, "difference map returned 3"},
         {STOPS, DAL_EUSER, "difference map returned -3"},
+        {FORGETS_PLACE, DAL_EDOMAIN, "difference map: g[0,0] = nan"},
         {FORGETS, DAL_EDOMAIN, "difference map: f[0,0] = nan"},
         {FORGETS_SLOPE, DAL_EDOMAIN, "difference map: f_0[0,0] = nan"},
         {NANS, DAL_EDOMAIN, "difference map: g[0,0] = nan"},
     };
     dal_system *const system = open_system("particle_oscillator");
     const double x0[6] = {0.5, 0.3, -0.2, 1.0, 0.7, 0.3}, h = 0.1;
-    for (size_t c = 0; c < 5; c++)
+    for (size_t c = 0; c < DAL_LENGTH(cases); c++)
         for (size_t spoil = 0; spoil < 40; spoil++) {
             moody is = {.mood = cases[c].mood, .longest = 10.0, .spoil = spoil};
             dal_discrete *const d =
@@ -1225,10 +1227,29 @@ static void test_errors(void)
     memcpy(nodes, q0, sizeof q0);
     memcpy(nodes + 3, q1, sizeof q1);
     CHECK(dal_discrete_run(d, 0.0, 0.1, 0, nodes, NULL, NULL) == DAL_SUCCESS && nodes[6] == 7.0);
+    /* How far off a run may start: the velocity is (1, 0.7, y), and lies in D with y = 0.3. */
+    for (int k = 0; k < 2; k++) {
+        const double off = k == 0 ? 1e-7 : 1e-10, start[6] = {0.5, 0.3, -0.2, 1, 0.7, 0.3 + off};
+        CHECK(dal_discrete_nodes(d, 0.1, start, nodes, nodes + 3) == DAL_SUCCESS);
+        CHECK(dal_discrete_run(d, 0.0, 0.1, 2, nodes, NULL, &done) == (k == 0 ? DAL_EOFFD : 0));
+    }
     /* an overflow is found */
     double fast[6] = {0, 0, 0, 0, 1e308, 0};
     CHECK(dal_discrete_advance(d, 0.0, 1e10, fast, NULL) < 0 && fast[4] == 1e308);
     dal_discrete_free(d);
+
+    /* also of the node alone, where no velocity overflows */
+    const double unit[1] = {1.0};
+    const dal_system_def free_def = {.n = 1, .mass = unit};
+    const dal_difference_map explicit = rho_beta(0.0);
+    dal_system *free_body = NULL;
+    need(dal_system_new(&free_body, &free_def, NULL), "free", "");
+    d = open_discrete(free_body, explicit, NULL);
+    double far0[1] = {0.7e308}, far1[1] = {1.4e308};
+    CHECK(dal_discrete_step(d, 0.0, 1e154, far0, far1, NULL) == DAL_EDOMAIN);
+    CHECK(strstr(dal_discrete_message(d), "is not finite") != NULL && far1[0] == 1.4e308);
+    dal_discrete_free(d);
+    dal_system_free(free_body);
 
     dal_flow *const flow = open_flow(system);
     /* maps without an inverse: none at all, none for this h, where f turns back */
@@ -1268,6 +1289,9 @@ static void test_errors(void)
     CHECK(strstr(dal_flow_message(long_flow), "too large") != NULL && v[0] == 7.0);
     CHECK(dal_exact_velocity(long_flow, 0.0, 1.0, a, b, v, NULL) == DAL_SUCCESS);
     CHECK_NEAR(v[0], (b[0] - cos(1.0)) / sin(1.0), 1e-12);
+    v[0] = 7.0;
+    CHECK(dal_exact_velocity(long_flow, 0.0, 1e-290, a, (double[]){1e200}, v, NULL) < 0);
+    CHECK(v[0] == 7.0);
     dal_flow_free(long_flow);
     dal_system_free(line);
 }

@@ -175,11 +175,11 @@ static void test_time(dal_flow_method method, double span)
     dal__ode_free(self);
 }
 
-/* msbdf steps over what decays, or hardly moves, which it can only with the right Jacobian; an
+/* rodas steps over what decays, or hardly moves, which it can only with the right Jacobian; an
  * explicit method has to resolve it. */
 static void test_stiff(size_t N, dal__field_fn field, double rate, const double *y0, double exact)
 {
-    const dal_flow_method methods[2] = {DAL_FLOW_MSBDF, DAL_FLOW_RK8PD};
+    const dal_flow_method methods[2] = {DAL_FLOW_RODAS, DAL_FLOW_RK8PD};
     size_t evaluations[2];
     for (size_t i = 0; i < 2; i++) {
         problem p = {.from = SIZE_MAX, .rate = rate};
@@ -242,6 +242,22 @@ static void test_steps(dal_flow_method method, double span)
     CHECK(dal__ode_reach(self, 2.0 * span, NULL) == 0); /* further on */
     CHECK_NEAR(dal__ode_state(self)[1], 0.5 * cos(2.0 * span) - sin(2.0 * span), 1e-4);
     dal__ode_free(whole);
+    dal__ode_free(self);
+}
+
+/* A step that is accepted and too short for the clock does not go on without it. */
+static void test_clock(dal_flow_method method)
+{
+    const double y0[1] = {0.0};
+    problem p = {.N = 1, .from = SIZE_MAX, .rate = 1e-3};
+    dal_error error = {0};
+    ode *self = open_ode(1, method, 1e-6, exponential, &p);
+    CHECK(run(self, 0.0, 1.0, y0, 1.0, NULL) == 0);
+    p.rate = -1e18;
+    dal__ode_state(self)[0] = 1.0; /* the first step is about 1e-20 */
+    CHECK(dal__ode_restart(self, 2.0, NULL) == 0);
+    CHECK(dal__ode_reach(self, 2.0, &error) == DAL_ENOCONV);
+    CHECK(strstr(error.text, "collapsed to h = ") != NULL && dal__ode_elapsed(self) == 1.0);
     dal__ode_free(self);
 }
 
@@ -345,12 +361,12 @@ static void test_recovery(dal_flow_method method, int answer)
     dal__ode_free(self);
 }
 
-/* A solution that runs into the wall stops there, msbdf where its differences, y + 2e-5 at most,
+/* A solution that runs into the wall stops there, rodas where its differences, y + 2e-5 at most,
  * begin to do so.  One that turns before it goes on
  * by shorter steps. */
 static void test_wall(dal_flow_method method)
 {
-    const double distance = method == DAL_FLOW_MSBDF ? 2e-5 : 1e-12;
+    const double distance = method == DAL_FLOW_RODAS ? 2e-5 : 1e-12;
     const double y0[1] = {0.0};
     problem p = {0};
     dal_error error = {0};
@@ -390,20 +406,118 @@ static void test_collapse(dal_flow_method method)
     dal__ode_free(self);
 }
 
-/* 1 - h J of msbdf is singular where h * rate = 1: ends and rates chosen to meet that do not. */
-static void test_singular_msbdf(void)
+/* 1/(gamma h) - J of rodas is singular where h * rate = 1/gamma = 4; the spans are chosen to meet
+ * that.  Such a step is refused, and shorter ones are as good as ever. */
+static void test_singular_rodas(void)
 {
     const double y0[1] = {1e-3};
     for (int exponent = -10; exponent <= 30; exponent++) {
         problem p = {.N = 1, .from = SIZE_MAX, .rate = ldexp(1.0, exponent)};
-        ode *self = open_ode(1, DAL_FLOW_MSBDF, 1e-2, exponential, &p);
-        const double h = ldexp(1.0, -exponent);
-        CHECK(dal__ode_begin(self, 0.0, h, y0, 1.0, NULL) == 0);
-        for (int k = 1; k <= 4; k++) CHECK(dal__ode_reach(self, k * h, NULL) == 0);
-        /* tolerance 1e-2 a step, at most ten a unit, growth exp(4) */
-        CHECK_NEAR(dal__ode_state(self)[0], 1e-3 * exp(4.0), 4.0);
+        ode *self = open_ode(1, DAL_FLOW_RODAS, 1e-4, exponential, &p);
+        const double h = 4.0 * ldexp(1.0, -exponent);
+        for (int whole = 0; whole <= 1; whole++) {
+            CHECK(dal__ode_begin(self, 0.0, whole ? 3.0 * h : h, y0, 1.0, NULL) == 0);
+            CHECK(dal__ode_reach(self, h, NULL) == 0);
+            /* some ten steps with an error of at most 1e-4 (1 + y), growing by exp(4) or less */
+            CHECK_NEAR(dal__ode_state(self)[0], 1e-3 * exp(4.0), 20e-4 * exp(4.0));
+            CHECK_NEAR(dal__ode_state(self)[0] / (1e-3 * exp(4.0)), 1.0, 0.5);
+        }
         dal__ode_free(self);
     }
+}
+
+/* y' = A y + b cos t with entries of any size; now and then a call gives something that is no
+ * number, or is refused.  After so many calls it says stop. */
+typedef struct wild {
+    uint64_t random;
+    size_t N, call, most;
+    double A[4 * 4], b[4];
+} wild;
+
+/* Uniform in [0, 1). */
+static double draw(uint64_t *random)
+{
+    *random = *random * 6364136223846793005u + 1442695040888963407u;
+    return (double)(*random >> 11) * 0x1p-53;
+}
+
+static double draw_entry(uint64_t *random)
+{
+    const double sign = draw(random) < 0.5 ? -1.0 : 1.0, kind = draw(random);
+    if (kind < 0.3) return 0.0;
+    if (kind < 0.6) return sign; /* singular matrices, round numbers */
+    return sign * pow(10.0, (kind < 0.9 ? 40.0 : 600.0) * (draw(random) - 0.5));
+}
+
+static int wild_field(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    wild *const w = ctx;
+    if (++w->call > w->most) return dal__fail(error, DAL_EUSER, "enough");
+    for (size_t i = 0; i < w->N; i++) {
+        dydt[i] = w->b[i] * cos(t);
+        for (size_t j = 0; j < w->N; j++) dydt[i] += w->A[i * w->N + j] * y[j];
+    }
+    const double chance = draw(&w->random);
+    if (chance < 0.004) return dal__fail(error, DAL_EDOMAIN, "not here");
+    if (chance < 0.008) dydt[w->call % w->N] = NAN;
+    else if (chance < 0.012) dydt[w->call % w->N] = -INFINITY;
+    else if (chance < 0.016) dydt[w->call % w->N] = DBL_MAX;
+    return 0;
+}
+
+/* Whatever the system: a status, a state that is finite, and GSL's handler, which aborts, is not
+ * called. */
+static void test_wild(dal_flow_method method)
+{
+    size_t succeeded = 0;
+    for (uint64_t seed = 0; seed < 2000; seed++) {
+        wild w = {.random = seed, .N = 1 + seed % 4, .most = 400};
+        double y[4];
+        dal_error error = {0};
+        ode *self = NULL;
+        for (size_t i = 0; i < w.N * w.N; i++) w.A[i] = draw_entry(&w.random);
+        for (size_t i = 0; i < w.N; i++) w.b[i] = draw_entry(&w.random);
+        for (size_t i = 0; i < w.N; i++) y[i] = draw_entry(&w.random);
+        const double tolerance = pow(10.0, -1.0 - 14.0 * draw(&w.random));
+        const double span = pow(10.0, 20.0 * (draw(&w.random) - 0.5));
+        CHECK(dal__ode_new(&self, w.N, method, tolerance, wild_field, &w, NULL) == 0);
+        const int status = run(self, draw_entry(&w.random), seed % 2 ? span : -span, y, 1.0,
+                               &error);
+        CHECK(status == 0 || (status == error.status && error.text[0] != '\0'));
+        CHECK(dal__all_finite(w.N, dal__ode_state(self)));
+        succeeded += status == 0;
+        dal__ode_free(self);
+    }
+    CHECK(succeeded > 200); /* most of the others are told to stop */
+}
+
+/* y_1' = y_1 cos t; a large y_2 makes every step as large as it may be, two in all. */
+static int swing(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    (void)ctx, (void)error;
+    dydt[0] = y[0] * cos(t);
+    dydt[1] = 0.0;
+    return 0;
+}
+
+/* Of order 4, also in time: half the span has 1/32 of the error.  A wrong coefficient would cost an
+ * order.  The number of calls says that the steps are the same. */
+static void test_order_rodas(void)
+{
+    const double y0[2] = {1.0, 1e6}, t0 = 0.5;
+    double before = 0.0;
+    ode *self = NULL;
+    CHECK(dal__ode_new(&self, 2, DAL_FLOW_RODAS, 0.1, swing, NULL, NULL) == 0);
+    for (int halvings = 0; halvings <= 3; halvings++) {
+        const double span = ldexp(0.5, -halvings);
+        const size_t calls = dal__ode_evaluations(self);
+        CHECK(run(self, t0, span, y0, 1.0, NULL) == 0);
+        CHECK(dal__ode_evaluations(self) == calls + 1 + 2 * (4 + 2 + 6 + 1));
+        const double error = dal__ode_state(self)[0] - exp(sin(t0 + span) - sin(t0));
+        if (halvings >= 2) CHECK_NEAR(log2(before / error), 5.0, 0.3);
+        before = error;
+    }
+    dal__ode_free(self);
 }
 
 /* Data that no integration can begin from. */
@@ -444,7 +558,7 @@ static void test_arguments(void)
               == DAL_ENOMEM);
     CHECK(error.status == DAL_ENOMEM && strstr(error.text, "overflows") != NULL);
     error.text[0] = '\0';
-    CHECK(dal__ode_new(&self, (size_t)1 << 31, DAL_FLOW_MSBDF, 0.1, oscillator, &p, &error)
+    CHECK(dal__ode_new(&self, (size_t)1 << 31, DAL_FLOW_RODAS, 0.1, oscillator, &p, &error)
           == DAL_ENOMEM);
     CHECK(strstr(error.text, "overflows") != NULL);
     CHECK(self == none);
@@ -454,7 +568,7 @@ static void test_arguments(void)
 int main(void)
 {
     gsl_set_error_handler(abort_on_gsl_error);
-    for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_MSBDF; method++) {
+    for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_RODAS; method++) {
         for (int sign = -1; sign <= 1; sign += 2) {
             test_oscillator(method, sign * 3.0);
             test_exponential(method, 1, sign * 2.0);
@@ -465,6 +579,7 @@ int main(void)
         }
         test_factor(method);
         test_restart(method);
+        test_clock(method);
         test_chart(method);
         test_failing(method, DAL_EDOMAIN, DAL_EDOMAIN);
         test_failing(method, DAL_ENOCONV, DAL_ENOCONV);
@@ -474,10 +589,12 @@ int main(void)
         test_recovery(method, 0);
         test_wall(method);
         test_collapse(method);
+        test_wild(method);
     }
     test_stiff(1, prothero, -1e4, (const double[1]){1.0}, cos(10.0));
     test_stiff(2, spring, -1e8, (const double[2]){1e-12, 0.0}, 0.0);
-    test_singular_msbdf();
+    test_singular_rodas();
+    test_order_rodas();
     test_beginning();
     test_arguments();
     return check_done();

@@ -132,15 +132,17 @@ static void check_invalid(const dal_scheme *scheme, const char *words)
 static void test_validation(void)
 {
     const dal_substep too_long[] = {{0.5, 0.5}, {0.5, 0.5000001}};
+    const dal_substep off[] = {{0.5, 0.5}, {0.5, 0.50000000000005}}; /* 1e-14 (1 + 1) is rounding */
     const dal_substep zero[] = {{0.5, 1.0}, {0.5, 0.0}};
     const dal_substep outside[] = {{0.5, 0.5}, {1.25, 0.5}}, unknown[] = {{NAN, 1.0}};
     const dal_substep infinite[] = {{0.5, INFINITY}}, two[] = {{0.0, 0.5}, {1.0, 0.5}};
     const dal_substep thirds[] = {{0.5, 0.333333333333333}, {0.5, 0.333333333333333},
-                                  {0.5, 0.333333333333334}};
+                                  {0.5, 0.333333333333333}};
     check_invalid(&(dal_scheme){.beta = -0.1}, "beta = -0.1");
     check_invalid(&(dal_scheme){.beta = NAN}, "beta = ");
     check_invalid(&(dal_scheme){.count = 2}, "count = 2");
     check_invalid(&(dal_scheme){.count = 2, .substeps = too_long}, "sum to 1.00000");
+    check_invalid(&(dal_scheme){.count = 2, .substeps = off}, "sum to 1.00000000000005");
     check_invalid(&(dal_scheme){.count = 2, .substeps = zero}, "sub-step 1: fraction = 0");
     check_invalid(&(dal_scheme){.count = 2, .substeps = outside}, "sub-step 1: beta = 1.25");
     check_invalid(&(dal_scheme){.count = 1, .substeps = unknown}, "sub-step 0: beta");
@@ -151,6 +153,28 @@ static void test_validation(void)
     CHECK(dal__scheme_check(&(dal_scheme){.count = 2, .substeps = two}, NULL) == DAL_SUCCESS);
     CHECK(dal__scheme_check(&(dal_scheme){.count = 3, .substeps = thirds}, NULL) == DAL_SUCCESS);
     CHECK(dal__scheme_check(&(dal_scheme){0}, NULL) == DAL_SUCCESS); /* explicit */
+}
+
+/* Never called. */
+static int no_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
+                         double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    (void)q, (void)v, (void)L, (void)L_q, (void)L_v, (void)L_qq, (void)L_vq, (void)L_vv, (void)ctx;
+    return -1;
+}
+
+static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
+                    void *ctx)
+{
+    (void)t, (void)q, (void)v, (void)f, (void)f_q, (void)f_v, (void)ctx;
+    return -1;
+}
+
+static int no_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, void *ctx)
+{
+    (void)q, (void)v, (void)phi, (void)phi_v, (void)phi_q, (void)ctx;
+    return -1;
 }
 
 static void test_explicit_and_shift(void)
@@ -168,6 +192,22 @@ static void test_explicit_and_shift(void)
         CHECK(status != DAL_SUCCESS || shift == 1.0 - s.beta);
     }
     CHECK(dal_scheme_is_explicit(&twice, system) == 1);
+    CHECK(dal_scheme_is_explicit(NULL, system) == 0 && dal_scheme_is_explicit(&twice, NULL) == 0);
+    /* not of a mass that is not constant, nor with a force, nor with a nonlinear constraint */
+    const double mass[4] = {1, 0, 0, 1};
+    dal_system_def def = {.n = 2, .mass = mass};
+    for (int k = 0; k < 4; k++) {
+        dal_system *other = NULL;
+        def.mass = k == 1 ? NULL : mass;
+        def.lagrangian = k == 1 ? no_lagrangian : NULL;
+        def.force = k == 2 ? no_force : NULL;
+        def.m = k == 3;
+        def.constraint = k == 3 ? no_constraint : NULL;
+        def.kind = k == 3 ? DAL_NONLINEAR : DAL_LINEAR;
+        CHECK(dal_system_new(&other, &def, NULL) == 0);
+        CHECK(dal_scheme_is_explicit(&twice, other) == (k == 0));
+        dal_system_free(other);
+    }
     CHECK(dal_scheme_is_explicit(&single, system) == 0);
     CHECK(dal_scheme_shift(&single, &shift) == DAL_SUCCESS && shift == 0.75);
     CHECK(dal_scheme_shift(&twice, &shift) == DAL_EUNSUPPORTED && shift == 0.75);
