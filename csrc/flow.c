@@ -4,9 +4,14 @@
 
 #include <math.h>
 #include <string.h>
+#include <time.h>
 
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
+
+/* How often the watch is asked; the clock is read at one evaluation of the field in so many. */
+static const double WATCH_SECONDS = 0.05;
+enum { PER_READING = 8 };
 
 /* Accepted steps of one integration in xi; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
@@ -19,6 +24,10 @@ struct dal_flow {
     ode *integrator;
     double tolerance;
     double *result, *state;  /* [2n] */
+    dal_watch_fn watch;      /* or NULL */
+    void *watch_ctx;
+    size_t unread;           /* evaluations since the clock was read */
+    double asked;            /* when the watch was, in seconds */
     dal_error error;
     arena arena;
 };
@@ -30,22 +39,44 @@ static void copy(const dal_flow *flow, double *to, const double *from)
     memcpy(to, from, dimension(flow) * sizeof *to);
 }
 
-/* dxdt[2n] <- the field on D at x[2n], of the mechanics ctx. */
+/* Asks the watch whether to go on; the clock, so that this costs nothing. */
+static int ask(dal_flow *flow, double t, dal_error *error)
+{
+    if (!flow->watch || ++flow->unread < PER_READING) return DAL_SUCCESS;
+    flow->unread = 0;
+    struct timespec now;
+    timespec_get(&now, TIME_UTC);
+    const double seconds = (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+    if (fabs(seconds - flow->asked) < WATCH_SECONDS) return DAL_SUCCESS;
+    flow->asked = seconds;
+    const int returned = flow->watch(t, flow->watch_ctx);
+    if (returned == 0) return DAL_SUCCESS;
+    return dal__fail(error, returned > 0 ? DAL_STOPPED : DAL_EUSER,
+                     "the watch returned %d at t = %g", returned, t);
+}
+
+/* dxdt[2n] <- the field on D at x[2n], of the flow ctx. */
 static int field(double t, const double *x, double *dxdt, void *ctx, dal_error *error)
 {
-    dal_mechanics *const mech = ctx;
-    const int status = dal_field(mech, t, x, dxdt);
+    dal_flow *const flow = ctx;
+    dal_mechanics *const mech = &flow->mech;
+    int status = ask(flow, t, error);
+    if (status) return status;
+    status = dal_field(mech, t, x, dxdt);
     if (status) *error = mech->error;
     else if (!dal__all_finite(2 * mech->n, dxdt))
         return dal__fail(error, DAL_EDOMAIN, "the acceleration at t = %.17g is not finite", t);
     return status;
 }
 
-/* The same in xi[2n-m], of the chart ctx. */
+/* The same in xi[2n-m]. */
 static int field_in_xi(double t, const double *xi, double *dxidt, void *ctx, dal_error *error)
 {
-    dal_chart *const chart = ctx;
-    const int status = dal_chart_field(chart, t, xi, dxidt);
+    dal_flow *const flow = ctx;
+    dal_chart *const chart = &flow->chart;
+    int status = ask(flow, t, error);
+    if (status) return status;
+    status = dal_chart_field(chart, t, xi, dxidt);
     if (status) *error = chart->mech.error;
     else if (!dal__all_finite(chart->width, dxidt))
         return dal__fail(error, DAL_EDOMAIN, "the acceleration at t = %.17g is not finite", t);
@@ -78,10 +109,8 @@ int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method meth
     self->arena = memory;
     dal__mechanics_bind(&self->mech, system);
     if (self->in_xi) dal__chart_bind(&self->chart, system);
-    status = self->in_xi ? dal__ode_new(&self->integrator, 2 * n - m, method, tolerance,
-                                        field_in_xi, &self->chart, error)
-                         : dal__ode_new(&self->integrator, 2 * n, method, tolerance, field,
-                                        &self->mech, error);
+    status = dal__ode_new(&self->integrator, self->in_xi ? 2 * n - m : 2 * n, method, tolerance,
+                          self->in_xi ? field_in_xi : field, self, error);
     if (status) dal_flow_free(self);
     else *flow = self;
     return status;
@@ -93,6 +122,15 @@ void dal_flow_free(dal_flow *flow)
     dal__ode_free(flow->integrator);
     arena memory = flow->arena; /* the object lies inside it */
     dal__release(&memory);
+}
+
+void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
+{
+    if (!flow) return;
+    flow->watch = watch;
+    flow->watch_ctx = ctx;
+    flow->unread = PER_READING; /* asks at the next evaluation */
+    flow->asked = 0.0;
 }
 
 const char *dal_flow_message(const dal_flow *flow) { return flow->error.text; }

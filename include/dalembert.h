@@ -50,7 +50,7 @@ extern "C" {
 
 typedef enum dal_status {
     DAL_SUCCESS = 0,
-    DAL_STOPPED = 1,       /* an observer asked to stop; what was computed is valid */
+    DAL_STOPPED = 1,       /* an observer or a watch asked to stop; what was computed is valid */
     DAL_EINVAL = -1,       /* an argument is NULL, out of range or not finite */
     DAL_ENOMEM = -2,       /* memory could not be allocated, or its size overflows */
     DAL_EUSER = -3,        /* a callback returned a negative number */
@@ -511,13 +511,21 @@ DAL_API int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_met
 DAL_API void dal_flow_free(dal_flow *flow);
 DAL_API const char *dal_flow_message(const dal_flow *flow);
 
+/* Asked some twenty times a second while a flow computes, t the time where it is: return 0 to go
+ * on, > 0 to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
+typedef int (*dal_watch_fn)(double t, void *ctx);
+
+/* Has watch asked by all that computes with the flow; NULL: nobody. */
+DAL_API void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);
+
 /* x[2n] at t0, which must lie in D, -> x at t1 (t1 < t0 is allowed), projected onto D at the end
  * (ODEflow).
  * That x lies in D is not checked: off D the same ODE is integrated, which keeps phi, and only the
  * result is projected; in xi the part of v off D is dropped at once.  *accuracy (or NULL) <-
  * estimate of the error, the largest component of the difference to the result at a tolerance ten
  * times as large; asking for it costs a second integration.
- * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed). */
+ * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed),
+ * DAL_STOPPED, where x is as it was too. */
 DAL_API int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy);
 
 /* Rows 1..steps of x[(steps+1)*2n] from row 0, which must lie in D (not checked either): the

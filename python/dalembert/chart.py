@@ -650,7 +650,8 @@ def _indices(system: System, dependent: str | Iterable[str]) -> list[int]:
     unknown = [name for name in names if name not in system.coordinates]
     if unknown:
         raise ValueError(
-            f"dependent: there is no coordinate {unknown[0]!r}; there are "
+            f"dependent: there is no coordinate {arguments.shown(unknown[0])}; "
+            f"{arguments.suggestion(unknown[0], system.coordinates)}there are "
             f"{', '.join(system.coordinates)}"
         )
     if len(names) != system.m:

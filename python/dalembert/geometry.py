@@ -39,8 +39,13 @@ __all__ = [
     "residual",
 ]
 
-# Rows in one call of C: a fraction of a second at most, so that Ctrl-C is seen between two.
-_BLOCK = 1 << 14
+def most_in_a_call(system: System) -> int:
+    """Return how many states or steps C may work on in one call, so that Ctrl-C is seen soon.
+
+    It takes a tenth of a second at most, as a state takes some (n + m)^3 operations.  It depends on
+    the sizes only, not on the machine, and so do the bits of what is summed up in a call.
+    """
+    return max(1, min(2**14, 2**22 // (system.n + system.m) ** 3))
 
 
 # ---- states --------------------------------------------------------------------------------
@@ -64,12 +69,13 @@ def states(
 def initial(
     system: System, q0: ArrayLike | None, v0: ArrayLike | None, *names: str
 ) -> tuple[Array, Array]:
-    """Return initial data, those of the system where none are given.
+    """Return initial data, those of the system where none are given; ValueError for half of them.
 
     ``names`` are those of the two arguments, by default q0 and v0.
     """
     found = []
     q_name, v_name = names or ("q0", "v0")
+    arguments.pair(q0, v0, (q_name, v_name), "the initial data of the system")
     for given, default, name in ((q0, system.q0, q_name), (v0, system.v0, v_name)):
         value = default if given is None else given
         if value is None:
@@ -93,11 +99,12 @@ def trajectory(
     values = np.empty((len(x),) if width is None else (len(x), width))
     done = ffi.new("size_t *")
     with system._workspace() as mechanics:
-        for start in range(0, len(x), _BLOCK):
+        most = most_in_a_call(system)
+        for start in range(0, len(x), most):
             pointers = [
                 _lib.pointer(values, start) if name == output else ffi.NULL for name in outputs
             ]
-            count = min(_BLOCK, len(x) - start)
+            count = min(most, len(x) - start)
             status = _lib.attempt(
                 lib.dal_trajectory, mechanics, t0 + start * h, h, shift, count,
                 _lib.pointer(x, start), *pointers, done,
@@ -609,7 +616,10 @@ def _mask(system: System, keep: Any) -> list[int]:
         if isinstance(k, str) and k in names:
             places.append(names.index(k))
         elif isinstance(k, str):
-            raise ValueError(f"keep: there is no coordinate {k!r}; there are {', '.join(names)}")
+            raise ValueError(
+                f"keep: there is no coordinate {arguments.shown(k)}; "
+                f"{arguments.suggestion(k, names)}there are {', '.join(names)}"
+            )
         elif isinstance(k, int | np.integer) and not isinstance(k, bool):
             places.append(arguments.integer(k, "keep", 0, n - 1))
             if places.count(k) > 1:

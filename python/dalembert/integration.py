@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from . import _lib, arguments, extras, geometry
 from ._lib import Array, DalembertError, DalembertWarning, ffi, lib
-from .run import FlowRun, SchemeRun, started_stepper, state
+from .run import FlowRun, SchemeRun, started_stepper, state, watched
 from .scheme import REFERENCE, Scheme
 from .solution import Solution
 from .system import System, require_system
@@ -138,9 +138,8 @@ def integrate(
     """
     require_system(system)
     record = Scheme.of(scheme)
-    t0, h = arguments.number(t0, "t0"), arguments.number(h, "h")
-    if h == 0.0:
-        raise ValueError("h = 0: expected a step size, negative to integrate backwards")
+    t0 = arguments.number(t0, "t0")
+    h = arguments.step_size(h, t0)
     steps = _number_of_steps(t0, h, t_end, steps)
     stride = arguments.integer(stride, "stride", 1)
     if steps % stride:
@@ -214,9 +213,6 @@ def reference(
 ) -> Reference:
     """Return the state of the ODE on D at one time, by an adaptive method of GSL.
 
-    One call of C: for an interval so long that it may be interrupted, use
-    ``integrate(system, "reference", ...)``.
-
     Parameters
     ----------
     system : System
@@ -272,7 +268,7 @@ def reference(
     stepper = started_stepper(system, REFERENCE, x0, t0=t0, h=1.0, consistency=consistency)
     x = state(stepper, system)
     accuracy = ffi.new("double *")
-    status = _lib.attempt(lib.dal_flow_apply, flow, t0, t, _lib.pointer(x), accuracy)
+    status = watched(lib.dal_flow_apply, flow, t0, t, _lib.pointer(x), accuracy)
     if status < 0:
         raise _lib.failure(status, _lib.string(lib.dal_flow_message(flow)), kind=system.kind)
     return Reference(x[: system.n], x[system.n :], float(accuracy[0]))
@@ -287,13 +283,16 @@ def _number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None
         given = "none" if steps is None else "both"
         raise ValueError(f"t_end and steps: expected one of them, got {given}")
     if t_end is None:
-        return arguments.integer(steps, "steps", 0, math.inf)  # the memory says how many
+        steps = arguments.integer(steps, "steps", 0)
+        arguments.step_size(h, t0 + steps * h)
+        return steps
     t_end = arguments.number(t_end, "t_end")
     ratio = (t_end - t0) / h
     if ratio < 0.0:
         raise ValueError(f"t_end = {t_end:g} lies before t0 = {t0:g} in the direction of h = {h:g}")
-    if not math.isfinite(ratio):
+    if not ratio < 2**63:
         raise ValueError(f"h = {h:g} is too small for t_end - t0 = {t_end - t0:g}")
+    arguments.step_size(h, t_end)
     steps = round(ratio)
     if abs(ratio - steps) > 1e-9 * max(1.0, ratio):
         few, many = math.floor(ratio), math.ceil(ratio)
@@ -315,7 +314,6 @@ def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
             f"({size / 2**30:.4g} GiB); this machine has {memory / 2**30:.4g} GiB: store fewer "
             "with a larger stride"
         )
-    arguments.integer(steps, "steps", 0)
 
 
 def _available_memory() -> int:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import threading
+import functools
 from collections.abc import Sized
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from . import _lib, arguments
 from ._lib import ffi, lib
-from .system import System
+from .system import System, require_system
 
 __all__ = ["Scheme", "schemes"]
 
@@ -22,7 +22,7 @@ INITIAL = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scheme:
     """A scheme as a record: beta-schemes one after the other, each over a fraction of the step.
 
@@ -126,7 +126,10 @@ class Scheme:
         record = ffi.new("dal_scheme *")
         error = ffi.new("dal_error *")
         status = lib.dal_scheme_find(record, arguments.text(name, "scheme").encode(), error)
-        _lib.check(status, f"{_lib.string(error.text)}; and reference, the flow of GSL")
+        if status < 0:
+            meant = arguments.suggestion(name, [*(s.name for s in schemes()), REFERENCE.name])
+            text = _lib.string(error.text).replace("; there are", f"; {meant}there are")
+            raise _lib.failure(status, f"{text}; and reference, the flow of GSL")
         return cls._read(record)
 
     @classmethod
@@ -137,13 +140,13 @@ class Scheme:
         if isinstance(value, str):
             return cls.find(value)
         try:
-            beta = float(value)
-        except TypeError:
+            beta = arguments.number(value, "scheme")
+        except ValueError:
             raise ValueError(
-                f"scheme = {value!r}: expected a Scheme, the name of one, or beta"
+                f"scheme = {arguments.shown(value)}: expected a Scheme, the name of one, or beta"
             ) from None
         if not 0.0 <= beta <= 1.0:
-            raise ValueError(f"scheme = {value!r}: expected beta in [0, 1]")
+            raise ValueError(f"scheme = {arguments.shown(value)}: expected beta in [0, 1]")
         # Not by its text: what C reads as a decimal point depends on the locale.
         symmetric = beta == 0.5
         return replace(
@@ -178,6 +181,7 @@ class Scheme:
 
     def is_explicit(self, system: System) -> bool:
         """Return whether a step on this system is a sequence of linear solves."""
+        require_system(system)
         return not self.is_reference and bool(
             lib.dal_scheme_is_explicit(self._record, system._handle)
         )
@@ -219,6 +223,14 @@ class Scheme:
     def __str__(self) -> str:
         return self.name
 
+    def __repr__(self) -> str:
+        promised = f", order {self.order}" if self.order else ""
+        if self.is_reference:
+            return f"<Scheme {self.name}: the adaptive flow of GSL>"
+        few = ", ".join(f"({beta:g}, {fraction:g})" for beta, fraction in self.substeps[:4])
+        many = f", ... {len(self.substeps)} in all" if len(self.substeps) > 4 else ""
+        return f"<Scheme {self.name}: (beta, fraction) = {few}{many}; {self.nodes} nodes{promised}>"
+
     def __reduce__(self) -> tuple[Any, ...]:
         return Scheme, (
             self.substeps, self.nodes, self.name, self.help, self.reference, self.order,
@@ -226,16 +238,10 @@ class Scheme:
         )  # fmt: skip
 
 
-_lock = threading.Lock()
-_free_particle: list[System] = []
-
-
+@functools.cache
 def _validator() -> System:
     """Return a system on which the core can try a record: a free particle on a line."""
-    with _lock:
-        if not _free_particle:
-            _free_particle.append(System(mass=[1.0], name="free particle"))
-    return _free_particle[0]
+    return System(mass=[1.0], name="free particle")
 
 
 REFERENCE = Scheme(

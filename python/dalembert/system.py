@@ -282,8 +282,7 @@ class System:
             for key in ("kind", "missing", "ctx"):
                 if given[key] is not None:
                     raise ValueError(f"{key} = {given[key]!r}: only C functions take it")
-        if (q0 is None) != (v0 is None):
-            raise ValueError("q0 and v0: expected both or none")
+        arguments.pair(q0, v0, ("q0", "v0"), "no initial data")
 
         told = _number_of_coordinates(n, coordinates, q0)
         matrix = None if mass is None else _mass_matrix(mass, n, told)
@@ -997,12 +996,7 @@ class System:
         >>> dal.systems.disk().with_parameters(R=0.5).parameters["R"]
         0.5
         """
-        for key in parameters:
-            if key not in self._parameters:
-                raise ValueError(
-                    f"parameters: {self.name!r} has no {key!r}; it has "
-                    f"{', '.join(self._parameters) or 'none'}"
-                )
+        require_parameters(self.name, parameters, self._parameters)
         restore, first, *rest = self._description
         values = {
             **self._parameters,
@@ -1075,14 +1069,15 @@ class System:
     # ---- as an object --------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        values = "".join(f", {key} = {value:g}" for key, value in self._parameters.items())
+        values = ", ".join(f"{key} = {value:g}" for key, value in self._parameters.items())
         names = ", ".join(self.coordinates[:8]) + ", ..." * (self.n > 8)
         traits = (
             (", general Lagrangian" if self._mass is None else "")
             + (f", {self._kind}" if self._kind != "linear" else "")
             + (", forced" if self._is_forced else "")
         )
-        return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{traits}{values}>"
+        parameters = f"; parameters {values}" if values else ""
+        return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{traits}{parameters}>"
 
     def __copy__(self) -> System:
         return self
@@ -1105,7 +1100,18 @@ class System:
 def require_system(value: Any) -> None:
     """Raise ValueError if an argument ``system`` is not one."""
     if not isinstance(value, System):
-        raise ValueError(f"system = {value!r}: expected a dalembert.System")
+        raise ValueError(f"system = {arguments.shown(value)}: expected a dalembert.System")
+
+
+def require_parameters(name: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Raise ValueError for the first of the given parameters that the system does not have."""
+    names = list(known)
+    for key in given:
+        if key not in names:
+            raise ValueError(
+                f"parameters: {name!r} has no {key!r}; {arguments.suggestion(key, names)}it has "
+                f"{', '.join(names) or 'none'}"
+            )
 
 
 def _restore(description: dict[str, Any]) -> System:
