@@ -125,11 +125,11 @@ def mapping(value: Any, name: str) -> None:
         raise ValueError(f"{name} = {shown(value)}: expected a mapping from names to values")
 
 
-def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str) -> None:
+def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str = "") -> None:
     """Raise ValueError if one of two arguments is given without the other."""
     if (first is None) != (second is None):
         there, missing = names if second is None else names[::-1]
-        raise ValueError(f"{there} without {missing}: expected both, or none for {otherwise}")
+        raise ValueError(f"{there} without {missing}: expected both, or neither{otherwise}")
 
 
 def choice(value: Any, name: str, choices: dict[str, int]) -> int:

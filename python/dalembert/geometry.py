@@ -75,7 +75,7 @@ def initial(
     """
     found = []
     q_name, v_name = names or ("q0", "v0")
-    arguments.pair(q0, v0, (q_name, v_name), "the initial data of the system")
+    arguments.pair(q0, v0, (q_name, v_name), " for those of the system")
     for given, default, name in ((q0, system.q0, q_name), (v0, system.v0, v_name)):
         value = default if given is None else given
         if value is None:

@@ -98,7 +98,7 @@ def integrate(
     method : {"rk8pd", "msadams", "msbdf"}, optional
         Of the reference flow.
     tolerance : float, optional
-        Of the reference flow, relative and absolute, for each of its steps.
+        Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1].
 
     Returns
     -------
@@ -225,7 +225,7 @@ def reference(
     method : {"rk8pd", "msadams", "msbdf"}, optional
         Prince-Dormand 8(9), Adams, or BDF for stiff potentials.
     tolerance : float, optional
-        Relative and absolute, for each step, in (0, 0.1].
+        Relative and absolute, for each step, in [4.4e-16, 0.1].
     coordinates : {"x", "xi"}, optional
         Of the ODE: the states (q, v), or those of charts of D (`Chart`), which are changed on the
         way where they become ill conditioned.

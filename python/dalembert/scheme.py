@@ -140,8 +140,8 @@ class Scheme:
         if isinstance(value, str):
             return cls.find(value)
         try:
-            beta = arguments.number(value, "scheme")
-        except ValueError:
+            beta = float(value)
+        except (TypeError, ValueError, OverflowError):
             raise ValueError(
                 f"scheme = {arguments.shown(value)}: expected a Scheme, the name of one, or beta"
             ) from None

@@ -282,7 +282,7 @@ class System:
             for key in ("kind", "missing", "ctx"):
                 if given[key] is not None:
                     raise ValueError(f"{key} = {given[key]!r}: only C functions take it")
-        arguments.pair(q0, v0, ("q0", "v0"), "no initial data")
+        arguments.pair(q0, v0, ("q0", "v0"))
 
         told = _number_of_coordinates(n, coordinates, q0)
         matrix = None if mass is None else _mass_matrix(mass, n, told)
