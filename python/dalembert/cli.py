@@ -1,7 +1,7 @@
 """The command ``dalembert``: studies of the systems, their pages, what there is, and the cache.
 
-Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error; 130
-after Ctrl-C, 141 if nobody reads the output any more.
+Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error, among
+them a file that cannot be written; 130 after Ctrl-C, 141 if nobody reads the output any more.
 """
 
 from __future__ import annotations
@@ -11,11 +11,14 @@ import json
 import os
 import signal
 import sys
+import tempfile
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from . import _lib, catalogue, compiler, extras, pages, plot, report, systems
+from .arguments import suggestion
 from .refinement import studies
 from .scheme import INITIAL, REFERENCE
 from .scheme import schemes as named_schemes
@@ -49,7 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:
         return int(stop.code or 0)
     try:
-        status = int(given.run(given))
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda text, *where: _say(given, f"warning: {text}")
+            status = int(given.run(given))
         sys.stdout.flush()
         return status
     except BrokenPipeError:
@@ -57,17 +62,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except (ValueError, ImportError) as error:
-        print(f"dalembert {given.command}: {error}", file=sys.stderr)
+        _say(given, error)
         return 2
-    except (_lib.DalembertError, OSError) as error:
-        print(f"dalembert {given.command}: {error}", file=sys.stderr)
+    except (_lib.DalembertError, NotImplementedError, MemoryError, OSError) as error:
+        _say(given, error)
         return 1
     except KeyboardInterrupt:
         return 130
 
 
+def _say(given: argparse.Namespace, what: Any) -> None:
+    print(f"dalembert {given.command}: {what}", file=sys.stderr)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that suggests what may have been meant, as that of Python 3.14 can."""
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(
+                action,
+                f"there is no {value!r}; {suggestion(value, action.choices)}there are "
+                f"{', '.join(action.choices)}",
+            )
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="dalembert",
         description="Nonholonomic variational integrators: measure what they promise.",
     )
@@ -175,18 +196,17 @@ def _study(given: argparse.Namespace) -> int:
         except ImportError as error:
             if given.output:
                 raise
-            print(f"dalembert study: no report: {error}", file=sys.stderr)
+            _say(given, f"no report: {error}")
             output = None
-
-    for path in (output, Path(given.json or "-")):
-        if path is not None and not path.parent.is_dir():
-            raise ValueError(f"{path}: there is no folder {path.parent}")
+    if output is not None:
+        _require_writable(output)
+    if given.json not in (None, "-"):
+        _require_writable(Path(given.json))
+        if output is not None and Path(given.json).resolve() == output.resolve():
+            raise ValueError(f"{output}: expected one file for the report, another for the numbers")
 
     if sys.stderr.isatty() and (missing := [x for x in ("rich", "tqdm") if not extras.is_there(x)]):
-        print(
-            f"dalembert study: for colours and a progress bar: pip install {' '.join(missing)}",
-            file=sys.stderr,
-        )
+        _say(given, f"for colours and a progress bar: pip install {' '.join(missing)}")
 
     found = studies(
         system,
@@ -205,7 +225,10 @@ def _study(given: argparse.Namespace) -> int:
         if given.json == "-":
             sys.stdout.write(text)
         else:
-            Path(given.json).write_text(text, encoding="utf-8")
+            try:
+                Path(given.json).write_text(text, encoding="utf-8")
+            except OSError as error:  # which names no file where the disk is full
+                raise OSError(f"{given.json}: {error.strerror}") from error
     if output is not None:
         report.write(found, output)
         print(f"report: {output}", file=sys.stderr)
@@ -214,8 +237,12 @@ def _study(given: argparse.Namespace) -> int:
 
 def _catalogue(given: argparse.Namespace) -> int:
     names = given.system or pages.available()
-    if not given.folder.parent.is_dir():
-        raise ValueError(f"{given.folder}: there is no folder {given.folder.parent}")
+    if given.folder.is_dir():
+        _require_writable(given.folder / "index.html")
+    else:
+        _require_writable(given.folder)
+        if given.folder.exists():
+            raise ValueError(f"{given.folder}: expected a folder")
 
     def show(done: int, total: int) -> None:
         if done < total:
@@ -257,6 +284,23 @@ def _cache(given: argparse.Namespace) -> int:
     if given.clear:
         print(f"removed {compiler.clear()}")
     return 0
+
+
+def _require_writable(path: Path) -> None:
+    """Raise ValueError, before the work begins, if a file could not be written after it."""
+    if path.is_dir():
+        raise ValueError(f"{path}: expected the name of a file, this is a folder")
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: there is no folder {path.parent}")
+    try:
+        if path.exists():
+            with path.open("ab"):
+                pass
+        if path.is_file() or not path.exists():
+            with tempfile.TemporaryFile(dir=path.parent):
+                pass
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _list(items: Any) -> None:
