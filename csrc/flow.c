@@ -9,10 +9,9 @@
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
 
-/* How often the watch is asked.  The clock is read after so many components of the field, which
- * costs less than a hundredth of them, and of a large system after every evaluation. */
+/* How often the watch is asked; the clock is read at one evaluation of the field in so many. */
 static const double WATCH_SECONDS = 0.05;
-enum { PER_READING = 128 };
+enum { PER_READING = 8 };
 
 /* Accepted steps of one integration in xi; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
@@ -27,7 +26,7 @@ struct dal_flow {
     double *result, *state;  /* [2n] */
     dal_watch_fn watch;      /* or NULL */
     void *watch_ctx;
-    size_t unread;           /* components since the clock was read */
+    size_t unread;           /* evaluations since the clock was read */
     double asked;            /* when the watch was, in seconds */
     dal_error error;
     arena arena;
@@ -40,10 +39,10 @@ static void copy(const dal_flow *flow, double *to, const double *from)
     memcpy(to, from, dimension(flow) * sizeof *to);
 }
 
-/* Whether to go on. */
+/* Asks the watch whether to go on; the clock, so that this costs nothing. */
 static int ask(dal_flow *flow, double t, dal_error *error)
 {
-    if (!flow->watch || (flow->unread += dimension(flow)) < PER_READING) return DAL_SUCCESS;
+    if (!flow->watch || ++flow->unread < PER_READING) return DAL_SUCCESS;
     flow->unread = 0;
     struct timespec now;
     timespec_get(&now, TIME_UTC);
