@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
-    "array", "choice", "function", "integer", "mapping", "number", "pair", "returned", "shown",
-    "step_size", "suggestion", "text",
+    "array", "choice", "function", "integer", "mapping", "names", "number", "pair", "returned",
+    "shown", "step_size", "suggestion", "text",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -111,6 +111,20 @@ def text(value: Any, name: str) -> str:
     if not isinstance(value, str) or "\0" in value:
         raise ValueError(f"{name} = {shown(value)}: expected a string")
     return value
+
+
+def names(value: Any, name: str, expected: str) -> list[str]:
+    """Return several strings as a list; ValueError otherwise.
+
+    One string, which would be read letter by letter, is refused.
+    """
+    try:
+        result = [None] if isinstance(value, (str, bytes)) else list(value)
+    except TypeError:
+        result = [None]
+    if not all(isinstance(each, str) for each in result):
+        raise ValueError(f"{name} = {shown(value)}: expected {expected}")
+    return [text(each, name) for each in result]
 
 
 def function(value: Any, name: str) -> None:

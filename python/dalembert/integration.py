@@ -64,7 +64,7 @@ def integrate(
         A record, the name of one, or beta.  "reference" is the adaptive flow of the ODE on D,
         observed every ``h * stride``: the best choice for short accurate runs.
     q0, v0 : array_like, shape (n,), optional
-        Initial data in the user's units.  Default: those of the system.
+        Initial data in the user's units, both; neither: those of the system.
     h : float
         Step size, negative to integrate backwards.  It is never changed.
     t_end : float
@@ -217,7 +217,7 @@ def reference(
     ----------
     system : System
     q0, v0 : array_like, shape (n,), optional
-        State at t0 in the user's units.  Default: the system's.
+        State at t0 in the user's units, both; neither: the system's.
     t, t0 : float, optional
         Times; ``t < t0`` is allowed.
     consistent : {"check", "project", "assume"}, optional

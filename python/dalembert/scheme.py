@@ -121,11 +121,11 @@ class Scheme:
         >>> dal.Scheme.find("leapfrog").substeps
         ((0.0, 0.5), (1.0, 0.5))
         """
-        if name == REFERENCE.name:
+        if arguments.text(name, "scheme") == REFERENCE.name:
             return REFERENCE
         record = ffi.new("dal_scheme *")
         error = ffi.new("dal_error *")
-        status = lib.dal_scheme_find(record, arguments.text(name, "scheme").encode(), error)
+        status = lib.dal_scheme_find(record, name.encode(), error)
         if status < 0:
             meant = arguments.suggestion(name, [*(s.name for s in schemes()), REFERENCE.name])
             text = _lib.string(error.text).replace("; there are", f"; {meant}there are")
@@ -197,7 +197,7 @@ class Scheme:
         shift = ffi.new("double *")
         status = lib.dal_scheme_shift(self._record, shift)
         _lib.check(status, f"{self.name!r} has no single sub-step, and so no D_eps")
-        return float(shift[0]) * h
+        return float(shift[0]) * arguments.number(h, "h")
 
     def _initial(self, name: str | None) -> int:
         """Return the ``dal_initial`` of an argument ``initial``, which kept nodes need.
