@@ -116,13 +116,14 @@ def text(value: Any, name: str) -> str:
 def names(value: Any, name: str, expected: str) -> list[str]:
     """Return several strings as a list; ValueError otherwise.
 
-    One string, which would be read letter by letter, is refused.
+    One string is its letters if it has nothing else, as "xyz", but not "x y" or "x, y".
     """
     try:
-        result = [None] if isinstance(value, (str, bytes)) else list(value)
+        result = list(value)
     except TypeError:
         result = [None]
-    if not all(isinstance(each, str) for each in result):
+    one = isinstance(value, str) and not value.isalpha()
+    if one or not all(isinstance(each, str) for each in result):
         raise ValueError(f"{name} = {shown(value)}: expected {expected}")
     return [text(each, name) for each in result]
 

@@ -121,8 +121,8 @@ def integrate(
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: the kept set is not kept to roundoff, or many steps needed
-        the Hessian of V, so that h is large for this potential.
+        If the result may be doubtful: the kept set is not kept to roundoff, or many steps took
+        the full Newton iteration, so that h is large for this system.
 
     Notes
     -----
@@ -341,8 +341,8 @@ def _warn(solution: Solution) -> None:
     simple = system.mass is not None and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:
         warnings.warn(
-            f"{stats.full_newtons} of {stats.substeps} sub-steps needed the Hessian of V: "
-            f"h = {solution.h:g} is large for this potential",
+            f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
+            f"because the simpler one did not converge: h = {solution.h:g} is large for this system",
             DalembertWarning,
             stacklevel=3,
         )

@@ -224,11 +224,11 @@ class Scheme:
         return self.name
 
     def __repr__(self) -> str:
-        promised = f", order {self.order}" if self.order else ""
         if self.is_reference:
             return f"<Scheme {self.name}: the adaptive flow of GSL>"
+        promised = f", order {self.order}" if self.order else ""
         few = ", ".join(f"({beta:g}, {fraction:g})" for beta, fraction in self.substeps[:4])
-        many = f", ... {len(self.substeps)} in all" if len(self.substeps) > 4 else ""
+        many = f", ..., {len(self.substeps)} in all" if len(self.substeps) > 4 else ""
         return f"<Scheme {self.name}: (beta, fraction) = {few}{many}; {self.nodes} nodes{promised}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
