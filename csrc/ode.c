@@ -252,7 +252,8 @@ static int attempt_towards(ode *self, double end, bool *accepted, dal_error *err
     if (*accepted) {
         if (!last && self->elapsed + h == self->elapsed) return collapsed(self, h, error);
         self->elapsed = last ? end : self->elapsed + h;
-    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED || !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
+    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED ||
+               !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
         return collapsed(self, self->h, error);
     }
     return DAL_SUCCESS;

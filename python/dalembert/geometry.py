@@ -623,7 +623,9 @@ def _mask(system: System, keep: Any) -> list[int]:
         elif isinstance(k, int | np.integer) and not isinstance(k, bool):
             places.append(arguments.integer(k, "keep", 0, n - 1))
             if places.count(k) > 1:
-                raise ValueError(f"keep = {arguments.shown(keep)}: {k} is there twice; truth values are bool")
+                raise ValueError(
+                    f"keep = {arguments.shown(keep)}: {k} is there twice; truth values are bool"
+                )
         else:
             raise ValueError(
                 f"keep = {arguments.shown(keep)}: expected names or places of coordinates, or {n} "

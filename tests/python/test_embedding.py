@@ -410,9 +410,9 @@ def test_wrong_arguments_are_named(particle, arguments, text):
 
 def test_data_off_D_are_refused(particle):
     with pytest.raises(dal.NotOnConstraintError, match="consistent='project'"):
-        dal.embedding(particle, "midpoint", 0.1, particle.q0, [1, 1, 1])
+        dal.embedding(particle, "midpoint", 0.1, q0=particle.q0, v0=[1, 1, 1])
     projected = dal.embedding(
-        particle, "midpoint", 0.1, particle.q0, [1, 1, 1], consistent="project"
+        particle, "midpoint", 0.1, q0=particle.q0, v0=[1, 1, 1], consistent="project"
     )
     v = particle.project(particle.q0, [1, 1, 1])
     assert largest(projected.start, projected.chart.drop(particle.q0, v)) <= 4 * U

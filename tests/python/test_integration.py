@@ -337,7 +337,7 @@ def test_no_steps(own):
         ({"h": 0.1, "steps": 1, "progress": 3}, "progress = 3: expected True, False or a function"),
         ({"h": 0.1, "steps": 1, "solver": 3}, "solver = 3"),
         ({"h": 0.1, "steps": 1, "max_iterations": 0}, "max_iterations = 0"),
-        ({"h": 0.1, "steps": 1, "q0": [0, 1], "v0": [0, 1, 1]}, r"q0: expected shape \(3,\), got \(2,\)"),
+        ({"h": 0.1, "steps": 1, "q0": [0, 1], "v0": [0, 1, 1]}, r"q0: .* \(3,\), got \(2,\)"),
         ({"h": 0.1, "steps": 1, "q0": [0, 1, 1], "v0": [0, 1, np.inf]}, r"v0\[2\] = inf"),
         ({"h": 0.1, "steps": 1, "t0": None}, "t0"),
         ({"h": 1e-320, "t_end": 1.0}, "too small"),
