@@ -11,12 +11,12 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _lib, catalogue, compiler, extras, pages, plot, report, systems
-from .refinement import studies
+from . import _lib, catalogue, compiler, extras, files, pages, plot, report, systems
+from .refinement import MOST_STEPS, studies
 from .scheme import INITIAL, REFERENCE
 from .scheme import schemes as named_schemes
 
@@ -116,6 +116,13 @@ def _parser() -> argparse.ArgumentParser:
         help="numbers of steps up to T (default: by the order of the scheme)",
     )
     study.add_argument(
+        "--max-steps",
+        type=_count,
+        default=MOST_STEPS,
+        metavar="N",
+        help="more steps than these in all are refused at once (default: 1e9)",
+    )
+    study.add_argument(
         "--initial",
         choices=list(INITIAL),
         help="how schemes with kept nodes start (default: D_eps)",
@@ -178,9 +185,9 @@ def _study(given: argparse.Namespace) -> int:
             print(f"dalembert study: no report: {error}", file=sys.stderr)
             output = None
 
-    for path in (output, Path(given.json or "-")):
-        if path is not None and not path.parent.is_dir():
-            raise ValueError(f"{path}: there is no folder {path.parent}")
+    for path in (output, None if given.json in (None, "-") else given.json):
+        if path is not None:
+            _require(files.require_writable, path)
 
     if sys.stderr.isatty() and (missing := [x for x in ("rich", "tqdm") if not extras.is_there(x)]):
         print(
@@ -188,34 +195,48 @@ def _study(given: argparse.Namespace) -> int:
             file=sys.stderr,
         )
 
-    found = studies(
-        system,
-        given.scheme,
-        given.q0,
-        given.v0,
-        t_end=given.t_end,
-        steps=given.steps,
-        initial=given.initial,
-        progress=sys.stderr.isatty() and extras.is_there("tqdm"),
-    )
+    shown = sys.stderr if given.json == "-" else sys.stdout
+    try:
+        found = studies(
+            system,
+            given.scheme,
+            given.q0,
+            given.v0,
+            t_end=given.t_end,
+            steps=given.steps,
+            initial=given.initial,
+            max_steps=given.max_steps,
+            progress=sys.stderr.isatty() and extras.is_there("tqdm"),
+        )
+    except KeyboardInterrupt as stop:
+        if finished := getattr(stop, "partial", None):
+            finished.show(shown)
+        raise
 
-    found.show(sys.stderr if given.json == "-" else sys.stdout)
+    found.show(shown)
     if given.json:
         text = json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n"
         if given.json == "-":
             sys.stdout.write(text)
         else:
-            Path(given.json).write_text(text, encoding="utf-8")
+            files.write(given.json, text)
     if output is not None:
         report.write(found, output)
         print(f"report: {output}", file=sys.stderr)
     return 1 if found.holds is False else 0
 
 
+def _require(check: Callable[[Path], None], path: str | Path) -> None:
+    """Check where output goes before any work; what is wrong there is an error of usage."""
+    try:
+        check(Path(path))
+    except OSError as error:
+        raise ValueError(f"{error.filename}: {error.strerror}") from error
+
+
 def _catalogue(given: argparse.Namespace) -> int:
     names = given.system or pages.available()
-    if not given.folder.parent.is_dir():
-        raise ValueError(f"{given.folder}: there is no folder {given.folder.parent}")
+    _require(files.require_folder, given.folder)
 
     def show(done: int, total: int) -> None:
         if done < total:
@@ -288,3 +309,11 @@ def _counts(text: str) -> list[int]:
         return [int(word) for word in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r}; expected whole numbers and commas") from None
+
+
+def _count(text: str) -> int:
+    """Read a whole number, also as 2e12."""
+    try:
+        return int(text) if text.strip().isdigit() else int(float(text))
+    except (ValueError, OverflowError):
+        raise argparse.ArgumentTypeError(f"{text!r}; expected a whole number") from None
