@@ -4,14 +4,9 @@
 
 #include <math.h>
 #include <string.h>
-#include <time.h>
 
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
-
-/* How often the watch is asked; the clock is read at one evaluation of the field in so many. */
-static const double WATCH_SECONDS = 0.05;
-enum { PER_READING = 8 };
 
 /* Accepted steps of one integration in xi; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
@@ -24,10 +19,7 @@ struct dal_flow {
     ode *integrator;
     double tolerance;
     double *result, *state;  /* [2n] */
-    dal_watch_fn watch;      /* or NULL */
-    void *watch_ctx;
-    size_t unread;           /* evaluations since the clock was read */
-    double asked;            /* when the watch was, in seconds */
+    dal__watch watch;
     dal_error error;
     arena arena;
 };
@@ -39,28 +31,12 @@ static void copy(const dal_flow *flow, double *to, const double *from)
     memcpy(to, from, dimension(flow) * sizeof *to);
 }
 
-/* Asks the watch whether to go on; the clock, so that this costs nothing. */
-static int ask(dal_flow *flow, double t, dal_error *error)
-{
-    if (!flow->watch || ++flow->unread < PER_READING) return DAL_SUCCESS;
-    flow->unread = 0;
-    struct timespec now;
-    timespec_get(&now, TIME_UTC);
-    const double seconds = (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
-    if (fabs(seconds - flow->asked) < WATCH_SECONDS) return DAL_SUCCESS;
-    flow->asked = seconds;
-    const int returned = flow->watch(t, flow->watch_ctx);
-    if (returned == 0) return DAL_SUCCESS;
-    return dal__fail(error, returned > 0 ? DAL_STOPPED : DAL_EUSER,
-                     "the watch returned %d at t = %g", returned, t);
-}
-
 /* dxdt[2n] <- the field on D at x[2n], of the flow ctx. */
 static int field(double t, const double *x, double *dxdt, void *ctx, dal_error *error)
 {
     dal_flow *const flow = ctx;
     dal_mechanics *const mech = &flow->mech;
-    int status = ask(flow, t, error);
+    int status = dal__ask(&flow->watch, t, error);
     if (status) return status;
     status = dal_field(mech, t, x, dxdt);
     if (status) *error = mech->error;
@@ -74,7 +50,7 @@ static int field_in_xi(double t, const double *xi, double *dxidt, void *ctx, dal
 {
     dal_flow *const flow = ctx;
     dal_chart *const chart = &flow->chart;
-    int status = ask(flow, t, error);
+    int status = dal__ask(&flow->watch, t, error);
     if (status) return status;
     status = dal_chart_field(chart, t, xi, dxidt);
     if (status) *error = chart->mech.error;
@@ -127,10 +103,7 @@ void dal_flow_free(dal_flow *flow)
 void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
 {
     if (!flow) return;
-    flow->watch = watch;
-    flow->watch_ctx = ctx;
-    flow->unread = PER_READING; /* asks at the next evaluation */
-    flow->asked = 0.0;
+    flow->watch = (dal__watch){watch, ctx, 0.0};
 }
 
 const char *dal_flow_message(const dal_flow *flow) { return flow->error.text; }

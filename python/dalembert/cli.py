@@ -11,15 +11,14 @@ import json
 import os
 import signal
 import sys
-import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _lib, catalogue, compiler, extras, pages, plot, report, systems
+from . import _lib, catalogue, compiler, extras, files, pages, plot, report, systems
 from .arguments import suggestion
-from .refinement import studies
+from .refinement import MOST_STEPS, studies
 from .scheme import INITIAL, REFERENCE
 from .scheme import schemes as named_schemes
 
@@ -64,11 +63,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, ImportError) as error:
         _say(given, error)
         return 2
-    except (_lib.DalembertError, NotImplementedError, MemoryError, OSError) as error:
+    except OSError as error:
+        _say(given, _in_words(error))
+        return 1
+    except (_lib.DalembertError, NotImplementedError, MemoryError) as error:
         _say(given, error)
         return 1
     except KeyboardInterrupt:
         return 130
+
+
+def _in_words(error: OSError) -> str:
+    """Return the name of the file and what is wrong with it, without the number."""
+    return f"{error.filename}: {error.strerror}" if error.filename else str(error)
 
 
 def _say(given: argparse.Namespace, what: Any) -> None:
@@ -137,6 +144,13 @@ def _parser() -> argparse.ArgumentParser:
         help="numbers of steps up to T (default: by the order of the scheme)",
     )
     study.add_argument(
+        "--max-steps",
+        type=_count,
+        default=MOST_STEPS,
+        metavar="N",
+        help="more steps than these in all are refused at once (default: 1e9)",
+    )
+    study.add_argument(
         "--initial",
         choices=list(INITIAL),
         help="how schemes with kept nodes start (default: D_eps)",
@@ -198,51 +212,57 @@ def _study(given: argparse.Namespace) -> int:
                 raise
             _say(given, f"no report: {error}")
             output = None
-    if output is not None:
-        _require_writable(output)
-    if given.json not in (None, "-"):
-        _require_writable(Path(given.json))
-        if output is not None and Path(given.json).resolve() == output.resolve():
-            raise ValueError(f"{output}: expected one file for the report, another for the numbers")
+    for path in (output, None if given.json in (None, "-") else given.json):
+        if path is not None:
+            _require(files.require_writable, path)
+    if output is not None and given.json and Path(given.json).resolve() == output.resolve():
+        raise ValueError(f"{output}: expected one file for the report, another for the numbers")
 
     if sys.stderr.isatty() and (missing := [x for x in ("rich", "tqdm") if not extras.is_there(x)]):
         _say(given, f"for colours and a progress bar: pip install {' '.join(missing)}")
 
-    found = studies(
-        system,
-        given.scheme,
-        given.q0,
-        given.v0,
-        t_end=given.t_end,
-        steps=given.steps,
-        initial=given.initial,
-        progress=sys.stderr.isatty() and extras.is_there("tqdm"),
-    )
+    shown = sys.stderr if given.json == "-" else sys.stdout
+    try:
+        found = studies(
+            system,
+            given.scheme,
+            given.q0,
+            given.v0,
+            t_end=given.t_end,
+            steps=given.steps,
+            initial=given.initial,
+            max_steps=given.max_steps,
+            progress=sys.stderr.isatty() and extras.is_there("tqdm"),
+        )
+    except KeyboardInterrupt as stop:
+        if finished := getattr(stop, "partial", None):
+            finished.show(shown)
+        raise
 
-    found.show(sys.stderr if given.json == "-" else sys.stdout)
+    found.show(shown)
     if given.json:
         text = json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n"
         if given.json == "-":
             sys.stdout.write(text)
         else:
-            try:
-                Path(given.json).write_text(text, encoding="utf-8")
-            except OSError as error:  # which names no file where the disk is full
-                raise OSError(f"{given.json}: {error.strerror}") from error
+            files.write(given.json, text)
     if output is not None:
         report.write(found, output)
         print(f"report: {output}", file=sys.stderr)
     return 1 if found.holds is False else 0
 
 
+def _require(check: Callable[[Path], None], path: str | Path) -> None:
+    """Check where output goes before any work; what is wrong there is an error of usage."""
+    try:
+        check(Path(path))
+    except OSError as error:
+        raise ValueError(_in_words(error)) from error
+
+
 def _catalogue(given: argparse.Namespace) -> int:
     names = given.system or pages.available()
-    if given.folder.is_dir():
-        _require_writable(given.folder / "index.html")
-    else:
-        _require_writable(given.folder)
-        if given.folder.exists():
-            raise ValueError(f"{given.folder}: expected a folder")
+    _require(files.require_folder, given.folder)
 
     def show(done: int, total: int) -> None:
         if done < total:
@@ -286,23 +306,6 @@ def _cache(given: argparse.Namespace) -> int:
     return 0
 
 
-def _require_writable(path: Path) -> None:
-    """Raise ValueError, before the work begins, if a file could not be written after it."""
-    if path.is_dir():
-        raise ValueError(f"{path}: expected the name of a file, this is a folder")
-    if not path.parent.is_dir():
-        raise ValueError(f"{path}: there is no folder {path.parent}")
-    try:
-        if path.exists():
-            with path.open("ab"):
-                pass
-        if path.is_file() or not path.exists():
-            with tempfile.TemporaryFile(dir=path.parent):
-                pass
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be written: {error.strerror}") from error
-
-
 def _list(items: Any) -> None:
     rows = list(items)
     width = max(len(name) for name, _ in rows)
@@ -332,3 +335,11 @@ def _counts(text: str) -> list[int]:
         return [int(word) for word in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r}; expected whole numbers and commas") from None
+
+
+def _count(text: str) -> int:
+    """Read a whole number, also as 2e12."""
+    try:
+        return int(text) if text.strip().isdigit() else int(float(text))
+    except (ValueError, OverflowError):
+        raise argparse.ArgumentTypeError(f"{text!r}; expected a whole number") from None

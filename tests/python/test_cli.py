@@ -204,14 +204,14 @@ def test_usage_errors_are_status_2_and_say_what_there_is(
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (("study", "particle", "--output", "folder"), "folder: expected the name of a file"),
-        (("study", "particle", "--json", "folder"), "folder: expected the name of a file"),
+        (("study", "particle", "--output", "folder"), "folder: this is a folder, expected"),
+        (("study", "particle", "--json", "folder"), "folder: this is a folder, expected"),
         (("study", "particle", "--json", "nowhere/a.json"), "there is no folder nowhere"),
-        (("study", "particle", "--output", "/proc/a.html"), "/proc/a.html: cannot be written: "),
-        (("study", "particle", "--json", "/proc/version"), "/proc/version: cannot be written: "),
+        (("study", "particle", "--output", "/proc/a.html"), "/proc/a.html: No such file"),
+        (("study", "particle", "--json", "/proc/version"), "/proc/version: "),
         (("study", "particle", "--json", "a", "--output", "folder/../a"), "expected one file for"),
-        (("catalogue", "file"), "file: expected a folder"),
-        (("catalogue", "/proc/a"), "/proc/a: cannot be written: "),
+        (("catalogue", "file"), "file: this is a file, expected"),
+        (("catalogue", "/proc/a"), "/proc/a: "),
         (("catalogue", "nowhere/a"), "there is no folder nowhere"),
     ],
 )
