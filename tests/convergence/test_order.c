@@ -311,6 +311,14 @@ static void test_false_promises(void)
     result = measure("generic4", &liar, DAL_INITIAL_NONE, 1.0, PLAIN, plain_steps);
     expect_flag(&result, result.order.holds == 0, result.order.text);
     CHECK(strstr(result.order.text, "does not hold") != NULL);
+    /* From D both have to hold, the first step and the slope at t_end.  On Heisenberg's system D_eps
+     * is D, and the step loses no order; the slope is 1 and not 2. */
+    liar = find_scheme("midpoint-nodes");
+    liar.order = 2;
+    liar.multiplier_order = 0;
+    result = measure("heisenberg", &liar, DAL_INITIAL_D, 1.0, PLAIN, plain_steps);
+    expect_flag(&result, result.order.state.slope > 2 - SLACK, "the step reaches (1, -1)");
+    expect_flag(&result, result.order.holds == 0, result.order.text);
     const dal_scheme honest = find_scheme("midpoint");
     result = measure("generic4", &honest, DAL_INITIAL_NONE, 1.0, 2, plain_steps);
     expect_flag(&result, result.order.holds == -2, result.order.text); /* two points say nothing */
@@ -390,6 +398,7 @@ static void test_counted(void)
     CHECK(fmax(points[8].q, points[8].v) > 100.0 * order.floor);
     CHECK(order.reaction.points == 4 && !(points[4].counted & 1u << DAL_FIT_REACTION));
     CHECK(strstr(order.text, "order 4.00 at t_end: holds") != NULL);
+    CHECK(order.keeps_D && !order.keeps_D_eps); /* there is none for several sub-steps */
     dal_system_free(system);
 }
 
@@ -405,6 +414,21 @@ static int watch(double made, void *ctx)
     CHECK(made >= self->last);
     self->last = made;
     return ++self->calls < 2 ? 0 : self->answer;
+}
+
+/* Off D a flow stands in for the exact solution, and no error is known better than it is. */
+static void test_flow_that_stands_in(void)
+{
+    double x0[MOST];
+    dal_order_point points[PLAIN];
+    dal_order order;
+    const dal_scheme kept = find_scheme("midpoint-nodes");
+    dal_system *system = open_system("particle", x0);
+    const dal_order_def def = {.t_end = 1.0, .x0 = x0, .steps = plain_steps, .count = PLAIN,
+                               .initial = DAL_INITIAL_D_EPS, .tolerance = 1e-7};
+    CHECK(dal_order_study(system, &kept, &def, points, &order, NULL) == 0);
+    CHECK(order.reference == 0.0 && order.floor == 1e-7);
+    dal_system_free(system);
 }
 
 /* A watch ends a study in its runs and in its reference, at once; nothing is written. */
@@ -617,6 +641,14 @@ static void test_failed_points(void)
     CHECK(points[1].failed == 0 && points[1].q > 0.0);
     CHECK(strstr(order.text, "1 of 5 runs failed") != NULL);
     CHECK(order.holds == 1 && order.state.points == 4 && error.text[0] == '\0');
+    CHECK(order.keeps_D); /* in all runs that there are, also where the failed one is the last */
+    static const size_t failing_last[] = {100, 150, 200, 300, 1};
+    const dal_order_def last = {.t_end = 1.0, .x0 = x0, .steps = failing_last, .count = 5};
+    CHECK(dal_order_study(system, &endpoint, &last, points, &order, &error) == 0);
+    CHECK(points[4].failed == DAL_ESINGULAR && order.keeps_D && order.holds == 1);
+    const dal_order_def alone = {.t_end = 1.0, .x0 = x0, .steps = steps, .count = 1};
+    CHECK(dal_order_study(system, &endpoint, &alone, points, &order, &error) == 0);
+    CHECK(!order.keeps_D && !order.keeps_D_eps); /* by no run */
     dal_system_free(system);
 }
 
@@ -689,6 +721,7 @@ int main(void)
     test_false_promises();
     test_long_intervals();
     test_counted();
+    test_flow_that_stands_in();
     test_watch();
     test_unconstrained();
     test_disk();
