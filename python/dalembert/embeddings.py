@@ -539,7 +539,7 @@ class Embedding:
         lib.dal_fit_order(
             len(steps), _lib.pointer(steps), _lib.pointer(sizes), self.accuracy, fit, counted
         )
-        raw = Fit.read(fit, [bool(x) for x in counted])
+        raw = Fit.read(fit, map(bool, counted))
         return dataclasses.replace(raw, slope=raw.slope - 1)
 
     def plot(

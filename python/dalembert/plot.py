@@ -493,6 +493,10 @@ def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None)
 
 def _axes(ax: Axes | None) -> Axes:
     if ax is not None:
+        from matplotlib.axes import Axes
+
+        if not isinstance(ax, Axes):
+            raise ValueError(f"ax is {ax!r}; expected matplotlib axes")
         return ax
     _, ax = _pyplot().subplots(layout="constrained")
     return ax

@@ -289,10 +289,23 @@ def _default_duration(order: int, probe: Callable[..., Study]) -> int:
     """Return the shortest interval over which errors of this order tell it, 1 if none does."""
     duration = 1
     while order > 2 and duration <= LONGEST:
-        if not math.isnan(probe(duration, COARSE).fits["state"].slope):
+        if not math.isnan(_clear(probe(duration, COARSE)).slope):
             return duration
         duration *= 2
     return 1
+
+
+def _clear(study: Study) -> Fit:
+    """Return the fit of the one-step errors that the floor of those at the end leaves.
+
+    So steps are chosen that tell the order at the end too.
+    """
+    fit, counted = ffi.new("dal_fit *"), ffi.new("unsigned char[]", len(study.h))
+    lib.dal_fit_order(
+        len(study.h), _lib.pointer(study.h), _lib.pointer(study.local_error), study.floor, fit,
+        counted,
+    )  # fmt: skip
+    return Fit.read(fit, map(bool, counted))
 
 
 def _units(duration: float) -> int:
@@ -324,7 +337,7 @@ def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> 
         return [count * units for count in FINE]
     longer = {math.ceil(units / k) for k in COARSE}
     tried = probe(duration, sorted({*longer, *COARSE, *(count * units for count in COARSE)}))
-    clear = [int(x) for x in tried.steps[np.array(tried.fits["state"].counted)]]
+    clear = [int(x) for x in tried.steps[np.array(_clear(tried).counted)]]
     finest = [count for count in clear if 2 * count >= clear[-1]]
     chosen = clear[-max(len(finest), 3) :] or [count * units for count in COARSE[:3]]
     if chosen[-1] < 2 * chosen[0]:
