@@ -346,6 +346,9 @@ LONG = {
     "general, few states": lambda one: dal.integrate(
         dal.systems.ball_on_table(), "midpoint", h=1e-6, steps=10**7, stride=10**5
     ),
+    "general, more states": lambda one: dal.integrate(
+        dal.systems.ball_on_table(), "midpoint", h=1e-6, steps=10**8, stride=10**4
+    ),
 }
 
 
