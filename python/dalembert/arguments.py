@@ -56,6 +56,8 @@ def _reals(value: Any) -> Array:
         return np.asarray(given, dtype=np.float64, order="C")
     except OverflowError:
         raise ValueError("an integer beyond the largest double, 1.8e308") from None
+    except (TypeError, ValueError):
+        raise ValueError(shown(value)) from None
 
 
 def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sized
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -72,7 +71,12 @@ class Scheme:
         if not 0 < len(name) < 40:
             raise ValueError(f"name = {self.name!r}: expected 1 to 39 bytes, got {len(name)}")
         if not self.is_reference:
-            if isinstance(self.substeps, Sized) and len(self.substeps) == 0:
+            if isinstance(self.substeps, str):
+                raise ValueError(
+                    f"substeps = {self.substeps!r}: expected several (beta, fraction); Scheme.find "
+                    "has the schemes with a name"
+                )
+            if isinstance(self.substeps, (list, tuple)) and len(self.substeps) == 0:
                 raise ValueError("substeps is empty: expected at least one (beta, fraction)")
             pairs = arguments.array(self.substeps, "substeps", (None, 2))
             object.__setattr__(self, "substeps", tuple((float(b), float(f)) for b, f in pairs))

@@ -1108,7 +1108,10 @@ class System:
 def require_system(value: Any) -> None:
     """Raise ValueError if an argument ``system`` is not one."""
     if not isinstance(value, System):
-        raise ValueError(f"system = {arguments.shown(value)}: expected a dalembert.System")
+        raise ValueError(
+            f"system = {arguments.shown(value)}: expected a dalembert.System, as "
+            "dalembert.systems.sleigh() returns"
+        )
 
 
 def require_parameters(name: str, given: Iterable[str], known: Iterable[str]) -> None:
