@@ -341,8 +341,8 @@ def _warn(solution: Solution) -> None:
     simple = system.mass is not None and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:
         warnings.warn(
-            f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, as "
-            f"the simpler one did not converge: h = {solution.h:g} is large for this system",
+            f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
+            f"as the simpler one did not converge: h = {solution.h:g} is large for this system",
             DalembertWarning,
             stacklevel=3,
         )
