@@ -8,8 +8,8 @@
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
 
-/* Numbers of the field between two looks at the clock, each of which costs a quarter of the field of
- * a small system; in a large one it is read at every evaluation. */
+/* Numbers of the field between two looks at the clock, each of which costs a quarter of the field
+ * of a small system; in a large one it is read at every evaluation. */
 enum { PER_LOOK = 128 };
 
 /* Accepted steps of one integration in xi; far more than any sensible one takes. */
