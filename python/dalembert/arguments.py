@@ -47,7 +47,8 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
 
 def _reals(value: Any) -> Array:
     """Return anything array-like as C-contiguous doubles; TypeError or ValueError if it is not."""
-    if any(map(np.ma.is_masked, [value, *(value if isinstance(value, (list, tuple)) else ())])):
+    rows = value if isinstance(value, (list, tuple)) else [value]
+    if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
         raise ValueError("values that are masked")
     given = np.asarray(value)
     if value is None or given.dtype.kind not in "biufO":

@@ -358,9 +358,9 @@ def test_ctrl_c_in_one_long_call(interrupt, name):
     interrupt.start()
     with pytest.raises(KeyboardInterrupt):
         LONG[name](one)
-    # It is pressed after 0.2 s and seen within 0.1 s; a second is for a busy machine.  None of the
+    # It is pressed after 0.2 s and seen within 0.1 s; 2 s allow for a busy machine.  None of the
     # calls ends in less than 10 s.
-    assert time.perf_counter() - interrupt.began < 1.2
+    assert time.perf_counter() - interrupt.began < 2.2
 
 
 def test_a_flow_that_was_interrupted_keeps_its_rows(interrupt):

@@ -583,12 +583,12 @@ def test_progress_between_two_stored_states(particle):
 def test_progress_of_the_reference_flow_between_two_stored_states():
     seen = []
     dal.integrate(
-        dal.systems.particle_oscillator(), "reference", h=0.01, steps=10**6, stride=10**6,
+        dal.systems.particle_oscillator(), "reference", h=0.01, steps=3 * 10**6, stride=3 * 10**6,
         progress=lambda done, total: seen.append((done, total)),
     )  # fmt: skip
     done = [count for count, _ in seen]
-    assert done == sorted(set(done)) and seen[-1] == (10**6, 10**6)
-    assert sum(0 < count < 10**6 for count in done) >= 2  # 0.3 s of work, asked every 0.05 s
+    assert done == sorted(set(done)) and seen[-1] == (3 * 10**6, 3 * 10**6)
+    assert sum(0 < count < 3 * 10**6 for count in done) >= 2  # 1 s of work, asked every 0.05 s
 
 
 def test_progress_as_a_bar(particle, capsys):
