@@ -28,6 +28,8 @@ struct dal_embedding {
     int order;
     int refused;          /* status of the last evaluation of g that failed */
     size_t width;         /* 2n - m */
+    dal__watch watch;
+    double made;          /* steps of the curve */
     double *x, *moved;    /* [2n] */
     double *y, *next, *z, *F1, *F2, *field1, *field2, *field0; /* [width] */
     dal_error error;
@@ -119,6 +121,20 @@ void dal_embedding_free(dal_embedding *embedding)
     dal_chart_free(embedding->chart);
     arena memory = embedding->arena; /* the object lies inside it */
     dal__release(&memory);
+}
+
+static int relay(double t, void *ctx)
+{
+    dal_embedding *const self = ctx;
+    (void)t;
+    return self->watch.function ? self->watch.function(self->made, self->watch.ctx) : 0;
+}
+
+void dal_embedding_watch(dal_embedding *embedding, dal_watch_fn watch, void *ctx)
+{
+    if (!embedding) return;
+    embedding->watch = (dal__watch){watch, ctx, 0.0};
+    dal_flow_watch(embedding->flow, relay, embedding);
 }
 
 /* ---- the flow and the scheme in xi ------------------------------------------------------- */
@@ -255,7 +271,10 @@ int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, d
                            MOST_PERIODS);
     if (status) return status;
     memcpy(self->y, y, self->width * sizeof *y);
-    for (; !status && tau > 1.0; tau -= 1.0) status = step(self, self->y, self->y);
+    for (self->made = 0.0; !status && tau > 1.0; tau -= 1.0, self->made++) {
+        status = step(self, self->y, self->y);
+        if (!status) status = dal__ask(&self->watch, self->made, &self->error);
+    }
     if (!status) status = branches(self, tau, self->y);
     if (status) return status;
     double chi0, chi1;
@@ -331,7 +350,8 @@ int dal_embedding_limit(dal_embedding *embedding, const double *z, double *d)
 static int perturbed_field(double t, const double *z, double *zdot, void *ctx, dal_error *error)
 {
     dal_embedding *const self = ctx;
-    const int status = perturbation(self, t / self->h, z);
+    int status = dal__ask(&self->watch, self->made, &self->error);
+    if (!status) status = perturbation(self, t / self->h, z);
     if (status) {
         *error = self->error;
         self->refused = status;

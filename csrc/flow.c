@@ -12,6 +12,10 @@ static const double LOOSER = 10.0;
  * grow freely both integrations would else take the same ones, and make the same error. */
 static const double LONGEST = 0.0578;
 
+/* Numbers of the field between two looks at the clock, each of which costs a quarter of the field
+ * of a small system; in a large one it is read at every evaluation. */
+enum { PER_LOOK = 128 };
+
 /* Accepted steps of one integration in xi; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
 
@@ -23,6 +27,8 @@ struct dal_flow {
     ode *integrator;
     double tolerance;
     double *result, *state;  /* [2n] */
+    dal__watch watch;
+    size_t unwatched;        /* numbers of the field since the clock was read */
     dal_error error;
     arena arena;
 };
@@ -34,22 +40,37 @@ static void copy(const dal_flow *flow, double *to, const double *from)
     memcpy(to, from, dimension(flow) * sizeof *to);
 }
 
-/* dxdt[2n] <- the field on D at x[2n], of the mechanics ctx. */
+/* Whether to go on at time t. */
+static int ask(dal_flow *flow, double t, dal_error *error)
+{
+    if (!flow->watch.function || (flow->unwatched += dimension(flow)) < PER_LOOK)
+        return DAL_SUCCESS;
+    flow->unwatched = 0;
+    return dal__ask(&flow->watch, t, error);
+}
+
+/* dxdt[2n] <- the field on D at x[2n], of the flow ctx. */
 static int field(double t, const double *x, double *dxdt, void *ctx, dal_error *error)
 {
-    dal_mechanics *const mech = ctx;
-    const int status = dal_field(mech, t, x, dxdt);
+    dal_flow *const flow = ctx;
+    dal_mechanics *const mech = &flow->mech;
+    int status = ask(flow, t, error);
+    if (status) return status;
+    status = dal_field(mech, t, x, dxdt);
     if (status) *error = mech->error;
     else if (!dal__all_finite(2 * mech->n, dxdt))
         return dal__fail(error, DAL_EDOMAIN, "the acceleration at t = %.17g is not finite", t);
     return status;
 }
 
-/* The same in xi[2n-m], of the chart ctx. */
+/* The same in xi[2n-m]. */
 static int field_in_xi(double t, const double *xi, double *dxidt, void *ctx, dal_error *error)
 {
-    dal_chart *const chart = ctx;
-    const int status = dal_chart_field(chart, t, xi, dxidt);
+    dal_flow *const flow = ctx;
+    dal_chart *const chart = &flow->chart;
+    int status = ask(flow, t, error);
+    if (status) return status;
+    status = dal_chart_field(chart, t, xi, dxidt);
     if (status) *error = chart->mech.error;
     else if (!dal__all_finite(chart->width, dxidt))
         return dal__fail(error, DAL_EDOMAIN, "the acceleration at t = %.17g is not finite", t);
@@ -82,10 +103,8 @@ int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method meth
     self->arena = memory;
     dal__mechanics_bind(&self->mech, system);
     if (self->in_xi) dal__chart_bind(&self->chart, system);
-    status = self->in_xi ? dal__ode_new(&self->integrator, 2 * n - m, method, tolerance,
-                                        field_in_xi, &self->chart, error)
-                         : dal__ode_new(&self->integrator, 2 * n, method, tolerance, field,
-                                        &self->mech, error);
+    status = dal__ode_new(&self->integrator, self->in_xi ? 2 * n - m : 2 * n, method, tolerance,
+                          self->in_xi ? field_in_xi : field, self, error);
     if (status) dal_flow_free(self);
     else *flow = self;
     return status;
@@ -97,6 +116,13 @@ void dal_flow_free(dal_flow *flow)
     dal__ode_free(flow->integrator);
     arena memory = flow->arena; /* the object lies inside it */
     dal__release(&memory);
+}
+
+void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
+{
+    if (!flow) return;
+    flow->watch = (dal__watch){watch, ctx, 0.0};
+    flow->unwatched = PER_LOOK; /* asked at the next evaluation */
 }
 
 const char *dal_flow_message(const dal_flow *flow) { return flow->error.text; }

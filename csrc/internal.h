@@ -33,6 +33,20 @@ int dal__require_output(dal_error *error, const char *name, size_t count, const 
 /* Status of what a user's callback returned: 0, DAL_EDOMAIN for > 0, DAL_EUSER for < 0. */
 int dal__callback_status(int returned);
 
+/* Seconds, of the time of day: it may be set back or forward. */
+double dal__clock(void);
+
+/* A caller's watch, asked every so many seconds. */
+#define DAL_WATCH_SECONDS 0.05
+typedef struct dal__watch {
+    dal_watch_fn function; /* or NULL */
+    void *ctx;
+    double asked;          /* when */
+} dal__watch;
+
+/* Asks the watch, unless that was done a moment ago.  DAL_STOPPED, DAL_EUSER. */
+int dal__ask(dal__watch *watch, double far, dal_error *error);
+
 /* A plan of arrays that share one allocation.  Usage: an arena {0}; dal__reserve for each array;
  * dal__allocate once; then the pointers are valid until dal__release. */
 typedef struct arena {

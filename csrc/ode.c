@@ -19,6 +19,9 @@
 /* Accepted and refused steps of one integration; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
 
+/* Below it steps are refused for their roundoff. */
+static const double LEAST_TOLERANCE = 4.0 * DAL_ROUNDOFF;
+
 /* The first step is a fraction of what the field suggests and of the interval. */
 static const double FIRST_STEP = 0.00618033988749895;
 static const double FIRST_FRACTION = 0.381966011250105;
@@ -70,6 +73,7 @@ struct ode {
     /* of rodas */
     double *point, *right, *left, *rate;      /* [N]; rate: the derivative of the field by time */
     double *jacobian, *matrix, *scale;        /* [N*N] */
+    double *sizes;                            /* [5*N] */
     double *stage;                            /* [STAGES*N] */
     size_t *row;                              /* [N] */
     arena arena;
@@ -171,8 +175,8 @@ static bool factor(ode *self, double h)
         self->scale[i] = fabs(diagonal) + fabs(self->jacobian[i]);
     }
     if (!dal__all_finite(N * N, self->scale)) return false;
-    dal__equilibrate(N, self->scale, self->point);
-    return dal_lu_factor(N, N, self->matrix, self->scale, self->row);
+    dal__sizes(N, self->scale, self->sizes);
+    return dal_lu_factor(N, self->matrix, self->sizes, self->row);
 }
 
 /* One step of rodas, as gsl_odeiv2_step_apply. */
@@ -215,6 +219,7 @@ static void plan(ode *shape, arena *memory)
     if (shape->method != DAL_FLOW_RODAS) return;
     dal__reserve_doubles(memory, DAL_LENGTH(scratch), scratch, N);
     dal__reserve_doubles(memory, DAL_LENGTH(matrices), matrices, N2);
+    dal__reserve(memory, &shape->sizes, dal__times(5, N), sizeof(double));
     dal__reserve(memory, &shape->stage, dal__times(STAGES, N), sizeof(double));
     dal__reserve(memory, &shape->row, N, sizeof(size_t));
 }
@@ -224,8 +229,9 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
 {
     if (!method_name(method))
         return dal__fail(error, DAL_EINVAL, "method = %d is not a dal_flow_method", (int)method);
-    if (!(tolerance > 0.0 && tolerance <= 0.1))
-        return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in (0, 0.1]", tolerance);
+    if (!(tolerance >= LEAST_TOLERANCE && tolerance <= 0.1))
+        return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in [%.1e, 0.1]: no step is more "
+                         "accurate than roundoff", tolerance, LEAST_TOLERANCE);
 
     arena memory = {0};
     ode shape = {.N = N, .method = method, .tolerance = tolerance, .field = field, .ctx = ctx};
@@ -375,7 +381,8 @@ static int attempt_towards(ode *self, double end, bool *accepted, dal_error *err
     if (*accepted) {
         if (!last && self->elapsed + h == self->elapsed) return collapsed(self, h, error);
         self->elapsed = last ? end : self->elapsed + h;
-    } else if (self->fault.status == DAL_EUSER || !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
+    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED ||
+               !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
         return collapsed(self, self->h, error);
     }
     return DAL_SUCCESS;

@@ -14,6 +14,7 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 enum { BLOCK = 256, FEWEST_POINTS = 3 };
@@ -48,8 +49,11 @@ typedef struct study {
     double *rows;       /* [(BLOCK + 1)*2n] */
     double *energy, *relative;            /* [BLOCK + 1] */
     double *lambda, *expected, *reaction; /* [m] */
-    double *h, *errors;                   /* [count]: of a fit */
+    double *h, *errors, *sizes;           /* [count]: of a fit */
+    unsigned char *counted;               /* [count] */
     dal_order_point *points;              /* [count] */
+    double made;                          /* steps of all runs so far */
+    dal__watch watch;
     dal_error *error;
     arena memory;
 } study;
@@ -77,15 +81,17 @@ static double finest_slope(size_t count, const double *h, const double *errors, 
 }
 
 void dal_fit_order(size_t count, const double *h, const double *errors, double floor,
-                   dal_fit *fit)
+                   dal_fit *fit, unsigned char *counted)
 {
+    const double least = ABOVE_FLOOR * floor;
     double sum_x = 0.0, sum_y = 0.0, shortest = INFINITY, longest = 0.0;
     size_t points = 0, finite = 0, above = 0;
     for (size_t i = 0; i < count; i++) {
-        if (!isfinite(errors[i])) continue;
-        finite++;
-        above += errors[i] > AT_FLOOR * floor;
-        if (!(errors[i] > ABOVE_FLOOR * floor)) continue;
+        const bool counts = isfinite(errors[i]) && errors[i] > least;
+        if (counted) counted[i] = counts;
+        finite += isfinite(errors[i]) != 0;
+        above += isfinite(errors[i]) && errors[i] > AT_FLOOR * floor;
+        if (!counts) continue;
         points++;
         sum_x += log(fabs(h[i]));
         sum_y += log(errors[i]);
@@ -99,13 +105,26 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
     const double mean_x = sum_x / (double)points, mean_y = sum_y / (double)points;
     double xx = 0.0, xy = 0.0;
     for (size_t i = 0; i < count; i++) {
-        if (!(isfinite(errors[i]) && errors[i] > ABOVE_FLOOR * floor)) continue;
+        if (!(isfinite(errors[i]) && errors[i] > least)) continue;
         const double x = log(fabs(h[i])) - mean_x;
         xx += x * x;
         xy += x * (log(errors[i]) - mean_y);
     }
     fit->slope = xy / xx;
-    fit->finest = finest_slope(count, h, errors, ABOVE_FLOOR * floor);
+    fit->finest = finest_slope(count, h, errors, least);
+}
+
+/* The fit of self->errors; the points that counted are marked. */
+static dal_fit fit_errors(study *self, dal_order_fit which, double floor)
+{
+    const unsigned bit = 1u << which;
+    dal_fit fit;
+    dal_fit_order(self->def->count, self->h, self->errors, floor, &fit, self->counted);
+    for (size_t i = 0; i < self->def->count; i++) {
+        unsigned *const counted = &self->points[i].counted;
+        *counted = self->counted[i] ? *counted | bit : *counted & ~bit;
+    }
+    return fit;
 }
 
 /* h and errors <- one column of the table, the member of dal_order_point at offset. */
@@ -117,12 +136,10 @@ static void read_column(study *self, size_t offset)
     }
 }
 
-static dal_fit fit_column(study *self, size_t offset, double floor)
+static dal_fit fit_column(study *self, dal_order_fit which, size_t offset, double floor)
 {
-    dal_fit fit;
     read_column(self, offset);
-    dal_fit_order(self->def->count, self->h, self->errors, floor, &fit);
-    return fit;
+    return fit_errors(self, which, floor);
 }
 
 /* The fit of the errors at t_end.  Their roundoff is a walk of as many steps as the run has
@@ -130,9 +147,8 @@ static dal_fit fit_column(study *self, size_t offset, double floor)
  * floor is lowered to where it does not stand clear of the common one either.  Measured with up to
  * 2e6 sub-steps over up to 100 units of time, the walk stays below 50 of these floors, and for most
  * systems below 5. */
-static dal_fit fit_run(study *self, double floor)
+static dal_fit fit_run(study *self, dal_order_fit which, double floor)
 {
-    dal_fit fit;
     for (size_t i = 0; i < self->def->count; i++) {
         const double substeps = (double)self->points[i].steps
                               * (double)dal__scheme_count(self->scheme);
@@ -141,14 +157,19 @@ static dal_fit fit_run(study *self, double floor)
         else if (self->errors[i] <= ABOVE_FLOOR * own)
             self->errors[i] = fmin(self->errors[i], ABOVE_FLOOR * floor);
     }
-    dal_fit_order(self->def->count, self->h, self->errors, floor, &fit);
-    return fit;
+    return fit_errors(self, which, floor);
 }
 
-static dal_fit fit_run_column(study *self, size_t offset, double floor)
+static dal_fit fit_run_column(study *self, dal_order_fit which, size_t offset, double floor)
 {
     read_column(self, offset);
-    return fit_run(self, floor);
+    return fit_run(self, which, floor);
+}
+
+static int ascending(const void *one, const void *other)
+{
+    const double x = *(const double *)one, y = *(const double *)other;
+    return (x > y) - (x < y);
 }
 
 /* The fit of the reaction over the finer half of the steps, if that says anything.  Its errors are
@@ -157,17 +178,16 @@ static dal_fit fit_run_column(study *self, size_t offset, double floor)
  * all. */
 static dal_fit fit_reaction(study *self, double floor)
 {
-    const size_t count = self->def->count;
-    const size_t fine = count / 2 > FEWEST_POINTS ? count / 2 : FEWEST_POINTS;
-    const dal_fit all = fit_column(self, offsetof(dal_order_point, local_reaction), floor);
-    for (size_t i = 0; i < count; i++) {
-        size_t finer = 0;
-        for (size_t j = 0; j < count; j++) finer += fabs(self->h[j]) < fabs(self->h[i]);
-        if (finer >= fine) self->errors[i] = NAN;
-    }
-    dal_fit fit;
-    dal_fit_order(count, self->h, self->errors, floor, &fit);
-    return isnan(fit.slope) ? all : fit;
+    const size_t offset = offsetof(dal_order_point, local_reaction), count = self->def->count;
+    const size_t half = count / 2 > FEWEST_POINTS ? count / 2 : FEWEST_POINTS;
+    read_column(self, offset);
+    for (size_t i = 0; i < count; i++) self->sizes[i] = fabs(self->h[i]);
+    qsort(self->sizes, count, sizeof *self->sizes, ascending);
+    const double longest = self->sizes[(half < count ? half : count) - 1];
+    for (size_t i = 0; i < count; i++)
+        if (fabs(self->h[i]) > longest) self->errors[i] = NAN;
+    const dal_fit fine = fit_errors(self, DAL_FIT_REACTION, floor);
+    return isnan(fine.slope) ? fit_column(self, DAL_FIT_REACTION, offset, floor) : fine;
 }
 
 /* The fit of the state at t_end, the larger error of q and v. */
@@ -177,7 +197,7 @@ static dal_fit fit_global_state(study *self, double floor)
         self->h[i] = self->points[i].h;
         self->errors[i] = fmax(self->points[i].q, self->points[i].v);
     }
-    return fit_run(self, floor);
+    return fit_run(self, DAL_FIT_GLOBAL_STATE, floor);
 }
 
 /* ---- errors ----------------------------------------------------------------------------- */
@@ -303,17 +323,23 @@ static int watch_block(study *self, double h, size_t count, double energy0,
     return DAL_SUCCESS;
 }
 
-/* The run to t_end: what it keeps on the way, and its errors there. */
+/* The run to t_end: what it keeps on the way, and its errors there.  Blocks begin with one step and
+ * grow as long as they are short in time, so that the watch is asked often enough however long a
+ * step takes. */
 static int measure_run(study *self, double h, size_t steps, dal_order_point *point)
 {
     const size_t n = self->n;
     double energy0;
     int status = dal_energy(self->mech, dal_stepper_state(self->stepper), &energy0);
-    for (size_t made = 0; !status && made < steps;) {
-        const size_t count = steps - made < BLOCK ? steps - made : BLOCK;
+    for (size_t made = 0, block = 1; !status && made < steps;) {
+        const size_t count = steps - made < block ? steps - made : block;
+        const double began = dal__clock();
         status = dal_integrate(self->stepper, count, 1, self->rows, NULL, NULL, NULL, NULL);
         if (!status) status = watch_block(self, h, count, energy0, point);
         made += count;
+        self->made += (double)count;
+        if (!status) status = dal__ask(&self->watch, self->made, self->error);
+        if (block < BLOCK && dal__clock() - began < 0.1 * DAL_WATCH_SECONDS) block *= 2;
     }
     const double *const state = dal_stepper_state(self->stepper);
     if (!status) status = dal_multipliers(self->mech, self->def->t_end, state, self->lambda);
@@ -332,8 +358,8 @@ static dal_order_point failed_point(double h, size_t steps, int status)
                              .energy = NAN, .failed = status};
 }
 
-/* One line of the table.  A run that fails is a failed point; a callback that says stop is
- * obeyed. */
+/* One line of the table.  A run that fails is a failed point; but a callback or a watch that says
+ * stop is obeyed, and a lack of memory says nothing of the scheme. */
 static int measure_point(study *self, size_t steps, dal_order_point *point)
 {
     const double h = (self->def->t_end - self->def->t0) / (double)steps;
@@ -344,8 +370,9 @@ static int measure_point(study *self, size_t steps, dal_order_point *point)
     if (!status) status = start_run(self, h);
     if (!status) status = measure_run(self, h, steps, point);
     if (status) *point = failed_point(h, steps, status);
-    if (status == DAL_EUSER)
-        return dal__fail(self->error, status, "a callback stopped the run with h = %g", h);
+    if (status == DAL_STOPPED || status == DAL_EUSER || status == DAL_ENOMEM)
+        return dal__fail(self->error, status, status == DAL_ENOMEM ? "out of memory in the run with "
+                         "h = %g" : "a callback stopped the run with h = %g", h);
     return DAL_SUCCESS;
 }
 
@@ -382,10 +409,10 @@ static bool falls_short(const dal_fit *fit, int least)
     return is_known(fit) && !reaches(fit, least) && !(fit->finest > fit->slope + UNSETTLED);
 }
 
-static int judge(const study *self, const dal_order *order, const dal_fit *run)
+static int judge(const study *self, const dal_order *order)
 {
     if (self->scheme->order == 0) return -1;
-    const dal_fit *const step = &order->state;
+    const dal_fit *const step = &order->state, *const run = &order->global_state;
     const promise of_step = promise_of_step(self);
     const bool both = starts_with_jump(self);
     const bool step_holds = reaches(step, of_step.p + 1);
@@ -425,10 +452,10 @@ static const char *order_text(const dal_fit *fit, double lost, char text[16])
     return text;
 }
 
-static const char *verdict_word(int holds)
+static const char *verdict_word(const dal_order *order)
 {
-    switch (holds) {
-    case 1: return "holds";
+    switch (order->holds) {
+    case 1: return order->state.exact && order->global_state.exact ? "exact to roundoff" : "holds";
     case 0: return "does not hold";
     case -1: return "the record promises nothing";
     default: return "the errors that stand clear of the floor are too few, or too coarse, to tell";
@@ -436,7 +463,7 @@ static const char *verdict_word(int holds)
 }
 
 /* The verdict in words, with the numbers that it rests on. */
-static void write_verdict(const study *self, const dal_fit *run, double worst, dal_order *order)
+static void write_verdict(const study *self, double worst, dal_order *order)
 {
     char p[16], s[16], at_end[16], promised[64] = "", kept[64] = "", failed[64] = "";
     size_t failures = 0;
@@ -456,19 +483,21 @@ static void write_verdict(const study *self, const dal_fit *run, double worst, d
              "order (p, s) = (%s, %s) over %zu point%s%s, order %s at t_end: %s%s%s.",
              order_text(&order->state, 1.0, p), order_text(&order->reaction, 1.0, s),
              order->state.points, order->state.points == 1 ? "" : "s", promised,
-             order_text(run, 0.0, at_end), verdict_word(order->holds), kept, failed);
+             order_text(&order->global_state, 0.0, at_end), verdict_word(order), kept, failed);
 }
 
 static void conclude(study *self, dal_order *order)
 {
     const double step = error_floor(self, STEP_ROUNDINGS), run = error_floor(self, RUN_ROUNDINGS);
-#define FIT(member, floor) fit_column(self, offsetof(dal_order_point, member), floor)
-#define FIT_RUN(member) fit_run_column(self, offsetof(dal_order_point, member), run)
+#define FIT(which, member) fit_column(self, which, offsetof(dal_order_point, member), step)
+#define FIT_RUN(which, member) fit_run_column(self, which, offsetof(dal_order_point, member), run)
     *order = (dal_order){
-        .state = FIT(local_state, step), .multipliers = FIT(local_multipliers, step),
-        .reaction = fit_reaction(self, step), .midpoint = FIT(local_midpoint, step),
-        .global_q = FIT_RUN(q), .global_v = FIT_RUN(v),
-        .global_multipliers = FIT_RUN(multipliers), .floor = run, .reference = self->accuracy,
+        .state = FIT(DAL_FIT_STATE, local_state),
+        .multipliers = FIT(DAL_FIT_MULTIPLIERS, local_multipliers),
+        .reaction = fit_reaction(self, step), .midpoint = FIT(DAL_FIT_MIDPOINT, local_midpoint),
+        .global_q = FIT_RUN(DAL_FIT_GLOBAL_Q, q), .global_v = FIT_RUN(DAL_FIT_GLOBAL_V, v),
+        .global_multipliers = FIT_RUN(DAL_FIT_GLOBAL_MULTIPLIERS, multipliers),
+        .global_state = fit_global_state(self, run), .floor = run, .reference = self->accuracy,
     };
 #undef FIT_RUN
 #undef FIT
@@ -477,9 +506,8 @@ static void conclude(study *self, dal_order *order)
     double worst_D, worst_D_eps;
     order->keeps_D = is_kept(self, offsetof(dal_order_point, residual), &worst_D);
     order->keeps_D_eps = is_kept(self, offsetof(dal_order_point, residual_eps), &worst_D_eps);
-    const dal_fit state = fit_global_state(self, run);
-    order->holds = judge(self, order, &state);
-    write_verdict(self, &state, self->kept ? worst_D_eps : worst_D, order);
+    order->holds = judge(self, order);
+    write_verdict(self, self->kept ? worst_D_eps : worst_D, order);
 }
 
 /* ---- the study -------------------------------------------------------------------------- */
@@ -521,11 +549,20 @@ static int reserve_arrays(study *self)
                   {&self->rows, dal__times(rows, N)}, {&self->energy, rows},
                   {&self->relative, rows}, {&self->end_lambda, self->m}, {&self->lambda, self->m},
                   {&self->expected, self->m}, {&self->reaction, self->m}, {&self->h, count},
-                  {&self->errors, count}};
+                  {&self->errors, count}, {&self->sizes, count}};
     for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++)
         dal__reserve(&self->memory, arrays[i].slot, arrays[i].size, sizeof(double));
     dal__reserve(&self->memory, &self->points, count, sizeof *self->points);
+    dal__reserve(&self->memory, &self->counted, count, sizeof *self->counted);
     return dal__allocate(&self->memory, self->error);
+}
+
+/* The flow computes: how far the study is does not change. */
+static int relay(double t, void *ctx)
+{
+    const study *const self = ctx;
+    (void)t;
+    return self->def->watch ? self->def->watch(self->made, self->def->watch_ctx) : 0;
 }
 
 /* The objects of the study.  The flow stands in where there is no exact solution: in general, or
@@ -538,6 +575,7 @@ static int make_objects(study *self)
     if (!status && (self->kept || !has_exact(self)))
         status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, DAL_FLOW_X,
                               self->tolerance, self->error);
+    if (!status) dal_flow_watch(self->flow, relay, self);
     return status ? status : reserve_arrays(self);
 }
 
@@ -574,7 +612,7 @@ int dal_order_study(const dal_system *system, const dal_scheme *scheme, const da
     study self = {.system = system, .scheme = scheme, .def = def, .n = dal_system_n(system),
                   .m = dal_system_m(system), .kept = scheme->nodes == DAL_KEPT_NODES,
                   .tolerance = def->tolerance > 0.0 ? def->tolerance : DEFAULT_TOLERANCE,
-                  .error = error};
+                  .watch = {def->watch, def->watch_ctx, 0.0}, .error = error};
     if (dal_scheme_shift(scheme, &self.shift)) self.shift = NAN;
 
     status = make_objects(&self);

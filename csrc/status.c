@@ -1,9 +1,10 @@
-/* Floor 0: status codes in words, and the error record. */
+/* Floor 0: status codes in words, the error record, and watches. */
 #include "internal.h"
 
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
+#include <time.h>
 
 const char *dal_version(void) { return DAL_VERSION; }
 
@@ -11,7 +12,7 @@ const char *dal_strerror(int status)
 {
     switch ((dal_status)status) {
     case DAL_SUCCESS: return "success";
-    case DAL_STOPPED: return "stopped by the observer";
+    case DAL_STOPPED: return "stopped by an observer or a watch";
     case DAL_EINVAL: return "invalid argument";
     case DAL_ENOMEM: return "out of memory";
     case DAL_EUSER: return "a callback failed";
@@ -49,4 +50,23 @@ int dal__callback_status(int returned)
 {
     if (returned == 0) return DAL_SUCCESS;
     return returned > 0 ? DAL_EDOMAIN : DAL_EUSER;
+}
+
+double dal__clock(void)
+{
+    struct timespec now;
+    timespec_get(&now, TIME_UTC);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+int dal__ask(dal__watch *watch, double far, dal_error *error)
+{
+    if (!watch->function) return DAL_SUCCESS;
+    const double now = dal__clock();
+    if (fabs(now - watch->asked) < DAL_WATCH_SECONDS) return DAL_SUCCESS;
+    watch->asked = now;
+    const int returned = watch->function(far, watch->ctx);
+    if (returned == 0) return DAL_SUCCESS;
+    return dal__fail(error, returned > 0 ? DAL_STOPPED : DAL_EUSER, "the watch returned %d",
+                     returned);
 }

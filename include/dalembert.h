@@ -51,7 +51,7 @@ extern "C" {
 
 typedef enum dal_status {
     DAL_SUCCESS = 0,
-    DAL_STOPPED = 1,       /* an observer asked to stop; what was computed is valid */
+    DAL_STOPPED = 1,       /* an observer or a watch asked to stop; what was computed is valid */
     DAL_EINVAL = -1,       /* an argument is NULL, out of range or not finite */
     DAL_ENOMEM = -2,       /* memory could not be allocated, or its size overflows */
     DAL_EUSER = -3,        /* a callback returned a negative number */
@@ -75,6 +75,10 @@ DAL_API const char *dal_version(void);
 
 /* One line of text for a dal_status; never NULL. */
 DAL_API const char *dal_strerror(int status);
+
+/* Asked some twenty times a second by what may compute for long, with how far it is, in what is said
+ * there: return 0 to go on, > 0 to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
+typedef int (*dal_watch_fn)(double far, void *ctx);
 
 /* ---- system ---------------------------------------------------------------------------- */
 
@@ -514,11 +518,15 @@ typedef enum dal_flow_coordinates {
 /* The flow of the ODE on D by an adaptive method: GSL's (odeiv2), but for rodas. */
 typedef struct dal_flow dal_flow;
 
-/* tolerance: relative and absolute, for each step, in (0, 0.1]; 1e-13 is about the best. */
+/* tolerance: relative and absolute, for each step, in [4 u, 0.1], u = 2^-53; 1e-13 is about the
+ * best. */
 DAL_API int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method method,
                          dal_flow_coordinates coordinates, double tolerance, dal_error *error);
 DAL_API void dal_flow_free(dal_flow *flow);
 DAL_API const char *dal_flow_message(const dal_flow *flow);
+
+/* Has watch asked, with the time where the flow is, by all that computes with it; NULL: nobody. */
+DAL_API void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);
 
 /* x[2n] at t0, which must lie in D, -> x at t1 (t1 < t0 is allowed), projected onto D at the end
  * (ODEflow).
@@ -529,7 +537,8 @@ DAL_API const char *dal_flow_message(const dal_flow *flow);
  * for it costs a second integration.  What happens between the evaluations of both, as a short push
  * in a long rest, is not seen: integrate from one such event to the next.  DAL_FLOW_MSADAMS takes
  * two evaluations for a step, and is for smooth forces only.
- * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed). */
+ * DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN, DAL_ESINGULAR, DAL_ENOCONV (the step size collapsed),
+ * DAL_STOPPED, where x is as it was too. */
 DAL_API int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy);
 
 /* Rows 1..steps of x[(steps+1)*2n] from row 0, which must lie in D (not checked either): the
@@ -832,6 +841,12 @@ typedef struct dal_fit {
     int exact;       /* 1: every error is at the level of roundoff */
 } dal_fit;
 
+/* The fits of a study. */
+typedef enum dal_order_fit {
+    DAL_FIT_STATE, DAL_FIT_MULTIPLIERS, DAL_FIT_REACTION, DAL_FIT_MIDPOINT,
+    DAL_FIT_GLOBAL_Q, DAL_FIT_GLOBAL_V, DAL_FIT_GLOBAL_MULTIPLIERS, DAL_FIT_GLOBAL_STATE
+} dal_order_fit;
+
 /* One step size of a study.  Errors are largest components of differences. */
 typedef struct dal_order_point {
     double h;
@@ -846,6 +861,7 @@ typedef struct dal_order_point {
                                          residual_eps is NaN for a record with several sub-steps */
     double energy;                    /* max |E - E0| / max(|E0|, 1) over the run */
     int failed;                       /* status of the run; nonzero: the errors are NaN */
+    unsigned counted;                 /* bit 1 << k: the point counted in the dal_order_fit k */
 } dal_order_point;
 
 typedef struct dal_order {
@@ -854,7 +870,8 @@ typedef struct dal_order {
     dal_fit reaction;     /* slope - 1 is s of (p, s), as in the paper; over the finer half of the
                              steps, because its h^2 term is there at any order */
     dal_fit midpoint;     /* slope of the reaction at the middle of the step, minus 1 */
-    dal_fit global_q, global_v, global_multipliers; /* slopes at t_end */
+    dal_fit global_q, global_v, global_multipliers; /* slopes at t_end, */
+    dal_fit global_state;                           /* and of the larger error of q and v */
     double p, s;          /* state.slope - 1, reaction.slope - 1 (firstorder, secondorder) */
     double floor;         /* of the errors at t_end: those below 100 floor do not count; it is
                              higher for runs of many sub-steps, and lower for one-step errors */
@@ -862,7 +879,7 @@ typedef struct dal_order {
     int keeps_D, keeps_D_eps; /* 1: residual within 4 n u after every step of every run */
     int holds;            /* the verdict: 1 if the set that the nodes promise is kept, s >=
                              multiplier_order - 0.2 (or exact), and p or the slope at t_end is at
-                             least order - 0.2 (the one-step errors of high orders can reach
+                             least order - 0.2 (or exact) (the one-step errors of high orders can reach
                              roundoff before their slope settles); 0 if not; -1 if the record
                              promises nothing; -2 if too few points count to tell, or the slope
                              falls short but has not settled.  With
@@ -879,19 +896,22 @@ typedef struct dal_order_def {
     size_t count;
     dal_initial initial;        /* for kept nodes */
     double tolerance;           /* of the flow where there is no exact solution; 0: 1e-13 */
+    dal_watch_fn watch;         /* or NULL; it sees the number of steps made, of all runs */
+    void *watch_ctx;
 } dal_order_def;
 
 /* Step-size refinement of scheme on system: points[count] and *order.
- * DAL_EINVAL, DAL_ENOMEM, and the errors of the reference flow.  A run that fails is a failed
- * point, not a failed study. */
+ * DAL_EINVAL, DAL_ENOMEM, DAL_STOPPED (nothing is written), and the errors of the reference flow.  A
+ * run that fails is a failed point, not a failed study. */
 DAL_API int dal_order_study(const dal_system *system, const dal_scheme *scheme,
                             const dal_order_def *def, dal_order_point *points, dal_order *order,
                             dal_error *error);
 
 /* The least squares slope of log(error) over log(h) for the points with error > 100 floor (at
- * least three over a factor of two in h).  h[count], errors[count]. */
+ * least three over a factor of two in h).  h[count], errors[count]; counted[count] (or NULL) <- 1
+ * for these points, 0 for the others. */
 DAL_API void dal_fit_order(size_t count, const double *h, const double *errors, double floor,
-                           dal_fit *fit);
+                           dal_fit *fit, unsigned char *counted);
 
 /* ---- runs: embedding --------------------------------------------------------------------- */
 
@@ -921,6 +941,9 @@ DAL_API const char *dal_embedding_message(const dal_embedding *embedding);
 
 /* The chart whose xi the functions below take and give: dal_chart_choose it first.  Borrowed. */
 DAL_API dal_chart *dal_embedding_chart(dal_embedding *embedding);
+/* Has watch asked by all that computes with the embedding, with the number of steps of the scheme
+ * that dal_embedding_curve has made; NULL: nobody. */
+DAL_API void dal_embedding_watch(dal_embedding *embedding, dal_watch_fn watch, void *ctx);
 /* p. */
 DAL_API int dal_embedding_order(const dal_embedding *embedding);
 /* About how much of g is noise: the accuracy of the flow (4 u for an exact solution) times

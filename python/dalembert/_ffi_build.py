@@ -34,6 +34,7 @@ extern "Python" int dal_py_deformation(const double *q, const double *v, double 
 extern "Python" int dal_py_exact(double t, const double *x0, double *x, void *ctx);
 extern "Python" int dal_py_map(double h, const double *q0, const double *q1, double *g, double *f,
                                double *g_0, double *g_1, double *f_0, double *f_1, void *ctx);
+extern "Python" int dal_py_watch(double t, void *ctx);
 extern "Python" int dal_py_observer(size_t step, double t, const double *x, void *ctx);
 """
 

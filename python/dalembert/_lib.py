@@ -537,6 +537,12 @@ def dal_py_map(
     return 0
 
 
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_watch(t: float, ctx: Any) -> int:
+    _from_handle(ctx)(t)
+    return 0
+
+
 class Observer:
     """A user's observer of a run; it sees every stored state once, whatever the blocks are."""
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import difflib
 import operator
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["array", "choice", "function", "integer", "number", "returned", "text"]
+__all__ = [
+    "array", "choice", "function", "integer", "mapping", "names", "number", "pair", "returned",
+    "shown", "step_size", "suggestion", "text",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
@@ -16,7 +21,7 @@ Array = NDArray[np.float64]
 def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array:
     """Return ``value`` as C-contiguous doubles of one of the shapes.
 
-    ``None`` in a shape stands for any length.
+    ``None`` in a shape stands for any length.  Where the shape is (1,) a number does.
 
     Raises
     ------
@@ -29,6 +34,8 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
         result = _reals(value)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected real numbers of shape {wanted}, got {error}") from error
+    if result.ndim == 0 and (1,) in shapes:
+        result = result.reshape(1)
     if not any(_fits(result, shape) for shape in shapes):
         raise ValueError(f"{name}: expected shape {wanted}, got {result.shape}")
     if not np.isfinite(result).all():
@@ -40,10 +47,18 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
 
 def _reals(value: Any) -> Array:
     """Return anything array-like as C-contiguous doubles; TypeError or ValueError if it is not."""
+    rows = value if isinstance(value, (list, tuple)) else [value]
+    if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
+        raise ValueError("values that are masked")
     given = np.asarray(value)
     if value is None or given.dtype.kind not in "biufO":
         raise TypeError("None" if value is None else f"values of type {given.dtype}")
-    return np.asarray(given, dtype=np.float64, order="C")
+    try:
+        return np.asarray(given, dtype=np.float64, order="C")
+    except OverflowError:
+        raise ValueError("an integer beyond the largest double, 1.8e308") from None
+    except (TypeError, ValueError):
+        raise ValueError(shown(value)) from None
 
 
 def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
@@ -65,40 +80,101 @@ def number(value: Any, name: str) -> float:
     except (TypeError, ValueError):
         result = None
     if result is None or result.shape != () or not np.isfinite(result):
-        raise ValueError(f"{name} = {value!r}: expected a finite number")
+        raise ValueError(f"{name} = {shown(value)}: expected a finite number")
     return float(result)
 
 
-def integer(value: Any, name: str, least: int, most: float = 2**63 - 1) -> int:
+def step_size(value: Any, t: float, name: str = "h") -> float:
+    """Return ``value`` as a step size at the time t, negative to go backwards; else ValueError."""
+    h = number(value, name)
+    if h == 0.0:
+        raise ValueError(f"{name} = 0: expected a step size, negative to integrate backwards")
+    if t + h == t:
+        raise ValueError(
+            f"{name} = {h!r} does not change the time t = {t!r}: expected at least "
+            f"{np.spacing(abs(t)):.1e} in size"
+        )
+    return h
+
+
+def integer(value: Any, name: str, least: int, most: int = 2**63 - 1) -> int:
     """Return ``value`` as an integer in least .. most; ValueError otherwise."""
     try:
         result = operator.index(value)
     except TypeError:
-        raise ValueError(f"{name} = {value!r}: expected an integer") from None
+        raise ValueError(f"{name} = {shown(value)}: expected an integer") from None
     if not least <= result <= most:
         bound = f"at least {least}" if result < least else f"at most {most}"
-        raise ValueError(f"{name} = {result}: expected {bound}")
+        raise ValueError(f"{name} = {shown(result)}: expected {bound}")
     return result
 
 
 def text(value: Any, name: str) -> str:
     """Return ``value`` if it is a string without NUL, which C would end at; else ValueError."""
     if not isinstance(value, str) or "\0" in value:
-        raise ValueError(f"{name} = {value!r}: expected a string")
+        raise ValueError(f"{name} = {shown(value)}: expected a string")
     return value
+
+
+def names(value: Any, name: str, expected: str) -> list[str]:
+    """Return several strings as a list; ValueError otherwise.
+
+    One string is its letters if it has nothing else, as "xyz", but not "x y" or "x, y".
+    """
+    try:
+        result = list(value)
+    except TypeError:
+        result = [None]
+    one = isinstance(value, str) and not value.isalpha()
+    if one or not all(isinstance(each, str) for each in result):
+        raise ValueError(f"{name} = {shown(value)}: expected {expected}")
+    return [text(each, name) for each in result]
 
 
 def function(value: Any, name: str) -> None:
     """Raise ValueError if ``value`` is neither None nor can be called."""
     if value is not None and not callable(value):
-        raise ValueError(f"{name} = {value!r}: expected a function")
+        raise ValueError(f"{name} = {shown(value)}: expected a function")
+
+
+def mapping(value: Any, name: str) -> None:
+    """Raise ValueError if ``value`` is neither None nor a mapping."""
+    if value is not None and not isinstance(value, Mapping):
+        raise ValueError(f"{name} = {shown(value)}: expected a mapping from names to values")
+
+
+def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str = "") -> None:
+    """Raise ValueError if one of two arguments is given without the other."""
+    if (first is None) != (second is None):
+        there, missing = names if second is None else names[::-1]
+        raise ValueError(f"{there} without {missing}: expected both, or neither{otherwise}")
 
 
 def choice(value: Any, name: str, choices: dict[str, int]) -> int:
     """Return the number of an option that is given by its name; ValueError otherwise."""
     if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{name} = {value!r}: expected one of {', '.join(map(repr, choices))}")
+        raise ValueError(
+            f"{name} = {shown(value)}: {suggestion(value, choices)}expected one of "
+            f"{', '.join(map(repr, choices))}"
+        )
     return choices[value]
+
+
+def suggestion(value: Any, names: Iterable[str]) -> str:
+    """Return "did you mean ...? " with the one of the names that is close to ``value``, or ""."""
+    plain = {name.replace("-", "_").lower(): name for name in names}
+    asked = value.replace("-", "_").lower() if isinstance(value, str) else ""
+    nearest = difflib.get_close_matches(asked, plain, n=1)
+    return f"did you mean {plain[nearest[0]]!r}? " if nearest else ""
+
+
+def shown(value: Any) -> str:
+    """Return what a message shows of a value: its repr, cut off where that is long."""
+    try:
+        text = repr(value)
+    except Exception:  # an integer of more digits than Python prints, or an object of the user's
+        return f"a value of type {type(value).__name__}"
+    return text if len(text) <= 200 else f"{text[:200]}..."
 
 
 def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:

@@ -646,11 +646,13 @@ def _check(status: int, chart: Any, row: int | None) -> None:
 
 def _indices(system: System, dependent: str | Iterable[str]) -> list[int]:
     """Return the places of m names of coordinates."""
-    names = [dependent] if isinstance(dependent, str) else list(dependent)
+    names = [dependent] if isinstance(dependent, str) else dependent
+    names = arguments.names(names, "dependent", f"m = {system.m} names of coordinates")
     unknown = [name for name in names if name not in system.coordinates]
     if unknown:
         raise ValueError(
-            f"dependent: there is no coordinate {unknown[0]!r}; there are "
+            f"dependent: there is no coordinate {arguments.shown(unknown[0])}; "
+            f"{arguments.suggestion(unknown[0], system.coordinates)}there are "
             f"{', '.join(system.coordinates)}"
         )
     if len(names) != system.m:

@@ -20,15 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _lib, arguments
+from . import _lib, arguments, geometry
 from ._lib import Array, ffi, lib
+from .run import watched
 from .system import System, require_system
 
 __all__ = ["DifferenceMap", "Discrete", "NodeRun", "Regularity", "exact_velocity"]
-
-# Steps in one call of C: a fraction of a second at most, so that Ctrl-C is seen between two.
-_BLOCK = 1 << 14
-
 
 class DifferenceMap:
     """A finite difference map rho(q0, q1) = (g, f) for a step h (FDM).
@@ -726,16 +723,17 @@ class Discrete:
         >>> discrete.run(0.5, [0, 1, 0], [1, 1, 1], steps=3).nodes[-1]
         array([4., 1., 4.])
         """
-        h, t0 = arguments.number(h, "h"), arguments.number(t0, "t0")
+        t0 = arguments.number(t0, "t0")
+        h = arguments.step_size(h, t0)
         steps = arguments.integer(steps, "steps", 0)
         nodes = np.empty((steps + 2, self._system.n))
         nodes[:2] = self._nodes((q0, "q0"), (q1, "q1"))
         multipliers = np.empty((steps, self._system.m))
         done = ffi.new("size_t *")
         with self._workspace() as discrete:
-            start = 0
+            start, most = 0, geometry.most_in_a_call(self._system)
             while True:
-                count = min(_BLOCK, steps - start)
+                count = min(most, steps - start)
                 status = _lib.attempt(
                     lib.dal_discrete_run, discrete, t0 + start * h, h, count,
                     _lib.pointer(nodes, start), _lib.pointer(multipliers, start), done,
@@ -795,7 +793,7 @@ def _difference_map(value: Any, name: str) -> DifferenceMap:
         return DifferenceMap(value)
     except ValueError:
         raise ValueError(
-            f"{name} = {value!r}: expected a DifferenceMap or beta in [0, 1]"
+            f"{name} = {arguments.shown(value)}: expected a DifferenceMap or beta in [0, 1]"
         ) from None
 
 
@@ -862,7 +860,7 @@ def exact_velocity(
     handle, method = system._handle, lib.DAL_FLOW_RK8PD
     flow = _lib.make("flow", handle, method, lib.DAL_FLOW_X, tolerance, owner=handle)
     v0, defect = np.empty(system.n), np.empty(system.m)
-    status = _lib.attempt(
+    status = watched(
         lib.dal_exact_velocity, flow, t0, h, *map(_lib.pointer, (q0, q1, v0, defect))
     )
     if status < 0:

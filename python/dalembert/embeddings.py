@@ -12,14 +12,14 @@ grows as 1/h, with p - 1 it tends to 0: so it measures p.
 from __future__ import annotations
 
 import contextlib
-import math
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _lib, arguments, geometry
+from . import _lib, arguments, extras, geometry
 from ._lib import Array, ffi, lib
 from .chart import Chart
 from .integration import CONSISTENCY
@@ -119,24 +119,36 @@ class Embedding(_lib.Constant):
             self._noise = float(lib.dal_embedding_noise(embedding))
 
     @contextlib.contextmanager
-    def _workspace(self) -> Iterator[Any]:
-        """Lend a ``dal_embedding``; threads and callbacks that come back each get their own."""
+    def _workspace(self, show: Callable[[float], Any] = lambda made: None) -> Iterator[Any]:
+        """Lend a ``dal_embedding``; threads and callbacks that come back each get their own.
+
+        Ctrl-C ends what it computes, and ``show`` is told some times a second how many steps of a
+        curve are made.
+        """
         try:
             embedding = self._workspaces.pop()
         except IndexError:
             owner = (self.system, self.scheme)
             embedding = _lib.make("embedding", self.system._handle, self._definition, owner=owner)
             self.chart._choose(lib.dal_embedding_chart(embedding))
+        context = ffi.new_handle(show)
+        lib.dal_embedding_watch(embedding, lib.dal_py_watch, context)
         try:
             yield embedding
         finally:
+            lib.dal_embedding_watch(embedding, ffi.NULL, ffi.NULL)
             self._workspaces.append(embedding)
 
     def _rows(
-        self, function: Callable[..., int], inputs: Iterable[tuple[Any, ...]], values: Array
+        self,
+        function: Callable[..., int],
+        inputs: Iterable[tuple[Any, ...]],
+        values: Array,
+        show: Callable[[int, float], Any] = lambda row, made: None,
     ) -> None:
         """Call ``function(embedding, *given, value)``, one call for each row of values."""
-        with self._workspace() as embedding:
+        k = 0
+        with self._workspace(lambda made: show(k, made)) as embedding:
             for k, given in enumerate(inputs):
                 status = _lib.attempt(function, embedding, *given, _lib.pointer(values, k))
                 self._check(status, embedding, k)
@@ -150,7 +162,12 @@ class Embedding(_lib.Constant):
         return self.start if z is None else arguments.array(z, name, self.start.shape, *shapes)
 
     def _along(
-        self, function: Callable[..., int], tau: ArrayLike, z: ArrayLike | None, name: str = "z"
+        self,
+        function: Callable[..., int],
+        tau: ArrayLike,
+        z: ArrayLike | None,
+        name: str = "z",
+        progress: bool | Callable[[int, int], Any] = False,
     ) -> Array:
         """Return the values of a function of (tau, z), with one row for each of them."""
         taus = arguments.array(tau, "tau", (), (None,))
@@ -162,7 +179,10 @@ class Embedding(_lib.Constant):
         places = np.ascontiguousarray(np.broadcast_to(points, (len(times), self.start.size)))
         values = np.empty_like(places)
         inputs = ((float(t), _lib.pointer(places, k)) for k, t in enumerate(times))
-        self._rows(function, inputs, values)
+        before = [0, *np.cumsum(np.maximum(np.ceil(times) - 1, 0)).tolist()]  # steps of curves
+        with extras.progress(progress, int(before[-1]), "step") as show:
+            self._rows(function, inputs, values, lambda k, made: show(int(before[k] + made)))
+            show(int(before[-1]))
         return values if rows else values[0]
 
     # ---- what it is ------------------------------------------------------------------------
@@ -319,7 +339,13 @@ class Embedding(_lib.Constant):
 
     # ---- curves ----------------------------------------------------------------------------
 
-    def curve(self, tau: ArrayLike, y: ArrayLike | None = None) -> Array:
+    def curve(
+        self,
+        tau: ArrayLike,
+        y: ArrayLike | None = None,
+        *,
+        progress: bool | Callable[[int, int], Any] = False,
+    ) -> Array:
         """Return the solution G~(tau, y) that starts in y (Gdef, Gtilde, period0).
 
         It is chi_0 F(h tau, y) + chi_1 F(h tau - h, Phi(y)) for tau <= 1, and goes on from Phi(y)
@@ -330,6 +356,9 @@ class Embedding(_lib.Constant):
         tau : array_like, shape () or (N,)
             In units of h, not negative.
         y : array_like, shape (2n-m,) or (N, 2n-m), optional
+        progress : bool or callable, optional
+            True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+            steps of the scheme.
 
         Returns
         -------
@@ -348,7 +377,7 @@ class Embedding(_lib.Constant):
         array([[0. , 0. , 0. , 1. , 1. ],
                [0.5, 0.5, 0. , 0.8, 1. ]])
         """
-        return self._along(lib.dal_embedding_curve, tau, y, "y")
+        return self._along(lib.dal_embedding_curve, tau, y, "y", progress)
 
     def source(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
         """Return the y whose curve goes through z at tau - floor(tau) (ztilde).
@@ -407,14 +436,9 @@ class Embedding(_lib.Constant):
         """
         t0, t1 = arguments.number(t0, "t0"), arguments.number(t1, "t1")
         values = self._point(z, "z").copy()
-        # A period in one call of C, so that Ctrl-C is seen between two.
-        times = np.linspace(t0, t1, 1 + math.ceil(abs((t1 - t0) / self.h)))
         with self._workspace() as embedding:
-            for k, (begin, end) in enumerate(zip(times, times[1:])):
-                status = _lib.attempt(
-                    lib.dal_embedding_flow, embedding, begin, end, _lib.pointer(values)
-                )
-                self._check(status, embedding, k)
+            status = _lib.attempt(lib.dal_embedding_flow, embedding, t0, t1, _lib.pointer(values))
+            self._check(status, embedding)
         return values
 
     # ---- how large g is --------------------------------------------------------------------
@@ -511,9 +535,12 @@ class Embedding(_lib.Constant):
         sizes = np.array([abs(one.h) ** (one.order + 1) * one.bound(z) for one in found])
         steps = np.abs(steps)
         fit = ffi.new("dal_fit *")
-        lib.dal_fit_order(len(steps), _lib.pointer(steps), _lib.pointer(sizes), self.accuracy, fit)
-        raw = Fit.read(fit)
-        return Fit(raw.slope - 1, raw.points, raw.exact)
+        counted = ffi.new("unsigned char[]", len(steps))
+        lib.dal_fit_order(
+            len(steps), _lib.pointer(steps), _lib.pointer(sizes), self.accuracy, fit, counted
+        )
+        raw = Fit.read(fit, map(bool, counted))
+        return dataclasses.replace(raw, slope=raw.slope - 1)
 
     def plot(
         self,

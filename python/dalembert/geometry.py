@@ -39,8 +39,13 @@ __all__ = [
     "residual",
 ]
 
-# Rows in one call of C: a fraction of a second at most, so that Ctrl-C is seen between two.
-_BLOCK = 1 << 14
+def most_in_a_call(system: System) -> int:
+    """Return how many states or steps C may work on in one call, so that Ctrl-C is seen soon.
+
+    It takes a tenth of a second at most, as a state takes some (n + m)^3 operations.  It depends on
+    the sizes only, not on the machine, and so do the bits of what is summed up in a call.
+    """
+    return max(1, min(2**14, 2**22 // (system.n + system.m) ** 3))
 
 
 # ---- states --------------------------------------------------------------------------------
@@ -64,12 +69,13 @@ def states(
 def initial(
     system: System, q0: ArrayLike | None, v0: ArrayLike | None, *names: str
 ) -> tuple[Array, Array]:
-    """Return initial data, those of the system where none are given.
+    """Return initial data, those of the system where none are given; ValueError for half of them.
 
     ``names`` are those of the two arguments, by default q0 and v0.
     """
     found = []
     q_name, v_name = names or ("q0", "v0")
+    arguments.pair(q0, v0, (q_name, v_name), " for those of the system")
     for given, default, name in ((q0, system.q0, q_name), (v0, system.v0, v_name)):
         value = default if given is None else given
         if value is None:
@@ -92,8 +98,9 @@ def trajectory(
     values = np.empty((len(x), *outputs[output]))
     done = ffi.new("size_t *")
     with system._workspace() as mechanics:
-        for start in range(0, len(x), _BLOCK):
-            count = min(_BLOCK, len(x) - start)
+        most = most_in_a_call(system)
+        for start in range(0, len(x), most):
+            count = min(most, len(x) - start)
             pointers = [
                 _lib.pointer(values, start, output=True) if name == output else ffi.NULL
                 for name in outputs
@@ -609,13 +616,19 @@ def _mask(system: System, keep: Any) -> list[int]:
         if isinstance(k, str) and k in names:
             places.append(names.index(k))
         elif isinstance(k, str):
-            raise ValueError(f"keep: there is no coordinate {k!r}; there are {', '.join(names)}")
+            raise ValueError(
+                f"keep: there is no coordinate {arguments.shown(k)}; "
+                f"{arguments.suggestion(k, names)}there are {', '.join(names)}"
+            )
         elif isinstance(k, int | np.integer) and not isinstance(k, bool):
             places.append(arguments.integer(k, "keep", 0, n - 1))
             if places.count(k) > 1:
-                raise ValueError(f"keep = {keep!r}: {k} is there twice; truth values are bool")
+                raise ValueError(
+                    f"keep = {arguments.shown(keep)}: {k} is there twice; truth values are bool"
+                )
         else:
             raise ValueError(
-                f"keep = {keep!r}: expected names or places of coordinates, or {n} truth values"
+                f"keep = {arguments.shown(keep)}: expected names or places of coordinates, or {n} "
+                "truth values"
             )
     return [int(i in places) for i in range(n)]

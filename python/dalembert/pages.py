@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _lib, extras, formula, growth, plot, systems, web
+from . import _lib, extras, files, formula, growth, plot, systems, web
 from ._lib import Array
 from .examination import Check
 from .integration import integrate
@@ -89,7 +89,7 @@ def write(
         If matplotlib is not installed, or SymPy and a system needs it; the text has the line to
         type.
     OSError
-        If a file cannot be written.
+        If a file cannot be written; the text has its name.
 
     Examples
     --------
@@ -114,7 +114,10 @@ def write(
         elif name not in available():
             systems.get(name)  # says what it needs
     place = Path(folder)
+    files.require_folder(place)
     place.mkdir(exist_ok=True)
+    for name in ("index", *names):
+        files.require_writable(place / f"{name}.html")
     index = place / "index.html"
     paths, cards = [index], []
     with extras.progress(progress, len(names), "page") as show:
@@ -123,9 +126,9 @@ def write(
             system = x if isinstance(x, System) else systems.get(x)
             run = _run(system, SCHEME, STEP)
             paths.append(place / f"{name}.html")
-            paths[-1].write_text(_page(system, run, names), encoding="utf-8")
+            files.write(paths[-1], _page(system, run, names))
             cards.append(_card(system, run))
-        index.write_text(_index(cards), encoding="utf-8")
+        files.write(index, _index(cards))
         show(len(names))
     return paths
 

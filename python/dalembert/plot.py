@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from . import extras, geometry
 from ._lib import ROUNDOFF, residual_bound
 from .solution import Solution
-from .study import Study, counts
+from .study import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -100,8 +100,8 @@ def convergence(
 ) -> Axes:
     """Draw errors over the step size, log-log, with the fitted orders and slope triangles.
 
-    Lines join the points that count for the fit.  Hollow markers are the others: they are closer
-    than a factor 100 to the round-off floor, or exactly zero and drawn at 1e-17.
+    Lines join the points that count for the fit.  Hollow markers are the others: they are too close
+    to roundoff, or exactly zero and drawn at 1e-17.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def convergence(
         fit, error = item.fits[key], getattr(item, name)
         drawn = np.isfinite(error)
         h, error = np.abs(item.h[drawn]), np.maximum(error[drawn], ZERO)
-        clear = counts(error, item.floor)
+        clear = np.array(fit.counted)[drawn]
         style = dict(styles[item.scheme.name])
         (line,) = ax.loglog(
             h[clear], error[clear], label=plain(f"{item.scheme.name}: {fit.order(loss)}"), **style

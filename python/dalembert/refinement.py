@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from . import _lib, arguments, extras, geometry
 from ._lib import ffi, lib
 from .scheme import Scheme
 from .scheme import schemes as named_schemes
-from .study import Fit, Studies, Study, counts
+from .study import Fit, Studies, Study
 from .system import System, require_system
 
 __all__ = ["convergence", "studies"]
@@ -23,8 +24,9 @@ __all__ = ["convergence", "studies"]
 FINE = (80, 120, 160, 240, 320, 480, 640)
 COARSE = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80)
 LONGEST = 16  # of the default intervals
+MOST_STEPS = 10**9  # of all runs together, unless the caller says that more are meant
 
-FITS = (
+FITS = (  # in the order of dal_order_fit
     "state",
     "multipliers",
     "reaction",
@@ -32,6 +34,7 @@ FITS = (
     "global_q",
     "global_v",
     "global_multipliers",
+    "global_state",
 )
 
 
@@ -46,6 +49,8 @@ def convergence(
     steps: Sequence[int] | None = None,
     initial: str | None = None,
     tolerance: float = 1e-14,
+    max_steps: int = MOST_STEPS,
+    progress: bool | Callable[[int, int], Any] = False,
 ) -> Study:
     """Measure the order of a scheme by refining the step size.
 
@@ -60,12 +65,17 @@ def convergence(
         Interval of time, in the user's units.  Default: one unit; without ``steps`` 2, 4, 8 or 16
         where the errors of a high order over less than that are too close to roundoff.
     steps : sequence of int, optional
-        Numbers of steps over the interval.  The default depends on the promised order: small
-        steps, for high orders as small as the round-off floor allows.
+        Numbers of steps over the interval, no two of them equal.  The default depends on the
+        promised order: small steps, for high orders as small as the round-off floor allows.
     initial : {"D", "D_eps", "project", "shift"}, optional
         How runs with kept nodes start; they refuse to start without.
     tolerance : float, optional
         Of the reference flow where the system has no exact solution.  Default: 1e-14.
+    max_steps : int, optional
+        More steps than these, of all runs together, are refused before the first one.
+    progress : bool or callable, optional
+        True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+        steps.
 
     Returns
     -------
@@ -92,6 +102,7 @@ def convergence(
     t0 = arguments.number(t0, "t0")
     start = record._initial(initial)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
+    max_steps = arguments.integer(max_steps, "max_steps", 1)
 
     def probe(duration: float, candidates: Sequence[int]) -> Study:
         return convergence(
@@ -104,14 +115,17 @@ def convergence(
             initial=initial,
             t_end=t0 + duration,
             tolerance=tolerance,
+            max_steps=max_steps,
         )
 
     if t_end is None:
         t_end = t0 + (_default_duration(record.order, probe) if steps is None else 1.0)
     t_end = arguments.number(t_end, "t_end")
     if steps is None:
+        _require_few(_default_total(record.order, t_end - t0), max_steps)
         steps = _default_steps(record.order, t_end - t0, probe)
     numbers = _counts(steps)
+    _require_few(sum(numbers), max_steps)
     c_numbers = ffi.new("size_t[]", numbers)
     definition = ffi.new(
         "dal_order_def *",
@@ -127,20 +141,23 @@ def convergence(
     )
     points = ffi.new("dal_order_point[]", len(numbers))
     order, error = ffi.new("dal_order *"), ffi.new("dal_error *")
-    status = _lib.attempt(
-        lib.dal_order_study, system._handle, record._record, definition, points, order, error
-    )
-    if status < 0:
-        raise _lib.failure(status, _lib.string(error.text), kind=system.kind)
+    with extras.progress(progress, sum(numbers), "step") as show:
+        context = ffi.new_handle(lambda made: show(int(made)))
+        definition.watch, definition.watch_ctx = lib.dal_py_watch, context
+        status = _lib.attempt(
+            lib.dal_order_study, system._handle, record._record, definition, points, order, error
+        )
+        if status < 0:
+            raise _lib.failure(status, _lib.string(error.text), kind=system.kind)
+        show(sum(numbers))
 
     def column(member: str) -> Any:
         return np.array([getattr(point, member) for point in points])
 
-    h, q_error, v_error = column("h"), column("q"), column("v")
-    state = ffi.new("dal_fit *")
-    worse = np.maximum(q_error, v_error)
-    lib.dal_fit_order(len(h), _lib.pointer(h), _lib.pointer(worse), order.floor, state)
-    fits = {name: Fit.read(getattr(order, name)) for name in FITS}
+    fits = {
+        name: Fit.read(getattr(order, name), [bool(x.counted >> k & 1) for x in points])
+        for k, name in enumerate(FITS)
+    }
 
     return Study(
         system=system,
@@ -151,9 +168,9 @@ def convergence(
         t_end=t_end,
         initial=initial,
         steps=np.array(numbers),
-        h=h,
-        q_error=q_error,
-        v_error=v_error,
+        h=column("h"),
+        q_error=column("q"),
+        v_error=column("v"),
         multiplier_error=column("multipliers"),
         local_error=column("local_state"),
         local_multiplier_error=column("local_multipliers"),
@@ -163,7 +180,7 @@ def convergence(
         residual_eps=column("residual_eps"),
         energy_error=column("energy"),
         failed=column("failed"),
-        fits={**fits, "global_state": Fit.read(state)},
+        fits=fits,
         p=order.p,
         s=order.s,
         floor=order.floor,
@@ -186,7 +203,8 @@ def studies(
     steps: Sequence[int] | None = None,
     initial: str | None = None,
     tolerance: float = 1e-14,
-    progress: bool | Callable[[int, int], Any] = False,
+    max_steps: int = MOST_STEPS,
+    progress: bool | Callable[[float, int], Any] = False,
 ) -> Studies:
     """Measure the order of several schemes on one system.
 
@@ -199,9 +217,10 @@ def studies(
         How runs with kept nodes start.  Default: "D_eps"; schemes with moved nodes need none.
     progress : bool or callable, optional
         True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
-        schemes.
-    q0, v0, t_end, t0, steps, tolerance
-        As in `convergence`; the default of t_end is that of the highest order, for all schemes.
+        schemes; the part of a scheme that is done counts.
+    q0, v0, t_end, t0, steps, tolerance, max_steps
+        As in `convergence`; the default of t_end is that of the highest order, for all schemes, and
+        max_steps is for all of them together.
 
     Returns
     -------
@@ -212,6 +231,8 @@ def studies(
     ------
     ValueError, dalembert.DalembertError
         As `convergence`.
+    KeyboardInterrupt, Exception
+        Whatever ends it, Ctrl-C for one; ``.partial`` are the studies that were finished.
 
     Examples
     --------
@@ -225,10 +246,17 @@ def studies(
     elif isinstance(schemes, str) or not isinstance(schemes, Iterable):
         schemes = [schemes]
     records = [Scheme.of(scheme) for scheme in schemes]
+    max_steps = arguments.integer(max_steps, "max_steps", 1)
     # The highest order first: it has the longest default interval.
     places = sorted(range(len(records)), key=lambda i: -records[i].order)
     found: dict[int, Study] = {}
-    with extras.progress(progress, len(records), "scheme") as show:
+    if steps is not None:
+        steps = _counts(steps)
+        _require_few(len(records) * sum(steps), max_steps)
+    elif t_end is not None:
+        duration = arguments.number(t_end, "t_end") - arguments.number(t0, "t0")
+        _require_few(sum(_default_total(record.order, duration) for record in records), max_steps)
+    with _kept(found), extras.progress(progress, len(records), "scheme") as show:
         for i in places:
             found[i] = convergence(
                 system,
@@ -240,22 +268,58 @@ def studies(
                 steps=steps,
                 initial=(initial or "D_eps") if records[i].nodes == "kept" else None,
                 tolerance=tolerance,
+                max_steps=max_steps,
+                progress=lambda made, total: show(len(found) + made / total),
             )
             t_end = found[i].t_end
-            show(len(found))
     return Studies(found[i] for i in range(len(records)))
+
+
+@contextlib.contextmanager
+def _kept(found: dict[int, Study]) -> Iterator[None]:
+    """Give an exception the studies that were finished before it."""
+    try:
+        yield
+    except BaseException as error:
+        error.partial = Studies(found[i] for i in sorted(found))  # type: ignore[attr-defined]
+        raise
 
 
 def _default_duration(order: int, probe: Callable[..., Study]) -> int:
     """Return the shortest interval over which errors of this order tell it, 1 if none does."""
     duration = 1
     while order > 2 and duration <= LONGEST:
-        tried = probe(duration, COARSE)
-        clear = tried.steps[counts(tried.local_error, tried.floor)]
-        if len(clear) >= 3 and clear[-1] >= 2 * clear[0]:
+        if not math.isnan(_clear(probe(duration, COARSE)).slope):
             return duration
         duration *= 2
     return 1
+
+
+def _clear(study: Study) -> Fit:
+    """Return the fit of the one-step errors that the floor of those at the end leaves.
+
+    So steps are chosen that tell the order at the end too.
+    """
+    fit, counted = ffi.new("dal_fit *"), ffi.new("unsigned char[]", len(study.h))
+    lib.dal_fit_order(
+        len(study.h), _lib.pointer(study.h), _lib.pointer(study.local_error), study.floor, fit,
+        counted,
+    )  # fmt: skip
+    return Fit.read(fit, map(bool, counted))
+
+
+def _units(duration: float) -> int:
+    """Return how many units of time there are, about."""
+    if not math.isfinite(duration):
+        raise ValueError(f"t_end - t0 = {duration:g}: expected a finite interval of time")
+    return max(1, round(abs(duration)))
+
+
+def _default_total(order: int, duration: float) -> int:
+    """Return how many steps the default numbers of steps take at most, with those that are tried."""
+    units = _units(duration)
+    tried = 0 if order <= 2 else (sum(COARSE) + 4) * units + sum(COARSE) + len(COARSE)
+    return sum(FINE) * units + 2 * tried
 
 
 def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> list[int]:
@@ -263,22 +327,17 @@ def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> 
 
     One-step errors h^(p+1) have to stand clear of the floor, with h as small as that allows: they
     are a power of h only in the limit.  Up to order 2 any small h will do.  For a higher order
-    ``probe`` studies some steps over about a unit of time, and some over all of it, and the finest
-    over a factor of two are taken.  The reactions, whose order is low whatever p is, need the small
+    ``probe`` studies steps from 1/80 of a unit of time up to all of it, and the finest over a
+    factor of two are taken.  The reactions, whose order is low whatever p is, need the small
     h too: their errors c1 h + c2 h^2 may change their sign where h is not (the core fits the finer
     half).
     """
-    units = max(1, round(abs(duration)))
+    units = _units(duration)
     if order <= 2:
         return [count * units for count in FINE]
-    tried = probe(duration / units, COARSE)
     longer = {math.ceil(units / k) for k in COARSE}
-    whole = tried if units == 1 else probe(duration, sorted({*longer, *COARSE}))
-
-    def above_floor(study: Study) -> list[int]:
-        return [int(count) for count in study.steps[counts(study.local_error, whole.floor)]]
-
-    clear = sorted({*above_floor(whole), *(count * units for count in above_floor(tried))})
+    tried = probe(duration, sorted({*longer, *COARSE, *(count * units for count in COARSE)}))
+    clear = [int(x) for x in tried.steps[np.array(_clear(tried).counted)]]
     finest = [count for count in clear if 2 * count >= clear[-1]]
     chosen = clear[-max(len(finest), 3) :] or [count * units for count in COARSE[:3]]
     if chosen[-1] < 2 * chosen[0]:
@@ -287,10 +346,30 @@ def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> 
 
 
 def _counts(steps: Iterable[int]) -> list[int]:
+    """Return numbers of steps as they are given; ValueError unless they are."""
+    places: dict[int, int] = {}
     try:
-        found = [arguments.integer(count, f"steps[{i}]", 1) for i, count in enumerate(steps)]
+        for i, count in enumerate(steps):
+            if isinstance(count, bool):
+                raise ValueError(f"steps[{i}] = {count}: expected an integer")
+            number = arguments.integer(count, f"steps[{i}]", 1)
+            if number in places:
+                raise ValueError(f"steps[{i}] = {number}: steps[{places[number]}] is that already")
+            places[number] = i
     except TypeError:
-        raise ValueError(f"steps = {steps!r}: expected several numbers of steps") from None
-    if not found:
+        raise ValueError(
+            f"steps = {arguments.shown(steps)}: expected several numbers of steps"
+        ) from None
+    if not places:
         raise ValueError("steps is empty: expected numbers of steps")
-    return found
+    return list(places)
+
+
+def _require_few(total: int, most: int) -> None:
+    """Raise ValueError where a study would take more steps than the caller has agreed to."""
+    if total > most:
+        raise ValueError(
+            f"the study would take {total} steps in all, more than max_steps = {most}: take fewer "
+            f"steps or a shorter interval, or say that you mean it with max_steps={total} "
+            f"(--max-steps {total})"
+        )

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from . import _lib, plot, web
+from . import _lib, files, plot, web
 from .integration import integrate
 from .solution import Solution
 from .study import Studies, Study
@@ -34,7 +34,7 @@ def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
     studies : Studies or sequence of Study
         At least one, all on the same system from the same data.
     path : str or Path
-        The file to write; one that is there is replaced.
+        The file to write; one that is there is replaced when the page is complete.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
     ImportError
         If matplotlib is not installed; the text has the line to type.
     OSError
-        If the file cannot be written.
+        If the file cannot be written; the text has its name.
 
     Examples
     --------
@@ -67,7 +67,8 @@ def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
     if len(names) > 1:
         raise ValueError(f"studies are on {', '.join(names)}; expected one system")
     path = Path(path)
-    path.write_text(page(studies), encoding="utf-8")
+    files.require_writable(path)
+    files.write(path, page(studies))
     return path
 
 

@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from . import _lib
+from . import _lib, geometry
 from ._lib import Array, ffi, lib
 from .scheme import REFERENCE, Scheme
 from .solution import Solution, Statistics
 from .system import System
 
-__all__ = ["FlowRun", "Run", "SchemeRun", "started_stepper"]
+__all__ = ["FlowRun", "Run", "SchemeRun", "started_stepper", "watched"]
 
 BLOCK_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
-BLOCK_STEPS = 10_000  # at most, between two stored states
 FLOW_ROWS = 100  # of one call of the reference flow, which starts anew in each
 
 
@@ -46,6 +45,24 @@ def started_stepper(
         message = _lib.string(lib.dal_stepper_message(stepper)) + hint
         raise _lib.failure(status, message, kind=system.kind, step=0, t=t0)
     return stepper
+
+
+def watched(
+    function: Callable[..., int],
+    flow: Any,
+    *given: Any,
+    show: Callable[[float], Any] = lambda t: None,
+) -> int:
+    """Call a C function of a ``dal_flow`` so that Ctrl-C ends it; return its status.
+
+    ``show(t)`` is called some times a second with the time where the flow is.
+    """
+    context = ffi.new_handle(show)
+    lib.dal_flow_watch(flow, lib.dal_py_watch, context)
+    try:
+        return _lib.attempt(function, flow, *given)
+    finally:
+        lib.dal_flow_watch(flow, ffi.NULL, ffi.NULL)
 
 
 def state(stepper: Any, system: System) -> Array:
@@ -154,6 +171,7 @@ class SchemeRun(Run):
             initial=initial, options=options,
         )  # fmt: skip
         self.x[0] = state(self.stepper, self.system)
+        self.most = min(10_000, geometry.most_in_a_call(self.system))  # steps in one call of C
         observed = self.observer is not None
         self.context = ffi.new_handle(self.observer) if observed else ffi.NULL
         self.trampoline = lib.dal_py_observer if observed else ffi.NULL
@@ -162,7 +180,7 @@ class SchemeRun(Run):
         return Statistics._read(self.stepper, self.system.kind)
 
     def blocks(self) -> Iterator[tuple[int, int]]:
-        start, count = 0, 16 if self.stride <= BLOCK_STEPS else 1
+        start, count = 0, max(1, min(16, self.most // self.stride))
         while start < self.rows or start == 0:
             count = min(count, self.rows - start)
             began = time.perf_counter()
@@ -172,7 +190,7 @@ class SchemeRun(Run):
             count = max(1, int(count * min(8.0, BLOCK_SECONDS / elapsed)))
 
     def block(self, start: int, count: int) -> None:
-        if self.stride <= BLOCK_STEPS or count == 0:
+        if self.stride <= self.most or count == 0:
             status = _lib.attempt(
                 lib.dal_integrate, self.stepper, count * self.stride, self.stride,
                 _lib.pointer(self.x, start), _lib.pointer(self.reactions, start),
@@ -193,8 +211,8 @@ class SchemeRun(Run):
         """Go from one stored state to the next in pieces, always the same ones: so are the bits."""
         total = np.zeros(self.system.m)
         mean = np.empty(self.system.m)
-        for begin in range(0, self.stride, BLOCK_STEPS):
-            steps = min(BLOCK_STEPS, self.stride - begin)
+        for begin in range(0, self.stride, self.most):
+            steps = min(self.most, self.stride - begin)
             status = _lib.attempt(
                 lib.dal_advance, self.stepper, steps, _lib.pointer(mean), self.done
             )
@@ -256,9 +274,12 @@ class FlowRun(Run):
         if start == 0 and self.observe(0):
             self.status = lib.DAL_STOPPED
             return
-        status = _lib.attempt(
+        status = watched(
             lib.dal_flow_trajectory, self.flow, self.time(start), self.stride * self.h, count,
             _lib.pointer(self.x, start), self.done,
+            show=lambda t: self.tell(
+                min(int((t - self.t0) / self.h), (start + count) * self.stride)
+            ),
         )  # fmt: skip
         if status < 0:
             message = _lib.string(lib.dal_flow_message(self.flow))

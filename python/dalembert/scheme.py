@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Sized
+import functools
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from . import _lib, arguments
 from ._lib import ffi, lib
-from .system import System
+from .system import System, require_system
 
 __all__ = ["Scheme", "schemes"]
 
@@ -22,7 +21,7 @@ INITIAL = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scheme:
     """A scheme as a record: beta-schemes one after the other, each over a fraction of the step.
 
@@ -72,7 +71,12 @@ class Scheme:
         if not 0 < len(name) < 40:
             raise ValueError(f"name = {self.name!r}: expected 1 to 39 bytes, got {len(name)}")
         if not self.is_reference:
-            if isinstance(self.substeps, Sized) and len(self.substeps) == 0:
+            if isinstance(self.substeps, str):
+                raise ValueError(
+                    f"substeps = {self.substeps!r}: expected several (beta, fraction); Scheme.find "
+                    "has the schemes with a name"
+                )
+            if isinstance(self.substeps, (list, tuple)) and len(self.substeps) == 0:
                 raise ValueError("substeps is empty: expected at least one (beta, fraction)")
             pairs = arguments.array(self.substeps, "substeps", (None, 2))
             object.__setattr__(self, "substeps", tuple((float(b), float(f)) for b, f in pairs))
@@ -121,12 +125,15 @@ class Scheme:
         >>> dal.Scheme.find("leapfrog").substeps
         ((0.0, 0.5), (1.0, 0.5))
         """
-        if name == REFERENCE.name:
+        if arguments.text(name, "scheme") == REFERENCE.name:
             return REFERENCE
         record = ffi.new("dal_scheme *")
         error = ffi.new("dal_error *")
-        status = lib.dal_scheme_find(record, arguments.text(name, "scheme").encode(), error)
-        _lib.check(status, f"{_lib.string(error.text)}; and reference, the flow of GSL")
+        status = lib.dal_scheme_find(record, name.encode(), error)
+        if status < 0:
+            meant = arguments.suggestion(name, [*(s.name for s in schemes()), REFERENCE.name])
+            text = _lib.string(error.text).replace("; there are", f"; {meant}there are")
+            raise _lib.failure(status, f"{text}; and reference, the flow of GSL")
         return cls._read(record)
 
     @classmethod
@@ -138,12 +145,12 @@ class Scheme:
             return cls.find(value)
         try:
             beta = float(value)
-        except TypeError:
+        except (TypeError, ValueError, OverflowError):
             raise ValueError(
-                f"scheme = {value!r}: expected a Scheme, the name of one, or beta"
+                f"scheme = {arguments.shown(value)}: expected a Scheme, the name of one, or beta"
             ) from None
         if not 0.0 <= beta <= 1.0:
-            raise ValueError(f"scheme = {value!r}: expected beta in [0, 1]")
+            raise ValueError(f"scheme = {arguments.shown(value)}: expected beta in [0, 1]")
         # Not by its text: what C reads as a decimal point depends on the locale.
         symmetric = beta == 0.5
         return replace(
@@ -178,6 +185,7 @@ class Scheme:
 
     def is_explicit(self, system: System) -> bool:
         """Return whether a step on this system is a sequence of linear solves."""
+        require_system(system)
         return not self.is_reference and bool(
             lib.dal_scheme_is_explicit(self._record, system._handle)
         )
@@ -193,7 +201,7 @@ class Scheme:
         shift = ffi.new("double *")
         status = lib.dal_scheme_shift(self._record, shift)
         _lib.check(status, f"{self.name!r} has no single sub-step, and so no D_eps")
-        return float(shift[0]) * h
+        return float(shift[0]) * arguments.number(h, "h")
 
     def _initial(self, name: str | None) -> int:
         """Return the ``dal_initial`` of an argument ``initial``, which kept nodes need.
@@ -219,6 +227,14 @@ class Scheme:
     def __str__(self) -> str:
         return self.name
 
+    def __repr__(self) -> str:
+        if self.is_reference:
+            return f"<Scheme {self.name}: the adaptive flow of GSL>"
+        promised = f", order {self.order}" if self.order else ""
+        few = ", ".join(f"({beta:g}, {fraction:g})" for beta, fraction in self.substeps[:4])
+        many = f", ..., {len(self.substeps)} in all" if len(self.substeps) > 4 else ""
+        return f"<Scheme {self.name}: (beta, fraction) = {few}{many}; {self.nodes} nodes{promised}>"
+
     def __reduce__(self) -> tuple[Any, ...]:
         return Scheme, (
             self.substeps, self.nodes, self.name, self.help, self.reference, self.order,
@@ -226,16 +242,10 @@ class Scheme:
         )  # fmt: skip
 
 
-_lock = threading.Lock()
-_free_particle: list[System] = []
-
-
+@functools.cache
 def _validator() -> System:
     """Return a system on which the core can try a record: a free particle on a line."""
-    with _lock:
-        if not _free_particle:
-            _free_particle.append(System(mass=[1.0], name="free particle"))
-    return _free_particle[0]
+    return System(mass=[1.0], name="free particle")
 
 
 REFERENCE = Scheme(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _lib, table
-from ._lib import Array, ffi, lib
+from ._lib import Array
 from .scheme import Scheme
 from .system import System
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Fit", "Studies", "Study", "counts"]
+__all__ = ["Fit", "Studies", "Study"]
 
 
 @dataclass(frozen=True)
@@ -30,19 +31,23 @@ class Fit:
     slope : float
         NaN if fewer than three points count.
     points : int
-        How many errors counted, those at least 100 times above the floor.
+        How many errors counted: those at least 100 times above the floor, which at ``t_end`` is
+        higher for runs of many steps, whose roundoff adds up.
     exact : bool
         True if every error is at the level of roundoff, so that there is no slope to fit.
+    counted : tuple of bool
+        Which errors counted.
     """
 
     slope: float
     points: int
     exact: bool
+    counted: tuple[bool, ...]
 
     @classmethod
-    def read(cls, fit: Any) -> Fit:
+    def read(cls, fit: Any, counted: Iterable[bool]) -> Fit:
         """Return the fit of a ``dal_fit``."""
-        return cls(float(fit.slope), int(fit.points), bool(fit.exact))
+        return cls(float(fit.slope), int(fit.points), bool(fit.exact), tuple(counted))
 
     def order(self, loss: int = 0) -> str:
         """Return ``slope - loss`` in words: a number, "exact", or "-" if it is not known."""
@@ -91,7 +96,7 @@ class Study:
         Measured order of (q, v) and of the scheme's own multipliers, slopes of the one-step
         errors minus 1.
     floor : float
-        Errors below ``100 * floor`` do not count.
+        Errors at ``t_end`` below ``100 * floor`` do not count.
     reference : float
         Accuracy of the reference solution, 0 for an exact one.
     keeps_D, keeps_D_eps : bool
@@ -143,20 +148,20 @@ class Study:
 
         NaN for the first entry, and where an error is too close to roundoff to count.
         """
-        return self._local_orders(self.q_error)
+        return self._local_orders(self.q_error, "global_q")
 
     @property
     def v_orders(self) -> Array:
         """Local orders of ``v_error``, as `q_orders`."""
-        return self._local_orders(self.v_error)
+        return self._local_orders(self.v_error, "global_v")
 
     @property
     def multiplier_orders(self) -> Array:
         """Local orders of ``multiplier_error``, as `q_orders`."""
-        return self._local_orders(self.multiplier_error)
+        return self._local_orders(self.multiplier_error, "global_multipliers")
 
-    def _local_orders(self, error: Array) -> Array:
-        clear = np.where(counts(error, self.floor), error, np.nan)
+    def _local_orders(self, error: Array, fit: str) -> Array:
+        clear = np.where(self.fits[fit].counted, error, np.nan)
         orders = np.full(len(error), np.nan)
         orders[1:] = np.diff(np.log(clear)) / np.diff(np.log(np.abs(self.h)))
         return orders
@@ -185,9 +190,11 @@ class Study:
 
     @property
     def verdict(self) -> str:
-        """One word: "holds", "fails", "no promise" or "undecided"."""
+        """In short: "holds", "exact" to roundoff, "fails", "no promise" or "undecided"."""
         if self.holds is None:
             return "no promise" if self.scheme.order == 0 else "undecided"
+        if self.fits["state"].exact and self.fits["global_state"].exact and self.holds:
+            return "exact"
         return "holds" if self.holds else "fails"
 
     def __str__(self) -> str:
@@ -267,7 +274,7 @@ class Study:
             "promised": dict(zip("ps", self.promised)),
             **{name: [_plain_number(x) for x in getattr(self, name).tolist()] for name in arrays},
             "fits": {
-                key: {"slope": _plain_number(fit.slope), "points": fit.points, "exact": fit.exact}
+                key: {**dataclasses.asdict(fit), "slope": _plain_number(fit.slope)}
                 for key, fit in self.fits.items()
             },
             "p": _plain_number(self.p),
@@ -346,16 +353,6 @@ class Studies(Sequence[Study]):
             "text": self.sentence(),
             "studies": [study.to_dict() for study in self],
         }
-
-
-def counts(error: Array, floor: float) -> NDArray[np.bool_]:
-    """Return which errors stand so far above the floor that a fit of the core counts them."""
-    fit = ffi.new("dal_fit *")
-    found = np.zeros(len(error), dtype=bool)
-    for i, x in enumerate(error):
-        lib.dal_fit_order(1, ffi.new("double[]", [1.0]), ffi.new("double[]", [x]), floor, fit)
-        found[i] = fit.points == 1
-    return found
 
 
 def _plain_number(x: float) -> float | None:

@@ -25,10 +25,11 @@ import json
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-from . import _lib, catalogue
+from . import _lib, arguments, catalogue
 from ._lib import lib
-from .system import System
+from .system import System, require_parameters
 
 __all__ = ["KnownState", "get", "known_states", "names", "names_in_sympy", "plain_name"]
 
@@ -86,14 +87,11 @@ def get(name: str, /, **parameters: float) -> System:
     """
     plain = plain_name(name)
     if plain not in names_in_sympy():
-        return System._builtin(plain, parameters)
+        default = System._builtin(plain, {})
+        require_parameters(plain, parameters, default.parameters)
+        return System._builtin(plain, parameters) if parameters else default
     make: Callable[..., System] = getattr(catalogue, plain)
-    known = inspect.signature(make).parameters
-    for key in parameters:
-        if key not in known:
-            raise ValueError(
-                f"parameters: {plain!r} has no {key!r}; it has {', '.join(known) or 'none'}"
-            )
+    require_parameters(plain, parameters, inspect.signature(make).parameters)
     return make(**parameters)
 
 
@@ -172,8 +170,13 @@ def plain_name(name: str) -> str:
     plain = name.replace("-", "_") if isinstance(name, str) else name
     there = [*names(), *names_in_sympy()]
     if plain not in there:
-        raise ValueError(f"there is no system {name!r}; there are {', '.join(there)}")
+        raise ValueError(_no_system(name, there))
     return plain
+
+
+def _no_system(name: Any, there: list[str]) -> str:
+    meant = arguments.suggestion(name, there)
+    return f"there is no system {arguments.shown(name)}; {meant}there are {', '.join(there)}"
 
 
 def _maker(name: str) -> Callable[..., System]:
@@ -209,8 +212,7 @@ def __getattr__(name: str) -> Callable[..., System]:
     if name in names_in_sympy():
         return getattr(catalogue, name)  # type: ignore[no-any-return]
     if name not in names():
-        there = ", ".join([*names(), *names_in_sympy()])
-        raise AttributeError(f"there is no system {name!r}; there are {there}")
+        raise AttributeError(_no_system(name, [*names(), *names_in_sympy()]))
     globals()[name] = maker = _maker(name)
     return maker
 

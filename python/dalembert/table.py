@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TextIO
 
+from . import arguments
 from ._lib import Array
 
 if TYPE_CHECKING:
@@ -181,7 +182,8 @@ def sentence(studies: Studies) -> str:
 
 
 def study_text(study: Study, width: int) -> str:
-    """Return a study as plain text."""
+    """Return a study as plain text; ValueError if ``width`` is no positive integer."""
+    width = arguments.integer(width, "width", 1)
     return "\n".join(
         [heading(study), *plain(columns(study), width), *_wrapped(summary(study), width)]
     )
@@ -189,6 +191,7 @@ def study_text(study: Study, width: int) -> str:
 
 def studies_text(studies: Studies, width: int) -> str:
     """Return several studies as plain text, with an overview and the verdict at the end."""
+    width = arguments.integer(width, "width", 1)
     tables = [study_text(study, width) + "\n" for study in studies]
     last = plain(overview(studies), width) if studies else []
     return "\n".join([*tables, *last, *_wrapped(sentence(studies), width)])

@@ -173,7 +173,7 @@ static double state[MOST];
 typedef enum maker {
     SYSTEM, SYSTEM_DIAGONAL, BUILTIN, DEFORMED, DEFORMED_NODES, MECHANICS, CHART, FLOW_RK8PD,
     FLOW_MSADAMS, FLOW_RODAS, FLOW_IN_XI, STEPPER, STEPPER_MULTIROOT, DISCRETE, EMBEDDING,
-    CHECK_SYSTEM, STUDY, CONSISTENT, EXACT, INVARIANT, VELOCITY, MAKERS
+    CHECK_SYSTEM, STUDY, STUDY_EXACT, CONSISTENT, EXACT, INVARIANT, VELOCITY, MAKERS
 } maker;
 
 static const unsigned char untouched = 0x55;
@@ -201,14 +201,15 @@ static int make_stepper(outputs *out, dal_solver solver, dal_error *error)
     return dal_stepper_new(&out->stepper, generic4, &scheme, &options, error);
 }
 
-static int make_study(outputs *out, dal_error *error)
+static int make_study(outputs *out, const dal_system *system, dal_error *error)
 {
     static const size_t steps[COUNT] = {2, 4, 8};
+    static const double in_D[6] = {0.1, 0.5, 0.2, 1.0, 0.7, 0.5}; /* of the particle */
     dal_scheme scheme;
-    const dal_order_def def = {.t_end = 0.25, .x0 = state, .steps = steps, .count = COUNT,
-                               .tolerance = 1e-6};
+    const dal_order_def def = {.t_end = 0.25, .x0 = system == particle ? in_D : state,
+                               .steps = steps, .count = COUNT, .tolerance = 1e-6};
     CHECK(dal_scheme_find(&scheme, "midpoint", NULL) == 0);
-    return dal_order_study(generic4, &scheme, &def, out->points, &out->order, error);
+    return dal_order_study(system, &scheme, &def, out->points, &out->order, error);
 }
 
 /* Never called. */
@@ -259,7 +260,8 @@ static int make(maker what, outputs *out, dal_error *error)
     case DISCRETE: return dal_discrete_new(&out->discrete, generic4, &map, NULL, error);
     case EMBEDDING: return make_embedding(out, error);
     case CHECK_SYSTEM: return dal_system_check(generic4, state, &out->check, error);
-    case STUDY: return make_study(out, error);
+    case STUDY: return make_study(out, generic4, error);
+    case STUDY_EXACT: return make_study(out, particle, error); /* each exact state allocates */
     case CONSISTENT:
         return dal_consistent(mechanics, keep, out->x, &out->distance);
     case EXACT: return dal_system_exact(particle, 1.0, state, out->x);

@@ -433,6 +433,70 @@ static void test_exceptional_point(void)
     CHECK(examine_def(&def, x, &report, NULL) == 0 && report.passed && report.integrable);
 }
 
+/* mu = (-ctx[0] y, -ctx[1] x, 1): along the axes the bracket is the difference of ctx[0] and ctx[1],
+ * and its terms are these. */
+static int twisted(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                   void *ctx)
+{
+    const double *const twist = ctx;
+    (void)phi;
+    if (phi_v) {
+        phi_v[0] = -twist[0] * q[1];
+        phi_v[1] = -twist[1] * q[0];
+        phi_v[2] = 1.0;
+    }
+    fill(3, phi_q, 0.0);
+    if (phi_q) {
+        phi_q[0] = -twist[1] * v[1];
+        phi_q[1] = -twist[0] * v[0];
+    }
+    return 0;
+}
+
+/* Curvature counts from 1e-8 of the terms that cancel on, and from 1e-10 where they are small. */
+static void test_smallest_curvature(void)
+{
+    static const struct {
+        double twist[2];
+        int integrable;
+    } cases[] = {{{0.9e-10, 0.0}, 1}, {{1.1e-10, 0.0}, 0},
+                 {{1.0, 1.0 - 0.9e-8}, 1}, {{1.0, 1.0 - 1.1e-8}, 0}};
+    const double x[6] = {0, 0, 0, 1, 1, 0}, mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        double twist[2] = {cases[k].twist[0], cases[k].twist[1]};
+        const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = twisted,
+                                    .ctx = twist};
+        dal_check report;
+        CHECK(examine_def(&def, x, &report, NULL) == 0 && report.passed);
+        CHECK(report.integrable == cases[k].integrable);
+        CHECK_NEAR(report.curvature, twist[0] - twist[1], 4 * DAL_ROUNDOFF * twist[0]);
+    }
+}
+
+/* A plane and a second one at the angle ctx: singular values sqrt(2) and ctx / sqrt(2). */
+static int nearly_parallel(const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, void *ctx)
+{
+    (void)q, (void)v, (void)phi;
+    fill(6, phi_v, 0.0);
+    fill(6, phi_q, 0.0);
+    if (phi_v) phi_v[0] = phi_v[3] = 1.0, phi_v[4] = *(const double *)ctx;
+    return 0;
+}
+
+/* Singular values count from 4 n eps of the largest on: an angle of 8 n eps = 5.3e-15. */
+static void test_smallest_angle(void)
+{
+    const double x[6] = {0}, mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    for (size_t rank = 1; rank <= 2; rank++) {
+        double angle = (rank == 1 ? 0.9 : 1.1) * 24.0 * DBL_EPSILON;
+        const dal_system_def def = {.n = 3, .m = 2, .mass = mass, .constraint = nearly_parallel,
+                                    .ctx = &angle};
+        dal_check report;
+        CHECK(examine_def(&def, x, &report, NULL) == 0 && report.rank == rank);
+    }
+}
+
 /* n - m = 1: mu = (1, 0), a line field. */
 static int line(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
                 void *ctx)
@@ -656,8 +720,10 @@ static void test_general_entries(void)
                                                 strlen(arrays[i].name)) == 0);
                 CHECK(found[i]->row * 3 + found[i]->column == entry);
                 CHECK_NEAR(found[i]->given - found[i]->expected, 1e-3, 3e-11);
+                const double relative = 1e-3 / (1.0 + fabs(found[i]->expected));
+                CHECK_NEAR(found[i]->error, relative, 3e-11);
                 for (size_t other = 0; other < sizeof arrays / sizeof *arrays; other++)
-                    CHECK((found[other]->error > 1e-5) == (other == i));
+                    if (other != i) CHECK(found[other]->error < 3e-11);
             }
 }
 
@@ -678,6 +744,31 @@ static void test_affine(void)
     g = (general){.kind = DAL_AFFINE, .output = OUT_PHI, .amount = 0.25};
     CHECK(examine_general(&g, 0, &report, NULL) == 0 && !report.passed);
     CHECK(says(report.text, "not in D") && says(report.text, "terms of phi") && report.residual > 0.05);
+}
+
+/* Derivatives may be wrong by 1e-7 of 1 + their size, sums of a few terms by 1e-12, and no more. */
+static void test_smallest_errors(void)
+{
+    double x[6], other[3], scale = 0.0;
+    general_state(DAL_LINEAR, x);
+    const double mu[3] = {-sin(x[1]), -x[0], 1.0};
+    for (size_t i = 0; i < 3; i++) { /* the largest component of v is 0.6 */
+        other[i] = x[3 + i] + 1.6 * (1.0 + 0.5 * sin((double)(i + 1)));
+        scale += fabs(mu[i] * other[i]);
+    }
+    for (int wrong = 0; wrong <= 1; wrong++) {
+        const double part = wrong ? 1.1 : 0.9;
+        dal_check report;
+        general g = {.kind = DAL_LINEAR, .output = OUT_F_Q, .entry = 4, .amount = part * 2e-7};
+        CHECK(examine_general(&g, 0, &report, NULL) == 0 && report.passed == !wrong);
+        CHECK_NEAR(report.f_q.error, part * 1e-7, 3e-11);
+        g = (general){.kind = DAL_LINEAR, .output = OUT_PHI, .amount = part * 1e-12 * scale};
+        CHECK(examine_general(&g, 0, &report, NULL) == 0 && report.passed == !wrong);
+        if (wrong) CHECK(says(report.text, "phi_v v"));
+        g = (general){.kind = DAL_LINEAR, .turn = part * 1e-12 * fabs(mu[0] / (other[1] - x[4]))};
+        CHECK(examine_general(&g, 0, &report, NULL) == 0 && report.passed == !wrong);
+        if (wrong) CHECK(says(report.text, "must not depend on v"));
+    }
 }
 
 /* phi = u^2 + v^2 + w^2 - 1 */
@@ -967,7 +1058,10 @@ int main(void)
     test_disguise(0);
     test_disguise(DAL_MISSING_PHI_Q);
     test_exceptional_point();
+    test_smallest_curvature();
+    test_smallest_angle();
     test_line();
+    test_smallest_errors();
     test_general();
     test_general_entries();
     test_affine();

@@ -206,6 +206,85 @@ static void test_too_large(const char *name, const char *scheme_name, double h)
     dal_system_free(system);
 }
 
+/* A contraction that is slow: after 100 iterations the last change, 0.8^100, is a little below or a
+ * little above 1e4 times the accuracy of the exact flow, 4 u of states of size 2. */
+static void test_slow_contraction(double h, int expected)
+{
+    dal_system *const system = open_system("particle");
+    const dal_scheme scheme = find_scheme("explicit");
+    const dal_embedding_def def = {.scheme = &scheme, .h = h};
+    double z[WIDTH], y[WIDTH];
+    dal_embedding *const embedding = open_embedding(system, &def, NULL, z);
+    CHECK(dal_embedding_source(embedding, 0.55, z, y) == expected);
+    dal_embedding_free(embedding);
+    dal_system_free(system);
+}
+
+/* The particle, without its exact solution, and how often it is asked for its constraint. */
+static int counted_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                              double *phi_q, void *ctx)
+{
+    ++*(size_t *)ctx;
+    if (phi) *phi = v[2] - q[1] * v[0];
+    if (phi_v) phi_v[0] = -q[1], phi_v[1] = 0.0, phi_v[2] = 1.0;
+    if (phi_q) phi_q[0] = 0.0, phi_q[1] = -v[0], phi_q[2] = 0.0;
+    return 0;
+}
+
+static int stop(double far, void *ctx)
+{
+    *(double *)ctx = far;
+    return far > 0.0;
+}
+
+static int stop_at_once(double far, void *ctx)
+{
+    *(double *)ctx = far;
+    return 1;
+}
+
+/* A watch ends a curve of more steps than anybody waits for, a flow, and a perturbed flow. */
+static void test_watch(void)
+{
+    static const double mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    static const double state[6] = {0.1, 0.5, 0.2, 1.0, 0.7, 0.5};
+    size_t calls = 0;
+    const dal_system_def own = {.n = 3, .m = 1, .mass = mass, .constraint = counted_constraint,
+                                .ctx = &calls, .state = state};
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &own, NULL), "system", "");
+    const dal_scheme scheme = find_scheme("midpoint");
+    const dal_embedding_def def = {.scheme = &scheme, .h = 0.1};
+    double z[WIDTH], y[WIDTH], G[WIDTH] = {7.0}, far = -1.0;
+    dal_embedding *const embedding = open_embedding(system, &def, NULL, z);
+    memcpy(y, z, sizeof y);
+    dal_embedding_watch(embedding, stop, &far);
+    CHECK(dal_embedding_curve(embedding, 0x1p52, z, G) == DAL_STOPPED && G[0] == 7.0);
+    CHECK(far >= 1.0);
+    dal_embedding_watch(embedding, stop_at_once, &far); /* in a flow, and in a perturbed one */
+    far = -1.0;
+    CHECK(dal_embedding_flow(embedding, 0.0, 0.1, y) == DAL_STOPPED && far >= 0.0);
+    CHECK(memcmp(y, z, sizeof y) == 0);
+    far = -1.0;
+    CHECK(dal_embedding_limit(embedding, z, G) == DAL_STOPPED && far >= 0.0 && G[0] == 7.0);
+    dal_embedding_watch(embedding, NULL, NULL);
+    CHECK(dal_embedding_flow(embedding, 0.0, 0.1, y) == 0);
+    dal_embedding_free(embedding);
+    /* Where h is too large for the embedding the perturbed flow ends with the first evaluation that
+     * says so: no shorter step is tried, of which there would be fifty. */
+    const dal_embedding_def large = {.scheme = &scheme, .h = 20.0};
+    dal_embedding *const hopeless = open_embedding(system, &large, NULL, z);
+    CHECK(dal_embedding_source(hopeless, 0.55, z, y) == DAL_ENOCONV);
+    calls = 0;
+    CHECK(dal_embedding_source(hopeless, 0.55, z, y) == DAL_ENOCONV);
+    const size_t once = calls;
+    calls = 0;
+    CHECK(dal_embedding_flow(hopeless, 11.0, 12.0, z) == DAL_ENOCONV);
+    CHECK(calls < 3 * once);
+    dal_embedding_free(hopeless);
+    dal_system_free(system);
+}
+
 static void test_failures(void)
 {
     dal_system *const system = open_system("particle");
@@ -280,6 +359,9 @@ int main(void)
     test_limit(1.0, 1);
     test_limit(0.5, 2);
     test_too_large("sleigh", "explicit", 5.0);
+    test_slow_contraction(4.0, 0);
+    test_slow_contraction(4.125, DAL_ENOCONV);
+    test_watch();
     test_failures();
     return check_done();
 }

@@ -22,7 +22,6 @@ typedef struct measurement {
     dal_order_point points[MOST_POINTS];
     size_t count;
     dal_order order;
-    dal_fit run; /* of the larger error of q and v at t_end */
     bool printed;
 } measurement;
 
@@ -46,16 +45,6 @@ static dal_scheme find_scheme(const char *name)
     return scheme;
 }
 
-static void fit_run(measurement *result)
-{
-    double h[MOST_POINTS], errors[MOST_POINTS];
-    for (size_t k = 0; k < result->count; k++) {
-        h[k] = result->points[k].h;
-        errors[k] = fmax(result->points[k].q, result->points[k].v);
-    }
-    dal_fit_order(result->count, h, errors, result->order.floor, &result->run);
-}
-
 /* A study from the system's own initial data.  The contact oscillator's are at rest, where D_eps
  * and D meet; kept nodes start from others. */
 static measurement measure(const char *system_name, const dal_scheme *scheme, dal_initial initial,
@@ -77,7 +66,6 @@ static measurement measure(const char *system_name, const dal_scheme *scheme, da
     const int status = dal_order_study(system, scheme, &def, result.points, &result.order, &error);
     check_true(status == 0, error.text, system_name, __LINE__);
     dal_system_free(system);
-    fit_run(&result);
     return result;
 }
 
@@ -160,7 +148,7 @@ static void expect_order(measurement *result, int p)
     const dal_order *const o = &result->order;
     expect_at_least(result, &o->state, p >= 6 ? p + 2 * SLACK : p + 1, "the state after a step");
     expect_at_least(result, &o->reaction, 1, "the reaction at the end of a step");
-    expect_at_least(result, &result->run, p, "the state at t_end");
+    expect_at_least(result, &o->global_state, p, "the state at t_end");
     expect_at_least(result, &o->global_multipliers, p, "lambda(q, v) at t_end");
     if (p < 6) expect_at_least(result, &o->multipliers, p + 1, "lambda(q, v) after a step");
     expect_flag(result, o->keeps_D, "D is not kept");
@@ -205,7 +193,7 @@ static void test_orders(void)
             measurement result = measure(systems[i], &scheme, DAL_INITIAL_NONE, t_end, k->count,
                                          k->steps);
             expect_order(&result, k->p);
-            if (k->p == 1) expect_equal(&result, &result.run, 1, "the state at t_end");
+            if (k->p == 1) expect_equal(&result, &result.order.global_state, 1, "the state at t_end");
         }
     }
 }
@@ -231,7 +219,7 @@ static void test_general_systems(void)
             const bool open = scheme.order == 8 && result.order.holds == -2;
             expect_flag(&result, result.order.holds == 1 || open, result.order.text);
             expect_flag(&result, result.order.keeps_D, "D is not kept");
-            if (low) expect_equal(&result, &result.run, scheme.order, "the state at t_end");
+            if (low) expect_equal(&result, &result.order.global_state, scheme.order, "the state at t_end");
         }
     }
 }
@@ -269,7 +257,7 @@ static void test_kept_nodes(const char *name, bool jumps)
             measurement result = measure(systems[i], &scheme, starts[k], 1.0, PLAIN, plain_steps);
             const dal_order *const o = &result.order;
             const bool heisenberg = strcmp(systems[i], "heisenberg") == 0;
-            expect_equal(&result, &result.run, 1, "the state at t_end");
+            expect_equal(&result, &result.order.global_state, 1, "the state at t_end");
             if (starts[k] == DAL_INITIAL_D && jumps && !heisenberg) {
                 expect_equal(&result, &o->state, 1, "the state after the first step from D");
                 expect_equal(&result, &o->reaction, 0, "the reaction of the first step from D");
@@ -301,9 +289,9 @@ static void test_own_records(void)
         measurement between = measure(systems[i], &quarter, DAL_INITIAL_NONE, 1.0, PLAIN,
                                       plain_steps);
         expect_at_least(&second, &second.order.state, 3, "the state after a step");
-        expect_at_least(&second, &second.run, 2, "the state at t_end");
-        expect_equal(&first, &first.run, 1, "the state at t_end");
-        expect_equal(&between, &between.run, 1, "the state at t_end");
+        expect_at_least(&second, &second.order.global_state, 2, "the state at t_end");
+        expect_equal(&first, &first.order.global_state, 1, "the state at t_end");
+        expect_equal(&between, &between.order.global_state, 1, "the state at t_end");
         expect_flag(&second, second.order.holds == -1 && second.order.keeps_D, second.order.text);
         expect_flag(&first, isnan(first.points[0].residual_eps), "D_eps of several sub-steps");
         if (strcmp(systems[i], "heisenberg") != 0) /* where D_eps is D */
@@ -323,6 +311,14 @@ static void test_false_promises(void)
     result = measure("generic4", &liar, DAL_INITIAL_NONE, 1.0, PLAIN, plain_steps);
     expect_flag(&result, result.order.holds == 0, result.order.text);
     CHECK(strstr(result.order.text, "does not hold") != NULL);
+    /* From D both have to hold, the first step and the slope at t_end.  On Heisenberg's system D_eps
+     * is D, and the step loses no order; the slope is 1 and not 2. */
+    liar = find_scheme("midpoint-nodes");
+    liar.order = 2;
+    liar.multiplier_order = 0;
+    result = measure("heisenberg", &liar, DAL_INITIAL_D, 1.0, PLAIN, plain_steps);
+    expect_flag(&result, result.order.state.slope > 2 - SLACK, "the step reaches (1, -1)");
+    expect_flag(&result, result.order.holds == 0, result.order.text);
     const dal_scheme honest = find_scheme("midpoint");
     result = measure("generic4", &honest, DAL_INITIAL_NONE, 1.0, 2, plain_steps);
     expect_flag(&result, result.order.holds == -2, result.order.text); /* two points say nothing */
@@ -348,6 +344,123 @@ static void test_long_intervals(void)
     }
 }
 
+static double error_of(const dal_order_point *point, dal_order_fit which)
+{
+    switch (which) {
+    case DAL_FIT_STATE: return point->local_state;
+    case DAL_FIT_MULTIPLIERS: return point->local_multipliers;
+    case DAL_FIT_REACTION: return point->local_reaction;
+    case DAL_FIT_MIDPOINT: return point->local_midpoint;
+    case DAL_FIT_GLOBAL_Q: return point->q;
+    case DAL_FIT_GLOBAL_V: return point->v;
+    case DAL_FIT_GLOBAL_MULTIPLIERS: return point->multipliers;
+    case DAL_FIT_GLOBAL_STATE: return fmax(point->q, point->v);
+    }
+    return NAN;
+}
+
+/* Each fit is the least squares line through the points that are marked as counted, and these are
+ * as many as it says: whoever shows the fit need not find out again what it rests on.  The roundoff
+ * of the runs of many steps, far above the common floor here, does not count. */
+static void test_counted(void)
+{
+    static const size_t steps[] = {50, 100, 200, 400, 800, 1600, 3200, 6400, 12800};
+    enum { COUNT = sizeof steps / sizeof *steps, FITS = DAL_FIT_GLOBAL_STATE + 1 };
+    const dal_scheme scheme = find_scheme("leapfrog-suzuki4");
+    const double x0[6] = {0.0, 1.0, 0.0, 1.0, 1.0, 1.0};
+    double unused[6];
+    dal_order_point points[COUNT];
+    dal_order order;
+    dal_system *system = open_system("particle", unused);
+    const dal_order_def def = {.t_end = 2.0, .x0 = x0, .steps = steps, .count = COUNT};
+    CHECK(dal_order_study(system, &scheme, &def, points, &order, NULL) == 0);
+    const dal_fit *const fits[FITS] = {
+        &order.state, &order.multipliers, &order.reaction, &order.midpoint, &order.global_q,
+        &order.global_v, &order.global_multipliers, &order.global_state};
+    for (int which = 0; which < FITS; which++) {
+        double n = 0.0, x = 0.0, y = 0.0, xx = 0.0, xy = 0.0;
+        for (size_t i = 0; i < COUNT; i++) {
+            if (!(points[i].counted & 1u << which)) continue;
+            const double log_h = log(points[i].h);
+            const double log_error = log(error_of(&points[i], (dal_order_fit)which));
+            n++;
+            x += log_h;
+            y += log_error;
+            xx += log_h * log_h;
+            xy += log_h * log_error;
+        }
+        CHECK(n == (double)fits[which]->points);
+        if (n < 3.0) CHECK(isnan(fits[which]->slope));
+        else CHECK_NEAR(fits[which]->slope, (n * xy - x * y) / (n * xx - x * x), 1e-9);
+    }
+    CHECK_NEAR(order.global_state.slope, 4.0, 0.01);
+    CHECK(order.global_state.points == 3);
+    CHECK(fmax(points[8].q, points[8].v) > 100.0 * order.floor);
+    CHECK(order.reaction.points == 4 && !(points[4].counted & 1u << DAL_FIT_REACTION));
+    CHECK(strstr(order.text, "order 4.00 at t_end: holds") != NULL);
+    CHECK(order.keeps_D && !order.keeps_D_eps); /* there is none for several sub-steps */
+    dal_system_free(system);
+}
+
+typedef struct watcher {
+    size_t calls;
+    double last;
+    int answer; /* at the second call */
+} watcher;
+
+static int watch(double made, void *ctx)
+{
+    watcher *const self = ctx;
+    CHECK(made >= self->last);
+    self->last = made;
+    return ++self->calls < 2 ? 0 : self->answer;
+}
+
+/* Off D a flow stands in for the exact solution, and no error is known better than it is. */
+static void test_flow_that_stands_in(void)
+{
+    double x0[MOST];
+    dal_order_point points[PLAIN];
+    dal_order order;
+    const dal_scheme kept = find_scheme("midpoint-nodes");
+    dal_system *system = open_system("particle", x0);
+    const dal_order_def def = {.t_end = 1.0, .x0 = x0, .steps = plain_steps, .count = PLAIN,
+                               .initial = DAL_INITIAL_D_EPS, .tolerance = 1e-7};
+    CHECK(dal_order_study(system, &kept, &def, points, &order, NULL) == 0);
+    CHECK(order.reference == 0.0 && order.floor == 1e-7);
+    dal_system_free(system);
+}
+
+/* A watch ends a study in its runs and in its reference, at once; nothing is written. */
+static void test_watch(void)
+{
+    static const size_t long_run[] = {4000000000u}, short_run[] = {10};
+    static const struct {
+        const char *system;
+        double t_end;
+        const size_t *steps;
+    } cases[] = {{"particle", 1.0, long_run}, {"generic4", 1e6, short_run}};
+    const dal_scheme scheme = find_scheme("leapfrog");
+    for (size_t c = 0; c < 2; c++)
+        for (int answer = -1; answer <= 1; answer += 2) {
+            double x0[MOST];
+            dal_order_point point = {.h = 7.0}, before = point;
+            dal_order order = {.p = 7.0};
+            dal_error error;
+            watcher seen = {.answer = answer};
+            dal_system *system = open_system(cases[c].system, x0);
+            const dal_order_def def = {.t_end = cases[c].t_end, .x0 = x0, .steps = cases[c].steps,
+                                       .count = 1, .watch = watch, .watch_ctx = &seen};
+            const int expected = answer > 0 ? DAL_STOPPED : DAL_EUSER;
+            CHECK(dal_order_study(system, &scheme, &def, &point, &order, &error) == expected);
+            CHECK(error.status == expected && error.text[0] != '\0');
+            CHECK(seen.calls == 2 && (seen.last > 0.0) == (c == 0));
+            CHECK(memcmp(&point, &before, sizeof point) == 0);
+            CHECK(order.p == 7.0);
+            dal_system_free(system);
+        }
+}
+
 /* Without constraints there is no D to speak of; a text counts its points. */
 static void test_unconstrained(void)
 {
@@ -361,7 +474,7 @@ static void test_unconstrained(void)
     dal_system *system = NULL;
     CHECK(dal_system_new(&system, &free_body, NULL) == 0);
     CHECK(dal_order_study(system, &midpoint, &def, &point, &order, NULL) == 0);
-    CHECK(strstr(order.text, "kept to") == NULL && strstr(order.text, "holds.") != NULL);
+    CHECK(strstr(order.text, "kept to") == NULL && strstr(order.text, "exact to roundoff.") != NULL);
     dal_system_free(system);
     const measurement single = measure("generic4", &midpoint, DAL_INITIAL_NONE, 1.0, 1, steps);
     CHECK(strstr(single.order.text, "over 1 point,") != NULL);
@@ -477,33 +590,34 @@ static void test_fit(void)
     double errors[6];
     dal_fit fit;
     for (size_t i = 0; i < 6; i++) errors[i] = 7.0 * pow(fabs(h[i]), 2.5);
-    dal_fit_order(6, h, errors, 1e-12, &fit);
+    unsigned char counted[6];
+    dal_fit_order(6, h, errors, 1e-12, &fit, counted);
     CHECK_NEAR(fit.slope, 2.5, 1e-13);
-    CHECK(fit.points == 6 && !fit.exact);
+    CHECK(fit.points == 6 && !fit.exact && memcmp(counted, "\1\1\1\1\1\1", 6) == 0);
 
     errors[4] = 5e-9; /* below the floor, or not a number: they do not count */
     errors[5] = NAN;
-    dal_fit_order(6, h, errors, 1e-10, &fit);
+    dal_fit_order(6, h, errors, 1e-10, &fit, counted);
     CHECK_NEAR(fit.slope, 2.5, 1e-13);
-    CHECK(fit.points == 4);
-    dal_fit_order(2, h, errors, 1e-12, &fit); /* two points */
+    CHECK(fit.points == 4 && memcmp(counted, "\1\1\1\1\0\0", 6) == 0);
+    dal_fit_order(2, h, errors, 1e-12, &fit, NULL); /* two points */
     CHECK(isnan(fit.slope) && fit.points == 2 && !fit.exact);
     const double close[3] = {0.1, 0.08, 0.06}; /* a factor of less than two in h */
-    dal_fit_order(3, close, errors, 1e-12, &fit);
+    dal_fit_order(3, close, errors, 1e-12, &fit, NULL);
     CHECK(isnan(fit.slope) && fit.points == 3);
     const double noise[6] = {1e-16, 0.0, 2e-16, 1e-16, 0.0, 1e-16};
-    dal_fit_order(6, h, noise, 1e-15, &fit);
+    dal_fit_order(6, h, noise, 1e-15, &fit, NULL);
     CHECK(isnan(fit.slope) && fit.points == 0 && fit.exact);
     const double nothing[2] = {NAN, NAN};
-    dal_fit_order(2, h, nothing, 1e-15, &fit);
+    dal_fit_order(2, h, nothing, 1e-15, &fit, NULL);
     CHECK(!fit.exact && fit.points == 0);
     const double scattered[3] = {1.0, 2.0, 8.0}; /* least squares by hand: 1.5 log 2 / log 2 */
     const double doubled[3] = {1.0, 2.0, 4.0};
-    dal_fit_order(3, doubled, scattered, 0.0, &fit);
+    dal_fit_order(3, doubled, scattered, 0.0, &fit, NULL);
     CHECK_NEAR(fit.slope, 1.5, 1e-14);
     CHECK_NEAR(fit.finest, 1.0, 1e-14);
     const double mixed[4] = {0.3, 1.0, 0.05, 0.4}, bent[4] = {0.3, 9.0, 0.01, 0.9};
-    dal_fit_order(4, mixed, bent, 1e-6, &fit); /* whatever their order */
+    dal_fit_order(4, mixed, bent, 1e-6, &fit, NULL); /* whatever their order */
     CHECK_NEAR(fit.finest, log(30.0) / log(6.0), 1e-13);
 }
 
@@ -527,6 +641,14 @@ static void test_failed_points(void)
     CHECK(points[1].failed == 0 && points[1].q > 0.0);
     CHECK(strstr(order.text, "1 of 5 runs failed") != NULL);
     CHECK(order.holds == 1 && order.state.points == 4 && error.text[0] == '\0');
+    CHECK(order.keeps_D); /* in all runs that there are, also where the failed one is the last */
+    static const size_t failing_last[] = {100, 150, 200, 300, 1};
+    const dal_order_def last = {.t_end = 1.0, .x0 = x0, .steps = failing_last, .count = 5};
+    CHECK(dal_order_study(system, &endpoint, &last, points, &order, &error) == 0);
+    CHECK(points[4].failed == DAL_ESINGULAR && order.keeps_D && order.holds == 1);
+    const dal_order_def alone = {.t_end = 1.0, .x0 = x0, .steps = steps, .count = 1};
+    CHECK(dal_order_study(system, &endpoint, &alone, points, &order, &error) == 0);
+    CHECK(!order.keeps_D && !order.keeps_D_eps); /* by no run */
     dal_system_free(system);
 }
 
@@ -598,6 +720,9 @@ int main(void)
     test_own_records();
     test_false_promises();
     test_long_intervals();
+    test_counted();
+    test_flow_that_stands_in();
+    test_watch();
     test_unconstrained();
     test_disk();
     test_particle_step("explicit", 0.0);

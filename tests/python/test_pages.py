@@ -387,7 +387,7 @@ def test_command(tmp_path):
     [
         (("--system", "pendulum"), 2, "no system 'pendulum'; there are particle"),
         (("no/where", "--system", "disk"), 2, "no/where: there is no folder no"),
-        (("file", "--system", "disk"), 1, "file"),
+        (("file", "--system", "disk"), 2, "file: this is a file"),
         (("one", "two"), 2, "unrecognized arguments: two"),
     ],
 )

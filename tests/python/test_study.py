@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
+import re
+import signal
 import sys
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -92,6 +96,139 @@ def test_fits_are_least_squares_lines(midpoint):
     assert midpoint.fits["reaction"].points == 3
     assert midpoint.p == midpoint.fits["state"].slope - 1
     assert midpoint.s == midpoint.fits["reaction"].slope - 1
+
+
+FINE_STEPS = (50, 100, 200, 400, 800, 1600, 3200, 6400, 12800)
+
+
+def test_one_order_everywhere():
+    """The fine runs end in roundoff, which counts nowhere: in words, tables, pictures, numbers."""
+    study = dal.convergence(
+        dal.systems.particle(), "leapfrog-suzuki4", t_end=2, steps=FINE_STEPS
+    )
+    fit = study.fits["global_state"]
+    at_end = re.search(r"order (\S+) at t_end", study.text)[1]
+    assert at_end == "4.00" and fit.points == 3
+    row = {column.title: column.cells[0] for column in table.overview(dal.study.Studies([study]))}
+    assert row["at t_end"] == at_end
+    html = dal.study.Studies([study])._repr_html_()
+    assert f"<td>{at_end}</td>" in html
+    ax = dal.plot.convergence(study)
+    (label,) = (text.get_text() for text in ax.get_legend().get_texts())
+    assert label == f"leapfrog-suzuki4: {at_end}"
+    line, hollow = ax.lines
+    np.testing.assert_array_equal(line.get_ydata(), study.state_error[:3])
+    np.testing.assert_array_equal(hollow.get_ydata(), study.state_error[3:])
+    told = study.to_dict()["fits"]["global_state"]
+    assert told["slope"] == fit.slope and list(told["counted"]) == [True] * 3 + [False] * 6
+    assert np.isfinite(study.q_orders[1:3]).all() and np.isnan(study.q_orders[3:]).all()
+
+
+def test_exact_to_roundoff_is_a_verdict():
+    straight = dal.System(mass=[1.0, 1.0], q0=[0, 0], v0=[1, 1])
+    study = dal.convergence(straight, "leapfrog", steps=STEPS)
+    assert study.holds is True and study.verdict == "exact"
+    assert study.text.endswith("(exact, exact) over 0 points, promised (2, 0), order exact at "
+                               "t_end: exact to roundoff.")  # fmt: skip
+    disk = dal.convergence(dal.systems.disk(), "midpoint", steps=STEPS)  # v is, q is not
+    assert disk.fits["global_v"].exact and disk.verdict == "holds"
+
+
+class Alarm(Exception):
+    pass
+
+
+@contextlib.contextmanager
+def alarm(seconds):
+    """Raise Alarm after some time as Ctrl-C raises KeyboardInterrupt; it has to come at once."""
+    rang = []
+
+    def ring(*_):
+        rang.append(time.perf_counter())
+        raise Alarm
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    start = time.perf_counter()
+    try:
+        with pytest.raises(Alarm) as caught:
+            yield caught
+        # Half a second for a machine that is busy: it takes 0.05 s where nothing else runs.
+        assert time.perf_counter() - start < seconds + 0.5
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_ctrl_c_ends_a_study():
+    particle = dal.systems.particle()
+    for call in (
+        lambda: dal.convergence(particle, "leapfrog", steps=[10**8]),
+        lambda: dal.convergence(particle, "leapfrog-kl8", t_end=1e5),
+        lambda: dal.convergence(dal.systems.chaotic(), "leapfrog", t_end=1e6, steps=[10]),
+        lambda: dal.convergence(dal.systems.n_trailer(trailers=50), "leapfrog", steps=[10**6]),
+    ):
+        with alarm(0.2):
+            call()
+
+
+def test_what_was_finished_is_not_lost():
+    def stop(done, total):
+        if done > 2.5:
+            raise Alarm
+
+    with pytest.raises(Alarm) as caught:
+        dal.studies(
+            dal.systems.particle(), ["explicit", "midpoint", "leapfrog"], steps=STEPS, progress=stop
+        )
+    assert [x.scheme.name for x in caught.value.partial] == ["midpoint", "leapfrog"]
+
+
+def test_progress_is_in_steps():
+    told = []
+    dal.convergence(
+        dal.systems.particle(), "leapfrog", steps=[100_000, 200_000],
+        progress=lambda *x: told.append(x),
+    )  # fmt: skip
+    assert told == sorted(told) and told[-1] == (300_000, 300_000)
+    assert all(total == 300_000 for _, total in told) and len(told) > 1
+
+
+def test_more_steps_are_to_be_had_when_they_are_asked_for():
+    with pytest.raises(ValueError, match="max_steps=115"):
+        dal.convergence(dal.systems.particle(), "midpoint", steps=STEPS, max_steps=114)
+    assert dal.convergence(dal.systems.particle(), "midpoint", steps=STEPS, max_steps=115).holds
+    both = ["midpoint", "leapfrog"]
+    with pytest.raises(ValueError, match="max_steps=230"):
+        dal.studies(dal.systems.particle(), both, steps=STEPS, max_steps=229)
+    assert dal.studies(dal.systems.particle(), both, steps=STEPS, max_steps=230).holds
+
+
+@pytest.mark.parametrize("schemes", [["leapfrog-kl8"], ["midpoint", "leapfrog-kl6"]])
+@pytest.mark.parametrize("t_end", [1, 7.5])
+def test_what_is_said_to_go_on_is_enough(schemes, t_end):
+    def study(max_steps):
+        return dal.studies(dal.systems.particle(), schemes, t_end=t_end, max_steps=max_steps)
+
+    with pytest.raises(ValueError) as caught:
+        study(100)
+    enough = int(re.search(r"max_steps=(\d+)", str(caught.value))[1])
+    assert study(enough).holds
+    with pytest.raises(ValueError, match=f"max_steps={enough}"):
+        study(enough - 1)
+
+
+@pytest.mark.parametrize("width", [float("nan"), float("inf"), 0, -5, "wide", 60.5, None])
+def test_a_width_that_is_none(midpoint, width):
+    for item in (midpoint, dal.study.Studies([midpoint])):
+        with pytest.raises(ValueError, match="^width = "):
+            item.table(width=width)
+
+
+@pytest.mark.parametrize("ax", [..., 3, "axes", [1]])
+def test_axes_that_are_none(midpoint, ax):
+    with pytest.raises(ValueError, match="^ax is "):
+        midpoint.plot(ax=ax)
 
 
 def test_local_orders_are_those_between_neighbours(midpoint):
@@ -188,16 +325,16 @@ def test_default_steps_are_the_finest_above_the_floor(above, window):
 
     def probe(duration, steps):
         asked.append(duration)
-        over_all = [count * round(3.2 / duration) for count in steps]
         return SimpleNamespace(
             steps=np.array(steps),
+            h=3.2 / np.array(steps),
             floor=1e-15,
-            local_error=np.array([1.1e-13 if count <= above else 0.9e-13 for count in over_all]),
+            local_error=np.array([1.1e-13 if count <= above else 0.9e-13 for count in steps]),
         )
 
     steps = refinement._default_steps(6, 3.2, probe)
     assert steps == [*window, *(3 * count for count in refinement.FINE)]
-    assert asked == [3.2 / 3, 3.2]  # about a unit of time, and the whole for longer steps
+    assert asked == [3.2]
 
 
 def test_the_default_steps_are_fine_enough_for_reactions_that_change_sign():
@@ -289,7 +426,8 @@ def test_one_scheme_is_a_collection_of_one_and_progress_is_told():
         steps=STEPS,
         progress=lambda *numbers: told.append(numbers),
     )
-    assert [study.scheme.name for study in studies] == ["midpoint"] and told == [(1, 1)]
+    assert [study.scheme.name for study in studies] == ["midpoint"]
+    assert told == sorted(told) and told[-1] == (1, 1) and {total for _, total in told} == {1}
     with pytest.raises(ValueError, match="progress = 3"):
         dal.studies(dal.systems.particle(), "midpoint", steps=STEPS, progress=3)
 
@@ -379,6 +517,17 @@ def test_html_representation_has_the_table(midpoint):
         (dict(steps=(10, 0)), r"steps\[1\] = 0"),
         (dict(steps=(10, 1.5)), r"steps\[1\] = 1.5"),
         (dict(steps=10), "steps = 10: expected several"),
+        (dict(steps=(10, True)), r"steps\[1\] = True: expected an integer"),
+        (dict(steps=(10, "20")), r"steps\[1\] = '20': expected an integer"),
+        (dict(steps=(10, 10**30)), r"steps\[1\] = 1000000000000000000000000000000: expected at most"),
+        (dict(steps=(10, 20, 10)), r"steps\[2\] = 10: steps\[0\] is that already"),
+        (dict(steps=[1] * 100_000), r"steps\[1\] = 1: steps\[0\] is that already"),
+        (dict(steps=(10, 991), max_steps=1000), "1001 steps in all.*max_steps=1001"),
+        (dict(t_end=1e9), "2040000000000 steps in all.*--max-steps 2040000000000"),
+        (dict(t_end=1e300, scheme="leapfrog-kl8"), "steps in all, more than max_steps = 1000000000"),
+        (dict(t0=-1e308, t_end=1e308), "t_end - t0 = inf: expected a finite interval"),
+        (dict(max_steps=0), "max_steps = 0: expected at least 1"),
+        (dict(progress=3), "progress = 3"),
         (dict(system="particle"), "system = 'particle': expected a dalembert.System"),
         (dict(scheme=None), "scheme = None: expected a Scheme, the name of one, or beta"),
         (dict(t_end=0.0), "t_end"),

@@ -1,0 +1,79 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+import shutil
+import tempfile
+from pathlib import Path
+
+__all__ = ["require_folder", "require_writable", "write"]
+
+
+def require_writable(path: str | Path) -> None:
+    """Raise OSError, with the name of the file, if `write` could not begin; nothing is changed."""
+    target = Path(path)
+    if target.is_dir():
+        raise OSError(errno.EISDIR, "this is a folder, expected the name of a file", str(target))
+    if _is_device(target):
+        return
+    if not target.parent.is_dir():
+        raise OSError(errno.ENOENT, f"there is no folder {target.parent}", str(target))
+    try:
+        tempfile.TemporaryFile(dir=target.resolve().parent).close()
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(target)) from error
+
+
+def require_folder(path: str | Path) -> None:
+    """Raise OSError, with the name of the folder, if files in it could not be written."""
+    folder = Path(path)
+    if folder.exists() and not folder.is_dir():
+        raise OSError(errno.ENOTDIR, "this is a file, expected the name of a folder", str(folder))
+    try:
+        require_writable((folder if folder.is_dir() else folder.parent) / "index.html")
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from error
+
+
+def write(path: str | Path, text: str) -> None:
+    """Write a file of text; one that is there is replaced when the new one is complete.
+
+    Raises
+    ------
+    OSError
+        With the name of the file; what was there before is there still.
+    """
+    target = Path(path)
+    require_writable(target)
+    try:
+        if _is_device(target):
+            target.write_text(text, encoding="utf-8")
+        else:
+            _replace(target.resolve(), text)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(target)) from error
+
+
+def _replace(target: Path, text: str) -> None:
+    draft = target.with_name(f".{target.name[:64]}.{secrets.token_hex(8)}")
+    try:
+        with open(draft, "x", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        if target.exists():
+            shutil.copymode(target, draft)
+        os.replace(draft, target)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+        raise
+
+
+def _is_device(target: Path) -> bool:
+    """Return whether this is a pipe, a terminal or the like, which cannot be replaced."""
+    return target.exists() and not target.is_file() and not target.is_dir()
