@@ -120,9 +120,11 @@ def test_other_options_are_said(tmp_path):
     q0, v0 = [-1, 0, 0.5], [math.cos(0.5), math.sin(0.5), 1]
     studies = dal.studies(knife, ["midpoint", "leapfrog"], q0, v0, t_end=0.5, steps=STEPS)
     line = shlex.split(dal.report.command(studies))
+    parameters = [f"{key}={value!r}" for key, value in knife.parameters.items()]
+    assert "m=3.0" in parameters
     assert line == [
         "dalembert", "study", "knife_edge",
-        *(x for key, value in knife.parameters.items() for x in ("--parameter", f"{key}={value!r}")),
+        *(word for x in parameters for word in ("--parameter", x)),
         "--q0=-1.0,0.0,0.5", f"--v0={v0[0]!r},{v0[1]!r},1.0", "--t-end", "0.5",
         "--scheme", "midpoint", "--scheme", "leapfrog", "--steps", "10,15,20,30",
     ]  # fmt: skip
