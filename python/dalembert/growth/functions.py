@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import functools
+import contextlib
 import itertools
-import random
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import _lib
 from .._lib import Array
-from .search import Distribution, degree, integration, is_settled, no_more, search, shortened
+from .search import Distribution, is_settled, no_more, search, shortened
 
 if TYPE_CHECKING:
     from ..system import System
@@ -21,148 +20,93 @@ __all__ = ["examine"]
 
 # What functions raise for states that they were not made for, and what the core does.
 _OUTSIDE = _lib.DalembertError, ArithmeticError, ValueError
-_NO_MOTIONS = "the motions along D are no polynomials of their length there"
-
-
-@functools.lru_cache(maxsize=4)
-def _integration(N: int) -> tuple[Array, Array]:
-    nodes, integrals, weights = integration(np.cos(np.pi * np.arange(2 * N) / N))
-    return nodes, integrals @ weights
+# The derivative along a line by central differences of order 8, h apart; for no more points in all.
+_WEIGHTS = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))
+_POINTS = 20_000
+# Derivatives that are differenced over 2^-12 smooth out what is not smooth.
+_LEAST = 2.0**-10
+_DIGITS = 16
 
 
 class _Functions:
     """Brackets of mu given by functions, at a point, see `search`.
 
-    Those of two fields follow from the derivatives of mu.  For more, motions are computed for some
-    eps between -h and h, and the fields pulled back along them are polynomials in eps, up to
-    roundoff; h is taken so small that this is so.  A smaller h makes the twins.
+    X_i, i = 1, ..., c, are the fields of D with a unit vector in the place of the independent
+    velocities.  [X_i, X_j] follows from the derivatives of mu, and
 
-    Parameters
-    ----------
-    system : System
-        With linear constraints.
-    q : ndarray, shape (n,)
+        [X_i, W] = dW/dq X_i - dX_i/dq W
+
+    for a bracket W of them by differences of W along X_i.  Those of k + 1 fields are given times
+    h^(k-1), so that their roundoff is the same for all k.  Twins have another distance h of the
+    differences; it is taken so small that the two agree up to roundoff.
 
     Raises
     ------
     DalembertError
-        If mu has not rank m there; by `brackets`, if there are no such polynomials.
+        If mu has not rank m there; by `brackets`, if its derivatives do not seem to exist.
     """
-
-    _NODES = 24  # in s; the velocities there are polynomials up to roundoff
 
     def __init__(self, system: System, q: Array) -> None:
         from ..chart import Chart
 
         self.n, self.m = system.n, system.m
-        self._chart, self._q, self._h = Chart(system, q), q, 1.0
-        names = system.coordinates
-        self._dependent = [names.index(c) for c in self._chart.dependent]
-        self._independent = [names.index(c) for c in self._chart.independent]
+        self.most = 1  # orders that are not too many points
+        while 8**self.most * (self.n - self.m) ** (self.most + 1) <= _POINTS:
+            self.most += 1
+        self._chart, self._q, self._h = Chart(system, q), q, 0.125
+        self._dependent = [system.coordinates.index(c) for c in self._chart.dependent]
         # derivatives that are differenced have 9 digits at least
         self._error = 1e-9 if "forms_velocity_derivative" in system.differenced else 2.0**-46
         self.rounding = self._error, self._error
 
     def brackets(self, orders: int, seed: int) -> list[Array]:
-        """Return for each order of eps / h the fields pulled back; or all brackets of two."""
-        if orders == 1:
-            return [self._commutators(self._q)]
-        while self._h > 1e-4:
-            found = self._polynomials(self._h, orders, seed)
-            if found is not None:
-                return found
+        """Return for each order all left-normed brackets; they do not depend on the seed."""
+        if seed > 0:
+            return self._found
+        while self._h >= _LEAST:
+            with contextlib.suppress(*_OUTSIDE):
+                found, twins = self._rows(orders, 1.0), self._rows(orders, 0.8)
+                off = max(abs(a - b).max(initial=0) for a, b in zip(found, twins))
+                size = max(1, *(abs(a).max(initial=0) for a in found))
+                if off <= 64 * self._error * size:
+                    self._found, self._twins = found, twins
+                    return found
             self._h /= 2
-        raise _lib.DalembertError(_NO_MOTIONS)
+        raise _lib.DalembertError("mu does not seem to be smooth there")
 
     def twins(self, orders: int, seed: int) -> list[Array]:
-        """Return the same by shorter motions; or from a point at the distance of rounding."""
+        """Return the same by other differences."""
+        return self._twins
+
+    def _rows(self, orders: int, part: float) -> list[Array]:
+        values = self._levels(self._q[np.newaxis], orders, part * self._h)
+        return [
+            value[0][:, self._dependent] * self._h**k for k, value in enumerate(values[1:])
+        ]
+
+    def _levels(self, q: Array, orders: int, h: float) -> list[Array]:
+        """Return at points q, shape (P, n), the fields and their brackets, shapes (P, words, n)."""
+        unit = np.eye(self.n - self.m)
+        c = len(unit)
+        J = self._chart.jacobian(np.hstack([np.repeat(q, c, 0), np.tile(unit, (len(q), 1))]))
+        slope = J[:, self.n :, : self.n].reshape(len(q), c, self.n, self.n)
+        X = J.reshape(len(q), c, 2 * self.n, -1)[:, 0, self.n :, self.n :].swapaxes(1, 2)
+        pairs = list(itertools.combinations(range(c), 2))
+        turned = np.einsum("pjab,pib->pija", slope, X)  # dX_j/dq X_i
+        first = [turned[:, i, j] - turned[:, j, i] for i, j in pairs]
+        levels = [X, np.reshape(first, (len(pairs), len(q), self.n)).swapaxes(0, 1)]
         if orders == 1:
-            away = 2.0**-52 * np.maximum(1, abs(self._q)) * np.cos(np.arange(self.n))
-            return [self._commutators(self._q + away)]
-        part = 0.8
-        found = self._polynomials(self._h * part, orders, seed)
-        if found is None:
-            raise _lib.DalembertError(_NO_MOTIONS)
-        return [rows / part ** (k + 1) for k, rows in enumerate(found)]
-
-    def _commutators(self, q: Array) -> Array:
-        """Return the dependent components of [X_i, X_j] for i < j, one row each."""
-        n, unit = self.n, np.eye(self.n - self.m)
-        J = self._chart.jacobian(np.hstack([np.tile(q, (len(unit), 1)), unit]))
-        slope, X = J[:, n:, :n][:, self._dependent], J[0, n:, n:]
-        pairs = list(itertools.combinations(range(len(unit)), 2))
-        rows = [slope[j] @ X[:, i] - slope[i] @ X[:, j] for i, j in pairs]
-        return np.reshape(rows, (-1, self.m))
-
-    def _polynomials(self, h: float, orders: int, seed: int) -> list[Array] | None:
-        """Return the coefficients of the fields pulled back; None if h is too large."""
-        source = random.Random(seed)
-        s, _ = _integration(self._NODES)
-        controls = np.zeros((len(s), len(self._independent)))
-        for _ in range(degree(orders) + 1):  # Horner
-            controls *= s[:, np.newaxis]
-            controls += [source.uniform(-1, 1) for _ in self._independent]
-        count = 2 * orders + 14
-        x = np.cos(np.pi * np.arange(count + 1) / count)
-        pulled = np.empty((count + 1, self.m, controls.shape[1]))
-        try:
-            for i, eps in enumerate(h * x):
-                motion = self._motion(eps, controls)
-                found = None if motion is None else self._pull_back(eps, motion, controls)
-                if found is None:
-                    return None
-                pulled[i] = found
-        except _OUTSIDE:
-            return None
-        series = np.polynomial.chebyshev.chebfit(x, pulled.reshape(count + 1, -1), count)
-        if abs(series[-2:]).max() > 4 * self._error * abs(series).max():
-            return None
-        powers = np.zeros((orders + 1, count + 1))  # of the Chebyshev polynomials
-        for k in range(count + 1):
-            column = np.polynomial.chebyshev.cheb2poly([0] * k + [1])[: orders + 1]
-            powers[: len(column), k] = column
-        found = (powers @ series).reshape(-1, *pulled.shape[1:])
-        return [rows.T for rows in found[1:]]
-
-    def _motion(self, eps: float, controls: Array) -> Array | None:
-        """Return q at the nodes; None if the iteration does not converge."""
-        _, integral = _integration(self._NODES)
-
-        def picard(q: Array) -> Array:
-            _, v = self._chart.lift(np.hstack([q, controls]))
-            return self._q + eps * integral @ v
-
-        return _iterate(picard, np.tile(self._q, (len(controls), 1)))
-
-    def _pull_back(self, eps: float, q: Array, controls: Array) -> Array | None:
-        """Solve dZ/ds = eps dX_u/dq Z from the end of a motion, where Z are the fields of D."""
-        n, dependent = self.n, self._dependent
-        J = self._chart.jacobian(np.hstack([q, controls]))
-        slope, end = J[:, n:, :n], J[-1, n:, n:]
-        _, integral = _integration(self._NODES)
-        to_end = integral[-1] - integral
-
-        def picard(Z: Array) -> Array:
-            return end - eps * np.tensordot(to_end, slope @ Z, 1)
-
-        found = _iterate(picard, np.tile(end, (len(q), 1, 1)))
-        return None if found is None else found[0, dependent]
-
-
-def _iterate(function: Callable[[Array], Array], x: Array) -> Array | None:
-    """Return the fixed point of a function, to roundoff; None if it is not found."""
-    for _ in range(60):
-        before, x = x, function(x)
-        if not np.isfinite(x).all():
-            break
-        if abs(x - before).max() <= 4 * np.finfo(float).eps * (1 + abs(x).max()):
-            return x
-    return None
-
-
-# As many orders as are left of 16 digits in general.
-_ORDERS = 7
-_DIGITS = 16
+            return levels
+        steps = np.array([sign * k * h for k, _ in _WEIGHTS for sign in (1, -1)])
+        weights = np.array([sign * w / h for _, w in _WEIGHTS for sign in (1, -1)])
+        places = q[:, None, None] + steps[:, None] * X[:, :, None]  # (P, c, 8, n)
+        around = self._levels(places.reshape(-1, self.n), orders - 1, h)
+        for k in range(1, orders):
+            beside = around[k].reshape(len(q), c, len(steps), -1, self.n)
+            along = np.einsum("s,piswa->piwa", weights, beside)
+            turned = np.einsum("piab,pwb->piwa", slope, levels[k])
+            levels.append((along - turned).reshape(len(q), -1, self.n))
+        return levels
 
 
 def examine(system: System, near: Array, q: Array | None = None) -> Distribution:
@@ -185,9 +129,8 @@ def examine(system: System, near: Array, q: Array | None = None) -> Distribution
         return Distribution(general, general, note, integrable, _DIGITS)
     most = n if note else general[-1]
     try:
-        found, told = search(
-            _Functions(system, q), 1, _ORDERS, lambda dimensions: dimensions[-1] == most
-        )
+        point = _Functions(system, q)
+        found, told = search(point, 1, point.most, lambda dimensions: dimensions[-1] == most)
     except _lib.DalembertError as error:
         return Distribution(None, general, str(error), integrable, _DIGITS)
     here = shortened(found, n) if told else tuple(found)
@@ -202,10 +145,10 @@ def _near(system: System, q: Array) -> tuple[tuple[int, ...] | None, str]:
     for size in (0.1, 0.01, 0.001, 0.0):
         place = q + size * (1 + abs(q)) * np.cos(np.arange(1, n + 1))
         try:
+            point = _Functions(system, place)
             found, told = search(
-                _Functions(system, place), 1, min(system.m, _ORDERS),
-                lambda dimensions: is_settled(dimensions, n),
-            )  # fmt: skip
+                point, 1, min(system.m, point.most), lambda dimensions: is_settled(dimensions, n)
+            )
         except _OUTSIDE as error:
             message = str(error)
             continue
