@@ -75,8 +75,8 @@ DAL_API const char *dal_version(void);
 /* One line of text for a dal_status; never NULL. */
 DAL_API const char *dal_strerror(int status);
 
-/* Asked some twenty times a second by what may compute for long, with how far it is, counted in what
- * is said there.  Return 0 to go on, > 0 to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
+/* Asked some twenty times a second by what may compute for long, with how far it is; there it is
+ * said in what.  Return 0 to go on, > 0 to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
 typedef int (*dal_watch_fn)(double far, void *ctx);
 
 /* ---- system ---------------------------------------------------------------------------- */
