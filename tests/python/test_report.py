@@ -206,6 +206,7 @@ def test_a_report_is_a_file_as_any_other(tmp_path):
     files.write(tmp_path / "link.html", "newer")
     assert (tmp_path / "link.html").is_symlink() and path.stat().st_mode & 0o777 == 0o604
     assert path.read_text() == "newer"
+    assert {x.name for x in tmp_path.iterdir()} == {"new.html", "link.html"}  # no drafts
     files.write(tmp_path / ("x" * 250 + ".html"), "a long name")
 
 

@@ -109,6 +109,10 @@ def test_one_order_everywhere():
     fit = study.fits["global_state"]
     at_end = re.search(r"order (\S+) at t_end", study.text)[1]
     assert at_end == "4.00" and fit.points == 3
+    assert {key: sum(fit.counted) for key, fit in study.fits.items()} == {
+        key: fit.points for key, fit in study.fits.items()
+    }
+    assert study.fits["reaction"].points == 4  # the finer half
     row = {column.title: column.cells[0] for column in table.overview(dal.study.Studies([study]))}
     assert row["at t_end"] == at_end
     html = dal.study.Studies([study])._repr_html_()
