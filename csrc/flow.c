@@ -8,6 +8,10 @@
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
 
+/* Numbers of the field between two looks at the clock, each of which costs a quarter of the field
+ * of a small system; in a large one it is read at every evaluation. */
+enum { PER_LOOK = 128 };
+
 /* Accepted steps of one integration in xi; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
 
@@ -20,6 +24,7 @@ struct dal_flow {
     double tolerance;
     double *result, *state;  /* [2n] */
     dal__watch watch;
+    size_t unwatched;        /* numbers of the field since the clock was read */
     dal_error error;
     arena arena;
 };
@@ -31,12 +36,21 @@ static void copy(const dal_flow *flow, double *to, const double *from)
     memcpy(to, from, dimension(flow) * sizeof *to);
 }
 
+/* Whether to go on at time t. */
+static int ask(dal_flow *flow, double t, dal_error *error)
+{
+    if (!flow->watch.function || (flow->unwatched += dimension(flow)) < PER_LOOK)
+        return DAL_SUCCESS;
+    flow->unwatched = 0;
+    return dal__ask(&flow->watch, t, error);
+}
+
 /* dxdt[2n] <- the field on D at x[2n], of the flow ctx. */
 static int field(double t, const double *x, double *dxdt, void *ctx, dal_error *error)
 {
     dal_flow *const flow = ctx;
     dal_mechanics *const mech = &flow->mech;
-    int status = dal__ask(&flow->watch, t, error);
+    int status = ask(flow, t, error);
     if (status) return status;
     status = dal_field(mech, t, x, dxdt);
     if (status) *error = mech->error;
@@ -50,7 +64,7 @@ static int field_in_xi(double t, const double *xi, double *dxidt, void *ctx, dal
 {
     dal_flow *const flow = ctx;
     dal_chart *const chart = &flow->chart;
-    int status = dal__ask(&flow->watch, t, error);
+    int status = ask(flow, t, error);
     if (status) return status;
     status = dal_chart_field(chart, t, xi, dxidt);
     if (status) *error = chart->mech.error;
@@ -104,6 +118,7 @@ void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
 {
     if (!flow) return;
     flow->watch = (dal__watch){watch, ctx, 0.0};
+    flow->unwatched = PER_LOOK; /* asked at the next evaluation */
 }
 
 const char *dal_flow_message(const dal_flow *flow) { return flow->error.text; }

@@ -15,6 +15,9 @@
 /* Accepted and refused steps of one integration; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
 
+/* Below it steps are refused for their roundoff. */
+static const double LEAST_TOLERANCE = 4.0 * DAL_ROUNDOFF;
+
 /* The first step is a fraction of what the field suggests and of the interval. */
 static const double FIRST_STEP = 0.00618033988749895;
 static const double FIRST_FRACTION = 0.381966011250105;
@@ -123,8 +126,9 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
 {
     if (!method_type(method))
         return dal__fail(error, DAL_EINVAL, "method = %d is not a dal_flow_method", (int)method);
-    if (!(tolerance > 0.0 && tolerance <= 0.1))
-        return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in (0, 0.1]", tolerance);
+    if (!(tolerance >= LEAST_TOLERANCE && tolerance <= 0.1))
+        return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in [%.1e, 0.1]: no step is more "
+                         "accurate than roundoff", tolerance, LEAST_TOLERANCE);
 
     if (method == DAL_FLOW_MSBDF && dal__times(N, N) > PTRDIFF_MAX / sizeof(double))
         return dal__fail(error, DAL_ENOMEM, "the size of the Jacobian overflows"); /* in GSL */
@@ -248,7 +252,8 @@ static int attempt_towards(ode *self, double end, bool *accepted, dal_error *err
     if (*accepted) {
         if (!last && self->elapsed + h == self->elapsed) return collapsed(self, h, error);
         self->elapsed = last ? end : self->elapsed + h;
-    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED || !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
+    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED ||
+               !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
         return collapsed(self, self->h, error);
     }
     return DAL_SUCCESS;

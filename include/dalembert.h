@@ -509,7 +509,8 @@ typedef enum dal_flow_coordinates {
 /* The flow of the ODE on D by an adaptive method of GSL (odeiv2). */
 typedef struct dal_flow dal_flow;
 
-/* tolerance: relative and absolute, for each step, in (0, 0.1]; 1e-13 is about the best. */
+/* tolerance: relative and absolute, for each step, in [4 u, 0.1], u = 2^-53; 1e-13 is about the
+ * best. */
 DAL_API int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method method,
                          dal_flow_coordinates coordinates, double tolerance, dal_error *error);
 DAL_API void dal_flow_free(dal_flow *flow);

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
-    "array", "choice", "function", "integer", "mapping", "number", "pair", "returned", "shown",
-    "step_size", "suggestion", "text",
+    "array", "choice", "function", "integer", "mapping", "names", "number", "pair", "returned",
+    "shown", "step_size", "suggestion", "text",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -47,7 +47,8 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
 
 def _reals(value: Any) -> Array:
     """Return anything array-like as C-contiguous doubles; TypeError or ValueError if it is not."""
-    if any(map(np.ma.is_masked, [value, *(value if isinstance(value, (list, tuple)) else ())])):
+    rows = value if isinstance(value, (list, tuple)) else [value]
+    if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
         raise ValueError("values that are masked")
     given = np.asarray(value)
     if value is None or given.dtype.kind not in "biufO":
@@ -56,6 +57,8 @@ def _reals(value: Any) -> Array:
         return np.asarray(given, dtype=np.float64, order="C")
     except OverflowError:
         raise ValueError("an integer beyond the largest double, 1.8e308") from None
+    except (TypeError, ValueError):
+        raise ValueError(shown(value)) from None
 
 
 def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
@@ -113,6 +116,21 @@ def text(value: Any, name: str) -> str:
     return value
 
 
+def names(value: Any, name: str, expected: str) -> list[str]:
+    """Return several strings as a list; ValueError otherwise.
+
+    One string is its letters if it has nothing else, as "xyz", but not "x y" or "x, y".
+    """
+    try:
+        result = list(value)
+    except TypeError:
+        result = [None]
+    one = isinstance(value, str) and not value.isalpha()
+    if one or not all(isinstance(each, str) for each in result):
+        raise ValueError(f"{name} = {shown(value)}: expected {expected}")
+    return [text(each, name) for each in result]
+
+
 def function(value: Any, name: str) -> None:
     """Raise ValueError if ``value`` is neither None nor can be called."""
     if value is not None and not callable(value):
@@ -125,11 +143,11 @@ def mapping(value: Any, name: str) -> None:
         raise ValueError(f"{name} = {shown(value)}: expected a mapping from names to values")
 
 
-def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str) -> None:
+def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str = "") -> None:
     """Raise ValueError if one of two arguments is given without the other."""
     if (first is None) != (second is None):
         there, missing = names if second is None else names[::-1]
-        raise ValueError(f"{there} without {missing}: expected both, or none for {otherwise}")
+        raise ValueError(f"{there} without {missing}: expected both, or neither{otherwise}")
 
 
 def choice(value: Any, name: str, choices: dict[str, int]) -> int:

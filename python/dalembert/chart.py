@@ -646,7 +646,8 @@ def _check(status: int, chart: Any, row: int | None) -> None:
 
 def _indices(system: System, dependent: str | Iterable[str]) -> list[int]:
     """Return the places of m names of coordinates."""
-    names = [dependent] if isinstance(dependent, str) else list(dependent)
+    names = [dependent] if isinstance(dependent, str) else dependent
+    names = arguments.names(names, "dependent", f"m = {system.m} names of coordinates")
     unknown = [name for name in names if name not in system.coordinates]
     if unknown:
         raise ValueError(

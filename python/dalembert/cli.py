@@ -1,7 +1,7 @@
 """The command ``dalembert``: studies of the systems, their pages, what there is, and the cache.
 
-Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error; 130
-after Ctrl-C, 141 if nobody reads the output any more.
+Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error, among
+them a file that cannot be written; 130 after Ctrl-C, 141 if nobody reads the output any more.
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ import json
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from . import _lib, catalogue, compiler, extras, files, pages, plot, report, systems
+from .arguments import suggestion
 from .refinement import MOST_STEPS, studies
 from .scheme import INITIAL, REFERENCE
 from .scheme import schemes as named_schemes
@@ -49,7 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:
         return int(stop.code or 0)
     try:
-        status = int(given.run(given))
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda text, *where: _say(given, f"warning: {text}")
+            status = int(given.run(given))
         sys.stdout.flush()
         return status
     except BrokenPipeError:
@@ -57,17 +61,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except (ValueError, ImportError) as error:
-        print(f"dalembert {given.command}: {error}", file=sys.stderr)
+        _say(given, error)
         return 2
-    except (_lib.DalembertError, OSError) as error:
-        print(f"dalembert {given.command}: {error}", file=sys.stderr)
+    except OSError as error:
+        _say(given, _in_words(error))
+        return 1
+    except (_lib.DalembertError, NotImplementedError, MemoryError) as error:
+        _say(given, error)
         return 1
     except KeyboardInterrupt:
         return 130
 
 
+def _in_words(error: OSError) -> str:
+    """Return the name of the file and what is wrong with it, without the number."""
+    return f"{error.filename}: {error.strerror}" if error.filename else str(error)
+
+
+def _say(given: argparse.Namespace, what: Any) -> None:
+    print(f"dalembert {given.command}: {what}", file=sys.stderr)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that suggests what may have been meant, as that of Python 3.14 can."""
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(
+                action,
+                f"there is no {value!r}; {suggestion(value, action.choices)}there are "
+                f"{', '.join(action.choices)}",
+            )
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="dalembert",
         description="Nonholonomic variational integrators: measure what they promise.",
     )
@@ -182,18 +210,16 @@ def _study(given: argparse.Namespace) -> int:
         except ImportError as error:
             if given.output:
                 raise
-            print(f"dalembert study: no report: {error}", file=sys.stderr)
+            _say(given, f"no report: {error}")
             output = None
-
     for path in (output, None if given.json in (None, "-") else given.json):
         if path is not None:
             _require(files.require_writable, path)
+    if output is not None and given.json and Path(given.json).resolve() == output.resolve():
+        raise ValueError(f"{output}: expected one file for the report, another for the numbers")
 
     if sys.stderr.isatty() and (missing := [x for x in ("rich", "tqdm") if not extras.is_there(x)]):
-        print(
-            f"dalembert study: for colours and a progress bar: pip install {' '.join(missing)}",
-            file=sys.stderr,
-        )
+        _say(given, f"for colours and a progress bar: pip install {' '.join(missing)}")
 
     shown = sys.stderr if given.json == "-" else sys.stdout
     try:
@@ -231,7 +257,7 @@ def _require(check: Callable[[Path], None], path: str | Path) -> None:
     try:
         check(Path(path))
     except OSError as error:
-        raise ValueError(f"{error.filename}: {error.strerror}") from error
+        raise ValueError(_in_words(error)) from error
 
 
 def _catalogue(given: argparse.Namespace) -> int:

@@ -793,7 +793,7 @@ def _difference_map(value: Any, name: str) -> DifferenceMap:
         return DifferenceMap(value)
     except ValueError:
         raise ValueError(
-            f"{name} = {value!r}: expected a DifferenceMap or beta in [0, 1]"
+            f"{name} = {arguments.shown(value)}: expected a DifferenceMap or beta in [0, 1]"
         ) from None
 
 

@@ -8,6 +8,8 @@ import importlib.util
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from . import arguments
+
 __all__ = ["is_there", "progress", "require"]
 
 
@@ -55,7 +57,9 @@ def progress(
     if callable(wanted):
         yield lambda done: wanted(done, total)
     elif not isinstance(wanted, bool):
-        raise ValueError(f"progress = {wanted!r}: expected True, False or a function")
+        raise ValueError(
+            f"progress = {arguments.shown(wanted)}: expected True, False or a function"
+        )
     elif wanted:
         tqdm = require("tqdm.auto", "progress=True").tqdm
         with tqdm(total=total, unit=unit, unit_scale=True) as bar:

@@ -75,7 +75,7 @@ def initial(
     """
     found = []
     q_name, v_name = names or ("q0", "v0")
-    arguments.pair(q0, v0, (q_name, v_name), "the initial data of the system")
+    arguments.pair(q0, v0, (q_name, v_name), " for those of the system")
     for given, default, name in ((q0, system.q0, q_name), (v0, system.v0, v_name)):
         value = default if given is None else given
         if value is None:
@@ -623,9 +623,12 @@ def _mask(system: System, keep: Any) -> list[int]:
         elif isinstance(k, int | np.integer) and not isinstance(k, bool):
             places.append(arguments.integer(k, "keep", 0, n - 1))
             if places.count(k) > 1:
-                raise ValueError(f"keep = {keep!r}: {k} is there twice; truth values are bool")
+                raise ValueError(
+                    f"keep = {arguments.shown(keep)}: {k} is there twice; truth values are bool"
+                )
         else:
             raise ValueError(
-                f"keep = {keep!r}: expected names or places of coordinates, or {n} truth values"
+                f"keep = {arguments.shown(keep)}: expected names or places of coordinates, or {n} "
+                "truth values"
             )
     return [int(i in places) for i in range(n)]

@@ -64,7 +64,7 @@ def integrate(
         A record, the name of one, or beta.  "reference" is the adaptive flow of the ODE on D,
         observed every ``h * stride``: the best choice for short accurate runs.
     q0, v0 : array_like, shape (n,), optional
-        Initial data in the user's units.  Default: those of the system.
+        Initial data in the user's units, both; neither: those of the system.
     h : float
         Step size, negative to integrate backwards.  It is never changed.
     t_end : float
@@ -98,7 +98,7 @@ def integrate(
     method : {"rk8pd", "msadams", "msbdf"}, optional
         Of the reference flow.
     tolerance : float, optional
-        Of the reference flow, relative and absolute, for each of its steps.
+        Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1].
 
     Returns
     -------
@@ -121,8 +121,8 @@ def integrate(
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: the kept set is not kept to roundoff, or many steps needed
-        the Hessian of V, so that h is large for this potential.
+        If the result may be doubtful: the kept set is not kept to roundoff, or many steps took
+        the full Newton iteration, so that h is large for this system.
 
     Notes
     -----
@@ -217,7 +217,7 @@ def reference(
     ----------
     system : System
     q0, v0 : array_like, shape (n,), optional
-        State at t0 in the user's units.  Default: the system's.
+        State at t0 in the user's units, both; neither: the system's.
     t, t0 : float, optional
         Times; ``t < t0`` is allowed.
     consistent : {"check", "project", "assume"}, optional
@@ -225,7 +225,7 @@ def reference(
     method : {"rk8pd", "msadams", "msbdf"}, optional
         Prince-Dormand 8(9), Adams, or BDF for stiff potentials.
     tolerance : float, optional
-        Relative and absolute, for each step, in (0, 0.1].
+        Relative and absolute, for each step, in [4.4e-16, 0.1].
     coordinates : {"x", "xi"}, optional
         Of the ODE: the states (q, v), or those of charts of D (`Chart`), which are changed on the
         way where they become ill conditioned.
@@ -341,8 +341,8 @@ def _warn(solution: Solution) -> None:
     simple = system.mass is not None and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:
         warnings.warn(
-            f"{stats.full_newtons} of {stats.substeps} sub-steps needed the Hessian of V: "
-            f"h = {solution.h:g} is large for this potential",
+            f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
+            f"as the simpler one did not converge: h = {solution.h:g} is large for this system",
             DalembertWarning,
             stacklevel=3,
         )

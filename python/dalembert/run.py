@@ -48,7 +48,10 @@ def started_stepper(
 
 
 def watched(
-    function: Callable[..., int], flow: Any, *given: Any, show: Callable[[float], Any] = lambda t: None
+    function: Callable[..., int],
+    flow: Any,
+    *given: Any,
+    show: Callable[[float], Any] = lambda t: None,
 ) -> int:
     """Call a C function of a ``dal_flow`` so that Ctrl-C ends it; return its status.
 
@@ -274,7 +277,9 @@ class FlowRun(Run):
         status = watched(
             lib.dal_flow_trajectory, self.flow, self.time(start), self.stride * self.h, count,
             _lib.pointer(self.x, start), self.done,
-            show=lambda t: self.tell(min(int((t - self.t0) / self.h), (start + count) * self.stride)),
+            show=lambda t: self.tell(
+                min(int((t - self.t0) / self.h), (start + count) * self.stride)
+            ),
         )  # fmt: skip
         if status < 0:
             message = _lib.string(lib.dal_flow_message(self.flow))

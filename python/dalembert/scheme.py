@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sized
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -72,7 +71,12 @@ class Scheme:
         if not 0 < len(name) < 40:
             raise ValueError(f"name = {self.name!r}: expected 1 to 39 bytes, got {len(name)}")
         if not self.is_reference:
-            if isinstance(self.substeps, Sized) and len(self.substeps) == 0:
+            if isinstance(self.substeps, str):
+                raise ValueError(
+                    f"substeps = {self.substeps!r}: expected several (beta, fraction); Scheme.find "
+                    "has the schemes with a name"
+                )
+            if isinstance(self.substeps, (list, tuple)) and len(self.substeps) == 0:
                 raise ValueError("substeps is empty: expected at least one (beta, fraction)")
             pairs = arguments.array(self.substeps, "substeps", (None, 2))
             object.__setattr__(self, "substeps", tuple((float(b), float(f)) for b, f in pairs))
@@ -121,11 +125,11 @@ class Scheme:
         >>> dal.Scheme.find("leapfrog").substeps
         ((0.0, 0.5), (1.0, 0.5))
         """
-        if name == REFERENCE.name:
+        if arguments.text(name, "scheme") == REFERENCE.name:
             return REFERENCE
         record = ffi.new("dal_scheme *")
         error = ffi.new("dal_error *")
-        status = lib.dal_scheme_find(record, arguments.text(name, "scheme").encode(), error)
+        status = lib.dal_scheme_find(record, name.encode(), error)
         if status < 0:
             meant = arguments.suggestion(name, [*(s.name for s in schemes()), REFERENCE.name])
             text = _lib.string(error.text).replace("; there are", f"; {meant}there are")
@@ -140,8 +144,8 @@ class Scheme:
         if isinstance(value, str):
             return cls.find(value)
         try:
-            beta = arguments.number(value, "scheme")
-        except ValueError:
+            beta = float(value)
+        except (TypeError, ValueError, OverflowError):
             raise ValueError(
                 f"scheme = {arguments.shown(value)}: expected a Scheme, the name of one, or beta"
             ) from None
@@ -197,7 +201,7 @@ class Scheme:
         shift = ffi.new("double *")
         status = lib.dal_scheme_shift(self._record, shift)
         _lib.check(status, f"{self.name!r} has no single sub-step, and so no D_eps")
-        return float(shift[0]) * h
+        return float(shift[0]) * arguments.number(h, "h")
 
     def _initial(self, name: str | None) -> int:
         """Return the ``dal_initial`` of an argument ``initial``, which kept nodes need.
@@ -224,11 +228,11 @@ class Scheme:
         return self.name
 
     def __repr__(self) -> str:
-        promised = f", order {self.order}" if self.order else ""
         if self.is_reference:
             return f"<Scheme {self.name}: the adaptive flow of GSL>"
+        promised = f", order {self.order}" if self.order else ""
         few = ", ".join(f"({beta:g}, {fraction:g})" for beta, fraction in self.substeps[:4])
-        many = f", ... {len(self.substeps)} in all" if len(self.substeps) > 4 else ""
+        many = f", ..., {len(self.substeps)} in all" if len(self.substeps) > 4 else ""
         return f"<Scheme {self.name}: (beta, fraction) = {few}{many}; {self.nodes} nodes{promised}>"
 
     def __reduce__(self) -> tuple[Any, ...]:

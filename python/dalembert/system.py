@@ -266,6 +266,7 @@ class System:
         ctx: Any = None,
     ) -> None:
         given = locals()
+        _require_named(invariants)
         functions: dict[str, Callable[..., Any] | None] = {key: given[key] for key in FUNCTIONS}
         compiled = {
             key: found
@@ -281,17 +282,23 @@ class System:
             _require_parts(functions, mass)
             for key in ("kind", "missing", "ctx"):
                 if given[key] is not None:
-                    raise ValueError(f"{key} = {given[key]!r}: only C functions take it")
-        arguments.pair(q0, v0, ("q0", "v0"), "no initial data")
+                    raise ValueError(
+                        f"{key} = {arguments.shown(given[key])}: only C functions take it"
+                    )
+        arguments.pair(q0, v0, ("q0", "v0"))
 
+        if coordinates is not None:
+            coordinates = arguments.names(
+                coordinates, "coordinates", "several names, as ['x', 'y']"
+            )
         told = _number_of_coordinates(n, coordinates, q0)
         matrix = None if mass is None else _mass_matrix(mass, n, told)
         size = told if matrix is None else len(matrix)
         if size is None:
             raise ValueError("n: needed, because neither coordinates nor q0 tell it")
         names = [f"q{i}" for i in range(size)] if coordinates is None else list(coordinates)
-        if len(names) != size or not all(isinstance(c, str) for c in names):
-            raise ValueError(f"coordinates = {coordinates!r}: expected {size} names")
+        if len(names) != size or len(set(names)) != size:
+            raise ValueError(f"coordinates = {coordinates!r}: expected {size} different names")
         state = None
         if q0 is not None and v0 is not None:
             state = np.concatenate(
@@ -324,9 +331,7 @@ class System:
             }
         c_names, kept = _lib.strings(names)
         about = {"name": name, "help": help, "description": description, "source": source}
-        if isinstance(formulas, str):
-            raise ValueError(f"formulas = {formulas!r}: expected several lines")
-        lines = [arguments.text(line, "formulas") for line in formulas]
+        lines = arguments.names(formulas, "formulas", "several lines")
         texts = _texts({**about, "formulas": "\n".join(lines)})
         definition = ffi.new(
             "dal_system_def *",
@@ -452,6 +457,9 @@ class System:
         >>> own.multipliers([0, 1, 0], [1, 1, 1])
         array([0.5])
         """
+        arguments.mapping(parameters, "parameters")
+        arguments.mapping(force, "force")
+        _require_named(invariants)
         state = None if q0 is None and v0 is None else symbolic.initial_data(q0, v0)
         in_model = state is not None and not isinstance(state, np.ndarray)
         named = dict(invariants or {})
@@ -848,7 +856,7 @@ class System:
         t : float or array_like, shape (N,)
             Time since the initial state, in the user's units; negative times are allowed.
         q0, v0 : array_like, shape (n,), optional
-            Initial state, in D.  Default: the system's.
+            Initial state, in D, both; neither: the system's.
 
         Returns
         -------
@@ -902,9 +910,9 @@ class System:
         Parameters
         ----------
         q, v : array_like, shape (n,), optional
-            Where to look, in the user's units.  Default: the system's initial data; without any,
-            and if the system was made by `from_sympy`, some state in D.  The growth vector is that
-            at q if q is given, else that at a general point.
+            Where to look, in the user's units, both; neither: the system's initial data; without
+            any, and if the system was made by `from_sympy`, some state in D.  The growth vector is
+            that at q if q is given, else that at a general point.
 
         Returns
         -------
@@ -1083,7 +1091,10 @@ class System:
 def require_system(value: Any) -> None:
     """Raise ValueError if an argument ``system`` is not one."""
     if not isinstance(value, System):
-        raise ValueError(f"system = {arguments.shown(value)}: expected a dalembert.System")
+        raise ValueError(
+            f"system = {arguments.shown(value)}: expected a dalembert.System, as "
+            "dalembert.systems.sleigh() returns"
+        )
 
 
 def require_parameters(name: str, given: Iterable[str], known: Iterable[str]) -> None:
@@ -1130,6 +1141,12 @@ def _refuse_unpicklable(name: str, description: dict[str, Any]) -> None:
                 f"the system {name!r} does not pickle, because its {key} = {function!r} does not; "
                 "define it with def at the top level of a module"
             ) from error
+
+
+def _require_named(invariants: Any) -> None:
+    """Raise ValueError if invariants are neither None nor a mapping from names."""
+    arguments.mapping(invariants, "invariants")
+    arguments.names(invariants or (), "invariants", "names that are strings")
 
 
 def _require_parts(functions: dict[str, Callable[..., Any] | None], mass: Any) -> None:

@@ -530,6 +530,45 @@ static void test_arguments(void)
     dal_system_free(system);
 }
 
+/* Returns what stands in ctx. */
+static int answer(double t, void *ctx)
+{
+    CHECK(t >= 0.0 && t <= 1e7);
+    return *(const int *)ctx;
+}
+
+/* A watch ends an interval that would take hours: nothing is changed, and rows that are there stay;
+ * without it the flow goes on as if nothing had been. */
+static void test_watch(dal_flow_method method, dal_flow_coordinates coordinates)
+{
+    double x0[MOST], x[MOST], expected[MOST], rows[3 * MOST];
+    dal_system *const system = open_system("particle_oscillator", x0);
+    const size_t bytes = 2 * dal_system_n(system) * sizeof *x;
+    dal_flow *flow = NULL;
+    CHECK(dal_flow_new(&flow, system, method, coordinates, 1e-9, NULL) == 0);
+    memcpy(expected, x0, bytes);
+    CHECK(dal_flow_apply(flow, 0.0, 1.0, expected, NULL) == 0);
+    for (int returned = -1; returned <= 1; returned += 2) {
+        const int status = returned > 0 ? DAL_STOPPED : DAL_EUSER;
+        dal_flow_watch(flow, answer, &returned);
+        memcpy(x, x0, bytes);
+        CHECK(dal_flow_apply(flow, 0.0, 1e7, x, NULL) == status);
+        CHECK(memcmp(x, x0, bytes) == 0);
+        CHECK(strstr(dal_flow_message(flow), "watch"));
+        size_t done = 9;
+        memcpy(rows, x0, bytes);
+        CHECK(dal_flow_trajectory(flow, 0.0, 5e6, 2, rows, &done) == status);
+        CHECK(done == 0 && memcmp(rows, x0, bytes) == 0);
+    }
+    dal_flow_watch(flow, NULL, NULL);
+    memcpy(x, x0, bytes);
+    CHECK(dal_flow_apply(flow, 0.0, 1.0, x, NULL) == 0);
+    CHECK(memcmp(x, expected, bytes) == 0);
+    dal_flow_watch(NULL, NULL, NULL);
+    dal_flow_free(flow);
+    dal_system_free(system);
+}
+
 int main(void)
 {
     gsl_set_error_handler(abort_on_gsl_error);
@@ -559,6 +598,8 @@ int main(void)
         test_failing_field(methods[i], 0, DAL_EDOMAIN);
         test_failing_field(methods[i], -3, DAL_EUSER);
         test_recovery(methods[i]);
+        test_watch(methods[i], DAL_FLOW_X);
+        test_watch(methods[i], DAL_FLOW_XI);
         test_collapse(methods[i]);
         test_domain(methods[i]);
     }

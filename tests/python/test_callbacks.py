@@ -332,6 +332,47 @@ def test_ctrl_c_in_a_run_of_the_reference_flow(own, interrupt):
     assert len(caught.value.partial.x) > 1 and np.isfinite(caught.value.partial.x).all()
 
 
+LONG = {
+    "reference": lambda one: dal.reference(one, t=1e7),
+    "reference, msadams": lambda one: dal.reference(one, t=1e7, method="msadams"),
+    "reference, msbdf": lambda one: dal.reference(one, t=1e7, method="msbdf", tolerance=1e-9),
+    "reference, xi": lambda one: dal.reference(one, t=1e7, coordinates="xi"),
+    "reference, Python": lambda one: dal.reference(
+        dal.System(mass=[1], potential=lambda q: q @ q / 2, gradient=lambda q: q), 1, 0, t=1e7
+    ),
+    "exact_velocity": lambda one: dal.exact_velocity(one, 1e7, [0, 1, 0], [1, 2, 3]),
+    "one long interval": lambda one: dal.integrate(one, "reference", h=1e7, steps=1),
+    "nodes": lambda one: dal.Discrete(one).run(1e-3, one.q0, one.q0, steps=10**7),
+    "general, few states": lambda one: dal.integrate(
+        dal.systems.ball_on_table(), "midpoint", h=1e-6, steps=10**7, stride=10**5
+    ),
+    "general, more states": lambda one: dal.integrate(
+        dal.systems.ball_on_table(), "midpoint", h=1e-6, steps=10**8, stride=10**4
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_ctrl_c_in_one_long_call(interrupt, name):
+    one = dal.systems.particle_oscillator()
+    interrupt.start()
+    with pytest.raises(KeyboardInterrupt):
+        LONG[name](one)
+    # It is pressed after 0.2 s and seen within 0.1 s; 2 s allow for a busy machine.  None of the
+    # calls ends in less than 10 s.
+    assert time.perf_counter() - interrupt.began < 2.2
+
+
+def test_a_flow_that_was_interrupted_keeps_its_rows(interrupt):
+    one = dal.systems.particle_oscillator()
+    with pytest.raises(KeyboardInterrupt) as caught:
+        dal.integrate(one, "reference", h=50.0, steps=10**6, progress=interrupt.progress)
+    part = caught.value.partial
+    again = dal.integrate(one, "reference", h=50.0, steps=len(part.x) - 1)
+    np.testing.assert_array_equal(part.x, again.x)
+    assert len(part.x) > 1 and part.status < 0
+
+
 def test_ctrl_c_in_a_python_function(own, interrupt, capfd):
     with pytest.raises(KeyboardInterrupt) as caught:
         dal.integrate(own.system(), "midpoint", h=1e-4, steps=10**6, progress=interrupt.progress)

@@ -160,7 +160,25 @@ def test_choice_and_change(caplog):
         other = chart.renewed([0, 18, 0])
     assert other.dependent == ("x",) and other.renewed([0, 17, 0]) is other
     assert "change from z, whose condition is 18 here, to x" in caplog.text
-    assert pickle.loads(pickle.dumps(other)).dependent == ("x",)
+    chosen = dal.Chart(particle, [0, 2, 0], dependent="z")  # by itself it takes x there
+    again = pickle.loads(pickle.dumps(chosen))
+    assert again.dependent == ("z",) and again.condition([0, 2, 0]) == chosen.condition([0, 2, 0])
+
+
+def test_a_renewed_chart_of_nonlinear_constraints_starts_at_the_new_velocity():
+    """v_x^2 + v_y^2 = 4 has two velocities of each v_x: the branch is that of the state."""
+    circle = dal.System(
+        mass=[1, 1],
+        constraint=lambda q, v: [v @ v - 4],
+        constraint_v=lambda q, v: [2 * v],
+        constraint_q=lambda q, v: [[0, 0]],
+        coordinates=["x", "y"],
+    )
+    chart = dal.Chart(circle, [0, 0], [0, 2])
+    near(chart.lift([0, 0, 1.2])[1], [1.2, 1.6])
+    below = chart.renewed([0, 0], [0, -2])
+    assert below.dependent == chart.dependent == ("y",)
+    near(below.lift([0, 0, 1.2])[1], [1.2, -1.6])
 
 
 def test_no_constraint():
@@ -181,6 +199,9 @@ def test_no_constraint():
         (lambda c: c.multipliers([0] * 3, [0] * 3, [1, 2]), r"multipliers: expected shape \(1,\)"),
         (lambda c: c.curve([0, 0, 0], [0, 0, 0], [0, 0], [0, 0, 0], 0), "q2: expected shape"),
         (lambda c: dal.Chart(c.system, dependent="w"), "no coordinate 'w'; there are x, y, z"),
+        (lambda c: dal.Chart(c.system, dependent="zz"), "did you mean 'z'"),
+        (lambda c: dal.Chart(c.system, dependent=3), "dependent = 3: expected m = 1 names"),
+        (lambda c: dal.Chart(c.system, v=[0, 0, 0]), "v without q"),
         (lambda c: dal.Chart(c.system, dependent=["x", "z"]), "expected m = 1 names"),
         (lambda c: dal.Chart(None), "system"),
     ],

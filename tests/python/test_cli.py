@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+import warnings
 
 import pytest
 
@@ -166,7 +167,14 @@ def test_version():
     [
         ((), "COMMAND"),
         (("study",), "SYSTEM"),
+        (("stduy", "particle"), "no 'stduy'; did you mean 'study'? there are study, catalogue"),
         (("study", "pendulum"), "knife_edge"),
+        (("study", "partcle"), "did you mean 'particle'"),
+        (("study", "particle", "--scheme", "leapforg"), "did you mean 'leapfrog'"),
+        (("study", "particle", "--initial", "D_esp"), "no 'D_esp'; did you mean 'D_eps'"),
+        (("study", "knife_edge", "--parameter", "M=1"), "did you mean 'm'"),
+        (("study", "particle", "--q0", "0,1,0", "--no-report"), "q0 without v0: expected both"),
+        (("study", "particle", "--v0", "1,1,1", "--no-report"), "v0 without q0: expected both"),
         (("study", "particle", "--scheme", "trapezoid"), "leapfrog"),
         (("study", "particle", "--scheme", "reference"), "reference"),
         (("study", "knife_edge", "--parameter", "weight=3"), "weight"),
@@ -184,11 +192,70 @@ def test_version():
         ),
     ],
 )
-def test_usage_errors_are_status_2_and_say_what_there_is(arguments, message, tmp_path):
-    done = run(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert message in done.stderr and "Traceback" not in done.stderr
+def test_usage_errors_are_status_2_and_say_what_there_is(
+    arguments, message, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments) == 2
+    assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (("study", "particle", "--output", "folder"), "folder: this is a folder, expected"),
+        (("study", "particle", "--json", "folder"), "folder: this is a folder, expected"),
+        (("study", "particle", "--json", "nowhere/a.json"), "there is no folder nowhere"),
+        (("study", "particle", "--output", "/proc/a.html"), "/proc/a.html: No such file"),
+        (("study", "particle", "--json", "/proc/version"), "/proc/version: "),
+        (("study", "particle", "--json", "a", "--output", "folder/../a"), "expected one file for"),
+        (("catalogue", "file"), "file: this is a file, expected"),
+        (("catalogue", "/proc/a"), "/proc/a: "),
+        (("catalogue", "nowhere/a"), "there is no folder nowhere"),
+    ],
+)
+def test_files_are_tried_before_the_work_begins(
+    arguments, message, tmp_path, monkeypatch, capsys
+):
+    def work(*given, **options):
+        raise AssertionError("it began")
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("here before")
+    monkeypatch.setattr(cli, "studies", work)
+    monkeypatch.setattr(cli.pages, "write", work)
+    assert cli.main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert message in err and err.startswith(f"dalembert {arguments[0]}: ") and not out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
+    assert (tmp_path / "file").read_text() == "here before"
+
+
+def test_a_full_disk_is_named(capsys):
+    arguments = ["study", "particle", "--scheme", "explicit", "--no-report", "--json", "/dev/full"]
+    assert cli.main(arguments) == 1
+    assert "dalembert study: /dev/full: No space left on device" in capsys.readouterr().err
+
+
+def test_warnings_and_failures_are_lines_without_tracebacks(monkeypatch, capsys):
+    def doubtful(*given, **options):
+        warnings.warn("this is doubtful", dal.DalembertWarning, stacklevel=2)
+        raise failure
+
+    monkeypatch.setattr(cli, "studies", doubtful)
+    for failure, status in (
+        (MemoryError("too large"), 1),
+        (NotImplementedError("not yet"), 1),
+        (dal.SingularError("mu has rank 0"), 1),
+        (ValueError("steps = x"), 2),
+        (KeyboardInterrupt(), 130),
+    ):
+        assert cli.main(["study", "particle", "--no-report"]) == status
+        said = capsys.readouterr().err.splitlines()
+        told = [f"dalembert study: {failure}"] if status < 130 else []
+        assert said == ["dalembert study: warning: this is doubtful", *told]
 
 
 def test_without_matplotlib_the_tables_come_and_the_line_to_type(tmp_path, monkeypatch, capsys):

@@ -140,11 +140,25 @@ def test_long_run_in_blocks(particle, monkeypatch):
     discrete = dal.Discrete(particle, 0.5)
     pair = discrete.nodes(0.01, particle.q0, particle.v0)
     whole = discrete.run(0.01, *pair, steps=100)
-    monkeypatch.setattr("dalembert.discrete._BLOCK", 7)
+    monkeypatch.setattr("dalembert.geometry.most_in_a_call", lambda system: 7)
     blocks = discrete.run(0.01, *pair, steps=100)
     # A new block takes (q1 - q0)/h from the nodes: u |q|/h of v, and that over h of lambda.
     np.testing.assert_allclose(blocks.nodes, whole.nodes, atol=1e-12)
     np.testing.assert_allclose(blocks.multipliers, whole.multipliers, atol=1e-10)
+
+
+def push(t, q, v):
+    return [np.cos(3 * t)]
+
+
+def test_time_goes_on_in_the_next_block(monkeypatch):
+    """A force that depends on time, against its steps one by one."""
+    monkeypatch.setattr("dalembert.geometry.most_in_a_call", lambda system: 7)
+    discrete, h, t0 = dal.Discrete(dal.System(mass=[1.0], force=push)), 0.1, 0.4
+    run = discrete.run(h, 0.0, 0.1, steps=20, t0=t0)
+    for k in range(20):
+        node, _ = discrete.step(h, *run.nodes[k : k + 2], t=t0 + k * h)
+        np.testing.assert_allclose(run.nodes[k + 2], node, atol=1e-13)
 
 
 @pytest.mark.parametrize("given", [True, False])
@@ -251,6 +265,14 @@ def test_exact_velocity(own):
     np.testing.assert_allclose(mu.T @ kappa, miss, atol=1e-11)
 
 
+def test_exact_velocity_at_a_later_time():
+    """x'' = cos 3 t: x(t0 + h) = x0 + v0 h - h sin(3 t0)/3 + (cos 3 t0 - cos 3 (t0 + h))/9."""
+    t0, h, v = 0.7, 0.5, -0.3
+    end = v * h - h * np.sin(3 * t0) / 3 + (np.cos(3 * t0) - np.cos(3 * (t0 + h))) / 9
+    v0, _ = dal.exact_velocity(dal.System(mass=[1.0], force=push), h, 0.0, end, t0=t0)
+    assert v0 == pytest.approx(v, abs=1e-11)
+
+
 # ---- errors ----------------------------------------------------------------------------------
 
 
@@ -305,6 +327,8 @@ def test_arguments(particle):
         discrete.advance(0.1, [0, 0, 0], [1, np.nan, 1])
     with pytest.raises(ValueError, match="multipliers"):
         discrete.residual(0.1, [0] * 3, [0] * 3, [0] * 3, [1, 2])
+    with pytest.raises(ValueError, match="h = 1e-17 does not change the time t = 1.0"):
+        discrete.run(1e-17, [0] * 3, [1] * 3, steps=1, t0=1)
     with pytest.raises(ValueError, match="steps = -1"):
         discrete.run(0.1, [0] * 3, [1] * 3, steps=-1)
     with pytest.raises(dal.NotOnConstraintError, match="D_d") as caught:
@@ -323,6 +347,15 @@ def test_arguments(particle):
         dal.DifferenceMap(map=3)
     with pytest.raises(ValueError, match="h = 0"):
         dal.exact_velocity(particle, 0, [0] * 3, [1] * 3)
+
+
+def test_a_failure_in_a_later_block_counts_all_steps(monkeypatch):
+    monkeypatch.setattr("dalembert.geometry.most_in_a_call", lambda system: 7)
+    wall = dal.System(mass=[1.0], potential=lambda q: 0.0, gradient=lambda q: q * np.log(-q) * 0)
+    with np.errstate(invalid="ignore"), pytest.raises(dal.DomainError, match="gradient") as caught:
+        dal.Discrete(wall, 0.0).run(0.1, -2.0, -1.9, steps=100)
+    # -2 + 0.1 k is negative up to k = 19, where the gradient is asked for by the step to 20 or 21.
+    assert caught.value.step in (18, 19, 20)
 
 
 def test_failure_within_a_run(particle):

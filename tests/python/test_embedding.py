@@ -393,7 +393,7 @@ def test_threads_share_it(midpoint):
         ({"order": 0}, "order = 0: expected at least 1"),
         ({"order": -1}, "order = -1"),
         ({"order": 1.5}, "order = 1.5"),
-        ({"q0": [0, 1]}, r"q0: expected shape \(3,\), got \(2,\)"),
+        ({"q0": [0, 1], "v0": [0, 1]}, r"q0: expected shape \(3,\), got \(2,\)"),
         ({"dependent": "w"}, "dependent: there is no coordinate 'w'"),
         ({"dependent": ["x", "z"]}, "dependent = .*expected m = 1"),
         ({"consistent": "perhaps"}, "consistent = 'perhaps'"),
@@ -410,8 +410,10 @@ def test_wrong_arguments_are_named(particle, arguments, text):
 
 def test_data_off_D_are_refused(particle):
     with pytest.raises(dal.NotOnConstraintError, match="consistent='project'"):
-        dal.embedding(particle, "midpoint", 0.1, v0=[1, 1, 1])
-    projected = dal.embedding(particle, "midpoint", 0.1, v0=[1, 1, 1], consistent="project")
+        dal.embedding(particle, "midpoint", 0.1, q0=particle.q0, v0=[1, 1, 1])
+    projected = dal.embedding(
+        particle, "midpoint", 0.1, q0=particle.q0, v0=[1, 1, 1], consistent="project"
+    )
     v = particle.project(particle.q0, [1, 1, 1])
     assert largest(projected.start, projected.chart.drop(particle.q0, v)) <= 4 * U
 

@@ -1,12 +1,14 @@
 """The geometry functions against formulas in NumPy, at one state and at stacked ones."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import dalembert as dal
 from conftest import KINDS, General, U
+from dalembert import geometry
 
 # Sums of at most 4 terms of size 1 to 10 and solves with condition below 100: 1e-13 is about
 # 1000 u, far below any sign or factor.
@@ -258,3 +260,10 @@ def test_singular_forms_say_which_row():
         system.multipliers([[1, 0], [2, 0], [0, 0]], np.ones((3, 2)))
     assert caught.value.step == 2
     assert caught.value.status < 0
+
+
+@pytest.mark.parametrize("sizes, most", [((3, 1), 2**14), ((15, 13), 191), ((160, 1), 1)])
+def test_a_call_of_a_large_system_has_few_states(sizes, most):
+    """(n + m)^3 operations for each of them, 4 million at most."""
+    n, m = sizes
+    assert geometry.most_in_a_call(SimpleNamespace(n=n, m=m)) == most

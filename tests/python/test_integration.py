@@ -3,12 +3,14 @@
 import pickle
 import sys
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import dalembert as dal
 from conftest import U
+from dalembert import integration
 
 STEPS, H = 20, 0.05
 # Newton stops within a few u of the solution; 20 steps of a smooth flow over one unit of time
@@ -131,6 +133,17 @@ def test_solvers_agree(own, options):
     np.testing.assert_allclose(y, x, atol=0 if "sizes" in options else TOLERANCE)
 
 
+def test_representations_of_schemes():
+    assert repr(dal.Scheme.find("leapfrog")) == (
+        "<Scheme leapfrog: (beta, fraction) = (0, 0.5), (1, 0.5); moved nodes, order 2>"
+    )
+    assert repr(dal.Scheme([(0.5, 1.0)], nodes="kept", name="mine")) == (
+        "<Scheme mine: (beta, fraction) = (0.5, 1); kept nodes>"
+    )
+    assert "..., 18 in all" in repr(dal.Scheme.find("leapfrog-kl6"))
+    assert repr(dal.Scheme.find("reference")) == "<Scheme reference: the adaptive flow of GSL>"
+
+
 def test_table_of_schemes():
     names = [scheme.name for scheme in dal.schemes()]
     assert {"leapfrog", "midpoint", "explicit", "endpoint", "midpoint-nodes"} <= set(names)
@@ -182,7 +195,12 @@ def test_explicit_is_a_property_of_scheme_and_system(own):
         (lambda: dal.Scheme.find("simpson"), "simpson.*leapfrog"),
         (lambda: dal.Scheme.of(1.5), r"scheme = 1.5: expected beta in \[0, 1\]"),
         (lambda: dal.Scheme.of(float("nan")), "scheme = nan: expected beta"),
-        (lambda: dal.Scheme.find("leap"), '"leap"; there are .*a number.*-nodes.*and reference'),
+        (lambda: dal.Scheme.find("leap"), '"leap"; did you mean .leapfrog.. there are .*a number'),
+        (lambda: dal.Scheme.find("simpson"), '"simpson"; there are .*-nodes.*and reference'),
+        (lambda: dal.Scheme.find("refrence"), "did you mean 'reference'"),
+        (lambda: dal.Scheme.of(10**400), "scheme = 1000.*: expected a Scheme"),
+        (lambda: dal.Scheme.find("midpoint").shift("x"), "h = 'x': expected a finite number"),
+        (lambda: dal.Scheme.find("midpoint").is_explicit(3), "system = 3: expected a dalembert.Sy"),
         (lambda: dal.Scheme.of(None), "scheme"),
     ],
 )
@@ -220,6 +238,16 @@ def test_reference(own):
     assert 0 < there.accuracy < 1e-11
     fine = dal.integrate(system, "leapfrog-kl8", h=0.02, t_end=2)
     np.testing.assert_allclose(there.q, fine.q[-1], atol=1e-10)  # 1e-10: order 8 at h = 0.02
+
+
+@pytest.mark.parametrize("method", ["rk8pd", "msadams", "msbdf"])
+@pytest.mark.parametrize("coordinates", ["x", "xi"])
+def test_tolerances_below_roundoff_are_refused(particle, method, coordinates):
+    options = {"method": method, "coordinates": coordinates}
+    for tolerance in (1e-300, 4.4e-16, -1.0, 0.2):
+        with pytest.raises(ValueError, match=r"tolerance = .* is not in \[4.4e-16, 0.1\]"):
+            dal.reference(particle, t=1e-3, tolerance=tolerance, **options)
+    assert dal.reference(particle, t=1e-9, tolerance=4 * U, **options).accuracy < 1e-15
 
 
 def test_reference_refuses_data_off_D(particle):
@@ -309,11 +337,24 @@ def test_no_steps(own):
         ({"h": 0.1, "steps": 1, "progress": 3}, "progress = 3: expected True, False or a function"),
         ({"h": 0.1, "steps": 1, "solver": 3}, "solver = 3"),
         ({"h": 0.1, "steps": 1, "max_iterations": 0}, "max_iterations = 0"),
-        ({"h": 0.1, "steps": 1, "q0": [0, 1]}, r"q0: expected shape \(3,\), got \(2,\)"),
-        ({"h": 0.1, "steps": 1, "v0": [0, 1, np.inf]}, r"v0\[2\] = inf"),
+        ({"h": 0.1, "steps": 1, "q0": [0, 1], "v0": [0, 1, 1]}, r"q0: .* \(3,\), got \(2,\)"),
+        ({"h": 0.1, "steps": 1, "q0": [0, 1, 1], "v0": [0, 1, np.inf]}, r"v0\[2\] = inf"),
         ({"h": 0.1, "steps": 1, "t0": None}, "t0"),
         ({"h": 1e-320, "t_end": 1.0}, "too small"),
-        ({"h": 0.1, "steps": 2**63, "stride": 2**63}, "stride = 9223372036854775808"),
+        ({"h": 0.1, "steps": 2**63}, "steps = 9223372036854775808: expected at most"),
+        ({"h": 0.1, "steps": 10**5000}, "steps = a value of type int: expected at most"),
+        ({"h": 1e-3, "t_end": 1e200}, "too small"),
+        ({"h": 1e-17, "t0": 1, "steps": 1}, "h = 1e-17 does not change the time t = 1.0"),
+        ({"h": -0.5, "t0": 1e16, "steps": 1}, "h = -0.5 does not change the time t = 1e\\+16"),
+        ({"h": 0.1, "steps": 10**17}, "h = 0.1 does not change the time t = 1e\\+16"),
+        ({"h": 0.5, "t_end": 2.0**53}, "h = 0.5 does not change the time t = 9007199254740992.0"),
+        ({"h": 10**400, "steps": 1}, "h = 1000.*: expected a finite number"),
+        ({"h": 0.1, "steps": 1, "t0": 10**400}, "t0 = 1000.*: expected a finite number"),
+        ({"h": 0.1, "steps": 1, "q0": [0, 10**400, 0], "v0": [0, 1, 1]}, "q0: .*largest double"),
+        ({"h": 0.1, "steps": 1, "scheme": 10**400}, "scheme = 1000.*: expected a Scheme"),
+        ({"h": 0.1, "steps": 1, "scheme": "leapfrgo"}, "did you mean 'leapfrog'.*midpoint"),
+        ({"h": 0.1, "steps": 1, "scheme": "kl8-leapfrog"}, "there are explicit"),
+        ({"h": 0.1, "steps": 1, "method": "rk8"}, "method = 'rk8': did you mean 'rk8pd'"),
         ({"h": 0.1, "steps": 1, "scheme": "reference", "tolerance": 0}, "tolerance"),
     ],
 )
@@ -329,7 +370,7 @@ def test_a_system_is_needed():
         dal.integrate(dal.System(mass=[1]), h=0.1, steps=1)
 
 
-@pytest.mark.parametrize("steps", [10**12, 10**18, 2**63, 10**30])
+@pytest.mark.parametrize("steps", [10**12, 10**15, 2**52])
 def test_huge_runs_are_refused_with_their_size(particle, steps, monkeypatch):
     def refuse(*arguments, **options):
         raise AssertionError("allocated")
@@ -338,7 +379,7 @@ def test_huge_runs_are_refused_with_their_size(particle, steps, monkeypatch):
     # (steps + 1) rows of q, v and t, and one reaction for each step.
     size = 8 * ((steps + 1) * 7 + steps)
     with pytest.raises(MemoryError, match=rf"steps = {steps}.*\b{size} bytes"):
-        dal.integrate(particle, h=1e-3, steps=steps)
+        dal.integrate(particle, h=4.0, steps=steps)
 
 
 # ---- initial data --------------------------------------------------------------------------
@@ -487,6 +528,32 @@ def test_a_step_that_is_large_for_the_potential_is_a_warning():
         dal.integrate(stiff, "midpoint", h=0.005, steps=4)
 
 
+@pytest.mark.parametrize(
+    "numbers, warned",
+    [
+        ({"full_newtons": 10}, False),
+        ({"full_newtons": 11}, True),
+        ({"worst_residual": 9.9 * 12 * U}, False),
+        ({"worst_residual": 10.1 * 12 * U}, True),
+    ],
+)
+def test_what_is_warned_of(particle, numbers, warned):
+    """More than a tenth of the sub-steps by the full iteration, or ten times 4 n u."""
+    stats = dal.Statistics(substeps=100, **numbers)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        integration._warn(SimpleNamespace(system=particle, stats=stats, h=0.1))
+    assert len(caught) == warned
+
+
+@pytest.mark.parametrize("t_end, steps", [(1 + 5e-10, 10), (3e-11, 0), (1e5 * (1 + 5e-10), 10**6)])
+def test_t_end_is_met_to_1e_9(particle, t_end, steps):
+    assert dal.integrate(particle, h=0.1, t_end=t_end, stride=steps or 1).stats.steps == steps
+    for sign in (1, -1):
+        with pytest.raises(ValueError, match="steps of h = 0.1"):
+            dal.integrate(particle, h=0.1, t_end=max(t_end, 0.1) * (1 + 2e-9 * sign))
+
+
 # ---- progress ------------------------------------------------------------------------------
 
 
@@ -511,6 +578,17 @@ def test_progress_between_two_stored_states(particle):
     )  # fmt: skip
     done = [d for d, _ in told]
     assert len(done) > 1 and done == sorted(set(done)) and done[-1] == steps
+
+
+def test_progress_of_the_reference_flow_between_two_stored_states():
+    seen = []
+    dal.integrate(
+        dal.systems.particle_oscillator(), "reference", h=0.01, steps=3 * 10**6, stride=3 * 10**6,
+        progress=lambda done, total: seen.append((done, total)),
+    )  # fmt: skip
+    done = [count for count, _ in seen]
+    assert done == sorted(set(done)) and seen[-1] == (3 * 10**6, 3 * 10**6)
+    assert sum(0 < count < 3 * 10**6 for count in done) >= 2  # 1 s of work, asked every 0.05 s
 
 
 def test_progress_as_a_bar(particle, capsys):

@@ -38,8 +38,15 @@ def test_parameters():
 @pytest.mark.parametrize(
     ("call", "text"),
     [
-        (lambda: dal.systems.get("nonsense"), "nonsense.*particle"),
-        (lambda: dal.systems.disk(radius=1), "radius.*R"),
+        (lambda: dal.systems.get("nonsense"), "nonsense'; there are particle"),
+        (lambda: dal.systems.get("slegh"), "did you mean 'sleigh'"),
+        (lambda: dal.systems.known_states("knife-egde"), "did you mean 'knife_edge'"),
+        (lambda: dal.systems.get(10**5000), "no system a value of type int; there are"),
+        (lambda: dal.systems.disk(radius=1), "no 'radius'; it has m, I, J, R"),
+        (lambda: dal.systems.disk(r=1), "no 'r'; did you mean 'R'"),
+        (lambda: dal.systems.n_trailer(trailer=1), "no 'trailer'; did you mean 'trailers'"),
+        (lambda: dal.systems.disk().with_parameters(j=1), "no 'j'; did you mean 'J'"),
+        (lambda: dal.systems.disk(R=10**400), "R = 1000.*: expected a finite number"),
         (lambda: dal.systems.disk(R=np.nan), "R = nan"),
         (lambda: dal.systems.disk(R="1"), "R = .*: expected a finite number"),
     ],
@@ -50,8 +57,15 @@ def test_wrong_names_and_parameters(call, text):
 
 
 def test_unknown_attribute():
-    with pytest.raises(AttributeError, match="particle"):
-        dal.systems.nonsense  # noqa: B018
+    with pytest.raises(AttributeError, match="did you mean 'particle'"):
+        dal.systems.partcle  # noqa: B018
+
+
+def test_representations():
+    assert repr(dal.systems.sleigh()) == (
+        "<System sleigh(x, y, theta): n = 3, m = 1; parameters m = 1.5, J = 0.8, a = 0.4>"
+    )
+    assert repr(dal.systems.particle()) == "<System particle(x, y, z): n = 3, m = 1>"
 
 
 def test_exact_solution_of_the_particle(particle):
@@ -160,6 +174,21 @@ def test_number_of_constraints_is_asked_for_at_q0():
     assert len(asked) == 1
 
 
+@pytest.mark.parametrize("data", [{"q0": [3, 4], "v0": [1, -1]}, {}])
+def test_number_of_nonlinear_constraints_is_asked_for_at_the_state(data):
+    """Without one at (0, (1, ..., 1)): at rest an homogeneous constraint has no derivative."""
+    asked = []
+
+    def constraint(q, v):
+        asked.append([*q, *v])
+        return [v[0] * v[1]]
+
+    system = dal.System(
+        mass=[1, 1], constraint=constraint, constraint_v=lambda q, v: [[v[1], v[0]]], **data
+    )
+    assert system.m == 1 and asked == [[3, 4, 1, -1] if data else [0, 0, 1, 1]]
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -171,7 +200,17 @@ def test_number_of_constraints_is_asked_for_at_q0():
         ({"mass": 1}, "n: needed"),
         ({"mass": [1, 1], "n": 3}, "n = 3"),
         ({"mass": [1, 1], "coordinates": ["x"]}, "coordinates"),
-        ({"mass": [1, 1], "q0": [0, 0]}, "q0 and v0"),
+        ({"mass": [1, 1, 1], "coordinates": "x y"}, "coordinates = 'x y': expected several names"),
+        ({"mass": [1, 1, 1], "coordinates": "x,y"}, "coordinates = 'x,y': expected several names"),
+        ({"mass": [1, 1], "coordinates": ["x", "x"]}, "expected 2 different names"),
+        ({"mass": [1, 1], "coordinates": 2}, "coordinates = 2: expected several names"),
+        ({"mass": [1, 1], "q0": [0, 0]}, "q0 without v0: expected both, or neither$"),
+        ({"mass": [1, 1], "v0": [0, 0]}, "v0 without q0"),
+        ({"mass": [1, 10**400]}, "mass: .*an integer beyond the largest double"),
+        ({"mass": np.ma.array([1, 2], mask=[0, 1])}, "mass: .*got values that are masked"),
+        ({"mass": [1, 1], "invariants": b"x"}, "invariants = b'x': expected a mapping"),
+        ({"mass": [1, 1], "invariants": {1: abs}}, "invariants = {1.*names that are strings"),
+        ({"mass": [1, 1], "kind": 10**5000}, "kind = a value of type int: only C functions"),
         ({"mass": [1, 1], "q0": [0, 0], "v0": [0]}, r"v0: expected shape \(2,\), got \(1,\)"),
         ({"mass": [1, 1], "gradient": lambda q: q}, "gradient without potential"),
         ({"mass": [1, 1], "hessian": lambda q: q}, "hessian without potential"),
@@ -185,7 +224,8 @@ def test_number_of_constraints_is_asked_for_at_q0():
         ({"mass": [1, 1], "m": 1.5, "forms": lambda q: [[1, 0]]}, "m = 1.5: expected an integer"),
         ({"mass": 1, "n": 2, "name": 3}, "name = 3: expected a string"),
         ({"mass": 1, "n": 2, "source": b"x"}, "source = b'x': expected a string"),
-        ({"mass": 1, "n": 2, "formulas": [3]}, "formulas = 3: expected a string"),
+        ({"mass": 1, "n": 2, "formulas": [3]}, r"formulas = \[3\]: expected several lines"),
+        ({"mass": 1, "n": 2, "formulas": None}, "formulas = None: expected several lines"),
         ({"mass": 1, "n": 2, "formulas": "L = T"}, "formulas = 'L = T': expected several lines"),
     ],
 )
@@ -259,6 +299,61 @@ def test_check_finds_nan():
 def test_check_needs_a_state():
     with pytest.raises(ValueError, match="q: needed"):
         dal.System(mass=[1]).check()
+    with pytest.raises(ValueError, match="q without v: expected both, or neither for those of"):
+        dal.systems.particle().check([0, 1, 0])
+
+
+def test_check_without_data_takes_a_state_of_D():
+    x, y, z = dal.coordinates("x y z")
+    own = dal.System.from_sympy(
+        L=(x.d**2 + y.d**2 + z.d**2) / 2, constraints=[z.d - 100 * y * x.d]
+    )
+    assert own.check().passed and own.check().residual < 1e-15
+
+
+# ---- what is given -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda one, **half: one.exact(0.1, **half),
+        lambda one, **half: dal.integrate(one, h=0.1, steps=1, **half),
+        lambda one, **half: dal.integrate(one, "reference", h=0.1, steps=1, **half),
+        lambda one, **half: dal.reference(one, **half),
+        lambda one, **half: dal.convergence(one, "midpoint", **half),
+        lambda one, **half: dal.studies(one, "midpoint", **half),
+        lambda one, **half: dal.embedding(one, "midpoint", h=0.1, **half),
+    ],
+)
+@pytest.mark.parametrize("half, text", [("q0", "q0 without v0"), ("v0", "v0 without q0")])
+def test_half_of_initial_data_is_refused(particle, call, half, text):
+    """The other half would be that of the system, which nobody asked for."""
+    with pytest.raises(ValueError, match=f"{text}: expected both, or neither for those of the sys"):
+        call(particle, **{half: [0, 1, 0]})
+
+
+def test_masked_values_are_refused(particle):
+    free, masked = np.ones(3), np.ma.array([0.0, 1, 0], mask=[0, 1, 0])
+    for q in (masked, [masked, masked], [0, np.ma.masked, 0]):
+        with pytest.raises(ValueError, match="q: .*got values that are masked"):
+            particle.energy(q, free)
+    assert particle.energy(np.ma.array([0.0, 1, 0]), free) == 1.5
+
+
+def test_a_number_does_for_one_coordinate():
+    spring = dal.System(
+        mass=1, n=1, potential=lambda q: q[0] ** 2 / 2, gradient=lambda q: q, q0=1.0, v0=0
+    )
+    assert spring.energy(3.0, 4.0) == 12.5 and spring.acceleration(2, 0).tolist() == [-2.0]
+    assert spring.energy([[3.0], [0.0]], [[4.0], [1.0]]).tolist() == [12.5, 0.5]
+    assert dal.reference(spring, 2.0, 0.0, t=1.0).q == pytest.approx(2 * np.cos(1), rel=1e-12)
+    run = dal.integrate(spring, "midpoint", 2.0, 0.0, h=0.1, steps=1)
+    with pytest.raises(ValueError, match=r"q0: expected shape \(1,\), got \(2,\)"):
+        dal.integrate(spring, "midpoint", [2.0, 1.0], 0.0, h=0.1, steps=1)
+    assert run.x[0].tolist() == [2.0, 0.0]
+    with pytest.raises(ValueError, match=r"q0: expected shape \(3,\), got \(\)"):
+        dal.integrate(dal.systems.particle(), h=0.1, steps=1, q0=1.0, v0=1.0)
 
 
 # ---- pickling ------------------------------------------------------------------------------
@@ -269,6 +364,15 @@ def test_pickle_of_the_catalogue():
     assert again.name == "disk"
     assert again.parameters == dal.systems.disk(R=2, m=3).parameters
     assert len(pickle.dumps(again)) < 500
+
+
+def test_pickle_knows_what_is_of_the_library():
+    """Pages say of a system of the library how `systems` makes it again."""
+    for system in (dal.systems.cvt(), dal.systems.cvt().with_parameters(c=2)):
+        assert system._of_library and pickle.loads(pickle.dumps(system))._of_library
+    (x,) = dal.coordinates("x")
+    own = dal.System.from_sympy(L=x.d**2 / 2)
+    assert not pickle.loads(pickle.dumps(own))._of_library
 
 
 def test_pickle_of_the_users_own(own):
