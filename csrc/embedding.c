@@ -26,7 +26,6 @@ struct dal_embedding {
     ode *perturbed;
     double h, tolerance;
     int order;
-    int refused;          /* status of the last evaluation of g that failed */
     size_t width;         /* 2n - m */
     dal__watch watch;
     double made;          /* steps of the curve */
@@ -354,9 +353,7 @@ static int perturbed_field(double t, const double *z, double *zdot, void *ctx, d
     if (!status) status = perturbation(self, t / self->h, z);
     if (status) {
         *error = self->error;
-        self->refused = status;
-        /* no shorter step helps where h is too large for the embedding: that ends it */
-        return status == DAL_ENOCONV ? DAL_EUSER : status;
+        return status;
     }
     for (size_t i = 0; i < self->width; i++) zdot[i] = self->field0[i] + self->next[i];
     return DAL_SUCCESS;
@@ -380,7 +377,6 @@ int dal_embedding_flow(dal_embedding *embedding, double t0, double t1, double *z
                              t0 + dal__ode_elapsed(self->perturbed), self->h);
         status = dal__ode_step(self->perturbed, t1 - t0, &self->error);
     }
-    if (status == DAL_EUSER) status = self->refused;
     if (!status) memcpy(z, dal__ode_state(self->perturbed), self->width * sizeof *z);
     return status;
 }

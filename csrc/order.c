@@ -371,8 +371,8 @@ static int measure_point(study *self, size_t steps, dal_order_point *point)
     if (!status) status = measure_run(self, h, steps, point);
     if (status) *point = failed_point(h, steps, status);
     if (status == DAL_STOPPED || status == DAL_EUSER || status == DAL_ENOMEM)
-        return dal__fail(self->error, status, status == DAL_ENOMEM ? "out of memory in the run with "
-                         "h = %g" : "a callback stopped the run with h = %g", h);
+        return dal__fail(self->error, status, "%s the run with h = %g",
+                         status == DAL_ENOMEM ? "out of memory in" : "a callback stopped", h);
     return DAL_SUCCESS;
 }
 

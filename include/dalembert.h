@@ -76,8 +76,8 @@ DAL_API const char *dal_version(void);
 /* One line of text for a dal_status; never NULL. */
 DAL_API const char *dal_strerror(int status);
 
-/* Asked some twenty times a second by what may compute for long, with how far it is, in what is said
- * there: return 0 to go on, > 0 to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
+/* Asked some twenty times a second by what may compute for long, with how far it is; there it is
+ * said in what.  Return 0 to go on, > 0 to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
 typedef int (*dal_watch_fn)(double far, void *ctx);
 
 /* ---- system ---------------------------------------------------------------------------- */
@@ -879,8 +879,8 @@ typedef struct dal_order {
     int keeps_D, keeps_D_eps; /* 1: residual within 4 n u after every step of every run */
     int holds;            /* the verdict: 1 if the set that the nodes promise is kept, s >=
                              multiplier_order - 0.2 (or exact), and p or the slope at t_end is at
-                             least order - 0.2 (or exact) (the one-step errors of high orders can reach
-                             roundoff before their slope settles); 0 if not; -1 if the record
+                             least order - 0.2 or exact (the one-step errors of high orders can
+                             reach roundoff before their slope settles); 0 if not; -1 if the record
                              promises nothing; -2 if too few points count to tell, or the slope
                              falls short but has not settled.  With
                              DAL_INITIAL_D the promise for the first step is (order - 1,
@@ -901,8 +901,8 @@ typedef struct dal_order_def {
 } dal_order_def;
 
 /* Step-size refinement of scheme on system: points[count] and *order.
- * DAL_EINVAL, DAL_ENOMEM, DAL_STOPPED (nothing is written), and the errors of the reference flow.  A
- * run that fails is a failed point, not a failed study. */
+ * DAL_EINVAL, DAL_ENOMEM, DAL_STOPPED (nothing is written), and the errors of the reference flow.
+ * A run that fails is a failed point, not a failed study. */
 DAL_API int dal_order_study(const dal_system *system, const dal_scheme *scheme,
                             const dal_order_def *def, dal_order_point *points, dal_order *order,
                             dal_error *error);

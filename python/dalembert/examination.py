@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from . import _lib, geometry
 from ._lib import ffi, lib
 
 if TYPE_CHECKING:
+    from .growth import Distribution
     from .system import System
 
 __all__ = ["Check", "Difference", "examine"]
@@ -100,7 +102,8 @@ class Check:
         Largest curvature of D over an orthonormal basis; 0 if D is integrable here.  NaN unless the
         constraints are linear.
     integrable : bool
-        True if the curvature vanishes here: D may be a holonomic constraint in disguise.
+        True if D is integrable at general points, a holonomic constraint in disguise: what its
+        growth vector says; if that is not known, whether the curvature vanishes here and nearby.
     text : str
         The first thing found wrong, or a summary.
     growth : tuple of int or None
@@ -117,8 +120,11 @@ class Check:
         Of a system made by `System.from_sympy`: its constraints that are holonomic in disguise by
         themselves, and how many are if several are taken together.
     exact : bool
-        Of such a system: True if it is proved whether D is integrable, or bracket generating;
-        False if that was seen at random points to 30 digits.
+        True if it is proved that D is integrable, or bracket generating, which takes expressions:
+        those of `System.from_sympy`, or formulas that say what the system is.  False if it was seen
+        at random points.
+    digits : int
+        With which it was seen there: 30 with expressions, 16 with functions.
     """
 
     passed: bool
@@ -150,9 +156,20 @@ class Check:
     growth_note: str = ""
     holonomic: tuple[str, ...] = ()
     exact: bool = False
+    digits: int = 16
 
     def __bool__(self) -> bool:
         return self.passed
+
+    def with_distribution(self, found: Distribution) -> Check:
+        """Return the check with what else was found of D; on integrability there is one answer."""
+        known = dataclasses.asdict(found)
+        if found.integrable is None or found.integrable == self.integrable:
+            return dataclasses.replace(self, **(known | {"integrable": self.integrable}))
+        first, sign, _ = self.text.rpartition("; D is ")
+        said = "integrable" if found.integrable else "not integrable"
+        text = f"{first}{sign}{said}" if self.passed else self.text
+        return dataclasses.replace(self, **(known | {"text": text}))
 
     def __str__(self) -> str:
         curvature = f"{self.curvature:.3g}" + (", integrable" * self.integrable)

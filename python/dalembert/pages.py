@@ -5,7 +5,6 @@ A page is self-contained: no script, no network, the same bytes every time.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import html
 import re
@@ -323,7 +322,7 @@ def _facts(system: System) -> str:
         rows.append(("force", "besides that of the Lagrangian"))
     if system.m and system.kind == "linear":
         curved = (
-            "its curvature vanishes at the start: perhaps a holonomic constraint in disguise"
+            "integrable: a holonomic constraint in disguise"
             if found.integrable
             else f"not integrable: curvature {found.curvature:.3g} at the start"
         )
@@ -337,17 +336,8 @@ def _facts(system: System) -> str:
 
 
 def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
-    """How D grows by brackets; for a system in C after its formulas, if SymPy is there."""
-    grown, holonomic, exact = found.growth, found.holonomic, found.exact
-    digits = 16 if system._symbolic is None else 30
-    if system._symbolic is None and system.formulas and extras.is_there("sympy"):
-        from . import distribution, expressions
-
-        with contextlib.suppress(ValueError):  # formulas may be for readers only
-            model = expressions.model(system)
-            if expressions.agree(model, system, system.q0):
-                told = distribution.examine(model, system.parameters, system.q0)
-                grown, holonomic, exact, digits = told.growth, told.holonomic, told.exact, 30
+    """How D grows by brackets."""
+    grown = found.growth
     if grown is None:
         return []
     if grown[-1] == system.n:
@@ -356,10 +346,10 @@ def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
         what = f"D lies in a foliation by leaves of dimension {grown[-1]}"
     else:
         what = found.growth_note
-    how = "proved" if exact else f"seen at random points, to {digits} digits"
+    how = "proved" if found.exact else f"seen at random points, to {found.digits} digits"
     return [
         ("growth vector of D", f"{grown}: {what}; {how}"),
-        *(("holonomic in disguise", text) for text in holonomic),
+        *(("holonomic in disguise", text) for text in found.holonomic),
     ]
 
 

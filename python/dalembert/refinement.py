@@ -316,7 +316,7 @@ def _units(duration: float) -> int:
 
 
 def _default_total(order: int, duration: float) -> int:
-    """Return how many steps the default numbers of steps take at most, with those that are tried."""
+    """Return how many steps the default numbers take at most, with those that are tried."""
     units = _units(duration)
     tried = 0 if order <= 2 else (sum(COARSE) + 4) * units + sum(COARSE) + len(COARSE)
     return sum(FINE) * units + 2 * tried

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _lib, arguments, deformation, extras, geometry, growth, pointers, symbolic
+from . import _lib, arguments, deformation, geometry, growth, pointers, symbolic
 from ._lib import FUNCTIONS, Array, ffi, lib
 from .examination import Check, examine
 
@@ -911,9 +911,9 @@ class System:
         """Examine the system at a state: derivatives, rank, definiteness, integrability, growth.
 
         What depends on v is examined at another velocity too, where it is defined there, and the
-        force at times 0 and 1.  The growth vector of D is found with 77 digits for a system made by
-        `from_sympy`, and for one whose formulas say what it is, if those of its functions are too
-        few and SymPy is installed.
+        force at times 0 and 1.  The growth vector of D, and with it whether D is integrable, is
+        found with 77 digits for a system made by `from_sympy`, and for one whose formulas say what
+        it is if SymPy is installed; else by its functions, as far as their digits go.
 
         Parameters
         ----------
@@ -959,24 +959,7 @@ class System:
             return found
         place, _ = geometry.initial(self, q, v, "q", "v")
         at = place if asked else None
-        if self._symbolic is not None:
-            return self._grown(found, self._symbolic.model, place, at)
-        here, general, note = growth.of_functions(self, place, asked)
-        if note and self._formulas and extras.is_there("sympy"):
-            from . import expressions
-
-            with contextlib.suppress(ValueError):  # formulas may be for readers only
-                model = expressions.model(self)
-                if expressions.agree(model, self, place):
-                    return self._grown(found, model, place, at)
-        return dataclasses.replace(found, growth=here, general_growth=general, growth_note=note)
-
-    def _grown(self, found: Check, model: Model, near: Array, at: Array | None) -> Check:
-        """Return what was found with the growth vector of the model's D."""
-        from . import distribution
-
-        told = distribution.examine(model, self._parameters, near, at)
-        return dataclasses.replace(found, **dataclasses.asdict(told))
+        return found.with_distribution(growth.examine(self, place, at))
 
     def _general_state(self) -> tuple[Array, Array]:
         """Return some state in D, in no special position."""

@@ -433,8 +433,8 @@ static void test_exceptional_point(void)
     CHECK(examine_def(&def, x, &report, NULL) == 0 && report.passed && report.integrable);
 }
 
-/* mu = (-ctx[0] y, -ctx[1] x, 1): along the axes the bracket is the difference of ctx[0] and ctx[1],
- * and its terms are these. */
+/* mu = (-ctx[0] y, -ctx[1] x, 1): along the axes the bracket is ctx[0] - ctx[1], and its terms are
+ * these. */
 static int twisted(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
                    void *ctx)
 {

@@ -13,8 +13,12 @@ matplotlib.use("Agg")
 
 # Running __main__ would run the command, and what builds the extension is not installed.
 MODULES = sorted(
-    {module.name for module in pkgutil.iter_modules(dalembert.__path__)}
-    - {"__main__", "_core", "_ffi_build"}
+    {
+        module.name.removeprefix("dalembert.")
+        for module in pkgutil.walk_packages(dalembert.__path__, "dalembert.")
+        if not module.name.endswith("__main__")
+    }
+    - {"_core", "_ffi_build"}
 )
 
 

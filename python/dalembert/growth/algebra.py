@@ -1,6 +1,6 @@
 """Is D = ker mu integrable, and if not, how far from it?  On the expressions of a model.
 
-The growth vector is found at points, as numbers with 77 digits, see `growth`; so are constraints
+The growth vector is found at points, as numbers with 77 digits, see `search`; so are constraints
 that are integrable by themselves.  That brackets leave D is proved by that; that they stay in it is
 proved by algebra where that is possible, see `is_zero`.
 """
@@ -19,12 +19,13 @@ import mpmath
 import numpy as np
 import sympy
 
-from . import growth
-from ._lib import Array
-from .model import Model
-from .taylor import BITS, NotAnalytic, Tape, fixed, real
+from .._lib import Array
+from ..model import Model
+from . import search as growth
+from .search import Distribution
+from .series import BITS, NotAnalytic, Tape, fixed, real
 
-__all__ = ["Distribution", "examine", "is_zero"]
+__all__ = ["examine", "is_zero"]
 
 Expr = Any
 
@@ -34,17 +35,7 @@ _PROVABLE = 3_000
 _ROUNDING = mpmath.ldexp(1, -100), mpmath.ldexp(1, -180)
 # At a given point brackets are formed up to this order, and orders times coordinates.
 _ORDERS, _WORK = 24, 200
-
-
-@dataclass(frozen=True)
-class Distribution:
-    """What `examine` found; see `dalembert.Check`."""
-
-    growth: tuple[int, ...] | None
-    general_growth: tuple[int, ...] | None
-    growth_note: str
-    holonomic: tuple[str, ...]
-    exact: bool
+_DIGITS = 30
 
 
 def examine(
@@ -68,7 +59,8 @@ def examine(
     with mpmath.workprec(BITS):
         points = list(itertools.islice(_general_points(forms, near), 3))
         if not points:
-            return Distribution(None, None, "no point was found where mu is smooth", (), False)
+            note = "no point was found where mu is smooth"
+            return Distribution(None, None, note, None, _DIGITS)
         found, told = growth.search(
             points[0], min(2, m), m, lambda dimensions: growth.is_settled(dimensions, n)
         )
@@ -86,7 +78,8 @@ def examine(
     hidden = n - general[-1] if settled else 0
     if hidden > len(alone):
         named.append(f"{hidden} of the constraints together" if hidden < m else "all together")
-    return Distribution(here, general, note, tuple(named), proved)
+    integrable = general[-1] == n - m if settled or general[-1] > n - m else None
+    return Distribution(here, general, note, integrable, _DIGITS, tuple(named), proved)
 
 
 def _at(
@@ -175,7 +168,7 @@ class _Forms:
 
 
 class _Point:
-    """Brackets of mu at a point, see `growth.Source`.
+    """Brackets of mu at a point, see `growth.search`.
 
     Parameters
     ----------

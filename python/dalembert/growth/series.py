@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 from sympy.logic.boolalg import BooleanAtom
 
-from ._lib import Array
+from .._lib import Array
 
 __all__ = ["BITS", "NotAnalytic", "Tape", "fixed", "real"]
 
@@ -70,7 +70,7 @@ class Tape:
     Examples
     --------
     >>> import sympy
-    >>> from dalembert.taylor import Tape, fixed, real
+    >>> from dalembert.growth.series import Tape, fixed, real
     >>> x = sympy.Symbol("x", real=True)
     >>> import numpy as np
     >>> line = np.array([[0], [fixed(1)], [0], [0]], dtype=object)

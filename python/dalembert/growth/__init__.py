@@ -1,0 +1,65 @@
+"""The growth vector of D, and whether D is integrable: the one place that decides.
+
+By expressions where there are any and SymPy is installed, with 77 digits and proofs (`algebra`);
+else by the functions of the system, as far as their 16 digits go (`functions`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING
+
+from .. import extras
+from .._lib import Array
+from . import functions
+from .search import Distribution, is_settled
+
+if TYPE_CHECKING:
+    from ..model import Model
+    from ..system import System
+
+__all__ = ["Distribution", "examine", "is_settled"]
+
+
+def examine(system: System, near: Array, q: Array | None = None) -> Distribution:
+    """Return what can be said of D.
+
+    Parameters
+    ----------
+    system : System
+        With linear constraints, at least one.
+    near : ndarray, shape (n,)
+        Some point where mu is defined.
+    q : ndarray, shape (n,), optional
+        Where the growth vector is wanted; default: at a general point.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> from dalembert import growth
+    >>> disk = dal.systems.disk()
+    >>> found = growth.examine(disk, disk.q0)
+    >>> found.growth, found.integrable, found.exact
+    ((2, 3, 4), False, True)
+    """
+    model = _model(system, near)
+    if model is None:
+        return functions.examine(system, near, q)
+    from . import algebra
+
+    return algebra.examine(model, system.parameters, near, q)
+
+
+def _model(system: System, near: Array) -> Model | None:
+    """Return the expressions of a system, or those of its formulas if they say what it is."""
+    if system._symbolic is not None:
+        return system._symbolic.model
+    if not system.formulas or not extras.is_there("sympy"):
+        return None
+    from .. import expressions
+
+    with contextlib.suppress(ValueError):  # formulas may be for readers only
+        model = expressions.model(system)
+        if expressions.agree(model, system, near):
+            return model
+    return None
