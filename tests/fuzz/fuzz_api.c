@@ -471,6 +471,12 @@ static double step_size(world *w)
     return next_below(&w->t, 8) == 7 ? next_number(&w->t) : next_ordinary(&w->t) / 8.0;
 }
 
+/* In [0, 1] but for one in eight. */
+static double beta(world *w)
+{
+    return next_below(&w->t, 8) == 7 ? next_number(&w->t) : next_below(&w->t, 9) / 8.0;
+}
+
 static size_t *done(world *w)
 {
     w->done = 0;
@@ -541,7 +547,7 @@ static int call_mechanics(world *w)
         return CALL(dal_consistent, a, keep, changed(w), out(w, 1));
     }
     case 12:
-        return CALL(dal_step_equations, a, t, next_number(&w->t), step_size(w), state(w), in(w, n),
+        return CALL(dal_step_equations, a, t, beta(w), step_size(w), state(w), in(w, n),
                     in(w, m), out(w, n), out(w, m), out(w, n * n), out(w, m * n), out(w, m * n));
     default: {
         const size_t count = some(w);
@@ -578,15 +584,18 @@ static int call_chart(world *w)
     case 11: return CALL(dal_chart_multipliers, a, state(w), in(w, m), out(w, m));
     case 12: return CALL(dal_chart_multipliers_back, a, state(w), in(w, m), out(w, m));
     case 13:
-        return CALL(dal_chart_step, a, t, next_number(&w->t), step_size(w), moved(w, xi),
-                    out(w, m));
+        return CALL(dal_chart_step, a, t, beta(w), step_size(w), moved(w, xi), out(w, m));
     case 14:
         return CALL(dal_chart_curve, a, state(w), state(w), next_number(&w->t), changed(w));
     default: {
         const size_t given = some(w), count = some(w);
-        return CALL(dal_chart_interpolate, a, t, step_size(w), step_size(w), given,
-                    in(w, given * 2 * n), count, in(w, count), rows(w, count, 2 * n, 0), &changes,
-                    done(w));
+        const double h = step_size(w), length = h * ((double)given - 1.0);
+        double *const times = keep_buffer(w, count, true, false);
+        for (size_t i = 0; i < count; i++)
+            times[i] = t + length * beta(w);
+        remember(w);
+        return CALL(dal_chart_interpolate, a, t, h, step_size(w), given, in(w, given * 2 * n), count,
+                    times, rows(w, count, 2 * n, 0), &changes, done(w));
     }
     }
 }
@@ -630,7 +639,7 @@ static int call_flow(world *w)
 
 static dal_difference_map a_map(world *w)
 {
-    dal_difference_map map = {.beta = fabs(next_ordinary(&w->t)) / 8.0};
+    dal_difference_map map = {.beta = beta(w)};
     if (next_below(&w->t, 4) == 3) {
         map.map = own_map;
         map.ctx = &w->r;
@@ -703,12 +712,11 @@ static int choose_scheme(world *w, dal_scheme *scheme)
     const size_t count = next_below(&w->t, DAL_LENGTH(w->substeps) + 1);
     double rest = 1.0;
     for (size_t k = 0; k < count; k++) {
-        w->substeps[k].beta = next_below(&w->t, 8) == 7 ? next_number(&w->t)
-                                                        : next_below(&w->t, 5) / 4.0;
+        w->substeps[k].beta = beta(w);
         w->substeps[k].fraction = k + 1 == count ? rest : next_ordinary(&w->t) / 4.0;
         rest -= w->substeps[k].fraction;
     }
-    *scheme = (dal_scheme){.name = "own", .beta = fabs(next_number(&w->t)), .count = count,
+    *scheme = (dal_scheme){.name = "own", .beta = beta(w), .count = count,
                            .substeps = w->substeps, .nodes = (dal_nodes)next_below(&w->t, 3),
                            .order = (int)next_below(&w->t, 4)};
     return DAL_SUCCESS;
