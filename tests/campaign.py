@@ -219,6 +219,10 @@ class At:
         return value, (weight * along_a) @ A + (weight * along_w) @ W
 
 
+class TooLong(Exception):
+    """The library has called a function too often: nothing is learnt from such a case."""
+
+
 class Mechanism:
     """L = v^T M v / 2 + terms, constraints phi and a force f, all of z = (q, v, t)."""
 
@@ -229,6 +233,7 @@ class Mechanism:
         self.kind = "linear"
         self.constant_mass, self.forced, self.smooth, self.steady = True, False, True, False
         self.timed = False
+        self.calls = 0
 
     def freeze(self) -> Mechanism:
         for terms in (self.lagrangian, self.phi, self.force):
@@ -282,7 +287,10 @@ class Mechanism:
         return y[:n], y[n:]
 
     def library(self, full: bool) -> Any:
-        """Return the system of the library, of Python functions; not full: without Hessians."""
+        """Return the system of the library, of Python functions; not full: without Hessians.
+
+        They raise TooLong when they have been called more often than `calls` says.
+        """
         n, m, L, phi = self.n, self.m, self.lagrangian, self.phi
         zero = np.zeros(n)
         given: dict[str, Any] = {"m": m, "n": n}
@@ -328,7 +336,19 @@ class Mechanism:
             given["force"] = lambda t, q, v: self.force.at(self.z(q, v, t)).value()
             given["force_q"] = lambda t, q, v: self.force.at(self.z(q, v, t)).jacobian()[:, :n]
             given["force_v"] = lambda t, q, v: self.force.at(self.z(q, v, t)).jacobian()[:, n:-1]
+        for key, function in given.items():
+            if callable(function):
+                given[key] = self.counted(function)
         return dal.System(**given, steady=self.steady)
+
+    def counted(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        def count(*arguments: Any) -> Any:
+            self.calls -= 1
+            if self.calls < 0:
+                raise TooLong
+            return function(*arguments)
+
+        return count
 
     def formulas(self) -> tuple[Any, dict[str, Any]]:
         """Return what `System.from_sympy` takes."""
@@ -384,7 +404,7 @@ class Case:
 
 
 STRUCTURES = ("dense", "sparse", "one-term", "chain", "cyclic", "steady", "blades", "dependent")
-MASSES = ("scalar", "diagonal", "dense-mass", "decades", "general")
+MASSES = ("scalar", "diagonal", "dense-mass", "banded", "decades", "general")
 
 
 def make(seed: int, index: int) -> Case:
@@ -423,11 +443,14 @@ def attempt(rng: Any, name: str) -> Case | None:
     if steady:
         kind = mech.kind = "linear"
         tags -= {"affine", "nonlinear"}
-        mech.steady, mass = mass != "general", "diagonal" if mass == "dense-mass" else mass
+        mech.steady, mass = mass != "general", "diagonal" if mass in ("dense-mass", "banded") else mass
 
     # the mass
     size = 10 ** rng.uniform(-3, 3, n) if mass == "decades" else rng.uniform(0.5, 2, n)
     mech.M = np.diag(np.full(n, size[0]) if mass == "scalar" else size)
+    if mass == "banded":
+        off = float(rng.choice([0.04, 0.3, 0.6])) * np.eye(n, k=1)
+        mech.M = 1.26 * np.eye(n) + off + off.T
     if mass in ("dense-mass", "general"):
         X = rng.normal(size=(n, n))
         mech.M = np.linalg.multi_dot([X, np.diag(10 ** rng.uniform(-1.5, 0, n)), X.T]) + 0.1 * np.eye(n)
@@ -527,7 +550,7 @@ def attempt(rng: Any, name: str) -> Case | None:
     steps = int(min(10 ** rng.uniform(0, math.log10(most)), max(1, 40 / abs(h))))
     case = Case(name, tags, mech, scheme, q0, v0, h * float(tau), steps, unit=float(tau))
     if scheme.is_reference:
-        case.steps = min(steps, 5, 1 + int(1 / abs(h)))
+        case.steps, case.h = min(steps, 5), math.copysign(min(abs(h), 0.5), h) * float(tau)
     if mech.timed:
         case.t0 = float(rng.choice([0.0, rng.normal() * 10])) * float(tau)
     if scheme.nodes == "kept":
@@ -548,6 +571,8 @@ def forms(rng: Any, mech: Mechanism, structure: str, movers: int, chance: Any) -
     """Add the linear part of the constraints; none of its terms has a velocity after movers."""
     n, m, phi = mech.n, mech.m, mech.phi
     constant = chance(0.25, "constant-forms")
+    link = rng.choice([(0.5, 1, 0.1), (1, 10, 1), (1, -0.9, 1e-3)])
+    noise = rng.choice([0.0, 0.05, 0.7])
 
     def entry(a: int, i: int, c: float, vary: float) -> None:
         phi.add({a: c}, w={n + i: 1.0}, G="x")
@@ -576,9 +601,9 @@ def forms(rng: Any, mech: Mechanism, structure: str, movers: int, chance: Any) -
         elif structure in ("chain", "cyclic"):
             stride = 2 if 2 * m < movers else 1
             ring = m if structure == "cyclic" else movers
-            for i, c in enumerate(rng.choice([(0.5, 1, 0.1), (1, 10, 1), (1, -0.9, 1e-3)])):
+            for i, c in enumerate(link):
                 j = (a * stride + i) % (movers if stride == 2 else max(ring, 2))
-                entry(a, min(j, movers - 1), c * rng.choice([1.0, rng.uniform(0.5, 2)]), 0.3)
+                entry(a, min(j, movers - 1), c * (1 + noise * rng.uniform(-1, 1)), 0.3)
         elif structure in ("steady", "blades") and n > 2:
             i, j = (int(x) for x in rng.choice(max(2, movers - (movers == n)), 2, replace=False))
             shift = float(rng.choice([0.0, rng.normal()]))
@@ -707,13 +732,18 @@ class Substep:
             at = self.newton(self.y + size * slope, (done + size) * self.h)
             if at is None or at[1] != sign:
                 size /= 2
-                if size < 1e-4:
+                if size < 1e-7:
                     return done
                 continue
             self.moderate = size == 1.0
             before = self.y, done
             self.y, done, size = at[0], done + size, min(2 * size, most)
         return 1.0
+
+    def is_fold(self) -> bool:
+        """Return whether the Jacobian is about singular where the solution was lost."""
+        J = self.evaluate(self.column * self.y, self.reached * self.h)[1]
+        return not np.linalg.cond(J) < 1e3
 
     def solve(self, most: float) -> bool:
         """Solve to 50 digits; False if the solution ends before h, or the step is ill posed."""
@@ -815,7 +845,7 @@ def exact_step(case: Case, t: Any, x: Any, most: float = 1.0) -> Step | str:
     for beta, fraction in case.scheme.substeps:
         step = Substep(mech, beta, h * mpf(fraction), t, q, v)
         if not step.solve(most):
-            if step.reached < 1.0:
+            if step.reached < 1.0 and step.is_fold():
                 return f"the solution ends at {step.reached:.4g} of a sub-step of {step.h:.3g}"
             return "ill posed"
         parts.append(step.limit())
@@ -935,6 +965,7 @@ class Trial:
     def judge(self) -> list[Finding]:
         """Run the case and look for all that can be wrong with it."""
         case = self.case
+        self.mech.calls = 100_000
         self.run = self.integrate()
         if self.run is not None and not case.scheme.is_reference:
             bound_kept = self.check_bound()
@@ -956,7 +987,8 @@ class Trial:
         return self.findings
 
     def found(self, what: str, text: str) -> None:
-        if what == "alarm" or not self.told:
+        """Take note, unless what is wrong was told by a warning or an exception."""
+        if what == "alarm" or not (self.told or self.error):
             self.findings.append(Finding(what, text))
 
     def forms(self, q: Any, v: Any) -> tuple[Any, Any]:
@@ -979,7 +1011,7 @@ class Trial:
         if mech.m == 0:
             return kept
         shift = (1 - case.scheme.substeps[0][0]) * case.h if case.scheme.nodes == "kept" else 0.0
-        worst, where = 0.0, 0
+        worst, where, rounding = 0.0, 0, np.zeros(mech.m)
         for k, (q, v) in enumerate(zip(run.q, run.v, strict=True)):
             if k == 0 and shift:
                 continue
@@ -992,18 +1024,21 @@ class Trial:
             d = np.sqrt(np.diag(np.linalg.inv(M * np.outer(*2 * [1 / np.sqrt(np.diag(M))]))))
             d = d / np.sqrt(np.diag(M))
             size = abs(mu) @ d
-            residual = abs(vector(mu).dot(vector(v)) + rest)
-            extra = abs(rest.astype(float))
+            residual, extra = abs(mu @ v + rest.astype(float)), abs(rest.astype(float))
+            if (residual > limit / 4 * (size * math.sqrt(v @ M @ v) + extra)).any():
+                residual = abs(vector(mu).dot(vector(v)) + rest)
+            if mech.kind == "nonlinear":  # phi itself is rounded by the user's function
+                rounding = 4 * U * mech.phi.at(mech.z(q, v)).sizes()[0]
             for a in range(mech.m):
                 s = size[a] * math.sqrt(v @ M @ v) + extra[a]
-                if residual[a] > limit * s:
+                if residual[a] > limit * s + rounding[a]:
                     kept = False
                     self.found("bound", f"state {k}, form {a}: {float(residual[a] / s) / limit:.3g}"
                                f" times the bound {limit:.2g}; told {run.stats.worst_residual:.2g}")
                     return kept
                 s = size[a] * (abs(v) / d).max() + extra[a]
-                if k and s and float(residual[a]) / s > worst:
-                    worst, where = float(residual[a]) / s, k
+                if k and s and float(residual[a] - rounding[a]) / s > worst:
+                    worst, where = float(residual[a] - rounding[a]) / s, k
         if worst > run.stats.worst_residual * (1 + 1e-6) + n * U:
             self.found("bound", f"state {where}: residual {worst:.3g}, stats.worst_residual tells "
                        f"{run.stats.worst_residual:.3g}")  # fmt: skip
@@ -1200,7 +1235,12 @@ def main() -> int:
                 break
             for tag in case.tags:
                 made[tag] += 1
-            for finding in Trial(case).judge():
+            try:
+                findings = Trial(case).judge()
+            except TooLong:
+                made["too-long"] += 1
+                continue
+            for finding in findings:
                 count = alarms if finding.what == "alarm" else silent
                 count[finding.what if count is silent else finding.text.split(":")[0]] += 1
                 tqdm.write(f"{finding.what.upper()}: {finding.text}\n{case}\n")
