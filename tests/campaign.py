@@ -217,9 +217,13 @@ class Trial:
         size = np.max(abs(np.concatenate([acceleration, exact]) / column))
         spread_of = np.max([abs(value - exact) for value in values], axis=0) / 1e-9
         limit = 100 * U * (condition * size * column[mech.n :] + spread_of)
-        off = abs(run.multipliers[k] - exact)
+        try:
+            told = run.multipliers[k]
+        except dal.DalembertError:  # a state of this run is so large that a function overflows
+            return
+        off = abs(told - exact)
         for a in np.flatnonzero(~(off <= limit))[: int(condition < 1e13)]:
-            self.found("reaction", f"multiplier {a} at state {k} is {run.multipliers[k, a]:.17g}, "
+            self.found("reaction", f"multiplier {a} at state {k} is {told[a]:.17g}, "
                        f"expected {float(exact[a]):.17g}, limit {float(limit[a]):.2g}")
 
     def check_reference(self) -> None:
@@ -252,23 +256,23 @@ class Trial:
         case.q0, case.v0 = x0[:n], x0[n:]
         d = 1 / np.sqrt(np.diag(mech.metric(case.q0)))
         errors: list[tuple[float, float]] = []
+        scale = 0.0
         for j in range(10):
             h = case.unit * (0.5 if p > 2 else 0.1) / 2**j
             run = self.integrate(h=h, steps=1, consistent="assume")
             exact = flow(mech, case.t0, x0, case.t0 + h) if run is not None else None
             if self.error is not None or exact is None:
                 continue
-            scale = float(max(abs(exact[0][n:] / d).max(), 1e-300))
-            size = max(scale, float(abs(x0[:n] / d).max()) / case.unit)
-            off = abs(run.x[1] - exact[0])
-            error = float(max((off[:n] / d).max() / case.unit, (off[n:] / d).max())) / scale
-            if error < 2000 * U * size / scale * max(1.0, len(case.scheme.substeps) / 4):
+            units = np.concatenate([d * case.unit, d])
+            scale = scale or float(max(abs(x / units).max() for x in (x0, exact[0])))
+            error = float(max(abs(run.x[1] - exact[0]) / units)) / scale
+            if error < 2000 * U * max(1.0, len(case.scheme.substeps) / 4):
                 break
             errors.append((h, error))
         self.error = None
         pairs = [(a, b) for a, b in itertools.pairwise(errors) if a[0] == 2 * b[0]]
         slopes = [math.log2(a[1] / b[1]) for a, b in pairs]
-        settled = len(slopes) >= 3 and np.ptp(slopes[-3:]) < 0.15
+        settled = len(slopes) >= 3 and np.ptp(slopes[-3:]) < 0.05
         if settled and max(slopes[-2:]) < p + 0.8:
             self.found("order", f"slopes {[round(s, 2) for s in slopes]}, promised {p + 1}; errors "
                        f"{[f'{e:.2g}' for _, e in errors]}")  # fmt: skip
