@@ -32,6 +32,7 @@ class Substep:
         self.row, self.column = scales(M, mu)
         self.speed = abs(self.v / self.column[: mech.n]).max()
         self.moderate = False
+        self.y: Any = None
 
     def evaluate(self, y: Any, h: float) -> tuple[Any, Any]:
         """Return (R1, R2) and their Jacobian by y = (w, kappa), scaled; at a step h."""
@@ -105,6 +106,8 @@ class Substep:
 
     def is_fold(self) -> bool:
         """Return whether the Jacobian is about singular where the solution was lost."""
+        if self.y is None:
+            return False
         J = self.evaluate(self.column * self.y, self.reached * self.h)[1]
         return not np.linalg.cond(J) < 1e3
 
