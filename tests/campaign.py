@@ -78,7 +78,7 @@ class Trial:
     def judge(self) -> list[tuple[str, str]]:
         """Run the case and look for all that can be wrong with it."""
         case = self.case
-        self.mech.calls = 100_000
+        self.mech.calls = 40_000
         self.run = self.integrate()
         if self.run is not None and not case.scheme.is_reference:
             about_D = [text for text in self.told if "constraint is kept" in text]
