@@ -59,7 +59,7 @@ static bool compare_with_hand_loop(void)
     bench_report("library, constant (n, m)", 1e9 * with_constants, "ns");
     bench_report("library, run-time sizes", 1e9 * with_run_time, "ns");
     bool kept = bench_at_most("constant (n, m) / by hand", with_constants / hand, 4.5);
-    kept &= bench_at_most("run-time sizes / by hand", with_run_time / hand, 8.0);
+    kept &= bench_at_most("run-time sizes / by hand", with_run_time / hand, 9.5);
     /* 1000 steps, roundoff 1e-16 each in numbers of size 10 */
     kept &= bench_at_most("difference of the states after 1000 steps / 1e-12",
                           1e12 * difference(constant, def, h, 1000), 1.0);
@@ -74,7 +74,7 @@ static bool count_evaluations(void)
     static const double h[] = {0.01, 0.001};
     const size_t steps = 10000;
     bool kept = true;
-    printf("evaluations of the constraint a step, midpoint, V = 0\n");
+    printf("evaluations of the constraint a step, midpoint, V = 0: one more where not steady\n");
     for (int i = 0; i < BENCH_SYSTEMS; i++) {
         dal_system *system;
         bench_require(dal_system_new(&system, &bench_systems[i], NULL), "dal_system_new");
@@ -86,7 +86,8 @@ static bool count_evaluations(void)
             bench_require(dal_advance(stepper, steps, NULL, NULL), "dal_advance");
             dal_stepper_stats(stepper, &stats);
             snprintf(what, sizeof what, "%s, h = %g", bench_systems[i].name, h[j]);
-            kept &= bench_at_most(what, (double)stats.constraint_calls / (double)steps, 2.2);
+            kept &= bench_at_most(what, (double)stats.constraint_calls / (double)steps,
+                                   bench_systems[i].steady ? 2.2 : 3.2);
         }
         dal_stepper_free(stepper);
         dal_system_free(system);

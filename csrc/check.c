@@ -398,12 +398,12 @@ static int examine_mass(examination *ex)
     const int status = dal__lagrangian(&ex->mech.eval, ex->q, ex->v, &wanted, &ex->mech.error);
     if (status) return status;
     memcpy(L, ex->hessian, n * n * sizeof *L);
-    const bool definite = dal__cholesky(n, L, NULL, NULL); /* always, of constant mass */
+    const bool definite = dal__cholesky(n, L, ex->squares, NULL, NULL); /* always, of constant mass */
     if (!definite) { /* no eigenvalue is larger than n times the largest entry */
         ex->lift = 2.0 * (double)n * fmax(dal__largest(n * n, ex->hessian), DBL_MIN);
         memcpy(L, ex->hessian, n * n * sizeof *L);
         for (size_t i = 0; i < n; i++) L[i * n + i] += ex->lift;
-        dal__cholesky(n, L, NULL, NULL);
+        dal__cholesky(n, L, ex->squares, NULL, NULL);
     }
     memcpy(ex->rows, L, n * n * sizeof *ex->rows);
     ex->found.mass_min = smallest_eigenvalue(ex, n, ex->rows) - ex->lift;
@@ -588,11 +588,13 @@ static int examine_constraint(examination *ex)
     int status = examine_phi(ex);
     if (!status) status = examine_linearity(ex);
     if (!status) status = examine_rank(ex);
-    if (!status) status = dal_relative_residual(&ex->mech, 0.0, ex->x, &found->residual);
+    bool consistent = true;
+    if (!status && found->mass_min > 0.0) /* else there is no metric to measure in */
+        status = dal__lies_in_D(&ex->mech, 0.0, ex->x, &found->residual, &consistent);
     if (!status && linear && found->rank == ex->m) status = examine_involutivity(ex);
-    if (!status && !(found->residual <= DAL_CONSISTENT))
-        complain(found, "(q, v) is not in D: %s is %.3g of the sum of its terms, more than %g",
-                 linear ? "|mu v|" : "|phi|", found->residual, DAL_CONSISTENT);
+    if (!status && !consistent)
+        complain(found, "(q, v) is not in D: the residual is %.3g, more than roundoff and %g of the "
+                 "terms of %s", found->residual, DAL_CONSISTENT, linear ? "mu v" : "phi");
     return status;
 }
 

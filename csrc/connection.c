@@ -21,7 +21,7 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     double **const vectors[] = {&chart->w, &chart->R1, &chart->step};
     double **const multipliers[] = {&chart->branch, &chart->right, &chart->solution, &chart->R2,
                                     &chart->kappa, &chart->kept_branch};
-    double **const squares[] = {&chart->K, &chart->K_scale, &chart->G, &chart->G_scale};
+    double **const squares[] = {&chart->K, &chart->G, &chart->G_scale};
     double **const forms[] = {&chart->A, &chart->tableau, &chart->slope};
     dal__mechanics_reserve(&chart->mech, system, a);
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
@@ -30,6 +30,8 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
     dal__reserve(a, &chart->B, mm, sizeof(double));
     dal__reserve(a, &chart->B_scale, mm, sizeof(double));
+    dal__reserve(a, &chart->B_sizes, dal__times(5, m), sizeof(double));
+    dal__reserve(a, &chart->G_sizes, dal__times(5, n), sizeof(double));
     dal__reserve(a, &chart->x, dal__times(2, n), sizeof(double));
     dal__reserve(a, &chart->y, dal__times(2, n), sizeof(double));
     dal__reserve(a, &chart->first, dal__times(3, n), sizeof(double));
@@ -132,13 +134,12 @@ static int factor_B(dal_chart *chart, const double *mu, bool transposed)
             chart->B[to] = mu[a * n + chart->place[b]];
             chart->B_scale[to] = fabs(chart->B[to]);
         }
-    dal__equilibrate(m, chart->B_scale, chart->right);
-    if (dal_lu_factor(m, n, chart->B, chart->B_scale, chart->row)) return DAL_SUCCESS;
+    dal__sizes(m, chart->B_scale, chart->B_sizes);
+    if (dal_lu_factor(m, chart->B, chart->B_sizes, chart->row)) return DAL_SUCCESS;
     char names[128];
     write_names(chart, chart->place, m, sizeof names, names);
     return dal__fail(&chart->mech.error, DAL_ESINGULAR, "the columns of mu that belong to the "
-                     "dependent coordinates %s form a singular matrix (pivot %zu of %zu)", names,
-                     chart->row[0], m);
+                     "dependent coordinates %s form a singular matrix", names);
 }
 
 /* mu at (q, v), phi_q if wanted, and B factored. */
@@ -414,6 +415,8 @@ int dal__chart_lift(dal_chart *chart, const double *xi, double *x)
     for (int iteration = 0;; iteration++) {
         int status = evaluate_phi(chart, x, iteration > 0);
         if (status) return status;
+        if (iteration == 1 || newton) status = dal__form_metric(&chart->mech, x, v);
+        if (status) return status;
         if (iteration > 0 || newton) {
             const double relative = dal__relative_residual(&chart->mech, chart->mech.mu,
                                                            chart->mech.phi, v);
@@ -587,7 +590,7 @@ static int newton_step(dal_chart *chart)
     const size_t n = chart->n, m = chart->m, free = n - m;
     const size_t *const place = chart->place + m;
     int status = dal__step_at(mech, chart->w, chart->kappa, chart->R1, chart->R2, chart->K,
-                              chart->K_scale, chart->slope);
+                              NULL, chart->slope);
     if (!status) status = factor_B(chart, mech->muk, true);
     if (status) return status;
     match_dependent(chart, chart->R1, 1);
@@ -598,7 +601,7 @@ static int newton_step(dal_chart *chart)
     for (size_t k = 0; k < n; k++) {
         match_dependent(chart, chart->K + k, n);
         for (size_t j = 0; j < free; j++) {
-            double sum = chart->K[place[j] * n + k], scale = chart->K_scale[place[j] * n + k];
+            double sum = chart->K[place[j] * n + k], scale = fabs(sum);
             for (size_t a = 0; a < m; a++) {
                 const double term = mech->muk[a * n + place[j]] * chart->solution[a];
                 sum -= term;
@@ -612,10 +615,10 @@ static int newton_step(dal_chart *chart)
             chart->G_scale[(free + a) * n + k] = fabs(chart->slope[a * n + k]);
         }
     }
-    dal__equilibrate(n, chart->G_scale, chart->y);
+    dal__sizes(n, chart->G_scale, chart->G_sizes);
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
-    if (!dal_lu_factor(n, m + 1, chart->G, chart->G_scale, chart->G_row))
+    if (!dal_lu_factor(n, chart->G, chart->G_sizes, chart->G_row))
         return dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these "
                          "coordinates are singular: the constraints lose rank, or h = %g is too "
                          "large here", mech->start.h);
@@ -627,22 +630,24 @@ static int solve_step(dal_chart *chart)
 {
     enum { MOST = 50 };
     const size_t n = chart->n;
-    dal__progress p = {.last = (double)INFINITY, .lagging = true}; /* kappa */
+    dal__progress p = {.lagging = true}; /* kappa */
     memcpy(chart->w, chart->mech.start.v, n * sizeof *chart->w);
     memset(chart->kappa, 0, chart->m * sizeof *chart->kappa);
     for (p.iteration = 1;; p.iteration++) {
         const int status = newton_step(chart);
         if (status) return status;
         for (size_t i = 0; i < n; i++) chart->w[i] += chart->step[i];
-        p.size = dal__sum_of_sizes(n, chart->step);
         p.scale = dal__sum_of_sizes(n, chart->w) + dal__step_base(&chart->mech);
         p.extent = dal__sum_of_sizes(n, chart->mech.q);
-        if (dal__newton_is_done(&p)) return DAL_SUCCESS;
-        if (p.iteration == MOST || !(p.size <= DBL_MAX))
+        const dal__verdict verdict = dal__newton_judge(&p, dal__sum_of_sizes(n, chart->step));
+        if (verdict == DAL__DONE) return DAL_SUCCESS;
+        if (verdict == DAL__LOST && p.size <= DBL_MAX)
+            return dal__fail(&chart->mech.error, DAL_ENOCONV, DAL__LOST_TEXT, p.travelled, p.first,
+                             p.scale);
+        if (p.iteration == MOST || verdict == DAL__LOST)
             return dal__fail(&chart->mech.error, DAL_ENOCONV, "Newton did not converge in %d "
                              "iterations: last change %.3g of %.3g; try a smaller h", p.iteration,
                              p.size, p.scale);
-        p.last = p.size;
     }
 }
 

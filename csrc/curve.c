@@ -138,8 +138,10 @@ static int move_to_node(dal_chart *chart, double shift)
     for (size_t i = 0; i < n; i++) q[i] += shift * v[i];
     for (int pass = 1; shift != 0.0; pass++) {
         for (size_t i = 0; i < n; i++) chart->y[i] = q[i] - shift * v[i];
-        const int status = dal__constraint(&mech->eval, chart->y, v, mech->phi, mech->mu, NULL,
-                                           &mech->error);
+        int status = dal__form_metric(mech, chart->y, v);
+        if (!status)
+            status = dal__constraint(&mech->eval, chart->y, v, mech->phi, mech->mu, NULL,
+                                     &mech->error);
         if (status) return status;
         const double relative = dal__relative_residual(mech, mech->mu, mech->phi, v);
         if (relative <= 2.0 * (double)n * DAL_ROUNDOFF || pass > MENDS) break;

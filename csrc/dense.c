@@ -1,5 +1,6 @@
 /* Floor 1: small dense linear algebra. */
 #include "internal.h"
+#include "lu.h"
 
 #include <math.h>
 
@@ -38,17 +39,31 @@ void dal__apply(size_t rows, size_t columns, const double *A, const double *x, d
     }
 }
 
-bool dal__cholesky(size_t n, double *A, size_t *row, double *pivot)
+/* inverse[n] <- the diagonal of A^-1 = L^-T L^-1: entry j is the square of column j of L^-1, which
+ * stands in the entries that are not yet known. */
+static void invert_diagonal(size_t n, const double *L, double *inverse)
 {
     for (size_t j = 0; j < n; j++) {
-        const double diagonal = A[j * n + j];
-        double d = diagonal;
-        for (size_t k = 0; k < j; k++) d -= A[j * n + k] * A[j * n + k];
-        if (!(d > 8.0 * (double)n * DAL_ROUNDOFF * diagonal)) {
-            if (row) *row = j;
-            if (pivot) *pivot = d;
-            return false;
+        double square = 0.0;
+        for (size_t i = j; i < n; i++) {
+            double sum = i == j ? 1.0 : 0.0;
+            for (size_t k = j; k < i; k++) sum -= L[i * n + k] * inverse[k];
+            inverse[i] = sum / L[i * n + i];
+            square += inverse[i] * inverse[i];
         }
+        inverse[j] = square;
+    }
+}
+
+bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pivot)
+{
+    double trace = 0.0, most = 0.0; /* of the inverse of A scaled to a unit diagonal */
+    for (size_t j = 0; j < n; j++) {
+        double d = A[j * n + j];
+        for (size_t k = 0; k < j; k++) d -= A[j * n + k] * A[j * n + k];
+        if (row) *row = j;
+        if (pivot) *pivot = d;
+        if (!(d > 0.0 && d <= DBL_MAX)) return false;
         const double root = sqrt(d);
         A[j * n + j] = root;
         for (size_t i = j + 1; i < n; i++) {
@@ -58,7 +73,16 @@ bool dal__cholesky(size_t n, double *A, size_t *row, double *pivot)
             A[j * n + i] = 0.0;
         }
     }
-    return true;
+    invert_diagonal(n, A, inverse);
+    for (size_t j = 0; j < n; j++) {
+        const double entry = inverse[j] * dal__dot(j + 1, A + j * n, A + j * n);
+        trace += entry;
+        if (entry < most) continue;
+        most = entry; /* the pivot of j if it came last would be the smallest */
+        if (row) *row = j;
+        if (pivot) *pivot = 1.0 / inverse[j];
+    }
+    return (double)n * trace <= DAL_LU_CONDITION;
 }
 
 void dal__cholesky_solve(size_t n, const double *factor, double *x)
@@ -104,16 +128,35 @@ double dal__singular_values(size_t count, size_t n, double *A, double *squares)
     return unit;
 }
 
-void dal__equilibrate(size_t count, double *scale, double *unit)
+/* size[count] of the rows (or columns) so that with other[count] of the other side their largest
+ * entry is 1, or, where mean, 1 is the geometric mean of those above small. */
+static void balance(size_t count, const double *scale, bool rows, bool mean, double *size,
+                    const double *other)
 {
+    const double small = 1e-8; /* what is smaller may be roundoff, and has no size */
     for (size_t k = 0; k < count; k++) {
-        unit[k] = 0.0;
-        for (size_t i = 0; i < count; i++) unit[k] = fmax(unit[k], scale[i * count + k]);
+        double most = 0.0, sum = 0.0;
+        size_t entries = 0;
+        for (size_t l = 0; l < count; l++) {
+            const double entry = rows ? scale[k * count + l] : scale[l * count + k];
+            if (entry > most * other[l]) most = entry / other[l];
+            if (!mean || !(entry > small * size[k] * other[l])) continue;
+            sum += log2(entry / other[l]);
+            entries++;
+        }
+        size[k] = entries > 0 ? exp2(sum / (double)entries) : most;
     }
-    for (size_t i = 0; i < count; i++) {
-        double most = 0.0;
-        for (size_t k = 0; k < count; k++)
-            if (unit[k] > 0.0) most = fmax(most, scale[i * count + k] / unit[k]);
-        for (size_t k = 0; k < count; k++) scale[i * count + k] = most * unit[k];
+}
+
+/* The mean, in turns, is that of A. R. Curtis and J. K. Reid (J. Inst. Maths Applics 10, 1972): it
+ * follows when rows and columns are rescaled, where the largest entries depend on who comes first. */
+void dal__sizes(size_t count, const double *scale, double *sizes)
+{
+    enum { LARGEST = 2, SWEEPS = 8 };
+    double *const rows = sizes, *const columns = sizes + count;
+    for (size_t k = 0; k < 2 * count; k++) sizes[k] = 1.0;
+    for (int sweep = 0; sweep < SWEEPS; sweep++) {
+        balance(count, scale, false, sweep >= LARGEST, columns, rows);
+        balance(count, scale, true, sweep >= LARGEST && sweep < SWEEPS - 1, rows, columns);
     }
 }

@@ -197,8 +197,8 @@ static void examine(dal_discrete *d, int *sign, double *logarithm, double *condi
     int s = 1;
     double l = 0.0, most = 0.0, least = HUGE_VAL;
     assemble(d, J, scale);
-    dal__equilibrate(N, scale, d->root.step);
-    const bool regular = dal_lu_factor(N, N, J, scale, row);
+    dal__sizes(N, scale, d->root.sizes);
+    const bool regular = dal_lu_factor(N, J, d->root.sizes, row);
     for (size_t k = 0; regular && k < N; k++) {
         if (J[k * N + k] < 0.0) s = -s;
         l -= log(fabs(J[k * N + k])); /* the diagonal is inverted */
@@ -273,13 +273,13 @@ int dal_discrete_step(dal_discrete *discrete, double t, double h, double *q0, do
 
 static int require_on_constraint(dal_discrete *d, const dal__pair *pair)
 {
-    const int status = dal__discrete_constraint(d, pair, false);
-    if (status) return status;
-    const double relative =
-        dal__relative_residual(&d->mech, d->phi_v, d->phi, d->constraint.f);
-    if (relative <= DAL_CONSISTENT) return DAL_SUCCESS;
+    int status = dal__discrete_constraint(d, pair, false);
+    if (!status) status = dal__form_metric(&d->mech, d->constraint.g, d->constraint.f);
+    if (status || dal__is_consistent(&d->mech, d->phi_v, d->phi, d->constraint.f)) return status;
     return dal__fail(&d->mech.error, DAL_EOFFD, "the first pair of nodes does not lie in D_d: its "
-                     "relative residual is %.3g, more than %g", relative, DAL_CONSISTENT);
+                     "residual is %.3g, more than roundoff and %g of the terms of phi_d",
+                     dal__relative_residual(&d->mech, d->phi_v, d->phi, d->constraint.f),
+                     DAL_CONSISTENT);
 }
 
 int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps, double *nodes,

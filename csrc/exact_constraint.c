@@ -39,11 +39,11 @@ static int shoot(search *s)
     if (!status) status = dal__form_metric(mech, s->x, v);
     if (status) return pass_on(s, status);
     dal__form_Z(mech, mech->mu);
-    dal__form_gram(mech, mech->mu);
-    status = dal__factor_gram(mech);
+    status = dal__factor_gram(mech, mech->mu);
     if (status) return pass_on(s, status);
     dal__apply(m, n, mech->mu, s->miss, s->defect);
-    dal_lu_solve(m, mech->C, mech->row, s->defect, mech->lambda);
+    memcpy(mech->lambda, s->defect, m * sizeof *s->defect);
+    dal__solve_gram(mech, mech->lambda);
     for (size_t a = 0; a < m; a++)
         for (size_t i = 0; i < n; i++) s->end[i] -= mech->Z[a * n + i] * mech->lambda[a];
     return DAL_SUCCESS;

@@ -2,6 +2,7 @@
  * full Newton iteration, and the residual of D evaluated at what is stored. */
 #include "internal.h"
 #include "kernel.h"
+#include "residual.h"
 
 #include <math.h>
 #include <string.h>
@@ -56,12 +57,13 @@ static int linearise(dal_kernel *k, const dal_stage *s)
             const double bend = weight * s->after * k->h * k->K[i * n + j];
             sum -= k->mass[i * n + j] * (at->w[j] - at->base[j]);
             k->K[i * n + j] = k->mass[i * n + j] + bend;
-            k->K_scale[i * n + j] = fabs(k->mass[i * n + j]) + fabs(bend);
+            if (i == j) /* the sizes of row and column, see lu.h */
+                k->K_sizes[i] = k->K_sizes[n + i] = sqrt(k->mass[i * n + i] + fabs(bend));
         }
         if (m > 0) sum += dal_kernel_column(n, m, everything.mu, at->mu_node, i, at->kappa);
         k->R[i] = sum;
     }
-    if (!dal_lu_factor(n, 2, k->K, k->K_scale, k->K_row))
+    if (!dal_lu_factor(n, k->K, k->K_sizes, k->K_row))
         return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_K);
     dal_lu_solve(n, k->K, k->K_row, k->R, k->y);
     for (size_t a = 0; a < m; a++)
@@ -77,16 +79,18 @@ static int solve(dal_kernel *k, const dal_stage *s)
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
     const double b = s->after * k->h;
-    double last = HUGE_VAL;
+    dal__progress p = {.last = HUGE_VAL, .lagging = true}; /* S is */
     int halvings = 0;
     if (!(dal_kernel_sum(m * n, at->Z) + dal_kernel_sum(n, at->base) <= DBL_MAX))
         return is_not_finite(k);
     k->stats.full_newtons++;
     memcpy(at->w, at->x + n, n * sizeof *at->w);
     memset(at->kappa, 0, m * sizeof *at->kappa);
-    for (int iteration = 1; iteration <= k->max_iterations; iteration++) {
+    for (p.iteration = 1; p.iteration <= k->max_iterations; p.iteration++) {
         int status;
-        while ((status = evaluate(k, s)) == DAL_EDOMAIN && iteration > 1 && halvings++ < HALVINGS) {
+        while ((status = evaluate(k, s)) == DAL_EDOMAIN && p.iteration > 1
+               && halvings++ < HALVINGS) {
+            dal__newton_halve(&p);
             for (size_t i = 0; i < n; i++) at->w[i] -= at->step[i] *= 0.5;
             for (size_t a = 0; a < m; a++) at->kappa[a] -= at->d[a] *= 0.5;
             k->stats.halvings++;
@@ -94,7 +98,7 @@ static int solve(dal_kernel *k, const dal_stage *s)
         if (!status) status = linearise(k, s);
         if (status) return status;
         k->stats.iterations++;
-        if (!dal_kernel_factor(n, m, everything, b, at))
+        if (!dal_kernel_factor(k, n, m, everything, b, at))
             return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_S);
         for (size_t a = 0; a < m; a++) {
             double sum = 0.0;
@@ -110,73 +114,65 @@ static int solve(dal_kernel *k, const dal_stage *s)
             at->w[i] += at->step[i];
         }
         for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
-        const double size = dal_kernel_sum(n, at->step);
-        const double scale = dal_kernel_sum(n, at->w) + dal_kernel_sum(n, at->x + n)
-                           + dal_kernel_sum(n, at->base);
-        k->failure.iterations = iteration;
-        k->failure.size = size;
-        k->failure.scale = scale;
-        if (!(size <= DBL_MAX)) break;
-        if (size <= 4.0 * DAL_KERNEL_U * scale) return DAL_SUCCESS;
-        /* far from the origin mu moves by more than that with one rounding of q */
-        const double floor = 1e-11 + 16.0 * DAL_KERNEL_U * dal_kernel_sum(n, at->point);
-        if (iteration >= 2 && size <= floor * scale && size >= last) return DAL_SUCCESS;
-        last = size;
+        p.scale = dal_kernel_sum(n, at->w) + dal_kernel_sum(n, at->x + n)
+                + dal_kernel_sum(n, at->base);
+        p.extent = dal_kernel_sum(n, at->point);
+        k->failure.iterations = p.iteration;
+        k->failure.size = dal_kernel_sum(n, at->step);
+        k->failure.scale = p.scale;
+        const dal__verdict verdict = dal__newton_judge(&p, k->failure.size);
+        k->failure.first = p.first;
+        k->failure.travelled = p.travelled;
+        if (verdict == DAL__DONE) return DAL_SUCCESS;
+        if (!(p.size <= DBL_MAX)) break;
+        if (verdict == DAL__LOST) return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_ROOT);
     }
     return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_CONVERGE);
 }
 
 /* The final correction v' <- v' - Z' C'^-1 mu(q~') v' at the stored q~', with an evaluation of its
- * own.  Works on at.stored and at.w; at.point becomes the q~' that belongs to them.  foretold: the
- * residual was predicted to be within limit.  Where it is far from it, mu has a roundoff that no
- * prediction knows of, as sin(a + b) has for large angles, and they are no longer relied on. */
-static int correct(dal_kernel *k, bool foretold)
+ * own.  Works on at.stored and at.w; at.point becomes the q~' that belongs to them.  Each pass leaves
+ * its own roundoff of what it takes away. */
+static int correct(dal_kernel *k)
 {
     enum { MOST = 4 };
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
-    const double limit = 2.0 * (double)n * DAL_KERNEL_U, shift = k->kept ? k->shift * k->h : 0.0;
-    dal_pattern here = everything; /* mu is evaluated where it is asked for */
-    here.N = 0;
-    for (int pass = 0; m > 0 && pass < MOST; pass++) {
-        bool same = pass > 0;
-        for (size_t i = 0; i < n; i++) {
-            const double q = at->stored[i] - shift * at->w[i];
-            if (q != at->point[i]) same = false;
-            at->point[i] = q;
+    const double shift = k->kept ? k->shift * k->h : 0.0;
+    const double before = dal_residual_speed(n, k->per_unit, at->w);
+    for (size_t i = 0; i < n; i++) at->point[i] = at->stored[i] - shift * at->w[i];
+    const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, NULL);
+    k->stats.corrections++;
+    if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+    if (!(dal_kernel_sum(m * n, at->mu) <= DBL_MAX)) return is_not_finite(k);
+    for (int pass = 1;; pass++) {
+        const double limit = DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0);
+        if (dal_kernel_settled(k, n, m, everything, at, limit, &k->stats.worst_residual)) break;
+        if (pass > MOST) return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
+        if (pass == 1) {
+            for (size_t a = 0; a < m; a++)
+                dal_kernel_accelerate(k, n, everything.inverse, at->mu + a * n, at->Z + a * n);
+            for (size_t a = 0; a < m; a++)
+                for (size_t c = 0; c < m; c++)
+                    at->S[a * m + c] = dal__dot(n, at->mu + a * n, at->Z + c * n);
+            if (!dal__cholesky(m, at->S, at->sizes, NULL, NULL))
+                return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
         }
-        if (!same) {
-            const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, NULL);
-            k->stats.corrections++;
-            if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-        }
-        dal_progress found;
-        double unused = 0.0;
-        const bool last = pass == MOST - 1; /* what is left then is roundoff, and is reported */
-        if (dal_kernel_settled(n, m, here, at, last ? DBL_MAX : limit, &found,
-                               &k->stats.worst_residual))
-            break;
-        if (foretold && pass == 0
-            && !dal_kernel_settled(n, m, here, at, 1.5 * limit, &found, &unused))
-            k->distrusted = true;
-        for (size_t a = 0; a < m; a++)
-            dal_kernel_accelerate(k, n, here.inverse, at->mu + a * n, at->Z + a * n);
-        if (!dal_kernel_factor(n, m, here, 0.0, at)) {
-            if (!(dal_kernel_sum(m * n, at->mu) <= DBL_MAX)) return is_not_finite(k);
-            return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
-        }
-        dal_lu_solve(m, at->S, at->row, at->r, at->d);
-        for (size_t i = 0; i < n; i++) {
-            at->w[i] += dal_kernel_column(n, m, here.Z, at->Z, i, at->d);
-            /* q~' is not changed: a kept node moves with v', and gives back the same q~' */
-            if (k->kept) at->stored[i] = at->point[i] + shift * at->w[i];
-        }
+        dal__cholesky_solve(m, at->S, at->r);
+        for (size_t i = 0; i < n; i++)
+            at->w[i] += dal_kernel_column(n, m, everything.Z, at->Z, i, at->r);
+        /* A velocity across D is zero. */
+        if (pass == MOST
+            && dal_residual_speed(n, k->per_unit, at->w) <= DAL_RESIDUAL_BOUND(n) * before)
+            memset(at->w, 0, n * sizeof *at->w);
+        /* q~' is not changed: a kept node moves with v', and gives back the same q~' */
+        for (size_t i = 0; k->kept && i < n; i++) at->stored[i] = at->point[i] + shift * at->w[i];
     }
     return dal_kernel_sum(n, at->w) + dal_kernel_sum(n, at->stored) <= DBL_MAX ? DAL_SUCCESS
                                                                                : is_not_finite(k);
 }
 
-int dal__kernel_finish(dal_kernel *k, const dal_stage *s, bool solved, bool foretold)
+int dal__kernel_finish(dal_kernel *k, const dal_stage *s, bool solved)
 {
     if (!solved) {
         const int status = solve(k, s);
@@ -185,5 +181,5 @@ int dal__kernel_finish(dal_kernel *k, const dal_stage *s, bool solved, bool fore
     }
     if (!(dal_kernel_sum(k->n, k->at.stored) + dal_kernel_sum(k->n, k->at.w) <= DBL_MAX))
         return is_not_finite(k);
-    return correct(k, foretold);
+    return k->m > 0 ? correct(k) : DAL_SUCCESS;
 }

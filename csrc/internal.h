@@ -11,7 +11,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Unit roundoff u = 2^-53, and the bound on |mu^a v| / sum_i |mu^a_i v_i| after every step. */
+/* Unit roundoff u = 2^-53, and the bound on the residual of D (residual.h) after every step. */
 #define DAL_ROUNDOFF (DBL_EPSILON / 2)
 #define DAL_RESIDUAL_BOUND(n) (4.0 * (double)(n) * DAL_ROUNDOFF)
 /* The same of initial data that are taken to be meant to lie in D. */
@@ -36,7 +36,7 @@ typedef struct arena {
     struct {
         void *slot; /* address of the pointer to set */
         size_t offset;
-    } part[96];
+    } part[128];
     size_t parts, size;
     bool overflow;
     void *block;
@@ -68,35 +68,47 @@ void dal__forget(size_t count, double *x);
 /* y[rows] = A[rows*columns] x[columns]; y may not overlap. */
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y);
 
-/* Lower Cholesky factor of the symmetric A[n*n] in place; false if it is not positive definite, and
- * then *row and *pivot (or NULL) say where. */
-bool dal__cholesky(size_t n, double *A, size_t *row, double *pivot);
+/* Lower Cholesky factor of the symmetric A[n*n] in place, and inverse[n] <- the diagonal of A^-1.
+ * False if A is not positive definite, or is so ill-conditioned when it is scaled to a unit diagonal
+ * that nothing is left of a solution: n trace(A_scaled^-1), which is not below the condition, is
+ * above DAL_LU_CONDITION.  Then *row and *pivot (or NULL) say where. */
+bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pivot);
 /* The rows of A[count*n] are rotated in pairs until they are orthogonal (one-sided Jacobi); then
  * their lengths are the singular values.  squares[count] <- their squares, for A divided by its
  * largest entry, which is returned; 0 for A = 0. */
 double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 
-/* scale[count*count] of a matrix, see lu.h, raised to what its row and its column have in common: a
- * pivot that is small beside its row, in units in which the columns are alike, would spoil the
- * others.  For matrices whose entries are not sums, where lu.h alone would not choose among pivots.
- * unit[count] is scratch. */
-void dal__equilibrate(size_t count, double *scale, double *unit);
+/* sizes[2*count] <- the sizes of rows and columns (see lu.h) of a matrix of which nothing is known
+ * but scale[count*count], the sums of the absolute values of the terms of its entries: such that in
+ * the scaled one the largest of every row is 1, and that of every column about that. */
+void dal__sizes(size_t count, const double *scale, double *sizes);
 
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
 
-/* Where Newton's iteration stands.  size: of the last step; last: of the one before.  Roundoff of
- * the unknowns is relative to scale.  extent: sum |q_i| of the point that the equations are
- * evaluated at, whose own rounding moves what depends on it. */
+/* Where Newton's iteration stands; the caller sets the first line. */
 typedef struct dal__progress {
-    int iteration; /* from 1 */
-    double size, last, scale, extent;
-    bool lagging;  /* something is wanted that is one step behind */
+    int iteration;        /* from 1 */
+    double scale, extent; /* roundoff of the unknowns is relative to scale; sum |q_i| of the point
+                             that the equations are evaluated at, whose own rounding moves them */
+    bool lagging;         /* something is wanted that is one step behind */
+    double size, last;    /* of the last step, and of the one before */
+    double first, travelled, reach; /* of the first; of all together; how far they may lead */
 } dal__progress;
 
-/* Whether the last step is roundoff; or the next one would be, if it is smaller by the same factor,
- * unless something is lagging; or the steps are small and no longer shrink. */
-bool dal__newton_is_done(const dal__progress *p);
+typedef enum dal__verdict { DAL__GOING, DAL__DONE, DAL__LOST } dal__verdict;
+
+/* After a step of size.  DONE: it is roundoff; or the next one would be, if it is smaller by the same
+ * factor, unless something is lagging; or the steps are small and no longer shrink.  LOST: not
+ * finite, or they lead farther than first / (1 - second/first), which is as far as they would if they
+ * went on to shrink as they began to.  What lies beyond may be a solution that no small h leads to. */
+dal__verdict dal__newton_judge(dal__progress *p, double size);
+/* The last step is halved. */
+void dal__newton_halve(dal__progress *p);
+/* Of what is LOST but finite: travelled, first, scale. */
+#define DAL__LOST_TEXT \
+    "Newton did not converge: its steps lead away from the start, %.3g in all where the first was " \
+    "%.3g, of %.3g; try a smaller h"
 
 /* size equations in as many unknowns z.  at: residual[size], J[size*size] its derivative and the
  * scale of the entries of J (see lu.h); a status.  The sum |dz_i| over the first measured unknowns
@@ -111,7 +123,7 @@ typedef struct dal__equations {
 
 typedef struct dal__root {
     double *z, *residual, *step; /* [size]: z the guess, then the root */
-    double *J, *scale;           /* [size*size] */
+    double *J, *scale, *sizes;   /* [size*size], [size*size], [5*size] */
     size_t *row;                 /* [size] */
     double base, extent;         /* see dal__progress */
 } dal__root;
@@ -161,6 +173,7 @@ struct dal_system {
     dal_system_def def;      /* the strings, mass and state point into the arena */
     double *mass;            /* M[n*n]; NULL for a general Lagrangian, as the next */
     double *mass_inverse;    /* M^-1[n*n] */
+    double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;           /* M is diagonal */
     size_t parameters;       /* of a built-in system */
     const char *const *parameter_names;
@@ -231,14 +244,16 @@ struct dal_mechanics {
     double *phi;                  /* [m] */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
     double *Z;                    /* [m*n]: row a is M^-1 mu^a */
-    double *C, *scale;            /* [m*m]: a matrix and the scale of its entries, see lu.h */
+    double *C, *scale, *sizes;    /* [m*m], [m*m], [5*m]: mu M^-1 mu^T, its factor; see lu.h */
     size_t *row;                  /* [m] */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
     double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
     double *L_vv, *factor;        /* [n*n]: M where it is not constant, and its Cholesky factor */
-    const double *metric;         /* [n*n] M at the last point where it was asked for */
+    double *units, *per_units;    /* [n]: where M is not constant, what the next two point to */
+    const double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h, */
+    const double *metric;         /* [n*n] and M at the last point where it was asked for */
     /* of the equations of a step */
     double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
     double *node, *muk;           /* [n], [m*n] q_k, mu_k */
@@ -268,24 +283,34 @@ int dal__form_metric(dal_mechanics *mech, const double *q, const double *v);
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
 /* Z <- the rows M^-1 mu^a. */
 void dal__form_Z(dal_mechanics *mech, const double *mu);
-/* C <- B Z^T with the scale of its entries; then its factors. */
-void dal__form_gram(dal_mechanics *mech, const double *B);
-int dal__factor_gram(dal_mechanics *mech);
-/* max_a |phi^a| / (sum_i |mu^a_i v_i| + |phi^a - mu^a v|), the last term only if not linear. */
+/* The Cholesky factor of C = mu Z^T with the Z of mu. */
+int dal__factor_gram(dal_mechanics *mech, const double *mu);
+/* y[m] <- C^-1 y. */
+void dal__solve_gram(const dal_mechanics *mech, double *y);
+/* The residual of residual.h, the largest of all a, in the units of the last dal__form_metric. */
 double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
                               const double *v);
+/* Whether v is so near to D that it is meant to lie in it: |mu^a v| <= 1e-8 sum_i |mu^a_i v_i| + 4 n
+ * u s^a, with phi and a^a where residual.h has them. */
+bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
+                        const double *v);
+/* Both, of x[2n] and the D or D_eps of shift. */
+int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
+                   bool *consistent);
+/* w[n] moves along Z into D at q; *relative <- what is left of the residual, within its bound.  phi
+ * and mu are those of (q, w), before and after.  DAL_ESINGULAR. */
+int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative);
 
 /* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone,
  * which are those of that function and have been checked; kept: x is (q_k, v), the state of kept
- * nodes. Then the rest, as often as needed; K_scale[n*n]: the sums of the absolute values of the
- * terms of K (see lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new
- * state, with w[n] the velocity that was found, corrected so that phi at the q~' that x gives back
- * is roundoff; the relative residual raises *worst.  The x of dal__step_begin must stay until the
- * last dal__step_at. */
+ * nodes.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K (see
+ * lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n] the
+ * velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
+ * residual raises *worst.  The x of dal__step_begin must stay until the last dal__step_at. */
 int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
                     const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
-                 double *K, double *K_scale, double *B);
+                 double *K, double *K_sizes, double *B);
 /* What the roundoff of w is relative to beside w: the sizes of v and of the terms of R1, as changes
  * of velocity, at the last dal__step_at that gave R1 and K.  They may be far larger than w: at
  * rest, where a reaction balances a force. */
@@ -299,7 +324,7 @@ struct dal_chart {
     bool chosen;
     size_t *place;           /* [n]: the dependent coordinates, then the independent ones */
     double *branch;          /* [m] v_dependent where Newton starts */
-    double *B, *B_scale, *A; /* [m*m] factors, [m*m], [m*(n-m)] */
+    double *B, *B_scale, *B_sizes, *A; /* [m*m] factors, [m*m], [5*m], [m*(n-m)] */
     size_t *row;             /* [m] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
@@ -308,7 +333,8 @@ struct dal_chart {
     /* of dal_chart_step */
     double *w, *R1, *step;   /* [n] */
     double *R2, *kappa;      /* [m] */
-    double *K, *K_scale, *G, *G_scale; /* [n*n] */
+    double *K, *G, *G_scale; /* [n*n] */
+    double *G_sizes;         /* [5*n] */
     double *slope;           /* [m*n] */
     size_t *G_row;           /* [n] */
     /* of dal_chart_interpolate */
@@ -418,7 +444,7 @@ dal_kernel_fn dal__kernel_of_many(size_t n, size_t m);
 
 struct dal_stage;
 /* As finish of a dal_kernel. */
-int dal__kernel_finish(struct dal_kernel *k, const struct dal_stage *s, bool solved, bool foretold);
+int dal__kernel_finish(struct dal_kernel *k, const struct dal_stage *s, bool solved);
 
 /* The sub-steps of a record: its own, or the only one {beta, 1}.  DAL_EINVAL if the record is not
  * valid; the text says why. */
@@ -434,10 +460,10 @@ typedef struct newton {
     double *rate, *lambda;          /* [n], [m] its (v' - v)/h and kappa/h */
     double *w, *kappa, *x;          /* [n], [m], [2n] */
     double *R1, *R2, *B;            /* [n], [m], [m*n] */
-    double *K, *K_scale;            /* [n*n] */
+    double *K, *K_sizes;            /* [n*n], [5*n] */
     size_t *K_row, *S_row;          /* [n], [m] */
     double *y, *KZ, *step;          /* [n], [m*n], [n] */
-    double *S, *S_scale, *r, *d;    /* [m*m], [m*m], [m], [m] */
+    double *S, *S_sizes, *r, *d;    /* [m*m], [5*m], [m], [m] */
 } newton;
 
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);

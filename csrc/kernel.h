@@ -15,17 +15,19 @@
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
  * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of
  * v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from those
- * of the three stages before; so the two evaluations of the constraint do not wait for each other.
- * The iteration stops when an estimate of its next residual is below roundoff, so that most stages
- * evaluate the constraint twice.  At the end the residual of D at the *stored* q~' is predicted
- * from the last evaluation, the rounding of q~' included, and mended; where that does not suffice,
- * in the first two steps after a start, and in every 64th step, one more evaluation is made.  What
- * does not contract, leaves the domain of a callback or is not finite goes to dal_kernel.finish:
- * the full Newton matrix with the Hessian, and halved steps.
+ * of the three stages before; so these two evaluations of the constraint do not wait for each other.
+ * After each correction mu is evaluated at the q~' that the *stored* state gives back.  The stage is
+ * done when the residual of D there (residual.h) is at most half of its bound of 4 n u; else this
+ * evaluation serves the next correction, or, where the residual is a rounding of v' or q~', v' is
+ * mended at that q~'.  So most stages evaluate the constraint three times, and what is stored lies in
+ * D because it was looked at.  What does not contract, leaves the domain of a callback or is not
+ * finite goes to dal_kernel.finish: the full Newton matrix with the Hessian, and halved steps.
  *
  * In a steady system mu depends only on coordinates that no reaction pushes (a blade whose heading
  * is free).  Where V does not act at q~' either, mu(q~') is known before v', the equations are
- * linear in kappa, and the first correction is the solution: nothing is predicted or estimated.
+ * linear in kappa, and the first correction is the solution.  Where the system is proved to be
+ * steady mu is not evaluated again; where it is only declared so it is, and a false declaration is
+ * found out.
  *
  * One text, many compilations.  The includer defines
  *     DAL_KERNEL                  name of the function: int (dal_kernel *, size_t, size_t *)
@@ -44,6 +46,7 @@
 
 #include "dalembert.h"
 #include "lu.h"
+#include "residual.h"
 
 #include <float.h>
 #include <math.h>
@@ -79,6 +82,8 @@ typedef enum dal_failure {
     DAL_FAILED_SINGULAR_S, /* the Schur complement */
     DAL_FAILED_SINGULAR_K, /* M + h^2 B end V_qq */
     DAL_FAILED_SINGULAR_C, /* mu M^-1 mu^T in the final correction */
+    DAL_FAILED_STEADY,     /* the system is not, as it was declared */
+    DAL_FAILED_ROOT,       /* the iteration leads away from its start */
     DAL_FAILED_CONVERGE
 } dal_failure;
 
@@ -86,26 +91,14 @@ typedef enum dal_failure {
 typedef struct dal_arrays {
     double *x;                    /* [2n] the state */
     double *pull;                 /* [3n] the pulls of the last stages, the latest first */
-    double *node, *point, *w;     /* [n] q_k, the current q~', the current v' */
+    double *node, *point, *w;     /* [n] q_k, q~' of the last evaluation, the current v' */
     double *mu_node, *mu, *N;     /* [m*n] */
     double *base, *goal, *step;   /* [n] the known part of v', all of it but Z^T kappa, w' - w */
-    double *stored, *moved;       /* [n] see dal_kernel_place */
+    double *stored;               /* [n] the position of the new state */
     double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
-    double *S, *scale, *r, *d, *kappa; /* [m*m], [m*m], [m] */
+    double *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
     size_t *row;                  /* [m] */
 } dal_arrays;
-
-/* How far a stage has come. */
-typedef struct dal_progress {
-    double known, reached;  /* sum |v_i|, and |base_i| where there is a V; sum |w_i| */
-    double last, travelled; /* the size of the last change of w, and of all together */
-    double since;           /* of those after N was evaluated */
-    double least, turned;   /* the smallest sum_i |mu^a_i w_i|; sum |N^a_i| sum |moved_i| */
-    double bent;            /* sum |mu^a_i - mu_node^a_i| */
-    double trust;           /* relative residual that may be left; 0 in the first steps */
-    int iteration;
-    bool solved, settled;   /* the equations; and the residual of D at what is stored */
-} dal_progress;
 
 /* Everything down to max_iterations, the arrays, h and x are set by the owner, who then calls
  * dal_kernel_forget; the rest belongs to the step routine. */
@@ -116,44 +109,50 @@ struct dal_kernel {
     dal_potential_fn potential; /* NULL: V = 0 */
     void *constraint_ctx, *potential_ctx;
     const double *mass, *mass_inverse; /* [n*n] */
+    const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;
     bool steady;  /* and V acts at no q~' */
+    bool proved;  /* to be so */
     size_t stages;
     const dal_stage *stage;
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
     double shift; /* 1 - beta */
     int max_iterations;
     /* What is left of a stage, on at: the full Newton iteration if not solved, and the residual of
-     * D at what is stored, evaluated, and mended.  foretold: it was predicted to be roundoff. */
-    int (*finish)(dal_kernel *k, const dal_stage *s, bool solved, bool foretold);
+     * D at what is stored, evaluated, and mended. */
+    int (*finish)(dal_kernel *k, const dal_stage *s, bool solved);
 
     double h;
     double *impulse;       /* [m] sum of kappa since dal_advance began */
-    double extent;         /* sum |v_i| */
     bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
     double contraction;    /* of the modified Newton iteration over B end, as last measured */
-    size_t age;            /* steps since the start, or since a failure */
-    bool distrusted;       /* a prediction was wrong: from now on every step evaluates */
 
     /* From at.x to at.N one block, laid out by dal_kernel_share: the step routine reaches its parts
      * by constant offsets, and callbacks see the same addresses at every call. */
     dal_arrays at;
     double *saved;                     /* [2n] */
-    double *K, *K_scale, *y, *R;       /* [n*n], [n*n], [n], [n]: finish only, as */
+    double *K, *K_sizes, *y, *R;       /* [n*n], [5*n], [n], [n]: finish only, as */
     size_t *K_row;                     /* [n] */
 
     dal_stats stats;
     struct {
         dal_failure kind;
         int returned, iterations;
-        double size, scale;
+        double size, scale, first, travelled;
     } failure;
 };
 
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
-enum { DAL_KERNEL_START_UP = 2, DAL_KERNEL_AUDIT = 64 }; /* steps at first, and between audits */
+
+/* What is left of the force equation when its iteration stops, in roundings of v', is at most
+ * 1/DAL_KERNEL_SAFETY of what was measured to be left.  It has one sign from step to step and adds
+ * up in the energy, so it has to be a small part of a rounding although the contraction may change
+ * by some from one stage to the next. */
+#define DAL_KERNEL_SAFETY 256.0
+/* Corrections of the modified Newton iteration, which halve at least; then the full one is better. */
+enum { DAL_KERNEL_CORRECTIONS = 10 };
 
 #if defined(__GNUC__)
 #define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
@@ -245,84 +244,91 @@ DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, unsi
     for (size_t i = 0; i < n; i++) y[i] = dal_kernel_dot(n, mask, inverse, i, f);
 }
 
-/* S <- (mu + b N) Z^T, factored. */
-DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, double b,
-                                        const dal_arrays *at)
+/* |mu^a| of residual.h for row a of mu[m*n]. */
+DAL_KERNEL_INLINE double dal_kernel_form(const dal_kernel *k, size_t n, unsigned long long mask,
+                                         const double *mu, size_t a)
 {
-    for (size_t a = 0; a < m; a++)
-        for (size_t c = 0; c < m; c++) {
-            double sum = -0.0, size = -0.0;
-            for (size_t i = 0; i < n; i++) {
-                const bool turns = DAL_KERNEL_HAS(has.N, a * n + i);
-                if (!DAL_KERNEL_HAS(has.Z, c * n + i)
-                    || !(turns || DAL_KERNEL_HAS(has.mu, a * n + i))) continue;
-                const double mu = at->mu[a * n + i];
-                const double term = (turns ? mu + b * at->N[a * n + i] : mu) * at->Z[c * n + i];
-                sum = i > 0 ? sum + term : term;
-                size = i > 0 ? size + fabs(term) : fabs(term);
-            }
-            at->S[a * m + c] = sum;
-            at->scale[a * m + c] = size;
-        }
-    return dal_lu_factor(m, n, at->S, at->scale, at->row);
+    double sum = -0.0;
+    for (size_t i = 0; i < n; i++)
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += fabs(mu[a * n + i]) * k->unit[i];
+    return sum;
 }
 
-/* The residual of D at the q~' that the stored state gives back, r <- -(mu w + N moved): mu and N
- * were evaluated at a point that lies moved away.  True if it is within limit for every constraint,
- * relative to sum_i |mu^a_i w_i|; then *worst is kept up to date.  p->least is the smallest sum.
- * Never true if an entry of mu or w, or one of moved that N acts on, is not finite: 0 times it is
- * NaN. */
-DAL_KERNEL_INLINE bool dal_kernel_settled(size_t n, size_t m, dal_pattern has, const dal_arrays *at,
-                                          double limit, dal_progress *p, double *worst)
+/* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu + b N in the metric, its
+ * columns those of mu_node; or, where there is one entry, both together that of its terms. */
+DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
+                                        double b, const dal_arrays *at)
 {
-    bool settled = true;
-    double largest = *worst, least = DBL_MAX, slope = -0.0, way = -0.0;
+    double terms = -0.0;
     for (size_t a = 0; a < m; a++) {
-        double sum = -0.0, scale = -0.0;
+        double size = -0.0;
+        for (size_t c = 0; c < m; c++) at->S[a * m + c] = -0.0;
         for (size_t i = 0; i < n; i++) {
-            if (!DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
-            const double term = at->mu[a * n + i] * at->w[i];
-            sum = i > 0 ? sum + term : term;
-            scale = i > 0 ? scale + fabs(term) : fabs(term);
+            const bool turns = DAL_KERNEL_HAS(has.N, a * n + i);
+            if (!turns && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
+            const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
+            if (m > 1) size += (turns ? fabs(mu) + fabs(row) : fabs(mu)) * k->unit[i];
+            for (size_t c = 0; c < m; c++) {
+                if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
+                const double term = row * at->Z[c * n + i];
+                at->S[a * m + c] += term;
+                terms += fabs(term);
+            }
         }
-        double turn = -0.0;
-        for (size_t i = 0; i < n; i++) {
-            if (!DAL_KERNEL_HAS(has.N, a * n + i)) continue;
-            if (DAL_KERNEL_HAS(has.pull, i)) turn += at->N[a * n + i] * at->moved[i];
-            slope += fabs(at->N[a * n + i]);
-        }
-        sum += turn;
-        at->r[a] = -sum;
-        if (!(limit * scale - fabs(sum) >= 0.0)) settled = false; /* nor if both are infinite */
-        if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
-        if (scale < least) least = scale;
+        at->sizes[a] = m > 1 ? size : terms;
+        at->sizes[m + a] = m > 1 ? dal_kernel_form(k, n, has.mu, at->mu_node, a) : 1.0;
     }
-    p->least = least;
-    for (size_t i = 0; has.N && i < n; i++)
-        if (DAL_KERNEL_HAS(has.pull, i)) way += fabs(at->moved[i]);
-    p->turned = slope * way;
-    if (settled) *worst = largest;
-    return settled;
+    return dal_lu_factor(m, at->S, at->sizes, at->row);
 }
 
-/* Whether N, which belongs to a w that lies since away, is good for N moved: far from the origin
- * moved is a rounding of q that is not small. */
-DAL_KERNEL_INLINE bool dal_kernel_foresees(double limit, const dal_progress *p)
-{
-    return p->turned * p->since <= limit * p->least * p->reached;
-}
-
-/* From the node and the new velocity to what is stored; moved is how far the q~' that it gives back
- * lies from the point of the last evaluation.  With kept nodes q_{k+1} = q_k + h v' is stored, and
- * its reader recovers q~' as q_{k+1} - (1-beta) h v'. */
+/* From the node and the new velocity to what is stored; point <- the q~' that it gives back.  With
+ * kept nodes q_{k+1} = q_k + h v' is stored, and its reader recovers q~' as q_{k+1} - (1-beta) h v'. */
 DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n,
                                         bool kept, const dal_arrays *at)
 {
     const double reach = (kept ? s->span : s->after) * k->h, shift = k->shift * k->h;
     for (size_t i = 0; i < n; i++) {
         at->stored[i] = at->node[i] + reach * at->w[i];
-        at->moved[i] = (kept ? at->stored[i] - shift * at->w[i] : at->stored[i]) - at->point[i];
+        at->point[i] = kept ? at->stored[i] - shift * at->w[i] : at->stored[i];
     }
+}
+
+/* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is at most limit for
+ * every constraint, and then *worst is kept up to date; never if r is not finite. */
+DAL_KERNEL_INLINE bool dal_kernel_settled(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
+                                          const dal_arrays *at, double limit, double *worst)
+{
+    const double speed = dal_residual_speed(n, k->per_unit, at->w);
+    double largest = *worst;
+    bool settled = true;
+    for (size_t a = 0; a < m; a++) {
+        const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
+        const double scale = dal_kernel_form(k, n, has.mu, at->mu, a) * speed;
+        at->r[a] = -sum;
+        if (!(limit * scale - fabs(sum) >= 0.0)) settled = false; /* nor if both are infinite */
+        if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
+    }
+    if (settled) *worst = largest;
+    return settled;
+}
+
+/* Whether r may be all roundoff: of w, which is the sum of base and Z^T kappa, and of q~', through
+ * N.  No correction would make that smaller. */
+DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(const dal_kernel *k, size_t n, size_t m,
+                                              dal_pattern has, const dal_arrays *at)
+{
+    const double terms = dal_residual_speed(n, k->per_unit, at->w)
+                       + dal_residual_speed(n, k->per_unit, at->base);
+    bool roundoff = true;
+    for (size_t a = 0; a < m; a++) {
+        double shifted = 0.0;
+        for (size_t i = 0; i < n; i++)
+            if (DAL_KERNEL_HAS(has.N, a * n + i))
+                shifted += fabs(at->N[a * n + i] * at->point[i]);
+        const double bound = 2.0 * (double)n * dal_kernel_form(k, n, has.mu, at->mu, a) * terms;
+        if (!(fabs(at->r[a]) <= 2.0 * DAL_KERNEL_U * (bound + shifted))) roundoff = false;
+    }
+    return roundoff;
 }
 
 /* One correction of w and kappa, from mu and N at point, and V_q(point) in k->force1 if ends.
@@ -363,44 +369,18 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
     }
 }
 
-/* Looks at the last correction: p->solved if what the next would change is roundoff.  Returns
- * whether another one may help. */
-DAL_KERNEL_INLINE bool dal_kernel_judge(dal_kernel *k, const dal_stage *s, size_t n, size_t m,
-                                        dal_pattern has, bool ends, bool kept, bool first,
-                                        const dal_arrays *at, dal_progress *p)
+/* Looks at a correction of size, where the one before was last.  Returns whether V_q at its q~' need
+ * not be evaluated again. */
+DAL_KERNEL_INLINE bool dal_kernel_is_balanced(dal_kernel *k, const dal_stage *s, bool first,
+                                              double size, double last, double noise)
 {
-    const double limit = 2.0 * (double)n * DAL_KERNEL_U;
     const double bending = fabs(s->after * s->end), lasting = fabs(s->after) * s->reuse;
-    double size = -0.0;
-    for (size_t i = 0; i < n; i++)
-        if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(at->step[i]);
-    dal_kernel_place(k, s, n, kept, at);
-    if (!(size <= DBL_MAX)) return false;
-    p->reached = dal_kernel_sum(n, at->w);
-    p->travelled += size;
-    p->since = p->iteration <= 2 ? size : p->since + size;
-    const double extent = p->known + p->reached, noise = 4.0 * DAL_KERNEL_U * extent;
-    if (ends && !first) /* it goes as h^2 B end V_qq; 4 is for safety */
-        k->contraction = 4.0 * (size > noise ? size : noise) / (p->last * bending);
-    /* with V_q at q~' it may be the iteration that does not contract, not roundoff */
-    const bool stuck = !ends && !first && size <= 1e-11 * extent && size >= p->last;
-    const bool close = (size <= noise) | stuck; /* no branches: they could not be foretold */
-    /* What is left of the first equation, here or in the next stage, has one sign from step to
-     * step and adds up in the energy: it has to be a small part of a rounding. */
-    if (close || !ends || 64.0 * k->contraction * lasting * size <= noise) {
-        p->settled = dal_kernel_settled(n, m, has, at, limit, p, &k->stats.worst_residual)
-                  && (first || dal_kernel_foresees(limit, p));
-        /* What is left of the residual, at most.  How mu bends is seen in N, and in how far mu has
-         * come from the node: N is small also where a velocity passes through 0, or where mu turns
-         * back.  They know it only if the prediction is near: not where it moved as much as it is
-         * large, and not in the first steps, whose pull is unknown. */
-        const double left = has.N ? 10.0 * p->travelled * (p->turned + p->bent * size) : 0.0;
-        p->solved = close | (left < p->trust * p->least * (p->reached - 2.0 * size));
-    }
-    const bool slow = !first && p->iteration >= 3 && size > 0.5 * p->last;
-    if (p->solved && ends && first) k->contraction *= 2.0; /* measure again some day */
-    p->last = size;
-    return p->iteration < 10 && !slow;
+    if (!first) /* it goes as h^2 B end V_qq */
+        k->contraction = DAL_KERNEL_SAFETY * (size > noise ? size : noise) / (last * bending);
+    if (size <= noise) return true;
+    if (!(k->contraction * lasting * size <= noise)) return false;
+    if (first) k->contraction *= 2.0; /* measure again some day */
+    return true;
 }
 
 /* The state of the predictor, as after a start. */
@@ -409,10 +389,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
     k->pulled = false;
     k->forced = false;
     k->contraction = HUGE_VAL;
-    k->age = 0;
-    k->distrusted = false;
     for (size_t i = 0; i < 3 * k->n; i++) k->at.pull[i] = 0.0;
-    k->extent = dal_kernel_sum(k->n, k->at.x + k->n);
 }
 
 #endif /* DALEMBERT_KERNEL_H */
@@ -478,11 +455,10 @@ DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
     for (size_t i = 0; i < n; i++) to[i] = from[i];
 }
 
-/* plain and audited are constants or nearly so where this is inlined.  plain: V = 0 and moved
- * nodes, so that what serves only the others costs nothing; audited: the residual is evaluated. */
+/* plain is a constant where this is inlined: V = 0 and moved nodes, so that what serves only the
+ * others costs nothing. */
 DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *const s,
-                                       const bool plain, const double trust, const bool audited,
-                                       double *const x, double *const pull, double *const extent)
+                                       const bool plain, double *const x, double *const pull)
 {
 #ifdef DAL_N
     const size_t n = DAL_N, m = DAL_M;
@@ -499,30 +475,30 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     DAL_KERNEL_ARRAY(double, goal, DAL_N);
     DAL_KERNEL_ARRAY(double, step, DAL_N);
     DAL_KERNEL_ARRAY(double, stored, DAL_N);
-    DAL_KERNEL_ARRAY(double, moved, DAL_N);
     DAL_KERNEL_ARRAY(double, Z, DAL_KERNEL_M * DAL_N);
     DAL_KERNEL_ARRAY(double, S, DAL_KERNEL_M * DAL_KERNEL_M);
-    DAL_KERNEL_ARRAY(double, scale, DAL_KERNEL_M * DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(double, sizes, 5 * DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(double, r, DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(double, d, DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(double, kappa, DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(size_t, row, DAL_KERNEL_M);
     const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, stored,
-                           moved, Z, S, scale, r, d, kappa, row};
+                           Z, S, sizes, r, d, kappa, row};
     const double h = k->h, b = s->after * h;
-    const double limit = 2.0 * (double)n * DAL_KERNEL_U;
+    const double limit = 2.0 * (double)n * DAL_KERNEL_U; /* half of the bound */
     const bool linear = b == 0.0; /* mu(q~') is mu(q_k) */
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
     const bool potential = !plain && DAL_KERNEL_PULLED;
     const bool ends = potential && s->end != 0.0; /* V_q at the unknown q~' */
-    const bool steady = (DAL_KERNEL_STEADY && plain) || k->steady;
+    const bool inside = DAL_KERNEL_STEADY && plain;
+    const bool steady = inside || k->steady, proved = inside || (k->steady && k->proved);
+    const bool known = m == 0 || proved || (linear && !kept); /* mu(q~') needs no evaluation */
     dal_pattern has = DAL_KERNEL_PATTERN;
-    if (DAL_KERNEL_STEADY && plain) has.N = 0;
-    dal_progress p = {.known = *extent, .last = HUGE_VAL, .trust = trust, .iteration = 1};
+    if (inside) has.N = 0;
 
+    /* ---- predict: the part of v' that is known, and the pull */
     const double before = kept ? 0.0 : s->before * h; /* a kept node is the state */
     for (size_t i = 0; i < n; i++) node[i] = x[i] + before * x[n + i];
-    /* The part of v' that is known, and its prediction. */
     for (size_t i = 0; i < n; i++) base[i] = x[n + i];
     if (potential) {
         double *const force = s->node != 0.0 ? k->force1 : k->force0;
@@ -537,7 +513,6 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         const double weight = h * (s->node != 0.0 ? s->node : s->start);
         dal_kernel_accelerate(k, n, has.inverse, force, step);
         for (size_t i = 0; i < n; i++) base[i] -= weight * step[i];
-        p.known += dal_kernel_sum(n, base);
     }
     /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
     for (size_t i = 0; i < n; i++) {
@@ -552,14 +527,13 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         }
     }
 
-    /* mu at the prediction, and then at the node: more has to wait for the first. */
-    int predicted = 0; /* what the callback returned there */
-    if (m > 0 && !linear)
-        predicted = DAL_KERNEL_CONSTRAINT(k, point, w, mu, steady ? NULL : N);
-    if (predicted < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, predicted);
+    /* ---- factor: mu at the prediction, and then at the node: more has to wait for the first */
+    int returned = 0;
+    if (m > 0 && !linear) returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, steady ? NULL : N);
+    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
     if (m > 0) {
-        const int returned = DAL_KERNEL_CONSTRAINT(k, node, x + n, mu_node, NULL);
-        if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+        const int status = DAL_KERNEL_CONSTRAINT(k, node, x + n, mu_node, NULL);
+        if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
         for (size_t a = 0; a < m; a++)
             dal_kernel_accelerate(k, n, has.inverse, mu_node + a * n, Z + a * n);
     }
@@ -568,73 +542,67 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < m * n; i++) N[i] = 0.0;
     }
-
-    /* Newton on (v', kappa), Hessian dropped, S frozen. */
-    int returned = predicted;
     if (ends && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-    if (returned == 0 && dal_kernel_factor(n, m, has, b, &at)) {
-        bool going = true;
-        k->stats.iterations++;
-        dal_kernel_newton(k, s, n, m, has, ends, true, &at);
-        if (steady) {
+
+    /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
+    bool solved = false, settled = false;
+    DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
+    if (returned == 0 && dal_kernel_factor(k, n, m, has, b, &at)) {
+        double last = HUGE_VAL;
+        for (int iteration = 1; iteration <= DAL_KERNEL_CORRECTIONS; iteration++) {
+            const bool first = iteration == 1;
+            bool balanced = true;
+            k->stats.iterations++;
+            dal_kernel_newton(k, s, n, m, has, ends, first, &at);
             dal_kernel_place(k, s, n, kept, &at);
-            p.reached = dal_kernel_sum(n, w);
-            p.settled = dal_kernel_settled(n, m, has, &at, limit, &p,
-                                           &k->stats.worst_residual);
-            p.solved = true;
-        } else {
-            for (size_t i = 0; i < m * n; i++)
-                if (DAL_KERNEL_HAS(has.mu, i)) p.bent += fabs(mu[i] - mu_node[i]);
-            going = dal_kernel_judge(k, s, n, m, has, ends, kept, true, &at, &p);
-        }
-        while (going && !p.solved) {
-            p.iteration++;
-            if (!linear) {
-                DAL_KERNEL_UNROLL
-                for (size_t i = 0; i < n; i++) point[i] = node[i] + b * w[i];
-                if (m > 0)
-                    returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, p.iteration == 2 ? N : NULL);
+            if (!known || ends) {
+                double size = -0.0;
+                for (size_t i = 0; i < n; i++)
+                    if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(step[i]);
+                const double noise = 4.0 * DAL_KERNEL_U
+                                   * (dal_kernel_sum(n, x + n) + dal_kernel_sum(n, base)
+                                      + dal_kernel_sum(n, w));
+                if (ends) balanced = dal_kernel_is_balanced(k, s, first, size, last, noise);
+                if (!(size <= 0.5 * last || size <= noise)) break;
+                last = size;
+            }
+            if (!known) {
+                returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, NULL);
                 if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
             }
-            if (ends && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
+            if (!balanced && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
             if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
             if (returned > 0) break;
-            k->stats.iterations++;
-            dal_kernel_newton(k, s, n, m, has, ends, false, &at);
-            going = dal_kernel_judge(k, s, n, m, has, ends, kept, false, &at, &p);
-        }
-        /* The residual of D at what is stored. */
-        if (DAL_KERNEL_RARE(m > 0 && p.solved && !p.settled)) {
-            dal_lu_solve(m, S, row, r, d);
-            DAL_KERNEL_UNROLL
-            for (size_t i = 0; i < n; i++) {
-                if (!DAL_KERNEL_HAS(has.pull, i)) continue;
-                const double mended = w[i] + dal_kernel_column(n, m, has.Z, Z, i, d);
-                p.since += fabs(mended - w[i]);
-                w[i] = mended;
-                if (kept) moved[i] = (stored[i] - k->shift * h * w[i]) - point[i];
-            }
-            p.settled = dal_kernel_settled(n, m, has, &at, limit, &p, &k->stats.worst_residual)
-                     && dal_kernel_foresees(limit, &p);
+            if (!balanced) continue;
+            settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
+            solved = settled || known || dal_kernel_is_roundoff(k, n, m, has, &at);
+            if (solved) break;
+            if (steady) return dal_kernel_fail(k, DAL_EINVAL, DAL_FAILED_STEADY);
         }
     } else {
         DAL_KERNEL_COPY(n, node, stored);
-        DAL_KERNEL_UNROLL
-        for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
     }
-    /* The prediction of the residual is as good as N, which belongs to an earlier w: not at all
-     * where the velocity passes through zero, or where N was not asked for. */
-    const bool doubtful = (!steady && p.reached < 1e-3 * p.known) || (linear && kept);
-    bool finite = true; /* where nothing else has seen to it */
-    if (m == 0 || has.N != DAL_KERNEL_ALL) {
-        double total = stored[0];
+
+    /* ---- settle: the residual of D at what is stored */
+    if (DAL_KERNEL_RARE(m > 0 && solved && !settled)) {
+        dal_lu_solve(m, S, row, r, d);
         DAL_KERNEL_UNROLL
-        for (size_t i = 1; i < n; i++) total += stored[i];
-        finite = fabs(total) <= DBL_MAX;
+        for (size_t i = 0; i < n; i++) {
+            w[i] += dal_kernel_column(n, m, has.Z, Z, i, d);
+            /* q~' is not changed: a kept node moves with v', and gives back the same q~' */
+            if (kept) stored[i] = point[i] + k->shift * h * w[i];
+        }
+        settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
     }
-    if (DAL_KERNEL_RARE(!p.solved || !finite
-                        || (m > 0 && (!p.settled || doubtful || audited)))) {
+    double total = -0.0; /* an infinite w makes stored so, unless b = 0 */
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) total += linear ? stored[i] + w[i] : stored[i];
+    const bool finite = fabs(total) <= DBL_MAX;
+
+    /* ---- hand over what is left to k->finish */
+    if (DAL_KERNEL_RARE(!settled || !finite)) {
         DAL_KERNEL_COPY(2 * n, x, k->at.x);
         DAL_KERNEL_COPY(n, node, k->at.node);
         DAL_KERNEL_COPY(n, w, k->at.w);
@@ -642,14 +610,14 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         DAL_KERNEL_COPY(n, stored, k->at.stored);
         DAL_KERNEL_COPY(m * n, Z, k->at.Z);
         DAL_KERNEL_COPY(m * n, mu_node, k->at.mu_node);
-        const int status = k->finish(k, s, p.solved, p.settled && !doubtful);
+        const int status = k->finish(k, s, solved);
         if (status) return status;
         DAL_KERNEL_COPY(n, k->at.w, w);
         DAL_KERNEL_COPY(n, k->at.stored, stored);
-        if (!p.solved) DAL_KERNEL_COPY(m, k->at.kappa, kappa);
-        if (!p.solved) p.reached = dal_kernel_sum(n, w);
+        if (!solved) DAL_KERNEL_COPY(m, k->at.kappa, kappa);
     }
 
+    /* ---- commit */
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
         if (!steady && DAL_KERNEL_HAS(has.pull, i)) {
@@ -665,14 +633,13 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         for (size_t i = 0; i < n; i++) pull[n + i] = pull[2 * n + i] = pull[i];
         k->pulled = true;
     }
-    *extent = p.reached;
     for (size_t a = 0; a < m; a++) k->impulse[a] += kappa[a];
     if (ends) {
         double *const force = k->force0;
         k->force0 = k->force1;
         k->force1 = force;
     }
-    k->forced = ends && p.solved; /* the full Newton iteration may stop 1e-11 away */
+    k->forced = ends && solved; /* the full Newton iteration may stop 1e-11 away */
     return DAL_SUCCESS;
 }
 
@@ -685,8 +652,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const size_t n = k->n;
 #endif
     const size_t stages = k->stages;
-    size_t made = 0, age = k->age;
-    double extent = k->extent;
+    size_t made = 0;
     int status = DAL_SUCCESS;
 #if DAL_KERNEL_INSIDE
     double x[2 * DAL_N], pull[3 * DAL_N];
@@ -696,37 +662,30 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     double *const x = k->at.x, *const pull = x + 5 * n;
 #endif
     while (made < steps) {
-        const bool fresh = age < DAL_KERNEL_START_UP;
-        const bool audited = fresh || k->distrusted || age % DAL_KERNEL_AUDIT == 0;
-        const double trust = fresh ? 0.0 : 2.0 * (double)n * DAL_KERNEL_U;
         if (DAL_KERNEL_RARE(stages > 1)) DAL_KERNEL_COPY(2 * n, x, k->saved);
         size_t j = 0;
 #if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
         do
-            status = DAL_KERNEL_STAGE(k, k->stage + j, !DAL_KERNEL_PULLED, trust, audited, x, pull,
-                                      &extent);
+            status = DAL_KERNEL_STAGE(k, k->stage + j, !DAL_KERNEL_PULLED, x, pull);
         while (!status && ++j < stages);
 #else
         if (k->potential || k->kept) {
             do
-                status = DAL_KERNEL_STAGE(k, k->stage + j, false, trust, audited, x, pull, &extent);
+                status = DAL_KERNEL_STAGE(k, k->stage + j, false, x, pull);
             while (!status && ++j < stages);
         } else {
             do
-                status = DAL_KERNEL_STAGE(k, k->stage + j, true, trust, audited, x, pull, &extent);
+                status = DAL_KERNEL_STAGE(k, k->stage + j, true, x, pull);
             while (!status && ++j < stages);
         }
 #endif
         if (status) break;
         made++;
-        age++;
     }
 #if DAL_KERNEL_INSIDE
     DAL_KERNEL_COPY(2 * n, x, k->at.x);
     DAL_KERNEL_COPY(3 * n, pull, k->at.pull);
 #endif
-    k->extent = extent;
-    k->age = age;
     if (status && stages > 1) {
         DAL_KERNEL_COPY(2 * n, k->saved, k->at.x);
         dal_kernel_forget(k);

@@ -1,13 +1,12 @@
-/* lu.h - LU factors of a dense matrix whose entries are sums that may cancel.
+/* lu.h - LU factors of a dense matrix, and whether it is singular.
  *
- * Along with A goes scale, which holds for each entry the sum of the absolute values of the terms
- * that were added up to it.  Pivots are chosen relative to their scale, and a pivot that is not
- * larger than the rounding error of its own sum counts as zero.  So the test for singularity does
- * not change when rows, columns or coordinates are rescaled, and an exact 0 = 1 - 1 and a 1e-17
- * that ought to be 0 are found alike.  The elimination adds its terms to the scale; but of the
- * errors that these terms bring along only the largest counts: their sum would double at each
- * pivot, and every large matrix would be singular.  Header only: generated code has no library to
- * link. */
+ * With A go the sizes of its rows and columns, r_i and c_j: of the terms that were added up to A_ij
+ * none is much larger than r_i c_j.  Then A_ij / (r_i c_j) is the scaled matrix.  It does not change
+ * when rows, columns or coordinates are rescaled together with their sizes, and where the terms
+ * cancel it is small.  Pivots are the largest of the scaled column, so |L| <= 1 and elements grow
+ * little.  Singular means that the scaled matrix, or 1 if it is smaller, times the estimated size
+ * of its inverse is above DAL_LU_CONDITION.  Nothing is in fact scaled: that would not change a
+ * digit.  Header only: generated code has no library to link. */
 #ifndef DALEMBERT_LU_H
 #define DALEMBERT_LU_H
 
@@ -18,54 +17,14 @@
 /* Where m is a constant these have to be seen by the optimiser. */
 #if defined(__GNUC__)
 #define DAL_LU_INLINE static inline __attribute__((always_inline))
+#define DAL_LU_RARE static __attribute__((noinline, cold, unused))
 #else
 #define DAL_LU_INLINE static inline
+#define DAL_LU_RARE static inline
 #endif
 
-/* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  terms: the
- * number of terms of each entry.  Returns 1; or 0 if A is singular or NaN, and
- * then row[0] is the pivot.  With an Inf in A what dal_lu_solve returns is not finite. */
-DAL_LU_INLINE int dal_lu_factor(size_t m, size_t terms, double *A, double *scale, size_t *row)
-{
-    const double tolerance = 4.0 * (double)terms * DBL_EPSILON;
-    for (size_t i = 0; i < m; i++) row[i] = i;
-    for (size_t j = 0; j < m; j++) {
-        size_t best = j;
-        for (size_t i = j + 1; i < m; i++)
-            if (fabs(A[i * m + j]) * scale[best * m + j] > fabs(A[best * m + j]) * scale[i * m + j]
-                || A[best * m + j] == 0.0)
-                best = i;
-        if (best != j) {
-            for (size_t k = 0; k < m; k++) {
-                const double a = A[j * m + k], s = scale[j * m + k];
-                A[j * m + k] = A[best * m + k];
-                A[best * m + k] = a;
-                scale[j * m + k] = scale[best * m + k];
-                scale[best * m + k] = s;
-            }
-            const size_t swap = row[j];
-            row[j] = row[best];
-            row[best] = swap;
-        }
-        if (!(fabs(A[j * m + j]) > tolerance * scale[j * m + j])) {
-            row[0] = j;
-            return 0;
-        }
-        const double inverse = 1.0 / A[j * m + j];
-        A[j * m + j] = inverse;
-        for (size_t i = j + 1; i < m; i++) {
-            const double l = A[i * m + j] * inverse;
-            A[i * m + j] = l;
-            for (size_t k = j + 1; k < m; k++) {
-                const double term = l * A[j * m + k], before = fabs(l) * scale[j * m + k];
-                A[i * m + k] -= term;
-                if (before > scale[i * m + k]) scale[i * m + k] = before;
-                scale[i * m + k] += fabs(term);
-            }
-        }
-    }
-    return 1;
-}
+/* From here on the solution would have no digits: 1e15 u is 0.1. */
+#define DAL_LU_CONDITION 1e15
 
 /* x[m] <- A^-1 b[m] from the factors; x and b may not overlap. */
 DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, const double *b,
@@ -85,6 +44,125 @@ DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, co
         for (size_t k = i + 1; k < m; k++) sum -= A[i * m + k] * x[k];
         x[i] = sum * A[i * m + i];
     }
+}
+
+/* x[m] <- A^-T b[m]; b is destroyed. */
+static inline void dal_lu_solve_transposed(size_t m, const double *A, const size_t *row, double *b,
+                                           double *x)
+{
+    for (size_t i = 0; i < m; i++) {
+        for (size_t k = 0; k < i; k++) b[i] -= A[k * m + i] * b[k];
+        b[i] *= A[i * m + i];
+    }
+    for (size_t i = m; i-- > 0;) {
+        for (size_t k = i + 1; k < m; k++) b[i] -= A[k * m + i] * b[k];
+        x[row[i]] = b[i];
+    }
+}
+
+/* The 1-norm of the inverse of the scaled matrix, or a little less: that of the best column found by
+ * going uphill from all columns at once (W. W. Hager, SIAM J. Sci. Stat. Comput. 5, 1984).
+ * scratch[3*m]. */
+DAL_LU_RARE double dal_lu_inverse_norm(size_t m, const double *A, const size_t *row,
+                                       const double *row_size, const double *column_size,
+                                       double *scratch)
+{
+    enum { MOST = 5 };
+    double *const x = scratch, *const y = x + m, *const z = y + m, norm = 0.0;
+    size_t column = m; /* none: all at once */
+    for (int climb = 0; climb < MOST; climb++) {
+        for (size_t i = 0; i < m; i++)
+            x[i] = row_size[i] * (column == m ? 1.0 / (double)m : column == i ? 1.0 : 0.0);
+        dal_lu_solve(m, A, row, x, y);
+        double sum = 0.0, most = 0.0, here = 0.0;
+        for (size_t i = 0; i < m; i++) {
+            sum += fabs(y[i] * column_size[i]);
+            y[i] = copysign(column_size[i], y[i]);
+        }
+        if (!(sum > norm)) return sum <= norm ? norm : sum; /* NaN is passed on */
+        norm = sum;
+        dal_lu_solve_transposed(m, A, row, y, z);
+        size_t best = 0;
+        for (size_t i = 0; i < m; i++) {
+            const double slope = z[i] * row_size[i];
+            here += slope * (column == m ? 1.0 / (double)m : column == i ? 1.0 : 0.0);
+            if (fabs(slope) > most) most = fabs(slope), best = i;
+        }
+        if (most <= here) return norm;
+        column = best;
+    }
+    return norm;
+}
+
+/* Whether the scaled matrix is regular.  A bound costs O(m^2): the solution x of M(L) M(U) x = 1,
+ * where M has the sizes of the entries, those off the diagonal with a minus, is not smaller than any
+ * row sum of the inverse.  For large m it is often far too large; then the inverse is estimated. */
+DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row,
+                                    const double *row_size, const double *column_size,
+                                    double *scratch)
+{
+    double *const x = scratch, largest = 1.0, bound = 0.0; /* largest: of the scaled U */
+    for (size_t i = 0; i < m; i++) {
+        double sum = row_size[row[i]];
+        for (size_t k = 0; k < i; k++) sum += fabs(A[i * m + k]) * x[k];
+        x[i] = sum;
+    }
+    for (size_t i = m; i-- > 0;) {
+        const double size = row_size[row[i]];
+        double sum = x[i];
+        if (fabs(A[i * m + i]) * largest * size * column_size[i] < 1.0)
+            largest = 1.0 / (fabs(A[i * m + i]) * size * column_size[i]);
+        for (size_t k = i + 1; k < m; k++) {
+            sum += fabs(A[i * m + k]) * x[k];
+            if (fabs(A[i * m + k]) > largest * size * column_size[k])
+                largest = fabs(A[i * m + k]) / (size * column_size[k]);
+        }
+        x[i] = sum * fabs(A[i * m + i]);
+        if (!(x[i] * column_size[i] <= bound)) bound = x[i] * column_size[i]; /* also NaN */
+    }
+    const double most = DAL_LU_CONDITION / ((double)m * largest);
+    return bound <= most
+        || dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
+}
+
+/* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  sizes[5*m]:
+ * those of the rows, then of the columns; the rest is scratch.  Returns 1; or 0 if A is singular or
+ * NaN.  With an Inf in A the residual of what dal_lu_solve returns is not finite or not small. */
+DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
+{
+    if (m == 0) return 1;
+    if (m == 1) {
+        const double pivot = A[0];
+        A[0] = 1.0 / pivot;
+        row[0] = 0;
+        return fabs(pivot) * DAL_LU_CONDITION > sizes[0] * sizes[1];
+    }
+    for (size_t i = 0; i < m; i++) row[i] = i;
+    for (size_t j = 0; j < m; j++) {
+        size_t best = j;
+        for (size_t i = j + 1; i < m; i++)
+            if (fabs(A[i * m + j]) * sizes[row[best]] > fabs(A[best * m + j]) * sizes[row[i]])
+                best = i;
+        if (best != j) {
+            for (size_t k = 0; k < m; k++) {
+                const double a = A[j * m + k];
+                A[j * m + k] = A[best * m + k];
+                A[best * m + k] = a;
+            }
+            const size_t swap = row[j];
+            row[j] = row[best];
+            row[best] = swap;
+        }
+        const double inverse = 1.0 / A[j * m + j];
+        if (!(fabs(inverse) <= DBL_MAX)) return 0;
+        A[j * m + j] = inverse;
+        for (size_t i = j + 1; i < m; i++) {
+            const double l = A[i * m + j] * inverse;
+            A[i * m + j] = l;
+            for (size_t k = j + 1; k < m; k++) A[i * m + k] -= l * A[j * m + k];
+        }
+    }
+    return dal_lu_is_regular(m, A, row, sizes, sizes + m, sizes + 2 * m);
 }
 
 #endif /* DALEMBERT_LU_H */

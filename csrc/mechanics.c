@@ -3,6 +3,7 @@
  * Throughout mu is phi_v, Z holds the rows M^-1 mu^a with M = L_vv, and C = mu Z^T. */
 #include "internal.h"
 #include "lu.h"
+#include "residual.h"
 
 #include <math.h>
 #include <string.h>
@@ -29,6 +30,9 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     dal__reserve(a, &mech->bend, nonlinear ? nn : 0, sizeof(double));
     dal__reserve(a, &mech->C, mm, sizeof(double));
     dal__reserve(a, &mech->scale, mm, sizeof(double));
+    dal__reserve(a, &mech->sizes, dal__times(5, m), sizeof(double));
+    dal__reserve(a, &mech->units, system->mass ? 0 : n, sizeof(double));
+    dal__reserve(a, &mech->per_units, system->mass ? 0 : n, sizeof(double));
     dal__reserve(a, &mech->row, m, sizeof(size_t));
     dal__reserve(a, &mech->hessian, nn, sizeof(double));
 }
@@ -38,6 +42,8 @@ void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system)
     mech->n = system->def.n;
     mech->m = system->def.m;
     mech->metric = system->mass ? system->mass : mech->L_vv;
+    mech->unit = system->mass ? system->unit : mech->units;
+    mech->per_unit = system->mass ? system->per_unit : mech->per_units;
     dal__evaluator_bind(&mech->eval, system);
 }
 
@@ -91,17 +97,22 @@ int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, con
 
 /* ---- M and C ----------------------------------------------------------------------------- */
 
-/* The factor of the metric in mech->L_vv. */
+/* The factor of the metric in mech->L_vv, and its units. */
 static int factor_metric(dal_mechanics *mech)
 {
     const size_t n = mech->n;
     size_t row = 0;
     double pivot = 0.0;
     memcpy(mech->factor, mech->L_vv, n * n * sizeof *mech->factor);
-    if (dal__cholesky(n, mech->factor, &row, &pivot)) return DAL_SUCCESS;
-    return dal__fail(&mech->error, DAL_ESINGULAR, "L_vv is not positive definite: pivot %zu of its "
-                     "Cholesky factor is %g where L_vv[%zu,%zu] = %g", row, pivot, row, row,
-                     mech->L_vv[row * n + row]);
+    if (!dal__cholesky(n, mech->factor, mech->units, &row, &pivot))
+        return dal__fail(&mech->error, DAL_ESINGULAR, "L_vv is not positive definite to working "
+                         "precision: pivot %zu of its Cholesky factor is %g where L_vv[%zu,%zu] = "
+                         "%g", row, pivot, row, row, mech->L_vv[row * n + row]);
+    for (size_t i = 0; i < n; i++) {
+        mech->units[i] = sqrt(mech->units[i]);
+        mech->per_units[i] = 1.0 / mech->units[i];
+    }
+    return DAL_SUCCESS;
 }
 
 int dal__form_metric(dal_mechanics *mech, const double *q, const double *v)
@@ -128,27 +139,44 @@ void dal__form_Z(dal_mechanics *mech, const double *mu)
         dal__accelerate(mech, mu + a * mech->n, mech->Z + a * mech->n);
 }
 
-void dal__form_gram(dal_mechanics *mech, const double *B)
+static void form_gram(dal_mechanics *mech, const double *mu)
 {
     const size_t n = mech->n, m = mech->m;
     for (size_t a = 0; a < m; a++)
-        for (size_t b = 0; b < m; b++) {
-            double sum = 0.0, scale = 0.0;
-            for (size_t i = 0; i < n; i++) {
-                const double term = B[a * n + i] * mech->Z[b * n + i];
-                sum += term;
-                scale += fabs(term);
-            }
-            mech->C[a * m + b] = sum;
-            mech->scale[a * m + b] = scale;
-        }
+        for (size_t b = 0; b < m; b++)
+            mech->C[a * m + b] = dal__dot(n, mu + a * n, mech->Z + b * n);
 }
 
-int dal__factor_gram(dal_mechanics *mech)
+int dal__factor_gram(dal_mechanics *mech, const double *mu)
 {
-    if (dal_lu_factor(mech->m, mech->n, mech->C, mech->scale, mech->row)) return DAL_SUCCESS;
+    size_t row = 0;
+    form_gram(mech, mu);
+    if (dal__cholesky(mech->m, mech->C, mech->sizes, &row, NULL)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
-                     "rank, or two constraints coincide (pivot %zu of %zu)", mech->row[0], mech->m);
+                     "rank, or two constraints coincide (pivot %zu of %zu)", row, mech->m);
+}
+
+void dal__solve_gram(const dal_mechanics *mech, double *y)
+{
+    dal__cholesky_solve(mech->m, mech->C, y);
+}
+
+/* The LU factors of mu Z^T, where Z need not be that of mu. */
+static int factor_product(dal_mechanics *mech)
+{
+    const size_t n = mech->n, m = mech->m;
+    form_gram(mech, mech->mu);
+    for (size_t a = 0; a < m; a++)
+        for (size_t b = 0; b < m; b++) {
+            double scale = 0.0;
+            for (size_t i = 0; i < n; i++)
+                scale += fabs(mech->mu[a * n + i] * mech->Z[b * n + i]);
+            mech->scale[a * m + b] = scale;
+        }
+    dal__sizes(m, mech->scale, mech->sizes);
+    if (dal_lu_factor(m, mech->C, mech->sizes, mech->row)) return DAL_SUCCESS;
+    return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
+                     "rank, or two constraints coincide");
 }
 
 int dal_metric(dal_mechanics *mechanics, const double *x, double *M)
@@ -174,7 +202,7 @@ int dal_gram(dal_mechanics *mechanics, const double *x, double *C)
     if (!status) status = dal__form_metric(mech, x, v);
     if (status) return status;
     dal__form_Z(mech, mech->mu);
-    dal__form_gram(mech, mech->mu);
+    form_gram(mech, mech->mu);
     memcpy(C, mech->C, mech->m * mech->m * sizeof *C);
     return DAL_SUCCESS;
 }
@@ -206,12 +234,14 @@ int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
 
 /* ---- residuals --------------------------------------------------------------------------- */
 
-/* phi and mu at q - shift v; with a contiguous copy of that point in mech->q. */
+/* phi and mu at q - shift v, and the metric; with a contiguous copy of that point in mech->q. */
 static int forms_at(dal_mechanics *mech, double shift, const double *x, double *dmu)
 {
     const size_t n = mech->n;
     const double *const v = velocity(mech, x);
     for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * v[i];
+    const int status = dal__form_metric(mech, mech->q, v);
+    if (status) return status;
     return dal__constraint(&mech->eval, mech->q, v, mech->phi, mech->mu, dmu, &mech->error);
 }
 
@@ -230,21 +260,75 @@ int dal_residual(dal_mechanics *mechanics, double shift, const double *x, double
 double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
                               const double *v)
 {
+    const size_t n = mech->n;
+    const double speed = dal_residual_speed(n, mech->per_unit, v);
     double worst = 0.0;
     for (size_t a = 0; a < mech->m; a++) {
-        double sum = 0.0, scale = 0.0;
-        for (size_t i = 0; i < mech->n; i++) {
-            const double term = mu[a * mech->n + i] * v[i];
-            sum += term;
-            scale += fabs(term);
-        }
-        if (!is_linear(mech)) {
-            scale += fabs(phi[a] - sum);
-            sum = phi[a];
-        }
-        if (fabs(sum) > worst * scale) worst = fabs(sum) / scale;
+        const double sum = dal__dot(n, mu + a * n, v), value = is_linear(mech) ? sum : phi[a];
+        const double scale = dal_residual_form(n, mech->unit, mu + a * n) * speed
+                           + fabs(value - sum);
+        if (!(fabs(value) <= DBL_MAX && scale <= DBL_MAX)) return HUGE_VAL;
+        if (fabs(value) > worst * scale) worst = fabs(value) / scale;
     }
     return worst;
+}
+
+bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
+                        const double *v)
+{
+    const size_t n = mech->n;
+    const double speed = dal_residual_speed(n, mech->per_unit, v);
+    for (size_t a = 0; a < mech->m; a++) {
+        const double *const form = mu + a * n;
+        const double sum = dal__dot(n, form, v), value = is_linear(mech) ? sum : phi[a];
+        double terms = fabs(value - sum);
+        for (size_t i = 0; i < n; i++) terms += fabs(form[i] * v[i]);
+        if (!(fabs(value) <= DAL_CONSISTENT * terms
+              + DAL_RESIDUAL_BOUND(n) * dal_residual_form(n, mech->unit, form) * speed))
+            return false;
+    }
+    return true;
+}
+
+int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative)
+{
+    enum { MOST = 4 };
+    const size_t n = mech->n, m = mech->m;
+    const double before = dal_residual_speed(n, mech->per_unit, w);
+    for (int pass = 1;; pass++) {
+        *relative = dal__relative_residual(mech, mech->mu, mech->phi, w);
+        if (*relative <= DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
+        if (pass > MOST)
+            return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular to working "
+                             "precision: the residual of D stays at %.3g", *relative);
+        int status = pass == 1 ? factor_product(mech) : DAL_SUCCESS;
+        if (status) return status;
+        dal_lu_solve(m, mech->C, mech->row, mech->phi, mech->lambda);
+        for (size_t i = 0; i < n; i++) {
+            double change = 0.0;
+            for (size_t a = 0; a < m; a++) change += mech->Z[a * n + i] * mech->lambda[a];
+            if (change != 0.0) w[i] -= change; /* a -0.0 that is kept stays one */
+        }
+        /* A velocity across D, of which each pass leaves its own roundoff, is zero. */
+        if (is_linear(mech) && pass == MOST
+            && dal_residual_speed(n, mech->per_unit, w) <= DAL_RESIDUAL_BOUND(n) * before)
+            memset(w, 0, n * sizeof *w);
+        if (is_linear(mech))
+            dal__apply(m, n, mech->mu, w, mech->phi);
+        else
+            status = dal__constraint(&mech->eval, q, w, mech->phi, mech->mu, NULL, &mech->error);
+        if (status) return status;
+    }
+}
+
+int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
+                   bool *consistent)
+{
+    const int status = forms_at(mech, shift, x, NULL);
+    if (status) return status;
+    *relative = dal__relative_residual(mech, mech->mu, mech->phi, velocity(mech, x));
+    *consistent = dal__is_consistent(mech, mech->mu, mech->phi, velocity(mech, x));
+    return DAL_SUCCESS;
 }
 
 int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x, double *worst)
@@ -252,10 +336,12 @@ int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *
     if (!mechanics) return DAL_EINVAL;
     if (!worst) return dal__null_argument(mechanics, "worst");
     dal_mechanics *const mech = mechanics;
+    double relative;
+    bool consistent;
     int status = dal__require_finite(mech, "shift", 1, &shift);
     if (!status) status = dal__require_finite(mech, "x", 2 * mech->n, x);
-    if (!status) status = forms_at(mech, shift, x, NULL);
-    if (!status) *worst = dal__relative_residual(mech, mech->mu, mech->phi, velocity(mech, x));
+    if (!status) status = dal__lies_in_D(mech, shift, x, &relative, &consistent);
+    if (!status) *worst = relative;
     return status;
 }
 
@@ -293,13 +379,13 @@ static int solve_multipliers(dal_mechanics *mech, double t, const double *x)
         status = dal__constraint(&mech->eval, x, v, NULL, mech->mu, mech->dmu, &mech->error);
     if (status || m == 0) return status;
     dal__form_Z(mech, mech->mu);
-    dal__form_gram(mech, mech->mu);
+    status = dal__factor_gram(mech, mech->mu);
+    if (status) return status;
     for (size_t a = 0; a < m; a++)
-        mech->residual[a] = -dal__dot(n, mech->Z + a * n, mech->force)
-                          - dal__dot(n, mech->dmu + a * n, v);
-    status = dal__factor_gram(mech);
-    if (!status) dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->lambda);
-    return status;
+        mech->lambda[a] = -dal__dot(n, mech->Z + a * n, mech->force)
+                        - dal__dot(n, mech->dmu + a * n, v);
+    dal__solve_gram(mech, mech->lambda);
+    return DAL_SUCCESS;
 }
 
 int dal_multipliers(dal_mechanics *mechanics, double t, const double *x, double *lambda)
@@ -353,9 +439,9 @@ int dal_perturbed(dal_mechanics *mechanics, double t, double weight, const doubl
     if (!status) status = solve_multipliers(mech, t, x);
     if (status) return status;
     for (size_t a = 0; a < m; a++) /* hatLambday: C is still factored */
-        mech->residual[a] = -weight * (dal__dot(n, mech->dmu + a * n, ghat)
-                                       + dal__dot(n, mech->mu + a * n, ghat + n));
-    dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->phi);
+        mech->phi[a] = -weight * (dal__dot(n, mech->dmu + a * n, ghat)
+                                  + dal__dot(n, mech->mu + a * n, ghat + n));
+    dal__solve_gram(mech, mech->phi);
     for (size_t a = 0; a < m; a++) mech->lambda[a] += mech->phi[a];
     for (size_t i = 0; i < n; i++) {
         mech->step[i] = mech->force[i];
@@ -417,66 +503,48 @@ static int accept(dal_mechanics *mech, double *x, double *distance)
     return DAL_SUCCESS;
 }
 
-/* phi, where w was, <- phi at w, which is mech->step from there; the constraints are not nonlinear.
- * Returns whether w is consistent to roundoff, or nearly so on the last pass. */
-static bool is_consistent(dal_mechanics *mech, bool last)
-{
-    const size_t n = mech->n;
-    for (size_t a = 0; a < mech->m; a++)
-        mech->phi[a] += dal__dot(n, mech->mu + a * n, mech->step);
-    const double relative = dal__relative_residual(mech, mech->mu, mech->phi, mech->w);
-    return relative <= (last ? DAL_CONSISTENT : 2.0 * (double)n * DBL_EPSILON);
-}
-
-/* Newton for phi(q - shift w, w) = 0 along w = v + Z^T kappa with Z as it is, into mech->w.  The
- * equation is linear in w for shift = 0 unless the constraints are nonlinear; then the second pass
- * mends the roundoff of the first, and further ones that of C where it is nearly singular.  A C
- * that is singular but for roundoff may pass as regular; the residual tells. */
+/* Newton for phi(q - shift w, w) = 0 along w = v + Z^T kappa with Z as it is, into mech->w. */
 static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
 {
-    enum { MOST = 50, PASSES = 8 };
+    enum { MOST = 50 };
     const size_t n = mech->n, m = mech->m;
-    const bool one_step = shift == 0.0 && mech->eval.system->def.kind != DAL_NONLINEAR;
-    dal__progress p = {.iteration = 1, .last = INFINITY};
+    dal__progress p = {0};
     memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
-    for (;; p.iteration++) {
+    for (p.iteration = 1;; p.iteration++) {
         for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * mech->w[i];
         int status = dal__constraint(&mech->eval, mech->q, mech->w, mech->phi, mech->mu,
                                      shift != 0.0 ? mech->dmu : NULL, &mech->error);
         if (status) return status;
-        for (size_t a = 0; a < m; a++) mech->residual[a] = -mech->phi[a];
-        if (shift != 0.0)
-            for (size_t k = 0; k < m * n; k++) mech->mu[k] -= shift * mech->dmu[k];
-        dal__form_gram(mech, mech->mu);
-        status = dal__factor_gram(mech);
+        for (size_t k = 0; shift != 0.0 && k < m * n; k++) mech->mu[k] -= shift * mech->dmu[k];
+        status = factor_product(mech);
         if (status) return status;
-        dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->lambda);
-        p.size = 0.0;
+        dal_lu_solve(m, mech->C, mech->row, mech->phi, mech->lambda);
+        double size = 0.0;
         for (size_t i = 0; i < n; i++) {
             double step = 0.0;
             for (size_t a = 0; a < m; a++) step += mech->Z[a * n + i] * mech->lambda[a];
-            mech->step[i] = step;
-            if (step != 0.0) mech->w[i] += step; /* a -0.0 that is kept stays one */
-            p.size += fabs(step);
+            if (step != 0.0) mech->w[i] -= step; /* a -0.0 that is kept stays one */
+            size += fabs(step);
         }
         p.scale = dal__sum_of_sizes(n, mech->w) + dal__sum_of_sizes(n, velocity(mech, x));
         p.extent = dal__sum_of_sizes(n, mech->q);
-        if (!one_step || p.iteration == 1) {
-            if (dal__newton_is_done(&p)) return DAL_SUCCESS;
-        } else {
-            const bool last = p.iteration == PASSES;
-            if (!(p.size <= DBL_MAX) || is_consistent(mech, last))
-                return DAL_SUCCESS; /* what overflows is not accepted */
-            if (last)
-                return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular to working "
-                                 "precision: no velocity of D was found in %d passes", PASSES);
-        }
-        if (p.iteration == MOST || !(p.size <= DBL_MAX))
+        const dal__verdict verdict = dal__newton_judge(&p, size);
+        if (verdict == DAL__DONE) return DAL_SUCCESS;
+        if (p.iteration == MOST || verdict == DAL__LOST)
             return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of %s was found in %d "
                              "iterations (shift = %g, last change %g)",
-                             shift == 0.0 ? "D" : "D_eps", p.iteration, shift, p.size);
-        p.last = p.size;
+                             shift == 0.0 ? "D" : "D_eps", p.iteration, shift, size);
     }
+}
+
+/* The velocity of D, or D_eps, that belongs to x, into mech->w; Z says along what. */
+static int find_velocity(dal_mechanics *mech, double shift, const double *x)
+{
+    double relative = 0.0;
+    int status = solve_velocity(mech, shift, x);
+    if (status || shift != 0.0) return status;
+    status = dal__constraint(&mech->eval, x, mech->w, mech->phi, mech->mu, NULL, &mech->error);
+    return status ? status : dal__mend(mech, x, mech->w, &relative);
 }
 
 int dal_project(dal_mechanics *mechanics, double shift, double *x, double *distance)
@@ -492,7 +560,7 @@ int dal_project(dal_mechanics *mechanics, double shift, double *x, double *dista
         status = forms_at(mech, 0.0, x, NULL);
         if (status) return status;
         dal__form_Z(mech, mech->mu);
-        status = solve_velocity(mech, shift, x);
+        status = find_velocity(mech, shift, x);
         if (status) return status;
     } else {
         memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
@@ -519,7 +587,7 @@ static int form_free_Z(dal_mechanics *mech, const unsigned char *keep, size_t *f
         for (size_t j = 0; j < n; j++)
             if (!keep[j]) factor[entries++] = mech->metric[i * n + j];
     }
-    dal__cholesky(count, factor, NULL, NULL); /* a principal part of M is definite, as M is */
+    dal__cholesky(count, factor, column, NULL, NULL); /* a principal part of M is definite, as M is */
     memset(mech->Z, 0, m * n * sizeof *mech->Z);
     for (size_t a = 0; a < m; a++) {
         size_t k = 0;
@@ -548,7 +616,7 @@ int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *
     if (!status && m > 0) status = form_free_Z(mech, keep, &free_count);
     if (status) return status;
     memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
-    if (m > 0) status = solve_velocity(mech, 0.0, x);
+    if (m > 0) status = find_velocity(mech, 0.0, x);
     if (status == DAL_ESINGULAR)
         return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu "
                          "restricted to the other %zu has rank below m = %zu", n - free_count, n,

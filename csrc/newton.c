@@ -6,6 +6,7 @@
  * the state itself. */
 #include "internal.h"
 #include "lu.h"
+#include "residual.h"
 
 #include <math.h>
 #include <string.h>
@@ -23,9 +24,9 @@ void dal__newton_reserve(newton *solver, const dal_system *system, arena *a)
     dal__reserve(a, &solver->B, mn, sizeof(double));
     dal__reserve(a, &solver->KZ, mn, sizeof(double));
     dal__reserve(a, &solver->K, nn, sizeof(double));
-    dal__reserve(a, &solver->K_scale, nn, sizeof(double));
+    dal__reserve(a, &solver->K_sizes, dal__times(5, n), sizeof(double));
     dal__reserve(a, &solver->S, mm, sizeof(double));
-    dal__reserve(a, &solver->S_scale, mm, sizeof(double));
+    dal__reserve(a, &solver->S_sizes, dal__times(5, m), sizeof(double));
     dal__reserve(a, &solver->K_row, n, sizeof(size_t));
     dal__reserve(a, &solver->S_row, m, sizeof(size_t));
 }
@@ -45,24 +46,20 @@ static int solve_linear(newton *s, dal_mechanics *mech)
 {
     const size_t n = s->n, m = s->m;
     for (size_t i = 0; i < n; i++) s->R1[i] = -s->R1[i];
-    if (!dal_lu_factor(n, 2, s->K, s->K_scale, s->K_row))
+    if (!dal_lu_factor(n, s->K, s->K_sizes, s->K_row))
         return dal__fail(&mech->error, DAL_ESINGULAR, "the derivative K of the equations of motion "
                          "in v' is singular: h is too large here");
     dal_lu_solve(n, s->K, s->K_row, s->R1, s->y);
     for (size_t a = 0; a < m; a++)
         dal_lu_solve(n, s->K, s->K_row, mech->muk + a * n, s->KZ + a * n);
     for (size_t a = 0; a < m; a++)
-        for (size_t b = 0; b < m; b++) {
-            double sum = 0.0, scale = 0.0;
-            for (size_t i = 0; i < n; i++) {
-                const double term = s->B[a * n + i] * s->KZ[b * n + i];
-                sum += term;
-                scale += fabs(term);
-            }
-            s->S[a * m + b] = sum;
-            s->S_scale[a * m + b] = scale;
-        }
-    if (!dal_lu_factor(m, n, s->S, s->S_scale, s->S_row))
+        for (size_t b = 0; b < m; b++)
+            s->S[a * m + b] = dal__dot(n, s->B + a * n, s->KZ + b * n);
+    for (size_t a = 0; a < m; a++) {
+        s->S_sizes[a] = dal_residual_form(n, mech->unit, s->B + a * n);
+        s->S_sizes[m + a] = dal_residual_speed(n, mech->per_unit, s->KZ + a * n);
+    }
+    if (!dal_lu_factor(m, s->S, s->S_sizes, s->S_row))
         return dal__fail(&mech->error, DAL_ESINGULAR, "the Schur complement B K^-1 mu_k^T is "
                          "singular: the constraints lose rank, or h is too large here");
     for (size_t a = 0; a < m; a++) s->r[a] = -(s->R2[a] + dal__dot(n, s->B + a * n, s->y));
@@ -79,14 +76,15 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
 {
     enum { HALVINGS = 40 };
     const size_t n = s->n, m = s->m;
-    dal__progress p = {.last = HUGE_VAL};
+    dal__progress p = {0};
     int halvings = 0;
     for (p.iteration = 1; p.iteration <= s->max_iterations; p.iteration++) {
         int status;
-        while ((status = dal__step_at(mech, s->w, s->kappa, s->R1, s->R2, s->K, s->K_scale, s->B))
+        while ((status = dal__step_at(mech, s->w, s->kappa, s->R1, s->R2, s->K, s->K_sizes, s->B))
                    == DAL_EDOMAIN && p.iteration > 1 && halvings++ < HALVINGS) {
             for (size_t i = 0; i < n; i++) s->w[i] -= s->step[i] *= 0.5;
             for (size_t a = 0; a < m; a++) s->kappa[a] -= s->d[a] *= 0.5;
+            dal__newton_halve(&p);
             stats->halvings++;
         }
         if (!status) status = solve_linear(s, mech);
@@ -94,13 +92,14 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
         stats->iterations++;
         for (size_t i = 0; i < n; i++) s->w[i] += s->step[i];
         for (size_t a = 0; a < m; a++) s->kappa[a] += s->d[a];
-        p.size = dal__sum_of_sizes(n, s->step);
         p.scale = dal__sum_of_sizes(n, s->w) + dal__step_base(mech);
         p.extent = dal__sum_of_sizes(n, mech->q);
-        if (!(p.size <= DBL_MAX)) break;
-        if (dal__newton_is_done(&p)) return DAL_SUCCESS;
-        p.last = p.size;
+        const dal__verdict verdict = dal__newton_judge(&p, dal__sum_of_sizes(n, s->step));
+        if (verdict == DAL__DONE) return DAL_SUCCESS;
+        if (verdict == DAL__LOST) break;
     }
+    if (p.size <= DBL_MAX && p.iteration <= s->max_iterations)
+        return dal__fail(&mech->error, DAL_ENOCONV, DAL__LOST_TEXT, p.travelled, p.first, p.scale);
     return dal__fail(&mech->error, DAL_ENOCONV, "Newton did not converge in %d iterations: last "
                      "change %.3g of %.3g; try a smaller h",
                      p.iteration - (p.size <= DBL_MAX), p.size, p.scale);

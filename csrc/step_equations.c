@@ -1,7 +1,6 @@
 /* Floor 3: the equations of one beta-step and their Jacobian, for every system; and what is stored
  * once they are solved. */
 #include "internal.h"
-#include "lu.h"
 
 #include <math.h>
 #include <string.h>
@@ -123,7 +122,7 @@ static double base_of_R1(const dal_mechanics *mech, const double *kappa)
 double dal__step_base(const dal_mechanics *mech) { return mech->start.base; }
 
 /* K = L_vv + beta h L_vq - h (1-beta) [L_vq^T + f_v + beta h (L_qq + f_q)] - bend at (q1, w). */
-static void form_K(const dal_mechanics *mech, double *K, double *K_scale)
+static void form_K(const dal_mechanics *mech, double *K, double *K_sizes)
 {
     const size_t n = mech->n;
     const double a = mech->start.beta * mech->start.h, b = (1.0 - mech->start.beta) * mech->start.h;
@@ -146,12 +145,12 @@ static void form_K(const dal_mechanics *mech, double *K, double *K_scale)
                 scale += fabs(terms[k]);
             }
             K[ij] = sum;
-            if (K_scale) K_scale[ij] = scale;
+            if (K_sizes && i == j) K_sizes[i] = K_sizes[n + i] = sqrt(scale);
         }
 }
 
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
-                 double *K, double *K_scale, double *B)
+                 double *K, double *K_sizes, double *B)
 {
     const size_t n = mech->n, m = mech->m;
     const double a = mech->start.beta * mech->start.h;
@@ -169,43 +168,36 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     if (R1) form_R1(mech, kappa, R1);
     if (R1 && K) mech->start.base = base_of_R1(mech, kappa);
     if (R2) memcpy(R2, mech->phi, m * sizeof *R2);
-    if (K) form_K(mech, K, K_scale);
+    if (K) form_K(mech, K, K_sizes);
     for (size_t k = 0; B && k < m * n; k++) B[k] = mech->mu[k] + a * mech->dmu[k];
     return DAL_SUCCESS;
 }
 
 int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst)
 {
-    enum { MOST = 4 };
-    const size_t n = mech->n, m = mech->m;
-    const double limit = 2.0 * (double)n * DAL_ROUNDOFF, h = mech->start.h, beta = mech->start.beta;
+    const size_t n = mech->n;
+    const double h = mech->start.h, beta = mech->start.beta;
     const double after = mech->start.kept ? h : beta * h;
     const double shift = mech->start.kept ? (1.0 - beta) * h : 0.0;
     double relative = 0.0;
-    for (size_t i = 0; i < n; i++) x[i] = mech->node[i] + after * w[i];
-    for (int pass = 1; m > 0; pass++) {
-        if (!dal__all_finite(n, x) || !dal__all_finite(n, w)) break;
-        for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * w[i];
-        int status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, NULL,
+    for (size_t i = 0; i < n; i++) {
+        x[i] = mech->node[i] + after * w[i];
+        mech->q[i] = x[i] - shift * w[i];
+    }
+    if (mech->m > 0 && dal__all_finite(n, x) && dal__all_finite(n, w)) {
+        int status = dal__form_metric(mech, mech->q, w);
+        if (!status)
+            status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, NULL,
                                      &mech->error);
         if (status) return status;
         relative = dal__relative_residual(mech, mech->mu, mech->phi, w);
-        if (relative <= limit || pass == MOST) break; /* what is left then is roundoff */
-        status = dal__form_metric(mech, mech->q, w);
-        if (status) return status;
-        dal__form_Z(mech, mech->mu);
-        dal__form_gram(mech, mech->mu);
-        status = dal__factor_gram(mech);
-        if (status) return status;
-        for (size_t a = 0; a < m; a++) mech->residual[a] = -mech->phi[a];
-        dal_lu_solve(m, mech->C, mech->row, mech->residual, mech->lambda);
-        for (size_t i = 0; i < n; i++) {
-            double change = 0.0;
-            for (size_t a = 0; a < m; a++) change += mech->Z[a * n + i] * mech->lambda[a];
-            w[i] += change;
+        if (relative > DAL_RESIDUAL_BOUND(n) / 2.0) {
+            dal__form_Z(mech, mech->mu);
+            status = dal__mend(mech, mech->q, w, &relative);
             /* q~' is not changed: a kept node moves with w, and gives back the same q~' */
-            if (shift != 0.0) x[i] = mech->q[i] + shift * w[i];
+            for (size_t i = 0; shift != 0.0 && i < n; i++) x[i] = mech->q[i] + shift * w[i];
         }
+        if (status) return status;
     }
     memcpy(x + n, w, n * sizeof *w);
     if (!dal__all_finite(2 * n, x))

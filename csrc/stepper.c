@@ -86,7 +86,7 @@ static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
     const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
     dal_arrays *const at = &k->at;
     double **const vectors[] = {&k->force0, &k->force1, &at->base, &at->goal, &at->step,
-                                &at->stored, &at->moved, &k->y, &k->R};
+                                &at->stored, &k->y, &k->R};
     double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
     dal__reserve(a, &at->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(2, n), sizeof(double));
@@ -94,10 +94,10 @@ static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
     dal__reserve(a, &at->Z, mn, sizeof(double));
     dal__reserve(a, &at->S, mm, sizeof(double));
-    dal__reserve(a, &at->scale, mm, sizeof(double));
+    dal__reserve(a, &at->sizes, dal__times(5, m), sizeof(double));
     dal__reserve(a, &at->row, m, sizeof(size_t));
     dal__reserve(a, &k->K, nn, sizeof(double));
-    dal__reserve(a, &k->K_scale, nn, sizeof(double));
+    dal__reserve(a, &k->K_sizes, dal__times(5, n), sizeof(double));
     dal__reserve(a, &k->K_row, n, sizeof(size_t));
 }
 
@@ -142,6 +142,8 @@ static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_o
     k->potential_ctx = self->mech.eval.potential_ctx;
     k->mass = system->mass;
     k->mass_inverse = system->mass_inverse;
+    k->unit = system->unit;
+    k->per_unit = system->per_unit;
     k->diagonal = system->diagonal;
     k->stage = self->stage;
     k->stages = plan_stages(self->substep, self->substeps, self->stage);
@@ -152,6 +154,7 @@ static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_o
     dal_kernel_share(k, k->at.x);
     k->finish = dal__kernel_finish;
     k->steady = is_steady(self, k->kept);
+    k->proved = system->def.steady == DAL_STEADY_PROVED;
     if (has_step_routine(system) && options->solver == DAL_SOLVER_SCHUR)
         self->advance = system->def.kernel && !k->kept && options->sizes == DAL_SIZES_AUTO
                             ? system->def.kernel
@@ -225,6 +228,7 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     const evaluator *const e = &stepper->mech.eval;
     *stats = stepper->kernel.stats;
     stats->substeps = stats->steps * stepper->substeps;
+    stats->worst_residual *= 1.0 + 2.0 * DBL_EPSILON; /* the step compares without dividing */
     /* the evaluator counts what goes through it; the step routine's calls do if it differences */
     if (e->constraint_ctx == e) stats->constraint_calls = 0;
     if (e->potential_ctx == e) stats->potential_calls = 0;
@@ -272,14 +276,12 @@ static int make_consistent(dal_stepper *self, double shift, dal_consistency cons
                            dal_stats *stats)
 {
     dal_mechanics *const mech = &self->mech;
-    int status = dal_relative_residual(mech, shift, self->fresh, &stats->initial_residual);
-    if (!status && consistency == DAL_CHECK && !(stats->initial_residual <= DAL_CONSISTENT))
-        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: %s = %.3g, "
-                         "at most %g is accepted", shift == 0.0 ? "D" : "D_eps",
-                         self->system->def.kind == DAL_LINEAR
-                             ? "max_a |mu^a v| / sum_i |mu^a_i v_i|"
-                             : "the relative residual of phi",
-                         stats->initial_residual, DAL_CONSISTENT);
+    bool consistent;
+    int status = dal__lies_in_D(mech, shift, self->fresh, &stats->initial_residual, &consistent);
+    if (!status && consistency == DAL_CHECK && !consistent)
+        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: their residual "
+                         "is %.3g, more than roundoff and %g of the terms of phi",
+                         shift == 0.0 ? "D" : "D_eps", stats->initial_residual, DAL_CONSISTENT);
     if (!status && consistency != DAL_ASSUME)
         status = dal_project(mech, shift, self->fresh, &stats->initial_correction);
     return status;
@@ -424,6 +426,15 @@ static void explain(dal_stepper *self, int status)
         break;
     case DAL_FAILED_SINGULAR_C:
         snprintf(what, sizeof what, "mu M^-1 mu^T is singular: the constraints lose rank");
+        break;
+    case DAL_FAILED_STEADY:
+        snprintf(what, sizeof what, "the system is declared steady, but mu at the end of the step is "
+                 "not what it was before the reaction acted: a coordinate that mu depends on is "
+                 "pushed by a reaction");
+        break;
+    case DAL_FAILED_ROOT:
+        snprintf(what, sizeof what, DAL__LOST_TEXT, k->failure.travelled, k->failure.first,
+                 k->failure.scale);
         break;
     case DAL_FAILED_CONVERGE:
         snprintf(what, sizeof what, "Newton did not converge in %d iterations: last change %.3g of "

@@ -76,6 +76,8 @@ static int check_kernel(const dal_system_def *def, dal_error *error)
 static int check_steady(const dal_system_def *def, dal_error *error)
 {
     const char *const why = !def->steady ? NULL
+                            : def->steady != DAL_STEADY_DECLARED && def->steady != DAL_STEADY_PROVED
+                                ? "that is not a dal_steady"
                             : !def->mass ? "mass is NULL"
                             : def->kind != DAL_LINEAR ? "the constraints are not linear"
                                                       : NULL;
@@ -149,6 +151,8 @@ static void plan(arena *a, possessions *own, dal_system *shape, const dal_system
     dal__reserve(a, &own->self, 1, sizeof *own->self);
     dal__reserve(a, &shape->mass, square, sizeof(double));
     dal__reserve(a, &shape->mass_inverse, square, sizeof(double));
+    dal__reserve(a, &shape->unit, def->mass ? n : 0, sizeof(double));
+    dal__reserve(a, &shape->per_unit, def->mass ? n : 0, sizeof(double));
     dal__reserve(a, &own->ctx, own->size, 1);
     dal__reserve(a, &own->state, dal__times(2, n), sizeof(double));
     dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
@@ -177,8 +181,8 @@ static void copy_names(dal_system *system, possessions *own, const dal_system_de
 
 static int not_definite(const dal_system *system, size_t row, double pivot, dal_error *error)
 {
-    return dal__fail(error, DAL_EINVAL, "mass is not positive definite: pivot %zu of its Cholesky "
-                     "factor is %g where mass[%zu,%zu] = %g", row, pivot, row, row,
+    return dal__fail(error, DAL_EINVAL, "mass is not positive definite to working precision: pivot "
+                     "%zu of its Cholesky factor is %g where mass[%zu,%zu] = %g", row, pivot, row, row,
                      system->mass[row * system->def.n + row]);
 }
 
@@ -187,7 +191,7 @@ static int invert_diagonal_mass(dal_system *system, dal_error *error)
     const size_t n = system->def.n;
     for (size_t i = 0; i < n; i++) {
         const double entry = system->mass[i * n + i];
-        if (!(entry > 0.0)) return not_definite(system, i, entry, error);
+        if (!(entry > 0.0 && isfinite(1.0 / entry))) return not_definite(system, i, entry, error);
         system->mass_inverse[i * n + i] = 1.0 / entry;
     }
     return DAL_SUCCESS;
@@ -206,7 +210,7 @@ static int invert_mass(dal_system *system, dal_error *error)
     size_t row = 0;
     double pivot = 0.0;
     memcpy(factor, system->mass, n * n * sizeof *factor);
-    if (!dal__cholesky(n, factor, &row, &pivot)) {
+    if (!dal__cholesky(n, factor, column, &row, &pivot)) {
         status = not_definite(system, row, pivot, error);
     } else {
         for (size_t j = 0; j < n; j++) {
@@ -269,6 +273,10 @@ static int make(dal_system **system, const dal_system_def *def, dal_system shape
     copy_names(self, &own, def);
     if (def->mass)
         status = self->diagonal ? invert_diagonal_mass(self, error) : invert_mass(self, error);
+    for (size_t i = 0; !status && def->mass && i < def->n; i++) {
+        self->unit[i] = sqrt(self->mass_inverse[i * def->n + i]);
+        self->per_unit[i] = 1.0 / self->unit[i];
+    }
     if (status) {
         dal_system_free(self);
         return status;

@@ -94,7 +94,7 @@ const builtin dal__knife_edge = {
     .mass = plane_mass,
     .state = knife_edge_state,
     .potential = knife_edge_potential,
-    .constraint = knife_edge_constraint, .steady = 1,
+    .constraint = knife_edge_constraint, .steady = DAL_STEADY_PROVED,
     .exact = knife_edge_exact,
     .invariants = {"v_theta", "v_theta u - gs sin(theta)"},
     .invariant = knife_edge_invariant,

@@ -63,7 +63,7 @@ const builtin dal__contact_oscillator = {
     .parameters = {"eps"}, .defaults = {0.0}, .ranges = {NOT_NEGATIVE},
     .state = contact_oscillator_state,
     .potential = contact_oscillator_potential,
-    .constraint = contact_oscillator_constraint, .steady = 1,
+    .constraint = contact_oscillator_constraint, .steady = DAL_STEADY_PROVED,
     .invariants = {"(v_y^2 + y^2)/2", "(x^2 + (1 + eps x^2) z^2 + (1 + y^2) v_z^2)/2"},
     .invariant = contact_oscillator_invariant,
 };
@@ -184,7 +184,7 @@ const builtin dal__chaotic = {
     .parameters = {"pairs"}, .defaults = {3.0}, .ranges = {WHOLE}, .most = {1000},
     .state = chaotic_state,
     .potential = chaotic_potential,
-    .constraint = chaotic_constraint, .steady = 1,
+    .constraint = chaotic_constraint, .steady = DAL_STEADY_PROVED,
 };
 
 /* ---- genmass: q = (q1, q2, q3), a Lagrangian in which nothing vanishes -------------------- */

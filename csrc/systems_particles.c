@@ -79,7 +79,7 @@ const builtin dal__particle = {
                 "v_z - y v_x = 0",
     .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
     .state = particle_state,
-    .constraint = particle_constraint, .steady = 1,
+    .constraint = particle_constraint, .steady = DAL_STEADY_PROVED,
     .exact = particle_exact,
     .invariants = {"v_y", "v_x sqrt(1 + y^2)"}, .invariant = particle_invariant,
 };
@@ -100,7 +100,7 @@ const builtin dal__particle_oscillator = {
     .ranges = {FINITE, FINITE, FINITE},
     .state = particle_state,
     .potential = potential_springs,
-    .constraint = particle_constraint, .steady = 1,
+    .constraint = particle_constraint, .steady = DAL_STEADY_PROVED,
     .invariants = {"(v_y^2 + k2 y^2)/2"}, .invariant = particle_oscillator_invariant,
 };
 

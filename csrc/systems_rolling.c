@@ -87,7 +87,7 @@ const builtin dal__disk = {
     .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE},
     .mass = wheel_mass,
     .state = disk_state,
-    .constraint = disk_constraint, .steady = 1,
+    .constraint = disk_constraint, .steady = DAL_STEADY_PROVED,
     .exact = disk_exact,
     .invariants = {"v_theta", "v_phi"}, .invariant = disk_invariant,
 };
@@ -145,7 +145,7 @@ const builtin dal__robot = {
     .mass = wheel_mass,
     .state = robot_state,
     .potential = robot_potential,
-    .constraint = robot_constraint, .steady = 1,
+    .constraint = robot_constraint, .steady = DAL_STEADY_PROVED,
     .invariants = {"v_phi", "(J + m R^2) v_theta^2/2 + k sin(theta)"},
     .invariant = robot_invariant,
 };

@@ -134,6 +134,13 @@ struct dal_kernel; /* kernel.h */
  * DAL_KERNEL. */
 typedef int (*dal_kernel_fn)(struct dal_kernel *kernel, size_t steps, size_t *done);
 
+/* In a steady system mu depends only on coordinates that no reaction pushes, those i with row i of
+ * M^-1 mu^T zero, as on the heading of a blade.  Steps where V does not act at q~' are then linear. */
+typedef enum dal_steady {
+    DAL_STEADY_DECLARED = 1, /* every step looks whether it is true, with an evaluation of mu */
+    DAL_STEADY_PROVED = 2    /* nothing looks: for code that was derived from formulas */
+} dal_steady;
+
 /* The definition of a system, filled by the caller, zero-initialised.  dal_system_new copies the
  * struct, the mass matrix, the names and the state; ctx is borrowed, or copied if ctx_size says how
  * many bytes it has. */
@@ -166,11 +173,8 @@ typedef struct dal_system_def {
                                        constant mass, linear constraints, no force, nothing missing.
                                        It makes the steps of moved nodes */
     size_t kernel_size;             /* sizeof(dal_kernel) as its compiler saw it */
-    int steady;                     /* nonzero: mu depends only on coordinates that no reaction
-                                       pushes, those i with row i of M^-1 mu^T zero, as on the
-                                       heading of a blade; only for constant mass and linear
-                                       constraints.  Steps where V does not act at q~' are then
-                                       linear, and faster */
+    int steady;                     /* a dal_steady or 0; only for constant mass and linear
+                                       constraints */
 } dal_system_def;
 
 typedef struct dal_system dal_system;
@@ -318,8 +322,11 @@ DAL_API int dal_metric(dal_mechanics *mechanics, const double *x, double *M);
  * D_eps that the beta-scheme with kept nodes preserves (deformedCons). */
 DAL_API int dal_residual(dal_mechanics *mechanics, double shift, const double *x, double *residual);
 
-/* *worst <- max_a |phi^a| / (sum_i |mu^a_i v_i| + |phi^a - mu^a v|) at (q - shift v, v), where the
- * last term is 0 for linear constraints; 0 where the sum is 0. */
+/* *worst <- the largest of all a of
+ *     |phi^a| / (sum_i |mu^a_i| d_i max_j |v_j| / d_j + |phi^a - mu^a v|),   d_i = sqrt((M^-1)_ii),
+ * at (q - shift v, v), where the last term is 0 for linear constraints; 0 where phi is 0.  d_i is the
+ * largest |v_i| of a velocity with v^T M v = 1.  It does not change when forms or coordinates are
+ * rescaled.  Also DAL_ESINGULAR (M(q) is not positive definite). */
 DAL_API int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x,
                                   double *worst);
 
@@ -639,7 +646,7 @@ DAL_API int dal_discrete_step(dal_discrete *discrete, double t, double h, double
 /* steps steps on nodes.  Rows 0 and 1 of nodes[(steps+2)*n] are a pair of D_d at time t0; row k + 2
  * and lambda[steps*m] (or NULL), row k, are made by step k.  (q1 - q0)/h is carried along, so what
  * it loses to the size of the nodes, u |q|/h, it loses once.  On failure *done (or NULL) steps are
- * good.  Also DAL_EOFFD (the relative residual of D_d at the first pair is above 1e-8),
+ * good.  Also DAL_EOFFD (the first pair does not lie in D_d, as for DAL_CHECK),
  * DAL_ESINGULAR, DAL_ENOCONV. */
 DAL_API int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps,
                              double *nodes, double *lambda, size_t *done);
@@ -728,7 +735,8 @@ typedef struct dal_options {
 
 /* What is done with initial data (dal_stepper_start). */
 typedef enum dal_consistency {
-    DAL_CHECK = 0,   /* DAL_EOFFD unless the relative residual is <= 1e-8; then mended */
+    DAL_CHECK = 0,   /* DAL_EOFFD unless |phi^a| is at most 1e-8 of the sizes of its terms, or
+                        roundoff; then mended */
     DAL_PROJECT = 1, /* projected in the metric M */
     DAL_ASSUME = 2   /* used as they are */
 } dal_consistency;
@@ -754,18 +762,16 @@ typedef struct dal_stats {
     size_t full_newtons;        /* sub-steps that the modified Newton handed to the full one; where
                                    all are solved by the full one, that had to start anew */
     size_t halvings;            /* Newton steps halved because a callback left its domain */
-    double worst_residual;      /* largest |mu^a v| / sum_i |mu^a_i v_i| after a step, as the step
-                                   itself predicts it from its last evaluation; in every 64th step,
-                                   and once a prediction was wrong in every one, it is evaluated */
-    double initial_residual;    /* the same of the data given to dal_stepper_start */
+    double worst_residual;      /* largest residual, as dal_relative_residual, after any step of
+                                   the set that the scheme keeps */
+    double initial_residual;    /* that of the data given to dal_stepper_start */
     double initial_correction;  /* how far these were moved, in the mass metric */
     unsigned differenced;       /* dal_missing: derivatives that were differenced */
 } dal_stats;
 
 /* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step
- * |mu^a v| <= 4 n u sum_i |mu^a_i v_i| on the set that the scheme keeps, u = 2^-53, where the
- * constraint callback computes mu(q) to full accuracy; a sum of large coordinates inside a sine,
- * say, is found out within 64 steps, and from then on every step evaluates what it keeps. */
+ * the residual of the set that the scheme keeps, as dal_relative_residual finds it, is at most 4 n u
+ * with u = 2^-53. */
 typedef struct dal_stepper dal_stepper;
 
 /* options: or NULL for the defaults.

@@ -133,30 +133,59 @@ static inline double largest_difference(size_t count, const double *x, const dou
     return worst;
 }
 
-/* max_a |mu^a v| / sum_i |mu^a_i v_i| with mu at q - shift v, from the callback itself; of affine
- * and nonlinear constraints with phi for mu v, and phi - mu v among the terms. */
+/* (M^-1)_ii at (q, v), by elimination in M next to the identity. */
+static inline void inverse_diagonal(const dal_system *system, const double *x, double *diagonal)
+{
+    enum { MOST = 48 };
+    const size_t n = system->def.n;
+    double A[MOST][2 * MOST] = {{0}}, M[MOST * MOST];
+    dal_mechanics *mechanics = NULL;
+    if (n > MOST) exit(2);
+    if (system->mass) {
+        memcpy(M, system->mass, n * n * sizeof *M);
+    } else {
+        if (dal_mechanics_new(&mechanics, system, NULL) || dal_metric(mechanics, x, M)) exit(2);
+        dal_mechanics_free(mechanics);
+    }
+    for (size_t i = 0; i < n; i++) {
+        A[i][n + i] = 1.0;
+        for (size_t j = 0; j < n; j++) A[i][j] = M[i * n + j];
+    }
+    for (size_t k = 0; k < n; k++)
+        for (size_t i = 0; i < n; i++) {
+            const double factor = A[i][k] / A[k][k];
+            for (size_t j = k; i != k && j < 2 * n; j++) A[i][j] -= factor * A[k][j];
+        }
+    for (size_t i = 0; i < n; i++) diagonal[i] = A[i][n + i] / A[i][i];
+}
+
+/* The residual of D, or of D_eps, as the header defines it. */
 static inline double residual_of(const dal_system *system, double shift, const double *x)
 {
     enum { MOST_N = 48, MOST_ENTRIES = 160 };
     const size_t n = system->def.n, m = system->def.m;
-    double q[MOST_N], mu[MOST_ENTRIES], phi[MOST_N], worst = 0.0;
+    double y[2 * MOST_N], mu[MOST_ENTRIES], phi[MOST_N], square[MOST_N], worst = 0.0, speed = 0.0;
     const bool linear = system->def.kind == DAL_LINEAR;
     if (n > MOST_N || m * n > MOST_ENTRIES) exit(2);
-    for (size_t i = 0; i < n; i++) q[i] = x[i] - shift * x[n + i];
-    if (m > 0 && system->def.constraint(q, x + n, linear ? NULL : phi, mu, NULL, system->def.ctx))
+    for (size_t i = 0; i < n; i++) {
+        y[i] = x[i] - shift * x[n + i];
+        y[n + i] = x[n + i];
+    }
+    if (m > 0 && system->def.constraint(y, y + n, linear ? NULL : phi, mu, NULL, system->def.ctx))
         exit(2);
+    if (m > 0) inverse_diagonal(system, y, square);
+    for (size_t i = 0; m > 0 && i < n; i++) speed = fmax(speed, fabs(y[n + i]) / sqrt(square[i]));
     for (size_t a = 0; a < m; a++) {
-        double sum = 0.0, scale = 0.0;
+        double sum = 0.0, size = 0.0;
         for (size_t i = 0; i < n; i++) {
-            const double term = mu[a * n + i] * x[n + i];
-            sum += term;
-            scale += fabs(term);
+            sum += mu[a * n + i] * y[n + i];
+            size += fabs(mu[a * n + i]) * sqrt(square[i]) * speed;
         }
         if (!linear) {
-            scale += fabs(phi[a] - sum);
+            size += fabs(phi[a] - sum);
             sum = phi[a];
         }
-        if (!(fabs(sum) <= worst * scale)) worst = fabs(sum) / scale;
+        if (!(fabs(sum) <= worst * size)) worst = fabs(sum) / size;
     }
     return worst;
 }

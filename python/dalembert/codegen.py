@@ -299,7 +299,7 @@ def _definition(model: Model, fast: bool) -> list[str]:
     if fast:
         found += [".kernel = model_steps", ".kernel_size = sizeof(dal_kernel)"]
     if model.derived.mass is not None and model.derived.kind == "linear":
-        found.append(f".steady = {int(pattern(model).steady)}")
+        found.append(f".steady = {2 * int(pattern(model).steady)}")
     return found
 
 

@@ -40,7 +40,7 @@ FLAGS = ("-std=c11", "-O3", "-fno-tree-vectorize", "-fno-gcse", "-fno-schedule-i
          "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared",
          "-Werror=implicit-function-declaration")  # fmt: skip
 
-HEADERS = ("dalembert.h", "kernel.h", "lu.h")
+HEADERS = ("dalembert.h", "kernel.h", "lu.h", "residual.h")
 
 _MARK = b"dalembert compiled this"
 

@@ -1,6 +1,6 @@
 /* dal_system_check: right systems pass, and each way to be wrong is found and named. */
 #include "check.h"
-#include "../generic4.h"
+#include "../fixtures.h"
 #include "internal.h"
 
 #include <gsl/gsl_errno.h>
@@ -356,10 +356,10 @@ static void test_off_D(void)
                                 .ctx = &s};
     dal_check report;
     CHECK(examine_def(&def, x, &report, NULL) == 0 && !report.passed);
-    double scale = 0.0, mu[8];
-    generic4_constraint(x, x + 4, NULL, mu, NULL, NULL);
-    for (size_t i = 0; i < 4; i++) scale += fabs(mu[i] * x[4 + i]);
-    CHECK_NEAR(report.residual, 0.25 / scale, 16 * DBL_EPSILON);
+    dal_system *system = NULL;
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    CHECK_NEAR(report.residual, residual_of(system, 0.0, x), 16 * DBL_EPSILON);
+    dal_system_free(system);
     CHECK(says(report.text, "not in D"));
 }
 
@@ -677,7 +677,7 @@ static void test_affine(void)
 
     g = (general){.kind = DAL_AFFINE, .output = OUT_PHI, .amount = 0.25};
     CHECK(examine_general(&g, 0, &report, NULL) == 0 && !report.passed);
-    CHECK(says(report.text, "not in D") && says(report.text, "|phi|") && report.residual > 0.05);
+    CHECK(says(report.text, "not in D") && says(report.text, "terms of phi") && report.residual > 0.05);
 }
 
 /* phi = u^2 + v^2 + w^2 - 1 */
@@ -936,7 +936,7 @@ static void test_arguments(void)
  * examination comes to an end and GSL's handler is not called. */
 static void test_extremes(void)
 {
-    const double sizes[] = {1e-320, 1e-200, 1e150, 1e300};
+    const double sizes[] = {1e-300, 1e-200, 1e150, 1e300};
     for (size_t i = 0; i < 4; i++)
         for (size_t k = 0; k < 4; k++) {
             const double mass[9] = {sizes[i], 0, 0, 0, sizes[k], 0, 0, 0, 1};

@@ -129,17 +129,17 @@ static void test_explicit_reaction(const dal_system *system, const double *x, do
     const dal_scheme scheme = beta_scheme(0.0);
     dal_mechanics *const mechanics = open_mechanics(system);
     double y[2 * MOST_N], lambda[MOST_M], C[MOST_M * MOST_M], impulse[MOST_M], end[2 * MOST_N];
-    double kick[MOST_N] = {0.0}, factor[MOST_N * MOST_N];
+    double kick[MOST_N] = {0.0}, factor[MOST_N * MOST_N], inverse[MOST_N];
     for (size_t i = 0; i < n; i++) y[i] = x[i] + h * x[n + i];
     if (system->def.potential) {
         CHECK(system->def.potential(y, NULL, kick, NULL, system->def.ctx) == 0);
         memcpy(factor, dal_system_mass(system), n * n * sizeof *factor);
-        CHECK(dal__cholesky(n, factor, NULL, NULL));
+        CHECK(dal__cholesky(n, factor, inverse, NULL, NULL));
         dal__cholesky_solve(n, factor, kick);
     }
     for (size_t i = 0; i < n; i++) y[n + i] = x[n + i] - h * kick[i];
     CHECK(dal_gram(mechanics, y, C) == 0 && dal_residual(mechanics, 0.0, y, impulse) == 0);
-    CHECK(dal__cholesky(m, C, NULL, NULL));
+    CHECK(dal__cholesky(m, C, inverse, NULL, NULL));
     dal__cholesky_solve(m, C, impulse);
     flow(system, &scheme, h, 1, x, end, lambda);
     for (size_t a = 0; a < m; a++)
@@ -656,9 +656,9 @@ static void test_starts(void)
     CHECK(dal_advance(stepper, 3, NULL, &done) == DAL_SUCCESS && done == 3);
     CHECK(dal_stepper_time(stepper) == 2.75);
 
-    memcpy(off, x0, sizeof off); /* mu v = 0.5, sum |mu_i v_i| = 1.1 */
+    memcpy(off, x0, sizeof off); /* mu v = 0.5, sum |mu_i| max |v_i| = 1.3 */
     off[5] += 0.5;
-    check_refused(stepper, 0.0, 0.1, off, DAL_CHECK, 0, DAL_EOFFD, "0.455");
+    check_refused(stepper, 0.0, 0.1, off, DAL_CHECK, 0, DAL_EOFFD, "0.385");
     check_refused(stepper, 0.0, 0.0, x0, DAL_CHECK, 0, DAL_EINVAL, "h = 0");
     check_refused(stepper, 0.0, NAN, x0, DAL_CHECK, 0, DAL_EINVAL, "h = ");
     check_refused(stepper, 0.0, INFINITY, x0, DAL_CHECK, 0, DAL_EINVAL, "h = inf");
@@ -685,7 +685,7 @@ static void test_starts(void)
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, off, DAL_CHECK, DAL_INITIAL_NONE) == DAL_SUCCESS);
     CHECK(residual_of(system, 0.0, dal_stepper_state(stepper)) <= DAL_RESIDUAL_BOUND(3));
     dal_stepper_stats(stepper, &stats);
-    CHECK_NEAR(stats.initial_residual, 1e-9 / 0.6, 1e-9 * 1e-6);
+    CHECK_NEAR(stats.initial_residual, 1e-9 / 1.3, 1e-9 * 1e-6);
     CHECK_NEAR(stats.initial_correction, 1e-9 / sqrt(1.09), 1e-9 * 1e-6);
     off[5] = x0[5] + 0.5; /* Z C^-1 mu v = (-y, 0, 1) 0.5 / (1 + y^2) */
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, off, DAL_PROJECT, DAL_INITIAL_NONE) == DAL_SUCCESS);
@@ -897,8 +897,7 @@ static void test_from_rest(void)
 }
 
 /* A blade whose angle is the sum of two coordinates: far from the origin the rounding of the sum is
- * one that no derivative tells of.  The step finds out when it looks, in every 64th step at the
- * latest, and keeps the bound from then on. */
+ * one that no derivative tells of. */
 static int sum_constraint(const double *q, const double *v, double *phi, double *phi_v,
                           double *phi_q, void *ctx)
 {
@@ -933,15 +932,15 @@ static void test_far_from_the_origin(void)
                                         &relative) == DAL_SUCCESS);
             above += relative > DAL_RESIDUAL_BOUND(4);
         }
-        CHECK(above < 64);
+        CHECK(above == 0);
         dal_mechanics_free(mechanics);
         dal_stepper_free(stepper);
         dal_system_free(system);
     }
 }
 
-/* What a step costs: without V and with h <= 0.01 the constraint is evaluated twice, and now and
- * then once more. */
+/* What a step costs: without V and with h <= 0.01 the constraint is evaluated twice, and once more
+ * where the system is not steady; hardly ever again. */
 static void test_statistics(void)
 {
     enum { STEPS = 2000 };
@@ -961,10 +960,10 @@ static void test_statistics(void)
             CHECK(dal_advance(stepper, STEPS, NULL, NULL) == DAL_SUCCESS);
             dal_stepper_stats(stepper, &stats);
             const double calls = (double)(stats.constraint_calls - start.constraint_calls) / STEPS;
-            CHECK(calls >= 2.0 && calls <= 2.2);
+            CHECK(s == 1 ? calls >= 3.0 && calls <= 3.2 : calls >= 2.0 && calls <= 2.2);
             CHECK(stats.steps == STEPS && stats.substeps == STEPS * (j + 1));
             CHECK(stats.iterations >= STEPS && stats.potential_calls == start.potential_calls);
-            CHECK(stats.corrections >= 2 && stats.full_newtons == 0 && stats.halvings == 0);
+            CHECK(stats.full_newtons == 0 && stats.halvings == 0);
             CHECK(stats.worst_residual <= DAL_RESIDUAL_BOUND(dal_system_n(system)));
             CHECK(stats.differenced == 0);
             dal_stepper_free(stepper);
