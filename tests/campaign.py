@@ -217,7 +217,7 @@ class Trial:
         acceleration, exact = mech.acceleration(t, q, v)
         size = np.max(abs(np.concatenate([acceleration, exact]) / column))
         spread_of = np.max([abs(value - exact) for value in values], axis=0) / 1e-9
-        limit = 100 * U * (condition * size * column[mech.n :] + spread_of)
+        limit = 100 * U * (condition * size * column[mech.n :] + spread_of) + 1e-300
         try:
             told = run.multipliers[k]
         except dal.DalembertError:  # a state of this run is so large that a function overflows
@@ -254,6 +254,8 @@ class Trial:
         if p == 0 or not mech.smooth or n > 8:
             return
         x0 = self.run.x[0]
+        if not x0.any():
+            return
         case.q0, case.v0 = x0[:n], x0[n:]
         d = 1 / np.sqrt(np.diag(mech.metric(case.q0)))
         errors: list[tuple[float, float]] = []
