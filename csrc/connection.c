@@ -175,6 +175,8 @@ int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B
     if (!status) status = form_B(chart, x, x + n, NULL);
     if (status) return status;
     form_A(chart);
+    status = dal__require_output(&chart->mech.error, "A", m * (n - m), chart->A);
+    if (status) return status;
     if (A) memcpy(A, chart->A, m * (n - m) * sizeof *A);
     for (size_t a = 0; B && a < m; a++)
         for (size_t b = 0; b < m; b++) B[a * m + b] = chart->mech.mu[a * n + chart->place[b]];
@@ -490,6 +492,8 @@ int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver)
     status = dal__chart_lift(chart, chart->y, chart->x);
     if (status) return status;
     for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
+    status = dal__require_output(&chart->mech.error, "ver", n, chart->w);
+    if (status) return status;
     if (hor) memcpy(hor, chart->x + n, n * sizeof *hor);
     if (ver) memcpy(ver, chart->w, n * sizeof *ver);
     return DAL_SUCCESS;
@@ -504,16 +508,20 @@ int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *le
     if (!status) status = lift_from_branch(chart, xi, chart->x);
     if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu);
     if (status) return status;
+    for (size_t k = 0; J && k < n; k++) solve_column(chart, chart->mech.dmu, k, chart->tableau + k, n);
     if (J) {
+        form_A(chart);
+        status = dal__require_output(&chart->mech.error, "J", m * n, chart->tableau);
+        if (!status)
+            status = dal__require_output(&chart->mech.error, "J", m * (n - m), chart->A);
+        if (status) return status;
         memset(J, 0, 2 * n * width * sizeof *J);
         for (size_t i = 0; i < n; i++) J[i * width + i] = 1.0;
         for (size_t j = m; j < n; j++) J[(n + place[j]) * width + n + j - m] = 1.0;
-        for (size_t k = 0; k < width; k++) {
-            solve_column(chart, k < n ? chart->mech.dmu : chart->mech.mu,
-                         k < n ? k : place[m + k - n], chart->A, 1);
-            for (size_t a = 0; a < m; a++) /* 0, and not -0 */
-                J[(n + place[a]) * width + k] = 0.0 - chart->A[a];
-        }
+        for (size_t a = 0; a < m; a++)
+            for (size_t k = 0; k < width; k++) /* 0, and not -0 */
+                J[(n + place[a]) * width + k] = 0.0 - (k < n ? chart->tableau[a * n + k]
+                                                             : chart->A[a * (n - m) + k - n]);
     }
     if (left) {
         memset(left, 0, 2 * n * width * sizeof *left);
@@ -550,8 +558,9 @@ int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambd
         for (size_t a = 0; a < m; a++)
             chart->solution[b] += chart->mech.mu[a * n + chart->place[b]] * lambda[a];
     }
-    memcpy(lambda_E, chart->solution, m * sizeof *lambda_E);
-    return DAL_SUCCESS;
+    status = dal__require_output(&chart->mech.error, "lambda_E", m, chart->solution);
+    if (!status) memcpy(lambda_E, chart->solution, m * sizeof *lambda_E);
+    return status;
 }
 
 int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *lambda_E,
@@ -568,8 +577,9 @@ int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *
     if (!status) status = factor_B(chart, chart->mech.mu, true);
     if (status) return status;
     dal_lu_solve(m, chart->B, chart->row, lambda_E, chart->solution);
-    memcpy(lambda, chart->solution, m * sizeof *lambda);
-    return DAL_SUCCESS;
+    status = dal__require_output(&chart->mech.error, "lambda", m, chart->solution);
+    if (!status) memcpy(lambda, chart->solution, m * sizeof *lambda);
+    return status;
 }
 
 /* ---- the scheme -------------------------------------------------------------------------- */
