@@ -352,8 +352,6 @@ def parameter_value(value: Any, name: str) -> float:
     """Return the value of a parameter; ValueError if it is no finite number."""
     try:
         return arguments.number(float(value) if hasattr(value, "is_number") else value, name)
-    except OverflowError:
-        raise ValueError(f"{name}: expected a finite number, this is too large") from None
     except TypeError:
         raise ValueError(f"{name} = {value!r}: expected a real number") from None
 
