@@ -46,7 +46,7 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
 
 
 def _reals(value: Any) -> Array:
-    """Return anything array-like as C-contiguous doubles; TypeError or ValueError if it is not."""
+    """Return anything array-like as doubles that C can read; TypeError or ValueError if it is not."""
     rows = value if isinstance(value, (list, tuple)) else [value]
     if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
         raise ValueError("values that are masked")
@@ -54,11 +54,12 @@ def _reals(value: Any) -> Array:
     if value is None or given.dtype.kind not in "biufO":
         raise TypeError("None" if value is None else f"values of type {given.dtype}")
     try:
-        return np.require(given, np.float64, ["C", "ALIGNED"])
+        result = np.asarray(given, dtype=np.float64, order="C")
     except OverflowError:
         raise ValueError("an integer beyond the largest double, 1.8e308") from None
     except (TypeError, ValueError):
         raise ValueError(shown(value)) from None
+    return result if result.flags.aligned else result.copy()
 
 
 def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
