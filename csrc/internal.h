@@ -122,6 +122,11 @@ typedef enum dal__verdict { DAL__GOING, DAL__DONE, DAL__LOST } dal__verdict;
 dal__verdict dal__newton_judge(dal__progress *p, double size);
 /* The last step is halved. */
 void dal__newton_halve(dal__progress *p);
+/* Of what is DONE where the determinant of the Newton matrix is negative.  As h goes to 0 it goes to
+ * that of M and mu M^-1 mu^T, which is positive, so it has changed its sign on the way. */
+#define DAL__BRANCH_TEXT \
+    "Newton did not converge to the solution that small steps lead to but to another, where the " \
+    "determinant of its matrix is negative; try a smaller h"
 /* Of what is LOST but finite: travelled, first, scale. */
 #define DAL__LOST_TEXT \
     "Newton did not converge: its steps lead away from the start, %.3g in all where the first was " \
@@ -270,6 +275,7 @@ struct dal_mechanics {
     size_t *row;                  /* [m] */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
+    double *point;                /* [2n] of jump.c */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
     double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
     double *L_vv, *factor;        /* [n*n]: M where it is not constant, and its Cholesky factor */
@@ -505,6 +511,20 @@ void dal__multiroot_free(multiroot *solver);
 int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double beta, double h,
                         bool kept, double *x, double *kappa, dal_stats *stats);
 
+/* Whether the energy jumps (jump.c): looked at now and then, never where something does work, or by
+ * schemes of order 1, which drift by design. */
+typedef struct dal__jump {
+    bool looking;
+    double shift, energy, kinetic; /* of the states' D_eps; at the start; the largest seen */
+    size_t step;                   /* where the energy was seen to have jumped; 0: nowhere */
+    double change;                 /* by how much */
+} dal__jump;
+void dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
+                     const double *x);
+void dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
+
+/* Looks at the energy of the state now. */
+void dal__stepper_look(dal_stepper *stepper);
 /* What a stepper was made of, and the record that dal_stepper_message reads. */
 const dal_system *dal__stepper_system(const dal_stepper *stepper);
 dal_error *dal__stepper_error(dal_stepper *stepper);

@@ -28,6 +28,7 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     dal__reserve(a, &mech->f_v, forced, sizeof(double));
     dal__reserve(a, &mech->chetaev, nonlinear ? mn : 0, sizeof(double));
     dal__reserve(a, &mech->bend, nonlinear ? nn : 0, sizeof(double));
+    dal__reserve(a, &mech->point, dal__times(2, n), sizeof(double));
     dal__reserve(a, &mech->C, mm, sizeof(double));
     dal__reserve(a, &mech->scale, mm, sizeof(double));
     dal__reserve(a, &mech->sizes, dal__times(5, m), sizeof(double));

@@ -176,7 +176,7 @@ static bool factor(ode *self, double h)
     }
     if (!dal__all_finite(N * N, self->scale)) return false;
     dal__sizes(N, self->scale, self->sizes);
-    return dal_lu_factor(N, self->matrix, self->sizes, self->row);
+    return dal_lu_factor(N, self->matrix, self->sizes, self->row) != 0;
 }
 
 /* One step of rodas, as gsl_odeiv2_step_apply. */

@@ -19,6 +19,8 @@ struct dal_stepper {
     double *fresh;           /* [2n] initial data being examined */
     double t0;
     size_t steps;            /* since the start: t = t0 + steps h */
+    dal_scheme scheme;
+    dal__jump jump;
     bool started;
     dal_error error;
     arena arena;
@@ -192,6 +194,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     self->arena = memory;
     dal__mechanics_bind(&self->mech, system);
     for (size_t j = 0; j < count; j++) self->substep[j] = dal__scheme_substep(scheme, j);
+    self->scheme = *scheme; /* of which substeps is borrowed, and not used */
     bind_kernel(self, scheme, options);
     if (options->solver == DAL_SOLVER_MULTIROOT) {
         status = dal__multiroot_new(&self->multiroot, system, error);
@@ -237,6 +240,9 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->lagrangian_calls = e->lagrangian_calls;
     stats->force_calls = e->force_calls;
     stats->differenced = stepper->system->def.missing;
+    stats->jump_step = stepper->jump.step;
+    stats->jump = stepper->jump.change;
+    stats->largest_kinetic = stepper->jump.kinetic;
 }
 
 /* ---- start ------------------------------------------------------------------------------ */
@@ -250,6 +256,8 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     if (!isfinite(t0)) return dal__fail(error, DAL_EINVAL, "t0 = %g is not finite", t0);
     if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
         return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed", h);
+    if (t0 + h == t0)
+        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g: t0 + h is t0", h, t0);
     for (size_t i = 0; i < 2 * k->n; i++)
         if (!isfinite(x[i]))
             return dal__fail(error, DAL_EINVAL, "%s[%zu] = %g is not finite", i < k->n ? "q" : "v",
@@ -370,6 +378,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     dal__newton_forget(&self->newton);
     self->t0 = t0;
     self->steps = 0;
+    dal__jump_start(&self->jump, &self->mech, &self->scheme, shift, k->at.x);
     self->started = true;
     self->error.text[0] = '\0';
     return DAL_SUCCESS;
@@ -436,6 +445,9 @@ static void explain(dal_stepper *self, int status)
         snprintf(what, sizeof what, DAL__LOST_TEXT, k->failure.travelled, k->failure.first,
                  k->failure.scale);
         break;
+    case DAL_FAILED_BRANCH:
+        snprintf(what, sizeof what, DAL__BRANCH_TEXT);
+        break;
     case DAL_FAILED_CONVERGE:
         snprintf(what, sizeof what, "Newton did not converge in %d iterations: last change %.3g of "
                  "%.3g; try a smaller h", k->failure.iterations, k->failure.size, k->failure.scale);
@@ -474,6 +486,30 @@ static int advance_by_substeps(dal_stepper *self, size_t steps, size_t *done)
     return DAL_SUCCESS;
 }
 
+void dal__stepper_look(dal_stepper *stepper)
+{
+    dal__jump_look(&stepper->jump, &stepper->mech, stepper->steps, stepper->kernel.at.x);
+}
+
+/* steps steps, with a look at the energy after every 64th since the start. */
+static int advance(dal_stepper *self, size_t steps, size_t *made)
+{
+    enum { BETWEEN_LOOKS = 64 };
+    dal_kernel *const k = &self->kernel;
+    for (*made = 0; *made < steps;) {
+        const size_t left = steps - *made, next = BETWEEN_LOOKS - self->steps % BETWEEN_LOOKS;
+        const size_t count = next < left ? next : left;
+        size_t done = 0;
+        const int status = self->advance ? self->advance(k, count, &done)
+                                         : advance_by_substeps(self, count, &done);
+        self->steps += done;
+        *made += done;
+        if (status) return status;
+        if (self->steps % BETWEEN_LOOKS == 0) dal__stepper_look(self);
+    }
+    return DAL_SUCCESS;
+}
+
 int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *done)
 {
     if (done) *done = 0;
@@ -484,9 +520,7 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
         return dal__fail(&self->error, DAL_EINVAL, "the stepper was not started");
     size_t made = 0;
     for (size_t a = 0; a < k->m; a++) k->impulse[a] = 0.0;
-    const int status = self->advance ? self->advance(k, steps, &made)
-                                     : advance_by_substeps(self, steps, &made);
-    self->steps += made;
+    const int status = advance(self, steps, &made);
     if (done) *done = made;
     if (status) {
         if (self->advance)

@@ -45,6 +45,10 @@ class Statistics:
         Derivatives that were replaced by central differences.
     evaluations : int
         Of the vector field, by the reference flow.
+    jump_step, jump, largest_kinetic : int, float, float
+        The step after which the energy was first seen to have changed, by ``jump``, by more than
+        half of the largest kinetic energy; 0 if it was not. Looked at in every 64th step and at
+        the end, where nothing does work and the scheme is not of order 1.
     """
 
     steps: int = 0
@@ -62,6 +66,9 @@ class Statistics:
     initial_correction: float = 0.0
     differenced: tuple[str, ...] = ()
     evaluations: int = 0
+    jump_step: int = 0
+    jump: float = 0.0
+    largest_kinetic: float = 0.0
 
     @classmethod
     def _read(cls, stepper: Any, kind: str) -> Statistics:
