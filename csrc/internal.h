@@ -165,6 +165,8 @@ typedef struct ode ode;
 
 /* N >= 1; tolerance as of dal_flow_new; ctx is handed to the field.  DAL_EINVAL, DAL_ENOMEM.
  * GSL's workspace is made here and never later, see rule 7 of the header. */
+/* Whether a flow may be asked for this tolerance. */
+int dal__check_tolerance(double tolerance, dal_error *error);
 int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
                  dal__field_fn field, void *ctx, dal_error *error);
 void dal__ode_free(ode *self);

@@ -154,7 +154,7 @@ def integrate(
     options.sizes = arguments.choice(sizes, "sizes", SIZES)
     options.max_iterations = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
     flow_method = arguments.choice(method, "method", METHODS)
-    tolerance = arguments.number(tolerance, "tolerance")
+    tolerance = arguments.tolerance(tolerance)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     rows = steps // stride
     _require_memory(system, rows, steps, stride)
@@ -256,7 +256,7 @@ def reference(
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     flow_method = arguments.choice(method, "method", METHODS)
-    tolerance = arguments.number(tolerance, "tolerance")
+    tolerance = arguments.tolerance(tolerance)
     flow = _lib.make(
         "flow",
         system._handle,

@@ -17,9 +17,6 @@ from .system import System, differenced, require_system
 
 __all__ = ["Solution", "States", "Statistics"]
 
-# States in one call of C: a fraction of a second at most, so that Ctrl-C is seen between two.
-_BLOCK = 1 << 14
-
 
 @dataclass(frozen=True)
 class Statistics:
@@ -303,8 +300,9 @@ class Solution(Mapping[str, Any]):
         changes, some = 0, ffi.new("size_t *")
         chart = _lib.make("chart", handle, owner=handle)
         before = flat[:0]  # the last time between stored states: seen again for a change after it
-        for start in range(0, flat.size, _BLOCK):
-            these = np.concatenate([before, flat[start : start + _BLOCK]])
+        most = geometry.most_in_a_call(self.system)
+        for start in range(0, flat.size, most):
+            these = np.concatenate([before, flat[start : start + most]])
             part = np.empty((len(these), 2 * n))
             status = _lib.attempt(
                 lib.dal_chart_interpolate, chart, self.t0, h, self.shift,
@@ -315,7 +313,7 @@ class Solution(Mapping[str, Any]):
                 message = _lib.string(lib.dal_chart_message(chart))
                 raise _lib.failure(status, message, kind=self.system.kind)
             changes += int(some[0])
-            x[start : start + _BLOCK] = part[len(before) :]
+            x[start : start + most] = part[len(before) :]
             nearest = np.rint((these - self.t0) / h).astype(int).clip(0, len(self.x) - 1)
             before = these[(part != self.x[nearest]).any(axis=1)][-1:]
         if times.ndim == 0:
