@@ -321,6 +321,8 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
  * u s^a, with phi and a^a where residual.h has them. */
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
                         const double *v);
+/* *E <- the energy at x[2n], which may overflow. */
+int dal__energy(dal_mechanics *mech, const double *x, double *E);
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
                    bool *consistent);
@@ -518,7 +520,7 @@ typedef struct dal__jump {
     size_t step;                   /* where the energy was seen to have jumped; 0: nowhere */
     double change;                 /* by how much */
 } dal__jump;
-/* The errors of dal_energy; then only DAL_EUSER.  The text is in mech->error. */
+/* The errors of the callbacks; then only DAL_EUSER.  The text is in mech->error. */
 int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
                     const double *x);
 int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);

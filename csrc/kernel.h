@@ -327,7 +327,7 @@ DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(const dal_kernel *k, size_t n, siz
         double shifted = 0.0;
         for (size_t i = 0; i < n; i++)
             if (DAL_KERNEL_HAS(has.N, a * n + i))
-                shifted += fabs(at->N[a * n + i] * at->point[i]);
+                shifted += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
         const double bound = 2.0 * (double)n * dal_kernel_form(k, n, has.mu, at->mu, a) * terms;
         if (!(fabs(at->r[a]) <= 2.0 * DAL_KERNEL_U * (bound + shifted))) roundoff = false;
     }
@@ -588,15 +588,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         DAL_KERNEL_COPY(n, node, stored);
     }
 
-    /* ---- settle: the residual of D at what is stored */
-    if (DAL_KERNEL_RARE(m > 0 && solved && !settled)) {
+    /* ---- settle: the residual of D at what is stored; a kept node would give back another q~' */
+    if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !kept)) {
         dal_lu_solve(m, S, row, r, d);
         DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < n; i++) {
-            w[i] += dal_kernel_column(n, m, has.Z, Z, i, d);
-            /* q~' is not changed: a kept node moves with v', and gives back the same q~' */
-            if (kept) stored[i] = point[i] + k->shift * h * w[i];
-        }
+        for (size_t i = 0; i < n; i++) w[i] += dal_kernel_column(n, m, has.Z, Z, i, d);
         settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
     }
     double total = -0.0; /* an infinite w makes stored so, unless b = 0 */

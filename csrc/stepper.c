@@ -436,7 +436,8 @@ static void explain(dal_stepper *self, int status)
         snprintf(what, sizeof what, "M + h^2 beta (1-beta) V_qq is singular: h is too large here");
         break;
     case DAL_FAILED_SINGULAR_C:
-        snprintf(what, sizeof what, "mu M^-1 mu^T is singular: the constraints lose rank");
+        snprintf(what, sizeof what, "no velocity of D was found at the new position: mu M^-1 mu^T is "
+                 "singular there, or, with kept nodes, h is too large");
         break;
     case DAL_FAILED_STEADY:
         snprintf(what, sizeof what, "the system is declared steady, but mu at the end of the step is "
