@@ -8,7 +8,7 @@
 
 enum { TENTHS = 10 };
 
-/* One run; the bound on max_a |mu^a v| / sum_i |mu^a_i v_i| is 4 n u. */
+/* One run. */
 typedef struct run {
     const char *system, *scheme;
     dal_initial initial; /* not DAL_INITIAL_NONE: kept nodes, D_eps */
