@@ -96,8 +96,7 @@ bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pi
 double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 
 /* sizes[2*count] <- the sizes of rows and columns (see lu.h) of a matrix of which nothing is known
- * but scale[count*count], the sums of the absolute values of the terms of its entries: such that in
- * the scaled one the largest of every row is 1, and that of every column about that. */
+ * but scale[count*count], the sums of the absolute values of the terms of its entries. */
 void dal__sizes(size_t count, const double *scale, double *sizes);
 
 /* x[n] <- A^-1 x from the factor. */
@@ -271,7 +270,7 @@ struct dal_mechanics {
     double *phi;                  /* [m] */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
     double *Z;                    /* [m*n]: row a is M^-1 mu^a */
-    double *C, *scale, *sizes;    /* [m*m], [m*m], [5*m]: mu M^-1 mu^T, its factor; see lu.h */
+    double *C, *sizes;            /* [m*m], [5*m]: mu M^-1 mu^T or its factors; see lu.h */
     size_t *row;                  /* [m] */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
@@ -352,7 +351,7 @@ struct dal_chart {
     bool chosen;
     size_t *place;           /* [n]: the dependent coordinates, then the independent ones */
     double *branch;          /* [m] v_dependent where Newton starts */
-    double *B, *B_scale, *B_sizes, *A; /* [m*m] factors, [m*m], [5*m], [m*(n-m)] */
+    double *B, *B_sizes, *A; /* [m*m] factors, [5*m], [m*(n-m)] */
     size_t *row;             /* [m] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
@@ -361,7 +360,7 @@ struct dal_chart {
     /* of dal_chart_step */
     double *w, *R1, *step;   /* [n] */
     double *R2, *kappa;      /* [m] */
-    double *K, *G, *G_scale; /* [n*n] */
+    double *K, *G;           /* [n*n] */
     double *G_sizes;         /* [5*n] */
     double *slope;           /* [m*n] */
     size_t *G_row;           /* [n] */
@@ -519,12 +518,13 @@ typedef struct dal__jump {
     size_t step;                   /* where the energy was seen to have jumped; 0: nowhere */
     double change;                 /* by how much */
 } dal__jump;
-void dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
-                     const double *x);
-void dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
+/* The errors of dal_energy; then only DAL_EUSER.  The text is in mech->error. */
+int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
+                    const double *x);
+int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
 
-/* Looks at the energy of the state now. */
-void dal__stepper_look(dal_stepper *stepper);
+/* Looks at the energy of the state now.  DAL_EUSER. */
+int dal__stepper_look(dal_stepper *stepper);
 /* What a stepper was made of, and the record that dal_stepper_message reads. */
 const dal_system *dal__stepper_system(const dal_stepper *stepper);
 dal_error *dal__stepper_error(dal_stepper *stepper);

@@ -5,45 +5,49 @@
 
 #include <math.h>
 
-/* The energy and the kinetic energy at x[2n], moved back by shift v; false where they cannot be had.
- * The statistics do not count it. */
-static bool energies(dal_mechanics *mech, double shift, const double *x, double *E, double *kinetic)
+/* The energy and the kinetic energy at x[2n], moved back by shift v.  The statistics do not count it. */
+static int energies(dal_mechanics *mech, double shift, const double *x, double *E, double *kinetic)
 {
     const size_t n = mech->n;
     evaluator *const e = &mech->eval;
     const size_t calls[] = {e->potential_calls, e->lagrangian_calls};
-    const dal_error before = mech->error;
     double *const y = mech->point;
     for (size_t i = 0; i < n; i++) {
         y[i] = x[i] - shift * x[n + i];
         y[n + i] = x[n + i];
     }
-    bool known = !dal__form_metric(mech, y, y + n) && !dal_energy(mech, y, E);
-    dal__apply(n, n, mech->metric, y + n, mech->step);
-    *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
-    known = known && isfinite(*kinetic);
-    mech->error = before;
+    int status = dal__form_metric(mech, y, y + n);
+    if (!status) status = dal_energy(mech, y, E);
     e->potential_calls = calls[0];
     e->lagrangian_calls = calls[1];
-    return known;
+    if (status) return status;
+    dal__apply(n, n, mech->metric, y + n, mech->step);
+    *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
+    return DAL_SUCCESS;
 }
 
-void dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
-                     const double *x)
+int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
+                    const double *x)
 {
     const dal_system_def *const def = &mech->eval.system->def;
     *jump = (dal__jump){.shift = shift};
-    jump->looking = scheme->order != 1 && !def->force && def->kind == DAL_LINEAR
-                 && energies(mech, shift, x, &jump->energy, &jump->kinetic);
+    if (scheme->order == 1 || def->force || def->kind != DAL_LINEAR) return DAL_SUCCESS;
+    jump->looking = true;
+    return energies(mech, shift, x, &jump->energy, &jump->kinetic);
 }
 
-void dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x)
+int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x)
 {
     double E, kinetic;
-    if (!jump->looking || jump->step > 0) return;
-    if (!energies(mech, jump->shift, x, &E, &kinetic)) return;
+    if (!jump->looking || jump->step > 0) return DAL_SUCCESS;
+    const int status = energies(mech, jump->shift, x, &E, &kinetic);
+    if (status) { /* the next step will tell, if it matters to it */
+        jump->looking = false;
+        return status == DAL_EUSER ? status : DAL_SUCCESS;
+    }
     jump->kinetic = fmax(jump->kinetic, kinetic);
-    if (fabs(E - jump->energy) <= 0.5 * jump->kinetic) return;
+    if (fabs(E - jump->energy) <= 0.5 * jump->kinetic) return DAL_SUCCESS;
     jump->step = step;
     jump->change = E - jump->energy;
+    return DAL_SUCCESS;
 }

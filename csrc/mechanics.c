@@ -30,7 +30,6 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     dal__reserve(a, &mech->bend, nonlinear ? nn : 0, sizeof(double));
     dal__reserve(a, &mech->point, dal__times(2, n), sizeof(double));
     dal__reserve(a, &mech->C, mm, sizeof(double));
-    dal__reserve(a, &mech->scale, mm, sizeof(double));
     dal__reserve(a, &mech->sizes, dal__times(5, m), sizeof(double));
     dal__reserve(a, &mech->units, system->mass ? 0 : n, sizeof(double));
     dal__reserve(a, &mech->per_units, system->mass ? 0 : n, sizeof(double));
@@ -162,19 +161,21 @@ void dal__solve_gram(const dal_mechanics *mech, double *y)
     dal__cholesky_solve(mech->m, mech->C, y);
 }
 
-/* The LU factors of mu Z^T, where Z need not be that of mu. */
+/* The LU factors of mu Z^T, where Z need not be that of mu, and may leave coordinates out. */
 static int factor_product(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
     form_gram(mech, mech->mu);
-    for (size_t a = 0; a < m; a++)
-        for (size_t b = 0; b < m; b++) {
-            double scale = 0.0;
-            for (size_t i = 0; i < n; i++)
-                scale += fabs(mech->mu[a * n + i] * mech->Z[b * n + i]);
-            mech->scale[a * m + b] = scale;
-        }
-    dal__sizes(m, mech->scale, mech->sizes);
+    for (size_t a = 0; a < m; a++) {
+        mech->sizes[a] = 0.0;
+        mech->sizes[m + a] = dal_residual_speed(n, mech->per_unit, mech->Z + a * n);
+    }
+    for (size_t i = 0; i < n; i++) {
+        bool moves = false;
+        for (size_t a = 0; a < m; a++) moves = moves || mech->Z[a * n + i] != 0.0;
+        for (size_t a = 0; moves && a < m; a++)
+            mech->sizes[a] += fabs(mech->mu[a * n + i]) * mech->unit[i];
+    }
     if (dal_lu_factor(m, mech->C, mech->sizes, mech->row)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide");

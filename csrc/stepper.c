@@ -366,6 +366,8 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     if (!status && initial == DAL_INITIAL_PROJECT)
         status = dal_project(&self->mech, shift, self->fresh, &stats.initial_correction);
     if (!status && initial == DAL_INITIAL_SHIFT) status = move_node(self, shift, self->fresh);
+    dal__jump jump = {0};
+    if (!status) status = dal__jump_start(&jump, &self->mech, &self->scheme, shift, self->fresh);
     if (status) {
         self->error = self->mech.error;
         return status;
@@ -378,7 +380,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     dal__newton_forget(&self->newton);
     self->t0 = t0;
     self->steps = 0;
-    dal__jump_start(&self->jump, &self->mech, &self->scheme, shift, k->at.x);
+    self->jump = jump;
     self->started = true;
     self->error.text[0] = '\0';
     return DAL_SUCCESS;
@@ -486,9 +488,22 @@ static int advance_by_substeps(dal_stepper *self, size_t steps, size_t *done)
     return DAL_SUCCESS;
 }
 
-void dal__stepper_look(dal_stepper *stepper)
+int dal__stepper_look(dal_stepper *stepper)
 {
-    dal__jump_look(&stepper->jump, &stepper->mech, stepper->steps, stepper->kernel.at.x);
+    const int status = dal__jump_look(&stepper->jump, &stepper->mech, stepper->steps,
+                                      stepper->kernel.at.x);
+    if (status) stepper->error = stepper->mech.error;
+    return status;
+}
+
+/* The text of the step that failed. */
+static void complain(dal_stepper *self, int status)
+{
+    if (self->advance)
+        explain(self, status);
+    else
+        dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %.400s", self->steps + 1,
+                  dal_stepper_time(self), self->kernel.h, self->mech.error.text);
 }
 
 /* steps steps, with a look at the energy after every 64th since the start. */
@@ -504,8 +519,12 @@ static int advance(dal_stepper *self, size_t steps, size_t *made)
                                          : advance_by_substeps(self, count, &done);
         self->steps += done;
         *made += done;
-        if (status) return status;
-        if (self->steps % BETWEEN_LOOKS == 0) dal__stepper_look(self);
+        if (status) {
+            complain(self, status);
+            return status;
+        }
+        const int stopped = self->steps % BETWEEN_LOOKS == 0 ? dal__stepper_look(self) : 0;
+        if (stopped) return stopped;
     }
     return DAL_SUCCESS;
 }
@@ -522,14 +541,7 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
     for (size_t a = 0; a < k->m; a++) k->impulse[a] = 0.0;
     const int status = advance(self, steps, &made);
     if (done) *done = made;
-    if (status) {
-        if (self->advance)
-            explain(self, status);
-        else
-            dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %.400s", self->steps + 1,
-                      dal_stepper_time(self), k->h, self->mech.error.text);
-        return status;
-    }
+    if (status) return status;
     for (size_t a = 0; reaction && steps > 0 && a < k->m; a++)
         reaction[a] = k->impulse[a] / ((double)steps * k->h);
     return DAL_SUCCESS;

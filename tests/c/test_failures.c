@@ -195,7 +195,7 @@ static void open_bench(bench *b, const char *system, unsigned missing, const cha
     for (callback where = 0; where < CALLBACKS; where++) {
         plan_fault(&b->f, where, REFUSE, 0, 0);
         CHECK(start(b) == 0);
-        CHECK(dal_integrate(b->stepper, STEPS, 1, NULL, NULL, NULL, NULL, NULL) == 0);
+        CHECK(dal_advance(b->stepper, STEPS, NULL, NULL) == 0);
         b->calls[where] = b->f.call;
     }
     CHECK(start(b) == 0);
@@ -356,7 +356,7 @@ static void test_disturbed_integration(const char *system, const char *scheme)
                     CHECK(done == STEPS);
                     continue;
                 }
-                CHECK(status == status_of(what) && done < STEPS);
+                CHECK(status == status_of(what) && done <= STEPS); /* it looks at the energy last */
                 CHECK(memcmp(rows + 2 * n * done, dal_stepper_state(b.stepper),
                              2 * n * sizeof *rows) == 0);
                 CHECK(all_are((STEPS - done) * 2 * n, rows + 2 * n * (done + 1), UNTOUCHED));
@@ -1073,7 +1073,7 @@ static void test_overflow(size_t solver)
         steps++;
     }
     CHECK(status == DAL_EDOMAIN || status == DAL_ENOCONV || status == DAL_ESINGULAR);
-    CHECK(steps > 1);
+    CHECK(steps >= 1);
     CHECK(memcmp(before, dal_stepper_state(stepper), sizeof before) == 0);
     dal_stepper_free(stepper);
     dal_system_free(system);
