@@ -121,8 +121,8 @@ def integrate(
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: the kept set is not kept to roundoff, or many steps took
-        the full Newton iteration, so that h is large for this system.
+        If the result may be doubtful: the energy has jumped where nothing does work, or many steps
+        took the full Newton iteration, so that h is large for this system.
 
     Notes
     -----

@@ -43,7 +43,7 @@ _CONSTRAINTS = {
     lib.DAL_NONLINEAR: lib.dal_py_nonlinear,
 }
 
-_MOST_COORDINATES = 10_000  # matrices are dense: a step takes some n^3 operations, M takes 8 n^2 bytes
+_MOST_COORDINATES = 10_000  # of dense matrices: n^2 numbers each, n^3 operations in a step
 
 _KIND_NAMES = {name: kind for kind, name in _KINDS.items()}
 _OUTPUTS = {
