@@ -38,11 +38,13 @@ static int evaluate(dal_kernel *k, const dal_stage *s)
     return total <= DBL_MAX ? DAL_SUCCESS : is_not_finite(k);
 }
 
-/* y <- K^-1 (-R1) and Z <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K. */
-static int linearise(dal_kernel *k, const dal_stage *s)
+/* y <- K^-1 (-R1) and Z <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K; *sign <- that
+ * of det K. */
+static int linearise(dal_kernel *k, const dal_stage *s, int *sign)
 {
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
+    *sign = 1;
     if (!k->potential || s->end == 0.0) { /* K = M */
         for (size_t i = 0; i < n; i++) {
             k->y[i] = at->base[i] - at->w[i];
@@ -63,7 +65,8 @@ static int linearise(dal_kernel *k, const dal_stage *s)
         if (m > 0) sum += dal_kernel_column(n, m, everything.mu, at->mu_node, i, at->kappa);
         k->R[i] = sum;
     }
-    if (!dal_lu_factor(n, k->K, k->K_sizes, k->K_row))
+    *sign = dal_lu_factor(n, k->K, k->K_sizes, k->K_row);
+    if (*sign == 0)
         return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_K);
     dal_lu_solve(n, k->K, k->K_row, k->R, k->y);
     for (size_t a = 0; a < m; a++)
@@ -87,7 +90,7 @@ static int solve(dal_kernel *k, const dal_stage *s)
     memcpy(at->w, at->x + n, n * sizeof *at->w);
     memset(at->kappa, 0, m * sizeof *at->kappa);
     for (p.iteration = 1; p.iteration <= k->max_iterations; p.iteration++) {
-        int status;
+        int status, sign = 1;
         while ((status = evaluate(k, s)) == DAL_EDOMAIN && p.iteration > 1
                && halvings++ < HALVINGS) {
             dal__newton_halve(&p);
@@ -95,10 +98,11 @@ static int solve(dal_kernel *k, const dal_stage *s)
             for (size_t a = 0; a < m; a++) at->kappa[a] -= at->d[a] *= 0.5;
             k->stats.halvings++;
         }
-        if (!status) status = linearise(k, s);
+        if (!status) status = linearise(k, s, &sign);
         if (status) return status;
         k->stats.iterations++;
-        if (!dal_kernel_factor(k, n, m, everything, b, at))
+        sign *= dal_kernel_factor(k, n, m, everything, b, at);
+        if (sign == 0)
             return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_S);
         for (size_t a = 0; a < m; a++) {
             double sum = 0.0;
@@ -123,7 +127,8 @@ static int solve(dal_kernel *k, const dal_stage *s)
         const dal__verdict verdict = dal__newton_judge(&p, k->failure.size);
         k->failure.first = p.first;
         k->failure.travelled = p.travelled;
-        if (verdict == DAL__DONE) return DAL_SUCCESS;
+        if (verdict == DAL__DONE)
+            return sign > 0 ? DAL_SUCCESS : dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_BRANCH);
         if (!(p.size <= DBL_MAX)) break;
         if (verdict == DAL__LOST) return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_ROOT);
     }

@@ -96,8 +96,7 @@ bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pi
 double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 
 /* sizes[2*count] <- the sizes of rows and columns (see lu.h) of a matrix of which nothing is known
- * but scale[count*count], the sums of the absolute values of the terms of its entries: such that in
- * the scaled one the largest of every row is 1, and that of every column about that. */
+ * but scale[count*count], the sums of the absolute values of the terms of its entries. */
 void dal__sizes(size_t count, const double *scale, double *sizes);
 
 /* x[n] <- A^-1 x from the factor. */
@@ -122,6 +121,11 @@ typedef enum dal__verdict { DAL__GOING, DAL__DONE, DAL__LOST } dal__verdict;
 dal__verdict dal__newton_judge(dal__progress *p, double size);
 /* The last step is halved. */
 void dal__newton_halve(dal__progress *p);
+/* Of what is DONE where the determinant of the Newton matrix is negative.  As h goes to 0 it goes to
+ * that of M and mu M^-1 mu^T, which is positive, so it has changed its sign on the way. */
+#define DAL__BRANCH_TEXT \
+    "Newton did not converge to the solution that small steps lead to but to another, where the " \
+    "determinant of its matrix is negative; try a smaller h"
 /* Of what is LOST but finite: travelled, first, scale. */
 #define DAL__LOST_TEXT \
     "Newton did not converge: its steps lead away from the start, %.3g in all where the first was " \
@@ -161,6 +165,8 @@ typedef struct ode ode;
 
 /* N >= 1; tolerance as of dal_flow_new; ctx is handed to the field.  DAL_EINVAL, DAL_ENOMEM.
  * GSL's workspace is made here and never later, see rule 7 of the header. */
+/* Whether a flow may be asked for this tolerance. */
+int dal__check_tolerance(double tolerance, dal_error *error);
 int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
                  dal__field_fn field, void *ctx, dal_error *error);
 void dal__ode_free(ode *self);
@@ -264,10 +270,11 @@ struct dal_mechanics {
     double *phi;                  /* [m] */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
     double *Z;                    /* [m*n]: row a is M^-1 mu^a */
-    double *C, *scale, *sizes;    /* [m*m], [m*m], [5*m]: mu M^-1 mu^T, its factor; see lu.h */
+    double *C, *sizes;            /* [m*m], [5*m]: mu M^-1 mu^T or its factors; see lu.h */
     size_t *row;                  /* [m] */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
+    double *point;                /* [2n] of jump.c */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
     double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
     double *L_vv, *factor;        /* [n*n]: M where it is not constant, and its Cholesky factor */
@@ -344,7 +351,7 @@ struct dal_chart {
     bool chosen;
     size_t *place;           /* [n]: the dependent coordinates, then the independent ones */
     double *branch;          /* [m] v_dependent where Newton starts */
-    double *B, *B_scale, *B_sizes, *A; /* [m*m] factors, [m*m], [5*m], [m*(n-m)] */
+    double *B, *B_sizes, *A; /* [m*m] factors, [5*m], [m*(n-m)] */
     size_t *row;             /* [m] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
@@ -353,7 +360,7 @@ struct dal_chart {
     /* of dal_chart_step */
     double *w, *R1, *step;   /* [n] */
     double *R2, *kappa;      /* [m] */
-    double *K, *G, *G_scale; /* [n*n] */
+    double *K, *G;           /* [n*n] */
     double *G_sizes;         /* [5*n] */
     double *slope;           /* [m*n] */
     size_t *G_row;           /* [n] */
@@ -503,6 +510,21 @@ void dal__multiroot_free(multiroot *solver);
 int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double beta, double h,
                         bool kept, double *x, double *kappa, dal_stats *stats);
 
+/* Whether the energy jumps (jump.c): looked at now and then, never where something does work, or by
+ * schemes of order 1, which drift by design. */
+typedef struct dal__jump {
+    bool looking;
+    double shift, energy, kinetic; /* of the states' D_eps; at the start; the largest seen */
+    size_t step;                   /* where the energy was seen to have jumped; 0: nowhere */
+    double change;                 /* by how much */
+} dal__jump;
+/* The errors of dal_energy; then only DAL_EUSER.  The text is in mech->error. */
+int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
+                    const double *x);
+int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
+
+/* Looks at the energy of the state now.  DAL_EUSER. */
+int dal__stepper_look(dal_stepper *stepper);
 /* What a stepper was made of, and the record that dal_stepper_message reads. */
 const dal_system *dal__stepper_system(const dal_stepper *stepper);
 dal_error *dal__stepper_error(dal_stepper *stepper);

@@ -21,7 +21,9 @@
  * evaluation serves the next correction, or, where the residual is a rounding of v' or q~', v' is
  * mended at that q~'.  So most stages evaluate the constraint three times, and what is stored lies in
  * D because it was looked at.  What does not contract, leaves the domain of a callback or is not
- * finite goes to dal_kernel.finish: the full Newton matrix with the Hessian, and halved steps.
+ * finite goes to dal_kernel.finish: the full Newton matrix with the Hessian, and halved steps.  So
+ * does a negative det S: as h goes to 0 it goes to that of mu M^-1 mu^T, which is positive, and where
+ * it has changed its sign on the way the solution is not the one that small h lead to.
  *
  * In a steady system mu depends only on coordinates that no reaction pushes (a blade whose heading
  * is free).  Where V does not act at q~' either, mu(q~') is known before v', the equations are
@@ -83,7 +85,8 @@ typedef enum dal_failure {
     DAL_FAILED_SINGULAR_K, /* M + h^2 B end V_qq */
     DAL_FAILED_SINGULAR_C, /* mu M^-1 mu^T in the final correction */
     DAL_FAILED_STEADY,     /* the system is not, as it was declared */
-    DAL_FAILED_ROOT,       /* the iteration leads away from its start */
+    DAL_FAILED_ROOT,       /* the iteration leads away from its start, */
+    DAL_FAILED_BRANCH,     /* or to a solution that no small h leads to */
     DAL_FAILED_CONVERGE
 } dal_failure;
 
@@ -549,7 +552,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     bool solved = false, settled = false;
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
-    if (returned == 0 && dal_kernel_factor(k, n, m, has, b, &at)) {
+    if (returned == 0 && dal_kernel_factor(k, n, m, has, b, &at) > 0) {
         double last = HUGE_VAL;
         for (int iteration = 1; iteration <= DAL_KERNEL_CORRECTIONS; iteration++) {
             const bool first = iteration == 1;

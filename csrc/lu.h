@@ -126,8 +126,8 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
 }
 
 /* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  sizes[5*m]:
- * those of the rows, then of the columns; the rest is scratch.  Returns 1; or 0 if A is singular or
- * NaN.  With an Inf in A the residual of what dal_lu_solve returns is not finite or not small. */
+ * those of the rows, then of the columns; the rest is scratch.  Returns the sign of det A; or 0 if A
+ * is singular or NaN.  With an Inf in A the residual of what dal_lu_solve returns is not finite or not small. */
 DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
 {
     if (m == 0) return 1;
@@ -135,8 +135,10 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
         const double pivot = A[0];
         A[0] = 1.0 / pivot;
         row[0] = 0;
-        return fabs(pivot) * DAL_LU_CONDITION > sizes[0] * sizes[1];
+        if (pivot * DAL_LU_CONDITION > sizes[0] * sizes[1]) return 1;
+        return -pivot * DAL_LU_CONDITION > sizes[0] * sizes[1] ? -1 : 0;
     }
+    int sign = 1;
     for (size_t i = 0; i < m; i++) row[i] = i;
     for (size_t j = 0; j < m; j++) {
         size_t best = j;
@@ -152,7 +154,9 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
             const size_t swap = row[j];
             row[j] = row[best];
             row[best] = swap;
+            sign = -sign;
         }
+        if (A[j * m + j] < 0.0) sign = -sign;
         const double inverse = 1.0 / A[j * m + j];
         if (!(fabs(inverse) <= DBL_MAX)) return 0;
         A[j * m + j] = inverse;
@@ -162,7 +166,7 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
             for (size_t k = j + 1; k < m; k++) A[i * m + k] -= l * A[j * m + k];
         }
     }
-    return dal_lu_is_regular(m, A, row, sizes, sizes + m, sizes + 2 * m);
+    return dal_lu_is_regular(m, A, row, sizes, sizes + m, sizes + 2 * m) ? sign : 0;
 }
 
 #endif /* DALEMBERT_LU_H */

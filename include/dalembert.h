@@ -781,6 +781,12 @@ typedef struct dal_stats {
     double initial_residual;    /* that of the data given to dal_stepper_start */
     double initial_correction;  /* how far these were moved, in the mass metric */
     unsigned differenced;       /* dal_missing: derivatives that were differenced */
+    size_t jump_step;           /* the step after which the energy was first seen to have changed,
+                                   by jump, by more than half of the largest kinetic energy: h is
+                                   too large.  0: it was not.  Looked at in every 64th step and at
+                                   the end of dal_integrate, where there is no force, the
+                                   constraints are linear, and the scheme is not of order 1 */
+    double jump, largest_kinetic;
 } dal_stats;
 
 /* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step

@@ -575,7 +575,7 @@ def compile_c(directory, *arguments):
     include = directory / "include"
     (include / "dalembert").mkdir(parents=True, exist_ok=True)
     shutil.copy(SOURCE_ROOT / "include" / "dalembert.h", include)
-    for name in ("kernel.h", "lu.h"):
+    for name in set(compiler.HEADERS) - {"dalembert.h"}:
         shutil.copy(SOURCE_ROOT / "csrc" / name, include / "dalembert")
     command = [*compiler.find().command, "-std=c11", "-O2", "-ffp-contract=off", f"-I{include}"]
     done = subprocess.run(
