@@ -38,8 +38,8 @@ static int evaluate(dal_kernel *k, const dal_stage *s)
     return total <= DBL_MAX ? DAL_SUCCESS : is_not_finite(k);
 }
 
-/* y <- K^-1 (-R1) and Z <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K; *sign <- that
- * of det K. */
+/* y <- K^-1 (-R1) and Z <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K; *sign <-
+ * that of det K. */
 static int linearise(dal_kernel *k, const dal_stage *s, int *sign)
 {
     const dal_arrays *const at = &k->at;
@@ -135,9 +135,10 @@ static int solve(dal_kernel *k, const dal_stage *s)
     return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_CONVERGE);
 }
 
-/* The final correction v' <- v' - Z' C'^-1 mu(q~') v' at the q~' that the stored node gives back, with
- * evaluations of its own.  Works on at.w and at.stored.  Each pass leaves its own roundoff of what it
- * takes away; a kept node follows v', so that it gives back the same q~' but for a rounding. */
+/* The final correction v' <- v' - Z' C'^-1 mu(q~') v' at the q~' that the stored node gives back,
+ * with evaluations of its own.  Works on at.w and at.stored.  Each pass leaves its own roundoff of
+ * what it takes away; a kept node follows v', so that it gives back the same q~' but for a
+ * rounding. */
 static int correct(dal_kernel *k)
 {
     enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */

@@ -1,11 +1,12 @@
-/* Floor 6: an energy that jumps.  Where nothing does work on the system the energy of a step that is
- * sensible stays near what it was; one that was refused by nothing and yet has changed it by more
- * than half of the kinetic energy went astray. */
+/* Floor 6: an energy that jumps.  Where nothing does work on the system the energy of a step that
+ * is sensible stays near what it was; one that was refused by nothing and yet has changed it by
+ * more than half of the kinetic energy went astray. */
 #include "internal.h"
 
 #include <math.h>
 
-/* The energy and the kinetic energy at x[2n], moved back by shift v.  The statistics do not count it. */
+/* The energy and the kinetic energy at x[2n], moved back by shift v.  The statistics do not count
+ * it. */
 static int energies(dal_mechanics *mech, double shift, const double *x, double *E, double *kinetic)
 {
     const size_t n = mech->n;

@@ -576,7 +576,7 @@ static int find_velocity(dal_mechanics *mech, double shift, const double *x)
         memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
     if (status || shift != 0.0) return status;
     status = dal__constraint(&mech->eval, x, mech->w, mech->phi, mech->mu, NULL, &mech->error);
-    if (!status) status = factor_product(mech); /* a mu without full rank is refused where v is in D */
+    if (!status) status = factor_product(mech); /* without full rank it is refused for any v */
     return status ? status : dal__mend(mech, x, mech->w, &relative);
 }
 
@@ -620,7 +620,8 @@ static int form_free_Z(dal_mechanics *mech, const unsigned char *keep, size_t *f
         for (size_t j = 0; j < n; j++)
             if (!keep[j]) factor[entries++] = mech->metric[i * n + j];
     }
-    dal__cholesky(count, factor, column, NULL, NULL); /* a principal part of M is definite, as M is */
+    /* a principal part of M is definite, as M is */
+    dal__cholesky(count, factor, column, NULL, NULL);
     memset(mech->Z, 0, m * n * sizeof *mech->Z);
     for (size_t a = 0; a < m; a++) {
         size_t k = 0;
