@@ -15,8 +15,8 @@
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
  * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of v' -
  * v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from those of the
- * three stages before; so these two evaluations of the constraint do not wait for each other.  After
- * each correction mu is evaluated at the q~' that the *stored* state gives back.  The stage is done
+ * three stages before; so these two evaluations of the constraint do not wait for each other.
+ * After each correction mu is evaluated at the q~' that the *stored* state gives back.  The stage is done
  * when the residual of D there (residual.h) is at most half of its bound of 4 n u; else this
  * evaluation serves the next correction, or, where the residual is a rounding of v' or q~', v' is
  * mended at that q~'.  So most stages evaluate the constraint three times, and what is stored lies
