@@ -367,8 +367,47 @@ static void test_steps(unsigned systems)
     CHECK(count.judged > 3 * systems && count.refused <= systems / 50);
 }
 
+/* ---- how long the Hessian is left out ------------------------------------------------------ */
+
+/* V = k q^2/2; k is the ctx. */
+static int spring(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const double k = *(const double *)ctx;
+    if (V) *V = k * q[0] * q[0] / 2;
+    if (V_q) *V_q = k * q[0];
+    if (V_qq) *V_qq = k;
+    return 0;
+}
+
+/* One midpoint step of a spring: corrections without the Hessian shrink by c = h^2 k/4, and
+ * v' (1 + c) = v (1 - c) - h k q.  Ten of them do it, or the full matrix takes over; at once where
+ * they do not halve. */
+static void test_corrections(void)
+{
+    const double mass[1] = {1.0}, x[2] = {1.0, 0.5}, contraction[] = {0.004, 0.3, 0.7};
+    for (size_t j = 0; j < 3; j++) {
+        const double c = contraction[j];
+        double k = 4.0 * c;
+        const dal_system_def def = {.n = 1, .mass = mass, .potential = spring, .ctx = &k};
+        const dal_scheme scheme = find_scheme("midpoint");
+        dal_system *system = NULL;
+        dal_stats stats;
+        need(dal_system_new(&system, &def, NULL), "spring", "");
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_step(stepper, NULL) == 0);
+        dal_stepper_stats(stepper, &stats);
+        CHECK(stats.full_newtons == (j > 0));
+        CHECK(j == 1 ? stats.iterations > 10 : stats.iterations <= 9);
+        CHECK_NEAR(dal_stepper_state(stepper)[1], (0.5 * (1.0 - c) - k) / (1.0 + c), 8 * U);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
 int main(int argc, char **argv)
 {
     test_steps(argc > 1 ? (unsigned)atoi(argv[1]) : 2048); /* or as many as are asked for */
+    test_corrections();
     return check_done();
 }
