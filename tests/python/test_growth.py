@@ -90,7 +90,8 @@ def test_functions_of_models(e):
 )  # fmt: skip
 def test_where_mu_is_not_smooth(e):
     found = examine([z.d - e * x.d], [x, y, z], [0.1, 0.0, 0.2])
-    assert found.growth is None and re.match("mu is not (smooth|defined) there", found.growth_note)
+    assert found.growth is None
+    assert re.match("mu is not (smooth|defined) there|no point was found", found.growth_note)
 
 
 # ---- against algebra -----------------------------------------------------------------------------
@@ -262,7 +263,7 @@ def test_close_to_a_singular_point(distance):
 def test_a_leaf_that_is_never_left():
     found = examine([z.d - y * z * x.d], [x, y, z], [0.1, 0.2, 0.0])
     assert found.growth == (2, 2) and found.general_growth == (2, 3)
-    assert found.growth_note == "brackets of more than 13 fields are not formed"
+    assert found.growth_note == "brackets of more than 11 fields are not formed"
 
 
 def test_no_growth_vector():

@@ -30,7 +30,7 @@ Expr = Any
 # The steps of differences are 2**-_BITS; what is not larger than _ZERO is zero.
 _BITS, _ZERO = 160, mpmath.ldexp(1, -100)
 # At a given point brackets are formed up to this order, and with no more values of mu than this.
-_ORDERS, _WORK = 12, 100_000
+_ORDERS, _WORK = 10, 30_000
 _DIGITS = 30
 
 
@@ -200,7 +200,8 @@ def _for_mpmath(e: Expr) -> Expr:
 def _edges(expressions: Sequence[Expr]) -> list[Expr]:
     """Return what is 0 where expressions have no Taylor series."""
     found = set()
-    for e in set().union(*(e.atoms(sympy.Function, sympy.Pow, sympy.Rel) for e in expressions)):
+    kinds = sympy.core.function.Application, sympy.Pow, sympy.Rel
+    for e in set().union(*(e.atoms(*kinds) for e in expressions)):
         if isinstance(e, sympy.Abs | sympy.sign | sympy.Heaviside):
             found.add(e.args[0])
         elif isinstance(e, sympy.Max | sympy.Min):
