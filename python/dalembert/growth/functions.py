@@ -69,16 +69,7 @@ class _Functions:
 
 
 def examine(system: System, near: Array, q: Array | None = None) -> Distribution:
-    """Return the growth vector at a general point near some point, and at a given one.
-
-    Parameters
-    ----------
-    system : System
-        With linear constraints, at least one.
-    near : ndarray, shape (n,)
-    q : ndarray, shape (n,), optional
-        Default: at the general point.
-    """
+    """Return what `growth.examine` does; the general point is one near ``near``."""
     n = system.n
     general, note = _near(system, near)
     integrable = None
