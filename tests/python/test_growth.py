@@ -270,6 +270,8 @@ def test_no_growth_vector():
     kink = examine([z.d - Abs(y) * x.d], [x, y, z], [0.1, 0.0, 0.2])
     assert kink.growth is None and kink.general_growth == (2, 3)
     assert kink.growth_note == "mu is not smooth there: y is 0"
+    near = examine([z.d - Abs(sin(y)) * x.d], [x, y, z], [0.1, np.pi, 0.2])  # sin(y) is 1e-16
+    assert near.growth is None and near.growth_note == "mu is not smooth there: sin(y) is 0"
     lost = examine([z * z.d - y * x.d], [x, y, z], [0.1, 0.0, 0.0])
     assert lost.growth is None and lost.growth_note == "mu has rank 0 instead of 1"
     nowhere = examine([z.d - sqrt(-1 - y**2) * x.d], [x, y, z])

@@ -10,10 +10,10 @@ takes no more than derivatives along lines, which are found by differences.
 
 At a general point only the brackets that are new in D^k have to be bracketed again.  Elsewhere the
 others matter too; there u, ..., z are random: while something of D^{k+1} is missing, a random
-bracket gives it with probability 1, for its coefficients are polynomials in u, ..., z.  For what the
-growth vector says see A. Bellaiche, The tangent space in sub-Riemannian geometry; for cars with
-trailers F. Jean, The car with N trailers: there it is (2, 3, ..., n), unless two neighbours stand at
-right angles, the last two apart.
+bracket gives it with probability 1, for its coefficients are polynomials in u, ..., z.  For what
+the growth vector says see A. Bellaiche, The tangent space in sub-Riemannian geometry; for cars with
+trailers F. Jean, The car with N trailers: there it is (2, 3, ..., n), unless two neighbours stand
+at right angles, the last two apart.
 """
 
 from __future__ import annotations
