@@ -5,6 +5,7 @@
  * is kept to roundoff and affine constraints need no formula of their own. */
 #include "internal.h"
 #include "lu.h"
+#include "residual.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -21,7 +22,7 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     double **const vectors[] = {&chart->w, &chart->R1, &chart->step};
     double **const multipliers[] = {&chart->branch, &chart->right, &chart->solution, &chart->R2,
                                     &chart->kappa, &chart->kept_branch};
-    double **const squares[] = {&chart->K, &chart->G, &chart->G_scale};
+    double **const squares[] = {&chart->K, &chart->G};
     double **const forms[] = {&chart->A, &chart->tableau, &chart->slope};
     dal__mechanics_reserve(&chart->mech, system, a);
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
@@ -29,7 +30,6 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     dal__reserve_doubles(a, DAL_LENGTH(squares), squares, nn);
     dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
     dal__reserve(a, &chart->B, mm, sizeof(double));
-    dal__reserve(a, &chart->B_scale, mm, sizeof(double));
     dal__reserve(a, &chart->B_sizes, dal__times(5, m), sizeof(double));
     dal__reserve(a, &chart->G_sizes, dal__times(5, n), sizeof(double));
     dal__reserve(a, &chart->x, dal__times(2, n), sizeof(double));
@@ -124,17 +124,21 @@ static void write_names(const dal_chart *chart, const size_t *place, size_t coun
 
 /* ---- A and B ----------------------------------------------------------------------------- */
 
-/* B, or B^T, of mu[m*n], factored. */
+/* B, or B^T, of mu[m*n], factored, in the units of the last dal__form_metric. */
 static int factor_B(dal_chart *chart, const double *mu, bool transposed)
 {
     const size_t n = chart->n, m = chart->m;
-    for (size_t a = 0; a < m; a++)
+    double *const forms = chart->B_sizes + (transposed ? m : 0);
+    double *const coordinates = chart->B_sizes + (transposed ? 0 : m);
+    for (size_t a = 0; a < m; a++) {
+        forms[a] = 0.0;
+        coordinates[a] = chart->mech.per_unit[chart->place[a]];
         for (size_t b = 0; b < m; b++) {
-            const size_t to = transposed ? b * m + a : a * m + b;
-            chart->B[to] = mu[a * n + chart->place[b]];
-            chart->B_scale[to] = fabs(chart->B[to]);
+            const double entry = mu[a * n + chart->place[b]];
+            chart->B[transposed ? b * m + a : a * m + b] = entry;
+            forms[a] += fabs(entry) * chart->mech.unit[chart->place[b]];
         }
-    dal__sizes(m, chart->B_scale, chart->B_sizes);
+    }
     if (dal_lu_factor(m, chart->B, chart->B_sizes, chart->row)) return DAL_SUCCESS;
     char names[128];
     write_names(chart, chart->place, m, sizeof names, names);
@@ -142,12 +146,15 @@ static int factor_B(dal_chart *chart, const double *mu, bool transposed)
                      "dependent coordinates %s form a singular matrix", names);
 }
 
-/* mu at (q, v), phi_q if wanted, and B factored. */
-static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q)
+/* mu at (q, v), phi_q if wanted, and B, or B^T, factored. */
+static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q,
+                  bool transposed)
 {
-    const int status = dal__constraint(&chart->mech.eval, q, v, NULL, chart->mech.mu, phi_q,
-                                       &chart->mech.error);
-    return status ? status : factor_B(chart, chart->mech.mu, false);
+    int status = dal__form_metric(&chart->mech, q, v);
+    if (!status)
+        status = dal__constraint(&chart->mech.eval, q, v, NULL, chart->mech.mu, phi_q,
+                                 &chart->mech.error);
+    return status ? status : factor_B(chart, chart->mech.mu, transposed);
 }
 
 /* result[a*stride] <- B^-1 times the column of forms[m*n]. */
@@ -172,9 +179,11 @@ int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
-    if (!status) status = form_B(chart, x, x + n, NULL);
+    if (!status) status = form_B(chart, x, x + n, NULL, false);
     if (status) return status;
     form_A(chart);
+    status = dal__require_output(&chart->mech.error, "A", m * (n - m), chart->A);
+    if (status) return status;
     if (A) memcpy(A, chart->A, m * (n - m) * sizeof *A);
     for (size_t a = 0; B && a < m; a++)
         for (size_t b = 0; b < m; b++) B[a * m + b] = chart->mech.mu[a * n + chart->place[b]];
@@ -289,7 +298,7 @@ int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x)
     if (!status)
         status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
                                  &chart->mech.error);
-    if (!status && !dependent) status = dal__form_metric(&chart->mech, x, x + n);
+    if (!status) status = dal__form_metric(&chart->mech, x, x + n);
     if (!status && !dependent) status = pivot_columns(chart);
     if (status) return status;
     if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
@@ -415,7 +424,7 @@ int dal__chart_lift(dal_chart *chart, const double *xi, double *x)
     for (int iteration = 0;; iteration++) {
         int status = evaluate_phi(chart, x, iteration > 0);
         if (status) return status;
-        if (iteration == 1 || newton) status = dal__form_metric(&chart->mech, x, v);
+        if (iteration <= 1 || newton) status = dal__form_metric(&chart->mech, x, v);
         if (status) return status;
         if (iteration > 0 || newton) {
             const double relative = dal__relative_residual(&chart->mech, chart->mech.mu,
@@ -490,6 +499,8 @@ int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver)
     status = dal__chart_lift(chart, chart->y, chart->x);
     if (status) return status;
     for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
+    status = dal__require_output(&chart->mech.error, "ver", n, chart->w);
+    if (status) return status;
     if (hor) memcpy(hor, chart->x + n, n * sizeof *hor);
     if (ver) memcpy(ver, chart->w, n * sizeof *ver);
     return DAL_SUCCESS;
@@ -502,18 +513,23 @@ int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *le
     const size_t *const place = chart->place;
     int status = require_xi(chart, xi);
     if (!status) status = lift_from_branch(chart, xi, chart->x);
-    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu);
+    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu, false);
     if (status) return status;
     if (J) {
+        form_A(chart);
+        for (size_t k = 0; k < n; k++)
+            solve_column(chart, chart->mech.dmu, k, chart->tableau + k, n);
+        status = dal__require_output(&chart->mech.error, "J", m * n, chart->tableau);
+        if (!status)
+            status = dal__require_output(&chart->mech.error, "J", m * (n - m), chart->A);
+        if (status) return status;
         memset(J, 0, 2 * n * width * sizeof *J);
         for (size_t i = 0; i < n; i++) J[i * width + i] = 1.0;
         for (size_t j = m; j < n; j++) J[(n + place[j]) * width + n + j - m] = 1.0;
-        for (size_t k = 0; k < width; k++) {
-            solve_column(chart, k < n ? chart->mech.dmu : chart->mech.mu,
-                         k < n ? k : place[m + k - n], chart->A, 1);
-            for (size_t a = 0; a < m; a++) /* 0, and not -0 */
-                J[(n + place[a]) * width + k] = 0.0 - chart->A[a];
-        }
+        for (size_t a = 0; a < m; a++)
+            for (size_t k = 0; k < width; k++) /* 0, and not -0 */
+                J[(n + place[a]) * width + k] = 0.0 - (k < n ? chart->tableau[a * n + k]
+                                                             : chart->A[a * (n - m) + k - n]);
     }
     if (left) {
         memset(left, 0, 2 * n * width * sizeof *left);
@@ -543,15 +559,16 @@ int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambd
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
-    if (!status) status = form_B(chart, x, x + n, NULL);
+    if (!status) status = form_B(chart, x, x + n, NULL, false);
     if (status) return status;
     for (size_t b = 0; b < m; b++) {
         chart->solution[b] = 0.0;
         for (size_t a = 0; a < m; a++)
             chart->solution[b] += chart->mech.mu[a * n + chart->place[b]] * lambda[a];
     }
-    memcpy(lambda_E, chart->solution, m * sizeof *lambda_E);
-    return DAL_SUCCESS;
+    status = dal__require_output(&chart->mech.error, "lambda_E", m, chart->solution);
+    if (!status) memcpy(lambda_E, chart->solution, m * sizeof *lambda_E);
+    return status;
 }
 
 int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *lambda_E,
@@ -562,14 +579,12 @@ int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
-    if (!status)
-        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
-                                 &chart->mech.error);
-    if (!status) status = factor_B(chart, chart->mech.mu, true);
+    if (!status) status = form_B(chart, x, x + n, NULL, true);
     if (status) return status;
     dal_lu_solve(m, chart->B, chart->row, lambda_E, chart->solution);
-    memcpy(lambda, chart->solution, m * sizeof *lambda);
-    return DAL_SUCCESS;
+    status = dal__require_output(&chart->mech.error, "lambda", m, chart->solution);
+    if (!status) memcpy(lambda, chart->solution, m * sizeof *lambda);
+    return status;
 }
 
 /* ---- the scheme -------------------------------------------------------------------------- */
@@ -601,21 +616,17 @@ static int newton_step(dal_chart *chart)
     for (size_t k = 0; k < n; k++) {
         match_dependent(chart, chart->K + k, n);
         for (size_t j = 0; j < free; j++) {
-            double sum = chart->K[place[j] * n + k], scale = fabs(sum);
-            for (size_t a = 0; a < m; a++) {
-                const double term = mech->muk[a * n + place[j]] * chart->solution[a];
-                sum -= term;
-                scale += fabs(term);
-            }
+            double sum = chart->K[place[j] * n + k];
+            for (size_t a = 0; a < m; a++)
+                sum -= mech->muk[a * n + place[j]] * chart->solution[a];
             chart->G[j * n + k] = sum;
-            chart->G_scale[j * n + k] = scale;
         }
-        for (size_t a = 0; a < m; a++) {
-            chart->G[(free + a) * n + k] = chart->slope[a * n + k];
-            chart->G_scale[(free + a) * n + k] = fabs(chart->slope[a * n + k]);
-        }
+        for (size_t a = 0; a < m; a++) chart->G[(free + a) * n + k] = chart->slope[a * n + k];
     }
-    dal__sizes(n, chart->G_scale, chart->G_sizes);
+    for (size_t j = 0; j < free; j++) chart->G_sizes[j] = mech->per_unit[place[j]];
+    for (size_t a = 0; a < m; a++)
+        chart->G_sizes[free + a] = dal_residual_form(n, mech->unit, chart->slope + a * n);
+    memcpy(chart->G_sizes + n, mech->per_unit, n * sizeof *chart->G_sizes);
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
     if (!dal_lu_factor(n, chart->G, chart->G_sizes, chart->G_row))

@@ -128,35 +128,40 @@ double dal__singular_values(size_t count, size_t n, double *A, double *squares)
     return unit;
 }
 
-/* size[count] of the rows (or columns) so that with other[count] of the other side their largest
- * entry is 1, or, where mean, 1 is the geometric mean of those above small. */
-static void balance(size_t count, const double *scale, bool rows, bool mean, double *size,
+/* size[count] of the rows (or columns), with other[count] that of the other side: such that the
+ * geometric mean of their scaled entries, of those above least, is 1. */
+static void balance(size_t count, const double *scale, bool rows, double least, double *size,
                     const double *other)
 {
-    const double small = 1e-8; /* what is smaller may be roundoff, and has no size */
     for (size_t k = 0; k < count; k++) {
-        double most = 0.0, sum = 0.0;
+        double sum = 0.0;
         size_t entries = 0;
         for (size_t l = 0; l < count; l++) {
             const double entry = rows ? scale[k * count + l] : scale[l * count + k];
-            if (entry > most * other[l]) most = entry / other[l];
-            if (!mean || !(entry > small * size[k] * other[l])) continue;
-            sum += log2(entry / other[l]);
+            if (!(entry > least * size[k] * other[l]) || !(entry <= DBL_MAX)) continue;
+            sum += log2(entry) - log2(other[l]);
             entries++;
         }
-        size[k] = entries > 0 ? exp2(sum / (double)entries) : most;
+        if (entries > 0) size[k] = exp2(sum / (double)entries);
     }
 }
 
-/* The mean, in turns, is that of A. R. Curtis and J. K. Reid (J. Inst. Maths Applics 10, 1972): it
- * follows when rows and columns are rescaled, where the largest entries depend on who comes first. */
+/* In turns, as A. R. Curtis and J. K. Reid do it (J. Inst. Maths Applics 10, 1972): it follows when
+ * rows and columns are rescaled, where largest entries would depend on who comes first.  Entries
+ * that are found to be small may be roundoff, which has no size, and are then left out. */
 void dal__sizes(size_t count, const double *scale, double *sizes)
 {
-    enum { LARGEST = 2, SWEEPS = 8 };
+    enum { ALL = 12, SWEEPS = 20 };
+    const double small = 1e-8;
     double *const rows = sizes, *const columns = sizes + count;
     for (size_t k = 0; k < 2 * count; k++) sizes[k] = 1.0;
     for (int sweep = 0; sweep < SWEEPS; sweep++) {
-        balance(count, scale, false, sweep >= LARGEST, columns, rows);
-        balance(count, scale, true, sweep >= LARGEST && sweep < SWEEPS - 1, rows, columns);
+        balance(count, scale, true, sweep < ALL ? 0.0 : small, rows, columns);
+        balance(count, scale, false, sweep < ALL ? 0.0 : small, columns, rows);
+    }
+    for (size_t i = 0; i < count; i++) {
+        rows[i] = 0.0;
+        for (size_t k = 0; k < count; k++)
+            rows[i] = fmax(rows[i], scale[i * count + k] / columns[k]);
     }
 }

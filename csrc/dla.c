@@ -206,7 +206,7 @@ static void examine(dal_discrete *d, int *sign, double *logarithm, double *condi
     double l = 0.0, most = 0.0, least = HUGE_VAL;
     assemble(d, J, scale);
     dal__sizes(N, scale, d->root.sizes);
-    const bool regular = dal_lu_factor(N, J, d->root.sizes, row);
+    const bool regular = dal_lu_factor(N, J, d->root.sizes, row) != 0;
     for (size_t k = 0; regular && k < N; k++) {
         if (J[k * N + k] < 0.0) s = -s;
         l -= log(fabs(J[k * N + k])); /* the diagonal is inverted */

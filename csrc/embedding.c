@@ -52,8 +52,7 @@ static int check_def(const dal_system *system, const dal_embedding_def *def, dal
         return dal__fail(error, DAL_EINVAL, "order = %d is negative", def->order);
     if (def->order == 0 && def->scheme->order <= 0)
         return dal__fail(error, DAL_EINVAL, "order = 0, and the record promises no order either");
-    if (!(def->tolerance >= 0.0 && def->tolerance <= 0.1))
-        return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in [0, 0.1]", def->tolerance);
+    if (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)) return DAL_EINVAL;
     if (system->def.force)
         return dal__fail(error, DAL_EUNSUPPORTED, "a force may depend on time: only autonomous "
                          "systems are embedded");

@@ -38,11 +38,13 @@ static int evaluate(dal_kernel *k, const dal_stage *s)
     return total <= DBL_MAX ? DAL_SUCCESS : is_not_finite(k);
 }
 
-/* y <- K^-1 (-R1) and Z <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K. */
-static int linearise(dal_kernel *k, const dal_stage *s)
+/* y <- K^-1 (-R1) and Z <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K; *sign <-
+ * that of det K. */
+static int linearise(dal_kernel *k, const dal_stage *s, int *sign)
 {
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
+    *sign = 1;
     if (!k->potential || s->end == 0.0) { /* K = M */
         for (size_t i = 0; i < n; i++) {
             k->y[i] = at->base[i] - at->w[i];
@@ -63,7 +65,8 @@ static int linearise(dal_kernel *k, const dal_stage *s)
         if (m > 0) sum += dal_kernel_column(n, m, everything.mu, at->mu_node, i, at->kappa);
         k->R[i] = sum;
     }
-    if (!dal_lu_factor(n, k->K, k->K_sizes, k->K_row))
+    *sign = dal_lu_factor(n, k->K, k->K_sizes, k->K_row);
+    if (*sign == 0)
         return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_K);
     dal_lu_solve(n, k->K, k->K_row, k->R, k->y);
     for (size_t a = 0; a < m; a++)
@@ -87,7 +90,7 @@ static int solve(dal_kernel *k, const dal_stage *s)
     memcpy(at->w, at->x + n, n * sizeof *at->w);
     memset(at->kappa, 0, m * sizeof *at->kappa);
     for (p.iteration = 1; p.iteration <= k->max_iterations; p.iteration++) {
-        int status;
+        int status, sign = 1;
         while ((status = evaluate(k, s)) == DAL_EDOMAIN && p.iteration > 1
                && halvings++ < HALVINGS) {
             dal__newton_halve(&p);
@@ -95,10 +98,11 @@ static int solve(dal_kernel *k, const dal_stage *s)
             for (size_t a = 0; a < m; a++) at->kappa[a] -= at->d[a] *= 0.5;
             k->stats.halvings++;
         }
-        if (!status) status = linearise(k, s);
+        if (!status) status = linearise(k, s, &sign);
         if (status) return status;
         k->stats.iterations++;
-        if (!dal_kernel_factor(k, n, m, everything, b, at))
+        sign *= dal_kernel_factor(k, n, m, everything, b, at);
+        if (sign == 0)
             return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_S);
         for (size_t a = 0; a < m; a++) {
             double sum = 0.0;
@@ -123,16 +127,18 @@ static int solve(dal_kernel *k, const dal_stage *s)
         const dal__verdict verdict = dal__newton_judge(&p, k->failure.size);
         k->failure.first = p.first;
         k->failure.travelled = p.travelled;
-        if (verdict == DAL__DONE) return DAL_SUCCESS;
+        if (verdict == DAL__DONE)
+            return sign > 0 ? DAL_SUCCESS : dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_BRANCH);
         if (!(p.size <= DBL_MAX)) break;
         if (verdict == DAL__LOST) return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_ROOT);
     }
     return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_CONVERGE);
 }
 
-/* The final correction v' <- v' - Z' C'^-1 mu(q~') v' at the stored q~', with an evaluation of its
- * own.  Works on at.stored and at.w; at.point becomes the q~' that belongs to them.  Each pass leaves
- * its own roundoff of what it takes away. */
+/* The final correction v' <- v' - Z' C'^-1 mu(q~') v' at the q~' that the stored node gives back,
+ * with evaluations of its own.  Works on at.w and at.stored.  Each pass leaves its own roundoff of
+ * what it takes away; a kept node follows v', so that it gives back the same q~' but for a
+ * rounding. */
 static int correct(dal_kernel *k)
 {
     enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */
@@ -140,24 +146,37 @@ static int correct(dal_kernel *k)
     const size_t n = k->n, m = k->m;
     const double shift = k->kept ? k->shift * k->h : 0.0;
     const double before = dal_residual_speed(n, k->per_unit, at->w);
-    for (size_t i = 0; i < n; i++) at->point[i] = at->stored[i] - shift * at->w[i];
-    const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, NULL);
-    k->stats.corrections++;
-    if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-    if (!(dal_kernel_sum(m * n, at->mu) <= DBL_MAX)) return is_not_finite(k);
     for (int pass = 1;; pass++) {
-        const double limit = DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0);
-        if (dal_kernel_settled(k, n, m, everything, at, limit, &k->stats.worst_residual)) break;
-        if (pass > MOST) return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
-        if (pass == 1) {
-            for (size_t a = 0; a < m; a++)
-                dal_kernel_accelerate(k, n, everything.inverse, at->mu + a * n, at->Z + a * n);
-            for (size_t a = 0; a < m; a++)
-                for (size_t c = 0; c < m; c++)
-                    at->S[a * m + c] = dal__dot(n, at->mu + a * n, at->Z + c * n);
-            if (!dal__cholesky(m, at->S, at->sizes, NULL, NULL))
-                return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
+        bool same = pass > 1;
+        for (size_t i = 0; i < n; i++) {
+            const double q = at->stored[i] - shift * at->w[i];
+            same = same && q == at->point[i];
+            at->point[i] = q;
         }
+        if (!same) {
+            const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, NULL);
+            k->stats.corrections++;
+            if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+            if (!(dal_kernel_sum(m * n, at->mu) <= DBL_MAX)) return is_not_finite(k);
+        }
+        double *const worst = &k->stats.worst_residual;
+        const double limit = DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0);
+        if (dal_kernel_settled(k, n, m, everything, at, limit, worst)) break;
+        if (pass > MOST && k->kept) { /* the rounding of a large node may move mu by more */
+            const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, at->N);
+            if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+            if (dal_kernel_is_roundoff(k, n, m, everything, at)
+                && dal_kernel_settled(k, n, m, everything, at, DBL_MAX, worst))
+                break;
+        }
+        if (pass > MOST) return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
+        for (size_t a = 0; !same && a < m; a++)
+            dal_kernel_accelerate(k, n, everything.inverse, at->mu + a * n, at->Z + a * n);
+        for (size_t a = 0; !same && a < m; a++)
+            for (size_t c = 0; c < m; c++)
+                at->S[a * m + c] = dal__dot(n, at->mu + a * n, at->Z + c * n);
+        if (!same && !dal__cholesky(m, at->S, at->sizes, NULL, NULL))
+            return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
         dal__cholesky_solve(m, at->S, at->r);
         for (size_t i = 0; i < n; i++)
             at->w[i] += dal_kernel_column(n, m, everything.Z, at->Z, i, at->r);
@@ -165,7 +184,6 @@ static int correct(dal_kernel *k)
         if (pass == MOST
             && dal_residual_speed(n, k->per_unit, at->w) <= DAL_RESIDUAL_BOUND(n) * before)
             memset(at->w, 0, n * sizeof *at->w);
-        /* q~' is not changed: a kept node moves with v', and gives back the same q~' */
         for (size_t i = 0; k->kept && i < n; i++) at->stored[i] = at->point[i] + shift * at->w[i];
     }
     return dal_kernel_sum(n, at->w) + dal_kernel_sum(n, at->stored) <= DBL_MAX ? DAL_SUCCESS

@@ -38,5 +38,5 @@ int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, double *x, 
         if (done) *done = row * stride;
         status = observe(stepper, observer, ctx);
     }
-    return status;
+    return status ? status : dal__stepper_look(stepper);
 }

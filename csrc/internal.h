@@ -86,9 +86,9 @@ void dal__forget(size_t count, double *x);
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y);
 
 /* Lower Cholesky factor of the symmetric A[n*n] in place, and inverse[n] <- the diagonal of A^-1.
- * False if A is not positive definite, or is so ill-conditioned when it is scaled to a unit diagonal
- * that nothing is left of a solution: n trace(A_scaled^-1), which is not below the condition, is
- * above DAL_LU_CONDITION.  Then *row and *pivot (or NULL) say where. */
+ * False if A is not positive definite, or is so ill-conditioned when it is scaled to a unit
+ * diagonal that nothing is left of a solution: n trace(A_scaled^-1), which is not below the
+ * condition, is above DAL_LU_CONDITION.  Then *row and *pivot (or NULL) say where. */
 bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pivot);
 /* The rows of A[count*n] are rotated in pairs until they are orthogonal (one-sided Jacobi); then
  * their lengths are the singular values.  squares[count] <- their squares, for A divided by its
@@ -96,8 +96,7 @@ bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pi
 double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 
 /* sizes[2*count] <- the sizes of rows and columns (see lu.h) of a matrix of which nothing is known
- * but scale[count*count], the sums of the absolute values of the terms of its entries: such that in
- * the scaled one the largest of every row is 1, and that of every column about that. */
+ * but scale[count*count], the sums of the absolute values of the terms of its entries. */
 void dal__sizes(size_t count, const double *scale, double *sizes);
 
 /* x[n] <- A^-1 x from the factor. */
@@ -115,17 +114,23 @@ typedef struct dal__progress {
 
 typedef enum dal__verdict { DAL__GOING, DAL__DONE, DAL__LOST } dal__verdict;
 
-/* After a step of size.  DONE: it is roundoff; or the next one would be, if it is smaller by the same
- * factor, unless something is lagging; or the steps are small and no longer shrink.  LOST: not
- * finite, or they lead farther than first / (1 - second/first), which is as far as they would if they
- * went on to shrink as they began to.  What lies beyond may be a solution that no small h leads to. */
+/* After a step of size.  DONE: it is roundoff; or the next one would be, if it is smaller by the
+ * same factor, unless something is lagging; or the steps are small and no longer shrink.  LOST: not
+ * finite, or they lead farther than first / (1 - second/first), which is as far as they would if
+ * they went on to shrink as they began to.  What lies beyond may be a solution that no small h
+ * leads to. */
 dal__verdict dal__newton_judge(dal__progress *p, double size);
 /* The last step is halved. */
 void dal__newton_halve(dal__progress *p);
+/* Of what is DONE where the determinant of the Newton matrix is negative.  As h goes to 0 it goes
+ * to that of M and mu M^-1 mu^T, which is positive, so it has changed its sign on the way. */
+#define DAL__BRANCH_TEXT \
+    "Newton did not converge to the solution that small steps lead to but to another, where the " \
+    "determinant of its matrix is negative; try a smaller h"
 /* Of what is LOST but finite: travelled, first, scale. */
 #define DAL__LOST_TEXT \
-    "Newton did not converge: its steps lead away from the start, %.3g in all where the first was " \
-    "%.3g, of %.3g; try a smaller h"
+    "Newton did not converge: its steps lead away from the start, %.3g in all where the first " \
+    "was %.3g, of %.3g; try a smaller h"
 
 /* size equations in as many unknowns z.  at: residual[size], J[size*size] its derivative and the
  * scale of the entries of J (see lu.h); a status.  The sum |dz_i| over the first measured unknowns
@@ -161,6 +166,8 @@ typedef struct ode ode;
 
 /* N >= 1; tolerance as of dal_flow_new; ctx is handed to the field.  DAL_EINVAL, DAL_ENOMEM.
  * GSL's workspace is made here and never later, see rule 7 of the header. */
+/* Whether a flow may be asked for this tolerance. */
+int dal__check_tolerance(double tolerance, dal_error *error);
 int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
                  dal__field_fn field, void *ctx, dal_error *error);
 void dal__ode_free(ode *self);
@@ -264,10 +271,11 @@ struct dal_mechanics {
     double *phi;                  /* [m] */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
     double *Z;                    /* [m*n]: row a is M^-1 mu^a */
-    double *C, *scale, *sizes;    /* [m*m], [m*m], [5*m]: mu M^-1 mu^T, its factor; see lu.h */
+    double *C, *sizes;            /* [m*m], [5*m]: mu M^-1 mu^T or its factors; see lu.h */
     size_t *row;                  /* [m] */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
+    double *point;                /* [2n] of jump.c */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
     double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
     double *L_vv, *factor;        /* [n*n]: M where it is not constant, and its Cholesky factor */
@@ -310,10 +318,12 @@ void dal__solve_gram(const dal_mechanics *mech, double *y);
 /* The residual of residual.h, the largest of all a, in the units of the last dal__form_metric. */
 double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
                               const double *v);
-/* Whether v is so near to D that it is meant to lie in it: |mu^a v| <= 1e-8 sum_i |mu^a_i v_i| + 4 n
- * u s^a, with phi and a^a where residual.h has them. */
+/* Whether v is so near to D that it is meant to lie in it: |mu^a v| <= 1e-8 sum_i |mu^a_i v_i| + 4
+ * n u s^a, with phi and a^a where residual.h has them. */
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
                         const double *v);
+/* *E <- the energy at x[2n], which may overflow. */
+int dal__energy(dal_mechanics *mech, const double *x, double *E);
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
                    bool *consistent);
@@ -344,7 +354,7 @@ struct dal_chart {
     bool chosen;
     size_t *place;           /* [n]: the dependent coordinates, then the independent ones */
     double *branch;          /* [m] v_dependent where Newton starts */
-    double *B, *B_scale, *B_sizes, *A; /* [m*m] factors, [m*m], [5*m], [m*(n-m)] */
+    double *B, *B_sizes, *A; /* [m*m] factors, [5*m], [m*(n-m)] */
     size_t *row;             /* [m] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
@@ -353,7 +363,7 @@ struct dal_chart {
     /* of dal_chart_step */
     double *w, *R1, *step;   /* [n] */
     double *R2, *kappa;      /* [m] */
-    double *K, *G, *G_scale; /* [n*n] */
+    double *K, *G;           /* [n*n] */
     double *G_sizes;         /* [5*n] */
     double *slope;           /* [m*n] */
     size_t *G_row;           /* [n] */
@@ -503,6 +513,21 @@ void dal__multiroot_free(multiroot *solver);
 int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double beta, double h,
                         bool kept, double *x, double *kappa, dal_stats *stats);
 
+/* Whether the energy jumps (jump.c): looked at now and then, never where something does work, or by
+ * schemes of order 1, which drift by design. */
+typedef struct dal__jump {
+    bool looking;
+    double shift, energy, kinetic; /* of the states' D_eps; at the start; the largest seen */
+    size_t step;                   /* where the energy was seen to have jumped; 0: nowhere */
+    double change;                 /* by how much */
+} dal__jump;
+/* The errors of the callbacks; then only DAL_EUSER.  The text is in mech->error. */
+int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
+                    const double *x);
+int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
+
+/* Looks at the energy of the state now.  DAL_EUSER. */
+int dal__stepper_look(dal_stepper *stepper);
 /* What a stepper was made of, and the record that dal_stepper_message reads. */
 const dal_system *dal__stepper_system(const dal_stepper *stepper);
 dal_error *dal__stepper_error(dal_stepper *stepper);

@@ -28,8 +28,8 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     dal__reserve(a, &mech->f_v, forced, sizeof(double));
     dal__reserve(a, &mech->chetaev, nonlinear ? mn : 0, sizeof(double));
     dal__reserve(a, &mech->bend, nonlinear ? nn : 0, sizeof(double));
+    dal__reserve(a, &mech->point, dal__times(2, n), sizeof(double));
     dal__reserve(a, &mech->C, mm, sizeof(double));
-    dal__reserve(a, &mech->scale, mm, sizeof(double));
     dal__reserve(a, &mech->sizes, dal__times(5, m), sizeof(double));
     dal__reserve(a, &mech->units, system->mass ? 0 : n, sizeof(double));
     dal__reserve(a, &mech->per_units, system->mass ? 0 : n, sizeof(double));
@@ -161,19 +161,21 @@ void dal__solve_gram(const dal_mechanics *mech, double *y)
     dal__cholesky_solve(mech->m, mech->C, y);
 }
 
-/* The LU factors of mu Z^T, where Z need not be that of mu. */
+/* The LU factors of mu Z^T, where Z need not be that of mu, and may leave coordinates out. */
 static int factor_product(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
     form_gram(mech, mech->mu);
-    for (size_t a = 0; a < m; a++)
-        for (size_t b = 0; b < m; b++) {
-            double scale = 0.0;
-            for (size_t i = 0; i < n; i++)
-                scale += fabs(mech->mu[a * n + i] * mech->Z[b * n + i]);
-            mech->scale[a * m + b] = scale;
-        }
-    dal__sizes(m, mech->scale, mech->sizes);
+    for (size_t a = 0; a < m; a++) {
+        mech->sizes[a] = 0.0;
+        mech->sizes[m + a] = dal_residual_speed(n, mech->per_unit, mech->Z + a * n);
+    }
+    for (size_t i = 0; i < n; i++) {
+        bool moves = false;
+        for (size_t a = 0; a < m; a++) moves = moves || mech->Z[a * n + i] != 0.0;
+        for (size_t a = 0; moves && a < m; a++)
+            mech->sizes[a] += fabs(mech->mu[a * n + i]) * mech->unit[i];
+    }
     if (dal_lu_factor(m, mech->C, mech->sizes, mech->row)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide");
@@ -203,22 +205,19 @@ int dal_gram(dal_mechanics *mechanics, const double *x, double *C)
     if (status) return status;
     dal__form_Z(mech, mech->mu);
     form_gram(mech, mech->mu);
-    memcpy(C, mech->C, mech->m * mech->m * sizeof *C);
-    return DAL_SUCCESS;
+    status = dal__require_output(&mech->error, "C", mech->m * mech->m, mech->C);
+    if (!status) memcpy(C, mech->C, mech->m * mech->m * sizeof *C);
+    return status;
 }
 
 /* ---- energy and power -------------------------------------------------------------------- */
 
-int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
+int dal__energy(dal_mechanics *mech, const double *x, double *E)
 {
-    if (!mechanics) return DAL_EINVAL;
-    if (!E) return dal__null_argument(mechanics, "E");
-    dal_mechanics *const mech = mechanics;
     const size_t n = mech->n;
-    double V = 0.0, L = 0.0;
-    int status = dal__require_finite(mech, "x", 2 * n, x);
-    if (status) return status;
     const double *const v = velocity(mech, x);
+    double V = 0.0, L = 0.0;
+    int status;
     if (mech->eval.constant_mass) {
         status = dal__potential(&mech->eval, x, &V, NULL, NULL, &mech->error);
         if (status) return status;
@@ -232,6 +231,18 @@ int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
     return status;
 }
 
+int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
+{
+    if (!mechanics) return DAL_EINVAL;
+    if (!E) return dal__null_argument(mechanics, "E");
+    double value = 0.0;
+    int status = dal__require_finite(mechanics, "x", 2 * mechanics->n, x);
+    if (!status) status = dal__energy(mechanics, x, &value);
+    if (!status) status = dal__require_output(&mechanics->error, "E", 1, &value);
+    if (!status) *E = value;
+    return status;
+}
+
 /* ---- residuals --------------------------------------------------------------------------- */
 
 /* phi and mu at q - shift v, and the metric; with a contiguous copy of that point in mech->q. */
@@ -240,9 +251,10 @@ static int forms_at(dal_mechanics *mech, double shift, const double *x, double *
     const size_t n = mech->n;
     const double *const v = velocity(mech, x);
     for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * v[i];
-    const int status = dal__form_metric(mech, mech->q, v);
-    if (status) return status;
-    return dal__constraint(&mech->eval, mech->q, v, mech->phi, mech->mu, dmu, &mech->error);
+    int status = dal__form_metric(mech, mech->q, v);
+    if (!status)
+        status = dal__constraint(&mech->eval, mech->q, v, mech->phi, mech->mu, dmu, &mech->error);
+    return status ? status : dal__require_output(&mech->error, "phi", mech->m, mech->phi);
 }
 
 int dal_residual(dal_mechanics *mechanics, double shift, const double *x, double *residual)
@@ -324,9 +336,11 @@ int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative)
 int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
                    bool *consistent)
 {
-    const int status = forms_at(mech, shift, x, NULL);
+    int status = forms_at(mech, shift, x, NULL);
     if (status) return status;
     *relative = dal__relative_residual(mech, mech->mu, mech->phi, velocity(mech, x));
+    status = dal__require_output(&mech->error, "residual", 1, relative);
+    if (status) return status;
     *consistent = dal__is_consistent(mech, mech->mu, mech->phi, velocity(mech, x));
     return DAL_SUCCESS;
 }
@@ -385,7 +399,7 @@ static int solve_multipliers(dal_mechanics *mech, double t, const double *x)
         mech->lambda[a] = -dal__dot(n, mech->Z + a * n, mech->force)
                         - dal__dot(n, mech->dmu + a * n, v);
     dal__solve_gram(mech, mech->lambda);
-    return DAL_SUCCESS;
+    return dal__require_output(&mech->error, "lambda", m, mech->lambda);
 }
 
 int dal_multipliers(dal_mechanics *mechanics, double t, const double *x, double *lambda)
@@ -404,7 +418,7 @@ int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double
     if (!vdot) return dal__null_argument(mechanics, "vdot");
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n;
-    const int status = solve_multipliers(mech, t, x);
+    int status = solve_multipliers(mech, t, x);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {
         double sum = mech->force[i];
@@ -412,8 +426,9 @@ int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double
         mech->step[i] = sum;
     }
     dal__accelerate(mech, mech->step, mech->q);
-    memcpy(vdot, mech->q, n * sizeof *vdot);
-    return DAL_SUCCESS;
+    status = dal__require_output(&mech->error, "vdot", n, mech->q);
+    if (!status) memcpy(vdot, mech->q, n * sizeof *vdot);
+    return status;
 }
 
 int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot)
@@ -453,6 +468,10 @@ int dal_perturbed(dal_mechanics *mechanics, double t, double weight, const doubl
         mech->q[i] = v + weight * ghat[i];
         mech->w[i] += weight * ghat[n + i];
     }
+    status = dal__require_output(&mech->error, "lambda", m, mech->lambda);
+    if (!status && xdot) status = dal__require_output(&mech->error, "xdot", n, mech->q);
+    if (!status && xdot) status = dal__require_output(&mech->error, "xdot", n, mech->w);
+    if (status) return status;
     if (xdot) memcpy(xdot, mech->q, n * sizeof *xdot);
     if (xdot) memcpy(xdot + n, mech->w, n * sizeof *xdot);
     if (lambda) memcpy(lambda, mech->lambda, m * sizeof *lambda);
@@ -473,17 +492,24 @@ int dal_power(dal_mechanics *mechanics, double t, const double *x, double *const
         of_constraint += mech->lambda[a] * dal__dot(n, mech->mu + a * n, v);
     status = dal__force(&mech->eval, t, x, v, mech->step, NULL, NULL, &mech->error);
     if (status) return status;
+    const double of_force = dal__dot(n, mech->step, v);
+    status = dal__require_output(&mech->error, "constraint", 1, &of_constraint);
+    if (!status) status = dal__require_output(&mech->error, "force", 1, &of_force);
+    if (status) return status;
     if (constraint) *constraint = of_constraint;
-    if (force) *force = dal__dot(n, mech->step, v);
+    if (force) *force = of_force;
     return DAL_SUCCESS;
 }
 
 /* ---- projections ------------------------------------------------------------------------- */
 
-static double mass_norm(dal_mechanics *mech, const double *d)
+/* sqrt(d^T M d); d[n] is destroyed, as its squares might overflow. */
+static double mass_norm(dal_mechanics *mech, double *d)
 {
+    const double largest = dal__largest(mech->n, d);
+    for (size_t i = 0; largest > 0.0 && i < mech->n; i++) d[i] /= largest;
     dal__apply(mech->n, mech->n, mech->metric, d, mech->step);
-    return sqrt(fmax(0.0, dal__dot(mech->n, d, mech->step)));
+    return largest * sqrt(fmax(0.0, dal__dot(mech->n, d, mech->step)));
 }
 
 /* x takes the velocity mech->w, unless that overflowed. */
@@ -494,12 +520,13 @@ static int accept(dal_mechanics *mech, double *x, double *distance)
         if (!isfinite(mech->w[i]))
             return dal__fail(&mech->error, DAL_EDOMAIN, "the consistent velocity overflows: "
                              "v[%zu] = %g from %g", i, mech->w[i], x[n + i]);
-    for (size_t i = 0; i < n; i++) {
-        const double w = mech->w[i];
-        mech->w[i] -= x[n + i];
-        x[n + i] = w;
-    }
-    if (distance) *distance = mass_norm(mech, mech->w);
+    for (size_t i = 0; i < n; i++) mech->q[i] = mech->w[i] - x[n + i];
+    const double moved = mass_norm(mech, mech->q);
+    const int status =
+        distance ? dal__require_output(&mech->error, "distance", 1, &moved) : DAL_SUCCESS;
+    if (status) return status;
+    memcpy(x + n, mech->w, n * sizeof *x);
+    if (distance) *distance = moved;
     return DAL_SUCCESS;
 }
 
@@ -549,6 +576,7 @@ static int find_velocity(dal_mechanics *mech, double shift, const double *x)
         memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
     if (status || shift != 0.0) return status;
     status = dal__constraint(&mech->eval, x, mech->w, mech->phi, mech->mu, NULL, &mech->error);
+    if (!status) status = factor_product(mech); /* without full rank it is refused for any v */
     return status ? status : dal__mend(mech, x, mech->w, &relative);
 }
 
@@ -592,7 +620,8 @@ static int form_free_Z(dal_mechanics *mech, const unsigned char *keep, size_t *f
         for (size_t j = 0; j < n; j++)
             if (!keep[j]) factor[entries++] = mech->metric[i * n + j];
     }
-    dal__cholesky(count, factor, column, NULL, NULL); /* a principal part of M is definite, as M is */
+    /* a principal part of M is definite, as M is */
+    dal__cholesky(count, factor, column, NULL, NULL);
     memset(mech->Z, 0, m * n * sizeof *mech->Z);
     for (size_t a = 0; a < m; a++) {
         size_t k = 0;
@@ -645,17 +674,19 @@ int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift, 
     const size_t n = mech->n, m = mech->m;
     int status = dal__require_finite(mech, "shift", 1, &shift);
     for (size_t k = 0; !status && k < count; k++, x += 2 * n) {
-        double E = 0.0;
+        double E = 0.0, worst = 0.0;
+        bool consistent;
         status = dal__require_finite(mech, "x", 2 * n, x);
         if (!status && energy) status = dal_energy(mech, x, &E);
         if (!status && multipliers) status = solve_multipliers(mech, t0 + (double)k * h, x);
-        if (!status && (residual || relative)) status = forms_at(mech, shift, x, NULL);
+        if (!status && (residual || relative))
+            status = dal__lies_in_D(mech, shift, x, &worst, &consistent);
         if (status) return status;
         /* nothing of a row is written before all of it is known */
         if (energy) energy[k] = E;
         if (multipliers) memcpy(multipliers + k * m, mech->lambda, m * sizeof *multipliers);
         if (residual) memcpy(residual + k * m, mech->phi, m * sizeof *residual);
-        if (relative) relative[k] = dal__relative_residual(mech, mech->mu, mech->phi, x + n);
+        if (relative) relative[k] = worst;
         if (done) *done = k + 1;
     }
     return status;

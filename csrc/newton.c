@@ -41,12 +41,14 @@ void dal__newton_bind(newton *solver, const dal_system *system, int max_iteratio
 
 void dal__newton_forget(newton *solver) { solver->warm = false; }
 
-/* step and d <- the Newton step of w and kappa, from R1, R2, K, B and mech->muk. */
-static int solve_linear(newton *s, dal_mechanics *mech)
+/* step and d <- the Newton step of w and kappa, from R1, R2, K, B and mech->muk; *sign <- that of
+ * the determinant of the matrix. */
+static int solve_linear(newton *s, dal_mechanics *mech, int *sign)
 {
     const size_t n = s->n, m = s->m;
     for (size_t i = 0; i < n; i++) s->R1[i] = -s->R1[i];
-    if (!dal_lu_factor(n, s->K, s->K_sizes, s->K_row))
+    *sign = dal_lu_factor(n, s->K, s->K_sizes, s->K_row);
+    if (*sign == 0)
         return dal__fail(&mech->error, DAL_ESINGULAR, "the derivative K of the equations of motion "
                          "in v' is singular: h is too large here");
     dal_lu_solve(n, s->K, s->K_row, s->R1, s->y);
@@ -59,7 +61,8 @@ static int solve_linear(newton *s, dal_mechanics *mech)
         s->S_sizes[a] = dal_residual_form(n, mech->unit, s->B + a * n);
         s->S_sizes[m + a] = dal_residual_speed(n, mech->per_unit, s->KZ + a * n);
     }
-    if (!dal_lu_factor(m, s->S, s->S_sizes, s->S_row))
+    *sign *= dal_lu_factor(m, s->S, s->S_sizes, s->S_row);
+    if (*sign == 0)
         return dal__fail(&mech->error, DAL_ESINGULAR, "the Schur complement B K^-1 mu_k^T is "
                          "singular: the constraints lose rank, or h is too large here");
     for (size_t a = 0; a < m; a++) s->r[a] = -(s->R2[a] + dal__dot(n, s->B + a * n, s->y));
@@ -79,7 +82,7 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
     dal__progress p = {0};
     int halvings = 0;
     for (p.iteration = 1; p.iteration <= s->max_iterations; p.iteration++) {
-        int status;
+        int status, sign = 1;
         while ((status = dal__step_at(mech, s->w, s->kappa, s->R1, s->R2, s->K, s->K_sizes, s->B))
                    == DAL_EDOMAIN && p.iteration > 1 && halvings++ < HALVINGS) {
             for (size_t i = 0; i < n; i++) s->w[i] -= s->step[i] *= 0.5;
@@ -87,7 +90,7 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
             dal__newton_halve(&p);
             stats->halvings++;
         }
-        if (!status) status = solve_linear(s, mech);
+        if (!status) status = solve_linear(s, mech, &sign);
         if (status) return status;
         stats->iterations++;
         for (size_t i = 0; i < n; i++) s->w[i] += s->step[i];
@@ -95,7 +98,9 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
         p.scale = dal__sum_of_sizes(n, s->w) + dal__step_base(mech);
         p.extent = dal__sum_of_sizes(n, mech->q);
         const dal__verdict verdict = dal__newton_judge(&p, dal__sum_of_sizes(n, s->step));
-        if (verdict == DAL__DONE) return DAL_SUCCESS;
+        if (verdict == DAL__DONE)
+            return sign > 0 ? DAL_SUCCESS
+                            : dal__fail(&mech->error, DAL_ENOCONV, DAL__BRANCH_TEXT);
         if (verdict == DAL__LOST) break;
     }
     if (p.size <= DBL_MAX && p.iteration <= s->max_iterations)

@@ -176,7 +176,7 @@ static bool factor(ode *self, double h)
     }
     if (!dal__all_finite(N * N, self->scale)) return false;
     dal__sizes(N, self->scale, self->sizes);
-    return dal_lu_factor(N, self->matrix, self->sizes, self->row);
+    return dal_lu_factor(N, self->matrix, self->sizes, self->row) != 0;
 }
 
 /* One step of rodas, as gsl_odeiv2_step_apply. */
@@ -224,21 +224,27 @@ static void plan(ode *shape, arena *memory)
     dal__reserve(memory, &shape->row, N, sizeof(size_t));
 }
 
+int dal__check_tolerance(double tolerance, dal_error *error)
+{
+    if (tolerance >= LEAST_TOLERANCE && tolerance <= 0.1) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in [%.1e, 0.1]: no step is more "
+                     "accurate than roundoff", tolerance, LEAST_TOLERANCE);
+}
+
 int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
                  dal__field_fn field, void *ctx, dal_error *error)
 {
     if (!method_name(method))
         return dal__fail(error, DAL_EINVAL, "method = %d is not a dal_flow_method", (int)method);
-    if (!(tolerance >= LEAST_TOLERANCE && tolerance <= 0.1))
-        return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in [%.1e, 0.1]: no step is more "
-                         "accurate than roundoff", tolerance, LEAST_TOLERANCE);
+    int status = dal__check_tolerance(tolerance, error);
+    if (status) return status;
 
     arena memory = {0};
     ode shape = {.N = N, .method = method, .tolerance = tolerance, .field = field, .ctx = ctx};
     ode *self;
     dal__reserve(&memory, &self, 1, sizeof *self);
     plan(&shape, &memory);
-    const int status = dal__allocate(&memory, error);
+    status = dal__allocate(&memory, error);
     if (status) return status;
 
     *self = shape;

@@ -529,8 +529,7 @@ static int require_def(const dal_system *system, const dal_scheme *scheme,
     for (size_t i = 0; i < 2 * dal_system_n(system); i++)
         if (!isfinite(def->x0[i]))
             return dal__fail(error, DAL_EINVAL, "x0[%zu] = %g is not finite", i, def->x0[i]);
-    if (!(def->tolerance >= 0.0 && def->tolerance <= 0.1))
-        return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in [0, 0.1]", def->tolerance);
+    if (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)) return DAL_EINVAL;
     const bool kept = scheme->nodes == DAL_KEPT_NODES;
     if (kept != (def->initial != DAL_INITIAL_NONE))
         return dal__fail(error, DAL_EINVAL, "initial = %d: %s", (int)def->initial,

@@ -19,6 +19,8 @@ struct dal_stepper {
     double *fresh;           /* [2n] initial data being examined */
     double t0;
     size_t steps;            /* since the start: t = t0 + steps h */
+    dal_scheme scheme;
+    dal__jump jump;
     bool started;
     dal_error error;
     arena arena;
@@ -192,6 +194,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     self->arena = memory;
     dal__mechanics_bind(&self->mech, system);
     for (size_t j = 0; j < count; j++) self->substep[j] = dal__scheme_substep(scheme, j);
+    self->scheme = *scheme; /* of which substeps is borrowed, and not used */
     bind_kernel(self, scheme, options);
     if (options->solver == DAL_SOLVER_MULTIROOT) {
         status = dal__multiroot_new(&self->multiroot, system, error);
@@ -237,6 +240,9 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->lagrangian_calls = e->lagrangian_calls;
     stats->force_calls = e->force_calls;
     stats->differenced = stepper->system->def.missing;
+    stats->jump_step = stepper->jump.step;
+    stats->jump = stepper->jump.change;
+    stats->largest_kinetic = stepper->jump.kinetic;
 }
 
 /* ---- start ------------------------------------------------------------------------------ */
@@ -250,6 +256,8 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     if (!isfinite(t0)) return dal__fail(error, DAL_EINVAL, "t0 = %g is not finite", t0);
     if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
         return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed", h);
+    if (t0 + h == t0)
+        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g", h, t0);
     for (size_t i = 0; i < 2 * k->n; i++)
         if (!isfinite(x[i]))
             return dal__fail(error, DAL_EINVAL, "%s[%zu] = %g is not finite", i < k->n ? "q" : "v",
@@ -279,8 +287,8 @@ static int make_consistent(dal_stepper *self, double shift, dal_consistency cons
     bool consistent;
     int status = dal__lies_in_D(mech, shift, self->fresh, &stats->initial_residual, &consistent);
     if (!status && consistency == DAL_CHECK && !consistent)
-        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: their residual "
-                         "is %.3g, more than roundoff and %g of the terms of phi",
+        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: their "
+                         "residual is %.3g, more than roundoff and %g of the terms of phi",
                          shift == 0.0 ? "D" : "D_eps", stats->initial_residual, DAL_CONSISTENT);
     if (!status && consistency != DAL_ASSUME)
         status = dal_project(mech, shift, self->fresh, &stats->initial_correction);
@@ -358,6 +366,8 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     if (!status && initial == DAL_INITIAL_PROJECT)
         status = dal_project(&self->mech, shift, self->fresh, &stats.initial_correction);
     if (!status && initial == DAL_INITIAL_SHIFT) status = move_node(self, shift, self->fresh);
+    dal__jump jump = {0};
+    if (!status) status = dal__jump_start(&jump, &self->mech, &self->scheme, shift, self->fresh);
     if (status) {
         self->error = self->mech.error;
         return status;
@@ -370,6 +380,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     dal__newton_forget(&self->newton);
     self->t0 = t0;
     self->steps = 0;
+    self->jump = jump;
     self->started = true;
     self->error.text[0] = '\0';
     return DAL_SUCCESS;
@@ -425,16 +436,20 @@ static void explain(dal_stepper *self, int status)
         snprintf(what, sizeof what, "M + h^2 beta (1-beta) V_qq is singular: h is too large here");
         break;
     case DAL_FAILED_SINGULAR_C:
-        snprintf(what, sizeof what, "mu M^-1 mu^T is singular: the constraints lose rank");
+        snprintf(what, sizeof what, "no velocity of D was found at the new position: mu M^-1 mu^T "
+                 "is singular there, or, with kept nodes, h is too large");
         break;
     case DAL_FAILED_STEADY:
-        snprintf(what, sizeof what, "the system is declared steady, but mu at the end of the step is "
-                 "not what it was before the reaction acted: a coordinate that mu depends on is "
+        snprintf(what, sizeof what, "the system is declared steady, but mu at the end of the step "
+                 "is not what it was before the reaction acted: a coordinate that mu depends on is "
                  "pushed by a reaction");
         break;
     case DAL_FAILED_ROOT:
         snprintf(what, sizeof what, DAL__LOST_TEXT, k->failure.travelled, k->failure.first,
                  k->failure.scale);
+        break;
+    case DAL_FAILED_BRANCH:
+        snprintf(what, sizeof what, DAL__BRANCH_TEXT);
         break;
     case DAL_FAILED_CONVERGE:
         snprintf(what, sizeof what, "Newton did not converge in %d iterations: last change %.3g of "
@@ -474,6 +489,47 @@ static int advance_by_substeps(dal_stepper *self, size_t steps, size_t *done)
     return DAL_SUCCESS;
 }
 
+int dal__stepper_look(dal_stepper *stepper)
+{
+    const int status = dal__jump_look(&stepper->jump, &stepper->mech, stepper->steps,
+                                      stepper->kernel.at.x);
+    if (status) stepper->error = stepper->mech.error;
+    return status;
+}
+
+/* The text of the step that failed. */
+static void complain(dal_stepper *self, int status)
+{
+    if (self->advance)
+        explain(self, status);
+    else
+        dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %.400s", self->steps + 1,
+                  dal_stepper_time(self), self->kernel.h, self->mech.error.text);
+}
+
+/* steps steps, with a look at the energy after every 64th since the start. */
+static int advance(dal_stepper *self, size_t steps, size_t *made)
+{
+    enum { BETWEEN_LOOKS = 64 };
+    dal_kernel *const k = &self->kernel;
+    for (*made = 0; *made < steps;) {
+        const size_t left = steps - *made, next = BETWEEN_LOOKS - self->steps % BETWEEN_LOOKS;
+        const size_t count = next < left ? next : left;
+        size_t done = 0;
+        const int status = self->advance ? self->advance(k, count, &done)
+                                         : advance_by_substeps(self, count, &done);
+        self->steps += done;
+        *made += done;
+        if (status) {
+            complain(self, status);
+            return status;
+        }
+        const int stopped = self->steps % BETWEEN_LOOKS == 0 ? dal__stepper_look(self) : 0;
+        if (stopped) return stopped;
+    }
+    return DAL_SUCCESS;
+}
+
 int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *done)
 {
     if (done) *done = 0;
@@ -484,18 +540,9 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
         return dal__fail(&self->error, DAL_EINVAL, "the stepper was not started");
     size_t made = 0;
     for (size_t a = 0; a < k->m; a++) k->impulse[a] = 0.0;
-    const int status = self->advance ? self->advance(k, steps, &made)
-                                     : advance_by_substeps(self, steps, &made);
-    self->steps += made;
+    const int status = advance(self, steps, &made);
     if (done) *done = made;
-    if (status) {
-        if (self->advance)
-            explain(self, status);
-        else
-            dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %.400s", self->steps + 1,
-                      dal_stepper_time(self), k->h, self->mech.error.text);
-        return status;
-    }
+    if (status) return status;
     for (size_t a = 0; reaction && steps > 0 && a < k->m; a++)
         reaction[a] = k->impulse[a] / ((double)steps * k->h);
     return DAL_SUCCESS;

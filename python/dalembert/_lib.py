@@ -17,7 +17,6 @@ may itself integrate, because an exception is kept only when the callback has al
 from __future__ import annotations
 
 import re
-import reprlib
 import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -27,7 +26,7 @@ import numpy as np
 from ._core import ffi as ffi
 from ._core import lib as lib
 from .arguments import Array as Array
-from .arguments import returned
+from .arguments import returned, shown
 
 if TYPE_CHECKING:
     from .solution import Solution
@@ -518,7 +517,7 @@ def _write_several(
     if len(several) != len(targets):
         raise ValueError(
             f"{names[0].split()[0]} has to return {len(targets)} arrays of shape {shape}, "
-            f"it returned {reprlib.repr(values)}"
+            f"it returned {shown(values)}"
         )
     for target, value, what in zip(targets, several, names):
         _write(target, value, shape, what)
@@ -563,7 +562,7 @@ class Observer:
             return bool(answer)
         except (TypeError, ValueError) as error:
             raise ValueError(
-                f"observer has to return whether to stop, it returned {reprlib.repr(answer)}"
+                f"observer has to return whether to stop, it returned {shown(answer)}"
             ) from error
 
 

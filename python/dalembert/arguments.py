@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "array", "choice", "function", "integer", "mapping", "names", "number", "pair", "returned",
-    "shown", "step_size", "suggestion", "text",
+    "shown", "step_size", "suggestion", "text", "tolerance",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
 
 
 def _reals(value: Any) -> Array:
-    """Return anything array-like as C-contiguous doubles; TypeError or ValueError if it is not."""
+    """Return anything array-like as doubles that C can read; else TypeError or ValueError."""
     rows = value if isinstance(value, (list, tuple)) else [value]
     if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
         raise ValueError("values that are masked")
@@ -54,11 +54,12 @@ def _reals(value: Any) -> Array:
     if value is None or given.dtype.kind not in "biufO":
         raise TypeError("None" if value is None else f"values of type {given.dtype}")
     try:
-        return np.asarray(given, dtype=np.float64, order="C")
+        result = np.asarray(given, dtype=np.float64, order="C")
     except OverflowError:
         raise ValueError("an integer beyond the largest double, 1.8e308") from None
     except (TypeError, ValueError):
         raise ValueError(shown(value)) from None
+    return result if result.flags.aligned else result.copy()
 
 
 def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
@@ -82,6 +83,14 @@ def number(value: Any, name: str) -> float:
     if result is None or result.shape != () or not np.isfinite(result):
         raise ValueError(f"{name} = {shown(value)}: expected a finite number")
     return float(result)
+
+
+def tolerance(value: Any) -> float:
+    """Return ``value`` as a tolerance of the reference flow; ValueError otherwise."""
+    result = number(value, "tolerance")
+    if not 2.0**-51 <= result <= 0.1:
+        raise ValueError(f"tolerance = {result!r} is not in [4.4e-16, 0.1]")
+    return result
 
 
 def step_size(value: Any, t: float, name: str = "h") -> float:

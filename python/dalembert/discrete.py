@@ -854,7 +854,7 @@ def exact_velocity(
     """
     require_system(system)
     h, t0 = arguments.number(h, "h"), arguments.number(t0, "t0")
-    tolerance = arguments.number(tolerance, "tolerance")
+    tolerance = arguments.tolerance(tolerance)
     q0 = arguments.array(q0, "q0", (system.n,))
     q1 = arguments.array(q1, "q1", (system.n,))
     handle, method = system._handle, lib.DAL_FLOW_RK8PD

@@ -592,8 +592,8 @@ def embedding(
     consistent : {"check", "project", "assume"}, optional
         As in `integrate`.
     tolerance : float, optional
-        Of the reference flow F, in (0, 0.1].  Its error bounds what can be said about g: g has a
-        noise of about tolerance h^-(p+1).
+        Of the reference flow F, in [4.4e-16, 0.1].  Its error bounds what can be said about g: g
+        has a noise of about tolerance h^-(p+1).
     numerical : bool, optional
         True: F is the reference flow even where the system carries an exact solution.
 
@@ -627,9 +627,7 @@ def embedding(
         raise ValueError("scheme = 'reference': expected a scheme with steps")
     h = arguments.number(h, "h")
     order = None if order is None else arguments.integer(order, "order", 1, 2**31 - 1)
-    tolerance = arguments.number(tolerance, "tolerance")
-    if not 0 < tolerance <= 0.1:
-        raise ValueError(f"tolerance = {tolerance!r}: expected a number in (0, 0.1]")
+    tolerance = arguments.tolerance(tolerance)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     stepper = started_stepper(system, REFERENCE, x0, t0=0.0, h=1.0, consistency=consistency)

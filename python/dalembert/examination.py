@@ -67,7 +67,7 @@ class Difference:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Check:
     """What `System.check` found at one state; true if all is as it should be.
 
@@ -193,6 +193,9 @@ class Check:
         lines += [("holonomic in disguise", text) for text in self.holonomic]
         head = ("passed: " if self.passed else "FAILED: ") + self.text
         return "\n".join([head, *(f"{name:20} {value}" for name, value in lines)])
+
+    def __repr__(self) -> str:
+        return f"<Check: {'passed' if self.passed else 'FAILED'}: {self.text}>"
 
     def _derivatives(self) -> list[tuple[str, Difference]]:
         """Return the derivatives that a system of this kind may have."""

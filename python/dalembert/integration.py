@@ -121,8 +121,8 @@ def integrate(
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: the kept set is not kept to roundoff, or many steps took
-        the full Newton iteration, so that h is large for this system.
+        If the result may be doubtful: the energy has jumped where nothing does work, or many steps
+        took the full Newton iteration, so that h is large for this system.
 
     Notes
     -----
@@ -154,7 +154,7 @@ def integrate(
     options.sizes = arguments.choice(sizes, "sizes", SIZES)
     options.max_iterations = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
     flow_method = arguments.choice(method, "method", METHODS)
-    tolerance = arguments.number(tolerance, "tolerance")
+    tolerance = arguments.tolerance(tolerance)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     rows = steps // stride
     _require_memory(system, rows, steps, stride)
@@ -256,7 +256,7 @@ def reference(
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     flow_method = arguments.choice(method, "method", METHODS)
-    tolerance = arguments.number(tolerance, "tolerance")
+    tolerance = arguments.tolerance(tolerance)
     flow = _lib.make(
         "flow",
         system._handle,
@@ -331,10 +331,19 @@ def _warn(solution: Solution) -> None:
     """Warn where a run that went through is doubtful."""
     system, stats = solution.system, solution.stats
     bound = _lib.residual_bound(system.n)
-    if stats.worst_residual > 10 * bound:
+    if stats.worst_residual > bound:
         warnings.warn(
-            f"the constraint is kept to {stats.worst_residual:.1e} only, expected {bound:.1e}; "
-            "mu may be badly conditioned or not smooth",
+            f"the constraint is kept to {stats.worst_residual:.1e} only, not to {bound:.1e}: the "
+            "kept nodes lie so far out that their rounding moves it by more",
+            DalembertWarning,
+            stacklevel=3,
+        )
+    if stats.jump_step:
+        warnings.warn(
+            f"the energy has changed by {stats.jump:.3g} at step {stats.jump_step} (t = "
+            f"{solution.t0 + stats.jump_step * solution.h:g}, h = {solution.h:g}), where the "
+            f"largest kinetic energy is {stats.largest_kinetic:.3g}: nothing does work on this "
+            "system, so h is too large",
             DalembertWarning,
             stacklevel=3,
         )

@@ -70,7 +70,7 @@ def convergence(
     initial : {"D", "D_eps", "project", "shift"}, optional
         How runs with kept nodes start; they refuse to start without.
     tolerance : float, optional
-        Of the reference flow where the system has no exact solution.  Default: 1e-14.
+        Of the reference flow where the system has no exact solution, in [4.4e-16, 0.1].
     max_steps : int, optional
         More steps than these, of all runs together, are refused before the first one.
     progress : bool or callable, optional
@@ -136,7 +136,7 @@ def convergence(
             "steps": c_numbers,
             "count": len(numbers),
             "initial": start,
-            "tolerance": arguments.number(tolerance, "tolerance"),
+            "tolerance": arguments.tolerance(tolerance),
         },
     )
     points = ffi.new("dal_order_point[]", len(numbers))

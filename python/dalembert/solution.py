@@ -17,9 +17,6 @@ from .system import System, differenced, require_system
 
 __all__ = ["Solution", "States", "Statistics"]
 
-# States in one call of C: a fraction of a second at most, so that Ctrl-C is seen between two.
-_BLOCK = 1 << 14
-
 
 @dataclass(frozen=True)
 class Statistics:
@@ -48,6 +45,10 @@ class Statistics:
         Derivatives that were replaced by central differences.
     evaluations : int
         Of the vector field, by the reference flow.
+    jump_step, jump, largest_kinetic : int, float, float
+        The step after which the energy was first seen to have changed, by ``jump``, by more than
+        half of the largest kinetic energy; 0 if it was not. Looked at in every 64th step and at
+        the end, where nothing does work and the scheme is not of order 1.
     """
 
     steps: int = 0
@@ -65,6 +66,9 @@ class Statistics:
     initial_correction: float = 0.0
     differenced: tuple[str, ...] = ()
     evaluations: int = 0
+    jump_step: int = 0
+    jump: float = 0.0
+    largest_kinetic: float = 0.0
 
     @classmethod
     def _read(cls, stepper: Any, kind: str) -> Statistics:
@@ -296,8 +300,9 @@ class Solution(Mapping[str, Any]):
         changes, some = 0, ffi.new("size_t *")
         chart = _lib.make("chart", handle, owner=handle)
         before = flat[:0]  # the last time between stored states: seen again for a change after it
-        for start in range(0, flat.size, _BLOCK):
-            these = np.concatenate([before, flat[start : start + _BLOCK]])
+        most = geometry.most_in_a_call(self.system)
+        for start in range(0, flat.size, most):
+            these = np.concatenate([before, flat[start : start + most]])
             part = np.empty((len(these), 2 * n))
             status = _lib.attempt(
                 lib.dal_chart_interpolate, chart, self.t0, h, self.shift,
@@ -308,7 +313,7 @@ class Solution(Mapping[str, Any]):
                 message = _lib.string(lib.dal_chart_message(chart))
                 raise _lib.failure(status, message, kind=self.system.kind)
             changes += int(some[0])
-            x[start : start + _BLOCK] = part[len(before) :]
+            x[start : start + most] = part[len(before) :]
             nearest = np.rint((these - self.t0) / h).astype(int).clip(0, len(self.x) - 1)
             before = these[(part != self.x[nearest]).any(axis=1)][-1:]
         if times.ndim == 0:

@@ -279,9 +279,12 @@ def _flat(given: Iterable[Any]) -> list[Expr]:
 
 def _force(given: Any) -> dict[Expr, Expr]:
     """Return the components of a force that are given, by the coordinate."""
-    return {
-        key: _expression(value, f"force[{key}]") for key, value in mapping(given, "force").items()
-    }
+    sympy, found = _sympy(), {}
+    for key, value in mapping(given, "force").items():
+        if not isinstance(key, sympy.Expr):
+            raise ValueError(f"force: {key!r}: expected a coordinate, as the key of its component")
+        found[key] = _expression(value, f"force[{key}]")
+    return found
 
 
 def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Expr]]:
@@ -349,8 +352,6 @@ def parameter_value(value: Any, name: str) -> float:
     """Return the value of a parameter; ValueError if it is no finite number."""
     try:
         return arguments.number(float(value) if hasattr(value, "is_number") else value, name)
-    except OverflowError:
-        raise ValueError(f"{name}: expected a finite number, this is too large") from None
     except TypeError:
         raise ValueError(f"{name} = {value!r}: expected a real number") from None
 

@@ -43,6 +43,8 @@ _CONSTRAINTS = {
     lib.DAL_NONLINEAR: lib.dal_py_nonlinear,
 }
 
+_MOST_COORDINATES = 10_000  # of dense matrices: n^2 numbers each, n^3 operations in a step
+
 _KIND_NAMES = {name: kind for kind, name in _KINDS.items()}
 _OUTPUTS = {
     "V_q": lib.DAL_MISSING_V_Q,
@@ -1160,6 +1162,9 @@ def _require_named(invariants: Any) -> None:
     """Raise ValueError if invariants are neither None nor a mapping from names."""
     arguments.mapping(invariants, "invariants")
     arguments.names(invariants or (), "invariants", "names that are strings")
+    for name, value in (invariants or {}).items():
+        if value is None:
+            raise ValueError(f"invariants[{name!r}] = None: expected a function or an expression")
 
 
 def _require_parts(functions: dict[str, Callable[..., Any] | None], mass: Any) -> None:
@@ -1229,7 +1234,7 @@ def _number_of_coordinates(
 ) -> int | None:
     """Return n as given, or as the coordinates or q0 tell it; None if nothing does."""
     if n is not None:
-        return arguments.integer(n, "n", 1)
+        return arguments.integer(n, "n", 1, _MOST_COORDINATES)
     if coordinates is not None:
         return len(coordinates)
     return None if q0 is None else int(np.size(q0))

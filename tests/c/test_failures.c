@@ -195,7 +195,7 @@ static void open_bench(bench *b, const char *system, unsigned missing, const cha
     for (callback where = 0; where < CALLBACKS; where++) {
         plan_fault(&b->f, where, REFUSE, 0, 0);
         CHECK(start(b) == 0);
-        CHECK(dal_integrate(b->stepper, STEPS, 1, NULL, NULL, NULL, NULL, NULL) == 0);
+        CHECK(dal_advance(b->stepper, STEPS, NULL, NULL) == 0);
         b->calls[where] = b->f.call;
     }
     CHECK(start(b) == 0);
@@ -356,7 +356,7 @@ static void test_disturbed_integration(const char *system, const char *scheme)
                     CHECK(done == STEPS);
                     continue;
                 }
-                CHECK(status == status_of(what) && done < STEPS);
+                CHECK(status == status_of(what) && done <= STEPS); /* it looks at the energy last */
                 CHECK(memcmp(rows + 2 * n * done, dal_stepper_state(b.stepper),
                              2 * n * sizeof *rows) == 0);
                 CHECK(all_are((STEPS - done) * 2 * n, rows + 2 * n * (done + 1), UNTOUCHED));
@@ -1073,7 +1073,7 @@ static void test_overflow(size_t solver)
         steps++;
     }
     CHECK(status == DAL_EDOMAIN || status == DAL_ENOCONV || status == DAL_ESINGULAR);
-    CHECK(steps > 3);
+    CHECK(steps >= 1);
     CHECK(memcmp(before, dal_stepper_state(stepper), sizeof before) == 0);
     dal_stepper_free(stepper);
     dal_system_free(system);
@@ -1479,20 +1479,19 @@ ASKS(huge_invariant, dal_system_invariant(a->mech->eval.system, a->x, a->out))
 static const struct {
     const char *name;
     huge_fn ask;
-    bool holds; /* false: known to give infinities */
 } huge_questions[] = {
-#define ASKED(name, holds) {#name, huge_##name, holds}
-    ASKED(energy, false), ASKED(power, false), ASKED(metric, true), ASKED(residual, false),
-    ASKED(relative, true), ASKED(gram, false), ASKED(multipliers, false),
-    ASKED(acceleration, false), ASKED(field, false), ASKED(perturbed, false), ASKED(project, false),
-    ASKED(consistent, false), ASKED(equations, false), ASKED(trajectory, false),
-    ASKED(condition, true), ASKED(renew, true), ASKED(connection, false), ASKED(split, false),
-    ASKED(lift, true), ASKED(drop, true), ASKED(jacobian, false), ASKED(chart_field, false),
-    ASKED(connected, false), ASKED(disconnected, false), ASKED(chart_step, true),
-    ASKED(curve, true), ASKED(state, true), ASKED(nodes, true), ASKED(lagrangian, true),
-    ASKED(constraint, true), ASKED(momenta, true), ASKED(momentum, true),
-    ASKED(discrete_residual, true), ASKED(regularity, true), ASKED(node_step, true),
-    ASKED(advance, true), ASKED(exact, true), ASKED(invariant, true),
+#define ASKED(name) {#name, huge_##name}
+    ASKED(energy), ASKED(power), ASKED(metric), ASKED(residual),
+    ASKED(relative), ASKED(gram), ASKED(multipliers),
+    ASKED(acceleration), ASKED(field), ASKED(perturbed), ASKED(project),
+    ASKED(consistent), ASKED(equations), ASKED(trajectory),
+    ASKED(condition), ASKED(renew), ASKED(connection), ASKED(split),
+    ASKED(lift), ASKED(drop), ASKED(jacobian), ASKED(chart_field),
+    ASKED(connected), ASKED(disconnected), ASKED(chart_step),
+    ASKED(curve), ASKED(state), ASKED(nodes), ASKED(lagrangian),
+    ASKED(constraint), ASKED(momenta), ASKED(momentum),
+    ASKED(discrete_residual), ASKED(regularity), ASKED(node_step),
+    ASKED(advance), ASKED(exact), ASKED(invariant),
 #undef ASKED
 };
 
@@ -1529,7 +1528,6 @@ static void test_overflown(const char *name)
     a.out = out;
     for (uint64_t seed = 0; seed < 300; seed++)
         for (size_t k = 0; k < DAL_LENGTH(huge_questions); k++) {
-            if (!huge_questions[k].holds) continue;
             uint64_t random = seed * 1000003u + k;
             a.t = draw_huge(&random), a.h = draw_huge(&random), a.shift = draw_huge(&random);
             memcpy(a.x, x0, sizeof a.x);

@@ -14,6 +14,18 @@ import dalembert as dal
 U = 2.0**-53  # unit roundoff
 
 
+def relative_residual(M, mu, v, phi=None):
+    """Largest |phi^a| / (sum_i |mu^a_i| d_i max_j |v_j| / d_j + |phi^a - mu^a v|).
+
+    d_i = sqrt((M^-1)_ii), and phi = mu v if it is not given.
+    """
+    d = np.sqrt(np.diag(np.linalg.inv(M)))
+    linear = mu @ v
+    phi = linear if phi is None else phi
+    size = np.abs(mu) @ d * np.max(np.abs(v) / d) + np.abs(phi - linear)
+    return float(np.max(np.abs(phi) / size))
+
+
 class Own:
     """A system in R^4 with two constraints, a full mass matrix and a quartic potential.
 
@@ -114,9 +126,8 @@ class Own:
         return qk + beta * h * w, w, kappa / h
 
     def residual(self, q, v):
-        """Largest |mu^a v| / sum_i |mu^a_i v_i|."""
-        mu = self.forms(q)
-        return float(np.max(np.abs(mu @ v) / (np.abs(mu) @ np.abs(v))))
+        """See `relative_residual`."""
+        return relative_residual(self.mass, self.forms(q), v)
 
 
 @pytest.fixture
@@ -333,11 +344,9 @@ class General:
         return qk + beta * h * unknowns[:3], unknowns[:3], unknowns[3:] / h
 
     def residual(self, q, v):
-        """Largest |phi| / (sum_i |mu_i v_i| + |phi - mu v|)."""
-        mu, phi = self.phi_v(q, v), self.phi(q, v)
-        scale = np.abs(mu) @ np.abs(v)
-        scale = scale + (np.abs(phi - mu @ v) if self.kind != "linear" else 0.0)
-        return float(np.max(np.abs(phi) / scale))
+        """See `relative_residual`."""
+        phi = None if self.kind == "linear" else self.phi(q, v)
+        return relative_residual(self.lagrangian_vv(q, v), self.phi_v(q, v), v, phi)
 
 
 KINDS = ("linear", "affine", "nonlinear")

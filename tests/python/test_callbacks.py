@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import dalembert as dal
+from dalembert import arguments
 from dalembert.examination import examine
 
 H = 0.05
@@ -112,6 +113,13 @@ def test_anything_array_like_may_be_returned(own, kind):
     }
     run = dal.integrate(own.system(**changes), "midpoint", h=H, steps=5)
     np.testing.assert_array_equal(run.x, expected.x)
+
+
+def test_arguments_are_aligned():
+    given = unaligned(np.arange(3.0))
+    taken = arguments.array(given, "q", (3,))
+    assert taken.flags.aligned and not given.flags.aligned
+    np.testing.assert_array_equal(taken, given)
 
 
 def test_an_argument_may_be_returned():
@@ -464,8 +472,13 @@ def test_ctrl_c_in_one_long_call(interrupt, name):
 
 def test_a_flow_that_was_interrupted_keeps_its_rows(interrupt):
     one = dal.systems.particle_oscillator()
+
+    def after_a_row(done, total):
+        if done:
+            interrupt.progress(done, total)
+
     with pytest.raises(KeyboardInterrupt) as caught:
-        dal.integrate(one, "reference", h=50.0, steps=10**6, progress=interrupt.progress)
+        dal.integrate(one, "reference", h=50.0, steps=10**6, progress=after_a_row)
     part = caught.value.partial
     again = dal.integrate(one, "reference", h=50.0, steps=len(part.x) - 1)
     np.testing.assert_array_equal(part.x, again.x)

@@ -398,6 +398,7 @@ def test_threads_share_it(midpoint):
         ({"dependent": ["x", "z"]}, "dependent = .*expected m = 1"),
         ({"consistent": "perhaps"}, "consistent = 'perhaps'"),
         ({"tolerance": 0.0}, "tolerance = 0.0"),
+        ({"tolerance": 1e-300}, "tolerance = 1e-300"),
         ({"tolerance": 1.0}, "tolerance = 1.0"),
         ({"tolerance": np.inf}, "tolerance = inf"),
     ],

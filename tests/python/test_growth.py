@@ -206,12 +206,6 @@ def test_known(name):
     assert found.exact and bool(found.holonomic) == (expected[-1] < len(q))
 
 
-def test_ten_trailers():
-    rows, q = trailers(10)
-    found = examine(rows, q)
-    assert found.growth == tuple(range(2, 14)) and found.exact and found.growth_note == ""
-
-
 def test_partially_integrable():
     """A product of a non-integrable and an integrable D; the sum of what both do."""
     found = examine([w.d - y * z.d, x.d + u * u.d], [x, y, z, w, u])
@@ -362,8 +356,8 @@ def test_formulas_that_say_something_else(monkeypatch):
         system = dal.systems.get(name)
         assert not expressions.agree(model_of_heisenberg, system, system.q0)
     monkeypatch.setattr(expressions, "agree", lambda *_: False)
-    report = dal.systems.n_trailer(trailers=10).check()
-    assert len(report.growth) < 12 and not report.exact and "are not formed" in str(report)
+    report = dal.systems.n_trailer(trailers=4).check()
+    assert len(report.growth) < 6 and not report.exact and "are not formed" in str(report)
 
 
 @pytest.mark.parametrize("derivative", [True, False])

@@ -170,10 +170,11 @@ def test_drift_has_both_sets_on_log_axes():
     of_eps = {name: np.asarray(line.get_ydata()) for name, line in zip(names, curves)}
 
     def residual(run, shift):
-        """|v_z - (y - shift v_y) v_x| / (|v_z| + |(y - shift v_y) v_x|)."""
+        """|v_z - (y - shift v_y) v_x| / ((1 + |y - shift v_y|) max_i |v_i|)."""
         y, (vx, vy, vz) = run.q[:, 1], run.v.T
-        other = (y - shift * vy) * vx
-        return np.maximum(abs(vz - other) / (abs(vz) + abs(other)), 1e-17)
+        node = y - shift * vy
+        size = (1 + abs(node)) * abs(run.v).max(axis=1)
+        return np.maximum(abs(vz - node * vx) / size, 1e-17)
 
     # 2 n u: the residual of three terms, each with its roundoff.
     for found, expected in (

@@ -179,7 +179,7 @@ def test_a_full_disk_of_the_command(tmp_path):
     done = limited(
         program, tmp_path, "study", "particle", "--json", "out.json", "--no-report"
     )
-    assert done.returncode == 1 and "File too large: 'out.json'" in done.stderr
+    assert done.returncode == 1 and "out.json: File too large" in done.stderr
     assert (tmp_path / "out.json").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
     assert "all 16 schemes" in done.stdout  # what was computed is shown
 

@@ -536,7 +536,11 @@ def test_html_representation_has_the_table(midpoint):
         (dict(scheme=None), "scheme = None: expected a Scheme, the name of one, or beta"),
         (dict(t_end=0.0), "t_end"),
         (dict(t_end=np.nan), "t_end"),
-        (dict(tolerance=-1.0), "tolerance"),
+        *(
+            (dict(system=system, tolerance=tolerance), r"tolerance = .* is not in \[4.4e-16, 0.1\]")
+            for system in (dal.systems.particle(), dal.systems.particle_oscillator())
+            for tolerance in (-1.0, 0, 1e-300, 4.4e-16, 0.2)
+        ),
         (dict(q0=[1, 2]), "q0"),
         (dict(initial="D"), "initial = 'D'.*moved nodes"),
         (dict(scheme="midpoint-nodes"), "initial: needed.*'D_eps'"),

@@ -221,6 +221,8 @@ def test_number_of_nonlinear_constraints_is_asked_for_at_the_state(data):
         ({"mass": [1, 1], "m": 1}, "without forms"),
         ({"mass": 1, "n": "a"}, "n = .a.: expected an integer"),
         ({"mass": 1, "n": -1}, "n = -1: expected at least 1"),
+        ({"mass": 1, "n": 2**62}, f"n = {2**62}: expected at most 10000"),
+        ({"mass": 1, "n": 2, "invariants": {"p": None}}, r"invariants\['p'\] = None: expected a"),
         ({"mass": [1, 1], "m": 1.5, "forms": lambda q: [[1, 0]]}, "m = 1.5: expected an integer"),
         ({"mass": 1, "n": 2, "name": 3}, "name = 3: expected a string"),
         ({"mass": 1, "n": 2, "source": b"x"}, "source = b'x': expected a string"),
@@ -259,7 +261,10 @@ def test_check_passes(own, particle):
     np.testing.assert_allclose(report.mass_min, np.linalg.eigvalsh(own.mass)[0], rtol=1e-10)
     assert report.residual <= 4 * 4 * 2.0**-53
     assert report.V_q.checked and report.V_qq.checked and report.phi_q.checked
-    assert not particle.check().integrable and particle.check().curvature > 0.1
+    found = particle.check()
+    assert not found.integrable and found.curvature > 0.1
+    assert repr(found) == f"<Check: passed: {found.text}>"
+    assert repr(particle.check([0, 1, 0], [1, 1, 3])).startswith("<Check: FAILED: ")
 
 
 def test_check_finds_a_wrong_sign(own):

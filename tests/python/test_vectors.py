@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import U
+from conftest import U, relative_residual
 
 import dalembert as dal
 
@@ -178,9 +178,9 @@ def reaction_noise(name, h, q, v):
 
 
 def residual(name, q, v):
-    """Return max_a |mu^a v| / sum_i |mu^a_i v_i| with the mu of the data."""
-    mu = formulas(name).mu(q)
-    return np.max(np.abs(mu @ v) / (np.abs(mu) @ np.abs(v)))
+    """See `relative_residual`; with the mu and the M of the data."""
+    own = formulas(name)
+    return relative_residual(own.M(q), own.mu(q), v)
 
 
 def scheme_of(entry):

@@ -1,0 +1,55 @@
+/* Floor 6: an energy that jumps.  Where nothing does work on the system the energy of a step that
+ * is sensible stays near what it was; one that was refused by nothing and yet has changed it by
+ * more than half of the kinetic energy went astray. */
+#include "internal.h"
+
+#include <math.h>
+
+/* The energy and the kinetic energy at x[2n], moved back by shift v.  The statistics do not count
+ * it. */
+static int energies(dal_mechanics *mech, double shift, const double *x, double *E, double *kinetic)
+{
+    const size_t n = mech->n;
+    evaluator *const e = &mech->eval;
+    const size_t calls[] = {e->potential_calls, e->lagrangian_calls};
+    double *const y = mech->point;
+    for (size_t i = 0; i < n; i++) {
+        y[i] = x[i] - shift * x[n + i];
+        y[n + i] = x[n + i];
+    }
+    int status = dal__form_metric(mech, y, y + n);
+    if (!status) status = dal__energy(mech, y, E);
+    e->potential_calls = calls[0];
+    e->lagrangian_calls = calls[1];
+    if (status) return status;
+    dal__apply(n, n, mech->metric, y + n, mech->step);
+    *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
+    return DAL_SUCCESS;
+}
+
+int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
+                    const double *x)
+{
+    const dal_system_def *const def = &mech->eval.system->def;
+    *jump = (dal__jump){.shift = shift};
+    if (scheme->order == 1 || def->force || def->kind != DAL_LINEAR) return DAL_SUCCESS;
+    const int status = energies(mech, shift, x, &jump->energy, &jump->kinetic);
+    jump->looking = isfinite(jump->energy) && isfinite(jump->kinetic);
+    return status;
+}
+
+int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x)
+{
+    double E, kinetic;
+    if (!jump->looking || jump->step > 0) return DAL_SUCCESS;
+    const int status = energies(mech, jump->shift, x, &E, &kinetic);
+    if (status) { /* the next step will tell, if it matters to it */
+        jump->looking = false;
+        return status == DAL_EUSER ? status : DAL_SUCCESS;
+    }
+    jump->kinetic = fmax(jump->kinetic, kinetic);
+    if (fabs(E - jump->energy) <= 0.5 * jump->kinetic) return DAL_SUCCESS; /* not of NaN */
+    jump->step = step;
+    jump->change = E - jump->energy;
+    return DAL_SUCCESS;
+}

@@ -1,0 +1,295 @@
+"""No number that is wrong without a word: cases that were, against independent solutions."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import dalembert as dal
+
+U = 2.0**-53
+
+
+def system_of(B, mass, c):
+    """Return the system of constant forms B in the field of the constant force -c."""
+    return dal.System(
+        mass=mass,
+        forms=lambda q: B,
+        forms_velocity_derivative=lambda q, v: 0 * B,
+        potential=lambda q: q @ c,
+        gradient=lambda q: c,
+    )
+
+
+def coupled(m, ring, seed=None):
+    """Return m forms that share a coordinate each with the next: a chain, or a ring."""
+    n = 2 * m + 1
+    B = np.zeros((m, n))
+    random = np.random.default_rng(seed)
+    for i in range(m):
+        last = (0 if ring else 2 * m) if i == m - 1 else 2 * i + 2
+        if seed is None:
+            B[i, [2 * i, 2 * i + 1, last]] = 0.5, 1, 0.1
+        else:
+            B[i, [2 * i, 2 * i + 1]] = random.normal() / 2, 1
+            B[i, last] += 0.3 * random.normal()
+    return B
+
+
+def residual_of(mu, inverse, v, phi=None):
+    """Return the residual of D as the header defines it."""
+    d = np.sqrt(np.diag(inverse))
+    value = mu @ v if phi is None else phi
+    scale = abs(mu) @ d * np.max(abs(v) / d) + abs(value - mu @ v)
+    return np.max(abs(value) / np.where(scale > 0, scale, 1))
+
+
+# ---- linear algebra ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ring", [False, True])
+@pytest.mark.parametrize("mass", ["unit", "diagonal", "full"])
+@pytest.mark.parametrize("m, seed", [(12, None), (20, 0), (20, 7), (50, 1), (200, 2)])
+def test_coupled_constraints(m, seed, mass, ring):
+    """Lambda, the projection and a step against a dense solve, for conditions below 100."""
+    B = coupled(m, ring, seed)
+    n = B.shape[1]
+    random = np.random.default_rng(5)
+    M = {
+        "unit": np.eye(n),
+        "diagonal": np.diag(random.uniform(0.5, 2, n)),
+        "full": np.eye(n) + 0.3 * (np.eye(n, k=1) + np.eye(n, k=-1)),
+    }[mass]
+    c, v = random.normal(size=(2, n))
+    system, q = system_of(B, M, c), np.zeros(n)
+    inverse = np.linalg.inv(M)
+    C = B @ inverse @ B.T
+    tolerance = 100 * n * U * np.linalg.cond(C)
+    assert tolerance < 1e-10
+    exact = np.linalg.solve(C, B @ inverse @ c)
+    np.testing.assert_allclose(system.multipliers(q, q), exact, rtol=0, atol=tolerance * 10)
+    in_D = v - inverse @ B.T @ np.linalg.solve(C, B @ v)
+    projected = system.project(q, v)
+    np.testing.assert_allclose(projected, in_D, rtol=0, atol=tolerance * 10)
+    run = dal.integrate(system, "midpoint", q, projected, h=0.1, steps=3)
+    a = inverse @ (B.T @ exact - c)  # constant: the motion is a parabola, which midpoint follows
+    np.testing.assert_allclose(run.v[-1], in_D + 0.3 * a, rtol=0, atol=tolerance * 10)
+    np.testing.assert_allclose(run.q[-1], 0.3 * in_D + 0.045 * a, rtol=0, atol=tolerance * 10)
+    assert max(residual_of(B, inverse, v) for v in run.v) <= 4 * n * U
+
+
+def test_small_entries_are_no_pivots():
+    """One form with a term that is roundoff: cos(pi/2) = 6e-17."""
+    inverse = np.array([[1, -0.5, 0], [-0.5, 1, 0], [0, 0, 1.0]])
+    system = dal.System(
+        mass=np.linalg.inv(inverse),
+        forms=lambda q: [[1, 0.1, np.cos(q[2])], [0, 0, 1]],
+        forms_velocity_derivative=lambda q, v: [[0, 0, -np.sin(q[2]) * v[2]], [0, 0, 0]],
+        potential=lambda q: q @ [1, 2, 3],
+        gradient=lambda q: [1, 2, 3],
+    )
+    q, zero = np.array([0, 0, np.pi / 2]), np.zeros(3)
+    mu = np.array([[1, 0.1, 0], [0, 0, 1]])
+    exact = np.linalg.solve(mu @ inverse @ mu.T, mu @ inverse @ [1, 2, 3])
+    a = inverse @ (mu.T @ exact - [1, 2, 3])
+    np.testing.assert_allclose(system.multipliers(q, zero), exact, rtol=1e-13)
+    flow = dal.reference(system, q, zero, 1.0)
+    np.testing.assert_allclose(flow.q - q, a / 2, atol=1e-13)
+    run = dal.integrate(system, "leapfrog-kl6", q, zero, h=0.1, t_end=1)
+    np.testing.assert_allclose(run.q[-1] - q, a / 2, atol=1e-13)
+
+
+def test_a_damped_oscillator_stays():
+    """No constraint, 50 coordinates, a banded mass: midpoint by its matrix."""
+    n = 50
+    M = 1.26 * np.eye(n) + 0.05 * (np.eye(n, k=1) + np.eye(n, k=-1))
+    one = np.eye(n)
+    system = dal.System(
+        mass=M,
+        force=lambda t, q, v: -q - 0.2 * v,
+        force_q=lambda t, q, v: -one,
+        force_v=lambda t, q, v: -0.2 * one,
+    )
+    q0, h = np.cos(np.arange(n)), 0.05
+    run = dal.integrate(system, "midpoint", q0, np.zeros(n), h=h, t_end=1)
+    # q' = q + h (v + v')/2, and the force at the ends: M (v' - v) = h (f(q~, v) + f(q~', v'))/2
+    left = np.block([[one, -h / 2 * one], [h / 2 * one, M + 0.1 * h * one]])
+    right = np.block([[one, h / 2 * one], [-h / 2 * one, M - 0.1 * h * one]])
+    x = np.r_[q0, np.zeros(n)]
+    for _ in range(20):
+        x = np.linalg.solve(left, right @ x)
+    np.testing.assert_allclose(run.x[-1], x, atol=1e-12)
+
+
+@pytest.mark.parametrize("condition", [1e8, 1e12])
+def test_conditions_that_have_an_answer(condition):
+    """Two forms that nearly coincide, in units as far apart as 1e20."""
+    e = 2 / np.sqrt(condition)
+    for unit in (1.0, 1e20, 1e-20):
+        B = np.array([[1, 1, 0], [1, 1 + e, e]]) * [[1], [unit]]
+        c = np.array([1.0, 2, 3])
+        rows = sp.Matrix(2, 3, [sp.Rational(float(b)) for b in B.ravel()])
+        exact = (rows * rows.T).LUsolve(rows * sp.Matrix([1, 2, 3]))
+        told = system_of(B, np.eye(3), c).multipliers(np.zeros(3), np.zeros(3))
+        for a in range(2):
+            assert abs(told[a] / float(exact[a]) - 1) <= 100 * 2 * U * condition * 10
+
+
+def test_conditions_that_have_none():
+    B = np.array([[1, 1, 0], [1, 1 + 1e-9, 1e-9]])  # 1e18 for C
+    with pytest.raises(dal.SingularError, match="full rank|coincide"):
+        system_of(B, np.eye(3), np.ones(3)).multipliers(np.zeros(3), np.zeros(3))
+    small = np.array([[1, 0, 0], [0, 1e-20, 0]])  # small, not singular
+    told = system_of(small, np.eye(3), np.ones(3)).multipliers(np.zeros(3), np.zeros(3))
+    np.testing.assert_allclose(told, [1, 1e20], rtol=1e-15)
+
+
+# ---- the residual --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["n_trailer", "snakeboard", "two_wheeled_robot"])
+def test_headings_of_zero(name):
+    """Forms with one term, velocities of any size: projection and steps, no false alarm."""
+    system = dal.systems.get(name)
+    q = np.zeros(system.n)
+    random = np.random.default_rng(0)
+    inverse = np.linalg.inv(system.metric(q))
+    for k in range(30):
+        v = system.project(q, random.normal(size=system.n) * 10.0 ** random.integers(-80, 80))
+        assert system.relative_residual(q, v) <= 4 * system.n * U
+        mu = np.array([system.residual(q, e) for e in np.eye(system.n)]).T
+        assert residual_of(mu, inverse, v) <= 4 * system.n * U
+    for scheme in ("leapfrog", "midpoint", "reference"):
+        v = system.project(q, np.ones(system.n))
+        run = dal.integrate(system, scheme, q, v, h=0.01, steps=9)
+        assert run.residual.max() <= 4 * system.n * U
+
+
+def test_a_form_of_one_coordinate():
+    """v_2 is 0 but for roundoff all the way."""
+    M = np.array([[2, 0.3, 0.2, 0], [0.3, 3, 0.3, 0.1], [0.2, 0.3, 1, 0.2], [0, 0.1, 0.2, 2]])
+    system = dal.System(
+        mass=M,
+        forms=lambda q: [[0, 0, 1, 0], [-q[1], 0, 0, 1]],
+        potential=lambda q: q @ q / 2,
+        gradient=lambda q: q,
+        q0=[0.3, 0.2, 0.5, -0.1],
+        v0=[0.7, -0.3, 0, 0.14],
+    )
+    assert dal.integrate(system, "reference", h=0.1, t_end=20).success
+    run = dal.integrate(system, "midpoint", h=0.01, t_end=20)
+    inverse = np.linalg.inv(M)
+    for q, v in zip(run.q, run.v):
+        mu = np.array([[0, 0, 1, 0], [-q[1], 0, 0, 1]])
+        assert residual_of(mu, inverse, v) <= 16 * U
+    assert abs(run.v[:, 2]).max() < 1e-15
+    assert dal.convergence(system, "midpoint", t_end=1).holds
+
+
+@pytest.mark.parametrize("scheme", ["leapfrog", "explicit", "midpoint", "leapfrog-kl6"])
+def test_from_rest(scheme):
+    """A robot that its wheels turn on the spot, and one that a force holds against its blade."""
+    x, y, th, right, left = dal.coordinates("x y theta phi_r phi_l")
+    u = sp.cos(th) * x.d + sp.sin(th) * y.d
+    rows = [
+        -sp.sin(th) * x.d + sp.cos(th) * y.d,
+        u + sp.Rational(1, 5) * th.d - right.d / 10,
+        u - sp.Rational(1, 5) * th.d - left.d / 10,
+    ]
+    centre = x.d - th.d * sp.sin(th) / 10, y.d + th.d * sp.cos(th) / 10
+    L = 5 * (centre[0] ** 2 + centre[1] ** 2) + th.d**2 / 4 + (right.d**2 + left.d**2) / 200
+    robot = dal.System.from_sympy(L, rows, [x, y, th, right, left], force={right: 1, left: -1})
+    run = dal.integrate(robot, scheme, [0] * 5, [0] * 5, h=0.002, steps=20)
+    inverse = np.linalg.inv(robot.metric(run.q[0]))
+    assert run.stats.worst_residual >= run.residual.max() and run.residual.max() <= 20 * U
+    for q, v in zip(run.q, run.v):
+        mu = np.array([robot.residual(q, e) for e in np.eye(5)]).T
+        assert residual_of(mu, inverse, v) <= 20 * U
+    held = dal.System(
+        mass=[1, 2],
+        forms=lambda q: [[0.3, 0]],
+        forms_velocity_derivative=lambda q, v: [[0, 0]],
+        potential=lambda q: 7 * q[0],
+        gradient=lambda q: [7, 0],
+    )
+    run = dal.integrate(held, scheme, [0.1, 0], [0, 0], h=0.01, steps=100)
+    assert not run.v.any() and run.residual.max() == 0
+
+
+@pytest.mark.parametrize("name", ["steered_car", "roller_racer"])
+def test_the_worst_is_what_is_stored(name):
+    system = dal.systems.get(name)
+    run = dal.integrate(system, "leapfrog", h=0.02, steps=20000)
+    assert run.residual.max() <= run.stats.worst_residual <= 4 * system.n * U
+
+
+def test_a_wrong_derivative_costs_speed_only():
+    """d(mu v)/dq off by a factor: the steps are those of the right one, and lie in D."""
+    runs = []
+    for factor in (1.0, 0.7):
+        system = dal.System(
+            mass=[1, 1, 0.5],
+            forms=lambda q: [[-np.sin(q[2]), np.cos(q[2]), -0.4]],
+            forms_velocity_derivative=lambda q, v, f=factor: [
+                [0, 0, -f * (np.cos(q[2]) * v[0] + np.sin(q[2]) * v[1])]
+            ],
+        )
+        v0 = system.project([0, 0, 0.3], [1, 0.2, 1])
+        runs.append(dal.integrate(system, "leapfrog", [0, 0, 0.3], v0, h=0.05, steps=100))
+        assert runs[-1].residual.max() <= 12 * U
+    np.testing.assert_allclose(runs[0].x, runs[1].x, atol=1e-12)
+
+
+def test_a_false_declaration_is_found_out():
+    """Mu depends on y, which the reaction pushes, beyond y = 1/2 only."""
+    system = dal.System(
+        mass=np.eye(3),
+        forms=lambda q: [[1, -np.sin(q[2]), max(q[1] - 0.5, 0)]],
+        forms_velocity_derivative=lambda q, v: [[0, (q[1] > 0.5) * v[2], -np.cos(q[2]) * v[1]]],
+        steady=True,
+    )
+    q0 = [0, 0, 0.3]
+    v0 = system.project(q0, [0.2, 1, 1])
+    with pytest.raises(ValueError, match=r"step [3-7]\d \(.*declared steady"):  # where y is 1/2
+        dal.integrate(system, "leapfrog", q0, v0, h=0.01, steps=300)
+
+
+# ---- roots and blow-ups --------------------------------------------------------------------------
+
+
+def told(system, scheme, h, steps):
+    """Return whether a run ends in an error or a warning, and the run if it came to its end."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        try:
+            run = dal.integrate(system, scheme, h=h, steps=steps)
+        except dal.DalembertError as error:
+            assert f"h = {h:g}" in str(error) and "t = " in str(error)
+            return True, None
+    return any("energy has changed" in str(one.message) for one in heard), run
+
+
+@pytest.mark.parametrize("name", ["heisenberg", "chaotic", "sleigh", "rolling_disc", "snakeboard"])
+@pytest.mark.parametrize("scheme", ["leapfrog", "midpoint", "midpoint-kl8"])
+def test_growing_steps(name, scheme):
+    """The step doubles until it fails: an energy that is lost or explodes is never silent."""
+    system = dal.systems.get(name)
+    h, failed = 0.05, False
+    while h < 100:
+        loud, run = told(system, scheme, h, 256)
+        if run is not None and not loud:
+            v = run.v[::64]
+            kinetic = max(w @ system.metric(q, w) @ w / 2 for q, w in zip(run.q[::64], v))
+            assert abs(run.energy[::64] - run.energy[0]).max() <= 0.51 * kinetic, h
+        failed = failed or loud
+        h *= 2
+    assert failed or name == "heisenberg"
+
+
+def test_time_that_stands_still():
+    particle = dal.systems.particle()
+    with pytest.raises(ValueError, match="does not change the time"):
+        dal.integrate(particle, "midpoint", h=1e-3, steps=2, t0=1e14)
