@@ -30,32 +30,16 @@ Expr = Any
 # The steps of differences are 2**-_BITS; what is not larger than _ZERO is zero.
 _BITS, _ZERO = 160, mpmath.ldexp(1, -100)
 # At a given point brackets are formed up to this order, and with no more values of mu than this.
-_ORDERS, _WORK = 12, 100_000
+_ORDERS, _WORK = 10, 30_000
 _DIGITS = 30
 
 
+@mpmath.workprec(3 * _BITS)
 def examine(
     model: Model, values: Mapping[str, float], near: Array, q: Array | None = None
 ) -> Distribution:
-    """Return the growth vector of D, and the constraints that are holonomic in disguise.
-
-    Parameters
-    ----------
-    model : Model
-        With linear constraints, at least one.
-    values : mapping
-        Of the parameters.
-    near : ndarray, shape (n,)
-        Some point where mu is defined.
-    q : ndarray, shape (n,), optional
-        Where the growth vector is wanted; default: at a general point.
-    """
-    with mpmath.workprec(3 * _BITS):
-        return _examine(_Forms(model, values), model, near, q)
-
-
-def _examine(forms: _Forms, model: Model, near: Array, q: Array | None) -> Distribution:
-    n, m = model.n, model.m
+    """Return what `growth.examine` does, for values of the parameters of a model."""
+    n, m, forms = model.n, model.m, _Forms(model, values)
     point = _general_point(forms, near)
     if point is None:
         note = "no point was found where mu is smooth"
@@ -123,15 +107,7 @@ def _general_point(forms: _Forms, near: Array) -> _Point | None:
 
 
 class _Forms:
-    """mu as expressions, and as a function with as many digits as mpmath works with.
-
-    Parameters
-    ----------
-    model : Model
-        With linear constraints.
-    values : mapping
-        Of its parameters.
-    """
+    """mu as expressions, and as a function with as many digits as mpmath works with."""
 
     def __init__(self, model: Model, values: Mapping[str, float]) -> None:
         constraint = model.derived.function("constraint")
@@ -170,21 +146,19 @@ class _Forms:
         if m > 4:
             return False
         mu = sympy.Matrix(m, n, self.mu)
+        free = [i for i in range(n) if i not in dependent]
         B = mu[:, list(dependent)]
-        inverse, scale = B.adjugate(), B.det(method="berkowitz")
-        fields = []
-        for free in (c for c in range(n) if c not in dependent):
-            field = [sympy.Integer(0)] * n
-            field[free] = scale
-            for c, e in zip(dependent, -inverse * mu[:, free]):
-                field[c] = e
-            fields.append(field)
-        for a, (X, Y) in itertools.product(range(m), itertools.combinations(fields, 2)):
-            terms = [
-                (mu[a, i].diff(q[j]) - mu[a, j].diff(q[i])) * (X[j] * Y[i] - X[i] * Y[j])
-                for i, j in itertools.combinations(range(n), 2)
-            ]
-            if not is_zero(sympy.Add(*terms)):
+        solved = -B.adjugate() * mu[:, free]
+        fields = sympy.zeros(n, n - m)  # without division
+        for k, i in enumerate(dependent):
+            fields[i, :] = solved[k, :]
+        for k, i in enumerate(free):
+            fields[i, k] = B.det(method="berkowitz")
+        for a in range(m):
+            slope = mu[a, :].jacobian(q)
+            found = fields.T * (slope - slope.T) * fields
+            pairs = itertools.combinations(range(n - m), 2)
+            if not all(is_zero(found[i, j]) for i, j in pairs):
                 return False
         return True
 
@@ -200,7 +174,8 @@ def _for_mpmath(e: Expr) -> Expr:
 def _edges(expressions: Sequence[Expr]) -> list[Expr]:
     """Return what is 0 where expressions have no Taylor series."""
     found = set()
-    for e in set().union(*(e.atoms(sympy.Function, sympy.Pow, sympy.Rel) for e in expressions)):
+    kinds = sympy.core.function.Application, sympy.Pow, sympy.Rel
+    for e in set().union(*(e.atoms(*kinds) for e in expressions)):
         if isinstance(e, sympy.Abs | sympy.sign | sympy.Heaviside):
             found.add(e.args[0])
         elif isinstance(e, sympy.Max | sympy.Min):
@@ -213,19 +188,9 @@ def _edges(expressions: Sequence[Expr]) -> list[Expr]:
 
 
 class _Point:
-    """Brackets of mu at a point, see `growth.search`.
+    """Brackets of mu at a point q, see `growth.search`; ``other`` is one that q may be as well.
 
-    Parameters
-    ----------
-    forms : _Forms
-    q : sequence of mpf
-    other : sequence of mpf, optional
-        A point that cannot be told from q.
-
-    Raises
-    ------
-    ValueError
-        If mu is not smooth there, or has not rank m.
+    ValueError if mu is not smooth there, or has not rank m.
     """
 
     rounding = _ZERO
@@ -258,8 +223,8 @@ class _Point:
 
     def _fields(self, q: Array) -> Array:
         mu = self._forms.at(q)[0]
-        for k, (r, c) in enumerate(self._pivots):
-            _eliminate(mu, r, c, [j for _, j in self._pivots[:k]])
+        for r, c in self._pivots:
+            _eliminate(mu, r, c)
         free = [j for j in range(self.n) if j not in self.dependent]
         return -mu[[r for r, _ in self._pivots]][:, free]
 
@@ -285,14 +250,14 @@ def _pivots(mu: Array) -> list[tuple[int, int]]:
         r, c = map(int, np.unravel_index(int(np.argmax(size)), size.shape))
         if size[r, c] <= least:
             break
-        _eliminate(mu, r, c, [])
+        _eliminate(mu, r, c)
         found.append((r, c))
     return found
 
 
-def _eliminate(mu: Array, r: int, c: int, done: Sequence[int]) -> None:
-    """Make column c a unit vector by row r, where the columns that are done are 0."""
-    live = [j for j in range(mu.shape[1]) if mu[r, j] and j not in done]
+def _eliminate(mu: Array, r: int, c: int) -> None:
+    """Make column c a unit vector by row r."""
+    live = np.flatnonzero(mu[r])
     lead = mu[r, live] / mu[r, c]
     for i in np.flatnonzero(mu[:, c]):
         if i != r:

@@ -21,11 +21,11 @@ __all__ = ["examine"]
 
 # What functions raise for states that they were not made for, and what the core does.
 _OUTSIDE = _lib.DalembertError, ArithmeticError, ValueError
-# The derivative along a line by central differences of order 8.
-_WEIGHTS = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))
+# The derivative along a line by central differences of order 6.
+_WEIGHTS = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
 _STENCIL = [(sign * k, sign * w) for k, w in _WEIGHTS for sign in (1, -1)]
 # The largest and the least distance of the points, and their largest number, for one bracket.
-_MOST, _LEAST, _POINTS = 2.0**-3, 2.0**-10, 20_000
+_MOST, _LEAST, _POINTS = 2.0**-3, 2.0**-10, 5_000
 _DIGITS = 16
 
 
@@ -47,39 +47,29 @@ class _Functions:
         from ..chart import Chart
 
         self.n, self.m = system.n, system.m
-        self._chart, self._q = Chart(system, q), q
+        self._chart, self._q, self._h = Chart(system, q), q, _MOST
         self._dependent = [system.coordinates.index(c) for c in self._chart.dependent]
-        # a bracket of one more field takes 9 times as many points
-        self.most = int(np.log(_POINTS) / np.log(9))
+        # a bracket of one more field takes 7 times as many points
+        self.most = int(np.log(_POINTS) / np.log(7))
 
     def pair(self, word: Word) -> tuple[Array, Array]:
         """Return the dependent components of a bracket, and the same by other differences."""
-        h = _MOST
-        while h >= _LEAST:
+        while self._h >= _LEAST:
             with contextlib.suppress(*_OUTSIDE):
-                row, twin = (self._row(word, h, part * h) for part in (1.0, 0.8))
+                row, twin = (self._row(word, part * self._h) for part in (1.0, 0.8))
                 if abs(row - twin).max() <= 64 * self.rounding * max(1, abs(row).max()):
                     return row, twin
-            h /= 2
+            self._h /= 2
         raise _lib.DalembertError("mu does not seem to be smooth there")
 
-    def _row(self, word: Word, unit: float, h: float) -> Array:
-        stencil = [(h * step, unit / h * weight) for step, weight in _STENCIL]
+    def _row(self, word: Word, h: float) -> Array:
+        stencil = [(h * step, self._h / h * weight) for step, weight in _STENCIL]
         brackets = Brackets(lambda q: -self._chart.A(q), self._dependent, self.n, stencil)
         return brackets.at(word, self._q)[self._dependent]
 
 
 def examine(system: System, near: Array, q: Array | None = None) -> Distribution:
-    """Return the growth vector at a general point near some point, and at a given one.
-
-    Parameters
-    ----------
-    system : System
-        With linear constraints, at least one.
-    near : ndarray, shape (n,)
-    q : ndarray, shape (n,), optional
-        Default: at the general point.
-    """
+    """Return what `growth.examine` does; the general point is one near ``near``."""
     n = system.n
     general, note = _near(system, near)
     integrable = None

@@ -10,10 +10,10 @@ takes no more than derivatives along lines, which are found by differences.
 
 At a general point only the brackets that are new in D^k have to be bracketed again.  Elsewhere the
 others matter too; there u, ..., z are random: while something of D^{k+1} is missing, a random
-bracket gives it with probability 1, for its coefficients are polynomials in u, ..., z.  For what the
-growth vector says see A. Bellaiche, The tangent space in sub-Riemannian geometry; for cars with
-trailers F. Jean, The car with N trailers: there it is (2, 3, ..., n), unless two neighbours stand at
-right angles, the last two apart.
+bracket gives it with probability 1, for its coefficients are polynomials in u, ..., z.  For what
+the growth vector says see A. Bellaiche, The tangent space in sub-Riemannian geometry; for cars with
+trailers F. Jean, The car with N trailers: there it is (2, 3, ..., n), unless two neighbours stand
+at right angles, the last two apart.
 """
 
 from __future__ import annotations
@@ -58,31 +58,12 @@ class Distribution:
 class Brackets:
     """Brackets of fields of D by differences.
 
-    Parameters
-    ----------
-    fields : callable
-        Of q: S, shape (m, n - m), so that v_dependent = S u on D.
-    dependent : list of int
-    n : int
-    stencil : sequence of pairs
-        Steps and weights of the difference along a line.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from dalembert.growth.search import Brackets
-    >>> fields = lambda q: np.array([[q[1], 0.0]])  # z.d = y x.d
-    >>> brackets = Brackets(fields, [2], 3, [(0.5, 1.0), (-0.5, -1.0)])
-    >>> brackets.at(((0, 1), (1, 0)), np.zeros(3))
-    array([0., 0., 1.])
+    ``fields(q)`` is S, shape (m, n - m), so that v_dependent = S u on D; the stencil has steps and
+    weights of the difference along a line.
     """
 
     def __init__(
-        self,
-        fields: Callable[[Array], Array],
-        dependent: Sequence[int],
-        n: int,
-        stencil: Sequence[tuple[Any, Any]],
+        self, fields: Callable[[Array], Array], dependent: Sequence[int], n: int, stencil: Any
     ) -> None:
         self.n, self.dependent = n, list(dependent)
         self._independent = [i for i in range(n) if i not in self.dependent]
@@ -92,19 +73,18 @@ class Brackets:
     def at(self, word: Word, q: Array) -> Array:
         """Return a bracket at a point, all its n components."""
         key = word, tuple(q)
-        found = self._known.get(key)
-        if found is None:
-            found = self._known[key] = self._new(word, q)
-        return found
+        if key not in self._known:
+            self._known[key] = self._new(word, q)
+        return self._known[key]
 
     def _new(self, word: Word, q: Array) -> Array:
         head, rest = word[:1], word[1:]
         if rest:
             W, X = self.at(rest, q), self.at(head, q)
             return self._along(rest, q, X) - self._along(head, q, W)
-        S = self._known.get(tuple(q))
-        if S is None:
-            S = self._known[tuple(q)] = self._fields(q)
+        if tuple(q) not in self._known:
+            self._known[tuple(q)] = self._fields(q)
+        S = self._known[tuple(q)]
         X = np.zeros(self.n, dtype=S.dtype)
         X[self._independent] = head[0]
         X[self.dependent] = S @ np.array(head[0])
@@ -116,11 +96,7 @@ class Brackets:
 
 
 class _Span:
-    """A space of rows, found by elimination.
-
-    A row has a twin: the same row found elsewhere or otherwise, which differs from it by what is
-    not known.
-    """
+    """Rows, eliminated; the twin of one, found elsewhere, differs by what is not known of it."""
 
     def __init__(self) -> None:
         self._least: Any = 1
@@ -150,12 +126,8 @@ def of_new_ones(count: int) -> Candidates:
         tuple((i == j) + source.uniform(-0.3, 0.3) for j in range(count)) for i in range(count)
     ]
 
-    def candidates(_: int, last: Sequence[Word], found: list[Word]) -> Iterable[Word]:
-        if not last:
-            return itertools.combinations(fields, 2)
-        return ((u, *word) for word in last for u in fields)
-
-    return candidates
+    pairs = list(itertools.combinations(fields, 2))
+    return lambda _, last, __: [(u, *word) for word in last for u in fields] if last else pairs
 
 
 def at_random(count: int) -> Candidates:
@@ -176,26 +148,13 @@ def search(
 ) -> tuple[list[int], list[list[Word]], bool]:
     """Return the dimensions of D^1, D^2, ...
 
-    Parameters
-    ----------
-    source
-        With sizes n and m, ``rounding`` of numbers of size 1, and ``pair(word)``: the dependent
-        components of a bracket, shape (m,), and a twin, see `_Span`.
-    candidates : callable
-        Which brackets of k + 1 fields to try, of k, those found of k fields, and the list of those
-        found so far of k + 1.
-    limit : int
-        The last k.
-    enough : callable
-        Of the dimensions; whether to stop.
+    ``source`` has the sizes n and m, the ``rounding`` of numbers of size 1, and ``pair(word)``: the
+    dependent components of a bracket, shape (m,), and a twin, see `_Span`.  ``candidates`` gives
+    the brackets of k + 1 fields to try, of k, those found of k fields, and the list of those found
+    so far of k + 1.  The search ends with k = ``limit``, or if the dimensions are ``enough``.
 
-    Returns
-    -------
-    dimensions : list of int
-    words : list of list of tuple
-        The brackets that were found to be independent, of 2 fields, of 3, ...
-    told : bool
-        False if further ones cannot be told from those found.
+    Also the brackets that were found to be independent, of 2 fields, of 3, ..., and False if
+    further ones cannot be told from those found.
     """
     span, dimensions, words = _Span(), [source.n - source.m], list[list[Word]]()
     for k in range(1, limit + 1):
@@ -221,14 +180,7 @@ def is_settled(dimensions: Sequence[int], n: int) -> bool:
 
 
 def shortened(dimensions: Sequence[int], n: int) -> tuple[int, ...]:
-    """Return dimensions up to the first that is as the last one, and once more if that is not n.
-
-    Examples
-    --------
-    >>> from dalembert.growth.search import shortened
-    >>> shortened([2, 3, 4, 4, 5, 5, 5], 5), shortened([2, 3, 4, 4, 4], 5)
-    ((2, 3, 4, 4, 5), (2, 3, 4, 4))
-    """
+    """Return dimensions up to the first that is as the last one, and once more if that is not n."""
     last = dimensions[-1]
     return (*dimensions[: list(dimensions).index(last) + 1], *([last] if last < n else []))
 
