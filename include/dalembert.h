@@ -790,9 +790,10 @@ typedef struct dal_stats {
     double jump, largest_kinetic;
 } dal_stats;
 
-/* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step
- * the residual of the set that the scheme keeps, as dal_relative_residual finds it, is at most
- * 4 n u with u = 2^-53. */
+/* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step the
+ * residual of the set that the scheme keeps, as dal_relative_residual finds it, is at most 4 n u
+ * with u = 2^-53.  Where kept nodes lie so far out that the rounding of q - (1-beta) h v moves mu v
+ * by more, it may be up to that, and worst_residual says so. */
 typedef struct dal_stepper dal_stepper;
 
 /* options: or NULL for the defaults.

@@ -330,6 +330,14 @@ def _available_memory() -> int:
 def _warn(solution: Solution) -> None:
     """Warn where a run that went through is doubtful."""
     system, stats = solution.system, solution.stats
+    bound = _lib.residual_bound(system.n)
+    if stats.worst_residual > bound:
+        warnings.warn(
+            f"the constraint is kept to {stats.worst_residual:.1e} only, not to {bound:.1e}: the "
+            "kept nodes lie so far out that their rounding moves it by more",
+            DalembertWarning,
+            stacklevel=3,
+        )
     if stats.jump_step:
         warnings.warn(
             f"the energy has changed by {stats.jump:.3g} at step {stats.jump_step} (t = "

@@ -1,0 +1,373 @@
+/* Steps of random systems against the same equations solved in long double: with and without V,
+ * steady, with kept nodes, from rest, far from the origin and in units far apart. */
+#include "../fixtures.h"
+#include "check.h"
+
+typedef long double real;
+
+enum { MOST_N = 5, MOST_M = 3, MOST = MOST_N + MOST_M };
+
+/* ---- a random system ----------------------------------------------------------------------
+ * In s_i = q_i / unit_i:  mu^a_i = (c_ai + b_ai s_k + d_ai sin(f_ai s_j + p_ai)) / unit_i, k and j
+ * drawn too;  V = sum_i w_i r_i^2/2 + e_i r_i^4 + g_i cos(r_i + r_(i+1)) with r
+ * = s - home. */
+
+typedef struct form {
+    double constant, slope, wave, frequency, phase;
+    size_t of_slope, of_wave;
+} form;
+
+typedef struct drawn {
+    size_t n, m;
+    double mass[MOST_N * MOST_N], unit[MOST_N];
+    form mu[MOST_M][MOST_N];
+    double home[MOST_N], spring[MOST_N], quartic[MOST_N], ripple[MOST_N];
+} drawn;
+
+/* phi_q[m*n] is d(mu c)/dq of the vector c[n], and bend[n*n] d(mu^T kappa)/dq; NULL: not wanted. */
+static void forms_at(const drawn *s, const real *q, const real *c, real *mu, real *phi_q)
+{
+    const size_t n = s->n;
+    for (size_t k = 0; phi_q && k < s->m * n; k++) phi_q[k] = 0.0L;
+    for (size_t a = 0; a < s->m; a++)
+        for (size_t i = 0; i < n; i++) {
+            const form *const f = &s->mu[a][i];
+            const size_t k = f->of_slope, j = f->of_wave;
+            const real angle = f->frequency * (q[j] / s->unit[j]) + f->phase;
+            mu[a * n + i] = (f->constant + f->slope * (q[k] / s->unit[k]) + f->wave * sinl(angle))
+                          / s->unit[i];
+            if (!phi_q) continue;
+            phi_q[a * n + k] += f->slope / (real)s->unit[k] / s->unit[i] * c[i];
+            phi_q[a * n + j] += f->wave * f->frequency * cosl(angle) / s->unit[j] / s->unit[i] * c[i];
+        }
+}
+
+static void gradient_at(const drawn *s, const real *q, real *V_q, real *V_qq)
+{
+    const size_t n = s->n;
+    for (size_t i = 0; i < n; i++) V_q[i] = 0.0L;
+    for (size_t k = 0; k < n * n; k++) V_qq[k] = 0.0L;
+    for (size_t i = 0; i < n; i++) {
+        const size_t j = (i + 1) % n;
+        const real ui = s->unit[i], uj = s->unit[j];
+        const real x = q[i] / ui - s->home[i], y = q[j] / uj - s->home[j];
+        const real slope = -s->ripple[i] * sinl(x + y), bend = -s->ripple[i] * cosl(x + y);
+        V_q[i] += (s->spring[i] * x + 4.0L * s->quartic[i] * x * x * x + slope) / ui;
+        V_q[j] += slope / uj;
+        V_qq[i * n + i] += (s->spring[i] + 12.0L * s->quartic[i] * x * x + bend) / ui / ui;
+        V_qq[i * n + j] += bend / ui / uj;
+        V_qq[j * n + i] += bend / ui / uj;
+        V_qq[j * n + j] += bend / uj / uj;
+    }
+}
+
+/* What the library calls: the values in long double, rounded once. */
+static int constraint(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                      void *ctx)
+{
+    const drawn *const s = ctx;
+    const size_t n = s->n, m = s->m;
+    real at[MOST_N], along[MOST_N], mu[MOST_M * MOST_N], slope[MOST_M * MOST_N];
+    for (size_t i = 0; i < n; i++) {
+        at[i] = q[i];
+        along[i] = v[i];
+    }
+    forms_at(s, at, along, mu, slope);
+    for (size_t k = 0; k < m * n; k++) {
+        if (phi_v) phi_v[k] = (double)mu[k];
+        if (phi_q) phi_q[k] = (double)slope[k];
+    }
+    for (size_t a = 0; phi && a < m; a++) {
+        real sum = 0.0L;
+        for (size_t i = 0; i < n; i++) sum += mu[a * n + i] * along[i];
+        phi[a] = (double)sum;
+    }
+    return 0;
+}
+
+static int potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const drawn *const s = ctx;
+    const size_t n = s->n;
+    real at[MOST_N], gradient[MOST_N], hessian[MOST_N * MOST_N];
+    for (size_t i = 0; i < n; i++) at[i] = q[i];
+    gradient_at(s, at, gradient, hessian);
+    if (V) *V = 0.0; /* nobody asks for it here */
+    for (size_t i = 0; V_q && i < n; i++) V_q[i] = (double)gradient[i];
+    for (size_t k = 0; V_qq && k < n * n; k++) V_qq[k] = (double)hessian[k];
+    return 0;
+}
+
+typedef struct draw {
+    bool potential, steady, kept, rest, units;
+    double far, beta, h;
+} draw;
+
+static void draw_system(drawn *s, const draw *d, unsigned *seed)
+{
+    const size_t n = 2 + (size_t)(4.0 * fabs(next_number(seed))) % 4; /* 2 ... 5 */
+    const size_t limit = d->steady ? n - 1 : n; /* m < limit */
+    const size_t m = (size_t)(4.0 * fabs(next_number(seed))) % (limit < 4 ? limit : 4);
+    *s = (drawn){.n = n, .m = m};
+    const bool full = !d->steady && next_number(seed) > 0.0;
+    for (size_t i = 0; i < n; i++) {
+        s->unit[i] = d->units ? pow(10.0, round(6.0 * next_number(seed))) : 1.0;
+        s->spring[i] = 1.0 + next_number(seed);
+        s->home[i] = (d->far - 1.0) * next_number(seed);
+        s->quartic[i] = 0.1 * fabs(next_number(seed));
+        s->ripple[i] = next_number(seed);
+    }
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j <= i; j++) {
+            const double entry = i == j ? 1.5 + next_number(seed) : 0.1 * next_number(seed);
+            s->mass[i * n + j] = i == j || full ? entry / (s->unit[i] * s->unit[j]) : 0.0;
+            s->mass[j * n + i] = s->mass[i * n + j];
+        }
+    for (size_t a = 0; a < m; a++)
+        for (size_t i = 0; i < n; i++) {
+            form *const f = &s->mu[a][i];
+            f->constant = (a == i ? 1.5 : 0.0) + 0.3 * next_number(seed);
+            f->slope = d->far > 1.0 ? 0.0 : 0.3 * next_number(seed);
+            f->wave = 0.5 * next_number(seed);
+            f->frequency = 1.0 + fabs(next_number(seed));
+            f->phase = next_number(seed);
+            f->of_slope = (size_t)(n * fabs(next_number(seed))) % n;
+            f->of_wave = (size_t)(n * fabs(next_number(seed))) % n;
+            if (!d->steady) continue;
+            f->of_slope = f->of_wave = n - 1; /* which no reaction pushes */
+            if (i == n - 1) f->constant = f->slope = f->wave = 0.0;
+        }
+}
+
+/* ---- one beta-step in long double ---------------------------------------------------------- */
+
+/* A[N*N] <- its inverse; false if a pivot is 0. */
+static bool invert(size_t N, real *A)
+{
+    real B[MOST][2 * MOST];
+    for (size_t i = 0; i < N; i++)
+        for (size_t j = 0; j < N; j++) {
+            B[i][j] = A[i * N + j];
+            B[i][N + j] = i == j ? 1.0L : 0.0L;
+        }
+    for (size_t k = 0; k < N; k++) {
+        size_t best = k;
+        real most = 0.0L;
+        for (size_t i = k; i < N; i++) { /* relative to its row: units may be far apart */
+            real row = 0.0L;
+            for (size_t j = k; j < N; j++) row = fmaxl(row, fabsl(B[i][j]));
+            if (fabsl(B[i][k]) <= most * row) continue;
+            most = fabsl(B[i][k]) / row;
+            best = i;
+        }
+        if (!(most > 0.0L)) return false;
+        for (size_t j = 0; j < 2 * N; j++) {
+            const real entry = B[k][j];
+            B[k][j] = B[best][j];
+            B[best][j] = entry;
+        }
+        for (size_t i = 0; i < N; i++) {
+            const real factor = B[i][k] / B[k][k];
+            for (size_t j = k; i != k && j < 2 * N; j++) B[i][j] -= factor * B[k][j];
+        }
+    }
+    for (size_t i = 0; i < N; i++)
+        for (size_t j = 0; j < N; j++) A[i * N + j] = B[i][N + j] / B[i][i];
+    return true;
+}
+
+typedef struct step {
+    real q[MOST_N], v[MOST_N], node[MOST_N]; /* q~, v, q_k */
+    real w[MOST_N], kappa[MOST_M], end[MOST_N]; /* v', kappa, q~' */
+    real error[MOST]; /* what a rounding of every term does to w and kappa */
+} step;
+
+/* How much f changes when q doubles, to first order. */
+static real turn_of(const drawn *s, const form *f, const real *q)
+{
+    const real x = q[f->of_slope] / s->unit[f->of_slope], y = q[f->of_wave] / s->unit[f->of_wave];
+    return fabsl(f->slope * x) + fabsl(f->wave * f->frequency * cosl(f->frequency * y + f->phase) * y);
+}
+
+/* Newton from w, kappa with step h. */
+static bool solve(const drawn *s, const draw *d, real h, step *t)
+{
+    const size_t n = s->n, m = s->m, N = n + m;
+    const real beta = d->beta;
+    real muk[MOST_M * MOST_N], mu[MOST_M * MOST_N], slope[MOST_M * MOST_N], unused[MOST_N * MOST_N];
+    real start[MOST_N] = {0}, end[MOST_N] = {0}, hessian[MOST_N * MOST_N] = {0}, J[MOST * MOST];
+    real R[MOST], size[MOST], speed = 0.0L; /* |w| and |v| of residual.h */
+    if (d->potential) gradient_at(s, t->q, start, unused);
+    for (size_t i = 0; i < n; i++) t->node[i] = t->q[i] + (1.0L - beta) * h * t->v[i];
+    forms_at(s, t->node, t->v, muk, NULL);
+    for (int iteration = 0; iteration < 40; iteration++) {
+        for (size_t i = 0; i < n; i++) t->end[i] = t->node[i] + beta * h * t->w[i];
+        forms_at(s, t->end, t->w, mu, slope);
+        if (d->potential) gradient_at(s, t->end, end, hessian);
+        for (size_t k = 0; k < N * N; k++) J[k] = 0.0L;
+        for (size_t i = 0; i < n; i++)
+            speed = fmaxl(speed, (fabsl(t->w[i]) + fabsl(t->v[i])) * sqrtl(s->mass[i * n + i]));
+        for (size_t i = 0; i < n; i++) {
+            const real pull = h * (beta * start[i] + (1.0L - beta) * end[i]);
+            R[i] = pull;
+            size[i] = fabsl(h * beta * start[i]) + fabsl(h * (1.0L - beta) * end[i]);
+            for (size_t j = 0; j < n; j++) {
+                const real M = s->mass[i * n + j], V = h * (1.0L - beta) * hessian[i * n + j];
+                R[i] += M * (t->w[j] - t->v[j]);
+                size[i] += fabsl(M) * speed / sqrtl(s->mass[j * n + j])
+                         + fabsl(V) * (fabsl(t->end[j]) + fabsl(t->node[j]));
+                J[i * N + j] = M + V * beta * h;
+            }
+            for (size_t a = 0; a < m; a++) {
+                R[i] -= muk[a * n + i] * t->kappa[a];
+                size[i] += fabsl(muk[a * n + i] * t->kappa[a])
+                         + turn_of(s, &s->mu[a][i], t->node) / s->unit[i] * fabsl(t->kappa[a]);
+                J[i * N + n + a] = -muk[a * n + i];
+            }
+        }
+        for (size_t a = 0; a < m; a++) {
+            R[n + a] = size[n + a] = 0.0L;
+            for (size_t i = 0; i < n; i++) {
+                const real form = mu[a * n + i], turn = slope[a * n + i];
+                R[n + a] += form * t->w[i];
+                size[n + a] += fabsl(form) * speed / sqrtl(s->mass[i * n + i])
+                             + fabsl(turn) * (fabsl(t->end[i]) + fabsl(t->node[i]));
+                J[(n + a) * N + i] = form + beta * h * turn;
+            }
+        }
+        if (!invert(N, J)) return false;
+        real largest = 0.0L;
+        for (size_t k = 0; k < N; k++) {
+            real change = 0.0L;
+            t->error[k] = 0.0L;
+            for (size_t l = 0; l < N; l++) {
+                change -= J[k * N + l] * R[l];
+                t->error[k] += fabsl(J[k * N + l]) * size[l] * U;
+            }
+            if (k < n) t->w[k] += change;
+            else t->kappa[k - n] += change;
+            if (!(fabsl(change) <= 1e-3L * t->error[k])) largest = 1.0L;
+        }
+        if (largest == 0.0L) return true;
+    }
+    return false;
+}
+
+/* The solution that grows out of (v, 0) as h does. */
+static bool follow(const drawn *s, const draw *d, int parts, step *t)
+{
+    memcpy(t->w, t->v, sizeof t->w);
+    memset(t->kappa, 0, sizeof t->kappa);
+    for (int part = 1; part <= parts; part++) {
+        if (part > 1) /* a line through the start */
+            for (size_t i = 0; i < s->n; i++)
+                t->w[i] += (t->w[i] - t->v[i]) / (part - 1);
+        for (size_t a = 0; part > 1 && a < s->m; a++) t->kappa[a] *= (real)part / (part - 1);
+        if (!solve(s, d, d->h * (real)part / parts, t)) return false;
+    }
+    return true;
+}
+
+/* The largest error of the step from x to x1, lambda, over what rounding may do; or -1 if there is
+ * no solution to compare with. */
+static double judge(const drawn *s, const draw *d, const double *x, const double *x1,
+                    const double *lambda)
+{
+    const size_t n = s->n;
+    const real shift = d->kept ? (1.0L - d->beta) * d->h : 0.0L;
+    step t;
+    real worst = 0.0L;
+    for (size_t i = 0; i < n; i++) {
+        t.v[i] = x[n + i];
+        t.q[i] = x[i] - shift * t.v[i];
+    }
+    if (!follow(s, d, getenv("PARTS") ? atoi(getenv("PARTS")) : 8, &t)) return -1.0;
+    for (size_t i = 0; i < n; i++) {
+        const real end = t.end[i] + shift * t.w[i];
+        const real moved = U * (fabsl(t.q[i]) + fabsl(end)) + fabsl(d->h) * t.error[i];
+        worst = fmaxl(worst, fabsl(x1[n + i] - t.w[i]) / (t.error[i] + 1e-300L));
+        worst = fmaxl(worst, fabsl(x1[i] - end) / (moved + 1e-300L));
+    }
+    for (size_t a = 0; a < s->m; a++)
+        worst = fmaxl(worst, fabsl(lambda[a] * d->h - t.kappa[a]) / (t.error[n + a] + 1e-300L));
+    return (double)worst;
+}
+
+typedef struct tally {
+    size_t judged, refused, unknown;
+    double worst;
+} tally;
+
+static void run(const draw *d, unsigned seed, tally *count)
+{
+    enum { STEPS = 5 };
+    drawn s;
+    unsigned own = seed;
+    double x[2 * MOST_N], lambda[MOST_M];
+    dal_error error = {0};
+    dal_system *system = NULL;
+    draw_system(&s, d, &own);
+    const size_t n = s.n;
+    const dal_system_def def = {.n = n, .m = s.m, .mass = s.mass, .ctx = &s, .name = "drawn",
+                                .potential = d->potential ? potential : NULL,
+                                .constraint = s.m > 0 ? constraint : NULL,
+                                .steady = d->steady && s.m > 0 ? DAL_STEADY_DECLARED : 0};
+    need(dal_system_new(&system, &def, &error), "drawn", error.text);
+    for (size_t i = 0; i < n; i++) {
+        x[i] = (s.home[i] + next_number(&own)) * s.unit[i];
+        x[n + i] = d->rest ? 0.0 : next_number(&own) * s.unit[i];
+    }
+    const dal_scheme scheme = {.name = "drawn", .beta = d->beta,
+                               .nodes = d->kept ? DAL_KEPT_NODES : DAL_MOVED_NODES};
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    const int begun = dal_stepper_start(stepper, 0.0, d->h, x, DAL_PROJECT,
+                                        d->kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE);
+    for (int k = 0; !begun && k < STEPS; k++) {
+        memcpy(x, dal_stepper_state(stepper), 2 * n * sizeof *x);
+        if (dal_step(stepper, lambda)) {
+            count->refused++;
+            break;
+        }
+        const double found = judge(&s, d, x, dal_stepper_state(stepper), lambda);
+        if (found < 0.0) {
+            count->unknown++;
+            continue;
+        }
+        count->judged++;
+        if (getenv("GUARDS") && found > 100.0) {
+            dal_stats st;
+            dal_stepper_stats(stepper, &st);
+            printf("seed %u k %d n %zu m %zu V %d steady %d kept %d rest %d units %d far %g beta %g h %g: %g (full %zu corr %zu)\n",
+                   seed, k, n, s.m, d->potential, d->steady, d->kept, d->rest, d->units, d->far,
+                   d->beta, d->h, found, st.full_newtons, st.corrections);
+        }
+        count->worst = fmax(count->worst, found);
+    }
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
+/* Every step that is a success is the solution that belongs to small h, within what rounding may
+ * do. */
+static void test_steps(unsigned systems)
+{
+    static const double betas[] = {0.0, 0.5, 1.0, 0.3}, steps[] = {0.01, -0.1, 0.4, 1.0};
+    tally count = {0};
+    for (unsigned k = 0; k < systems; k++) {
+        const draw d = {.potential = k & 1, .steady = k >> 1 & 1, .kept = k >> 2 & 1,
+                        .rest = k >> 3 & 1, .units = k >> 4 & 1, .far = k >> 5 & 1 ? 1e4 : 1.0,
+                        .beta = betas[k >> 6 & 3], .h = steps[k >> 8 & 3]};
+        run(&d, k + 1, &count);
+    }
+    CHECK(count.worst <= 100.0);
+    CHECK(count.judged > 3 * systems);
+    if (getenv("GUARDS"))
+        printf("%zu judged, %zu refused, %zu unknown, worst %g\n", count.judged, count.refused,
+               count.unknown, count.worst);
+}
+
+int main(int argc, char **argv)
+{
+    test_steps(argc > 1 ? (unsigned)atoi(argv[1]) : 2048);
+    return check_done();
+}
