@@ -363,7 +363,7 @@ static void test_steps(unsigned systems)
                         .beta = betas[k >> 6 & 3], .h = steps[k >> 8 & 3]};
         run(&d, k + 1, &count);
     }
-    CHECK(count.worst <= 100.0);
+    CHECK_NEAR(count.worst, 0.0, 25.0);
     CHECK(count.judged > 3 * systems && count.refused <= systems / 50);
 }
 
@@ -405,9 +405,47 @@ static void test_corrections(void)
     }
 }
 
+/* ---- the branch that small h lead to -------------------------------------------------------- */
+
+static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
+                    void *ctx)
+{
+    (void)t, (void)q, (void)v, (void)ctx;
+    if (f) memset(f, 0, 3 * sizeof *f);
+    if (f_q) memset(f_q, 0, 9 * sizeof *f_q);
+    if (f_v) memset(f_v, 0, 9 * sizeof *f_v);
+    return 0;
+}
+
+/* The particle at y = -1 by the endpoint scheme: S = 1 + y y' with y' = y + h v_y passes through 0
+ * at h v_y = 2.  Beyond it there is a solution, which grows out of no small step; with a force the
+ * solver for all unknowns says the same. */
+static void test_branch(void)
+{
+    dal_system *const particle = open_system("particle");
+    dal_system_def def = particle->def;
+    dal_system *pushed = NULL;
+    def.force = no_force;
+    need(dal_system_new(&pushed, &def, NULL), "pushed", "");
+    const dal_scheme scheme = find_scheme("endpoint");
+    dal_system *const systems[] = {particle, pushed};
+    for (size_t j = 0; j < 2; j++)
+        for (int beyond = 0; beyond < 2; beyond++) {
+            const double x[6] = {0.0, -1.0, 0.0, 1.0, beyond ? 30.0 : 15.0, -1.0};
+            dal_stepper *const stepper = open_stepper(systems[j], &scheme, NULL);
+            CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            CHECK(dal_step(stepper, NULL) == (beyond ? DAL_ENOCONV : DAL_SUCCESS));
+            CHECK(!beyond || strstr(dal_stepper_message(stepper), DAL__BRANCH_TEXT) != NULL);
+            dal_stepper_free(stepper);
+        }
+    dal_system_free(pushed);
+    dal_system_free(particle);
+}
+
 int main(int argc, char **argv)
 {
     test_steps(argc > 1 ? (unsigned)atoi(argv[1]) : 2048); /* or as many as are asked for */
     test_corrections();
+    test_branch();
     return check_done();
 }
