@@ -648,9 +648,11 @@ static int solve_step(dal_chart *chart)
         const int status = newton_step(chart);
         if (status) return status;
         for (size_t i = 0; i < n; i++) chart->w[i] += chart->step[i];
-        p.scale = dal__sum_of_sizes(n, chart->w) + dal__step_base(&chart->mech);
+        p.scale = dal_residual_extent(n, chart->mech.per_unit, chart->w)
+                + dal__step_base(&chart->mech);
         p.extent = dal__sum_of_sizes(n, chart->mech.q);
-        const dal__verdict verdict = dal__newton_judge(&p, dal__sum_of_sizes(n, chart->step));
+        const dal__verdict verdict =
+            dal__newton_judge(&p, dal_residual_extent(n, chart->mech.per_unit, chart->step));
         if (verdict == DAL__DONE) return DAL_SUCCESS;
         if (verdict == DAL__LOST && p.size <= DBL_MAX)
             return dal__fail(&chart->mech.error, DAL_ENOCONV, DAL__LOST_TEXT, p.travelled, p.first,

@@ -2,6 +2,7 @@
  * nodes, and on states. */
 #include "internal.h"
 #include "lu.h"
+#include "residual.h"
 
 #include <math.h>
 #include <string.h>
@@ -97,11 +98,11 @@ static void assemble(const dal_discrete *d, double *J, double *scale)
 static double base_of_equations(const dal_discrete *d, const double *kappa)
 {
     const size_t n = d->n;
-    double base = dal__sum_of_sizes(n, d->velocity);
+    double base = dal_residual_extent(n, d->mech.per_unit, d->velocity);
     for (size_t i = 0; i < n; i++) {
         double sum = fabs(d->minus[i]) + fabs(d->momentum[i]);
         for (size_t a = 0; a < d->m; a++) sum += fabs(d->muk[a * n + i] * kappa[a]);
-        if (d->L_vv[i * n + i] > 0.0) base += sum / d->L_vv[i * n + i];
+        base += sum * d->mech.unit[i];
     }
     return base;
 }
@@ -138,9 +139,11 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
 {
     const size_t n = d->n, m = d->m;
     const dal__equations equations = {.at = equations_at, .ctx = d, .size = n + m, .measured = n,
+                                .per_unit = d->mech.per_unit,
                                 .singular = "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is "
                                 "singular: the constraints lose rank, or h is too large here"};
-    const int status = begin(d, t, pair);
+    int status = begin(d, t, pair);
+    if (!status) status = dal__form_metric(&d->mech, d->constraint.g, d->velocity);
     if (status) return status;
     memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
     memset(d->root.z + n, 0, m * sizeof *d->root.z);

@@ -118,11 +118,12 @@ static int solve(dal_kernel *k, const dal_stage *s)
             at->w[i] += at->step[i];
         }
         for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
-        p.scale = dal_kernel_sum(n, at->w) + dal_kernel_sum(n, at->x + n)
-                + dal_kernel_sum(n, at->base);
+        p.scale = dal_residual_extent(n, k->per_unit, at->w)
+                + dal_residual_extent(n, k->per_unit, at->x + n)
+                + dal_residual_extent(n, k->per_unit, at->base);
         p.extent = dal_kernel_sum(n, at->point);
         k->failure.iterations = p.iteration;
-        k->failure.size = dal_kernel_sum(n, at->step);
+        k->failure.size = dal_residual_extent(n, k->per_unit, at->step);
         k->failure.scale = p.scale;
         const dal__verdict verdict = dal__newton_judge(&p, k->failure.size);
         k->failure.first = p.first;

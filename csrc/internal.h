@@ -134,12 +134,13 @@ void dal__newton_halve(dal__progress *p);
 
 /* size equations in as many unknowns z.  at: residual[size], J[size*size] its derivative and the
  * scale of the entries of J (see lu.h); a status.  The sum |dz_i| over the first measured unknowns
- * decides, against sum |z_i| over the same + base of the root; that and extent are 0 unless at sets
- * them. */
+ * decides, each times its per_unit if there is one, against sum |z_i| over the same + base of the
+ * root; that and extent are 0 unless at sets them. */
 typedef struct dal__equations {
     int (*at)(void *ctx, const double *z, double *residual, double *J, double *scale);
     void *ctx;
     size_t size, measured;
+    const double *per_unit; /* [measured], or NULL */
     const char *singular; /* what to say if J is */
 } dal__equations;
 

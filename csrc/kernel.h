@@ -13,17 +13,18 @@
  *
  * How it is solved.  Newton on (v', kappa) with the Hessian of V dropped needs one m x m matrix
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
- * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of v' -
- * v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from those of the
- * three stages before; so these two evaluations of the constraint do not wait for each other.
- * After each correction mu is evaluated at the q~' that the *stored* state gives back.  The stage is done
- * when the residual of D there (residual.h) is at most half of its bound of 4 n u; else this
- * evaluation serves the next correction, or, where the residual is a rounding of v' or q~', v' is
- * mended at that q~'.  So most stages evaluate the constraint three times, and what is stored lies
- * in D because it was looked at.  What does not contract, leaves the domain of a callback or is not
- * finite goes to dal_kernel.finish: the full Newton matrix with the Hessian, and halved steps.  So
- * does a negative det S: as h goes to 0 it goes to that of mu M^-1 mu^T, which is positive, and
- * where it has changed its sign on the way the solution is not the one that small h lead to.
+ * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of the
+ * change v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from
+ * those of the three stages before; so these two evaluations of the constraint do not wait for each
+ * other.  After each correction mu is evaluated at the q~' that the *stored* state gives back.  The
+ * stage is done when the residual of D there (residual.h) is at most half of its bound of 4 n u;
+ * else this evaluation serves the next correction, or, where the residual is a rounding of v' or
+ * q~', v' is mended at that q~'.  So most stages evaluate the constraint three times, and what is
+ * stored lies in D because it was looked at.  What does not contract, leaves the domain of a
+ * callback or is not finite goes to dal_kernel.finish: the full Newton matrix with the Hessian, and
+ * halved steps.  So does a negative det S: as h goes to 0 it goes to that of mu M^-1 mu^T, which is
+ * positive, and where it has changed its sign on the way the solution is not the one that small h
+ * lead to.
  *
  * In a steady system mu depends only on coordinates that no reaction pushes (a blade whose heading
  * is free).  Where V does not act at q~' either, mu(q~') is known before v', the equations are
@@ -565,10 +566,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
             if (!known || ends) {
                 double size = -0.0;
                 for (size_t i = 0; i < n; i++)
-                    if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(step[i]);
+                    if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(step[i]) * k->per_unit[i];
                 const double noise = 4.0 * DAL_KERNEL_U
-                                   * (dal_kernel_sum(n, x + n) + dal_kernel_sum(n, base)
-                                      + dal_kernel_sum(n, w));
+                                   * (dal_residual_extent(n, k->per_unit, x + n)
+                                      + dal_residual_extent(n, k->per_unit, base)
+                                      + dal_residual_extent(n, k->per_unit, w));
                 if (ends) balanced = dal_kernel_is_balanced(k, s, first, size, last, noise);
                 if (!(size <= 0.5 * last || size <= noise)) break;
                 last = size;

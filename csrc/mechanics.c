@@ -551,9 +551,10 @@ static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
             double step = 0.0;
             for (size_t a = 0; a < m; a++) step += mech->Z[a * n + i] * mech->lambda[a];
             if (step != 0.0) mech->w[i] -= step; /* a -0.0 that is kept stays one */
-            size += fabs(step);
+            size += fabs(step) * mech->per_unit[i];
         }
-        p.scale = dal__sum_of_sizes(n, mech->w) + dal__sum_of_sizes(n, velocity(mech, x));
+        p.scale = dal_residual_extent(n, mech->per_unit, mech->w)
+                + dal_residual_extent(n, mech->per_unit, velocity(mech, x));
         p.extent = dal__sum_of_sizes(n, mech->q);
         const dal__verdict verdict = dal__newton_judge(&p, size);
         if (verdict == DAL__DONE) return DAL_SUCCESS;

@@ -95,9 +95,10 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
         stats->iterations++;
         for (size_t i = 0; i < n; i++) s->w[i] += s->step[i];
         for (size_t a = 0; a < m; a++) s->kappa[a] += s->d[a];
-        p.scale = dal__sum_of_sizes(n, s->w) + dal__step_base(mech);
+        p.scale = dal_residual_extent(n, mech->per_unit, s->w) + dal__step_base(mech);
         p.extent = dal__sum_of_sizes(n, mech->q);
-        const dal__verdict verdict = dal__newton_judge(&p, dal__sum_of_sizes(n, s->step));
+        const dal__verdict verdict =
+            dal__newton_judge(&p, dal_residual_extent(n, mech->per_unit, s->step));
         if (verdict == DAL__DONE)
             return sign > 0 ? DAL_SUCCESS
                             : dal__fail(&mech->error, DAL_ENOCONV, DAL__BRANCH_TEXT);

@@ -30,6 +30,15 @@ DAL_RESIDUAL_INLINE double dal_residual_speed(size_t n, const double *per_unit, 
     return most;
 }
 
+/* sum_i |v_i| / d_i, in which the steps of an iteration are measured: it does not change with the
+ * units of coordinates either, and a NaN shows. */
+DAL_RESIDUAL_INLINE double dal_residual_extent(size_t n, const double *per_unit, const double *v)
+{
+    double sum = n > 0 ? fabs(v[0]) * per_unit[0] : 0.0;
+    for (size_t i = 1; i < n; i++) sum += fabs(v[i]) * per_unit[i];
+    return sum;
+}
+
 /* |mu^a| of a row mu[n], with unit[n] the d_i. */
 DAL_RESIDUAL_INLINE double dal_residual_form(size_t n, const double *unit, const double *mu)
 {

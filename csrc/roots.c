@@ -1,6 +1,7 @@
 /* Floor 1: Newton's iteration on equations that come with their derivative. */
 #include "internal.h"
 #include "lu.h"
+#include "residual.h"
 
 #include <math.h>
 
@@ -61,6 +62,12 @@ static int evaluate(dal__root *root, const dal__equations *e, dal__progress *p)
     return status;
 }
 
+static double extent(const dal__equations *e, const double *z)
+{
+    return e->per_unit ? dal_residual_extent(e->measured, e->per_unit, z)
+                       : dal__sum_of_sizes(e->measured, z);
+}
+
 int dal__find_root(dal__root *root, const dal__equations *e, dal_error *error)
 {
     enum { MOST = 50 };
@@ -74,11 +81,11 @@ int dal__find_root(dal__root *root, const dal__equations *e, dal_error *error)
             return dal__fail(error, DAL_ESINGULAR, "%s", e->singular);
         dal_lu_solve(e->size, root->J, root->row, root->residual, root->step);
         for (size_t i = 0; i < e->size; i++) root->z[i] += root->step[i] = -root->step[i];
-        p.scale = dal__sum_of_sizes(e->measured, root->z) + root->base;
+        p.scale = extent(e, root->z) + root->base;
         p.extent = root->extent;
         if (!dal__all_finite(e->size, root->z)) break;
         const dal__verdict verdict =
-            dal__newton_judge(&p, dal__sum_of_sizes(e->measured, root->step));
+            dal__newton_judge(&p, extent(e, root->step));
         if (verdict == DAL__DONE) return DAL_SUCCESS;
         if (verdict == DAL__LOST) break;
     }

@@ -109,13 +109,13 @@ static double base_of_R1(const dal_mechanics *mech, const double *kappa)
 {
     const size_t n = mech->n;
     const double weight = fabs(mech->start.h * (1.0 - mech->start.beta));
-    double base = dal__sum_of_sizes(n, mech->start.v);
+    double base = dal_residual_extent(n, mech->per_unit, mech->start.v);
     for (size_t i = 0; i < n; i++) {
         double sum = fabs(mech->w[i]) + fabs(mech->reach[i]);
         if (!mech->eval.constant_mass) sum += fabs(mech->momentum[i]);
         if (weight != 0.0) sum += weight * fabs(mech->force[i]);
         for (size_t a = 0; a < mech->m; a++) sum += fabs(mech->muk[a * n + i] * kappa[a]);
-        if (mech->metric[i * n + i] > 0.0) base += sum / mech->metric[i * n + i];
+        base += sum * mech->unit[i]; /* as M^-1 does, in the units of the velocity */
     }
     return base;
 }

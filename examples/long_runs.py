@@ -23,7 +23,8 @@ terms = {"reversible": 0, "gyroscopic": (x * y.d - y * x.d) / 2 + x * z.d / 2}
 schemes = {"leapfrog": 0.1, "leapfrog-kl6": 0.25, "leapfrog-kl8": 0.25}
 
 errors, times = {}, {}
-print(f"system      scheme           h     to t = {t_end / 8:g}, {t_end / 2:g}, {t_end:g}   residual of D")
+print("system      scheme           h    ",
+      f"to t = {t_end / 8:g}, {t_end / 2:g}, {t_end:g}   residual of D")
 for name, term in terms.items():
     system = dal.System.from_sympy(kinetic - springs + term, [z.d - y * x.d])
     for scheme, h in schemes.items():

@@ -147,6 +147,49 @@ def test_conditions_that_have_none():
     np.testing.assert_allclose(told, [1, 1e20], rtol=1e-15)
 
 
+@pytest.mark.parametrize("decades", [0, 8, 12, 16])
+@pytest.mark.parametrize("force", [False, True])
+def test_units_of_coordinates(decades, force):
+    """A pendulum beside a free particle whose unit of length is small: the same step."""
+    pull = {
+        "potential": lambda q: 100 * np.cos(q[0]),
+        "gradient": lambda q: [-100 * np.sin(q[0]), 0],
+    }
+    if force:
+        pull = {
+            "force": lambda t, q, v: [100 * np.sin(q[0]), 0],
+            "force_q": lambda t, q, v: [[100 * np.cos(q[0]), 0], [0, 0]],
+            "force_v": lambda t, q, v: np.zeros((2, 2)),
+        }
+    system = dal.System(mass=[1, 10.0 ** (-2 * decades)], **pull)
+    start = [1, 0], [1, 10.0**decades]
+    run = dal.integrate(system, "midpoint", *start, h=0.1, steps=1)
+    (q, q1), (v, v1) = run.q[:, 0], run.v[:, 0]
+    assert abs(v1 - v - 5 * (np.sin(q) + np.sin(q1))) < 1e-13
+    assert abs(q1 - q - 0.05 * (v + v1)) < 1e-14
+    with pytest.raises(dal.ConvergenceError):  # no small step leads there
+        dal.integrate(system, "midpoint", *start, h=0.3, steps=1)
+
+
+@pytest.mark.parametrize("decades", [12, 15, 30, 60])
+def test_units_of_forms(decades):
+    """Forms a graded factor apart are no nearer to singular: everything that solves with them."""
+    mu = np.array([[1, -1, 0, 0], [0, 1, -1, 0], [0, 0, 1, -1.0]])
+    mu = mu * 10.0 ** np.array([[-decades], [0], [decades]])
+    system = system_of(mu, np.ones(4), np.array([1.0, 2, 3, 4]))
+    q, mean = np.zeros(4), np.full(4, 2.5)
+    np.testing.assert_allclose(system.project(q, [1, 2, 3, 4]), mean, rtol=1e-14)
+    kept = system.consistent(q, [1, 2, 3, 4], keep=[3])
+    np.testing.assert_allclose(kept, np.full(4, 4.0), rtol=1e-14)
+    np.testing.assert_allclose(system.acceleration(q, mean), -mean, rtol=1e-13)
+    for scheme in ("leapfrog", "midpoint-nodes", "reference"):
+        initial = {"initial": "project"} if scheme.endswith("nodes") else {}
+        run = dal.integrate(system, scheme, q, mean, h=0.1, steps=2, **initial)
+        np.testing.assert_allclose(run.v[-1], mean - 0.2 * mean, rtol=1e-12)
+    flow = dal.reference(system, q, mean, 0.2, coordinates="xi")
+    np.testing.assert_allclose(flow.v, 0.8 * mean, rtol=1e-12)
+
+
 # ---- the residual --------------------------------------------------------------------------------
 
 
@@ -255,6 +298,26 @@ def test_a_false_declaration_is_found_out():
     v0 = system.project(q0, [0.2, 1, 1])
     with pytest.raises(ValueError, match=r"step [3-7]\d \(.*declared steady"):  # where y is 1/2
         dal.integrate(system, "leapfrog", q0, v0, h=0.01, steps=300)
+
+
+@pytest.mark.parametrize("scheme", ["midpoint-nodes", "explicit-nodes"])
+@pytest.mark.parametrize("far, h", [(1, 0.2), (100, 0.1), (1e4, 0.1), (1e7, 0.01)])
+@pytest.mark.parametrize("force", [False, True])
+def test_kept_nodes_where_they_give_q_back(scheme, far, h, force):
+    """The state that is measured is the one that a reader computes from what is stored."""
+    more = {"force": lambda t, q, v: 0 * v} if force else {}
+    system = dal.System(
+        mass=[1, 1, 0.5], forms=lambda q: [[-np.sin(q[2]), np.cos(q[2]), -0.2]], **more
+    )
+    start = [far, -far, far], [1, 0.2, 3.0]
+    run = dal.integrate(
+        system, scheme, *start, h=h, steps=100, consistent="project", initial="project"
+    )
+    inverse = np.diag([1, 1, 2.0])
+    told = 0.0
+    for q, v in zip(run.q[1:] - run.shift * run.v[1:], run.v[1:]):
+        told = max(told, residual_of(np.array([[-np.sin(q[2]), np.cos(q[2]), -0.2]]), inverse, v))
+    assert told <= 12 * U and told <= run.stats.worst_residual * (1 + 1e-9) + U
 
 
 # ---- roots and blow-ups --------------------------------------------------------------------------
