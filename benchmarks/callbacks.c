@@ -79,10 +79,10 @@ static const double disk_mass[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0.5, 0, 0, 0,
 static const double disk_state[8] = {0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 2.0, 1.0};
 
 const dal_system_def bench_systems[BENCH_SYSTEMS] = {
-    [BENCH_PARTICLE] = {.n = 3, .m = 1, .mass = particle_mass, .constraint = particle, .steady = DAL_STEADY_PROVED,
-                        .name = "particle", .state = particle_state},
+    [BENCH_PARTICLE] = {.n = 3, .m = 1, .mass = particle_mass, .constraint = particle,
+                        .steady = DAL_STEADY_PROVED, .name = "particle", .state = particle_state},
     [BENCH_SLEIGH] = {.n = 3, .m = 1, .mass = sleigh_mass, .constraint = sleigh,
                       .name = "sleigh", .state = sleigh_state},
-    [BENCH_DISK] = {.n = 4, .m = 2, .mass = disk_mass, .constraint = disk, .steady = DAL_STEADY_PROVED,
-                    .name = "disk", .state = disk_state},
+    [BENCH_DISK] = {.n = 4, .m = 2, .mass = disk_mass, .constraint = disk,
+                    .steady = DAL_STEADY_PROVED, .name = "disk", .state = disk_state},
 };

@@ -398,7 +398,8 @@ static int examine_mass(examination *ex)
     const int status = dal__lagrangian(&ex->mech.eval, ex->q, ex->v, &wanted, &ex->mech.error);
     if (status) return status;
     memcpy(L, ex->hessian, n * n * sizeof *L);
-    const bool definite = dal__cholesky(n, L, ex->squares, NULL, NULL); /* always, of constant mass */
+    /* always, of constant mass */
+    const bool definite = dal__cholesky(n, L, ex->squares, NULL, NULL);
     if (!definite) { /* no eigenvalue is larger than n times the largest entry */
         ex->lift = 2.0 * (double)n * fmax(dal__largest(n * n, ex->hessian), DBL_MIN);
         memcpy(L, ex->hessian, n * n * sizeof *L);
@@ -593,8 +594,8 @@ static int examine_constraint(examination *ex)
         status = dal__lies_in_D(&ex->mech, 0.0, ex->x, &found->residual, &consistent);
     if (!status && linear && found->rank == ex->m) status = examine_involutivity(ex);
     if (!status && !consistent)
-        complain(found, "(q, v) is not in D: the residual is %.3g, more than roundoff and %g of the "
-                 "terms of %s", found->residual, DAL_CONSISTENT, linear ? "mu v" : "phi");
+        complain(found, "(q, v) is not in D: the residual is %.3g, more than roundoff and %g of "
+                 "the terms of %s", found->residual, DAL_CONSISTENT, linear ? "mu v" : "phi");
     return status;
 }
 

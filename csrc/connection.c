@@ -515,9 +515,10 @@ int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *le
     if (!status) status = lift_from_branch(chart, xi, chart->x);
     if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu, false);
     if (status) return status;
-    for (size_t k = 0; J && k < n; k++) solve_column(chart, chart->mech.dmu, k, chart->tableau + k, n);
     if (J) {
         form_A(chart);
+        for (size_t k = 0; k < n; k++)
+            solve_column(chart, chart->mech.dmu, k, chart->tableau + k, n);
         status = dal__require_output(&chart->mech.error, "J", m * n, chart->tableau);
         if (!status)
             status = dal__require_output(&chart->mech.error, "J", m * (n - m), chart->A);

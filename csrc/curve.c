@@ -128,7 +128,7 @@ static int interpolate(dal_chart *chart, double h, double s, bool *pivoted)
 }
 
 /* chart->x in D moves to its node q + shift v.  That rounds q; what it does to the residual at q -
- * shift v is mended with B as it is, the node moving along so that it gives back that point. */
+ * shift v is mended with B as it is. */
 static int move_to_node(dal_chart *chart, double shift)
 {
     enum { MENDS = 3 };
@@ -146,10 +146,7 @@ static int move_to_node(dal_chart *chart, double shift)
         const double relative = dal__relative_residual(mech, mech->mu, mech->phi, v);
         if (relative <= 2.0 * (double)n * DAL_ROUNDOFF || pass > MENDS) break;
         dal_lu_solve(m, chart->B, chart->row, mech->phi, chart->solution);
-        for (size_t a = 0; a < m; a++) {
-            v[chart->place[a]] -= chart->solution[a];
-            q[chart->place[a]] = chart->y[chart->place[a]] + shift * v[chart->place[a]];
-        }
+        for (size_t a = 0; a < m; a++) v[chart->place[a]] -= chart->solution[a];
     }
     return DAL_SUCCESS;
 }

@@ -147,8 +147,8 @@ static void balance(size_t count, const double *scale, bool rows, double least, 
 }
 
 /* In turns, as A. R. Curtis and J. K. Reid do it (J. Inst. Maths Applics 10, 1972): it follows when
- * rows and columns are rescaled, where largest entries would depend on who comes first.  Entries that
- * are found to be small may be roundoff, which has no size, and are then left out. */
+ * rows and columns are rescaled, where largest entries would depend on who comes first.  Entries
+ * that are found to be small may be roundoff, which has no size, and are then left out. */
 void dal__sizes(size_t count, const double *scale, double *sizes)
 {
     enum { ALL = 12, SWEEPS = 20 };

@@ -38,8 +38,8 @@ static int evaluate(dal_kernel *k, const dal_stage *s)
     return total <= DBL_MAX ? DAL_SUCCESS : is_not_finite(k);
 }
 
-/* y <- K^-1 (-R1) and Z <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K; *sign <- that
- * of det K. */
+/* y <- K^-1 (-R1) and Z <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K; *sign <-
+ * that of det K. */
 static int linearise(dal_kernel *k, const dal_stage *s, int *sign)
 {
     const dal_arrays *const at = &k->at;
@@ -135,9 +135,10 @@ static int solve(dal_kernel *k, const dal_stage *s)
     return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_CONVERGE);
 }
 
-/* The final correction v' <- v' - Z' C'^-1 mu(q~') v' at the stored q~', with an evaluation of its
- * own.  Works on at.stored and at.w; at.point becomes the q~' that belongs to them.  Each pass leaves
- * its own roundoff of what it takes away. */
+/* The final correction v' <- v' - Z' C'^-1 mu(q~') v' at the q~' that the stored node gives back,
+ * with evaluations of its own.  Works on at.w and at.stored.  Each pass leaves its own roundoff of
+ * what it takes away; a kept node follows v', so that it gives back the same q~' but for a
+ * rounding. */
 static int correct(dal_kernel *k)
 {
     enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */
@@ -145,24 +146,37 @@ static int correct(dal_kernel *k)
     const size_t n = k->n, m = k->m;
     const double shift = k->kept ? k->shift * k->h : 0.0;
     const double before = dal_residual_speed(n, k->per_unit, at->w);
-    for (size_t i = 0; i < n; i++) at->point[i] = at->stored[i] - shift * at->w[i];
-    const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, NULL);
-    k->stats.corrections++;
-    if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-    if (!(dal_kernel_sum(m * n, at->mu) <= DBL_MAX)) return is_not_finite(k);
     for (int pass = 1;; pass++) {
-        const double limit = DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0);
-        if (dal_kernel_settled(k, n, m, everything, at, limit, &k->stats.worst_residual)) break;
-        if (pass > MOST) return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
-        if (pass == 1) {
-            for (size_t a = 0; a < m; a++)
-                dal_kernel_accelerate(k, n, everything.inverse, at->mu + a * n, at->Z + a * n);
-            for (size_t a = 0; a < m; a++)
-                for (size_t c = 0; c < m; c++)
-                    at->S[a * m + c] = dal__dot(n, at->mu + a * n, at->Z + c * n);
-            if (!dal__cholesky(m, at->S, at->sizes, NULL, NULL))
-                return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
+        bool same = pass > 1;
+        for (size_t i = 0; i < n; i++) {
+            const double q = at->stored[i] - shift * at->w[i];
+            same = same && q == at->point[i];
+            at->point[i] = q;
         }
+        if (!same) {
+            const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, NULL);
+            k->stats.corrections++;
+            if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+            if (!(dal_kernel_sum(m * n, at->mu) <= DBL_MAX)) return is_not_finite(k);
+        }
+        double *const worst = &k->stats.worst_residual;
+        const double limit = DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0);
+        if (dal_kernel_settled(k, n, m, everything, at, limit, worst)) break;
+        if (pass > MOST && k->kept) { /* the rounding of a large node may move mu by more */
+            const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, at->N);
+            if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+            if (dal_kernel_is_roundoff(k, n, m, everything, at)
+                && dal_kernel_settled(k, n, m, everything, at, DBL_MAX, worst))
+                break;
+        }
+        if (pass > MOST) return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
+        for (size_t a = 0; !same && a < m; a++)
+            dal_kernel_accelerate(k, n, everything.inverse, at->mu + a * n, at->Z + a * n);
+        for (size_t a = 0; !same && a < m; a++)
+            for (size_t c = 0; c < m; c++)
+                at->S[a * m + c] = dal__dot(n, at->mu + a * n, at->Z + c * n);
+        if (!same && !dal__cholesky(m, at->S, at->sizes, NULL, NULL))
+            return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
         dal__cholesky_solve(m, at->S, at->r);
         for (size_t i = 0; i < n; i++)
             at->w[i] += dal_kernel_column(n, m, everything.Z, at->Z, i, at->r);
@@ -170,7 +184,6 @@ static int correct(dal_kernel *k)
         if (pass == MOST
             && dal_residual_speed(n, k->per_unit, at->w) <= DAL_RESIDUAL_BOUND(n) * before)
             memset(at->w, 0, n * sizeof *at->w);
-        /* q~' is not changed: a kept node moves with v', and gives back the same q~' */
         for (size_t i = 0; k->kept && i < n; i++) at->stored[i] = at->point[i] + shift * at->w[i];
     }
     return dal_kernel_sum(n, at->w) + dal_kernel_sum(n, at->stored) <= DBL_MAX ? DAL_SUCCESS

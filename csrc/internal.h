@@ -86,9 +86,9 @@ void dal__forget(size_t count, double *x);
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y);
 
 /* Lower Cholesky factor of the symmetric A[n*n] in place, and inverse[n] <- the diagonal of A^-1.
- * False if A is not positive definite, or is so ill-conditioned when it is scaled to a unit diagonal
- * that nothing is left of a solution: n trace(A_scaled^-1), which is not below the condition, is
- * above DAL_LU_CONDITION.  Then *row and *pivot (or NULL) say where. */
+ * False if A is not positive definite, or is so ill-conditioned when it is scaled to a unit
+ * diagonal that nothing is left of a solution: n trace(A_scaled^-1), which is not below the
+ * condition, is above DAL_LU_CONDITION.  Then *row and *pivot (or NULL) say where. */
 bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pivot);
 /* The rows of A[count*n] are rotated in pairs until they are orthogonal (one-sided Jacobi); then
  * their lengths are the singular values.  squares[count] <- their squares, for A divided by its
@@ -114,22 +114,23 @@ typedef struct dal__progress {
 
 typedef enum dal__verdict { DAL__GOING, DAL__DONE, DAL__LOST } dal__verdict;
 
-/* After a step of size.  DONE: it is roundoff; or the next one would be, if it is smaller by the same
- * factor, unless something is lagging; or the steps are small and no longer shrink.  LOST: not
- * finite, or they lead farther than first / (1 - second/first), which is as far as they would if they
- * went on to shrink as they began to.  What lies beyond may be a solution that no small h leads to. */
+/* After a step of size.  DONE: it is roundoff; or the next one would be, if it is smaller by the
+ * same factor, unless something is lagging; or the steps are small and no longer shrink.  LOST: not
+ * finite, or they lead farther than first / (1 - second/first), which is as far as they would if
+ * they went on to shrink as they began to.  What lies beyond may be a solution that no small h
+ * leads to. */
 dal__verdict dal__newton_judge(dal__progress *p, double size);
 /* The last step is halved. */
 void dal__newton_halve(dal__progress *p);
-/* Of what is DONE where the determinant of the Newton matrix is negative.  As h goes to 0 it goes to
- * that of M and mu M^-1 mu^T, which is positive, so it has changed its sign on the way. */
+/* Of what is DONE where the determinant of the Newton matrix is negative.  As h goes to 0 it goes
+ * to that of M and mu M^-1 mu^T, which is positive, so it has changed its sign on the way. */
 #define DAL__BRANCH_TEXT \
     "Newton did not converge to the solution that small steps lead to but to another, where the " \
     "determinant of its matrix is negative; try a smaller h"
 /* Of what is LOST but finite: travelled, first, scale. */
 #define DAL__LOST_TEXT \
-    "Newton did not converge: its steps lead away from the start, %.3g in all where the first was " \
-    "%.3g, of %.3g; try a smaller h"
+    "Newton did not converge: its steps lead away from the start, %.3g in all where the first " \
+    "was %.3g, of %.3g; try a smaller h"
 
 /* size equations in as many unknowns z.  at: residual[size], J[size*size] its derivative and the
  * scale of the entries of J (see lu.h); a status.  The sum |dz_i| over the first measured unknowns
@@ -317,10 +318,12 @@ void dal__solve_gram(const dal_mechanics *mech, double *y);
 /* The residual of residual.h, the largest of all a, in the units of the last dal__form_metric. */
 double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
                               const double *v);
-/* Whether v is so near to D that it is meant to lie in it: |mu^a v| <= 1e-8 sum_i |mu^a_i v_i| + 4 n
- * u s^a, with phi and a^a where residual.h has them. */
+/* Whether v is so near to D that it is meant to lie in it: |mu^a v| <= 1e-8 sum_i |mu^a_i v_i| + 4
+ * n u s^a, with phi and a^a where residual.h has them. */
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
                         const double *v);
+/* *E <- the energy at x[2n], which may overflow. */
+int dal__energy(dal_mechanics *mech, const double *x, double *E);
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
                    bool *consistent);
@@ -518,7 +521,7 @@ typedef struct dal__jump {
     size_t step;                   /* where the energy was seen to have jumped; 0: nowhere */
     double change;                 /* by how much */
 } dal__jump;
-/* The errors of dal_energy; then only DAL_EUSER.  The text is in mech->error. */
+/* The errors of the callbacks; then only DAL_EUSER.  The text is in mech->error. */
 int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
                     const double *x);
 int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);

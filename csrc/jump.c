@@ -1,11 +1,12 @@
-/* Floor 6: an energy that jumps.  Where nothing does work on the system the energy of a step that is
- * sensible stays near what it was; one that was refused by nothing and yet has changed it by more
- * than half of the kinetic energy went astray. */
+/* Floor 6: an energy that jumps.  Where nothing does work on the system the energy of a step that
+ * is sensible stays near what it was; one that was refused by nothing and yet has changed it by
+ * more than half of the kinetic energy went astray. */
 #include "internal.h"
 
 #include <math.h>
 
-/* The energy and the kinetic energy at x[2n], moved back by shift v.  The statistics do not count it. */
+/* The energy and the kinetic energy at x[2n], moved back by shift v.  The statistics do not count
+ * it. */
 static int energies(dal_mechanics *mech, double shift, const double *x, double *E, double *kinetic)
 {
     const size_t n = mech->n;
@@ -17,7 +18,7 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
         y[n + i] = x[n + i];
     }
     int status = dal__form_metric(mech, y, y + n);
-    if (!status) status = dal_energy(mech, y, E);
+    if (!status) status = dal__energy(mech, y, E);
     e->potential_calls = calls[0];
     e->lagrangian_calls = calls[1];
     if (status) return status;
@@ -32,8 +33,9 @@ int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *sche
     const dal_system_def *const def = &mech->eval.system->def;
     *jump = (dal__jump){.shift = shift};
     if (scheme->order == 1 || def->force || def->kind != DAL_LINEAR) return DAL_SUCCESS;
-    jump->looking = true;
-    return energies(mech, shift, x, &jump->energy, &jump->kinetic);
+    const int status = energies(mech, shift, x, &jump->energy, &jump->kinetic);
+    jump->looking = isfinite(jump->energy) && isfinite(jump->kinetic);
+    return status;
 }
 
 int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x)
@@ -46,7 +48,7 @@ int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const doub
         return status == DAL_EUSER ? status : DAL_SUCCESS;
     }
     jump->kinetic = fmax(jump->kinetic, kinetic);
-    if (fabs(E - jump->energy) <= 0.5 * jump->kinetic) return DAL_SUCCESS;
+    if (fabs(E - jump->energy) <= 0.5 * jump->kinetic) return DAL_SUCCESS; /* not of NaN */
     jump->step = step;
     jump->change = E - jump->energy;
     return DAL_SUCCESS;

@@ -13,17 +13,17 @@
  *
  * How it is solved.  Newton on (v', kappa) with the Hessian of V dropped needs one m x m matrix
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
- * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of
- * v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from those
- * of the three stages before; so these two evaluations of the constraint do not wait for each other.
- * After each correction mu is evaluated at the q~' that the *stored* state gives back.  The stage is
- * done when the residual of D there (residual.h) is at most half of its bound of 4 n u; else this
+ * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of v' -
+ * v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from those of the
+ * three stages before; so these two evaluations of the constraint do not wait for each other.
+ * After each correction mu is evaluated at the q~' that the *stored* state gives back.  The stage is done
+ * when the residual of D there (residual.h) is at most half of its bound of 4 n u; else this
  * evaluation serves the next correction, or, where the residual is a rounding of v' or q~', v' is
- * mended at that q~'.  So most stages evaluate the constraint three times, and what is stored lies in
- * D because it was looked at.  What does not contract, leaves the domain of a callback or is not
+ * mended at that q~'.  So most stages evaluate the constraint three times, and what is stored lies
+ * in D because it was looked at.  What does not contract, leaves the domain of a callback or is not
  * finite goes to dal_kernel.finish: the full Newton matrix with the Hessian, and halved steps.  So
- * does a negative det S: as h goes to 0 it goes to that of mu M^-1 mu^T, which is positive, and where
- * it has changed its sign on the way the solution is not the one that small h lead to.
+ * does a negative det S: as h goes to 0 it goes to that of mu M^-1 mu^T, which is positive, and
+ * where it has changed its sign on the way the solution is not the one that small h lead to.
  *
  * In a steady system mu depends only on coordinates that no reaction pushes (a blade whose heading
  * is free).  Where V does not act at q~' either, mu(q~') is known before v', the equations are
@@ -154,7 +154,8 @@ struct dal_kernel {
  * up in the energy, so it has to be a small part of a rounding although the contraction may change
  * by some from one stage to the next. */
 #define DAL_KERNEL_SAFETY 256.0
-/* Corrections of the modified Newton iteration, which halve at least; then the full one is better. */
+/* Corrections of the modified Newton iteration, which halve at least; then the
+ * full one is better. */
 enum { DAL_KERNEL_CORRECTIONS = 10 };
 
 #if defined(__GNUC__)
@@ -285,7 +286,8 @@ DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m,
 }
 
 /* From the node and the new velocity to what is stored; point <- the q~' that it gives back.  With
- * kept nodes q_{k+1} = q_k + h v' is stored, and its reader recovers q~' as q_{k+1} - (1-beta) h v'. */
+ * kept nodes q_{k+1} = q_k + h v' is stored, and its reader recovers q~' as q_{k+1} - (1-beta) h
+ * v'. */
 DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n,
                                         bool kept, const dal_arrays *at)
 {
@@ -296,8 +298,8 @@ DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s,
     }
 }
 
-/* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is at most limit for
- * every constraint, and then *worst is kept up to date; never if r is not finite. */
+/* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is at most limit
+ * for every constraint, and then *worst is kept up to date; never if r is not finite. */
 DAL_KERNEL_INLINE bool dal_kernel_settled(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                           const dal_arrays *at, double limit, double *worst)
 {
@@ -327,7 +329,7 @@ DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(const dal_kernel *k, size_t n, siz
         double shifted = 0.0;
         for (size_t i = 0; i < n; i++)
             if (DAL_KERNEL_HAS(has.N, a * n + i))
-                shifted += fabs(at->N[a * n + i] * at->point[i]);
+                shifted += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
         const double bound = 2.0 * (double)n * dal_kernel_form(k, n, has.mu, at->mu, a) * terms;
         if (!(fabs(at->r[a]) <= 2.0 * DAL_KERNEL_U * (bound + shifted))) roundoff = false;
     }
@@ -372,8 +374,8 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
     }
 }
 
-/* Looks at a correction of size, where the one before was last.  Returns whether V_q at its q~' need
- * not be evaluated again. */
+/* Looks at a correction of size, where the one before was last.  Returns whether V_q at its q~'
+ * need not be evaluated again. */
 DAL_KERNEL_INLINE bool dal_kernel_is_balanced(dal_kernel *k, const dal_stage *s, bool first,
                                               double size, double last, double noise)
 {
@@ -588,15 +590,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         DAL_KERNEL_COPY(n, node, stored);
     }
 
-    /* ---- settle: the residual of D at what is stored */
-    if (DAL_KERNEL_RARE(m > 0 && solved && !settled)) {
+    /* ---- settle: the residual of D at what is stored; a kept node would give back another q~' */
+    if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !kept)) {
         dal_lu_solve(m, S, row, r, d);
         DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < n; i++) {
-            w[i] += dal_kernel_column(n, m, has.Z, Z, i, d);
-            /* q~' is not changed: a kept node moves with v', and gives back the same q~' */
-            if (kept) stored[i] = point[i] + k->shift * h * w[i];
-        }
+        for (size_t i = 0; i < n; i++) w[i] += dal_kernel_column(n, m, has.Z, Z, i, d);
         settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
     }
     double total = -0.0; /* an infinite w makes stored so, unless b = 0 */

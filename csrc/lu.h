@@ -1,12 +1,12 @@
 /* lu.h - LU factors of a dense matrix, and whether it is singular.
  *
  * With A go the sizes of its rows and columns, r_i and c_j: of the terms that were added up to A_ij
- * none is much larger than r_i c_j.  Then A_ij / (r_i c_j) is the scaled matrix.  It does not change
- * when rows, columns or coordinates are rescaled together with their sizes, and where the terms
- * cancel it is small.  Pivots are the largest of the scaled column, so |L| <= 1 and elements grow
- * little.  Singular means that the scaled matrix, or 1 if it is smaller, times the estimated size
- * of its inverse is above DAL_LU_CONDITION.  Nothing is in fact scaled: that would not change a
- * digit.  Header only: generated code has no library to link. */
+ * none is much larger than r_i c_j.  Then A_ij / (r_i c_j) is the scaled matrix.  It does not
+ * change when rows, columns or coordinates are rescaled together with their sizes, and where the
+ * terms cancel it is small.  Pivots are the largest of the scaled column, so |L| <= 1 and elements
+ * grow little.  Singular means that the scaled matrix, or 1 if it is smaller, times the estimated
+ * size of its inverse is above DAL_LU_CONDITION.  Nothing is in fact scaled: that would not change
+ * a digit.  Header only: generated code has no library to link. */
 #ifndef DALEMBERT_LU_H
 #define DALEMBERT_LU_H
 
@@ -60,8 +60,8 @@ static inline void dal_lu_solve_transposed(size_t m, const double *A, const size
     }
 }
 
-/* The 1-norm of the inverse of the scaled matrix, or a little less: that of the best column found by
- * going uphill from all columns at once (W. W. Hager, SIAM J. Sci. Stat. Comput. 5, 1984).
+/* The 1-norm of the inverse of the scaled matrix, or a little less: that of the best column found
+ * by going uphill from all columns at once (W. W. Hager, SIAM J. Sci. Stat. Comput. 5, 1984).
  * scratch[3*m]. */
 DAL_LU_RARE double dal_lu_inverse_norm(size_t m, const double *A, const size_t *row,
                                        const double *row_size, const double *column_size,
@@ -95,8 +95,9 @@ DAL_LU_RARE double dal_lu_inverse_norm(size_t m, const double *A, const size_t *
 }
 
 /* Whether the scaled matrix is regular.  A bound costs O(m^2): the solution x of M(L) M(U) x = 1,
- * where M has the sizes of the entries, those off the diagonal with a minus, is not smaller than any
- * row sum of the inverse.  For large m it is often far too large; then the inverse is estimated. */
+ * where M has the sizes of the entries, those off the diagonal with a minus, is not smaller than
+ * any row sum of the inverse.  For large m it is often far too large; then the inverse is
+ * estimated. */
 DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row,
                                     const double *row_size, const double *column_size,
                                     double *scratch)
@@ -126,8 +127,9 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
 }
 
 /* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  sizes[5*m]:
- * those of the rows, then of the columns; the rest is scratch.  Returns the sign of det A; or 0 if A
- * is singular or NaN.  With an Inf in A the residual of what dal_lu_solve returns is not finite or not small. */
+ * those of the rows, then of the columns; the rest is scratch.  Returns the sign of det A; or 0 if
+ * A is singular or NaN.  With an Inf in A the residual of what dal_lu_solve returns is not finite
+ * or not small. */
 DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
 {
     if (m == 0) return 1;

@@ -212,28 +212,33 @@ int dal_gram(dal_mechanics *mechanics, const double *x, double *C)
 
 /* ---- energy and power -------------------------------------------------------------------- */
 
-int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
+int dal__energy(dal_mechanics *mech, const double *x, double *E)
 {
-    if (!mechanics) return DAL_EINVAL;
-    if (!E) return dal__null_argument(mechanics, "E");
-    dal_mechanics *const mech = mechanics;
     const size_t n = mech->n;
-    double V = 0.0, L = 0.0, value = 0.0;
-    int status = dal__require_finite(mech, "x", 2 * n, x);
-    if (status) return status;
     const double *const v = velocity(mech, x);
+    double V = 0.0, L = 0.0;
+    int status;
     if (mech->eval.constant_mass) {
         status = dal__potential(&mech->eval, x, &V, NULL, NULL, &mech->error);
         if (status) return status;
         dal__apply(n, n, mech->metric, v, mech->step);
-        value = 0.5 * dal__dot(n, v, mech->step) + V;
-    } else {
-        const dal__jet wanted = {.L = &L, .L_v = mech->step};
-        status = dal__lagrangian(&mech->eval, x, v, &wanted, &mech->error);
-        if (status) return status;
-        value = dal__dot(n, v, mech->step) - L;
+        *E = 0.5 * dal__dot(n, v, mech->step) + V;
+        return DAL_SUCCESS;
     }
-    status = dal__require_output(&mech->error, "E", 1, &value);
+    const dal__jet wanted = {.L = &L, .L_v = mech->step};
+    status = dal__lagrangian(&mech->eval, x, v, &wanted, &mech->error);
+    if (!status) *E = dal__dot(n, v, mech->step) - L;
+    return status;
+}
+
+int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
+{
+    if (!mechanics) return DAL_EINVAL;
+    if (!E) return dal__null_argument(mechanics, "E");
+    double value = 0.0;
+    int status = dal__require_finite(mechanics, "x", 2 * mechanics->n, x);
+    if (!status) status = dal__energy(mechanics, x, &value);
+    if (!status) status = dal__require_output(&mechanics->error, "E", 1, &value);
     if (!status) *E = value;
     return status;
 }
@@ -571,7 +576,7 @@ static int find_velocity(dal_mechanics *mech, double shift, const double *x)
         memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
     if (status || shift != 0.0) return status;
     status = dal__constraint(&mech->eval, x, mech->w, mech->phi, mech->mu, NULL, &mech->error);
-    if (!status) status = factor_product(mech); /* a mu without full rank is refused where v is in D */
+    if (!status) status = factor_product(mech); /* without full rank it is refused for any v */
     return status ? status : dal__mend(mech, x, mech->w, &relative);
 }
 
@@ -615,7 +620,8 @@ static int form_free_Z(dal_mechanics *mech, const unsigned char *keep, size_t *f
         for (size_t j = 0; j < n; j++)
             if (!keep[j]) factor[entries++] = mech->metric[i * n + j];
     }
-    dal__cholesky(count, factor, column, NULL, NULL); /* a principal part of M is definite, as M is */
+    /* a principal part of M is definite, as M is */
+    dal__cholesky(count, factor, column, NULL, NULL);
     memset(mech->Z, 0, m * n * sizeof *mech->Z);
     for (size_t a = 0; a < m; a++) {
         size_t k = 0;

@@ -41,8 +41,8 @@ void dal__newton_bind(newton *solver, const dal_system *system, int max_iteratio
 
 void dal__newton_forget(newton *solver) { solver->warm = false; }
 
-/* step and d <- the Newton step of w and kappa, from R1, R2, K, B and mech->muk; *sign <- that of the
- * determinant of the matrix. */
+/* step and d <- the Newton step of w and kappa, from R1, R2, K, B and mech->muk; *sign <- that of
+ * the determinant of the matrix. */
 static int solve_linear(newton *s, dal_mechanics *mech, int *sign)
 {
     const size_t n = s->n, m = s->m;

@@ -257,7 +257,7 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
         return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed", h);
     if (t0 + h == t0)
-        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g: t0 + h is t0", h, t0);
+        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g", h, t0);
     for (size_t i = 0; i < 2 * k->n; i++)
         if (!isfinite(x[i]))
             return dal__fail(error, DAL_EINVAL, "%s[%zu] = %g is not finite", i < k->n ? "q" : "v",
@@ -287,8 +287,8 @@ static int make_consistent(dal_stepper *self, double shift, dal_consistency cons
     bool consistent;
     int status = dal__lies_in_D(mech, shift, self->fresh, &stats->initial_residual, &consistent);
     if (!status && consistency == DAL_CHECK && !consistent)
-        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: their residual "
-                         "is %.3g, more than roundoff and %g of the terms of phi",
+        return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: their "
+                         "residual is %.3g, more than roundoff and %g of the terms of phi",
                          shift == 0.0 ? "D" : "D_eps", stats->initial_residual, DAL_CONSISTENT);
     if (!status && consistency != DAL_ASSUME)
         status = dal_project(mech, shift, self->fresh, &stats->initial_correction);
@@ -436,11 +436,12 @@ static void explain(dal_stepper *self, int status)
         snprintf(what, sizeof what, "M + h^2 beta (1-beta) V_qq is singular: h is too large here");
         break;
     case DAL_FAILED_SINGULAR_C:
-        snprintf(what, sizeof what, "mu M^-1 mu^T is singular: the constraints lose rank");
+        snprintf(what, sizeof what, "no velocity of D was found at the new position: mu M^-1 mu^T "
+                 "is singular there, or, with kept nodes, h is too large");
         break;
     case DAL_FAILED_STEADY:
-        snprintf(what, sizeof what, "the system is declared steady, but mu at the end of the step is "
-                 "not what it was before the reaction acted: a coordinate that mu depends on is "
+        snprintf(what, sizeof what, "the system is declared steady, but mu at the end of the step "
+                 "is not what it was before the reaction acted: a coordinate that mu depends on is "
                  "pushed by a reaction");
         break;
     case DAL_FAILED_ROOT:

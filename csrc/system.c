@@ -182,8 +182,8 @@ static void copy_names(dal_system *system, possessions *own, const dal_system_de
 static int not_definite(const dal_system *system, size_t row, double pivot, dal_error *error)
 {
     return dal__fail(error, DAL_EINVAL, "mass is not positive definite to working precision: pivot "
-                     "%zu of its Cholesky factor is %g where mass[%zu,%zu] = %g", row, pivot, row, row,
-                     system->mass[row * system->def.n + row]);
+                     "%zu of its Cholesky factor is %g where mass[%zu,%zu] = %g", row, pivot, row,
+                     row, system->mass[row * system->def.n + row]);
 }
 
 static int invert_diagonal_mass(dal_system *system, dal_error *error)

@@ -140,7 +140,8 @@ struct dal_kernel; /* kernel.h */
 typedef int (*dal_kernel_fn)(struct dal_kernel *kernel, size_t steps, size_t *done);
 
 /* In a steady system mu depends only on coordinates that no reaction pushes, those i with row i of
- * M^-1 mu^T zero, as on the heading of a blade.  Steps where V does not act at q~' are then linear. */
+ * M^-1 mu^T zero, as on the heading of a blade.  Steps where V does not act at q~' are then
+ * linear. */
 typedef enum dal_steady {
     DAL_STEADY_DECLARED = 1, /* every step looks whether it is true, with an evaluation of mu */
     DAL_STEADY_PROVED = 2    /* nothing looks: for code that was derived from formulas */
@@ -329,9 +330,9 @@ DAL_API int dal_residual(dal_mechanics *mechanics, double shift, const double *x
 
 /* *worst <- the largest of all a of
  *     |phi^a| / (sum_i |mu^a_i| d_i max_j |v_j| / d_j + |phi^a - mu^a v|),   d_i = sqrt((M^-1)_ii),
- * at (q - shift v, v), where the last term is 0 for linear constraints; 0 where phi is 0.  d_i is the
- * largest |v_i| of a velocity with v^T M v = 1.  It does not change when forms or coordinates are
- * rescaled.  Also DAL_ESINGULAR (M(q) is not positive definite). */
+ * at (q - shift v, v), where the last term is 0 for linear constraints; 0 where phi is 0.  d_i is
+ * the largest |v_i| of a velocity with v^T M v = 1.  It does not change when forms or coordinates
+ * are rescaled.  Also DAL_ESINGULAR (M(q) is not positive definite). */
 DAL_API int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x,
                                   double *worst);
 
@@ -789,9 +790,10 @@ typedef struct dal_stats {
     double jump, largest_kinetic;
 } dal_stats;
 
-/* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step
- * the residual of the set that the scheme keeps, as dal_relative_residual finds it, is at most 4 n u
- * with u = 2^-53. */
+/* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step the
+ * residual of the set that the scheme keeps, as dal_relative_residual finds it, is at most 4 n u
+ * with u = 2^-53.  Where kept nodes lie so far out that the rounding of q - (1-beta) h v moves mu v
+ * by more, it may be up to that, and worst_residual says so. */
 typedef struct dal_stepper dal_stepper;
 
 /* options: or NULL for the defaults.

@@ -138,7 +138,7 @@ static inline void inverse_diagonal(const dal_system *system, const double *x, d
 {
     enum { MOST = 48 };
     const size_t n = system->def.n;
-    double A[MOST][2 * MOST] = {{0}}, M[MOST * MOST];
+    double A[MOST][2 * MOST], M[MOST * MOST];
     dal_mechanics *mechanics = NULL;
     if (n > MOST) exit(2);
     if (system->mass) {
@@ -148,8 +148,10 @@ static inline void inverse_diagonal(const dal_system *system, const double *x, d
         dal_mechanics_free(mechanics);
     }
     for (size_t i = 0; i < n; i++) {
-        A[i][n + i] = 1.0;
-        for (size_t j = 0; j < n; j++) A[i][j] = M[i * n + j];
+        for (size_t j = 0; j < n; j++) {
+            A[i][j] = M[i * n + j];
+            A[i][n + j] = i == j;
+        }
     }
     for (size_t k = 0; k < n; k++)
         for (size_t i = 0; i < n; i++) {

@@ -46,7 +46,7 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
 
 
 def _reals(value: Any) -> Array:
-    """Return anything array-like as doubles that C can read; TypeError or ValueError if it is not."""
+    """Return anything array-like as doubles that C can read; else TypeError or ValueError."""
     rows = value if isinstance(value, (list, tuple)) else [value]
     if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
         raise ValueError("values that are masked")

@@ -592,8 +592,8 @@ def embedding(
     consistent : {"check", "project", "assume"}, optional
         As in `integrate`.
     tolerance : float, optional
-        Of the reference flow F, in [4.4e-16, 0.1].  Its error bounds what can be said about g: g has a
-        noise of about tolerance h^-(p+1).
+        Of the reference flow F, in [4.4e-16, 0.1].  Its error bounds what can be said about g: g
+        has a noise of about tolerance h^-(p+1).
     numerical : bool, optional
         True: F is the reference flow even where the system carries an exact solution.
 

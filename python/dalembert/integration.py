@@ -121,8 +121,8 @@ def integrate(
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: the kept set is not kept to roundoff, or many steps took
-        the full Newton iteration, so that h is large for this system.
+        If the result may be doubtful: the energy has jumped where nothing does work, or many steps
+        took the full Newton iteration, so that h is large for this system.
 
     Notes
     -----
@@ -330,6 +330,14 @@ def _available_memory() -> int:
 def _warn(solution: Solution) -> None:
     """Warn where a run that went through is doubtful."""
     system, stats = solution.system, solution.stats
+    bound = _lib.residual_bound(system.n)
+    if stats.worst_residual > bound:
+        warnings.warn(
+            f"the constraint is kept to {stats.worst_residual:.1e} only, not to {bound:.1e}: the "
+            "kept nodes lie so far out that their rounding moves it by more",
+            DalembertWarning,
+            stacklevel=3,
+        )
     if stats.jump_step:
         warnings.warn(
             f"the energy has changed by {stats.jump:.3g} at step {stats.jump_step} (t = "

@@ -43,7 +43,7 @@ _CONSTRAINTS = {
     lib.DAL_NONLINEAR: lib.dal_py_nonlinear,
 }
 
-_MOST_COORDINATES = 10_000  # matrices are dense: a step takes some n^3 operations, M takes 8 n^2 bytes
+_MOST_COORDINATES = 10_000  # of dense matrices: n^2 numbers each, n^3 operations in a step
 
 _KIND_NAMES = {name: kind for kind, name in _KINDS.items()}
 _OUTPUTS = {
@@ -914,8 +914,8 @@ class System:
 
         What depends on v is examined at another velocity too, where it is defined there, and the
         force at times 0 and 1.  The growth vector of D, and with it whether D is integrable, is
-        found with 77 digits for a system made by `from_sympy`, and for one whose formulas say what
-        it is if SymPy is installed; else by its functions, as far as their digits go.
+        found with many digits for a system made by `from_sympy`, and for one whose formulas say
+        what it is if SymPy is installed; else by its functions, as far as their digits go.
 
         Parameters
         ----------

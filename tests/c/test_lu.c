@@ -1,5 +1,5 @@
-/* Cholesky and LU factors: solutions against GSL and against exact ones, growth of the elements, and
- * what counts as singular. */
+/* Cholesky and LU factors: solutions against GSL and against exact ones, growth of the elements,
+ * and what counts as singular. */
 #include "../fixtures.h"
 #include "check.h"
 #include "lu.h"
@@ -24,9 +24,11 @@ static void fill(matrix *A, kind k, size_t m, unsigned *seed)
     A->m = m;
     for (size_t i = 0; i < m; i++)
         for (size_t j = 0; j < m; j++) {
-            const size_t apart = i > j ? i - j : j - i, around = apart < m - apart ? apart : m - apart;
-            const bool there = k == DENSE || (k == BANDED && apart <= 2) || (k == CYCLIC && around <= 1)
-                            || (k == BLOCK && i / 4 == j / 4) || (k == CHAIN && apart <= 1);
+            const size_t apart = i > j ? i - j : j - i;
+            const size_t around = apart < m - apart ? apart : m - apart;
+            const bool there = k == DENSE || (k == BANDED && apart <= 2)
+                            || (k == CYCLIC && around <= 1) || (k == BLOCK && i / 4 == j / 4)
+                            || (k == CHAIN && apart <= 1);
             double entry = there ? next_number(seed) : 0.0;
             if (k == CHAIN && there) entry = apart == 0 ? 1.26 : 0.05; /* rows (.5, 1, .1) of mu */
             if (k == CYCLIC && apart == 0) entry += 3.0;
@@ -67,7 +69,8 @@ static void fill_with_condition(matrix *A, size_t m, double condition, bool symm
             double sum = 0.0;
             for (size_t k = 0; k < m; k++) {
                 const double d = pow(condition, -(double)k / (double)(m - 1));
-                sum += d * ((i == k) - 2.0 * left[i] * left[k]) * ((j == k) - 2.0 * right[j] * right[k]);
+                sum += d * ((i == k) - 2.0 * left[i] * left[k])
+                       * ((j == k) - 2.0 * right[j] * right[k]);
             }
             A->entry[i * m + j] = sum;
         }
@@ -254,7 +257,8 @@ static int factor_product(size_t m, size_t terms, const double *L, const double 
     double unit[8];
     for (size_t i = 0; i < terms; i++) unit[i] = 1.0;
     for (size_t a = 0; a < m; a++) {
-        for (size_t b = 0; b < m; b++) f->LU[a * m + b] = dal__dot(terms, L + a * terms, R + b * terms);
+        for (size_t b = 0; b < m; b++)
+            f->LU[a * m + b] = dal__dot(terms, L + a * terms, R + b * terms);
         f->sizes[a] = dal_residual_form(terms, unit, L + a * terms);
         f->sizes[m + a] = dal_residual_form(terms, unit, R + a * terms);
     }

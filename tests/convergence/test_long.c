@@ -8,7 +8,7 @@
 
 enum { TENTHS = 10 };
 
-/* One run; the bound on max_a |mu^a v| / sum_i |mu^a_i v_i| is 4 n u. */
+/* One run. */
 typedef struct run {
     const char *system, *scheme;
     dal_initial initial; /* not DAL_INITIAL_NONE: kept nodes, D_eps */
@@ -45,7 +45,7 @@ static const run runs[] = {
     {"uneven_edge", "explicit-nodes", DAL_INITIAL_SHIFT, 0.05, 400000},
     {"generic4", "leapfrog-suzuki4", DAL_INITIAL_NONE, 0.1, 100000},
     {"disk", "midpoint-kl8", DAL_INITIAL_NONE, 0.5, 20000},
-    {"snakeboard", "leapfrog", DAL_INITIAL_NONE, 0.01, 1000000},
+    {"snakeboard", "leapfrog", DAL_INITIAL_NONE, 0.0001, 200000}, /* singular at t = 23.4 */
     {"sleigh_contact", "midpoint", DAL_INITIAL_NONE, 0.01, 1000000},
     {"sleigh_contact", "midpoint-nodes", DAL_INITIAL_SHIFT, 0.01, 200000},
     {"genmass", "midpoint", DAL_INITIAL_NONE, 0.01, 200000},

@@ -533,16 +533,15 @@ def test_a_step_that_is_large_for_the_potential_is_a_warning():
     [
         ({"full_newtons": 10}, False),
         ({"full_newtons": 11}, True),
-        ({"worst_residual": 9.9 * 12 * U}, False),
-        ({"worst_residual": 10.1 * 12 * U}, True),
+        ({"jump_step": 7, "jump": 2.0, "largest_kinetic": 1.5}, True),
     ],
 )
 def test_what_is_warned_of(particle, numbers, warned):
-    """More than a tenth of the sub-steps by the full iteration, or ten times 4 n u."""
+    """More than a tenth of the sub-steps by the full iteration, or an energy that has jumped."""
     stats = dal.Statistics(substeps=100, **numbers)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        integration._warn(SimpleNamespace(system=particle, stats=stats, h=0.1))
+        integration._warn(SimpleNamespace(system=particle, stats=stats, t0=0.0, h=0.1))
     assert len(caught) == warned
 
 

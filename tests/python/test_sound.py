@@ -163,7 +163,8 @@ def test_headings_of_zero(name):
         mu = np.array([system.residual(q, e) for e in np.eye(system.n)]).T
         assert residual_of(mu, inverse, v) <= 4 * system.n * U
     for scheme in ("leapfrog", "midpoint", "reference"):
-        run = dal.integrate(system, scheme, q, system.project(q, np.ones(system.n)), h=0.01, steps=9)
+        v = system.project(q, np.ones(system.n))
+        run = dal.integrate(system, scheme, q, v, h=0.01, steps=9)
         assert run.residual.max() <= 4 * system.n * U
 
 

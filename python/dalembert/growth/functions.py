@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,9 @@ import numpy as np
 
 from .. import _lib
 from .._lib import Array
-from .search import Distribution, is_settled, no_more, search, shortened
+from .search import (
+    Brackets, Distribution, Word, at_random, is_settled, no_more, of_new_ones, search, shortened,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from ..system import System
@@ -20,106 +21,55 @@ __all__ = ["examine"]
 
 # What functions raise for states that they were not made for, and what the core does.
 _OUTSIDE = _lib.DalembertError, ArithmeticError, ValueError
-# The derivative along a line by central differences of order 8, h apart; for no more points in all.
-_WEIGHTS = ((1, 4 / 5), (2, -1 / 5), (3, 4 / 105), (4, -1 / 280))
-_POINTS = 20_000
-# Derivatives that are differenced over 2^-12 smooth out what is not smooth.
-_LEAST = 2.0**-10
+# The derivative along a line by central differences of order 6.
+_WEIGHTS = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
+_STENCIL = [(sign * k, sign * w) for k, w in _WEIGHTS for sign in (1, -1)]
+# The largest and the least distance of the points, and their largest number, for one bracket.
+_MOST, _LEAST, _POINTS = 2.0**-3, 2.0**-10, 5_000
 _DIGITS = 16
 
 
 class _Functions:
     """Brackets of mu given by functions, at a point, see `search`.
 
-    X_i, i = 1, ..., c, are the fields of D with a unit vector in the place of the independent
-    velocities.  [X_i, X_j] follows from the derivatives of mu, and
-
-        [X_i, W] = dW/dq X_i - dX_i/dq W
-
-    for a bracket W of them by differences of W along X_i.  Those of k + 1 fields are given times
-    h^(k-1), so that their roundoff is the same for all k.  Twins have another distance h of the
-    differences; it is taken so small that the two agree up to roundoff.
+    Those of k + 1 fields are given times h^k, so that their roundoff is the same for all k.  Twins
+    have another distance h of the differences; it is taken so small that the two agree.
 
     Raises
     ------
     DalembertError
-        If mu has not rank m there; by `brackets`, if its derivatives do not seem to exist.
+        If mu has not rank m there; by `pair`, if its derivatives do not seem to exist.
     """
+
+    rounding = 2.0**-44
 
     def __init__(self, system: System, q: Array) -> None:
         from ..chart import Chart
 
         self.n, self.m = system.n, system.m
-        self.most = 1  # orders that are not too many points
-        while 8**self.most * (self.n - self.m) ** (self.most + 1) <= _POINTS:
-            self.most += 1
-        self._chart, self._q, self._h = Chart(system, q), q, 0.125
+        self._chart, self._q, self._h = Chart(system, q), q, _MOST
         self._dependent = [system.coordinates.index(c) for c in self._chart.dependent]
-        # derivatives that are differenced have 9 digits at least
-        self._error = 1e-9 if "forms_velocity_derivative" in system.differenced else 2.0**-46
-        self.rounding = self._error, self._error
+        # a bracket of one more field takes 7 times as many points
+        self.most = int(np.log(_POINTS) / np.log(7))
 
-    def brackets(self, orders: int, seed: int) -> list[Array]:
-        """Return for each order all left-normed brackets; they do not depend on the seed."""
-        if seed > 0:
-            return self._found
+    def pair(self, word: Word) -> tuple[Array, Array]:
+        """Return the dependent components of a bracket, and the same by other differences."""
         while self._h >= _LEAST:
             with contextlib.suppress(*_OUTSIDE):
-                found, twins = self._rows(orders, 1.0), self._rows(orders, 0.8)
-                off = max(abs(a - b).max(initial=0) for a, b in zip(found, twins))
-                size = max(1, *(abs(a).max(initial=0) for a in found))
-                if off <= 64 * self._error * size:
-                    self._found, self._twins = found, twins
-                    return found
+                row, twin = (self._row(word, part * self._h) for part in (1.0, 0.8))
+                if abs(row - twin).max() <= 64 * self.rounding * max(1, abs(row).max()):
+                    return row, twin
             self._h /= 2
         raise _lib.DalembertError("mu does not seem to be smooth there")
 
-    def twins(self, orders: int, seed: int) -> list[Array]:
-        """Return the same by other differences."""
-        return self._twins
-
-    def _rows(self, orders: int, part: float) -> list[Array]:
-        values = self._levels(self._q[np.newaxis], orders, part * self._h)
-        return [
-            value[0][:, self._dependent] * self._h**k for k, value in enumerate(values[1:])
-        ]
-
-    def _levels(self, q: Array, orders: int, h: float) -> list[Array]:
-        """Return at points q, shape (P, n), the fields and their brackets, shapes (P, words, n)."""
-        unit = np.eye(self.n - self.m)
-        c = len(unit)
-        J = self._chart.jacobian(np.hstack([np.repeat(q, c, 0), np.tile(unit, (len(q), 1))]))
-        slope = J[:, self.n :, : self.n].reshape(len(q), c, self.n, self.n)
-        X = J.reshape(len(q), c, 2 * self.n, -1)[:, 0, self.n :, self.n :].swapaxes(1, 2)
-        pairs = list(itertools.combinations(range(c), 2))
-        turned = np.einsum("pjab,pib->pija", slope, X)  # dX_j/dq X_i
-        first = [turned[:, i, j] - turned[:, j, i] for i, j in pairs]
-        levels = [X, np.reshape(first, (len(pairs), len(q), self.n)).swapaxes(0, 1)]
-        if orders == 1:
-            return levels
-        steps = np.array([sign * k * h for k, _ in _WEIGHTS for sign in (1, -1)])
-        weights = np.array([sign * w / h for _, w in _WEIGHTS for sign in (1, -1)])
-        places = q[:, None, None] + steps[:, None] * X[:, :, None]  # (P, c, 8, n)
-        around = self._levels(places.reshape(-1, self.n), orders - 1, h)
-        for k in range(1, orders):
-            beside = around[k].reshape(len(q), c, len(steps), -1, self.n)
-            along = np.einsum("s,piswa->piwa", weights, beside)
-            turned = np.einsum("piab,pwb->piwa", slope, levels[k])
-            levels.append((along - turned).reshape(len(q), -1, self.n))
-        return levels
+    def _row(self, word: Word, h: float) -> Array:
+        stencil = [(h * step, self._h / h * weight) for step, weight in _STENCIL]
+        brackets = Brackets(lambda q: -self._chart.A(q), self._dependent, self.n, stencil)
+        return brackets.at(word, self._q)[self._dependent]
 
 
 def examine(system: System, near: Array, q: Array | None = None) -> Distribution:
-    """Return the growth vector at a general point near some point, and at a given one.
-
-    Parameters
-    ----------
-    system : System
-        With linear constraints, at least one.
-    near : ndarray, shape (n,)
-    q : ndarray, shape (n,), optional
-        Default: at the general point.
-    """
+    """Return what `growth.examine` does; the general point is one near ``near``."""
     n = system.n
     general, note = _near(system, near)
     integrable = None
@@ -130,7 +80,9 @@ def examine(system: System, near: Array, q: Array | None = None) -> Distribution
     most = n if note else general[-1]
     try:
         point = _Functions(system, q)
-        found, told = search(point, 1, point.most, lambda dimensions: dimensions[-1] == most)
+        found, _, told = search(
+            point, at_random(n - system.m), point.most, lambda dimensions: dimensions[-1] == most
+        )
     except _lib.DalembertError as error:
         return Distribution(None, general, str(error), integrable, _DIGITS)
     here = shortened(found, n) if told else tuple(found)
@@ -146,9 +98,10 @@ def _near(system: System, q: Array) -> tuple[tuple[int, ...] | None, str]:
         place = q + size * (1 + abs(q)) * np.cos(np.arange(1, n + 1))
         try:
             point = _Functions(system, place)
-            found, told = search(
-                point, 1, min(system.m, point.most), lambda dimensions: is_settled(dimensions, n)
-            )
+            found, _, told = search(
+                point, of_new_ones(n - system.m), min(system.m, point.most),
+                lambda dimensions: is_settled(dimensions, n),
+            )  # fmt: skip
         except _OUTSIDE as error:
             message = str(error)
             continue
