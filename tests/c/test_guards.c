@@ -1,5 +1,6 @@
-/* Steps of random systems against the same equations solved in long double: with and without V,
- * steady, with kept nodes, from rest, far from the origin and in units far apart. */
+/* What holds the guards of the steps.  First of all steps of random systems against the same
+ * equations solved in long double: with and without V, steady, with kept nodes, from rest, far from
+ * the origin and in other units. */
 #include "../fixtures.h"
 #include "check.h"
 
@@ -442,10 +443,65 @@ static void test_branch(void)
     dal_system_free(particle);
 }
 
+/* ---- initial data, and the time of a row --------------------------------------------------- */
+
+/* The particle, mu = (-y, 0, 1): 1e-8 of the terms is meant to be D, or roundoff of the speed. */
+static void test_consistent(void)
+{
+    const double x[4][6] = {{0.0, -1.0, 0.0, 1.0, 0.0, -1.0 + 1e-8},
+                            {0.0, -1.0, 0.0, 1.0, 0.0, -1.0 + 3e-8},
+                            {0.0, -1.0, 0.0, 0.0, 1.0, 1e-17},
+                            {0.0, -1.0, 0.0, 0.0, 1.0, 1e-13}};
+    const int expected[4] = {DAL_SUCCESS, DAL_EOFFD, DAL_SUCCESS, DAL_EOFFD};
+    dal_system *const system = open_system("particle");
+    const dal_scheme scheme = find_scheme("endpoint");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    for (size_t j = 0; j < 4; j++)
+        CHECK(dal_stepper_start(stepper, 0.0, 0.1, x[j], DAL_CHECK, DAL_INITIAL_NONE)
+              == expected[j]);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
+static int growing_force(double t, const double *q, const double *v, double *f, double *f_q,
+                         double *f_v, void *ctx)
+{
+    no_force(t, q, v, f, f_q, f_v, ctx);
+    if (f) f[2] = t;
+    return 0;
+}
+
+/* Row k of a trajectory is at t0 + k h. */
+static void test_times(void)
+{
+    enum { ROWS = 3 };
+    dal_system *const particle = open_system("particle");
+    dal_system_def def = particle->def;
+    dal_system *pushed = NULL;
+    def.force = growing_force;
+    need(dal_system_new(&pushed, &def, NULL), "pushed", "");
+    dal_mechanics *const mechanics = open_mechanics(pushed);
+    const double x[ROWS][6] = {{0.0, 0.5, 0.0, 1.0, 0.2, 0.5}, {0.0, 0.5, 0.0, 1.0, 0.2, 0.5},
+                               {0.0, 0.5, 0.0, 1.0, 0.2, 0.5}};
+    double lambda[ROWS], expected;
+    CHECK(dal_trajectory(mechanics, 1.0, 0.5, 0.0, ROWS, x[0], NULL, lambda, NULL, NULL, NULL)
+          == 0);
+    for (size_t k = 0; k < ROWS; k++) {
+        CHECK(dal_multipliers(mechanics, 1.0 + 0.5 * (double)k, x[k], &expected) == 0);
+        CHECK(lambda[k] == expected);
+    }
+    CHECK_NEAR(lambda[0] - lambda[2], 1.0 / 1.25, 8 * U); /* -mu_z f_z / (1 + y^2) */
+    dal_mechanics_free(mechanics);
+    dal_system_free(pushed);
+    dal_system_free(particle);
+}
+
 int main(int argc, char **argv)
 {
     test_steps(argc > 1 ? (unsigned)atoi(argv[1]) : 2048); /* or as many as are asked for */
     test_corrections();
     test_branch();
+    test_consistent();
+    test_times();
     return check_done();
 }
