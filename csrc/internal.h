@@ -116,9 +116,9 @@ typedef enum dal__verdict { DAL__GOING, DAL__DONE, DAL__LOST } dal__verdict;
 
 /* After a step of size.  DONE: it is roundoff; or the next one would be, if it is smaller by the
  * same factor, unless something is lagging; or the steps are small and no longer shrink.  LOST: not
- * finite, or they lead farther than first / (1 - second/first), which is as far as they would if
- * they went on to shrink as they began to.  What lies beyond may be a solution that no small h
- * leads to. */
+ * finite, or they lead farther than first / (1 - ratio), with the ratio of the second to the first,
+ * at least 1/2: as far as they would if they went on to shrink so.  What lies beyond may be a
+ * solution that no small h leads to (theorem of Newton and Kantorovich). */
 dal__verdict dal__newton_judge(dal__progress *p, double size);
 /* The last step is halved. */
 void dal__newton_halve(dal__progress *p);

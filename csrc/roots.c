@@ -36,8 +36,10 @@ dal__verdict dal__newton_judge(dal__progress *p, double size)
     p->size = size;
     p->travelled += size;
     if (p->iteration == 1) p->first = size;
-    if (p->iteration <= 2) p->reach = p->iteration == 1 || size >= p->first
-                                          ? p->first : p->first / (1.0 - size / p->first);
+    if (p->iteration <= 2) {
+        const double ratio = p->iteration == 1 ? 0.0 : size / p->first;
+        p->reach = ratio < 1.0 ? p->first / (1.0 - fmax(ratio, 0.5)) : p->first;
+    }
     if (!(size <= DBL_MAX)) return DAL__LOST;
     if (is_done(p)) return DAL__DONE;
     return p->travelled > p->reach * (1.0 + 1e-6) && size > floor_of(p) ? DAL__LOST : DAL__GOING;
