@@ -126,7 +126,7 @@ void dal__newton_halve(dal__progress *p);
  * to that of M and mu M^-1 mu^T, which is positive, so it has changed its sign on the way. */
 #define DAL__BRANCH_TEXT \
     "Newton did not converge to the solution that small steps lead to but to another, where the " \
-    "determinant of its matrix is negative; try a smaller h"
+    "determinant of its matrix is negative: try a smaller h, unless the constraints lose rank here"
 /* Of what is LOST but finite: travelled, first, scale. */
 #define DAL__LOST_TEXT \
     "Newton did not converge: its steps lead away from the start, %.3g in all where the first " \

@@ -149,7 +149,7 @@ class System:
     steady : bool, optional
         Whether mu depends only on coordinates that no reaction pushes, those i with row i of
         M^-1 mu^T zero, as on the heading of a blade; only with ``mass`` and ``forms``.  Steps are
-        then linear, and faster.
+        then linear, without iteration; a step that finds it false ends the run.
     kind : {"linear", "affine", "nonlinear"}, optional
         Of a ``constraint`` that is a C function; default "linear".
     missing : sequence of str, optional

@@ -356,3 +356,11 @@ def test_time_that_stands_still():
     particle = dal.systems.particle()
     with pytest.raises(ValueError, match="does not change the time"):
         dal.integrate(particle, "midpoint", h=1e-3, steps=2, t0=1e14)
+
+
+@pytest.mark.parametrize("t_end", [1e-6, 1e-7, 1e-9])
+@pytest.mark.parametrize("scheme", ["midpoint", "leapfrog"])
+def test_short_spans(scheme, t_end):
+    """Where h is so small that errors are roundoff over h no order is said to be missed."""
+    study = dal.convergence(dal.systems.particle(), scheme, t_end=t_end)
+    assert study.holds is not False and study.keeps == "D", study.text
