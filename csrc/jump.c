@@ -4,6 +4,7 @@
 #include "internal.h"
 
 #include <math.h>
+#include <string.h>
 
 /* The energy and the kinetic energy at x[2n], moved back by shift v.  The statistics do not count
  * it. */
@@ -12,19 +13,28 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
     const size_t n = mech->n;
     evaluator *const e = &mech->eval;
     const size_t calls[] = {e->potential_calls, e->lagrangian_calls};
-    double *const y = mech->point;
-    for (size_t i = 0; i < n; i++) {
-        y[i] = x[i] - shift * x[n + i];
-        y[n + i] = x[n + i];
+    const double *y = x;
+    int status;
+    if (shift != 0.0) {
+        memcpy(mech->point, x, 2 * n * sizeof *x);
+        for (size_t i = 0; i < n; i++) mech->point[i] -= shift * x[n + i];
+        y = mech->point;
     }
-    int status = dal__form_metric(mech, y, y + n);
-    if (!status) status = dal__energy(mech, y, E);
+    if (e->constant_mass) {
+        double V = 0.0;
+        status = dal__potential(e, y, &V, NULL, NULL, &mech->error);
+        dal__apply(n, n, mech->metric, y + n, mech->step);
+        *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
+        *E = *kinetic + V;
+    } else {
+        status = dal__form_metric(mech, y, y + n);
+        if (!status) status = dal__energy(mech, y, E);
+        dal__apply(n, n, mech->metric, y + n, mech->step);
+        *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
+    }
     e->potential_calls = calls[0];
     e->lagrangian_calls = calls[1];
-    if (status) return status;
-    dal__apply(n, n, mech->metric, y + n, mech->step);
-    *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
-    return DAL_SUCCESS;
+    return status;
 }
 
 int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
