@@ -523,7 +523,7 @@ typedef struct dal__jump {
     double change;                 /* by how much */
 } dal__jump;
 /* The errors of the callbacks; then only DAL_EUSER.  The text is in mech->error. */
-int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
+int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shift,
                     const double *x);
 int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
 

@@ -37,12 +37,11 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
     return status;
 }
 
-int dal__jump_start(dal__jump *jump, dal_mechanics *mech, const dal_scheme *scheme, double shift,
-                    const double *x)
+int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shift, const double *x)
 {
     const dal_system_def *const def = &mech->eval.system->def;
     *jump = (dal__jump){.shift = shift};
-    if (scheme->order == 1 || def->force || def->kind != DAL_LINEAR) return DAL_SUCCESS;
+    if (order == 1 || def->force || def->kind != DAL_LINEAR) return DAL_SUCCESS;
     const int status = energies(mech, shift, x, &jump->energy, &jump->kinetic);
     jump->looking = isfinite(jump->energy) && isfinite(jump->kinetic);
     return status;
@@ -53,12 +52,10 @@ int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const doub
     double E, kinetic;
     if (!jump->looking || jump->step > 0) return DAL_SUCCESS;
     const int status = energies(mech, jump->shift, x, &E, &kinetic);
-    if (status) { /* the next step will tell, if it matters to it */
-        jump->looking = false;
-        return status == DAL_EUSER ? status : DAL_SUCCESS;
-    }
-    jump->kinetic = fmax(jump->kinetic, kinetic);
-    if (fabs(E - jump->energy) <= 0.5 * jump->kinetic) return DAL_SUCCESS; /* not of NaN */
+    if (status == DAL_EUSER) return status;
+    if (status) E = HUGE_VAL; /* V is not finite there, or not defined, as it was at the start */
+    else jump->kinetic = fmax(jump->kinetic, kinetic);
+    if (isfinite(E) && fabs(E - jump->energy) <= 0.5 * jump->kinetic) return DAL_SUCCESS;
     jump->step = step;
     jump->change = E - jump->energy;
     return DAL_SUCCESS;

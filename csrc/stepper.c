@@ -19,7 +19,7 @@ struct dal_stepper {
     double *fresh;           /* [2n] initial data being examined */
     double t0;
     size_t steps;            /* since the start: t = t0 + steps h */
-    dal_scheme scheme;
+    int order;               /* of the scheme */
     dal__jump jump;
     bool started;
     dal_error error;
@@ -194,7 +194,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     self->arena = memory;
     dal__mechanics_bind(&self->mech, system);
     for (size_t j = 0; j < count; j++) self->substep[j] = dal__scheme_substep(scheme, j);
-    self->scheme = *scheme; /* of which substeps is borrowed, and not used */
+    self->order = scheme->order;
     bind_kernel(self, scheme, options);
     if (options->solver == DAL_SOLVER_MULTIROOT) {
         status = dal__multiroot_new(&self->multiroot, system, error);
@@ -367,7 +367,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
         status = dal_project(&self->mech, shift, self->fresh, &stats.initial_correction);
     if (!status && initial == DAL_INITIAL_SHIFT) status = move_node(self, shift, self->fresh);
     dal__jump jump = {0};
-    if (!status) status = dal__jump_start(&jump, &self->mech, &self->scheme, shift, self->fresh);
+    if (!status) status = dal__jump_start(&jump, &self->mech, self->order, shift, self->fresh);
     if (status) {
         self->error = self->mech.error;
         return status;

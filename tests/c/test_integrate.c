@@ -252,6 +252,36 @@ static void test_failure(void)
     dal_system_free(particle);
 }
 
+static int steep(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    (void)ctx;
+    if (V) *V = 5e5 * q[0] * q[0];
+    if (V_q) V_q[0] = 1e6 * q[0];
+    if (V_qq) V_qq[0] = 1e6;
+    return 0;
+}
+
+/* A step a thousand times too large: each grows by 1e6, and the energy is infinite while the state
+ * is not.  That is a jump too. */
+static void test_infinite_energy(void)
+{
+    const double mass = 1.0, x0[2] = {1.0, 0.0};
+    const dal_system_def def = {.n = 1, .mass = &mass, .potential = steep};
+    const dal_scheme scheme = find_scheme("leapfrog");
+    dal_system *system = NULL;
+    dal_stats stats;
+    need(dal_system_new(&system, &def, NULL), "steep", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, 1.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_advance(stepper, 28, NULL, NULL) == 0);
+    CHECK(dal_integrate(stepper, 1, 1, NULL, NULL, NULL, NULL, NULL) == 0);
+    dal_stepper_stats(stepper, &stats);
+    CHECK(dal__all_finite(2, dal_stepper_state(stepper)) && stats.jump_step == 29);
+    CHECK(isinf(stats.jump));
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
 int main(void)
 {
     for (size_t stride = 1; stride <= STEPS; stride++)
@@ -267,5 +297,6 @@ int main(void)
     test_observer();
     test_arguments();
     test_failure();
+    test_infinite_energy();
     return check_done();
 }

@@ -14,6 +14,7 @@ import time
 import warnings
 from pathlib import Path
 
+import matplotlib.pyplot as plot
 import numpy as np
 import pytest
 import sympy
@@ -318,7 +319,6 @@ def test_hostile_names(cache, tmp_path):
 
 def test_dollars_in_pictures_and_reports(tmp_path):
     """A name is drawn letter by letter: between dollars it would be a formula that is none."""
-    plot = pytest.importorskip("matplotlib.pyplot")
     x, y = dal.coordinates([r"$\foo$", "a$b$"])
     system = dal.System.from_sympy(
         (x.d**2 + y.d**2) / 2 - x**2, [y.d - x * x.d], name="$x_$", q0=[1, 0.5], v0=[1, 1]
