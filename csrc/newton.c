@@ -36,7 +36,6 @@ void dal__newton_bind(newton *solver, const dal_system *system, int max_iteratio
     solver->n = system->def.n;
     solver->m = system->def.m;
     solver->max_iterations = max_iterations;
-    dal__newton_forget(solver);
 }
 
 void dal__newton_forget(newton *solver) { solver->warm = false; }

@@ -690,6 +690,61 @@ static void test_too_long(void)
     dal_system_free(system);
 }
 
+/* ---- how many iterations --------------------------------------------------------------------- */
+
+static int weight(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
+                  void *ctx)
+{
+    (void)t, (void)q, (void)v;
+    if (f) f[0] = *(const double *)ctx;
+    if (f_q) f_q[0] = 0.0;
+    if (f_v) f_v[0] = 0.0;
+    return 0;
+}
+
+static size_t iterations_of(const dal_stepper *stepper)
+{
+    dal_stats stats;
+    dal_stepper_stats(stepper, &stats);
+    return stats.iterations;
+}
+
+/* What falls is where it was expected, also where the steps of a scheme differ and go back: one
+ * iteration shows it.  The first step needs two, and so does the first of a new start. */
+static void test_guess(void)
+{
+    enum { STEPS = 10, SUBSTEPS = 5 };
+    const double mass[1] = {2.0}, x[2] = {0.0, 0.3};
+    double g = 9.81;
+    const dal_system_def def = {.n = 1, .mass = mass, .force = weight, .ctx = &g};
+    const dal_scheme scheme = find_scheme("midpoint-suzuki4");
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "weight", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    for (int start = 0; start < 2; start++) {
+        CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
+        CHECK(iterations_of(stepper) == SUBSTEPS * STEPS + 1);
+        CHECK_NEAR(dal_stepper_state(stepper)[1], x[1] + g / mass[0] * STEPS * 0.1, 1e-13);
+        g = -9.81;
+    }
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
+/* Where the forms turn with the velocity the multipliers of the step before help too. */
+static void test_guess_of_multipliers(void)
+{
+    dal_system *const system = open_curved(0, false);
+    const dal_scheme scheme = find_scheme("midpoint");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.09, curved_start, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_advance(stepper, 100, NULL, NULL) == 0);
+    CHECK(iterations_of(stepper) < 350); /* from kappa = 0 it is 382 */
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
 /* ---- at rest, and far out ------------------------------------------------------------------ */
 
 /* A body at rest whose weight g[3] is balanced by the reaction of mu = (1 + y^2) g. */
@@ -976,6 +1031,8 @@ int main(void)
     test_sabotage();
     test_degenerate();
     test_too_long();
+    test_guess();
+    test_guess_of_multipliers();
     test_rest();
     test_far("n_trailer", 1e4);
     test_far("n_trailer", 1e6);
