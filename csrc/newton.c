@@ -85,7 +85,6 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
         while ((status = dal__step_at(mech, s->w, s->kappa, s->R1, s->R2, s->K, s->K_sizes, s->B))
                    == DAL_EDOMAIN && p.iteration > 1 && halvings++ < HALVINGS) {
             for (size_t i = 0; i < n; i++) s->w[i] -= s->step[i] *= 0.5;
-            for (size_t a = 0; a < m; a++) s->kappa[a] -= s->d[a] *= 0.5;
             dal__newton_halve(&p);
             stats->halvings++;
         }
@@ -133,10 +132,7 @@ int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta,
         status = iterate(s, mech, stats);
     }
     if (!status) status = dal__step_settle(mech, s->w, s->x, &stats->worst_residual);
-    if (status) {
-        s->warm = false;
-        return status;
-    }
+    if (status) return status;
     for (size_t i = 0; i < n; i++) s->rate[i] = (s->w[i] - v[i]) / h;
     for (size_t a = 0; a < m; a++) s->lambda[a] = s->kappa[a] / h;
     s->warm = true;

@@ -690,6 +690,137 @@ static void test_too_long(void)
     dal_system_free(system);
 }
 
+/* ---- units ----------------------------------------------------------------------------------
+ * Another system in units of powers of two, of its coordinates and of its constraints. */
+
+typedef struct other_units {
+    const dal_system *base;
+    double of_q[MOST_N], of_phi[MOST_M]; /* q of base = of_q q; phi = of_phi phi of base */
+} other_units;
+
+static void to_base(const other_units *u, const double *x, double *y)
+{
+    for (size_t i = 0; i < u->base->def.n; i++) y[i] = u->of_q[i] * x[i];
+}
+
+static void scale_matrix(const other_units *u, double *A)
+{
+    const size_t n = u->base->def.n;
+    for (size_t k = 0; A && k < n * n; k++) A[k] *= u->of_q[k / n] * u->of_q[k % n];
+}
+
+static int scaled_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                             double *phi_q, void *ctx)
+{
+    const other_units *const u = ctx;
+    const size_t n = u->base->def.n, m = u->base->def.m;
+    double at[MOST_N], along[MOST_N];
+    to_base(u, q, at);
+    to_base(u, v, along);
+    const int returned = plain_constraint(at, along, phi, phi_v, phi_q, (void *)u->base);
+    for (size_t a = 0; phi && a < m; a++) phi[a] *= u->of_phi[a];
+    for (size_t k = 0; k < m * n; k++) {
+        if (phi_v) phi_v[k] *= u->of_phi[k / n] * u->of_q[k % n];
+        if (phi_q) phi_q[k] *= u->of_phi[k / n] * u->of_q[k % n];
+    }
+    return returned;
+}
+
+static int scaled_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const other_units *const u = ctx;
+    double at[MOST_N];
+    to_base(u, q, at);
+    const int returned = base_potential(at, V, V_q, V_qq, (void *)u->base);
+    if (V_q) to_base(u, V_q, V_q);
+    scale_matrix(u, V_qq);
+    return returned;
+}
+
+static int scaled_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
+                             double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    const other_units *const u = ctx;
+    double at[MOST_N], along[MOST_N];
+    to_base(u, q, at);
+    to_base(u, v, along);
+    const int returned = plain_lagrangian(at, along, L, L_q, L_v, L_qq, L_vq, L_vv,
+                                          (void *)u->base);
+    if (L_q) to_base(u, L_q, L_q);
+    if (L_v) to_base(u, L_v, L_v);
+    scale_matrix(u, L_qq);
+    scale_matrix(u, L_vq);
+    scale_matrix(u, L_vv);
+    return returned;
+}
+
+static int scaled_no_force(double t, const double *q, const double *v, double *f, double *f_q,
+                           double *f_v, void *ctx)
+{
+    return no_force(t, q, v, f, f_q, f_v, (void *)((const other_units *)ctx)->base);
+}
+
+static dal_system *open_scaled(const other_units *u, disguise as)
+{
+    const dal_system *const base = u->base;
+    double mass[MOST_N * MOST_N];
+    memcpy(mass, base->mass, base->def.n * base->def.n * sizeof *mass);
+    scale_matrix(u, mass);
+    dal_system_def def = {.n = base->def.n, .m = base->def.m, .ctx = (void *)u,
+                          .constraint = scaled_constraint};
+    if (as == LAGRANGIAN) def.lagrangian = scaled_lagrangian;
+    else def.mass = mass, def.potential = scaled_potential;
+    if (as == FORCED) def.force = scaled_no_force;
+    if (as == AFFINE) def.kind = DAL_AFFINE;
+    dal_system *system = NULL;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "scaled", error.text);
+    return system;
+}
+
+/* Steps do not depend on units, to the last bit. */
+static void test_units(const char *name, int most)
+{
+    dal_system *const base = open_system(name);
+    const size_t n = base->def.n, m = base->def.m;
+    other_units plain = {.base = base}, u = {.base = base};
+    double x0[2 * MOST_N], y0[2 * MOST_N];
+    CHECK(dal_system_state(base, x0) == 0);
+    for (size_t i = 0; i < n; i++) {
+        plain.of_q[i] = 1.0;
+        u.of_q[i] = ldexp(1.0, most * (int)((i + 1) % 3 - 1));
+        y0[i] = x0[i] / u.of_q[i];
+        y0[n + i] = x0[n + i] / u.of_q[i];
+    }
+    for (size_t a = 0; a < m; a++) {
+        plain.of_phi[a] = 1.0;
+        u.of_phi[a] = ldexp(1.0, a % 2 ? most : -most);
+    }
+    static const disguise disguises[] = {LAGRANGIAN, FORCED, AFFINE};
+    for (size_t j = 0; j < 3; j++)
+        for (size_t s = 0; s < SCHEMES; s++) {
+            const dal_scheme scheme = find_scheme(schemes[s]);
+            const bool kept = scheme.nodes == DAL_KEPT_NODES;
+            dal_system *const systems[2] = {open_scaled(&plain, disguises[j]),
+                                            open_scaled(&u, disguises[j])};
+            double end[2][2 * MOST_N], lambda[2][MOST_M];
+            for (int k = 0; k < 2; k++) {
+                dal_stepper *const stepper = open_stepper(systems[k], &scheme, NULL);
+                CHECK(dal_stepper_start(stepper, 0.0, 0.1, k ? y0 : x0, DAL_PROJECT,
+                                        kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE) == 0);
+                CHECK(dal_advance(stepper, 50, lambda[k], NULL) == 0);
+                memcpy(end[k], dal_stepper_state(stepper), 2 * n * sizeof(double));
+                dal_stepper_free(stepper);
+                dal_system_free(systems[k]);
+            }
+            for (size_t i = 0; i < 2 * n; i++) end[1][i] *= u.of_q[i % n];
+            for (size_t a = 0; a < m; a++) lambda[1][a] *= u.of_phi[a];
+            CHECK(memcmp(end[0], end[1], 2 * n * sizeof(double)) == 0);
+            CHECK(memcmp(lambda[0], lambda[1], m * sizeof(double)) == 0);
+        }
+    dal_system_free(base);
+}
+
 /* ---- how many iterations --------------------------------------------------------------------- */
 
 static int weight(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
@@ -1031,6 +1162,9 @@ int main(void)
     test_sabotage();
     test_degenerate();
     test_too_long();
+    test_units("particle_oscillator", 40);
+    test_units("generic4", 40);
+    test_units("disk", 40);
     test_guess();
     test_guess_of_multipliers();
     test_rest();

@@ -368,14 +368,14 @@ static void run(const draw *d, unsigned seed, tally *count)
  * do. */
 static void test_steps(unsigned systems)
 {
-    static const double betas[] = {0.0, 0.5, 1.0, 0.3};
+    static const double betas[2][4] = {{0.0, 0.5, 1.0, 0.999}, {0.0, 0.5, 1.0, 0.3}};
     static const double steps[] = {0.01, -0.1, 0.4, 1.0, 0.01, -0.1, 0.4, 0.4};
     tally count = {0};
     for (unsigned k = 0; k < systems; k++) {
         const draw d = {.potential = k & 1, .steady = k >> 1 & 1, .kept = k >> 2 & 1,
                         .rest = k >> 3 & 1, .units = k >> 4 & 1 ? 2 : 0,
                         .far = k >> 5 & 1 ? 1e4 : 1.0, .general = k >> 10 & 1,
-                        .beta = betas[k >> 6 & 3], .h = steps[k >> 8 & 7]};
+                        .beta = betas[k >> 2 & 1][k >> 6 & 3], .h = steps[k >> 8 & 7]};
         run(&d, k + 1, &count);
     }
     CHECK_NEAR(count.worst, 0.0, 25.0);

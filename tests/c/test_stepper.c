@@ -1002,6 +1002,35 @@ static void test_singular_step(void)
     dal_system_free(system);
 }
 
+/* What the predictions of a stage leave to be evaluated: three times in two stages at best, where
+ * the parabola, or the line, through the stages before serves; more where their times differ so much
+ * that neither does. */
+static void test_predictions(void)
+{
+    static const struct {
+        const char *system, *scheme;
+        double h, most;
+    } cases[] = {{"sleigh", "leapfrog", 0.02, 1.52},          /* 1.62 along lines only */
+                 {"generic4", "leapfrog", 0.02, 1.53},        /* 1.57 where weights end at 5 */
+                 {"snakeboard", "leapfrog-suzuki4", 0.1, 1.67}, /* 1.72 where they end at 30 */
+                 {"sleigh", "leapfrog-suzuki4", 0.02, 1.51},  /* 1.63 without lines */
+                 {"sleigh", "leapfrog-kl8", 0.02, 1.51}};     /* 1.96 by pulls of any span */
+    for (size_t i = 0; i < DAL_LENGTH(cases); i++) {
+        dal_system *const system = open_system(cases[i].system);
+        const dal_scheme scheme = find_scheme(cases[i].scheme);
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        double x[16];
+        dal_stats stats;
+        CHECK(dal_system_state(system, x) == 0);
+        CHECK(dal_stepper_start(stepper, 0.0, cases[i].h, x, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_advance(stepper, 400, NULL, NULL) == 0);
+        dal_stepper_stats(stepper, &stats);
+        CHECK((double)stats.constraint_calls < cases[i].most * (double)stats.substeps);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
 int main(void)
 {
     test_equations();
@@ -1026,5 +1055,6 @@ int main(void)
     test_far_from_the_origin();
     test_statistics();
     test_singular_step();
+    test_predictions();
     return check_done();
 }
