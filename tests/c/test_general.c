@@ -810,6 +810,10 @@ static void test_units(const char *name, int most)
                                         kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE) == 0);
                 CHECK(dal_advance(stepper, 50, lambda[k], NULL) == 0);
                 memcpy(end[k], dal_stepper_state(stepper), 2 * n * sizeof(double));
+                end[k][n] *= 1.1; /* and from there onto D_eps */
+                dal_mechanics *const mech = open_mechanics(systems[k]);
+                CHECK(dal_project(mech, 0.05, end[k], NULL) == 0);
+                dal_mechanics_free(mech);
                 dal_stepper_free(stepper);
                 dal_system_free(systems[k]);
             }
