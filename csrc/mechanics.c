@@ -320,7 +320,7 @@ int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative)
             if (change != 0.0) w[i] -= change; /* a -0.0 that is kept stays one */
         }
         /* A velocity across D, of which each pass leaves its own roundoff, is zero. */
-        if (is_linear(mech) && pass == MOST
+        if (pass == MOST
             && dal_residual_speed(n, mech->per_unit, w) <= DAL_RESIDUAL_BOUND(n) * before)
             memset(w, 0, n * sizeof *w);
         if (is_linear(mech))

@@ -555,13 +555,14 @@ typedef struct saboteur {
     callback where;
     fault what;
     size_t from, calls; /* faults from that call of the callback on */
+    size_t stops;
 } saboteur;
 
 static int sabotage(saboteur *s, callback where, double *output)
 {
     if (s->where != where || s->calls++ < s->from || !output) return 0;
     if (s->what == REFUSES) return 1;
-    if (s->what == STOPS) return -1;
+    if (s->what == STOPS) return s->stops++, -1;
     output[0] = s->what == NOT_FINITE ? INFINITY : NAN;
     return 0;
 }
@@ -614,6 +615,7 @@ static void test_sabotage(void)
                     s.from = from;
                     CHECK(dal_step(stepper, &reaction)
                           == (what == STOPS ? DAL_EUSER : DAL_EDOMAIN));
+                    CHECK(s.stops == (what == STOPS)); /* stop means stop */
                     CHECK(reaction == 7.0 && dal_stepper_time(stepper) == 0.1);
                     CHECK(!memcmp(before, dal_stepper_state(stepper), sizeof before));
                     check_true(strstr(dal_stepper_message(stepper), names[where]) != NULL,
@@ -623,6 +625,43 @@ static void test_sabotage(void)
                     dal_stepper_free(stepper);
                     dal_system_free(system);
                 }
+}
+
+static int late_force(double t, const double *q, const double *v, double *f, double *f_q,
+                      double *f_v, void *ctx)
+{
+    if (!(t >= 2.0)) return 1;
+    return curved_force(t, q, v, f, *(const bool *)ctx ? NULL : f_q, f_v, NULL);
+}
+
+static int forgetful_lagrangian(const double *q, const double *v, double *L, double *L_q,
+                                double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    (void)L_vq;
+    return curved_lagrangian(q, v, L, L_q, L_v, L_qq, NULL, L_vv, ctx);
+}
+
+/* What callbacks never write is found at the start, where the force sees the time of the start. */
+static void test_probes(void)
+{
+    static const char *const words[] = {"", "f_q", "L_vq"};
+    for (int lacking = 0; lacking < 3; lacking++) {
+        bool forgets = lacking == 1;
+        const dal_system_def def = {.n = 3, .m = 1, .force = late_force, .kind = DAL_NONLINEAR,
+                                    .lagrangian = lacking == 2 ? forgetful_lagrangian
+                                                               : curved_lagrangian,
+                                    .constraint = curved_constraint, .ctx = &forgets};
+        const dal_scheme scheme = find_scheme("explicit");
+        dal_system *system = NULL;
+        need(dal_system_new(&system, &def, NULL), "probes", "");
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        const int status = dal_stepper_start(stepper, 2.0, 0.1, curved_start, DAL_PROJECT,
+                                             DAL_INITIAL_NONE);
+        CHECK(status == (lacking ? DAL_EDOMAIN : DAL_SUCCESS));
+        CHECK(strstr(dal_stepper_message(stepper), words[lacking]) != NULL);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
 }
 
 /* L_vv = diag(1, x): singular at x = 0, indefinite beyond. */
@@ -837,11 +876,11 @@ static int weight(double t, const double *q, const double *v, double *f, double 
     return 0;
 }
 
-static size_t iterations_of(const dal_stepper *stepper)
+static dal_stats stats_of(const dal_stepper *stepper)
 {
     dal_stats stats;
     dal_stepper_stats(stepper, &stats);
-    return stats.iterations;
+    return stats;
 }
 
 /* What falls is where it was expected, also where the steps of a scheme differ and go back: one
@@ -851,6 +890,7 @@ static void test_guess(void)
     enum { STEPS = 10, SUBSTEPS = 5 };
     const double mass[1] = {2.0}, x[2] = {0.0, 0.3};
     double g = 9.81;
+    size_t calls = 0;
     const dal_system_def def = {.n = 1, .mass = mass, .force = weight, .ctx = &g};
     const dal_scheme scheme = find_scheme("midpoint-suzuki4");
     dal_system *system = NULL;
@@ -859,7 +899,9 @@ static void test_guess(void)
     for (int start = 0; start < 2; start++) {
         CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
-        CHECK(iterations_of(stepper) == SUBSTEPS * STEPS + 1);
+        CHECK(stats_of(stepper).iterations == SUBSTEPS * STEPS + 1);
+        if (start == 0) calls = stats_of(stepper).force_calls;
+        CHECK(calls > SUBSTEPS * STEPS && stats_of(stepper).force_calls == calls);
         CHECK_NEAR(dal_stepper_state(stepper)[1], x[1] + g / mass[0] * STEPS * 0.1, 1e-13);
         g = -9.81;
     }
@@ -875,7 +917,8 @@ static void test_guess_of_multipliers(void)
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     CHECK(dal_stepper_start(stepper, 0.0, 0.09, curved_start, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
     CHECK(dal_advance(stepper, 100, NULL, NULL) == 0);
-    CHECK(iterations_of(stepper) < 350); /* from kappa = 0 it is 382 */
+    CHECK(stats_of(stepper).iterations < 350); /* from kappa = 0 it is 382 */
+    CHECK(stats_of(stepper).lagrangian_calls > 350);
     dal_stepper_free(stepper);
     dal_system_free(system);
 }
@@ -1164,6 +1207,7 @@ int main(void)
                        | DAL_MISSING_F_V | DAL_MISSING_PHI_Q);
     test_adjoint();
     test_sabotage();
+    test_probes();
     test_degenerate();
     test_too_long();
     test_units("particle_oscillator", 40);

@@ -682,6 +682,13 @@ static void test_across(void)
         CHECK(dal_project(mech, 0.0, x, &distance) == 0);
         CHECK_NEAR(sum_of_sizes(3, x + 3), 0.0, 1e-12 * sqrt(size)); /* C may have a condition */
         CHECK_NEAR(distance, sqrt(size), 1e-12 * sqrt(size));
+        if (r.m == 2) { /* with one component kept at 0, D is 0 */
+            const unsigned char keep[3] = {1, 0, 0};
+            const double v[3] = {0.0, next_number(&seed), next_number(&seed)};
+            memcpy(x + 3, v, sizeof v);
+            CHECK(dal_consistent(mech, keep, x, &distance) == 0);
+            CHECK_NEAR(sum_of_sizes(3, x + 3), 0.0, 1e-12);
+        }
         dal_mechanics_free(mech);
         dal_system_free(system);
     }
