@@ -320,8 +320,8 @@ int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative)
             if (change != 0.0) w[i] -= change; /* a -0.0 that is kept stays one */
         }
         /* A velocity across D, of which each pass leaves its own roundoff, is zero. */
-        if (pass == MOST
-            && dal_residual_speed(n, mech->per_unit, w) <= DAL_RESIDUAL_BOUND(n) * before)
+        const double speed = dal_residual_speed(n, mech->per_unit, w);
+        if (pass == MOST && speed <= DAL_RESIDUAL_BOUND(n) * before)
             memset(w, 0, n * sizeof *w);
         if (is_linear(mech))
             dal__apply(m, n, mech->mu, w, mech->phi);

@@ -510,11 +510,64 @@ static void test_times(void)
     dal_system_free(particle);
 }
 
+/* ---- what Newton's steps say ---------------------------------------------------------------- */
+
+/* After steps of these sizes, of a solution of size 1; before the second the first is halved so many
+ * times. */
+static void test_judge(void)
+{
+    static const struct {
+        double size[9]; /* up to the first 0 */
+        dal__verdict verdict;
+        double extent;
+        bool lagging;
+        int halvings;
+    } cases[] = {
+        /* roundoff at once; or else by the second at the earliest */
+        {{3 * 0x1p-53}, DAL__DONE, 0, false, 0},
+        {{5 * 0x1p-53}, DAL__GOING, 0, false, 0},
+        {{1e-14, 3 * 0x1p-53}, DAL__DONE, 0, false, 0},
+        /* what would follow if they converge quadratically, which lagging ones do not */
+        {{1e-3, 1e-9}, DAL__GOING, 0, false, 0},
+        {{1e-3, 1e-11}, DAL__DONE, 0, false, 0},
+        {{1e-3, 1e-11}, DAL__GOING, 0, true, 0},
+        {{1, 1e-10}, DAL__GOING, 0, false, 20},
+        /* roundoff that does not shrink, which far out is larger */
+        {{1e-3, 5e-12, 5e-12}, DAL__DONE, 0, true, 0},
+        {{1e-3, 1e-10, 1e-10}, DAL__GOING, 0, true, 0},
+        {{1e-3, 1e-9, 1e-9}, DAL__DONE, 1e6, true, 0},
+        {{1e-3, 3e-9, 3e-9}, DAL__GOING, 1e6, true, 0},
+        /* a first step, and what half of it or its first ratio make of a geometric sum */
+        {{1, 2}, DAL__LOST, 0, false, 0},
+        {{1, 0.1, 0.09}, DAL__GOING, 0, false, 0},
+        {{1, 0.4, 0.4, 0.15}, DAL__GOING, 0, false, 0},
+        {{1, 0.4, 0.4, 0.25}, DAL__LOST, 0, false, 0},
+        {{1, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3}, DAL__GOING, 0, false, 0},
+        {{1, 0.4, 0.35, 0.2500019, 5e-7}, DAL__LOST, 0, false, 0},
+        {{1, 0.4, 0.35, 0.2500019, 5e-7}, DAL__GOING, 1e10, false, 0},
+        {{1, 0.4, 0.4, 0.4, 0.39}, DAL__GOING, 0, false, 3},
+        {{INFINITY}, DAL__LOST, 0, false, 0},
+        {{1, NAN}, DAL__LOST, 0, false, 0},
+    };
+    for (size_t i = 0; i < DAL_LENGTH(cases); i++) {
+        dal__progress p = {.scale = 1.0, .extent = cases[i].extent, .lagging = cases[i].lagging};
+        dal__verdict verdict = DAL__GOING;
+        for (p.iteration = 1; cases[i].size[p.iteration - 1] != 0.0; p.iteration++) {
+            check_true(verdict == DAL__GOING, "test_judge", "ended early", (int)i);
+            verdict = dal__newton_judge(&p, cases[i].size[p.iteration - 1]);
+            for (int k = 0; p.iteration == 1 && k < cases[i].halvings; k++)
+                dal__newton_halve(&p);
+        }
+        check_true(verdict == cases[i].verdict, "test_judge", "verdict", (int)i);
+    }
+}
+
 int main(int argc, char **argv)
 {
     test_steps(argc > 1 ? (unsigned)atoi(argv[1]) : 2048); /* or as many as are asked for */
     test_corrections();
     test_branch();
+    test_judge();
     test_consistent();
     test_times();
     return check_done();

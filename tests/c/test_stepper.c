@@ -1059,8 +1059,8 @@ static void test_looks(void)
 }
 
 /* What the predictions of a stage leave to be evaluated: three times in two stages at best, where
- * the parabola, or the line, through the stages before serves; more where their times differ so much
- * that neither does. */
+ * the parabola, or the line, through the stages before serves; more where their times differ so
+ * much that neither does. */
 static void test_predictions(void)
 {
     static const struct {
