@@ -512,8 +512,8 @@ static void test_times(void)
 
 /* ---- what Newton's steps say ---------------------------------------------------------------- */
 
-/* After steps of these sizes, of a solution of size 1; before the second the first is halved so many
- * times. */
+/* After steps of these sizes, of a solution of size 1; before the second the first is halved so
+ * many times. */
 static void test_judge(void)
 {
     static const struct {
