@@ -12,7 +12,8 @@ is a silent error, that is success without a warning and
 
     bound      a stored state where |mu^a v| > 4 n u s^a, or more than stats.worst_residual tells;
     step       a step that is not the solution of the equations of the scheme that is connected with
-               h = 0, by more than 100 u cond (see `Substep.limit`);
+               h = 0, by more than 100 u cond (see `Substep.limit`); nor that to which Newton's
+               changes from v halve at least, where that is another;
     reaction   the same for the multipliers, of the scheme and by the formula;
     order      one-step errors that fall with less than h^(p + 0.8);
     reference  a reference state farther from the solution than ten times the accuracy it claims;
@@ -166,8 +167,11 @@ class Trial:
                 return
             t = mpf(case.t0) + (k - 1) * mpf(case.h)
             step = exact_step(case, t, x)
-            if isinstance(step, Step) and (distance(x1, step.x) > step.x_limit).any():
+            if is_off(step, x1):
                 step = exact_step(case, t, x, 1 / 64)  # were we on the right branch?
+            if is_off(step, x1):  # of several solutions that to which Newton contracts will do
+                near = exact_step(case, t, x, 1.0, 0.5)
+                step = near if isinstance(near, Step) and not is_off(near, x1) else step
             if isinstance(step, str):
                 if step != "ill posed":
                     self.found("step", f"step {k} is success, but {step}")
@@ -300,6 +304,11 @@ class Trial:
 
 
 # ---- the campaign -------------------------------------------------------------------------------
+
+
+def is_off(step: Step | str, x: Any) -> bool:
+    """Return whether a state is not that of the step; not where there is none."""
+    return isinstance(step, Step) and bool((distance(x, step.x) > step.x_limit).any())
 
 
 def distance(x: Any, y: Any) -> Any:
