@@ -599,9 +599,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         for (size_t i = 0; i < n; i++) w[i] += dal_kernel_column(n, m, has.Z, Z, i, d);
         settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
     }
-    double total = -0.0; /* an infinite w makes stored so, unless b = 0 */
+    double total = -0.0; /* with an infinite w stored is infinite too, or NaN where b = 0 */
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) total += linear ? stored[i] + w[i] : stored[i];
+    for (size_t i = 0; i < n; i++) total += stored[i];
     const bool finite = fabs(total) <= DBL_MAX;
 
     /* ---- hand over what is left to k->finish */
@@ -642,7 +642,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         k->force0 = k->force1;
         k->force1 = force;
     }
-    k->forced = ends && solved; /* the full Newton iteration may stop 1e-11 away */
+    if (potential) k->forced = ends && solved; /* the full Newton iteration may stop 1e-11 away */
     return DAL_SUCCESS;
 }
 
@@ -665,21 +665,21 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     double *const x = k->at.x, *const pull = x + 5 * n;
 #endif
     while (made < steps) {
+        const dal_stage *s = k->stage, *const end = s + stages;
         if (DAL_KERNEL_RARE(stages > 1)) DAL_KERNEL_COPY(2 * n, x, k->saved);
-        size_t j = 0;
 #if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
         do
-            status = DAL_KERNEL_STAGE(k, k->stage + j, !DAL_KERNEL_PULLED, x, pull);
-        while (!status && ++j < stages);
+            status = DAL_KERNEL_STAGE(k, s, !DAL_KERNEL_PULLED, x, pull);
+        while (!status && ++s < end);
 #else
         if (k->potential || k->kept) {
             do
-                status = DAL_KERNEL_STAGE(k, k->stage + j, false, x, pull);
-            while (!status && ++j < stages);
+                status = DAL_KERNEL_STAGE(k, s, false, x, pull);
+            while (!status && ++s < end);
         } else {
             do
-                status = DAL_KERNEL_STAGE(k, k->stage + j, true, x, pull);
-            while (!status && ++j < stages);
+                status = DAL_KERNEL_STAGE(k, s, true, x, pull);
+            while (!status && ++s < end);
         }
 #endif
         if (status) break;
