@@ -131,7 +131,6 @@ struct dal_kernel {
     bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
-    double contraction;    /* of the modified Newton iteration over B end, as last measured */
 
     /* From at.x to at.N one block, laid out by dal_kernel_share: the step routine reaches its parts
      * by constant offsets, and callbacks see the same addresses at every call. */
@@ -150,10 +149,8 @@ struct dal_kernel {
 
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
 
-/* What is left of the force equation when its iteration stops, in roundings of v', is at most
- * 1/DAL_KERNEL_SAFETY of what was measured to be left.  It has one sign from step to step and adds
- * up in the energy, so it has to be a small part of a rounding although the contraction may change
- * by some from one stage to the next. */
+/* What is left of the force equation when its iteration stops is at most 1/DAL_KERNEL_SAFETY of a
+ * rounding of v': it has one sign from step to step and adds up in the energy. */
 #define DAL_KERNEL_SAFETY 256.0
 /* Corrections of the modified Newton iteration, which halve at least; then the
  * full one is better. */
@@ -375,18 +372,13 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
     }
 }
 
-/* Looks at a correction of size, where the one before was last.  Returns whether V_q at its q~'
- * need not be evaluated again. */
-DAL_KERNEL_INLINE bool dal_kernel_is_balanced(dal_kernel *k, const dal_stage *s, bool first,
-                                              double size, double last, double noise)
+/* Whether V_q need not be evaluated again after a correction of size, where the one before was
+ * last: corrections shrink by as much again, and the next stage may give V_q more weight. */
+DAL_KERNEL_INLINE bool dal_kernel_is_balanced(const dal_stage *s, bool first, double size,
+                                              double last, double noise)
 {
-    const double bending = fabs(s->after * s->end), lasting = fabs(s->after) * s->reuse;
-    if (!first) /* it goes as h^2 B end V_qq */
-        k->contraction = DAL_KERNEL_SAFETY * (size > noise ? size : noise) / (last * bending);
-    if (size <= noise) return true;
-    if (!(k->contraction * lasting * size <= noise)) return false;
-    if (first) k->contraction *= 2.0; /* measure again some day */
-    return true;
+    if (first || size <= noise) return size <= noise;
+    return DAL_KERNEL_SAFETY * size * (size / last) * s->reuse <= noise * fabs(s->end);
 }
 
 /* The state of the predictor, as after a start. */
@@ -394,7 +386,6 @@ static inline void dal_kernel_forget(dal_kernel *k)
 {
     k->pulled = false;
     k->forced = false;
-    k->contraction = HUGE_VAL;
     for (size_t i = 0; i < 3 * k->n; i++) k->at.pull[i] = 0.0;
 }
 
@@ -571,7 +562,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
                                    * (dal_residual_extent(n, k->per_unit, x + n)
                                       + dal_residual_extent(n, k->per_unit, base)
                                       + dal_residual_extent(n, k->per_unit, w));
-                if (ends) balanced = dal_kernel_is_balanced(k, s, first, size, last, noise);
+                if (ends) balanced = dal_kernel_is_balanced(s, first, size, last, noise);
                 if (!(size <= 0.5 * last || size <= noise)) break;
                 last = size;
             }

@@ -380,22 +380,97 @@ static int spring(const double *q, double *V, double *V_q, double *V_qq, void *c
     return 0;
 }
 
+/* V = -5 q, and a soft wall: 10 q^2/2 more where q > 0. */
+static int wall(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const double in = q[0] > 0.0 ? q[0] : 0.0;
+    (void)ctx;
+    if (V) *V = -5.0 * q[0] + 5.0 * in * in;
+    if (V_q) *V_q = -5.0 + 10.0 * in;
+    if (V_qq) *V_qq = in > 0.0 ? 10.0 : 0.0;
+    return 0;
+}
+
+static dal_stepper *start_in_line(dal_potential_fn V, double *k, double beta, double h,
+                                  const double *x, dal_system **system)
+{
+    static const double mass[1] = {1.0};
+    const dal_system_def def = {.n = 1, .mass = mass, .potential = V, .ctx = k};
+    const dal_scheme scheme = {.name = "line", .beta = beta};
+    need(dal_system_new(system, &def, NULL), "line", "");
+    dal_stepper *const stepper = open_stepper(*system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    return stepper;
+}
+
+/* The largest error of v' - v = -h (beta V_q(q) + (1-beta) V_q(q')) in steps, in roundings of what
+ * stands there. */
+static double worst_balance(dal_potential_fn V, double *k, double beta, double h, double q)
+{
+    enum { STEPS = 1000 };
+    const double start[2] = {q, 0.3};
+    double x[2], worst = 0.0, before, after;
+    dal_system *system = NULL;
+    dal_stepper *const stepper = start_in_line(V, k, beta, h, start, &system);
+    const double *const y = dal_stepper_state(stepper);
+    for (int step = 0; step < STEPS; step++) {
+        memcpy(x, y, sizeof x);
+        CHECK(dal_step(stepper, NULL) == 0);
+        V(x, NULL, &before, NULL, k);
+        V(y, NULL, &after, NULL, k);
+        const real sum = (real)y[1] - x[1] + (real)h * ((real)beta * before
+                                                        + (1.0L - (real)beta) * after);
+        const real size = fabs(y[1]) + fabs(x[1])
+                        + h * (fabs(x[0]) + fabs(y[0]) + fabs(before) + fabs(after));
+        worst = fmax(worst, (double)fabsl(sum / size) / U);
+    }
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+    return worst;
+}
+
+/* Every step is balanced: the first in a wall as those of the free fall before it, and where the
+ * next step gives V_q(q') far more weight than this one. */
+static void test_balance(void)
+{
+    double k = 1.0;
+    for (double h = 0.01; h < 0.5; h *= 1.25) {
+        CHECK_NEAR(worst_balance(wall, NULL, 0.5, h, -10.0), 0.0, 8.0);
+        CHECK_NEAR(worst_balance(spring, &k, 1.0 - 1e-5, h, 1.0), 0.0, 8.0);
+    }
+}
+
+/* Midpoint steps keep the energy of a spring.  What an iteration leaves has one sign: after so many
+ * steps it would stand out from the sum of their roundings. */
+static void test_energy_of_spring(void)
+{
+    enum { STEPS = 200000 };
+    const double steps[] = {0.014784, 0.0338851, 0.104079}, x[2] = {1.0, 0.3};
+    for (size_t j = 0; j < 3; j++) {
+        double k = 1.0;
+        dal_system *system = NULL;
+        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, steps[j], x, &system);
+        CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
+        const double *const y = dal_stepper_state(stepper);
+        const real change = ((real)y[0] * y[0] + (real)y[1] * y[1]) / 1.09L - 1.0L;
+        CHECK_NEAR((double)change / U, 0.0, 20.0 * sqrt((double)STEPS));
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
 /* One midpoint step of a spring: corrections without the Hessian shrink by c = h^2 k/4, and
  * v' (1 + c) = v (1 - c) - h k q.  Ten of them do it, or the full matrix takes over; at once where
  * they do not halve. */
 static void test_corrections(void)
 {
-    const double mass[1] = {1.0}, x[2] = {1.0, 0.5}, contraction[] = {0.004, 0.3, 0.7};
+    const double x[2] = {1.0, 0.5}, contraction[] = {0.004, 0.3, 0.7};
     for (size_t j = 0; j < 3; j++) {
         const double c = contraction[j];
         double k = 4.0 * c;
-        const dal_system_def def = {.n = 1, .mass = mass, .potential = spring, .ctx = &k};
-        const dal_scheme scheme = find_scheme("midpoint");
         dal_system *system = NULL;
         dal_stats stats;
-        need(dal_system_new(&system, &def, NULL), "spring", "");
-        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-        CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x, &system);
         CHECK(dal_step(stepper, NULL) == 0);
         dal_stepper_stats(stepper, &stats);
         CHECK(stats.full_newtons == (j > 0));
@@ -499,6 +574,8 @@ static void test_times(void)
 int main(int argc, char **argv)
 {
     test_steps(argc > 1 ? (unsigned)atoi(argv[1]) : 2048); /* or as many as are asked for */
+    test_balance();
+    test_energy_of_spring();
     test_corrections();
     test_branch();
     test_consistent();
