@@ -39,12 +39,11 @@ static int evaluate(dal_kernel *k, const dal_stage *s)
 }
 
 /* y <- K^-1 (-R1) and Z <- the rows K^-1 mu_node^a, with K = M + h B h end V_qq in k->K; *sign <-
- * that of det K. */
+ * that of det K where it is not 1. */
 static int linearise(dal_kernel *k, const dal_stage *s, int *sign)
 {
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
-    *sign = 1;
     if (!k->potential || s->end == 0.0) { /* K = M */
         for (size_t i = 0; i < n; i++) {
             k->y[i] = at->base[i] - at->w[i];
@@ -74,6 +73,23 @@ static int linearise(dal_kernel *k, const dal_stage *s, int *sign)
     return DAL_SUCCESS;
 }
 
+/* How far the equations move when q~' moves by itself, as a velocity: times u it is what is not
+ * known of w.  V_qq is in k->K. */
+static double turned(const dal_kernel *k, const dal_stage *s)
+{
+    const dal_arrays *const at = &k->at;
+    const size_t n = k->n;
+    double sum = 0.0;
+    for (size_t a = 0; a < k->m; a++) {
+        double turn = 0.0;
+        for (size_t i = 0; i < n; i++) turn += fabs(at->N[a * n + i] * at->point[i]);
+        sum += turn / dal_kernel_form(k, n, DAL_KERNEL_ALL, at->mu, a);
+    }
+    for (size_t l = 0; k->potential && s->end != 0.0 && l < n * n; l++)
+        sum += fabs(k->h * s->end * k->K[l] * at->point[l % n]) * k->unit[l / n];
+    return sum;
+}
+
 /* Newton with the full matrix [[K, -mu_node^T], [mu + B h N, 0]] from w = v, kappa = 0; a step that
  * leaves the domain of a callback is halved.  On success w, kappa, mu, N and point are set. */
 static int solve(dal_kernel *k, const dal_stage *s)
@@ -82,7 +98,7 @@ static int solve(dal_kernel *k, const dal_stage *s)
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
     const double b = s->after * k->h;
-    dal__progress p = {.last = HUGE_VAL, .lagging = true}; /* S is */
+    dal__progress p = {0};
     int halvings = 0;
     if (!(dal_kernel_sum(m * n, at->Z) + dal_kernel_sum(n, at->base) <= DBL_MAX))
         return is_not_finite(k);
@@ -90,14 +106,15 @@ static int solve(dal_kernel *k, const dal_stage *s)
     memcpy(at->w, at->x + n, n * sizeof *at->w);
     memset(at->kappa, 0, m * sizeof *at->kappa);
     for (p.iteration = 1; p.iteration <= k->max_iterations; p.iteration++) {
+        double moves = 0.0;
         int status, sign = 1;
         while ((status = evaluate(k, s)) == DAL_EDOMAIN && p.iteration > 1
                && halvings++ < HALVINGS) {
             dal__newton_halve(&p);
             for (size_t i = 0; i < n; i++) at->w[i] -= at->step[i] *= 0.5;
-            for (size_t a = 0; a < m; a++) at->kappa[a] -= at->d[a] *= 0.5;
             k->stats.halvings++;
         }
+        if (!status) moves = turned(k, s);
         if (!status) status = linearise(k, s, &sign);
         if (status) return status;
         k->stats.iterations++;
@@ -121,7 +138,7 @@ static int solve(dal_kernel *k, const dal_stage *s)
         p.scale = dal_residual_extent(n, k->per_unit, at->w)
                 + dal_residual_extent(n, k->per_unit, at->x + n)
                 + dal_residual_extent(n, k->per_unit, at->base);
-        p.extent = dal_kernel_sum(n, at->point);
+        p.extent = moves / p.scale;
         k->failure.iterations = p.iteration;
         k->failure.size = dal_residual_extent(n, k->per_unit, at->step);
         k->failure.scale = p.scale;
@@ -145,50 +162,38 @@ static int correct(dal_kernel *k)
     enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
-    const double shift = k->kept ? k->shift * k->h : 0.0;
+    const double shift = k->shift * k->h;
     const double before = dal_residual_speed(n, k->per_unit, at->w);
+    double *const worst = &k->stats.worst_residual;
     for (int pass = 1;; pass++) {
-        bool same = pass > 1;
-        for (size_t i = 0; i < n; i++) {
-            const double q = at->stored[i] - shift * at->w[i];
-            same = same && q == at->point[i];
-            at->point[i] = q;
-        }
-        if (!same) {
-            const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, NULL);
-            k->stats.corrections++;
-            if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-            if (!(dal_kernel_sum(m * n, at->mu) <= DBL_MAX)) return is_not_finite(k);
-        }
-        double *const worst = &k->stats.worst_residual;
-        const double limit = DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0);
-        if (dal_kernel_settled(k, n, m, everything, at, limit, worst)) break;
-        if (pass > MOST && k->kept) { /* the rounding of a large node may move mu by more */
-            const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, at->N);
-            if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-            if (dal_kernel_is_roundoff(k, n, m, everything, at)
-                && dal_kernel_settled(k, n, m, everything, at, DBL_MAX, worst))
-                break;
-        }
-        if (pass > MOST) return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
-        for (size_t a = 0; !same && a < m; a++)
+        for (size_t i = 0; i < n; i++) at->point[i] = at->stored[i] - shift * at->w[i];
+        const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu,
+                                                   pass > MOST ? at->N : NULL);
+        k->stats.corrections++;
+        if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+        if (!(dal_kernel_sum(m * n, at->mu) <= DBL_MAX)) return is_not_finite(k);
+        if (dal_kernel_settled(k, n, m, everything, at, DAL_RESIDUAL_BOUND(n) / 2.0, worst))
+            return DAL_SUCCESS;
+        if (pass > MOST) /* the rounding of a large node may move mu by more */
+            return k->kept && dal_kernel_is_roundoff(k, n, m, everything, at)
+                        && dal_kernel_settled(k, n, m, everything, at, DBL_MAX, worst)
+                       ? DAL_SUCCESS
+                       : dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
+        for (size_t a = 0; a < m; a++)
             dal_kernel_accelerate(k, n, everything.inverse, at->mu + a * n, at->Z + a * n);
-        for (size_t a = 0; !same && a < m; a++)
+        for (size_t a = 0; a < m; a++)
             for (size_t c = 0; c < m; c++)
                 at->S[a * m + c] = dal__dot(n, at->mu + a * n, at->Z + c * n);
-        if (!same && !dal__cholesky(m, at->S, at->sizes, NULL, NULL))
+        if (!dal__cholesky(m, at->S, at->sizes, NULL, NULL))
             return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
         dal__cholesky_solve(m, at->S, at->r);
         for (size_t i = 0; i < n; i++)
             at->w[i] += dal_kernel_column(n, m, everything.Z, at->Z, i, at->r);
         /* A velocity across D is zero. */
-        if (pass == MOST
-            && dal_residual_speed(n, k->per_unit, at->w) <= DAL_RESIDUAL_BOUND(n) * before)
+        if (dal_residual_speed(n, k->per_unit, at->w) <= DAL_RESIDUAL_BOUND(n) * before)
             memset(at->w, 0, n * sizeof *at->w);
-        for (size_t i = 0; k->kept && i < n; i++) at->stored[i] = at->point[i] + shift * at->w[i];
+        for (size_t i = 0; i < n; i++) at->stored[i] = at->point[i] + shift * at->w[i];
     }
-    return dal_kernel_sum(n, at->w) + dal_kernel_sum(n, at->stored) <= DBL_MAX ? DAL_SUCCESS
-                                                                               : is_not_finite(k);
 }
 
 int dal__kernel_finish(dal_kernel *k, const dal_stage *s, bool solved)

@@ -87,7 +87,7 @@ static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
     const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
     dal_arrays *const at = &k->at;
     double **const vectors[] = {&k->force0, &k->force1, &at->base, &at->goal, &at->step,
-                                &at->stored, &k->y, &k->R};
+                                &at->seen, &at->stored, &k->y, &k->R};
     double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
     dal__reserve(a, &at->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(2, n), sizeof(double));

@@ -282,6 +282,140 @@ static void test_infinite_energy(void)
     dal_system_free(system);
 }
 
+/* ---- an energy that jumps ------------------------------------------------------------------ */
+
+/* A body of mass 2 in a plane that may not leave y = 0, and V = slope x with a step up where x >
+ * at[0], another where x > at[1].  V_q = push: it knows nothing of these steps, so that the energy
+ * changes by them. */
+typedef struct stairs {
+    double slope, push, at[2], up[2];
+} stairs;
+
+static int on_stairs(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const stairs *const s = ctx;
+    if (V) *V = s->slope * q[0];
+    for (int k = 0; V && k < 2; k++)
+        if (q[0] > s->at[k]) *V += s->up[k];
+    if (V_q) V_q[0] = s->push, V_q[1] = 0.0;
+    if (V_qq) memset(V_qq, 0, 4 * sizeof *V_qq);
+    return 0;
+}
+
+static int lagrangian_on_stairs(const double *q, const double *v, double *L, double *L_q,
+                                double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    double V, V_q[2];
+    on_stairs(q, &V, V_q, L_qq, ctx);
+    if (L) *L = v[0] * v[0] + v[1] * v[1] - V;
+    for (size_t i = 0; i < 2; i++) {
+        if (L_q) L_q[i] = -V_q[i];
+        if (L_v) L_v[i] = 2.0 * v[i];
+    }
+    if (L_vq) memset(L_vq, 0, 4 * sizeof *L_vq);
+    if (L_vv) L_vv[0] = L_vv[3] = 2.0, L_vv[1] = L_vv[2] = 0.0;
+    return 0;
+}
+
+static int in_line(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                   void *ctx)
+{
+    (void)q, (void)ctx;
+    if (phi) phi[0] = v[1];
+    if (phi_v) phi_v[0] = 0.0, phi_v[1] = 1.0;
+    if (phi_q) phi_q[0] = phi_q[1] = 0.0;
+    return 0;
+}
+
+static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
+                    void *ctx)
+{
+    (void)t, (void)q, (void)v, (void)ctx;
+    if (f) memset(f, 0, 2 * sizeof *f);
+    if (f_q) memset(f_q, 0, 4 * sizeof *f_q);
+    if (f_v) memset(f_v, 0, 4 * sizeof *f_v);
+    return 0;
+}
+
+enum { JUMP_H = 8, GENERAL = 1, FORCED = 2, AFFINE = 4 }; /* h = 1/8 */
+
+/* The statistics after so many steps from x = 0 with speed v. */
+static dal_stats climb(stairs s, const char *name, int flags, double v, size_t steps)
+{
+    static const double mass[4] = {2.0, 0.0, 0.0, 2.0};
+    const dal_system_def def = {
+        .n = 2, .m = 1, .constraint = in_line, .ctx = &s,
+        .mass = flags & GENERAL ? NULL : mass, .potential = flags & GENERAL ? NULL : on_stairs,
+        .lagrangian = flags & GENERAL ? lagrangian_on_stairs : NULL,
+        .force = flags & FORCED ? no_force : NULL,
+        .kind = flags & AFFINE ? DAL_AFFINE : DAL_LINEAR};
+    dal_scheme scheme = find_scheme(name);
+    const double x[4] = {0.0, 0.0, v, 0.0};
+    dal_system *system = NULL;
+    dal_error error = {0};
+    if (scheme.nodes == DAL_KEPT_NODES) scheme.order = 0; /* a record of the user's own */
+    need(dal_system_new(&system, &def, &error), "stairs", error.text);
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stats stats, last;
+    need(dal_stepper_start(stepper, 0.0, 1.0 / JUMP_H, x, DAL_CHECK,
+                           scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE),
+         name, dal_stepper_message(stepper));
+    CHECK(dal_advance(stepper, steps, NULL, NULL) == 0);
+    dal_stepper_stats(stepper, &stats);
+    CHECK(dal_integrate(stepper, 0, 1, NULL, NULL, NULL, NULL, NULL) == 0);
+    dal_stepper_stats(stepper, &last); /* a look is not counted */
+    CHECK(last.potential_calls == stats.potential_calls);
+    CHECK(last.lagrangian_calls == stats.lagrangian_calls);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+    return last;
+}
+
+/* A jump is a change by more than half of the largest kinetic energy so far, up or down, and the
+ * first is told; it is looked for in every 64th step, where x = 8, 16, ..., and at the end. */
+static void test_jumps(void)
+{
+    static const struct {
+        stairs s;
+        double v;
+        size_t steps, step;
+        double jump, kinetic;
+    } cases[] = {
+        {{.at = {1, 1}, .up = {0.49}}, 1, 300, 0, 0, 1},
+        {{.at = {1, 1}, .up = {0.51}}, 1, 300, 64, 0.51, 1},
+        {{.at = {1, 1}, .up = {-0.49}}, 1, 300, 0, 0, 1},
+        {{.at = {1, 1}, .up = {-0.51}}, 1, 300, 64, -0.51, 1},
+        {{.at = {1, 1}, .up = {0.51}}, 1, 40, 40, 0.51, 1},
+        {{.at = {10, 17}, .up = {0.6, 0.9}}, 1, 300, 128, 0.6, 1},
+        /* thrown up, at rest in step 64; and falling from rest, with v = 2 in step 128 */
+        {{.slope = 0.25, .push = 0.25, .at = {3.9, 9}, .up = {0.3}}, 1, 64, 0, 0, 1},
+        {{.slope = -0.25, .push = -0.25, .at = {3.9, 9}, .up = {0.3}}, 0, 128, 0, 0, 4},
+        /* the energy is infinite in the end, as the kinetic energy is; and from the start on */
+        {{.push = -1e200, .at = {1, 1}}, 1, 5, 5, INFINITY, INFINITY},
+        {{.at = {1, 1}}, 1e200, 100, 0, 0, INFINITY},
+    };
+    for (size_t j = 0; j < sizeof cases / sizeof *cases; j++)
+        for (int flags = 0; flags <= GENERAL; flags++) {
+            if (j >= 8 && flags) continue; /* an infinite L is refused */
+            const dal_stats stats = climb(cases[j].s, "midpoint", flags, cases[j].v,
+                                          cases[j].steps);
+            CHECK(stats.jump_step == cases[j].step);
+            CHECK_NEAR(stats.jump, cases[j].jump, 32 * U);
+            CHECK_NEAR(stats.largest_kinetic, cases[j].kinetic, 32 * U);
+        }
+    /* nothing is told where work is done, or a scheme of order 1 has its own error */
+    const stairs high = {.at = {1, 1}, .up = {5.0}};
+    CHECK(climb(high, "leapfrog", 0, 1.0, 300).jump_step == 64);
+    CHECK(climb(high, "explicit", 0, 1.0, 300).jump_step == 0);
+    CHECK(climb(high, "midpoint", FORCED, 1.0, 300).jump_step == 0);
+    CHECK(climb(high, "midpoint", AFFINE, 1.0, 300).jump_step == 0);
+    /* kept nodes are half a step ahead of q~: at the start, and in step 64 */
+    const stairs ahead = {.at = {8 + 0.25 / JUMP_H, 9}, .up = {5.0}};
+    CHECK(climb(ahead, "midpoint-nodes", 0, 1.0, 64).jump_step == 0);
+    const stairs behind = {.at = {0.25 / JUMP_H, 9}, .up = {5.0}};
+    CHECK(climb(behind, "midpoint-nodes", 0, 1.0, 64).jump_step == 64);
+}
+
 int main(void)
 {
     for (size_t stride = 1; stride <= STEPS; stride++)
@@ -298,5 +432,6 @@ int main(void)
     test_arguments();
     test_failure();
     test_infinite_energy();
+    test_jumps();
     return check_done();
 }
