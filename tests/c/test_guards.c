@@ -670,6 +670,60 @@ static void test_branch(void)
     dal_system_free(particle);
 }
 
+/* ---- S = 0 but for rounding ---------------------------------------------------------------- */
+
+/* v_x = c x v_y and, if there is a second, v_z = 0; c is the ctx. */
+static int growth(size_t m, const double *q, const double *v, double *phi, double *mu, double *N,
+                  double c)
+{
+    const double forms[6] = {1.0, -c * q[0], 0.0, 0.0, 0.0, 1.0}, slope[6] = {-c * v[1]};
+    if (phi) phi[0] = v[0] - c * q[0] * v[1];
+    if (phi && m == 2) phi[1] = v[2];
+    if (mu) memcpy(mu, forms, 3 * m * sizeof *mu);
+    if (N) memcpy(N, slope, 3 * m * sizeof *N);
+    return 0;
+}
+
+static int growth_1(const double *q, const double *v, double *phi, double *mu, double *N, void *ctx)
+{
+    return growth(1, q, v, phi, mu, N, *(const double *)ctx);
+}
+
+static int growth_2(const double *q, const double *v, double *phi, double *mu, double *N, void *ctx)
+{
+    return growth(2, q, v, phi, mu, N, *(const double *)ctx);
+}
+
+/* An endpoint step from x = 2^-60 with v_y = v, which makes x' = x/(1 - h c v). */
+static int grow(size_t m, double c, double h, double v)
+{
+    static const double mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    const double x[6] = {ldexp(1.0, -60), 0.0, 0.0, c * ldexp(1.0, -60) * v, v, 0.0};
+    const dal_system_def def = {.n = 3, .m = m, .mass = mass, .ctx = &c,
+                                .constraint = m == 1 ? growth_1 : growth_2};
+    const dal_scheme scheme = find_scheme("endpoint");
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "growth", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    const int status = dal_step(stepper, NULL);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+    return status;
+}
+
+/* Where 1 - h c v is a rounding no x' is right; where it is huge nothing is wrong. */
+static void test_lost_difference(void)
+{
+    unsigned seed = 3;
+    for (int trial = 0; trial < 200; trial++) {
+        const size_t m = 1 + (size_t)trial % 2;
+        const double c = 2.0 + next_number(&seed), h = 2.0 + next_number(&seed);
+        CHECK(grow(m, c, h, (1.0 + (trial % 8 - 4) * U) / (h * c)) == DAL_ESINGULAR);
+        CHECK(grow(m, c, h, -1e16 / (h * c)) == 0);
+    }
+}
+
 /* ---- initial data, and the time of a row --------------------------------------------------- */
 
 /* The particle, mu = (-y, 0, 1): 1e-8 of the terms is meant to be D, or roundoff of the speed. */
@@ -734,6 +788,7 @@ int main(int argc, char **argv)
     test_energy_of_spring();
     test_corrections();
     test_branch();
+    test_lost_difference();
     test_consistent();
     test_times();
     return check_done();
