@@ -213,10 +213,11 @@ static bool solve(const drawn *s, const draw *d, real h, step *t)
 {
     const size_t n = s->n, m = s->m, N = n + m;
     const real beta = d->beta;
-    real muk[MOST_M * MOST_N], mu[MOST_M * MOST_N], slope[MOST_M * MOST_N], unused[MOST_N * MOST_N];
-    real start[MOST_N] = {0}, end[MOST_N] = {0}, hessian[MOST_N * MOST_N] = {0}, J[MOST * MOST];
+    real muk[MOST_M * MOST_N], mu[MOST_M * MOST_N], slope[MOST_M * MOST_N], J[MOST * MOST];
+    real start[MOST_N] = {0}, end[MOST_N] = {0};
+    real before[MOST_N * MOST_N] = {0}, hessian[MOST_N * MOST_N] = {0};
     real R[MOST], size[MOST], extent[MOST_N], speed = 0.0L; /* |w| and |v| of residual.h */
-    if (d->potential) gradient_at(s, t->q, start, unused);
+    if (d->potential) gradient_at(s, t->q, start, before);
     for (size_t i = 0; i < n; i++) t->node[i] = t->q[i] + (1.0L - beta) * h * t->v[i];
     forms_at(s, t->node, t->v, muk, NULL);
     for (int iteration = 0; iteration < 40; iteration++) {
@@ -236,8 +237,8 @@ static bool solve(const drawn *s, const draw *d, real h, step *t)
             for (size_t j = 0; j < n; j++) {
                 const real M = s->mass[i * n + j], V = h * (1.0L - beta) * hessian[i * n + j];
                 R[i] += M * (t->w[j] - t->v[j]);
-                size[i] += fabsl(M) * speed / sqrtl(s->mass[j * n + j])
-                         + fabsl(V) * extent[j];
+                size[i] += fabsl(M) * speed / sqrtl(s->mass[j * n + j]) + fabsl(V) * extent[j];
+                if (d->kept) size[i] += fabsl(h * beta * before[i * n + j] * t->q[j]); /* as q~' */
                 J[i * N + j] = M + V * beta * h;
             }
             for (size_t a = 0; a < m; a++) {
@@ -400,11 +401,11 @@ static void run(const draw *d, unsigned seed, tally *count)
 
 static draw nth_draw(unsigned k)
 {
-    static const double betas[2][4] = {{0.0, 0.5, 1.0, 0.999}, {0.0, 0.5, 1.0, 0.3}};
+    static const double betas[2][4] = {{0.0, 0.5, 1.0, 0.3}, {0.0, 0.5, 1.0, 0.999}};
     static const double steps[] = {0.01, -0.1, 0.4, 1.0};
     return (draw){.potential = k & 1, .steady = k >> 1 & 1, .kept = k >> 2 & 1,
                   .rest = k >> 3 & 1, .units = k >> 4 & 1 ? 2 : 0, .far = k >> 5 & 1 ? 1e4 : 1.0,
-                  .fast = 1.0, .wave = 0.5, .beta = betas[k >> 2 & 1][k >> 6 & 3],
+                  .fast = 1.0, .wave = 0.5, .beta = betas[k >> 3 & 1][k >> 6 & 3],
                   .h = steps[k >> 8 & 3], .steps = 5, .general = k >> 10 & 1};
 }
 
@@ -687,6 +688,60 @@ static void test_branch(void)
     dal_system_free(particle);
 }
 
+/* ---- S = 0 but for rounding ---------------------------------------------------------------- */
+
+/* v_x = c x v_y and, if there is a second, v_z = 0; c is the ctx. */
+static int growth(size_t m, const double *q, const double *v, double *phi, double *mu, double *N,
+                  double c)
+{
+    const double forms[6] = {1.0, -c * q[0], 0.0, 0.0, 0.0, 1.0}, slope[6] = {-c * v[1]};
+    if (phi) phi[0] = v[0] - c * q[0] * v[1];
+    if (phi && m == 2) phi[1] = v[2];
+    if (mu) memcpy(mu, forms, 3 * m * sizeof *mu);
+    if (N) memcpy(N, slope, 3 * m * sizeof *N);
+    return 0;
+}
+
+static int growth_1(const double *q, const double *v, double *phi, double *mu, double *N, void *ctx)
+{
+    return growth(1, q, v, phi, mu, N, *(const double *)ctx);
+}
+
+static int growth_2(const double *q, const double *v, double *phi, double *mu, double *N, void *ctx)
+{
+    return growth(2, q, v, phi, mu, N, *(const double *)ctx);
+}
+
+/* An endpoint step from x = 2^-60 with v_y = v, which makes x' = x/(1 - h c v). */
+static int grow(size_t m, double c, double h, double v)
+{
+    static const double mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    const double x[6] = {ldexp(1.0, -60), 0.0, 0.0, c * ldexp(1.0, -60) * v, v, 0.0};
+    const dal_system_def def = {.n = 3, .m = m, .mass = mass, .ctx = &c,
+                                .constraint = m == 1 ? growth_1 : growth_2};
+    const dal_scheme scheme = find_scheme("endpoint");
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "growth", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    const int status = dal_step(stepper, NULL);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+    return status;
+}
+
+/* Where 1 - h c v is a rounding no x' is right; where it is huge nothing is wrong. */
+static void test_lost_difference(void)
+{
+    unsigned seed = 3;
+    for (int trial = 0; trial < 200; trial++) {
+        const size_t m = 1 + (size_t)trial % 2;
+        const double c = 2.0 + next_number(&seed), h = 2.0 + next_number(&seed);
+        CHECK(grow(m, c, h, (1.0 + (trial % 8 - 4) * U) / (h * c)) == DAL_ESINGULAR);
+        CHECK(grow(m, c, h, -1e16 / (h * c)) == 0);
+    }
+}
+
 /* ---- initial data, and the time of a row --------------------------------------------------- */
 
 /* The particle, mu = (-y, 0, 1): 1e-8 of the terms is meant to be D, or roundoff of the speed. */
@@ -804,6 +859,7 @@ int main(int argc, char **argv)
     test_corrections();
     test_branch();
     test_judge();
+    test_lost_difference();
     test_consistent();
     test_times();
     return check_done();
