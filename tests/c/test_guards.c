@@ -453,6 +453,21 @@ static void test_large_steps(void)
     CHECK(count.refused <= 5);
 }
 
+/* The steps of newton.c; and where next to all of V acts at the start of the step after. */
+static void test_other_steps(void)
+{
+    tally count = {0};
+    for (unsigned k = 0; k < 2048; k++) {
+        draw d = nth_draw(k % 1024);
+        d.h = fmin(d.h, 0.4); /* beyond it other solutions come into reach */
+        d.general = k < 1024;
+        if (!d.general) d.kept = false, d.beta = 0.999;
+        run(&d, k + 1, &count);
+    }
+    CHECK_NEAR(count.worst, 0.0, 25.0);
+    CHECK(count.above == 0 && count.untold == 0 && count.refused <= 5);
+}
+
 /* So far out that a rounding of q moves the forms by more than 1e-11, in any units: a step ends
  * where no better one is to be had. */
 static void test_far(void)
@@ -742,6 +757,37 @@ static void test_lost_difference(void)
     }
 }
 
+static int no_push_on_one(double t, const double *q, const double *v, double *f, double *f_q,
+                          double *f_v, void *ctx)
+{
+    (void)t, (void)q, (void)v, (void)ctx;
+    if (f) *f = 0.0;
+    if (f_q) *f_q = 0.0;
+    if (f_v) *f_v = 0.0;
+    return 0;
+}
+
+/* A midpoint step from the top of a hill, V = -4 c q^2/2: K = 1 - c passes through 0. */
+static void test_hill(void)
+{
+    const double mass[1] = {1.0}, x[2] = {0.1, 0.5}, c[2] = {0.5, 2.0};
+    const dal_scheme scheme = find_scheme("midpoint");
+    for (int j = 0; j < 4; j++) {
+        const bool beyond = j % 2 == 1;
+        double k = -4.0 * c[j % 2];
+        const dal_system_def def = {.n = 1, .mass = mass, .potential = spring, .ctx = &k,
+                                    .force = j < 2 ? NULL : no_push_on_one};
+        dal_system *system = NULL;
+        need(dal_system_new(&system, &def, NULL), "hill", "");
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_step(stepper, NULL) == (beyond ? DAL_ENOCONV : DAL_SUCCESS));
+        CHECK(!beyond || strstr(dal_stepper_message(stepper), DAL__BRANCH_TEXT) != NULL);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
 /* ---- initial data, and the time of a row --------------------------------------------------- */
 
 /* The particle, mu = (-y, 0, 1): 1e-8 of the terms is meant to be D, or roundoff of the speed. */
@@ -851,6 +897,7 @@ int main(int argc, char **argv)
 {
     test_steps(argc > 1 ? (unsigned)atoi(argv[1]) : 2048); /* or as many as are asked for */
     test_large_steps();
+    test_other_steps();
     test_far();
     test_lost_nodes();
     test_units(1024);
@@ -858,6 +905,7 @@ int main(int argc, char **argv)
     test_energy_of_spring();
     test_corrections();
     test_branch();
+    test_hill();
     test_judge();
     test_lost_difference();
     test_consistent();
