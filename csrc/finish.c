@@ -145,8 +145,9 @@ static int solve(dal_kernel *k, const dal_stage *s)
         const dal__verdict verdict = dal__newton_judge(&p, k->failure.size);
         k->failure.first = p.first;
         k->failure.travelled = p.travelled;
-        if (verdict == DAL__DONE)
-            return sign > 0 ? DAL_SUCCESS : dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_BRANCH);
+        if (sign < 0 && verdict != DAL__LOST)
+            return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_BRANCH);
+        if (verdict == DAL__DONE) return DAL_SUCCESS;
         if (!(p.size <= DBL_MAX)) break;
         if (verdict == DAL__LOST) return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_ROOT);
     }

@@ -260,12 +260,11 @@ DAL_KERNEL_INLINE double dal_kernel_form(const dal_kernel *k, size_t n, unsigned
     return sum;
 }
 
-/* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu + b N in the metric, its
+/* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu and b N in the metric, its
  * columns those of mu_node; or, where there is one entry, both together that of its terms. */
 DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                         double b, const dal_arrays *at)
 {
-    double terms = -0.0;
     for (size_t a = 0; a < m; a++) {
         double size = -0.0;
         for (size_t c = 0; c < m; c++) at->S[a * m + c] = -0.0;
@@ -273,15 +272,14 @@ DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m,
             const bool turns = DAL_KERNEL_HAS(has.N, a * n + i);
             if (!turns && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
             const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
-            if (m > 1) size += (turns ? fabs(mu) + fabs(row) : fabs(mu)) * k->unit[i];
-            for (size_t c = 0; c < m; c++) {
-                if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
-                const double term = row * at->Z[c * n + i];
-                at->S[a * m + c] += term;
-                terms += fabs(term);
-            }
+            const double entry = turns ? fabs(mu) + fabs(row) : fabs(mu);
+            if (m > 1) size += entry * k->unit[i];
+            else if (DAL_KERNEL_HAS(has.Z, i)) size += entry * fabs(at->Z[i]);
+            for (size_t c = 0; c < m; c++)
+                if (DAL_KERNEL_HAS(has.Z, c * n + i))
+                    at->S[a * m + c] += row * at->Z[c * n + i];
         }
-        at->sizes[a] = m > 1 ? size : terms;
+        at->sizes[a] = size;
         at->sizes[m + a] = m > 1 ? dal_kernel_form(k, n, has.mu, at->mu_node, a) : 1.0;
     }
     return dal_lu_factor(m, at->S, at->sizes, at->row);

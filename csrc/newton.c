@@ -97,9 +97,9 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
         p.extent = dal__sum_of_sizes(n, mech->q);
         const dal__verdict verdict =
             dal__newton_judge(&p, dal_residual_extent(n, mech->per_unit, s->step));
-        if (verdict == DAL__DONE)
-            return sign > 0 ? DAL_SUCCESS
-                            : dal__fail(&mech->error, DAL_ENOCONV, DAL__BRANCH_TEXT);
+        if (sign < 0 && verdict != DAL__LOST)
+            return dal__fail(&mech->error, DAL_ENOCONV, DAL__BRANCH_TEXT);
+        if (verdict == DAL__DONE) return DAL_SUCCESS;
         if (verdict == DAL__LOST) break;
     }
     if (p.size <= DBL_MAX && p.iteration <= s->max_iterations)

@@ -966,7 +966,7 @@ static void test_divergence(size_t solver)
         CHECK(dal__all_finite(14, dal_stepper_state(stepper)));
     }
     CHECK(status == DAL_ENOCONV);
-    CHECK(has_number(strstr(dal_stepper_message(stepper), "converge")));
+    CHECK(strstr(dal_stepper_message(stepper), "converge") != NULL);
     CHECK(memcmp(before, dal_stepper_state(stepper), sizeof before) == 0);
     CHECK(reaction == UNTOUCHED);
     /* a sensible step goes on from there */

@@ -213,10 +213,11 @@ static bool solve(const drawn *s, const draw *d, real h, step *t)
 {
     const size_t n = s->n, m = s->m, N = n + m;
     const real beta = d->beta;
-    real muk[MOST_M * MOST_N], mu[MOST_M * MOST_N], slope[MOST_M * MOST_N], unused[MOST_N * MOST_N];
-    real start[MOST_N] = {0}, end[MOST_N] = {0}, hessian[MOST_N * MOST_N] = {0}, J[MOST * MOST];
+    real muk[MOST_M * MOST_N], mu[MOST_M * MOST_N], slope[MOST_M * MOST_N], J[MOST * MOST];
+    real start[MOST_N] = {0}, end[MOST_N] = {0};
+    real before[MOST_N * MOST_N] = {0}, hessian[MOST_N * MOST_N] = {0};
     real R[MOST], size[MOST], extent[MOST_N], speed = 0.0L; /* |w| and |v| of residual.h */
-    if (d->potential) gradient_at(s, t->q, start, unused);
+    if (d->potential) gradient_at(s, t->q, start, before);
     for (size_t i = 0; i < n; i++) t->node[i] = t->q[i] + (1.0L - beta) * h * t->v[i];
     forms_at(s, t->node, t->v, muk, NULL);
     for (int iteration = 0; iteration < 40; iteration++) {
@@ -236,8 +237,8 @@ static bool solve(const drawn *s, const draw *d, real h, step *t)
             for (size_t j = 0; j < n; j++) {
                 const real M = s->mass[i * n + j], V = h * (1.0L - beta) * hessian[i * n + j];
                 R[i] += M * (t->w[j] - t->v[j]);
-                size[i] += fabsl(M) * speed / sqrtl(s->mass[j * n + j])
-                         + fabsl(V) * extent[j];
+                size[i] += fabsl(M) * speed / sqrtl(s->mass[j * n + j]) + fabsl(V) * extent[j];
+                if (d->kept) size[i] += fabsl(h * beta * before[i * n + j] * t->q[j]); /* as q~' */
                 J[i * N + j] = M + V * beta * h;
             }
             for (size_t a = 0; a < m; a++) {
@@ -400,33 +401,37 @@ static void run(const draw *d, unsigned seed, tally *count)
 
 static draw nth_draw(unsigned k)
 {
-    static const double betas[] = {0.0, 0.5, 1.0, 0.3}, steps[] = {0.01, -0.1, 0.4, 1.0};
+    static const double betas[2][4] = {{0.0, 0.5, 1.0, 0.3}, {0.0, 0.5, 1.0, 0.999}};
+    static const double steps[] = {0.01, -0.1, 0.4, 1.0};
     return (draw){.potential = k & 1, .steady = k >> 1 & 1, .kept = k >> 2 & 1,
                   .rest = k >> 3 & 1, .units = k >> 4 & 1 ? 2 : 0, .far = k >> 5 & 1 ? 1e4 : 1.0,
-                  .fast = 1.0, .wave = 0.5, .beta = betas[k >> 6 & 3], .h = steps[k >> 8 & 3],
-                  .steps = 5};
+                  .fast = 1.0, .wave = 0.5, .beta = betas[k >> 3 & 1][k >> 6 & 3],
+                  .h = steps[k >> 8 & 3], .steps = 5, .general = k >> 10 & 1};
 }
 
 /* Every step that is a success is the solution that belongs to small h, within what rounding may
- * do; what is stored lies in D; and this costs no more than it has to, with V and without. */
+ * do; what is stored lies in D; and this costs no more than it has to, without V, with V, and in
+ * systems that the step routine is not for. */
 static void test_steps(unsigned systems)
 {
-    static const double most[2][4] = {{2.20, 0.0, 0.003, 0.092}, {3.87, 6.12, 0.172, 0.248}};
-    for (unsigned with = 0; with < 2; with++) {
-        tally count = {0};
-        const dal_stats *const sum = &count.sum;
-        for (unsigned k = with; k < systems; k += 2) {
-            const draw d = nth_draw(k);
-            run(&d, k + 1, &count);
-        }
+    static const double most[3][4] = {{1.58, 0.0, 0.0, 0.086}, {2.33, 5.36, 0.121, 0.156},
+                                      {3.62, 1.63, 0.002, 0.0}};
+    tally counts[3] = {{0}};
+    for (unsigned k = 0; k < systems; k++) {
+        const draw d = nth_draw(k);
+        run(&d, k + 1, &counts[d.general ? 2 : d.potential]);
+    }
+    for (size_t kind = 0; kind < 3; kind++) {
+        const tally *const count = &counts[kind];
+        const dal_stats *const sum = &count->sum;
         const double steps = (double)sum->steps;
-        CHECK_NEAR(count.worst, 0.0, 25.0);
-        CHECK(2 * count.judged > 3 * systems && 100 * count.refused <= systems);
-        CHECK(count.above == 0 && count.untold == 0);
-        CHECK((double)sum->constraint_calls <= most[with][0] * steps);
-        CHECK((double)sum->potential_calls <= most[with][1] * steps);
-        CHECK((double)sum->full_newtons <= most[with][2] * steps);
-        CHECK((double)sum->corrections <= most[with][3] * steps);
+        CHECK_NEAR(count->worst, 0.0, 25.0);
+        CHECK(5 * count->judged > 4 * sum->steps && 50 * count->refused <= systems);
+        CHECK(count->above == 0 && count->untold == 0);
+        CHECK((double)sum->constraint_calls <= most[kind][0] * steps);
+        CHECK((double)sum->potential_calls <= most[kind][1] * steps);
+        CHECK((double)sum->full_newtons <= most[kind][2] * steps);
+        CHECK((double)sum->corrections <= most[kind][3] * steps);
     }
 }
 
@@ -698,6 +703,60 @@ static void test_branch(void)
     dal_system_free(particle);
 }
 
+/* ---- S = 0 but for rounding ---------------------------------------------------------------- */
+
+/* v_x = c x v_y and, if there is a second, v_z = 0; c is the ctx. */
+static int growth(size_t m, const double *q, const double *v, double *phi, double *mu, double *N,
+                  double c)
+{
+    const double forms[6] = {1.0, -c * q[0], 0.0, 0.0, 0.0, 1.0}, slope[6] = {-c * v[1]};
+    if (phi) phi[0] = v[0] - c * q[0] * v[1];
+    if (phi && m == 2) phi[1] = v[2];
+    if (mu) memcpy(mu, forms, 3 * m * sizeof *mu);
+    if (N) memcpy(N, slope, 3 * m * sizeof *N);
+    return 0;
+}
+
+static int growth_1(const double *q, const double *v, double *phi, double *mu, double *N, void *ctx)
+{
+    return growth(1, q, v, phi, mu, N, *(const double *)ctx);
+}
+
+static int growth_2(const double *q, const double *v, double *phi, double *mu, double *N, void *ctx)
+{
+    return growth(2, q, v, phi, mu, N, *(const double *)ctx);
+}
+
+/* An endpoint step from x = 2^-60 with v_y = v, which makes x' = x/(1 - h c v). */
+static int grow(size_t m, double c, double h, double v)
+{
+    static const double mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    const double x[6] = {ldexp(1.0, -60), 0.0, 0.0, c * ldexp(1.0, -60) * v, v, 0.0};
+    const dal_system_def def = {.n = 3, .m = m, .mass = mass, .ctx = &c,
+                                .constraint = m == 1 ? growth_1 : growth_2};
+    const dal_scheme scheme = find_scheme("endpoint");
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "growth", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    const int status = dal_step(stepper, NULL);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+    return status;
+}
+
+/* Where 1 - h c v is a rounding no x' is right; where it is huge nothing is wrong. */
+static void test_lost_difference(void)
+{
+    unsigned seed = 3;
+    for (int trial = 0; trial < 200; trial++) {
+        const size_t m = 1 + (size_t)trial % 2;
+        const double c = 2.0 + next_number(&seed), h = 2.0 + next_number(&seed);
+        CHECK(grow(m, c, h, (1.0 + (trial % 8 - 4) * U) / (h * c)) == DAL_ESINGULAR);
+        CHECK(grow(m, c, h, -1e16 / (h * c)) == 0);
+    }
+}
+
 static int no_push_on_one(double t, const double *q, const double *v, double *f, double *f_q,
                           double *f_v, void *ctx)
 {
@@ -848,6 +907,7 @@ int main(int argc, char **argv)
     test_branch();
     test_hill();
     test_judge();
+    test_lost_difference();
     test_consistent();
     test_times();
     return check_done();
