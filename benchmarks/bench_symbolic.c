@@ -85,7 +85,7 @@ int main(int count, char **words)
     bool kept = true;
     if (atoi(words[1]) == BENCH_PARTICLE) {
         bench_report("closed-form loop by hand", 1e9 * loop, "ns");
-        kept &= bench_at_most("step / closed-form loop by hand", fast / loop, 1.75);
+        kept &= bench_at_most("step / closed-form loop by hand", fast / loop, 1.6);
     }
     kept &= bench_at_most("step / step of the library", fast / slow, 1.2);
     kept &= bench_at_most("callback / callback by hand", ours / theirs, 1.15);

@@ -70,15 +70,23 @@ static bool is_time_of(const rows *r, size_t k, double t)
     return fabs(t - time_of(r, k)) <= 4.0 * DAL_ROUNDOFF * size;
 }
 
+static int require_row(dal_chart *chart, const rows *r, size_t k)
+{
+    const double *const row = r->x + k * 2 * chart->n;
+    for (size_t i = 0; i < 2 * chart->n; i++)
+        if (!isfinite(row[i]))
+            return dal__fail(&chart->mech.error, DAL_EINVAL, "x[%zu] = %g is not finite in row %zu",
+                             i, row[i], k);
+    return DAL_SUCCESS;
+}
+
 /* end[3n] <- (q - shift v, v, vdot) of row k. */
 static int load_end(dal_chart *chart, const rows *r, size_t k, double *end)
 {
     const size_t n = chart->n;
     const double *const row = r->x + k * 2 * n;
-    for (size_t i = 0; i < 2 * n; i++)
-        if (!isfinite(row[i]))
-            return dal__fail(&chart->mech.error, DAL_EINVAL, "x[%zu] = %g is not finite in row %zu",
-                             i, row[i], k);
+    const int status = require_row(chart, r, k);
+    if (status) return status;
     for (size_t i = 0; i < n; i++) end[i] = row[i] - r->shift * row[n + i];
     memcpy(end + n, row + n, n * sizeof *end);
     return dal_acceleration(&chart->mech, time_of(r, k), end, end + 2 * n);
@@ -167,6 +175,7 @@ static int check_times(dal_chart *chart, const rows *r, size_t count, const doub
 static int follow(dal_chart *chart, const rows *r, size_t count, const double *t, double *out,
                   size_t *changes, size_t *done)
 {
+    dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n, last = r->count - 1;
     size_t interval = SIZE_MAX;
     bool pivoted = false, any = false;
@@ -175,6 +184,8 @@ static int follow(dal_chart *chart, const rows *r, size_t count, const double *t
         const double now = t[*done], place = fmin(fmax((now - r->t0) / r->h, 0.0), (double)last);
         const size_t nearest = (size_t)(place + 0.5);
         if (last == 0 || is_time_of(r, nearest, now)) {
+            const int status = require_row(chart, r, nearest);
+            if (status) return status;
             memcpy(out, r->x + nearest * 2 * n, 2 * n * sizeof *out);
             continue;
         }
@@ -190,6 +201,7 @@ static int follow(dal_chart *chart, const rows *r, size_t count, const double *t
         const double s = (now - time_of(r, here)) / r->h;
         if (!status) status = interpolate(chart, r->h, s, &pivoted);
         if (!status) status = move_to_node(chart, r->shift);
+        if (!status) status = dal__require_output(&mech->error, "the state", 2 * n, chart->x);
         if (status) return status;
         memcpy(out, chart->x, 2 * n * sizeof *out);
         if (any && memcmp(chart->last_place, chart->place, n * sizeof *chart->place)) ++*changes;

@@ -368,8 +368,10 @@ int dal_embedding_flow(dal_embedding *embedding, double t0, double t1, double *z
     if (status || t0 == t1) return status;
     /* Where h is too large for the embedding the steps become tiny, and each takes many flows. */
     const double most = STEPS_A_PERIOD * (1.0 + fabs((t1 - t0) / self->h));
+    self->made = 0.0;
     status = dal__ode_begin(self->perturbed, t0, t1 - t0, z, 1.0, &self->error);
     for (double steps = 0.0; !status && dal__ode_elapsed(self->perturbed) != t1 - t0; steps++) {
+        self->made = fabs(dal__ode_elapsed(self->perturbed) / self->h);
         if (steps >= most)
             return dal__fail(&self->error, DAL_ENOCONV, "%d steps did not lead through a period at "
                              "t = %g: h = %g is too large", STEPS_A_PERIOD,

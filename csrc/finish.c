@@ -15,8 +15,8 @@ static int is_not_finite(dal_kernel *k)
     return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
 }
 
-/* The callbacks at the iterate w of solve, and goal, which is v' but for Z^T kappa.  DAL_EDOMAIN: outside their domain or not finite; the
- * reason is in k->failure. */
+/* The callbacks at the iterate w of solve, and goal, which is all of v' but Z^T kappa.
+ * DAL_EDOMAIN: outside their domain or not finite; the reason is in k->failure. */
 static int evaluate(dal_kernel *k, const dal_stage *s)
 {
     const dal_arrays *const at = &k->at;
@@ -148,8 +148,9 @@ static int solve(dal_kernel *k, const dal_stage *s)
         const dal__verdict verdict = dal__newton_judge(&p, k->failure.size);
         k->failure.first = p.first;
         k->failure.travelled = p.travelled;
-        if (verdict == DAL__DONE)
-            return sign > 0 ? DAL_SUCCESS : dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_BRANCH);
+        if (sign < 0 && verdict != DAL__LOST)
+            return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_BRANCH);
+        if (verdict == DAL__DONE) return DAL_SUCCESS;
         if (verdict == DAL__LOST) return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_ROOT);
     }
     return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_CONVERGE);

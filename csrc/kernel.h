@@ -16,15 +16,15 @@
  * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of the
  * change v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from
  * those of the three stages before; so these two evaluations of the constraint do not wait for each
- * other.  After each correction mu is evaluated at the q~' that the *stored* state gives back.  The
- * stage is done when the residual of D there (residual.h) is at most half of its bound of 4 n u;
- * else this evaluation serves the next correction, or, where the residual is a rounding of v' or
- * q~', v' is mended at that q~'.  So most stages evaluate the constraint three times, and what is
- * stored lies in D because it was looked at.  What does not contract, leaves the domain of a
- * callback or is not finite goes to dal_kernel.finish: the full Newton matrix with the Hessian, and
- * halved steps.  So does a negative det S: as h goes to 0 it goes to that of mu M^-1 mu^T, which is
- * positive, and where it has changed its sign on the way the solution is not the one that small h
- * lead to.
+ * other.  After a correction mu is evaluated at the q~' that the *stored* state gives back, unless
+ * it is V_q alone that still moves.  The stage is done when the residual of D there (residual.h) is
+ * at most half of its bound of 4 n u; else this evaluation serves the next correction, or, where
+ * the residual is a rounding of v' or q~', v' is mended at that q~'.  So most stages evaluate the
+ * constraint three times, and what is stored lies in D because it was looked at.  What does not
+ * contract, leaves the domain of a callback or is not finite goes to dal_kernel.finish: the full
+ * Newton matrix with the Hessian, and halved steps.  So does a negative det S: as h goes to 0 it
+ * goes to that of mu M^-1 mu^T, which is positive, and where it has changed its sign on the way the
+ * solution is not the one that small h lead to.
  *
  * In a steady system mu depends only on coordinates that no reaction pushes (a blade whose heading
  * is free).  Where V does not act at q~' either, mu(q~') is known before v', the equations are
@@ -98,6 +98,7 @@ typedef struct dal_arrays {
     double *node, *point, *w;     /* [n] q_k, q~' of the last evaluation, the current v' */
     double *mu_node, *mu, *N;     /* [m*n] */
     double *base, *goal, *step;   /* [n] the known part of v', all of it but Z^T kappa, w' - w */
+    double *seen;                 /* [n] the v' at whose q~' mu was evaluated last */
     double *stored;               /* [n] the position of the new state */
     double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
     double *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
@@ -152,9 +153,12 @@ struct dal_kernel {
 /* What is left of the force equation when its iteration stops is at most 1/DAL_KERNEL_SAFETY of a
  * rounding of v': it has one sign from step to step and adds up in the energy. */
 #define DAL_KERNEL_SAFETY 256.0
-/* Corrections of the modified Newton iteration, which halve at least; then the
- * full one is better. */
-enum { DAL_KERNEL_CORRECTIONS = 10 };
+/* While V_q is not balanced yet, mu is not evaluated where the next correction is expected to be
+ * less than this many roundings, 2^-31 of v': what is linear in mu is off by its square. */
+#define DAL_KERNEL_PASSING 0x1p20
+/* Corrections of the modified Newton iteration, which halve at least; then the full one is better.
+ */
+enum { DAL_KERNEL_CORRECTIONS = 16 };
 
 #if defined(__GNUC__)
 #define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
@@ -327,17 +331,17 @@ DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(const dal_kernel *k, size_t n, siz
             if (DAL_KERNEL_HAS(has.N, a * n + i))
                 shifted += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
         const double bound = 2.0 * (double)n * dal_kernel_form(k, n, has.mu, at->mu, a) * terms;
-        if (!(fabs(at->r[a]) <= 2.0 * DAL_KERNEL_U * (bound + shifted))) roundoff = false;
+        if (!(2.0 * DAL_KERNEL_U * (bound + shifted) - fabs(at->r[a]) >= 0.0)) roundoff = false;
     }
     return roundoff;
 }
 
-/* One correction of w and kappa, from mu and N at point, and V_q(point) in k->force1 if ends.
- * first: kappa was 0.  The equations are v' = goal + Z^T kappa, and mu v' + b N (v' - w) = 0, where
- * b N (v' - w) is how mu v' changes with q~'. */
+/* One correction of w and kappa, from V_q(point) in k->force1 if ends, and mu and N at the q~' of
+ * seen[n].  first: kappa was 0.  The equations are v' = goal + Z^T kappa, and mu v' + b N (v' -
+ * seen) = 0, where b N (v' - seen) is how mu v' changes with q~'. */
 DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s, size_t n,
                                          size_t m, dal_pattern has, bool ends, bool first,
-                                         const dal_arrays *at)
+                                         const double *seen, const dal_arrays *at)
 {
     const double h = k->h, b = s->after * h;
     if (ends) dal_kernel_accelerate(k, n, has.inverse, k->force1, at->goal);
@@ -353,7 +357,7 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
             double turn = -0.0;
             for (size_t i = 0; i < n; i++)
                 if (DAL_KERNEL_HAS(has.N, a * n + i) && DAL_KERNEL_HAS(has.pull, i))
-                    turn += at->N[a * n + i] * (at->step[i] - at->w[i]);
+                    turn += at->N[a * n + i] * (at->step[i] - seen[i]);
             sum += b * turn;
         }
         at->r[a] = -sum;
@@ -469,6 +473,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     DAL_KERNEL_ARRAY(double, base, DAL_N);
     DAL_KERNEL_ARRAY(double, goal, DAL_N);
     DAL_KERNEL_ARRAY(double, step, DAL_N);
+    DAL_KERNEL_ARRAY(double, seen, DAL_N);
     DAL_KERNEL_ARRAY(double, stored, DAL_N);
     DAL_KERNEL_ARRAY(double, Z, DAL_KERNEL_M * DAL_N);
     DAL_KERNEL_ARRAY(double, S, DAL_KERNEL_M * DAL_KERNEL_M);
@@ -477,7 +482,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     DAL_KERNEL_ARRAY(double, d, DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(double, kappa, DAL_KERNEL_M);
     DAL_KERNEL_ARRAY(size_t, row, DAL_KERNEL_M);
-    const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, stored,
+    const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
                            Z, S, sizes, r, d, kappa, row};
     const double h = k->h, b = s->after * h;
     const double limit = 2.0 * (double)n * DAL_KERNEL_U; /* half of the bound */
@@ -546,11 +551,14 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
     for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
     if (returned == 0 && dal_kernel_factor(k, n, m, has, b, &at) > 0) {
         double last = HUGE_VAL;
+        bool passed = false; /* mu was not evaluated after the last correction */
+        bool anew = true;    /* nor after the one before, so that this one may be larger */
+        if (ends) DAL_KERNEL_COPY(n, w, seen);
         for (int iteration = 1; iteration <= DAL_KERNEL_CORRECTIONS; iteration++) {
             const bool first = iteration == 1;
             bool balanced = true;
             k->stats.iterations++;
-            dal_kernel_newton(k, s, n, m, has, ends, first, &at);
+            dal_kernel_newton(k, s, n, m, has, ends, first, ends ? seen : w, &at);
             dal_kernel_place(k, s, n, kept, &at);
             if (!known || ends) {
                 double size = -0.0;
@@ -558,13 +566,16 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
                     if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(step[i]) * k->per_unit[i];
                 const double noise =
                     8.0 * DAL_KERNEL_U * dal_residual_extent(n, k->per_unit, goal);
-                if (ends) balanced = dal_kernel_is_balanced(s, first, size, last, noise);
-                if (!(size <= 0.5 * last || size <= noise)) break;
+                if (ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
+                if (!(anew || size <= 0.5 * last || size <= noise)) break;
+                anew = passed && balanced;
+                passed = !balanced && size * (size / last) <= DAL_KERNEL_PASSING * noise;
                 last = size;
             }
-            if (!known) {
+            if (!known && !passed) {
                 returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, NULL);
                 if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+                if (ends) DAL_KERNEL_COPY(n, w, seen);
             }
             if (!balanced && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
             if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
@@ -586,9 +597,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         for (size_t i = 0; i < n; i++) w[i] += dal_kernel_column(n, m, has.Z, Z, i, d);
         settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
     }
-    double total = -0.0; /* an infinite w makes stored so, unless b = 0 */
+    double total = -0.0; /* with an infinite w stored is infinite too, or NaN where b = 0 */
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) total += linear ? stored[i] + w[i] : stored[i];
+    for (size_t i = 0; i < n; i++) total += stored[i];
     const bool finite = fabs(total) <= DBL_MAX;
 
     /* ---- hand over what is left to k->finish */
@@ -630,7 +641,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         k->force0 = k->force1;
         k->force1 = force;
     }
-    k->forced = ends && solved; /* the full Newton iteration evaluates before its last step */
+    if (potential) k->forced = ends && solved; /* the full one evaluates before its last step */
     return DAL_SUCCESS;
 }
 
@@ -653,21 +664,21 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     double *const x = k->at.x, *const pull = x + 5 * n;
 #endif
     while (made < steps) {
+        const dal_stage *s = k->stage, *const end = s + stages;
         if (DAL_KERNEL_RARE(stages > 1)) DAL_KERNEL_COPY(2 * n, x, k->saved);
-        size_t j = 0;
 #if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
         do
-            status = DAL_KERNEL_STAGE(k, k->stage + j, !DAL_KERNEL_PULLED, x, pull);
-        while (!status && ++j < stages);
+            status = DAL_KERNEL_STAGE(k, s, !DAL_KERNEL_PULLED, x, pull);
+        while (!status && ++s < end);
 #else
         if (k->potential || k->kept) {
             do
-                status = DAL_KERNEL_STAGE(k, k->stage + j, false, x, pull);
-            while (!status && ++j < stages);
+                status = DAL_KERNEL_STAGE(k, s, false, x, pull);
+            while (!status && ++s < end);
         } else {
             do
-                status = DAL_KERNEL_STAGE(k, k->stage + j, true, x, pull);
-            while (!status && ++j < stages);
+                status = DAL_KERNEL_STAGE(k, s, true, x, pull);
+            while (!status && ++s < end);
         }
 #endif
         if (status) break;

@@ -33,10 +33,9 @@ static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *s
     for (size_t j = 0; j < count; j++) {
         const double beta = substep[j].beta, f = substep[j].fraction;
         const bool pair = j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0;
-        const bool at_node = beta == 0.0 || beta == 1.0;
         const double g = pair ? substep[++j].fraction : 0.0;
         dal_stage s = {.before = (1.0 - beta) * f, .after = beta * f + g, .span = f + g};
-        if (at_node) {
+        if (beta == 0.0) {
             s.node = f + g;
         } else {
             s.start = beta * f;
@@ -88,7 +87,7 @@ static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
     const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
     dal_arrays *const at = &k->at;
     double **const vectors[] = {&k->force0, &k->force1, &at->base, &at->goal, &at->step,
-                                &at->stored, &k->y, &k->R};
+                                &at->seen, &at->stored, &k->y, &k->R};
     double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
     dal__reserve(a, &at->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(2, n), sizeof(double));

@@ -12,7 +12,8 @@ is a silent error, that is success without a warning and
 
     bound      a stored state where |mu^a v| > 4 n u s^a, or more than stats.worst_residual tells;
     step       a step that is not the solution of the equations of the scheme that is connected with
-               h = 0, by more than 100 u cond (see `Substep.limit`);
+               h = 0, by more than 100 u cond (see `Substep.limit`); nor that to which Newton's
+               changes from v halve at least, where that is another;
     reaction   the same for the multipliers, of the scheme and by the formula;
     order      one-step errors that fall with less than h^(p + 0.8);
     reference  a reference state farther from the solution than ten times the accuracy it claims;
@@ -166,8 +167,11 @@ class Trial:
                 return
             t = mpf(case.t0) + (k - 1) * mpf(case.h)
             step = exact_step(case, t, x)
-            if isinstance(step, Step) and (distance(x1, step.x) > step.x_limit).any():
+            if is_off(step, x1):
                 step = exact_step(case, t, x, 1 / 64)  # were we on the right branch?
+            if is_off(step, x1):  # of several solutions that to which Newton contracts will do
+                near = exact_step(case, t, x, 1.0, 0.5)
+                step = near if isinstance(near, Step) and not is_off(near, x1) else step
             if isinstance(step, str):
                 if step != "ill posed":
                     self.found("step", f"step {k} is success, but {step}")
@@ -259,6 +263,8 @@ class Trial:
         case.q0, case.v0 = x0[:n], x0[n:]
         d = 1 / np.sqrt(np.diag(mech.metric(case.q0)))
         errors: list[tuple[float, float]] = []
+        rounding = 2000 * max(1.0, len(case.scheme.substeps) / 4)
+        floor = U * max(rounding, 100 * condition(mech, case.q0, case.v0))
         scale = 0.0
         for j in range(10):
             h = case.unit * (0.5 if p > 2 else 0.1) / 2**j
@@ -269,7 +275,7 @@ class Trial:
             units = np.concatenate([d * case.unit, d])
             scale = scale or float(max(abs(x / units).max() for x in (x0, exact[0])))
             error = float(max(abs(run.x[1] - exact[0]) / units)) / scale
-            if error < 2000 * U * max(1.0, len(case.scheme.substeps) / 4):
+            if error < floor:
                 break
             errors.append((h, error))
         self.error = None
@@ -300,6 +306,19 @@ class Trial:
 
 
 # ---- the campaign -------------------------------------------------------------------------------
+
+
+def is_off(step: Step | str, x: Any) -> bool:
+    """Return whether a state is not that of the step; not where there is none."""
+    return isinstance(step, Step) and bool((distance(x, step.x) > step.x_limit).any())
+
+
+def condition(mech: Any, q: Any, v: Any) -> float:
+    """Return that of mu M^-1 mu^T, scaled to a unit diagonal."""
+    if mech.m == 0:
+        return 1.0
+    rows = np.linalg.solve(np.linalg.cholesky(mech.metric(q)), mech.mu(q, v).T)
+    return float(np.linalg.cond(rows / np.linalg.norm(rows, axis=0))) ** 2
 
 
 def distance(x: Any, y: Any) -> Any:

@@ -62,8 +62,11 @@ class Substep:
         L_z = self.mech.lagrangian.at(z).jacobian()[0, :-1]
         return L_z[n:] + self.mech.M @ z[n:-1], L_z[:n] + self.mech.force.at(z).value()
 
-    def newton(self, y: Any, h: float) -> tuple[Any, float] | None:
-        """Return the solution near y in units of column, and a sign, if Newton contracts there."""
+    def newton(self, y: Any, h: float, ratio: float = 0.2) -> tuple[Any, float] | None:
+        """Return the solution near y in units of column, and a sign, if Newton contracts there.
+
+        ratio: the largest that the second change may be, in parts of the first.
+        """
         last = math.inf
         for k in range(14):
             R, J = self.evaluate(self.column * y, h)
@@ -77,13 +80,16 @@ class Substep:
             size, scale = abs(d).max(), max(abs(y).max(), self.speed)
             if size <= 1e-13 * scale or (last <= 1e-7 * scale and size > 0.1 * last):
                 return y, np.linalg.slogdet(J)[0]
-            if size > (0.2 if k == 1 else 0.5) * last:
+            if size > (ratio if k == 1 else 0.5) * last:
                 return None
             last = size
         return None
 
-    def follow(self, most: float) -> float:
-        """Follow the solution from h = 0; return how far it came as a fraction of h."""
+    def follow(self, most: float, ratio: float = 0.2) -> float:
+        """Follow the solution from h = 0; return how far it came as a fraction of h.
+
+        Each of its steps is at most `most`, the first of them with this ratio of `newton`.
+        """
         y = np.concatenate([self.v, np.zeros(self.mech.m)]) / self.column
         at = self.newton(y, 0.0)
         if at is None:
@@ -94,7 +100,7 @@ class Substep:
             size = min(size, 1.0 - done)
             slope = 0.0 if before is None else (self.y - before[0]) / (done - before[1])
             guess = self.y + size * slope
-            at = self.newton(guess, (done + size) * self.h)
+            at = self.newton(guess, (done + size) * self.h, 0.2 if done else ratio)
             if at is not None and at[1] != sign and size < 1e-3:
                 # a determinant may change its sign where the solution goes on as before
                 near = 1e-3 * abs(size * slope).max() + 1e-9 * abs(guess).max()
@@ -117,10 +123,10 @@ class Substep:
         J = self.evaluate(self.column * self.y, self.reached * self.h)[1]
         return not np.linalg.cond(J) < 1e3
 
-    def solve(self, most: float) -> bool:
+    def solve(self, most: float, ratio: float) -> bool:
         """Solve to 50 digits; False if the solution ends before h, or the step is ill posed."""
         mech, n = self.mech, self.mech.n
-        self.reached = self.follow(most)
+        self.reached = self.follow(most, ratio)
         if self.reached < 1.0:
             return False
         _, self.J = self.evaluate(self.column * self.y, self.h)
@@ -204,8 +210,8 @@ class Step:
     moderate: bool
 
 
-def exact_step(case: Case, t: Any, x: Any, most: float = 1.0) -> Step | str:
-    """Return a step from a stored x, or why there is none."""
+def exact_step(case: Case, t: Any, x: Any, most: float = 1.0, ratio: float = 0.2) -> Step | str:
+    """Return a step from a stored x, or why there is none; see `Substep.follow`."""
     mech, n = case.mechanism, case.mechanism.n
     h = mpf(case.h)
     q, v = vector(x[:n]), vector(x[n:])
@@ -216,7 +222,7 @@ def exact_step(case: Case, t: Any, x: Any, most: float = 1.0) -> Step | str:
     before = np.concatenate([abs(x[:n]) + abs(case.h * x[n:]), abs(x[n:])])
     for beta, fraction in case.scheme.substeps:
         step = Substep(mech, beta, h * mpf(fraction), t, q, v)
-        if not step.solve(most):
+        if not step.solve(most, ratio):
             if step.reached < 1.0 and step.is_fold():
                 return f"the solution ends at {step.reached:.4g} of a sub-step of {step.h:.3g}"
             return "ill posed"

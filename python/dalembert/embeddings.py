@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -407,7 +408,14 @@ class Embedding(_lib.Constant):
         """
         return self._along(lib.dal_embedding_source, tau, z)
 
-    def flow(self, t0: float, t1: float, z: ArrayLike | None = None) -> Array:
+    def flow(
+        self,
+        t0: float,
+        t1: float,
+        z: ArrayLike | None = None,
+        *,
+        progress: bool | Callable[[int, int], Any] = False,
+    ) -> Array:
         """Return the state at t1 of the perturbed ODE that is in z at t0, to about 1e-12.
 
         From t0 to t0 + h for t0 = 0, h, 2 h, ... it is the scheme.
@@ -417,6 +425,8 @@ class Embedding(_lib.Constant):
         t0, t1 : float
             Times in the user's units; ``t1 < t0`` is allowed.
         z : array_like, shape (2n-m,), optional
+        progress : bool or callable, optional
+            As of `curve`.
 
         Returns
         -------
@@ -436,9 +446,14 @@ class Embedding(_lib.Constant):
         """
         t0, t1 = arguments.number(t0, "t0"), arguments.number(t1, "t1")
         values = self._point(z, "z").copy()
-        with self._workspace() as embedding:
+        total = math.ceil(abs((t1 - t0) / self.h))
+        with (
+            extras.progress(progress, total, "step") as show,
+            self._workspace(lambda made: show(int(made))) as embedding,
+        ):
             status = _lib.attempt(lib.dal_embedding_flow, embedding, t0, t1, _lib.pointer(values))
             self._check(status, embedding)
+            show(total)
         return values
 
     # ---- how large g is --------------------------------------------------------------------

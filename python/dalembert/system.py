@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _lib, arguments, deformation, geometry, growth, pointers, symbolic
+from . import _lib, arguments, deformation, extras, geometry, growth, pointers, symbolic
 from ._lib import FUNCTIONS, Array, ffi, lib
 from .examination import Check, examine
 
@@ -909,7 +909,13 @@ class System:
         x = x[0] if times.ndim == 0 else x
         return x[..., :n], x[..., n:]
 
-    def check(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> Check:
+    def check(
+        self,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        *,
+        progress: bool | Callable[[int, int], Any] = False,
+    ) -> Check:
         """Examine the system at a state: derivatives, rank, definiteness, integrability, growth.
 
         What depends on v is examined at another velocity too, where it is defined there, and the
@@ -923,6 +929,9 @@ class System:
             Where to look, in the user's units, both; neither: the system's initial data; without
             any, and if the system was made by `from_sympy`, some state in D.  The growth vector is
             that at q if q is given, else that at a general point.
+        progress : bool or callable, optional
+            True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+            dimensions that brackets add to D, m at a general point and m at q.
 
         Returns
         -------
@@ -961,7 +970,11 @@ class System:
             return found
         place, _ = geometry.initial(self, q, v, "q", "v")
         at = place if asked else None
-        return found.with_distribution(growth.examine(self, place, at))
+        total = self._m * (2 if asked else 1)
+        with extras.progress(progress, total, "dimension") as show:
+            distribution = growth.examine(self, place, at, show)
+            show(total)
+        return found.with_distribution(distribution)
 
     def _general_state(self) -> tuple[Array, Array]:
         """Return some state in D, in no special position."""

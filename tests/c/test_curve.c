@@ -450,9 +450,12 @@ static void test_failures(void)
     CHECK(done == 3 && changes == 99 && out[18] == 7.0);
     CHECK_NEAR(out[6], 0.2, 4 * U);
     CHECK(strstr(dal_chart_message(chart), "returned 1") != NULL);
+    /* a row that is not finite is handed out at no time, its own and those beside it */
     rows[3] = NAN;
     CHECK(dal_chart_interpolate(chart, 0, 0.1, 0, 3, rows, 4, t, out, NULL, &done) == DAL_EINVAL);
-    CHECK(done == 1);
+    CHECK(done == 0);
+    CHECK(dal_chart_interpolate(chart, 0, 0.1, 0, 3, rows, 1, t + 1, out, NULL, &done)
+          == DAL_EINVAL);
     CHECK(strstr(dal_chart_message(chart), "x[3] = nan is not finite in row 0") != NULL);
     CHECK(dal_chart_interpolate(chart, 0, 0.1, 0, 3, rows, 0, NULL, NULL, NULL, NULL) == 0);
     dal_chart_free(chart);

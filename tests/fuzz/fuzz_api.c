@@ -372,7 +372,7 @@ typedef struct world {
     dal_stepper *stepper;
     dal_embedding *embedding;
     dal_scheme scheme;
-    dal_substep substeps[4];
+    dal_substep substeps[4], own[4]; /* of the scheme chosen last, and of that of the stepper */
     double *x;                 /* [2n] a state that calls take and leave */
     double h;                  /* of the stepper */
     bool started;
@@ -791,6 +791,10 @@ static int call_new_stepper(world *w)
     dal_stepper_free(w->stepper);
     w->stepper = fresh;
     w->scheme = scheme;
+    if (scheme.substeps == w->substeps) { /* which the next choice writes over */
+        memcpy(w->own, w->substeps, sizeof w->own);
+        w->scheme.substeps = w->own;
+    }
     w->started = false;
     return status;
 }

@@ -2,6 +2,7 @@
 and the perturbed equations of motion."""
 
 import json
+import math
 import pickle
 import threading
 from fractions import Fraction
@@ -458,6 +459,17 @@ def test_other_wrong_arguments(midpoint):
     with pytest.raises(ValueError, match=r"hs\[0\] = nan"):
         midpoint.measured_order([np.nan])
     assert midpoint.flow(0.3, 0.3).tolist() == midpoint.start.tolist()
+
+
+def test_progress_of_a_flow(midpoint):
+    told = []
+    end = midpoint.flow(0.0, 2.05, progress=lambda *numbers: told.append(numbers))
+    assert (end == midpoint.flow(0.0, 2.05)).all()
+    done, totals = zip(*told, strict=True)
+    assert set(totals) == {math.ceil(2.05 / midpoint.h)} and done[-1] == totals[0]
+    assert sorted(done) == list(done)
+    with pytest.raises(ValueError, match="progress = 3"):
+        midpoint.flow(0.0, 1.0, progress=3)
 
 
 def test_a_period_that_is_too_long():

@@ -206,6 +206,27 @@ def test_known(name):
     assert found.exact and bool(found.holonomic) == (expected[-1] < len(q))
 
 
+@pytest.mark.parametrize("symbolic", [True, False])
+def test_progress_is_in_dimensions(symbolic):
+    system = dal.systems.n_trailer(trailers=2)
+    if not symbolic:
+        car = system
+        system = dal.System(
+            mass=np.eye(5),
+            forms=lambda q: np.transpose([car.residual(q, e) for e in np.eye(5)]),
+            q0=car.q0,
+            v0=np.zeros(5),
+        )
+    told, v = [], np.zeros(5)
+    assert system.check(system.q0, v, progress=lambda *x: told.append(x)).growth == (2, 3, 4, 5)
+    done, totals = zip(*told, strict=True)
+    assert set(totals) == {6} and list(done) == sorted(done)
+    assert set(done) == set(range(1, 7))
+    told.clear()
+    system.check(progress=lambda *x: told.append(x))
+    assert told[-1] == (3, 3)
+
+
 def test_partially_integrable():
     """A product of a non-integrable and an integrable D; the sum of what both do."""
     found = examine([w.d - y * z.d, x.d + u * u.d], [x, y, z, w, u])

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from .. import extras
 from .._lib import Array
@@ -22,7 +23,12 @@ if TYPE_CHECKING:
 __all__ = ["Distribution", "examine", "is_settled"]
 
 
-def examine(system: System, near: Array, q: Array | None = None) -> Distribution:
+def examine(
+    system: System,
+    near: Array,
+    q: Array | None = None,
+    show: Callable[[int], Any] = lambda found: None,
+) -> Distribution:
     """Return what can be said of D.
 
     Parameters
@@ -33,6 +39,8 @@ def examine(system: System, near: Array, q: Array | None = None) -> Distribution
         Some point where mu is defined.
     q : ndarray, shape (n,), optional
         Where the growth vector is wanted; default: at a general point.
+    show : callable, optional
+        Called with the number of dimensions found so far, of m at a general point and m at q.
 
     Examples
     --------
@@ -45,10 +53,10 @@ def examine(system: System, near: Array, q: Array | None = None) -> Distribution
     """
     model = _model(system, near)
     if model is None:
-        return functions.examine(system, near, q)
+        return functions.examine(system, near, q, show)
     from . import algebra
 
-    return algebra.examine(model, system.parameters, near, q)
+    return algebra.examine(model, system.parameters, near, q, show)
 
 
 def _model(system: System, near: Array) -> Model | None:

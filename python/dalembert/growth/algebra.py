@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import mpmath
@@ -36,7 +36,11 @@ _DIGITS = 30
 
 @mpmath.workprec(3 * _BITS)
 def examine(
-    model: Model, values: Mapping[str, float], near: Array, q: Array | None = None
+    model: Model,
+    values: Mapping[str, float],
+    near: Array,
+    q: Array | None = None,
+    show: Callable[[int], Any] = lambda found: None,
 ) -> Distribution:
     """Return what `growth.examine` does, for values of the parameters of a model."""
     n, m, forms = model.n, model.m, _Forms(model, values)
@@ -45,13 +49,14 @@ def examine(
         note = "no point was found where mu is smooth"
         return Distribution(None, None, note, None, _DIGITS)
     found, words, told = growth.search(
-        point, growth.of_new_ones(n - m), m, lambda dimensions: growth.is_settled(dimensions, n)
+        point, growth.of_new_ones(n - m), m, lambda found: growth.is_settled(found, n), show
     )
+    show(m)
     general = growth.shortened(found, n)
     if q is None:
         here, note = general, "" if told else "further brackets are too small to be told from 0"
     else:
-        here, note = _at(forms, q, general, words)
+        here, note = _at(forms, q, general, words, lambda k: show(m + k))
     alone = [a for a in range(m) if point.is_integrable(a)]
     settled = told and growth.is_settled(found, n)
     proved = general[-1] == n or (
@@ -66,7 +71,11 @@ def examine(
 
 
 def _at(
-    forms: _Forms, q: Array, general: tuple[int, ...], words: list[list[Word]]
+    forms: _Forms,
+    q: Array,
+    general: tuple[int, ...],
+    words: list[list[Word]],
+    show: Callable[[int], Any],
 ) -> tuple[tuple[int, ...] | None, str]:
     """Return the growth vector at a point that is known to double precision, and what it lacks."""
     source, n = random.Random(1), forms.n
@@ -74,14 +83,15 @@ def _at(
     try:
         point = _Point(forms, list(map(mpmath.mpf, q)), other)
         found, _, told = growth.search(  # is it as at the general point?
-            point, lambda k, *_: words[k - 1], len(words), lambda _: False
+            point, lambda k, *_: words[k - 1], len(words), lambda _: False, show
         )
         if growth.shortened(found, n) == general:
             return general, ""
         limit = min(_ORDERS, int(np.log2(_WORK / n**2)))
         found, _, told = growth.search(
-            point, growth.at_random(n - forms.m), max(limit, 1), lambda d: d[-1] == general[-1]
-        )
+            point, growth.at_random(n - forms.m), max(limit, 1), lambda d: d[-1] == general[-1],
+            show,
+        )  # fmt: skip
     except ValueError as error:
         return None, str(error)
     if told:

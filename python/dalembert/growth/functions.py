@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -68,10 +68,16 @@ class _Functions:
         return brackets.at(word, self._q)[self._dependent]
 
 
-def examine(system: System, near: Array, q: Array | None = None) -> Distribution:
+def examine(
+    system: System,
+    near: Array,
+    q: Array | None = None,
+    show: Callable[[int], Any] = lambda found: None,
+) -> Distribution:
     """Return what `growth.examine` does; the general point is one near ``near``."""
-    n = system.n
-    general, note = _near(system, near)
+    n, m = system.n, system.m
+    general, note = _near(system, near, show)
+    show(m)
     integrable = None
     if general is not None and len(general) > 1:
         integrable = general[0] == general[1]
@@ -81,8 +87,9 @@ def examine(system: System, near: Array, q: Array | None = None) -> Distribution
     try:
         point = _Functions(system, q)
         found, _, told = search(
-            point, at_random(n - system.m), point.most, lambda dimensions: dimensions[-1] == most
-        )
+            point, at_random(n - m), point.most, lambda dimensions: dimensions[-1] == most,
+            lambda k: show(m + k),
+        )  # fmt: skip
     except _lib.DalembertError as error:
         return Distribution(None, general, str(error), integrable, _DIGITS)
     here = shortened(found, n) if told else tuple(found)
@@ -90,7 +97,9 @@ def examine(system: System, near: Array, q: Array | None = None) -> Distribution
     return Distribution(here, general, lacks, integrable, _DIGITS)
 
 
-def _near(system: System, q: Array) -> tuple[tuple[int, ...] | None, str]:
+def _near(
+    system: System, q: Array, show: Callable[[int], Any]
+) -> tuple[tuple[int, ...] | None, str]:
     """Return the growth vector at a general point near q, and what is not known of it."""
     n = system.n
     message = ""
@@ -100,7 +109,7 @@ def _near(system: System, q: Array) -> tuple[tuple[int, ...] | None, str]:
             point = _Functions(system, place)
             found, _, told = search(
                 point, of_new_ones(n - system.m), min(system.m, point.most),
-                lambda dimensions: is_settled(dimensions, n),
+                lambda dimensions: is_settled(dimensions, n), show,
             )  # fmt: skip
         except _OUTSIDE as error:
             message = str(error)

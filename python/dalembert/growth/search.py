@@ -144,14 +144,19 @@ def at_random(count: int) -> Candidates:
 
 
 def search(
-    source: Any, candidates: Candidates, limit: int, enough: Callable[[list[int]], bool]
+    source: Any,
+    candidates: Candidates,
+    limit: int,
+    enough: Callable[[list[int]], bool],
+    show: Callable[[int], Any],
 ) -> tuple[list[int], list[list[Word]], bool]:
     """Return the dimensions of D^1, D^2, ...
 
     ``source`` has the sizes n and m, the ``rounding`` of numbers of size 1, and ``pair(word)``: the
     dependent components of a bracket, shape (m,), and a twin, see `_Span`.  ``candidates`` gives
     the brackets of k + 1 fields to try, of k, those found of k fields, and the list of those found
-    so far of k + 1.  The search ends with k = ``limit``, or if the dimensions are ``enough``.
+    so far of k + 1.  The search ends with k = ``limit``, or if the dimensions are ``enough``, and
+    ``show`` is told how many dimensions were added to D.
 
     Also the brackets that were found to be independent, of 2 fields, of 3, ..., and False if
     further ones cannot be told from those found.
@@ -165,6 +170,7 @@ def search(
                 return dimensions, words, False
             if counts:
                 found.append(word)
+                show(dimensions[-1] + len(found) - dimensions[0])
             if dimensions[-1] + len(found) == source.n:
                 break
         words.append(found)
