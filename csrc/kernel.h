@@ -317,13 +317,13 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(const dal_kernel *k, size_t n, size_t 
     return settled;
 }
 
-/* Whether r may be all roundoff: of w, which is the sum of base and Z^T kappa, and of q~', through
+/* Whether r may be all roundoff: of w, which is the sum of goal and Z^T kappa, and of q~', through
  * N.  No correction would make that smaller. */
 DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(const dal_kernel *k, size_t n, size_t m,
                                               dal_pattern has, const dal_arrays *at)
 {
     const double terms = dal_residual_speed(n, k->per_unit, at->w)
-                       + dal_residual_speed(n, k->per_unit, at->base);
+                       + dal_residual_speed(n, k->per_unit, at->goal);
     bool roundoff = true;
     for (size_t a = 0; a < m; a++) {
         double shifted = 0.0;
@@ -564,10 +564,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
                 double size = -0.0;
                 for (size_t i = 0; i < n; i++)
                     if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(step[i]) * k->per_unit[i];
-                const double noise = 4.0 * DAL_KERNEL_U
-                                   * (dal_residual_extent(n, k->per_unit, x + n)
-                                      + dal_residual_extent(n, k->per_unit, base)
-                                      + dal_residual_extent(n, k->per_unit, w));
+                const double noise =
+                    8.0 * DAL_KERNEL_U * dal_residual_extent(n, k->per_unit, goal);
                 if (ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
                 if (!(anew || size <= 0.5 * last || size <= noise)) break;
                 anew = passed && balanced;
@@ -610,6 +608,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         DAL_KERNEL_COPY(n, node, k->at.node);
         DAL_KERNEL_COPY(n, w, k->at.w);
         DAL_KERNEL_COPY(n, base, k->at.base);
+        DAL_KERNEL_COPY(n, goal, k->at.goal);
         DAL_KERNEL_COPY(n, stored, k->at.stored);
         DAL_KERNEL_COPY(m * n, Z, k->at.Z);
         DAL_KERNEL_COPY(m * n, mu_node, k->at.mu_node);
@@ -642,7 +641,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         k->force0 = k->force1;
         k->force1 = force;
     }
-    if (potential) k->forced = ends && solved; /* the full Newton iteration may stop 1e-11 away */
+    if (potential) k->forced = ends && solved; /* the full one evaluates before its last step */
     return DAL_SUCCESS;
 }
 
