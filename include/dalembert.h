@@ -823,7 +823,8 @@ DAL_API void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats);
 DAL_API int dal_step(dal_stepper *stepper, double *reaction);
 
 /* steps steps.  reaction[m] (or NULL) <- the mean over them.  If one fails the stepper stands after
- * the last good one and *done (or NULL) says how many were good; reaction is then untouched. */
+ * the last good one and *done (or NULL) says how many were good; reaction is then untouched, and so
+ * it is where it alone overflows (DAL_EDOMAIN, after all steps). */
 DAL_API int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *done);
 
 /* ---- runs ------------------------------------------------------------------------------ */
