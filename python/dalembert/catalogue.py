@@ -398,7 +398,10 @@ def _start(
     symbols = [
         sympy.Symbol(key, positive=True if key in positive.split() else None) for key in parameters
     ]
-    return sympy, symbolic.coordinates(coordinates), symbols
+    from .model import Coordinate
+
+    call = tuple(coordinates.split())
+    return sympy, tuple(Coordinate(name, call) for name in call), symbols
 
 
 def _make(

@@ -12,6 +12,7 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import itertools
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -37,16 +38,42 @@ Expr = Any  # sympy has no types
 # ---- symbols ---------------------------------------------------------------------------------
 
 
-class Velocity(sympy.Symbol):
+class _Called(sympy.Symbol):
+    """A symbol that knows the names of the call of `dalembert.coordinates` that made it.
+
+    They are part of it, so that the order they give a system is that of its own expressions, and
+    no other call can change it.
+    """
+
+    __slots__ = ("call",)
+
+    def __new__(cls, name: str, call: tuple[str, ...] = ()) -> Any:
+        made = sympy.Symbol.__xnew__(cls, name, real=True)
+        made.call = call or (name,)
+        return made
+
+    def __getnewargs_ex__(self) -> tuple[Any, ...]:
+        return (self.name, self.call), {}
+
+    def _hashable_content(self) -> tuple[Any, ...]:
+        return (*super()._hashable_content(), self.call)
+
+
+class Velocity(_Called):
     """The velocity ``x.d`` of a coordinate."""
 
     __slots__ = ()
 
+    @property
+    def coordinate(self) -> Coordinate:
+        """What it is the velocity of."""
+        return Coordinate(self.name.removesuffix(".d"), self.call)
+
     def _latex(self, printer: Any) -> str:
-        return rf"\dot{{{printer._print(sympy.Symbol(self.name.removesuffix('.d')))}}}"
+        return rf"\dot{{{printer._print(sympy.Symbol(self.coordinate.name))}}}"
 
 
-class Coordinate(sympy.Symbol):
+class Coordinate(_Called):
     """A coordinate, a SymPy symbol with its velocity `d`; made by `dalembert.coordinates`."""
 
     __slots__ = ()
@@ -54,24 +81,51 @@ class Coordinate(sympy.Symbol):
     @property
     def d(self) -> Velocity:
         """The velocity of the coordinate, a symbol too."""
-        return Velocity(f"{self.name}.d", real=True)
+        return Velocity(f"{self.name}.d", self.call)
+
+    def diff(self, *symbols: Any, **assumptions: Any) -> Expr:
+        """Return a derivative; ValueError for that by the time, which SymPy takes to be 0."""
+        if any(str(s) == "t" and not isinstance(s, Coordinate) for s in symbols):
+            raise ValueError(f"{self.name}.diff(t): write {self.name}.d for the velocity")
+        return super().diff(*symbols, **assumptions)
 
 
-# When a name was last made by `dalembert.coordinates`: the order that a model has by default.
-_made: dict[str, int] = {}
+# When a call of `dalembert.coordinates` with these names was made first, and when last.
+_made: dict[tuple[str, ...], tuple[int, int]] = {}
+_numbers = itertools.count()
 
 
 def make_coordinates(names: Sequence[str]) -> tuple[Coordinate, ...]:
-    """Return a coordinate for each name, and remember their order."""
-    for name in names:
-        _made.pop(name, None)
-        _made[name] = max(_made.values(), default=0) + 1
-    return tuple(Coordinate(name, real=True) for name in names)
+    """Return a coordinate for each name."""
+    call, now = tuple(names), next(_numbers)
+    _made[call] = _made.get(call, (now, now))[0], now
+    return tuple(Coordinate(name, call) for name in names)
 
 
-def order_made(coordinate: Coordinate) -> tuple[int, str]:
-    """Return what sorts coordinates in the order in which they were made."""
-    return _made.get(coordinate.name, 0), coordinate.name
+def in_order(found: Iterable[Coordinate]) -> list[Coordinate]:
+    """Return coordinates as their calls name them, and those of several calls as these were made.
+
+    Raises
+    ------
+    ValueError
+        If the calls contradict each other, or were made in another order first than last.
+    """
+    by_name = {x.name: x for x in found}
+    calls = {x.call for x in found}
+    whole = [call for call in calls if by_name.keys() <= {*call}]
+    several = sorted(whole or calls, key=lambda call: _made.get(call, (-1, -1))[0])
+    order = list(dict.fromkeys(name for call in several for name in call if name in by_name))
+    last = [_made.get(call, (-1, -1))[1] for call in several]
+    if (not whole and (last != sorted(last) or -1 in last)) or any(
+        [name for name in order if name in call] != [name for name in call if name in by_name]
+        for call in calls
+    ):
+        shown = " and ".join(repr(" ".join(call)) for call in sorted(calls))
+        raise ValueError(
+            f"coordinates: needed, for the calls dalembert.coordinates of {shown}, whose symbols "
+            f"occur, do not tell the order of {', '.join(sorted(order))}"
+        )
+    return [by_name[name] for name in order]
 
 
 @functools.cache
@@ -347,7 +401,7 @@ class Model:
     def _names(self) -> dict[Expr, Expr]:
         found = dict(zip(self.p, map(sympy.Symbol, self.parameters)))
         for q, v, name in zip(self.q, self.v, self.coordinates):
-            coordinate = Coordinate(name, real=True)
+            coordinate = Coordinate(name)
             found |= {q: coordinate, v: coordinate.d}
         return found
 

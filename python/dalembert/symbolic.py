@@ -60,7 +60,8 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     Returns
     -------
     tuple of model.Coordinate
-        Equal names make equal symbols.
+        Calls with the same names make equal symbols.  Those of one name and different calls are
+        different to SymPy, but the same coordinate of a system.
 
     Raises
     ------
@@ -124,9 +125,15 @@ def make_model(
     times = [q.args[0] for _, q, _ in pairs if not q.is_Symbol]
     time = times[0] if times else sympy.Symbol("t")
 
+    # symbols of the same name, of other calls of dalembert.coordinates
+    called = models.Coordinate | models.Velocity
+    pairing = {**positions, **velocities}.items()
+    same = {_kind_and_name(s): c for s, c in pairing if isinstance(s, called)}
+
     def translate(expression: Expr, where: str, with_time: bool = False) -> Expr:
         found = expression
         if found.has(sympy.Derivative):
+            _refuse_rates(found, where)
             found = found.doit()
         unknown = {d for d in found.atoms(sympy.Derivative) if d not in velocities}
         if unknown:
@@ -134,6 +141,8 @@ def make_model(
         matching = _matching(found, rule)
         for symbol in matching:
             used[symbol.name].add(symbol)
+        free = found.free_symbols
+        matching |= {s: same[key] for s in free if (key := _kind_and_name(s)) in same}
         found = found.xreplace({**positions, **velocities, **matching})
         allowed = {*q, *v, *rule.values()}
         if with_time:
@@ -168,9 +177,10 @@ def make_model(
     if forces is not None:
         components = [sympy.Integer(0)] * n
         for key, expression in forces.items():
-            if key not in positions:
+            position = positions.get(key, same.get(_kind_and_name(key)))
+            if position not in q:
                 raise ValueError(f"force: {key} is no coordinate ({', '.join(names)})")
-            components[q.index(positions[key])] = translate(expression, f"force[{key}]", True)
+            components[q.index(position)] += translate(expression, f"force[{key}]", True)
 
     def several(given: Any, name: str, count: int, with_time: bool = False) -> Any:
         found = [_expression(e, name) for e in _several(given, name)]
@@ -200,6 +210,21 @@ def make_model(
         ),
         values,
     )
+
+
+def _kind_and_name(symbol: Expr) -> tuple[type, str]:
+    """Return what the same coordinate, or velocity, has in common in all calls."""
+    return type(symbol), str(symbol)
+
+
+def _refuse_rates(expression: Expr, where: str) -> None:
+    """Raise ValueError for Derivative(x, t) of a coordinate with a velocity x.d: it would be 0."""
+    from .model import Coordinate
+
+    for rate in expression.atoms(_sympy().Derivative):
+        found = sorted(rate.expr.atoms(Coordinate), key=str)
+        if found and not all(isinstance(s, Coordinate) for s in rate.variables):
+            raise ValueError(f"{where}: {rate}: write {found[0].d} for the velocity of {found[0]}")
 
 
 def initial_data(q0: Any, v0: Any) -> Any:
@@ -295,15 +320,15 @@ def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Exp
     sympy = _sympy()
     from sympy.core.function import AppliedUndef
 
-    from .model import Coordinate, Velocity, order_made
+    from .model import Coordinate, Velocity, in_order
 
     if given is None:
         made = set().union(*(e.atoms(Coordinate) for e in [L, *others]))
         moving = set().union(*(e.atoms(Velocity) for e in [L, *others]))
-        made |= {Coordinate(v.name.removesuffix(".d"), real=True) for v in moving}
+        made |= {v.coordinate for v in moving}
         functions = L.atoms(AppliedUndef)
         moved = {f for f in functions if len(f.args) == 1 and _is_time(f.args[0])}
-        given = [*sorted(made, key=order_made), *sorted(moved, key=str)]
+        given = [*in_order(made), *sorted(moved, key=str)]
     elif isinstance(given, Mapping):
         given = list(given.items())
     found = []

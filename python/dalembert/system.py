@@ -418,7 +418,7 @@ class System:
         coordinates : sequence, optional
             Of `dalembert.coordinates`; of dynamicsymbols, whose velocities are their derivatives;
             or pairs (q, v) of symbols.  Default: all that occur, those of `dalembert.coordinates`
-            in the order in which they were made, then dynamicsymbols by name.
+            in the order in which they were named there, then dynamicsymbols by name.
         parameters : mapping, optional
             Symbol, or its name, to value.  What a symbol assumes, as ``positive=True``, has to hold
             of every value that it gets, here and in `with_parameters`.

@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import itertools
 import json
 import pickle
 import re
@@ -322,8 +323,66 @@ def test_order_of_coordinates():
     x, z = dal.coordinates(["x", "z"])
     assert dal.System.from_sympy(x.d**2 + z.d**2).coordinates == ("x", "z")
     assert dal.System.from_sympy(x.d**2 + z.d**2, coordinates=[z, x]).coordinates == ("z", "x")
-    assert x == dal.coordinates("x")[0] and x.d == dal.coordinates("x")[0].d
-    assert x.d != sympy.Symbol("x.d", real=True) and pickle.loads(pickle.dumps(x.d)) == x.d
+    again = dal.coordinates("x z")[0]
+    assert x == again and x.d == again.d and hash(x.d) == hash(again.d)
+    assert x.d != sympy.Symbol("x.d", real=True)
+    for symbol in pickle.loads(pickle.dumps([x, x.d, x.d**2 + sympy.sin(x)])):
+        assert symbol in (x, x.d, x.d**2 + sympy.sin(x))
+
+
+@pytest.mark.parametrize("disturb", [
+    lambda: [make() for make in map(functools.partial(getattr, dal.systems),
+                                    dal.systems.names_in_sympy())],
+    lambda: [dal.coordinates(names) for names in itertools.permutations("xyz")],
+    lambda: dal.coordinates("tau x"),
+    lambda: [dal.coordinates(name) for name in "zyx"],
+], ids=["library", "permutations", "another", "single"])  # fmt: skip
+def test_no_other_call_changes_an_order(disturb):
+    """The multiplier (9.81 + v_x v_y)/2 of z' = y x' in a field 9.81 z is that of x, y, z."""
+    disturb()
+    x, y, z = dal.coordinates("x y z")
+    kinetic = (x.d**2 + y.d**2 + z.d**2) / 2
+    for _ in range(2):
+        own = dal.System.from_sympy(kinetic - 9.81 * z, [z.d - y * x.d])
+        assert own.coordinates == ("x", "y", "z")
+        assert own.multipliers([0, 1, 0], [1, 1, 1]) == pytest.approx([(9.81 + 1) / 2], rel=1e-15)
+        disturb()
+
+
+def test_symbols_of_several_calls():
+    """As the calls name them, then in the order of the calls; else they are asked for."""
+    x, y, theta = dal.coordinates("x y theta")
+    _, other = dal.coordinates("tau x")
+    kinetic = (other.d**2 + y.d**2 + theta.d**2) / 2
+    make = dal.System.from_sympy
+    forms = [sympy.cos(theta) * y.d - sympy.sin(theta) * x.d]  # of another x
+    own = make(kinetic, forms, force={x: theta})
+    assert own.coordinates == ("x", "y", "theta")
+    same = make(kinetic.subs(other.d, x.d), forms, force={x: theta})
+    assert own._symbolic.model.key == same._symbolic.model.key
+    assert make(kinetic, forms, coordinates=[theta, y, x]).coordinates == ("theta", "y", "x")
+    a, b = dal.coordinates("first1")[0], dal.coordinates("second1")[0]
+    assert make(b.d**2 + a.d**2).coordinates == ("first1", "second1")
+    dal.coordinates("first1")  # made again, the order of the two is no longer clear
+    with pytest.raises(ValueError, match="coordinates: needed, .* order of first1, second1"):
+        make(b.d**2 + a.d**2)
+    swapped = dal.coordinates("theta y")[0]
+    with pytest.raises(ValueError, match="'theta y' and 'x y theta'"):
+        make((x.d**2 + y.d**2 + theta.d**2) / 2 - swapped)
+
+
+def test_the_derivative_by_time_is_written_d():
+    x, y = dal.coordinates("x y")
+    t = dynamicsymbols._t
+    for by in (t, "t", sympy.Symbol("t", real=True)):
+        with pytest.raises(ValueError, match=r"x.diff\(t\): write x.d"):
+            sympy.diff(x, by)
+    for rate in (sympy.Derivative(x, t), sympy.Derivative(x * y, t, t)):
+        with pytest.raises(ValueError, match=r"constraints\[0\]: .* write x.d for the velocity"):
+            dal.System.from_sympy(x.d**2 + y.d**2, [y.d - rate])
+    assert x.diff(x) == 1 and x.diff(y) == 0 and x.diff(sympy.Symbol("m")) == 0
+    made = dal.System.from_sympy(x.d**2 + y.d**2 - sympy.Derivative(x**2, x))
+    assert made.formulas[0] == "L = v_x^2 + v_y^2 - 2 x"
 
 
 def test_keys_tell_models_apart():
