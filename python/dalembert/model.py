@@ -154,10 +154,33 @@ def _diff(expression: Expr, symbol: Expr, almost: bool = False) -> Expr:
     for delta in found.atoms(sympy.DiracDelta):
         mark = sympy.Dummy(real=True)
         marked = found.xreplace({delta: mark})
-        if not almost and not _vanishes_with(marked.diff(mark), delta.args[0]):
+        if not almost and not _is_without_jump(marked.diff(mark), delta.args[0], symbol):
             raise _Jump(symbol, delta.args[0])
         found = marked.xreplace({mark: sympy.Integer(0)})
-    return found
+    return found.replace(_is_inverse, _bounded) if almost else found
+
+
+def _is_inverse(e: Expr) -> bool:
+    """Return whether this may be infinite all along one side of a wall: 1/sqrt(Max(0, x))."""
+    return e.is_Pow and not e.exp.is_nonnegative and e.base.has(sympy.Max, sympy.Min, sympy.Abs)
+
+
+def _bounded(e: Expr) -> Expr:
+    """Return a power as 1 where its base is 0, for a step beside it to make 0 of it there."""
+    return sympy.Piecewise((e.base, sympy.Ne(e.base, 0)), (1, True)) ** e.exp
+
+
+def _is_without_jump(factor: Expr, argument: Expr, symbol: Expr) -> bool:
+    """Return whether a factor is proved to vanish with the argument of its DiracDelta.
+
+    What jumps is the factor by the slope of the argument: sign(x^3) does, where 3 x^2 vanishes.
+    """
+    if _vanishes_with(factor, argument):
+        return True
+    slope = argument.diff(symbol)
+    terms = map(sympy.factor_terms, sympy.Add.make_args(factor))
+    height = sympy.Add(*(term / sympy.factor_terms(slope) for term in terms))
+    return all(_vanishes_with(height, part) for part in _zero_with(argument))
 
 
 _Step = sympy.Function("_Step")
@@ -173,12 +196,32 @@ def _vanishes_with(factor: Expr, argument: Expr) -> bool:
     places = [factor.subs(argument, 0).subs(-argument, 0)]
     for s in argument.free_symbols:
         slope = argument.diff(s)
-        if all(p.name[0] == "p" for p in slope.free_symbols):  # parameters: it is 0 nowhere
+        if slope != 0 and _is_constant(slope):
             places.append(factor.xreplace({s: sympy.expand(s - argument / slope)}))
     return any(
         is_zero(e.replace(_Step, lambda u: sympy.Heaviside(u) if u.is_nonzero else _Step(u)))
         for e in places
     )
+
+
+def _zero_with(e: Expr) -> list[Expr]:
+    """Return expressions of which one is 0 wherever e is."""
+    if e.is_Mul:
+        return [part for factor in e.args for part in _zero_with(factor)]
+    if e.is_Pow and e.exp.is_positive:
+        return _zero_with(e.base)
+    if isinstance(e, _ONE_ZERO):
+        return _zero_with(e.args[0])
+    return [] if e.is_nonzero or _is_constant(e) else [e]
+
+
+# Real functions that are 0 at 0 alone.
+_ONE_ZERO = (sympy.Abs, sympy.sinh, sympy.tanh, sympy.asinh, sympy.asin, sympy.atan, sympy.erf)
+
+
+def _is_constant(e: Expr) -> bool:
+    """Return whether there are at most parameters in an expression, which then is not 0."""
+    return all(s.name[0] == "p" for s in e.free_symbols)
 
 
 @contextlib.contextmanager
@@ -638,8 +681,11 @@ def _kind(
     )
     for a in range(model.m):
         if all(map(is_zero, (mu if affine else given)[a * n : (a + 1) * n])):
+            given = f"constraints[{a}] = {model.shown(model.constraints[a])}"
+            if is_zero(phi[a]):
+                raise ValueError(f"{given}: it is 0 = 0, which constrains nothing")
             raise ValueError(
-                f"constraints[{a}] = {model.shown(model.constraints[a])}: expected a velocity in "
+                f"{given}: expected a velocity in "
                 "it; a constraint on the coordinates alone is holonomic, and can be given as its "
                 "time derivative, whose D is then kept"
             )

@@ -55,7 +55,7 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     Parameters
     ----------
     names : str or sequence of str
-        As for ``sympy.symbols``: separated by commas or spaces.
+        As for ``sympy.symbols``: separated by commas or spaces; ``"q1:4"`` is q1, q2, q3.
 
     Returns
     -------
@@ -77,10 +77,13 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     >>> x.d * y
     y*x.d
     """
-    _sympy()
+    sympy = _sympy()
     from .model import make_coordinates
 
-    words = names.replace(",", " ").split() if isinstance(names, str) else _several(names, "names")
+    if isinstance(names, str):
+        words = [s.name for s in sympy.symbols(names, seq=True)] if names.strip() else []
+    else:
+        words = _several(names, "names")
     for word in words:
         arguments.text(word, "names")
     if not words or len(set(words)) != len(words):
@@ -116,6 +119,8 @@ def make_model(
     if len(set(names)) != n:
         raise ValueError(f"coordinates = {names}: expected different names")
     values, symbols = _parameters(parameters)
+    if both := sorted(values.keys() & set(names)):
+        raise ValueError(f"parameters: {both[0]} is a coordinate; expected another name")
 
     q, v = models.canonical("q", n), models.canonical("v", n)
     rule = dict(zip(symbols, models.canonical("p", len(symbols))))
@@ -154,6 +159,11 @@ def make_model(
         if str(time) in left:
             raise ValueError(
                 f"{where}: the time {time} is left over; only a force may depend on it"
+            )
+        if twins := [name for name in left if name.removesuffix(".d") in names]:
+            raise ValueError(
+                f"{where}: this {twins[0]} is another symbol than that of the coordinates; "
+                "expected the very one of dalembert.coordinates, or that given in coordinates="
             )
         if left:
             raise ValueError(

@@ -405,7 +405,7 @@ class System:
         and numbers of any unit are kept.  The derivative of a ``Piecewise`` is that of its pieces:
         a jump exerts no force.  Outside of all its pieces it is not defined, and callbacks end in a
         `DomainError`.  Where Newton's method alone needs a derivative (V_qq, L_qq, f_q, f_v), that
-        of a jump is taken as 0.
+        of a jump is taken as 0, and that at the edge of ``Max(0, x)**(3/2)`` as finite.
 
         Parameters
         ----------

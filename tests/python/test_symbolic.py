@@ -634,6 +634,94 @@ def test_without_sympy(monkeypatch):
         dal.System.from_sympy(0)
 
 
+@pytest.mark.parametrize("exponent", ["4/3", "3/2", "5/2"])
+@pytest.mark.parametrize("scheme", ["leapfrog", "midpoint", "reference"])
+def test_a_wall_whose_stiffness_is_infinite_at_its_edge(scheme, exponent):
+    """Outside of it nothing acts; V_qq, 0 times infinity there, is for Newton's method alone."""
+    x, y, z = dal.coordinates("x y z")
+    kinetic, form = (x.d**2 + y.d**2 + z.d**2) / 2, z.d - y * x.d
+    power, edge = sympy.Rational(exponent), sympy.Rational(1, 2)
+    inside = sympy.Piecewise(((x - edge) ** power, x > edge), (0, True))
+    runs = [
+        dal.integrate(dal.System.from_sympy(L, form, force=force), scheme,
+                      [0, 1, 0], [1, 1, 1], h=0.01, steps=100)
+        for L, force in [
+            (kinetic - 50 * sympy.Max(0, x - edge) ** power, None),
+            (kinetic - 50 * (sympy.Max(0, x - edge) + sympy.Max(0, -x - edge)) ** power, None),
+            (kinetic - 50 * inside, None),
+            (kinetic, {x: -50 * power * sympy.Max(0, x - edge) ** (power - 1)}),
+        ]
+    ]  # fmt: skip
+    assert runs[0].q[-1, 0] < 0.8  # it has come back
+    for run in runs[1:]:
+        assert run.q == pytest.approx(runs[0].q, rel=1e-9, abs=1e-9)
+
+
+def test_a_barrier_still_refuses():
+    x = dal.coordinates("x")[0]
+    barrier = dal.System.from_sympy(x.d**2 / 2 - 1 / sympy.Max(0, x))
+    with pytest.raises(dal.DomainError):
+        dal.integrate(barrier, "leapfrog", [-1], [1], h=0.01, steps=1)
+
+
+def test_what_has_no_jump_after_all():
+    """A factor that vanishes where the argument does; but sign(x^3) jumps, where 3 x^2 vanishes."""
+    x, y = dal.coordinates("x y")
+    sign, half = sympy.sign, sympy.Rational(1, 2)
+    q = [0.3, -0.7]
+    for V in (
+        y**4 * sign(y * sympy.Abs(y)), x * sign(x**3), x * y * sign(x**3 * y),
+        x**2 * sign(sympy.tanh(x) * sympy.exp(y)), x * (x - half) * sign(x * (x - half)),
+        x**2 * sympy.Heaviside(-(x**3)), x * x.d * sympy.Abs(x.d) * sign(sympy.sinh(x)),
+    ):  # fmt: skip
+        L = (x.d**2 + y.d**2) / 2 - V
+        made = dal.System.from_sympy(L)._symbolic.model
+        name, output = ("lagrangian", "L_q") if V.has(x.d) else ("potential", "V_q")
+        found = made.callables(name)[output](q, [0.2, 0.5], [])
+        value = sympy.lambdify([(x, y), (x.d, y.d)], L if V.has(x.d) else V, "mpmath")
+        for i in range(2):
+            exact = mpmath.diff(
+                lambda s, i=i: value([s if j == i else q[j] for j in range(2)], [0.2, 0.5]), q[i]
+            )
+            assert found[i] == pytest.approx(float(exact), rel=1e-12, abs=1e-12), V
+    for V in (
+        sign(x**3), y * sign(x**3), x * sign(sympy.tanh(y)), sign(y * sympy.Abs(y)),
+        x**2 * sign(x * y), x * sign(x * (x - 1)), sign(sympy.sinh(x) ** 3), sign(x**5 - x**3),
+        sign(sympy.Piecewise((x, x > y), (1, True))) * y,
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="L: its derivative by [xy] needs DiracDelta"):
+            dal.System.from_sympy((x.d**2 + y.d**2) / 2 - V)
+
+
+def test_names_that_are_taken_for_others():
+    x, y = dal.coordinates("x y")
+    L = (x.d**2 + y.d**2) / 2
+    assert dal.coordinates("q1:4, z") == dal.coordinates(["q1", "q2", "q3", "z"])
+    for other in (sympy.Symbol("x"), sympy.Symbol("x.d")):
+        with pytest.raises(ValueError, match=f"L: this {other} is another symbol than that of the"):
+            dal.System.from_sympy(L - other)
+    for key in (x, "x", sympy.Symbol("x")):
+        with pytest.raises(ValueError, match="parameters: x is a coordinate"):
+            dal.System.from_sympy(L, parameters={key: 1})
+    nothing = (sympy.sin(x) ** 2 + sympy.cos(x) ** 2 - 1) * x.d
+    with pytest.raises(ValueError, match=r"constraints\[0\] = .*: it is 0 = 0"):
+        dal.System.from_sympy(L, [nothing])
+
+
+@pytest.mark.parametrize("formulas", [
+    ("L = (v_x^2 + v_y^2 + v_z^2)/2",),
+    ("v_z - y v_x = 0",),
+    ("L = (v_x^2 + v_y^2 + v_z^2)/2", "v_z - exp(exp(exp(exp(exp(10))))) v_x = 0"),
+], ids=["L", "constraint", "too large"])  # fmt: skip
+def test_formulas_that_say_a_part(formulas):
+    """Then the growth vector is that of the functions."""
+    system = dal.System(
+        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], coordinates=["x", "y", "z"],
+        formulas=formulas,
+    )  # fmt: skip
+    assert system.check([0.3, 0.4, 0.5], [1, 1, 0.4]).growth == (2, 3)
+
+
 def test_latex():
     system = rich()
     text = system._repr_latex_()
