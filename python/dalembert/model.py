@@ -120,10 +120,10 @@ def in_order(found: Iterable[Coordinate]) -> list[Coordinate]:
         [name for name in order if name in call] != [name for name in call if name in by_name]
         for call in calls
     ):
-        shown = " and ".join(repr(" ".join(call)) for call in sorted(calls))
+        shown = " and ".join(f"dalembert.coordinates({' '.join(c)!r})" for c in sorted(calls))
         raise ValueError(
-            f"coordinates: needed, for the calls dalembert.coordinates of {shown}, whose symbols "
-            f"occur, do not tell the order of {', '.join(sorted(order))}"
+            f"coordinates: needed, for the order of {', '.join(sorted(order))} is not clear: "
+            f"their symbols are of {shown}"
         )
     return [by_name[name] for name in order]
 

@@ -81,7 +81,10 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     from .model import make_coordinates
 
     if isinstance(names, str):
-        words = [s.name for s in sympy.symbols(names, seq=True)] if names.strip() else []
+        try:
+            words = [s.name for s in sympy.symbols(names, seq=True)] if names.strip() else []
+        except ValueError as error:
+            raise ValueError(f"names = {names!r}: {error}") from None
     else:
         words = _several(names, "names")
     for word in words:
