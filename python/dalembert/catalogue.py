@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from . import arguments, extras, symbolic
+from . import arguments, extras
 from .system import System
 
 __all__ = [

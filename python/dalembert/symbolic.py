@@ -139,9 +139,11 @@ def make_model(
     same = {_kind_and_name(s): c for s, c in pairing if isinstance(s, called)}
 
     def translate(expression: Expr, where: str, with_time: bool = False) -> Expr:
-        found = expression
+        if expression.has(sympy.Derivative):
+            _refuse_rates(expression, where)
+        made = expression.atoms(models.Coordinate, models.Velocity)
+        found = expression.xreplace({s: same[k] for s in made if (k := _kind_and_name(s)) in same})
         if found.has(sympy.Derivative):
-            _refuse_rates(found, where)
             found = found.doit()
         unknown = {d for d in found.atoms(sympy.Derivative) if d not in velocities}
         if unknown:
@@ -149,8 +151,6 @@ def make_model(
         matching = _matching(found, rule)
         for symbol in matching:
             used[symbol.name].add(symbol)
-        free = found.free_symbols
-        matching |= {s: same[key] for s in free if (key := _kind_and_name(s)) in same}
         found = found.xreplace({**positions, **velocities, **matching})
         allowed = {*q, *v, *rule.values()}
         if with_time:

@@ -360,6 +360,7 @@ def test_symbols_of_several_calls():
     assert own.coordinates == ("x", "y", "theta")
     same = make(kinetic.subs(other.d, x.d), forms, force={x: theta})
     assert own._symbolic.model.key == same._symbolic.model.key
+    assert make(kinetic - sympy.Derivative(x**2, other)).formulas[0].endswith("- 2 x")
     assert make(kinetic, forms, coordinates=[theta, y, x]).coordinates == ("theta", "y", "x")
     a, b = dal.coordinates("first1")[0], dal.coordinates("second1")[0]
     assert make(b.d**2 + a.d**2).coordinates == ("first1", "second1")
