@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from . import arguments, extras, symbolic
+from . import arguments, extras
 from .system import System
 
 __all__ = [
@@ -398,7 +398,10 @@ def _start(
     symbols = [
         sympy.Symbol(key, positive=True if key in positive.split() else None) for key in parameters
     ]
-    return sympy, symbolic.coordinates(coordinates), symbols
+    from .model import Coordinate
+
+    call = tuple(coordinates.split())
+    return sympy, tuple(Coordinate(name, call) for name in call), symbols
 
 
 def _make(

@@ -405,7 +405,7 @@ class System:
         and numbers of any unit are kept.  The derivative of a ``Piecewise`` is that of its pieces:
         a jump exerts no force.  Outside of all its pieces it is not defined, and callbacks end in a
         `DomainError`.  Where Newton's method alone needs a derivative (V_qq, L_qq, f_q, f_v), that
-        of a jump is taken as 0.
+        of a jump is taken as 0, and that at the edge of ``Max(0, x)**(3/2)`` as finite.
 
         Parameters
         ----------
@@ -418,7 +418,7 @@ class System:
         coordinates : sequence, optional
             Of `dalembert.coordinates`; of dynamicsymbols, whose velocities are their derivatives;
             or pairs (q, v) of symbols.  Default: all that occur, those of `dalembert.coordinates`
-            in the order in which they were made, then dynamicsymbols by name.
+            in the order in which they were named there, then dynamicsymbols by name.
         parameters : mapping, optional
             Symbol, or its name, to value.  What a symbol assumes, as ``positive=True``, has to hold
             of every value that it gets, here and in `with_parameters`.
