@@ -264,7 +264,9 @@ typedef struct dal_difference {
     double error;           /* worst |given - differenced| / (1 + |differenced|) */
     double given, expected; /* the two numbers at that entry */
     size_t row, column;
-    int checked;            /* 0: not provided, nothing to compare */
+    int checked;            /* 0: not provided, or no entry was judged: nothing to compare */
+    int wrong;              /* 1: the two numbers are not the same */
+    size_t unjudged;        /* entries where differences do not converge: not compared */
 } dal_difference;
 
 /* What dal_system_check found at one point. */
