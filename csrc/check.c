@@ -38,7 +38,7 @@ typedef struct examination {
     double *value, *slope;        /* [n] scratch of the differences */
     double *bend, *height;        /* [n] how far slopes on both sides differ; the largest values */
     double *expected;             /* [n] */
-    char unjudged[64];            /* derivatives that differences do not tell */
+    const char *unjudged;         /* a derivative that differences do not tell everywhere, or NULL */
     double *gradient, *hessian;   /* [n], [n*n] */
     double *forms;                /* [m*n] */
     double *phi;                  /* [m] */
@@ -122,8 +122,8 @@ static int value_phi(const double *moved, double *phi, void *ctx)
                            NULL, &ex->mech.error);
 }
 
-/* Differences of f by component j of the point, with a distance of their own: along it and back the
- * slopes are ahead and behind, of order 1, and their mean is that of order 4 in slope. */
+/* slope <- differences of f by component j of the point, of order 4, over a distance d; bend <- the
+ * slope ahead minus that behind, of order 1; height <- the largest of the values. */
 static int difference(examination *ex, dal__function f, size_t j, size_t rows, double d)
 {
     static const int offsets[5] = {0, 1, -1, 2, -2};
@@ -163,9 +163,10 @@ static void keep_worst(dal_difference *worst, const dal_difference *found)
 }
 
 /* One derivative against differences over smaller and smaller distances d: right if it agrees with
- * those over any of them, wrong if they converge to something else.  They converge if two that
- * follow each other agree and the slopes on both sides get closer with d, which they do not at a
- * kink.  Where they do not converge, or leave the domain, there is nothing to judge by. */
+ * those over any of them, wrong if they converge to something else: two that follow each other agree
+ * far better with each other than with it.  At a kink, where the slopes on both sides do not get
+ * closer with d, it may be either of these.  Where differences do not converge, or leave the domain,
+ * there is nothing to judge by. */
 static int descend(examination *ex, dal__function f, size_t rows, dal_difference *found)
 {
     enum { DISTANCES = 14 };
@@ -175,22 +176,21 @@ static int descend(examination *ex, dal__function f, size_t rows, dal_difference
     found->wrong = 0;
     found->unjudged = 1;
     for (int k = 0; k < DISTANCES; k++, d /= 8.0) {
-        if (ex->point[j] + d == ex->point[j]) break;
+        if (ex->point[j] + d - ex->point[j] != d) break;
         const int status = difference(ex, f, j, rows, d);
         if (status == DAL_EDOMAIN) continue;
         if (status) return status;
         const double here = ex->slope[i], gap = fabs(ex->bend[i]);
         const double rounding = 32.0 * DAL_ROUNDOFF * ex->height[i] / d;
         const double allowed = derivative_tolerance * (1.0 + fabs(here));
-        const double change = fabs(here - before) + rounding;
-        const bool converges = gap <= 0.5 * gap_before + allowed + rounding;
-        if (rounding > 10.0 * allowed) break;
-        if (fabs(found->given - here) <= allowed + rounding) {
+        const double change = fabs(here - before) + rounding, far = fabs(found->given - here);
+        const bool is_kink = gap > 0.5 * gap_before + allowed + rounding && gap > far;
+        if (rounding <= 0.1 * allowed && far <= allowed) {
             *found = (dal_difference){.error = off(found->given, here), .given = found->given,
                                       .expected = here, .row = i, .column = j, .checked = 1};
             return DAL_SUCCESS;
         }
-        if (converges && change < best && fabs(found->given - here) > 4.0 * change) {
+        if (!is_kink && far > 4.0 * change && change < best && best > 0.1 * allowed) {
             best = change;
             found->expected = here;
             found->error = off(found->given, here);
@@ -234,8 +234,7 @@ static int compare(examination *ex, dal__function f, bool moves_v, size_t rows,
 static void judge(examination *ex, const char *name, const char *function,
                   const dal_difference *worst)
 {
-    if (worst->unjudged && !ex->unjudged[0])
-        snprintf(ex->unjudged, sizeof ex->unjudged, "%zu of %s", worst->unjudged, name);
+    if (worst->unjudged && !ex->unjudged) ex->unjudged = name;
     if (!worst->wrong) return;
     complain(&ex->found, "%s[%zu,%zu] is given as %.10g, but differences of %s are %.10g (error "
              "%.1e)", name, worst->row, worst->column, worst->given, function, worst->expected,
@@ -703,8 +702,8 @@ static void summarize(const examination *ex, dal_check *found)
     const size_t size = sizeof found->text;
     char agree[160];
     snprintf(agree, sizeof agree, "the derivatives given agree with differences%s%s%s",
-             ex->unjudged[0] ? ", but " : "", ex->unjudged,
-             ex->unjudged[0] ? " are not judged, for there differences do not converge" : "");
+             ex->unjudged ? " where these converge, which those for " : "",
+             ex->unjudged ? ex->unjudged : "", ex->unjudged ? " do not everywhere" : "");
     if (ex->m == 0) {
         snprintf(text, size, "%s; no constraints", agree);
         return;

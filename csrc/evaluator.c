@@ -71,7 +71,7 @@ static int hessian_of_V(evaluator *e, const double *q, double *V_qq)
     const size_t n = e->system->def.n;
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j <= i; j++) {
-            const double di = spacing(q[i]), dj = spacing(q[j]);
+            const double di = dal__spacing(q[i]), dj = dal__spacing(q[j]);
             double sum = 0.0;
             for (int k = 0; k < 4; k++) {
                 const double si = k < 2 ? di : -di, sj = k % 2 ? -dj : dj;

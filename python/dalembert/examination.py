@@ -36,7 +36,12 @@ class Difference:
     row, column : int
         Which entry it is.
     checked : bool
-        False if the derivative was not provided, so that there is nothing to compare.
+        False if the derivative was not provided, or no entry could be judged, so that there is
+        nothing to compare.
+    wrong : bool
+        True if the two numbers are not the same.
+    unjudged : int
+        How many entries stand where differences do not converge, and were left out.
     """
 
     error: float
@@ -45,6 +50,8 @@ class Difference:
     row: int
     column: int
     checked: bool
+    wrong: bool = False
+    unjudged: int = 0
 
     @classmethod
     def read(cls, found: Any) -> Difference:
@@ -56,14 +63,18 @@ class Difference:
             row=int(found.row),
             column=int(found.column),
             checked=bool(found.checked),
+            wrong=bool(found.wrong),
+            unjudged=int(found.unjudged),
         )
 
     def __str__(self) -> str:
+        left = f"{self.unjudged} not judged: differences do not converge" if self.unjudged else ""
         if not self.checked:
-            return "not given, nothing to compare"
+            return left or "not given, nothing to compare"
         return (
             f"worst error {self.error:.1e} at [{self.row}, {self.column}]: "
             f"given {self.given:.10g}, by differences {self.expected:.10g}"
+            + (f"; {left}" if left else "")
         )
 
 

@@ -978,14 +978,15 @@ class System:
 
     def _general_state(self) -> tuple[Array, Array]:
         """Return some state in D, in no special position."""
-        source = np.random.default_rng(1)
-        q, v = source.uniform(0.2, 1.0, (2, self._n))
-        try:
-            return q, self.project(q, v)
-        except _lib.DalembertError:  # the examination says why
-            return q, v
-
-    # ---- from expressions ----------------------------------------------------------------
+        source, first = np.random.default_rng(1), None
+        for size in np.repeat((1.0, -1.0, 10.0, -10.0, 100.0, -100.0), 4):  # where it is defined
+            q, v = source.uniform(0.2, 1.0, (2, self._n))
+            state = size * q, v
+            first = first or state
+            with contextlib.suppress(_lib.DalembertError):
+                return state[0], self.project(*state)
+        assert first is not None
+        return first  # the examination says why
 
     def with_parameters(self, **parameters: float) -> System:
         """Return the system with other values of some parameters; nothing is compiled.
