@@ -176,7 +176,7 @@ static int descend(examination *ex, dal__function f, size_t rows, dal_difference
     found->wrong = 0;
     found->unjudged = 1;
     for (int k = 0; k < DISTANCES; k++, d /= 8.0) {
-        if (ex->point[j] + d - ex->point[j] != d) break;
+        if (d <= 16.0 * DAL_ROUNDOFF * fabs(ex->point[j])) break;
         const int status = difference(ex, f, j, rows, d);
         if (status == DAL_EDOMAIN) continue;
         if (status) return status;

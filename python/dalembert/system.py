@@ -983,7 +983,7 @@ class System:
             q, v = source.uniform(0.2, 1.0, (2, self._n))
             state = size * q, v
             first = first or state
-            with contextlib.suppress(_lib.DalembertError):
+            with contextlib.suppress(_lib.DalembertError, ArithmeticError, ValueError):
                 return state[0], self.project(*state)
         assert first is not None
         return first  # the examination says why

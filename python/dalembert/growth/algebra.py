@@ -95,15 +95,16 @@ def _at(
         )
         if growth.shortened(found, n) == general:
             return general, ""
+        most = max(general[-1], found[-1])
         limit = min(_ORDERS, int(np.log2(_WORK / n**2)))
         found, _, told = growth.search(
-            point, growth.at_random(n - forms.m), max(limit, 1), lambda d: d[-1] >= general[-1],
+            point, growth.at_random(n - forms.m), max(limit, 1), lambda d: d[-1] >= most,
             show,
         )  # fmt: skip
     except ValueError as error:
         return None, str(error)
     if told:
-        note = "" if found[-1] >= general[-1] else growth.no_more(found)
+        note = "" if found[-1] >= most else growth.no_more(found)
         return growth.shortened(found, n), note
     return tuple(found), (
         f"brackets of {len(found) + 1} fields cannot be told from 0 at a point that is known to 16 "
