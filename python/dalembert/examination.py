@@ -115,18 +115,21 @@ class Check:
     integrable : bool
         True if D is integrable at general points, a holonomic constraint in disguise: what its
         growth vector says; if that is not known, whether the curvature vanishes here and nearby.
+        Where mu is given in pieces (Max, Abs, Piecewise, ...) that is said of the surroundings of
+        the state, unless ``exact``.
     text : str
         The first thing found wrong, or a summary.
     growth : tuple of int or None
         Growth vector of D: dimensions of D, D + [D, D], ...  At q, if q was given; else at a
-        general point, near the initial data unless the system was made by `System.from_sympy`.
+        general point near the initial data.
         Its end is n if D is bracket generating; n - k, twice, if there are k holonomic constraints
         in disguise; for anything else see `growth_note`.  None if it is not known, or the
         constraints are not linear.
     general_growth : tuple of int or None
-        At a general point; where it differs, q is a singular one.
+        At a general point, the largest of some that are looked at, most of them near the state;
+        where it differs, q is a singular one, or lies where mu is simpler than elsewhere.
     growth_note : str
-        Why ``growth`` ends before that, or "".
+        Why ``growth`` ends before that, or of which points it is known; or "".
     holonomic : tuple of str
         Of a system made by `System.from_sympy`: its constraints that are holonomic in disguise by
         themselves, and how many are if several are taken together.

@@ -918,6 +918,9 @@ class System:
     ) -> Check:
         """Examine the system at a state: derivatives, rank, definiteness, integrability, growth.
 
+        Derivatives are compared with differences over several distances; what is wrong by less
+        than 1e-7 of 1 + its size is not seen, and an entry where differences do not converge, such
+        as a second derivative at a kink, is not judged.
         What depends on v is examined at another velocity too, where it is defined there, and the
         force at times 0 and 1.  The growth vector of D, and with it whether D is integrable, is
         found with many digits for a system made by `from_sympy`, and for one whose formulas say

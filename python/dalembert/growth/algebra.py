@@ -84,10 +84,9 @@ def _at(
     show: Callable[[int], Any],
 ) -> tuple[tuple[int, ...] | None, str]:
     """Return the growth vector at a point that is known to double precision, and what it lacks."""
-    source, n = random.Random(1), forms.n
-    other = [x + max(1.0, abs(x)) * source.choice((-1, 1)) * 2.0**-53 for x in map(mpmath.mpf, q)]
+    n = forms.n
     try:
-        point = _Point(forms, list(map(mpmath.mpf, q)), other)
+        point = _given(forms, q)
         new = growth.of_new_ones(n - forms.m)
         same = (lambda k, *_: words[k - 1]) if general[-1] == n else new
         found, _, told = growth.search(  # is it as at the general point?
@@ -112,8 +111,16 @@ def _at(
     )
 
 
+def _given(forms: _Forms, q: Array) -> _Point:
+    """Return a point that is known to double precision; ValueError if mu is not smooth there."""
+    source = random.Random(1)
+    place = list(map(mpmath.mpf, q))
+    other = [x + max(1.0, abs(x)) * source.choice((-1, 1)) * 2.0**-53 for x in place]
+    return _Point(forms, place, other)
+
+
 def _points(forms: _Forms, near: Array) -> tuple[list[_Point], str]:
-    """Return points in no special position, where mu is smooth and of full rank, near ones first.
+    """Return points where mu is of full rank: in no special position, near ones first, and near.
 
     Where there are none, also what the last one lacks.
     """
@@ -123,13 +130,15 @@ def _points(forms: _Forms, near: Array) -> tuple[list[_Point], str]:
         for size in growth.NEARBY
         for k in range(1, 5)
     ]
-    places[4:4] = [np.array([source.uniform(0.5, 1) for _ in near]) for _ in range(2)]
-    for place in places:
+    places[4:4] = [places[-1], *(np.array([source.uniform(0.5, 1) for _ in near]) for _ in "12")]
+    makers = [lambda q=q: _Point(forms, list(map(mpmath.mpf, q))) for q in places]
+    makers.insert(7, lambda: _given(forms, near))
+    for make in makers:
         try:
-            found.append(_Point(forms, list(map(mpmath.mpf, place))))
+            found.append(make())
         except ValueError as error:
             lack = str(error)
-        if len(found) == 6:
+        if len(found) == 8:
             break
     return found, lack
 
