@@ -38,7 +38,7 @@ typedef struct examination {
     double *value, *slope;        /* [n] scratch of the differences */
     double *bend, *height;        /* [n] how far slopes on both sides differ; the largest values */
     double *expected;             /* [n] */
-    const char *unjudged;         /* a derivative that differences do not tell everywhere, or NULL */
+    const char *unjudged;         /* a derivative that differences do not tell, or NULL */
     double *gradient, *hessian;   /* [n], [n*n] */
     double *forms;                /* [m*n] */
     double *phi;                  /* [m] */
@@ -163,10 +163,10 @@ static void keep_worst(dal_difference *worst, const dal_difference *found)
 }
 
 /* One derivative against differences over smaller and smaller distances d: right if it agrees with
- * those over any of them, wrong if they converge to something else: two that follow each other agree
- * far better with each other than with it.  At a kink, where the slopes on both sides do not get
- * closer with d, it may be either of these.  Where differences do not converge, or leave the domain,
- * there is nothing to judge by. */
+ * those over any of them, wrong if they converge to something else: two that follow each other
+ * agree far better with each other than with it.  At a kink, where the slopes on both sides do not
+ * get closer with d, it may be either of these.  Where differences do not converge, or leave the
+ * domain, there is nothing to judge by. */
 static int descend(examination *ex, dal__function f, size_t rows, dal_difference *found)
 {
     enum { DISTANCES = 14 };
