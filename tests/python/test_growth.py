@@ -605,3 +605,9 @@ def test_check_finds_a_state_by_itself(in_python):
     assert dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2) / 2, far, [x, y, z]).check()
     with pytest.raises(ValueError, match="no initial data"):
         dal.System(mass=[1]).check()
+
+
+@pytest.mark.parametrize("zero", [sympy.S.Zero, (sin(x) ** 2 + cos(x) ** 2 - 1) * x.d])
+def test_a_constraint_that_is_nothing(zero):
+    with pytest.raises(ValueError, match=r"constraints\[0\] = .*: it is 0 for all velocities"):
+        examine([zero], [x, y, z])
