@@ -259,12 +259,15 @@ DAL_API size_t dal_system_invariants(const dal_system *system);
 DAL_API const char *dal_system_invariant_name(const dal_system *system, size_t i); /* or NULL */
 DAL_API int dal_system_invariant(const dal_system *system, const double *x, double *values);
 
-/* A derivative compared with central differences. */
+/* A derivative compared with central differences, over a smaller and smaller distance until they
+ * agree with it, or with each other. */
 typedef struct dal_difference {
     double error;           /* worst |given - differenced| / (1 + |differenced|) */
     double given, expected; /* the two numbers at that entry */
     size_t row, column;
-    int checked;            /* 0: not provided, nothing to compare */
+    int checked;            /* 0: not provided, or no entry was judged: nothing to compare */
+    int wrong;              /* 1: the two numbers are not the same */
+    size_t unjudged;        /* entries where differences do not converge: not compared */
 } dal_difference;
 
 /* What dal_system_check found at one point. */

@@ -681,11 +681,11 @@ def _kind(
     )
     for a in range(model.m):
         if all(map(is_zero, (mu if affine else given)[a * n : (a + 1) * n])):
-            given = f"constraints[{a}] = {model.shown(model.constraints[a])}"
-            if is_zero(phi[a]):
-                raise ValueError(f"{given}: it is 0 = 0, which constrains nothing")
+            shown = f"constraints[{a}] = {model.shown(model.constraints[a])}"
+            if is_zero(engine.give(phi[a])):
+                raise ValueError(f"{shown}: it is 0 for all velocities, and constrains nothing")
             raise ValueError(
-                f"{given}: expected a velocity in "
+                f"{shown}: expected a velocity in "
                 "it; a constraint on the coordinates alone is holonomic, and can be given as its "
                 "time derivative, whose D is then kept"
             )

@@ -36,7 +36,7 @@ def examine(
     system : System
         With linear constraints, at least one.
     near : ndarray, shape (n,)
-        Some point where mu is defined.
+        Some point where mu is defined; general ones are sought near it first.
     q : ndarray, shape (n,), optional
         Where the growth vector is wanted; default: at a general point.
     show : callable, optional
