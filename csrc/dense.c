@@ -63,7 +63,7 @@ bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pi
         for (size_t k = 0; k < j; k++) d -= A[j * n + k] * A[j * n + k];
         if (row) *row = j;
         if (pivot) *pivot = d;
-        if (!(d > 0.0 && d <= DBL_MAX)) return false;
+        if (!(d > 0.0)) return false;
         const double root = sqrt(d);
         A[j * n + j] = root;
         for (size_t i = j + 1; i < n; i++) {
@@ -103,10 +103,10 @@ double dal__singular_values(size_t count, size_t n, double *A, double *squares)
     enum { SWEEPS = 60 };
     const double unit = dal__largest(count * n, A), tolerance = (double)n * DAL_ROUNDOFF;
     for (size_t k = 0; k < count * n && unit > 0.0; k++) A[k] /= unit;
+    for (size_t i = 0; i < count; i++) squares[i] = dal__dot(n, A + i * n, A + i * n);
     bool orthogonal = false;
     for (int sweep = 0; sweep < SWEEPS && !orthogonal; sweep++) {
         orthogonal = true;
-        for (size_t i = 0; i < count; i++) squares[i] = dal__dot(n, A + i * n, A + i * n);
         for (size_t i = 0; i < count; i++)
             for (size_t j = i + 1; j < count; j++) {
                 double *const a = A + i * n, *const b = A + j * n;
@@ -138,7 +138,7 @@ static void balance(size_t count, const double *scale, bool rows, double least, 
         size_t entries = 0;
         for (size_t l = 0; l < count; l++) {
             const double entry = rows ? scale[k * count + l] : scale[l * count + k];
-            if (!(entry > least * size[k] * other[l]) || !(entry <= DBL_MAX)) continue;
+            if (!(entry > least * size[k] * other[l])) continue;
             sum += log2(entry) - log2(other[l]);
             entries++;
         }
@@ -152,7 +152,7 @@ static void balance(size_t count, const double *scale, bool rows, double least, 
 void dal__sizes(size_t count, const double *scale, double *sizes)
 {
     enum { ALL = 12, SWEEPS = 20 };
-    const double small = 1e-8;
+    const double small = 1e-4;
     double *const rows = sizes, *const columns = sizes + count;
     for (size_t k = 0; k < 2 * count; k++) sizes[k] = 1.0;
     for (int sweep = 0; sweep < SWEEPS; sweep++) {

@@ -15,8 +15,8 @@ static int is_not_finite(dal_kernel *k)
     return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
 }
 
-/* The callbacks at the iterate w of solve.  DAL_EDOMAIN: outside their domain or not finite; the
- * reason is in k->failure. */
+/* The callbacks at the iterate w of solve, and goal, which is all of v' but Z^T kappa.
+ * DAL_EDOMAIN: outside their domain or not finite; the reason is in k->failure. */
 static int evaluate(dal_kernel *k, const dal_stage *s)
 {
     const dal_arrays *const at = &k->at;
@@ -24,6 +24,7 @@ static int evaluate(dal_kernel *k, const dal_stage *s)
     const double b = s->after * k->h;
     for (size_t i = 0; i < n; i++) at->point[i] = at->node[i] + b * at->w[i];
     double total = 0.0;
+    memcpy(at->goal, at->base, n * sizeof *at->goal);
     if (m > 0) {
         const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, at->N);
         if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
@@ -33,6 +34,8 @@ static int evaluate(dal_kernel *k, const dal_stage *s)
         k->stats.potential_calls++;
         const int returned = k->potential(at->point, NULL, k->force1, k->K, k->potential_ctx);
         if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+        dal_kernel_accelerate(k, n, everything.inverse, k->force1, at->goal);
+        for (size_t i = 0; i < n; i++) at->goal[i] = at->base[i] - k->h * s->end * at->goal[i];
         total += dal_kernel_sum(n, k->force1) + dal_kernel_sum(n * n, k->K);
     }
     return total <= DBL_MAX ? DAL_SUCCESS : is_not_finite(k);
@@ -136,8 +139,8 @@ static int solve(dal_kernel *k, const dal_stage *s)
         }
         for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
         p.scale = dal_residual_extent(n, k->per_unit, at->w)
-                + dal_residual_extent(n, k->per_unit, at->x + n)
-                + dal_residual_extent(n, k->per_unit, at->base);
+                + dal_residual_extent(n, k->per_unit, at->base)
+                + dal_residual_extent(n, k->per_unit, at->goal);
         p.extent = moves / p.scale;
         k->failure.iterations = p.iteration;
         k->failure.size = dal_residual_extent(n, k->per_unit, at->step);
@@ -145,9 +148,9 @@ static int solve(dal_kernel *k, const dal_stage *s)
         const dal__verdict verdict = dal__newton_judge(&p, k->failure.size);
         k->failure.first = p.first;
         k->failure.travelled = p.travelled;
-        if (verdict == DAL__DONE)
-            return sign > 0 ? DAL_SUCCESS : dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_BRANCH);
-        if (!(p.size <= DBL_MAX)) break;
+        if (sign < 0 && verdict != DAL__LOST)
+            return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_BRANCH);
+        if (verdict == DAL__DONE) return DAL_SUCCESS;
         if (verdict == DAL__LOST) return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_ROOT);
     }
     return dal_kernel_fail(k, DAL_ENOCONV, DAL_FAILED_CONVERGE);

@@ -58,8 +58,6 @@ static int field(double t, const double *x, double *dxdt, void *ctx, dal_error *
     if (status) return status;
     status = dal_field(mech, t, x, dxdt);
     if (status) *error = mech->error;
-    else if (!dal__all_finite(2 * mech->n, dxdt))
-        return dal__fail(error, DAL_EDOMAIN, "the acceleration at t = %.17g is not finite", t);
     return status;
 }
 
@@ -72,8 +70,6 @@ static int field_in_xi(double t, const double *xi, double *dxidt, void *ctx, dal
     if (status) return status;
     status = dal_chart_field(chart, t, xi, dxidt);
     if (status) *error = chart->mech.error;
-    else if (!dal__all_finite(chart->width, dxidt))
-        return dal__fail(error, DAL_EDOMAIN, "the acceleration at t = %.17g is not finite", t);
     return status;
 }
 
@@ -157,7 +153,6 @@ static int failed_chart(dal_flow *flow, int status)
 /* Ready to integrate from x[2n] at t0 over about span. */
 static int begin(dal_flow *flow, double t0, double span, const double *x, double factor)
 {
-    copy(flow, flow->state, x);
     if (!flow->in_xi)
         return dal__ode_begin(flow->integrator, t0, span, x, factor, &flow->error);
     const int status = dal_chart_choose(&flow->chart, NULL, x);

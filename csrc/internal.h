@@ -156,9 +156,9 @@ void dal__root_reserve(dal__root *root, size_t most, arena *a);
  * after a step that led to DAL_EDOMAIN has been halved in vain. */
 int dal__find_root(dal__root *root, const dal__equations *equations, dal_error *error);
 
-/* dydt[N] <- the field at y[N], which is finite, and time t.  Returns 0, or a dal_status whose text
- * it has written to error, never NULL: DAL_EUSER ends the integration, after any other a shorter
- * step is tried. */
+/* dydt[N] <- the field at y[N], which is finite, and time t.  Returns 0, or a dal_status that it
+ * has written to error with its text, error never NULL: DAL_EUSER and DAL_STOPPED end the
+ * integration, after any other a shorter step is tried. */
 typedef int (*dal__field_fn)(double t, const double *y, double *dydt, void *ctx, dal_error *error);
 
 /* y' = field(t, y) by an adaptive method.  Time is t0 + elapsed, and elapsed time is what is

@@ -260,12 +260,11 @@ DAL_KERNEL_INLINE double dal_kernel_form(const dal_kernel *k, size_t n, unsigned
     return sum;
 }
 
-/* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu + b N in the metric, its
+/* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu and b N in the metric, its
  * columns those of mu_node; or, where there is one entry, both together that of its terms. */
 DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                         double b, const dal_arrays *at)
 {
-    double terms = -0.0;
     for (size_t a = 0; a < m; a++) {
         double size = -0.0;
         for (size_t c = 0; c < m; c++) at->S[a * m + c] = -0.0;
@@ -273,15 +272,14 @@ DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m,
             const bool turns = DAL_KERNEL_HAS(has.N, a * n + i);
             if (!turns && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
             const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
-            if (m > 1) size += (turns ? fabs(mu) + fabs(row) : fabs(mu)) * k->unit[i];
-            for (size_t c = 0; c < m; c++) {
-                if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
-                const double term = row * at->Z[c * n + i];
-                at->S[a * m + c] += term;
-                terms += fabs(term);
-            }
+            const double entry = turns ? fabs(mu) + fabs(row) : fabs(mu);
+            if (m > 1) size += entry * k->unit[i];
+            else if (DAL_KERNEL_HAS(has.Z, i)) size += entry * fabs(at->Z[i]);
+            for (size_t c = 0; c < m; c++)
+                if (DAL_KERNEL_HAS(has.Z, c * n + i))
+                    at->S[a * m + c] += row * at->Z[c * n + i];
         }
-        at->sizes[a] = m > 1 ? size : terms;
+        at->sizes[a] = size;
         at->sizes[m + a] = m > 1 ? dal_kernel_form(k, n, has.mu, at->mu_node, a) : 1.0;
     }
     return dal_lu_factor(m, at->S, at->sizes, at->row);
@@ -319,13 +317,13 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(const dal_kernel *k, size_t n, size_t 
     return settled;
 }
 
-/* Whether r may be all roundoff: of w, which is the sum of base and Z^T kappa, and of q~', through
+/* Whether r may be all roundoff: of w, which is the sum of goal and Z^T kappa, and of q~', through
  * N.  No correction would make that smaller. */
 DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(const dal_kernel *k, size_t n, size_t m,
                                               dal_pattern has, const dal_arrays *at)
 {
     const double terms = dal_residual_speed(n, k->per_unit, at->w)
-                       + dal_residual_speed(n, k->per_unit, at->base);
+                       + dal_residual_speed(n, k->per_unit, at->goal);
     bool roundoff = true;
     for (size_t a = 0; a < m; a++) {
         double shifted = 0.0;
@@ -566,10 +564,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
                 double size = -0.0;
                 for (size_t i = 0; i < n; i++)
                     if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(step[i]) * k->per_unit[i];
-                const double noise = 4.0 * DAL_KERNEL_U
-                                   * (dal_residual_extent(n, k->per_unit, x + n)
-                                      + dal_residual_extent(n, k->per_unit, base)
-                                      + dal_residual_extent(n, k->per_unit, w));
+                const double noise =
+                    8.0 * DAL_KERNEL_U * dal_residual_extent(n, k->per_unit, goal);
                 if (ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
                 if (!(anew || size <= 0.5 * last || size <= noise)) break;
                 anew = passed && balanced;
@@ -612,6 +608,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         DAL_KERNEL_COPY(n, node, k->at.node);
         DAL_KERNEL_COPY(n, w, k->at.w);
         DAL_KERNEL_COPY(n, base, k->at.base);
+        DAL_KERNEL_COPY(n, goal, k->at.goal);
         DAL_KERNEL_COPY(n, stored, k->at.stored);
         DAL_KERNEL_COPY(m * n, Z, k->at.Z);
         DAL_KERNEL_COPY(m * n, mu_node, k->at.mu_node);
@@ -644,7 +641,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         k->force0 = k->force1;
         k->force1 = force;
     }
-    if (potential) k->forced = ends && solved; /* the full Newton iteration may stop 1e-11 away */
+    if (potential) k->forced = ends && solved; /* the full one evaluates before its last step */
     return DAL_SUCCESS;
 }
 

@@ -276,11 +276,10 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
     const double speed = dal_residual_speed(n, mech->per_unit, v);
     double worst = 0.0;
     for (size_t a = 0; a < mech->m; a++) {
-        const double sum = dal__dot(n, mu + a * n, v), value = is_linear(mech) ? sum : phi[a];
         const double scale = dal_residual_form(n, mech->unit, mu + a * n) * speed
-                           + fabs(value - sum);
-        if (!(fabs(value) <= DBL_MAX && scale <= DBL_MAX)) return HUGE_VAL;
-        if (fabs(value) > worst * scale) worst = fabs(value) / scale;
+                           + fabs(phi[a] - dal__dot(n, mu + a * n, v));
+        if (!(fabs(phi[a]) <= DBL_MAX && scale <= DBL_MAX)) return HUGE_VAL;
+        if (fabs(phi[a]) > worst * scale) worst = fabs(phi[a]) / scale;
     }
     return worst;
 }
@@ -292,10 +291,9 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
     const double speed = dal_residual_speed(n, mech->per_unit, v);
     for (size_t a = 0; a < mech->m; a++) {
         const double *const form = mu + a * n;
-        const double sum = dal__dot(n, form, v), value = is_linear(mech) ? sum : phi[a];
-        double terms = fabs(value - sum);
+        double terms = fabs(phi[a] - dal__dot(n, form, v));
         for (size_t i = 0; i < n; i++) terms += fabs(form[i] * v[i]);
-        if (!(fabs(value) <= DAL_CONSISTENT * terms
+        if (!(fabs(phi[a]) <= DAL_CONSISTENT * terms
               + DAL_RESIDUAL_BOUND(n) * dal_residual_form(n, mech->unit, form) * speed))
             return false;
     }
@@ -322,8 +320,8 @@ int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative)
             if (change != 0.0) w[i] -= change; /* a -0.0 that is kept stays one */
         }
         /* A velocity across D, of which each pass leaves its own roundoff, is zero. */
-        if (is_linear(mech) && pass == MOST
-            && dal_residual_speed(n, mech->per_unit, w) <= DAL_RESIDUAL_BOUND(n) * before)
+        const double speed = dal_residual_speed(n, mech->per_unit, w);
+        if (pass == MOST && speed <= DAL_RESIDUAL_BOUND(n) * before)
             memset(w, 0, n * sizeof *w);
         if (is_linear(mech))
             dal__apply(m, n, mech->mu, w, mech->phi);

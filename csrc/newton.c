@@ -36,7 +36,6 @@ void dal__newton_bind(newton *solver, const dal_system *system, int max_iteratio
     solver->n = system->def.n;
     solver->m = system->def.m;
     solver->max_iterations = max_iterations;
-    dal__newton_forget(solver);
 }
 
 void dal__newton_forget(newton *solver) { solver->warm = false; }
@@ -86,7 +85,6 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
         while ((status = dal__step_at(mech, s->w, s->kappa, s->R1, s->R2, s->K, s->K_sizes, s->B))
                    == DAL_EDOMAIN && p.iteration > 1 && halvings++ < HALVINGS) {
             for (size_t i = 0; i < n; i++) s->w[i] -= s->step[i] *= 0.5;
-            for (size_t a = 0; a < m; a++) s->kappa[a] -= s->d[a] *= 0.5;
             dal__newton_halve(&p);
             stats->halvings++;
         }
@@ -99,9 +97,9 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
         p.extent = dal__sum_of_sizes(n, mech->q);
         const dal__verdict verdict =
             dal__newton_judge(&p, dal_residual_extent(n, mech->per_unit, s->step));
-        if (verdict == DAL__DONE)
-            return sign > 0 ? DAL_SUCCESS
-                            : dal__fail(&mech->error, DAL_ENOCONV, DAL__BRANCH_TEXT);
+        if (sign < 0 && verdict != DAL__LOST)
+            return dal__fail(&mech->error, DAL_ENOCONV, DAL__BRANCH_TEXT);
+        if (verdict == DAL__DONE) return DAL_SUCCESS;
         if (verdict == DAL__LOST) break;
     }
     if (p.size <= DBL_MAX && p.iteration <= s->max_iterations)
@@ -134,10 +132,7 @@ int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta,
         status = iterate(s, mech, stats);
     }
     if (!status) status = dal__step_settle(mech, s->w, s->x, &stats->worst_residual);
-    if (status) {
-        s->warm = false;
-        return status;
-    }
+    if (status) return status;
     for (size_t i = 0; i < n; i++) s->rate[i] = (s->w[i] - v[i]) / h;
     for (size_t a = 0; a < m; a++) s->lambda[a] = s->kappa[a] / h;
     s->warm = true;

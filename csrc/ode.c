@@ -64,7 +64,6 @@ struct ode {
     double elapsed;
     double longest;  /* step */
     double h;        /* suggested for the next step, with the sign of the direction */
-    unsigned order;  /* of msadams when the last accepted step began */
     bool current;    /* the Jacobian is that of the state */
     dal_error fault; /* of the field in the last attempt */
     size_t evaluations;
@@ -119,11 +118,7 @@ static int evaluate(double elapsed, const double y[], double dydt[], void *param
     ode *const self = params;
     if (!dal__all_finite(self->N, y)) return faulty(self, "state", elapsed);
     self->evaluations++;
-    const int status = self->field(self->t0 + elapsed, y, dydt, self->ctx, &self->fault);
-    if (status) {
-        self->fault.status = status;
-        return GSL_EBADFUNC;
-    }
+    if (self->field(self->t0 + elapsed, y, dydt, self->ctx, &self->fault)) return GSL_EBADFUNC;
     return dal__all_finite(self->N, dydt) ? GSL_SUCCESS : faulty(self, "field", elapsed);
 }
 
@@ -145,8 +140,6 @@ static int difference(ode *self)
         for (size_t i = 0; i < N; i++)
             self->jacobian[i * N + j] = (self->right[i] - self->left[i]) / (above - below);
     }
-    if (!dal__all_finite(N * N, self->jacobian))
-        return faulty(self, "differenced Jacobian", self->elapsed);
     self->current = true;
     return GSL_SUCCESS;
 }
@@ -174,7 +167,6 @@ static bool factor(ode *self, double h)
         self->matrix[i] = diagonal - self->jacobian[i];
         self->scale[i] = fabs(diagonal) + fabs(self->jacobian[i]);
     }
-    if (!dal__all_finite(N * N, self->scale)) return false;
     dal__sizes(N, self->scale, self->sizes);
     return dal_lu_factor(N, self->matrix, self->sizes, self->row) != 0;
 }
@@ -294,7 +286,6 @@ int dal__ode_restart(ode *self, double end, dal_error *error)
     const double span = end - self->elapsed;
     if (evaluate(self->elapsed, self->state, self->slope, self)) return pass_on(self, error);
     if (self->step) gsl_odeiv2_step_reset(self->step);
-    self->order = 1;
     self->current = false;
     const double change =
         FIRST_STEP * (1.0 + dal__largest(self->N, self->state))
@@ -341,29 +332,22 @@ static bool accurate(ode *self, double h, unsigned order)
 static bool attempt(ode *self, double h)
 {
     gsl_odeiv2_step *const step = self->step;
-    const unsigned before = step ? gsl_odeiv2_step_order(step) : RODAS_ORDER;
     self->fault.status = DAL_SUCCESS;
-    self->h = h;
     copy(self, self->before, self->state);
     const int status = step ? gsl_odeiv2_step_apply(step, self->elapsed, h, self->state,
                                                     self->step_error, self->slope,
                                                     self->slope_after, &self->system)
                             : rosenbrock(self, h);
-    const unsigned after = step ? gsl_odeiv2_step_order(step) : RODAS_ORDER;
-    const bool finite = status == GSL_SUCCESS && dal__all_finite(self->N, self->state) &&
-                        dal__all_finite(self->N, self->step_error);
-    if (finite && accurate(self, h, after)) {
+    const unsigned order = step ? gsl_odeiv2_step_order(step) : RODAS_ORDER;
+    if (status == GSL_SUCCESS && accurate(self, h, order)) {
         copy(self, self->slope, self->slope_after);
-        self->order = before;
         self->current = false;
         return true;
     }
     copy(self, self->state, self->before);
-    if (!finite) self->h = 0.5 * h;
-    /* A multistep method is interrupted halfway by a field that fails; and one whose order fell by
-     * two since the step that it goes back to would call GSL's handler. */
-    const bool interrupted = self->fault.status || (status == GSL_SUCCESS && !finite);
-    if (step && (interrupted || self->order > after + 1)) gsl_odeiv2_step_reset(step);
+    if (status != GSL_SUCCESS) self->h = 0.5 * h;
+    /* A multistep method is interrupted halfway by a field that fails. */
+    if (step && self->fault.status) gsl_odeiv2_step_reset(step);
     return false;
 }
 
@@ -385,7 +369,7 @@ static int attempt_towards(ode *self, double end, bool *accepted, dal_error *err
     const double h = last ? left : fabs(self->h) > 0.5 * fabs(left) ? 0.5 * left : self->h;
     *accepted = attempt(self, h);
     if (*accepted) {
-        if (!last && self->elapsed + h == self->elapsed) return collapsed(self, h, error);
+        if (self->elapsed + h == self->elapsed) return collapsed(self, h, error);
         self->elapsed = last ? end : self->elapsed + h;
     } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED ||
                !(fabs(self->h) > DBL_EPSILON * fabs(end))) {

@@ -32,7 +32,7 @@ static bool is_done(const dal__progress *p)
 
 dal__verdict dal__newton_judge(dal__progress *p, double size)
 {
-    p->last = p->iteration == 1 ? HUGE_VAL : p->size;
+    p->last = p->size;
     p->size = size;
     p->travelled += size;
     if (p->iteration == 1) p->first = size;

@@ -33,10 +33,9 @@ static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *s
     for (size_t j = 0; j < count; j++) {
         const double beta = substep[j].beta, f = substep[j].fraction;
         const bool pair = j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0;
-        const bool at_node = beta == 0.0 || beta == 1.0;
         const double g = pair ? substep[++j].fraction : 0.0;
         dal_stage s = {.before = (1.0 - beta) * f, .after = beta * f + g, .span = f + g};
-        if (at_node) {
+        if (beta == 0.0) {
             s.node = f + g;
         } else {
             s.start = beta * f;

@@ -263,6 +263,8 @@ class Trial:
         case.q0, case.v0 = x0[:n], x0[n:]
         d = 1 / np.sqrt(np.diag(mech.metric(case.q0)))
         errors: list[tuple[float, float]] = []
+        rounding = 2000 * max(1.0, len(case.scheme.substeps) / 4)
+        floor = U * max(rounding, 100 * condition(mech, case.q0, case.v0))
         scale = 0.0
         for j in range(10):
             h = case.unit * (0.5 if p > 2 else 0.1) / 2**j
@@ -273,7 +275,7 @@ class Trial:
             units = np.concatenate([d * case.unit, d])
             scale = scale or float(max(abs(x / units).max() for x in (x0, exact[0])))
             error = float(max(abs(run.x[1] - exact[0]) / units)) / scale
-            if error < 2000 * U * max(1.0, len(case.scheme.substeps) / 4):
+            if error < floor:
                 break
             errors.append((h, error))
         self.error = None
@@ -309,6 +311,14 @@ class Trial:
 def is_off(step: Step | str, x: Any) -> bool:
     """Return whether a state is not that of the step; not where there is none."""
     return isinstance(step, Step) and bool((distance(x, step.x) > step.x_limit).any())
+
+
+def condition(mech: Any, q: Any, v: Any) -> float:
+    """Return that of mu M^-1 mu^T, scaled to a unit diagonal."""
+    if mech.m == 0:
+        return 1.0
+    rows = np.linalg.solve(np.linalg.cholesky(mech.metric(q)), mech.mu(q, v).T)
+    return float(np.linalg.cond(rows / np.linalg.norm(rows, axis=0))) ** 2
 
 
 def distance(x: Any, y: Any) -> Any:

@@ -966,7 +966,7 @@ static void test_divergence(size_t solver)
         CHECK(dal__all_finite(14, dal_stepper_state(stepper)));
     }
     CHECK(status == DAL_ENOCONV);
-    CHECK(has_number(strstr(dal_stepper_message(stepper), "converge")));
+    CHECK(strstr(dal_stepper_message(stepper), "converge") != NULL);
     CHECK(memcmp(before, dal_stepper_state(stepper), sizeof before) == 0);
     CHECK(reaction == UNTOUCHED);
     /* a sensible step goes on from there */
@@ -990,21 +990,33 @@ static int logarithmic_potential(const double *q, double *V_, double *V_q, doubl
 
 /* Midpoint with h = 2 from q = 1, v = 2: q' + 10 ln q' = 5.  From q' = 5 Newton's first step leads
  * to 5 - 10 ln(5)/3 < 0, where there is no V: half of it does not. */
+static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
+                    void *ctx)
+{
+    (void)t, (void)q, (void)v, (void)ctx;
+    if (f) *f = 0.0;
+    if (f_q) *f_q = 0.0;
+    if (f_v) *f_v = 0.0;
+    return 0;
+}
+
 static void test_halving(void)
 {
     const double mass = 1.0, x0[2] = {1.0, 2.0};
-    const dal_system_def def = {.n = 1, .mass = &mass, .potential = logarithmic_potential};
+    dal_system_def def = {.n = 1, .mass = &mass, .potential = logarithmic_potential};
     const dal_scheme midpoint = {.beta = 0.5};
-    for (size_t i = 0; i < 2; i++) {
+    for (size_t i = 0; i < 3; i++) {
+        def.force = i == 2 ? no_force : NULL; /* then newton.c makes the step */
         dal_system *system = NULL;
         dal_stepper *stepper = NULL;
         dal_stats stats;
         CHECK(dal_system_new(&system, &def, NULL) == 0);
-        CHECK(dal_stepper_new(&stepper, system, &midpoint, &solvers[i], NULL) == 0);
+        CHECK(dal_stepper_new(&stepper, system, &midpoint, i == 1 ? &solvers[1] : NULL, NULL)
+              == 0);
         CHECK(dal_stepper_start(stepper, 0.0, 2.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_step(stepper, NULL) == 0);
         dal_stepper_stats(stepper, &stats);
-        CHECK(stats.halvings == 1 && stats.full_newtons == 1);
+        CHECK(stats.halvings == 1 && stats.full_newtons == (i < 2));
         const double *const x = dal_stepper_state(stepper);
         CHECK_NEAR(x[0] + 10.0 * log(x[0]), 5.0, 64 * DBL_EPSILON); /* of terms up to 5 */
         CHECK_NEAR(x[0], 1.0 + 2.0 + x[1], 8 * DBL_EPSILON);

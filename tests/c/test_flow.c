@@ -33,12 +33,18 @@ static dal_system *open_system(const char *name, double *x)
     return system;
 }
 
-static dal_flow *open_flow(const dal_system *system, dal_flow_method method, double tolerance)
+static dal_flow *open_flow_in(dal_flow_coordinates coordinates, const dal_system *system,
+                              dal_flow_method method, double tolerance)
 {
     dal_flow *flow = NULL;
     dal_error error;
-    CHECK(dal_flow_new(&flow, system, method, DAL_FLOW_X, tolerance, &error) == 0);
+    CHECK(dal_flow_new(&flow, system, method, coordinates, tolerance, &error) == 0);
     return flow;
+}
+
+static dal_flow *open_flow(const dal_system *system, dal_flow_method method, double tolerance)
+{
+    return open_flow_in(DAL_FLOW_X, system, method, tolerance);
 }
 
 /* ---- accuracy --------------------------------------------------------------------------- */
@@ -153,6 +159,7 @@ static void test_claims(void)
                 const double most = 1e3 * pow(10.0, -digits) * (1.0 + fabs(x[0])) * (1.0 + span)
                                   + 10.0 * DAL_ROUNDOFF * fabs(cases[i].t0);
                 CHECK(accuracy <= most || by == PULSE); /* that one of the two may have missed */
+                CHECK(accuracy <= 100 * DAL_ROUNDOFF || span > 1e-9 || cases[i].t0 != 0.0);
                 dal_flow_free(flow);
             }
         dal_system_free(system);
@@ -239,6 +246,8 @@ static void test_off_D(void)
     memcpy(projected, x, sizeof x);
     CHECK(dal_residual(mechanics, 0.0, x, before) == 0);
     CHECK(fabs(before[0]) > 0.1);
+    CHECK(dal_flow_apply(flow, 1.0, 1.0, x, NULL) == 0); /* over no time nothing is projected */
+    CHECK(memcmp(x, projected, sizeof x) == 0);
     CHECK(dal__flow_apply(flow, 0.0, 1.0, x, false) == 0);
     CHECK(dal_residual(mechanics, 0.0, x, after) == 0);
     CHECK_NEAR(distance(2, before, after), 0.0, 1e-11);
@@ -279,25 +288,49 @@ static void test_trajectory(dal_flow_method method, double h)
 
 static const double identity[4] = {1.0, 0.0, 0.0, 1.0};
 
-/* A potential that fails as it is told to. */
+/* Callbacks that fail as they are told to. */
 typedef struct fault {
     size_t call, from, until; /* fails in calls from <= call < until */
     int answer;               /* 0: gives NaN */
 } fault;
 
+static bool fails(fault *f)
+{
+    const size_t call = f->call++;
+    return call >= f->from && call < f->until;
+}
+
 /* V = |q|^2 / 2 for n = 2. */
 static int faulty_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     fault *const f = ctx;
-    const size_t call = f->call++;
-    const bool fails = call >= f->from && call < f->until;
-    if (fails && f->answer) return f->answer;
-    if (V) *V = fails ? NAN : 0.5 * (q[0] * q[0] + q[1] * q[1]);
+    const bool now = fails(f);
+    if (now && f->answer) return f->answer;
+    if (V) *V = now ? NAN : 0.5 * (q[0] * q[0] + q[1] * q[1]);
     if (V_q) {
-        V_q[0] = fails ? NAN : q[0];
+        V_q[0] = now ? NAN : q[0];
         V_q[1] = q[1];
     }
     if (V_qq) memcpy(V_qq, identity, sizeof identity);
+    return 0;
+}
+
+/* v_1 = q_2 v_2. */
+static int faulty_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                             double *phi_q, void *ctx)
+{
+    fault *const f = ctx;
+    const bool now = fails(f);
+    if (now && f->answer) return f->answer;
+    if (phi) *phi = now ? NAN : v[0] - q[1] * v[1];
+    if (phi_v) {
+        phi_v[0] = now ? NAN : 1.0;
+        phi_v[1] = -q[1];
+    }
+    if (phi_q) {
+        phi_q[0] = 0.0;
+        phi_q[1] = now ? NAN : -v[1];
+    }
     return 0;
 }
 
@@ -309,26 +342,31 @@ static dal_system *plane(dal_potential_fn potential, void *ctx)
     return system;
 }
 
-/* A potential that fails for good, from its k-th call on, for every k of the run. */
-static void test_failing_field(dal_flow_method method, int answer, int expected)
+/* A callback that fails for good, from the k-th call on, for every k of both integrations. */
+static void test_failing(dal_flow_method method, dal_flow_coordinates coordinates, int answer,
+                         int expected)
 {
     const double x0[4] = {1.0, 0.0, 0.0, 0.5};
     fault f = {.answer = answer, .from = SIZE_MAX, .until = SIZE_MAX};
-    dal_system *system = plane(faulty_potential, &f);
-    dal_flow *flow = open_flow(system, method, 1e-6);
-    double x[4];
+    const dal_system_def def = {.n = 2, .m = 1, .mass = identity, .potential = faulty_potential,
+                                .constraint = faulty_constraint, .ctx = &f};
+    dal_system *system = NULL;
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_flow *flow = open_flow_in(coordinates, system, method, 1e-4);
+    double x[4], accuracy;
     memcpy(x, x0, sizeof x);
     f.call = 0;
-    CHECK(dal_flow_apply(flow, 0.0, 1.0, x, NULL) == 0);
+    CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &accuracy) == 0);
     const size_t calls = f.call;
     CHECK(calls > 10);
     for (size_t k = 0; k < calls; k++) {
-        double accuracy = -1.0;
+        accuracy = -1.0;
         f = (fault){.answer = answer, .from = k, .until = SIZE_MAX};
         memcpy(x, x0, sizeof x);
         CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &accuracy) == expected);
         CHECK(memcmp(x, x0, sizeof x) == 0 && accuracy == -1.0);
-        CHECK(strstr(dal_flow_message(flow), "potential") != NULL);
+        CHECK(strstr(dal_flow_message(flow), "potential")
+              || strstr(dal_flow_message(flow), "constraint"));
         if (expected == DAL_EUSER) CHECK(f.call == k + 1); /* stop means stop */
     }
     dal_flow_free(flow);
@@ -466,11 +504,13 @@ static void test_singular(void)
     const dal_system_def def = {.n = 2, .m = 1, .mass = identity,
                                 .constraint = vanishing_constraint};
     CHECK(dal_system_new(&system, &def, NULL) == 0);
-    dal_flow *flow = open_flow(system, DAL_FLOW_RK8PD, 1e-9);
-    double x[4] = {0.0, 0.0, 0.0, 1.0};
-    CHECK(dal_flow_apply(flow, 0.0, 1.0, x, NULL) == DAL_ESINGULAR);
-    CHECK(strstr(dal_flow_message(flow), "singular") != NULL);
-    dal_flow_free(flow);
+    for (int in = DAL_FLOW_X; in <= DAL_FLOW_XI; in++) {
+        dal_flow *flow = open_flow_in((dal_flow_coordinates)in, system, DAL_FLOW_RK8PD, 1e-9);
+        double x[4] = {0.0, 0.0, 0.0, 1.0};
+        CHECK(dal_flow_apply(flow, 0.0, 1.0, x, NULL) == DAL_ESINGULAR);
+        CHECK(strstr(dal_flow_message(flow), "rank") != NULL);
+        dal_flow_free(flow);
+    }
     dal_system_free(system);
 }
 
@@ -556,7 +596,7 @@ static int friction(double t, const double *q, const double *v, double *f, doubl
  * lost in 1 + h c the matrix of rodas is singular in all digits. */
 static void test_friction(void)
 {
-    for (int exponent = 0; exponent <= 300; exponent += exponent < 20 ? 1 : 20) {
+    for (int exponent = 0; exponent <= 300; exponent += exponent < 18 ? 1 : 22) {
         double c = pow(10.0, exponent);
         const dal_system_def def = {.n = 2, .mass = identity, .force = friction, .ctx = &c};
         dal_system *system = NULL;
@@ -573,7 +613,7 @@ static void test_friction(void)
         if (!status) CHECK_NEAR(x[0], mean * (1.0 + (1.0 - relative) / (2.0 * c)), 1e-4);
 
         double together[4] = {0.0, 0.0, 1.0, 1.0};
-        if (exponent < 18) {
+        if (exponent < 17) { /* later it takes millions of steps */
             CHECK(dal_flow_apply(flow, 0.0, 1e3, together, NULL) == 0);
             CHECK_NEAR(distance(4, together, (double[4]){1e3, 1e3, 1.0, 1.0}), 0.0, 1e-1);
         }
@@ -590,8 +630,8 @@ static void test_in_xi(const char *name, dal_flow_method method, double toleranc
     dal_system *const system = open_system(name, x0);
     const size_t N = 2 * dal_system_n(system);
     dal_mechanics *mech = NULL;
-    dal_flow *const plain = open_flow(system, method, tolerance), *flow = NULL;
-    CHECK(dal_flow_new(&flow, system, method, DAL_FLOW_XI, tolerance, NULL) == 0);
+    dal_flow *const plain = open_flow(system, method, tolerance);
+    dal_flow *const flow = open_flow_in(DAL_FLOW_XI, system, method, tolerance);
     CHECK(dal_mechanics_new(&mech, system, NULL) == 0);
     for (int sign = -1; sign <= 1; sign += 2) {
         memcpy(in_x, x0, sizeof in_x);
@@ -631,8 +671,7 @@ static void test_turns(const char *name)
         double x0[MOST], x[MOST];
         dal_system *const system = open_system(name, x0);
         const size_t N = 2 * dal_system_n(system);
-        dal_flow *flow = NULL;
-        CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_XI, tolerance, NULL) == 0);
+        dal_flow *flow = open_flow_in(DAL_FLOW_XI, system, DAL_FLOW_RK8PD, tolerance);
         memcpy(x, x0, sizeof x);
         CHECK(dal_flow_apply(flow, 0.0, r->t, x, NULL) == 0);
         const size_t changes = dal_flow_chart_changes(flow);
@@ -696,8 +735,7 @@ static void test_watch(dal_flow_method method, dal_flow_coordinates coordinates)
     double x0[MOST], x[MOST], expected[MOST], rows[3 * MOST];
     dal_system *const system = open_system("particle_oscillator", x0);
     const size_t bytes = 2 * dal_system_n(system) * sizeof *x;
-    dal_flow *flow = NULL;
-    CHECK(dal_flow_new(&flow, system, method, coordinates, 1e-9, NULL) == 0);
+    dal_flow *flow = open_flow_in(coordinates, system, method, 1e-9);
     memcpy(expected, x0, bytes);
     CHECK(dal_flow_apply(flow, 0.0, 1.0, expected, NULL) == 0);
     for (int returned = -1; returned <= 1; returned += 2) {
@@ -750,12 +788,13 @@ int main(void)
         test_small_intervals(methods[i]);
         test_trajectory(methods[i], 0.05);
         test_trajectory(methods[i], -1e-4);
-        test_failing_field(methods[i], 3, DAL_EDOMAIN);
-        test_failing_field(methods[i], 0, DAL_EDOMAIN);
-        test_failing_field(methods[i], -3, DAL_EUSER);
         test_recovery(methods[i]);
-        test_watch(methods[i], DAL_FLOW_X);
-        test_watch(methods[i], DAL_FLOW_XI);
+        for (int in = DAL_FLOW_X; in <= DAL_FLOW_XI; in++) {
+            test_failing(methods[i], (dal_flow_coordinates)in, 3, DAL_EDOMAIN);
+            test_failing(methods[i], (dal_flow_coordinates)in, 0, DAL_EDOMAIN);
+            test_failing(methods[i], (dal_flow_coordinates)in, -3, DAL_EUSER);
+            test_watch(methods[i], (dal_flow_coordinates)in);
+        }
         test_collapse(methods[i]);
         test_domain(methods[i]);
     }

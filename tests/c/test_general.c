@@ -555,13 +555,14 @@ typedef struct saboteur {
     callback where;
     fault what;
     size_t from, calls; /* faults from that call of the callback on */
+    size_t stops;
 } saboteur;
 
 static int sabotage(saboteur *s, callback where, double *output)
 {
     if (s->where != where || s->calls++ < s->from || !output) return 0;
     if (s->what == REFUSES) return 1;
-    if (s->what == STOPS) return -1;
+    if (s->what == STOPS) return s->stops++, -1;
     output[0] = s->what == NOT_FINITE ? INFINITY : NAN;
     return 0;
 }
@@ -614,6 +615,7 @@ static void test_sabotage(void)
                     s.from = from;
                     CHECK(dal_step(stepper, &reaction)
                           == (what == STOPS ? DAL_EUSER : DAL_EDOMAIN));
+                    CHECK(s.stops == (what == STOPS)); /* stop means stop */
                     CHECK(reaction == 7.0 && dal_stepper_time(stepper) == 0.1);
                     CHECK(!memcmp(before, dal_stepper_state(stepper), sizeof before));
                     check_true(strstr(dal_stepper_message(stepper), names[where]) != NULL,
@@ -623,6 +625,43 @@ static void test_sabotage(void)
                     dal_stepper_free(stepper);
                     dal_system_free(system);
                 }
+}
+
+static int late_force(double t, const double *q, const double *v, double *f, double *f_q,
+                      double *f_v, void *ctx)
+{
+    if (!(t >= 2.0)) return 1;
+    return curved_force(t, q, v, f, *(const bool *)ctx ? NULL : f_q, f_v, NULL);
+}
+
+static int forgetful_lagrangian(const double *q, const double *v, double *L, double *L_q,
+                                double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    (void)L_vq;
+    return curved_lagrangian(q, v, L, L_q, L_v, L_qq, NULL, L_vv, ctx);
+}
+
+/* What callbacks never write is found at the start, where the force sees the time of the start. */
+static void test_probes(void)
+{
+    static const char *const words[] = {"", "f_q", "L_vq"};
+    for (int lacking = 0; lacking < 3; lacking++) {
+        bool forgets = lacking == 1;
+        const dal_system_def def = {.n = 3, .m = 1, .force = late_force, .kind = DAL_NONLINEAR,
+                                    .lagrangian = lacking == 2 ? forgetful_lagrangian
+                                                               : curved_lagrangian,
+                                    .constraint = curved_constraint, .ctx = &forgets};
+        const dal_scheme scheme = find_scheme("explicit");
+        dal_system *system = NULL;
+        need(dal_system_new(&system, &def, NULL), "probes", "");
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        const int status = dal_stepper_start(stepper, 2.0, 0.1, curved_start, DAL_PROJECT,
+                                             DAL_INITIAL_NONE);
+        CHECK(status == (lacking ? DAL_EDOMAIN : DAL_SUCCESS));
+        CHECK(strstr(dal_stepper_message(stepper), words[lacking]) != NULL);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
 }
 
 /* L_vv = diag(1, x): singular at x = 0, indefinite beyond. */
@@ -687,6 +726,199 @@ static void test_too_long(void)
     CHECK(!dal_scheme_is_explicit(&scheme, system));
     const dal_scheme explicit_ = find_scheme("explicit");
     CHECK(!dal_scheme_is_explicit(&explicit_, system));
+    dal_system_free(system);
+}
+
+/* ---- units ----------------------------------------------------------------------------------
+ * Another system in units of powers of two, of its coordinates and of its constraints. */
+
+typedef struct other_units {
+    const dal_system *base;
+    double of_q[MOST_N], of_phi[MOST_M]; /* q of base = of_q q; phi = of_phi phi of base */
+} other_units;
+
+static void to_base(const other_units *u, const double *x, double *y)
+{
+    for (size_t i = 0; i < u->base->def.n; i++) y[i] = u->of_q[i] * x[i];
+}
+
+static void scale_matrix(const other_units *u, double *A)
+{
+    const size_t n = u->base->def.n;
+    for (size_t k = 0; A && k < n * n; k++) A[k] *= u->of_q[k / n] * u->of_q[k % n];
+}
+
+static int scaled_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                             double *phi_q, void *ctx)
+{
+    const other_units *const u = ctx;
+    const size_t n = u->base->def.n, m = u->base->def.m;
+    double at[MOST_N], along[MOST_N];
+    to_base(u, q, at);
+    to_base(u, v, along);
+    const int returned = plain_constraint(at, along, phi, phi_v, phi_q, (void *)u->base);
+    for (size_t a = 0; phi && a < m; a++) phi[a] *= u->of_phi[a];
+    for (size_t k = 0; k < m * n; k++) {
+        if (phi_v) phi_v[k] *= u->of_phi[k / n] * u->of_q[k % n];
+        if (phi_q) phi_q[k] *= u->of_phi[k / n] * u->of_q[k % n];
+    }
+    return returned;
+}
+
+static int scaled_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const other_units *const u = ctx;
+    double at[MOST_N];
+    to_base(u, q, at);
+    const int returned = base_potential(at, V, V_q, V_qq, (void *)u->base);
+    if (V_q) to_base(u, V_q, V_q);
+    scale_matrix(u, V_qq);
+    return returned;
+}
+
+static int scaled_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
+                             double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    const other_units *const u = ctx;
+    double at[MOST_N], along[MOST_N];
+    to_base(u, q, at);
+    to_base(u, v, along);
+    const int returned = plain_lagrangian(at, along, L, L_q, L_v, L_qq, L_vq, L_vv,
+                                          (void *)u->base);
+    if (L_q) to_base(u, L_q, L_q);
+    if (L_v) to_base(u, L_v, L_v);
+    scale_matrix(u, L_qq);
+    scale_matrix(u, L_vq);
+    scale_matrix(u, L_vv);
+    return returned;
+}
+
+static int scaled_no_force(double t, const double *q, const double *v, double *f, double *f_q,
+                           double *f_v, void *ctx)
+{
+    return no_force(t, q, v, f, f_q, f_v, (void *)((const other_units *)ctx)->base);
+}
+
+static dal_system *open_scaled(const other_units *u, disguise as)
+{
+    const dal_system *const base = u->base;
+    double mass[MOST_N * MOST_N];
+    memcpy(mass, base->mass, base->def.n * base->def.n * sizeof *mass);
+    scale_matrix(u, mass);
+    dal_system_def def = {.n = base->def.n, .m = base->def.m, .ctx = (void *)u,
+                          .constraint = scaled_constraint};
+    if (as == LAGRANGIAN) def.lagrangian = scaled_lagrangian;
+    else def.mass = mass, def.potential = scaled_potential;
+    if (as == FORCED) def.force = scaled_no_force;
+    if (as == AFFINE) def.kind = DAL_AFFINE;
+    dal_system *system = NULL;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "scaled", error.text);
+    return system;
+}
+
+/* Steps do not depend on units, to the last bit. */
+static void test_units(const char *name, int most)
+{
+    dal_system *const base = open_system(name);
+    const size_t n = base->def.n, m = base->def.m;
+    other_units plain = {.base = base}, u = {.base = base};
+    double x0[2 * MOST_N], y0[2 * MOST_N];
+    CHECK(dal_system_state(base, x0) == 0);
+    for (size_t i = 0; i < n; i++) {
+        plain.of_q[i] = 1.0;
+        u.of_q[i] = ldexp(1.0, most * (int)((i + 1) % 3 - 1));
+        y0[i] = x0[i] / u.of_q[i];
+        y0[n + i] = x0[n + i] / u.of_q[i];
+    }
+    for (size_t a = 0; a < m; a++) {
+        plain.of_phi[a] = 1.0;
+        u.of_phi[a] = ldexp(1.0, a % 2 ? most : -most);
+    }
+    static const disguise disguises[] = {LAGRANGIAN, FORCED, AFFINE};
+    for (size_t j = 0; j < 3; j++)
+        for (size_t s = 0; s < SCHEMES; s++) {
+            const dal_scheme scheme = find_scheme(schemes[s]);
+            const bool kept = scheme.nodes == DAL_KEPT_NODES;
+            dal_system *const systems[2] = {open_scaled(&plain, disguises[j]),
+                                            open_scaled(&u, disguises[j])};
+            double end[2][2 * MOST_N], lambda[2][MOST_M];
+            for (int k = 0; k < 2; k++) {
+                dal_stepper *const stepper = open_stepper(systems[k], &scheme, NULL);
+                CHECK(dal_stepper_start(stepper, 0.0, 0.1, k ? y0 : x0, DAL_PROJECT,
+                                        kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE) == 0);
+                CHECK(dal_advance(stepper, 50, lambda[k], NULL) == 0);
+                memcpy(end[k], dal_stepper_state(stepper), 2 * n * sizeof(double));
+                end[k][n] *= 1.1; /* and from there onto D_eps */
+                dal_mechanics *const mech = open_mechanics(systems[k]);
+                CHECK(dal_project(mech, 0.05, end[k], NULL) == 0);
+                dal_mechanics_free(mech);
+                dal_stepper_free(stepper);
+                dal_system_free(systems[k]);
+            }
+            for (size_t i = 0; i < 2 * n; i++) end[1][i] *= u.of_q[i % n];
+            for (size_t a = 0; a < m; a++) lambda[1][a] *= u.of_phi[a];
+            CHECK(memcmp(end[0], end[1], 2 * n * sizeof(double)) == 0);
+            CHECK(memcmp(lambda[0], lambda[1], m * sizeof(double)) == 0);
+        }
+    dal_system_free(base);
+}
+
+/* ---- how many iterations --------------------------------------------------------------------- */
+
+static int weight(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
+                  void *ctx)
+{
+    (void)t, (void)q, (void)v;
+    if (f) f[0] = *(const double *)ctx;
+    if (f_q) f_q[0] = 0.0;
+    if (f_v) f_v[0] = 0.0;
+    return 0;
+}
+
+static dal_stats stats_of(const dal_stepper *stepper)
+{
+    dal_stats stats;
+    dal_stepper_stats(stepper, &stats);
+    return stats;
+}
+
+/* What falls is where it was expected, also where the steps of a scheme differ and go back: one
+ * iteration shows it.  The first step needs two, and so does the first of a new start. */
+static void test_guess(void)
+{
+    enum { STEPS = 10, SUBSTEPS = 5 };
+    const double mass[1] = {2.0}, x[2] = {0.0, 0.3};
+    double g = 9.81;
+    size_t calls = 0;
+    const dal_system_def def = {.n = 1, .mass = mass, .force = weight, .ctx = &g};
+    const dal_scheme scheme = find_scheme("midpoint-suzuki4");
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "weight", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    for (int start = 0; start < 2; start++) {
+        CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
+        CHECK(stats_of(stepper).iterations == SUBSTEPS * STEPS + 1);
+        if (start == 0) calls = stats_of(stepper).force_calls;
+        CHECK(calls > SUBSTEPS * STEPS && stats_of(stepper).force_calls == calls);
+        CHECK_NEAR(dal_stepper_state(stepper)[1], x[1] + g / mass[0] * STEPS * 0.1, 1e-13);
+    }
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
+/* Where the forms turn with the velocity the multipliers of the step before help too. */
+static void test_guess_of_multipliers(void)
+{
+    dal_system *const system = open_curved(0, false);
+    const dal_scheme scheme = find_scheme("midpoint");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.09, curved_start, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_advance(stepper, 100, NULL, NULL) == 0);
+    CHECK(stats_of(stepper).iterations < 350); /* from kappa = 0 it is 382 */
+    CHECK(stats_of(stepper).lagrangian_calls > 350);
+    dal_stepper_free(stepper);
     dal_system_free(system);
 }
 
@@ -974,8 +1206,14 @@ int main(void)
                        | DAL_MISSING_F_V | DAL_MISSING_PHI_Q);
     test_adjoint();
     test_sabotage();
+    test_probes();
     test_degenerate();
     test_too_long();
+    test_units("particle_oscillator", 40);
+    test_units("generic4", 40);
+    test_units("disk", 40);
+    test_guess();
+    test_guess_of_multipliers();
     test_rest();
     test_far("n_trailer", 1e4);
     test_far("n_trailer", 1e6);

@@ -284,6 +284,21 @@ static void test_singular(void)
             CHECK(dal_lu_factor(m, A, sizes, f.row) == 0);
         }
     }
+    /* small as all terms are, large beside them, or larger than what is left of the solution */
+    const struct {
+        double A[9];
+        int sign;
+    } sized[] = {{{1e-14, 0, 0, 0, 1e-14, 0, 0, 0, 1e-14}, 1},
+                 {{1e-16, 0, 0, 0, 1e-16, 0, 0, 0, 1e-16}, 0},
+                 {{1, 0, 0, 0, 1e12, 0, 0, 0, 1}, 1},
+                 {{1, 0, 0, 0, 1e16, 0, 0, 0, 1}, 0},
+                 {{1, 1e6, 1e6, 1e6, 1, 0, 1e6, 0, 1}, -1},
+                 {{1, 1e16, 1e16, 1e16, 1, 0, 1e16, 0, 1}, 0}};
+    for (size_t k = 0; k < sizeof sized / sizeof *sized; k++) {
+        double A[9], sizes[15] = {1, 1, 1, 1, 1, 1};
+        memcpy(A, sized[k].A, sizeof A);
+        CHECK(dal_lu_factor(3, A, sizes, f.row) == sized[k].sign);
+    }
     /* Two constraints that coincide, with coefficients that are not exact in binary. */
     const double mu[6] = {0.1, 0.7, 0.3, 0.3, 2.1, 0.9};
     CHECK(factor_product(2, 3, mu, mu, &f) == 0);
@@ -364,6 +379,15 @@ static void test_cholesky(void)
     CHECK(!dal__cholesky(2, semidefinite, inverse, &row, &pivot) && row == 1 && pivot == 0.0);
     double nearly[4] = {1, 1 - 4 * U, 1 - 4 * U, 1};
     CHECK(!dal__cholesky(2, nearly, inverse, &row, &pivot) && pivot < 1e-14);
+    /* 1 - c^2 = 2 e of c = 1 - e, and n times the trace of the inverse is 2/e: 1e15 is too much */
+    for (int e = 16; e <= 20; e += 4) {
+        const double c = 1.0 - e * U;
+        double pair[4] = {1, c, c, 1}, inverses[3];
+        double with_third[9] = {1, c, 0, c, 1, 0, 0, 0, 1}; /* which has nothing to do with them */
+        CHECK(dal__cholesky(2, pair, inverses, NULL, NULL) == (e > 16));
+        dal__cholesky(3, with_third, inverses, &row, &pivot);
+        CHECK(row == 1 && fabs(pivot / (2 * e * U) - 1.0) < 1e-9);
+    }
     double zero[1] = {0.0}, negative[1] = {-2.0}, unknown[1] = {NAN}, infinite[1] = {INFINITY};
     CHECK(!dal__cholesky(1, zero, inverse, &row, &pivot) && row == 0 && pivot == 0.0);
     CHECK(!dal__cholesky(1, negative, inverse, NULL, NULL));
@@ -371,6 +395,86 @@ static void test_cholesky(void)
     CHECK(!dal__cholesky(1, infinite, inverse, NULL, NULL));
     double tiny[4] = {1e-300, 0, 0, 1e300}; /* units differ, nothing cancels */
     CHECK(dal__cholesky(2, tiny, inverse, NULL, NULL));
+}
+
+/* ---- singular values ------------------------------------------------------------------------ */
+
+static int descending(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x < y) - (x > y);
+}
+
+/* Those that a matrix was made with, and as many digits of those of a small part of it. */
+static void test_singular_values(void)
+{
+    unsigned seed = 29;
+    static matrix A;
+    double squares[MOST];
+    for (int trial = 0; trial < 60; trial++) {
+        const size_t m = 2 + (size_t)trial % 40;
+        const double condition = pow(10.0, trial % 7), unit = trial % 2 ? 1e-200 : 1.0;
+        fill_with_condition(&A, m, condition, false, &seed);
+        for (size_t k = 0; k < m * m; k++) A.entry[k] *= unit;
+        const double found = dal__singular_values(m, m, A.entry, squares) / unit;
+        qsort(squares, m, sizeof *squares, descending);
+        for (size_t k = 0; k < m; k++)
+            CHECK_NEAR(found * sqrt(squares[k]), pow(condition, -(double)k / (double)(m - 1)),
+                       16 * (double)m * U);
+    }
+    double apart[9] = {1, 0, 0, 0, 1e-9, 1e-9, 0, 0, 1e-9}; /* 1e-9 times the golden ratio */
+    const double golden = (1.0 + sqrt(5.0)) / 2.0;
+    CHECK(dal__singular_values(3, 3, apart, squares) == 1.0);
+    qsort(squares, 3, sizeof *squares, descending);
+    CHECK_NEAR(1e9 * sqrt(squares[1]), golden, 16 * U);
+    CHECK_NEAR(1e9 * sqrt(squares[2]), 1.0 / golden, 16 * U);
+    double zero[4] = {0};
+    CHECK(dal__singular_values(2, 2, zero, squares) == 0.0 && squares[0] == 0.0);
+    CHECK(squares[1] == 0.0);
+}
+
+/* ---- sizes of rows and columns -------------------------------------------------------------- */
+
+/* The largest factor between an entry and its row times its column. */
+static double unevenness(const matrix *A, const double *sizes)
+{
+    double most = 1.0;
+    for (size_t i = 0; i < A->m; i++)
+        for (size_t j = 0; j < A->m; j++) {
+            const double ratio = fabs(A->entry[i * A->m + j]) / (sizes[i] * sizes[A->m + j]);
+            if (ratio > 0.0) most = fmax(most, fmax(ratio, 1.0 / ratio));
+        }
+    return most;
+}
+
+/* Entries that are a row times a column are found to be so, in any units and however many others
+ * are roundoff. */
+static void test_sizes(void)
+{
+    unsigned seed = 31;
+    static matrix A, B;
+    static double scale[MOST * MOST];
+    double worst = 0.0, rounded = 0.0;
+    for (int trial = 0; trial < 100; trial++) {
+        const size_t m = 2 + (size_t)trial % 30;
+        double sizes[2 * MOST], again[2 * MOST];
+        A.m = m;
+        const bool banded = trial % 2;
+        for (size_t i = 0; i < m; i++)
+            for (size_t j = 0; j < m; j++)
+                A.entry[i * m + j] = banded && (i > j + 2 || j > i + 2)
+                                   ? 0.0 : pow(10.0, 0.5 * next_number(&seed));
+        B = rescaled(&A, 10.0, &seed);
+        dal__sizes(m, B.entry, sizes);
+        worst = fmax(worst, unevenness(&B, sizes));
+        for (size_t k = 0; k < m * m; k++) scale[k] = B.entry[k];
+        for (size_t i = 0; i < m; i++) /* what was 0 is roundoff of its row and column */
+            for (size_t j = 0; j < m; j++)
+                if (scale[i * m + j] == 0.0) scale[i * m + j] = U * sizes[i] * sizes[m + j];
+        dal__sizes(m, scale, again);
+        rounded = fmax(rounded, unevenness(&B, again));
+    }
+    CHECK(worst <= 100.0 && rounded <= 200.0);
 }
 
 int main(void)
@@ -383,5 +487,7 @@ int main(void)
     test_singular();
     test_units();
     test_cholesky();
+    test_singular_values();
+    test_sizes();
     return check_done();
 }

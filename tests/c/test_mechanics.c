@@ -587,6 +587,141 @@ static void test_system(dal_system *system, unsigned seed)
     dal_mechanics_free(mech);
 }
 
+/* ---- the edges of what a residual can say --------------------------------------------------- */
+
+/* phi = mu v + a, mu and a constant. */
+typedef struct rows {
+    size_t n, m;
+    double mu[9], a[3];
+} rows;
+
+static int constant_forms(const double *q, const double *v, double *phi, double *phi_v,
+                          double *phi_q, void *ctx)
+{
+    const rows *const r = ctx;
+    (void)q;
+    for (size_t a = 0; phi && a < r->m; a++) phi[a] = dot(r->n, r->mu + a * r->n, v) + r->a[a];
+    if (phi_v) memcpy(phi_v, r->mu, r->m * r->n * sizeof *phi_v);
+    if (phi_q) memset(phi_q, 0, r->m * r->n * sizeof *phi_q);
+    return 0;
+}
+
+static dal_system *open_rows(rows *r, const double *mass, dal_constraint_kind kind)
+{
+    const dal_system_def def = {.n = r->n, .m = r->m, .mass = mass, .constraint = constant_forms,
+                                .kind = kind, .ctx = r};
+    dal_system *system = NULL;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "rows", error.text);
+    return system;
+}
+
+/* L = (1 + x^2) v_x^2/2 + 2 v_y^2. */
+static int stretched(const double *q, const double *v, double *L, double *L_q, double *L_v,
+                     double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    const double inertia = 1.0 + q[0] * q[0];
+    (void)L_qq, (void)L_vq, (void)ctx;
+    if (L) *L = 0.5 * inertia * v[0] * v[0] + 2.0 * v[1] * v[1];
+    if (L_q) L_q[0] = q[0] * v[0] * v[0], L_q[1] = 0.0;
+    if (L_v) L_v[0] = inertia * v[0], L_v[1] = 4.0 * v[1];
+    if (L_vv) L_vv[0] = inertia, L_vv[1] = L_vv[2] = 0.0, L_vv[3] = 4.0;
+    return 0;
+}
+
+/* As residual.h has it, with the metric where D_eps is looked for. */
+static void test_residual_of_affine(void)
+{
+    rows belt = {2, 1, {2.0, -3.0}, {5.0}};
+    const dal_system_def def = {.n = 2, .m = 1, .lagrangian = stretched, .kind = DAL_AFFINE,
+                                .missing = DAL_MISSING_L_QQ | DAL_MISSING_L_VQ,
+                                .constraint = constant_forms, .ctx = &belt};
+    const double x[4] = {1.7, 0.4, 0.6, -1.1};
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "belt", "");
+    dal_mechanics *const mech = open_mechanics(system);
+    for (double shift = -2.0; shift <= 2.0; shift += 1.0) {
+        const double at = x[0] - shift * x[2], d = 1.0 / sqrt(1.0 + at * at);
+        const double speed = fmax(fabs(x[2]) / d, fabs(x[3]) / 0.5);
+        double relative = NAN;
+        CHECK(dal_relative_residual(mech, shift, x, &relative) == 0);
+        CHECK_NEAR(relative, (2.0 * x[2] - 3.0 * x[3] + 5.0)
+                                 / ((2.0 * d + 3.0 * 0.5) * speed + 5.0), 8 * U);
+    }
+    dal_mechanics_free(mech);
+    dal_system_free(system);
+
+    /* to begin with, 1e-8 of the terms: those of the belt count */
+    rows unit = {2, 1, {1.0, 0.0}, {-1.0}};
+    const double mass[4] = {1.0, 0.0, 0.0, 1.0};
+    const double near[4] = {0.0, 0.0, 1.0 + 1.5e-8, 0.0}, off[4] = {0.0, 0.0, 1.0 + 3e-8, 0.0};
+    const dal_scheme scheme = find_scheme("midpoint");
+    dal_system *const simple = open_rows(&unit, mass, DAL_AFFINE);
+    dal_stepper *const stepper = open_stepper(simple, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.1, near, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.1, off, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EOFFD);
+    dal_stepper_free(stepper);
+    dal_system_free(simple);
+}
+
+/* A velocity across D has no part in it but roundoff, of which each projection leaves its own. */
+static void test_across(void)
+{
+    unsigned seed = 9;
+    for (int trial = 0; trial < 300; trial++) {
+        rows r = {.n = 3, .m = 1 + (size_t)trial % 2};
+        double mass[9] = {0}, x[6] = {0}, distance = 0.0, size = 0.0;
+        for (size_t k = 0; k < 9; k++) r.mu[k] = next_number(&seed);
+        for (size_t i = 0; i < 3; i++) mass[4 * i] = 1.5 + next_number(&seed);
+        for (size_t a = 0; a < r.m; a++)
+            for (size_t i = 0; i < 3; i++)
+                x[3 + i] += (1.0 + (double)a) * r.mu[3 * a + i] / mass[4 * i];
+        for (size_t i = 0; i < 3; i++) size += mass[4 * i] * x[3 + i] * x[3 + i];
+        dal_system *const system = open_rows(&r, mass, DAL_LINEAR);
+        dal_mechanics *const mech = open_mechanics(system);
+        CHECK(dal_project(mech, 0.0, x, &distance) == 0);
+        CHECK_NEAR(sum_of_sizes(3, x + 3), 0.0, 1e-12 * sqrt(size)); /* C may have a condition */
+        CHECK_NEAR(distance, sqrt(size), 1e-12 * sqrt(size));
+        if (r.m == 2) { /* with one component kept at 0, D is 0 */
+            const unsigned char keep[3] = {1, 0, 0};
+            const double v[3] = {0.0, next_number(&seed), next_number(&seed)};
+            memcpy(x + 3, v, sizeof v);
+            CHECK(dal_consistent(mech, keep, x, &distance) == 0);
+            CHECK_NEAR(sum_of_sizes(3, x + 3), 0.0, 1e-12);
+        }
+        dal_mechanics_free(mech);
+        dal_system_free(system);
+    }
+    /* a small part in D stays; large numbers have a distance; what overflows is not zero */
+    rows wall = {2, 1, {1.0, 0.0}, {0.0}};
+    const double mass[4] = {1.0, 0.0, 0.0, 1.0};
+    dal_system *const system = open_rows(&wall, mass, DAL_LINEAR);
+    dal_mechanics *const mech = open_mechanics(system);
+    double x[4] = {0.0, 0.0, 1.0, 1e-17}, large[4] = {0.0, 0.0, -1e200, 1.0}, d = 0.0;
+    CHECK(dal_project(mech, 0.0, x, NULL) == 0 && x[2] == 0.0 && x[3] == 1e-17);
+    CHECK(dal_project(mech, 0.0, large, &d) == 0 && d == 1e200 && large[3] == 1.0);
+    wall.mu[0] = 1e10;
+    const double fast[4] = {0.0, 0.0, 1e300, 0.0};
+    CHECK(dal_relative_residual(mech, 0.0, fast, &d) == DAL_EDOMAIN && d == 1e200);
+    dal_mechanics_free(mech);
+    dal_system_free(system);
+}
+
+/* How large the form of a coordinate is that is kept does not matter. */
+static void test_kept_units(void)
+{
+    rows r = {2, 1, {1e20, 1.0}, {0.0}};
+    const double mass[4] = {1.0, 0.0, 0.0, 1.0};
+    const unsigned char keep[2] = {1, 0};
+    double x[4] = {0.0, 0.0, 1e-20, 0.0};
+    dal_system *const system = open_rows(&r, mass, DAL_LINEAR);
+    dal_mechanics *const mech = open_mechanics(system);
+    CHECK(dal_consistent(mech, keep, x, NULL) == 0);
+    CHECK_NEAR(x[3], -1.0, 4 * U);
+    dal_mechanics_free(mech);
+    dal_system_free(system);
+}
+
 int main(void)
 {
     test_particle();
@@ -602,6 +737,9 @@ int main(void)
     dal_system_free(large);
     test_consistent();
     test_consistent_or_refused();
+    test_residual_of_affine();
+    test_across();
+    test_kept_units();
     test_equations_by_hand();
     test_errors();
     test_no_constraint();

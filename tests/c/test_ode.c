@@ -3,6 +3,7 @@
 #include "internal.h"
 
 #include <gsl/gsl_errno.h>
+#include <gsl/gsl_odeiv2.h>
 
 #include <stdlib.h>
 #include <string.h>
@@ -261,6 +262,27 @@ static void test_clock(dal_flow_method method)
     dal__ode_free(self);
 }
 
+/* The last step is not a very short one, from which a trajectory would have to go on. */
+static void test_last_step(dal_flow_method method)
+{
+    const double y0[2] = {1.0, 0.5};
+    problem p = {.from = SIZE_MAX};
+    ode *self = open_ode(2, method, 1e-6, oscillator, &p);
+    for (int i = 1; i <= 100; i++) {
+        const double end = 0.1 * i;
+        double before = 0.0, step = 0.0;
+        CHECK(dal__ode_begin(self, 0.0, end, y0, 1.0, NULL) == 0);
+        while (dal__ode_elapsed(self) != end) {
+            const double elapsed = dal__ode_elapsed(self);
+            CHECK(dal__ode_step(self, end, NULL) == 0);
+            before = step;
+            step = dal__ode_elapsed(self) - elapsed;
+        }
+        CHECK(step > 0.5 * before);
+    }
+    dal__ode_free(self);
+}
+
 /* The oscillator is linear: doubled on the way, it is doubled at the end.  Its own state may be
  * what it begins from. */
 static void test_restart(dal_flow_method method)
@@ -333,7 +355,8 @@ static void test_failing(dal_flow_method method, int answer, int expected)
         CHECK(run(self, 0.0, 1.0, y0, 1.0, &error) == expected);
         CHECK(error.status == expected);
         CHECK(strstr(error.text, answer ? "failed" : "the field at t = ") != NULL);
-        if (expected == DAL_EUSER) CHECK(p.call == k + 1); /* stop means stop */
+        if (expected == DAL_EUSER || expected == DAL_STOPPED)
+            CHECK(p.call == k + 1); /* stop means stop */
         CHECK(dal__all_finite(2, dal__ode_state(self)));
     }
     dal__ode_free(self);
@@ -376,6 +399,7 @@ static void test_wall(dal_flow_method method)
     CHECK_NEAR(dal__ode_state(self)[0], 1.0, distance);
     CHECK_NEAR(dal__ode_elapsed(self), 1.0, distance);
     CHECK(dal__ode_state(self)[0] <= 1.0);
+    CHECK(p.until < 200); /* refusals: 53 halvings, and those of steps that were too long */
     dal__ode_free(self);
 
     const double middle[2] = {0.0, 1.0}; /* turns at |y| = 0.92 */
@@ -491,33 +515,113 @@ static void test_wild(dal_flow_method method)
     CHECK(succeeded > 200); /* most of the others are told to stop */
 }
 
-/* y_1' = y_1 cos t; a large y_2 makes every step as large as it may be, two in all. */
+/* y_1 = exp(sin t - sin t0)/(1 - s/2)^2 and y_2 = 1/(1 - s/2), s = t - t0; a large y_3 makes every
+ * step as large as it may be, two in all. */
 static int swing(double t, const double *y, double *dydt, void *ctx, dal_error *error)
 {
     (void)ctx, (void)error;
-    dydt[0] = y[0] * cos(t);
-    dydt[1] = 0.0;
+    dydt[0] = y[0] * (y[1] + cos(t));
+    dydt[1] = 0.5 * y[1] * y[1];
+    dydt[2] = 0.0;
     return 0;
 }
 
 /* Of order 4, also in time: half the span has 1/32 of the error.  A wrong coefficient would cost an
- * order.  The number of calls says that the steps are the same. */
+ * order, a Jacobian that is not exact to many digits too.  The number of calls says that the steps
+ * are the same. */
 static void test_order_rodas(void)
 {
-    const double y0[2] = {1.0, 1e6}, t0 = 0.5;
+    const double y0[3] = {1.0, 1.0, 1e6}, t0 = 0.5;
     double before = 0.0;
     ode *self = NULL;
-    CHECK(dal__ode_new(&self, 2, DAL_FLOW_RODAS, 0.1, swing, NULL, NULL) == 0);
-    for (int halvings = 0; halvings <= 3; halvings++) {
+    CHECK(dal__ode_new(&self, 3, DAL_FLOW_RODAS, 0.1, swing, NULL, NULL) == 0);
+    for (int halvings = 0; halvings <= 5; halvings++) {
         const double span = ldexp(0.5, -halvings);
         const size_t calls = dal__ode_evaluations(self);
         CHECK(run(self, t0, span, y0, 1.0, NULL) == 0);
-        CHECK(dal__ode_evaluations(self) == calls + 1 + 2 * (4 + 2 + 6 + 1));
-        const double error = dal__ode_state(self)[0] - exp(sin(t0 + span) - sin(t0));
-        if (halvings >= 2) CHECK_NEAR(log2(before / error), 5.0, 0.3);
+        CHECK(dal__ode_evaluations(self) == calls + 1 + 2 * (6 + 2 + 6 + 1));
+        const double error = dal__ode_state(self)[0]
+                           - exp(sin(t0 + span) - sin(t0)) / pow(1.0 - 0.5 * span, 2.0);
+        if (halvings >= 3) CHECK_NEAR(log2(before / error), 5.0, 0.3);
         before = error;
     }
     dal__ode_free(self);
+}
+
+/* A pulse at t = 5 that steps grown before it have to be refused for. */
+static int pulse(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    dydt[0] = y[1];
+    dydt[1] = exp(-25.0 * (t - 5.0) * (t - 5.0)) - y[0];
+    return disturbed(ctx, dydt, error);
+}
+
+static int pulse_of_gsl(double t, const double *y, double *dydt, void *ctx)
+{
+    return pulse(t, y, dydt, ctx, NULL);
+}
+
+/* Steps are those of GSL's own loop and control, once these take the first. */
+static void test_control(dal_flow_method method)
+{
+    const double y0[2] = {1e-3, 0.0}, end = 100.0;
+    problem p = {.from = SIZE_MAX};
+    gsl_odeiv2_system system = {pulse_of_gsl, NULL, 2, &p};
+    gsl_odeiv2_driver *const driver = gsl_odeiv2_driver_alloc_y_new(
+        &system, method == DAL_FLOW_RK8PD ? gsl_odeiv2_step_rk8pd : gsl_odeiv2_step_msadams, 1.0,
+        tolerances[method], tolerances[method]);
+    ode *self = open_ode(2, method, tolerances[method], pulse, &p);
+    CHECK(dal__ode_begin(self, 0.0, end, y0, 1.0, NULL) == 0);
+    CHECK(dal__ode_step(self, end, NULL) == 0);
+    double t = 0.0, h = dal__ode_elapsed(self), y[2] = {y0[0], y0[1]};
+    while (t < 20.0) {
+        CHECK(gsl_odeiv2_evolve_apply(driver->e, driver->c, driver->s, &system, &t, end, &h, y)
+              == 0);
+        CHECK(t == dal__ode_elapsed(self) && memcmp(y, dal__ode_state(self), sizeof y) == 0);
+        CHECK(dal__ode_step(self, end, NULL) == 0);
+    }
+    CHECK(driver->e->failed_steps > 1);
+    gsl_odeiv2_driver_free(driver);
+    dal__ode_free(self);
+}
+
+/* Of the steps of rodas few are refused, which costs 9 evaluations of the field, but the Jacobian,
+ * 4 more, belongs to the state and stays. */
+static void test_refused_rodas(void)
+{
+    const double y0[2] = {1e-3, 0.0}, end = 20.0;
+    problem p = {.from = SIZE_MAX};
+    size_t accepted = 0;
+    ode *self = open_ode(2, DAL_FLOW_RODAS, 1e-8, pulse, &p);
+    CHECK(dal__ode_begin(self, 0.0, end, y0, 1.0, NULL) == 0);
+    for (; dal__ode_elapsed(self) != end && accepted < 10000; accepted++)
+        CHECK(dal__ode_step(self, end, NULL) == 0);
+    const size_t rest = dal__ode_evaluations(self) - 1 - 13 * accepted;
+    CHECK(rest % 9 == 0 && rest > 0 && rest / 9 < accepted / 10);
+    dal__ode_free(self);
+}
+
+/* An oscillator whose position is counted in units of 1e-15, or 1e15. */
+static int small_units(double t, const double *y, double *dydt, void *ctx, dal_error *error)
+{
+    const problem *const p = ctx;
+    (void)t;
+    dydt[0] = p->rate * y[1];
+    dydt[1] = -y[0] / p->rate;
+    return disturbed(ctx, dydt, error);
+}
+
+static void test_units_rodas(void)
+{
+    for (double unit = 1e-15; unit <= 1e16; unit *= 1e30) {
+        problem p = {.from = SIZE_MAX, .rate = unit};
+        const double y0[2] = {0.0, 1.0};
+        ode *self = open_ode(2, DAL_FLOW_RODAS, 1e-6, small_units, &p);
+        CHECK(run(self, 0.0, 1.0, y0, 1.0, NULL) == 0);
+        CHECK_NEAR(dal__ode_state(self)[1], cos(1.0), 1e-4); /* 100 tolerances */
+        CHECK(p.call < 1000);
+        dal__ode_free(self);
+    }
 }
 
 /* Data that no integration can begin from. */
@@ -580,21 +684,26 @@ int main(void)
         test_factor(method);
         test_restart(method);
         test_clock(method);
+        test_last_step(method);
         test_chart(method);
         test_failing(method, DAL_EDOMAIN, DAL_EDOMAIN);
         test_failing(method, DAL_ENOCONV, DAL_ENOCONV);
         test_failing(method, DAL_EUSER, DAL_EUSER);
+        test_failing(method, DAL_STOPPED, DAL_STOPPED);
         test_failing(method, 0, DAL_EDOMAIN);
         test_recovery(method, DAL_ESINGULAR);
         test_recovery(method, 0);
         test_wall(method);
         test_collapse(method);
         test_wild(method);
+        if (method != DAL_FLOW_RODAS) test_control(method);
     }
     test_stiff(1, prothero, -1e4, (const double[1]){1.0}, cos(10.0));
     test_stiff(2, spring, -1e8, (const double[2]){1e-12, 0.0}, 0.0);
     test_singular_rodas();
     test_order_rodas();
+    test_refused_rodas();
+    test_units_rodas();
     test_beginning();
     test_arguments();
     return check_done();

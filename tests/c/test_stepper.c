@@ -662,6 +662,8 @@ static void test_starts(void)
     check_refused(stepper, 0.0, 0.0, x0, DAL_CHECK, 0, DAL_EINVAL, "h = 0");
     check_refused(stepper, 0.0, NAN, x0, DAL_CHECK, 0, DAL_EINVAL, "h = ");
     check_refused(stepper, 0.0, INFINITY, x0, DAL_CHECK, 0, DAL_EINVAL, "h = inf");
+    check_refused(stepper, 0.0, 1e-310, x0, DAL_CHECK, 0, DAL_EINVAL, "h = "); /* 1/h is not */
+    check_refused(stepper, 1e17, 1.0, x0, DAL_CHECK, 0, DAL_EINVAL, "does not change t0");
     check_refused(stepper, NAN, 0.1, x0, DAL_CHECK, 0, DAL_EINVAL, "t0 = ");
     check_refused(stepper, 0.0, 0.1, NULL, DAL_CHECK, 0, DAL_EINVAL, "x is NULL");
     check_refused(stepper, 0.0, 0.1, x0, 3, 0, DAL_EINVAL, "consistency = 3");
@@ -676,6 +678,9 @@ static void test_starts(void)
     CHECK(dal_stepper_start(nodes, 0.0, 0.1, x0, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
     CHECK(strstr(dal_stepper_message(nodes), "initial") != NULL);
     CHECK(dal_step(nodes, NULL) == DAL_EINVAL); /* still not started */
+    const double fast[6] = {1.7e308, 0.3, 0.0, 1e308, 0.0, 0.3e308};
+    CHECK(dal_stepper_start(nodes, 0.0, 10.0, fast, DAL_ASSUME, DAL_INITIAL_SHIFT) == DAL_EDOMAIN);
+    CHECK(strstr(dal_stepper_message(nodes), "q + 5 v overflows") != NULL);
     CHECK(dal_stepper_start(NULL, 0.0, 0.1, x0, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
     CHECK(dal_step(stepper, NULL) == DAL_SUCCESS && dal_stepper_time(stepper) == 3.0);
 
@@ -1002,6 +1007,86 @@ static void test_singular_step(void)
     dal_system_free(system);
 }
 
+/* ---- looks at the energy ------------------------------------------------------------------ */
+
+/* V = k q^2/2; V itself, which looks alone ask for, may stop. */
+typedef struct watched {
+    double k;
+    bool stops;
+} watched;
+
+static int watched_spring(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const watched *const w = ctx;
+    if (V && w->stops) return -1;
+    if (V) *V = 0.5 * w->k * q[0] * q[0];
+    if (V_q) V_q[0] = w->k * q[0];
+    if (V_qq) V_qq[0] = w->k;
+    return 0;
+}
+
+/* With h^2 k a little above 4 the leapfrog grows.  However the steps are asked for, the look after
+ * the 64th finds it; and what stops a look stops the steps. */
+static void test_looks(void)
+{
+    const double mass[1] = {1.0}, x0[2] = {1.0, 0.0};
+    watched w = {.k = 4.01};
+    const dal_system_def def = {.n = 1, .mass = mass, .potential = watched_spring, .ctx = &w};
+    const dal_scheme scheme = find_scheme("leapfrog");
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "watched", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    for (size_t at_once = 1; at_once <= 200; at_once += 9) {
+        dal_stats stats;
+        double kinetic = 0.0;
+        CHECK(dal_stepper_start(stepper, 0.0, 1.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        for (size_t steps = 0; steps < 200; steps += at_once) {
+            CHECK(dal_advance(stepper, at_once, NULL, NULL) == 0);
+            const double v = dal_stepper_state(stepper)[1];
+            if (steps + at_once == 64) kinetic = 0.5 * v * v;
+        }
+        dal_stepper_stats(stepper, &stats);
+        CHECK(stats.jump_step == 64);
+        CHECK(kinetic == 0.0 || stats.largest_kinetic == kinetic);
+    }
+    size_t done = 0;
+    CHECK(dal_stepper_start(stepper, 0.0, 1.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    w.stops = true;
+    CHECK(dal_advance(stepper, 200, NULL, &done) == DAL_EUSER && done == 64);
+    CHECK(strstr(dal_stepper_message(stepper), "potential") != NULL);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
+/* What the predictions of a stage leave to be evaluated: three times in two stages at best, where
+ * the parabola, or the line, through the stages before serves; more where their times differ so
+ * much that neither does. */
+static void test_predictions(void)
+{
+    static const struct {
+        const char *system, *scheme;
+        double h, most;
+    } cases[] = {{"sleigh", "leapfrog", 0.02, 1.52},          /* 1.62 along lines only */
+                 {"generic4", "leapfrog", 0.02, 1.53},        /* 1.57 where weights end at 5 */
+                 {"snakeboard", "leapfrog-suzuki4", 0.1, 1.67}, /* 1.72 where they end at 30 */
+                 {"sleigh", "leapfrog-suzuki4", 0.02, 1.51},  /* 1.63 without lines */
+                 {"sleigh", "leapfrog-kl8", 0.02, 1.51}};     /* 1.96 by pulls of any span */
+    for (size_t i = 0; i < DAL_LENGTH(cases); i++) {
+        dal_system *const system = open_system(cases[i].system);
+        const dal_scheme scheme = find_scheme(cases[i].scheme);
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        double x[16];
+        dal_stats stats;
+        CHECK(dal_system_state(system, x) == 0);
+        CHECK(dal_stepper_start(stepper, 0.0, cases[i].h, x, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_advance(stepper, 400, NULL, NULL) == 0);
+        dal_stepper_stats(stepper, &stats);
+        CHECK((double)stats.constraint_calls < cases[i].most * (double)stats.substeps);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
 int main(void)
 {
     test_equations();
@@ -1026,5 +1111,7 @@ int main(void)
     test_far_from_the_origin();
     test_statistics();
     test_singular_step();
+    test_looks();
+    test_predictions();
     return check_done();
 }
