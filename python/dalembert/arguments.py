@@ -152,13 +152,14 @@ def function(value: Any, name: str, taken: str = "") -> None:
         return
     if not callable(value):
         raise ValueError(f"{name} = {shown(value)}: expected a function")
+    if not taken or inspect.isbuiltin(value):
+        return
     try:
         signature = inspect.signature(value)
     except (TypeError, ValueError):  # of a function that is not written in Python
         return
     try:
-        if taken:
-            signature.bind(*taken.split(", "))
+        signature.bind(*taken.split(", "))
     except TypeError as error:
         raise ValueError(
             f"{name} is a function of {signature}: expected one of ({taken})"

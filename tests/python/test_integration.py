@@ -196,7 +196,7 @@ def test_explicit_is_a_property_of_scheme_and_system(own):
         (lambda: dal.Scheme.of(1.5), r"scheme = 1.5: expected beta in \[0, 1\]"),
         (lambda: dal.Scheme.of(float("nan")), "scheme = nan: expected beta"),
         (lambda: dal.Scheme.find("leap"), '"leap"; did you mean .leapfrog.. there are .*a number'),
-        (lambda: dal.Scheme.find("simpson"), '"simpson"; there are .*-nodes.*and reference'),
+        (lambda: dal.Scheme.find("simpson"), '"simpson"; there are .*-nodes.*takes reference'),
         (lambda: dal.Scheme.find("refrence"), "did you mean 'reference'"),
         (lambda: dal.Scheme.of(10**400), "scheme = 1000.*: expected a Scheme"),
         (lambda: dal.Scheme.find("midpoint").shift("x"), "h = 'x': expected a finite number"),
