@@ -847,10 +847,11 @@ DAL_API int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, dou
 /* A fitted order: errors ~ h^slope over the points that count. */
 typedef struct dal_fit {
     double slope;    /* NaN if fewer than three points count */
-    double finest;   /* the slope between the two finest of them: where it is larger by more than
-                        0.1 the errors are not yet a power of h */
+    double spread;   /* by how much the slopes between neighbours differ: where it is more than
+                        0.25 the errors are not yet a power of h */
     size_t points;   /* how many counted */
-    int exact;       /* 1: every error is at the level of roundoff */
+    int exact;       /* 1: every error is at the level of roundoff; of the states in a study, also
+                        that those of one order less than promised would not be */
 } dal_fit;
 
 /* The fits of a study. */
@@ -893,8 +894,11 @@ typedef struct dal_order {
                              multiplier_order - 0.2 (or exact), and p or the slope at t_end is at
                              least order - 0.2 or exact (the one-step errors of high orders can
                              reach roundoff before their slope settles); 0 if not; -1 if the record
-                             promises nothing; -2 if too few points count to tell, or the slope
-                             falls short but has not settled.  With
+                             promises nothing; -2 if it is not settled: too few points count, a
+                             slope falls short that has not settled, the slope at t_end falls
+                             short where that of one step does not, or the runs do not resolve
+                             the solution (an error at t_end beyond half of the largest component
+                             of its ends, or a run that failed with a smaller step).  With
                              DAL_INITIAL_D the promise for the first step is (order - 1,
                              multiplier_order - 1), and order at t_end (E12) */
     char text[508];       /* the verdict in words */

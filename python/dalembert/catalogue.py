@@ -393,7 +393,7 @@ def _start(
     for key, value in parameters.items():
         arguments.number(value, key)
     if not extras.is_there("sympy"):
-        raise ImportError(f"the system {system.__name__} needs SymPy: pip install 'dalembert[sym]'")
+        raise ImportError(f"the system {system.__name__} needs SymPy: pip install sympy")
     sympy = extras.require("sympy", f"the system {system.__name__}")
     symbols = [
         sympy.Symbol(key, positive=True if key in positive.split() else None) for key in parameters

@@ -58,6 +58,13 @@ _OUTPUTS = {
 }
 
 # What each function makes no sense without.
+_TAKEN = {  # by the functions that do not take (q, v)
+    **dict.fromkeys(
+        ("potential", "gradient", "hessian", "forms", "affine", "affine_derivative"), "q"
+    ),
+    **dict.fromkeys(("force", "force_q", "force_v", "exact"), "t, q, v"),
+}
+
 _NEEDS = {
     "gradient": "potential(q) -> V",
     "hessian": "potential(q) -> V",
@@ -279,7 +286,7 @@ class System:
         }
         for key, function in {**functions, **(invariants or {})}.items():
             if key not in compiled:
-                arguments.function(function, key)
+                arguments.function(function, key, _TAKEN.get(key, "q, v"))
         if compiled:
             _require_compiled(functions, compiled, mass, m)
         else:
@@ -1290,14 +1297,14 @@ def _number_of_constraints(
     point = np.concatenate([np.zeros(n), np.ones(n)]) if state is None else state.copy()
     point.flags.writeable = False
     if constraint is not None:
-        shape = np.shape(constraint(point[:n], point[n:]))
+        shape = arguments.shape(constraint(point[:n], point[n:]))
         if len(shape) != 1:
             raise ValueError(
                 "constraint has to return shape (m,), one number for each constraint, it "
                 f"returned {shape}"
             )
     elif forms is not None:
-        shape = np.shape(forms(point[:n]))
+        shape = arguments.shape(forms(point[:n]))
         if len(shape) != 2 or shape[1] != n:
             raise ValueError(
                 f"forms has to return shape (m, {n}), one row for each constraint, "
