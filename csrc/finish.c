@@ -76,20 +76,14 @@ static int linearise(dal_kernel *k, const dal_stage *s, int *sign)
     return DAL_SUCCESS;
 }
 
-/* How far the equations move when q~' moves by itself, as a velocity: times u it is what is not
- * known of w.  V_qq is in k->K. */
-static double turned(const dal_kernel *k, const dal_stage *s)
+/* How far V_q moves v' when q~' moves by itself, with V_qq in k->K: times u it is what is not known
+ * of w. */
+static double bent(const dal_kernel *k, const dal_stage *s)
 {
-    const dal_arrays *const at = &k->at;
     const size_t n = k->n;
     double sum = 0.0;
-    for (size_t a = 0; a < k->m; a++) {
-        double turn = 0.0;
-        for (size_t i = 0; i < n; i++) turn += fabs(at->N[a * n + i] * at->point[i]);
-        sum += turn / dal_kernel_form(k, n, DAL_KERNEL_ALL, at->mu, a);
-    }
     for (size_t l = 0; k->potential && s->end != 0.0 && l < n * n; l++)
-        sum += fabs(k->h * s->end * k->K[l] * at->point[l % n]) * k->unit[l / n];
+        sum += fabs(k->h * s->end * k->K[l] * k->at.point[l % n]) * k->unit[l / n];
     return sum;
 }
 
@@ -117,7 +111,7 @@ static int solve(dal_kernel *k, const dal_stage *s)
             for (size_t i = 0; i < n; i++) at->w[i] -= at->step[i] *= 0.5;
             k->stats.halvings++;
         }
-        if (!status) moves = turned(k, s);
+        if (!status) moves = bent(k, s);
         if (!status) status = linearise(k, s, &sign);
         if (status) return status;
         k->stats.iterations++;

@@ -10,7 +10,6 @@
 #ifndef DALEMBERT_LU_H
 #define DALEMBERT_LU_H
 
-#include <float.h>
 #include <math.h>
 #include <stddef.h>
 
@@ -160,7 +159,6 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
         }
         if (A[j * m + j] < 0.0) sign = -sign;
         const double inverse = 1.0 / A[j * m + j];
-        if (!(fabs(inverse) <= DBL_MAX)) return 0;
         A[j * m + j] = inverse;
         for (size_t i = j + 1; i < m; i++) {
             const double l = A[i * m + j] * inverse;

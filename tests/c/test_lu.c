@@ -226,26 +226,52 @@ static void test_condition(void)
     CHECK(factor(&A, &f) != 0);
 }
 
-/* The estimate is below the norm of the inverse and hardly ever far below. */
+/* Of the scaled matrix the estimate is below the norm of the inverse, and hardly ever far below. */
 static void test_estimate(void)
 {
     unsigned seed = 23;
     static matrix A;
     static factors f;
-    double sizes[2 * MOST], scratch[3 * MOST];
-    for (size_t i = 0; i < 2 * MOST; i++) sizes[i] = 1.0;
-    for (int trial = 0; trial < 300; trial++) {
+    double worst = 1.0, sum = 0.0;
+    size_t judged = 0;
+    for (int trial = 0; trial < 500; trial++) {
         const size_t m = 2 + (size_t)trial % 40;
-        fill(&A, DENSE, m, &seed);
-        CHECK(factor(&A, &f) != 0);
         double norm = 0.0, e[MOST], y[MOST];
+        fill(&A, (kind)(trial % KINDS), m, &seed);
+        if (factor(&A, &f) == 0) continue;
+        for (size_t k = 0; k < 2 * m; k++) f.sizes[k] = pow(10.0, 3.0 * next_number(&seed));
         for (size_t j = 0; j < m; j++) {
-            for (size_t i = 0; i < m; i++) e[i] = i == j;
+            double column = 0.0;
+            for (size_t i = 0; i < m; i++) e[i] = i == j ? f.sizes[j] : 0.0;
             dal_lu_solve(m, f.LU, f.row, e, y);
-            norm = fmax(norm, dal__sum_of_sizes(m, y));
+            for (size_t i = 0; i < m; i++) column += fabs(y[i]) * f.sizes[m + i];
+            norm = fmax(norm, column);
         }
-        const double found = dal_lu_inverse_norm(m, f.LU, f.row, sizes, sizes, scratch);
-        CHECK(found <= norm * (1.0 + 1e-9) && found >= norm / 10.0);
+        const double found = dal_lu_inverse_norm(m, f.LU, f.row, f.sizes, f.sizes + m,
+                                                 f.sizes + 2 * m);
+        CHECK(found <= norm * (1.0 + 1e-9));
+        worst = fmin(worst, found / norm);
+        sum += found / norm;
+        judged++;
+    }
+    CHECK(worst >= 0.4 && sum >= 0.98 * (double)judged && judged > 400);
+}
+
+/* Triangles whose inverse is known: 1 and k in one row, K + 1 in the inverse; and 1, -1 below it,
+ * with 2^(m-2) in the inverse. */
+static void test_triangles(void)
+{
+    static matrix A;
+    static factors f;
+    for (int large = 0; large < 2; large++) {
+        double two[4] = {1.0, large ? 1e8 : 1e7, 0.0, 1.0}, sizes[10] = {1, 1, 1, 1};
+        CHECK(dal_lu_factor(2, two, sizes, f.row) == !large);
+        A.m = large ? 60 : 40;
+        for (size_t i = 0; i < A.m; i++)
+            for (size_t j = 0; j < A.m; j++)
+                f.LU[i * A.m + j] = i == j ? 1.0 : i > j ? -1.0 : 0.0;
+        for (size_t k = 0; k < 2 * A.m; k++) f.sizes[k] = 1.0;
+        CHECK(dal_lu_factor(A.m, f.LU, f.sizes, f.row) == !large);
     }
 }
 
@@ -299,6 +325,20 @@ static void test_singular(void)
         memcpy(A, sized[k].A, sizeof A);
         CHECK(dal_lu_factor(3, A, sizes, f.row) == sized[k].sign);
     }
+    for (int which = 0; which < 3; which++) { /* a size that is not known is none */
+        double A[4] = {1, 0, 0, 1}, sizes[10] = {1, 1, 1, 1};
+        sizes[which] = NAN;
+        CHECK(dal_lu_factor(2, A, sizes, f.row) == 0);
+    }
+    for (int sign = -1; sign < 2; sign += 2)
+        for (int which = 0; which < 2; which++) {
+            double A[1] = {sign * 1e-10}, sizes[5] = {1, 1};
+            sizes[which] = 1e4;
+            CHECK(dal_lu_factor(1, A, sizes, f.row) == sign);
+            A[0] = sign * 1e-10;
+            sizes[which] = 1e6;
+            CHECK(dal_lu_factor(1, A, sizes, f.row) == 0);
+        }
     /* Two constraints that coincide, with coefficients that are not exact in binary. */
     const double mu[6] = {0.1, 0.7, 0.3, 0.3, 2.1, 0.9};
     CHECK(factor_product(2, 3, mu, mu, &f) == 0);
@@ -484,6 +524,7 @@ int main(void)
     test_exact();
     test_condition();
     test_estimate();
+    test_triangles();
     test_singular();
     test_units();
     test_cholesky();
