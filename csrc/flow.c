@@ -226,15 +226,21 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
     return status;
 }
 
-/* *error <- what roundoff does at the least: to the result, and to the time that a force sees. */
+/* *error <- what roundoff does at the least: to the result; all the time to the velocity, where
+ * nearly dependent forms make more of it; and to the time that a force sees. */
 static int roundoff(dal_flow *flow, double t0, double t1, double *error)
 {
-    const size_t N = dimension(flow);
-    *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result);
-    if (!dal_system_is_forced(flow->mech.eval.system)) return DAL_SUCCESS;
-    const int status = dal_field(&flow->mech, t1, flow->result, flow->state);
-    if (status) return pass_on(flow, &flow->mech.error, status);
-    *error += DAL_ROUNDOFF * fmax(fabs(t0), fabs(t1)) * dal__largest(N, flow->state);
+    dal_mechanics *const mech = &flow->mech;
+    const size_t N = dimension(flow), n = mech->n, m = mech->m;
+    const int status = dal_field(mech, t1, flow->result, flow->state);
+    if (status) return pass_on(flow, &mech->error, status);
+    double inverse = 0.0; /* trace of that of C scaled to a unit diagonal, from what dal_field left */
+    for (size_t a = 0; a < m; a++)
+        inverse += mech->sizes[a] * dal__dot(a + 1, mech->C + a * m, mech->C + a * m);
+    *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result)
+           + DAL_ROUNDOFF * sqrt(inverse) * dal__largest(n, flow->result + n) * fabs(t1 - t0);
+    if (dal_system_is_forced(mech->eval.system))
+        *error += DAL_ROUNDOFF * fmax(fabs(t0), fabs(t1)) * dal__largest(N, flow->state);
     return DAL_SUCCESS;
 }
 

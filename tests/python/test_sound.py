@@ -364,3 +364,21 @@ def test_short_spans(scheme, t_end):
     """Where h is so small that errors are roundoff over h no order is said to be missed."""
     study = dal.convergence(dal.systems.particle(), scheme, t_end=t_end)
     assert study.holds is not False and study.keeps == "D", study.text
+
+
+@pytest.mark.parametrize("t", [1.0, 2.0, 8.0])
+def test_the_reference_knows_what_nearly_dependent_forms_lose(t):
+    """They hold x, y and theta, while z goes on: all that is off is roundoff."""
+    x, y, z, theta = dal.coordinates("x y z theta")
+    held = dal.System.from_sympy(
+        0.954 * x.d**2 + 0.441 * y.d**2 + 0.768 * z.d**2 + 0.594 * theta.d**2 + 1.576 * sp.cos(x),
+        [
+            x.d * sp.cos(theta + 0.02965) - y.d * sp.sin(theta + 0.02965) + 0.84398 * theta.d,
+            y.d * sp.cos(theta) - z.d * sp.sin(theta) - 0.12522 * theta.d,
+            -x.d * sp.sin(theta + 1.45046) + y.d * sp.cos(theta + 1.45046) - 0.91766 * theta.d,
+        ],
+        [x, y, z, theta],
+    )
+    found = dal.reference(held, [-0.05, 0, 2, 0], [0, 0, 0.07, 0], t)
+    off = abs(np.concatenate([found.q - [-0.05, 0, 2 + 0.07 * t, 0], found.v - [0, 0, 0.07, 0]]))
+    assert off.max() <= 10 * found.accuracy < 1e-12
