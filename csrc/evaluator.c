@@ -8,7 +8,7 @@
  * that grows with q asks for d to grow with q; an angle, whose sine has its unit of 1 wherever it
  * stands, for d to stay: the power balances the two.  Where q is so large that d would be lost in
  * it, d is a few units of its last place. */
-static double spacing(double q)
+double dal__spacing(double q)
 {
     int exponent;
     frexp(fmax(1.0, fabs(q)), &exponent);
@@ -22,7 +22,7 @@ int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t 
 {
     static const int offsets[4] = {1, -1, 2, -2};
     static const double weights[4] = {8.0, -8.0, -1.0, 1.0};
-    const double q = point[j], d = spacing(q);
+    const double q = point[j], d = dal__spacing(q);
     int returned = 0;
     for (size_t i = 0; i < count; i++) slope[i * stride] = 0.0;
     for (int k = 0; k < 4 && !returned; k++) {
@@ -71,7 +71,7 @@ static int hessian_of_V(evaluator *e, const double *q, double *V_qq)
     const size_t n = e->system->def.n;
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j <= i; j++) {
-            const double di = spacing(q[i]), dj = spacing(q[j]);
+            const double di = dal__spacing(q[i]), dj = dal__spacing(q[j]);
             double sum = 0.0;
             for (int k = 0; k < 4; k++) {
                 const double si = k < 2 ? di : -di, sj = k % 2 ? -dj : dj;

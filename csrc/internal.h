@@ -262,6 +262,8 @@ typedef int (*dal__function)(const double *q, double *f, void *ctx);
  * is not 0. */
 int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
                     double *value, double *slope, size_t stride);
+/* The distance of these points at a coordinate q. */
+double dal__spacing(double q);
 
 /* ---- floor 3: mechanics.c, step_equations.c, connection.c, curve.c, check.c -------------- */
 

@@ -265,6 +265,7 @@ DAL_KERNEL_INLINE double dal_kernel_form(const dal_kernel *k, size_t n, unsigned
 DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                         double b, const dal_arrays *at)
 {
+    double terms = -0.0;
     for (size_t a = 0; a < m; a++) {
         double size = -0.0;
         for (size_t c = 0; c < m; c++) at->S[a * m + c] = -0.0;
@@ -274,12 +275,14 @@ DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m,
             const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
             const double entry = turns ? fabs(mu) + fabs(row) : fabs(mu);
             if (m > 1) size += entry * k->unit[i];
-            else if (DAL_KERNEL_HAS(has.Z, i)) size += entry * fabs(at->Z[i]);
-            for (size_t c = 0; c < m; c++)
-                if (DAL_KERNEL_HAS(has.Z, c * n + i))
-                    at->S[a * m + c] += row * at->Z[c * n + i];
+            for (size_t c = 0; c < m; c++) {
+                if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
+                const double term = row * at->Z[c * n + i];
+                at->S[a * m + c] += term;
+                terms += turns ? entry * fabs(at->Z[c * n + i]) : fabs(term);
+            }
         }
-        at->sizes[a] = size;
+        at->sizes[a] = m > 1 ? size : terms;
         at->sizes[m + a] = m > 1 ? dal_kernel_form(k, n, has.mu, at->mu_node, a) : 1.0;
     }
     return dal_lu_factor(m, at->S, at->sizes, at->row);
@@ -608,7 +611,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         DAL_KERNEL_COPY(n, node, k->at.node);
         DAL_KERNEL_COPY(n, w, k->at.w);
         DAL_KERNEL_COPY(n, base, k->at.base);
-        DAL_KERNEL_COPY(n, goal, k->at.goal);
+        if (kept) DAL_KERNEL_COPY(n, goal, k->at.goal);
         DAL_KERNEL_COPY(n, stored, k->at.stored);
         DAL_KERNEL_COPY(m * n, Z, k->at.Z);
         DAL_KERNEL_COPY(m * n, mu_node, k->at.mu_node);

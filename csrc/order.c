@@ -25,8 +25,10 @@ static const double AT_FLOOR = 10.0;       /* errors up to so many times the flo
 static const double STEP_ROUNDINGS = 4.0;  /* the floor of one step in u times scale, */
 static const double RUN_ROUNDINGS = 50.0;  /* and of a short run, in which they add up; */
 static const double WALK = 4.0;            /* N sub-steps have so many times the root of N */
-static const double UNSETTLED = 0.1;       /* a slope that still rises so much is no order yet */
+static const double SETTLED = 0.25;        /* by which the slopes between neighbours may differ */
+static const double RESOLVED = 0.5;        /* of the solution: a larger error says nothing */
 static const double SMALLEST_RANGE = 2.0;  /* of h over the points that count */
+static const double ENERGY = 1e-8;         /* changes of the energy below are not told */
 static const double DEFAULT_TOLERANCE = 1e-13;
 
 typedef struct study {
@@ -62,22 +64,22 @@ typedef struct study {
 
 static double error_floor(const study *self, double roundings);
 
-/* The slope between the point of the smallest h among those above least, and the next one. */
-static double finest_slope(size_t count, const double *h, const double *errors, double least)
+/* By how much the slopes between neighbours differ, of the points above least. */
+static double spread_of_slopes(size_t count, const double *h, const double *errors, double least)
 {
-    size_t first = count, second = count;
+    double flattest = INFINITY, steepest = -INFINITY;
     for (size_t i = 0; i < count; i++) {
-        if (!(isfinite(errors[i]) && errors[i] > least)) continue;
-        if (first == count || fabs(h[i]) < fabs(h[first])) {
-            second = first;
-            first = i;
-        } else if (fabs(h[i]) > fabs(h[first])
-                   && (second == count || fabs(h[i]) < fabs(h[second]))) {
-            second = i;
-        }
+        size_t next = count;
+        for (size_t k = 0; k < count; k++)
+            if (isfinite(errors[k]) && errors[k] > least && fabs(h[k]) > fabs(h[i])
+                && (next == count || fabs(h[k]) < fabs(h[next])))
+                next = k;
+        if (next == count || !(isfinite(errors[i]) && errors[i] > least)) continue;
+        const double slope = log(errors[next] / errors[i]) / log(fabs(h[next] / h[i]));
+        flattest = fmin(flattest, slope);
+        steepest = fmax(steepest, slope);
     }
-    if (second == count) return NAN;
-    return log(errors[second] / errors[first]) / log(fabs(h[second] / h[first]));
+    return steepest - flattest;
 }
 
 void dal_fit_order(size_t count, const double *h, const double *errors, double floor,
@@ -98,7 +100,7 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
         shortest = fmin(shortest, fabs(h[i]));
         longest = fmax(longest, fabs(h[i]));
     }
-    *fit = (dal_fit){.slope = NAN, .finest = NAN, .points = points,
+    *fit = (dal_fit){.slope = NAN, .spread = NAN, .points = points,
                      .exact = finite > 0 && above == 0};
     if (points < FEWEST_POINTS || longest < SMALLEST_RANGE * shortest) return;
 
@@ -111,7 +113,7 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
         xy += x * (log(errors[i]) - mean_y);
     }
     fit->slope = xy / xx;
-    fit->finest = finest_slope(count, h, errors, least);
+    fit->spread = spread_of_slopes(count, h, errors, least);
 }
 
 /* The fit of self->errors; the points that counted are marked. */
@@ -425,14 +427,32 @@ static bool reaches(const dal_fit *fit, int least)
     return fit->exact || fit->slope >= least - SLACK;
 }
 
-/* Falls short, and says so: a slope that still rises with finer steps does not. */
+/* Falls short, and says so: slopes that still change with h are no order yet. */
 static bool falls_short(const dal_fit *fit, int least)
 {
-    return is_known(fit) && !reaches(fit, least) && !(fit->finest > fit->slope + UNSETTLED);
+    return is_known(fit) && !reaches(fit, least) && fit->spread <= SETTLED;
 }
 
-static int judge(const study *self, const dal_order *order)
+/* Whether the runs resolve the solution: none is off by as much as the solution is large, and none
+ * fails with a smaller step than another that does not. */
+static bool is_resolved(const study *self)
 {
+    const size_t N = 2 * self->n;
+    const double scale = fmax(dal__largest(N, self->x0), dal__largest(N, self->end));
+    double longest = 0.0, failing = INFINITY;
+    for (size_t i = 0; i < self->def->count; i++) {
+        const dal_order_point *const point = &self->points[i];
+        if (point->failed) failing = fmin(failing, fabs(point->h));
+        else if (!(fmax(point->q, point->v) <= RESOLVED * scale)) return false;
+        else longest = fmax(longest, fabs(point->h));
+    }
+    return failing >= longest;
+}
+
+/* The verdict, and where it is -2 the reason in words. */
+static int judge(const study *self, const dal_order *order, const char **why)
+{
+    *why = "";
     if (self->scheme->order == 0) return -1;
     const dal_fit *const step = &order->state, *const run = &order->global_state;
     const promise of_step = promise_of_step(self);
@@ -444,10 +464,22 @@ static int judge(const study *self, const dal_order *order)
     const bool run_short = falls_short(run, self->scheme->order);
     /* where either will do, one that falls short says nothing as long as the other is unknown */
     const bool missed = both ? step_short || run_short : step_short && run_short;
-    if (!(reached || missed) || !is_known(&order->reaction)) return -2;
-    return reached &&
-           reaches(&order->reaction, of_step.s + 1) &&
-           (self->kept ? order->keeps_D_eps : order->keeps_D);
+    const bool reaction_holds = reaches(&order->reaction, of_step.s + 1);
+    if (!is_known(&order->reaction) ||
+        !(reached || missed || (is_known(step) && is_known(run))))
+        *why = "not settled, for too few errors stand clear of roundoff: three over a factor of "
+               "two in h are needed, so give more numbers of steps, or take a longer interval";
+    else if (!is_resolved(self))
+        *why = "not settled, for an error at t_end is as large as the solution, or a run failed "
+               "with a smaller step than others: take fine steps only, or a shorter interval";
+    else if (!(reached || missed) ||
+             !(reaction_holds || falls_short(&order->reaction, of_step.s + 1)))
+        *why = "not settled, for the order still changes with h: take finer steps";
+    else if (reached && is_known(run) && !run_holds)
+        *why = "not settled, for the errors at t_end do not have the order that one step has: "
+               "take finer steps, and see whether the motion is smooth";
+    if (**why) return -2;
+    return reached && reaction_holds && (self->kept ? order->keeps_D_eps : order->keeps_D);
 }
 
 /* 1 if the residual at offset is within the bound at every state of every run that did not fail. */
@@ -474,38 +506,77 @@ static const char *order_text(const dal_fit *fit, double lost, char text[16])
     return text;
 }
 
-static const char *verdict_word(const dal_order *order)
+static const char *verdict_word(const dal_order *order, const char *why)
 {
     switch (order->holds) {
     case 1: return order->state.exact && order->global_state.exact ? "exact to roundoff" : "holds";
     case 0: return "does not hold";
     case -1: return "the record promises nothing";
-    default: return "the errors that stand clear of the floor are too few, or too coarse, to tell";
+    default: return why;
     }
 }
 
-/* The verdict in words, with the numbers that it rests on. */
-static void write_verdict(const study *self, double worst, dal_order *order)
+/* Where nothing does work on the system, whether its energy changes alike at every step size. */
+static bool loses_energy(study *self)
 {
-    char p[16], s[16], at_end[16], promised[64] = "", kept[64] = "", failed[64] = "";
-    size_t failures = 0;
-    for (size_t i = 0; i < self->def->count; i++) failures += self->points[i].failed != 0;
+    const dal_system_def *const def = &self->system->def;
+    dal_fit fit;
+    read_column(self, offsetof(dal_order_point, energy));
+    dal_fit_order(self->def->count, self->h, self->errors, ENERGY / ABOVE_FLOOR, &fit, NULL);
+    return !def->force && def->kind == DAL_LINEAR && is_resolved(self) && fit.slope < 0.5;
+}
+
+/* The verdict in words, with the numbers that it rests on. */
+static void write_verdict(study *self, double worst, const char *why, dal_order *order)
+{
+    char p[16], s[16], at_end[16], promised[64] = "", kept[64] = "", failed[128] = "";
+    size_t failures = 0, last = 0;
+    for (size_t i = 0; i < self->def->count; i++)
+        if (self->points[i].failed) {
+            failures++;
+            last = i;
+        }
     if (failures)
-        snprintf(failed, sizeof failed, "; %zu of %zu runs failed", failures, self->def->count);
+        snprintf(failed, sizeof failed, "; %zu of %zu runs failed (%s)", failures,
+                 self->def->count, dal_strerror(self->points[last].failed));
     if (self->scheme->order != 0) {
         const promise of_step = promise_of_step(self);
         snprintf(promised, sizeof promised, ", promised (%d, %d)%s", of_step.p, of_step.s,
                  starts_with_jump(self) ? " for the first step from D" : "");
     }
-    if (self->m > 0)
+    if (self->m > 0 && failures < self->def->count)
         snprintf(kept, sizeof kept, "; %s %s %.1e at every step", self->kept ? "D_eps" : "D",
                  (self->kept ? order->keeps_D_eps : order->keeps_D) ? "kept to" : "violated by",
                  worst);
     snprintf(order->text, sizeof order->text,
-             "order (p, s) = (%s, %s) over %zu point%s%s, order %s at t_end: %s%s%s.",
+             "order (p, s) = (%s, %s) over %zu point%s%s, order %s at t_end: %s%s%s%s.",
              order_text(&order->state, 1.0, p), order_text(&order->reaction, 1.0, s),
              order->state.points, order->state.points == 1 ? "" : "s", promised,
-             order_text(&order->global_state, 0.0, at_end), verdict_word(order), kept, failed);
+             order_text(&order->global_state, 0.0, at_end), verdict_word(order, why), kept,
+             failed, loses_energy(self) ? "; nothing does work on the system, but its energy "
+             "changes as much at the smallest h: gradient may not be that of potential, see "
+             "check" : "");
+}
+
+/* Whether errors of one order less than promised would be seen at the longest step.  Those of one
+ * step are about (rate h)^p of the state, with rate = |v'|/|v|, and those of a run T/h times as
+ * large.  Where nothing accelerates every scheme is exact. */
+static bool tells_lower_order(study *self, bool at_end, double floor)
+{
+    const dal_order_def *const def = self->def;
+    double v = 0.0, a = 0.0, h = 0.0;
+    for (int end = 0; end < 2; end++) {
+        const double *const x = end ? self->end : self->x0;
+        if (dal_acceleration(self->mech, end ? def->t_end : def->t0, x, self->exact)) return true;
+        v = fmax(v, dal__largest(self->n, x + self->n));
+        a = fmax(a, dal__largest(self->n, self->exact));
+    }
+    if (a <= error_floor(self, STEP_ROUNDINGS)) return true;
+    for (size_t i = 0; i < def->count; i++) h = fmax(h, fabs(self->points[i].h));
+    const double size = fmax(dal__largest(2 * self->n, self->x0),
+                             dal__largest(2 * self->n, self->end));
+    const double runs = at_end ? fabs(def->t_end - def->t0) / h : 1.0;
+    return size * pow(a / v * h, self->scheme->order) * runs > ABOVE_FLOOR * floor;
 }
 
 static void conclude(study *self, dal_order *order)
@@ -523,13 +594,17 @@ static void conclude(study *self, dal_order *order)
     };
 #undef FIT_RUN
 #undef FIT
+    order->global_state.exact = order->global_state.exact && tells_lower_order(self, true, run);
+    order->state.exact = order->state.exact && is_known(&order->global_state)
+                         && tells_lower_order(self, false, step);
     order->p = order->state.slope - 1.0;
     order->s = order->reaction.slope - 1.0;
     double worst_D, worst_D_eps;
     order->keeps_D = is_kept(self, offsetof(dal_order_point, residual), &worst_D);
     order->keeps_D_eps = is_kept(self, offsetof(dal_order_point, residual_eps), &worst_D_eps);
-    order->holds = judge(self, order);
-    write_verdict(self, self->kept ? worst_D_eps : worst_D, order);
+    const char *why;
+    order->holds = judge(self, order, &why);
+    write_verdict(self, self->kept ? worst_D_eps : worst_D, why, order);
 }
 
 /* ---- the study -------------------------------------------------------------------------- */

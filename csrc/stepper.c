@@ -541,9 +541,14 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
     for (size_t a = 0; a < k->m; a++) k->impulse[a] = 0.0;
     const int status = advance(self, steps, &made);
     if (done) *done = made;
-    if (status) return status;
-    for (size_t a = 0; reaction && steps > 0 && a < k->m; a++)
-        reaction[a] = k->impulse[a] / ((double)steps * k->h);
+    if (status || !reaction || steps == 0) return status;
+    for (size_t a = 0; a < k->m; a++) k->impulse[a] /= (double)steps * k->h;
+    for (size_t a = 0; a < k->m; a++)
+        if (!isfinite(k->impulse[a]))
+            return dal__fail(&self->error, DAL_EDOMAIN, "reaction[%zu] = %g is not finite after "
+                             "step %zu (t = %g, h = %g)", a, k->impulse[a], self->steps,
+                             dal_stepper_time(self), k->h);
+    memcpy(reaction, k->impulse, k->m * sizeof *reaction);
     return DAL_SUCCESS;
 }
 

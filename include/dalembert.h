@@ -259,12 +259,15 @@ DAL_API size_t dal_system_invariants(const dal_system *system);
 DAL_API const char *dal_system_invariant_name(const dal_system *system, size_t i); /* or NULL */
 DAL_API int dal_system_invariant(const dal_system *system, const double *x, double *values);
 
-/* A derivative compared with central differences. */
+/* A derivative compared with central differences, over a smaller and smaller distance until they
+ * agree with it, or with each other. */
 typedef struct dal_difference {
     double error;           /* worst |given - differenced| / (1 + |differenced|) */
     double given, expected; /* the two numbers at that entry */
     size_t row, column;
-    int checked;            /* 0: not provided, nothing to compare */
+    int checked;            /* 0: not provided, or no entry was judged: nothing to compare */
+    int wrong;              /* 1: the two numbers are not the same */
+    size_t unjudged;        /* entries where differences do not converge: not compared */
 } dal_difference;
 
 /* What dal_system_check found at one point. */
@@ -823,7 +826,8 @@ DAL_API void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats);
 DAL_API int dal_step(dal_stepper *stepper, double *reaction);
 
 /* steps steps.  reaction[m] (or NULL) <- the mean over them.  If one fails the stepper stands after
- * the last good one and *done (or NULL) says how many were good; reaction is then untouched. */
+ * the last good one and *done (or NULL) says how many were good; reaction is then untouched, and so
+ * it is where it alone overflows (DAL_EDOMAIN, after all steps). */
 DAL_API int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *done);
 
 /* ---- runs ------------------------------------------------------------------------------ */
@@ -843,10 +847,11 @@ DAL_API int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, dou
 /* A fitted order: errors ~ h^slope over the points that count. */
 typedef struct dal_fit {
     double slope;    /* NaN if fewer than three points count */
-    double finest;   /* the slope between the two finest of them: where it is larger by more than
-                        0.1 the errors are not yet a power of h */
+    double spread;   /* by how much the slopes between neighbours differ: where it is more than
+                        0.25 the errors are not yet a power of h */
     size_t points;   /* how many counted */
-    int exact;       /* 1: every error is at the level of roundoff */
+    int exact;       /* 1: every error is at the level of roundoff; of the states in a study, also
+                        that those of one order less than promised would not be */
 } dal_fit;
 
 /* The fits of a study. */
@@ -889,8 +894,11 @@ typedef struct dal_order {
                              multiplier_order - 0.2 (or exact), and p or the slope at t_end is at
                              least order - 0.2 or exact (the one-step errors of high orders can
                              reach roundoff before their slope settles); 0 if not; -1 if the record
-                             promises nothing; -2 if too few points count to tell, or the slope
-                             falls short but has not settled.  With
+                             promises nothing; -2 if it is not settled: too few points count, a
+                             slope falls short that has not settled, the slope at t_end falls
+                             short where that of one step does not, or the runs do not resolve
+                             the solution (an error at t_end beyond half of the largest component
+                             of its ends, or a run that failed with a smaller step).  With
                              DAL_INITIAL_D the promise for the first step is (order - 1,
                              multiplier_order - 1), and order at t_end (E12) */
     char text[508];       /* the verdict in words */

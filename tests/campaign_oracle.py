@@ -103,7 +103,7 @@ class Substep:
             at = self.newton(guess, (done + size) * self.h, 0.2 if done else ratio)
             if at is not None and at[1] != sign and size < 1e-3:
                 # a determinant may change its sign where the solution goes on as before
-                near = 1e-3 * abs(size * slope).max() + 1e-9 * abs(guess).max()
+                near = 1e-3 * np.max(abs(size * slope)) + 1e-9 * abs(guess).max()
                 sign = at[1] if abs(at[0] - guess).max() <= near else sign
             if at is None or at[1] != sign:
                 size /= 2

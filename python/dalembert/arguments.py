@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import operator
+import sys
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -98,6 +100,10 @@ def step_size(value: Any, t: float, name: str = "h") -> float:
     h = number(value, name)
     if h == 0.0:
         raise ValueError(f"{name} = 0: expected a step size, negative to integrate backwards")
+    if not np.isfinite(t):
+        raise ValueError(f"{name} = {h!r} leads to the time t = {t!r}: expected a finite one")
+    if abs(h) < sys.float_info.min:
+        raise ValueError(f"{name} = {h!r}: expected at least {sys.float_info.min:.1e} in size")
     if t + h == t:
         raise ValueError(
             f"{name} = {h!r} does not change the time t = {t!r}: expected at least "
@@ -140,10 +146,24 @@ def names(value: Any, name: str, expected: str) -> list[str]:
     return [text(each, name) for each in result]
 
 
-def function(value: Any, name: str) -> None:
-    """Raise ValueError if ``value`` is neither None nor can be called."""
-    if value is not None and not callable(value):
+def function(value: Any, name: str, taken: str = "") -> None:
+    """Raise ValueError if ``value`` is neither None nor can be called, with what is taken."""
+    if value is None:
+        return
+    if not callable(value):
         raise ValueError(f"{name} = {shown(value)}: expected a function")
+    if not taken or inspect.isbuiltin(value):
+        return
+    try:
+        signature = inspect.signature(value)
+    except (TypeError, ValueError):  # of a function that is not written in Python
+        return
+    try:
+        signature.bind(*taken.split(", "))
+    except TypeError as error:
+        raise ValueError(
+            f"{name} is a function of {signature}: expected one of ({taken})"
+        ) from error
 
 
 def mapping(value: Any, name: str) -> None:
@@ -184,6 +204,14 @@ def shown(value: Any) -> str:
     except Exception:  # an integer of more digits than Python prints, or an object of the user's
         return f"a value of type {type(value).__name__}"
     return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+def shape(value: Any) -> Any:
+    """Return the shape of what a callback returned, or in words why it has none."""
+    try:
+        return "None" if value is None else np.shape(value)
+    except ValueError:
+        return "rows of different lengths"
 
 
 def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:

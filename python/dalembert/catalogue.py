@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from . import arguments, extras, symbolic
+from . import arguments, extras
 from .system import System
 
 __all__ = [
@@ -393,12 +393,15 @@ def _start(
     for key, value in parameters.items():
         arguments.number(value, key)
     if not extras.is_there("sympy"):
-        raise ImportError(f"the system {system.__name__} needs SymPy: pip install 'dalembert[sym]'")
+        raise ImportError(f"the system {system.__name__} needs SymPy: pip install sympy")
     sympy = extras.require("sympy", f"the system {system.__name__}")
     symbols = [
         sympy.Symbol(key, positive=True if key in positive.split() else None) for key in parameters
     ]
-    return sympy, symbolic.coordinates(coordinates), symbols
+    from .model import Coordinate
+
+    call = tuple(coordinates.split())
+    return sympy, tuple(Coordinate(name, call) for name in call), symbols
 
 
 def _make(

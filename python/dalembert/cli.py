@@ -46,6 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0
     """
     parser = _parser()
+    for name in ("stdout", "stderr"):  # None where the caller has closed it
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  (until the process ends)
     try:
         given = parser.parse_args(arguments)
     except SystemExit as stop:
@@ -155,10 +158,11 @@ def _parser() -> argparse.ArgumentParser:
         choices=list(INITIAL),
         help="how schemes with kept nodes start (default: D_eps)",
     )
-    study.add_argument(
+    written = study.add_mutually_exclusive_group()
+    written.add_argument(
         "--output", type=Path, metavar="FILE", help="the report (default: report.html)"
     )
-    study.add_argument("--no-report", action="store_true", help="write no report")
+    written.add_argument("--no-report", action="store_true", help="write no report")
     study.add_argument(
         "--json",
         nargs="?",
@@ -202,7 +206,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _study(given: argparse.Namespace) -> int:
-    system = systems.get(given.system, **dict(given.parameter))
+    for name in (parameters := dict(given.parameter)):
+        if sum(name == other for other, _ in given.parameter) > 1:
+            raise ValueError(f"--parameter {name}: expected once, it is there more often")
+    system = systems.get(given.system, **parameters)
     output = None if given.no_report else given.output or Path("report.html")
     if output is not None:
         try:
@@ -222,6 +229,7 @@ def _study(given: argparse.Namespace) -> int:
         _say(given, f"for colours and a progress bar: pip install {' '.join(missing)}")
 
     shown = sys.stderr if given.json == "-" else sys.stdout
+    interrupt = None
     try:
         found = studies(
             system,
@@ -235,11 +243,14 @@ def _study(given: argparse.Namespace) -> int:
             progress=sys.stderr.isatty() and extras.is_there("tqdm"),
         )
     except KeyboardInterrupt as stop:
-        if finished := getattr(stop, "partial", None):
-            finished.show(shown)
-        raise
+        interrupt, found = stop, getattr(stop, "partial", ())
+        if not found:
+            raise
 
     found.show(shown)
+    if interrupt:
+        wanted = given.scheme or named_schemes()
+        _say(given, f"interrupted: {len(found)} of {len(wanted)} schemes were studied")
     if given.json:
         text = json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n"
         if given.json == "-":
@@ -249,6 +260,8 @@ def _study(given: argparse.Namespace) -> int:
     if output is not None:
         report.write(found, output)
         print(f"report: {output}", file=sys.stderr)
+    if interrupt:
+        raise interrupt
     return 1 if found.holds is False else 0
 
 

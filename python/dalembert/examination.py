@@ -36,7 +36,12 @@ class Difference:
     row, column : int
         Which entry it is.
     checked : bool
-        False if the derivative was not provided, so that there is nothing to compare.
+        False if the derivative was not provided, or no entry could be judged, so that there is
+        nothing to compare.
+    wrong : bool
+        True if the two numbers are not the same.
+    unjudged : int
+        How many entries stand where differences do not converge, and were left out.
     """
 
     error: float
@@ -45,6 +50,8 @@ class Difference:
     row: int
     column: int
     checked: bool
+    wrong: bool = False
+    unjudged: int = 0
 
     @classmethod
     def read(cls, found: Any) -> Difference:
@@ -56,14 +63,18 @@ class Difference:
             row=int(found.row),
             column=int(found.column),
             checked=bool(found.checked),
+            wrong=bool(found.wrong),
+            unjudged=int(found.unjudged),
         )
 
     def __str__(self) -> str:
+        left = f"{self.unjudged} not judged: differences do not converge" if self.unjudged else ""
         if not self.checked:
-            return "not given, nothing to compare"
+            return left or "not given, nothing to compare"
         return (
             f"worst error {self.error:.1e} at [{self.row}, {self.column}]: "
             f"given {self.given:.10g}, by differences {self.expected:.10g}"
+            + (f"; {left}" if left else "")
         )
 
 
@@ -104,18 +115,21 @@ class Check:
     integrable : bool
         True if D is integrable at general points, a holonomic constraint in disguise: what its
         growth vector says; if that is not known, whether the curvature vanishes here and nearby.
+        Where mu is given in pieces (Max, Abs, Piecewise, ...) that is said of the surroundings of
+        the state, unless ``exact``.
     text : str
         The first thing found wrong, or a summary.
     growth : tuple of int or None
         Growth vector of D: dimensions of D, D + [D, D], ...  At q, if q was given; else at a
-        general point, near the initial data unless the system was made by `System.from_sympy`.
+        general point near the initial data.
         Its end is n if D is bracket generating; n - k, twice, if there are k holonomic constraints
         in disguise; for anything else see `growth_note`.  None if it is not known, or the
         constraints are not linear.
     general_growth : tuple of int or None
-        At a general point; where it differs, q is a singular one.
+        At a general point, the largest of some that are looked at, most of them near the state;
+        where it differs, q is a singular one, or lies where mu is simpler than elsewhere.
     growth_note : str
-        Why ``growth`` ends before that, or "".
+        Why ``growth`` ends before that, or of which points it is known; or "".
     holonomic : tuple of str
         Of a system made by `System.from_sympy`: its constraints that are holonomic in disguise by
         themselves, and how many are if several are taken together.
@@ -163,6 +177,8 @@ class Check:
 
     def with_distribution(self, found: Distribution) -> Check:
         """Return the check with what else was found of D; on integrability there is one answer."""
+        if found.integrable and found.digits == 16 and not self.integrable:
+            found = dataclasses.replace(found, integrable=False)  # curved at one of the points
         known = dataclasses.asdict(found)
         if found.integrable is None or found.integrable == self.integrable:
             return dataclasses.replace(self, **(known | {"integrable": self.integrable}))

@@ -57,8 +57,10 @@ def agree(found: Model, system: System, q: Array) -> bool:
     >>> expressions.agree(expressions.model(system), system, system.q0)
     True
     """
-    if found.derived.kind != "linear":
+    if found.m != system.m or found.derived.kind != "linear":
         return False
+    if found.m == 0:
+        return True
     n, p = system.n, list(system.parameters.values())
     forms = found.callables("constraint")["phi_v"]
     for size in (0.0, 0.01, 0.1):

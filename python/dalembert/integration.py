@@ -159,7 +159,7 @@ def integrate(
     rows = steps // stride
     _require_memory(system, rows, steps, stride)
 
-    arguments.function(observer, "observer")
+    arguments.function(observer, "observer", "step, t, q, v")
     watcher = None if observer is None else _lib.Observer(system.n, observer)
     run: SchemeRun | FlowRun
     with extras.progress(progress, steps, "step") as show:
@@ -343,7 +343,7 @@ def _warn(solution: Solution) -> None:
             f"the energy has changed by {stats.jump:.3g} at step {stats.jump_step} (t = "
             f"{solution.t0 + stats.jump_step * solution.h:g}, h = {solution.h:g}), where the "
             f"largest kinetic energy is {stats.largest_kinetic:.3g}: nothing does work on this "
-            "system, so h is too large",
+            "system, so h is too large, or gradient is not that of potential: see check()",
             DalembertWarning,
             stacklevel=3,
         )

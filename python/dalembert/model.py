@@ -12,6 +12,7 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import itertools
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -37,16 +38,42 @@ Expr = Any  # sympy has no types
 # ---- symbols ---------------------------------------------------------------------------------
 
 
-class Velocity(sympy.Symbol):
+class _Called(sympy.Symbol):
+    """A symbol that knows the names of the call of `dalembert.coordinates` that made it.
+
+    They are part of it, so that the order they give a system is that of its own expressions, and
+    no other call can change it.
+    """
+
+    __slots__ = ("call",)
+
+    def __new__(cls, name: str, call: tuple[str, ...] = ()) -> Any:
+        made = sympy.Symbol.__xnew__(cls, name, real=True)
+        made.call = call or (name,)
+        return made
+
+    def __getnewargs_ex__(self) -> tuple[Any, ...]:
+        return (self.name, self.call), {}
+
+    def _hashable_content(self) -> tuple[Any, ...]:
+        return (*super()._hashable_content(), self.call)
+
+
+class Velocity(_Called):
     """The velocity ``x.d`` of a coordinate."""
 
     __slots__ = ()
 
+    @property
+    def coordinate(self) -> Coordinate:
+        """What it is the velocity of."""
+        return Coordinate(self.name.removesuffix(".d"), self.call)
+
     def _latex(self, printer: Any) -> str:
-        return rf"\dot{{{printer._print(sympy.Symbol(self.name.removesuffix('.d')))}}}"
+        return rf"\dot{{{printer._print(sympy.Symbol(self.coordinate.name))}}}"
 
 
-class Coordinate(sympy.Symbol):
+class Coordinate(_Called):
     """A coordinate, a SymPy symbol with its velocity `d`; made by `dalembert.coordinates`."""
 
     __slots__ = ()
@@ -54,24 +81,51 @@ class Coordinate(sympy.Symbol):
     @property
     def d(self) -> Velocity:
         """The velocity of the coordinate, a symbol too."""
-        return Velocity(f"{self.name}.d", real=True)
+        return Velocity(f"{self.name}.d", self.call)
+
+    def diff(self, *symbols: Any, **assumptions: Any) -> Expr:
+        """Return a derivative; ValueError for that by the time, which SymPy takes to be 0."""
+        if any(str(s) == "t" and not isinstance(s, Coordinate) for s in symbols):
+            raise ValueError(f"{self.name}.diff(t): write {self.name}.d for the velocity")
+        return super().diff(*symbols, **assumptions)
 
 
-# When a name was last made by `dalembert.coordinates`: the order that a model has by default.
-_made: dict[str, int] = {}
+# When a call of `dalembert.coordinates` with these names was made first, and when last.
+_made: dict[tuple[str, ...], tuple[int, int]] = {}
+_numbers = itertools.count()
 
 
 def make_coordinates(names: Sequence[str]) -> tuple[Coordinate, ...]:
-    """Return a coordinate for each name, and remember their order."""
-    for name in names:
-        _made.pop(name, None)
-        _made[name] = max(_made.values(), default=0) + 1
-    return tuple(Coordinate(name, real=True) for name in names)
+    """Return a coordinate for each name."""
+    call, now = tuple(names), next(_numbers)
+    _made[call] = _made.get(call, (now, now))[0], now
+    return tuple(Coordinate(name, call) for name in names)
 
 
-def order_made(coordinate: Coordinate) -> tuple[int, str]:
-    """Return what sorts coordinates in the order in which they were made."""
-    return _made.get(coordinate.name, 0), coordinate.name
+def in_order(found: Iterable[Coordinate]) -> list[Coordinate]:
+    """Return coordinates as their calls name them, and those of several calls as these were made.
+
+    Raises
+    ------
+    ValueError
+        If the calls contradict each other, or were made in another order first than last.
+    """
+    by_name = {x.name: x for x in found}
+    calls = {x.call for x in found}
+    whole = [call for call in calls if by_name.keys() <= {*call}]
+    several = sorted(whole or calls, key=lambda call: _made.get(call, (-1, -1))[0])
+    order = list(dict.fromkeys(name for call in several for name in call if name in by_name))
+    last = [_made.get(call, (-1, -1))[1] for call in several]
+    if (not whole and (last != sorted(last) or -1 in last)) or any(
+        [name for name in order if name in call] != [name for name in call if name in by_name]
+        for call in calls
+    ):
+        shown = " and ".join(f"dalembert.coordinates({' '.join(c)!r})" for c in sorted(calls))
+        raise ValueError(
+            f"coordinates: needed, for the order of {', '.join(sorted(order))} is not clear: "
+            f"their symbols are of {shown}"
+        )
+    return [by_name[name] for name in order]
 
 
 @functools.cache
@@ -100,10 +154,33 @@ def _diff(expression: Expr, symbol: Expr, almost: bool = False) -> Expr:
     for delta in found.atoms(sympy.DiracDelta):
         mark = sympy.Dummy(real=True)
         marked = found.xreplace({delta: mark})
-        if not almost and not _vanishes_with(marked.diff(mark), delta.args[0]):
+        if not almost and not _is_without_jump(marked.diff(mark), delta.args[0], symbol):
             raise _Jump(symbol, delta.args[0])
         found = marked.xreplace({mark: sympy.Integer(0)})
-    return found
+    return found.replace(_is_inverse, _bounded) if almost else found
+
+
+def _is_inverse(e: Expr) -> bool:
+    """Return whether this may be infinite all along one side of a wall: 1/sqrt(Max(0, x))."""
+    return e.is_Pow and not e.exp.is_nonnegative and e.base.has(sympy.Max, sympy.Min, sympy.Abs)
+
+
+def _bounded(e: Expr) -> Expr:
+    """Return a power as 1 where its base is 0, for a step beside it to make 0 of it there."""
+    return sympy.Piecewise((e.base, sympy.Ne(e.base, 0)), (1, True)) ** e.exp
+
+
+def _is_without_jump(factor: Expr, argument: Expr, symbol: Expr) -> bool:
+    """Return whether a factor is proved to vanish with the argument of its DiracDelta.
+
+    What jumps is the factor by the slope of the argument: sign(x^3) does, where 3 x^2 vanishes.
+    """
+    if _vanishes_with(factor, argument):
+        return True
+    slope = argument.diff(symbol)
+    terms = map(sympy.factor_terms, sympy.Add.make_args(factor))
+    height = sympy.Add(*(term / sympy.factor_terms(slope) for term in terms))
+    return all(_vanishes_with(height, part) for part in _zero_with(argument))
 
 
 _Step = sympy.Function("_Step")
@@ -119,12 +196,32 @@ def _vanishes_with(factor: Expr, argument: Expr) -> bool:
     places = [factor.subs(argument, 0).subs(-argument, 0)]
     for s in argument.free_symbols:
         slope = argument.diff(s)
-        if all(p.name[0] == "p" for p in slope.free_symbols):  # parameters: it is 0 nowhere
+        if slope != 0 and _is_constant(slope):
             places.append(factor.xreplace({s: sympy.expand(s - argument / slope)}))
     return any(
         is_zero(e.replace(_Step, lambda u: sympy.Heaviside(u) if u.is_nonzero else _Step(u)))
         for e in places
     )
+
+
+def _zero_with(e: Expr) -> list[Expr]:
+    """Return expressions of which one is 0 wherever e is."""
+    if e.is_Mul:
+        return [part for factor in e.args for part in _zero_with(factor)]
+    if e.is_Pow and e.exp.is_positive:
+        return _zero_with(e.base)
+    if isinstance(e, _ONE_ZERO):
+        return _zero_with(e.args[0])
+    return [] if e.is_nonzero or _is_constant(e) else [e]
+
+
+# Real functions that are 0 at 0 alone.
+_ONE_ZERO = (sympy.Abs, sympy.sinh, sympy.tanh, sympy.asinh, sympy.asin, sympy.atan, sympy.erf)
+
+
+def _is_constant(e: Expr) -> bool:
+    """Return whether there are at most parameters in an expression, which then is not 0."""
+    return all(s.name[0] == "p" for s in e.free_symbols)
 
 
 @contextlib.contextmanager
@@ -347,7 +444,7 @@ class Model:
     def _names(self) -> dict[Expr, Expr]:
         found = dict(zip(self.p, map(sympy.Symbol, self.parameters)))
         for q, v, name in zip(self.q, self.v, self.coordinates):
-            coordinate = Coordinate(name, real=True)
+            coordinate = Coordinate(name)
             found |= {q: coordinate, v: coordinate.d}
         return found
 
@@ -584,8 +681,11 @@ def _kind(
     )
     for a in range(model.m):
         if all(map(is_zero, (mu if affine else given)[a * n : (a + 1) * n])):
+            shown = f"constraints[{a}] = {model.shown(model.constraints[a])}"
+            if is_zero(engine.give(phi[a])):
+                raise ValueError(f"{shown}: it is 0 for all velocities, and constrains nothing")
             raise ValueError(
-                f"constraints[{a}] = {model.shown(model.constraints[a])}: expected a velocity in "
+                f"{shown}: expected a velocity in "
                 "it; a constraint on the coordinates alone is holonomic, and can be given as its "
                 "time derivative, whose D is then kept"
             )

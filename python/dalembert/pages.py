@@ -56,7 +56,7 @@ nav { font: .85rem/1.5 system-ui, sans-serif; margin-top: 2.5rem; border-top: 1p
 
 def write(
     folder: str | Path = "catalogue",
-    chosen: Iterable[str | System] | None = None,
+    chosen: str | System | Iterable[str | System] | None = None,
     *,
     progress: bool | Callable[[int, int], Any] = False,
 ) -> list[Path]:
@@ -67,7 +67,7 @@ def write(
     folder : str or Path, optional
         Where index.html and the pages NAME.html go; made if it is not there, files of these names
         are replaced.
-    chosen : iterable of str or System, optional
+    chosen : str, System or iterable of them, optional
         Names of systems, or systems with initial data.  Default: all that come with the library,
         but those written in SymPy only if that is installed.
     progress : bool or callable, optional
@@ -98,6 +98,8 @@ def write(
     ['index.html', 'disk.html', 'sleigh.html']
     """
     plot.require_matplotlib()
+    if isinstance(chosen, (str, System)):
+        chosen = [chosen]
     found = list(available() if chosen is None else chosen)
     names = [_slug(x) if isinstance(x, System) else systems.plain_name(x) for x in found]
     if not names:

@@ -133,7 +133,7 @@ class Scheme:
         if status < 0:
             meant = arguments.suggestion(name, [*(s.name for s in schemes()), REFERENCE.name])
             text = _lib.string(error.text).replace("; there are", f"; {meant}there are")
-            raise _lib.failure(status, f"{text}; and reference, the flow of GSL")
+            raise _lib.failure(status, f"{text}; integrate takes reference too, the flow of GSL")
         return cls._read(record)
 
     @classmethod

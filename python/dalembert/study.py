@@ -34,7 +34,8 @@ class Fit:
         How many errors counted: those at least 100 times above the floor, which at ``t_end`` is
         higher for runs of many steps, whose roundoff adds up.
     exact : bool
-        True if every error is at the level of roundoff, so that there is no slope to fit.
+        True if every error is at the level of roundoff, so that there is no slope to fit, though
+        an order less than promised would be seen.
     counted : tuple of bool
         Which errors counted.
     """

@@ -55,12 +55,13 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     Parameters
     ----------
     names : str or sequence of str
-        As for ``sympy.symbols``: separated by commas or spaces.
+        As for ``sympy.symbols``: separated by commas or spaces; ``"q1:4"`` is q1, q2, q3.
 
     Returns
     -------
     tuple of model.Coordinate
-        Equal names make equal symbols.
+        Calls with the same names make equal symbols.  Those of one name and different calls are
+        different to SymPy, but the same coordinate of a system.
 
     Raises
     ------
@@ -76,10 +77,16 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
     >>> x.d * y
     y*x.d
     """
-    _sympy()
+    sympy = _sympy()
     from .model import make_coordinates
 
-    words = names.replace(",", " ").split() if isinstance(names, str) else _several(names, "names")
+    if isinstance(names, str):
+        try:
+            words = [s.name for s in sympy.symbols(names, seq=True)] if names.strip() else []
+        except ValueError as error:
+            raise ValueError(f"names = {names!r}: {error}") from None
+    else:
+        words = _several(names, "names")
     for word in words:
         arguments.text(word, "names")
     if not words or len(set(words)) != len(words):
@@ -115,6 +122,8 @@ def make_model(
     if len(set(names)) != n:
         raise ValueError(f"coordinates = {names}: expected different names")
     values, symbols = _parameters(parameters)
+    if both := sorted(values.keys() & set(names)):
+        raise ValueError(f"parameters: {both[0]} is a coordinate; expected another name")
 
     q, v = models.canonical("q", n), models.canonical("v", n)
     rule = dict(zip(symbols, models.canonical("p", len(symbols))))
@@ -124,8 +133,16 @@ def make_model(
     times = [q.args[0] for _, q, _ in pairs if not q.is_Symbol]
     time = times[0] if times else sympy.Symbol("t")
 
+    # symbols of the same name, of other calls of dalembert.coordinates
+    called = models.Coordinate | models.Velocity
+    pairing = {**positions, **velocities}.items()
+    same = {_kind_and_name(s): c for s, c in pairing if isinstance(s, called)}
+
     def translate(expression: Expr, where: str, with_time: bool = False) -> Expr:
-        found = expression
+        if expression.has(sympy.Derivative):
+            _refuse_rates(expression, where)
+        made = expression.atoms(models.Coordinate, models.Velocity)
+        found = expression.xreplace({s: same[k] for s in made if (k := _kind_and_name(s)) in same})
         if found.has(sympy.Derivative):
             found = found.doit()
         unknown = {d for d in found.atoms(sympy.Derivative) if d not in velocities}
@@ -145,6 +162,11 @@ def make_model(
         if str(time) in left:
             raise ValueError(
                 f"{where}: the time {time} is left over; only a force may depend on it"
+            )
+        if twins := [name for name in left if name.removesuffix(".d") in names]:
+            raise ValueError(
+                f"{where}: this {twins[0]} is another symbol than that of the coordinates; "
+                "expected the very one of dalembert.coordinates, or that given in coordinates="
             )
         if left:
             raise ValueError(
@@ -168,9 +190,10 @@ def make_model(
     if forces is not None:
         components = [sympy.Integer(0)] * n
         for key, expression in forces.items():
-            if key not in positions:
+            position = positions.get(key, same.get(_kind_and_name(key)))
+            if position not in q:
                 raise ValueError(f"force: {key} is no coordinate ({', '.join(names)})")
-            components[q.index(positions[key])] = translate(expression, f"force[{key}]", True)
+            components[q.index(position)] += translate(expression, f"force[{key}]", True)
 
     def several(given: Any, name: str, count: int, with_time: bool = False) -> Any:
         found = [_expression(e, name) for e in _several(given, name)]
@@ -200,6 +223,21 @@ def make_model(
         ),
         values,
     )
+
+
+def _kind_and_name(symbol: Expr) -> tuple[type, str]:
+    """Return what the same coordinate, or velocity, has in common in all calls."""
+    return type(symbol), str(symbol)
+
+
+def _refuse_rates(expression: Expr, where: str) -> None:
+    """Raise ValueError for Derivative(x, t) of a coordinate with a velocity x.d: it would be 0."""
+    from .model import Coordinate
+
+    for rate in expression.atoms(_sympy().Derivative):
+        found = sorted(rate.expr.atoms(Coordinate), key=str)
+        if found and not all(isinstance(s, Coordinate) for s in rate.variables):
+            raise ValueError(f"{where}: {rate}: write {found[0].d} for the velocity of {found[0]}")
 
 
 def initial_data(q0: Any, v0: Any) -> Any:
@@ -295,15 +333,15 @@ def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Exp
     sympy = _sympy()
     from sympy.core.function import AppliedUndef
 
-    from .model import Coordinate, Velocity, order_made
+    from .model import Coordinate, Velocity, in_order
 
     if given is None:
         made = set().union(*(e.atoms(Coordinate) for e in [L, *others]))
         moving = set().union(*(e.atoms(Velocity) for e in [L, *others]))
-        made |= {Coordinate(v.name.removesuffix(".d"), real=True) for v in moving}
+        made |= {v.coordinate for v in moving}
         functions = L.atoms(AppliedUndef)
         moved = {f for f in functions if len(f.args) == 1 and _is_time(f.args[0])}
-        given = [*sorted(made, key=order_made), *sorted(moved, key=str)]
+        given = [*in_order(made), *sorted(moved, key=str)]
     elif isinstance(given, Mapping):
         given = list(given.items())
     found = []

@@ -136,14 +136,9 @@ def summary(study: Study) -> str:
     """Return the verdict in words, then the points that the fits rest on; two lines."""
     keys = {"q": "global_q", "v": "global_v", "lambda": "global_multipliers"}
     at_end = ", ".join(f"{name} {study.fits[key].order()}" for name, key in keys.items())
-    more = ""
-    if study.verdict == "undecided" and math.isfinite(study.fits["state"].slope):
-        more = "; the slopes still rise where h is small: take finer steps"
-    elif study.verdict == "undecided":
-        more = "; needed are three over a factor of two: take a longer interval, or fewer steps"
     return (
         f"{study.text}\n"
-        f"p over {_points(study.fits['state'])}, s over {_points(study.fits['reaction'])}{more}; "
+        f"p over {_points(study.fits['state'])}, s over {_points(study.fits['reaction'])}; "
         f"orders at t_end: {at_end}; kept to roundoff: {study.keeps}."
     )
 

@@ -348,6 +348,41 @@ static int beside(const double *q, const double *v, double *phi, double *phi_v, 
     return returned;
 }
 
+/* v_x + x v_y = 0 and v_z = 0: only the first reaction pushes x, on which only the first form
+ * depends. */
+static int two_forms(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                     void *ctx)
+{
+    (void)ctx;
+    if (phi) phi[0] = v[0] + q[0] * v[1], phi[1] = v[2];
+    if (phi_v) {
+        memset(phi_v, 0, 6 * sizeof *phi_v);
+        phi_v[0] = phi_v[5] = 1.0;
+        phi_v[1] = q[0];
+    }
+    if (phi_q) {
+        memset(phi_q, 0, 6 * sizeof *phi_q);
+        phi_q[0] = v[1];
+    }
+    return 0;
+}
+
+static void test_false_declaration_of_two(void)
+{
+    const double mass[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
+    const double x[6] = {0.5, 0.0, 0.0, -0.5, 1.0, 0.0};
+    const dal_system_def def = {.n = 3, .m = 2, .mass = mass, .constraint = two_forms,
+                                .steady = DAL_STEADY_DECLARED};
+    const dal_scheme scheme = find_scheme("midpoint");
+    dal_system *system = NULL;
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
+    CHECK(strstr(dal_stepper_message(stepper), "declared steady, but coordinate 0") != NULL);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
 /* A declaration that is false is refused where it can be seen; where it cannot, at rest, the first
  * step that moves finds out, and every step before it lies in D. */
 static void test_false_declaration(void)
@@ -510,6 +545,7 @@ int main(void)
     test_overflow();
     test_steady();
     test_false_declaration();
+    test_false_declaration_of_two();
     test_it_is_used();
     test_refusals_of_callbacks();
     test_bad_definitions();

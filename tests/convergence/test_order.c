@@ -619,10 +619,10 @@ static void test_fit(void)
     const double doubled[3] = {1.0, 2.0, 4.0};
     dal_fit_order(3, doubled, scattered, 0.0, &fit, NULL);
     CHECK_NEAR(fit.slope, 1.5, 1e-14);
-    CHECK_NEAR(fit.finest, 1.0, 1e-14);
+    CHECK_NEAR(fit.spread, 1.0, 1e-14); /* slopes 1 and 2 */
     const double mixed[4] = {0.3, 1.0, 0.05, 0.4}, bent[4] = {0.3, 9.0, 0.01, 0.9};
     dal_fit_order(4, mixed, bent, 1e-6, &fit, NULL); /* whatever their order */
-    CHECK_NEAR(fit.finest, log(30.0) / log(6.0), 1e-13);
+    CHECK_NEAR(fit.spread, log(3.0) / log(4.0 / 3.0) - log(30.0) / log(6.0), 1e-13);
 }
 
 /* ---- what can go wrong --------------------------------------------------------------------- */

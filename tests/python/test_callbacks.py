@@ -528,3 +528,26 @@ def test_what_is_not_finite_is_named_as_the_user_named_it(own, name, entry, text
             system.energy(own.q0, own.v0()) if name == "potential" else system.field(
                 own.q0, own.v0()
             )
+
+
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        (dict(forms=lambda q: [[-q[1], 0, 1], [1, 0]]), r"^forms has.*rows of different lengths"),
+        (dict(forms=lambda q: None), "^forms has to return shape .*it returned None"),
+        (dict(forms=lambda q, v: [[0, 0, 1]]), r"^forms is a function of \(q, v\).*one of \(q\)"),
+        (dict(force=lambda q, v: -v), r"^force is a function of \(q, v\).*one of \(t, q, v\)"),
+        (dict(forms_velocity_derivative=lambda q: 0), "^forms_velocity_derivative is a function"),
+        (dict(exact=lambda t: 0), r"^exact is a function of \(t\).*one of \(t, q, v\)"),
+    ],
+)
+def test_a_callback_of_another_kind_is_named(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        dal.System(**{"mass": [1, 1, 1], "forms": lambda q: [[-q[1], 0, 1]], **wrong})
+
+
+def test_a_callback_may_take_more_than_it_is_given():
+    forms = lambda *q, scale=1: [[-scale * q[0][1], 0, 1]]  # noqa: E731
+    assert dal.System(mass=[1, 1, 1], forms=forms).m == 1
+    with pytest.raises(ValueError, match=r"^observer is a function of \(t, x\)"):
+        dal.integrate(dal.systems.particle(), h=0.1, steps=1, observer=lambda t, x: 0)

@@ -92,14 +92,14 @@ def test_json_on_standard_output_stands_alone():
     assert "midpoint-nodes on particle" in done.stderr
 
 
-def test_a_verdict_that_fails_is_status_1():
+def test_steps_that_are_too_coarse_have_no_verdict():
     # Steps of 1 to 2.5 are far from where the error is a power of h.
     done = run(
         "study", "knife_edge", "--scheme", "midpoint", "--t-end", "5", "--steps", "2,3,4,5",
         "--no-report",
     )  # fmt: skip
-    assert done.returncode == 1
-    assert "midpoint does not deliver what is promised" in flat(done.stdout)
+    assert done.returncode == 0
+    assert "On knife_edge there is no verdict on midpoint." in flat(done.stdout)
 
 
 def test_slopes_that_still_rise_are_undecided():
@@ -259,3 +259,37 @@ def test_without_matplotlib_the_tables_come_and_the_line_to_type(tmp_path, monke
     assert "midpoint on particle" in out and "pip install matplotlib" in err
     assert cli.main(["study", "particle", "--scheme", "midpoint", "--output", "r.html"]) == 2
     assert not list(tmp_path.iterdir())
+
+
+def test_what_was_finished_before_ctrl_c_is_written(tmp_path, monkeypatch, capsys):
+    finished = dal.studies(dal.systems.particle(), ["midpoint"], steps=[10, 20, 40])
+
+    def interrupted(*_, **__):
+        stop = KeyboardInterrupt()
+        stop.partial = finished
+        raise stop
+
+    monkeypatch.setattr(cli, "studies", interrupted)
+    report, numbers = tmp_path / "r.html", tmp_path / "n.json"
+    words = ["study", "particle", "--scheme", "midpoint", "--scheme", "leapfrog"]
+    assert cli.main([*words, "--output", str(report), "--json", str(numbers)]) == 130
+    shown = capsys.readouterr()
+    assert "interrupted: 1 of 2 schemes were studied" in shown.err
+    assert shown.out == str(finished) + "\n" and report.exists()
+    assert json.loads(numbers.read_text())["studies"][0]["scheme"] == "midpoint"
+
+
+def test_nothing_that_is_typed_is_dropped(tmp_path):
+    twice = run("study", "disk", "--parameter", "R=1", "--parameter", "R=2", cwd=tmp_path)
+    assert twice.returncode == 2 and "--parameter R: expected once" in twice.stderr
+    both = run("study", "disk", "--no-report", "--output", "x.html", cwd=tmp_path)
+    assert both.returncode == 2 and "not allowed with" in both.stderr
+
+
+def test_a_closed_standard_output(tmp_path):
+    done = subprocess.run(
+        f"{sys.executable} -m dalembert study particle --scheme leapfrog --output r.html >&-",
+        shell=True, cwd=tmp_path, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    assert (tmp_path / "r.html").exists()

@@ -310,6 +310,65 @@ def test_units_do_not_matter():
         assert examine(rows, [x, y, z, w], [1, 2, 3, 4]).growth == (2, 3, 4)
 
 
+# ---- where mu bends only in places -------------------------------------------------------------
+
+BENT = [
+    (Max(0, y - 1) ** 3, 2.0), (Heaviside(y - 2) * (y - 2) ** 2, 3.0), (Abs(y - 2) + y - 2, 3.0),
+    (Piecewise((y, y > 5), (5, True)), 6.0), (exp(-((y - 50) ** 2)), 50.5),
+    (1 + sympy.tanh(100 * (y - 3)), 3.0), (Max(0, y - sympy.Rational(21, 20)) ** 3, 1.1),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("e", "at"), BENT)
+def test_bent_at_the_state(e, at):
+    """It is at the state that D has to be integrable, wherever else it is."""
+    found = examine([z.d - e * x.d], [x, y, z], [0, at, 0])
+    assert found.growth == found.general_growth == (2, 3)
+    assert found.integrable is False and found.holonomic == ()
+
+
+def test_bent_at_the_state_beside_another():
+    rows = [z.d - (1 + Max(0, y - 1) ** 2) * x.d, w.d - y * x.d]
+    found = examine(rows, [x, y, z, w], [0, 2, 0, 0])
+    assert found.growth == found.general_growth == (2, 3, 4) and found.holonomic == ()
+
+
+def test_flat_around_the_state():
+    """What is flat around the state may be bent elsewhere, and that is said."""
+    found = examine([z.d - Max(0, y - 100) ** 3 * x.d], [x, y, z], [0, 0, 0])
+    assert found.growth == (2, 2) and found.integrable and not found.exact
+    assert "only those around here were looked at" in found.growth_note
+    assert found.holonomic[0].endswith(" = 0, as far as is seen around here")
+
+
+@pytest.mark.parametrize(("bend", "at"), [(1.0, 2.0), (1.05, 1.1), (1.0, 1.05)])
+def test_bent_functions(bend, at):
+    """The points nearby may lie where it is flat."""
+    system = dal.System(mass=np.ones(3), forms=lambda q: [[-(max(0, q[1] - bend) ** 3), 0, 1]])
+    report = system.check([0, at, 0], np.zeros(3))
+    assert report.growth == report.general_growth == (2, 3)
+    assert not report.integrable and report.holonomic == ()
+
+
+@pytest.mark.parametrize("unit", ["1e-20", "1e-31", "1e-100", "1e31", "1e100"])
+def test_unit_of_a_form(unit):
+    for factor in (sympy.Float(unit), sympy.Rational(unit)):
+        one = examine([factor * (z.d - y * x.d)], [x, y, z])
+        assert one.growth == (2, 3) and one.holonomic == () and one.exact
+        for rows in ([factor * (z.d - y * x.d), w.d - z * x.d],
+                     [z.d - y * x.d, factor * (w.d - z * x.d)]):  # fmt: skip
+            two = examine(rows, [x, y, z, w])
+            assert two.growth == (2, 3, 4) and two.holonomic == () and two.exact
+        flat = examine([factor * (x * z.d + z * x.d)], [x, y, z])
+        assert flat.integrable and len(flat.holonomic) == 1
+
+
+@pytest.mark.parametrize("unit", [-30, -40, -60])
+def test_unit_of_a_coordinate(unit):
+    found = examine([z.d - sympy.Integer(10) ** unit * y * x.d], [x, y, z])
+    assert found.growth == (2, 3) and found.integrable is False and found.holonomic == ()
+
+
 # ---- by functions alone --------------------------------------------------------------------------
 
 
@@ -541,5 +600,14 @@ def test_check_finds_a_state_by_itself(in_python):
     report = dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2) / 2, twice, [x, y, z]).check()
     assert not report and report.rank == 1 and "rank" in report.text
     assert report.growth is None and "not known; no point was found" in str(report)
+    assert report.growth_note.endswith("mu has rank 1 instead of 2")
+    far = [z.d - sqrt(x - 3) * y * x.d]
+    assert dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2) / 2, far, [x, y, z]).check()
     with pytest.raises(ValueError, match="no initial data"):
         dal.System(mass=[1]).check()
+
+
+@pytest.mark.parametrize("zero", [sympy.S.Zero, (sin(x) ** 2 + cos(x) ** 2 - 1) * x.d])
+def test_a_constraint_that_is_nothing(zero):
+    with pytest.raises(ValueError, match=r"constraints\[0\] = .*: it is 0 for all velocities"):
+        examine([zero], [x, y, z])

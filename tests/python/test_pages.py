@@ -352,7 +352,7 @@ def test_without_sympy(tmp_path, monkeypatch, capsys):
     there = extras.is_there
     monkeypatch.setattr(extras, "is_there", lambda name: name != "sympy" and there(name))
     assert pages.available() == dal.systems.names()
-    with pytest.raises(ImportError, match="pip install 'dalembert"):
+    with pytest.raises(ImportError, match="pip install sympy"):
         dal.pages.write(tmp_path / "book", ["disk", "cvt"])
     assert not (tmp_path / "book").exists()
     monkeypatch.setattr(dal.systems, "names", lambda: ("disk",))

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import sympy as sp
 
 import dalembert as dal
 from dalembert import refinement, table
@@ -136,6 +137,121 @@ def test_exact_to_roundoff_is_a_verdict():
                                "t_end: exact to roundoff.")  # fmt: skip
     disk = dal.convergence(dal.systems.disk(), "midpoint", steps=STEPS)  # v is, q is not
     assert disk.fits["global_v"].exact and disk.verdict == "holds"
+
+
+def particle_with(potential):
+    x, y, z = dal.coordinates("x y z")
+    kinetic = (x.d**2 + y.d**2 + z.d**2) / 2
+    return dal.System.from_sympy(kinetic - potential(x, y, z), [z.d - y * x.d], (x, y, z))
+
+
+def half_line(x, y, z):
+    return 50 * sp.Max(0, x - sp.Rational(1, 2)) ** 2
+
+
+@pytest.mark.parametrize(
+    "potential, scheme, order_at_end",
+    [
+        (lambda x, y, z: abs(x - sp.Rational(1, 2)), "leapfrog-suzuki4", 1),
+        (lambda x, y, z: abs(x - sp.Rational(1, 2)), "leapfrog", 1),
+        (half_line, "leapfrog-suzuki4", 2),
+    ],
+)
+def test_an_order_that_is_lost_on_the_way_is_not_settled(potential, scheme, order_at_end):
+    study = dal.convergence(particle_with(potential), scheme, [0, 1, 0], [1, 1, 1], t_end=1)
+    assert abs(study.p - study.scheme.order) < 0.2
+    assert abs(study.fits["global_state"].slope - order_at_end) < 0.2
+    assert study.holds is None and study.verdict == "undecided"
+    assert "errors at t_end do not have the order that one step has" in study.text
+    assert dal.convergence(particle_with(potential), scheme, [0, 1, 0], [1, 1, 1], t_end=0.4).holds
+
+
+@pytest.mark.parametrize(
+    "potential, scheme, q0, v0",
+    [
+        *((lambda x, y, z: 10**6 * x**2 / 2, name, [0.1, 1, 0], [1, 1, 1])
+          for name in ("explicit", "leapfrog", "leapfrog-kl6")),
+        *((lambda x, y, z: -1 / sp.sqrt(x**2 + y**2 + z**2), name, [0, 0.05, 0], [1, 0.1, 0.05])
+          for name in ("leapfrog", "leapfrog-suzuki4", "leapfrog-kl6")),
+        (lambda x, y, z: 0, "leapfrog-suzuki4", [0, 1e-3, 0], [1e3, 1e3, 1]),
+    ],
+)  # fmt: skip
+def test_runs_that_do_not_resolve_the_motion_settle_nothing(potential, scheme, q0, v0):
+    study = dal.convergence(particle_with(potential), scheme, q0, v0)
+    assert study.holds is None and "as large as the solution" in study.text
+    assert "gradient" not in study.text  # the energy has every reason
+
+
+def test_a_long_interval_in_one_step_settles_nothing():
+    study = dal.convergence(dal.systems.particle(), "midpoint", t_end=1e4, steps=[1, 2, 4, 8])
+    assert study.holds is None and "as large as the solution" in study.text
+
+
+def test_an_order_that_still_changes_is_not_settled():
+    study = dal.convergence(dal.systems.particle(), "midpoint", steps=[1, 2, 3])
+    assert study.holds is None and "order still changes with h" in study.text  # s = -0.23
+    e = sp.exp
+    x, y, z = dal.coordinates("x y z")
+    system = dal.System.from_sympy(
+        (1.26 * x.d**2 + 2.01 * y.d**2 + 0.36 * z.d**2 - 2.74 * x**2 - 0.82 * y**2 - 1.48 * z**2)
+        / 2,
+        [(1 + 0.46 * e(-0.187 * (x - 0.46) ** 2)) * x.d + 0.76 * e(-1.647 * (y - 0.76) ** 2) * z.d],
+    )
+    q0 = [-0.1, 1.7, 1.2]
+    v0 = system.project(q0, [0.3, -1.5, -2.8])
+    coarse = dal.convergence(system, "leapfrog", q0, v0, t_end=100, steps=[800, 1000, 1200, 1600])
+    assert coarse.s < -0.2 and coarse.holds is None and "order still changes" in coarse.text
+    assert dal.convergence(system, "leapfrog", q0, v0, steps=[80, 160, 320]).holds is True
+
+
+@pytest.mark.parametrize("t_end", [1e-8, 1e-7, 1e-6, 1e-5, 1e-3, 1])
+@pytest.mark.parametrize("order", [2, 3, 4])
+def test_no_false_promise_holds_over_a_short_interval(t_end, order):
+    first = dal.Scheme([(0.0, 1.0)], name="first", order=order)
+    study = dal.convergence(dal.systems.particle(), first, t_end=t_end)
+    assert study.holds is False if t_end >= 1e-3 else not study.holds, study.text
+    second = dal.Scheme([(0.5, 1.0)], name="second", order=4)
+    assert not dal.convergence(dal.systems.particle(), second, t_end=t_end).holds
+
+
+def test_steps_of_roundoff_tell_no_order():
+    study = dal.convergence(
+        dal.systems.n_trailer(), "leapfrog", steps=[40_000, 80_000, 160_000], max_steps=10**6
+    )
+    assert study.fits["state"].points == 0
+    assert study.holds is None and "too few errors" in study.text
+
+
+def test_a_study_where_every_run_fails_says_why():
+    system = dal.System(
+        mass=[1.0, 1.0], forms=lambda q: [[np.nan if q[0] > 0.01 else 1.0, -1.0]],
+        q0=[0, 0], v0=[1, 1], forms_velocity_derivative=lambda q, v: [[0, 0]],
+    )  # fmt: skip
+    with pytest.raises(dal.DomainError):
+        dal.convergence(system, "leapfrog", steps=[1, 2, 4])
+    blade = dal.convergence(
+        dal.systems.particle(), "endpoint", [0, -1, 0], [1, 1, -1], t_end=2, steps=[1]
+    )
+    assert blade.holds is None and "; 1 of 1 runs failed (" in blade.text
+    assert "singular" in blade.text and "violated" not in blade.text
+
+
+def test_a_gradient_of_something_else_is_told_by_the_energy():
+    def system(slope):
+        return dal.System(
+            mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]],
+            potential=lambda q: np.cos(q[0]) + q[2] ** 2,
+            gradient=lambda q: [-np.sin(q[0]), 0, slope * q[2]],
+        )  # fmt: skip
+
+    wrong = dal.convergence(system(1), "leapfrog", [0, 1, 0], [1, 1, 1])
+    assert "gradient may not be that of potential, see check" in wrong.text
+    right = dal.convergence(system(2), "leapfrog", [0, 1, 0], [1, 1, 1])
+    assert right.holds is True and "gradient" not in right.text
+    for name in ("midpoint-nodes", "explicit"):
+        start = "D_eps" if name.endswith("nodes") else None
+        study = dal.convergence(system(2), name, [0, 1, 0], [1, 1, 1], initial=start)
+        assert study.holds is True and "gradient" not in study.text
 
 
 class Alarm(Exception):

@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import itertools
 import json
 import pickle
 import re
@@ -322,8 +323,67 @@ def test_order_of_coordinates():
     x, z = dal.coordinates(["x", "z"])
     assert dal.System.from_sympy(x.d**2 + z.d**2).coordinates == ("x", "z")
     assert dal.System.from_sympy(x.d**2 + z.d**2, coordinates=[z, x]).coordinates == ("z", "x")
-    assert x == dal.coordinates("x")[0] and x.d == dal.coordinates("x")[0].d
-    assert x.d != sympy.Symbol("x.d", real=True) and pickle.loads(pickle.dumps(x.d)) == x.d
+    again = dal.coordinates("x z")[0]
+    assert x == again and x.d == again.d and hash(x.d) == hash(again.d)
+    assert x.d != sympy.Symbol("x.d", real=True)
+    for symbol in pickle.loads(pickle.dumps([x, x.d, x.d**2 + sympy.sin(x)])):
+        assert symbol in (x, x.d, x.d**2 + sympy.sin(x))
+
+
+@pytest.mark.parametrize("disturb", [
+    lambda: [make() for make in map(functools.partial(getattr, dal.systems),
+                                    dal.systems.names_in_sympy())],
+    lambda: [dal.coordinates(names) for names in itertools.permutations("xyz")],
+    lambda: dal.coordinates("tau x"),
+    lambda: [dal.coordinates(name) for name in "zyx"],
+], ids=["library", "permutations", "another", "single"])  # fmt: skip
+def test_no_other_call_changes_an_order(disturb):
+    """The multiplier (9.81 + v_x v_y)/2 of z' = y x' in a field 9.81 z is that of x, y, z."""
+    disturb()
+    x, y, z = dal.coordinates("x y z")
+    kinetic = (x.d**2 + y.d**2 + z.d**2) / 2
+    for _ in range(2):
+        own = dal.System.from_sympy(kinetic - 9.81 * z, [z.d - y * x.d])
+        assert own.coordinates == ("x", "y", "z")
+        assert own.multipliers([0, 1, 0], [1, 1, 1]) == pytest.approx([(9.81 + 1) / 2], rel=1e-15)
+        disturb()
+
+
+def test_symbols_of_several_calls():
+    """As the calls name them, then in the order of the calls; else they are asked for."""
+    x, y, theta = dal.coordinates("x y theta")
+    _, other = dal.coordinates("tau x")
+    kinetic = (other.d**2 + y.d**2 + theta.d**2) / 2
+    make = dal.System.from_sympy
+    forms = [sympy.cos(theta) * y.d - sympy.sin(theta) * x.d]  # of another x
+    own = make(kinetic, forms, force={x: theta})
+    assert own.coordinates == ("x", "y", "theta")
+    same = make(kinetic.subs(other.d, x.d), forms, force={x: theta})
+    assert own._symbolic.model.key == same._symbolic.model.key
+    assert make(kinetic - sympy.Derivative(x**2, other)).formulas[0].endswith("- 2 x")
+    assert make(kinetic, forms, coordinates=[theta, y, x]).coordinates == ("theta", "y", "x")
+    a, b = dal.coordinates("first1")[0], dal.coordinates("second1")[0]
+    assert make(b.d**2 + a.d**2).coordinates == ("first1", "second1")
+    dal.coordinates("first1")  # made again, the order of the two is no longer clear
+    with pytest.raises(ValueError, match="coordinates: needed, .* order of first1, second1 is"):
+        make(b.d**2 + a.d**2)
+    swapped = dal.coordinates("theta y")[0]
+    with pytest.raises(ValueError, match=r"'theta y'\) and .*\('x y theta'"):
+        make((x.d**2 + y.d**2 + theta.d**2) / 2 - swapped)
+
+
+def test_the_derivative_by_time_is_written_d():
+    x, y = dal.coordinates("x y")
+    t = dynamicsymbols._t
+    for by in (t, "t", sympy.Symbol("t", real=True)):
+        with pytest.raises(ValueError, match=r"x.diff\(t\): write x.d"):
+            sympy.diff(x, by)
+    for rate in (sympy.Derivative(x, t), sympy.Derivative(x * y, t, t)):
+        with pytest.raises(ValueError, match=r"constraints\[0\]: .* write x.d for the velocity"):
+            dal.System.from_sympy(x.d**2 + y.d**2, [y.d - rate])
+    assert x.diff(x) == 1 and x.diff(y) == 0 and x.diff(sympy.Symbol("m")) == 0
+    made = dal.System.from_sympy(x.d**2 + y.d**2 - sympy.Derivative(x**2, x))
+    assert made.formulas[0] == "L = v_x^2 + v_y^2 - 2 x"
 
 
 def test_keys_tell_models_apart():
@@ -551,6 +611,7 @@ def test_refused_by_name():
         (lambda: from_sympy(L, source=3), "source = 3: expected a string"),
         (lambda: dal.coordinates("x x"), "expected different names"),
         (lambda: dal.coordinates(""), "at least one"),
+        (lambda: dal.coordinates("x,,y"), "names = 'x,,y': missing symbol"),
         (lambda: dal.systems.particle().c_source(), "was not made by from_sympy"),
         (lambda: from_sympy(L).c_source("a b"), "expected a C identifier"),
     ]
@@ -573,6 +634,94 @@ def test_without_sympy(monkeypatch):
         dal.coordinates("x")
     with pytest.raises(ImportError, match="pip install sympy"):
         dal.System.from_sympy(0)
+
+
+@pytest.mark.parametrize("exponent", ["4/3", "3/2", "5/2"])
+@pytest.mark.parametrize("scheme", ["leapfrog", "midpoint", "reference"])
+def test_a_wall_whose_stiffness_is_infinite_at_its_edge(scheme, exponent):
+    """Outside of it nothing acts; V_qq, 0 times infinity there, is for Newton's method alone."""
+    x, y, z = dal.coordinates("x y z")
+    kinetic, form = (x.d**2 + y.d**2 + z.d**2) / 2, z.d - y * x.d
+    power, edge = sympy.Rational(exponent), sympy.Rational(1, 2)
+    inside = sympy.Piecewise(((x - edge) ** power, x > edge), (0, True))
+    runs = [
+        dal.integrate(dal.System.from_sympy(L, form, force=force), scheme,
+                      [0, 1, 0], [1, 1, 1], h=0.01, steps=100)
+        for L, force in [
+            (kinetic - 50 * sympy.Max(0, x - edge) ** power, None),
+            (kinetic - 50 * (sympy.Max(0, x - edge) + sympy.Max(0, -x - edge)) ** power, None),
+            (kinetic - 50 * inside, None),
+            (kinetic, {x: -50 * power * sympy.Max(0, x - edge) ** (power - 1)}),
+        ]
+    ]  # fmt: skip
+    assert runs[0].q[-1, 0] < 0.8  # it has come back
+    for run in runs[1:]:
+        assert run.q == pytest.approx(runs[0].q, rel=1e-9, abs=1e-9)
+
+
+def test_a_barrier_still_refuses():
+    x = dal.coordinates("x")[0]
+    barrier = dal.System.from_sympy(x.d**2 / 2 - 1 / sympy.Max(0, x))
+    with pytest.raises(dal.DomainError):
+        dal.integrate(barrier, "leapfrog", [-1], [1], h=0.01, steps=1)
+
+
+def test_what_has_no_jump_after_all():
+    """A factor that vanishes where the argument does; but sign(x^3) jumps, where 3 x^2 vanishes."""
+    x, y = dal.coordinates("x y")
+    sign, half = sympy.sign, sympy.Rational(1, 2)
+    q = [0.3, -0.7]
+    for V in (
+        y**4 * sign(y * sympy.Abs(y)), x * sign(x**3), x * y * sign(x**3 * y),
+        x**2 * sign(sympy.tanh(x) * sympy.exp(y)), x * (x - half) * sign(x * (x - half)),
+        x**2 * sympy.Heaviside(-(x**3)), x * x.d * sympy.Abs(x.d) * sign(sympy.sinh(x)),
+    ):  # fmt: skip
+        L = (x.d**2 + y.d**2) / 2 - V
+        made = dal.System.from_sympy(L)._symbolic.model
+        name, output = ("lagrangian", "L_q") if V.has(x.d) else ("potential", "V_q")
+        found = made.callables(name)[output](q, [0.2, 0.5], [])
+        value = sympy.lambdify([(x, y), (x.d, y.d)], L if V.has(x.d) else V, "mpmath")
+        for i in range(2):
+            exact = mpmath.diff(
+                lambda s, i=i: value([s if j == i else q[j] for j in range(2)], [0.2, 0.5]), q[i]
+            )
+            assert found[i] == pytest.approx(float(exact), rel=1e-12, abs=1e-12), V
+    for V in (
+        sign(x**3), y * sign(x**3), x * sign(sympy.tanh(y)), sign(y * sympy.Abs(y)),
+        x**2 * sign(x * y), x * sign(x * (x - 1)), sign(sympy.sinh(x) ** 3), sign(x**5 - x**3),
+        sign(sympy.Piecewise((x, x > y), (1, True))) * y,
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="L: its derivative by [xy] needs DiracDelta"):
+            dal.System.from_sympy((x.d**2 + y.d**2) / 2 - V)
+
+
+def test_names_that_are_taken_for_others():
+    x, y = dal.coordinates("x y")
+    L = (x.d**2 + y.d**2) / 2
+    assert dal.coordinates("q1:4, z") == dal.coordinates(["q1", "q2", "q3", "z"])
+    for other in (sympy.Symbol("x"), sympy.Symbol("x.d")):
+        with pytest.raises(ValueError, match=f"L: this {other} is another symbol than that of the"):
+            dal.System.from_sympy(L - other)
+    for key in (x, "x", sympy.Symbol("x")):
+        with pytest.raises(ValueError, match="parameters: x is a coordinate"):
+            dal.System.from_sympy(L, parameters={key: 1})
+    nothing = (sympy.sin(x) ** 2 + sympy.cos(x) ** 2 - 1) * x.d
+    with pytest.raises(ValueError, match=r"constraints\[0\] = .*: it is 0 for all velocities"):
+        dal.System.from_sympy(L, [nothing])
+
+
+@pytest.mark.parametrize("formulas", [
+    ("L = (v_x^2 + v_y^2 + v_z^2)/2",),
+    ("v_z - y v_x = 0",),
+    ("L = (v_x^2 + v_y^2 + v_z^2)/2", "v_z - exp(exp(exp(exp(exp(10))))) v_x = 0"),
+], ids=["L", "constraint", "too large"])  # fmt: skip
+def test_formulas_that_say_a_part(formulas):
+    """Then the growth vector is that of the functions."""
+    system = dal.System(
+        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], coordinates=["x", "y", "z"],
+        formulas=formulas,
+    )  # fmt: skip
+    assert system.check([0.3, 0.4, 0.5], [1, 1, 0.4]).growth == (2, 3)
 
 
 def test_latex():

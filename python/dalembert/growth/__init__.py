@@ -36,7 +36,7 @@ def examine(
     system : System
         With linear constraints, at least one.
     near : ndarray, shape (n,)
-        Some point where mu is defined.
+        Some point where mu is defined; general ones are sought near it first.
     q : ndarray, shape (n,), optional
         Where the growth vector is wanted; default: at a general point.
     show : callable, optional
@@ -67,7 +67,7 @@ def _model(system: System, near: Array) -> Model | None:
         return None
     from .. import expressions
 
-    with contextlib.suppress(ValueError):  # formulas may be for readers only
+    with contextlib.suppress(ValueError, ArithmeticError):  # formulas may be for readers only
         model = expressions.model(system)
         # only constraints matter here; derivatives of L take longer than all the rest
         model = dataclasses.replace(model, L=sum(v**2 for v in model.v), force=None)

@@ -7,7 +7,6 @@ proved by algebra where that is possible, see `zeros`.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import random
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +27,7 @@ __all__ = ["examine"]
 Expr = Any
 
 # The steps of differences are 2**-_BITS; what is not larger than _ZERO is zero.
-_BITS, _ZERO = 160, mpmath.ldexp(1, -100)
+_BITS, _ZERO = 220, mpmath.ldexp(1, -160)
 # At a given point brackets are formed up to this order, and with no more values of mu than this.
 _ORDERS, _WORK = 10, 30_000
 _DIGITS = 30
@@ -44,28 +43,35 @@ def examine(
 ) -> Distribution:
     """Return what `growth.examine` does, for values of the parameters of a model."""
     n, m, forms = model.n, model.m, _Forms(model, values)
-    point = _general_point(forms, near)
-    if point is None:
-        note = "no point was found where mu is smooth"
+    points, lack = _points(forms, near)
+    if not points:
+        note = f"no point was found where mu can be examined: {lack}"
         return Distribution(None, None, note, None, _DIGITS)
-    found, words, told = growth.search(
-        point, growth.of_new_ones(n - m), m, lambda found: growth.is_settled(found, n), show
-    )
+    progress = growth.rising(show)
+    general, words, told, settled = growth.largest(points, m, progress)
     show(m)
-    general = growth.shortened(found, n)
-    if q is None:
-        here, note = general, "" if told else "further brackets are too small to be told from 0"
-    else:
+    here, note = general, "" if told else "further brackets are too small to be told from 0"
+    if q is not None:
         here, note = _at(forms, q, general, words, lambda k: show(m + k))
-    alone = [a for a in range(m) if point.is_integrable(a)]
-    settled = told and growth.is_settled(found, n)
+        if here is not None:
+            points.append(_Point(forms, list(map(mpmath.mpf, q))))
+            if growth.is_larger(here, general):  # the others lie in another region
+                general, settled = here, growth.is_settled(here, n)
+    alone = [a for a in range(m) if all(point.is_integrable(a) for point in points)]
+    if len(alone) > n - general[-1]:  # what is small in one has its own size in the other
+        alone = []
     proved = general[-1] == n or (
-        settled and general[-1] == n - m and forms.are_involutive(point.dependent)
+        settled and general[-1] == n - m and forms.are_involutive(points[0].dependent)
     )
-    named = [f"constraints[{a}]: {model.shown(model.constraints[a])} = 0" for a in alone]
+    where = ""
+    if forms.in_pieces and general[-1] < n and not proved:
+        where = ", as far as is seen around here"
+        note = note or "mu is given in pieces, and only those around here were looked at"
+    named = [f"constraints[{a}]: {model.shown(model.constraints[a])} = 0{where}" for a in alone]
     hidden = n - general[-1] if settled else 0
     if hidden > len(alone):
-        named.append(f"{hidden} of the constraints together" if hidden < m else "all together")
+        which = f"{hidden} of the constraints together" if hidden < m else "all together"
+        named.append(which + where)
     integrable = general[-1] == n - m if settled or general[-1] > n - m else None
     return Distribution(here, general, note, integrable, _DIGITS, tuple(named), proved)
 
@@ -78,24 +84,26 @@ def _at(
     show: Callable[[int], Any],
 ) -> tuple[tuple[int, ...] | None, str]:
     """Return the growth vector at a point that is known to double precision, and what it lacks."""
-    source, n = random.Random(1), forms.n
-    other = [x + max(1.0, abs(x)) * source.choice((-1, 1)) * 2.0**-53 for x in map(mpmath.mpf, q)]
+    n = forms.n
     try:
-        point = _Point(forms, list(map(mpmath.mpf, q)), other)
+        point = _given(forms, q)
+        new = growth.of_new_ones(n - forms.m)
+        same = (lambda k, *_: words[k - 1]) if general[-1] == n else new
         found, _, told = growth.search(  # is it as at the general point?
-            point, lambda k, *_: words[k - 1], len(words), lambda _: False, show
+            point, same, len(words), lambda _: False, show
         )
         if growth.shortened(found, n) == general:
             return general, ""
+        most = max(general[-1], found[-1])
         limit = min(_ORDERS, int(np.log2(_WORK / n**2)))
         found, _, told = growth.search(
-            point, growth.at_random(n - forms.m), max(limit, 1), lambda d: d[-1] == general[-1],
+            point, growth.at_random(n - forms.m), max(limit, 1), lambda d: d[-1] >= most,
             show,
         )  # fmt: skip
     except ValueError as error:
         return None, str(error)
     if told:
-        note = "" if found[-1] == general[-1] else growth.no_more(found)
+        note = "" if found[-1] >= most else growth.no_more(found)
         return growth.shortened(found, n), note
     return tuple(found), (
         f"brackets of {len(found) + 1} fields cannot be told from 0 at a point that is known to 16 "
@@ -103,17 +111,36 @@ def _at(
     )
 
 
-def _general_point(forms: _Forms, near: Array) -> _Point | None:
-    """Return a point in no special position where mu is smooth and of full rank."""
+def _given(forms: _Forms, q: Array) -> _Point:
+    """Return a point that is known to double precision; ValueError if mu is not smooth there."""
     source = random.Random(1)
-    for k in range(12):
-        q = [mpmath.mpf(source.randint(2**40, 2**41)) / 2**41 for _ in near]
-        if k >= 4:  # that was nowhere
-            size = 10.0 ** -(k // 4)
-            q = [c + size * (1 + abs(c)) * (2 * x - 1.5) for c, x in zip(map(mpmath.mpf, near), q)]
-        with contextlib.suppress(ValueError):
-            return _Point(forms, q)
-    return None
+    place = list(map(mpmath.mpf, q))
+    other = [x + max(1.0, abs(x)) * source.choice((-1, 1)) * 2.0**-53 for x in place]
+    return _Point(forms, place, other)
+
+
+def _points(forms: _Forms, near: Array) -> tuple[list[_Point], str]:
+    """Return points where mu is of full rank: in no special position, near ones first, and near.
+
+    Where there are none, also what the last one lacks.
+    """
+    source, found, lack = random.Random(1), [], ""
+    places = [
+        near + size * (1 + abs(near)) * np.cos(k * np.arange(1, len(near) + 1))
+        for size in growth.NEARBY
+        for k in range(1, 5)
+    ]
+    places[4:4] = [places[-1], *(np.array([source.uniform(0.5, 1) for _ in near]) for _ in "12")]
+    makers = [lambda q=q: _Point(forms, list(map(mpmath.mpf, q))) for q in places]
+    makers.insert(7, lambda: _given(forms, near))
+    for make in makers:
+        try:
+            found.append(make())
+        except ValueError as error:
+            lack = str(error)
+        if len(found) == 8:
+            break
+    return found, lack
 
 
 class _Forms:
@@ -128,6 +155,7 @@ class _Forms:
         self.q, self.shown = model.q, model.shown
         self.mu = [constraint.engine.give(e).xreplace(numbers) for e in entries]
         self._edges = _edges(self.mu)
+        self.in_pieces = any(e.has(*_PIECES) for e in self.mu)
         printed = [_for_mpmath(e) for e in (*self.mu, *self._edges)]
         self._values = sympy.lambdify([self.q], printed, "mpmath", cse=True)
 
@@ -171,6 +199,12 @@ class _Forms:
             if not all(is_zero(found[i, j]) for i, j in pairs):
                 return False
         return True
+
+
+# Functions that are not analytic: what they are somewhere says nothing of elsewhere.
+_PIECES = (
+    sympy.Abs, sympy.sign, sympy.Heaviside, sympy.Max, sympy.Min, sympy.Piecewise, sympy.Rel,
+)  # fmt: skip
 
 
 def _for_mpmath(e: Expr) -> Expr:
@@ -217,6 +251,9 @@ class _Point:
         if len(self._pivots) < self.m:
             raise ValueError(f"mu has rank {len(self._pivots)} instead of {self.m}")
         self.dependent = [c for _, c in self._pivots]
+        size = abs(self._fields(self._places[0])).max(axis=1) if other is None else np.ones(self.m)
+        # of dependent coordinates; what is no more than roundoff is none
+        self._units = np.array([x if x > _ZERO**2 else 1 for x in size], dtype=object)
         self._digits = 0
 
     def pair(self, word: Word) -> tuple[Array, Array]:
@@ -228,7 +265,9 @@ class _Point:
             self._digits = digits
             self._brackets = Brackets(self._fields, self.dependent, self.n, stencil)
         with mpmath.workprec(self._digits):
-            rows = [self._brackets.at(word, q)[self.dependent] for q in self._places]
+            rows = [
+                self._brackets.at(word, q)[self.dependent] / self._units for q in self._places
+            ]
         return rows[0], rows[-1]
 
     def _fields(self, q: Array) -> Array:
@@ -242,7 +281,9 @@ class _Point:
         """Return whether d mu^a ^ mu^a vanishes: then the one constraint is holonomic."""
         q, step = self._places[0], mpmath.ldexp(1, -_BITS)
         form = self._forms.at(q)[0][a]
-        beside = [self._forms.at(q + step * unit)[0][a] for unit in np.eye(self.n, dtype=int)]
+        size = abs(form).max()  # its unit does not matter
+        beside = [self._forms.at(q + step * e)[0][a] / size for e in np.eye(self.n, dtype=int)]
+        form = form / size
         slope = (np.array(beside) - form) / step
         terms = np.multiply.outer(slope - slope.T, form)
         terms = np.array([terms, terms.transpose(1, 2, 0), terms.transpose(2, 0, 1)])
@@ -252,13 +293,13 @@ class _Point:
 
 def _pivots(mu: Array) -> list[tuple[int, int]]:
     """Return rows and columns for Gauss-Jordan elimination, as many as the rank."""
-    mu, found = mu.copy(), list[tuple[int, int]]()
-    least = _ZERO * abs(mu).max()
+    found = list[tuple[int, int]]()
+    mu = np.array([form / (abs(form).max() or 1) for form in mu])  # whatever their units are
     for _ in mu:
         size = abs(mu)
         size[[r for r, _ in found]] = 0
         r, c = map(int, np.unravel_index(int(np.argmax(size)), size.shape))
-        if size[r, c] <= least:
+        if size[r, c] <= _ZERO:
             break
         _eliminate(mu, r, c)
         found.append((r, c))

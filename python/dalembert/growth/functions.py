@@ -11,7 +11,8 @@ import numpy as np
 from .. import _lib
 from .._lib import Array
 from .search import (
-    Brackets, Distribution, Word, at_random, is_settled, no_more, of_new_ones, search, shortened,
+    NEARBY, Brackets, Distribution, Word, at_random, is_larger, is_settled, no_more, of_new_ones,
+    rising, search, shortened,
 )  # fmt: skip
 
 if TYPE_CHECKING:
@@ -76,48 +77,62 @@ def examine(
 ) -> Distribution:
     """Return what `growth.examine` does; the general point is one near ``near``."""
     n, m = system.n, system.m
-    general, note = _near(system, near, show)
+    general, note = _near(system, near, rising(show))
     show(m)
-    integrable = None
-    if general is not None and len(general) > 1:
-        integrable = general[0] == general[1]
     if q is None or general is None:
-        return Distribution(general, general, note, integrable, _DIGITS)
-    most = n if note else general[-1]
+        return Distribution(general, general, note, _is_integrable(general), _DIGITS)
+    most = n if note or general[-1] == general[0] else general[-1]
     try:
         point = _Functions(system, q)
         found, _, told = search(
-            point, at_random(n - m), point.most, lambda dimensions: dimensions[-1] == most,
+            point, at_random(n - m), point.most, lambda dimensions: dimensions[-1] >= most,
             lambda k: show(m + k),
         )  # fmt: skip
     except _lib.DalembertError as error:
-        return Distribution(None, general, str(error), integrable, _DIGITS)
+        return Distribution(None, general, str(error), _is_integrable(general), _DIGITS)
     here = shortened(found, n) if told else tuple(found)
-    lacks = _lost(found) if not told else "" if found[-1] == most else no_more(found)
-    return Distribution(here, general, lacks, integrable, _DIGITS)
+    lacks = _lost(found) if not told else "" if found[-1] >= general[-1] else no_more(found)
+    if is_larger(here, general):  # mu is given in pieces
+        general = here
+    return Distribution(here, general, lacks, _is_integrable(general), _DIGITS)
+
+
+def _is_integrable(general: tuple[int, ...] | None) -> bool | None:
+    """Return what a growth vector tells of that, if it does."""
+    return general[0] == general[1] if general is not None and len(general) > 1 else None
 
 
 def _near(
     system: System, q: Array, show: Callable[[int], Any]
 ) -> tuple[tuple[int, ...] | None, str]:
-    """Return the growth vector at a general point near q, and what is not known of it."""
+    """Return the growth vector at a general point near q, and what is not known of it.
+
+    The largest of some, for functions may be given in pieces.
+    """
     n = system.n
-    message = ""
-    for size in (0.1, 0.01, 0.001, 0.0):
-        place = q + size * (1 + abs(q)) * np.cos(np.arange(1, n + 1))
-        try:
-            point = _Functions(system, place)
-            found, _, told = search(
-                point, of_new_ones(n - system.m), min(system.m, point.most),
-                lambda dimensions: is_settled(dimensions, n), show,
-            )  # fmt: skip
-        except _OUTSIDE as error:
-            message = str(error)
-            continue
-        if is_settled(found, n):
-            return shortened(found, n), ""
-        return tuple(found), no_more(found) if told else _lost(found)
-    return None, message
+    best, note = None, ""
+    for size in (*NEARBY, 0.0):
+        for k in range(1, 5 if size else 2):
+            place = q + size * (1 + abs(q)) * np.cos(k * np.arange(1, n + 1))
+            try:
+                point = _Functions(system, place)
+                found, _, told = search(
+                    point, of_new_ones(n - system.m), min(system.m, point.most),
+                    lambda dimensions: is_settled(dimensions, n), show,
+                )  # fmt: skip
+            except _OUTSIDE as error:
+                note = note or str(error)
+                continue
+            settled = is_settled(found, n)
+            grown = shortened(found, n) if settled else tuple(found)
+            if best is None or is_larger(grown, best):
+                best = grown
+                note = "" if settled else no_more(found) if told else _lost(found)
+            if grown[-1] == n or not settled:
+                return best, note
+        if best is not None:
+            break
+    return best, note
 
 
 def _lost(found: Sequence[int]) -> str:

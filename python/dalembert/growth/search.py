@@ -29,14 +29,17 @@ import numpy as np
 from .._lib import Array
 
 __all__ = [
-    "Brackets", "Distribution", "Word", "at_random", "is_settled", "no_more", "of_new_ones",
-    "search", "shortened",
+    "NEARBY", "Brackets", "Distribution", "Word", "at_random", "is_larger", "is_settled", "largest",
+    "no_more", "of_new_ones", "rising", "search", "shortened",
 ]  # fmt: skip
 
 # An entry counts if it is this many times the difference to its twin.
 _TRUST = 30
 # What does not count is zero if it is so much smaller than what counted last.
 _GAP = 1e-4
+
+# General points are sought at such distances from a state, as the curvature is by the core.
+NEARBY = (0.1, 0.01, 0.001)
 
 # Independent velocities of the fields of a bracket, the outermost first.
 Word = tuple[tuple[float, ...], ...]
@@ -178,6 +181,47 @@ def search(
         if enough(dimensions):
             break
     return dimensions, words, True
+
+
+def largest(
+    points: Iterable[Any], limit: int, show: Callable[[int], Any]
+) -> tuple[tuple[int, ...], list[list[Word]], bool, bool]:
+    """Return the largest growth vector of several general points, and what it is made of.
+
+    Of functions that vanish nearly everywhere, or are given in pieces, one point does not tell.
+    Also the brackets, whether further ones could be told from them, and whether it is settled.
+    """
+    best = None
+    for point in points:
+        n = point.n
+        found, words, told = search(
+            point, of_new_ones(n - point.m), limit, lambda found: is_settled(found, n), show
+        )
+        grown = shortened(found, n) if told and is_settled(found, n) else tuple(found)
+        if best is None or is_larger(grown, best[0]):
+            best = grown, words, told, told and is_settled(found, n)
+        if grown[-1] == n:
+            break
+    assert best is not None
+    return best
+
+
+def is_larger(one: Sequence[int], other: Sequence[int]) -> bool:
+    """Return whether one growth vector ends above another, or gets there sooner."""
+    return (one[-1], *one) > (other[-1], *other)
+
+
+def rising(show: Callable[[int], Any]) -> Callable[[int], Any]:
+    """Return the function that shows what is more than it was told before."""
+    most = 0
+
+    def told(found: int) -> None:
+        nonlocal most
+        if found > most:
+            most = found
+            show(found)
+
+    return told
 
 
 def is_settled(dimensions: Sequence[int], n: int) -> bool:
