@@ -234,7 +234,7 @@ static int roundoff(dal_flow *flow, double t0, double t1, double *error)
     const size_t N = dimension(flow), n = mech->n, m = mech->m;
     const int status = dal_field(mech, t1, flow->result, flow->state);
     if (status) return pass_on(flow, &mech->error, status);
-    double inverse = 0.0; /* trace of that of C scaled to a unit diagonal, from what dal_field left */
+    double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal, left by dal_field */
     for (size_t a = 0; a < m; a++)
         inverse += mech->sizes[a] * dal__dot(a + 1, mech->C + a * m, mech->C + a * m);
     *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result)
