@@ -137,13 +137,15 @@ class Trial:
             d = 1 / np.sqrt(np.diag(M))  # first, so that the inverse is that of a scaled matrix
             d = d * np.sqrt(np.diag(np.linalg.inv(M * np.outer(d, d))))
             size = abs(mu) @ d
+            top = abs(v).max() or 1.0  # its square may overflow
+            speed = top * math.sqrt(v / top @ M @ (v / top))
             residual, extra = abs(mu @ v + rest.astype(float)), abs(rest.astype(float))
-            if (residual > limit / 4 * (size * math.sqrt(v @ M @ v) + extra)).any():
+            if (residual > limit / 4 * (size * speed + extra)).any():
                 residual = abs(vector(mu).dot(vector(v)) + rest)
             if mech.kind == "nonlinear":  # phi itself is rounded by the user's function
                 rounding = 4 * U * mech.phi.at(mech.z(q, v)).sizes()[0]
             for a in range(mech.m):
-                s = size[a] * math.sqrt(v @ M @ v) + extra[a]
+                s = size[a] * speed + extra[a]
                 if residual[a] > limit * s + rounding[a]:
                     self.found("bound", f"state {k}, form {a}: {float(residual[a] / s) / limit:.3g}"
                                f" times the bound {limit:.2g}; told {run.stats.worst_residual:.2g}")
