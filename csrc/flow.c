@@ -226,19 +226,37 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
     return status;
 }
 
-/* *error <- what roundoff does at the least: to the result; all the time to the velocity, where
- * nearly dependent forms make more of it; and to the time that a force sees. */
+/* The terms of which the acceleration is the sum, of the coordinate where they are largest: a
+ * reaction may take all that a force gives.  They are as dal_field left them. */
+static double largest_pull(dal_mechanics *mech)
+{
+    double largest = 0.0;
+    dal__accelerate(mech, mech->force, mech->w);
+    for (size_t i = 0; i < mech->n; i++) {
+        double sum = fabs(mech->w[i]);
+        for (size_t a = 0; a < mech->m; a++)
+            sum += fabs(mech->Z[a * mech->n + i] * mech->lambda[a]);
+        largest = fmax(largest, sum);
+    }
+    return largest;
+}
+
+/* *error <- what roundoff does at the least: to the result; all the time to velocity and
+ * acceleration, where nearly dependent forms make more of it; and to the time that a force sees. */
 static int roundoff(dal_flow *flow, double t0, double t1, double *error)
 {
     dal_mechanics *const mech = &flow->mech;
     const size_t N = dimension(flow), n = mech->n, m = mech->m;
+    const double span = fabs(t1 - t0);
     const int status = dal_field(mech, t1, flow->result, flow->state);
     if (status) return pass_on(flow, &mech->error, status);
-    double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal, left by dal_field */
+    double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal */
     for (size_t a = 0; a < m; a++)
         inverse += mech->sizes[a] * dal__dot(a + 1, mech->C + a * m, mech->C + a * m);
+    const double drift =
+        (dal__largest(n, flow->result + n) + 0.5 * span * largest_pull(mech)) * span;
     *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result)
-           + DAL_ROUNDOFF * sqrt(inverse) * dal__largest(n, flow->result + n) * fabs(t1 - t0);
+           + DAL_ROUNDOFF * sqrt(inverse) * drift;
     if (dal_system_is_forced(mech->eval.system))
         *error += DAL_ROUNDOFF * fmax(fabs(t0), fabs(t1)) * dal__largest(N, flow->state);
     return DAL_SUCCESS;
