@@ -223,7 +223,7 @@ def exact_step(case: Case, t: Any, x: Any, most: float = 1.0, ratio: float = 0.2
     for beta, fraction in case.scheme.substeps:
         step = Substep(mech, beta, h * mpf(fraction), t, q, v)
         if not step.solve(most, ratio):
-            if step.reached < 1.0 and step.is_fold():
+            if 0.0 < step.reached < 1.0 and step.is_fold():
                 return f"the solution ends at {step.reached:.4g} of a sub-step of {step.h:.3g}"
             return "ill posed"
         parts.append(step.limit())
