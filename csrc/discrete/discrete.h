@@ -82,6 +82,11 @@ dal__pair dal__discrete_pair(dal_discrete *d, double h, const double *q0, const 
  * pair if forced; d->K if derivative. */
 int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pair *pair,
                           double *minus, double *plus, bool derivative);
+/* dal_discrete_advance; the residual of D raises *worst. */
+int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda,
+                          double *worst);
+/* The record that dal_discrete_message reads. */
+dal_error *dal__discrete_error(dal_discrete *discrete);
 /* d->phi, d->phi_v, and d->B if derivative. */
 int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool derivative);
 

@@ -108,6 +108,18 @@ typedef struct dal_arrays {
 /* Everything down to max_iterations, the arrays, h and x are set by the owner, who then calls
  * dal_kernel_forget; the rest belongs to the step routine. */
 typedef struct dal_kernel dal_kernel;
+
+/* Makes steps steps of kernel; *done <- how many succeeded. */
+typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
+
+/* A step routine that was compiled for one system: what compiled of its dal_system_def points to. */
+#define DAL_COMPILED_ABI 2u
+typedef struct dal_compiled {
+    unsigned abi;  /* DAL_COMPILED_ABI, */
+    size_t size;   /* and sizeof(dal_kernel), as its compiler saw them */
+    dal_kernel_fn advance;
+} dal_compiled;
+
 struct dal_kernel {
     size_t n, m;
     dal_constraint_fn constraint;

@@ -1,0 +1,68 @@
+/* The family flow: a step is the flow of the ODE on D over h, by an adaptive method. */
+#include "step/step.h"
+
+#include <math.h>
+
+extern const dal_family dal__family_flow;
+
+static const dal_scheme records[] = {
+    {.name = "reference", .family = &dal__family_flow,
+     .help = "adaptive integration of the ODE on D: best for short accurate runs",
+     .reference = "GSL odeiv2: rk8pd, msadams; Hairer and Wanner 1996: rodas"},
+};
+
+static int make(void **method, dal_motion *motion, dal_error *error)
+{
+    const dal_flow_scheme defaults = {0}, *const data = motion->scheme->data;
+    const dal_flow_scheme *const chosen = data ? data : &defaults;
+    dal_flow *flow;
+    const int status =
+        dal_flow_new(&flow, motion->system, chosen->method, DAL_FLOW_X,
+                     chosen->tolerance != 0.0 ? chosen->tolerance : DAL_FLOW_TOLERANCE, error);
+    if (!status) *method = flow;
+    return status;
+}
+
+static void release(void *method) { dal_flow_free(method); }
+
+static void start(void *method, dal_motion *motion)
+{
+    (void)motion;
+    dal__flow_forget(method);
+}
+
+/* The flow has no multiplier of its own. */
+static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
+{
+    const size_t m = dal_system_m(motion->system);
+    int status = DAL_SUCCESS;
+    dal_flow_watch(method, motion->watch, motion->watch_ctx);
+    for (*done = 0; !status && *done < steps; *done += !status)
+        status = dal__flow_step(method, motion->t0, motion->h, motion->steps + *done, motion->x);
+    for (size_t a = 0; a < m; a++) motion->impulse[a] = (double)NAN;
+    motion->stats->evaluations = dal_flow_evaluations(method);
+    if (status) *motion->error = *dal__flow_error(method);
+    return status;
+}
+
+static size_t save(const void *method, double *values)
+{
+    const double *const inner = dal__flow_inner((dal_flow *)method);
+    if (inner && values) *values = *inner;
+    return inner ? 1 : DAL_NOT_RESUMABLE;
+}
+
+static void restore(void *method, const double *values) { *dal__flow_inner(method) = *values; }
+
+const dal_family dal__family_flow = {
+    .name = "flow",
+    .schemes = records,
+    .count = DAL_LENGTH(records),
+    .no_reaction = 1,
+    .make = make,
+    .free = release,
+    .start = start,
+    .advance = advance,
+    .save = save,
+    .restore = restore,
+};
