@@ -13,8 +13,10 @@ True
 
 import logging
 
-from . import _lib, geometry, pages, plot, report, systems
-from ._lib import (
+from . import compiler, core, geometry, growth, pages, report, systems
+from .core import pointers
+from .show import plot
+from .core import (
     ConvergenceError,
     DalembertError,
     DalembertWarning,
@@ -22,19 +24,23 @@ from ._lib import (
     NotOnConstraintError,
     SingularError,
 )
-from .chart import Chart
+from .geometry import Chart, Check, Difference
 from .discrete import DifferenceMap, Discrete, NodeRun, Regularity, exact_velocity
-from .embeddings import Embedding, embedding
-from .examination import Check, Difference
-from .integration import Reference, integrate, reference
-from .refinement import convergence, studies
-from .scheme import Scheme, schemes
-from .solution import Solution, States, Statistics
-from .study import Fit, Studies, Study
-from .symbolic import coordinates
+from .run import (
+    Reference,
+    Scheme,
+    Solution,
+    States,
+    Statistics,
+    integrate,
+    reference,
+    schemes,
+)
+from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
+from .symbolic.given import coordinates
 from .system import System
 
-__version__ = _lib.version()
+__version__ = core.version()
 
 __all__ = [
     "Chart",

@@ -15,12 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from . import _lib, extras, files, formula, growth, plot, systems, web
-from ._lib import Array
-from .examination import Check
-from .integration import integrate
-from .solution import Solution
-from .system import System, require_system
+from . import core, formula, growth, systems, web
+from .core import extras, files
+from .show import plot
+from .core import Array
+from .geometry.examination import Check
+from .run.integration import integrate
+from .run.solution import Solution
+from .core import require_system
+from .system import System
 from .table import number
 
 __all__ = ["available", "page", "write"]
@@ -188,7 +191,7 @@ def _slug(system: System) -> str:
 def _run(system: System, scheme: str, h: float) -> Solution:
     """Return a run, or as much of it as there is."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", _lib.DalembertWarning)  # the page shows what it would say
+        warnings.simplefilter("ignore", core.DalembertWarning)  # the page shows what it would say
         return integrate(system, scheme, h=h, t_end=END, throw=False)
 
 
@@ -582,7 +585,7 @@ def _draw_residual(run: Solution, ax: Any) -> None:
     """The residual of D on a logarithmic axis, the largest of each stretch."""
     ax.plot(*plot._stretches(run.t, run.residual), color=plot.COLOURS[2], linewidth=1.2)
     ax.set_yscale("log")
-    ax.axhline(_lib.ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)))
+    ax.axhline(core.ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)))
     ax.set_ylim(plot.ZERO / 4, max(plot.NOT_ROUNDOFF, 2 * float(run.residual.max())))
     ax.set_yticks([1e-16, 1e-12, 1e-8])
     ax.set_ylabel("residual of $D$" if run.system.m else "(no constraints)")
@@ -708,11 +711,11 @@ def quoted(text: str) -> str:
 
 def _links(system: System, names: Sequence[str]) -> str:
     if not names:
-        return f"<nav>dalembert {_lib.version()}</nav>"
+        return f"<nav>dalembert {core.version()}</nav>"
     k = list(names).index(_slug(system))
     links = ['<a href="index.html">catalogue</a>']
     if k > 0:
         links.append(f'before: <a href="{names[k - 1]}.html">{names[k - 1]}</a>')
     if k + 1 < len(names):
         links.append(f'next: <a href="{names[k + 1]}.html">{names[k + 1]}</a>')
-    return f"<nav>{' | '.join(links)} | dalembert {_lib.version()}</nav>"
+    return f"<nav>{' | '.join(links)} | dalembert {core.version()}</nav>"

@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from . import _lib, files, plot, web
-from .integration import integrate
-from .solution import Solution
-from .study import Studies, Study
+from . import core, web
+from .core import files
+from .show import plot
+from .run.integration import integrate
+from .run.solution import Solution
+from .study.study import Studies, Study
 from .table import studies_html, study_html
 
 __all__ = ["write"]
@@ -131,7 +133,7 @@ def _run(study: Study) -> Solution:
     try:
         with warnings.catch_warnings():
             # The pictures show what the warning would say.
-            warnings.simplefilter("ignore", _lib.DalembertWarning)
+            warnings.simplefilter("ignore", core.DalembertWarning)
             return integrate(
                 study.system,
                 study.scheme,
@@ -142,7 +144,7 @@ def _run(study: Study) -> Solution:
                 steps=400,
                 initial=initial,
             )
-    except _lib.DalembertError as error:
+    except core.DalembertError as error:
         if error.partial is None:
             raise
         return error.partial
@@ -250,7 +252,7 @@ def _reproduce(studies: Studies) -> str:
     digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
     parameters = ", ".join(f"{key} = {x!r}" for key, x in data["parameters"].items()) or "none"
     versions = (
-        f"dalembert {_lib.version()}, Python "
+        f"dalembert {core.version()}, Python "
         f"{platform.python_version()}, NumPy {np.__version__}, matplotlib "
         f"{matplotlib.__version__}, {platform.machine()}"
     )

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TextIO
 
-from . import arguments
-from ._lib import Array
+from .core import arguments
+from .core import Array
 
 if TYPE_CHECKING:
-    from .study import Fit, Studies, Study
+    from .study.study import Fit, Studies, Study
 
 __all__ = [
     "Column",

@@ -16,7 +16,7 @@ import mpmath
 import sympy
 
 import dalembert as dal
-from dalembert import expressions
+from dalembert.symbolic import expressions
 
 TIMES = (1, 10)
 WORKING, WRITTEN, AGREED = 45, 30, 33

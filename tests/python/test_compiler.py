@@ -20,7 +20,8 @@ import pytest
 import sympy
 
 import dalembert as dal
-from dalembert import cli, codegen, compiler
+from dalembert import cli, compiler
+from dalembert.symbolic import codegen
 
 SOURCE_ROOT = Path(__file__).parents[2]
 
@@ -50,7 +51,7 @@ def compiled(monkeypatch):
 
 def forget():
     """As in a new process."""
-    compiler._libraries.clear()
+    compiler.coreraries.clear()
 
 
 def slide(k=1):
@@ -122,7 +123,7 @@ def test_other_versions_are_made_again(cache, compiled, what, monkeypatch, tmp_p
     slide()
     forget()
     if what == "version":
-        monkeypatch.setattr(compiler._lib, "version", lambda: "99.0.0")
+        monkeypatch.setattr(compiler.core, "version", lambda: "99.0.0")
     if what == "flags":
         monkeypatch.setattr(compiler, "FLAGS", (*compiler.FLAGS, "-g"))
     if what == "compiler":

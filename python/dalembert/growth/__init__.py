@@ -11,20 +11,19 @@ import dataclasses
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from .. import extras
-from .._lib import Array
+from ..core import extras
+from ..core import Array, Handle
 from . import functions
 from .search import Distribution, is_settled
 
 if TYPE_CHECKING:
-    from ..model import Model
-    from ..system import System
+    from ..symbolic.model import Model
 
 __all__ = ["Distribution", "examine", "is_settled"]
 
 
 def examine(
-    system: System,
+    system: Handle,
     near: Array,
     q: Array | None = None,
     show: Callable[[int], Any] = lambda found: None,
@@ -59,13 +58,13 @@ def examine(
     return algebra.examine(model, system.parameters, near, q, show)
 
 
-def _model(system: System, near: Array) -> Model | None:
+def _model(system: Handle, near: Array) -> Model | None:
     """Return the expressions of a system, or those of its formulas if they say what it is."""
-    if system._symbolic is not None:
-        return system._symbolic.model
+    if system._model is not None:
+        return system._model
     if not system.formulas or not extras.is_there("sympy"):
         return None
-    from .. import expressions
+    from ..symbolic import expressions
 
     with contextlib.suppress(ValueError, ArithmeticError):  # formulas may be for readers only
         model = expressions.model(system)

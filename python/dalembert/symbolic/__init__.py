@@ -1,0 +1,1 @@
+"""From formulas to functions in C or Python."""

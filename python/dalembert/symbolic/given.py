@@ -1,0 +1,676 @@
+"""Systems from SymPy: what users write on paper, taken apart into a `model.Model`.
+
+SymPy is needed only when something here is called.
+"""
+
+from __future__ import annotations
+
+import functools
+import keyword
+import math
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core import arguments, extras
+from ..core import Array, DalembertWarning
+
+if TYPE_CHECKING:
+    from ..compiler import Library
+    from .model import Model
+
+__all__ = [
+    "Symbolic",
+    "c_identifier",
+    "coordinates",
+    "from_method",
+    "from_system",
+    "initial_data",
+    "is_expressions",
+    "make_model",
+    "mapping",
+    "parameter_value",
+    "require_assumed",
+]
+
+Expr = Any
+
+_WITHOUT_COMPILER = (
+    "no C compiler was found ({where}), so the system {name!r} runs on Python functions: a step "
+    "takes 30 to 300 times as long; install gcc or clang, or set CC"
+)
+
+
+def _sympy() -> Any:
+    return extras.require("sympy", "a system from expressions")
+
+
+def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
+    """Return coordinates, SymPy symbols with a velocity ``.d`` each.
+
+    Parameters
+    ----------
+    names : str or sequence of str
+        As for ``sympy.symbols``: separated by commas or spaces; ``"q1:4"`` is q1, q2, q3.
+
+    Returns
+    -------
+    tuple of model.Coordinate
+        Calls with the same names make equal symbols.  Those of one name and different calls are
+        different to SymPy, but the same coordinate of a system.
+
+    Raises
+    ------
+    ImportError
+        If SymPy is not installed.
+    ValueError
+        If there are no names, or one is there twice.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> x, y = dal.coordinates("x y")
+    >>> x.d * y
+    y*x.d
+    """
+    sympy = _sympy()
+    from .model import make_coordinates
+
+    if isinstance(names, str):
+        try:
+            words = [s.name for s in sympy.symbols(names, seq=True)] if names.strip() else []
+        except ValueError as error:
+            raise ValueError(f"names = {names!r}: {error}") from None
+    else:
+        words = _several(names, "names")
+    for word in words:
+        arguments.text(word, "names")
+    if not words or len(set(words)) != len(words):
+        raise ValueError(f"names = {names!r}: expected different names, at least one")
+    return make_coordinates(words)
+
+
+# ---- what was given ----------------------------------------------------------------------------
+
+
+def make_model(
+    L: Expr,
+    constraints: Any,
+    coordinates: Iterable[Any] | None,
+    parameters: Mapping[Any, Any] | None,
+    force: Any,
+    state: Sequence[Any] | None,
+    exact: Any,
+    invariants: Mapping[str, Any] | None,
+) -> tuple[Model, dict[str, float]]:
+    """Return the model, and the values of its parameters; ValueError if something is left over."""
+    sympy = _sympy()
+    from . import model as models
+
+    L = _expression(L, "L")
+    given = _constraints(constraints)
+    forces = None if force is None else _force(force)
+    pairs = _pairs(coordinates, L, [*_flat(given), *(forces or {}).values(), *(forces or {})])
+    n = len(pairs)
+    names = [name for name, _, _ in pairs]
+    if n == 0:
+        raise ValueError("coordinates: needed, there are none in L")
+    if len(set(names)) != n:
+        raise ValueError(f"coordinates = {names}: expected different names")
+    values, symbols = _parameters(parameters)
+    if both := sorted(values.keys() & set(names)):
+        raise ValueError(f"parameters: {both[0]} is a coordinate; expected another name")
+
+    q, v = models.canonical("q", n), models.canonical("v", n)
+    rule = dict(zip(symbols, models.canonical("p", len(symbols))))
+    used = {symbol.name: {symbol} for symbol in symbols}
+    velocities = {velocity: v[i] for i, (_, _, velocity) in enumerate(pairs)}
+    positions = {position: q[i] for i, (_, position, _) in enumerate(pairs)}
+    times = [q.args[0] for _, q, _ in pairs if not q.is_Symbol]
+    time = times[0] if times else sympy.Symbol("t")
+
+    # symbols of the same name, of other calls of dalembert.coordinates
+    called = models.Coordinate | models.Velocity
+    pairing = {**positions, **velocities}.items()
+    same = {_kind_and_name(s): c for s, c in pairing if isinstance(s, called)}
+
+    def translate(expression: Expr, where: str, with_time: bool = False) -> Expr:
+        if expression.has(sympy.Derivative):
+            _refuse_rates(expression, where)
+        made = expression.atoms(models.Coordinate, models.Velocity)
+        found = expression.xreplace({s: same[k] for s in made if (k := _kind_and_name(s)) in same})
+        if found.has(sympy.Derivative):
+            found = found.doit()
+        unknown = {d for d in found.atoms(sympy.Derivative) if d not in velocities}
+        if unknown:
+            raise ValueError(f"{where}: {unknown.pop()} is no velocity of a coordinate")
+        matching = _matching(found, rule)
+        for symbol in matching:
+            used[symbol.name].add(symbol)
+        found = found.xreplace({**positions, **velocities, **matching})
+        allowed = {*q, *v, *rule.values()}
+        if with_time:
+            found = found.xreplace({time: models.TIME})
+            allowed.add(models.TIME)
+        names_of = {c: s for s, c in (positions | velocities | matching).items()}
+        models.require_known(found, where, lambda e: e.xreplace(names_of))
+        left = sorted(str(s) for s in found.free_symbols - allowed)
+        if str(time) in left:
+            raise ValueError(
+                f"{where}: the time {time} is left over; only a force may depend on it"
+            )
+        if twins := [name for name in left if name.removesuffix(".d") in names]:
+            raise ValueError(
+                f"{where}: this {twins[0]} is another symbol than that of the coordinates; "
+                "expected the very one of dalembert.coordinates, or that given in coordinates="
+            )
+        if left:
+            raise ValueError(
+                f"{where}: {', '.join(left)} is neither a coordinate ({', '.join(names)}) nor a "
+                f"parameter ({', '.join(values) or 'there are none'})"
+            )
+        return found
+
+    phi = []
+    for a, constraint in enumerate(given):
+        where = f"constraints[{a}]"
+        if isinstance(constraint, list):
+            if len(constraint) != n:
+                raise ValueError(f"{where}: expected {n} coefficients, got {len(constraint)}")
+            phi.append(sympy.Add(*(translate(c, where) * v[i] for i, c in enumerate(constraint))))
+        else:
+            phi.append(translate(constraint, where))
+    if len(phi) >= n:
+        raise ValueError(f"constraints: {len(phi)} on {n} coordinates; expected fewer")
+    components = None
+    if forces is not None:
+        components = [sympy.Integer(0)] * n
+        for key, expression in forces.items():
+            position = positions.get(key, same.get(_kind_and_name(key)))
+            if position not in q:
+                raise ValueError(f"force: {key} is no coordinate ({', '.join(names)})")
+            components[q.index(position)] += translate(expression, f"force[{key}]", True)
+
+    def several(given: Any, name: str, count: int, with_time: bool = False) -> Any:
+        found = [_expression(e, name) for e in _several(given, name)]
+        if len(found) != count:
+            raise ValueError(f"{name}: expected {count} expressions, got {len(found)}")
+        return tuple(translate(e, f"{name}[{i}]", with_time) for i, e in enumerate(found))
+
+    found_state = None if state is None else several(state, "(q0, v0)", 2 * n)
+    if found_state is not None:
+        for e in found_state:
+            if e.free_symbols - set(rule.values()):
+                raise ValueError(f"(q0, v0): {e}: expected numbers, or expressions of parameters")
+    return (
+        models.Model(
+            coordinates=tuple(names),
+            parameters=tuple(values),
+            L=translate(L, "L"),
+            constraints=tuple(phi),
+            force=None if components is None else tuple(components),
+            state=found_state,
+            exact=None if exact is None else several(exact, "exact", 2 * n, True),
+            invariants=tuple(
+                translate(_expression(e, key), f"invariants[{key!r}]")
+                for key, e in (invariants or {}).items()
+            ),
+            assumptions=tuple(_assumed(used[name]) for name in values),
+        ),
+        values,
+    )
+
+
+def _kind_and_name(symbol: Expr) -> tuple[type, str]:
+    """Return what the same coordinate, or velocity, has in common in all calls."""
+    return type(symbol), str(symbol)
+
+
+def _refuse_rates(expression: Expr, where: str) -> None:
+    """Raise ValueError for Derivative(x, t) of a coordinate with a velocity x.d: it would be 0."""
+    from .model import Coordinate
+
+    for rate in expression.atoms(_sympy().Derivative):
+        found = sorted(rate.expr.atoms(Coordinate), key=str)
+        if found and not all(isinstance(s, Coordinate) for s in rate.variables):
+            raise ValueError(f"{where}: {rate}: write {found[0].d} for the velocity of {found[0]}")
+
+
+def initial_data(q0: Any, v0: Any) -> Any:
+    """Return (q0, v0) as one array of numbers; as a list, if there are expressions in it."""
+    if q0 is None or v0 is None:
+        raise ValueError("q0 and v0: expected both or none")
+    both = [*_several(q0, "q0"), *_several(v0, "v0")]
+    if any(getattr(x, "free_symbols", None) for x in both):
+        return both
+    return np.array([parameter_value(x, "(q0, v0)") for x in both])
+
+
+def mapping(given: Any, name: str) -> dict[Any, Any]:
+    """Return a mapping that was given, or an empty one for None; ValueError for anything else."""
+    if not isinstance(given, Mapping | None):
+        raise ValueError(f"{name} = {given!r}: expected a mapping")
+    return dict(given or {})
+
+
+def is_expressions(value: Any) -> bool:
+    """Return whether something is given by expressions, and not by a function of the user."""
+    return value is not None and (not callable(value) or hasattr(value, "free_symbols"))
+
+
+def _expression(value: Any, name: str) -> Expr:
+    """Return one expression."""
+    sympy = _sympy()
+    if isinstance(value, str):
+        raise ValueError(f"{name} = {value!r}: expected a SymPy expression, not a text")
+    try:
+        found = sympy.sympify(value)
+    except (sympy.SympifyError, TypeError) as error:
+        raise ValueError(f"{name} = {value!r}: expected a SymPy expression") from error
+    if isinstance(found, sympy.MatrixBase) and found.shape == (1, 1):
+        found = found[0]
+    if not isinstance(found, sympy.Expr):
+        raise ValueError(f"{name} = {value!r}: expected a SymPy expression")
+    return found
+
+
+def _constraints(given: Any) -> list[Any]:
+    """Return for each constraint an expression that vanishes, or a list of n coefficients."""
+    sympy = _sympy()
+    if given is None:
+        return []
+    if isinstance(given, sympy.MatrixBase):
+        if given.shape[1] > 1:  # one-forms
+            rows = range(given.shape[0])
+            return [[given[i, j] for j in range(given.shape[1])] for i in rows]
+        given = list(given)
+    if isinstance(given, sympy.Expr | sympy.Eq):
+        given = [given]
+    found: list[Any] = []
+    for a, one in enumerate(_several(given, "constraints")):
+        where = f"constraints[{a}]"
+        if isinstance(one, sympy.Eq):
+            found.append(_expression(one.lhs - one.rhs, where))
+        elif isinstance(one, list | tuple | sympy.Tuple | sympy.MatrixBase | np.ndarray):
+            found.append([_expression(c, where) for c in one])
+        elif one is True or one is False or one in (sympy.true, sympy.false):
+            raise ValueError(f"{where} = {one}: an equation that does not depend on anything")
+        else:
+            found.append(_expression(one, where))
+    return found
+
+
+def _several(given: Any, name: str) -> list[Any]:
+    """Return what was given one after another; ValueError if it was not."""
+    if isinstance(given, str | bytes) or not isinstance(given, Iterable):
+        raise ValueError(f"{name} = {given!r}: expected a sequence")
+    return list(given)
+
+
+def _flat(given: Iterable[Any]) -> list[Expr]:
+    return [e for one in given for e in (one if isinstance(one, list) else [one])]
+
+
+def _force(given: Any) -> dict[Expr, Expr]:
+    """Return the components of a force that are given, by the coordinate."""
+    sympy, found = _sympy(), {}
+    for key, value in mapping(given, "force").items():
+        if not isinstance(key, sympy.Expr):
+            raise ValueError(f"force: {key!r}: expected a coordinate, as the key of its component")
+        found[key] = _expression(value, f"force[{key}]")
+    return found
+
+
+def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Expr]]:
+    """Return name, symbol and velocity of each coordinate, as given or as they occur.
+
+    A function of time is a coordinate if it occurs in L; elsewhere it may be an input.
+    """
+    sympy = _sympy()
+    from sympy.core.function import AppliedUndef
+
+    from .model import Coordinate, Velocity, in_order
+
+    if given is None:
+        made = set().union(*(e.atoms(Coordinate) for e in [L, *others]))
+        moving = set().union(*(e.atoms(Velocity) for e in [L, *others]))
+        made |= {v.coordinate for v in moving}
+        functions = L.atoms(AppliedUndef)
+        moved = {f for f in functions if len(f.args) == 1 and _is_time(f.args[0])}
+        given = [*in_order(made), *sorted(moved, key=str)]
+    elif isinstance(given, Mapping):
+        given = list(given.items())
+    found = []
+    for one in _several(given, "coordinates"):
+        if isinstance(one, Coordinate):
+            found.append((one.name, one, one.d))
+        elif isinstance(one, AppliedUndef) and len(one.args) == 1:
+            found.append((str(one.func), one, sympy.Derivative(one, one.args[0])))
+        elif isinstance(one, list | tuple | sympy.Tuple) and len(one) == 2:
+            q, v = one
+            symbols = sympy.Symbol | AppliedUndef
+            if not isinstance(q, symbols) or not isinstance(v, symbols | sympy.Derivative):
+                raise ValueError(f"coordinates: {one!r}: expected a pair of symbols")
+            found.append((str(q.func) if isinstance(q, AppliedUndef) else q.name, q, v))
+        else:
+            raise ValueError(
+                f"coordinates: {one!r}: expected one of dalembert.coordinates, a dynamicsymbol, "
+                "or a pair of symbols (q, v)"
+            )
+    return found
+
+
+def _is_time(argument: Expr) -> bool:
+    """Return whether a function of this is a coordinate; of a coordinate it is none."""
+    from .model import Coordinate
+
+    return bool(argument.is_Symbol) and not isinstance(argument, Coordinate)
+
+
+def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list[Expr]]:
+    """Return the values of parameters by name, and their symbols."""
+    sympy = _sympy()
+    values, symbols = {}, []
+    for key, value in mapping(given, "parameters").items():
+        symbol = sympy.Symbol(key) if isinstance(key, str) else key
+        if not isinstance(symbol, sympy.Symbol):
+            raise ValueError(f"parameters: {key!r}: expected a symbol, or its name")
+        if symbol.name in values:
+            raise ValueError(f"parameters: {symbol.name} is there twice")
+        values[arguments.text(symbol.name, "parameters")] = parameter_value(value, symbol.name)
+        symbols.append(symbol)
+    return values, symbols
+
+
+def parameter_value(value: Any, name: str) -> float:
+    """Return the value of a parameter; ValueError if it is no finite number."""
+    try:
+        return arguments.number(float(value) if hasattr(value, "is_number") else value, name)
+    except TypeError:
+        raise ValueError(f"{name} = {value!r}: expected a real number") from None
+
+
+def _matching(expression: Expr, rule: dict[Expr, Expr]) -> dict[Expr, Expr]:
+    """Return the rule for the symbols of an expression: equal names, whatever the assumptions."""
+    from .model import Coordinate, Velocity
+
+    by_name = {symbol.name: canonical for symbol, canonical in rule.items()}
+    return {
+        symbol: by_name[symbol.name]
+        for symbol in expression.free_symbols
+        if symbol.name in by_name and not isinstance(symbol, Coordinate | Velocity)
+    }
+
+
+# What SymPy uses of a symbol when it simplifies, and so has to hold of its value; the first that
+# does not is named, so the stronger ones stand first.
+_ASSUMED: dict[str, tuple[str, Callable[[float], bool]]] = {
+    "positive": ("a positive number", lambda x: x > 0),
+    "negative": ("a negative number", lambda x: x < 0),
+    "nonnegative": ("a number >= 0", lambda x: x >= 0),
+    "nonpositive": ("a number <= 0", lambda x: x <= 0),
+    "nonzero": ("a number other than 0", lambda x: x != 0),
+    "integer": ("a whole number", lambda x: x == math.floor(x)),
+}
+
+
+def _assumed(symbols: Iterable[Expr]) -> tuple[str, ...]:
+    """Return what is assumed of any of some symbols for the same parameter."""
+    return tuple(word for word in _ASSUMED if any(getattr(s, f"is_{word}") for s in symbols))
+
+
+def require_assumed(model: Model, values: Mapping[str, float]) -> None:
+    """Raise ValueError if the value of a parameter is not what its symbol assumes."""
+    for (name, value), words in zip(values.items(), model.assumptions):
+        for word in words:
+            expected, holds = _ASSUMED[word]
+            if not holds(value):
+                raise ValueError(f"{name} = {value:.15g}: expected {expected}")
+
+
+# ---- sympy.physics.mechanics -------------------------------------------------------------------
+
+
+def _refuse_kane(value: Any) -> None:
+    from sympy.physics.mechanics import KanesMethod
+
+    if isinstance(value, KanesMethod):
+        raise ValueError(
+            "a KanesMethod holds no Lagrangian, and its constraints only after elimination; pass "
+            "sympy.physics.mechanics.Lagrangian(frame, *bodies) and the velocity constraints to "
+            "System.from_sympy, or the mechanics.System to System.from_mechanics_system"
+        )
+
+
+def from_method(method: Any) -> dict[str, Any]:
+    """Return the arguments of from_sympy for a LagrangesMethod."""
+    _sympy()
+    from sympy.physics.mechanics import LagrangesMethod
+
+    _refuse_kane(method)
+    if not isinstance(method, LagrangesMethod):
+        raise ValueError(f"lm = {method!r}: expected a sympy.physics.mechanics.LagrangesMethod")
+    _refuse_holonomic(method._hol_coneqs)
+    q = list(method.q)
+    return {
+        "L": method._L[0],
+        "constraints": list(method.coneqs),
+        "coordinates": q,
+        "force": _generalized(method.forcelist, method.inertial, q, {}),
+    }
+
+
+def from_system(system: Any) -> dict[str, Any]:
+    """Return the arguments of from_sympy for a mechanics.System."""
+    sympy = _sympy()
+    from sympy.physics import mechanics
+
+    _refuse_kane(system)
+    if not isinstance(system, mechanics.System):
+        raise ValueError(f"system = {system!r}: expected a sympy.physics.mechanics.System")
+    _refuse_holonomic(system.holonomic_constraints)
+    if len(system.u_aux):
+        raise ValueError(f"auxiliary speeds {list(system.u_aux)}: there is no slot for them")
+    q, time = list(system.q), mechanics.dynamicsymbols._t
+    speeds = [u for u in system.u if not isinstance(u, sympy.Derivative)]
+    # the generalized speeds by the velocities: kinematic differential equations are linear in them
+    rule = {}
+    if speeds:
+        if len(system.kdes) == 0:
+            raise ValueError(f"speeds {speeds}: expected kinematic differential equations (kdes)")
+        A, b = sympy.linear_eq_to_matrix(list(system.kdes), speeds)
+        rule = dict(zip(speeds, A.LUsolve(b)))
+    loads = [*system.loads, *(load for act in system.actuators for load in act.to_loads())]
+    constraints = [*system.nonholonomic_constraints]
+    if len(system.velocity_constraints) > len(constraints):
+        constraints = list(system.velocity_constraints)
+    L = mechanics.Lagrangian(system.frame, *system.bodies)
+    return {
+        "L": L.subs(rule).doit() if rule else L,
+        "constraints": [c.subs(rule) for c in constraints],
+        "coordinates": q,
+        "force": _generalized(loads, system.frame, q, rule, [x.diff(time) for x in q]),
+    }
+
+
+def _refuse_holonomic(constraints: Any) -> None:
+    found = [c for c in (constraints or []) if c != 0]
+    if found:
+        raise ValueError(
+            f"the holonomic constraint {found[0]} = 0: there is no slot for constraints on the "
+            "coordinates; choose coordinates that satisfy it, or give its time derivative as a "
+            "velocity constraint, which then is kept, while the coordinates drift"
+        )
+
+
+def _generalized(
+    loads: Iterable[Any],
+    frame: Any,
+    q: list[Expr],
+    rule: dict[Expr, Expr],
+    velocities: list[Expr] | None = None,
+) -> dict[Expr, Expr] | None:
+    """Return the generalized force of forces on points and torques on frames; None without any."""
+    from sympy.physics.mechanics import Point, dynamicsymbols
+
+    loads = list(loads or [])
+    if not loads:
+        return None
+    if frame is None:
+        raise ValueError("forcelist without frame: the inertial frame is needed for its forces")
+    found = dict.fromkeys(q, 0)
+    for place, vector in loads:
+        at = place.vel(frame) if isinstance(place, Point) else place.ang_vel_in(frame)
+        for x in q:
+            rate = x.diff(dynamicsymbols._t)
+            for u, expression in {rate: rate, **rule}.items():
+                slope = expression.diff(rate)
+                if slope != 0 and (u == rate or at.free_dynamicsymbols(frame)):
+                    found[x] += slope * at.diff(u, frame, var_in_dcm=False).dot(vector)
+    return {x: e.subs(rule).doit() if rule else e for x, e in found.items()}
+
+
+# ---- a system from a model ---------------------------------------------------------------------
+
+
+class Symbolic:
+    """What a `System` that was made from expressions knows besides its C side."""
+
+    def __init__(self, model: Model, values: dict[str, float]) -> None:
+        self.model = model
+        self.values = values
+        self.parameters = np.array(list(values.values()), dtype=float)
+
+    def bound(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function of the user with the values of the parameters as keywords."""
+        return functools.partial(function, **self.values)
+
+    def library(self) -> Library | None:
+        """Return the compiled model; None if there is no compiler."""
+        from .. import compiler
+        from . import codegen
+        from .model import default_engine
+
+        def program() -> tuple[str, Callable[[int], str]]:
+            made = codegen.program(self.model)
+            return made.source, compiler.origin_of(made, self.model.shown)
+
+        return compiler.library(self.model.key, default_engine(), program)
+
+    def matrix(self, library: Library | None, name: str, shape: tuple[int, ...]) -> Array | None:
+        """Return what depends on the parameters alone, mass or state; None if there is none."""
+        found = np.full(shape, np.nan)
+        if library is not None:
+            if not library.has(name):
+                return None
+            library.evaluate(name, self.parameters, found)
+        else:
+            functions = list(self.model.callables(name).values())
+            if not functions:
+                return None
+            n = self.model.n
+            found[...] = np.reshape(functions[0](*np.zeros((2, n)), self.parameters), shape)
+        if not np.isfinite(found).all():
+            values = ", ".join(f"{key} = {x:g}" for key, x in self.values.items())
+            raise ValueError(f"parameters: the {name} is not finite for {values}")
+        return found
+
+    def in_python(self) -> dict[str, Any]:
+        """Return the arguments of System that make it from Python functions."""
+        derived, n, m = self.model.derived, self.model.n, self.model.m
+        p = self.parameters
+        found: dict[str, Any] = {}
+
+        def two(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
+            return lambda q, v: np.reshape(function(q, v, p), shape)
+
+        def one(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
+            zero = np.zeros(n)
+            return lambda q: np.reshape(function(q, zero, p), shape)
+
+        potential = self.model.callables("potential")
+        if potential:
+            found["potential"] = lambda q: float(potential["V"](q, q, p)[0])
+            found["gradient"] = one(potential["V_q"], n)
+            found["hessian"] = one(potential["V_qq"], n, n)
+        lagrangian = self.model.callables("lagrangian")
+        if lagrangian:
+            found["lagrangian"] = lambda q, v: float(lagrangian["L"](q, v, p)[0])
+            for key, shape in (("q", (n,)), ("v", (n,)), ("qq", (n, n)), ("vq", (n, n)),
+                               ("vv", (n, n))):  # fmt: skip
+                found[f"lagrangian_{key}"] = two(lagrangian[f"L_{key}"], *shape)
+        constraint = self.model.callables("constraint")
+        if constraint and derived.kind == "nonlinear":
+            found["constraint"] = two(constraint["phi"], m)
+            found["constraint_v"] = two(constraint["phi_v"], m, n)
+            found["constraint_q"] = two(constraint["phi_q"], m, n)
+        elif constraint:
+            found["forms"] = one(constraint["phi_v"], m, n)
+            slope = constraint["phi_q"]
+            found["forms_velocity_derivative"] = two(slope, m, n)
+            if derived.kind == "affine":
+                found["affine"] = one(constraint["phi"], m)
+                found["affine_derivative"] = one(slope, m, n)
+                found["forms_velocity_derivative"] = lambda q, v: np.reshape(
+                    np.subtract(slope(q, v, p), slope(q, np.zeros(n), p)), (m, n)
+                )
+        force = self.model.callables("force")
+        for key, function in force.items():
+            shape = (n,) if key == "f" else (n, n)
+            found[key.replace("f", "force", 1)] = (
+                lambda t, q, v, function=function, shape=shape: np.reshape(
+                    function(t, q, v, p), shape
+                )
+            )
+        if self.model.exact is not None:
+            exact = self.model.callables("exact")["x"]
+            found["exact"] = lambda t, q, v: np.split(np.array(exact(t, q, v, p)), 2)
+        return found
+
+    def invariants(
+        self, given: dict[str, Callable[..., Any] | None]
+    ) -> dict[str, Callable[..., Any]]:
+        """Return all first integrals as Python functions of (q, v); None: the next expression."""
+        values = self.model.callables("invariant").get("values")
+        found: dict[str, Callable[..., Any]] = {}
+        i = 0
+        for name, function in given.items():
+            arguments.function(function, name)
+            if function is not None:
+                found[name] = self.bound(function)
+            elif values is not None:
+                found[name] = lambda q, v, i=i: float(values(q, v, self.parameters)[i])
+                i += 1
+        return found
+
+    def warn(self, name: str) -> None:
+        """Say what it costs that there is no compiler."""
+        where = f"CC = {os.environ['CC']}" if os.environ.get("CC") else "cc, gcc, clang"
+        text = _WITHOUT_COMPILER.format(where=where, name=name)
+        warnings.warn(text, DalembertWarning, stacklevel=2 + _depth())
+
+
+def _depth() -> int:
+    """Return how many calls of this package lie between its caller and the user."""
+    frame, depth = sys._getframe(1), 0
+    while frame.f_back is not None and frame.f_globals.get("__package__") == __package__:
+        frame, depth = frame.f_back, depth + 1
+    return depth - 1
+
+
+def c_identifier(name: str | None, default: str) -> str:
+    """Return a name for C; ValueError if the one given is none."""
+    if name is None:
+        plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in default)
+        return plain if plain[:1].isalpha() else f"model_{plain}"
+    if not isinstance(name, str) or not name.isascii() or not name.isidentifier():
+        raise ValueError(f"name = {name!r}: expected a C identifier")
+    if keyword.iskeyword(name) or name.startswith("_"):
+        raise ValueError(f"name = {name!r}: expected a C identifier that is not reserved")
+    return name
+
+

@@ -1,0 +1,3 @@
+"""The systems that users make."""
+
+from .system import System
