@@ -37,7 +37,7 @@ from .run import (
     schemes,
 )
 from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
-from .symbolic.given import coordinates
+from .symbolic import coordinates
 from .system import System
 
 __version__ = core.version()

@@ -178,12 +178,9 @@ def _headers() -> dict[str, str]:
 
 @functools.cache
 def _generator() -> str:
-    """Return a digest of all that turns a model into C, headers and versions included."""
+    """Return a digest of what compiles: this module, the headers, the library and the flags."""
     digest = hashlib.sha256(repr((core.version(), FLAGS, platform.machine())).encode())
-    here = importlib.resources.files(__package__)
-    for name in ("model.py", "zeros.py", "pattern.py", "codegen.py"):
-        digest.update(here.joinpath("symbolic", name).read_bytes())
-    digest.update(here.joinpath("compiler.py").read_bytes())
+    digest.update(Path(__file__).read_bytes())
     for name, text in _headers().items():
         digest.update(f"{name}\n{text}".encode())
     return digest.hexdigest()

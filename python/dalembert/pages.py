@@ -410,7 +410,7 @@ def _invariants(system: System, runs: Sequence[Solution]) -> str:
 def _invariant(system: System, name: str) -> str:
     """An invariant by its name; if there are shorthands in it, by its expression too."""
     shown = _cell(name, system)
-    model = None if system._symbolic is None else system._symbolic.model
+    model = system._model
     if model is None or len(model.invariants) != len(system.invariants):
         return shown
     try:
@@ -438,7 +438,7 @@ def _drift(values: Array) -> str:
 
 def _known_states(system: System) -> tuple[systems.KnownState, ...]:
     """The states to 30 digits, of a system of the library with its own parameters."""
-    if not system._of_library or systems.get(system.name).parameters != system.parameters:
+    if not system._source.of_library or systems.get(system.name).parameters != system.parameters:
         return ()
     return systems.known_states(system.name)
 
@@ -619,7 +619,7 @@ def _caption(system: System, run: Solution) -> str:
 
 
 def _reproduce(system: System, run: Solution) -> str:
-    if not system._of_library:
+    if not system._source.of_library:
         return (
             "<h2>How to make it</h2>\n<p>The system is one of the user's own: the program that "
             "made it belongs to this page.</p>"
@@ -629,7 +629,7 @@ def _reproduce(system: System, run: Solution) -> str:
         for name, q, v in zip(system.coordinates, run.q[-1], run.v[-1])
     )
     compiled = ""
-    if system._symbolic is not None:
+    if system._model is not None:
         compiled = (
             "<p>The C file of the system is written by Python, <code>system.c_source()</code>; "
             "compile it together with this:</p>"
@@ -664,7 +664,7 @@ def c_lines(system: System) -> str:
     changed = _changed(system)
     declare = ""
     names = values = "NULL"
-    if changed and system._symbolic is None:
+    if changed and system._model is None:
         names, values = "names", "values"
         declare = (
             f"    const char *const names[] = {{{', '.join(map(quoted, changed))}}};\n"
@@ -673,7 +673,7 @@ def c_lines(system: System) -> str:
     make = f"dal_system_builtin(&system, {quoted(system.name)}, {names}, {values}, "
     make += f"{len(changed)}, &error)"
     prototype = ""
-    if system._symbolic is not None:
+    if system._model is not None:
         kinds = "".join(f"double {key}, " for key in system.parameters)
         given = "".join(f"{x!r}, " for x in system.parameters.values())
         prototype = f"int {system.name}_system(dal_system **system, {kinds}dal_error *error);\n\n"

@@ -256,7 +256,7 @@ def _reproduce(studies: Studies) -> str:
         f"{platform.python_version()}, NumPy {np.__version__}, matplotlib "
         f"{matplotlib.__version__}, {platform.machine()}"
     )
-    if system._of_library:
+    if system._source.of_library:
         how = f"<pre>{html.escape(command(studies))}</pre>"
     else:
         how = (

@@ -21,7 +21,8 @@ import sympy
 
 import dalembert as dal
 from dalembert import cli, compiler
-from dalembert.symbolic import codegen
+import dalembert.symbolic.codegen as codegen
+from dalembert.symbolic.evaluation import library
 
 SOURCE_ROOT = Path(__file__).parents[2]
 
@@ -228,7 +229,7 @@ def test_a_cache_that_cannot_be_written(cache, compiled, why, monkeypatch):
     with pytest.warns(dal.DalembertWarning, match="cannot be kept in .*DALEMBERT_CACHE"):
         system = slide()
     assert energy(system) == pytest.approx(EXPECTED, rel=1e-15)
-    assert not str(system._kept.path).startswith(str(cache))
+    assert not str(library(system._model).path).startswith(str(cache))
     assert compiler.entries() == [] and not list(cache.parent.glob("cache/*"))
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
-    "array", "choice", "function", "integer", "mapping", "names", "number", "pair", "returned",
-    "shown", "step_size", "suggestion", "text", "tolerance",
+    "array", "choice", "function", "integer", "mapping", "names", "number", "pair", "parameter",
+    "returned", "shown", "step_size", "suggestion", "text", "tolerance",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -166,10 +166,19 @@ def function(value: Any, name: str, taken: str = "") -> None:
         ) from error
 
 
-def mapping(value: Any, name: str) -> None:
-    """Raise ValueError if ``value`` is neither None nor a mapping."""
-    if value is not None and not isinstance(value, Mapping):
+def mapping(value: Any, name: str) -> dict[Any, Any]:
+    """Return a mapping as a dict, an empty one for None; ValueError for anything else."""
+    if not isinstance(value, Mapping | None):
         raise ValueError(f"{name} = {shown(value)}: expected a mapping from names to values")
+    return dict(value or {})
+
+
+def parameter(value: Any, name: str) -> float:
+    """Return the value of a parameter, which may be a number of SymPy; ValueError otherwise."""
+    try:
+        return number(float(value) if hasattr(value, "is_number") else value, name)
+    except TypeError:
+        raise ValueError(f"{name} = {value!r}: expected a real number") from None
 
 
 def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str = "") -> None:

@@ -1,4 +1,4 @@
-"""The packages that are extras: matplotlib, rich, tqdm, xarray."""
+"""The packages that are extras: matplotlib, rich, SymPy, tqdm, xarray."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from . import arguments
 
-__all__ = ["is_there", "progress", "require"]
+__all__ = ["Later", "is_there", "progress", "require"]
 
 
 def require(module: str, purpose: str) -> Any:
@@ -34,6 +34,17 @@ def require(module: str, purpose: str) -> Any:
     except ImportError as error:
         package = module.partition(".")[0]
         raise ImportError(f"{purpose} needs {package}: pip install {package}") from error
+
+
+class Later:
+    """A module of this package that needs SymPy: imported when something of it is used first."""
+
+    def __init__(self, package: str, name: str) -> None:
+        self._module = f"{package}.{name}"
+
+    def __getattr__(self, name: str) -> Any:
+        require("sympy", "a system from expressions")
+        return getattr(importlib.import_module(self._module), name)
 
 
 def is_there(package: str) -> bool:

@@ -21,7 +21,7 @@ from .runs import FlowRun, SchemeRun, started_stepper, state, watched
 from .scheme import REFERENCE, Scheme
 from .solution import Solution
 from ..core import require_system
-from ..system.system import System
+from ..system import System
 
 __all__ = ["Reference", "integrate", "reference"]
 

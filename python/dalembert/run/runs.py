@@ -13,7 +13,7 @@ from .. import geometry
 from ..core import Array, ffi, lib
 from .scheme import REFERENCE, Scheme
 from .solution import Solution, Statistics
-from ..system.system import System
+from ..system import System
 
 __all__ = ["FlowRun", "Run", "SchemeRun", "started_stepper", "watched"]
 

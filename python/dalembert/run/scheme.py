@@ -10,7 +10,7 @@ from .. import core
 from ..core import arguments
 from ..core import ffi, lib
 from ..core import require_system
-from ..system.system import System
+from ..system import System
 
 __all__ = ["Scheme", "schemes"]
 

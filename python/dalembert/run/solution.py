@@ -15,7 +15,7 @@ from ..core import arguments, extras
 from .. import geometry
 from ..core import Array, differenced, ffi, lib, require_system
 from .scheme import Scheme
-from ..system.system import System
+from ..system import System
 
 __all__ = ["Solution", "States", "Statistics"]
 

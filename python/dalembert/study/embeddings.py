@@ -24,13 +24,13 @@ from .. import core
 from ..core import arguments, extras
 from .. import geometry
 from ..core import Array, ffi, lib
-from ..geometry.chart import Chart
+from ..geometry import Chart
 from ..run.integration import CONSISTENCY
 from ..run.runs import started_stepper, state
 from ..run.scheme import REFERENCE, Scheme
 from .study import Fit
 from ..core import require_system
-from ..system.system import System
+from ..system import System
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,7 +18,7 @@ from ..run.scheme import Scheme
 from ..run.scheme import schemes as named_schemes
 from .study import Fit, Studies, Study
 from ..core import require_system
-from ..system.system import System
+from ..system import System
 
 __all__ = ["convergence", "studies"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .. import core, table
 from ..core import Array
 from ..run.scheme import Scheme
-from ..system.system import System
+from ..system import System
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

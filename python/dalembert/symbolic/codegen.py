@@ -7,6 +7,7 @@ needs only if that output is wanted.
 
 from __future__ import annotations
 
+import keyword
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,7 +18,7 @@ from sympy.logic.boolalg import BooleanFalse, BooleanTrue
 from .model import FUNCTIONS, Function, Model, nearest
 from .pattern import pattern
 
-__all__ = ["Program", "program"]
+__all__ = ["Program", "c_identifier", "program"]
 
 GENERATOR = 1  # changes with what is generated, as the files of this module do
 
@@ -483,3 +484,15 @@ class Printer:
 def _is_short(e: Any) -> bool:
     """Return whether a rational number is a quotient of two doubles."""
     return bool(max(abs(e.p), e.q) < 2**53)
+
+
+def c_identifier(name: str | None, default: str) -> str:
+    """Return a name for C; ValueError if the one given is none."""
+    if name is None:
+        plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in default)
+        return plain if plain[:1].isalpha() else f"model_{plain}"
+    if not isinstance(name, str) or not name.isascii() or not name.isidentifier():
+        raise ValueError(f"name = {name!r}: expected a C identifier")
+    if keyword.iskeyword(name) or name.startswith("_"):
+        raise ValueError(f"name = {name!r}: expected a C identifier that is not reserved")
+    return name

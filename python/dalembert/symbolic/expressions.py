@@ -5,16 +5,14 @@ from __future__ import annotations
 import re
 from typing import Any
 
-import numpy as np
 import sympy
 
 from . import given
-from ..core import Array, DalembertError, Handle
-from ..geometry import residual
+from ..core import Handle
 from ..formula import Node, read
 from .model import FUNCTIONS, Model
 
-__all__ = ["agree", "model"]
+__all__ = ["model"]
 
 Expr = Any
 
@@ -44,35 +42,6 @@ def model(system: Handle) -> Model:
     -x*y.d + y*x.d + z.d
     """
     return _Formulas(system).model()
-
-
-def agree(found: Model, system: Handle, q: Array) -> bool:
-    """Return whether the linear constraints of a model are those of a system, at q and nearby.
-
-    Examples
-    --------
-    >>> import dalembert as dal
-    >>> from dalembert import expressions
-    >>> system = dal.systems.disk()
-    >>> expressions.agree(expressions.model(system), system, system.q0)
-    True
-    """
-    if found.m != system.m or found.derived.kind != "linear":
-        return False
-    if found.m == 0:
-        return True
-    n, p = system.n, list(system.parameters.values())
-    forms = found.callables("constraint")["phi_v"]
-    for size in (0.0, 0.01, 0.1):
-        place = q + size * (1 + abs(q)) * np.cos(np.arange(1, n + 1))
-        try:
-            one = np.reshape(forms(place, np.zeros(n), p), (-1, n))
-            other = residual(system, np.tile(place, (n, 1)), np.eye(n)).T
-        except (DalembertError, ArithmeticError, ValueError):
-            return False
-        if one.shape != other.shape or not np.allclose(one, other, rtol=1e-12, atol=1e-12):
-            return False
-    return True
 
 
 class _Formulas:

@@ -1,85 +1,26 @@
-"""Systems from SymPy: what users write on paper, taken apart into a `model.Model`.
-
-SymPy is needed only when something here is called.
-"""
+"""What users write on paper, taken apart into a `model.Model`."""
 
 from __future__ import annotations
 
-import functools
-import keyword
 import math
-import os
-import sys
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import sympy
+from sympy.core.function import AppliedUndef
 
-from ..core import arguments, extras
-from ..core import Array, DalembertWarning
+from ..core import arguments
+from . import model as models
+from .model import Coordinate, Model, Velocity, in_order
 
-if TYPE_CHECKING:
-    from ..compiler import Library
-    from .model import Model
-
-__all__ = [
-    "Symbolic",
-    "c_identifier",
-    "coordinates",
-    "from_method",
-    "from_system",
-    "initial_data",
-    "is_expressions",
-    "make_model",
-    "mapping",
-    "parameter_value",
-    "require_assumed",
-]
+__all__ = ["from_method", "from_system", "make_model", "named", "require_assumed", "take"]
 
 Expr = Any
 
-_WITHOUT_COMPILER = (
-    "no C compiler was found ({where}), so the system {name!r} runs on Python functions: a step "
-    "takes 30 to 300 times as long; install gcc or clang, or set CC"
-)
 
-
-def _sympy() -> Any:
-    return extras.require("sympy", "a system from expressions")
-
-
-def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
-    """Return coordinates, SymPy symbols with a velocity ``.d`` each.
-
-    Parameters
-    ----------
-    names : str or sequence of str
-        As for ``sympy.symbols``: separated by commas or spaces; ``"q1:4"`` is q1, q2, q3.
-
-    Returns
-    -------
-    tuple of model.Coordinate
-        Calls with the same names make equal symbols.  Those of one name and different calls are
-        different to SymPy, but the same coordinate of a system.
-
-    Raises
-    ------
-    ImportError
-        If SymPy is not installed.
-    ValueError
-        If there are no names, or one is there twice.
-
-    Examples
-    --------
-    >>> import dalembert as dal
-    >>> x, y = dal.coordinates("x y")
-    >>> x.d * y
-    y*x.d
-    """
-    sympy = _sympy()
-    from .model import make_coordinates
-
+def named(names: str | Sequence[str]) -> tuple[Any, ...]:
+    """Return what `dalembert.coordinates` does."""
     if isinstance(names, str):
         try:
             words = [s.name for s in sympy.symbols(names, seq=True)] if names.strip() else []
@@ -91,10 +32,48 @@ def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:
         arguments.text(word, "names")
     if not words or len(set(words)) != len(words):
         raise ValueError(f"names = {names!r}: expected different names, at least one")
-    return make_coordinates(words)
+    return models.make_coordinates(words)
 
 
 # ---- what was given ----------------------------------------------------------------------------
+
+
+def take(
+    L: Expr,
+    constraints: Any,
+    coordinates: Iterable[Any] | None,
+    parameters: Mapping[Any, Any] | None,
+    force: Any,
+    q0: Any,
+    v0: Any,
+    exact: Any,
+    invariants: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """Return the model, the values of its parameters, and what was given by numbers and functions.
+
+    Of invariants that are expressions the function is None.
+    """
+    state = None if q0 is None and v0 is None else initial_data(q0, v0)
+    in_model = isinstance(state, list)
+    named = arguments.mapping(invariants, "invariants")
+    by_expressions = is_expressions(exact)
+    model, values = make_model(
+        L,
+        constraints,
+        coordinates,
+        parameters,
+        force,
+        state if in_model else None,
+        exact if by_expressions else None,
+        {key: e for key, e in named.items() if is_expressions(e)},
+    )
+    return {
+        "model": model,
+        "values": values,
+        "state": None if in_model else state,
+        "exact": None if by_expressions else exact,
+        "invariants": {key: None if is_expressions(e) else e for key, e in named.items()},
+    }
 
 
 def make_model(
@@ -108,9 +87,6 @@ def make_model(
     invariants: Mapping[str, Any] | None,
 ) -> tuple[Model, dict[str, float]]:
     """Return the model, and the values of its parameters; ValueError if something is left over."""
-    sympy = _sympy()
-    from . import model as models
-
     L = _expression(L, "L")
     given = _constraints(constraints)
     forces = None if force is None else _force(force)
@@ -134,14 +110,14 @@ def make_model(
     time = times[0] if times else sympy.Symbol("t")
 
     # symbols of the same name, of other calls of dalembert.coordinates
-    called = models.Coordinate | models.Velocity
+    called = Coordinate | Velocity
     pairing = {**positions, **velocities}.items()
     same = {_kind_and_name(s): c for s, c in pairing if isinstance(s, called)}
 
     def translate(expression: Expr, where: str, with_time: bool = False) -> Expr:
         if expression.has(sympy.Derivative):
             _refuse_rates(expression, where)
-        made = expression.atoms(models.Coordinate, models.Velocity)
+        made = expression.atoms(Coordinate, Velocity)
         found = expression.xreplace({s: same[k] for s in made if (k := _kind_and_name(s)) in same})
         if found.has(sympy.Derivative):
             found = found.doit()
@@ -207,7 +183,7 @@ def make_model(
             if e.free_symbols - set(rule.values()):
                 raise ValueError(f"(q0, v0): {e}: expected numbers, or expressions of parameters")
     return (
-        models.Model(
+        Model(
             coordinates=tuple(names),
             parameters=tuple(values),
             L=translate(L, "L"),
@@ -232,9 +208,7 @@ def _kind_and_name(symbol: Expr) -> tuple[type, str]:
 
 def _refuse_rates(expression: Expr, where: str) -> None:
     """Raise ValueError for Derivative(x, t) of a coordinate with a velocity x.d: it would be 0."""
-    from .model import Coordinate
-
-    for rate in expression.atoms(_sympy().Derivative):
+    for rate in expression.atoms(sympy.Derivative):
         found = sorted(rate.expr.atoms(Coordinate), key=str)
         if found and not all(isinstance(s, Coordinate) for s in rate.variables):
             raise ValueError(f"{where}: {rate}: write {found[0].d} for the velocity of {found[0]}")
@@ -247,14 +221,7 @@ def initial_data(q0: Any, v0: Any) -> Any:
     both = [*_several(q0, "q0"), *_several(v0, "v0")]
     if any(getattr(x, "free_symbols", None) for x in both):
         return both
-    return np.array([parameter_value(x, "(q0, v0)") for x in both])
-
-
-def mapping(given: Any, name: str) -> dict[Any, Any]:
-    """Return a mapping that was given, or an empty one for None; ValueError for anything else."""
-    if not isinstance(given, Mapping | None):
-        raise ValueError(f"{name} = {given!r}: expected a mapping")
-    return dict(given or {})
+    return np.array([arguments.parameter(x, "(q0, v0)") for x in both])
 
 
 def is_expressions(value: Any) -> bool:
@@ -264,7 +231,6 @@ def is_expressions(value: Any) -> bool:
 
 def _expression(value: Any, name: str) -> Expr:
     """Return one expression."""
-    sympy = _sympy()
     if isinstance(value, str):
         raise ValueError(f"{name} = {value!r}: expected a SymPy expression, not a text")
     try:
@@ -280,7 +246,6 @@ def _expression(value: Any, name: str) -> Expr:
 
 def _constraints(given: Any) -> list[Any]:
     """Return for each constraint an expression that vanishes, or a list of n coefficients."""
-    sympy = _sympy()
     if given is None:
         return []
     if isinstance(given, sympy.MatrixBase):
@@ -317,8 +282,8 @@ def _flat(given: Iterable[Any]) -> list[Expr]:
 
 def _force(given: Any) -> dict[Expr, Expr]:
     """Return the components of a force that are given, by the coordinate."""
-    sympy, found = _sympy(), {}
-    for key, value in mapping(given, "force").items():
+    found = {}
+    for key, value in arguments.mapping(given, "force").items():
         if not isinstance(key, sympy.Expr):
             raise ValueError(f"force: {key!r}: expected a coordinate, as the key of its component")
         found[key] = _expression(value, f"force[{key}]")
@@ -330,11 +295,6 @@ def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Exp
 
     A function of time is a coordinate if it occurs in L; elsewhere it may be an input.
     """
-    sympy = _sympy()
-    from sympy.core.function import AppliedUndef
-
-    from .model import Coordinate, Velocity, in_order
-
     if given is None:
         made = set().union(*(e.atoms(Coordinate) for e in [L, *others]))
         moving = set().union(*(e.atoms(Velocity) for e in [L, *others]))
@@ -366,38 +326,25 @@ def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Exp
 
 def _is_time(argument: Expr) -> bool:
     """Return whether a function of this is a coordinate; of a coordinate it is none."""
-    from .model import Coordinate
-
     return bool(argument.is_Symbol) and not isinstance(argument, Coordinate)
 
 
 def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list[Expr]]:
     """Return the values of parameters by name, and their symbols."""
-    sympy = _sympy()
     values, symbols = {}, []
-    for key, value in mapping(given, "parameters").items():
+    for key, value in arguments.mapping(given, "parameters").items():
         symbol = sympy.Symbol(key) if isinstance(key, str) else key
         if not isinstance(symbol, sympy.Symbol):
             raise ValueError(f"parameters: {key!r}: expected a symbol, or its name")
         if symbol.name in values:
             raise ValueError(f"parameters: {symbol.name} is there twice")
-        values[arguments.text(symbol.name, "parameters")] = parameter_value(value, symbol.name)
+        values[arguments.text(symbol.name, "parameters")] = arguments.parameter(value, symbol.name)
         symbols.append(symbol)
     return values, symbols
 
 
-def parameter_value(value: Any, name: str) -> float:
-    """Return the value of a parameter; ValueError if it is no finite number."""
-    try:
-        return arguments.number(float(value) if hasattr(value, "is_number") else value, name)
-    except TypeError:
-        raise ValueError(f"{name} = {value!r}: expected a real number") from None
-
-
 def _matching(expression: Expr, rule: dict[Expr, Expr]) -> dict[Expr, Expr]:
     """Return the rule for the symbols of an expression: equal names, whatever the assumptions."""
-    from .model import Coordinate, Velocity
-
     by_name = {symbol.name: canonical for symbol, canonical in rule.items()}
     return {
         symbol: by_name[symbol.name]
@@ -448,7 +395,6 @@ def _refuse_kane(value: Any) -> None:
 
 def from_method(method: Any) -> dict[str, Any]:
     """Return the arguments of from_sympy for a LagrangesMethod."""
-    _sympy()
     from sympy.physics.mechanics import LagrangesMethod
 
     _refuse_kane(method)
@@ -466,7 +412,6 @@ def from_method(method: Any) -> dict[str, Any]:
 
 def from_system(system: Any) -> dict[str, Any]:
     """Return the arguments of from_sympy for a mechanics.System."""
-    sympy = _sympy()
     from sympy.physics import mechanics
 
     _refuse_kane(system)
@@ -532,145 +477,3 @@ def _generalized(
                 if slope != 0 and (u == rate or at.free_dynamicsymbols(frame)):
                     found[x] += slope * at.diff(u, frame, var_in_dcm=False).dot(vector)
     return {x: e.subs(rule).doit() if rule else e for x, e in found.items()}
-
-
-# ---- a system from a model ---------------------------------------------------------------------
-
-
-class Symbolic:
-    """What a `System` that was made from expressions knows besides its C side."""
-
-    def __init__(self, model: Model, values: dict[str, float]) -> None:
-        self.model = model
-        self.values = values
-        self.parameters = np.array(list(values.values()), dtype=float)
-
-    def bound(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function of the user with the values of the parameters as keywords."""
-        return functools.partial(function, **self.values)
-
-    def library(self) -> Library | None:
-        """Return the compiled model; None if there is no compiler."""
-        from .. import compiler
-        from . import codegen
-        from .model import default_engine
-
-        def program() -> tuple[str, Callable[[int], str]]:
-            made = codegen.program(self.model)
-            return made.source, compiler.origin_of(made, self.model.shown)
-
-        return compiler.library(self.model.key, default_engine(), program)
-
-    def matrix(self, library: Library | None, name: str, shape: tuple[int, ...]) -> Array | None:
-        """Return what depends on the parameters alone, mass or state; None if there is none."""
-        found = np.full(shape, np.nan)
-        if library is not None:
-            if not library.has(name):
-                return None
-            library.evaluate(name, self.parameters, found)
-        else:
-            functions = list(self.model.callables(name).values())
-            if not functions:
-                return None
-            n = self.model.n
-            found[...] = np.reshape(functions[0](*np.zeros((2, n)), self.parameters), shape)
-        if not np.isfinite(found).all():
-            values = ", ".join(f"{key} = {x:g}" for key, x in self.values.items())
-            raise ValueError(f"parameters: the {name} is not finite for {values}")
-        return found
-
-    def in_python(self) -> dict[str, Any]:
-        """Return the arguments of System that make it from Python functions."""
-        derived, n, m = self.model.derived, self.model.n, self.model.m
-        p = self.parameters
-        found: dict[str, Any] = {}
-
-        def two(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
-            return lambda q, v: np.reshape(function(q, v, p), shape)
-
-        def one(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
-            zero = np.zeros(n)
-            return lambda q: np.reshape(function(q, zero, p), shape)
-
-        potential = self.model.callables("potential")
-        if potential:
-            found["potential"] = lambda q: float(potential["V"](q, q, p)[0])
-            found["gradient"] = one(potential["V_q"], n)
-            found["hessian"] = one(potential["V_qq"], n, n)
-        lagrangian = self.model.callables("lagrangian")
-        if lagrangian:
-            found["lagrangian"] = lambda q, v: float(lagrangian["L"](q, v, p)[0])
-            for key, shape in (("q", (n,)), ("v", (n,)), ("qq", (n, n)), ("vq", (n, n)),
-                               ("vv", (n, n))):  # fmt: skip
-                found[f"lagrangian_{key}"] = two(lagrangian[f"L_{key}"], *shape)
-        constraint = self.model.callables("constraint")
-        if constraint and derived.kind == "nonlinear":
-            found["constraint"] = two(constraint["phi"], m)
-            found["constraint_v"] = two(constraint["phi_v"], m, n)
-            found["constraint_q"] = two(constraint["phi_q"], m, n)
-        elif constraint:
-            found["forms"] = one(constraint["phi_v"], m, n)
-            slope = constraint["phi_q"]
-            found["forms_velocity_derivative"] = two(slope, m, n)
-            if derived.kind == "affine":
-                found["affine"] = one(constraint["phi"], m)
-                found["affine_derivative"] = one(slope, m, n)
-                found["forms_velocity_derivative"] = lambda q, v: np.reshape(
-                    np.subtract(slope(q, v, p), slope(q, np.zeros(n), p)), (m, n)
-                )
-        force = self.model.callables("force")
-        for key, function in force.items():
-            shape = (n,) if key == "f" else (n, n)
-            found[key.replace("f", "force", 1)] = (
-                lambda t, q, v, function=function, shape=shape: np.reshape(
-                    function(t, q, v, p), shape
-                )
-            )
-        if self.model.exact is not None:
-            exact = self.model.callables("exact")["x"]
-            found["exact"] = lambda t, q, v: np.split(np.array(exact(t, q, v, p)), 2)
-        return found
-
-    def invariants(
-        self, given: dict[str, Callable[..., Any] | None]
-    ) -> dict[str, Callable[..., Any]]:
-        """Return all first integrals as Python functions of (q, v); None: the next expression."""
-        values = self.model.callables("invariant").get("values")
-        found: dict[str, Callable[..., Any]] = {}
-        i = 0
-        for name, function in given.items():
-            arguments.function(function, name)
-            if function is not None:
-                found[name] = self.bound(function)
-            elif values is not None:
-                found[name] = lambda q, v, i=i: float(values(q, v, self.parameters)[i])
-                i += 1
-        return found
-
-    def warn(self, name: str) -> None:
-        """Say what it costs that there is no compiler."""
-        where = f"CC = {os.environ['CC']}" if os.environ.get("CC") else "cc, gcc, clang"
-        text = _WITHOUT_COMPILER.format(where=where, name=name)
-        warnings.warn(text, DalembertWarning, stacklevel=2 + _depth())
-
-
-def _depth() -> int:
-    """Return how many calls of this package lie between its caller and the user."""
-    frame, depth = sys._getframe(1), 0
-    while frame.f_back is not None and frame.f_globals.get("__package__") == __package__:
-        frame, depth = frame.f_back, depth + 1
-    return depth - 1
-
-
-def c_identifier(name: str | None, default: str) -> str:
-    """Return a name for C; ValueError if the one given is none."""
-    if name is None:
-        plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in default)
-        return plain if plain[:1].isalpha() else f"model_{plain}"
-    if not isinstance(name, str) or not name.isascii() or not name.isidentifier():
-        raise ValueError(f"name = {name!r}: expected a C identifier")
-    if keyword.iskeyword(name) or name.startswith("_"):
-        raise ValueError(f"name = {name!r}: expected a C identifier that is not reserved")
-    return name
-
-

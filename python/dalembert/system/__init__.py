@@ -1,3 +1,4 @@
-"""The systems that users make."""
+"""The systems that users make, and where they come from."""
 
-from .system import System
+from .sources import BuiltIn
+from .system import System, require_parameters

@@ -3,74 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import pickle
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import core, growth
-from . import deformation
-from ..core import arguments, extras, pointers
-from .. import geometry
-from ..symbolic import given as symbolic
-from ..core import FUNCTIONS, KINDS, MISSING, MISSING_PHI_Q, Array, Handle, ffi, lib
+from .. import core, geometry, growth, symbolic
+from ..core import KINDS, Array, Handle, arguments, extras, lib
 from ..geometry import Check, examine
-
-if TYPE_CHECKING:
-    from ..symbolic.model import Model
+from . import sources
+from .sources import Source
 
 __all__ = ["System"]
-
-_KINDS = {number: name for name, number in core.KINDS.items()}
-_CONSTRAINTS = {
-    lib.DAL_LINEAR: lib.dal_py_linear,
-    lib.DAL_AFFINE: lib.dal_py_affine,
-    lib.DAL_NONLINEAR: lib.dal_py_nonlinear,
-}
-
-_MOST_COORDINATES = 10_000  # of dense matrices: n^2 numbers each, n^3 operations in a step
-
-_KIND_NAMES = {name: kind for kind, name in _KINDS.items()}
-_OUTPUTS = {
-    "V_q": lib.DAL_MISSING_V_Q,
-    "V_qq": lib.DAL_MISSING_V_QQ,
-    "phi_q": lib.DAL_MISSING_PHI_Q,
-    "L_qq": lib.DAL_MISSING_L_QQ,
-    "L_vq": lib.DAL_MISSING_L_VQ,
-    "L_vv": lib.DAL_MISSING_L_VV,
-    "f_q": lib.DAL_MISSING_F_Q,
-    "f_v": lib.DAL_MISSING_F_V,
-}
-
-# What each function makes no sense without.
-_TAKEN = {  # by the functions that do not take (q, v)
-    **dict.fromkeys(
-        ("potential", "gradient", "hessian", "forms", "affine", "affine_derivative"), "q"
-    ),
-    **dict.fromkeys(("force", "force_q", "force_v", "exact"), "t, q, v"),
-}
-
-_NEEDS = {
-    "gradient": "potential(q) -> V",
-    "hessian": "potential(q) -> V",
-    "lagrangian": "lagrangian_q(q, v) -> dL/dq and lagrangian_v(q, v) -> dL/dv",
-    **dict.fromkeys(
-        ("lagrangian_q", "lagrangian_v", "lagrangian_qq", "lagrangian_vq", "lagrangian_vv"),
-        "lagrangian(q, v) -> L",
-    ),
-    "force_q": "force(t, q, v) -> f",
-    "force_v": "force(t, q, v) -> f",
-    "forms_velocity_derivative": "forms(q) -> mu",
-    "affine": "forms(q) -> mu",
-    "affine_derivative": "affine(q) -> a",
-    "constraint": "constraint_v(q, v) -> dphi/dv",
-    "constraint_v": "constraint(q, v) -> phi",
-    "constraint_q": "constraint(q, v) -> phi",
-}
-
 
 class System(Handle):
     """A mechanical system with velocity constraints, from functions of the user.
@@ -259,113 +204,27 @@ class System(Handle):
         if hasattr(self, "_handle"):
             raise TypeError("a System does not change: __init__ is called once")
         given = locals()
-        _require_named(invariants)
-        functions: dict[str, Callable[..., Any] | None] = {key: given[key] for key in FUNCTIONS}
-        compiled = {
-            key: found
-            for key in pointers.ARGUMENTS
-            if (found := pointers.find(key, given[key])) is not None
-        }
-        for key, function in {**functions, **(invariants or {})}.items():
-            if key not in compiled:
-                arguments.function(function, key, _TAKEN.get(key, "q, v"))
-        if compiled:
-            _require_compiled(functions, compiled, mass, m)
-        else:
-            _require_parts(functions, mass)
-            for key in ("kind", "missing", "ctx"):
-                if given[key] is not None:
-                    raise ValueError(
-                        f"{key} = {arguments.shown(given[key])}: only C functions take it"
-                    )
-        arguments.pair(q0, v0, ("q0", "v0"))
+        del given["self"]
+        self._take(sources.functions(**given))
 
-        if coordinates is not None:
-            coordinates = arguments.names(
-                coordinates, "coordinates", "several names, as ['x', 'y']"
-            )
-        told = _number_of_coordinates(n, coordinates, q0)
-        matrix = None if mass is None else _mass_matrix(mass, n, told)
-        size = told if matrix is None else len(matrix)
-        if size is None:
-            raise ValueError("n: needed, because neither coordinates nor q0 tell it")
-        names = [f"q{i}" for i in range(size)] if coordinates is None else list(coordinates)
-        if len(names) != size or len(set(names)) != size:
-            raise ValueError(f"coordinates = {coordinates!r}: expected {size} different names")
-        state = None
-        if q0 is not None and v0 is not None:
-            state = np.concatenate(
-                [arguments.array(q0, "q0", (size,)), arguments.array(v0, "v0", (size,))]
-            )
-        if compiled:
-            m = arguments.integer(0 if m is None else m, "m", 0)
-            c_kind = arguments.choice("linear" if kind is None else kind, "kind", _KIND_NAMES)
-            c_missing = sum({arguments.choice(key, "missing", _OUTPUTS) for key in missing or ()})
-            context, self._kept = pointers.context(ctx, compiled)
-            callbacks = {
-                key: ffi.cast(f"dal_{key}_fn", found.address) for key, found in compiled.items()
-            }
-            self._exact = exact
-        else:
-            m = _number_of_constraints(forms, constraint, m, size, state)
-            c_kind = lib.DAL_LINEAR
-            if m > 0:
-                c_kind = lib.DAL_AFFINE if affine is not None else c_kind
-                c_kind = lib.DAL_NONLINEAR if constraint is not None else c_kind
-            c_missing = _missing(functions, m, _KINDS[c_kind])
-            self._callables = core.Callables(size, m, functions)
-            context = self._context = ffi.new_handle(self._callables)
-            callbacks = {
-                "lagrangian": ffi.NULL if lagrangian is None else lib.dal_py_lagrangian,
-                "potential": ffi.NULL if potential is None else lib.dal_py_potential,
-                "constraint": ffi.NULL if m == 0 else _CONSTRAINTS[c_kind],
-                "force": ffi.NULL if force is None else lib.dal_py_force,
-                "exact": ffi.NULL if exact is None else lib.dal_py_exact,
-            }
-        c_names, kept = core.strings(names)
-        about = {"name": name, "help": help, "description": description, "source": source}
-        lines = arguments.names(formulas, "formulas", "several lines")
-        texts = _texts({**about, "formulas": "\n".join(lines)})
-        definition = ffi.new(
-            "dal_system_def *",
-            {
-                "n": size,
-                "m": m,
-                "mass": ffi.NULL if matrix is None else core.pointer(matrix),
-                "kind": c_kind,
-                "missing": c_missing,
-                "steady": int(bool(steady)),
-                "ctx": context,
-                **texts,
-                "coordinates": c_names,
-                "state": ffi.NULL if state is None else core.pointer(state),
-                **callbacks,
-            },
-        )
-        self._invariants = dict(invariants or {})
-        self._description: tuple[Any, ...] = (
-            _restore,
-            {
-                **functions,
-                "mass": matrix,
-                "n": size,
-                "m": m,
-                **about,
-                "formulas": lines,
-                "coordinates": names,
-                "q0": None if state is None else state[:size],
-                "v0": None if state is None else state[size:],
-                "invariants": self._invariants,
-                "steady": steady,
-            },
-        )
-        self._adopt(core.make("system", definition, owner=context))
-        del kept, texts
+    @classmethod
+    def _of(cls, source: Source) -> System:
+        """Return the system of a source."""
+        self = cls.__new__(cls)
+        self._take(source)
+        return self
 
-    # What systems of other origins than Python functions have besides.
-    _of_library = False  # True: `systems.get` with the name and the parameters makes it again
-    _symbolic: symbolic.Symbolic | None = None
-    _exact: Callable[..., tuple[ArrayLike, ArrayLike]] | None = None
+    def _take(self, source: Source) -> None:
+        made = source.make()
+        self._source = source
+        self._exact, self._invariants, self._has_exact, self._model = made[1:]
+        self._adopt(made.handle)
+        if made.model is not None:
+            self._parameters = source.values
+        self.invariants = tuple(self._invariants) or tuple(
+            core.string(lib.dal_system_invariant_name(made.handle, i))
+            for i in range(lib.dal_system_invariants(made.handle))
+        )
 
     @classmethod
     def from_sympy(
@@ -458,28 +317,12 @@ class System(Handle):
         """
         arguments.mapping(parameters, "parameters")
         arguments.mapping(force, "force")
-        _require_named(invariants)
-        state = None if q0 is None and v0 is None else symbolic.initial_data(q0, v0)
-        in_model = state is not None and not isinstance(state, np.ndarray)
-        named = symbolic.mapping(invariants, "invariants")
-        model, values = symbolic.make_model(
-            L,
-            constraints,
-            coordinates,
-            parameters,
-            force,
-            state if in_model else None,
-            exact if symbolic.is_expressions(exact) else None,
-            {key: e for key, e in named.items() if symbolic.is_expressions(e)},
+        sources.require_named(invariants)
+        taken = symbolic.given.take(
+            L, constraints, coordinates, parameters, force, q0, v0, exact, invariants
         )
-        return cls._from_model(
-            model,
-            values,
-            {"name": name, "help": help, "description": description, "source": source},
-            None if in_model else state,
-            None if symbolic.is_expressions(exact) else exact,
-            {key: None if symbolic.is_expressions(e) else e for key, e in named.items()},
-        )
+        about = {"name": name, "help": help, "description": description, "source": source}
+        return cls._of(sources.Expressions(about=about, **taken))
 
     @classmethod
     def from_lagranges_method(
@@ -513,7 +356,7 @@ class System(Handle):
         >>> dal.System.from_lagranges_method(lm).multipliers([0, 0], [1, 0])
         array([1.])
         """
-        return cls.from_sympy(parameters=parameters, **{**symbolic.from_method(lm), **options})
+        return cls.from_sympy(parameters=parameters, **{**symbolic.given.from_method(lm), **options})
 
     @classmethod
     def from_mechanics_system(
@@ -549,113 +392,10 @@ class System(Handle):
         >>> dal.System.from_mechanics_system(system).acceleration([1], [0])
         array([-1.5])
         """
-        given = symbolic.from_system(system)
+        given = symbolic.given.from_system(system)
         return cls.from_sympy(parameters=parameters, **{**given, **options})
 
-    @classmethod
-    def _from_model(
-        cls,
-        model: Any,
-        values: dict[str, float],
-        about: dict[str, str],
-        state: Array | None,
-        exact: Callable[..., Any] | None,
-        invariants: dict[str, Callable[..., Any] | None],
-    ) -> System:
-        """Make a system from a model; an invariant that is None is an expression of the model."""
-        symbolic.require_assumed(model, values)
-        texts = _texts(about)
-        source, given = symbolic.Symbolic(model, values), invariants
-        library = source.library()
-        n = model.n
-        if model.state is not None:
-            state = source.matrix(library, "state", (2 * n,))
-        if state is not None and len(state) != 2 * n:
-            raise ValueError(f"(q0, v0): expected {n} numbers each, got {len(state)} in all")
-        mass = source.matrix(library, "mass", (n, n))
-        in_python = library is None
-        if in_python or any(invariants.values()):
-            invariants = {**source.invariants(invariants)}
-        if library is None:
-            source.warn(about["name"])
-            self = cls(
-                mass=mass,
-                n=n,
-                m=model.m,
-                **about,
-                coordinates=model.coordinates,
-                q0=None if state is None else state[:n],
-                v0=None if state is None else state[n:],
-                invariants=invariants,
-                **source.in_python(),
-            )
-        else:
-            self = cls.__new__(cls)
-            self._kept = library
-            definition = ffi.new("dal_system_def *", library.definition[0])
-            c_names, kept = core.strings(list(model.coordinates))
-            c_invariants, also_kept = core.strings(list(invariants))
-            definition.coordinates = c_names
-            for key, text in texts.items():
-                setattr(definition, key, text)
-            definition.mass = ffi.NULL if mass is None else core.pointer(mass)
-            definition.state = ffi.NULL if state is None else core.pointer(state)
-            if values:
-                definition.ctx = core.pointer(source.parameters)
-                definition.ctx_size = source.parameters.nbytes
-            if definition.invariant != ffi.NULL and None in invariants.values():
-                definition.invariants = len(invariants)
-                definition.invariant_names = c_invariants
-                self._invariants = {}
-            else:
-                self._invariants = dict(invariants)
-            self._adopt(core.make("system", definition))
-            del kept, also_kept, texts
-        if exact is not None:
-            arguments.function(exact, "exact")
-            self._exact = source.bound(exact)
-        self._symbolic = source
-        self._model = model
-        self._parameters = dict(values)
-        self._description = (_restore_model, model, values, about, state, exact, given)
-        return self
-
-    @classmethod
-    def _builtin(cls, name: str, parameters: Mapping[str, Any]) -> System:
-        """Make the system that comes with the library under ``name``."""
-        values = np.array([arguments.number(value, key) for key, value in parameters.items()])
-        c_names, kept = core.strings(list(parameters))
-        c_name = ffi.new("char[]", name.encode())
-        new = lib.dal_system_builtin
-        handle = core.adopt("system", new, c_name, c_names, core.pointer(values), len(values))
-        del kept
-        self = cls._derived(handle, ())
-        self._description = (_restore_builtin, self.name, self.parameters)
-        self._of_library = True
-        return self
-
-    @classmethod
-    def _derived(cls, handle: Any, description: tuple[Any, ...]) -> System:
-        """Make the system of a C one; the description is the call that makes it again."""
-        self = cls.__new__(cls)
-        self._invariants = {}
-        self._description = description
-        self._adopt(handle)
-        return self
-
-    def _adopt(self, handle: Any) -> None:
-        super()._adopt(handle)
-        self._invariant_names = tuple(self._invariants) or tuple(
-            core.string(lib.dal_system_invariant_name(handle, i))
-            for i in range(lib.dal_system_invariants(handle))
-        )
-
     # ---- what the system is --------------------------------------------------------------
-
-    @property
-    def invariants(self) -> tuple[str, ...]:
-        """Names of the first integrals besides the energy."""
-        return self._invariant_names
 
     def invariant(self, q: ArrayLike, v: ArrayLike) -> dict[str, Any]:
         """Return the first integrals besides the energy.
@@ -682,7 +422,7 @@ class System(Handle):
         {'p': 2.0}
         """
         x, single = geometry.states(self, q, v)
-        n, names = self.n, self._invariant_names
+        n, names = self.n, self.invariants
         values = np.empty((len(x), len(names)))
         for k, row in enumerate(x):
             if self._invariants:
@@ -704,10 +444,8 @@ class System(Handle):
     @property
     def has_exact(self) -> bool:
         """True if `exact` gives the exact solution."""
-        if self._exact is not None:
-            return True
-        if self._description[0] is _restore:
-            return self._callables.exact is not None
+        if self._has_exact is not None:
+            return self._has_exact
         x = np.zeros(2 * self.n) if self.q0 is None else np.concatenate([self.q0, self.v0])
         y = np.empty_like(x)
         status = lib.dal_system_exact(self._handle, 0.0, core.pointer(x), core.pointer(y))
@@ -823,7 +561,7 @@ class System(Handle):
         (2, 3, 4, 4, 5)
         """
         asked = q is not None
-        if q is None and v is None and self.q0 is None and self._symbolic is not None:
+        if q is None and v is None and self.q0 is None and self._model is not None:
             q, v = self._general_state()
         found = examine(self, q, v)
         if self.m == 0 or self.kind != "linear":
@@ -872,16 +610,10 @@ class System(Handle):
         0.5
         """
         require_parameters(self.name, parameters, self._parameters)
-        restore, first, *rest = self._description
-        values = {
-            **self._parameters,
-            **{key: symbolic.parameter_value(x, key) for key, x in parameters.items()},
-        }
-        if restore is _restore_model:
-            made = type(self)._from_model(first, values, *rest[1:])
-            made._of_library = self._of_library
-            return made
-        return type(self)._builtin(first, values) if restore is _restore_builtin else self
+        if not parameters:
+            return self
+        new = {key: arguments.parameter(x, key) for key, x in parameters.items()}
+        return type(self)._of(self._source.with_values(self._parameters | new))
 
     def c_source(self, name: str | None = None) -> str:
         """Return a C file with the system, for a program that is linked with libdalembert.
@@ -908,18 +640,16 @@ class System(Handle):
         >>> "int own_system(dal_system **system, dal_error *error);" in own.c_source("own")
         True
         """
-        if self._symbolic is None:
+        if self._model is None:
             raise ValueError(f"the system {self.name!r} was not made by from_sympy")
-        from ..symbolic import codegen
-
-        made = codegen.program(
-            self._symbolic.model, symbolic.c_identifier(name, self.name), self
-        )
-        return made.source
+        codegen = symbolic.codegen
+        identifier = codegen.c_identifier(name, self.name)
+        source: str = codegen.program(self._model, identifier, self).source
+        return source
 
     def _repr_latex_(self) -> str | None:
         """Return L, mu and the equations of motion for a notebook; None if they are not known."""
-        return None if self._symbolic is None else f"${self._symbolic.model.latex()}$"
+        return None if self._model is None else f"${self._model.latex()}$"
 
     # ---- mechanics on D: the functions of `geometry` as methods --------------------------
 
@@ -936,10 +666,116 @@ class System(Handle):
     project = geometry.project
     consistent = geometry.consistent
 
-    # ---- other constraints: the functions of `deformation` as methods --------------------
+    # ---- other constraints -----------------------------------------------------------------
 
-    deformed = deformation.deformed
-    at_kept_nodes = deformation.at_kept_nodes
+    def deformed(
+        self,
+        g: Callable[[Array, Array], ArrayLike],
+        delta: float,
+        *,
+        g_v: Callable[[Array, Array], ArrayLike],
+        g_q: Callable[[Array, Array], ArrayLike] | None = None,
+        kind: str = "nonlinear",
+    ) -> System:
+        """Return the system with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE).
+
+        It is a system as any other: `gram` is C_delta, `multipliers` are lambda_delta and `field` is
+        h_delta (Ceps, heps).  Constraints that are nonlinear in v do work, see `power`, so that the
+        energy is no first integral.  The exact solution, the invariants and the initial data of the
+        system are not those of the deformed one; ``deformed.project(q, v)`` leads into its D.
+
+        Parameters
+        ----------
+        g : callable
+            ``g(q, v) -> (m,)``.
+        delta : float
+            The size of the deformation, in the user's units.
+        g_v : callable
+            ``g_v(q, v) -> (m, n)``: entry [a, i] is dg^a/dv_i.
+        g_q : callable, optional
+            ``g_q(q, v) -> (m, n)``: entry [a, j] is dg^a/dq_j.  None: d(phi + delta g)/dq is replaced
+            by central differences, see `differenced`.
+        kind : {"nonlinear", "affine", "linear"}, optional
+            Of phi + delta g as a function of v.
+
+        Returns
+        -------
+        System
+            It keeps this one alive, and pickles if g, g_v and g_q do.
+
+        Raises
+        ------
+        ValueError
+            If an argument is out of range, the system has no constraints, or the kind is simpler than
+            that of the system.
+        NotImplementedError
+            If m n > 4000.
+
+        Examples
+        --------
+        The particle, deformed by g = v_x v_y:
+
+        >>> import dalembert as dal
+        >>> bent = dal.systems.particle().deformed(
+        ...     lambda q, v: [v[0] * v[1]], 0.5, g_v=lambda q, v: [[v[1], v[0], 0]],
+        ...     g_q=lambda q, v: [[0, 0, 0]],
+        ... )
+        >>> bent.residual([0, 1, 0], [2, 2, 0])
+        array([0.])
+        >>> bent.multipliers([0, 1, 0], [2, 2, 0]).round(12)
+        array([2.])
+        >>> [round(power, 12) for power in bent.power([0, 1, 0], [2, 2, 0])]
+        [4.0, 0.0]
+        """
+        for function, name in ((g, "g"), (g_v, "g_v"), (g_q, "g_q")):
+            arguments.function(function, name)
+        if g is None or g_v is None:
+            raise ValueError("g(q, v) and g_v(q, v) -> dg/dv: expected both")
+        if arguments.choice(kind, "kind", KINDS) < KINDS[self.kind]:
+            raise ValueError(
+                f"kind = {kind!r}: the constraints of the system are {self.kind} already"
+            )
+        delta = arguments.number(delta, "delta")
+        return type(self)._of(sources.Deformed(self, g, delta, g_v, g_q, kind))
+
+    def at_kept_nodes(self, shift: float) -> System:
+        """Return the system with the constraints phi(q - shift v, v) = 0 (deformedCons, originalnodes).
+
+        For ``shift = scheme.shift(h)``, which is (1 - beta) h, its D is the D_eps in which the scheme
+        with kept nodes stays.  It is a nonlinear constraint with a flow of its own; such a run is a
+        method of order 1 for that flow, as it is for the flow of this one.
+
+        Parameters
+        ----------
+        shift : float
+            A time, in the user's units.
+
+        Returns
+        -------
+        System
+            It keeps this one alive, and pickles if this one does.
+
+        Raises
+        ------
+        ValueError
+            If the shift is not finite, or the system does not provide what is needed.
+        NotImplementedError
+            If m n > 4000.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> particle, scheme = dal.systems.particle(), dal.Scheme.find("midpoint-nodes")
+        >>> run = dal.integrate(particle, scheme, h=0.1, steps=50, initial="shift")
+        >>> in_D_eps = particle.at_kept_nodes(scheme.shift(0.1))
+        >>> bool(in_D_eps.relative_residual(run.q, run.v).max() < 1e-15)
+        True
+        """
+        shift = arguments.number(shift, "shift")
+        if lib.dal_system_missing(self._handle) & lib.DAL_MISSING_PHI_Q:
+            needed = "constraint_q" if self.kind == "nonlinear" else "forms_velocity_derivative"
+            raise ValueError(f"{needed}: needed, the system {self.name!r} does not provide it")
+        return type(self)._of(sources.AtKeptNodes(self, shift))
 
     # ---- as an object --------------------------------------------------------------------
 
@@ -966,15 +802,8 @@ class System(Handle):
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        restore, *description = self._description
-        if isinstance(description[0], dict):
-            _refuse_unpicklable(self.name, description[0])
-        if restore is _restore_model:
-            exact, invariants = description[-2:]
-            functions = {key: f for key, f in invariants.items() if f is not None}
-            _refuse_unpicklable(self.name, {"exact": exact, "invariants": functions})
-            description = [self._of_library, *description]
-        return restore, tuple(description)
+        self._source.require_picklable(self.name)
+        return System._of, (self._source,)
 
 
 def require_parameters(name: str, given: Iterable[str], known: Iterable[str]) -> None:
@@ -986,169 +815,3 @@ def require_parameters(name: str, given: Iterable[str], known: Iterable[str]) ->
                 f"parameters: {name!r} has no {key!r}; {arguments.suggestion(key, names)}it has "
                 f"{', '.join(names) or 'none'}"
             )
-
-
-def _restore(description: dict[str, Any]) -> System:
-    """Make a user's system again from its description."""
-    return System(**description)
-
-
-def _restore_model(of_library: bool, *description: Any) -> System:
-    """Make a system again from its model."""
-    system = System._from_model(*description)
-    system._of_library = of_library
-    return system
-
-
-def _texts(about: Mapping[str, str]) -> dict[str, Any]:
-    """Return the texts of a definition as C strings, which have to be kept alive."""
-    return {key: ffi.new("char[]", arguments.text(x, key).encode()) for key, x in about.items()}
-
-
-def _restore_builtin(name: str, parameters: dict[str, float]) -> System:
-    """Make a system that comes with the library again."""
-    return System._builtin(name, parameters)
-
-
-def _refuse_unpicklable(name: str, description: dict[str, Any]) -> None:
-    """Raise PicklingError, with the line to change, for a function that does not pickle."""
-    functions = {key: f for key, f in description.items() if callable(f)}
-    for key, function in {**functions, **description.get("invariants", {})}.items():
-        try:
-            pickle.dumps(function)
-        except Exception as error:
-            raise pickle.PicklingError(
-                f"the system {name!r} does not pickle, because its {key} = {function!r} does not; "
-                "define it with def at the top level of a module"
-            ) from error
-
-
-def _require_named(invariants: Any) -> None:
-    """Raise ValueError if invariants are neither None nor a mapping from names."""
-    arguments.mapping(invariants, "invariants")
-    arguments.names(invariants or (), "invariants", "names that are strings")
-    for name, value in (invariants or {}).items():
-        if value is None:
-            raise ValueError(f"invariants[{name!r}] = None: expected a function or an expression")
-
-
-def _require_parts(functions: dict[str, Callable[..., Any] | None], mass: Any) -> None:
-    """Raise ValueError if functions are given that do not go together, or not all that do."""
-    given = {key for key, function in functions.items() if function is not None}
-    if mass is not None:
-        given.add("mass")
-    for one, other in (
-        ("mass", "lagrangian"),
-        ("potential", "lagrangian"),
-        ("forms", "constraint"),
-    ):
-        if one in given and other in given:
-            raise ValueError(f"{one} and {other}: expected one of the two")
-    for key in FUNCTIONS:
-        needed = _NEEDS.get(key, "")
-        names = [part.split("(")[0] for part in needed.split(" and ")] if needed else []
-        if key in given and not given.issuperset(names):
-            raise ValueError(f"{key} without {needed}")
-    if not given & {"mass", "lagrangian"}:
-        raise ValueError("mass: needed, or a lagrangian")
-    derivatives = given & {"forms_velocity_derivative", "affine_derivative"}
-    if "affine" in given and len(derivatives) == 1:
-        raise ValueError(
-            f"{derivatives.pop()} alone: expected forms_velocity_derivative and "
-            "affine_derivative, both or none"
-        )
-
-
-def _require_compiled(
-    functions: dict[str, Callable[..., Any] | None],
-    compiled: Mapping[str, pointers.Pointer],
-    mass: Any,
-    m: int | None,
-) -> None:
-    """Raise ValueError if something does not go together with C functions."""
-    for key, function in functions.items():
-        if function is not None and key != "exact" and key not in compiled:
-            raise ValueError(
-                f"{key} = {function!r} together with the C function {next(iter(compiled))}: "
-                "expected C functions for potential, constraint, lagrangian and force, with their "
-                "derivatives among the outputs, or Python functions"
-            )
-    if (mass is None) == ("lagrangian" not in compiled):
-        raise ValueError("mass and lagrangian: expected one of the two")
-    if mass is None and "potential" in compiled:
-        raise ValueError("potential and lagrangian: expected one of the two")
-    if ("constraint" in compiled) != bool(m):
-        raise ValueError(f"m = {m}: expected the number of constraints, with a constraint only")
-
-
-def _missing(functions: dict[str, Callable[..., Any] | None], m: int, kind: str) -> int:
-    """Return the sum of ``dal_missing`` for the derivatives that are not given."""
-    owners = {"gradient": "potential", "hessian": "potential"}
-    bits = 0
-    for bit, name in MISSING.items():
-        owner = owners.get(name, name.split("_")[0])
-        if functions[owner] is not None and functions[name] is None:
-            bits |= bit
-    if m > 0 and any(functions[name] is None for name in MISSING_PHI_Q[kind]):
-        bits |= lib.DAL_MISSING_PHI_Q
-    return bits
-
-
-def _number_of_coordinates(
-    n: int | None, coordinates: Sequence[str] | None, q0: ArrayLike | None
-) -> int | None:
-    """Return n as given, or as the coordinates or q0 tell it; None if nothing does."""
-    if n is not None:
-        return arguments.integer(n, "n", 1, _MOST_COORDINATES)
-    if coordinates is not None:
-        return len(coordinates)
-    return None if q0 is None else int(np.size(q0))
-
-
-def _mass_matrix(mass: ArrayLike, n: int | None, told: int | None) -> Array:
-    """Return M for a matrix, its diagonal, or one number; ValueError if n does not agree."""
-    matrix = arguments.array(mass, "mass", (None, None), (None,), ())
-    if matrix.ndim == 0:
-        if told is None:
-            raise ValueError(f"n: needed, because mass = {mass!r} does not tell it")
-        matrix = np.full(told, float(matrix))
-    if matrix.ndim == 1:
-        matrix = np.diag(matrix)
-    if matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
-        raise ValueError(f"mass: expected a square matrix, got shape {matrix.shape}")
-    if n is not None and len(matrix) != n:
-        raise ValueError(f"n = {n}: the mass matrix has shape {matrix.shape}")
-    return matrix.copy()
-
-
-def _number_of_constraints(
-    forms: Callable[[Array], ArrayLike] | None,
-    constraint: Callable[[Array, Array], ArrayLike] | None,
-    m: int | None,
-    n: int,
-    state: Array | None,
-) -> int:
-    """Return m as given, or as many as ``forms(q)`` or ``constraint(q, v)`` returns."""
-    if forms is None and constraint is None:
-        if m:
-            raise ValueError(f"m = {m}: without forms or constraint there are no constraints")
-        return 0
-    if m is not None:
-        return arguments.integer(m, "m", 0)
-    point = np.concatenate([np.zeros(n), np.ones(n)]) if state is None else state.copy()
-    point.flags.writeable = False
-    if constraint is not None:
-        shape = arguments.shape(constraint(point[:n], point[n:]))
-        if len(shape) != 1:
-            raise ValueError(
-                "constraint has to return shape (m,), one number for each constraint, it "
-                f"returned {shape}"
-            )
-    elif forms is not None:
-        shape = arguments.shape(forms(point[:n]))
-        if len(shape) != 2 or shape[1] != n:
-            raise ValueError(
-                f"forms has to return shape (m, {n}), one row for each constraint, "
-                f"it returned {shape}"
-            )
-    return arguments.integer(shape[0], "m", 0)

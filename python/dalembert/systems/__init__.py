@@ -28,10 +28,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from .. import core
+from ..core import arguments, lib
+from ..system import BuiltIn, System, require_parameters
 from . import catalogue
-from ..core import arguments
-from ..core import lib
-from ..system.system import System, require_parameters
 
 __all__ = ["KnownState", "get", "known_states", "names", "names_in_sympy", "plain_name"]
 
@@ -89,9 +88,9 @@ def get(name: str, /, **parameters: float) -> System:
     """
     plain = plain_name(name)
     if plain not in names_in_sympy():
-        default = System._builtin(plain, {})
+        default = System._of(BuiltIn(plain, {}))
         require_parameters(plain, parameters, default.parameters)
-        return System._builtin(plain, parameters) if parameters else default
+        return System._of(BuiltIn(plain, parameters)) if parameters else default
     make: Callable[..., System] = getattr(catalogue, plain)
     require_parameters(plain, parameters, inspect.signature(make).parameters)
     return make(**parameters)

@@ -20,7 +20,8 @@ from collections.abc import Callable
 from typing import Any
 
 from ..core import arguments, extras
-from ..system.system import System
+from ..symbolic import model
+from ..system import System
 
 __all__ = [
     "cvt",
@@ -398,10 +399,8 @@ def _start(
     symbols = [
         sympy.Symbol(key, positive=True if key in positive.split() else None) for key in parameters
     ]
-    from ..symbolic.model import Coordinate
-
     call = tuple(coordinates.split())
-    return sympy, tuple(Coordinate(name, call) for name in call), symbols
+    return sympy, tuple(model.Coordinate(name, call) for name in call), symbols
 
 
 def _make(
@@ -416,5 +415,5 @@ def _make(
     made = System.from_sympy(
         L, constraints, coordinates, parameters, name=name, **about(name), **more
     )
-    made._of_library = True
+    made._source.of_library = True
     return made

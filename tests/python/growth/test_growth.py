@@ -14,10 +14,11 @@ import sympy
 from sympy import Abs, Heaviside, Max, Min, Piecewise, cos, exp, sin, sqrt
 
 import dalembert as dal
-from dalembert import pages
+from dalembert import growth, pages
 from dalembert.core import extras
-from dalembert.symbolic import expressions, model
-from dalembert.symbolic import given as symbolic
+import dalembert.symbolic.expressions as expressions
+import dalembert.symbolic.model as model
+import dalembert.symbolic.given as symbolic
 from dalembert.growth import algebra, functions
 
 x, y, z, w, u = dal.coordinates("x y z w u")
@@ -434,11 +435,11 @@ def test_trailers_in_c(count):
 def test_formulas_that_say_something_else(monkeypatch):
     """Then only the functions count."""
     model_of_heisenberg = expressions.model(dal.systems.heisenberg())
-    assert expressions.agree(model_of_heisenberg, dal.systems.heisenberg(), np.ones(3))
+    assert growth.agree(model_of_heisenberg, dal.systems.heisenberg(), np.ones(3))
     for name in ("particle", "disk"):
         system = dal.systems.get(name)
-        assert not expressions.agree(model_of_heisenberg, system, system.q0)
-    monkeypatch.setattr(expressions, "agree", lambda *_: False)
+        assert not growth.agree(model_of_heisenberg, system, system.q0)
+    monkeypatch.setattr(growth, "agree", lambda *_: False)
     report = dal.systems.n_trailer(trailers=4).check()
     assert len(report.growth) < 6 and not report.exact and "are not formed" in str(report)
 

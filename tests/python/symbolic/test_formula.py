@@ -17,8 +17,9 @@ from sympy.parsing.sympy_parser import (
 )
 
 import dalembert as dal
-from dalembert import formula
-from dalembert.symbolic import expressions
+from dalembert import formula, growth
+import dalembert.symbolic.expressions as expressions
+from dalembert.system.sources import Expressions
 
 IN_C = dal.systems.names()
 ALL = (*IN_C, *dal.systems.names_in_sympy())
@@ -194,7 +195,7 @@ def twin(name, **parameters):
     system = dal.systems.get(name, **parameters)
     about = {"name": name, "help": "", "description": "", "source": ""}
     model = expressions.model(system)
-    return system, dal.System._from_model(model, system.parameters, about, None, None, {})
+    return system, dal.System._of(Expressions(model, system.parameters, about, None, None, {}))
 
 
 CHANGED = {

@@ -10,7 +10,7 @@ from dalembert.symbolic.pattern import pattern
 
 
 def model(L, constraints, q):
-    return dal.System.from_sympy(L, constraints, coordinates=list(q))._symbolic.model
+    return dal.System.from_sympy(L, constraints, coordinates=list(q))._model
 
 
 def coupled():

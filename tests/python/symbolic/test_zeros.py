@@ -18,8 +18,8 @@ from sympy.parsing.sympy_parser import (
 )  # fmt: skip
 
 import dalembert as dal
-from dalembert.symbolic import codegen
-from dalembert.symbolic import given as symbolic
+import dalembert.symbolic.codegen as codegen
+import dalembert.symbolic.given as symbolic
 from dalembert.symbolic.pattern import pattern
 from dalembert.symbolic.zeros import is_zero
 
@@ -269,9 +269,9 @@ def test_kinds_behind_a_wall():
 def test_a_jump_of_mu_is_not_steady():
     """It has no derivative, but mu depends on x, which the reaction pushes."""
     smooth, jumping = ([z.d - k * y.d - 2 * x.d] for k in (3, Piecewise((1, x < 2), (3, True))))
-    assert pattern(made(T, smooth)._symbolic.model).steady
+    assert pattern(made(T, smooth)._model).steady
     system = made(T, jumping)
-    assert not pattern(system._symbolic.model).steady
+    assert not pattern(system._model).steady
     state = [3, 1, 1], system.project([3, 1, 1], [1, 2, 3])
     assert bool(system.check(*state)) and system.check(*state).growth == (2, 2)
 

@@ -374,10 +374,10 @@ def test_pickle_of_the_catalogue():
 def test_pickle_knows_what_is_of_the_library():
     """Pages say of a system of the library how `systems` makes it again."""
     for system in (dal.systems.cvt(), dal.systems.cvt().with_parameters(c=2)):
-        assert system._of_library and pickle.loads(pickle.dumps(system))._of_library
+        assert system._source.of_library and pickle.loads(pickle.dumps(system))._source.of_library
     (x,) = dal.coordinates("x")
     own = dal.System.from_sympy(L=x.d**2 / 2)
-    assert not pickle.loads(pickle.dumps(own))._of_library
+    assert not pickle.loads(pickle.dumps(own))._source.of_library
 
 
 def test_pickle_of_the_users_own(own):
