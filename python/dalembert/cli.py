@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _lib, catalogue, compiler, extras, files, pages, plot, report, systems
+from . import _lib, catalogue, compiler, extras, files, pages, report, systems, web
 from .arguments import suggestion
 from .refinement import MOST_STEPS, studies
 from .scheme import INITIAL, REFERENCE
@@ -213,7 +213,7 @@ def _study(given: argparse.Namespace) -> int:
     output = None if given.no_report else given.output or Path("report.html")
     if output is not None:
         try:
-            plot.require_matplotlib()
+            web.require()
         except ImportError as error:
             if given.output:
                 raise

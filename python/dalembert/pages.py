@@ -6,7 +6,6 @@ A page is self-contained: no script, no network, the same bytes every time.
 from __future__ import annotations
 
 import functools
-import html
 import re
 import warnings
 from collections.abc import Callable, Iterable, Sequence
@@ -21,7 +20,7 @@ from .examination import Check
 from .integration import integrate
 from .solution import Solution
 from .system import System, require_system
-from .table import number
+from .table import Column, html, number
 
 __all__ = ["available", "page", "write"]
 
@@ -30,28 +29,6 @@ END, TIMES = 20, (1, 10)
 SCHEME, STEP = "leapfrog", 0.02
 FINE, FINE_STEP = "leapfrog-kl8", 0.05
 SHOWN = 8  # coordinates over time, at most
-
-CSS = """
-.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(16.5rem, 1fr));
-         gap: 1rem; padding: 0; }
-.card { border: 1px solid #bbb; padding: .6rem .8rem .7rem; display: block; color: inherit;
-        text-decoration: none; }
-.card:hover, .card:focus { border-color: #111; }
-.card h2 { border: 0; margin: .4rem 0 .1rem; font-size: 1.05rem; text-decoration: underline; }
-.card p { margin: 0 0 .3rem; font-size: .92rem; line-height: 1.4; }
-.card .note { font: .8rem/1.4 system-ui, sans-serif; }
-.card figure { margin: 0; }
-math { font-family: math, "Cambria Math", "STIX Two Math", "Latin Modern Math", "STIX Math",
-       serif; }
-.formulas { overflow-x: auto; padding: .2rem 0; }
-.formulas math { margin: .7rem 0 .7rem 1.5rem; width: max-content; font-size: 1.08em; }
-td math { font-size: 1.15em; }
-.facts td { vertical-align: top; padding: .12rem 1.1rem .12rem 0; }
-.facts td + td { white-space: normal; }
-.digits td { font-family: ui-monospace, "DejaVu Sans Mono", monospace; }
-nav { font: .85rem/1.5 system-ui, sans-serif; margin-top: 2.5rem; border-top: 1px solid #bbb;
-      padding-top: .5rem; }
-"""
 
 
 def write(
@@ -85,8 +62,8 @@ def write(
         If there is no system of a name, a system has no initial data, two have the same name, one
         is called index, or there are none.
     ImportError
-        If matplotlib is not installed, or SymPy and a system needs it; the text has the line to
-        type.
+        If matplotlib or Jinja2 is not installed, or SymPy and a system needs it; the text has the
+        line to type.
     OSError
         If a file cannot be written; the text has its name.
 
@@ -97,7 +74,7 @@ def write(
     ...     [path.name for path in dal.pages.write(place, ["disk", "sleigh"])]
     ['index.html', 'disk.html', 'sleigh.html']
     """
-    plot.require_matplotlib()
+    web.require()
     if isinstance(chosen, (str, System)):
         chosen = [chosen]
     found = list(available() if chosen is None else chosen)
@@ -128,8 +105,8 @@ def write(
             run = _run(system, SCHEME, STEP)
             paths.append(place / f"{name}.html")
             files.write(paths[-1], _page(system, run, names))
-            cards.append(_card(system, run))
-        files.write(index, _index(cards))
+            cards.append((name, system, _small(system, run)))
+        files.write(index, web.render("index.html", cards=cards))
         show(len(names))
     return paths
 
@@ -160,7 +137,7 @@ def page(system: System) -> str:
     ValueError
         If it is no system, or has no initial data.
     ImportError
-        If matplotlib is not installed; the text has the line to type.
+        If matplotlib or Jinja2 is not installed; the text has the line to type.
 
     Examples
     --------
@@ -169,7 +146,7 @@ def page(system: System) -> str:
     >>> "dal.systems.disk(R=0.5)" in text
     True
     """
-    plot.require_matplotlib()
+    web.require()
     require_system(system)
     _require_start(system)
     return _page(system, _run(system, SCHEME, STEP), ())
@@ -192,127 +169,52 @@ def _run(system: System, scheme: str, h: float) -> Solution:
         return integrate(system, scheme, h=h, t_end=END, throw=False)
 
 
-# ---- the index ---------------------------------------------------------------------------------
-
-
-def _index(cards: Sequence[str]) -> str:
-    body = f"""<p class="eyebrow">dalembert</p>
-<h1>Catalogue of systems</h1>
-<p>Mechanical systems with velocity constraints, {len(cards)} of them. Each page has the formulas,
-initial data, invariants, what is known of the solution, and the lines of Python and C that make the
-system and run it.</p>
-<div class="cards">
-{"".join(cards)}</div>"""
-    return web.page("Catalogue of systems", body, CSS)
-
-
-def _card(system: System, run: Solution) -> str:
-    name = _slug(system)
-    figure = web.figure(3.2, 2.2, layout=None)
-    ax = figure.add_axes((0.02, 0.02, 0.96, 0.96))
-    if _has_path(system):
-        _draw_path(run, ax)
-        ax.set_aspect("equal", adjustable="datalim")
-    else:
-        for x, line in zip(run.q.T[:4], plot.LINES):
-            ax.plot(run.t[:500], x[:500], color="black", linestyle=line, linewidth=1.1)
-    ax.axis("off")
-    kind = "no" if system.m == 0 else system.kind
-    return f"""<a class="card" href="{name}.html">
-{web.svg(figure, f"small-{name}", f"A run of {system.name}.")}
-<h2>{html.escape(system.name)}</h2>
-<p>{_sentence(system.help)}</p>
-<p class="note">n = {system.n}, m = {system.m}, {kind} constraints</p>
-</a>
-"""
-
-
-# ---- the page of a system ----------------------------------------------------------------------
-
-
 def _page(system: System, run: Solution, names: Sequence[str]) -> str:
-    text = html.escape
     runs = (run, _run(system, FINE, FINE_STEP))
-    back = '<a href="index.html">catalogue</a>' if names else "system"
-    parts = [
-        f'<p class="eyebrow">dalembert {back}</p>',
-        f"<h1>{text(system.name)}</h1>",
-        f"<p>{_sentence(system.help)}</p>",
-        f"<p>{_prose(system.description, system, names)}</p>" if system.description else "",
-        f'<p class="note">Source: {_sentence(system.source)}</p>' if system.source else "",
-        _formulas(system),
-        _picture(system, run),
-        _facts(system),
-        _start(system),
-        _invariants(system, runs),
-        _known(system),
-        _accuracy(system, runs),
-        _reproduce(system, run),
-        _links(system, names),
-    ]
-    return web.page(system.name, "\n".join(part for part in parts if part), CSS)
+    k = names.index(_slug(system)) if names else 0
+    end = zip(system.coordinates, run.q[-1], run.v[-1])
+    is_ours = system._of_library
+    return str(
+        web.render(
+            "system.html",
+            system=system,
+            names=names,
+            library=(*systems.names(), *systems.names_in_sympy()),
+            before=names[k - 1] if k > 0 else None,
+            after=names[k + 1] if k + 1 < len(names) else None,
+            version=_lib.version(),
+            run=run,
+            typical=f"{SCHEME} with h = {STEP:g} to t = {END}",
+            shown=f"first {SHOWN} coordinates" if system.n > SHOWN else "coordinates",
+            has_path=_has_path(system),
+            picture=_picture(system, run),
+            facts=_table(("", ""), _facts(system), "facts"),
+            start=_start(system),
+            conserves=_conserves(system),
+            invariants=_invariants(system, runs),
+            reference=_known(system),
+            accuracy=_accuracy(system, runs),
+            python=python_lines(system) if is_ours else "",
+            c=c_lines(system) if is_ours else "",
+            end="\n".join(f"{name:12} {q: .17g}  {v: .17g}" for name, q, v in end),
+        )
+    )
 
 
-def _sentence(words: str) -> str:
-    """A line of help as a sentence."""
-    return html.escape(f"{words[:1].upper()}{words[1:].removesuffix('.')}.") if words else ""
-
-
-def _math(words: str, system: System) -> str:
-    return formula.mathml(words, system.coordinates)
-
-
-def _inline(words: str, system: System) -> str:
-    """A formula within text."""
-    return _math(words, system).replace('<math display="block">', "<math>")
-
-
-def _cell(words: str, system: System) -> str:
-    """A formula in a table, with fractions as large as on a line of their own."""
-    return _math(words, system).replace('display="block"', 'displaystyle="true"')
-
-
-def _prose(words: str, system: System, names: Sequence[str]) -> str:
-    """Text in which what stands in backticks is a formula, or a system of the catalogue."""
-    found = []
-    for k, part in enumerate(words.split("`")):
-        if k % 2 == 0:
-            found.append(html.escape(part))
-        elif part in names:
-            found.append(f'<a href="{part}.html">{part}</a>')
-        elif part in (*systems.names(), *systems.names_in_sympy()):
-            found.append(part)
-        else:
-            found.append(_inline(part, system))
-    return "".join(found)
-
-
-def _formulas(system: System) -> str:
-    if not system.formulas:
+def _table(titles: Sequence[str], rows: Iterable[Sequence[Any]], style: str = "") -> Any:
+    """A table as HTML, the first column flush left; with a style all columns."""
+    cells = list(zip(*rows))
+    if not cells:
         return ""
-    lines = [line for line in system.formulas if not line.startswith("where ")]
-    where = [line.removeprefix("where ") for line in system.formulas if line.startswith("where ")]
-    shown = "\n".join(_math(line, system) for line in lines)
-    more = "\n".join(_math(line, system) for line in where)
-    more = f'<p>where</p>\n<div class="formulas">\n{more}\n</div>' if where else ""
-    return f'<h2>Formulas</h2>\n<div class="formulas">\n{shown}\n</div>\n{more}'
+    return html([Column(*x, left=bool(style) or k == 0) for k, x in enumerate(zip(titles, cells))],
+                style=style)
 
 
-def _table(rows: Iterable[Sequence[str]], head: Sequence[str] = (), style: str = "") -> str:
-    """A table of HTML cells, the first column flush left; with a style all columns."""
-
-    def row(cells: Sequence[str], tag: str) -> str:
-        left = [' class="left"' if k == 0 or style else "" for k in range(len(cells))]
-        inside = "".join(f"<{tag}{how}>{cell}</{tag}>" for how, cell in zip(left, cells))
-        return f"<tr>{inside}</tr>\n"
-
-    body = "".join(row(cells, "td") for cells in rows)
-    top = row(head, "th") if head else ""
-    kind = f' class="{style}"' if style else ""
-    return f'<div class="scroll"><table{kind}>\n{top}{body}</table></div>'
+def _math(words: str, system: System) -> Any:
+    return web.math(words, system.coordinates)
 
 
-def _facts(system: System) -> str:
+def _facts(system: System) -> list[tuple[str, str]]:
     """What the system is, and what its examination finds."""
     found = system.check()
     rows = [
@@ -333,8 +235,7 @@ def _facts(system: System) -> str:
     if system.m:
         rows.append(("rank and condition of μ", f"{found.rank}, {found.condition:.3g}"))
     rows.append(("examination at the start", ("passed: " if found else "failed: ") + found.text))
-    cells = [(html.escape(key), html.escape(value)) for key, value in rows]
-    return "<h2>What it is</h2>\n" + _table(cells, style="facts")
+    return rows
 
 
 def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
@@ -355,19 +256,18 @@ def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
     ]
 
 
-def _start(system: System) -> str:
+def _start(system: System) -> list[Any]:
     """Parameters and initial data."""
     assert system.q0 is not None and system.v0 is not None
-    parts = ["<h2>Parameters and initial data</h2>"]
-    if system.parameters:
-        values = [(_cell(key, system), f"{x:.15g}") for key, x in system.parameters.items()]
-        parts.append(_table(values, ("parameter", "value")))
+    values = [(_math(key, system), f"{x:.15g}") for key, x in system.parameters.items()]
     rows = [
-        (_cell(name, system), f"{q:.15g}", f"{v:.15g}")
+        (_math(name, system), f"{q:.15g}", f"{v:.15g}")
         for name, q, v in zip(system.coordinates, system.q0, system.v0)
     ]
-    parts.append(_table(rows, ("coordinate", "at the start", "its velocity")))
-    return "\n".join(parts)
+    return [
+        _table(("parameter", "value"), values),
+        _table(("coordinate", "at the start", "its velocity"), rows),
+    ]
 
 
 def _conserves(system: System) -> bool:
@@ -375,59 +275,39 @@ def _conserves(system: System) -> bool:
     return system.kind == "linear" and not system.is_forced
 
 
-def _invariants(system: System, runs: Sequence[Solution]) -> str:
+def _invariants(system: System, runs: Sequence[Solution]) -> Any:
     """The first integrals, and how far they drift in the typical run and in the accurate one."""
-    values = [system.invariant(x.q, x.v) for x in runs]
-    rows = []
-    if _conserves(system):
-        energy = [x.energy for x in runs]
-        rows.append(("energy", _digits(energy[0][0]), *map(_drift, energy)))
-    for name in system.invariants:
-        both = [x[name] for x in values]
-        rows.append((_invariant(system, name), _digits(both[0][0]), *map(_drift, both)))
-    note = "" if _conserves(system) else (
-        "<p>The energy is not among them: "
-        + ("there is a force." if system.is_forced else "the constraints do work.")
-        + "</p>"
-    )  # fmt: skip
-    if not rows:
-        return f"<h2>Invariants</h2>\n<p>None is known.</p>\n{note}"
-    head = (
-        "invariant",
-        "at the start",
-        f"drift of {SCHEME}, h = {STEP:g}",
-        f"of {FINE}, h = {FINE_STEP:g}",
-    )
-    return (
-        f"<h2>Invariants</h2>\n{_table(rows, head)}\n{note}"
-        f'<p class="note">The drift is the largest change from t = 0 to {END}.</p>'
-    )
+    values = [
+        {**({"energy": x.energy} if _conserves(system) else {}), **system.invariant(x.q, x.v)}
+        for x in runs
+    ]
+    rows = [
+        (
+            name if name == "energy" else _invariant(system, name),
+            f"{values[0][name][0]:.10g}",
+            *(number(float(np.abs(x[name] - x[name][0]).max())) for x in values),
+        )
+        for name in values[0]
+    ]
+    drifts = (f"drift of {SCHEME}, h = {STEP:g}", f"of {FINE}, h = {FINE_STEP:g}")
+    return _table(("invariant", "at the start", *drifts), rows)
 
 
-def _invariant(system: System, name: str) -> str:
+def _invariant(system: System, name: str) -> Any:
     """An invariant by its name; if there are shorthands in it, by its expression too."""
-    shown = _cell(name, system)
+    shown = _math(name, system)
     model = None if system._symbolic is None else system._symbolic.model
     if model is None or len(model.invariants) != len(system.invariants):
         return shown
     try:
-        found = formula.names(name)
+        found = {x.name for side in formula.read(name) for x in side.free_symbols}
     except ValueError:
         found = {name}
     known = {*system.coordinates, *system.parameters, *(f"v_{x}" for x in system.coordinates)}
     if found <= known:
         return shown
     expression = model.formula(model.invariants[system.invariants.index(name)])
-    return f"{shown}<br>= {_inline(expression, system)}"
-
-
-def _digits(x: float) -> str:
-    """A number with ten digits."""
-    return f"{x:.10g}"
-
-
-def _drift(values: Array) -> str:
-    return number(float(np.abs(values - values[0]).max()))
+    return shown + "\n= " + _math(expression, system)
 
 
 # ---- what is known of the solution ---------------------------------------------------------------
@@ -440,50 +320,31 @@ def _known_states(system: System) -> tuple[systems.KnownState, ...]:
     return systems.known_states(system.name)
 
 
-def _known(system: System) -> str:
+def _known(system: System) -> Any:
     """The reference to 30 digits."""
     states = _known_states(system)
-    if not states:
-        return ""
-    rows = []
-    for i, name in enumerate(system.coordinates):
-        for letter, shown in (("q", name), ("v", f"v_{name}")):
-            rows.append((_cell(shown, system), *(getattr(x, letter)[i] for x in states)))
-    table = _table(rows, ("", *(f"t = {x.t:g}" for x in states)), "digits")
-    return (
-        "<h2>Reference to 30 digits</h2>\n"
-        "<p>From the initial data, with parameters and data that are decimals exactly; computed by "
-        "Taylor series and by extrapolation, which agree to these digits.</p>\n" + table
-    )
+    rows = [
+        (_math(shown, system), *(getattr(x, letter)[i] for x in states))
+        for i, name in enumerate(system.coordinates)
+        for letter, shown in (("q", name), ("v", f"v_{name}"))
+    ]
+    return states and _table(("", *(f"t = {x.t:g}" for x in states)), rows, "digits")
 
 
-def _accuracy(system: System, runs: Sequence[Solution]) -> str:
+def _accuracy(system: System, runs: Sequence[Solution]) -> Any:
     """How far runs are from the exact solution and from the reference."""
     states = {x.t: np.array([*x.q, *x.v], dtype=float) for x in _known_states(system)}
+    exact = functools.partial(_exact, system)
     subjects = [
         (f"{run.scheme.name}, h = {run.h:g}", functools.partial(_state, run)) for run in runs
     ]
     rows = []
     if system.has_exact:
-        rows += [
-            (f"{name}, from the exact solution", *_distances(at, lambda t: _exact(system, t)))
-            for name, at in subjects
-        ]
-        subjects = [("exact solution, in double precision", lambda t: _exact(system, t))]
+        rows = [(f"{name}, from the exact solution", *_distances(x, exact)) for name, x in subjects]
+        subjects = [("exact solution, in double precision", exact)]
     if states:
-        rows += [
-            (f"{name}, from the reference", *_distances(at, states.get)) for name, at in subjects
-        ]
-    if not rows:
-        return ""
-    title = "Exact solution" if system.has_exact else "Measured against the reference"
-    said = (
-        "<p>There is an exact solution for all initial data: <code>system.exact(t)</code>.</p>\n"
-        if system.has_exact
-        else ""
-    )
-    head = ("largest difference of (q, v)", *(f"t = {t:g}" for t in TIMES))
-    return f"<h2>{title}</h2>\n{said}{_table(rows, head)}"
+        rows += [(f"{name}, from the reference", *_distances(x, states.get)) for name, x in subjects]
+    return _table(("largest difference of (q, v)", *(f"t = {t:g}" for t in TIMES)), rows)
 
 
 def _exact(system: System, t: float) -> Array:
@@ -513,131 +374,84 @@ def _has_path(system: System) -> bool:
 
 def _label(name: str) -> str:
     """The name of a coordinate for matplotlib: theta_x as a letter with an index."""
-    letter, digits, index = re.fullmatch(r"([^\d_]*)(\d*)_?(.*)", name).groups()  # type: ignore
-    if not name.isascii() or not name.replace("_", "").isalnum() or not letter:
+    try:
+        return f"${formula.latex(name)[0]}$"
+    except (ImportError, ValueError):
         return plot.plain(name)
-    letter = formula.GREEK.get(letter, letter)
-    letter = letter if len(letter) == 1 else rf"\mathrm{{{letter}}}"
-    below = digits + formula.GREEK.get(index, index)
-    return f"${letter}_{{{below}}}$" if below else f"${letter}$"
+
+
+def _small(system: System, run: Solution) -> Any:
+    """The path, or some coordinates over time, for the index."""
+    figure = web.figure(3.2, 2.2, layout=None)
+    ax = figure.add_axes((0.02, 0.02, 0.96, 0.96))
+    if _has_path(system):
+        _draw_path(run, ax)
+    else:
+        for x, line in zip(run.q.T[:4], plot.LINES):
+            ax.plot(run.t[:500], x[:500], color="black", linestyle=line, linewidth=1.1)
+    ax.axis("off")
+    return web.svg(figure, f"small-{_slug(system)}", f"A run of {system.name}.")
+
+
+def _picture(system: System, run: Solution) -> Any:
+    """The path, the coordinates over time, and below the residual and the energy."""
+    names = system.coordinates[:SHOWN]
+    upper, lower, gap = max(3.9, 0.85 * len(names)), 1.9, 0.7
+    height = upper + gap + lower + 0.6
+    figure = web.figure(11.0, height, layout=None)  # that of matplotlib takes twice the time
+    axes = figure.subplot_mosaic(
+        [
+            *(["path", ".", k] if _has_path(system) else [k] * 3 for k in range(len(names))),
+            ["."] * 3,
+            ["residual", ".", "energy"],
+        ],
+        width_ratios=(4.2, 1.0, 5.0),
+        height_ratios=[*[upper / len(names)] * len(names), gap, lower],
+        gridspec_kw={"left": 0.07, "right": 0.99, "wspace": 0, "hspace": 0.06},
+    )
+    figure.subplots_adjust(bottom=0.5 / height, top=1 - 0.1 / height)
+    if _has_path(system):
+        _draw_path(run, axes["path"])
+        axes["path"].set(xlabel="$x$", ylabel="$y$")
+        axes["path"].legend(frameon=False, fontsize="small")
+    for k, (name, x) in enumerate(zip(names, run.q.T)):
+        ax = axes[k]
+        ax.plot(run.t, x, color=plot.COLOURS[0], linewidth=1.2)
+        ax.plot(run.t[:1], x[:1], color="black", marker="o", markersize=4, clip_on=False)
+        ax.set_ylabel(_label(name), rotation=0)
+        ax.margins(x=0.01)
+        ax.locator_params(axis="y", nbins=3)
+        ax.tick_params(labelbottom=name == names[-1])
+    figure.align_ylabels([axes[k] for k in range(len(names))])
+    ax.set_xlabel("$t$")
+    _draw_residual(run, axes["residual"])
+    ax = axes["energy"]
+    ax.plot(run.t, run.energy - run.energy[0], color=plot.COLOURS[1], linewidth=1.2)
+    ax.set(xlabel="$t$", ylabel="$E - E_0$")
+    ax.margins(x=0.01)
+    ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
+    return web.svg(figure, f"run-{_slug(system)}", f"A run of {system.name}.")
 
 
 def _draw_path(run: Solution, ax: Any) -> None:
     x, y = (run.q[:, run.system.coordinates.index(name)] for name in ("x", "y"))
     ax.plot(x, y, color=plot.COLOURS[0], linewidth=1.4)
-    ax.plot(x[:1], y[:1], color="black", marker="o", linestyle="none", label="start")
-    ax.plot(
-        x[-1:], y[-1:], color="black", marker="s", markerfacecolor="white", linestyle="none",
-        label="end",
-    )  # fmt: skip
-
-
-def _picture(system: System, run: Solution) -> str:
-    """The path, the coordinates over time, and below the residual and the energy."""
-    shown = min(system.n, SHOWN)
-    upper, lower, gap = max(3.9, 0.85 * shown), 1.9, 0.6
-    width, height = 11.0, upper + lower + 2 * gap + 0.1
-    figure = web.figure(width, height, layout=None)
-
-    def axes(left: float, bottom: float, right: float, top: float) -> Any:
-        """Axes between these places, in inches; a layout by matplotlib takes twice the time."""
-        return figure.add_axes(
-            (left / width, bottom / height, (right - left) / width, (top - bottom) / height)
-        )
-
-    start, middle, top = 0.75, 5.65, height - 0.1
-    floor = top - upper
-    if _has_path(system):
-        ax = axes(start, floor, middle - 0.7, top)
-        _draw_path(run, ax)
-        ax.set_aspect("equal", adjustable="datalim")
-        ax.set_xlabel("$x$")
-        ax.set_ylabel("$y$")
-        ax.legend(frameon=False, fontsize="small")
-    each = upper / shown
-    for k, (name, x) in enumerate(zip(system.coordinates[:shown], run.q.T)):
-        left = middle + 0.3 if _has_path(system) else start
-        ax = axes(left, top - (k + 1) * each + 0.07, width - 0.1, top - k * each)
-        ax.plot(run.t, x, color=plot.COLOURS[0], linewidth=1.2)
-        ax.plot(run.t[:1], x[:1], color="black", marker="o", markersize=4, clip_on=False)
-        ax.set_ylabel(_label(name), rotation=0, labelpad=6)
-        ax.yaxis.set_label_coords(-0.55 / (width - 0.1 - left), 0.5)
-        ax.margins(x=0.01)
-        ax.locator_params(axis="y", nbins=3)
-        ax.tick_params(labelbottom=k == shown - 1)
-    ax.set_xlabel("$t$")
-    _draw_residual(run, axes(start, gap - 0.1, middle - 0.7, gap - 0.1 + lower))
-    ax = axes(middle + 0.3, gap - 0.1, width - 0.1, gap - 0.1 + lower)
-    ax.plot(run.t, run.energy - run.energy[0], color=plot.COLOURS[1], linewidth=1.2)
-    ax.set_ylabel("$E - E_0$")
-    ax.set_xlabel("$t$")
-    ax.margins(x=0.01)
-    ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
-    return web.svg(
-        figure, f"run-{_slug(system)}", f"A run of {system.name}.", _caption(system, run)
-    )
+    ax.plot(x[:1], y[:1], "ko", label="start")
+    ax.plot(x[-1:], y[-1:], "ks", markerfacecolor="white", label="end")
+    ax.set_aspect("equal", adjustable="datalim")
 
 
 def _draw_residual(run: Solution, ax: Any) -> None:
     """The residual of D on a logarithmic axis, the largest of each stretch."""
     ax.plot(*plot._stretches(run.t, run.residual), color=plot.COLOURS[2], linewidth=1.2)
-    ax.set_yscale("log")
     ax.axhline(_lib.ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)))
-    ax.set_ylim(plot.ZERO / 4, max(plot.NOT_ROUNDOFF, 2 * float(run.residual.max())))
-    ax.set_yticks([1e-16, 1e-12, 1e-8])
+    top = max(plot.NOT_ROUNDOFF, 2 * float(run.residual.max()))
+    ax.set(yscale="log", ylim=(plot.ZERO / 4, top), yticks=[1e-16, 1e-12, 1e-8], xlabel="$t$")
     ax.set_ylabel("residual of $D$" if run.system.m else "(no constraints)")
-    ax.set_xlabel("$t$")
     ax.margins(x=0.01)
 
 
-def _caption(system: System, run: Solution) -> str:
-    words = [f"A typical run: {SCHEME} with h = {STEP:g} to t = {END}."]
-    if not run.success:
-        words.append(f"It broke off at t = {run.t[-1]:g}: {html.escape(run.message)}.")
-    shown = f"first {SHOWN} coordinates" if system.n > SHOWN else "coordinates"
-    if _has_path(system):
-        flat = ", seen along z" if "z" in system.coordinates else ""
-        words.append(f"The path{flat}, and the {shown} over time;")
-    else:
-        words.append(f"The {shown} over time;")
-    words.append(
-        "below, the relative residual of the constraints, with the unit roundoff as the dashed "
-        "line, and"
-    )
-    words.append(
-        "the error of the energy."
-        if _conserves(system)
-        else "the change of the energy, which is no error here."
-    )
-    return " ".join(words)
-
-
 # ---- how to make it ------------------------------------------------------------------------------
-
-
-def _reproduce(system: System, run: Solution) -> str:
-    if not system._of_library:
-        return (
-            "<h2>How to make it</h2>\n<p>The system is one of the user's own: the program that "
-            "made it belongs to this page.</p>"
-        )
-    end = "\n".join(
-        f"{name:12} {q: .17g}  {v: .17g}"
-        for name, q, v in zip(system.coordinates, run.q[-1], run.v[-1])
-    )
-    compiled = ""
-    if system._symbolic is not None:
-        compiled = (
-            "<p>The C file of the system is written by Python, <code>system.c_source()</code>; "
-            "compile it together with this:</p>"
-        )
-    return f"""<h2>How to make it</h2>
-<p>In Python, system and run:</p>
-<pre>{html.escape(python_lines(system))}</pre>
-<p>In C:</p>
-{compiled}<pre>{html.escape(c_lines(system))}</pre>
-<p>Both end at t = {run.t[-1]:g} in (coordinate, its velocity):</p>
-<pre>{html.escape(end)}</pre>"""
 
 
 def _changed(system: System) -> dict[str, float]:
@@ -704,15 +518,3 @@ def c_lines(system: System) -> str:
 def quoted(text: str) -> str:
     """Return a name as a C string."""
     return f'"{text}"'
-
-
-def _links(system: System, names: Sequence[str]) -> str:
-    if not names:
-        return f"<nav>dalembert {_lib.version()}</nav>"
-    k = list(names).index(_slug(system))
-    links = ['<a href="index.html">catalogue</a>']
-    if k > 0:
-        links.append(f'before: <a href="{names[k - 1]}.html">{names[k - 1]}</a>')
-    if k + 1 < len(names):
-        links.append(f'next: <a href="{names[k + 1]}.html">{names[k + 1]}</a>')
-    return f"<nav>{' | '.join(links)} | dalembert {_lib.version()}</nav>"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TextIO, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _lib, table
+from . import _lib, extras, table
 from ._lib import Array
 from .scheme import Scheme
 from .system import System
@@ -209,7 +209,7 @@ class Study:
 
     def table(self, width: int = table.WIDTH) -> str:
         """Return the table and the verdict as plain text, ``width`` characters wide at most."""
-        return table.study_text(self, width)
+        return table.text(table.study_lines(self, width))
 
     def show(self, file: TextIO | None = None) -> None:
         """Print the table: with rich on a terminal if rich is installed, else plain.
@@ -222,10 +222,10 @@ class Study:
         table.show(self, file)
 
     def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
-        yield from table.study_rich(self, options.max_width)
+        return table.rich(table.study_lines(self, options.max_width))
 
-    def _repr_html_(self) -> str:
-        return table.study_html(self)
+    def _repr_html_(self) -> str | None:
+        return str(table.study_html(self)) if extras.is_there("jinja2") else None
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the errors over the step size; see `dalembert.plot.convergence`.
@@ -328,17 +328,17 @@ class Studies(Sequence[Study]):
 
     def table(self, width: int = table.WIDTH) -> str:
         """Return all tables, the overview and the verdict as plain text, ``width`` wide at most."""
-        return table.studies_text(self, width)
+        return table.text(table.studies_lines(self, width))
 
     def show(self, file: TextIO | None = None) -> None:
         """Print all tables, then the overview; as `Study.show` does."""
         table.show(self, file)
 
     def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
-        yield from table.studies_rich(self, options.max_width)
+        return table.rich(table.studies_lines(self, options.max_width))
 
-    def _repr_html_(self) -> str:
-        return table.studies_html(self)
+    def _repr_html_(self) -> str | None:
+        return str(table.studies_html(self)) if extras.is_there("jinja2") else None
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the errors over the step size; see `dalembert.plot.convergence`."""

@@ -1,17 +1,16 @@
-"""Studies as tables and words: plain, with rich, and as HTML."""
+"""Studies as tables and words: plain, in colours by rich, and as HTML."""
 
 from __future__ import annotations
 
-import html
 import math
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TextIO
 
-from . import arguments
+from . import arguments, web
 from ._lib import Array
 
 if TYPE_CHECKING:
@@ -21,20 +20,23 @@ __all__ = [
     "Column",
     "columns",
     "heading",
+    "html",
+    "lines",
     "number",
     "order",
     "overview",
-    "plain",
+    "rich",
     "sentence",
     "show",
     "studies_html",
-    "studies_rich",
-    "studies_text",
+    "studies_lines",
     "study_html",
-    "study_rich",
-    "study_text",
+    "study_lines",
     "summary",
+    "text",
 ]
+
+Line = tuple[str, str]  # its text, and its style for rich
 
 WIDTH = 100  # of the plain table, at most
 COLOURS = {True: "green", False: "red", None: "yellow"}  # of a verdict
@@ -173,36 +175,39 @@ def sentence(studies: Studies) -> str:
     )
 
 
-# ---- plain ---------------------------------------------------------------------------------
+# ---- lines ---------------------------------------------------------------------------------
 
 
-def study_text(study: Study, width: int) -> str:
-    """Return a study as plain text; ValueError if ``width`` is no positive integer."""
+def study_lines(study: Study, width: int) -> Iterator[Line]:
+    """Yield a study line by line; ValueError if ``width`` is no positive integer."""
     width = arguments.integer(width, "width", 1)
-    return "\n".join(
-        [heading(study), *plain(columns(study), width), *_wrapped(summary(study), width)]
-    )
+    yield heading(study), "bold"
+    yield from lines(columns(study), width)
+    first, rest = summary(study).split("\n")
+    yield from _wrapped(first, width, COLOURS[study.holds])
+    yield from _wrapped(rest, width)
 
 
-def studies_text(studies: Studies, width: int) -> str:
-    """Return several studies as plain text, with an overview and the verdict at the end."""
+def studies_lines(studies: Studies, width: int) -> Iterator[Line]:
+    """Yield several studies line by line, with an overview and the verdict at the end."""
     width = arguments.integer(width, "width", 1)
-    tables = [study_text(study, width) + "\n" for study in studies]
-    last = plain(overview(studies), width) if studies else []
-    return "\n".join([*tables, *last, *_wrapped(sentence(studies), width)])
+    for study in studies:
+        yield from study_lines(study, width)
+        yield "", ""
+    if studies:
+        yield from lines(overview(studies), width)
+    yield from _wrapped(sentence(studies), width, "bold " + COLOURS[studies.holds])
 
 
-def plain(table: list[Column], width: int) -> list[str]:
-    """Return the lines of a table."""
-    lines = []
+def lines(table: list[Column], width: int) -> Iterator[Line]:
+    """Yield the lines of a table."""
     for block in _blocks(table, width):
-        for row in zip(*([c.title, *c.cells] for c in block)):
+        for k, row in enumerate(zip(*([c.title, *c.cells] for c in block))):
             cells = (
                 text.ljust(c.width) if c.left else text.rjust(c.width)
                 for text, c in zip(row, block)
             )
-            lines.append("  ".join(cells).rstrip())
-    return lines
+            yield "  ".join(cells).rstrip(), "" if k else "bold"
 
 
 def _blocks(table: list[Column], width: int) -> list[list[Column]]:
@@ -218,46 +223,20 @@ def _blocks(table: list[Column], width: int) -> list[list[Column]]:
     return blocks
 
 
-def _wrapped(text: str, width: int) -> list[str]:
-    return [line for part in text.split("\n") for line in textwrap.wrap(part, width)]
+def _wrapped(text: str, width: int, style: str = "") -> Iterator[Line]:
+    return ((line, style) for line in textwrap.wrap(text, width))
 
 
-# ---- rich ----------------------------------------------------------------------------------
+def text(lines: Iterable[Line]) -> str:
+    """Return lines as plain text."""
+    return "\n".join(text for text, _ in lines)
 
 
-def study_rich(study: Study, width: int) -> Iterator[Any]:
-    """Yield what rich prints for a study."""
+def rich(lines: Iterable[Line]) -> Iterator[Any]:
+    """Yield what rich prints for lines."""
     from rich.text import Text
 
-    yield Text(heading(study), style="bold")
-    yield from _rich(columns(study), width)
-    first, rest = summary(study).split("\n")
-    yield Text(first, style=COLOURS[study.holds])
-    yield Text(rest)
-
-
-def studies_rich(studies: Studies, width: int) -> Iterator[Any]:
-    """Yield what rich prints for several studies."""
-    from rich.text import Text
-
-    for study in studies:
-        yield from study_rich(study, width)
-        yield Text()
-    if studies:
-        yield from _rich(overview(studies), width)
-    yield Text(sentence(studies), style="bold " + COLOURS[studies.holds])
-
-
-def _rich(columns: list[Column], width: int) -> Iterator[Any]:
-    from rich.table import Table
-
-    for block in _blocks(columns, width):
-        table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style="bold")
-        for column in block:
-            table.add_column(column.title, justify="left" if column.left else "right", no_wrap=True)
-        for row in zip(*(column.cells for column in block)):
-            table.add_row(*row)
-        yield table
+    return (Text(text, style=style) for text, style in lines)
 
 
 def show(item: Study | Studies, file: TextIO | None) -> None:
@@ -277,34 +256,22 @@ def show(item: Study | Studies, file: TextIO | None) -> None:
 # ---- HTML ----------------------------------------------------------------------------------
 
 
-def study_html(study: Study) -> str:
+def html(columns: list[Column], caption: str = "", style: str = "") -> Any:
+    """Return a table as HTML, of a class of the stylesheet."""
+    return web.render("table.html", columns=columns, caption=caption, style=style)
+
+
+def study_html(study: Study) -> Any:
     """Return a study as HTML."""
-    state, reaction = study.fits["state"], study.fits["reaction"]
-    return (
-        f"{_html(columns(study), heading(study))}"
-        f'<p class="note"><b>{_cell(study.verdict)}</b>: {html.escape(study.text)} '
-        f"Fitted p = {state.order(1)} ({_points(state)}), s = {reaction.order(1)} "
-        f"({_points(reaction)}).</p>\n"
+    fits = {name: study.fits[key] for name, key in (("p", "state"), ("s", "reaction"))}
+    return web.render(
+        "study.html",
+        study=study,
+        table=html(columns(study), heading(study)),
+        fitted=", ".join(f"{x} = {fit.order(1)} ({_points(fit)})" for x, fit in fits.items()),
     )
 
 
-def studies_html(studies: Studies) -> str:
+def studies_html(studies: Studies) -> Any:
     """Return the overview of several studies as HTML."""
-    return _html(overview(studies), f"Overview of {len(studies)} schemes")
-
-
-def _html(columns: Sequence[Column], caption: str) -> str:
-    left = [' class="left"' if column.left else "" for column in columns]
-    head = "".join(f"<th{a}>{html.escape(c.title)}</th>" for a, c in zip(left, columns))
-    rows = "\n".join(
-        "<tr>" + "".join(f"<td{a}>{_cell(cell)}</td>" for a, cell in zip(left, row)) + "</tr>"
-        for row in zip(*(column.cells for column in columns))
-    )
-    return (
-        f'<div class="scroll"><table><caption>{html.escape(caption)}</caption>\n'
-        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>\n"
-    )
-
-
-def _cell(text: str) -> str:
-    return '<span class="fails">fails</span>' if text == "fails" else html.escape(text)
+    return html(overview(studies), f"Overview of {len(studies)} schemes")
