@@ -89,7 +89,7 @@ def _expression(text: str, exact: bool) -> Expr:
         )
     except Exception as error:  # SyntaxError, TypeError, tokenize.TokenError, ...
         raise ValueError(f"formula = {text!r}: this is none") from error
-    if not isinstance(found, sympy.Expr):
+    if not isinstance(found, sympy.Expr) or found.has(sympy.Tuple):
         raise ValueError(f"formula = {text!r}: a list out of place")
     return found
 

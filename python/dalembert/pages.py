@@ -5,6 +5,7 @@ A page is self-contained: no script, no network, the same bytes every time.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import re
 import warnings
@@ -374,10 +375,10 @@ def _has_path(system: System) -> bool:
 
 def _label(name: str) -> str:
     """The name of a coordinate for matplotlib: theta_x as a letter with an index."""
-    try:
-        return f"${formula.latex(name)[0]}$"
-    except (ImportError, ValueError):
-        return plot.plain(name)
+    with contextlib.suppress(ImportError, ValueError):
+        if name.isidentifier():
+            return f"${formula.latex(name)[0]}$"
+    return plot.plain(name)
 
 
 def _small(system: System, run: Solution) -> Any:
