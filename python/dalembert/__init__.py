@@ -13,9 +13,7 @@ True
 
 import logging
 
-from . import compiler, core, geometry, growth, pages, report, systems
-from .core import pointers
-from .show import plot
+from . import compiler, core, geometry, growth, systems
 from .core import (
     ConvergenceError,
     DalembertError,
@@ -23,19 +21,12 @@ from .core import (
     DomainError,
     NotOnConstraintError,
     SingularError,
+    pointers,
 )
-from .geometry import Chart, Check, Difference
 from .discrete import DifferenceMap, Discrete, NodeRun, Regularity, exact_velocity
-from .run import (
-    Reference,
-    Scheme,
-    Solution,
-    States,
-    Statistics,
-    integrate,
-    reference,
-    schemes,
-)
+from .geometry import Chart, Check, Difference
+from .run import Reference, Scheme, Solution, States, Statistics, integrate, reference, schemes
+from .show import pages, plot, report, table
 from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
 from .symbolic import coordinates
 from .system import System
@@ -80,5 +71,11 @@ __all__ = [
     "studies",
     "systems",
 ]
+
+# What objects show of themselves: below `show` nothing knows of tables and pictures.
+table.attach(Study, table.study_lines, table.study_html)
+table.attach(Studies, table.studies_lines, table.studies_html)
+Study.plot = Studies.plot = plot.convergence
+Embedding.plot = plot.embedded
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())

@@ -16,14 +16,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import compiler, core, pages, report, systems
+from . import compiler, core, systems
 from .core import extras, files
-from .show import plot
-from .systems import catalogue
 from .core.arguments import suggestion
-from .study.refinement import MOST_STEPS, studies
 from .run.scheme import INITIAL, REFERENCE
 from .run.scheme import schemes as named_schemes
+from .show import pages, report, web
+from .study.refinement import MOST_STEPS, studies
+from .systems import catalogue
 
 __all__ = ["main"]
 
@@ -216,7 +216,7 @@ def _study(given: argparse.Namespace) -> int:
     output = None if given.no_report else given.output or Path("report.html")
     if output is not None:
         try:
-            plot.require_matplotlib()
+            web.require()
         except ImportError as error:
             if given.output:
                 raise

@@ -10,27 +10,20 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ..core import extras
 from .. import geometry
-from ..core import ROUNDOFF, residual_bound
-from ..run.solution import Solution
-from ..study.study import Study
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from numpy.typing import ArrayLike
-
-    from ..study.embeddings import Embedding
-    from ..study.study import Studies
+from ..core import ROUNDOFF, extras, residual_bound
+from ..run import Solution
+from ..study import Embedding, Studies, Study
 
 __all__ = ["convergence", "drift", "energy", "path", "perturbation", "styles"]
 
 Style = Mapping[str, Any]
+Axes = Any  # of matplotlib
 
 # Okabe and Ito without the yellow, which is too light for a line on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -391,8 +384,6 @@ def perturbation(
     >>> dal.plot.perturbation(midpoint).get_xlabel()
     'time in units of the period, tau = t/h'
     """
-    from ..study.embeddings import Embedding
-
     _require(embedding, "embedding", Embedding)
     ax = _axes(ax)
     steps = [embedding.h / 2**k for k in range(3)] if hs is None else list(hs)
@@ -411,6 +402,16 @@ def perturbation(
     ax.set_title(plain(title))
     _legend(ax, "step h")
     return ax
+
+
+def embedded(
+    self: Embedding,
+    hs: Sequence[float] | None = None,
+    z: ArrayLike | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw |g| over tau for several h, as `perturbation`: the method ``plot`` of an Embedding."""
+    return perturbation(self, ax, hs=hs, z=z)
 
 
 def _lowest(triangles: dict[int, Any], slope: int, h: NDArray[Any], error: NDArray[Any]) -> None:

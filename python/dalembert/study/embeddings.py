@@ -15,7 +15,7 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,9 +31,6 @@ from ..run.scheme import REFERENCE, Scheme
 from .study import Fit
 from ..core import require_system
 from ..system import System
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __all__ = ["Embedding", "embedding"]
 
@@ -314,7 +311,7 @@ class Embedding(core.Constant):
         """Return d(z) = (Phi(z) - F(h, z)) / h^(p+1).
 
         For h -> 0 it is the error constant of the scheme, and g(tau, z) tends to -chi_0'(tau) d(z)
-        with the slope chi_0' of `dalembert.chart.cutoff`.
+        with the slope chi_0' of `dalembert.geometry.cutoff`.
 
         Parameters
         ----------
@@ -559,23 +556,6 @@ class Embedding(core.Constant):
         )
         raw = Fit.read(fit, map(bool, counted))
         return dataclasses.replace(raw, slope=raw.slope - 1)
-
-    def plot(
-        self,
-        hs: Sequence[float] | None = None,
-        z: ArrayLike | None = None,
-        ax: Axes | None = None,
-    ) -> Axes:
-        """Draw |g| over tau for several h; see `dalembert.plot.perturbation`.
-
-        Raises
-        ------
-        ImportError
-            If matplotlib is not installed; the text has the line to type.
-        """
-        from ..show.plot import perturbation as draw
-
-        return draw(self, ax, hs=hs, z=z)
 
 
 def embedding(

@@ -6,20 +6,31 @@ import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TextIO, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import core, table
+from .. import core
 from ..core import Array
-from ..run.scheme import Scheme
+from ..run import Scheme
 from ..system import System
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 __all__ = ["Fit", "Studies", "Study"]
+
+
+def order(x: float) -> str:
+    """Return an order with two decimals, "-" if it is not known."""
+    return "-" if not math.isfinite(x) else f"{round(x, 2) + 0.0:.2f}"  # no -0.00
+
+
+def worst(values: Array) -> float:
+    """Return the largest of the values that are known."""
+    return max((float(x) for x in values if math.isfinite(x)), default=math.nan)
+
+
+def _listing(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
 @dataclass(frozen=True)
@@ -54,7 +65,7 @@ class Fit:
         """Return ``slope - loss`` in words: a number, "exact", or "-" if it is not known."""
         if self.exact:
             return "exact"
-        return table.order(self.slope - loss)
+        return order(self.slope - loss)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -198,46 +209,11 @@ class Study:
             return "exact"
         return "holds" if self.holds else "fails"
 
-    def __str__(self) -> str:
-        return self.table()
-
     def __repr__(self) -> str:
         return (
-            f"<Study of {self.scheme.name} on {self.system.name}: p = {table.order(self.p)}, "
-            f"s = {table.order(self.s)}, {self.verdict}>"
+            f"<Study of {self.scheme.name} on {self.system.name}: p = {order(self.p)}, "
+            f"s = {order(self.s)}, {self.verdict}>"
         )
-
-    def table(self, width: int = table.WIDTH) -> str:
-        """Return the table and the verdict as plain text, ``width`` characters wide at most."""
-        return table.study_text(self, width)
-
-    def show(self, file: TextIO | None = None) -> None:
-        """Print the table: with rich on a terminal if rich is installed, else plain.
-
-        Parameters
-        ----------
-        file : text stream, optional
-            Default: standard output.
-        """
-        table.show(self, file)
-
-    def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
-        yield from table.study_rich(self, options.max_width)
-
-    def _repr_html_(self) -> str:
-        return table.study_html(self)
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the errors over the step size; see `dalembert.plot.convergence`.
-
-        Raises
-        ------
-        ImportError
-            If matplotlib is not installed; the text has the line to type.
-        """
-        from ..show.plot import convergence as draw
-
-        return draw(self, ax)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, strings and lists, ready for JSON.
@@ -318,33 +294,35 @@ class Studies(Sequence[Study]):
 
     def sentence(self) -> str:
         """Return the verdict of all in one sentence."""
-        return table.sentence(self)
-
-    def __str__(self) -> str:
-        return self.table()
+        if not self:
+            return "No scheme was studied."
+        system = self[0].system.name
+        failing = [study.scheme.name for study in self if study.holds is False]
+        holding = [study for study in self if study.holds]
+        undecided = [study.scheme.name for study in self if study.holds is None]
+        rest = f"; no verdict on {_listing(undecided)}" if undecided else ""
+        if failing:
+            do = "does" if len(failing) == 1 else "do"
+            return (
+                f"On {system}, {_listing(failing)} {do} not deliver what is promised; "
+                f"{len(holding)} of {len(self)} schemes hold{rest}."
+            )
+        if not holding:
+            return f"On {system} there is no verdict on {_listing(undecided)}."
+        size = max(worst(x.residual if x.keeps_D else x.residual_eps) for x in holding)
+        if len(holding) == 1:
+            return (
+                f"On {system}, {holding[0].scheme.name} has its promised order and keeps its "
+                f"constraint set to {size:.1e}{rest}."
+            )
+        who = "both" if len(holding) == 2 else f"all {len(holding)}" if not rest else len(holding)
+        return (
+            f"On {system}, {who} schemes have their promised order and keep their constraint "
+            f"set to {size:.1e}{rest}."
+        )
 
     def __repr__(self) -> str:
         return f"<Studies of {', '.join(study.scheme.name for study in self)}>"
-
-    def table(self, width: int = table.WIDTH) -> str:
-        """Return all tables, the overview and the verdict as plain text, ``width`` wide at most."""
-        return table.studies_text(self, width)
-
-    def show(self, file: TextIO | None = None) -> None:
-        """Print all tables, then the overview; as `Study.show` does."""
-        table.show(self, file)
-
-    def __rich_console__(self, console: Any, options: Any) -> Iterator[Any]:
-        yield from table.studies_rich(self, options.max_width)
-
-    def _repr_html_(self) -> str:
-        return table.studies_html(self)
-
-    def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the errors over the step size; see `dalembert.plot.convergence`."""
-        from ..show.plot import convergence as draw
-
-        return draw(self, ax)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, strings and lists, ready for JSON."""

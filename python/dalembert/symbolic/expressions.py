@@ -6,20 +6,16 @@ import re
 from typing import Any
 
 import sympy
+from sympy.core.function import AppliedUndef
 
-from . import given
 from ..core import Handle
-from ..formula import Node, read
-from .model import FUNCTIONS, Model
+from . import given
+from .formula import read
+from .model import Model
 
 __all__ = ["model"]
 
 Expr = Any
-
-_CALLS = {name: function for function, name in FUNCTIONS.items()} | {
-    "abs": sympy.Abs,
-    "sqrt": sympy.sqrt,
-}
 
 
 def model(system: Handle) -> Model:
@@ -36,7 +32,7 @@ def model(system: Handle) -> Model:
     Examples
     --------
     >>> import dalembert as dal
-    >>> from dalembert import expressions
+    >>> from dalembert.symbolic import expressions
     >>> found = expressions.model(dal.systems.heisenberg())
     >>> found.shown(found.constraints[0])
     -x*y.d + y*x.d + z.d
@@ -49,107 +45,66 @@ class _Formulas:
 
     def __init__(self, system: Handle) -> None:
         self.system = system
-        self.velocities = {f"v_{name}" for name in system.coordinates}
-        self.indices = _indices(system)
-        self.defined: dict[str, Expr] = {}
+        self.known = {*system.coordinates, *(f"v_{name}" for name in system.coordinates)}
+        # What an index runs over: the numbers at the ends of coordinates.
+        ends = (re.search(r"(\d+)$", name) for name in system.coordinates)
+        self.indices = sorted({int(match[1]) for match in ends if match})
+        self.defined: dict[Expr, Expr] = {}
         for line in system.formulas:
             if line.startswith("where "):
                 self.define(line.removeprefix("where "))
 
     def define(self, line: str) -> None:
         """Keep what a name stands for, or names with each index."""
-        name, _, text = line.partition(" = ")
-        if not name.endswith("_i"):
-            self.defined[name] = self.expression(read(text))
-            return
-        first = 1 if "_(i-1)" in text else 0
-        for i in self.indices[first:]:
-            self.defined[_indexed(name, i, self.velocities)] = self.expression(read(text), i)
+        name, right = read(line, exact=True)
+        first = any(x.name.endswith("_(i-1)") for x in right.free_symbols)
+        for i in self.indices[first:] if name.name.endswith("_i") else [None]:
+            self.defined[self.expression(name, i)] = self.expression(right, i)
 
     def model(self) -> Model:
         lines = [line for line in self.system.formulas if not line.startswith("where ")]
         if not lines:
             raise ValueError(f"the system {self.system.name!r} has no formulas")
-        L, *rest = (read(line) for line in lines)
+        (_, L), *rest = (read(line, exact=True) for line in lines)
         constraints = []
-        for equation in rest:
-            left, right = equation.parts
-            indices = self.indices if _has_index(equation) else [None]
-            for i in indices:
-                constraints.append(self.whole(left, i) - self.whole(right, i))
+        for left, right in rest:
+            phi = self.summed(left - right)
+            has_index = any(x.name.endswith(("_i", "_(i-1)")) for x in phi.free_symbols)
+            constraints += [self.whole(phi, i) for i in (self.indices if has_index else [None])]
         coordinates = [
             (sympy.Symbol(name), sympy.Symbol(f"v_{name}")) for name in self.system.coordinates
         ]
         made, _ = given.make_model(
-            self.whole(L.parts[1]), constraints, coordinates, self.system.parameters,
+            self.whole(L), constraints, coordinates, self.system.parameters,
             None, None, None, None,
         )  # fmt: skip
         return made
 
-    def whole(self, node: Node, i: int | None = None) -> Expr:
+    def whole(self, found: Expr, i: int | None = None) -> Expr:
         """Return an expression in coordinates, velocities and parameters alone."""
-        found = self.expression(node, i)
-        rule = {sympy.Symbol(name): e for name, e in self.defined.items()}
-        for _ in rule:
-            found = found.xreplace(rule)
+        found = self.expression(found, i)
+        for _ in self.defined:
+            found = found.xreplace(self.defined)
         return found
 
-    def expression(self, node: Node, i: int | None = None) -> Expr:
-        """Return the expression of a part; i is what an index stands for."""
-        if node.kind == "number":
-            return sympy.Rational(node.text)
-        if node.kind == "name":
-            known = self.velocities | {*self.system.coordinates}
-            return sympy.Symbol(_indexed(node.text, i, known))
-        if node.kind == "call":
-            return self.call(node, i)
-        parts = [self.expression(part, i) for part in node.parts]
-        match node.kind:
-            case "sum":
-                return sympy.Add(*parts)
-            case "product":
-                return sympy.Mul(*parts)
-            case "quotient":
-                return parts[0] / parts[1]
-            case "power":
-                return parts[0] ** parts[1]
-            case "minus":
-                return -parts[0]
-            case "bracket":
-                return parts[0]
-        raise ValueError(f"formulas of {self.system.name!r}: {node.kind} out of place")
+    def expression(self, found: Expr, i: int | None = None) -> Expr:
+        """Return an expression that is evaluated; i is what an index stands for."""
+        found = self.summed(found)
+        return found.xreplace({x: self.indexed(x.name, i) for x in found.free_symbols}).doit()
 
-    def call(self, node: Node, i: int | None) -> Expr:
-        (inside,) = node.parts
-        if node.text == "sum_i":
-            return sympy.Add(*(self.expression(inside, k) for k in self.indices))
-        if node.text not in _CALLS:
-            raise ValueError(f"formulas of {self.system.name!r}: {node.text} is no known function")
-        parts = inside.parts if inside.kind == "list" else (inside,)
-        return _CALLS[node.text](*(self.expression(part, i) for part in parts))
+    def summed(self, found: Expr) -> Expr:
+        """Return an expression with its sums over i written out."""
+        sums = [x for x in found.atoms(AppliedUndef) if x.name == "sum_i"]
+        return found.xreplace(
+            {x: sympy.Add(*(self.expression(x.args[0], i) for i in self.indices)) for x in sums}
+        )
 
-
-def _indices(system: Handle) -> list[int]:
-    """Return what an index i runs over: the numbers at the ends of coordinates."""
-    found = {int(match[1]) for x in system.coordinates if (match := re.search(r"(\d+)$", x))}
-    return sorted(found)
-
-
-def _indexed(name: str, i: int | None, known: set[str]) -> str:
-    """Return a name with i put in: y_i as y1 where there is one, u_(i-1) as u_0."""
-    base, _, index = name.rpartition("_")
-    if index not in ("i", "(i-1)"):
-        return name
-    if i is None:
-        raise ValueError(f"{name}: an index without a sum")
-    k = i - (index != "i")
-    return f"{base}{k}" if f"{base}{k}" in known else f"{base}_{k}"
-
-
-def _has_index(node: Node) -> bool:
-    """Return whether there is an index that is not that of a sum."""
-    if node.kind == "call" and node.text == "sum_i":
-        return False
-    if node.kind == "name" and node.text.endswith(("_i", "_(i-1)")):
-        return True
-    return any(map(_has_index, node.parts))
+    def indexed(self, name: str, i: int | None) -> Expr:
+        """Return a name with i put in: y_i as y1 where there is one, u_(i-1) as u_0."""
+        base, _, index = name.rpartition("_")
+        if index in ("i", "(i-1)"):
+            if i is None:
+                raise ValueError(f"{name}: an index without a sum")
+            k = i - (index != "i")
+            name = f"{base}{k}" if f"{base}{k}" in self.known else f"{base}_{k}"
+        return sympy.Symbol(name)

@@ -17,7 +17,7 @@ import pytest
 import sympy as sp
 
 import dalembert as dal
-from dalembert import table
+from dalembert.show import table
 from dalembert.study import refinement
 
 Q0, V0 = np.array([0.5, 0.3, -0.2]), np.array([1.0, 0.7, 0.3])
@@ -585,8 +585,9 @@ def test_the_table_is_complete_and_fits(midpoint):
 
 @pytest.mark.parametrize("width", [24, 37, 38, 39, 40, 60, 79])
 def test_every_cell_is_seen_on_a_narrow_terminal(midpoint, width):
-    wide = table.plain(table.columns(midpoint), 100)
-    narrow = table.plain(table.columns(midpoint), width)
+    wide, narrow = (
+        table.text(table.lines(table.columns(midpoint), x)).splitlines() for x in (100, width)
+    )
     assert max(map(len, narrow)) <= width
     assert {*" ".join(wide).split()} == {*" ".join(narrow).split()}
 
