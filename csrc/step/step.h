@@ -7,6 +7,7 @@
 
 /* Those that the build list names, the one of records without a family first; NULL at the end. */
 extern const dal_family *const dal__families[];
+const dal_family *dal__scheme_family(const dal_scheme *scheme);
 
 /* The decimal number at the start of text, *end behind it; NaN if there is none.  strtod would want
  * the decimal point of the host's locale. */

@@ -5,12 +5,6 @@
 #include <math.h>
 #include <string.h>
 
-/* A scheme that names no family is of the first. */
-static const dal_family *family_of(const dal_scheme *scheme)
-{
-    return scheme->family ? scheme->family : dal__families[0];
-}
-
 int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_scheme *scheme,
                     const dal_options *options, dal_error *error)
 {
@@ -25,7 +19,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
                          options->max_iterations);
 
     const size_t n = system->def.n, m = system->def.m;
-    dal_stepper shape = {.family = family_of(scheme), .scheme = *scheme}, *self;
+    dal_stepper shape = {.family = dal__scheme_family(scheme), .scheme = *scheme}, *self;
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);

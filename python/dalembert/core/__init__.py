@@ -2,7 +2,15 @@
 
 from . import arguments, extras, files, pointers
 from .arguments import Array
-from .callbacks import FUNCTIONS, Callables, DeformationCallables, MapCallables, Observer
+from .callbacks import (
+    FUNCTIONS,
+    Callables,
+    DeformationCallables,
+    MapCallables,
+    Observer,
+    ignore,
+    watched,
+)
 from .errors import (
     ConvergenceError,
     DalembertError,

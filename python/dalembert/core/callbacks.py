@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .arguments import Array, returned, shown
-from .errors import DomainError, raised
+from .errors import DomainError, attempt, raised
 from .library import ffi, lib
 
 _from_handle, _buffer, _memmove = ffi.from_handle, ffi.buffer, ffi.memmove
@@ -253,21 +253,30 @@ def dal_py_watch(t: float, ctx: Any) -> int:
     return 0
 
 
-class Observer:
-    """A user's observer of a run; it sees every stored state once, whatever the blocks are."""
+def watched(function: Callable[..., int], flow: Any, *given: Any) -> int:
+    """Call a C function of a ``dal_flow`` so that Ctrl-C ends it; return its status."""
+    context = ffi.new_handle(ignore)
+    lib.dal_flow_watch(flow, lib.dal_py_watch, context)
+    try:
+        return attempt(function, flow, *given)
+    finally:
+        lib.dal_flow_watch(flow, ffi.NULL, ffi.NULL)
 
-    __slots__ = ("bytes", "function", "last")
+
+def ignore(t: float) -> None:
+    """Do nothing, now and then in what computes for long, so that Ctrl-C is seen."""
+
+
+class Observer:
+    """A user's observer of a run."""
+
+    __slots__ = ("bytes", "function")
 
     def __init__(self, n: int, function: Callable[[int, float, Array, Array], Any]) -> None:
-        self.bytes = 8 * n
-        self.function = function
-        self.last = -1
+        self.bytes, self.function = 8 * n, function
 
     def see(self, step: int, t: float, q: Array, v: Array) -> bool:
-        """Show a state, unless it is the last one again; return whether to stop."""
-        if step == self.last:
-            return False
-        self.last = step
+        """Show a state; return whether to stop."""
         answer = self.function(step, t, q, v)
         try:
             return bool(answer)

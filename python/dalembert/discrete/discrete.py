@@ -24,7 +24,6 @@ from .. import core
 from ..core import arguments
 from .. import geometry
 from ..core import Array, Handle, ffi, lib, require_system
-from ..run.runs import watched
 
 
 __all__ = ["DifferenceMap", "Discrete", "NodeRun", "Regularity", "exact_velocity"]
@@ -862,7 +861,7 @@ def exact_velocity(
     handle, method = system._handle, lib.DAL_FLOW_RK8PD
     flow = core.make("flow", handle, method, lib.DAL_FLOW_X, tolerance, owner=handle)
     v0, defect = np.empty(system.n), np.empty(system.m)
-    status = watched(
+    status = core.watched(
         lib.dal_exact_velocity, flow, t0, h, *map(core.pointer, (q0, q1, v0, defect))
     )
     if status < 0:

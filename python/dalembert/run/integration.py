@@ -17,8 +17,8 @@ from .. import core
 from ..core import arguments, extras
 from .. import geometry
 from ..core import Array, DalembertError, DalembertWarning, ffi, lib
-from .runs import FlowRun, SchemeRun, started_stepper, state, watched
-from .scheme import REFERENCE, Scheme
+from .runs import Run, consistent_state, started_stepper
+from .scheme import METHODS, Scheme
 from .solution import Solution
 from ..core import require_system
 from ..system import System
@@ -26,13 +26,6 @@ from ..system import System
 __all__ = ["Reference", "integrate", "reference"]
 
 CONSISTENCY = {"check": lib.DAL_CHECK, "project": lib.DAL_PROJECT, "assume": lib.DAL_ASSUME}
-SOLVERS = {"schur": lib.DAL_SOLVER_SCHUR, "multiroot": lib.DAL_SOLVER_MULTIROOT}
-SIZES = {"auto": lib.DAL_SIZES_AUTO, "runtime": lib.DAL_SIZES_RUNTIME}
-METHODS = {
-    "rk8pd": lib.DAL_FLOW_RK8PD,
-    "msadams": lib.DAL_FLOW_MSADAMS,
-    "rodas": lib.DAL_FLOW_RODAS,
-}
 COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
 
 
@@ -52,8 +45,6 @@ def integrate(
     observer: Callable[[int, float, Array, Array], Any] | None = None,
     progress: bool | Callable[[int, int], Any] = False,
     throw: bool = True,
-    solver: str = "schur",
-    sizes: str = "auto",
     max_iterations: int = 50,
     method: str = "rk8pd",
     tolerance: float = 1e-13,
@@ -92,10 +83,6 @@ def integrate(
         steps, some times a second.
     throw : bool, optional
         False: a step that fails ends the run, and the Solution says so, instead of an exception.
-    solver : {"schur", "multiroot"}, optional
-        How the equations of a step are solved; "multiroot" is slow, an independent check.
-    sizes : {"auto", "runtime"}, optional
-        Which compilation of the step is used; the bits are the same.
     max_iterations : int, optional
         Of Newton in a sub-step.
     method : {"rk8pd", "msadams", "rodas"}, optional
@@ -153,25 +140,22 @@ def integrate(
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     start = record._initial(initial)
     options = ffi.new("dal_options *")
-    options.solver = arguments.choice(solver, "solver", SOLVERS)
-    options.sizes = arguments.choice(sizes, "sizes", SIZES)
     options.max_iterations = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
-    flow_method = arguments.choice(method, "method", METHODS)
-    tolerance = arguments.tolerance(tolerance)
+    flow = Scheme.flow(method, tolerance)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
-    rows = steps // stride
-    _require_memory(system, rows, steps, stride)
+    _require_memory(system, steps // stride, steps, stride)
 
     arguments.function(observer, "observer", "step, t, q, v")
     watcher = None if observer is None else core.Observer(system.n, observer)
-    run: SchemeRun | FlowRun
+    stepper = started_stepper(
+        system, flow if record.name == flow.name else record, x0, t0=t0, h=h,
+        consistency=consistency, initial=start, options=options,
+    )  # fmt: skip
     with extras.progress(progress, steps, "step") as show:
-        if record.is_reference:
-            run = FlowRun(system, record, t0, h, rows, stride, watcher, show)
-            run.start(x0, consistency, flow_method, tolerance)
-        else:
-            run = SchemeRun(system, record, t0, h, rows, stride, watcher, show)
-            run.start(x0, consistency, start, options)
+        run = Run(
+            system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=watcher,
+            show=show,
+        )  # fmt: skip
         run.make()
     solution = run.solution()
     error = run.error
@@ -268,10 +252,9 @@ def reference(
         tolerance,
         owner=system._handle,
     )
-    stepper = started_stepper(system, REFERENCE, x0, t0=t0, h=1.0, consistency=consistency)
-    x = state(stepper, system)
+    x = consistent_state(system, x0, t0, consistency)
     accuracy = ffi.new("double *")
-    status = watched(lib.dal_flow_apply, flow, t0, t, core.pointer(x), accuracy)
+    status = core.watched(lib.dal_flow_apply, flow, t0, t, core.pointer(x), accuracy)
     if status < 0:
         raise core.failure(status, core.string(lib.dal_flow_message(flow)), kind=system.kind)
     return Reference(x[: system.n], x[system.n :], float(accuracy[0]))

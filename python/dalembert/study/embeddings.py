@@ -26,8 +26,8 @@ from .. import geometry
 from ..core import Array, ffi, lib
 from ..geometry import Chart
 from ..run.integration import CONSISTENCY
-from ..run.runs import started_stepper, state
-from ..run.scheme import REFERENCE, Scheme
+from ..run.runs import consistent_state
+from ..run.scheme import Scheme
 from .study import Fit
 from ..core import require_system
 from ..system import System
@@ -628,7 +628,6 @@ def embedding(
     tolerance = arguments.tolerance(tolerance)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
-    stepper = started_stepper(system, REFERENCE, x0, t0=0.0, h=1.0, consistency=consistency)
-    q, v = np.split(state(stepper, system), 2)
+    q, v = np.split(consistent_state(system, x0, 0.0, consistency), 2)
     chart = Chart(system, q, v, dependent)
     return Embedding(chart, scheme, h, order, chart.drop(q, v), tolerance, bool(numerical))

@@ -100,8 +100,6 @@ def convergence(
     """
     require_system(system)
     record = Scheme.of(scheme)
-    if record.is_reference:
-        raise ValueError("scheme = 'reference': expected one with a step size to refine")
     t0 = arguments.number(t0, "t0")
     start = record._initial(initial)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
