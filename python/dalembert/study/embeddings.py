@@ -104,10 +104,11 @@ class Embedding(core.Constant):
         self.start.flags.writeable = False
         self.tolerance = tolerance
         self.numerical = numerical or not chart.system.has_exact
+        record, self._kept = scheme._record_of(chart.system)
         self._definition = ffi.new(
             "dal_embedding_def *",
             {
-                "scheme": scheme._record,
+                "scheme": record,
                 "h": h,
                 "order": order or 0,
                 "tolerance": tolerance,
