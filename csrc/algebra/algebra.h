@@ -25,12 +25,31 @@ bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pi
  * largest entry, which is returned; 0 for A = 0. */
 double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 
-/* sizes[2*count] <- the sizes of rows and columns (see lu.h) of a matrix of which nothing is known
- * but scale[count*count], the sums of the absolute values of the terms of its entries. */
-void dal__sizes(size_t count, const double *scale, double *sizes);
-
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
+
+/* ---- linear equations ---------------------------------------------------------------------- */
+
+/* A regular matrix.  Whoever fills A says of what size its rows and columns are; or has them found
+ * by dal__linear_balance.  A smaller size than was reserved may be set before. */
+typedef struct dal__linear {
+    size_t size;
+    double *A;     /* [size*size] by rows; then its factors */
+    double *sizes; /* [2*size] of rows, then of columns, see lu.h; [5*size] with the scratch */
+    size_t *row;   /* [size] */
+} dal__linear;
+
+void dal__linear_reserve(dal__linear *self, size_t size, arena *a);
+/* The sizes of a matrix of which nothing is known but scale[size*size], the sums of the absolute
+ * values of the terms of its entries. */
+void dal__linear_balance(dal__linear *self, const double *scale);
+/* The sign of the determinant; 0 if the matrix is singular, or NaN. */
+int dal__linear_factor(dal__linear *self);
+/* x[size] <- A^-1 b, or A^-T b, where b is destroyed; x and b may not overlap. */
+void dal__linear_solve(const dal__linear *self, const double *b, double *x);
+void dal__linear_solve_transposed(const dal__linear *self, double *b, double *x);
+
+/* ---- Newton's iteration --------------------------------------------------------------------- */
 
 /* Where Newton's iteration stands; the caller sets the first line. */
 typedef struct dal__progress {
@@ -76,8 +95,8 @@ typedef struct dal__equations {
 
 typedef struct dal__root {
     double *z, *residual, *step; /* [size]: z the guess, then the root */
-    double *J, *scale, *sizes;   /* [size*size], [size*size], [5*size] */
-    size_t *row;                 /* [size] */
+    double *scale;               /* [size*size] */
+    dal__linear J;
     double base, extent;         /* see dal__progress */
 } dal__root;
 

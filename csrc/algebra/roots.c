@@ -1,6 +1,5 @@
 /* Newton's iteration on equations that come with their derivative. */
 #include "algebra/algebra.h"
-#include "dalembert/lu.h"
 #include "dalembert/residual.h"
 
 #include <math.h>
@@ -9,10 +8,8 @@ void dal__root_reserve(dal__root *root, size_t most, arena *a)
 {
     double **const vectors[] = {&root->z, &root->residual, &root->step};
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, most);
-    dal__reserve(a, &root->J, dal__times(most, most), sizeof(double));
+    dal__linear_reserve(&root->J, most, a);
     dal__reserve(a, &root->scale, dal__times(most, most), sizeof(double));
-    dal__reserve(a, &root->sizes, dal__times(5, most), sizeof(double));
-    dal__reserve(a, &root->row, most, sizeof(size_t));
 }
 
 /* Where steps may stop to shrink because they are roundoff: far from the origin what depends on q
@@ -56,7 +53,7 @@ static int evaluate(dal__root *root, const dal__equations *e, dal__progress *p)
 {
     enum { HALVINGS = 40 };
     int status, halvings = 0;
-    while ((status = e->at(e->ctx, root->z, root->residual, root->J, root->scale)) == DAL_EDOMAIN
+    while ((status = e->at(e->ctx, root->z, root->residual, root->J.A, root->scale)) == DAL_EDOMAIN
            && p->iteration > 1 && halvings++ < HALVINGS) {
         dal__newton_halve(p);
         for (size_t i = 0; i < e->size; i++) root->z[i] -= root->step[i] *= 0.5;
@@ -78,10 +75,11 @@ int dal__find_root(dal__root *root, const dal__equations *e, dal_error *error)
     for (p.iteration = 1; p.iteration <= MOST; p.iteration++) {
         const int status = evaluate(root, e, &p);
         if (status) return status;
-        dal__sizes(e->size, root->scale, root->sizes);
-        if (!dal_lu_factor(e->size, root->J, root->sizes, root->row))
+        root->J.size = e->size;
+        dal__linear_balance(&root->J, root->scale);
+        if (!dal__linear_factor(&root->J))
             return dal__fail(error, DAL_ESINGULAR, "%s", e->singular);
-        dal_lu_solve(e->size, root->J, root->row, root->residual, root->step);
+        dal__linear_solve(&root->J, root->residual, root->step);
         for (size_t i = 0; i < e->size; i++) root->z[i] += root->step[i] = -root->step[i];
         p.scale = extent(e, root->z) + root->base;
         p.extent = root->extent;

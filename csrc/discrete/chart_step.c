@@ -1,17 +1,16 @@
 /* One beta-step in the coordinates of a chart, with the multiplier eliminated. */
-#include "dalembert/lu.h"
 #include "dalembert/residual.h"
 #include "discrete/discrete.h"
 
 #include <math.h>
 #include <string.h>
 
-/* solution <- B_k^-T y_dependent with B_k^T factored: mu_k^T solution equals y in the dependent
+/* solution <- B_k^-T y_dependent with B_k factored: mu_k^T solution equals y in the dependent
  * components.  y[i*stride]. */
 static void match_dependent(dal_chart *chart, const double *y, size_t stride)
 {
     for (size_t a = 0; a < chart->m; a++) chart->right[a] = y[chart->place[a] * stride];
-    dal_lu_solve(chart->m, chart->B, chart->row, chart->right, chart->solution);
+    dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
 }
 
 /* step[n] <- the Newton step of w for H^T R1 = 0, phi = 0, with the n-m rows H^T = [-A(q_k)^T, I];
@@ -23,7 +22,7 @@ static int newton_step(dal_chart *chart)
     const size_t *const place = chart->place + m;
     int status = dal__step_at(mech, chart->w, chart->kappa, chart->R1, chart->R2, chart->K,
                               NULL, chart->slope);
-    if (!status) status = dal__chart_factor(chart, mech->muk, true);
+    if (!status) status = dal__chart_factor(chart, mech->muk);
     if (status) return status;
     match_dependent(chart, chart->R1, 1);
     for (size_t a = 0; a < m; a++) {
@@ -36,21 +35,21 @@ static int newton_step(dal_chart *chart)
             double sum = chart->K[place[j] * n + k];
             for (size_t a = 0; a < m; a++)
                 sum -= mech->muk[a * n + place[j]] * chart->solution[a];
-            chart->G[j * n + k] = sum;
+            chart->G.A[j * n + k] = sum;
         }
-        for (size_t a = 0; a < m; a++) chart->G[(free + a) * n + k] = chart->slope[a * n + k];
+        for (size_t a = 0; a < m; a++) chart->G.A[(free + a) * n + k] = chart->slope[a * n + k];
     }
-    for (size_t j = 0; j < free; j++) chart->G_sizes[j] = mech->per_unit[place[j]];
+    for (size_t j = 0; j < free; j++) chart->G.sizes[j] = mech->per_unit[place[j]];
     for (size_t a = 0; a < m; a++)
-        chart->G_sizes[free + a] = dal_residual_form(n, mech->unit, chart->slope + a * n);
-    memcpy(chart->G_sizes + n, mech->per_unit, n * sizeof *chart->G_sizes);
+        chart->G.sizes[free + a] = dal_residual_form(n, mech->unit, chart->slope + a * n);
+    memcpy(chart->G.sizes + n, mech->per_unit, n * sizeof *chart->G.sizes);
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
-    if (!dal_lu_factor(n, chart->G, chart->G_sizes, chart->G_row))
+    if (!dal__linear_factor(&chart->G))
         return dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these "
                          "coordinates are singular: the constraints lose rank, or h = %g is too "
                          "large here", mech->start.h);
-    dal_lu_solve(n, chart->G, chart->G_row, chart->y, chart->step);
+    dal__linear_solve(&chart->G, chart->y, chart->step);
     return DAL_SUCCESS;
 }
 

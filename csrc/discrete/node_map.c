@@ -1,7 +1,6 @@
 /* The discrete Lagrange-d'Alembert equations, and the maps that they define: on pairs of
  * nodes, and on states. */
 #include "discrete/discrete.h"
-#include "dalembert/lu.h"
 #include "dalembert/residual.h"
 
 #include <math.h>
@@ -203,31 +202,21 @@ int dal_discrete_residual(dal_discrete *discrete, double t, double h, const doub
 static void examine(dal_discrete *d, int *sign, double *logarithm, double *condition)
 {
     const size_t N = d->n + d->m;
-    double *const J = d->root.J, *const scale = d->root.scale, *const squares = d->root.residual;
-    size_t *const row = d->root.row;
-    int s = 1;
+    double *const J = d->root.J.A, *const scale = d->root.scale, *const squares = d->root.residual;
     double l = 0.0, most = 0.0, least = HUGE_VAL;
     assemble(d, J, scale);
-    dal__sizes(N, scale, d->root.sizes);
-    const bool regular = dal_lu_factor(N, J, d->root.sizes, row) != 0;
-    for (size_t k = 0; regular && k < N; k++) {
-        if (J[k * N + k] < 0.0) s = -s;
-        l -= log(fabs(J[k * N + k])); /* the diagonal is inverted */
-        for (; row[k] != k; s = -s) { /* the permutation, one exchange at a time */
-            const size_t other = row[k];
-            row[k] = row[other];
-            row[other] = other;
-        }
-    }
+    d->root.J.size = N;
+    dal__linear_balance(&d->root.J, scale);
+    *sign = dal__linear_factor(&d->root.J);
     assemble(d, J, NULL);
-    dal__singular_values(N, N, J, squares);
+    const double unit = dal__singular_values(N, N, J, squares);
     for (size_t k = 0; k < N; k++) {
+        l += log(unit) + 0.5 * log(squares[k]);
         most = fmax(most, squares[k]);
         least = fmin(least, squares[k]);
     }
-    *sign = regular ? s : 0;
-    *logarithm = regular ? l : -HUGE_VAL;
-    *condition = regular && least > 0.0 ? sqrt(most / least) : HUGE_VAL;
+    *logarithm = *sign ? l : -HUGE_VAL;
+    *condition = *sign && least > 0.0 ? sqrt(most / least) : HUGE_VAL;
 }
 
 int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const double *q,
@@ -246,7 +235,7 @@ int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const do
     if (!status) status = reaction_forms(d, q, d->constraint.f, d->muk);
     if (status) return status;
     int s;
-    double l, c, *const J = d->root.J;
+    double l, c, *const J = d->root.J.A;
     assemble(d, J, d->root.scale);
     status = dal__require_output(&d->mech.error, "matrix", N * N, J);
     if (!status) status = dal__require_output(&d->mech.error, "terms of matrix", N * N,

@@ -5,7 +5,6 @@
  * Schur complement S = B K^-1 mu_k^T.  The guess is the last step, scaled by h; where that fails,
  * the state itself. */
 #include "step/step.h"
-#include "dalembert/lu.h"
 #include "dalembert/residual.h"
 
 #include <math.h>
@@ -14,7 +13,7 @@
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m;
-    const size_t nn = dal__times(n, n), mn = dal__times(m, n), mm = dal__times(m, m);
+    const size_t mn = dal__times(m, n);
     double **const vectors[] = {&solver->rate, &solver->w, &solver->R1, &solver->y, &solver->step};
     double **const multipliers[] = {&solver->lambda, &solver->kappa, &solver->R2, &solver->r,
                                     &solver->d};
@@ -23,12 +22,8 @@ void dal__newton_reserve(newton *solver, const dal_system *system, arena *a)
     dal__reserve(a, &solver->x, dal__times(2, n), sizeof(double));
     dal__reserve(a, &solver->B, mn, sizeof(double));
     dal__reserve(a, &solver->KZ, mn, sizeof(double));
-    dal__reserve(a, &solver->K, nn, sizeof(double));
-    dal__reserve(a, &solver->K_sizes, dal__times(5, n), sizeof(double));
-    dal__reserve(a, &solver->S, mm, sizeof(double));
-    dal__reserve(a, &solver->S_sizes, dal__times(5, m), sizeof(double));
-    dal__reserve(a, &solver->K_row, n, sizeof(size_t));
-    dal__reserve(a, &solver->S_row, m, sizeof(size_t));
+    dal__linear_reserve(&solver->K, n, a);
+    dal__linear_reserve(&solver->S, m, a);
 }
 
 void dal__newton_bind(newton *solver, const dal_system *system, int max_iterations)
@@ -46,26 +41,25 @@ static int solve_linear(newton *s, dal_mechanics *mech, int *sign)
 {
     const size_t n = s->n, m = s->m;
     for (size_t i = 0; i < n; i++) s->R1[i] = -s->R1[i];
-    *sign = dal_lu_factor(n, s->K, s->K_sizes, s->K_row);
+    *sign = dal__linear_factor(&s->K);
     if (*sign == 0)
         return dal__fail(&mech->error, DAL_ESINGULAR, "the derivative K of the equations of motion "
                          "in v' is singular: h is too large here");
-    dal_lu_solve(n, s->K, s->K_row, s->R1, s->y);
-    for (size_t a = 0; a < m; a++)
-        dal_lu_solve(n, s->K, s->K_row, mech->muk + a * n, s->KZ + a * n);
+    dal__linear_solve(&s->K, s->R1, s->y);
+    for (size_t a = 0; a < m; a++) dal__linear_solve(&s->K, mech->muk + a * n, s->KZ + a * n);
     for (size_t a = 0; a < m; a++)
         for (size_t b = 0; b < m; b++)
-            s->S[a * m + b] = dal__dot(n, s->B + a * n, s->KZ + b * n);
+            s->S.A[a * m + b] = dal__dot(n, s->B + a * n, s->KZ + b * n);
     for (size_t a = 0; a < m; a++) {
-        s->S_sizes[a] = dal_residual_form(n, mech->unit, s->B + a * n);
-        s->S_sizes[m + a] = dal_residual_speed(n, mech->per_unit, s->KZ + a * n);
+        s->S.sizes[a] = dal_residual_form(n, mech->unit, s->B + a * n);
+        s->S.sizes[m + a] = dal_residual_speed(n, mech->per_unit, s->KZ + a * n);
     }
-    *sign *= dal_lu_factor(m, s->S, s->S_sizes, s->S_row);
+    *sign *= dal__linear_factor(&s->S);
     if (*sign == 0)
         return dal__fail(&mech->error, DAL_ESINGULAR, "the Schur complement B K^-1 mu_k^T is "
                          "singular: the constraints lose rank, or h is too large here");
     for (size_t a = 0; a < m; a++) s->r[a] = -(s->R2[a] + dal__dot(n, s->B + a * n, s->y));
-    dal_lu_solve(m, s->S, s->S_row, s->r, s->d);
+    dal__linear_solve(&s->S, s->r, s->d);
     memcpy(s->step, s->y, n * sizeof *s->step);
     for (size_t a = 0; a < m; a++)
         for (size_t i = 0; i < n; i++) s->step[i] += s->KZ[a * n + i] * s->d[a];
@@ -82,7 +76,7 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
     int halvings = 0;
     for (p.iteration = 1; p.iteration <= s->max_iterations; p.iteration++) {
         int status, sign = 1;
-        while ((status = dal__step_at(mech, s->w, s->kappa, s->R1, s->R2, s->K, s->K_sizes, s->B))
+        while ((status = dal__step_at(mech, s->w, s->kappa, s->R1, s->R2, s->K.A, s->K.sizes, s->B))
                    == DAL_EDOMAIN && p.iteration > 1 && halvings++ < HALVINGS) {
             for (size_t i = 0; i < n; i++) s->w[i] -= s->step[i] *= 0.5;
             dal__newton_halve(&p);

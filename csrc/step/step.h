@@ -27,10 +27,9 @@ typedef struct newton {
     double *rate, *lambda;          /* [n], [m] its (v' - v)/h and kappa/h */
     double *w, *kappa, *x;          /* [n], [m], [2n] */
     double *R1, *R2, *B;            /* [n], [m], [m*n] */
-    double *K, *K_sizes;            /* [n*n], [5*n] */
-    size_t *K_row, *S_row;          /* [n], [m] */
+    dal__linear K, S;               /* of n and of m equations */
     double *y, *KZ, *step;          /* [n], [m*n], [n] */
-    double *S, *S_sizes, *r, *d;    /* [m*m], [5*m], [m], [m] */
+    double *r, *d;                  /* [m] */
 } newton;
 
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);
