@@ -15,8 +15,9 @@ static void match_dependent(dal_chart *chart, const double *y, size_t stride)
 
 /* step[n] <- the Newton step of w for H^T R1 = 0, phi = 0, with the n-m rows H^T = [-A(q_k)^T, I];
  * kappa <- that of R1_dependent = 0 at w. */
-static int newton_step(dal_chart *chart)
+static int find_step(dal__newton *equations)
 {
+    dal_chart *const chart = equations->ctx;
     dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n, m = chart->m, free = n - m;
     const size_t *const place = chart->place + m;
@@ -50,34 +51,21 @@ static int newton_step(dal_chart *chart)
                          "coordinates are singular: the constraints lose rank, or h = %g is too "
                          "large here", mech->start.h);
     dal__linear_solve(&chart->G, chart->y, chart->step);
+    equations->base = mech->start.base;
+    equations->moves = mech->start.moves;
     return DAL_SUCCESS;
 }
 
 static int solve_step(dal_chart *chart)
 {
-    enum { MOST = 50 };
+    dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n;
-    dal__progress p = {.lagging = true}; /* kappa */
-    memcpy(chart->w, chart->mech.start.v, n * sizeof *chart->w);
+    dal__newton equations = {.find_step = find_step, .ctx = chart, .size = n, .measured = n, .n = n,
+                             .per_unit = mech->per_unit, .z = chart->w, .step = chart->step,
+                             .lagging = true}; /* kappa */
+    memcpy(chart->w, mech->start.v, n * sizeof *chart->w);
     memset(chart->kappa, 0, chart->m * sizeof *chart->kappa);
-    for (p.iteration = 1;; p.iteration++) {
-        const int status = newton_step(chart);
-        if (status) return status;
-        for (size_t i = 0; i < n; i++) chart->w[i] += chart->step[i];
-        p.scale = dal_residual_extent(n, chart->mech.per_unit, chart->w)
-                + dal__step_base(&chart->mech);
-        p.extent = dal__sum_of_sizes(n, chart->mech.q);
-        const dal__verdict verdict =
-            dal__newton_judge(&p, dal_residual_extent(n, chart->mech.per_unit, chart->step));
-        if (verdict == DAL__DONE) return DAL_SUCCESS;
-        if (verdict == DAL__LOST && p.size <= DBL_MAX)
-            return dal__fail(&chart->mech.error, DAL_ENOCONV, DAL__LOST_TEXT, p.travelled, p.first,
-                             p.scale);
-        if (p.iteration == MOST || verdict == DAL__LOST)
-            return dal__fail(&chart->mech.error, DAL_ENOCONV, "Newton did not converge in %d "
-                             "iterations: last change %.3g of %.3g; try a smaller h", p.iteration,
-                             p.size, p.scale);
-    }
+    return dal__newton_run(&equations, &mech->error);
 }
 
 int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi, double *lambda_E)

@@ -93,7 +93,7 @@ static void assemble(const dal_discrete *d, double *J, double *scale)
 }
 
 /* What the roundoff of w is relative to beside w: the velocity before and the terms of the
- * equations of motion as changes of velocity, see dal__step_base. */
+ * equations of motion as changes of velocity, as those of a step are. */
 static double base_of_equations(const dal_discrete *d, const double *kappa)
 {
     const size_t n = d->n;
@@ -106,12 +106,13 @@ static double base_of_equations(const dal_discrete *d, const double *kappa)
     return base;
 }
 
-/* The step equations at z = (w, kappa), kappa = h lambda. */
-static int equations_at(void *ctx, const double *z, double *residual, double *J, double *scale)
+/* Of the step equations at z = (w, kappa), kappa = h lambda. */
+static int find_step(dal__newton *equations)
 {
-    dal_discrete *const d = ctx;
+    dal_discrete *const d = equations->ctx;
     const size_t n = d->n, m = d->m;
-    const double h = d->step.h, *const w = z, *const kappa = z + n;
+    const double h = d->step.h, *const w = d->root.z, *const kappa = w + n;
+    double *const residual = d->root.residual;
     for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i];
     const dal__pair pair = {h, d->step.node, d->q1, w};
     d->step.kappa = kappa;
@@ -127,26 +128,29 @@ static int equations_at(void *ctx, const double *z, double *residual, double *J,
         for (size_t a = 0; a < m; a++) residual[i] -= d->muk[a * n + i] * kappa[a];
     }
     memcpy(residual + n, d->phi, m * sizeof *residual);
-    d->root.base = base_of_equations(d, kappa);
-    d->root.extent = dal__sum_of_sizes(n, d->constraint.g);
-    assemble(d, J, scale);
-    return DAL_SUCCESS;
+    equations->base = base_of_equations(d, kappa);
+    equations->moves = dal__forms_move(&d->mech, d->phi_v, d->phi_q, d->constraint.g);
+    for (size_t k = 0; k < n * n; k++)
+        equations->moves += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
+                          * fabs(d->lagrangian.g[k % n]) * d->mech.unit[k / n];
+    assemble(d, d->root.J.A, d->root.scale);
+    return dal__root_step(&d->root, "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is singular: the "
+                          "constraints lose rank, or h is too large here", &d->mech.error);
 }
 
 /* d->root.z <- (w, kappa) of the pair after the given one, which is at time t. */
 static int solve(dal_discrete *d, double t, const dal__pair *pair)
 {
     const size_t n = d->n, m = d->m;
-    const dal__equations equations = {.at = equations_at, .ctx = d, .size = n + m, .measured = n,
-                                .per_unit = d->mech.per_unit,
-                                .singular = "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is "
-                                "singular: the constraints lose rank, or h is too large here"};
+    dal__newton equations = {.find_step = find_step, .ctx = d, .size = n + m, .measured = n, .n = n,
+                             .per_unit = d->mech.per_unit, .z = d->root.z, .step = d->root.step};
     int status = begin(d, t, pair);
     if (!status) status = dal__form_metric(&d->mech, d->constraint.g, d->velocity);
     if (status) return status;
     memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
     memset(d->root.z + n, 0, m * sizeof *d->root.z);
-    return dal__find_root(&d->root, &equations, &d->mech.error);
+    d->root.J.size = n + m;
+    return dal__newton_run(&equations, &d->mech.error);
 }
 
 /* d->q1 <- the node that the root leads to from q; its multipliers where they are wanted. */
@@ -323,8 +327,7 @@ int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, 
     int status = dal__require_finite(&d->mech, "t", 1, &t);
     if (!status) status = dal__discrete_step_size(d, h);
     if (!status) status = dal__require_finite(&d->mech, "x", 2 * n, x);
-    if (!status)
-        status = dal__rho_invert(&d->constraint, &d->root, h, x, d->q0, d->node, &d->mech.error);
+    if (!status) status = dal__rho_invert(d, h, x, d->q0, d->node);
     if (status) return status;
     dal__pair pair = dal__discrete_pair(d, h, d->q0, d->node);
     if (!d->constraint.map.map) pair.w = x + n;

@@ -32,7 +32,7 @@ struct dal_mechanics {
         double t, beta, h;
         bool kept;
         const double *v;          /* [n] */
-        double base;              /* see dal__step_base */
+        double base, moves;       /* see algebra.h, of the last dal__step_at that gave R1, K, B */
     } start;                      /* of the step that dal__step_begin began */
     dal_error error;
     arena arena; /* used only by dal_mechanics_new */
@@ -65,6 +65,10 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
                         const double *v);
 /* *E <- the energy at x[2n], which may overflow. */
 int dal__energy(dal_mechanics *mech, const double *x, double *E);
+/* How far velocities move, to first order, when the point q where mu and slope = phi_q were
+ * evaluated becomes twice itself; see dal__progress. */
+double dal__forms_move(const dal_mechanics *mech, const double *mu, const double *slope,
+                       const double *q);
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
                    bool *consistent);

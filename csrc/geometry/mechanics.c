@@ -281,6 +281,19 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
     return worst;
 }
 
+double dal__forms_move(const dal_mechanics *mech, const double *mu, const double *slope,
+                       const double *q)
+{
+    const size_t n = mech->n;
+    double moves = 0.0;
+    for (size_t a = 0; a < mech->m; a++) { /* as phi is a residual: by the size of its form */
+        double moved = 0.0;
+        for (size_t i = 0; i < n; i++) moved += fabs(slope[a * n + i] * q[i]);
+        moves += moved / dal_residual_form(n, mech->unit, mu + a * n);
+    }
+    return moves;
+}
+
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
                         const double *v)
 {
@@ -525,39 +538,46 @@ static int accept(dal_mechanics *mech, double *x, double *distance)
     return DAL_SUCCESS;
 }
 
+/* The velocity of D_eps, or of D, that belongs to x. */
+typedef struct consistent {
+    dal_mechanics *mech;
+    double shift;
+    const double *x; /* [2n] */
+} consistent;
+
+static int find_step(dal__newton *equations)
+{
+    const consistent *const c = equations->ctx;
+    dal_mechanics *const mech = c->mech;
+    const size_t n = mech->n, m = mech->m;
+    for (size_t i = 0; i < n; i++) mech->q[i] = c->x[i] - c->shift * mech->w[i];
+    int status = dal__constraint(&mech->eval, mech->q, mech->w, mech->phi, mech->mu,
+                                 c->shift != 0.0 ? mech->dmu : NULL, &mech->error);
+    if (status) return status;
+    if (c->shift != 0.0) equations->moves = dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
+    for (size_t k = 0; c->shift != 0.0 && k < m * n; k++) mech->mu[k] -= c->shift * mech->dmu[k];
+    status = factor_product(mech);
+    if (status) return status;
+    dal__linear_solve(&mech->C, mech->phi, mech->lambda);
+    for (size_t i = 0; i < n; i++) {
+        double change = 0.0;
+        for (size_t a = 0; a < m; a++) change += mech->Z[a * n + i] * mech->lambda[a];
+        mech->step[i] = -change; /* where it is 0 a -0.0 stays one */
+    }
+    return DAL_SUCCESS;
+}
+
 /* Newton for phi(q - shift w, w) = 0 along w = v + Z^T kappa with Z as it is, into mech->w. */
 static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
 {
-    enum { MOST = 50 };
-    const size_t n = mech->n, m = mech->m;
-    dal__progress p = {0};
+    const size_t n = mech->n;
+    consistent c = {mech, shift, x};
+    dal__newton equations = {.find_step = find_step, .ctx = &c, .size = n, .measured = n, .n = n,
+                             .per_unit = mech->per_unit, .z = mech->w, .step = mech->step,
+                             .base = dal_residual_extent(n, mech->per_unit, velocity(mech, x)),
+                             .advice = "there may be no such velocity of D here"};
     memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
-    for (p.iteration = 1;; p.iteration++) {
-        for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * mech->w[i];
-        int status = dal__constraint(&mech->eval, mech->q, mech->w, mech->phi, mech->mu,
-                                     shift != 0.0 ? mech->dmu : NULL, &mech->error);
-        if (status) return status;
-        for (size_t k = 0; shift != 0.0 && k < m * n; k++) mech->mu[k] -= shift * mech->dmu[k];
-        status = factor_product(mech);
-        if (status) return status;
-        dal__linear_solve(&mech->C, mech->phi, mech->lambda);
-        double size = 0.0;
-        for (size_t i = 0; i < n; i++) {
-            double step = 0.0;
-            for (size_t a = 0; a < m; a++) step += mech->Z[a * n + i] * mech->lambda[a];
-            if (step != 0.0) mech->w[i] -= step; /* a -0.0 that is kept stays one */
-            size += fabs(step) * mech->per_unit[i];
-        }
-        p.scale = dal_residual_extent(n, mech->per_unit, mech->w)
-                + dal_residual_extent(n, mech->per_unit, velocity(mech, x));
-        p.extent = dal__sum_of_sizes(n, mech->q);
-        const dal__verdict verdict = dal__newton_judge(&p, size);
-        if (verdict == DAL__DONE) return DAL_SUCCESS;
-        if (p.iteration == MOST || verdict == DAL__LOST)
-            return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of %s was found in %d "
-                             "iterations (shift = %g, last change %g)",
-                             shift == 0.0 ? "D" : "D_eps", p.iteration, shift, size);
-    }
+    return dal__newton_run(&equations, &mech->error);
 }
 
 /* The velocity of D, or D_eps, that belongs to x, into mech->w; Z says along what. */
