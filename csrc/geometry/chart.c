@@ -4,7 +4,6 @@
  * mu is phi_v, and B its dependent columns.  What is solved with B is the residual phi, so that D
  * is kept to roundoff and affine constraints need no formula of their own. */
 #include "geometry/geometry.h"
-#include "dalembert/lu.h"
 #include "dalembert/residual.h"
 
 #include <math.h>
@@ -18,20 +17,18 @@ static const double EXCHANGE = 1.25, LIMIT = 10.0;
 void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m;
-    const size_t nn = dal__times(n, n), mn = dal__times(m, n), mm = dal__times(m, m);
+    const size_t nn = dal__times(n, n), mn = dal__times(m, n);
     double **const vectors[] = {&chart->w, &chart->R1, &chart->step};
     double **const multipliers[] = {&chart->branch, &chart->right, &chart->solution, &chart->R2,
                                     &chart->kappa, &chart->kept_branch};
-    double **const squares[] = {&chart->K, &chart->G};
     double **const forms[] = {&chart->A, &chart->tableau, &chart->slope};
     dal__mechanics_reserve(&chart->mech, system, a);
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
-    dal__reserve_doubles(a, DAL_LENGTH(squares), squares, nn);
+    dal__reserve(a, &chart->K, nn, sizeof(double));
     dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
-    dal__reserve(a, &chart->B, mm, sizeof(double));
-    dal__reserve(a, &chart->B_sizes, dal__times(5, m), sizeof(double));
-    dal__reserve(a, &chart->G_sizes, dal__times(5, n), sizeof(double));
+    dal__linear_reserve(&chart->B, m, a);
+    dal__linear_reserve(&chart->G, n, a);
     dal__reserve(a, &chart->x, dal__times(2, n), sizeof(double));
     dal__reserve(a, &chart->y, dal__times(2, n), sizeof(double));
     dal__reserve(a, &chart->first, dal__times(3, n), sizeof(double));
@@ -41,8 +38,6 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     dal__reserve(a, &chart->place, n, sizeof(size_t));
     dal__reserve(a, &chart->former, n, sizeof(size_t));
     dal__reserve(a, &chart->owner, m, sizeof(size_t));
-    dal__reserve(a, &chart->row, m, sizeof(size_t));
-    dal__reserve(a, &chart->G_row, n, sizeof(size_t));
 }
 
 void dal__chart_bind(dal_chart *chart, const dal_system *system)
@@ -124,36 +119,34 @@ static void write_names(const dal_chart *chart, const size_t *place, size_t coun
 
 /* ---- A and B ----------------------------------------------------------------------------- */
 
-int dal__chart_factor(dal_chart *chart, const double *mu, bool transposed)
+int dal__chart_factor(dal_chart *chart, const double *mu)
 {
     const size_t n = chart->n, m = chart->m;
-    double *const forms = chart->B_sizes + (transposed ? m : 0);
-    double *const coordinates = chart->B_sizes + (transposed ? 0 : m);
+    double *const sizes = chart->B.sizes;
     for (size_t a = 0; a < m; a++) {
-        forms[a] = 0.0;
-        coordinates[a] = chart->mech.per_unit[chart->place[a]];
+        sizes[a] = 0.0;
+        sizes[m + a] = chart->mech.per_unit[chart->place[a]];
         for (size_t b = 0; b < m; b++) {
             const double entry = mu[a * n + chart->place[b]];
-            chart->B[transposed ? b * m + a : a * m + b] = entry;
-            forms[a] += fabs(entry) * chart->mech.unit[chart->place[b]];
+            chart->B.A[a * m + b] = entry;
+            sizes[a] += fabs(entry) * chart->mech.unit[chart->place[b]];
         }
     }
-    if (dal_lu_factor(m, chart->B, chart->B_sizes, chart->row)) return DAL_SUCCESS;
+    if (dal__linear_factor(&chart->B)) return DAL_SUCCESS;
     char names[128];
     write_names(chart, chart->place, m, sizeof names, names);
     return dal__fail(&chart->mech.error, DAL_ESINGULAR, "the columns of mu that belong to the "
                      "dependent coordinates %s form a singular matrix", names);
 }
 
-/* mu at (q, v), phi_q if wanted, and B, or B^T, factored. */
-static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q,
-                  bool transposed)
+/* mu at (q, v), phi_q if wanted, and B factored. */
+static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q)
 {
     int status = dal__form_metric(&chart->mech, q, v);
     if (!status)
         status = dal__constraint(&chart->mech.eval, q, v, NULL, chart->mech.mu, phi_q,
                                  &chart->mech.error);
-    return status ? status : dal__chart_factor(chart, chart->mech.mu, transposed);
+    return status ? status : dal__chart_factor(chart, chart->mech.mu);
 }
 
 /* result[a*stride] <- B^-1 times the column of forms[m*n]. */
@@ -161,7 +154,7 @@ static void solve_column(dal_chart *chart, const double *forms, size_t column, d
                          size_t stride)
 {
     for (size_t a = 0; a < chart->m; a++) chart->right[a] = forms[a * chart->n + column];
-    dal_lu_solve(chart->m, chart->B, chart->row, chart->right, chart->solution);
+    dal__linear_solve(&chart->B, chart->right, chart->solution);
     for (size_t a = 0; a < chart->m; a++) result[a * stride] = chart->solution[a];
 }
 
@@ -178,7 +171,7 @@ int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
-    if (!status) status = form_B(chart, x, x + n, NULL, false);
+    if (!status) status = form_B(chart, x, x + n, NULL);
     if (status) return status;
     form_A(chart);
     status = dal__require_output(&chart->mech.error, "A", m * (n - m), chart->A);
@@ -303,7 +296,7 @@ int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x)
     if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
     memcpy(chart->former, chart->place, n * sizeof *chart->place);
     arrange(chart);
-    status = dal__chart_factor(chart, chart->mech.mu, false);
+    status = dal__chart_factor(chart, chart->mech.mu);
     if (status) {
         memcpy(chart->place, chart->former, n * sizeof *chart->place);
         return status;
@@ -324,7 +317,7 @@ static int evaluate_condition(dal_chart *chart, const double *x, double *conditi
     if (status) return status;
     *condition = (double)INFINITY;
     const dal_error before = chart->mech.error;
-    if (dal__chart_factor(chart, chart->mech.mu, false)) { /* an answer, not a failure */
+    if (dal__chart_factor(chart, chart->mech.mu)) { /* an answer, not a failure */
         chart->mech.error = before;
         return DAL_SUCCESS;
     }
@@ -430,9 +423,9 @@ int dal__chart_lift(dal_chart *chart, const double *xi, double *x)
                                                            chart->mech.phi, v);
             if (relative <= limit || (!newton && iteration > MENDS)) break;
         }
-        if (newton || iteration == 0) status = dal__chart_factor(chart, chart->mech.mu, false);
+        if (newton || iteration == 0) status = dal__chart_factor(chart, chart->mech.mu);
         if (status) return status;
-        dal_lu_solve(m, chart->B, chart->row, chart->mech.phi, chart->solution);
+        dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
         double size = 0.0, scale = 0.0;
         for (size_t a = 0; a < m; a++) {
             v[chart->place[a]] -= chart->solution[a];
@@ -505,7 +498,7 @@ int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *le
     const size_t n = chart->n, m = chart->m, width = chart->width;
     const size_t *const place = chart->place;
     int status = dal__chart_state(chart, xi);
-    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu, false);
+    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu);
     if (status) return status;
     if (J) {
         form_A(chart);
@@ -550,7 +543,7 @@ int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambd
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
-    if (!status) status = form_B(chart, x, x + n, NULL, false);
+    if (!status) status = form_B(chart, x, x + n, NULL);
     if (status) return status;
     for (size_t b = 0; b < m; b++) {
         chart->solution[b] = 0.0;
@@ -570,9 +563,10 @@ int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
-    if (!status) status = form_B(chart, x, x + n, NULL, true);
+    if (!status) status = form_B(chart, x, x + n, NULL);
     if (status) return status;
-    dal_lu_solve(m, chart->B, chart->row, lambda_E, chart->solution);
+    if (m > 0) memcpy(chart->right, lambda_E, m * sizeof *lambda_E);
+    dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
     status = dal__require_output(&chart->mech.error, "lambda", m, chart->solution);
     if (!status) memcpy(lambda, chart->solution, m * sizeof *lambda);
     return status;

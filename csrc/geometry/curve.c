@@ -153,7 +153,7 @@ static int move_to_node(dal_chart *chart, double shift)
         if (status) return status;
         const double relative = dal__relative_residual(mech, mech->mu, mech->phi, v);
         if (relative <= 2.0 * (double)n * DAL_ROUNDOFF || pass > MENDS) break;
-        dal_lu_solve(m, chart->B, chart->row, mech->phi, chart->solution);
+        dal__linear_solve(&chart->B, mech->phi, chart->solution);
         for (size_t a = 0; a < m; a++) v[chart->place[a]] -= chart->solution[a];
     }
     return DAL_SUCCESS;

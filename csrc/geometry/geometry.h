@@ -12,8 +12,8 @@ struct dal_mechanics {
     double *phi;                  /* [m] */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
     double *Z;                    /* [m*n]: row a is M^-1 mu^a */
-    double *C, *sizes;            /* [m*m], [5*m]: mu M^-1 mu^T or its factors; see lu.h */
-    size_t *row;                  /* [m] */
+    dal__linear C;                /* mu M^-1 mu^T or its factors, of Cholesky with diag C^-1 in sizes,
+                                     or of what mu moves along other directions */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
     double *point;                /* [2n] of jump.c */
@@ -32,7 +32,7 @@ struct dal_mechanics {
         double t, beta, h;
         bool kept;
         const double *v;          /* [n] */
-        double base;              /* see dal__step_base */
+        double base, moves;       /* see algebra.h, of the last dal__step_at that gave R1, K, B */
     } start;                      /* of the step that dal__step_begin began */
     dal_error error;
     arena arena; /* used only by dal_mechanics_new */
@@ -65,6 +65,10 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
                         const double *v);
 /* *E <- the energy at x[2n], which may overflow. */
 int dal__energy(dal_mechanics *mech, const double *x, double *E);
+/* How far velocities move, to first order, when the point q where mu and slope = phi_q were
+ * evaluated becomes twice itself; see dal__progress. */
+double dal__forms_move(const dal_mechanics *mech, const double *mu, const double *slope,
+                       const double *q);
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
                    bool *consistent);
@@ -79,8 +83,8 @@ struct dal_chart {
     bool chosen;
     size_t *place;           /* [n]: the dependent coordinates, then the independent ones */
     double *branch;          /* [m] v_dependent where Newton starts */
-    double *B, *B_sizes, *A; /* [m*m] factors, [5*m], [m*(n-m)] */
-    size_t *row;             /* [m] */
+    dal__linear B;
+    double *A;               /* [m*(n-m)] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
     double *tableau;         /* [m*n] */
@@ -88,10 +92,8 @@ struct dal_chart {
     /* of dal_chart_step */
     double *w, *R1, *step;   /* [n] */
     double *R2, *kappa;      /* [m] */
-    double *K, *G;           /* [n*n] */
-    double *G_sizes;         /* [5*n] */
-    double *slope;           /* [m*n] */
-    size_t *G_row;           /* [n] */
+    double *K, *slope;       /* [n*n], [m*n] */
+    dal__linear G;
     /* of dal_chart_interpolate */
     double *first, *second;  /* [3n] (q, v, vdot) at the ends of an interval */
     size_t *kept_place;      /* [n] the caller's choice */
@@ -111,8 +113,8 @@ void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);
 /* chart->x <- psi(xi), Newton from the state of the choice; DAL_EINVAL unless there is a choice and
  * xi[2n-m] is finite. */
 int dal__chart_state(dal_chart *chart, const double *xi);
-/* B, or B^T, of mu[m*n], factored, in the units of the last dal__form_metric. */
-int dal__chart_factor(dal_chart *chart, const double *mu, bool transposed);
+/* B of mu[m*n], factored, in the units of the last dal__form_metric. */
+int dal__chart_factor(dal_chart *chart, const double *mu);
 /* DAL_EINVAL unless there is a choice. */
 int dal__chart_ready(dal_chart *chart);
 /* Whether dal_chart_renew would keep the choice at x, and its condition. */

@@ -25,12 +25,12 @@ typedef struct newton {
     int max_iterations;
     bool warm;                      /* the last step is a guess for the next */
     double *rate, *lambda;          /* [n], [m] its (v' - v)/h and kappa/h */
-    double *w, *kappa, *x;          /* [n], [m], [2n] */
+    double *z, *step, *x;           /* [n+m] w and kappa, [n+m], [2n] */
     double *R1, *R2, *B;            /* [n], [m], [m*n] */
-    double *K, *K_sizes;            /* [n*n], [5*n] */
-    size_t *K_row, *S_row;          /* [n], [m] */
-    double *y, *KZ, *step;          /* [n], [m*n], [n] */
-    double *S, *S_sizes, *r, *d;    /* [m*m], [5*m], [m], [m] */
+    dal__linear K, S;               /* of n and of m equations */
+    double *y, *KZ, *r;             /* [n], [m*n], [m] */
+    dal_mechanics *mech;            /* of the step that is being solved */
+    dal_stats *stats;
 } newton;
 
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);

@@ -125,7 +125,7 @@ static int iterate(multiroot *s, dal_stats *stats)
         if (s->status) return s->status;
         const gsl_vector *const unknown = gsl_multiroot_fdfsolver_root(s->solver);
         const gsl_vector *const change = gsl_multiroot_fdfsolver_dx(s->solver);
-        double size = 0.0, scale = dal__step_base(s->mech);
+        double size = 0.0, scale = s->mech->start.base;
         for (size_t i = 0; i < s->n; i++) {
             size += fabs(gsl_vector_get(change, i));
             scale += fabs(gsl_vector_get(unknown, i));
