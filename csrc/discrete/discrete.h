@@ -7,11 +7,12 @@
 
 /* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone,
  * which are those of that function and have been checked; kept: x is (q_k, v), the state of kept
- * nodes.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K (see
+ * nodes.  alpha is beta there; another one is that of rho^alpha for L_d, and L acts at q_k + alpha h
+ * w.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K (see
  * lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n] the
  * velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
  * residual raises *worst.  The x of dal__step_begin must stay until the last dal__step_at. */
-int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
+int dal__step_begin(dal_mechanics *mech, double t, double alpha, double beta, double h, bool kept,
                     const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_sizes, double *B);

@@ -26,10 +26,11 @@ struct dal_mechanics {
     /* of the equations of a step */
     double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
     double *node, *muk;           /* [n], [m*n] q_k, mu_k */
+    double *place;                /* [n] where L acts, if that is not q */
     double *trial, *chetaev, *bend; /* [n], [m*n], [n*n] of nonlinear constraints: where mu_k^T
                                        kappa is differenced, its value and its derivative */
     struct {
-        double t, beta, h;
+        double t, alpha, beta, h;
         bool kept;
         const double *v;          /* [n] */
         double base, moves;       /* see algebra.h, of the last dal__step_at that gave R1, K, B */

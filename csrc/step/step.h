@@ -37,11 +37,14 @@ void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);
 void dal__newton_bind(newton *solver, const dal_system *system, int max_iterations);
 /* Forgets the last step. */
 void dal__newton_forget(newton *solver);
+/* The last step, as save and restore of a family; of a solver without memory there is none. */
+size_t dal__newton_save(const newton *solver, double *values);
+void dal__newton_restore(newton *solver, const double *values);
 /* One beta-scheme with step h (of either sign) at time t from x[2n], in place; kappa[m] = h lambda.
- * kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
+ * alpha, kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
  * mech->error. */
-int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta, double h,
-                     bool kept, double *x, double *kappa, dal_stats *stats);
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double alpha, double beta,
+                     double h, bool kept, double *x, double *kappa, dal_stats *stats);
 
 /* Whether the energy jumps (jump.c): looked at now and then, never where something does work, or by
  * schemes of order 1, which drift by design. */

@@ -165,7 +165,7 @@ static int solve(multiroot *s, dal_mechanics *mech, double t, double beta, doubl
 {
     const size_t n = s->n, m = s->m;
     s->mech = mech;
-    s->status = dal__step_begin(mech, t, beta, h, kept, x);
+    s->status = dal__step_begin(mech, t, beta, beta, h, kept, x);
     if (s->status) return s->status;
     memcpy(s->guess, x + n, n * sizeof *s->guess);
     memset(s->guess + n, 0, m * sizeof *s->guess);
