@@ -155,8 +155,8 @@ static int find_step(dal__newton *equations)
         }
     }
     for (size_t k = 0; k < N * N; k++) root->scale[k] = fabs(J[k]);
-    return dal__root_step(root, "the derivative of the difference map is singular: it has no inverse "
-                          "here", &in->d->mech.error);
+    return dal__root_step(root, "the derivative of the difference map is singular: it has no "
+                          "inverse here", &in->d->mech.error);
 }
 
 int dal__rho_invert(dal_discrete *d, double h, const double *x, double *q0, double *q1)

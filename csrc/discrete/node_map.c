@@ -134,8 +134,8 @@ static int find_step(dal__newton *equations)
         equations->moves += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
                           * fabs(d->lagrangian.g[k % n]) * d->mech.unit[k / n];
     assemble(d, d->root.J.A, d->root.scale);
-    return dal__root_step(&d->root, "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is singular: the "
-                          "constraints lose rank, or h is too large here", &d->mech.error);
+    return dal__root_step(&d->root, "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is singular: "
+                          "the constraints lose rank, or h is too large here", &d->mech.error);
 }
 
 /* d->root.z <- (w, kappa) of the pair after the given one, which is at time t. */

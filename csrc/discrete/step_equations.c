@@ -135,7 +135,7 @@ static double base_of_R1(const dal_mechanics *mech, const double *kappa)
 }
 
 /* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend.
- * moves: of R1 when q_k + alpha h w moves by itself, on which the terms with alpha depend. */
+ * start.moves: of phi, and of R1, when q1 and the place of L move by themselves. */
 static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
 {
     const size_t n = mech->n;
@@ -143,7 +143,7 @@ static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
     const double b = (1.0 - mech->start.alpha) * mech->start.h;
     const double *const place = mech->start.alpha == mech->start.beta ? mech->q : mech->place;
     const bool general = !mech->eval.constant_mass, forced = mech->eval.system->def.force != NULL;
-    mech->start.moves = 0.0;
+    mech->start.moves = dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) {
             const size_t ij = i * n + j, ji = j * n + i;
@@ -163,9 +163,8 @@ static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
             }
             K[ij] = sum;
             if (K_sizes && i == j) K_sizes[i] = K_sizes[n + i] = sqrt(scale);
-            if (a != 0.0)
-                mech->start.moves += (fabs(terms[1]) + fabs(terms[3]) + fabs(terms[5]))
-                                   * fabs(place[j] / a) * mech->unit[i];
+            mech->start.moves += (fabs(terms[1]) + fabs(terms[3]) + fabs(terms[5]))
+                               * fabs(place[j]) / fmax(fabs(a), DBL_MIN) * mech->unit[i];
         }
 }
 
@@ -189,8 +188,6 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     if (R1 && K) mech->start.base = base_of_R1(mech, kappa);
     if (R2) memcpy(R2, mech->phi, m * sizeof *R2);
     if (K) form_K(mech, K, K_sizes);
-    if (K && B && a != 0.0)
-        mech->start.moves += dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
     for (size_t k = 0; B && k < m * n; k++) B[k] = mech->mu[k] + a * mech->dmu[k];
     return DAL_SUCCESS;
 }

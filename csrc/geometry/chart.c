@@ -390,60 +390,89 @@ void dal__chart_drop(const dal_chart *chart, const double *x, double *xi)
     memcpy(xi + n, chart->step + m, (n - m) * sizeof *xi);
 }
 
-/* phi into mech.phi; of linear constraints from mu as it is, else with a new mu. */
-static int evaluate_phi(dal_chart *chart, const double *x, bool known)
+/* Not more than 2 n u: steps have twice that. */
+static bool is_in_D(const dal_chart *chart)
+{
+    const dal_mechanics *const mech = &chart->mech;
+    return dal__relative_residual(mech, mech->mu, mech->phi, chart->x + chart->n)
+        <= 2.0 * (double)chart->n * DAL_ROUNDOFF;
+}
+
+/* The metric, phi and mu at (q, v). */
+static int evaluate(dal_chart *chart, const double *q, const double *v)
 {
     dal_mechanics *const mech = &chart->mech;
-    const double *const v = x + chart->n;
-    if (!known || kind(chart) != DAL_LINEAR)
-        return dal__constraint(&mech->eval, x, v, mech->phi, mech->mu, NULL, &mech->error);
-    dal__apply(chart->m, chart->n, mech->mu, v, mech->phi);
+    const int status = dal__constraint(&mech->eval, q, v, mech->phi, mech->mu, NULL, &mech->error);
+    return status ? status : dal__form_metric(mech, q, v);
+}
+
+static void move_dependent(dal_chart *chart)
+{
+    dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
+    for (size_t a = 0; a < chart->m; a++)
+        chart->x[chart->n + chart->place[a]] -= chart->solution[a];
+}
+
+int dal__chart_mend(dal_chart *chart, double shift)
+{
+    enum { MENDS = 3 };
+    const size_t n = chart->n;
+    double *const q = chart->x, *const v = q + n;
+    for (int pass = 1;; pass++) {
+        int status = DAL_SUCCESS;
+        for (size_t i = 0; i < n; i++) chart->y[i] = q[i] - shift * v[i];
+        if (shift == 0.0 && kind(chart) == DAL_LINEAR) /* mu stands still */
+            dal__apply(chart->m, n, chart->mech.mu, v, chart->mech.phi);
+        else
+            status = evaluate(chart, chart->y, v);
+        if (status) return status;
+        if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
+        move_dependent(chart);
+    }
+}
+
+/* Of the dependent velocities, where the constraints are nonlinear.  They stay where they are as
+ * soon as the residual, which is that of the step before, is roundoff. */
+static int find_step(dal__newton *equations)
+{
+    dal_chart *const chart = equations->ctx;
+    const size_t m = chart->m;
+    for (size_t a = 0; a < m; a++) chart->x[chart->n + chart->place[a]] = equations->z[a];
+    int status = evaluate(chart, chart->x, chart->x + chart->n);
+    if (status) return status;
+    memset(equations->step, 0, m * sizeof *equations->step);
+    if (is_in_D(chart)) return DAL_SUCCESS;
+    status = dal__chart_factor(chart, chart->mech.mu);
+    if (status) return status;
+    dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
+    for (size_t a = 0; a < m; a++) equations->step[a] = -chart->solution[a];
     return DAL_SUCCESS;
 }
 
-/* The first solution is exact but for roundoff unless the constraints are nonlinear; what then
- * follows mends the residual of what is stored. */
-int dal__chart_lift(dal_chart *chart, const double *xi, double *x)
+/* Where the constraints are not nonlinear the first solution is exact but for roundoff. */
+int dal__chart_lift(dal_chart *chart, const double *xi)
 {
-    enum { MENDS = 3, MOST = 50 };
     const size_t n = chart->n, m = chart->m;
-    const bool newton = kind(chart) == DAL_NONLINEAR;
-    const double limit = 2.0 * (double)n * DAL_ROUNDOFF;
-    double *const v = x + n, last = (double)INFINITY;
+    double *const x = chart->x, *const v = x + n;
+    int status;
     memmove(x, xi, n * sizeof *x);
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
-    for (size_t a = 0; !newton && a < m; a++) v[chart->place[a]] = 0.0;
-    for (int iteration = 0;; iteration++) {
-        int status = evaluate_phi(chart, x, iteration > 0);
-        if (status) return status;
-        if (iteration <= 1 || newton) status = dal__form_metric(&chart->mech, x, v);
-        if (status) return status;
-        if (iteration > 0 || newton) {
-            const double relative = dal__relative_residual(&chart->mech, chart->mech.mu,
-                                                           chart->mech.phi, v);
-            if (relative <= limit || (!newton && iteration > MENDS)) break;
-        }
-        if (newton || iteration == 0) status = dal__chart_factor(chart, chart->mech.mu);
-        if (status) return status;
-        dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
-        double size = 0.0, scale = 0.0;
-        for (size_t a = 0; a < m; a++) {
-            v[chart->place[a]] -= chart->solution[a];
-            size += fabs(chart->solution[a]);
-        }
-        for (size_t i = 0; i < n; i++) scale += fabs(v[i]);
-        if (!newton) continue;
-        if (iteration > 0 && size <= 1e-11 * scale && size >= last) break; /* it is roundoff */
-        if (iteration == MOST || !(size <= DBL_MAX)) {
-            char names[128];
-            write_names(chart, chart->place, m, sizeof names, names);
-            return dal__fail(&chart->mech.error, DAL_ENOCONV, "Newton did not find the dependent "
-                             "velocities %s in %d iterations (last change %.3g of %.3g)", names,
-                             iteration, size, scale);
-        }
-        last = size;
+    if (kind(chart) == DAL_NONLINEAR) {
+        dal__newton equations = {.find_step = find_step, .ctx = chart, .size = m, .measured = m,
+                                 .n = m, .per_unit = chart->B.sizes + m, .z = chart->kappa,
+                                 .step = chart->R2, .lagging = true,
+                                 .advice = "there may be no such dependent velocities"};
+        for (size_t a = 0; a < m; a++) chart->kappa[a] = v[chart->place[a]];
+        status = dal__newton_run(&equations, &chart->mech.error);
+        for (size_t a = 0; a < m; a++) v[chart->place[a]] = chart->kappa[a];
+    } else {
+        for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
+        status = evaluate(chart, x, v);
+        if (!status) status = dal__chart_factor(chart, chart->mech.mu);
+        if (!status) move_dependent(chart);
+        if (!status) status = dal__chart_mend(chart, 0.0);
     }
-    if (dal__all_finite(2 * n, x)) return DAL_SUCCESS;
+    if (status || dal__all_finite(2 * n, x)) return status;
     return dal__fail(&chart->mech.error, DAL_EDOMAIN, "the dependent velocities overflow");
 }
 
@@ -453,7 +482,7 @@ int dal__chart_state(dal_chart *chart, const double *xi)
     if (!status) status = dal__require_finite(&chart->mech, "xi", chart->width, xi);
     if (status) return status;
     for (size_t a = 0; a < chart->m; a++) chart->x[chart->n + chart->place[a]] = chart->branch[a];
-    return dal__chart_lift(chart, xi, chart->x);
+    return dal__chart_lift(chart, xi);
 }
 
 int dal_chart_lift(dal_chart *chart, const double *xi, double *x)
@@ -482,7 +511,7 @@ int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver)
     if (status) return status;
     memcpy(chart->x, x, 2 * n * sizeof *x);
     dal__chart_drop(chart, x, chart->y);
-    status = dal__chart_lift(chart, chart->y, chart->x);
+    status = dal__chart_lift(chart, chart->y);
     if (status) return status;
     for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
     status = dal__require_output(&chart->mech.error, "ver", n, chart->w);

@@ -12,8 +12,8 @@ struct dal_mechanics {
     double *phi;                  /* [m] */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
     double *Z;                    /* [m*n]: row a is M^-1 mu^a */
-    dal__linear C;                /* mu M^-1 mu^T or its factors, of Cholesky with diag C^-1 in sizes,
-                                     or of what mu moves along other directions */
+    dal__linear C;                /* mu M^-1 mu^T, or the factors of mu Z^T: of Cholesky, with
+                                     (C^-1)_aa in sizes, or where Z is not that of mu those of LU */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
     double *point;                /* [2n] of jump.c */
@@ -106,9 +106,11 @@ struct dal_chart {
 void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a);
 void dal__chart_bind(dal_chart *chart, const dal_system *system);
 
-/* dal_chart_lift without checking its arguments; for nonlinear constraints Newton starts at the
- * v_dependent that stands in x[2n].  On failure x is spoiled. */
-int dal__chart_lift(dal_chart *chart, const double *xi, double *x);
+/* chart->x <- psi(xi) without checking the arguments; for nonlinear constraints Newton starts at
+ * the v_dependent that stands there. */
+int dal__chart_lift(dal_chart *chart, const double *xi);
+/* v_dependent in chart->x moves into D at q - shift v, with B, and mu if shift = 0, as they are. */
+int dal__chart_mend(dal_chart *chart, double shift);
 /* dal_chart_drop, the same. */
 void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);
 /* chart->x <- psi(xi), Newton from the state of the choice; DAL_EINVAL unless there is a choice and
