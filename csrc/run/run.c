@@ -3,7 +3,8 @@
 
 #include <string.h>
 
-/* Stores the state now and tells the observer of it; DAL_STOPPED or DAL_EUSER if it wants no more. */
+/* Stores the state now and tells the observer of it; DAL_STOPPED or DAL_EUSER if it wants no
+ * more. */
 static int store(dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;

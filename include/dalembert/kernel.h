@@ -112,7 +112,8 @@ typedef struct dal_kernel dal_kernel;
 /* Makes steps steps of kernel; *done <- how many succeeded. */
 typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
 
-/* A step routine that was compiled for one system: what compiled of its dal_system_def points to. */
+/* A step routine that was compiled for one system: what compiled of its dal_system_def points
+ * to. */
 #define DAL_COMPILED_ABI 2u
 typedef struct dal_compiled {
     unsigned abi;  /* DAL_COMPILED_ABI, */
