@@ -327,7 +327,9 @@ static size_t exchange(beta *self, double *values, bool save)
     size_t count = 0;
     for (size_t i = 0; i < DAL_LENGTH(parts); i++) {
         const size_t bytes = parts[i].count * sizeof *values;
-        if (values && save) memcpy(values + count, parts[i].at, bytes);
+        const bool known = !self->advance || i < 2 || k->forced;
+        if (values && save) memset(values + count, 0, bytes);
+        if (values && save && known) memcpy(values + count, parts[i].at, bytes);
         if (values && !save) memcpy(parts[i].at, values + count, bytes);
         count += parts[i].count;
     }
@@ -340,6 +342,12 @@ static size_t exchange(beta *self, double *values, bool save)
 static size_t save(const void *method, double *values)
 {
     return exchange((beta *)method, values, true);
+}
+
+static int accepts(const void *method, const double *values)
+{
+    (void)method;
+    return (values[0] == 0.0 || values[0] == 1.0) && (values[1] == 0.0 || values[1] == 1.0);
 }
 
 static void restore(void *method, const double *values)
@@ -364,5 +372,6 @@ const dal_family dal__family_beta = {
     .start = start,
     .advance = advance,
     .save = save,
+    .accepts = accepts,
     .restore = restore,
 };

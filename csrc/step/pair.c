@@ -35,11 +35,13 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     dal_pair named;
     const dal_pair *const maps = scheme->data ? scheme->data : &named;
     dal_discrete *discrete;
+    int status = dal__scheme_check_plain(scheme, "pair", error);
+    if (status) return status;
     if (!scheme->data && !read_name(scheme->name, &named))
         return dal__fail(error, DAL_EINVAL, "scheme.data is NULL and scheme.name = \"%s\" is not "
                          "pair:A:B with A and B in [0, 1]", scheme->name);
-    const int status = dal_discrete_new(&discrete, motion->system, &maps->lagrangian,
-                                        &maps->constraint, error);
+    status = dal_discrete_new(&discrete, motion->system, &maps->lagrangian,
+                              &maps->constraint, error);
     if (!status) *method = discrete;
     return status;
 }
@@ -63,6 +65,27 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     return status;
 }
 
+/* What tells maps apart, of which one of the user's own may be any. */
+static double number(const dal__rho *rho) { return rho->map.map ? -1.0 : rho->map.beta; }
+
+/* Which maps they are: nothing else is kept from step to step. */
+static size_t save(const void *method, double *values)
+{
+    const dal_discrete *const discrete = method;
+    if (values) {
+        values[0] = number(&discrete->lagrangian);
+        values[1] = number(&discrete->constraint);
+    }
+    return 2;
+}
+
+static int accepts(const void *method, const double *values)
+{
+    double own[2];
+    save(method, own);
+    return values[0] == own[0] && values[1] == own[1];
+}
+
 const dal_family dal__family_pair = {
     .name = "pair",
     .help = "pair:A:B with A and B in [0, 1]",
@@ -70,4 +93,6 @@ const dal_family dal__family_pair = {
     .make = make,
     .free = release,
     .advance = advance,
+    .save = save,
+    .accepts = accepts,
 };

@@ -11,6 +11,34 @@ static const dal_family *family_of(const dal_scheme *scheme)
     return scheme->family ? scheme->family : dal__families[0];
 }
 
+/* FNV-1a. */
+static uint64_t digest(uint64_t hash, size_t size, const void *bytes)
+{
+    for (size_t i = 0; i < size; i++)
+        hash = (hash ^ ((const unsigned char *)bytes)[i]) * UINT64_C(0x100000001b3);
+    return hash;
+}
+
+/* A number of system and scheme, but for callbacks and what is behind data; a double holds 53
+ * bits. */
+static double identify(const dal_system *system, const dal_scheme *scheme, const char *family)
+{
+    const char *const name = dal_system_name(system);
+    const size_t n = system->def.n;
+    const int kinds[] = {(int)scheme->nodes, (int)system->def.kind};
+    uint64_t hash = UINT64_C(0xcbf29ce484222325);
+    hash = digest(hash, strlen(family) + 1, family);
+    hash = digest(hash, strlen(name) + 1, name);
+    hash = digest(hash, sizeof kinds, kinds);
+    hash = digest(hash, system->parameters * sizeof(double), system->parameter_values);
+    if (system->mass) hash = digest(hash, n * n * sizeof(double), system->mass);
+    for (size_t j = 0; j < dal__scheme_count(scheme); j++) {
+        const dal_substep s = dal__scheme_substep(scheme, j);
+        hash = digest(hash, sizeof s, &s);
+    }
+    return (double)(hash >> 11);
+}
+
 int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_scheme *scheme,
                     const dal_options *options, dal_error *error)
 {
@@ -52,7 +80,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
         return status;
     }
     if (scheme->nodes == DAL_KEPT_NODES) self->shift = 1.0 - dal__scheme_substep(scheme, 0).beta;
-    self->identity = dal__scheme_identity(scheme, self->family->name);
+    self->identity = identify(system, scheme, self->family->name);
     *stepper = self;
     return DAL_SUCCESS;
 }
@@ -95,6 +123,17 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
 
 /* ---- start ------------------------------------------------------------------------------ */
 
+int dal__stepper_check_times(dal_stepper *stepper, double t0, double h)
+{
+    dal_error *const error = &stepper->error;
+    if (!isfinite(t0)) return dal__fail(error, DAL_EINVAL, "t0 = %g is not finite", t0);
+    if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
+        return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed", h);
+    if (t0 + h == t0)
+        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g", h, t0);
+    return DAL_SUCCESS;
+}
+
 static int check_start(dal_stepper *self, double t0, double h, const double *x,
                        dal_consistency consistency, dal_initial initial)
 {
@@ -102,11 +141,8 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     const bool kept = self->scheme.nodes == DAL_KEPT_NODES;
     dal_error *const error = &self->error;
     if (!x) return dal__fail(error, DAL_EINVAL, "x is NULL");
-    if (!isfinite(t0)) return dal__fail(error, DAL_EINVAL, "t0 = %g is not finite", t0);
-    if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
-        return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed", h);
-    if (t0 + h == t0)
-        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g", h, t0);
+    const int status = dal__stepper_check_times(self, t0, h);
+    if (status) return status;
     for (size_t i = 0; i < 2 * n; i++)
         if (!isfinite(x[i]))
             return dal__fail(error, DAL_EINVAL, "%s[%zu] = %g is not finite", i < n ? "q" : "v",
