@@ -20,10 +20,10 @@
  *      callbacks may.  Every other object belongs to one thread at a time.  There are no globals.
  *   7. GSL's error handler is never set, changed or provoked.  The one exception is memory: GSL
  *      can report a failed allocation only through its handler, so its workspaces are allocated
- *      only when an object is made: dal_flow_new (but for DAL_FLOW_RODAS), dal_embedding_new,
- *      dal_stepper_new with DAL_SOLVER_MULTIROOT, and dal_order_study, which makes a flow.  With a
+ *      only when an object is made: dal_flow_new (but for DAL_FLOW_RODAS), dal_stepper_new for the
+ *      scheme "reference", dal_embedding_new, and dal_order_study, which makes a flow.  With a
  *      handler that returns these return DAL_ENOMEM; only GSL itself may then have lost a block,
- *      for DAL_FLOW_MSADAMS and DAL_SOLVER_MULTIROOT.
+ *      for DAL_FLOW_MSADAMS.
  *
  * This header has systems, schemes, steppers and runs.  dalembert/geometry.h has the mechanics on D
  * and the reference flow, dalembert/discrete.h the discrete mechanics, dalembert/study.h what
@@ -286,7 +286,7 @@ typedef struct dal_scheme {
     const char *help;             /* one line, or NULL */
     const char *reference;        /* where it comes from, or NULL */
     const struct dal_family *family; /* NULL: beta-schemes one after the other */
-    const void *data;             /* what another family needs, as a dal_pair or a dal_flow_scheme */
+    const void *data;             /* what another family needs: a dal_pair, a dal_flow_scheme */
     double beta;                  /* of the only sub-step, for count = 0 */
     size_t count;
     const dal_substep *substeps;  /* [count] */
@@ -412,10 +412,11 @@ DAL_API int dal_step(dal_stepper *stepper, double *reaction);
 DAL_API int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *done);
 
 /* What the next step depends on, as numbers: how many they are, 0 if the steps of this scheme
- * cannot be resumed (multistep flows); values[dal_stepper_saved] <- them; and from them, also into a
- * stepper of the same system and scheme in another process, whose steps are then bit for bit those
- * of the one that was saved.  On failure the stepper is as it was.
- * DAL_EINVAL (not started; of another version, system or scheme; no such number), DAL_EUNSUPPORTED. */
+ * cannot be resumed (multistep flows); values[dal_stepper_saved] <- them; and from them, also into
+ * a stepper of the same system and scheme in another process, whose steps are then bit for bit
+ * those of the one that was saved.  On failure the stepper is as it was.
+ * DAL_EINVAL (not started; of another version, system or scheme; no such number),
+ * DAL_EUNSUPPORTED. */
 DAL_API size_t dal_stepper_saved(const dal_stepper *stepper);
 DAL_API int dal_stepper_save(dal_stepper *stepper, double *values);
 DAL_API int dal_stepper_restore(dal_stepper *stepper, const double *values, size_t count);

@@ -27,7 +27,7 @@ struct dal_flow {
     ode *integrator;
     double tolerance;
     double *result, *state;  /* [2n] */
-    bool multistep;          /* its steps depend on those before */
+    dal_flow_method method;
     struct {                 /* of dal__flow_step */
         bool going;
         double inner;        /* size of the inner steps to begin with; 0: not known */
@@ -93,7 +93,7 @@ int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method meth
 
     arena memory = {0};
     dal_flow shape = {.in_xi = coordinates == DAL_FLOW_XI, .tolerance = tolerance,
-                      .multistep = method == DAL_FLOW_MSADAMS}, *self;
+                      .method = method}, *self;
     const size_t n = dal_system_n(system), m = dal_system_m(system);
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
@@ -140,6 +140,8 @@ size_t dal_flow_evaluations(const dal_flow *flow)
 dal_mechanics *dal__flow_mechanics(dal_flow *flow) { return &flow->mech; }
 
 double dal__flow_tolerance(const dal_flow *flow) { return flow->tolerance; }
+
+dal_flow_method dal__flow_method(const dal_flow *flow) { return flow->method; }
 
 dal_error *dal__flow_error(dal_flow *flow) { return &flow->error; }
 
@@ -325,12 +327,15 @@ void dal__flow_forget(dal_flow *flow)
     flow->steps.inner = 0.0;
 }
 
-double *dal__flow_inner(dal_flow *flow) { return flow->multistep ? NULL : &flow->steps.inner; }
+/* Its steps depend on those before. */
+static bool is_multistep(const dal_flow *flow) { return flow->method == DAL_FLOW_MSADAMS; }
+
+double *dal__flow_inner(dal_flow *flow) { return is_multistep(flow) ? NULL : &flow->steps.inner; }
 
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x)
 {
     int status = DAL_SUCCESS;
-    if (!flow->multistep || !flow->steps.going) {
+    if (!is_multistep(flow) || !flow->steps.going) {
         flow->steps.first = k;
         status = begin(flow, t0 + (double)k * h, h, x, 1.0);
         if (!status && flow->steps.inner != 0.0)

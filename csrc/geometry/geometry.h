@@ -142,6 +142,7 @@ double *dal__flow_inner(dal_flow *flow);
 /* What a flow is made of, and the record that dal_flow_message reads. */
 dal_mechanics *dal__flow_mechanics(dal_flow *flow);
 double dal__flow_tolerance(const dal_flow *flow);
+dal_flow_method dal__flow_method(const dal_flow *flow);
 dal_error *dal__flow_error(dal_flow *flow);
 
 #endif /* DAL__GEOMETRY_H */

@@ -3,12 +3,27 @@
 
 #include <string.h>
 
-/* Stores the state now and tells the observer of it; DAL_STOPPED or DAL_EUSER if it wants no more. */
+/* Whether the state now is to be stored, and is not yet. */
+static bool is_due(const dal_run *run) { return run->done == run->stored * run->stride; }
+
+/* The mean reaction since the row before, if there is one. */
+static int store_reaction(const dal_run *run)
+{
+    const size_t m = run->stepper->mech.m;
+    if (!run->reactions || run->stored == 0) return DAL_SUCCESS;
+    return dal__stepper_reaction(run->stepper, run->stride, run->reactions + (run->stored - 1) * m);
+}
+
+/* Stores the state now and tells the observer of it; DAL_STOPPED or DAL_EUSER if it wants no
+ * more. */
 static int store(dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
     const dal_motion *const motion = &stepper->motion;
     const size_t N = 2 * stepper->mech.n;
+    const int status = store_reaction(run);
+    if (status) return status;
+    dal__stepper_forget_impulse(stepper);
     if (run->x) memcpy(run->x + run->stored * N, motion->x, N * sizeof *run->x);
     run->stored++;
     if (!run->observer) return DAL_SUCCESS;
@@ -20,29 +35,20 @@ static int store(dal_run *run)
                      motion->steps);
 }
 
-/* The mean reaction since the state that was stored last. */
-static int store_reaction(dal_run *run)
+static int check(const dal_run *run)
 {
-    double *const row = run->reactions + (run->stored - 1) * run->stepper->mech.m;
-    return dal__stepper_reaction(run->stepper, run->stride, row);
-}
-
-static int begin(dal_run *run)
-{
-    const int status = dal__stepper_started(run->stepper);
-    if (status) return status;
-    if (run->stride == 0 || run->steps % run->stride != 0)
-        return dal__fail(&run->stepper->error, DAL_EINVAL, "steps = %zu is not a multiple of stride "
-                         "= %zu", run->steps, run->stride);
-    dal__stepper_forget_impulse(run->stepper);
-    return store(run);
+    if (run->stride > 0 && run->steps % run->stride == 0)
+        return dal__stepper_started(run->stepper);
+    return dal__fail(&run->stepper->error, DAL_EINVAL, "steps = %zu is not a multiple of stride = "
+                     "%zu", run->steps, run->stride);
 }
 
 int dal_run_go(dal_run *run, size_t budget)
 {
     if (!run || !run->stepper) return DAL_EINVAL;
     dal_motion *const motion = &run->stepper->motion;
-    int status = run->stored == 0 ? begin(run) : DAL_SUCCESS;
+    int status = check(run);
+    if (!status && is_due(run)) status = store(run);
     motion->watch = run->watch;
     motion->watch_ctx = run->watch_ctx;
     while (!status && budget > 0 && run->done < run->steps) {
@@ -51,11 +57,7 @@ int dal_run_go(dal_run *run, size_t budget)
         status = dal__stepper_advance(run->stepper, left < budget ? left : budget, &made);
         budget -= made;
         run->done += made;
-        if (status || made < left) continue;
-        if (run->reactions) status = store_reaction(run);
-        if (status) continue;
-        dal__stepper_forget_impulse(run->stepper);
-        status = store(run);
+        if (!status && is_due(run)) status = store(run);
     }
     motion->watch = NULL;
     if (!status && run->done == run->steps) status = dal__stepper_look(run->stepper);

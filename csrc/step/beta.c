@@ -82,7 +82,7 @@ static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
                                 &at->seen, &at->stored, &k->y, &k->R};
     double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
     dal__reserve(a, &at->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
-    dal__reserve(a, &k->saved, dal__times(2, n), sizeof(double));
+    dal__reserve(a, &k->saved, dal__times(3, n), sizeof(double)); /* m < n */
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
     dal__reserve(a, &at->Z, mn, sizeof(double));
@@ -277,21 +277,26 @@ static void explain(beta *self, dal_mechanics *mech, int status)
 static int advance_by_newton(beta *self, dal_motion *motion, size_t steps, size_t *done)
 {
     dal_kernel *const k = &self->kernel;
-    double *const x = k->saved;
+    double *const x = k->saved, *const impulse = x + 2 * k->n;
     for (*done = 0; *done < steps; ++*done) {
         double passed = 0.0; /* fraction of the step */
         memcpy(x, k->at.x, 2 * k->n * sizeof *x);
+        memcpy(impulse, k->impulse, k->m * sizeof *impulse);
         for (size_t j = 0; j < self->substeps; j++) {
             const dal_substep s = self->substep[j];
             const double t = motion->t0 + ((double)(motion->steps + *done) + passed) * motion->h;
             const int status =
                 dal__newton_step(&self->newton, motion->mechanics, t, s.beta, s.beta,
                                  s.fraction * motion->h, k->kept, x, k->at.kappa, &k->stats);
-            if (status) return status;
-            for (size_t a = 0; a < k->m; a++) k->impulse[a] += k->at.kappa[a];
+            if (status) {
+                if (j > 0) dal__newton_forget(&self->newton); /* the sub-steps that are undone */
+                return status;
+            }
+            for (size_t a = 0; a < k->m; a++) impulse[a] += k->at.kappa[a];
             passed += s.fraction;
         }
         memcpy(k->at.x, x, 2 * k->n * sizeof *x);
+        memcpy(k->impulse, impulse, k->m * sizeof *impulse);
     }
     return DAL_SUCCESS;
 }
@@ -305,7 +310,8 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     return status;
 }
 
-/* The predictor of the step routine: the pulls and V_q of the last stages; or that of newton. */
+/* The predictor of the step routine: the pulls and V_q of the last stages; or that of newton.  What
+ * the flags call unknown is 0: a step that failed may have left anything there. */
 static size_t save(const void *method, double *values)
 {
     const beta *const self = method;
@@ -315,8 +321,15 @@ static size_t save(const void *method, double *values)
     values[0] = k->pulled;
     values[1] = k->forced;
     memcpy(values + 2, k->at.pull, 3 * k->n * sizeof *values);
-    memcpy(values + 2 + 3 * k->n, k->force0, k->n * sizeof *values);
+    for (size_t i = 0; i < k->n; i++) values[2 + 3 * k->n + i] = k->forced ? k->force0[i] : 0.0;
     return 2 + 4 * k->n;
+}
+
+static int accepts(const void *method, const double *values)
+{
+    const bool has_two_flags = ((const beta *)method)->advance;
+    return (values[0] == 0.0 || values[0] == 1.0)
+        && (!has_two_flags || values[1] == 0.0 || values[1] == 1.0);
 }
 
 static void restore(void *method, const double *values)
@@ -350,5 +363,6 @@ const dal_family dal__family_beta = {
     .start = start,
     .advance = advance,
     .save = save,
+    .accepts = accepts,
     .restore = restore,
 };

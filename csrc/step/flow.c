@@ -15,10 +15,11 @@ static int make(void **method, dal_motion *motion, dal_error *error)
 {
     const dal_flow_scheme defaults = {0}, *const data = motion->scheme->data;
     const dal_flow_scheme *const chosen = data ? data : &defaults;
+    const double tolerance = chosen->tolerance != 0.0 ? chosen->tolerance : DAL_FLOW_TOLERANCE;
     dal_flow *flow;
-    const int status =
-        dal_flow_new(&flow, motion->system, chosen->method, DAL_FLOW_X,
-                     chosen->tolerance != 0.0 ? chosen->tolerance : DAL_FLOW_TOLERANCE, error);
+    int status = dal__scheme_check_plain(motion->scheme, "flow", error);
+    if (!status)
+        status = dal_flow_new(&flow, motion->system, chosen->method, DAL_FLOW_X, tolerance, error);
     if (!status) *method = flow;
     return status;
 }
@@ -34,7 +35,7 @@ static void start(void *method, dal_motion *motion)
 /* The flow has no multiplier of its own. */
 static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 {
-    const size_t m = dal_system_m(motion->system);
+    const size_t m = dal_system_m(motion->system), evaluations = dal_flow_evaluations(method);
     double worst, *const most = &motion->stats->worst_residual;
     int status = DAL_SUCCESS;
     dal_flow_watch(method, motion->watch, motion->watch_ctx);
@@ -44,19 +45,36 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
             *most = fmax(*most, worst);
     }
     for (size_t a = 0; a < m; a++) motion->impulse[a] = (double)NAN;
-    motion->stats->evaluations = dal_flow_evaluations(method);
+    motion->stats->evaluations += dal_flow_evaluations(method) - evaluations;
     if (status) *motion->error = *dal__flow_error(method);
     return status;
 }
 
+/* The method and the tolerance, which other steps would be made by, and the inner size. */
+enum { METHOD, TOLERANCE, INNER, SAVED };
+
 static size_t save(const void *method, double *values)
 {
-    const double *const inner = dal__flow_inner((dal_flow *)method);
-    if (inner && values) *values = *inner;
-    return inner ? 1 : DAL_NOT_RESUMABLE;
+    dal_flow *const flow = (dal_flow *)method;
+    const double *const inner = dal__flow_inner(flow);
+    if (inner && values) {
+        values[METHOD] = dal__flow_method(flow);
+        values[TOLERANCE] = dal__flow_tolerance(flow);
+        values[INNER] = *inner;
+    }
+    return inner ? SAVED : DAL_NOT_RESUMABLE;
 }
 
-static void restore(void *method, const double *values) { *dal__flow_inner(method) = *values; }
+static int accepts(const void *method, const double *values)
+{
+    return values[METHOD] == dal__flow_method(method)
+        && values[TOLERANCE] == dal__flow_tolerance(method) && values[INNER] >= 0.0;
+}
+
+static void restore(void *method, const double *values)
+{
+    *dal__flow_inner(method) = values[INNER];
+}
 
 const dal_family dal__family_flow = {
     .name = "flow",
@@ -68,5 +86,6 @@ const dal_family dal__family_flow = {
     .start = start,
     .advance = advance,
     .save = save,
+    .accepts = accepts,
     .restore = restore,
 };

@@ -41,8 +41,8 @@ size_t dal__newton_save(const newton *solver, double *values)
     const size_t n = solver->rate ? solver->n : 0, m = solver->rate ? solver->m : 0;
     if (!values) return 1 + n + m;
     values[0] = solver->warm;
-    memcpy(values + 1, solver->rate, n * sizeof *values);
-    memcpy(values + 1 + n, solver->lambda, m * sizeof *values);
+    for (size_t i = 0; i < n; i++) values[1 + i] = solver->rate[i];
+    for (size_t a = 0; a < m; a++) values[1 + n + a] = solver->lambda[a];
     return 1 + n + m;
 }
 
@@ -50,8 +50,8 @@ void dal__newton_restore(newton *solver, const double *values)
 {
     const size_t n = solver->rate ? solver->n : 0, m = solver->rate ? solver->m : 0;
     solver->warm = values[0] != 0.0;
-    memcpy(solver->rate, values + 1, n * sizeof *values);
-    memcpy(solver->lambda, values + 1 + n, m * sizeof *values);
+    for (size_t i = 0; i < n; i++) solver->rate[i] = values[1 + i];
+    for (size_t a = 0; a < m; a++) solver->lambda[a] = values[1 + n + a];
 }
 
 /* step <- the Newton step of w and kappa, from R1, R2, K, B and mu_k; *sign <- that of the

@@ -53,6 +53,8 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     const size_t n = dal_system_n(motion->system), m = dal_system_m(motion->system);
     dal_pair named = {0};
     const dal_pair *const maps = scheme->data ? scheme->data : &named;
+    int status = dal__scheme_check_plain(scheme, "pair", error);
+    if (status) return status;
     if (!scheme->data && !read_name(scheme->name, &named))
         return dal__fail(error, DAL_EINVAL, "scheme.data is NULL and scheme.name = \"%s\" is not "
                          "pair:A:B with A and B in [0, 1]", scheme->name);
@@ -63,7 +65,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     dal__reserve(&memory, &shape.x, dal__times(2, n), sizeof(double));
     dal__reserve(&memory, &shape.kappa, m, sizeof(double));
     if (!own) dal__newton_reserve(&shape.newton, motion->system, &memory);
-    int status = dal__allocate(&memory, error);
+    status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;
     self->arena = memory;
@@ -118,14 +120,28 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     return DAL_SUCCESS;
 }
 
+/* Which maps these are, of which one of the user's own may be any; and the last step. */
 static size_t save(const void *method, double *values)
 {
-    return dal__newton_save(&((const pair_steps *)method)->newton, values);
+    const pair_steps *const self = method;
+    if (values) {
+        values[0] = self->discrete ? -1.0 : self->alpha;
+        values[1] = self->discrete ? -1.0 : self->beta;
+    }
+    return 2 + dal__newton_save(&self->newton, values ? values + 2 : NULL);
+}
+
+static int accepts(const void *method, const double *values)
+{
+    const pair_steps *const self = method;
+    return values[0] == (self->discrete ? -1.0 : self->alpha)
+        && values[1] == (self->discrete ? -1.0 : self->beta)
+        && (values[2] == 0.0 || values[2] == 1.0);
 }
 
 static void restore(void *method, const double *values)
 {
-    dal__newton_restore(&((pair_steps *)method)->newton, values);
+    dal__newton_restore(&((pair_steps *)method)->newton, values + 2);
 }
 
 const dal_family dal__family_pair = {
@@ -137,5 +153,6 @@ const dal_family dal__family_pair = {
     .start = start,
     .advance = advance,
     .save = save,
+    .accepts = accepts,
     .restore = restore,
 };

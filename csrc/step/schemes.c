@@ -110,24 +110,11 @@ dal_substep dal__scheme_substep(const dal_scheme *scheme, size_t j)
     return scheme->count ? scheme->substeps[j] : (dal_substep){scheme->beta, 1.0};
 }
 
-/* FNV-1a, of which a double holds 53 bits. */
-static void digest(uint64_t *hash, size_t size, const void *bytes)
+int dal__scheme_check_plain(const dal_scheme *scheme, const char *family, dal_error *error)
 {
-    for (size_t i = 0; i < size; i++)
-        *hash = (*hash ^ ((const unsigned char *)bytes)[i]) * UINT64_C(0x100000001b3);
-}
-
-double dal__scheme_identity(const dal_scheme *scheme, const char *family)
-{
-    uint64_t hash = UINT64_C(0xcbf29ce484222325);
-    const int nodes = scheme->nodes;
-    digest(&hash, strlen(family), family);
-    digest(&hash, sizeof nodes, &nodes);
-    for (size_t j = 0; j < dal__scheme_count(scheme); j++) {
-        const dal_substep s = dal__scheme_substep(scheme, j);
-        digest(&hash, sizeof s, &s);
-    }
-    return (double)(hash >> 11);
+    if (scheme->nodes == DAL_MOVED_NODES && scheme->count == 0) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "scheme.nodes = %d, scheme.count = %zu: the family %s has "
+                     "moved nodes, and no sub-steps", (int)scheme->nodes, scheme->count, family);
 }
 
 int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *system)

@@ -16,8 +16,8 @@ double dal__parse_number(const char *text, const char **end);
 /* The sub-steps of a record: its own, or the only one {beta, 1}. */
 size_t dal__scheme_count(const dal_scheme *scheme);
 dal_substep dal__scheme_substep(const dal_scheme *scheme, size_t j);
-/* A number that tells records of a family apart, but for what is behind data. */
-double dal__scheme_identity(const dal_scheme *scheme, const char *family);
+/* DAL_EINVAL unless the record has what all families know: moved nodes, no sub-steps. */
+int dal__scheme_check_plain(const dal_scheme *scheme, const char *family, dal_error *error);
 
 /* One beta-step of any system by the full Newton iteration on all n + m unknowns. */
 typedef struct newton {
@@ -64,7 +64,7 @@ struct dal_stepper {
     const dal_family *family;
     void *method;          /* what the family made */
     dal_scheme scheme;
-    double identity;       /* of what may be restored here */
+    double identity;       /* a number of its system and scheme, to tell others apart by */
     double shift;          /* 1 - beta of kept nodes, else 0 */
     dal_mechanics mech;
     dal_stats stats;
@@ -75,8 +75,11 @@ struct dal_stepper {
     arena arena;
 };
 
-/* DAL_EINVAL unless it is started. */
+/* A number of system and scheme, but for callbacks and what is behind data. */
+double dal__stepper_identify(const dal_system *system, const dal_scheme *scheme);
+/* DAL_EINVAL unless it is started; unless steps of h lead on from t0. */
 int dal__stepper_started(dal_stepper *stepper);
+int dal__stepper_check_times(dal_stepper *stepper, double t0, double h);
 /* dal_advance in parts, of a stepper that is started: the steps, whose impulses are added up; the
  * mean reaction over so many of them. */
 void dal__stepper_forget_impulse(dal_stepper *stepper);

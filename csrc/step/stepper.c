@@ -46,7 +46,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
         return status;
     }
     if (scheme->nodes == DAL_KEPT_NODES) self->shift = 1.0 - dal__scheme_substep(scheme, 0).beta;
-    self->identity = dal__scheme_identity(scheme, self->family->name);
+    self->identity = dal__stepper_identify(system, scheme);
     *stepper = self;
     return DAL_SUCCESS;
 }
@@ -89,6 +89,17 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
 
 /* ---- start ------------------------------------------------------------------------------ */
 
+int dal__stepper_check_times(dal_stepper *stepper, double t0, double h)
+{
+    dal_error *const error = &stepper->error;
+    if (!isfinite(t0)) return dal__fail(error, DAL_EINVAL, "t0 = %g is not finite", t0);
+    if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
+        return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed", h);
+    if (t0 + h == t0)
+        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g", h, t0);
+    return DAL_SUCCESS;
+}
+
 static int check_start(dal_stepper *self, double t0, double h, const double *x,
                        dal_consistency consistency, dal_initial initial)
 {
@@ -96,11 +107,8 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     const bool kept = self->scheme.nodes == DAL_KEPT_NODES;
     dal_error *const error = &self->error;
     if (!x) return dal__fail(error, DAL_EINVAL, "x is NULL");
-    if (!isfinite(t0)) return dal__fail(error, DAL_EINVAL, "t0 = %g is not finite", t0);
-    if (!isfinite(h) || h == 0.0 || !isfinite(1.0 / h))
-        return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed", h);
-    if (t0 + h == t0)
-        return dal__fail(error, DAL_EINVAL, "h = %g does not change t0 = %.17g", h, t0);
+    const int status = dal__stepper_check_times(self, t0, h);
+    if (status) return status;
     for (size_t i = 0; i < 2 * n; i++)
         if (!isfinite(x[i]))
             return dal__fail(error, DAL_EINVAL, "%s[%zu] = %g is not finite", i < n ? "q" : "v",

@@ -38,12 +38,14 @@ typedef struct dal_family {
     void (*free)(void *method);
     /* x is new: forget what was remembered of steps. */
     void (*start)(void *method, dal_motion *motion);
-    /* steps steps from x at t0 + motion->steps h; *done <- how many succeeded.  On failure x is the
-     * state after the last good one. */
+    /* steps steps from x at t0 + motion->steps h; *done <- how many succeeded.  On failure x and
+     * impulse are those after the last good one. */
     int (*advance)(void *method, dal_motion *motion, size_t steps, size_t *done);
     /* What the next step depends on beside x, to values and from them; save returns how many they
      * are, also for values NULL, or DAL_NOT_RESUMABLE. */
     size_t (*save)(const void *method, double *values);
+    /* 1: save can have given these values, which are finite, for such a method; NULL: always */
+    int (*accepts)(const void *method, const double *values);
     void (*restore)(void *method, const double *values);
     int no_reaction;           /* 1: its steps have no multiplier; reactions are NaN */
 } dal_family;

@@ -19,6 +19,7 @@ typedef struct multiroot {
     double *K, *B;                 /* [n*n], [m*n] */
     double *w, *kappa, *R1, *R2;   /* [n], [m], [n], [m] */
     double *x;                     /* [2n] the new state */
+    double *impulse;               /* [m] of the steps so far */
     double *guess;                 /* [n+m] */
     int status;                    /* of the last evaluation: hybridsj does not hand it on */
     arena arena;
@@ -91,6 +92,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     dal__reserve(&memory, &shape.R1, n, sizeof(double));
     dal__reserve(&memory, &shape.R2, m, sizeof(double));
     dal__reserve(&memory, &shape.x, 2 * n, sizeof(double));
+    dal__reserve(&memory, &shape.impulse, m, sizeof(double));
     dal__reserve(&memory, &shape.guess, n + m, sizeof(double));
     status = dal__allocate(&memory, error);
     if (status) return status;
@@ -194,16 +196,18 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     for (*done = 0; *done < steps; ++*done) {
         double passed = 0.0;
         memcpy(x, motion->x, 2 * self->n * sizeof *x);
+        memcpy(self->impulse, motion->impulse, self->m * sizeof *x);
         for (size_t j = 0; j < self->substeps; j++) {
             const dal_substep s = self->substep[j];
             const double t = motion->t0 + ((double)(motion->steps + *done) + passed) * h;
             const int status = solve(self, motion->mechanics, t, s.beta, s.fraction * h, kept, x,
                                      motion->stats);
             if (status) return status;
-            for (size_t a = 0; a < self->m; a++) motion->impulse[a] += self->kappa[a];
+            for (size_t a = 0; a < self->m; a++) self->impulse[a] += self->kappa[a];
             passed += s.fraction;
         }
         memcpy(motion->x, x, 2 * self->n * sizeof *x);
+        memcpy(motion->impulse, self->impulse, self->m * sizeof *x);
     }
     return DAL_SUCCESS;
 }
