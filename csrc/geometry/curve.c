@@ -30,7 +30,8 @@ void dal_cutoff(double tau, double *chi0, double *chi1, double *slope)
     if (slope) *slope = change;
 }
 
-int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double tau, double *x)
+int dal_chart_curve(dal_chart *chart, double t, const double *x1, const double *x2, double tau,
+                    double *x)
 {
     if (!chart) return DAL_EINVAL;
     dal_mechanics *const mech = &chart->mech;
@@ -38,6 +39,7 @@ int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double
     double chi0, chi1;
     if (!x) return dal__null_argument(mech, "x");
     int status = dal__chart_ready(chart);
+    if (!status) status = dal__require_finite(mech, "t", 1, &t);
     if (!status) status = dal__require_finite(mech, "x1", 2 * n, x1);
     if (!status) status = dal__require_finite(mech, "x2", 2 * n, x2);
     if (!status) status = dal__require_finite(mech, "tau", 1, &tau);
@@ -45,7 +47,7 @@ int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double
     dal_cutoff(tau, &chi0, &chi1, NULL);
     for (size_t i = 0; i < 2 * n; i++) chart->x[i] = chi0 * x1[i] + chi1 * x2[i];
     dal__chart_drop(chart, chart->x, chart->y);
-    status = dal__chart_lift(chart, chart->y, chart->x);
+    status = dal__chart_lift(chart, t, chart->y, chart->x);
     if (!status) memcpy(x, chart->x, 2 * n * sizeof *x);
     return status;
 }
@@ -111,33 +113,33 @@ static void evaluate_polynomials(dal_chart *chart, double h, double s)
     }
 }
 
-/* chart->x[2n] <- the state at s of the interval whose ends are loaded; *pivoted: the choice is
- * that of its middle. */
-static int interpolate(dal_chart *chart, double h, double s, bool *pivoted)
+/* chart->x[2n] <- the state at time t and s of the interval whose ends are loaded; *pivoted: the
+ * choice is that of its middle. */
+static int interpolate(dal_chart *chart, double t, double h, double s, bool *pivoted)
 {
     double condition = 0.0;
     bool keeps = false;
     int status = DAL_SUCCESS;
     if (!*pivoted) {
         evaluate_polynomials(chart, h, 0.5);
-        status = dal_chart_choose(chart, NULL, chart->x);
+        status = dal_chart_choose(chart, t + (0.5 - s) * h, NULL, chart->x);
         if (status) return status;
         *pivoted = true;
     }
     evaluate_polynomials(chart, h, s);
-    status = dal__chart_keeps(chart, chart->x, &condition, &keeps);
+    status = dal__chart_keeps(chart, t, chart->x, &condition, &keeps);
     if (!status && !keeps) {
         *pivoted = false;
-        status = dal_chart_choose(chart, NULL, chart->x);
+        status = dal_chart_choose(chart, t, NULL, chart->x);
     }
     if (status) return status;
     dal__chart_drop(chart, chart->x, chart->y);
-    return dal__chart_lift(chart, chart->y, chart->x);
+    return dal__chart_lift(chart, t, chart->y, chart->x);
 }
 
-/* chart->x in D moves to its node q + shift v.  That rounds q; what it does to the residual at q -
- * shift v is mended with B as it is. */
-static int move_to_node(dal_chart *chart, double shift)
+/* chart->x in D at time t moves to its node q + shift v.  That rounds q; what it does to the
+ * residual at q - shift v is mended with B as it is. */
+static int move_to_node(dal_chart *chart, double t, double shift)
 {
     enum { MENDS = 3 };
     dal_mechanics *const mech = &chart->mech;
@@ -146,9 +148,9 @@ static int move_to_node(dal_chart *chart, double shift)
     for (size_t i = 0; i < n; i++) q[i] += shift * v[i];
     for (int pass = 1; shift != 0.0; pass++) {
         for (size_t i = 0; i < n; i++) chart->y[i] = q[i] - shift * v[i];
-        int status = dal__form_metric(mech, chart->y, v);
+        int status = dal__form_metric(mech, t, chart->y, v);
         if (!status)
-            status = dal__constraint(&mech->eval, chart->y, v, mech->phi, mech->mu, NULL,
+            status = dal__constraint(&mech->eval, t, chart->y, v, mech->phi, mech->mu, NULL, NULL,
                                      &mech->error);
         if (status) return status;
         const double relative = dal__relative_residual(mech, mech->mu, mech->phi, v);
@@ -199,8 +201,8 @@ static int follow(dal_chart *chart, const rows *r, size_t count, const double *t
             pivoted = false;
         }
         const double s = (now - time_of(r, here)) / r->h;
-        if (!status) status = interpolate(chart, r->h, s, &pivoted);
-        if (!status) status = move_to_node(chart, r->shift);
+        if (!status) status = interpolate(chart, now, r->h, s, &pivoted);
+        if (!status) status = move_to_node(chart, now, r->shift);
         if (!status) status = dal__require_output(&mech->error, "the state", 2 * n, chart->x);
         if (status) return status;
         memcpy(out, chart->x, 2 * n * sizeof *out);
