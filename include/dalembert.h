@@ -224,9 +224,9 @@ DAL_API int dal_system_deform(dal_system **system, const dal_system *base, dal_d
                               void *ctx, double delta, dal_constraint_kind kind, unsigned missing,
                               dal_error *error);
 
-/* *system <- base with the constraints phi(t, q - shift v, v) = 0, nonlinear: for shift = (1 - beta) h
- * its D is the D_eps that the beta-scheme with kept nodes preserves (deformedCons, originalnodes).
- * base must outlive it and provide phi_q.  Errors as of dal_system_deform. */
+/* *system <- base with the constraints phi(t, q - shift v, v) = 0, nonlinear: for shift = (1 -
+ * beta) h its D is the D_eps that the beta-scheme with kept nodes preserves (deformedCons,
+ * originalnodes). base must outlive it and provide phi_q.  Errors as of dal_system_deform. */
 DAL_API int dal_system_deform_nodes(dal_system **system, const dal_system *base, double shift,
                                     dal_error *error);
 

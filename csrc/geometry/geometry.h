@@ -109,8 +109,8 @@ struct dal_chart {
 void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a);
 void dal__chart_bind(dal_chart *chart, const dal_system *system);
 
-/* dal_chart_lift at time t without checking its arguments; for nonlinear constraints Newton starts at the
- * v_dependent that stands in x[2n].  On failure x is spoiled. */
+/* dal_chart_lift at time t without checking its arguments; for nonlinear constraints Newton starts
+ * at the v_dependent that stands in x[2n].  On failure x is spoiled. */
 int dal__chart_lift(dal_chart *chart, double t, const double *xi, double *x);
 /* dal_chart_drop, the same. */
 void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);

@@ -146,21 +146,22 @@ static int iterate(multiroot *s, dal_stats *stats)
 /* hybridsj does not notice that a constraint that is satisfied vanishes, or follows from others. */
 static int refuse_singular(multiroot *s)
 {
-    int status = dal__constraint(&s->mech->eval, s->mech->q, s->w, NULL, s->mech->mu, NULL,
+    const double t = s->mech->start.end;
+    int status = dal__constraint(&s->mech->eval, t, s->mech->q, s->w, NULL, s->mech->mu, NULL, NULL,
                                  &s->mech->error);
-    if (!status) status = dal__form_metric(s->mech, s->mech->q, s->w);
+    if (!status) status = dal__form_metric(s->mech, t, s->mech->q, s->w);
     if (status || s->m == 0) return status;
     dal__form_Z(s->mech, s->mech->mu);
     return dal__factor_gram(s->mech, s->mech->mu);
 }
 
-int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double beta, double h,
-                        bool kept, double *x, double *kappa, dal_stats *stats)
+int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double end, double beta,
+                        double h, bool kept, double *x, double *kappa, dal_stats *stats)
 {
     multiroot *const s = solver;
     const size_t n = s->n, m = s->m;
     s->mech = mech;
-    s->status = dal__step_begin(mech, t, beta, h, kept, x);
+    s->status = dal__step_begin(mech, t, end, beta, h, kept, x);
     if (s->status) return s->status;
     memcpy(s->guess, x + n, n * sizeof *s->guess);
     memset(s->guess + n, 0, m * sizeof *s->guess);

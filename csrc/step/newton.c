@@ -109,13 +109,13 @@ static int iterate(newton *s, dal_mechanics *mech, dal_stats *stats)
                      p.iteration - (p.size <= DBL_MAX), p.size, p.scale);
 }
 
-int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta, double h,
-                     bool kept, double *x, double *kappa, dal_stats *stats)
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double beta,
+                     double h, bool kept, double *x, double *kappa, dal_stats *stats)
 {
     newton *const s = solver;
     const size_t n = s->n, m = s->m;
     const double *const v = x + n;
-    int status = dal__step_begin(mech, t, beta, h, kept, x);
+    int status = dal__step_begin(mech, t, end, beta, h, kept, x);
     if (status) return status;
     bool solved = false;
     if (s->warm) {

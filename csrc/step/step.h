@@ -11,7 +11,7 @@ dal_kernel_fn dal__kernel_of_many(size_t n, size_t m);
 
 struct dal_stage;
 /* As finish of a dal_kernel. */
-int dal__kernel_finish(struct dal_kernel *k, const struct dal_stage *s, bool solved);
+int dal__kernel_finish(struct dal_kernel *k, double t_end, const struct dal_stage *s, bool solved);
 
 /* The sub-steps of a record: its own, or the only one {beta, 1}.  DAL_EINVAL if the record is not
  * valid; the text says why. */
@@ -37,21 +37,21 @@ void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);
 void dal__newton_bind(newton *solver, const dal_system *system, int max_iterations);
 /* Forgets the last step. */
 void dal__newton_forget(newton *solver);
-/* One beta-scheme with step h (of either sign) at time t from x[2n], in place; kappa[m] = h lambda.
- * kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
+/* One beta-scheme with step h (of either sign) from x[2n] at time t, in place; kappa[m] = h lambda.
+ * end, kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
  * mech->error. */
-int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta, double h,
-                     bool kept, double *x, double *kappa, dal_stats *stats);
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double beta,
+                     double h, bool kept, double *x, double *kappa, dal_stats *stats);
 
 /* The same by gsl_multiroot hybridsj. */
 typedef struct multiroot multiroot;
 int dal__multiroot_new(multiroot **solver, const dal_system *system, dal_error *error);
 void dal__multiroot_free(multiroot *solver);
-int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double beta, double h,
-                        bool kept, double *x, double *kappa, dal_stats *stats);
+int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double end, double beta,
+                        double h, bool kept, double *x, double *kappa, dal_stats *stats);
 
-/* Whether the energy jumps (jump.c): looked at now and then, never where something does work, or by
- * schemes of order 1, which drift by design. */
+/* Whether the energy jumps (jump.c): looked at now and then, never where something does work or
+ * depends on time, or by schemes of order 1, which drift by design. */
 typedef struct dal__jump {
     bool looking;
     double shift, energy, kinetic; /* of the states' D_eps; at the start; the largest seen */

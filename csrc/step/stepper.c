@@ -17,7 +17,6 @@ struct dal_stepper {
     dal_substep *substep;
     dal_stage *stage;
     double *fresh;           /* [2n] initial data being examined */
-    double t0;
     size_t steps;            /* since the start: t = t0 + steps h */
     int order;               /* of the scheme */
     dal__jump jump;
@@ -30,6 +29,7 @@ struct dal_stepper {
 static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *stage)
 {
     size_t stages = 0;
+    double passed = 0.0; /* of the step */
     for (size_t j = 0; j < count; j++) {
         const double beta = substep[j].beta, f = substep[j].fraction;
         const bool pair = j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0;
@@ -41,6 +41,9 @@ static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *s
             s.start = beta * f;
             s.end = (1.0 - beta) * f;
         }
+        s.t_start = passed;
+        s.t_end = passed = j + 1 < count ? passed + s.span : 1.0;
+        s.t_node = s.after != 0.0 ? s.t_start + s.before : s.t_end; /* q_k is q~' */
         stage[stages++] = s;
     }
     for (size_t j = 0; j < stages; j++)
@@ -222,7 +225,7 @@ dal_error *dal__stepper_error(dal_stepper *stepper) { return &stepper->error; }
 
 double dal_stepper_time(const dal_stepper *stepper)
 {
-    return stepper->t0 + (double)stepper->steps * stepper->kernel.h;
+    return stepper->kernel.t0 + (double)stepper->steps * stepper->kernel.h;
 }
 
 void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
@@ -279,18 +282,18 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
 /* The steps of a start leave the text of their failure in the error of self->mech. */
 
 /* fresh <- consistent data of D (shift = 0) or D_eps; what was found and done goes to stats. */
-static int make_consistent(dal_stepper *self, double shift, dal_consistency consistency,
+static int make_consistent(dal_stepper *self, double t0, double shift, dal_consistency consistency,
                            dal_stats *stats)
 {
     dal_mechanics *const mech = &self->mech;
     bool consistent;
-    int status = dal__lies_in_D(mech, shift, self->fresh, &stats->initial_residual, &consistent);
+    int status = dal__lies_in_D(mech, t0, shift, self->fresh, &stats->initial_residual, &consistent);
     if (!status && consistency == DAL_CHECK && !consistent)
         return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: their "
                          "residual is %.3g, more than roundoff and %g of the terms of phi",
                          shift == 0.0 ? "D" : "D_eps", stats->initial_residual, DAL_CONSISTENT);
     if (!status && consistency != DAL_ASSUME)
-        status = dal_project(mech, shift, self->fresh, &stats->initial_correction);
+        status = dal_project(mech, t0, shift, self->fresh, &stats->initial_correction);
     return status;
 }
 
@@ -323,10 +326,11 @@ static int probe(dal_stepper *self, double t0)
     const dal__jet jet = {.L_q = mech->force, .L_v = mech->momentum, .L_qq = mech->hessian,
                           .L_vq = mech->L_vq, .L_vv = mech->L_vv};
     const dal__jet simple = {.L_q = mech->force, .L_qq = mech->hessian};
-    int status = dal__constraint(&mech->eval, q, v, mech->phi, mech->mu, mech->dmu, &mech->error);
+    int status = dal__constraint(&mech->eval, t0, q, v, mech->phi, mech->mu, mech->dmu, NULL,
+                                 &mech->error);
     if (!status && mech->eval.system->def.steady) status = check_steady(mech);
     if (!status)
-        status = dal__lagrangian(&mech->eval, q, v, mech->eval.constant_mass ? &simple : &jet,
+        status = dal__lagrangian(&mech->eval, t0, q, v, mech->eval.constant_mass ? &simple : &jet,
                                  &mech->error);
     if (!status && mech->eval.system->def.force)
         status = dal__force(&mech->eval, t0, q, v, mech->force, mech->f_q, mech->f_v,
@@ -360,10 +364,10 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     memcpy(self->fresh, x, 2 * n * sizeof *x);
     status = probe(self, t0);
     if (!status)
-        status = make_consistent(self, initial == DAL_INITIAL_D_EPS ? shift : 0.0, consistency,
+        status = make_consistent(self, t0, initial == DAL_INITIAL_D_EPS ? shift : 0.0, consistency,
                                  &stats);
     if (!status && initial == DAL_INITIAL_PROJECT)
-        status = dal_project(&self->mech, shift, self->fresh, &stats.initial_correction);
+        status = dal_project(&self->mech, t0, shift, self->fresh, &stats.initial_correction);
     if (!status && initial == DAL_INITIAL_SHIFT) status = move_node(self, shift, self->fresh);
     dal__jump jump = {0};
     if (!status) status = dal__jump_start(&jump, &self->mech, self->order, shift, self->fresh);
@@ -373,11 +377,11 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     }
 
     memcpy(k->at.x, self->fresh, 2 * n * sizeof *x);
+    k->t0 = t0;
     k->h = h;
     k->stats = stats;
     dal_kernel_forget(k);
     dal__newton_forget(&self->newton);
-    self->t0 = t0;
     self->steps = 0;
     self->jump = jump;
     self->started = true;
@@ -394,16 +398,22 @@ static void find_not_finite(dal_stepper *self, dal_error *found)
     const dal_kernel *const k = &self->kernel;
     dal_mechanics *const mech = &self->mech;
     const size_t n = k->n;
+    const dal_stage *const s = k->failure.stage;
+    const double number = (double)self->steps, t_start = dal_stepper_time(self);
+    const double t_node = k->t0 + (number + s->t_node) * k->h;
+    const double t_end = k->t0 + (number + s->t_end) * k->h;
     double *const start = self->fresh;
     for (size_t i = 0; i < n; i++) start[i] = k->at.x[i] - k->shift * k->h * k->at.x[n + i];
     if (dal__all_finite(n, k->at.node)
-        && (dal__potential(&mech->eval, start, NULL, mech->force, NULL, found)
-            || dal__constraint(&mech->eval, k->at.node, k->at.x + n, NULL, mech->mu, NULL, found)
-            || dal__potential(&mech->eval, k->at.node, NULL, mech->force, NULL, found)))
+        && (dal__potential(&mech->eval, t_start, start, NULL, mech->force, NULL, found)
+            || dal__constraint(&mech->eval, t_node, k->at.node, k->at.x + n, NULL, mech->mu, NULL,
+                               NULL, found)
+            || dal__potential(&mech->eval, t_node, k->at.node, NULL, mech->force, NULL, found)))
         return;
     if (dal__all_finite(n, k->at.point) && dal__all_finite(n, k->at.w)
-        && (dal__constraint(&mech->eval, k->at.point, k->at.w, NULL, mech->mu, mech->dmu, found)
-            || dal__potential(&mech->eval, k->at.point, NULL, mech->force, NULL, found)))
+        && (dal__constraint(&mech->eval, t_end, k->at.point, k->at.w, NULL, mech->mu, mech->dmu,
+                            NULL, found)
+            || dal__potential(&mech->eval, t_end, k->at.point, NULL, mech->force, NULL, found)))
         return;
     dal__fail(found, DAL_EDOMAIN, "a number is not finite; try a smaller h");
 }
@@ -470,17 +480,18 @@ static int advance_by_substeps(dal_stepper *self, size_t steps, size_t *done)
         memcpy(x, k->at.x, 2 * k->n * sizeof *x);
         for (size_t j = 0; j < self->substeps; j++) {
             const dal_substep s = self->substep[j];
-            const double t = self->t0 + ((double)(self->steps + *done) + passed) * k->h;
-            const double h = s.fraction * k->h;
+            const double number = (double)(self->steps + *done), h = s.fraction * k->h;
+            const double next = j + 1 < self->substeps ? passed + s.fraction : 1.0;
+            const double t = k->t0 + (number + passed) * k->h, end = k->t0 + (number + next) * k->h;
             const int status =
                 self->multiroot
-                    ? dal__multiroot_step(self->multiroot, &self->mech, t, s.beta, h, k->kept, x,
-                                          k->at.kappa, &k->stats)
-                    : dal__newton_step(&self->newton, &self->mech, t, s.beta, h, k->kept, x,
+                    ? dal__multiroot_step(self->multiroot, &self->mech, t, end, s.beta, h, k->kept,
+                                          x, k->at.kappa, &k->stats)
+                    : dal__newton_step(&self->newton, &self->mech, t, end, s.beta, h, k->kept, x,
                                        k->at.kappa, &k->stats);
             if (status) return status;
             for (size_t a = 0; a < k->m; a++) k->impulse[a] += k->at.kappa[a];
-            passed += s.fraction;
+            passed = next;
         }
         memcpy(k->at.x, x, 2 * k->n * sizeof *x);
         k->stats.steps++;

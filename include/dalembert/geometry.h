@@ -66,8 +66,8 @@ DAL_API void dal_mechanics_free(dal_mechanics *mechanics);
 DAL_API const char *dal_mechanics_message(const dal_mechanics *mechanics);
 
 /* In this section M is L_vv, and D = {phi(t, q, v) = 0}; mu is phi_v, and phi is mu v where the
- * constraints are linear; all of them at time t.  Errors of the functions below: DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN;
- * DAL_ESINGULAR where C or M is inverted. */
+ * constraints are linear; all of them at time t.  Errors of the functions below: DAL_EINVAL,
+ * DAL_EUSER, DAL_EDOMAIN; DAL_ESINGULAR where C or M is inverted. */
 
 /* *E <- L_v v - L, which is v^T M v / 2 + V(q) for constant mass; a first integral on D unless
  * there is a force, L depends on t, or the constraint forces work (dal_power). */
@@ -144,10 +144,10 @@ DAL_API int dal_step_equations(dal_mechanics *mechanics, double t, double beta, 
                                const double *x, const double *w, const double *kappa, double *R1,
                                double *R2, double *K, double *B, double *muk);
 
-/* Evaluates count rows (q, v) of x[count*2n], row k at time t0 + k h: energy[count]; multipliers[count*m] by lambdax, which
- * have the order of the rows (rmkpdisc);
- * residual[count*m] = phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may
- * be NULL.  On failure *done (or NULL) is the number of rows that were evaluated. */
+/* Evaluates count rows (q, v) of x[count*2n], row k at time t0 + k h: energy[count];
+ * multipliers[count*m] by lambdax, which have the order of the rows (rmkpdisc); residual[count*m] =
+ * phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may be NULL.  On failure
+ * *done (or NULL) is the number of rows that were evaluated. */
 DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift,
                            size_t count, const double *x, double *energy, double *multipliers,
                            double *residual, double *relative, size_t *done);
