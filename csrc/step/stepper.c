@@ -43,7 +43,8 @@ static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *s
         }
         s.t_start = passed;
         s.t_end = passed = j + 1 < count ? passed + s.span : 1.0;
-        s.t_node = s.after != 0.0 ? s.t_start + s.before : s.t_end; /* q_k is q~' */
+        s.linear = s.after == 0.0;
+        s.t_node = s.linear ? s.t_end : s.t_start + s.before;
         stage[stages++] = s;
     }
     for (size_t j = 0; j < stages; j++)
@@ -153,12 +154,12 @@ static void bind_kernel(dal_stepper *self, const dal_scheme *scheme, const dal_o
     k->stages = plan_stages(self->substep, self->substeps, self->stage);
     plan_predictions(self->stage, k->stages);
     k->kept = scheme->nodes == DAL_KEPT_NODES;
+    k->plain = !k->potential && !k->kept;
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
     k->max_iterations = options->max_iterations ? options->max_iterations : 50;
     dal_kernel_share(k, k->at.x);
     k->finish = dal__kernel_finish;
-    k->steady = is_steady(self, k->kept);
-    k->proved = system->def.steady == DAL_STEADY_PROVED;
+    k->steady = is_steady(self, k->kept) ? system->def.steady : 0;
     if (has_step_routine(system) && options->solver == DAL_SOLVER_SCHUR)
         self->advance = system->def.kernel && !k->kept && options->sizes == DAL_SIZES_AUTO
                             ? system->def.kernel

@@ -63,6 +63,7 @@ typedef struct dal_stage {
     double start, node, end; /* weights of V_q at q~, q_k, q~' */
     double span;             /* A + B */
     double t_start, t_node, t_end; /* times of q~, q_k, q~' since the step began, in units of h */
+    bool linear;             /* B = 0: mu(q~') is mu(q_k) */
     double reuse;            /* largest weight of V_q(q~'), here or as start of the next stage */
     double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
 } dal_stage;
@@ -119,11 +120,11 @@ struct dal_kernel {
     const double *mass, *mass_inverse; /* [n*n] */
     const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;
-    bool steady;  /* and V acts at no q~' */
-    bool proved;  /* to be so */
+    int steady;   /* a dal_steady, where V acts at no q~', or 0 */
     size_t stages;
     const dal_stage *stage;
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
+    bool plain;   /* V = 0, and moved nodes */
     double shift; /* 1 - beta */
     int max_iterations;
     /* What is left of a stage, on at: the full Newton iteration if not solved, and the residual of
@@ -211,6 +212,12 @@ static inline int dal_kernel_potential(dal_kernel *k, double t, const double *q,
 {
     k->stats.potential_calls++;
     return k->potential(t, q, NULL, V_q, NULL, k->potential_ctx);
+}
+
+/* The time of what stands c steps behind the beginning of step number. */
+DAL_KERNEL_INLINE double dal_kernel_time(const dal_kernel *k, double number, double c)
+{
+    return k->t0 + (number + c) * k->h;
 }
 
 /* Sums begin with their first term, or with -0, which x + -0 = x lets the compiler leave out: 0 + x
@@ -493,15 +500,13 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
     const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
                            Z, S, sizes, r, d, kappa, row};
     const double h = k->h, b = s->after * h;
-    const double t_node = k->t0 + (number + s->t_node) * h, t_end = k->t0 + (number + s->t_end) * h;
     const double limit = 2.0 * (double)n * DAL_KERNEL_U; /* half of the bound */
-    const bool linear = b == 0.0; /* mu(q~') is mu(q_k) */
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
     const bool potential = !plain && DAL_KERNEL_PULLED;
     const bool ends = potential && s->end != 0.0; /* V_q at the unknown q~' */
     const bool inside = DAL_KERNEL_STEADY && plain;
-    const bool steady = inside || k->steady, proved = inside || (k->steady && k->proved);
-    const bool known = m == 0 || proved || (linear && !kept); /* mu(q~') needs no evaluation */
+    const bool steady = inside || k->steady, proved = inside || k->steady == DAL_STEADY_PROVED;
+    const bool known = m == 0 || proved || (s->linear && !kept); /* mu(q~') needs no evaluation */
     dal_pattern has = DAL_KERNEL_PATTERN;
     if (inside) has.N = 0;
 
@@ -513,7 +518,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
         double *const force = s->node != 0.0 ? k->force1 : k->force0;
         if (s->node != 0.0 || !k->forced) {
             const double shift = kept ? k->shift * h : 0.0;
-            const double t = s->node != 0.0 ? t_node : k->t0 + (number + s->t_start) * h;
+            const double t = dal_kernel_time(k, number, s->node != 0.0 ? s->t_node : s->t_start);
             DAL_KERNEL_UNROLL
             for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
                 point[i] = s->node != 0.0 ? node[i] : x[i] - shift * x[n + i];
@@ -539,21 +544,21 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
 
     /* ---- factor: mu at the prediction, and then at the node: more has to wait for the first */
     int returned = 0;
-    if (m > 0 && !linear)
-        returned = DAL_KERNEL_CONSTRAINT(k, t_end, point, w, mu, steady ? NULL : N);
+    if (m > 0 && !s->linear)
+        returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w, mu, steady ? NULL : N);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
     if (m > 0) {
-        const int status = DAL_KERNEL_CONSTRAINT(k, t_node, node, x + n, mu_node, NULL);
+        const int status = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_node), node, x + n, mu_node, NULL);
         if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
         for (size_t a = 0; a < m; a++)
             dal_kernel_accelerate(k, n, has.inverse, mu_node + a * n, Z + a * n);
     }
-    if (linear) DAL_KERNEL_COPY(m * n, mu_node, mu);
-    if (linear || (steady && has.N)) {
+    if (s->linear) DAL_KERNEL_COPY(m * n, mu_node, mu);
+    if (s->linear || (steady && has.N)) {
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < m * n; i++) N[i] = 0.0;
     }
-    if (ends && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, t_end, point, k->force1);
+    if (ends && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
 
     /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
@@ -584,12 +589,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
                 last = size;
             }
             if (!known && !passed) {
-                returned = DAL_KERNEL_CONSTRAINT(k, t_end, point, w, mu, NULL);
+                returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w, mu, NULL);
                 if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
                 if (ends) DAL_KERNEL_COPY(n, w, seen);
             }
             if (!balanced && returned == 0)
-                returned = DAL_KERNEL_POTENTIAL(k, t_end, point, k->force1);
+                returned = DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
             if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
             if (returned > 0) break;
             if (!balanced) continue;
@@ -624,7 +629,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
         DAL_KERNEL_COPY(n, stored, k->at.stored);
         DAL_KERNEL_COPY(m * n, Z, k->at.Z);
         DAL_KERNEL_COPY(m * n, mu_node, k->at.mu_node);
-        const int status = k->finish(k, t_end, s, solved);
+        const int status = k->finish(k, dal_kernel_time(k, number, s->t_end), s, solved);
         if (status) return status;
         DAL_KERNEL_COPY(n, k->at.w, w);
         DAL_KERNEL_COPY(n, k->at.stored, stored);
@@ -666,8 +671,8 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const size_t n = k->n;
 #endif
     const size_t stages = k->stages;
-    double number = (double)k->stats.steps;
-    size_t made = 0;
+    const double first = (double)k->stats.steps, last = first + (double)steps;
+    double number = first;
     int status = DAL_SUCCESS;
 #if DAL_KERNEL_INSIDE
     double x[2 * DAL_N], pull[3 * DAL_N];
@@ -676,7 +681,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #else
     double *const x = k->at.x, *const pull = x + 5 * n;
 #endif
-    while (made < steps) {
+    for (; number < last; number += 1.0) {
         const dal_stage *s = k->stage, *const end = s + stages;
         if (DAL_KERNEL_RARE(stages > 1)) DAL_KERNEL_COPY(2 * n, x, k->saved);
 #if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
@@ -684,13 +689,13 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
             status = DAL_KERNEL_STAGE(k, number, s, !DAL_KERNEL_PULLED, x, pull);
         while (!status && ++s < end);
 #else
-        if (k->potential || k->kept) {
+        if (k->plain) {
             do
-                status = DAL_KERNEL_STAGE(k, number, s, false, x, pull);
+                status = DAL_KERNEL_STAGE(k, number, s, true, x, pull);
             while (!status && ++s < end);
         } else {
             do
-                status = DAL_KERNEL_STAGE(k, number, s, true, x, pull);
+                status = DAL_KERNEL_STAGE(k, number, s, false, x, pull);
             while (!status && ++s < end);
         }
 #endif
@@ -698,8 +703,6 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
             k->failure.stage = s;
             break;
         }
-        made++;
-        number += 1.0;
     }
 #if DAL_KERNEL_INSIDE
     DAL_KERNEL_COPY(2 * n, x, k->at.x);
@@ -709,8 +712,8 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         DAL_KERNEL_COPY(2 * n, k->saved, k->at.x);
         dal_kernel_forget(k);
     }
-    k->stats.steps += made;
-    *done = made;
+    *done = (size_t)(number - first);
+    k->stats.steps += *done;
     return status;
 }
 
