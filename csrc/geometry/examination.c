@@ -115,8 +115,8 @@ static int value_L_v(const double *moved, double *L_v, void *ctx)
 static int value_f(const double *moved, double *f, void *ctx)
 {
     examination *const ex = ctx;
-    return dal__force(&ex->mech.eval, time_of(ex, moved), position(ex, moved), velocity(ex, moved), f, NULL,
-                      NULL, &ex->mech.error);
+    return dal__force(&ex->mech.eval, time_of(ex, moved), position(ex, moved), velocity(ex, moved),
+                      f, NULL, NULL, &ex->mech.error);
 }
 
 /* mu v where the constraints are linear. */
@@ -836,7 +836,8 @@ int dal_system_check(const dal_system *system, double t, const double *x, dal_ch
         if (!isfinite(x[i]))
             return dal__fail(error, DAL_EINVAL, "x[%zu] = %g is not finite", i, x[i]);
 
-    examination ex = {.system = system, .t = t, .time = t, .x = x, .q = x, .v = x + n, .n = n, .m = system->def.m};
+    examination ex = {.system = system, .t = t, .x = x, .q = x, .v = x + n, .n = n,
+                      .m = system->def.m};
     dal_check *const found = &ex.found;
     arena memory = {0};
     reserve(&ex, &memory);

@@ -288,7 +288,8 @@ static int make_consistent(dal_stepper *self, double t0, double shift, dal_consi
 {
     dal_mechanics *const mech = &self->mech;
     bool consistent;
-    int status = dal__lies_in_D(mech, t0, shift, self->fresh, &stats->initial_residual, &consistent);
+    int status = dal__lies_in_D(mech, t0, shift, self->fresh, &stats->initial_residual,
+                                &consistent);
     if (!status && consistency == DAL_CHECK && !consistent)
         return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: their "
                          "residual is %.3g, more than roundoff and %g of the terms of phi",

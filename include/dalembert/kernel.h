@@ -468,8 +468,9 @@ DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
     for (size_t i = 0; i < n; i++) to[i] = from[i];
 }
 
-/* Of step number, counted from 0.  plain is a constant where this is inlined: V = 0 and moved nodes,
- * so that what serves only the others costs nothing. */
+/* Of step number, counted from 0.  plain is a constant where this is inlined: V = 0 and moved
+ * nodes, so that what serves only the others costs nothing.  A time that was kept in a register
+ * would be stored and loaded at every call, which costs more than to compute it there. */
 DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
                                        const dal_stage *const s, const bool plain, double *const x,
                                        double *const pull)
@@ -518,11 +519,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
         double *const force = s->node != 0.0 ? k->force1 : k->force0;
         if (s->node != 0.0 || !k->forced) {
             const double shift = kept ? k->shift * h : 0.0;
-            const double t = dal_kernel_time(k, number, s->node != 0.0 ? s->t_node : s->t_start);
             DAL_KERNEL_UNROLL
             for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
                 point[i] = s->node != 0.0 ? node[i] : x[i] - shift * x[n + i];
-            const int returned = DAL_KERNEL_POTENTIAL(k, t, point, force);
+            const int returned = DAL_KERNEL_POTENTIAL(
+                k, dal_kernel_time(k, number, s->node != 0.0 ? s->t_node : s->t_start), point,
+                force);
             if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         }
         const double weight = h * (s->node != 0.0 ? s->node : s->start);
@@ -545,10 +547,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
     /* ---- factor: mu at the prediction, and then at the node: more has to wait for the first */
     int returned = 0;
     if (m > 0 && !s->linear)
-        returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w, mu, steady ? NULL : N);
+        returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w, mu,
+                                         steady ? NULL : N);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
     if (m > 0) {
-        const int status = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_node), node, x + n, mu_node, NULL);
+        const int status = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_node), node,
+                                                 x + n, mu_node, NULL);
         if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
         for (size_t a = 0; a < m; a++)
             dal_kernel_accelerate(k, n, has.inverse, mu_node + a * n, Z + a * n);
@@ -558,7 +562,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < m * n; i++) N[i] = 0.0;
     }
-    if (ends && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
+    if (ends && returned == 0)
+        returned =
+            DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
 
     /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
@@ -589,12 +595,14 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
                 last = size;
             }
             if (!known && !passed) {
-                returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w, mu, NULL);
+                returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w,
+                                                 mu, NULL);
                 if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
                 if (ends) DAL_KERNEL_COPY(n, w, seen);
             }
             if (!balanced && returned == 0)
-                returned = DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
+                returned =
+                    DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
             if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
             if (returned > 0) break;
             if (!balanced) continue;
