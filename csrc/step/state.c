@@ -64,6 +64,7 @@ static void read_head(dal_stepper *self, const double *head)
     self->jump = (dal__jump){.looking = head[7] != 0.0, .shift = head[8], .energy = head[9],
                              .kinetic = head[10], .step = (size_t)head[11], .change = head[12]};
     *motion->stats = (dal_stats){
+        .steps = motion->steps,
         .iterations = (size_t)head[13], .constraint_calls = (size_t)head[14],
         .potential_calls = (size_t)head[15], .corrections = (size_t)head[16],
         .full_newtons = (size_t)head[17], .halvings = (size_t)head[18],

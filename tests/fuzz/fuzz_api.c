@@ -157,7 +157,7 @@ static void spoil(fault_kind kind, size_t count, double *output)
 
 static int answer(fault_kind kind) { return kind == REFUSE ? 1 : kind == STOP ? -1 : 0; }
 
-static int potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int potential(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
@@ -165,7 +165,7 @@ static int potential(const double *q, double *V, double *V_q, double *V_qq, void
     if (fault == WRITE_NOTHING) return 0;
     if (r->inner) {
         const dal_system_def *const def = &r->inner->def;
-        const int returned = def->potential(q, V, V_q, V_qq, def->ctx);
+        const int returned = def->potential(t, q, V, V_q, V_qq, def->ctx);
         if (returned) return returned;
     } else {
         if (V) *V = value_of(&r->well, q);
@@ -192,7 +192,7 @@ static int own_lagrangian(recipe *r, const double *q, const double *v, double *L
     double V;
     recipe calm = *r;
     calm.quiet = true;
-    potential(q, L ? &V : NULL, L_q, L_qq, &calm);
+    potential(0.0, q, L ? &V : NULL, L_q, L_qq, &calm);
     if (L) *L = -V;
     for (size_t i = 0; L_q && i < n; i++) L_q[i] = -L_q[i];
     for (size_t k = 0; L_qq && k < n * n; k++) L_qq[k] = -L_qq[k];
@@ -211,8 +211,9 @@ static int own_lagrangian(recipe *r, const double *q, const double *v, double *L
     return 0;
 }
 
-static int lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                      double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                      double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                      void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
@@ -221,9 +222,9 @@ static int lagrangian(const double *q, const double *v, double *L, double *L_q, 
     int returned = 0;
     if (r->inner) {
         const dal_system_def *const def = &r->inner->def;
-        returned = def->lagrangian(q, v, L, L_q, L_v, L_qq, L_vq, L_vv, def->ctx);
+        returned = def->lagrangian(t, q, v, L, L_q, L_v, L_qq, L_vq, L_vv, NULL, def->ctx);
     } else {
-        returned = own_lagrangian(r, q, v, L, L_q, L_v, L_qq, L_vq, L_vv);
+        returned = own_lagrangian(t, r, q, v, L, L_q, L_v, L_qq, L_vq, NULL, L_vv);
     }
     if (returned) return returned;
     spoil(fault, 1, L);
@@ -261,18 +262,18 @@ static void own_constraint(const recipe *r, const double *q, const double *v, do
     }
 }
 
-static int constraint(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                      void *ctx)
+static int constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                      double *phi_q, double *phi_t, void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
     if (fault == WRITE_NOTHING) return 0;
     if (r->inner) {
         const dal_system_def *const def = &r->inner->def;
-        const int returned = def->constraint(q, v, phi, phi_v, phi_q, def->ctx);
+        const int returned = def->constraint(t, q, v, phi, phi_v, phi_q, NULL, def->ctx);
         if (returned) return returned;
     } else {
-        own_constraint(r, q, v, phi, phi_v, phi_q);
+        own_constraint(t, r, q, v, phi, phi_v, NULL, phi_q);
     }
     spoil(fault, r->m, phi);
     spoil(fault, r->m * r->n, phi_v);
@@ -302,8 +303,8 @@ static int force(double t, const double *q, const double *v, double *f, double *
 }
 
 /* g_a = sin(q_a) v_(a+1), a deformation that stays linear. */
-static int deformation(const double *q, const double *v, double *g, double *g_v, double *g_q,
-                       void *ctx)
+static int deformation(double t, const double *q, const double *v, double *g, double *g_v,
+                       double *g_q, double *g_t, void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
@@ -744,7 +745,7 @@ static void check_residual(world *w)
         shift *= w->h;
     }
     w->r.quiet = true;
-    const int status = dal_relative_residual(w->mechanics, shift, x, &worst);
+    const int status = dal_relative_residual(w->mechanics, 0.0, shift, x, &worst);
     w->r.quiet = false;
     MUST(status == 0, "no residual at a state that %s gave: %d", w->call, status);
     MUST(worst <= bound, "%s keeps D to %g, n = %zu, with %s", w->call, worst, w->n,
@@ -904,7 +905,7 @@ static int call_embedding(world *w)
         dal_embedding_free(w->embedding);
         w->embedding = fresh;
         w->r.quiet = true;
-        dal_chart_choose(dal_embedding_chart(fresh), NULL, w->x);
+        dal_chart_choose(dal_embedding_chart(fresh), 0.0, NULL, w->x);
         w->r.quiet = false;
         if (which == 0) return status;
     }
@@ -1034,8 +1035,8 @@ static bool make_world(world *w)
     fill(w, 2 * w->n, w->x);
     w->r.quiet = true;
     dal_system_state(w->system, w->x);
-    dal_project(w->mechanics, 0.0, w->x, NULL);
-    dal_chart_choose(w->chart, NULL, w->x);
+    dal_project(w->mechanics, 0.0, 0.0, w->x, NULL);
+    dal_chart_choose(w->chart, 0.0, NULL, w->x);
     w->r.quiet = false;
     return true;
 }
