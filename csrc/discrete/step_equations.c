@@ -12,6 +12,7 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double beta, doub
     const size_t n = mech->n;
     const double *const v = x + n, before = (1.0 - beta) * h;
     int status = DAL_SUCCESS;
+    mech->start.t = t;
     mech->start.middle = t + before;
     mech->start.end = end;
     mech->start.beta = beta;
@@ -72,7 +73,7 @@ static int evaluate_bend(dal_mechanics *mech, const double *w, const double *kap
 static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
 {
     const size_t n = mech->n;
-    const double beta = mech->start.beta, t = mech->start.end;
+    const double beta = mech->start.beta, t = mech->start.t + mech->start.h;
     const bool general = !mech->eval.constant_mass, ends = beta != 1.0; /* F acts at q1 */
     const dal__jet wanted = {.L_q = R1 && ends ? mech->force : NULL,
                              .L_v = R1 && general ? mech->w : NULL,

@@ -30,7 +30,7 @@ struct dal_mechanics {
     double *trial, *chetaev, *bend; /* [n], [m*n], [n*n] of nonlinear constraints: where mu_k^T
                                        kappa is differenced, its value and its derivative */
     struct {
-        double middle, end;       /* times of q_k and q~' */
+        double t, middle, end;    /* times of q~, q_k and q~' */
         double beta, h;
         bool kept;
         const double *v;          /* [n] */

@@ -114,7 +114,7 @@ class Chart(_lib.Constant):
     def _choose(self, chart: Any) -> None:
         """Make the choice of this chart that of a ``dal_chart``."""
         x = _lib.pointer(self._x)
-        _check(_lib.attempt(lib.dal_chart_choose, chart, self._place, x), chart, None)
+        _check(_lib.attempt(lib.dal_chart_choose, chart, 0.0, self._place, x), chart, None)
 
     def _rows(self, function: Callable[..., int], inputs: Iterable[tuple[Any, ...]]) -> None:
         """Call ``function(chart, *given)``, one call for each row."""
@@ -196,7 +196,7 @@ class Chart(_lib.Constant):
         calls = []
         for k in range(len(x)):
             pointers[which] = _lib.pointer(values, k)
-            calls.append((_lib.pointer(x, k), *pointers))
+            calls.append((0.0, _lib.pointer(x, k), *pointers))
         self._rows(lib.dal_chart_connection, calls)
         matrices = values.reshape(len(x), self.system.m, columns)
         return matrices[0] if single else matrices
@@ -230,7 +230,7 @@ class Chart(_lib.Constant):
         """
         x, single = self._states(q, v)
         values = np.empty(len(x))
-        calls = ((_lib.pointer(x, k), _lib.pointer(values, k)) for k in range(len(x)))
+        calls = ((0.0, _lib.pointer(x, k), _lib.pointer(values, k)) for k in range(len(x)))
         self._rows(lib.dal_chart_condition, calls)
         return float(values[0]) if single else values
 
@@ -272,7 +272,7 @@ class Chart(_lib.Constant):
         changed = ffi.new("int *")
         chart = _lib.make("chart", system._handle, owner=system._handle)
         self._choose(chart)
-        status = _lib.attempt(lib.dal_chart_renew, chart, _lib.pointer(x), changed)
+        status = _lib.attempt(lib.dal_chart_renew, chart, 0.0, _lib.pointer(x), changed)
         _check(status, chart, None)
         if changed[0]:
             _log.info("%s", _lib.string(lib.dal_chart_message(chart)))
@@ -307,7 +307,7 @@ class Chart(_lib.Constant):
         parts = np.empty((len(x), 2 * self.system.n))
         n = self.system.n
         calls = (
-            (_lib.pointer(x, k), _lib.pointer(parts, k), _lib.pointer(parts, k) + n)
+            (0.0, _lib.pointer(x, k), _lib.pointer(parts, k), _lib.pointer(parts, k) + n)
             for k in range(len(x))
         )
         self._rows(lib.dal_chart_split, calls)
@@ -339,7 +339,7 @@ class Chart(_lib.Constant):
         """
         xi, single = self._coordinates(xi)
         x = np.empty((len(xi), 2 * self.system.n))
-        calls = ((_lib.pointer(xi, k), _lib.pointer(x, k)) for k in range(len(xi)))
+        calls = ((0.0, _lib.pointer(xi, k), _lib.pointer(x, k)) for k in range(len(xi)))
         self._rows(lib.dal_chart_lift, calls)
         return self._halves(x, single)
 
@@ -395,7 +395,9 @@ class Chart(_lib.Constant):
         """
         xi, single = self._coordinates(xi)
         values = np.empty((len(xi), 2 * self.system.n * self._width))
-        calls = ((_lib.pointer(xi, k), _lib.pointer(values, k), ffi.NULL) for k in range(len(xi)))
+        calls = (
+            (0.0, _lib.pointer(xi, k), _lib.pointer(values, k), ffi.NULL) for k in range(len(xi))
+        )
         self._rows(lib.dal_chart_jacobian, calls)
         matrices = values.reshape(len(xi), 2 * self.system.n, self._width)
         return matrices[0] if single else matrices
@@ -508,7 +510,7 @@ class Chart(_lib.Constant):
         given = np.atleast_2d(arguments.array(multipliers, "multipliers", shape))
         values = np.empty_like(given)
         calls = (
-            (_lib.pointer(x, k), _lib.pointer(given, k), _lib.pointer(values, k))
+            (0.0, _lib.pointer(x, k), _lib.pointer(given, k), _lib.pointer(values, k))
             for k in range(len(x))
         )
         self._rows(function, calls)
@@ -594,7 +596,8 @@ class Chart(_lib.Constant):
         x = np.empty((times.size, 2 * n))
         first, second = _lib.pointer(ends), _lib.pointer(ends) + 2 * n
         calls = (
-            (first, second, float(each), _lib.pointer(x, k)) for k, each in enumerate(times.flat)
+            (0.0, first, second, float(each), _lib.pointer(x, k))
+            for k, each in enumerate(times.flat)
         )
         self._rows(lib.dal_chart_curve, calls)
         return self._halves(x, times.ndim == 0)

@@ -237,7 +237,7 @@ def examine(system: System, q: ArrayLike | None, v: ArrayLike | None) -> Check:
     x = np.concatenate(geometry.initial(system, q, v, "q", "v"))
     report = ffi.new("dal_check *")
     error = ffi.new("dal_error *")
-    status = _lib.attempt(lib.dal_system_check, system._handle, _lib.pointer(x), report, error)
+    status = _lib.attempt(lib.dal_system_check, system._handle, 0.0, _lib.pointer(x), report, error)
     # A callback that is not finite is a finding; an exception of the user's is not.
     if status < 0 and not (status == lib.DAL_EDOMAIN and _lib.string(report.text)):
         raise _lib.failure(status, _lib.string(error.text), kind=system.kind)

@@ -843,7 +843,7 @@ class System:
             elif names:
                 _lib.check(
                     lib.dal_system_invariant(
-                        self._handle, _lib.pointer(x, k), _lib.pointer(values, k)
+                        self._handle, 0.0, _lib.pointer(x, k), _lib.pointer(values, k)
                     ),
                     step=k,
                 )
