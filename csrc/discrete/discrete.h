@@ -6,13 +6,13 @@
 #include "geometry/geometry.h"
 
 /* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone,
- * which are those of that function and have been checked; end is t + h, but for a rounding that
- * the caller knows better; kept: x is (q_k, v), the state of kept nodes.  alpha is beta there;
- * another one is that of rho^alpha for L_d, and L acts at q_k + alpha h w.  Then the rest, as often
- * as needed; K_sizes[2*n]: those of the rows and columns of K (see lu.h); mu_k is in mech->muk;
- * outputs may be NULL.  At last x[2n] <- the new state, with w[n] the velocity that was found,
- * corrected so that phi at the q~' that x gives back is roundoff; the residual raises *worst.  The
- * x of dal__step_begin must stay until the last dal__step_at. */
+ * which are those of that function and have been checked; end is t + h, where phi is wanted, but
+ * for the rounding of the time that the state is stored with; kept: x is (q_k, v), the state of
+ * kept nodes.  alpha is beta there; another one is that of rho^alpha for L_d, and L acts at q_k +
+ * alpha h w.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K
+ * (see lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n]
+ * the velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
+ * residual raises *worst.  The x of dal__step_begin must stay until the last dal__step_at. */
 int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, double beta, double h,
                     bool kept, const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,

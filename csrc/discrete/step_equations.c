@@ -23,7 +23,7 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     const double later = (alpha - beta) * h; /* than at q~ and q~' L acts */
     mech->start.middle = t + before;
     mech->start.end = end;
-    mech->start.acts = end + later;
+    mech->start.acts = t + h + later;
     mech->start.alpha = alpha;
     mech->start.beta = beta;
     mech->start.h = h;

@@ -358,7 +358,7 @@ class Discrete:
         q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
         value = ffi.new("double *")
         self._call(
-            lib.dal_discrete_lagrangian, h, core.pointer(q0), core.pointer(q1), value,
+            lib.dal_discrete_lagrangian, 0.0, h, core.pointer(q0), core.pointer(q1), value,
             ffi.NULL, ffi.NULL, ffi.NULL,
         )  # fmt: skip
         return float(value[0])
@@ -398,7 +398,7 @@ class Discrete:
         D1, D2 = np.empty((2, n))
         D12 = np.empty((n, n))
         self._call(
-            lib.dal_discrete_lagrangian, h, core.pointer(q0), core.pointer(q1), ffi.NULL,
+            lib.dal_discrete_lagrangian, 0.0, h, core.pointer(q0), core.pointer(q1), ffi.NULL,
             *map(core.pointer, (D1, D2, D12)),
         )  # fmt: skip
         return D1, D2, D12
@@ -431,7 +431,7 @@ class Discrete:
         q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
         phi = np.empty(self._system.m)
         self._call(
-            lib.dal_discrete_constraint, h, *map(core.pointer, (q0, q1, phi)), ffi.NULL, ffi.NULL
+            lib.dal_discrete_constraint, 0.0, h, *map(core.pointer, (q0, q1, phi)), ffi.NULL, ffi.NULL
         )
         return phi
 
@@ -464,7 +464,7 @@ class Discrete:
         q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
         D1, D2 = np.empty((2, self._system.m, self._system.n))
         self._call(
-            lib.dal_discrete_constraint, h, core.pointer(q0), core.pointer(q1), ffi.NULL,
+            lib.dal_discrete_constraint, 0.0, h, core.pointer(q0), core.pointer(q1), ffi.NULL,
             core.pointer(D1), core.pointer(D2),
         )  # fmt: skip
         return D1, D2

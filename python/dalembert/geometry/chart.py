@@ -115,7 +115,7 @@ class Chart(core.Constant):
     def _choose(self, chart: Any) -> None:
         """Make the choice of this chart that of a ``dal_chart``."""
         x = core.pointer(self._x)
-        _check(core.attempt(lib.dal_chart_choose, chart, self._place, x), chart, None)
+        _check(core.attempt(lib.dal_chart_choose, chart, 0.0, self._place, x), chart, None)
 
     def _rows(self, function: Callable[..., int], inputs: Iterable[tuple[Any, ...]]) -> None:
         """Call ``function(chart, *given)``, one call for each row."""
@@ -197,7 +197,7 @@ class Chart(core.Constant):
         calls = []
         for k in range(len(x)):
             pointers[which] = core.pointer(values, k)
-            calls.append((core.pointer(x, k), *pointers))
+            calls.append((0.0, core.pointer(x, k), *pointers))
         self._rows(lib.dal_chart_connection, calls)
         matrices = values.reshape(len(x), self.system.m, columns)
         return matrices[0] if single else matrices
@@ -231,7 +231,7 @@ class Chart(core.Constant):
         """
         x, single = self._states(q, v)
         values = np.empty(len(x))
-        calls = ((core.pointer(x, k), core.pointer(values, k)) for k in range(len(x)))
+        calls = ((0.0, core.pointer(x, k), core.pointer(values, k)) for k in range(len(x)))
         self._rows(lib.dal_chart_condition, calls)
         return float(values[0]) if single else values
 
@@ -273,7 +273,7 @@ class Chart(core.Constant):
         changed = ffi.new("int *")
         chart = core.make("chart", system._handle, owner=system._handle)
         self._choose(chart)
-        status = core.attempt(lib.dal_chart_renew, chart, core.pointer(x), changed)
+        status = core.attempt(lib.dal_chart_renew, chart, 0.0, core.pointer(x), changed)
         _check(status, chart, None)
         if changed[0]:
             _log.info("%s", core.string(lib.dal_chart_message(chart)))
@@ -308,7 +308,7 @@ class Chart(core.Constant):
         parts = np.empty((len(x), 2 * self.system.n))
         n = self.system.n
         calls = (
-            (core.pointer(x, k), core.pointer(parts, k), core.pointer(parts, k) + n)
+            (0.0, core.pointer(x, k), core.pointer(parts, k), core.pointer(parts, k) + n)
             for k in range(len(x))
         )
         self._rows(lib.dal_chart_split, calls)
@@ -340,7 +340,7 @@ class Chart(core.Constant):
         """
         xi, single = self._coordinates(xi)
         x = np.empty((len(xi), 2 * self.system.n))
-        calls = ((core.pointer(xi, k), core.pointer(x, k)) for k in range(len(xi)))
+        calls = ((0.0, core.pointer(xi, k), core.pointer(x, k)) for k in range(len(xi)))
         self._rows(lib.dal_chart_lift, calls)
         return self._halves(x, single)
 
@@ -396,7 +396,9 @@ class Chart(core.Constant):
         """
         xi, single = self._coordinates(xi)
         values = np.empty((len(xi), 2 * self.system.n * self._width))
-        calls = ((core.pointer(xi, k), core.pointer(values, k), ffi.NULL) for k in range(len(xi)))
+        calls = (
+            (0.0, core.pointer(xi, k), core.pointer(values, k), ffi.NULL) for k in range(len(xi))
+        )
         self._rows(lib.dal_chart_jacobian, calls)
         matrices = values.reshape(len(xi), 2 * self.system.n, self._width)
         return matrices[0] if single else matrices
@@ -509,7 +511,7 @@ class Chart(core.Constant):
         given = np.atleast_2d(arguments.array(multipliers, "multipliers", shape))
         values = np.empty_like(given)
         calls = (
-            (core.pointer(x, k), core.pointer(given, k), core.pointer(values, k))
+            (0.0, core.pointer(x, k), core.pointer(given, k), core.pointer(values, k))
             for k in range(len(x))
         )
         self._rows(function, calls)
@@ -595,7 +597,8 @@ class Chart(core.Constant):
         x = np.empty((times.size, 2 * n))
         first, second = core.pointer(ends), core.pointer(ends) + 2 * n
         calls = (
-            (first, second, float(each), core.pointer(x, k)) for k, each in enumerate(times.flat)
+            (0.0, first, second, float(each), core.pointer(x, k))
+            for k, each in enumerate(times.flat)
         )
         self._rows(lib.dal_chart_curve, calls)
         return self._halves(x, times.ndim == 0)

@@ -379,7 +379,7 @@ def _matrices(
 ) -> Array:
     x, single = states(system, q, np.zeros(np.shape(q)) if v is None else v)
     values = np.empty((len(x), size**2))
-    rows(system, function, ((core.pointer(x, k),) for k in range(len(x))), values)
+    rows(system, function, ((0.0, core.pointer(x, k)) for k in range(len(x))), values)
     matrices = values.reshape(len(x), size, size)
     return matrices[0] if single else matrices
 
@@ -551,7 +551,8 @@ def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> A
 def projection(system: Handle, x: Array, shift: float = 0.0) -> Array:
     """Project the rows of ``x`` in place; return how far, in the mass metric, shape (N,)."""
     distances = np.empty(len(x))
-    rows(system, lib.dal_project, ((shift, core.pointer(x, k)) for k in range(len(x))), distances)
+    given = ((0.0, shift, core.pointer(x, k)) for k in range(len(x)))
+    rows(system, lib.dal_project, given, distances)
     return distances
 
 
@@ -595,7 +596,8 @@ def consistent(
     x, single = states(system, q0, v0, ("q0", "v0"))
     mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
     distances = np.empty(len(x))
-    rows(system, lib.dal_consistent, ((mask, core.pointer(x, k)) for k in range(len(x))), distances)
+    given = ((0.0, mask, core.pointer(x, k)) for k in range(len(x)))
+    rows(system, lib.dal_consistent, given, distances)
     v = x[:, system.n :].copy()
     return v[0] if single else v
 

@@ -834,9 +834,9 @@ static void step_otherwise(const dal_system *system, const double *x, double *y,
     need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
     memcpy(y, x, 2 * n * sizeof *y);
     memcpy(z, x, 2 * n * sizeof *z);
-    CHECK(dal_chart_choose(chart, NULL, y) == 0 && dal_chart_drop(chart, y, xi) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, y) == 0 && dal_chart_drop(chart, y, xi) == 0);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 0.1, xi, NULL) == 0);
-    CHECK(dal_chart_lift(chart, xi, y) == 0);
+    CHECK(dal_chart_lift(chart, 0.0, xi, y) == 0);
     CHECK(dal_discrete_advance(discrete, 0.0, 0.1, z, NULL) == 0);
     dal_discrete_free(discrete);
     dal_chart_free(chart);

@@ -105,7 +105,7 @@ static void test_refused(void)
     REFUSED(def_.mass = NULL, DAL_EINVAL, "mass is NULL", "lagrangian");
     REFUSED(def_.constraint = NULL, DAL_EINVAL, "m = 1", "constraint is NULL");
     REFUSED(def_.m = 0, DAL_EINVAL, "m = 0", "constraint is not NULL");
-    REFUSED(def_.missing = 256, DAL_EINVAL, "missing = 0x100", "outside 0xff");
+    REFUSED(def_.missing = 1024, DAL_EINVAL, "missing = 0x400", "outside 0x3ff");
     REFUSED(def_.missing = DAL_MISSING_L_VQ, DAL_EINVAL, "missing = 0x10", "lagrangian is NULL");
     REFUSED(def_.missing = DAL_MISSING_F_V, DAL_EINVAL, "missing = 0x80", "force is NULL");
     REFUSED(def_.mass = unsymmetric, DAL_EINVAL, "mass[1,0] = 0.5", "mass[0,1] = 0.25");
