@@ -28,6 +28,8 @@ int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool k
     const dal__jet wanted = {.L_q = beta != 0.0 ? mech->reach : NULL,
                              .L_v = mech->eval.constant_mass ? NULL : mech->momentum};
     if (!status) status = dal__lagrangian(&mech->eval, mech->q, v, &wanted, &mech->error);
+    /* a step depends on its start alone, and not on where its stepper was before */
+    if (!status) status = dal__renew_metric(mech, mech->q, v);
     if (!status && beta != 0.0 && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t, mech->q, v, mech->step, NULL, NULL, &mech->error);
         for (size_t i = 0; i < n; i++) mech->reach[i] += mech->step[i];

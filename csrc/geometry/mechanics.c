@@ -33,6 +33,7 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     dal__reserve(a, &mech->sizes, dal__times(5, m), sizeof(double));
     dal__reserve(a, &mech->units, system->mass ? 0 : n, sizeof(double));
     dal__reserve(a, &mech->per_units, system->mass ? 0 : n, sizeof(double));
+    dal__reserve(a, &mech->formed_at, system->mass ? 0 : dal__times(2, n), sizeof(double));
     dal__reserve(a, &mech->row, m, sizeof(size_t));
     dal__reserve(a, &mech->hessian, nn, sizeof(double));
 }
@@ -97,12 +98,13 @@ int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, con
 
 /* ---- M and C ----------------------------------------------------------------------------- */
 
-/* The factor of the metric in mech->L_vv, and its units. */
-static int factor_metric(dal_mechanics *mech)
+/* The factor of the metric in mech->L_vv, which is that at (q, v), and its units. */
+static int factor_metric(dal_mechanics *mech, const double *q, const double *v)
 {
     const size_t n = mech->n;
     size_t row = 0;
     double pivot = 0.0;
+    mech->formed = false;
     memcpy(mech->factor, mech->L_vv, n * n * sizeof *mech->factor);
     if (!dal__cholesky(n, mech->factor, mech->units, &row, &pivot))
         return dal__fail(&mech->error, DAL_ESINGULAR, "L_vv is not positive definite to working "
@@ -112,6 +114,9 @@ static int factor_metric(dal_mechanics *mech)
         mech->units[i] = sqrt(mech->units[i]);
         mech->per_units[i] = 1.0 / mech->units[i];
     }
+    memcpy(mech->formed_at, q, n * sizeof *q);
+    memcpy(mech->formed_at + n, v, n * sizeof *v);
+    mech->formed = true;
     return DAL_SUCCESS;
 }
 
@@ -120,7 +125,19 @@ int dal__form_metric(dal_mechanics *mech, const double *q, const double *v)
     if (mech->eval.constant_mass) return DAL_SUCCESS;
     const dal__jet wanted = {.L_vv = mech->L_vv};
     const int status = dal__lagrangian(&mech->eval, q, v, &wanted, &mech->error);
-    return status ? status : factor_metric(mech);
+    return status ? status : factor_metric(mech, q, v);
+}
+
+int dal__renew_metric(dal_mechanics *mech, const double *q, const double *v)
+{
+    const size_t n = mech->n, calls = mech->eval.lagrangian_calls;
+    if (mech->eval.constant_mass) return DAL_SUCCESS;
+    if (mech->formed && memcmp(mech->formed_at, q, n * sizeof *q) == 0
+        && memcmp(mech->formed_at + n, v, n * sizeof *v) == 0)
+        return DAL_SUCCESS;
+    const int status = dal__form_metric(mech, q, v);
+    mech->eval.lagrangian_calls = calls;
+    return status;
 }
 
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y)
@@ -368,7 +385,7 @@ static int form_force(dal_mechanics *mech, double t, const double *x)
     const dal__jet wanted = {.L_q = mech->force, .L_vq = general ? mech->L_vq : NULL,
                              .L_vv = general ? mech->L_vv : NULL};
     int status = dal__lagrangian(&mech->eval, x, v, &wanted, &mech->error);
-    if (!status && general) status = factor_metric(mech);
+    if (!status && general) status = factor_metric(mech, x, v);
     if (status) return status;
     for (size_t i = 0; general && i < n; i++)
         mech->force[i] -= dal__dot(n, mech->L_vq + i * n, v);
