@@ -308,6 +308,9 @@ DAL_API int dal_scheme_find(dal_scheme *scheme, const char *name, dal_error *err
 DAL_API size_t dal_scheme_count(void);
 DAL_API int dal_scheme_at(dal_scheme *scheme, size_t i);
 
+/* The name of the family that makes its steps: "beta", "pair", "flow", or your own. */
+DAL_API const char *dal_scheme_family(const dal_scheme *scheme);
+
 /* 1 if every step of scheme on system is a sequence of linear solves, without iteration: every
  * sub-step has beta = 0, the mass is constant, no force, and the constraints are not nonlinear;
  * else 0. */

@@ -261,7 +261,7 @@ static int roundoff(dal_flow *flow, double t0, double t1, double *error)
     if (status) return pass_on(flow, &mech->error, status);
     double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal */
     for (size_t a = 0; a < m; a++)
-        inverse += mech->sizes[a] * dal__dot(a + 1, mech->C + a * m, mech->C + a * m);
+        inverse += mech->C.sizes[a] * dal__dot(a + 1, mech->C.A + a * m, mech->C.A + a * m);
     const double drift =
         (dal__largest(n, flow->result + n) + 0.5 * span * largest_pull(mech)) * span;
     *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result)

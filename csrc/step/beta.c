@@ -286,7 +286,7 @@ static int advance_by_newton(beta *self, dal_motion *motion, size_t steps, size_
             const dal_substep s = self->substep[j];
             const double t = motion->t0 + ((double)(motion->steps + *done) + passed) * motion->h;
             const int status =
-                dal__newton_step(&self->newton, motion->mechanics, t, s.beta,
+                dal__newton_step(&self->newton, motion->mechanics, t, s.beta, s.beta,
                                  s.fraction * motion->h, k->kept, x, k->at.kappa, &k->stats);
             if (status) {
                 if (j > 0) dal__newton_forget(&self->newton); /* the sub-steps that are undone */
@@ -310,49 +310,40 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     return status;
 }
 
-/* The predictor: the pulls and V_q of the last stages; or the last rates of the full Newton.  What
+/* The predictor of the step routine: the pulls and V_q of the last stages; or that of newton.  What
  * the flags call unknown is 0: a step that failed may have left anything there. */
-static size_t exchange(beta *self, double *values, bool save)
-{
-    dal_kernel *const k = &self->kernel;
-    newton *const s = &self->newton;
-    const size_t n = k->n, m = k->m;
-    double flags[2] = {self->advance ? k->pulled : s->warm, k->forced};
-    const struct {
-        double *at;
-        size_t count;
-    } parts[] = {{flags, 2},
-                 {self->advance ? k->at.pull : s->rate, self->advance ? 3 * n : n},
-                 {self->advance ? k->force0 : s->lambda, self->advance ? n : m}};
-    size_t count = 0;
-    for (size_t i = 0; i < DAL_LENGTH(parts); i++) {
-        const size_t bytes = parts[i].count * sizeof *values;
-        const bool known = !self->advance || i < 2 || k->forced;
-        if (values && save) memset(values + count, 0, bytes);
-        if (values && save && known) memcpy(values + count, parts[i].at, bytes);
-        if (values && !save) memcpy(parts[i].at, values + count, bytes);
-        count += parts[i].count;
-    }
-    if (!values || save) return count;
-    k->pulled = s->warm = flags[0] != 0.0;
-    k->forced = flags[1] != 0.0;
-    return count;
-}
-
 static size_t save(const void *method, double *values)
 {
-    return exchange((beta *)method, values, true);
+    const beta *const self = method;
+    const dal_kernel *const k = &self->kernel;
+    if (!self->advance) return dal__newton_save(&self->newton, values);
+    if (!values) return 2 + 4 * k->n;
+    values[0] = k->pulled;
+    values[1] = k->forced;
+    memcpy(values + 2, k->at.pull, 3 * k->n * sizeof *values);
+    for (size_t i = 0; i < k->n; i++) values[2 + 3 * k->n + i] = k->forced ? k->force0[i] : 0.0;
+    return 2 + 4 * k->n;
 }
 
 static int accepts(const void *method, const double *values)
 {
-    (void)method;
-    return (values[0] == 0.0 || values[0] == 1.0) && (values[1] == 0.0 || values[1] == 1.0);
+    const bool has_two_flags = ((const beta *)method)->advance;
+    return (values[0] == 0.0 || values[0] == 1.0)
+        && (!has_two_flags || values[1] == 0.0 || values[1] == 1.0);
 }
 
 static void restore(void *method, const double *values)
 {
-    exchange(method, (double *)values, false);
+    beta *const self = method;
+    dal_kernel *const k = &self->kernel;
+    if (!self->advance) {
+        dal__newton_restore(&self->newton, values);
+        return;
+    }
+    k->pulled = values[0] != 0.0;
+    k->forced = values[1] != 0.0;
+    memcpy(k->at.pull, values + 2, 3 * k->n * sizeof *values);
+    memcpy(k->force0, values + 2 + 3 * k->n, k->n * sizeof *values);
 }
 
 void dal__beta_any_sizes(dal_stepper *stepper)

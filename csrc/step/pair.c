@@ -29,61 +29,119 @@ static int parse(dal_scheme *scheme, const char *name)
     return 1;
 }
 
+/* Maps rho^A and rho^B lead to the equations of a beta-step where L acts elsewhere; what is said of
+ * nodes in general takes ten times as long. */
+typedef struct pair_steps {
+    double alpha, beta;
+    newton newton;
+    dal_discrete *discrete; /* of maps of the user's own, else NULL */
+    double *x, *kappa;      /* [2n], [m] */
+    arena arena;
+} pair_steps;
+
+static void release(void *method)
+{
+    pair_steps *const self = method;
+    dal_discrete_free(self->discrete);
+    arena memory = self->arena; /* the object lies inside it */
+    dal__release(&memory);
+}
+
 static int make(void **method, dal_motion *motion, dal_error *error)
 {
     const dal_scheme *const scheme = motion->scheme;
-    dal_pair named;
+    const size_t n = dal_system_n(motion->system), m = dal_system_m(motion->system);
+    dal_pair named = {0};
     const dal_pair *const maps = scheme->data ? scheme->data : &named;
-    dal_discrete *discrete;
     int status = dal__scheme_check_plain(scheme, "pair", error);
     if (status) return status;
     if (!scheme->data && !read_name(scheme->name, &named))
         return dal__fail(error, DAL_EINVAL, "scheme.data is NULL and scheme.name = \"%s\" is not "
                          "pair:A:B with A and B in [0, 1]", scheme->name);
-    status = dal_discrete_new(&discrete, motion->system, &maps->lagrangian,
+    const bool own = maps->lagrangian.map || maps->constraint.map;
+    pair_steps shape = {.alpha = maps->lagrangian.beta, .beta = maps->constraint.beta}, *self;
+    arena memory = {0};
+    dal__reserve(&memory, &self, 1, sizeof *self);
+    dal__reserve(&memory, &shape.x, dal__times(2, n), sizeof(double));
+    dal__reserve(&memory, &shape.kappa, m, sizeof(double));
+    if (!own) dal__newton_reserve(&shape.newton, motion->system, &memory);
+    status = dal__allocate(&memory, error);
+    if (status) return status;
+    *self = shape;
+    self->arena = memory;
+    dal__newton_bind(&self->newton, motion->system, motion->max_iterations);
+    /* which checks the maps, of either kind */
+    status = dal_discrete_new(&self->discrete, motion->system, &maps->lagrangian,
                               &maps->constraint, error);
-    if (!status) *method = discrete;
-    return status;
+    if (status) {
+        dal__release(&memory);
+        return status;
+    }
+    if (!own) {
+        dal_discrete_free(self->discrete);
+        self->discrete = NULL;
+    }
+    *method = self;
+    return DAL_SUCCESS;
 }
 
-static void release(void *method) { dal_discrete_free(method); }
+static void start(void *method, dal_motion *motion)
+{
+    (void)motion;
+    dal__newton_forget(&((pair_steps *)method)->newton);
+}
+
+/* One step from self->x, in place. */
+static int step(pair_steps *self, dal_motion *motion, double t)
+{
+    const size_t m = dal_system_m(motion->system);
+    if (!self->discrete)
+        return dal__newton_step(&self->newton, motion->mechanics, t, self->alpha, self->beta,
+                                motion->h, false, self->x, self->kappa, motion->stats);
+    const int status = dal__discrete_advance(self->discrete, t, motion->h, self->x, self->kappa,
+                                             &motion->stats->worst_residual);
+    if (status) *motion->error = *dal__discrete_error(self->discrete);
+    for (size_t a = 0; a < m; a++) self->kappa[a] *= motion->h;
+    return status;
+}
 
 static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 {
-    dal_discrete *const discrete = method;
-    const size_t m = dal_system_m(motion->system);
-    const double h = motion->h;
-    double *const lambda = motion->mechanics->lambda;
-    int status = DAL_SUCCESS;
-    for (*done = 0; !status && *done < steps; *done += !status) {
-        const double t = motion->t0 + (double)(motion->steps + *done) * h;
-        status = dal__discrete_advance(discrete, t, h, motion->x, lambda,
-                                       &motion->stats->worst_residual);
-        for (size_t a = 0; !status && a < m; a++) motion->impulse[a] += h * lambda[a];
+    pair_steps *const self = method;
+    const size_t n = dal_system_n(motion->system), m = dal_system_m(motion->system);
+    for (*done = 0; *done < steps; ++*done) {
+        memcpy(self->x, motion->x, 2 * n * sizeof *self->x);
+        const int status =
+            step(self, motion, motion->t0 + (double)(motion->steps + *done) * motion->h);
+        if (status) return status;
+        memcpy(motion->x, self->x, 2 * n * sizeof *self->x);
+        for (size_t a = 0; a < m; a++) motion->impulse[a] += self->kappa[a];
     }
-    if (status) *motion->error = *dal__discrete_error(discrete);
-    return status;
+    return DAL_SUCCESS;
 }
 
-/* What tells maps apart, of which one of the user's own may be any. */
-static double number(const dal__rho *rho) { return rho->map.map ? -1.0 : rho->map.beta; }
-
-/* Which maps they are: nothing else is kept from step to step. */
+/* Which maps these are, of which one of the user's own may be any; and the last step. */
 static size_t save(const void *method, double *values)
 {
-    const dal_discrete *const discrete = method;
+    const pair_steps *const self = method;
     if (values) {
-        values[0] = number(&discrete->lagrangian);
-        values[1] = number(&discrete->constraint);
+        values[0] = self->discrete ? -1.0 : self->alpha;
+        values[1] = self->discrete ? -1.0 : self->beta;
     }
-    return 2;
+    return 2 + dal__newton_save(&self->newton, values ? values + 2 : NULL);
 }
 
 static int accepts(const void *method, const double *values)
 {
-    double own[2];
-    save(method, own);
-    return values[0] == own[0] && values[1] == own[1];
+    const pair_steps *const self = method;
+    return values[0] == (self->discrete ? -1.0 : self->alpha)
+        && values[1] == (self->discrete ? -1.0 : self->beta)
+        && (values[2] == 0.0 || values[2] == 1.0);
+}
+
+static void restore(void *method, const double *values)
+{
+    dal__newton_restore(&((pair_steps *)method)->newton, values + 2);
 }
 
 const dal_family dal__family_pair = {
@@ -92,7 +150,9 @@ const dal_family dal__family_pair = {
     .parse = parse,
     .make = make,
     .free = release,
+    .start = start,
     .advance = advance,
     .save = save,
     .accepts = accepts,
+    .restore = restore,
 };

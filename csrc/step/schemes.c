@@ -93,6 +93,16 @@ int dal_scheme_find(dal_scheme *scheme, const char *name, dal_error *error)
     return dal__fail(error, DAL_EINVAL, "there is no scheme \"%.40s\"; there are %s", name, names);
 }
 
+const dal_family *dal__scheme_family(const dal_scheme *scheme)
+{
+    return scheme->family ? scheme->family : dal__families[0];
+}
+
+const char *dal_scheme_family(const dal_scheme *scheme)
+{
+    return dal__scheme_family(scheme)->name;
+}
+
 size_t dal__scheme_count(const dal_scheme *scheme) { return scheme->count ? scheme->count : 1; }
 
 dal_substep dal__scheme_substep(const dal_scheme *scheme, size_t j)

@@ -7,6 +7,7 @@
 
 /* Those that the build list names, the one of records without a family first; NULL at the end. */
 extern const dal_family *const dal__families[];
+const dal_family *dal__scheme_family(const dal_scheme *scheme);
 
 /* The decimal number at the start of text, *end behind it; NaN if there is none.  strtod would want
  * the decimal point of the host's locale. */
@@ -24,23 +25,26 @@ typedef struct newton {
     int max_iterations;
     bool warm;                      /* the last step is a guess for the next */
     double *rate, *lambda;          /* [n], [m] its (v' - v)/h and kappa/h */
-    double *w, *kappa, *x;          /* [n], [m], [2n] */
+    double *z, *step, *x;           /* [n+m] w and kappa, [n+m], [2n] */
     double *R1, *R2, *B;            /* [n], [m], [m*n] */
-    double *K, *K_sizes;            /* [n*n], [5*n] */
-    size_t *K_row, *S_row;          /* [n], [m] */
-    double *y, *KZ, *step;          /* [n], [m*n], [n] */
-    double *S, *S_sizes, *r, *d;    /* [m*m], [5*m], [m], [m] */
+    dal__linear K, S;               /* of n and of m equations */
+    double *y, *KZ, *r;             /* [n], [m*n], [m] */
+    dal_mechanics *mech;            /* of the step that is being solved */
+    dal_stats *stats;
 } newton;
 
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);
 void dal__newton_bind(newton *solver, const dal_system *system, int max_iterations);
 /* Forgets the last step. */
 void dal__newton_forget(newton *solver);
+/* The last step, as save and restore of a family; of a solver without memory there is none. */
+size_t dal__newton_save(const newton *solver, double *values);
+void dal__newton_restore(newton *solver, const double *values);
 /* One beta-scheme with step h (of either sign) at time t from x[2n], in place; kappa[m] = h lambda.
- * kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
+ * alpha, kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
  * mech->error. */
-int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta, double h,
-                     bool kept, double *x, double *kappa, dal_stats *stats);
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double alpha, double beta,
+                     double h, bool kept, double *x, double *kappa, dal_stats *stats);
 
 /* Whether the energy jumps (jump.c): looked at now and then, never where something does work, or by
  * schemes of order 1, which drift by design. */
@@ -71,6 +75,8 @@ struct dal_stepper {
     arena arena;
 };
 
+/* A number of system and scheme, but for callbacks and what is behind data. */
+double dal__stepper_identify(const dal_system *system, const dal_scheme *scheme);
 /* DAL_EINVAL unless it is started; unless steps of h lead on from t0. */
 int dal__stepper_started(dal_stepper *stepper);
 int dal__stepper_check_times(dal_stepper *stepper, double t0, double h);

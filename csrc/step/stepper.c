@@ -5,40 +5,6 @@
 #include <math.h>
 #include <string.h>
 
-/* A scheme that names no family is of the first. */
-static const dal_family *family_of(const dal_scheme *scheme)
-{
-    return scheme->family ? scheme->family : dal__families[0];
-}
-
-/* FNV-1a. */
-static uint64_t digest(uint64_t hash, size_t size, const void *bytes)
-{
-    for (size_t i = 0; i < size; i++)
-        hash = (hash ^ ((const unsigned char *)bytes)[i]) * UINT64_C(0x100000001b3);
-    return hash;
-}
-
-/* A number of system and scheme, but for callbacks and what is behind data; a double holds 53
- * bits. */
-static double identify(const dal_system *system, const dal_scheme *scheme, const char *family)
-{
-    const char *const name = dal_system_name(system);
-    const size_t n = system->def.n;
-    const int kinds[] = {(int)scheme->nodes, (int)system->def.kind};
-    uint64_t hash = UINT64_C(0xcbf29ce484222325);
-    hash = digest(hash, strlen(family) + 1, family);
-    hash = digest(hash, strlen(name) + 1, name);
-    hash = digest(hash, sizeof kinds, kinds);
-    hash = digest(hash, system->parameters * sizeof(double), system->parameter_values);
-    if (system->mass) hash = digest(hash, n * n * sizeof(double), system->mass);
-    for (size_t j = 0; j < dal__scheme_count(scheme); j++) {
-        const dal_substep s = dal__scheme_substep(scheme, j);
-        hash = digest(hash, sizeof s, &s);
-    }
-    return (double)(hash >> 11);
-}
-
 int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_scheme *scheme,
                     const dal_options *options, dal_error *error)
 {
@@ -53,7 +19,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
                          options->max_iterations);
 
     const size_t n = system->def.n, m = system->def.m;
-    dal_stepper shape = {.family = family_of(scheme), .scheme = *scheme}, *self;
+    dal_stepper shape = {.family = dal__scheme_family(scheme), .scheme = *scheme}, *self;
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
@@ -80,7 +46,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
         return status;
     }
     if (scheme->nodes == DAL_KEPT_NODES) self->shift = 1.0 - dal__scheme_substep(scheme, 0).beta;
-    self->identity = identify(system, scheme, self->family->name);
+    self->identity = dal__stepper_identify(system, scheme);
     *stepper = self;
     return DAL_SUCCESS;
 }

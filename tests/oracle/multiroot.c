@@ -127,7 +127,7 @@ static int iterate(multiroot *s, dal_stats *stats)
         if (s->status) return s->status;
         const gsl_vector *const unknown = gsl_multiroot_fdfsolver_root(s->solver);
         const gsl_vector *const change = gsl_multiroot_fdfsolver_dx(s->solver);
-        double size = 0.0, scale = dal__step_base(s->mech);
+        double size = 0.0, scale = s->mech->start.base;
         for (size_t i = 0; i < s->n; i++) {
             size += fabs(gsl_vector_get(change, i));
             scale += fabs(gsl_vector_get(unknown, i));
@@ -167,7 +167,7 @@ static int solve(multiroot *s, dal_mechanics *mech, double t, double beta, doubl
 {
     const size_t n = s->n, m = s->m;
     s->mech = mech;
-    s->status = dal__step_begin(mech, t, beta, h, kept, x);
+    s->status = dal__step_begin(mech, t, beta, beta, h, kept, x);
     if (s->status) return s->status;
     memcpy(s->guess, x + n, n * sizeof *s->guess);
     memset(s->guess + n, 0, m * sizeof *s->guess);
