@@ -42,6 +42,8 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     const dal__jet wanted = {.L_q = alpha != 0.0 ? mech->reach : NULL,
                              .L_v = mech->eval.constant_mass ? NULL : mech->momentum};
     if (!status) status = dal__lagrangian(&mech->eval, t + later, place, v, &wanted, &mech->error);
+    /* a step depends on its start alone, and not on where its stepper was before */
+    if (!status) status = dal__renew_metric(mech, t, mech->q, v);
     if (!status && alpha != 0.0 && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t + later, place, v, mech->step, NULL, NULL,
                             &mech->error);

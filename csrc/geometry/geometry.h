@@ -21,7 +21,9 @@ struct dal_mechanics {
     double *L_vt;                 /* [n], and */
     double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
     double *L_vv, *factor;        /* [n*n]: M where it is not constant, and its Cholesky factor */
-    double *units, *per_units;    /* [n]: where M is not constant, what the next two point to */
+    double *units, *per_units;    /* [n]: where M is not constant, what the next two point to, */
+    double *formed_at;            /* [2n+1] (q, v) and t of these, */
+    bool formed;                  /* if there are any */
     const double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h, */
     const double *metric;         /* [n*n] and M at the last point where it was asked for */
     /* of the equations of a step */
@@ -51,6 +53,8 @@ int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, con
 int dal__null_argument(dal_mechanics *mech, const char *name);
 /* M at (t, q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
 int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v);
+/* The same, if it is not the last that was formed; the statistics do not count it. */
+int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v);
 /* y[n] <- M^-1 f[n], M that of the last dal__form_metric; y and f may not overlap. */
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
 /* Z <- the rows M^-1 mu^a. */

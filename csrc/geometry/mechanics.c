@@ -32,6 +32,7 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     dal__linear_reserve(&mech->C, m, a);
     dal__reserve(a, &mech->units, system->mass ? 0 : n, sizeof(double));
     dal__reserve(a, &mech->per_units, system->mass ? 0 : n, sizeof(double));
+    dal__reserve(a, &mech->formed_at, system->mass ? 0 : dal__times(2, n) + 1, sizeof(double));
     dal__reserve(a, &mech->hessian, nn, sizeof(double));
 }
 
@@ -101,12 +102,13 @@ static int require_state(dal_mechanics *mech, double t, const double *x)
 
 /* ---- M and C ----------------------------------------------------------------------------- */
 
-/* The factor of the metric in mech->L_vv, and its units. */
-static int factor_metric(dal_mechanics *mech)
+/* The factor of the metric in mech->L_vv, which is that at (t, q, v), and its units. */
+static int factor_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
     const size_t n = mech->n;
     size_t row = 0;
     double pivot = 0.0;
+    mech->formed = false;
     memcpy(mech->factor, mech->L_vv, n * n * sizeof *mech->factor);
     if (!dal__cholesky(n, mech->factor, mech->units, &row, &pivot))
         return dal__fail(&mech->error, DAL_ESINGULAR, "L_vv is not positive definite to working "
@@ -116,6 +118,10 @@ static int factor_metric(dal_mechanics *mech)
         mech->units[i] = sqrt(mech->units[i]);
         mech->per_units[i] = 1.0 / mech->units[i];
     }
+    memcpy(mech->formed_at, q, n * sizeof *q);
+    memcpy(mech->formed_at + n, v, n * sizeof *v);
+    mech->formed_at[2 * n] = t;
+    mech->formed = true;
     return DAL_SUCCESS;
 }
 
@@ -124,7 +130,19 @@ int dal__form_metric(dal_mechanics *mech, double t, const double *q, const doubl
     if (mech->eval.constant_mass) return DAL_SUCCESS;
     const dal__jet wanted = {.L_vv = mech->L_vv};
     const int status = dal__lagrangian(&mech->eval, t, q, v, &wanted, &mech->error);
-    return status ? status : factor_metric(mech);
+    return status ? status : factor_metric(mech, t, q, v);
+}
+
+int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v)
+{
+    const size_t n = mech->n, calls = mech->eval.lagrangian_calls;
+    if (mech->eval.constant_mass) return DAL_SUCCESS;
+    if (mech->formed && memcmp(mech->formed_at, q, n * sizeof *q) == 0
+        && memcmp(mech->formed_at + n, v, n * sizeof *v) == 0 && mech->formed_at[2 * n] == t)
+        return DAL_SUCCESS;
+    const int status = dal__form_metric(mech, t, q, v);
+    mech->eval.lagrangian_calls = calls;
+    return status;
 }
 
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y)
@@ -390,7 +408,7 @@ static int form_force(dal_mechanics *mech, double t, const double *x)
                              .L_vv = general ? mech->L_vv : NULL,
                              .L_vt = general ? mech->L_vt : NULL};
     int status = dal__lagrangian(&mech->eval, t, x, v, &wanted, &mech->error);
-    if (!status && general) status = factor_metric(mech);
+    if (!status && general) status = factor_metric(mech, t, x, v);
     if (status) return status;
     for (size_t i = 0; general && i < n; i++)
         mech->force[i] = mech->force[i] - dal__dot(n, mech->L_vq + i * n, v) - mech->L_vt[i];
