@@ -225,7 +225,7 @@ class Study:
         return table.rich(table.study_lines(self, options.max_width))
 
     def _repr_html_(self) -> str | None:
-        return str(table.study_html(self)) if extras.is_there("jinja2") else None
+        return str(table.of_study(self).html()) if extras.is_there("jinja2") else None
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the errors over the step size; see `dalembert.plot.convergence`.
@@ -338,7 +338,7 @@ class Studies(Sequence[Study]):
         return table.rich(table.studies_lines(self, options.max_width))
 
     def _repr_html_(self) -> str | None:
-        return str(table.studies_html(self)) if extras.is_there("jinja2") else None
+        return str(table.overview(self).html()) if extras.is_there("jinja2") else None
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the errors over the step size; see `dalembert.plot.convergence`."""

@@ -6,7 +6,7 @@ import math
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -17,20 +17,16 @@ if TYPE_CHECKING:
     from .study import Fit, Studies, Study
 
 __all__ = [
-    "Column",
-    "columns",
+    "Table",
     "heading",
-    "html",
-    "lines",
     "number",
+    "of_study",
     "order",
     "overview",
     "rich",
     "sentence",
     "show",
-    "studies_html",
     "studies_lines",
-    "study_html",
     "study_lines",
     "summary",
     "text",
@@ -67,62 +63,77 @@ def _listing(names: list[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
-# ---- columns -------------------------------------------------------------------------------
+# ---- tables --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Column:
-    """A column of a table as text; ``left``: flush left."""
+class Table:
+    """A table, with a caption above and a note below it.
 
-    title: str
-    cells: list[str]
-    left: bool = False
+    Its first columns are flush left, the style is a class of the stylesheet.
+    """
 
-    @property
-    def width(self) -> int:
-        """Characters that the widest entry takes."""
-        return max(len(text) for text in (self.title, *self.cells))
+    titles: list[str]
+    rows: list[Any]
+    left: int = 1
+    caption: str = ""
+    note: str = ""
+    style: str = ""
+
+    def html(self) -> web.HTML:
+        """Return it as HTML."""
+        return web.render("table.html", table=self)
+
+    def lines(self, width: int) -> Iterator[Line]:
+        """Yield it line by line, in parts that repeat the first column if it is too wide."""
+        columns = [*zip(self.titles, *self.rows)]
+        widths = [max(map(len, column)) for column in columns]
+        parts = [[0]]
+        for k in range(1, len(columns)):
+            if len(parts[-1]) > 1 and sum(widths[j] + 2 for j in parts[-1]) + widths[k] > width:
+                parts.append([0])
+            parts[-1].append(k)
+        for part in parts:
+            for i, row in enumerate(zip(*columns)):
+                cells = (f"{row[k]:{'<' if k < self.left else '>'}{widths[k]}}" for k in part)
+                yield "  ".join(cells).rstrip(), "" if i else "bold"
 
 
-def columns(study: Study) -> list[Column]:
+def of_study(study: Study) -> Table:
     """Return the table of a study: step size, errors with local orders, residuals, energy."""
 
-    def errors(title: str, values: Array, orders: Array) -> Column:
-        cells = [f"{number(x):>7} {order(p):>5}" for x, p in zip(values, orders)]
-        return Column(title, cells)
+    def errors(values: Array, orders: Array) -> list[str]:
+        return [f"{number(x):>7} {order(p):>5}" for x, p in zip(values, orders)]
 
-    def worst(title: str, values: Array) -> Column:
-        return Column(title, [number(x) for x in values])
-
-    return [
-        Column("h", [f"{h:.4g}" for h in study.h]),
-        errors("q error order", study.q_error, study.q_orders),
-        errors("v error order", study.v_error, study.v_orders),
-        errors("lambda order", study.multiplier_error, study.multiplier_orders),
-        worst("res. D", study.residual),
-        worst("D_eps", study.residual_eps),
-        worst("energy", study.energy_error),
-    ]
+    columns = {
+        "h": [f"{h:.4g}" for h in study.h],
+        "q error order": errors(study.q_error, study.q_orders),
+        "v error order": errors(study.v_error, study.v_orders),
+        "lambda order": errors(study.multiplier_error, study.multiplier_orders),
+        "res. D": map(number, study.residual),
+        "D_eps": map(number, study.residual_eps),
+        "energy": map(number, study.energy_error),
+    }
+    return Table([*columns], [*zip(*columns.values())], 0, heading(study), summary(study))
 
 
-def overview(studies: Studies) -> list[Column]:
+def overview(studies: Studies) -> Table:
     """Return the table of several studies, one row for each scheme."""
-
-    def column(title: str, text: Callable[[Study], str]) -> Column:
-        return Column(title, [text(study) for study in studies])
-
-    return [
-        Column("scheme", [study.scheme.name for study in studies], left=True),
-        column("promised", lambda study: study.promise),
-        column("p", lambda study: study.fits["state"].order(1)),
-        column("s", lambda study: study.fits["reaction"].order(1)),
-        column("at t_end", lambda study: study.fits["global_state"].order()),
-        column("res. D", lambda study: number(_worst(study.residual))),
-        column("D_eps", lambda study: number(_worst(study.residual_eps))),
-        column("energy", lambda study: number(_worst(study.energy_error))),
-        column("keeps", lambda study: study.keeps),
-        column("verdict", lambda study: study.verdict),
+    titles = "scheme", "promised", "p", "s", "at t_end", "res. D", "D_eps", "energy"
+    rows = [
+        (
+            study.scheme.name,
+            study.promise,
+            study.fits["state"].order(1),
+            study.fits["reaction"].order(1),
+            study.fits["global_state"].order(),
+            *(number(_worst(x)) for x in (study.residual, study.residual_eps, study.energy_error)),
+            study.keeps,
+            study.verdict,
+        )
+        for study in studies
     ]
+    return Table([*titles, "keeps", "verdict"], rows, 1, f"Overview of {len(studies)} schemes")
 
 
 # ---- words ---------------------------------------------------------------------------------
@@ -181,9 +192,10 @@ def sentence(studies: Studies) -> str:
 def study_lines(study: Study, width: int) -> Iterator[Line]:
     """Yield a study line by line; ValueError if ``width`` is no positive integer."""
     width = arguments.integer(width, "width", 1)
-    yield heading(study), "bold"
-    yield from lines(columns(study), width)
-    first, rest = summary(study).split("\n")
+    table = of_study(study)
+    yield table.caption, "bold"
+    yield from table.lines(width)
+    first, rest = table.note.split("\n")
     yield from _wrapped(first, width, COLOURS[study.holds])
     yield from _wrapped(rest, width)
 
@@ -195,32 +207,8 @@ def studies_lines(studies: Studies, width: int) -> Iterator[Line]:
         yield from study_lines(study, width)
         yield "", ""
     if studies:
-        yield from lines(overview(studies), width)
+        yield from overview(studies).lines(width)
     yield from _wrapped(sentence(studies), width, "bold " + COLOURS[studies.holds])
-
-
-def lines(table: list[Column], width: int) -> Iterator[Line]:
-    """Yield the lines of a table."""
-    for block in _blocks(table, width):
-        for k, row in enumerate(zip(*([c.title, *c.cells] for c in block))):
-            cells = (
-                text.ljust(c.width) if c.left else text.rjust(c.width)
-                for text, c in zip(row, block)
-            )
-            yield "  ".join(cells).rstrip(), "" if k else "bold"
-
-
-def _blocks(table: list[Column], width: int) -> list[list[Column]]:
-    """Split the columns into tables of at most ``width`` characters that repeat the first one."""
-    first, *rest = table
-    blocks, room = [[first]], width - first.width
-    for column in rest:
-        if column.width + 2 > room and len(blocks[-1]) > 1:
-            blocks.append([first])
-            room = width - first.width
-        blocks[-1].append(column)
-        room -= column.width + 2
-    return blocks
 
 
 def _wrapped(text: str, width: int, style: str = "") -> Iterator[Line]:
@@ -251,27 +239,3 @@ def show(item: Study | Studies, file: TextIO | None) -> None:
         print(item.table(min(WIDTH, shutil.get_terminal_size().columns)), file=out)
     else:
         Console(file=out, highlight=False).print(item)
-
-
-# ---- HTML ----------------------------------------------------------------------------------
-
-
-def html(columns: list[Column], caption: str = "", style: str = "") -> Any:
-    """Return a table as HTML, of a class of the stylesheet."""
-    return web.render("table.html", columns=columns, caption=caption, style=style)
-
-
-def study_html(study: Study) -> Any:
-    """Return a study as HTML."""
-    fits = {name: study.fits[key] for name, key in (("p", "state"), ("s", "reaction"))}
-    return web.render(
-        "study.html",
-        study=study,
-        table=html(columns(study), heading(study)),
-        fitted=", ".join(f"{x} = {fit.order(1)} ({_points(fit)})" for x, fit in fits.items()),
-    )
-
-
-def studies_html(studies: Studies) -> Any:
-    """Return the overview of several studies as HTML."""
-    return html(overview(studies), f"Overview of {len(studies)} schemes")
