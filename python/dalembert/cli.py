@@ -16,11 +16,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _lib, catalogue, compiler, extras, files, pages, report, systems, web
-from .arguments import suggestion
-from .refinement import MOST_STEPS, studies
-from .scheme import INITIAL, REFERENCE
-from .scheme import schemes as named_schemes
+from . import compiler, core, systems
+from .core import extras, files
+from .core.arguments import suggestion
+from .run.scheme import INITIAL, REFERENCE
+from .run.scheme import schemes as named_schemes
+from .show import pages, report, web
+from .study.refinement import MOST_STEPS, studies
+from .systems import catalogue
 
 __all__ = ["main"]
 
@@ -69,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         _say(given, _in_words(error))
         return 1
-    except (_lib.DalembertError, NotImplementedError, MemoryError) as error:
+    except (core.DalembertError, NotImplementedError, MemoryError) as error:
         _say(given, error)
         return 1
     except KeyboardInterrupt:
@@ -102,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="dalembert",
         description="Nonholonomic variational integrators: measure what they promise.",
     )
-    parser.add_argument("--version", action="version", version=f"dalembert {_lib.version()}")
+    parser.add_argument("--version", action="version", version=f"dalembert {core.version()}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     study = commands.add_parser(

@@ -1,0 +1,514 @@
+"""The pages of systems: what each says about itself, and a typical run, as HTML.
+
+A page is self-contained: no script, no network, the same bytes every time.
+"""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import core, growth, systems
+from ..core import extras, files, require_system
+from ..geometry import Check
+from ..run import Solution, integrate
+from ..symbolic import formula
+from ..system import System
+from . import plot, web
+from .table import Table, number
+
+__all__ = ["available", "page", "write"]
+
+# The typical run, and the accurate one; the times at which both are compared with what is known.
+END, TIMES = 20, (1, 10)
+SCHEME, STEP = "leapfrog", 0.02
+FINE, FINE_STEP = "leapfrog-kl8", 0.05
+SHOWN = 8  # coordinates over time, at most
+
+
+def write(
+    folder: str | Path = "catalogue",
+    chosen: str | System | Iterable[str | System] | None = None,
+    *,
+    progress: bool | Callable[[int, int], Any] = False,
+) -> list[Path]:
+    """Write a page for each system, and an index of them.
+
+    Parameters
+    ----------
+    folder : str or Path, optional
+        Where index.html and the pages NAME.html go; made if it is not there, files of these names
+        are replaced.
+    chosen : str, System or iterable of them, optional
+        Names of systems, or systems with initial data.  Default: all that come with the library,
+        but those written in SymPy only if that is installed.
+    progress : bool or callable, optional
+        True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+        pages, before each and at the end.
+
+    Returns
+    -------
+    list of Path
+        Of the files, the index first.
+
+    Raises
+    ------
+    ValueError
+        If there is no system of a name, a system has no initial data, two have the same name, one
+        is called index, or there are none.
+    ImportError
+        If matplotlib or Jinja2 is not installed, or SymPy and a system needs it; the text has the
+        line to type.
+    OSError
+        If a file cannot be written; the text has its name.
+
+    Examples
+    --------
+    >>> import dalembert as dal, pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     [path.name for path in dal.pages.write(place, ["disk", "sleigh"])]
+    ['index.html', 'disk.html', 'sleigh.html']
+    """
+    web.require()
+    if isinstance(chosen, (str, System)):
+        chosen = [chosen]
+    found = list(available() if chosen is None else chosen)
+    names = [_slug(x) if isinstance(x, System) else systems.plain_name(x) for x in found]
+    if not names:
+        raise ValueError("chosen is empty; expected at least one system")
+    name, count = collections.Counter(names).most_common(1)[0]
+    if count > 1:
+        raise ValueError(f"chosen: {name} is there {count} times")
+    if "index" in names:
+        raise ValueError("chosen: a system is called index, as the list of all pages is")
+    for x, name in zip(found, names):
+        if isinstance(x, System):
+            _require_start(x)
+        elif name not in available():
+            systems.get(name)  # says what it needs
+    place = Path(folder)
+    files.require_folder(place)
+    place.mkdir(exist_ok=True)
+    for name in ("index", *names):
+        files.require_writable(place / f"{name}.html")
+    index = place / "index.html"
+    paths, cards = [index], []
+    with extras.progress(progress, len(names), "page") as show:
+        for k, (x, name) in enumerate(zip(found, names)):
+            show(k)
+            system = x if isinstance(x, System) else systems.get(x)
+            run = _run(system, SCHEME, STEP)
+            paths.append(place / f"{name}.html")
+            files.write(paths[-1], _page(system, run, names))
+            cards.append((name, system, _small(system, run)))
+        files.write(index, _index(cards))
+        show(len(names))
+    return paths
+
+
+def available() -> tuple[str, ...]:
+    """Return the names of all systems that can be made here.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> "sleigh" in dal.pages.available()
+    True
+    """
+    more = systems.names_in_sympy() if extras.is_there("sympy") else ()
+    return (*systems.names(), *more)
+
+
+def page(system: System) -> str:
+    """Return the page of a system as HTML.
+
+    Parameters
+    ----------
+    system : System
+        With initial data.
+
+    Raises
+    ------
+    ValueError
+        If it is no system, or has no initial data.
+    ImportError
+        If matplotlib or Jinja2 is not installed; the text has the line to type.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> text = dal.pages.page(dal.systems.disk(R=0.5))
+    >>> "dal.systems.disk(R=0.5)" in text
+    True
+    """
+    web.require()
+    require_system(system)
+    _require_start(system)
+    return _page(system, _run(system, SCHEME, STEP), ())
+
+
+def _require_start(system: System) -> None:
+    if system.q0 is None:
+        raise ValueError(f"the system {system.name!r} has no initial data, which its page needs")
+
+
+def _slug(system: System) -> str:
+    """Return the name of a system as that of a file."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", system.name)
+
+
+def _run(system: System, scheme: str, h: float) -> Solution:
+    """Return a run, or as much of it as there is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", core.DalembertWarning)  # the page shows what it would say
+        return integrate(system, scheme, h=h, t_end=END, throw=False)
+
+
+def _index(cards: Sequence[tuple[str, System, web.HTML]]) -> str:
+    words = (
+        f"Mechanical systems with velocity constraints, {len(cards)} of them. Each page has the "
+        "formulas, initial data, invariants, what is known of the solution, and the lines of "
+        "Python and C that make the system and run it."
+    )
+    sections = [("", words, web.render("cards.html", cards=cards))]
+    return web.page("Catalogue of systems", f"dalembert {core.version()}", sections)
+
+
+def _page(system: System, run: Solution, names: Sequence[str]) -> str:
+    library = (*systems.names(), *systems.names_in_sympy())
+    links = {**dict.fromkeys(library, ""), **{name: f"{name}.html" for name in names}}
+    above = [f"dalembert {core.version()}"]
+    if names:
+        k = names.index(_slug(system))
+        links["catalogue"] = "index.html"
+        above += ["`catalogue`", *(f"before: `{name}`" for name in names[:k][-1:])]
+        above += [f"next: `{name}`" for name in names[k + 1 :][:1]]
+    return web.page(
+        system.name,
+        " | ".join(above),
+        _sections(system, run),
+        coordinates=system.coordinates,
+        links=links,
+    )
+
+
+def _sections(system: System, run: Solution) -> Iterator[web.Section]:
+    runs = (run, _run(system, FINE, FINE_STEP))
+    yield "", web.sentence(system.help), ""
+    yield "", system.description, ""
+    yield "", f"Source: {web.sentence(system.source)}" if system.source else "", ""
+    if system.formulas:
+        rows = [
+            ("where" * line.startswith("where "), f"`{line.removeprefix('where ')}`")
+            for line in system.formulas
+        ]
+        yield "Formulas", "", Table(["", ""], rows, 2, style="formulas")
+    yield "", "", _picture(system, run)
+    yield "What it is", "", Table(["", ""], _facts(system), 2, style="facts")
+    values = [(f"`{key}`", f"{x:.15g}") for key, x in system.parameters.items()]
+    yield "Parameters and initial data", "", Table(["parameter", "value"], values)
+    assert system.q0 is not None and system.v0 is not None
+    rows = [
+        (f"`{name}`", f"{q:.15g}", f"{v:.15g}")
+        for name, q, v in zip(system.coordinates, system.q0, system.v0)
+    ]
+    yield "", "", Table(["coordinate", "at the start", "its velocity"], rows)
+    yield _invariants(system, runs)
+    yield from _known(system)
+    yield from _accuracy(system, runs)
+    yield "How to make it", "" if system._source.of_library else web.OF_THE_USER, ""
+    if system._source.of_library:
+        yield from _programs(system, run)
+
+
+def _facts(system: System) -> list[tuple[str, str]]:
+    """What the system is, and what its examination finds."""
+    found = system.check()
+    rows = [
+        ("coordinates n", str(system.n)),
+        ("constraints m", f"{system.m}, {system.kind}" if system.m else "0"),
+        ("mass matrix", "constant" if system.mass is not None else "depends on the coordinates"),
+    ]
+    if system.is_forced:
+        rows.append(("force", "besides that of the Lagrangian"))
+    if system.m and system.kind == "linear":
+        curved = (
+            "integrable: a holonomic constraint in disguise"
+            if found.integrable
+            else f"not integrable: curvature {found.curvature:.3g} at the start"
+        )
+        rows.append(("D", curved))
+        rows += _distribution(system, found)
+    if system.m:
+        rows.append(("rank and condition of μ", f"{found.rank}, {found.condition:.3g}"))
+    rows.append(("examination at the start", ("passed: " if found else "failed: ") + found.text))
+    return rows
+
+
+def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
+    """How D grows by brackets."""
+    grown = found.growth
+    if grown is None:
+        return []
+    if grown[-1] == system.n:
+        what = "D is bracket generating"
+    elif growth.is_settled(grown, system.n):
+        what = f"D lies in a foliation by leaves of dimension {grown[-1]}"
+    else:
+        what = found.growth_note
+    how = "proved" if found.exact else f"seen at random points, to {found.digits} digits"
+    return [
+        ("growth vector of D", f"{grown}: {what}; {how}"),
+        *(("holonomic in disguise", text) for text in found.holonomic),
+    ]
+
+
+def _conserves(system: System) -> bool:
+    """Whether the energy is a first integral."""
+    return system.kind == "linear" and not system.is_forced
+
+
+def _invariants(system: System, runs: Sequence[Solution]) -> web.Section:
+    """The first integrals, and how far they drift in the typical run and in the accurate one."""
+    values = [
+        {**({"energy": x.energy} if _conserves(system) else {}), **system.invariant(x.q, x.v)}
+        for x in runs
+    ]
+    rows = [
+        (
+            name if name == "energy" else _invariant(system, name),
+            f"{values[0][name][0]:.10g}",
+            *(number(float(np.abs(x[name] - x[name][0]).max())) for x in values),
+        )
+        for name in values[0]
+    ]
+    words = f"The drift is the largest change from t = 0 to {END}." if rows else "None is known."
+    if not _conserves(system):
+        why = "there is a force" if system.is_forced else "the constraints do work"
+        words += f" The energy is not among them: {why}."
+    drifts = [f"drift of {SCHEME}, h = {STEP:g}", f"of {FINE}, h = {FINE_STEP:g}"]
+    return "Invariants", words, Table(["invariant", "at the start", *drifts], rows)
+
+
+def _invariant(system: System, name: str) -> str:
+    """An invariant by its name; if there are shorthands in it, by its expression too."""
+    velocities = {f"v_{x}" for x in system.coordinates}
+    with contextlib.suppress(ImportError, ValueError):
+        names = {x.name for side in formula.read(name) for x in side.free_symbols}
+        if names <= {*system.coordinates, *velocities, *system.parameters}:
+            return f"`{name}`"
+    model = system._model
+    if model is None or len(model.invariants) != len(system.invariants):
+        return f"`{name}`"
+    return f"`{name}`\n= `{model.formula(model.invariants[system.invariants.index(name)])}`"
+
+
+# ---- what is known of the solution ---------------------------------------------------------------
+
+
+def _known_states(system: System) -> tuple[systems.KnownState, ...]:
+    """The states to 30 digits, of a system of the library with its own parameters."""
+    if not system._source.of_library or systems.get(system.name).parameters != system.parameters:
+        return ()
+    return systems.known_states(system.name)
+
+
+def _known(system: System) -> Iterator[web.Section]:
+    """The reference to 30 digits."""
+    if states := _known_states(system):
+        rows = [
+            (f"`{shown}`", *(getattr(x, letter)[i] for x in states))
+            for i, name in enumerate(system.coordinates)
+            for letter, shown in (("q", name), ("v", f"v_{name}"))
+        ]
+        titles = ["", *(f"t = {x.t:g}" for x in states)]
+        yield (
+            "Reference to 30 digits",
+            "From the initial data, with parameters and data that are decimals exactly; computed "
+            "by Taylor series and by extrapolation, which agree to these digits.",
+            Table(titles, rows, len(titles), style="digits"),
+        )
+
+
+def _accuracy(system: System, runs: Sequence[Solution]) -> Iterator[web.Section]:
+    """How far runs are from the exact solution and from the reference."""
+    known: dict[str, Callable[[float], Any]] = {}
+    if system.has_exact:
+        known["the exact solution"] = lambda t: np.concatenate(system.exact(float(t)))
+    if states := _known_states(system):
+        known["the reference"] = {x.t: np.array([*x.q, *x.v], dtype=float) for x in states}.get
+    rows = [
+        (f"{run.scheme.name}, h = {run.h:g}, from {what}", *(_distance(run, at, t) for t in TIMES))
+        for what, at in known.items()
+        for run in runs
+    ]
+    if rows:
+        words = "There is an exact solution for all initial data: `system.exact(t)`."
+        titles = ["largest difference of (q, v)", *(f"t = {t:g}" for t in TIMES)]
+        yield "How accurate it is", words if system.has_exact else "", Table(titles, rows)
+
+
+def _distance(run: Solution, at: Callable[[float], Any], t: float) -> str:
+    """How far a run is from what it should be at a time, if it came so far."""
+    k = round(t / run.h)
+    return number(float(np.abs(run.x[k] - at(t)).max())) if k < len(run.x) else "-"
+
+
+# ---- the picture of a run ------------------------------------------------------------------------
+
+
+def _plane(system: System) -> tuple[int, int] | None:
+    """Where x and y are among the coordinates, if they are."""
+    with contextlib.suppress(ValueError):
+        return system.coordinates.index("x"), system.coordinates.index("y")
+    return None
+
+
+def _label(name: str) -> str:
+    """The name of a coordinate for matplotlib: theta_x as a letter with an index."""
+    with contextlib.suppress(ImportError, ValueError):
+        if name.isidentifier():
+            return f"${formula.latex(name)[0]}$"
+    return plot.plain(name)
+
+
+def _small(system: System, run: Solution) -> web.HTML:
+    """The path, or some coordinates over time, for the index."""
+    figure = web.figure(3.2, 2.2, layout=None)
+    ax = figure.add_axes((0.02, 0.02, 0.96, 0.96))
+    if plane := _plane(system):
+        plot.path(run, ax, plane).legend().remove()
+        ax.set_title("")
+    else:
+        ax.plot(run.t[:500], run.q[:500, :4])
+    ax.axis("off")
+    return web.svg(figure, f"small-{_slug(system)}", f"A run of {system.name}.")
+
+
+def _picture(system: System, run: Solution) -> web.HTML:
+    """The path, the coordinates over time, and below the residual and the energy."""
+    names, plane = system.coordinates[:SHOWN], _plane(system)
+    figure = web.figure(11.0, 6.0 + 0.3 * len(names), layout=None)  # which takes half of the time
+    figure.subplots_adjust(left=0.07, right=0.99, bottom=0.08, top=0.98)
+    rows: list[list[Any]] = [["path" if plane else k, k] for k in range(len(names))]
+    axes = figure.subplot_mosaic(
+        [*rows, [".", "."], ["residual", "energy"]],
+        height_ratios=[*[1] * len(names), 0.3, 1 + len(names) / 3],
+    )
+    if plane:
+        plot.path(run, axes["path"], plane).set_title("")
+    for k, name in enumerate(names):
+        axes[k].plot(run.t, run.q[:, k], marker="o", markevery=[0])
+        axes[k].set_ylabel(_label(name), rotation=0, ha="right")
+        axes[k].tick_params(labelbottom=name == names[-1])
+    residual, energy = axes["residual"], axes["energy"]
+    residual.semilogy(*plot._stretches(run.t, run.residual))
+    residual.axhline(core.ROUNDOFF, color="black", linestyle="--")
+    top = max(plot.NOT_ROUNDOFF, 2 * float(run.residual.max()))
+    residual.set(ylim=(plot.ZERO / 4, top), ylabel="residual of $D$", xlabel="$t$")
+    energy.plot(run.t, run.energy - run.energy[0])
+    energy.set(ylabel="$E - E_0$", xlabel="$t$")
+    energy.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
+    about = f"A run of {system.name}."
+    return web.svg(figure, f"run-{_slug(system)}", about, _caption(system, run))
+
+
+def _caption(system: System, run: Solution) -> str:
+    broken = "" if run.success else f" It broke off at t = {run.t[-1]:g}: {run.message}."
+    path = "the path and " * bool(_plane(system)) + f"the first {SHOWN} " * (system.n > SHOWN)
+    change = "error of the energy" if _conserves(system) else "change of the energy, no error here"
+    return (
+        f"A typical run: {SCHEME} with h = {STEP:g} to t = {END}.{broken} Shown are {path}"
+        "coordinates over time; below, the relative residual of the constraints, with the unit "
+        f"roundoff as the dashed line, and the {change}."
+    )
+
+
+# ---- how to make it ------------------------------------------------------------------------------
+
+
+def _programs(system: System, run: Solution) -> Iterator[web.Section]:
+    yield "", "In Python, system and run:", python_lines(system)
+    words = "In C:"
+    if system._model is not None:
+        words = "In C, with the file that Python writes, `system.c_source()`:"
+    yield "", words, c_lines(system)
+    end = "\n".join(
+        f"{name:12} {q: .17g}  {v: .17g}"
+        for name, q, v in zip(system.coordinates, run.q[-1], run.v[-1])
+    )
+    words = f"Both end at t = {run.t[-1]:g} in (coordinate, its velocity):"
+    yield "", words, end
+
+
+def _changed(system: System) -> dict[str, float]:
+    """The parameters that are not as the library has them."""
+    default = systems.get(system.name).parameters
+    return {key: x for key, x in system.parameters.items() if x != default[key]}
+
+
+def python_lines(system: System) -> str:
+    """Return the program of Python that makes a system of the library and its typical run."""
+    values = ", ".join(f"{key}={x!r}" for key, x in _changed(system).items())
+    return f"""import dalembert as dal
+
+system = dal.systems.{system.name}({values})
+run = dal.integrate(system, {SCHEME!r}, h={STEP!r}, t_end={END})
+print(run.x[-1])"""
+
+
+def c_lines(system: System) -> str:
+    """Return the program of C that does the same."""
+    changed = _changed(system)
+    declare = ""
+    names = values = "NULL"
+    if changed and system._model is None:
+        names, values = "names", "values"
+        declare = (
+            f"    const char *const names[] = {{{', '.join(map(quoted, changed))}}};\n"
+            f"    const double values[] = {{{', '.join(map(repr, changed.values()))}}};\n"
+        )
+    make = f"dal_system_builtin(&system, {quoted(system.name)}, {names}, {values}, "
+    make += f"{len(changed)}, &error)"
+    prototype = ""
+    if system._model is not None:
+        kinds = "".join(f"double {key}, " for key in system.parameters)
+        given = "".join(f"{x!r}, " for x in system.parameters.values())
+        prototype = f"int {system.name}_system(dal_system **system, {kinds}dal_error *error);\n\n"
+        make = f"{system.name}_system(&system, {given}&error)"
+    size = 2 * system.n
+    return f"""#include <dalembert.h>
+#include <stdio.h>
+
+{prototype}int main(void)
+{{
+    dal_system *system;
+    dal_scheme scheme;
+    dal_stepper *stepper;
+    dal_error error;
+    double x[{size}];
+{declare}    if ({make}
+        || dal_scheme_find(&scheme, {quoted(SCHEME)}, &error)
+        || dal_stepper_new(&stepper, system, &scheme, NULL, &error))
+        return puts(error.text), 1;
+    dal_system_state(system, x);
+    if (dal_stepper_start(stepper, 0.0, {STEP!r}, x, DAL_CHECK, DAL_INITIAL_NONE)
+        || dal_advance(stepper, {round(END / STEP)}, NULL, NULL))
+        return puts(dal_stepper_message(stepper)), 1;
+    for (int i = 0; i < {size}; i++) printf("%.17g\\n", dal_stepper_state(stepper)[i]);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+    return 0;
+}}"""
+
+
+def quoted(text: str) -> str:
+    """Return a name as a C string."""
+    return f'"{text}"'

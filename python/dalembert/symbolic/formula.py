@@ -1,0 +1,151 @@
+"""Formulas in plain text, as systems carry them: read and written by SymPy, and as MathML.
+
+``v_theta^2/2`` is a half of the square of the velocity of theta; a blank is a product, a name with
+a bracket at it a function: ``J v_theta^2``, ``m (v_x + v_y)``, ``sqrt(A B)``.  ``sum_i(y_i z_i)``
+is a sum over i.
+"""
+
+from __future__ import annotations
+
+import html
+import itertools
+import re
+from collections.abc import Collection
+from typing import Any
+
+from ..core import extras
+
+__all__ = ["latex", "mathml", "read"]
+
+Expr = Any
+
+FUNCTIONS = (
+    "Abs sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp log sqrt erf erfc"
+).split()
+_STRUCTURE = "Integer Float Rational Add Mul Pow".split()
+DEPTH = 50  # of brackets in brackets; the time that SymPy takes grows with its third power
+_NUMBER = r"\d+(?:\.\d+)?(?:e[+-]?\d{1,3})?(?![\d.])"
+_NAME = r"[A-Za-z]\w*(?:(?<=_)\(i-1\))?"
+_ALLOWED = re.compile(rf"(?:{_NUMBER}|{_NAME}|[-+^(), ]|/(?!/))++", re.ASCII)
+_WORD = re.compile(rf"{_NUMBER}|({_NAME})(?=(\()?)", re.ASCII)
+
+
+def read(text: str, exact: bool = False) -> list[Expr]:
+    """Return the sides of an equation, or an expression alone, as SymPy has them.
+
+    Nothing is evaluated, and all stands in its order.  Names are symbols and nothing else.
+
+    Parameters
+    ----------
+    text : str
+        See the module.
+    exact : bool, optional
+        Whether decimals are rational numbers.
+
+    Raises
+    ------
+    ValueError
+        If it is no formula.
+    ImportError
+        If SymPy is not installed; the text has the line to type.
+
+    Examples
+    --------
+    >>> from dalembert.symbolic import formula
+    >>> formula.read("2 x - y = 0")
+    [2*x - y, 0]
+    """
+    return [_side(side.strip(), exact) for side in text.split("=")]
+
+
+def _side(text: str, exact: bool) -> Expr:
+    sympy = extras.require("sympy", "a formula")
+    parser = extras.require("sympy.parsing.sympy_parser", "a formula")
+    known = {x: getattr(sympy, x) for x in (*_STRUCTURE, *FUNCTIONS)}
+    names: dict[str, Expr] = {}
+
+    def word(match: re.Match[str]) -> str:
+        """A number or a function as it is; a name, which may be a word of Python, as another."""
+        name, call = match.groups()
+        if not name or (call and name in FUNCTIONS):
+            return match[0]
+        names[f"_{len(names)}"] = (sympy.Function if call else sympy.Symbol)(name)
+        return f" _{len(names) - 1}"
+
+    depth = itertools.accumulate((c == "(") - (c == ")") for c in text)
+    rules = [parser.auto_number, *([parser.rationalize] if exact else [])]
+    rules += [parser.implicit_multiplication, parser.convert_xor]
+    try:
+        if not _ALLOWED.fullmatch(text) or max(depth) > DEPTH:
+            raise ValueError("there is a sign out of place")
+        # For Python -a b is (-a) b.
+        words = _WORD.sub(word, re.sub(r"((?:^|[(,]) *)-(?= *[A-Za-z(])", r"\1-1 ", text))
+        found = parser.parse_expr(
+            words, names, rules, {"__builtins__": {}, **known}, evaluate=False
+        )
+        if not isinstance(found, sympy.Expr) or found.has(sympy.Tuple):
+            raise ValueError("there is a list out of place")
+    except Exception as error:  # SyntaxError, TypeError, tokenize.TokenError, ...
+        raise ValueError(f"formula = {text!r}: {error}") from error
+    return found
+
+
+def latex(text: str, coordinates: Collection[str] = ()) -> list[str]:
+    """Return a formula as LaTeX, its terms each with the sign before it.
+
+    Examples
+    --------
+    >>> from dalembert.symbolic import formula
+    >>> formula.latex("v_x - y_1 = 0", ["x"])
+    ['\\\\dot{x}', '{}- y_{1}', '{}= 0']
+    """
+    sympy = extras.require("sympy", "a formula")
+    known = {*coordinates, *(re.sub(r"\d+$", "_i", name) for name in coordinates)}
+    found = []
+    for side in read(text):
+        names = {x: _symbol(x.name, known, sympy) for x in side.free_symbols}
+        for k, term in enumerate(sympy.Add.make_args(side)):
+            tex = sympy.latex(term, order="none", mul_symbol=r"\,", max=9, symbol_names=names)
+            tex = tex.replace(r"\operatorname{sum}", r"\sum\limits")
+            tex = re.sub(r"(?<![\d.])1 *(?:\\cdot|\\,) *(?=\\frac\{1\})", "", tex)
+            sign = ("= " if k == 0 else "" if tex.startswith("-") else "+ ") if found else ""
+            found.append("{}" * bool(found) + sign + tex)
+    return found
+
+
+def _symbol(name: str, coordinates: Collection[str], sympy: Any) -> str:
+    """Return a name as LaTeX, with a dot if it is the velocity of a coordinate."""
+    base = name.removeprefix("v_")
+    has_dot = base in coordinates and base != name
+    base = (base if has_dot else name).replace("eps", "epsilon")
+    letter, *index = sympy.latex(sympy.Symbol(base)).split("_", 1)
+    if letter.isalpha() and len(letter) > 1:
+        letter = rf"\mathrm{{{letter}}}"
+    return "_".join([rf"\dot{{{letter}}}" if has_dot else letter, *index])
+
+
+def mathml(text: str, coordinates: Collection[str] = ()) -> str:
+    """Return a formula as MathML, an element for each term, so that lines break before a sign.
+
+    As code, if it cannot be read, or SymPy or latex2mathml is not installed.
+
+    Parameters
+    ----------
+    text : str
+        See the module.
+    coordinates : collection of str
+        What ``v_x`` may be the velocity of.
+
+    Examples
+    --------
+    >>> from dalembert.symbolic import formula
+    >>> formula.mathml("x", ["x"]).endswith("><mrow><mi>x</mi></mrow></math>")
+    True
+    >>> formula.mathml("x?")
+    '<code>x?</code>'
+    """
+    try:
+        write = extras.require("latex2mathml.converter", "a formula").convert
+        return " ".join(map(write, latex(text, coordinates)))
+    except (ImportError, ValueError):
+        return f"<code>{html.escape(text)}</code>"
