@@ -17,7 +17,16 @@ from .errors import (
     in_python,
     make,
 )
-from .handle import KINDS, MISSING, MISSING_PHI_Q, Handle, Workspaces, differenced, require_system
+from .handle import (
+    KINDS,
+    MISSING,
+    MISSING_PHI_Q,
+    Handle,
+    Workspaces,
+    differenced,
+    require_system,
+    watching,
+)
 from .library import (
     ROUNDOFF,
     Constant,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -71,11 +71,27 @@ class Workspaces:
         with self.lend() as one:
             self.check(attempt(function, one, *given), one)
 
-    def rows(self, function: Callable[..., int], inputs: Iterable[tuple[Any, ...]]) -> None:
-        """Call ``function(one, *given)`` for each row of arguments."""
+    def rows(self, function: Callable[..., int], *given: Any) -> None:
+        """Call ``function(one, *given)`` for each row of the arrays among what is given."""
+        count = next(len(x) for x in given if isinstance(x, np.ndarray))
         with self.lend() as one:
-            for k, given in enumerate(inputs):
-                self.check(attempt(function, one, *given), one, k)
+            for k in range(count):
+                row = (pointer(x, k) if isinstance(x, np.ndarray) else x for x in given)
+                self.check(attempt(function, one, *row), one, k)
+
+
+@contextlib.contextmanager
+def watching(kind: str, one: Any, show: Callable[[float], Any] = lambda t: None) -> Iterator[None]:
+    """Let Ctrl-C end what a ``dal_<kind>`` computes.
+
+    ``show(t)`` is called some times a second with the time where it is, or its steps.
+    """
+    watch, context = getattr(lib, f"dal_{kind}_watch"), ffi.new_handle(show)
+    watch(one, lib.dal_py_watch, context)
+    try:
+        yield
+    finally:
+        watch(one, ffi.NULL, ffi.NULL)
 
 
 class Handle(Constant):
