@@ -26,7 +26,9 @@ def modules(package: Path) -> dict[str, Path]:
     return {".".join(name.parts): path for path, name in found.items()} | {"_core": package}
 
 
-def imports(tree: ast.Module, name: str, package: str, known: set[str]) -> Iterator[tuple[str, int]]:
+def imports(
+    tree: ast.Module, name: str, package: str, known: set[str]
+) -> Iterator[tuple[str, int]]:
     """Yield the modules of the package that one imports, and the lines."""
     place = name.split(".")[:-1]
     for node in ast.walk(tree):

@@ -238,7 +238,8 @@ class Discrete(core.Constant):
         return f"<Discrete {self.system.name}: {lagrangian!r}{other}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Discrete, (self.system, *self.maps)
+        first, second = self.maps
+        return Discrete, (self.system, first, None if second is first else second)
 
     # ---- nodes and states ------------------------------------------------------------------
 

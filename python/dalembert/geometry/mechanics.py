@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import arguments
-from ..core import Array, Handle, ffi, lib
+from ..core import Array, Handle, arguments, ffi, lib
 
 __all__ = [
     "acceleration",

@@ -13,15 +13,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import core
-from ..core import arguments, extras
-from .. import geometry
-from ..core import Array, DalembertError, DalembertWarning, ffi, lib
-from .runs import FlowRun, SchemeRun, started_stepper, state, watched
-from .scheme import REFERENCE, Scheme
-from .solution import Solution
-from ..core import require_system
+from .. import core, geometry
+from ..core import (
+    Array,
+    DalembertError,
+    DalembertWarning,
+    arguments,
+    extras,
+    ffi,
+    lib,
+    require_system,
+)
 from ..system import System
+from .runs import FlowRun, SchemeRun, started_state
+from .scheme import Scheme
+from .solution import Solution
 
 __all__ = ["Reference", "integrate", "reference"]
 
@@ -260,18 +266,12 @@ def reference(
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     flow_method = arguments.choice(method, "method", METHODS)
     tolerance = arguments.tolerance(tolerance)
-    flow = core.make(
-        "flow",
-        system._handle,
-        flow_method,
-        arguments.choice(coordinates, "coordinates", COORDINATES),
-        tolerance,
-        owner=system._handle,
-    )
-    stepper = started_stepper(system, REFERENCE, x0, t0=t0, h=1.0, consistency=consistency)
-    x = state(stepper, system)
-    accuracy = ffi.new("double *")
-    status = watched(lib.dal_flow_apply, flow, t0, t, core.pointer(x), accuracy)
+    coordinate = arguments.choice(coordinates, "coordinates", COORDINATES)
+    flow = system._c("flow", flow_method, coordinate, tolerance)
+    x = started_state(system, x0, t0, consistency)
+    accuracy = np.empty(1)
+    with core.watching("flow", flow):
+        status = core.attempt(lib.dal_flow_apply, flow, t0, t, x, accuracy)
     if status < 0:
         raise core.failure(status, core.string(lib.dal_flow_message(flow)), kind=system.kind)
     return Reference(x[: system.n], x[system.n :], float(accuracy[0]))

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from .. import core
-from .. import geometry
+from .. import core, geometry
 from ..core import Array, ffi, lib
+from ..system import System
 from .scheme import REFERENCE, Scheme
 from .solution import Solution, Statistics
-from ..system import System
 
-__all__ = ["FlowRun", "Run", "SchemeRun", "started_stepper", "watched"]
+__all__ = ["FlowRun", "Run", "SchemeRun", "started_state", "started_stepper"]
 
 BLOCK_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
 FLOW_ROWS = 100  # of one call of the reference flow, which starts anew in each
@@ -37,10 +36,8 @@ def started_stepper(
     The record of the reference flow is that of a scheme with beta = 0: a stepper of it does with
     the initial data what every scheme does, and makes no step.
     """
-    stepper = core.make("stepper", system._handle, scheme._record, options, owner=system._handle)
-    status = core.attempt(
-        lib.dal_stepper_start, stepper, t0, h, core.pointer(x0), consistency, initial
-    )
+    stepper = system._c("stepper", scheme._record, options)
+    status = core.attempt(lib.dal_stepper_start, stepper, t0, h, x0, consistency, initial)
     if status < 0:
         hint = "; consistent='project' would project v0" if status == lib.DAL_EOFFD else ""
         message = core.string(lib.dal_stepper_message(stepper)) + hint
@@ -48,27 +45,15 @@ def started_stepper(
     return stepper
 
 
-def watched(
-    function: Callable[..., int],
-    flow: Any,
-    *given: Any,
-    show: Callable[[float], Any] = lambda t: None,
-) -> int:
-    """Call a C function of a ``dal_flow`` so that Ctrl-C ends it; return its status.
-
-    ``show(t)`` is called some times a second with the time where the flow is.
-    """
-    context = ffi.new_handle(show)
-    lib.dal_flow_watch(flow, lib.dal_py_watch, context)
-    try:
-        return core.attempt(function, flow, *given)
-    finally:
-        lib.dal_flow_watch(flow, ffi.NULL, ffi.NULL)
-
-
 def state(stepper: Any, system: System) -> Array:
     """Return a copy of the state of a stepper, shape (2n,)."""
     return core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
+
+
+def started_state(system: System, x0: Array, t0: float, consistency: int) -> Array:
+    """Return the state from which the reference flow starts, shape (2n,)."""
+    stepper = started_stepper(system, REFERENCE, x0, t0=t0, h=1.0, consistency=consistency)
+    return state(stepper, system)
 
 
 class Run:
@@ -214,9 +199,7 @@ class SchemeRun(Run):
         mean = np.empty(self.system.m)
         for begin in range(0, self.stride, self.most):
             steps = min(self.most, self.stride - begin)
-            status = core.attempt(
-                lib.dal_advance, self.stepper, steps, core.pointer(mean), self.done
-            )
+            status = core.attempt(lib.dal_advance, self.stepper, steps, mean, self.done)
             if status != lib.DAL_SUCCESS:
                 self.end(status)
                 return
@@ -247,10 +230,7 @@ class FlowRun(Run):
 
     def start(self, x0: Array, consistency: int, method: int, tolerance: float) -> None:
         """Make the flow and check the initial data; what is raised here has no part of a run."""
-        handle = self.system._handle
-        self.flow = core.make(
-            "flow", handle, method, lib.DAL_FLOW_X, tolerance, owner=handle
-        )
+        self.flow = self.system._c("flow", method, lib.DAL_FLOW_X, tolerance)
         stepper = started_stepper(
             self.system, REFERENCE, x0, t0=self.t0, h=self.h, consistency=consistency
         )
@@ -275,13 +255,16 @@ class FlowRun(Run):
         if start == 0 and self.observe(0):
             self.status = lib.DAL_STOPPED
             return
-        status = watched(
-            lib.dal_flow_trajectory, self.flow, self.time(start), self.stride * self.h, count,
-            core.pointer(self.x, start), self.done,
-            show=lambda t: self.tell(
-                min(int((t - self.t0) / self.h), (start + count) * self.stride)
-            ),
-        )  # fmt: skip
+        last = (start + count) * self.stride
+
+        def show(t: float) -> None:
+            self.tell(min(int((t - self.t0) / self.h), last))
+
+        with core.watching("flow", self.flow, show):
+            status = core.attempt(
+                lib.dal_flow_trajectory, self.flow, self.time(start), self.stride * self.h, count,
+                core.pointer(self.x, start), self.done,
+            )  # fmt: skip
         if status < 0:
             message = core.string(lib.dal_flow_message(self.flow))
             good = start + int(self.done[0])

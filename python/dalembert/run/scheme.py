@@ -7,9 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from .. import core
-from ..core import arguments
-from ..core import ffi, lib
-from ..core import require_system
+from ..core import arguments, ffi, lib, require_system
 from ..system import System
 
 __all__ = ["Scheme", "schemes"]
@@ -103,7 +101,7 @@ class Scheme:
         object.__setattr__(self, "_record", record)
         object.__setattr__(self, "_kept", kept)
         if not self.is_reference:
-            core.make("stepper", _validator()._handle, record, ffi.NULL)
+            _validator()._c("stepper", record, ffi.NULL)
 
     @classmethod
     def find(cls, name: str) -> Scheme:

@@ -345,7 +345,8 @@ def _accuracy(system: System, runs: Sequence[Solution]) -> Any:
         rows = [(f"{name}, from the exact solution", *_distances(x, exact)) for name, x in subjects]
         subjects = [("exact solution, in double precision", exact)]
     if states:
-        rows += [(f"{name}, from the reference", *_distances(x, states.get)) for name, x in subjects]
+        rows += [(f"{name}, from the reference", *_distances(x, states.get))
+                 for name, x in subjects]  # fmt: skip
     return _table(("largest difference of (q, v)", *(f"t = {t:g}" for t in TIMES)), rows)
 
 

@@ -234,7 +234,9 @@ def studies_html(studies: Studies) -> Any:
 # ---- objects -------------------------------------------------------------------------------
 
 
-def attach(kind: type, lines: Callable[[Any, int], Iterator[Line]], page: Callable[..., Any]) -> None:
+def attach(
+    kind: type, lines: Callable[[Any, int], Iterator[Line]], page: Callable[[Any], Any]
+) -> None:
     """Give the objects of a class their tables: as text, printed, and as HTML in a notebook."""
 
     def table(self: Any, width: int = WIDTH) -> str:
