@@ -9,7 +9,7 @@
  *
  *     cc order.c $(pkg-config --cflags --libs dalembert) -o order && ./order [SCHEME]
  */
-#include <dalembert.h>
+#include <dalembert/study.h>
 #include <stdio.h>
 
 enum { POINTS = 6 };

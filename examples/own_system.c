@@ -18,7 +18,7 @@
  *
  *     cc own_system.c $(pkg-config --cflags --libs dalembert) -o own_system && ./own_system
  */
-#include <dalembert.h>
+#include <dalembert/geometry.h>
 #include <math.h>
 #include <stdio.h>
 

@@ -8,7 +8,7 @@
  *
  *     cc particle.c $(pkg-config --cflags --libs dalembert) -o particle && ./particle
  */
-#include <dalembert.h>
+#include <dalembert/geometry.h>
 #include <math.h>
 #include <stdio.h>
 

@@ -1,7 +1,8 @@
-"""A source of the core calls its own floor or lower ones, as its object files show.
+"""A source of the core calls and includes its own floor or lower ones.
 
-Usage: ``python check_floors.py libdalembert.a dalembert.h FLOOR...`` where a FLOOR is the names of
-its sources with commas between them, the ground first.
+Usage: ``python check_floors.py CSRC libdalembert.a HEADER... FLOOR...`` where a FLOOR is the names
+of its sources, relative to the folder CSRC, with commas between them, the ground first.  What is
+called is read from the object files.
 
 Also: what is not static is public or called ``dal__name``, and every source is on a floor.
 """
@@ -14,7 +15,10 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
-from check_symbols import declared
+from check_symbols import declared, read
+
+# Headers of the library that generated code includes, and the folder where they belong.
+STEP_HEADERS = {"lu": "algebra", "residual": "algebra", "kernel": "system"}
 
 
 def symbols(archive: str) -> tuple[dict[str, str], dict[str, set[str]]]:
@@ -23,9 +27,9 @@ def symbols(archive: str) -> tuple[dict[str, str], dict[str, set[str]]]:
     Returns
     -------
     definitions : dict
-        The source that defines each external symbol.
+        The object that defines each external symbol.
     uses : dict
-        For each source, the external symbols that it uses and does not define.
+        For each object, the external symbols that it uses and does not define.
     """
     table = subprocess.run(
         ["nm", "--extern-only", "--format=posix", archive],
@@ -47,18 +51,22 @@ def symbols(archive: str) -> tuple[dict[str, str], dict[str, set[str]]]:
     return definitions, uses
 
 
-def complaints(archive: str, header: str, floors: list[list[str]]) -> list[str]:
-    """What is wrong with the house, one line each."""
-    floor_of = {source: number for number, floor in enumerate(floors) for source in floor}
+def check_calls(archive: str, headers: list[str], floors: list[list[str]]) -> list[str]:
+    """What is wrong with who calls whom, one line each."""
+    floor_of = {
+        source.replace("/", "_"): number
+        for number, floor in enumerate(floors)
+        for source in floor
+    }
     definitions, uses = symbols(archive)
-    public = declared(Path(header).read_text(encoding="utf-8"))
+    public = declared(read(headers))
     found = [f"{source} is on no floor" for source in sorted(uses.keys() - floor_of.keys())]
     found += [f"{source} is not in {archive}" for source in sorted(floor_of.keys() - uses.keys())]
     if found:
         return found
     for name, source in sorted(definitions.items()):
         if name not in public and not name.startswith("dal__"):
-            found.append(f"{source} defines {name}, neither in {header} nor called dal__")
+            found.append(f"{source} defines {name}, neither public nor called dal__")
     for source, names in sorted(uses.items()):
         for name in sorted(names & definitions.keys()):
             other = definitions[name]
@@ -70,7 +78,26 @@ def complaints(archive: str, header: str, floors: list[list[str]]) -> list[str]:
     return found
 
 
+def check_includes(csrc: Path, headers: list[str], floors: list[list[str]]) -> list[str]:
+    """What is wrong with who includes what, one line each."""
+    floor_of = {
+        source.split("/")[0]: number for number, floor in enumerate(floors) for source in floor
+    }
+    public = {Path(header).stem: Path(header).stem for header in headers} | STEP_HEADERS
+    found = []
+    for path in sorted(csrc.rglob("*.[ch]")):
+        own = path.relative_to(csrc).parts[0]
+        for name in re.findall(r'^#include "(.*)"', path.read_text(encoding="utf-8"), flags=re.M):
+            folder, stem = name.split("/")[0], Path(name).stem
+            floor = floor_of.get(public[stem] if folder == "dalembert" else folder, 0)
+            if name != "dalembert.h" and floor > floor_of[own]:
+                found.append(f"{path.relative_to(csrc)} includes {name}, of a higher floor")
+    return found
+
+
 if __name__ == "__main__":
-    archive, header, *floors = sys.argv[1:]
-    found = complaints(archive, header, [floor.split(",") for floor in floors])
+    csrc, archive, *rest = sys.argv[1:]
+    headers = [name for name in rest if name.endswith(".h")]
+    floors = [floor.split(",") for floor in rest if not floor.endswith(".h")]
+    found = check_calls(archive, headers, floors) + check_includes(Path(csrc), headers, floors)
     sys.exit("\n".join(found) or None)

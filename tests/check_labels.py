@@ -1,6 +1,6 @@
-"""docs/paper-to-code.md is true: its names exist, and the labels of the header stand in it.
+"""docs/paper-to-code.md is true: its names exist, and the labels of the headers stand in it.
 
-Usage: ``python check_labels.py paper-to-code.md dalembert.h PACKAGE``
+Usage: ``python check_labels.py paper-to-code.md PACKAGE HEADER...``
 
 The table is the list of the paper's labels.  Of each row
 
@@ -9,7 +9,7 @@ The table is the list of the paper's labels.  Of each row
 - every link leads somewhere, a test is defined in the file that the link leads to, and tests and
   examples use something of their row.
 
-Of the header, every label in a comment (in parentheses) is in the table, in a row that names what
+Of the headers, every label in a comment (in parentheses) is in the table, in a row that names what
 the comment is about.
 """
 
@@ -21,7 +21,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from check_symbols import declared
+from check_symbols import declared, read
 
 LABELS = 165  # of the paper
 COLUMNS = ["label", "says", "C", "Python", "tests", "shown in"]
@@ -246,9 +246,9 @@ def check_header(header: str, rows: list[Row]) -> list[str]:
     return found
 
 
-def main(table: str, header: str, package: str) -> str | None:
+def main(table: str, package: str, *headers: str) -> str | None:
     rows, wrong = read_table(Path(table).read_text(encoding="utf-8"))
-    text = Path(header).read_text(encoding="utf-8")
+    text = read(headers)
     in_c, in_python = c_names(text), python_names(Path(package))
     for row in rows:
         wrong += [f"{row.label}: the header has no {name}" for name in row.C if name not in in_c]

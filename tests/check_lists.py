@@ -13,8 +13,8 @@ def main(directory: str, *rest: str) -> str | None:
     """Compare the files of ``directory`` that match a pattern with the names listed."""
     split = rest.index("--")
     patterns, listed = rest[:split], set(rest[split + 1 :])
-    paths = (path for pattern in patterns for path in Path(directory).glob(pattern))
-    there = {path.relative_to(directory).as_posix() for path in paths}
+    root = Path(directory)
+    there = {str(path.relative_to(root)) for pattern in patterns for path in root.glob(pattern)}
     if there != listed:
         return f"{directory}: not listed in meson.build: {sorted(there - listed)}; " \
                f"listed, not there: {sorted(listed - there)}"

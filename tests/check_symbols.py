@@ -1,6 +1,6 @@
-"""The shared library exports the functions that the header marks DAL_API, and nothing else.
+"""The shared library exports the functions that the headers mark DAL_API, and nothing else.
 
-Usage: ``python check_symbols.py libdalembert.so dalembert.h``
+Usage: ``python check_symbols.py libdalembert.so HEADER...``
 """
 
 from __future__ import annotations
@@ -26,10 +26,15 @@ def exported(library: str) -> set[str]:
     return {line.split()[0] for line in table.splitlines()}
 
 
-def main(library: str, header: str) -> str | None:
-    wanted, found = declared(Path(header).read_text(encoding="utf-8")), exported(library)
+def read(headers: list[str]) -> str:
+    """Return the text of the headers, one after the other."""
+    return "\n".join(Path(header).read_text(encoding="utf-8") for header in headers)
+
+
+def main(library: str, *headers: str) -> str | None:
+    wanted, found = declared(read(headers)), exported(library)
     if not wanted:
-        return f"{header}: no function is marked DAL_API"
+        return f"{headers}: no function is marked DAL_API"
     if wanted != found:
         return f"declared, not exported: {sorted(wanted - found)}; " \
                f"exported, not declared: {sorted(found - wanted)}"

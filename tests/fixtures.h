@@ -4,7 +4,8 @@
 #define DALEMBERT_TESTS_FIXTURES_H
 
 #include "generic4.h"
-#include "internal.h"
+#include "dalembert/study.h"
+#include "step/step.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -1,8 +1,8 @@
 """Write the C source of the extension ``dalembert._core``.
 
-Usage: ``python _ffi_build.py dalembert.h _core.c``
+Usage: ``python _ffi_build.py HEADER... _core.c``, a header after those that it includes.
 
-The declarations are the part of the public header between its cdef marks, so that C and Python
+The declarations are the parts of the public headers between their cdef marks, so that C and Python
 cannot disagree.  Only the trampolines, through which C calls Python, are added here.
 """
 
@@ -55,13 +55,16 @@ def declarations(header: str) -> str:
     return header[start:end].replace("DAL_API ", "")
 
 
-def write_extension(header: Path, output: Path) -> None:
-    """Write to ``output`` the C source of the extension over the functions of ``header``."""
+def write_extension(headers: list[Path], output: Path) -> None:
+    """Write to ``output`` the C source of the extension over the functions of ``headers``."""
     ffi = FFI()
-    ffi.cdef(declarations(header.read_text(encoding="utf-8")) + TRAMPOLINES)
-    ffi.set_source("dalembert._core", f'#include "{header.name}"')
+    texts = [declarations(header.read_text(encoding="utf-8")) for header in headers]
+    ffi.cdef("".join(texts) + TRAMPOLINES)
+    names = [header.relative_to(headers[0].parent) for header in headers]
+    ffi.set_source("dalembert._core", "".join(f"#include <{name}>\n" for name in names))
     ffi.emit_c_code(str(output))
 
 
 if __name__ == "__main__":
-    write_extension(Path(sys.argv[1]), Path(sys.argv[2]))
+    *headers, output = map(Path, sys.argv[1:])
+    write_extension(headers, output)

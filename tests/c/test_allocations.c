@@ -5,8 +5,9 @@
  * those of the C library for the whole process, GSL included; there they are counted. */
 #define _GNU_SOURCE /* RTLD_NEXT */
 #include "check.h"
-#include "../generic4.h"
-#include "internal.h"
+#include "dalembert/study.h"
+#include "generic4.h"
+#include "step/step.h"
 
 #include <ctype.h>
 #include <dlfcn.h>

@@ -4,8 +4,9 @@
  * bit as they were, and an object that goes on as if nothing had happened.  GSL's handler aborts
  * throughout. */
 #include "check.h"
-#include "../generic4.h"
-#include "internal.h"
+#include "dalembert/study.h"
+#include "generic4.h"
+#include "step/step.h"
 
 #include <ctype.h>
 #include <gsl/gsl_errno.h>

@@ -1,7 +1,7 @@
 /* What holds the guards of the steps.  First of all steps of random systems against the same
  * equations solved in long double: with and without V, steady, with kept nodes, from rest, far from
  * the origin and in other units. */
-#include "../fixtures.h"
+#include "fixtures.h"
 #include "check.h"
 
 typedef long double real;

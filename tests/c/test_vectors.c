@@ -4,8 +4,8 @@
  * Every system is tested as C callbacks that are written here from the formulas in the data, and a
  * second time as the library's own where it has one. */
 #include "check.h"
-#include "../fixtures.h"
-#include "../vector_systems.h"
+#include "fixtures.h"
+#include "vector_systems.h"
 
 #include <float.h>
 

@@ -3,8 +3,8 @@
  *
  * mu is evaluated here, at the states that the stepper shows, after every step.  Angles reach 1e4:
  * there rounding q alone changes mu by 1e4 u, which a correction at an unrounded q would leave. */
-#include "../c/check.h"
-#include "../fixtures.h"
+#include "check.h"
+#include "fixtures.h"
 
 enum { TENTHS = 10 };
 

@@ -2,8 +2,9 @@
  *
  * A promise is a lower bound of the slope, 0.2 below the order.  Equality is asserted where theory
  * says that an order is lost: there the slope has to stay 0.2 below the next order as well. */
-#include "../c/check.h"
-#include "../generic4.h"
+#include "check.h"
+#include "dalembert/study.h"
+#include "generic4.h"
 
 #include <string.h>
 

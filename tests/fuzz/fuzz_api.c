@@ -8,7 +8,8 @@
  *   - after a successful one what was put out is finite where it has to be,
  *   - after successful steps the state lies in the set that the scheme keeps, see check_residual.
  * The sanitizers and GSL's handler, which aborts, see the rest. */
-#include "internal.h"
+#include "dalembert/study.h"
+#include "step/step.h"
 
 #include <math.h>
 #include <stdint.h>

@@ -578,7 +578,7 @@ def compile_c(directory, *arguments):
     (include / "dalembert").mkdir(parents=True, exist_ok=True)
     shutil.copy(SOURCE_ROOT / "include" / "dalembert.h", include)
     for name in set(compiler.HEADERS) - {"dalembert.h"}:
-        shutil.copy(SOURCE_ROOT / "csrc" / name, include / "dalembert")
+        shutil.copy(SOURCE_ROOT / "include" / "dalembert" / name, include / "dalembert")
     command = [*compiler.find().command, "-std=c11", "-O2", "-ffp-contract=off", f"-I{include}"]
     done = subprocess.run(
         [*command, *arguments], cwd=directory, capture_output=True, text=True, check=False

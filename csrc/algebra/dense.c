@@ -1,0 +1,167 @@
+/* Small dense linear algebra. */
+#include "algebra/algebra.h"
+#include "dalembert/lu.h"
+
+#include <math.h>
+
+double dal__dot(size_t n, const double *a, const double *b)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; i++) sum += a[i] * b[i];
+    return sum;
+}
+
+double dal__largest(size_t n, const double *x)
+{
+    double most = 0.0;
+    for (size_t i = 0; i < n; i++) most = fmax(most, fabs(x[i]));
+    return most;
+}
+
+double dal__sum_of_sizes(size_t n, const double *x)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; i++) sum += fabs(x[i]);
+    return sum;
+}
+
+void dal__forget(size_t count, double *x)
+{
+    for (size_t i = 0; x && i < count; i++) x[i] = (double)NAN;
+}
+
+void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y)
+{
+    for (size_t i = 0; i < rows; i++) {
+        double sum = 0.0;
+        for (size_t j = 0; j < columns; j++) sum += A[i * columns + j] * x[j];
+        y[i] = sum;
+    }
+}
+
+/* inverse[n] <- the diagonal of A^-1 = L^-T L^-1: entry j is the square of column j of L^-1, which
+ * stands in the entries that are not yet known. */
+static void invert_diagonal(size_t n, const double *L, double *inverse)
+{
+    for (size_t j = 0; j < n; j++) {
+        double square = 0.0;
+        for (size_t i = j; i < n; i++) {
+            double sum = i == j ? 1.0 : 0.0;
+            for (size_t k = j; k < i; k++) sum -= L[i * n + k] * inverse[k];
+            inverse[i] = sum / L[i * n + i];
+            square += inverse[i] * inverse[i];
+        }
+        inverse[j] = square;
+    }
+}
+
+bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pivot)
+{
+    double trace = 0.0, most = 0.0; /* of the inverse of A scaled to a unit diagonal */
+    for (size_t j = 0; j < n; j++) {
+        double d = A[j * n + j];
+        for (size_t k = 0; k < j; k++) d -= A[j * n + k] * A[j * n + k];
+        if (row) *row = j;
+        if (pivot) *pivot = d;
+        if (!(d > 0.0)) return false;
+        const double root = sqrt(d);
+        A[j * n + j] = root;
+        for (size_t i = j + 1; i < n; i++) {
+            double sum = A[i * n + j];
+            for (size_t k = 0; k < j; k++) sum -= A[i * n + k] * A[j * n + k];
+            A[i * n + j] = sum / root;
+            A[j * n + i] = 0.0;
+        }
+    }
+    invert_diagonal(n, A, inverse);
+    for (size_t j = 0; j < n; j++) {
+        const double entry = inverse[j] * dal__dot(j + 1, A + j * n, A + j * n);
+        trace += entry;
+        if (entry < most) continue;
+        most = entry; /* the pivot of j if it came last would be the smallest */
+        if (row) *row = j;
+        if (pivot) *pivot = 1.0 / inverse[j];
+    }
+    return (double)n * trace <= DAL_LU_CONDITION;
+}
+
+void dal__cholesky_solve(size_t n, const double *factor, double *x)
+{
+    for (size_t i = 0; i < n; i++) {
+        for (size_t k = 0; k < i; k++) x[i] -= factor[i * n + k] * x[k];
+        x[i] /= factor[i * n + i];
+    }
+    for (size_t i = n; i-- > 0;) {
+        for (size_t k = i + 1; k < n; k++) x[i] -= factor[k * n + i] * x[k];
+        x[i] /= factor[i * n + i];
+    }
+}
+
+/* Not by GSL's decompositions, because these report through its handler what does not converge. */
+double dal__singular_values(size_t count, size_t n, double *A, double *squares)
+{
+    enum { SWEEPS = 60 };
+    const double unit = dal__largest(count * n, A), tolerance = (double)n * DAL_ROUNDOFF;
+    for (size_t k = 0; k < count * n && unit > 0.0; k++) A[k] /= unit;
+    for (size_t i = 0; i < count; i++) squares[i] = dal__dot(n, A + i * n, A + i * n);
+    bool orthogonal = false;
+    for (int sweep = 0; sweep < SWEEPS && !orthogonal; sweep++) {
+        orthogonal = true;
+        for (size_t i = 0; i < count; i++)
+            for (size_t j = i + 1; j < count; j++) {
+                double *const a = A + i * n, *const b = A + j * n;
+                const double p = dal__dot(n, a, b);
+                if (fabs(p) <= tolerance * sqrt(squares[i]) * sqrt(squares[j])) continue;
+                const double zeta = (squares[j] - squares[i]) / (2.0 * p);
+                const double t = copysign(1.0, zeta) / (fabs(zeta) + hypot(1.0, zeta));
+                const double c = 1.0 / hypot(1.0, t), s = c * t;
+                for (size_t k = 0; k < n; k++) {
+                    const double old = a[k];
+                    a[k] = c * old - s * b[k];
+                    b[k] = s * old + c * b[k];
+                }
+                squares[i] = dal__dot(n, a, a);
+                squares[j] = dal__dot(n, b, b);
+                orthogonal = false;
+            }
+    }
+    return unit;
+}
+
+/* size[count] of the rows (or columns), with other[count] that of the other side: such that the
+ * geometric mean of their scaled entries, of those above least, is 1. */
+static void balance(size_t count, const double *scale, bool rows, double least, double *size,
+                    const double *other)
+{
+    for (size_t k = 0; k < count; k++) {
+        double sum = 0.0;
+        size_t entries = 0;
+        for (size_t l = 0; l < count; l++) {
+            const double entry = rows ? scale[k * count + l] : scale[l * count + k];
+            if (!(entry > least * size[k] * other[l])) continue;
+            sum += log2(entry) - log2(other[l]);
+            entries++;
+        }
+        if (entries > 0) size[k] = exp2(sum / (double)entries);
+    }
+}
+
+/* In turns, as A. R. Curtis and J. K. Reid do it (J. Inst. Maths Applics 10, 1972): it follows when
+ * rows and columns are rescaled, where largest entries would depend on who comes first.  Entries
+ * that are found to be small may be roundoff, which has no size, and are then left out. */
+void dal__sizes(size_t count, const double *scale, double *sizes)
+{
+    enum { ALL = 12, SWEEPS = 20 };
+    const double small = 1e-4;
+    double *const rows = sizes, *const columns = sizes + count;
+    for (size_t k = 0; k < 2 * count; k++) sizes[k] = 1.0;
+    for (int sweep = 0; sweep < SWEEPS; sweep++) {
+        balance(count, scale, true, sweep < ALL ? 0.0 : small, rows, columns);
+        balance(count, scale, false, sweep < ALL ? 0.0 : small, columns, rows);
+    }
+    for (size_t i = 0; i < count; i++) {
+        rows[i] = 0.0;
+        for (size_t k = 0; k < count; k++)
+            rows[i] = fmax(rows[i], scale[i * count + k] / columns[k]);
+    }
+}

@@ -1,0 +1,401 @@
+/* One ordinary differential equation, by an adaptive method: GSL's explicit ones, and a
+ * stiff one of our own.
+ *
+ * The loop over steps is our own, over gsl_odeiv2_step: it refuses a step that is not finite (GSL
+ * takes NaN for accurate), takes a shorter one where the field says that it left its domain, and
+ * leaves GSL no reason to raise its handler.  GSL's implicit methods would: they hand a singular
+ * matrix 1 - h J to its LU, and allocate in every step.  Its driver and control follow a null
+ * pointer when memory runs out; so they are our own, for msadams, which asks them for the
+ * tolerance. */
+#include "algebra/algebra.h"
+#include "dalembert/lu.h"
+
+#include <gsl/gsl_errno.h>
+#include <gsl/gsl_odeiv2.h>
+
+#include <math.h>
+#include <string.h>
+
+/* Accepted and refused steps of one integration; far more than any sensible one takes. */
+enum { MOST_STEPS = 10000000 };
+
+/* Below it steps are refused for their roundoff. */
+static const double LEAST_TOLERANCE = 4.0 * DAL_ROUNDOFF;
+
+/* The first step is a fraction of what the field suggests and of the interval. */
+static const double FIRST_STEP = 0.00618033988749895;
+static const double FIRST_FRACTION = 0.381966011250105;
+static const double SHORTER = 0.6;
+
+/* RODAS of order 4 with an embedded method of order 3, L-stable and stiffly accurate, so that it
+ * sees the field where a step ends: E. Hairer and G. Wanner, Solving Ordinary Differential
+ * Equations II, 2nd edition, IV.7.  Of stage i: where on the step it is; its share of f_t; how the
+ * stages before it enter the state that it sees, and its right side. */
+enum { STAGES = 6, RODAS_ORDER = 3 };
+static const double GAMMA = 0.25;
+static const struct {
+    double at, f_t, a[STAGES - 1], c[STAGES - 1];
+} stages[STAGES] = {
+    {0.0, 0.25, {0.0}, {0.0}},
+    {0.386, -0.1043, {1.544}, {-5.6688}},
+    {0.21, 0.1035, {0.9466785280815826, 0.2557011698983284},
+     {-2.430093356833875, -0.2063599157091915}},
+    {0.63, -0.0362, {3.314825187068521, 2.896124015972201, 0.9986419139977817},
+     {-0.1073529058151375, -9.594562251023355, -20.47028614809616}},
+    {1.0, 0.0, {1.221224509226641, 6.019134481288629, 12.53708332932087, -0.687886036105895},
+     {7.496443313967647, -10.24680431464352, -33.99990352819905, 11.7089089320616}},
+    {1.0, 0.0, {1.221224509226641, 6.019134481288629, 12.53708332932087, -0.687886036105895, 1.0},
+     {8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136,
+      -6.058818238834054}},
+};
+
+struct ode {
+    size_t N;
+    dal_flow_method method;
+    double tolerance;
+    dal__field_fn field;
+    void *ctx;
+    gsl_odeiv2_step *step;      /* of GSL's method; NULL for rodas */
+    gsl_odeiv2_system system;
+    gsl_odeiv2_control control; /* reads level */
+    gsl_odeiv2_driver driver;
+    double level;               /* the tolerance of this integration */
+    double t0;       /* time is t0 + elapsed, so that short intervals lose no digits */
+    double elapsed;
+    double longest;  /* step */
+    double h;        /* suggested for the next step, with the sign of the direction */
+    bool current;    /* the Jacobian is that of the state */
+    dal_error fault; /* of the field in the last attempt */
+    size_t evaluations;
+    double *state, *before;                   /* [N] */
+    double *slope, *slope_after, *step_error; /* [N] */
+    /* of rodas */
+    double *point, *right, *left, *rate;      /* [N]; rate: the derivative of the field by time */
+    double *jacobian, *matrix, *scale;        /* [N*N] */
+    double *sizes;                            /* [5*N] */
+    double *stage;                            /* [STAGES*N] */
+    size_t *row;                              /* [N] */
+    arena arena;
+};
+
+static void copy(const ode *self, double *to, const double *from)
+{
+    memcpy(to, from, self->N * sizeof *to);
+}
+
+static const char *method_name(dal_flow_method method)
+{
+    switch (method) {
+    case DAL_FLOW_RK8PD: return "rk8pd";
+    case DAL_FLOW_MSADAMS: return "msadams";
+    case DAL_FLOW_RODAS: return "rodas";
+    }
+    return NULL;
+}
+
+/* The error that a step may make of y, relative and absolute. */
+static int allowed(void *level, double y, double dydt, double h, size_t i, double *error)
+{
+    (void)dydt, (void)h, (void)i;
+    *error = *(const double *)level * fabs(y) + *(const double *)level;
+    return GSL_SUCCESS;
+}
+
+static const gsl_odeiv2_control_type control_type = {.name = "dalembert", .errlevel = allowed};
+
+/* The field, as GSL calls it.  What fails leaves its status and text in fault. */
+
+static int faulty(ode *self, const char *what, double elapsed)
+{
+    dal__fail(&self->fault, DAL_EDOMAIN, "the %s at t = %.17g is not finite", what,
+              self->t0 + elapsed);
+    return GSL_EBADFUNC;
+}
+
+/* dydt[N] <- the field at y[N]. */
+static int evaluate(double elapsed, const double y[], double dydt[], void *params)
+{
+    ode *const self = params;
+    if (!dal__all_finite(self->N, y)) return faulty(self, "state", elapsed);
+    self->evaluations++;
+    if (self->field(self->t0 + elapsed, y, dydt, self->ctx, &self->fault)) return GSL_EBADFUNC;
+    return dal__all_finite(self->N, dydt) ? GSL_SUCCESS : faulty(self, "field", elapsed);
+}
+
+/* The Jacobian of the field at the state by central differences, error O(d^2) + O(u/d). */
+static int difference(ode *self)
+{
+    const size_t N = self->N;
+    const double *const y = self->state;
+    copy(self, self->point, y);
+    for (size_t j = 0; j < N; j++) {
+        const double d = cbrt(DBL_EPSILON) * (1.0 + fabs(y[j]));
+        const double above = y[j] + d, below = y[j] - d;
+        self->point[j] = above;
+        int status = evaluate(self->elapsed, self->point, self->right, self);
+        self->point[j] = below;
+        if (!status) status = evaluate(self->elapsed, self->point, self->left, self);
+        self->point[j] = y[j];
+        if (status) return status;
+        for (size_t i = 0; i < N; i++)
+            self->jacobian[i * N + j] = (self->right[i] - self->left[i]) / (above - below);
+    }
+    self->current = true;
+    return GSL_SUCCESS;
+}
+
+/* rate <- the derivative of the field by time where the step begins, one-sided of order 2, as there
+ * may be no field before.  It looks no farther than 1/32 of the step. */
+static int differ_in_time(ode *self, double h)
+{
+    const double d = h / 64.0;
+    int status = evaluate(self->elapsed + d, self->state, self->right, self);
+    if (!status) status = evaluate(self->elapsed + 2.0 * d, self->state, self->left, self);
+    for (size_t i = 0; !status && i < self->N; i++)
+        self->rate[i] = (4.0 * (self->right[i] - self->slope[i]) - (self->left[i] - self->slope[i]))
+                      / (2.0 * d);
+    return status;
+}
+
+/* matrix <- the factors of 1/(gamma h) - J. */
+static bool factor(ode *self, double h)
+{
+    const size_t N = self->N;
+    const double one = 1.0 / (GAMMA * h);
+    for (size_t i = 0; i < N * N; i++) {
+        const double diagonal = i % (N + 1) == 0 ? one : 0.0;
+        self->matrix[i] = diagonal - self->jacobian[i];
+        self->scale[i] = fabs(diagonal) + fabs(self->jacobian[i]);
+    }
+    dal__sizes(N, self->scale, self->sizes);
+    return dal_lu_factor(N, self->matrix, self->sizes, self->row) != 0;
+}
+
+/* One step of rodas, as gsl_odeiv2_step_apply. */
+static int rosenbrock(ode *self, double h)
+{
+    const size_t N = self->N;
+    int status = self->current ? GSL_SUCCESS : difference(self);
+    if (!status) status = differ_in_time(self, h);
+    if (!status && !factor(self, h)) status = GSL_ESING;
+    for (size_t s = 0; !status && s < STAGES; s++) {
+        copy(self, self->point, self->state);
+        for (size_t r = 0; r < s; r++)
+            for (size_t i = 0; i < N; i++)
+                self->point[i] += stages[s].a[r] * self->stage[r * N + i];
+        status = evaluate(self->elapsed + stages[s].at * h, self->point, self->right, self);
+        for (size_t i = 0; !status && i < N; i++) {
+            self->right[i] += h * stages[s].f_t * self->rate[i];
+            for (size_t r = 0; r < s; r++)
+                self->right[i] += stages[s].c[r] / h * self->stage[r * N + i];
+        }
+        if (!status)
+            dal_lu_solve(N, self->matrix, self->row, self->right, self->stage + s * N);
+    }
+    if (status) return status;
+    copy(self, self->step_error, self->stage + (STAGES - 1) * N);
+    for (size_t i = 0; i < N; i++) self->state[i] = self->point[i] + self->step_error[i];
+    return evaluate(self->elapsed + h, self->state, self->slope_after, self);
+}
+
+/* Making. */
+
+static void plan(ode *shape, arena *memory)
+{
+    const size_t N = shape->N, N2 = dal__times(N, N);
+    double **const vectors[] = {&shape->state, &shape->before, &shape->slope, &shape->slope_after,
+                                &shape->step_error};
+    double **const scratch[] = {&shape->point, &shape->right, &shape->left, &shape->rate};
+    double **const matrices[] = {&shape->jacobian, &shape->matrix, &shape->scale};
+    dal__reserve_doubles(memory, DAL_LENGTH(vectors), vectors, N);
+    if (shape->method != DAL_FLOW_RODAS) return;
+    dal__reserve_doubles(memory, DAL_LENGTH(scratch), scratch, N);
+    dal__reserve_doubles(memory, DAL_LENGTH(matrices), matrices, N2);
+    dal__reserve(memory, &shape->sizes, dal__times(5, N), sizeof(double));
+    dal__reserve(memory, &shape->stage, dal__times(STAGES, N), sizeof(double));
+    dal__reserve(memory, &shape->row, N, sizeof(size_t));
+}
+
+int dal__check_tolerance(double tolerance, dal_error *error)
+{
+    if (tolerance >= LEAST_TOLERANCE && tolerance <= 0.1) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "tolerance = %g is not in [%.1e, 0.1]: no step is more "
+                     "accurate than roundoff", tolerance, LEAST_TOLERANCE);
+}
+
+int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
+                 dal__field_fn field, void *ctx, dal_error *error)
+{
+    if (!method_name(method))
+        return dal__fail(error, DAL_EINVAL, "method = %d is not a dal_flow_method", (int)method);
+    int status = dal__check_tolerance(tolerance, error);
+    if (status) return status;
+
+    arena memory = {0};
+    ode shape = {.N = N, .method = method, .tolerance = tolerance, .field = field, .ctx = ctx};
+    ode *self;
+    dal__reserve(&memory, &self, 1, sizeof *self);
+    plan(&shape, &memory);
+    status = dal__allocate(&memory, error);
+    if (status) return status;
+
+    *self = shape;
+    self->arena = memory;
+    *integrator = self;
+    if (method == DAL_FLOW_RODAS) return DAL_SUCCESS;
+    self->system = (gsl_odeiv2_system){evaluate, NULL, N, self};
+    self->control = (gsl_odeiv2_control){&control_type, &self->level};
+    self->driver = (gsl_odeiv2_driver){.sys = &self->system, .c = &self->control};
+    self->step = gsl_odeiv2_step_alloc(method == DAL_FLOW_RK8PD ? gsl_odeiv2_step_rk8pd
+                                                                : gsl_odeiv2_step_msadams, N);
+    if (!self->step) {
+        dal__release(&memory);
+        *integrator = NULL;
+        return dal__fail(error, DAL_ENOMEM, "out of memory for the workspace of %s",
+                         method_name(method));
+    }
+    gsl_odeiv2_step_set_driver(self->step, &self->driver);
+    return DAL_SUCCESS;
+}
+
+void dal__ode_free(ode *self)
+{
+    if (!self) return;
+    gsl_odeiv2_step_free(self->step);
+    arena memory = self->arena; /* the object lies inside it */
+    dal__release(&memory);
+}
+
+double *dal__ode_state(ode *self) { return self->state; }
+
+double dal__ode_elapsed(const ode *self) { return self->elapsed; }
+
+size_t dal__ode_evaluations(const ode *self) { return self->evaluations; }
+
+/* Integration. */
+
+/* The failure of the field is the failure of the integration. */
+static int pass_on(const ode *self, dal_error *error)
+{
+    if (error) *error = self->fault;
+    return self->fault.status;
+}
+
+int dal__ode_restart(ode *self, double end, dal_error *error)
+{
+    const double span = end - self->elapsed;
+    if (evaluate(self->elapsed, self->state, self->slope, self)) return pass_on(self, error);
+    if (self->step) gsl_odeiv2_step_reset(self->step);
+    self->current = false;
+    const double change =
+        FIRST_STEP * (1.0 + dal__largest(self->N, self->state))
+        / dal__largest(self->N, self->slope);
+    self->h = copysign(fmin(change, FIRST_FRACTION * fabs(span)), span);
+    return DAL_SUCCESS;
+}
+
+int dal__ode_begin(ode *self, double t0, double span, const double *y, double factor,
+                   dal_error *error)
+{
+    self->level = factor * self->tolerance;
+    self->t0 = t0;
+    self->elapsed = 0.0;
+    self->longest = HUGE_VAL;
+    memmove(self->state, y, self->N * sizeof *y); /* y may be the state */
+    return dal__ode_restart(self, span, error);
+}
+
+void dal__ode_shorten(ode *self, double longest)
+{
+    self->longest = longest;
+    self->h *= SHORTER;
+}
+
+/* Whether the errors of a step of size h are allowed; self->h <- the size to go on with, for a
+ * method of this order. */
+static bool accurate(ode *self, double h, unsigned order)
+{
+    double worst = DBL_MIN;
+    for (size_t i = 0; i < self->N; i++) {
+        double most;
+        allowed(&self->level, self->state[i], 0.0, h, i, &most);
+        worst = fmax(worst, fabs(self->step_error[i]) / most);
+    }
+    if (worst > 1.1) self->h = h * fmax(0.9 / pow(worst, 1.0 / order), 0.2);
+    else if (worst < 0.5)
+        self->h = h * fmin(fmax(0.9 / pow(worst, 1.0 / (order + 1.0)), 1.0), 5.0);
+    return worst <= 1.1;
+}
+
+/* One step of size h from elapsed time; on refusal the state is as it was.  Either way self->h is
+ * the size to go on with. */
+static bool attempt(ode *self, double h)
+{
+    gsl_odeiv2_step *const step = self->step;
+    self->fault.status = DAL_SUCCESS;
+    copy(self, self->before, self->state);
+    const int status = step ? gsl_odeiv2_step_apply(step, self->elapsed, h, self->state,
+                                                    self->step_error, self->slope,
+                                                    self->slope_after, &self->system)
+                            : rosenbrock(self, h);
+    const unsigned order = step ? gsl_odeiv2_step_order(step) : RODAS_ORDER;
+    if (status == GSL_SUCCESS && accurate(self, h, order)) {
+        copy(self, self->slope, self->slope_after);
+        self->current = false;
+        return true;
+    }
+    copy(self, self->state, self->before);
+    if (status != GSL_SUCCESS) self->h = 0.5 * h;
+    /* A multistep method is interrupted halfway by a field that fails. */
+    if (step && self->fault.status) gsl_odeiv2_step_reset(step);
+    return false;
+}
+
+static int collapsed(const ode *self, double h, dal_error *error)
+{
+    if (self->fault.status) return pass_on(self, error);
+    return dal__fail(error, DAL_ENOCONV,
+                     "%s: the step size collapsed to h = %g at t = %.17g (tolerance %g)",
+                     method_name(self->method), h, self->t0 + self->elapsed, self->tolerance);
+}
+
+/* One attempt at a step towards elapsed time end, which lies ahead. */
+static int attempt_towards(ode *self, double end, bool *accepted, dal_error *error)
+{
+    const double left = end - self->elapsed;
+    if (fabs(self->h) > self->longest) self->h = copysign(self->longest, self->h);
+    const bool last = fabs(self->h) >= fabs(left);
+    /* Two halves instead of a step and a very short one. */
+    const double h = last ? left : fabs(self->h) > 0.5 * fabs(left) ? 0.5 * left : self->h;
+    *accepted = attempt(self, h);
+    if (*accepted) {
+        if (self->elapsed + h == self->elapsed) return collapsed(self, h, error);
+        self->elapsed = last ? end : self->elapsed + h;
+    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED ||
+               !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
+        return collapsed(self, self->h, error);
+    }
+    return DAL_SUCCESS;
+}
+
+int dal__ode_step(ode *self, double end, dal_error *error)
+{
+    int status = DAL_SUCCESS;
+    bool accepted = self->elapsed == end;
+    while (!status && !accepted) status = attempt_towards(self, end, &accepted, error);
+    return status;
+}
+
+int dal__ode_reach(ode *self, double end, dal_error *error)
+{
+    int status = DAL_SUCCESS;
+    bool accepted;
+    for (size_t steps = 0; !status && self->elapsed != end; steps++) {
+        if (steps == MOST_STEPS)
+            return dal__fail(error, DAL_ENOCONV, "%s: %d steps did not lead beyond t = %.17g, the "
+                             "last of size h = %g (tolerance %g)", method_name(self->method),
+                             MOST_STEPS, self->t0 + self->elapsed, self->h, self->tolerance);
+        status = attempt_towards(self, end, &accepted, error);
+    }
+    return status;
+}

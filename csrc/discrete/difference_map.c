@@ -1,0 +1,186 @@
+/* Finite difference maps rho, rho^beta or a user's own, and their inverse. */
+#include "discrete/discrete.h"
+
+#include <math.h>
+#include <string.h>
+
+void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a)
+{
+    const size_t nn = dal__times(n, n), twice = map->differenced ? dal__times(2, n) : 0;
+    double **const matrices[] = {&rho->g_0, &rho->g_1, &rho->f_0, &rho->f_1};
+    rho->map = *map;
+    rho->n = n;
+    dal__reserve(a, &rho->g, n, sizeof(double));
+    dal__reserve(a, &rho->f, n, sizeof(double));
+    dal__reserve_doubles(a, DAL_LENGTH(matrices), matrices, nn);
+    dal__reserve(a, &rho->point, twice, sizeof(double));
+    dal__reserve(a, &rho->value, twice, sizeof(double));
+    dal__reserve(a, &rho->slope, dal__times(twice, twice), sizeof(double));
+}
+
+/* The derivatives of rho^beta are constant. */
+void dal__rho_bind(dal__rho *rho)
+{
+    if (rho->map.map) return;
+    for (size_t k = 0; k < rho->n; k++) {
+        const size_t kk = k * rho->n + k;
+        rho->g_0[kk] = 1.0 - rho->map.beta;
+        rho->g_1[kk] = rho->map.beta;
+        rho->f_0[kk] = -1.0;
+        rho->f_1[kk] = 1.0;
+    }
+}
+
+static int refuse(int returned, dal_error *error)
+{
+    return dal__fail(error, dal__callback_status(returned), "difference map returned %d (%s)",
+                     returned, returned > 0 ? "outside its domain" : "stop");
+}
+
+static int require_finite(const char *name, size_t columns, size_t count, const double *x,
+                          dal_error *error)
+{
+    for (size_t i = 0; i < count; i++)
+        if (!isfinite(x[i]))
+            return dal__fail(error, DAL_EDOMAIN, "difference map: %s[%zu,%zu] = %g is not finite, "
+                             "or was not written", name, i / columns, i % columns, x[i]);
+    return DAL_SUCCESS;
+}
+
+static int require_state(const dal__rho *rho, dal_error *error)
+{
+    const int status = require_finite("g", rho->n, rho->n, rho->g, error);
+    return status ? status : require_finite("f", rho->n, rho->n, rho->f, error);
+}
+
+/* (g, f)[2n] at (q0, q1)[2n], to be differenced. */
+typedef struct both {
+    const dal__rho *rho;
+    double h;
+} both;
+
+static int value_rho(const double *q, double *value, void *ctx)
+{
+    const both *const b = ctx;
+    const size_t n = b->rho->n;
+    return b->rho->map.map(b->h, q, q + n, value, value + n, NULL, NULL, NULL, NULL,
+                           b->rho->map.ctx);
+}
+
+static int difference_slopes(dal__rho *rho, const dal__pair *pair, dal_error *error)
+{
+    const size_t n = rho->n;
+    both b = {rho, pair->h};
+    memcpy(rho->point, pair->q0, n * sizeof *rho->point);
+    memcpy(rho->point + n, pair->q1, n * sizeof *rho->point);
+    for (size_t j = 0; j < 2 * n; j++) {
+        const int returned = dal__difference(value_rho, &b, rho->point, j, 2 * n, rho->value,
+                                             rho->slope + j, 2 * n);
+        if (returned) return refuse(returned, error);
+    }
+    for (size_t i = 0; i < n; i++) {
+        const size_t row = n * sizeof *rho->g_0;
+        memcpy(rho->g_0 + i * n, rho->slope + 2 * n * i, row);
+        memcpy(rho->g_1 + i * n, rho->slope + 2 * n * i + n, row);
+        memcpy(rho->f_0 + i * n, rho->slope + 2 * n * (n + i), row);
+        memcpy(rho->f_1 + i * n, rho->slope + 2 * n * (n + i) + n, row);
+    }
+    return DAL_SUCCESS;
+}
+
+static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error)
+{
+    const size_t n = rho->n, nn = n * n;
+    const bool given = slopes && !rho->map.differenced;
+    double *const matrices[] = {rho->g_0, rho->g_1, rho->f_0, rho->f_1};
+    static const char *const names[] = {"g_0", "g_1", "f_0", "f_1"};
+    dal__forget(n, rho->g);
+    dal__forget(n, rho->f);
+    for (size_t i = 0; given && i < 4; i++) dal__forget(nn, matrices[i]);
+    const int returned = rho->map.map(pair->h, pair->q0, pair->q1, rho->g, rho->f,
+                                      given ? rho->g_0 : NULL, given ? rho->g_1 : NULL,
+                                      given ? rho->f_0 : NULL, given ? rho->f_1 : NULL,
+                                      rho->map.ctx);
+    if (returned) return refuse(returned, error);
+    int status = require_state(rho, error);
+    if (status || !slopes) return status;
+    if (!given) status = difference_slopes(rho, pair, error);
+    for (size_t i = 0; !status && i < 4; i++)
+        status = require_finite(names[i], n, nn, matrices[i], error);
+    for (size_t k = 0; k < nn; k++) {
+        rho->f_0[k] *= pair->h;
+        rho->f_1[k] *= pair->h;
+    }
+    return status;
+}
+
+int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error)
+{
+    const double beta = rho->map.beta;
+    if (rho->map.map) return user_map(rho, pair, slopes, error);
+    for (size_t i = 0; i < rho->n; i++) {
+        rho->g[i] = (1.0 - beta) * pair->q0[i] + beta * pair->q1[i];
+        rho->f[i] = pair->w[i];
+    }
+    return require_state(rho, error);
+}
+
+/* ---- the inverse -------------------------------------------------------------------------- */
+
+typedef struct inversion {
+    dal__rho *rho;
+    double h;
+    const double *x;
+    dal_error *error;
+} inversion;
+
+/* rho(z) - x and its derivative by z = (q0, q1); the equations of f are multiplied by h. */
+static int inverse_at(void *ctx, const double *z, double *residual, double *J, double *scale)
+{
+    const inversion *const in = ctx;
+    const dal__rho *const rho = in->rho;
+    const size_t n = rho->n, N = 2 * n;
+    const dal__pair pair = {in->h, z, z + n, NULL};
+    const int status = dal__rho_at(in->rho, &pair, true, in->error);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) {
+        residual[i] = rho->g[i] - in->x[i];
+        residual[n + i] = in->h * (rho->f[i] - in->x[n + i]);
+        for (size_t j = 0; j < n; j++) {
+            J[i * N + j] = rho->g_0[i * n + j];
+            J[i * N + n + j] = rho->g_1[i * n + j];
+            J[(n + i) * N + j] = rho->f_0[i * n + j];
+            J[(n + i) * N + n + j] = rho->f_1[i * n + j];
+        }
+    }
+    for (size_t k = 0; k < N * N; k++) scale[k] = fabs(J[k]);
+    return DAL_SUCCESS;
+}
+
+int dal__rho_invert(dal__rho *rho, dal__root *root, double h, const double *x, double *q0,
+                    double *q1, dal_error *error)
+{
+    const size_t n = rho->n;
+    const double beta = rho->map.beta, *const v = x + n;
+    if (!rho->map.map) {
+        for (size_t i = 0; i < n; i++) {
+            q0[i] = x[i] - beta * h * v[i];
+            q1[i] = x[i] + (1.0 - beta) * h * v[i];
+        }
+        const int status = dal__require_output(error, "q0", n, q0);
+        return status ? status : dal__require_output(error, "q1", n, q1);
+    }
+    inversion in = {rho, h, x, error};
+    const dal__equations equations = {.at = inverse_at, .ctx = &in, .size = 2 * n,
+                                      .measured = 2 * n, .singular = "the derivative of the "
+                                      "difference map is singular: it has no inverse here"};
+    for (size_t i = 0; i < n; i++) {
+        root->z[i] = x[i] - 0.5 * h * v[i];
+        root->z[n + i] = x[i] + 0.5 * h * v[i];
+    }
+    const int status = dal__find_root(root, &equations, error);
+    if (status) return status;
+    memcpy(q0, root->z, n * sizeof *q0);
+    memcpy(q1, root->z + n, n * sizeof *q1);
+    return DAL_SUCCESS;
+}

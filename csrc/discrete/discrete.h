@@ -1,0 +1,88 @@
+/* discrete.h - the equations of a step, difference maps, discrete Lagrangians and constraints. */
+#ifndef DAL__DISCRETE_H
+#define DAL__DISCRETE_H
+
+#include "dalembert/discrete.h"
+#include "geometry/geometry.h"
+
+/* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone,
+ * which are those of that function and have been checked; kept: x is (q_k, v), the state of kept
+ * nodes.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K (see
+ * lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n] the
+ * velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
+ * residual raises *worst.  The x of dal__step_begin must stay until the last dal__step_at. */
+int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
+                    const double *x);
+int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
+                 double *K, double *K_sizes, double *B);
+/* What the roundoff of w is relative to beside w: the sizes of v and of the terms of R1, as changes
+ * of velocity, at the last dal__step_at that gave R1 and K.  They may be far larger than w: at
+ * rest, where a reaction balances a force. */
+double dal__step_base(const dal_mechanics *mech);
+int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst);
+
+/* Two nodes one step h apart, and the difference quotient w = (q1 - q0)/h, which may be known to
+ * more digits than the nodes leave. */
+typedef struct dal__pair {
+    double h;
+    const double *q0, *q1, *w; /* [n] */
+} dal__pair;
+
+/* A finite difference map, and what it gives at a pair. */
+typedef struct dal__rho {
+    dal_difference_map map;
+    size_t n;
+    double *g, *f;              /* [n] */
+    double *g_0, *g_1;          /* [n*n] */
+    double *f_0, *f_1;          /* [n*n] times h, so that they do not grow as h goes to 0 */
+    double *point, *value, *slope; /* [2n], [2n], [2n*2n] of differenced derivatives */
+} dal__rho;
+
+void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a);
+/* After the allocation. */
+void dal__rho_bind(dal__rho *rho);
+/* g and f at the pair, and the derivatives if slopes. */
+int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error);
+/* q0, q1 [n] <- the pair with rho(q0, q1) = x[2n]; root for 2n unknowns. */
+int dal__rho_invert(dal__rho *rho, dal__root *root, double h, const double *x, double *q0,
+                    double *q1, dal_error *error);
+
+struct dal_discrete {
+    dal_mechanics mech;
+    size_t n, m;
+    dal__rho lagrangian, constraint; /* of L_d, of D_d */
+    dal__rho moved;                  /* of L_d too: its second derivatives are differenced */
+    dal__root root;                  /* for 2n unknowns */
+    double *q0, *q1, *w, *node;      /* [n] a pair of our own, and the node between two pairs */
+    double *state;                   /* [2n] */
+    double *force, *L_v;             /* [n] F = L_q + f and L_v at rho(pair) */
+    double *minus, *plus;            /* [n] p^- and p^+ */
+    double *L_qq, *L_vq, *L_vv, *f_q, *f_v; /* [n*n] */
+    double *X, *X_scale, *Y, *Y_scale;      /* [n*n] products on the way to K */
+    double *K, *K_scale;             /* [n*n] dp^-/dw */
+    double *phi, *phi_v, *phi_q;     /* [m], [m*n], [m*n] at rho(pair) */
+    double *B, *B_scale;             /* [m*n] d phi_d/dw */
+    double *muk;                     /* [m*n] the forms along which the constraint reacts */
+    double *point, *value, *bend;    /* [n], [n], [n*n] of differences by w or by q1 */
+    struct {                         /* of the step that is being solved */
+        double t, h;                 /* the time of the pair before */
+        const double *node, *kappa;  /* [n] q_k; [m] */
+    } step;
+    double *momentum, *velocity;     /* [n] p^+_k; v_k */
+    arena arena;
+};
+
+/* DAL_EINVAL unless h is finite and not 0; unless the nodes are finite too. */
+int dal__discrete_step_size(dal_discrete *d, double h);
+int dal__discrete_require(dal_discrete *d, double h, const char *name0, const double *q0,
+                          const char *name1, const double *q1);
+/* d->w <- (q1 - q0)/h; the pair. */
+dal__pair dal__discrete_pair(dal_discrete *d, double h, const double *q0, const double *q1);
+/* minus, plus [n] (or NULL) <- p^- = -D_1 L_d and p^+ = D_2 L_d, with the forces at time t of the
+ * pair if forced; d->K if derivative. */
+int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pair *pair,
+                          double *minus, double *plus, bool derivative);
+/* d->phi, d->phi_v, and d->B if derivative. */
+int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool derivative);
+
+#endif /* DAL__DISCRETE_H */

@@ -1,0 +1,110 @@
+/* The exact discrete constraint D_d^E, by the reference flow. */
+#include "discrete/discrete.h"
+#include "dalembert/lu.h"
+
+#include <math.h>
+#include <string.h>
+
+/* What the search for v0 works with. */
+typedef struct search {
+    dal_flow *flow;
+    dal_mechanics *mech;
+    double t0, h;
+    const double *q1;
+    double *x, *end; /* [2n] (q0, v0); what the flow makes of it */
+    double *miss;    /* [n] (q1 - q(h))/h */
+    double *defect;  /* [m] mu miss */
+    arena arena;
+} search;
+
+/* The error record of the flow is the one that is read. */
+static int pass_on(search *s, int status)
+{
+    if (status) *dal__flow_error(s->flow) = s->mech->error;
+    return status;
+}
+
+/* miss and defect of x; end <- what of the miss lies along D, in its first n entries. */
+static int shoot(search *s)
+{
+    dal_mechanics *const mech = s->mech;
+    const size_t n = mech->n, m = mech->m;
+    const double *const v = s->x + n;
+    memcpy(s->end, s->x, 2 * n * sizeof *s->end);
+    int status = dal__flow_apply(s->flow, s->t0, s->h, s->end, false);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
+    if (m == 0) return DAL_SUCCESS;
+    status = dal__constraint(&mech->eval, s->x, v, NULL, mech->mu, NULL, &mech->error);
+    if (!status) status = dal__form_metric(mech, s->x, v);
+    if (status) return pass_on(s, status);
+    dal__form_Z(mech, mech->mu);
+    status = dal__factor_gram(mech, mech->mu);
+    if (status) return pass_on(s, status);
+    dal__apply(m, n, mech->mu, s->miss, s->defect);
+    memcpy(mech->lambda, s->defect, m * sizeof *s->defect);
+    dal__solve_gram(mech, mech->lambda);
+    for (size_t a = 0; a < m; a++)
+        for (size_t i = 0; i < n; i++) s->end[i] -= mech->Z[a * n + i] * mech->lambda[a];
+    return DAL_SUCCESS;
+}
+
+/* v0 += the part along D of the miss: that of v0 is identity + O(h). */
+static int find_velocity(search *s)
+{
+    enum { MOST = 60 };
+    const size_t n = s->mech->n;
+    double *const v = s->x + n;
+    const double extent = dal__sum_of_sizes(n, s->x) + dal__sum_of_sizes(n, s->q1);
+    double last = HUGE_VAL, size = 0.0, scale = 0.0;
+    for (int iteration = 1; iteration <= MOST; iteration++) {
+        int status = pass_on(s, dal_project(s->mech, 0.0, s->x, NULL));
+        if (!status) status = shoot(s);
+        if (status) return status;
+        size = dal__sum_of_sizes(n, s->end);
+        scale = dal__sum_of_sizes(n, v) + dal__sum_of_sizes(n, s->miss);
+        /* what the flow and the digits of the nodes leave of a quotient by h */
+        const double noise = 4.0 * DAL_ROUNDOFF * scale + (dal__flow_tolerance(s->flow)
+                             + DAL_ROUNDOFF) * (extent + scale) / fabs(s->h);
+        if (size <= noise) return dal__require_output(dal__flow_error(s->flow), "defect",
+                                                      s->mech->m, s->defect);
+        if (iteration == MOST || !(size <= DBL_MAX) || size > 1e3 * fmin(last, scale)) break;
+        for (size_t i = 0; i < n; i++) v[i] += s->end[i];
+        last = size;
+    }
+    return dal__fail(dal__flow_error(s->flow), DAL_ENOCONV, "no velocity at q0 leads to q1: the "
+                     "last miss is %.3g of %.3g; h = %g is too large", size, scale, s->h);
+}
+
+int dal_exact_velocity(dal_flow *flow, double t0, double h, const double *q0, const double *q1,
+                       double *v0, double *defect)
+{
+    if (!flow) return DAL_EINVAL;
+    search s = {.flow = flow, .mech = dal__flow_mechanics(flow), .t0 = t0, .h = h, .q1 = q1};
+    const size_t n = s.mech->n, m = s.mech->m;
+    dal_error *const error = dal__flow_error(flow);
+    if (!v0) return dal__fail(error, DAL_EINVAL, "v0 is NULL");
+    if (!isfinite(t0) || !isfinite(h) || h == 0.0)
+        return dal__fail(error, DAL_EINVAL, "t0 = %g, h = %g: expected finite numbers, h not 0", t0,
+                         h);
+    int status = pass_on(&s, dal__require_finite(s.mech, "q0", n, q0));
+    if (!status) status = pass_on(&s, dal__require_finite(s.mech, "q1", n, q1));
+    if (status) return status;
+    dal__reserve(&s.arena, &s.x, dal__times(2, n), sizeof(double));
+    dal__reserve(&s.arena, &s.end, dal__times(2, n), sizeof(double));
+    dal__reserve(&s.arena, &s.miss, n, sizeof(double));
+    dal__reserve(&s.arena, &s.defect, m, sizeof(double));
+    status = dal__allocate(&s.arena, error);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) {
+        s.x[i] = q0[i];
+        s.x[n + i] = (q1[i] - q0[i]) / h;
+    }
+    status = find_velocity(&s);
+    if (!status) {
+        memcpy(v0, s.x + n, n * sizeof *v0);
+        if (defect) memcpy(defect, s.defect, m * sizeof *defect);
+    }
+    dal__release(&s.arena);
+    return status;
+}

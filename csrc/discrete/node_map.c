@@ -1,0 +1,358 @@
+/* The discrete Lagrange-d'Alembert equations, and the maps that they define: on pairs of
+ * nodes, and on states. */
+#include "discrete/discrete.h"
+#include "dalembert/lu.h"
+#include "dalembert/residual.h"
+
+#include <math.h>
+#include <string.h>
+
+static bool is_nonlinear(const dal_discrete *d)
+{
+    return d->mech.eval.system->def.kind == DAL_NONLINEAR;
+}
+
+/* muk <- phi_v(node, v). */
+static int reaction_forms(dal_discrete *d, const double *node, const double *v, double *muk)
+{
+    return dal__constraint(&d->mech.eval, node, v, NULL, muk, NULL, &d->mech.error);
+}
+
+/* muk <- phi_v(q_k, (v_k + v)/2), which only a nonlinear constraint asks for. */
+static int middle_forms(dal_discrete *d, const double *v, double *muk)
+{
+    for (size_t i = 0; i < d->n; i++) d->mech.step[i] = 0.5 * (d->velocity[i] + v[i]);
+    return reaction_forms(d, d->step.node, d->mech.step, muk);
+}
+
+/* The equations after the pair at time t: its p^+, its velocity, and mu_k where that is known. */
+static int begin(dal_discrete *d, double t, const dal__pair *pair)
+{
+    const size_t n = d->n;
+    int status = dal__discrete_momenta(d, t, true, pair, NULL, d->momentum, false);
+    if (!status) status = dal__rho_at(&d->constraint, pair, false, &d->mech.error);
+    if (status) return status;
+    memcpy(d->velocity, d->constraint.f, n * sizeof *d->velocity);
+    d->step.t = t;
+    d->step.h = pair->h;
+    d->step.node = pair->q1;
+    return is_nonlinear(d) ? DAL_SUCCESS : reaction_forms(d, pair->q1, d->velocity, d->muk);
+}
+
+/* mu_k^T kappa as a function of w, to be differenced. */
+static int value_reaction(const double *w, double *value, void *ctx)
+{
+    dal_discrete *const d = ctx;
+    const size_t n = d->n;
+    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + d->step.h * w[i];
+    const dal__pair pair = {d->step.h, d->step.node, d->q1, w};
+    int status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    if (!status) status = middle_forms(d, d->constraint.f, d->phi_q);
+    if (status) return status;
+    memset(value, 0, n * sizeof *value);
+    for (size_t a = 0; a < d->m; a++)
+        for (size_t i = 0; i < n; i++) value[i] += d->phi_q[a * n + i] * d->step.kappa[a];
+    return DAL_SUCCESS;
+}
+
+/* d->K += -d(mu_k^T kappa)/dw. */
+static int subtract_bend(dal_discrete *d, const double *w)
+{
+    const size_t n = d->n;
+    memcpy(d->point, w, n * sizeof *d->point);
+    for (size_t j = 0; j < n; j++) {
+        const int status = dal__difference(value_reaction, d, d->point, j, n, d->value,
+                                           d->bend + j, n);
+        if (status) return status;
+    }
+    for (size_t k = 0; k < n * n; k++) {
+        d->K[k] -= d->bend[k];
+        d->K_scale[k] += fabs(d->bend[k]);
+    }
+    return DAL_SUCCESS;
+}
+
+/* J[(n+m)*(n+m)] <- [[K, -mu_k^T], [B, 0]] with the scale of its entries (or NULL). */
+static void assemble(const dal_discrete *d, double *J, double *scale)
+{
+    const size_t n = d->n, m = d->m, N = n + m;
+    memset(J, 0, N * N * sizeof *J);
+    if (scale) memset(scale, 0, N * N * sizeof *scale);
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++) {
+            J[i * N + j] = d->K[i * n + j];
+            if (scale) scale[i * N + j] = d->K_scale[i * n + j];
+        }
+    for (size_t a = 0; a < m; a++)
+        for (size_t i = 0; i < n; i++) {
+            J[i * N + n + a] = -d->muk[a * n + i];
+            J[(n + a) * N + i] = d->B[a * n + i];
+            if (!scale) continue;
+            scale[i * N + n + a] = fabs(d->muk[a * n + i]);
+            scale[(n + a) * N + i] = d->B_scale[a * n + i];
+        }
+}
+
+/* What the roundoff of w is relative to beside w: the velocity before and the terms of the
+ * equations of motion as changes of velocity, see dal__step_base. */
+static double base_of_equations(const dal_discrete *d, const double *kappa)
+{
+    const size_t n = d->n;
+    double base = dal_residual_extent(n, d->mech.per_unit, d->velocity);
+    for (size_t i = 0; i < n; i++) {
+        double sum = fabs(d->minus[i]) + fabs(d->momentum[i]);
+        for (size_t a = 0; a < d->m; a++) sum += fabs(d->muk[a * n + i] * kappa[a]);
+        base += sum * d->mech.unit[i];
+    }
+    return base;
+}
+
+/* The step equations at z = (w, kappa), kappa = h lambda. */
+static int equations_at(void *ctx, const double *z, double *residual, double *J, double *scale)
+{
+    dal_discrete *const d = ctx;
+    const size_t n = d->n, m = d->m;
+    const double h = d->step.h, *const w = z, *const kappa = z + n;
+    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i];
+    const dal__pair pair = {h, d->step.node, d->q1, w};
+    d->step.kappa = kappa;
+    int status = dal__discrete_momenta(d, d->step.t + h, true, &pair, d->minus, NULL, true);
+    if (!status && is_nonlinear(d)) status = subtract_bend(d, w);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i]; /* it was moved */
+    status = dal__discrete_constraint(d, &pair, true);
+    if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) {
+        residual[i] = d->minus[i] - d->momentum[i];
+        for (size_t a = 0; a < m; a++) residual[i] -= d->muk[a * n + i] * kappa[a];
+    }
+    memcpy(residual + n, d->phi, m * sizeof *residual);
+    d->root.base = base_of_equations(d, kappa);
+    d->root.extent = dal__sum_of_sizes(n, d->constraint.g);
+    assemble(d, J, scale);
+    return DAL_SUCCESS;
+}
+
+/* d->root.z <- (w, kappa) of the pair after the given one, which is at time t. */
+static int solve(dal_discrete *d, double t, const dal__pair *pair)
+{
+    const size_t n = d->n, m = d->m;
+    const dal__equations equations = {.at = equations_at, .ctx = d, .size = n + m, .measured = n,
+                                .per_unit = d->mech.per_unit,
+                                .singular = "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is "
+                                "singular: the constraints lose rank, or h is too large here"};
+    int status = begin(d, t, pair);
+    if (!status) status = dal__form_metric(&d->mech, d->constraint.g, d->velocity);
+    if (status) return status;
+    memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
+    memset(d->root.z + n, 0, m * sizeof *d->root.z);
+    return dal__find_root(&d->root, &equations, &d->mech.error);
+}
+
+/* d->q1 <- the node that the root leads to from q; its multipliers where they are wanted. */
+static int hand_over(dal_discrete *d, const double *q, const double *lambda)
+{
+    double *const multipliers = d->root.z + d->n;
+    for (size_t i = 0; i < d->n; i++) d->q1[i] = q[i] + d->step.h * d->root.z[i];
+    for (size_t a = 0; a < d->m; a++) multipliers[a] /= d->step.h;
+    const int status = dal__require_output(&d->mech.error, "q1", d->n, d->q1);
+    if (status || !lambda) return status;
+    return dal__require_output(&d->mech.error, "lambda", d->m, multipliers);
+}
+
+static void copy_multipliers(const dal_discrete *d, double *lambda)
+{
+    if (lambda) memcpy(lambda, d->root.z + d->n, d->m * sizeof *lambda);
+}
+
+/* ---- the equations ------------------------------------------------------------------------ */
+
+int dal_discrete_residual(dal_discrete *discrete, double t, double h, const double *q_before,
+                          const double *q, const double *q_after, const double *lambda,
+                          double *residual)
+{
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n, m = d->m;
+    if (!residual) return dal__null_argument(&d->mech, "residual");
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_require(d, h, "q_before", q_before, "q", q);
+    if (!status) status = dal__require_finite(&d->mech, "q_after", n, q_after);
+    if (!status && m > 0) status = dal__require_finite(&d->mech, "lambda", m, lambda);
+    if (status) return status;
+    dal__pair pair = dal__discrete_pair(d, h, q_before, q);
+    status = begin(d, t, &pair);
+    pair = dal__discrete_pair(d, h, q, q_after);
+    if (!status) status = dal__discrete_momenta(d, t + h, true, &pair, d->minus, NULL, false);
+    if (!status) status = dal__discrete_constraint(d, &pair, false);
+    if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
+    if (status) return status;
+    double *const sides = d->root.residual;
+    for (size_t i = 0; i < n; i++) {
+        sides[i] = d->momentum[i] - d->minus[i];
+        for (size_t a = 0; a < m; a++) sides[i] += h * d->muk[a * n + i] * lambda[a];
+    }
+    memcpy(sides + n, d->phi, m * sizeof *sides);
+    status = dal__require_output(&d->mech.error, "residual", n + m, sides);
+    if (!status) memcpy(residual, sides, (n + m) * sizeof *residual);
+    return status;
+}
+
+/* Of the matrix J[N*N], in the order of the arguments; J is destroyed. */
+static void examine(dal_discrete *d, int *sign, double *logarithm, double *condition)
+{
+    const size_t N = d->n + d->m;
+    double *const J = d->root.J, *const scale = d->root.scale, *const squares = d->root.residual;
+    size_t *const row = d->root.row;
+    int s = 1;
+    double l = 0.0, most = 0.0, least = HUGE_VAL;
+    assemble(d, J, scale);
+    dal__sizes(N, scale, d->root.sizes);
+    const bool regular = dal_lu_factor(N, J, d->root.sizes, row) != 0;
+    for (size_t k = 0; regular && k < N; k++) {
+        if (J[k * N + k] < 0.0) s = -s;
+        l -= log(fabs(J[k * N + k])); /* the diagonal is inverted */
+        for (; row[k] != k; s = -s) { /* the permutation, one exchange at a time */
+            const size_t other = row[k];
+            row[k] = row[other];
+            row[other] = other;
+        }
+    }
+    assemble(d, J, NULL);
+    dal__singular_values(N, N, J, squares);
+    for (size_t k = 0; k < N; k++) {
+        most = fmax(most, squares[k]);
+        least = fmin(least, squares[k]);
+    }
+    *sign = regular ? s : 0;
+    *logarithm = regular ? l : -HUGE_VAL;
+    *condition = regular && least > 0.0 ? sqrt(most / least) : HUGE_VAL;
+}
+
+int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const double *q,
+                            const double *q_after, double *matrix, int *sign,
+                            double *logarithm, double *condition)
+{
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n, m = d->m, N = n + m;
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_require(d, h, "q", q, "q_after", q_after);
+    if (status) return status;
+    const dal__pair pair = dal__discrete_pair(d, h, q, q_after);
+    status = dal__discrete_momenta(d, t + h, true, &pair, NULL, NULL, true);
+    if (!status) status = dal__discrete_constraint(d, &pair, true);
+    if (!status) status = reaction_forms(d, q, d->constraint.f, d->muk);
+    if (status) return status;
+    int s;
+    double l, c, *const J = d->root.J;
+    assemble(d, J, d->root.scale);
+    status = dal__require_output(&d->mech.error, "matrix", N * N, J);
+    if (!status) status = dal__require_output(&d->mech.error, "terms of matrix", N * N,
+                                              d->root.scale);
+    if (status) return status;
+    examine(d, &s, &l, &c);
+    if (n % 2 == 1 && h > 0.0) s = -s; /* of (-1/h)^n */
+    assemble(d, J, NULL);
+    for (size_t i = 0; i < N; i++)
+        for (size_t j = 0; j < N; j++) J[i * N + j] *= (i < n ? -1.0 : 1.0) / (j < n ? h : 1.0);
+    if (matrix) status = dal__require_output(&d->mech.error, "matrix", N * N, J);
+    if (status) return status;
+    if (sign) *sign = s;
+    if (logarithm) *logarithm = l - (double)n * log(fabs(h));
+    if (condition) *condition = c;
+    if (matrix) memcpy(matrix, J, N * N * sizeof *matrix);
+    return DAL_SUCCESS;
+}
+
+/* ---- maps --------------------------------------------------------------------------------- */
+
+int dal_discrete_step(dal_discrete *discrete, double t, double h, double *q0, double *q1,
+                      double *lambda)
+{
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n;
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
+    if (status) return status;
+    const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
+    status = solve(d, t, &pair);
+    if (!status) status = hand_over(d, q1, lambda);
+    if (status) return status;
+    memcpy(q0, q1, n * sizeof *q0);
+    memcpy(q1, d->q1, n * sizeof *q1);
+    copy_multipliers(d, lambda);
+    return DAL_SUCCESS;
+}
+
+static int require_on_constraint(dal_discrete *d, const dal__pair *pair)
+{
+    int status = dal__discrete_constraint(d, pair, false);
+    if (!status) status = dal__form_metric(&d->mech, d->constraint.g, d->constraint.f);
+    if (status || dal__is_consistent(&d->mech, d->phi_v, d->phi, d->constraint.f)) return status;
+    return dal__fail(&d->mech.error, DAL_EOFFD, "the first pair of nodes does not lie in D_d: its "
+                     "residual is %.3g, more than roundoff and %g of the terms of phi_d",
+                     dal__relative_residual(&d->mech, d->phi_v, d->phi, d->constraint.f),
+                     DAL_CONSISTENT);
+}
+
+int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps, double *nodes,
+                     double *lambda, size_t *done)
+{
+    if (done) *done = 0;
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n;
+    int status = dal__require_finite(&d->mech, "t0", 1, &t0);
+    if (!status) status = dal__discrete_step_size(d, h);
+    if (!status) status = dal__require_finite(&d->mech, "nodes", 2 * n, nodes);
+    if (status) return status;
+    dal__pair pair = dal__discrete_pair(d, h, nodes, nodes + n);
+    status = require_on_constraint(d, &pair);
+    for (size_t k = 0; !status && k < steps; k++) {
+        pair.q0 = nodes + k * n;
+        pair.q1 = pair.q0 + n;
+        status = solve(d, t0 + (double)k * h, &pair);
+        if (!status) status = hand_over(d, pair.q1, lambda);
+        if (status) break;
+        memcpy(d->w, d->root.z, n * sizeof *d->w);
+        memcpy(nodes + (k + 2) * n, d->q1, n * sizeof *nodes);
+        copy_multipliers(d, lambda ? lambda + k * d->m : NULL);
+        if (done) *done = k + 1;
+    }
+    return status;
+}
+
+int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda)
+{
+    if (!discrete) return DAL_EINVAL;
+    dal_discrete *const d = discrete;
+    const size_t n = d->n;
+    double unused = 0.0;
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_step_size(d, h);
+    if (!status) status = dal__require_finite(&d->mech, "x", 2 * n, x);
+    if (!status)
+        status = dal__rho_invert(&d->constraint, &d->root, h, x, d->q0, d->node, &d->mech.error);
+    if (status) return status;
+    dal__pair pair = dal__discrete_pair(d, h, d->q0, d->node);
+    if (!d->constraint.map.map) pair.w = x + n;
+    status = solve(d, t, &pair);
+    if (!status) status = hand_over(d, d->node, lambda);
+    pair = (dal__pair){h, d->node, d->q1, d->root.z};
+    if (!status) status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    if (status) return status;
+    /* Corrected as a step with beta = 0, whose state stands at its node. */
+    memcpy(d->mech.node, d->constraint.g, n * sizeof *d->mech.node);
+    memcpy(d->w, d->constraint.f, n * sizeof *d->w);
+    d->mech.start.h = h;
+    d->mech.start.beta = 0.0;
+    d->mech.start.kept = false;
+    status = dal__step_settle(&d->mech, d->w, d->state, &unused);
+    if (status) return status;
+    memcpy(x, d->state, 2 * n * sizeof *x);
+    copy_multipliers(d, lambda);
+    return DAL_SUCCESS;
+}

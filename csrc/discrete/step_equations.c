@@ -1,0 +1,274 @@
+/* The equations of one beta-step and their Jacobian, for every system; and what is stored
+ * once they are solved. */
+#include "discrete/discrete.h"
+#include "dalembert/residual.h"
+
+#include <math.h>
+#include <string.h>
+
+int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
+                    const double *x)
+{
+    const size_t n = mech->n;
+    const double *const v = x + n, before = (1.0 - beta) * h;
+    int status = DAL_SUCCESS;
+    mech->start.t = t;
+    mech->start.beta = beta;
+    mech->start.h = h;
+    mech->start.kept = kept;
+    mech->start.v = v;
+    mech->start.base = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        mech->node[i] = kept ? x[i] : x[i] + before * v[i];
+        mech->q[i] = kept ? x[i] - before * v[i] : x[i];
+    }
+    if (mech->eval.system->def.kind != DAL_NONLINEAR)
+        status = dal__constraint(&mech->eval, mech->node, v, NULL, mech->muk, NULL, &mech->error);
+    memset(mech->reach, 0, n * sizeof *mech->reach);
+    const dal__jet wanted = {.L_q = beta != 0.0 ? mech->reach : NULL,
+                             .L_v = mech->eval.constant_mass ? NULL : mech->momentum};
+    if (!status) status = dal__lagrangian(&mech->eval, mech->q, v, &wanted, &mech->error);
+    if (!status && beta != 0.0 && mech->eval.system->def.force) {
+        status = dal__force(&mech->eval, t, mech->q, v, mech->step, NULL, NULL, &mech->error);
+        for (size_t i = 0; i < n; i++) mech->reach[i] += mech->step[i];
+    }
+    for (size_t i = 0; i < n; i++) mech->reach[i] *= beta * h;
+    return status;
+}
+
+/* muk <- phi_v(q_k, (v + w)/2), along which a nonlinear constraint reacts. */
+static int chetaev_forms(dal_mechanics *mech, const double *w, double *muk)
+{
+    for (size_t i = 0; i < mech->n; i++) mech->step[i] = 0.5 * (mech->start.v[i] + w[i]);
+    return dal__constraint(&mech->eval, mech->node, mech->step, NULL, muk, NULL, &mech->error);
+}
+
+/* bend <- d(mu_k^T kappa)/dw, by central differences, which serve Newton's speed only. */
+static int evaluate_bend(dal_mechanics *mech, const double *w, const double *kappa)
+{
+    const size_t n = mech->n, m = mech->m;
+    double largest = dal__largest(n, w);
+    if (largest == 0.0) largest = 1.0;
+    const double d = cbrt(DBL_EPSILON) * largest;
+    memset(mech->bend, 0, n * n * sizeof *mech->bend);
+    for (size_t j = 0; j < n; j++)
+        for (int side = -1; side <= 1; side += 2) {
+            memcpy(mech->trial, w, n * sizeof *w);
+            mech->trial[j] += side * d;
+            const int status = chetaev_forms(mech, mech->trial, mech->chetaev);
+            if (status) return status;
+            for (size_t a = 0; a < m; a++)
+                for (size_t i = 0; i < n; i++)
+                    mech->bend[i * n + j] += side * mech->chetaev[a * n + i] * kappa[a] / (2.0 * d);
+        }
+    return DAL_SUCCESS;
+}
+
+/* What R1 and K need of the Lagrangian and the force at (q1, w), each called once: w <- L_v(q1, w)
+ * - L_v(q, v), which is M (w - v) for constant mass; force <- F(t+h, q1, w); second derivatives. */
+static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
+{
+    const size_t n = mech->n;
+    const double beta = mech->start.beta, t = mech->start.t + mech->start.h;
+    const bool general = !mech->eval.constant_mass, ends = beta != 1.0; /* F acts at q1 */
+    const dal__jet wanted = {.L_q = R1 && ends ? mech->force : NULL,
+                             .L_v = R1 && general ? mech->w : NULL,
+                             .L_qq = K && ends && beta != 0.0 ? mech->hessian : NULL,
+                             .L_vq = K && general ? mech->L_vq : NULL,
+                             .L_vv = K && general ? mech->L_vv : NULL};
+    int status = dal__lagrangian(&mech->eval, mech->q, w, &wanted, &mech->error);
+    if (!status && ends && mech->eval.system->def.force) {
+        status = dal__force(&mech->eval, t, mech->q, w, R1 ? mech->step : NULL,
+                            K ? mech->f_q : NULL, K ? mech->f_v : NULL, &mech->error);
+        for (size_t i = 0; R1 && i < n; i++) mech->force[i] += mech->step[i];
+    }
+    if (status || !R1) return status;
+    if (general) {
+        for (size_t i = 0; i < n; i++) mech->w[i] -= mech->momentum[i];
+    } else {
+        for (size_t i = 0; i < n; i++) mech->step[i] = w[i] - mech->start.v[i];
+        dal__apply(n, n, mech->metric, mech->step, mech->w);
+    }
+    return DAL_SUCCESS;
+}
+
+static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
+{
+    const size_t n = mech->n;
+    const double weight = mech->start.h * (1.0 - mech->start.beta);
+    for (size_t i = 0; i < n; i++) {
+        double sum = mech->w[i] - mech->reach[i];
+        if (weight != 0.0) sum -= weight * mech->force[i];
+        for (size_t a = 0; a < mech->m; a++) sum -= mech->muk[a * n + i] * kappa[a];
+        R1[i] = sum;
+    }
+}
+
+/* The terms of R1, of which L_v(q, v) and L_v(q1, w) are about the same, as changes of velocity. */
+static double base_of_R1(const dal_mechanics *mech, const double *kappa)
+{
+    const size_t n = mech->n;
+    const double weight = fabs(mech->start.h * (1.0 - mech->start.beta));
+    double base = dal_residual_extent(n, mech->per_unit, mech->start.v);
+    for (size_t i = 0; i < n; i++) {
+        double sum = fabs(mech->w[i]) + fabs(mech->reach[i]);
+        if (!mech->eval.constant_mass) sum += fabs(mech->momentum[i]);
+        if (weight != 0.0) sum += weight * fabs(mech->force[i]);
+        for (size_t a = 0; a < mech->m; a++) sum += fabs(mech->muk[a * n + i] * kappa[a]);
+        base += sum * mech->unit[i]; /* as M^-1 does, in the units of the velocity */
+    }
+    return base;
+}
+
+double dal__step_base(const dal_mechanics *mech) { return mech->start.base; }
+
+/* K = L_vv + beta h L_vq - h (1-beta) [L_vq^T + f_v + beta h (L_qq + f_q)] - bend at (q1, w). */
+static void form_K(const dal_mechanics *mech, double *K, double *K_sizes)
+{
+    const size_t n = mech->n;
+    const double a = mech->start.beta * mech->start.h, b = (1.0 - mech->start.beta) * mech->start.h;
+    const bool general = !mech->eval.constant_mass, forced = mech->eval.system->def.force != NULL;
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++) {
+            const size_t ij = i * n + j, ji = j * n + i;
+            const double terms[] = {
+                mech->metric[ij],
+                general ? a * mech->L_vq[ij] : 0.0,
+                general ? -b * mech->L_vq[ji] : 0.0,
+                a * b != 0.0 ? -b * a * mech->hessian[ij] : 0.0,
+                forced && b != 0.0 ? -b * mech->f_v[ij] : 0.0,
+                forced && b != 0.0 ? -b * a * mech->f_q[ij] : 0.0,
+                mech->eval.system->def.kind == DAL_NONLINEAR ? -mech->bend[ij] : 0.0,
+            };
+            double sum = 0.0, scale = 0.0;
+            for (size_t k = 0; k < sizeof terms / sizeof *terms; k++) {
+                sum += terms[k];
+                scale += fabs(terms[k]);
+            }
+            K[ij] = sum;
+            if (K_sizes && i == j) K_sizes[i] = K_sizes[n + i] = sqrt(scale);
+        }
+}
+
+int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
+                 double *K, double *K_sizes, double *B)
+{
+    const size_t n = mech->n, m = mech->m;
+    const double a = mech->start.beta * mech->start.h;
+    const bool nonlinear = mech->eval.system->def.kind == DAL_NONLINEAR;
+    int status = DAL_SUCCESS;
+    for (size_t i = 0; i < n; i++) mech->q[i] = mech->node[i] + a * w[i];
+    if (R2 || B)
+        status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, B ? mech->dmu : NULL,
+                                 &mech->error);
+    if (!status && nonlinear) status = chetaev_forms(mech, w, mech->muk);
+    if (!status && K && nonlinear) status = evaluate_bend(mech, w, kappa);
+    if (!status && (R1 || K)) status = evaluate(mech, w, R1 != NULL, K != NULL);
+    if (status) return status;
+    /* nothing is written before all of it is known */
+    if (R1) form_R1(mech, kappa, R1);
+    if (R1 && K) mech->start.base = base_of_R1(mech, kappa);
+    if (R2) memcpy(R2, mech->phi, m * sizeof *R2);
+    if (K) form_K(mech, K, K_sizes);
+    for (size_t k = 0; B && k < m * n; k++) B[k] = mech->mu[k] + a * mech->dmu[k];
+    return DAL_SUCCESS;
+}
+
+/* Whether phi may be what the rounding of a large node x[n] makes of 0. */
+static bool is_rounding_of_node(dal_mechanics *mech, const double *x, const double *w)
+{
+    const size_t n = mech->n;
+    const double speed = dal_residual_speed(n, mech->per_unit, w);
+    if (dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, mech->dmu, &mech->error))
+        return false;
+    for (size_t a = 0; a < mech->m; a++) {
+        double bound = DAL_RESIDUAL_BOUND(n) * speed
+                     * dal_residual_form(n, mech->unit, mech->mu + a * n);
+        for (size_t i = 0; i < n; i++)
+            bound += 2.0 * DAL_ROUNDOFF * fabs(mech->dmu[a * n + i])
+                   * (fabs(mech->q[i]) + fabs(x[i]));
+        if (!(fabs(mech->phi[a]) <= bound)) return false;
+    }
+    return true;
+}
+
+/* The residual at the q~' that x gives back; where it is not small w is mended there.  A kept node
+ * follows w, so that it gives back the same q~' but for a rounding. */
+static int mend_stored(dal_mechanics *mech, double *x, double shift, double *w, double *relative)
+{
+    enum { MOST = 8 };
+    const size_t n = mech->n;
+    for (int pass = 1;; pass++) {
+        for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * w[i];
+        int status = pass == 1 ? dal__form_metric(mech, mech->q, w) : DAL_SUCCESS;
+        if (!status)
+            status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, NULL,
+                                     &mech->error);
+        if (status) return status;
+        *relative = dal__relative_residual(mech, mech->mu, mech->phi, w);
+        if (*relative <= DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
+        if (pass > MOST && shift != 0.0 && is_rounding_of_node(mech, x, w)) return DAL_SUCCESS;
+        if (pass > MOST)
+            return dal__fail(&mech->error, DAL_ESINGULAR, "no velocity of D was found at the new "
+                             "position: its residual stays at %.3g", *relative);
+        dal__form_Z(mech, mech->mu);
+        status = dal__mend(mech, mech->q, w, relative);
+        if (status || shift == 0.0) return status;
+        for (size_t i = 0; i < n; i++) x[i] = mech->q[i] + shift * w[i];
+    }
+}
+
+int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst)
+{
+    const size_t n = mech->n;
+    const double h = mech->start.h, beta = mech->start.beta;
+    const double after = mech->start.kept ? h : beta * h;
+    const double shift = mech->start.kept ? (1.0 - beta) * h : 0.0;
+    double relative = 0.0;
+    for (size_t i = 0; i < n; i++) x[i] = mech->node[i] + after * w[i];
+    if (mech->m > 0 && dal__all_finite(n, x) && dal__all_finite(n, w)) {
+        const int status = mend_stored(mech, x, shift, w, &relative);
+        if (status) return status;
+    }
+    memcpy(x + n, w, n * sizeof *w);
+    if (!dal__all_finite(2 * n, x))
+        return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
+    *worst = fmax(*worst, relative);
+    return DAL_SUCCESS;
+}
+
+int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h, const double *x,
+                       const double *w, const double *kappa, double *R1, double *R2, double *K,
+                       double *B, double *muk)
+{
+    if (!mechanics) return DAL_EINVAL;
+    dal_mechanics *const mech = mechanics;
+    const size_t n = mech->n, m = mech->m;
+    if (!(beta >= 0.0 && beta <= 1.0))
+        return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
+    int status = dal__require_finite(mech, "t", 1, &t);
+    if (!status) status = dal__require_finite(mech, "h", 1, &h);
+    if (!status) status = dal__require_finite(mech, "x", 2 * n, x);
+    if (!status) status = dal__require_finite(mech, "w", n, w);
+    if (!status && m > 0) status = dal__require_finite(mech, "kappa", m, kappa);
+    if (!status) status = dal__step_begin(mech, t, beta, h, false, x);
+    if (status) return status;
+
+    double *found[4], *const wanted[4] = {R1, R2, K, B};
+    const size_t sizes[4] = {n, m, dal__times(n, n), dal__times(m, n)};
+    static const char *const names[4] = {"R1", "R2", "K", "B"};
+    arena scratch = {0};
+    for (size_t k = 0; k < 4; k++)
+        dal__reserve(&scratch, &found[k], sizes[k], sizeof(double));
+    status = dal__allocate(&scratch, &mech->error);
+    if (status) return status;
+    status = dal__step_at(mech, w, kappa, R1 ? found[0] : NULL, R2 ? found[1] : NULL,
+                          K ? found[2] : NULL, NULL, B ? found[3] : NULL);
+    for (size_t k = 0; !status && k < 4; k++)
+        status = dal__require_output(&mech->error, names[k], sizes[k], found[k]);
+    for (size_t k = 0; !status && k < 4; k++)
+        if (wanted[k]) memcpy(wanted[k], found[k], sizes[k] * sizeof(double));
+    if (!status && muk) memcpy(muk, mech->muk, m * n * sizeof *muk);
+    dal__release(&scratch);
+    return status;
+}

@@ -1,0 +1,579 @@
+/* Charts of D: the Ehresmann connection A, psi and its derivative, the ODE, the
+ * multipliers and the schemes in the coordinates xi = (q, v_independent).
+ *
+ * mu is phi_v, and B its dependent columns.  What is solved with B is the residual phi, so that D
+ * is kept to roundoff and affine constraints need no formula of their own. */
+#include "geometry/geometry.h"
+#include "dalembert/lu.h"
+#include "dalembert/residual.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* A choice by pivoting is left when no entry of A exceeds EXCHANGE in the units 1/sqrt(M_ii), which
+ * bounds its condition by EXCHANGE sqrt(1 + m (n-m)); it is kept up to LIMIT sqrt(1 + m (n-m)). */
+static const double EXCHANGE = 1.25, LIMIT = 10.0;
+
+void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
+{
+    const size_t n = system->def.n, m = system->def.m;
+    const size_t nn = dal__times(n, n), mn = dal__times(m, n), mm = dal__times(m, m);
+    double **const vectors[] = {&chart->w, &chart->R1, &chart->step};
+    double **const multipliers[] = {&chart->branch, &chart->right, &chart->solution, &chart->R2,
+                                    &chart->kappa, &chart->kept_branch};
+    double **const squares[] = {&chart->K, &chart->G};
+    double **const forms[] = {&chart->A, &chart->tableau, &chart->slope};
+    dal__mechanics_reserve(&chart->mech, system, a);
+    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
+    dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
+    dal__reserve_doubles(a, DAL_LENGTH(squares), squares, nn);
+    dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
+    dal__reserve(a, &chart->B, mm, sizeof(double));
+    dal__reserve(a, &chart->B_sizes, dal__times(5, m), sizeof(double));
+    dal__reserve(a, &chart->G_sizes, dal__times(5, n), sizeof(double));
+    dal__reserve(a, &chart->x, dal__times(2, n), sizeof(double));
+    dal__reserve(a, &chart->y, dal__times(2, n), sizeof(double));
+    dal__reserve(a, &chart->first, dal__times(3, n), sizeof(double));
+    dal__reserve(a, &chart->second, dal__times(3, n), sizeof(double));
+    dal__reserve(a, &chart->kept_place, n, sizeof(size_t));
+    dal__reserve(a, &chart->last_place, n, sizeof(size_t));
+    dal__reserve(a, &chart->place, n, sizeof(size_t));
+    dal__reserve(a, &chart->former, n, sizeof(size_t));
+    dal__reserve(a, &chart->owner, m, sizeof(size_t));
+    dal__reserve(a, &chart->row, m, sizeof(size_t));
+    dal__reserve(a, &chart->G_row, n, sizeof(size_t));
+}
+
+void dal__chart_bind(dal_chart *chart, const dal_system *system)
+{
+    chart->n = system->def.n;
+    chart->m = system->def.m;
+    chart->width = 2 * chart->n - chart->m;
+    dal__mechanics_bind(&chart->mech, system);
+}
+
+int dal_chart_new(dal_chart **chart, const dal_system *system, dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!chart || !system)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", chart ? "system" : "chart");
+    arena memory = {0};
+    dal_chart shape = {0}, *self;
+    dal__reserve(&memory, &self, 1, sizeof *self);
+    dal__chart_reserve(&shape, system, &memory);
+    const int status = dal__allocate(&memory, error);
+    if (status) return status;
+    *self = shape;
+    self->arena = memory;
+    dal__chart_bind(self, system);
+    *chart = self;
+    return DAL_SUCCESS;
+}
+
+void dal_chart_free(dal_chart *chart)
+{
+    if (!chart) return;
+    arena memory = chart->arena; /* the object lies inside it */
+    dal__release(&memory);
+}
+
+const char *dal_chart_message(const dal_chart *chart) { return chart->mech.error.text; }
+
+const size_t *dal_chart_dependent(const dal_chart *chart)
+{
+    return chart && chart->chosen ? chart->place : NULL;
+}
+
+const size_t *dal_chart_independent(const dal_chart *chart)
+{
+    return chart && chart->chosen ? chart->place + chart->m : NULL;
+}
+
+static dal_constraint_kind kind(const dal_chart *chart)
+{
+    return chart->mech.eval.system->def.kind;
+}
+
+int dal__chart_ready(dal_chart *chart)
+{
+    if (chart->chosen) return DAL_SUCCESS;
+    return dal__fail(&chart->mech.error, DAL_EINVAL, "no dependent coordinates are chosen yet");
+}
+
+/* A choice, and a finite x[2n]. */
+static int require_state(dal_chart *chart, const double *x)
+{
+    const int status = dal__chart_ready(chart);
+    return status ? status : dal__require_finite(&chart->mech, "x", 2 * chart->n, x);
+}
+
+/* The names of count coordinates with commas between them, cut off where text[size] ends. */
+static void write_names(const dal_chart *chart, const size_t *place, size_t count, size_t size,
+                        char *text)
+{
+    size_t used = 0;
+    text[0] = '\0';
+    for (size_t k = 0; k < count && used + 1 < size; k++) {
+        const int length = snprintf(text + used, size - used, "%s%s", k ? ", " : "",
+                                    dal_system_coordinate(chart->mech.eval.system, place[k]));
+        if (length < 0) return;
+        used += (size_t)length;
+    }
+}
+
+/* ---- A and B ----------------------------------------------------------------------------- */
+
+int dal__chart_factor(dal_chart *chart, const double *mu, bool transposed)
+{
+    const size_t n = chart->n, m = chart->m;
+    double *const forms = chart->B_sizes + (transposed ? m : 0);
+    double *const coordinates = chart->B_sizes + (transposed ? 0 : m);
+    for (size_t a = 0; a < m; a++) {
+        forms[a] = 0.0;
+        coordinates[a] = chart->mech.per_unit[chart->place[a]];
+        for (size_t b = 0; b < m; b++) {
+            const double entry = mu[a * n + chart->place[b]];
+            chart->B[transposed ? b * m + a : a * m + b] = entry;
+            forms[a] += fabs(entry) * chart->mech.unit[chart->place[b]];
+        }
+    }
+    if (dal_lu_factor(m, chart->B, chart->B_sizes, chart->row)) return DAL_SUCCESS;
+    char names[128];
+    write_names(chart, chart->place, m, sizeof names, names);
+    return dal__fail(&chart->mech.error, DAL_ESINGULAR, "the columns of mu that belong to the "
+                     "dependent coordinates %s form a singular matrix", names);
+}
+
+/* mu at (q, v), phi_q if wanted, and B, or B^T, factored. */
+static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q,
+                  bool transposed)
+{
+    int status = dal__form_metric(&chart->mech, q, v);
+    if (!status)
+        status = dal__constraint(&chart->mech.eval, q, v, NULL, chart->mech.mu, phi_q,
+                                 &chart->mech.error);
+    return status ? status : dal__chart_factor(chart, chart->mech.mu, transposed);
+}
+
+/* result[a*stride] <- B^-1 times the column of forms[m*n]. */
+static void solve_column(dal_chart *chart, const double *forms, size_t column, double *result,
+                         size_t stride)
+{
+    for (size_t a = 0; a < chart->m; a++) chart->right[a] = forms[a * chart->n + column];
+    dal_lu_solve(chart->m, chart->B, chart->row, chart->right, chart->solution);
+    for (size_t a = 0; a < chart->m; a++) result[a * stride] = chart->solution[a];
+}
+
+/* A of mu, whose B is factored. */
+static void form_A(dal_chart *chart)
+{
+    const size_t free = chart->n - chart->m;
+    for (size_t j = 0; j < free; j++)
+        solve_column(chart, chart->mech.mu, chart->place[chart->m + j], chart->A + j, free);
+}
+
+int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n, m = chart->m;
+    int status = require_state(chart, x);
+    if (!status) status = form_B(chart, x, x + n, NULL, false);
+    if (status) return status;
+    form_A(chart);
+    status = dal__require_output(&chart->mech.error, "A", m * (n - m), chart->A);
+    if (status) return status;
+    if (A) memcpy(A, chart->A, m * (n - m) * sizeof *A);
+    for (size_t a = 0; B && a < m; a++)
+        for (size_t b = 0; b < m; b++) B[a * m + b] = chart->mech.mu[a * n + chart->place[b]];
+    return DAL_SUCCESS;
+}
+
+/* ---- the choice -------------------------------------------------------------------------- */
+
+/* Elimination of column j by row a of the tableau, which then belongs to it. */
+static void exchange(dal_chart *chart, size_t a, size_t j)
+{
+    const size_t n = chart->n;
+    double *const T = chart->tableau;
+    const double pivot = T[a * n + j];
+    for (size_t k = 0; k < n; k++) T[a * n + k] /= pivot;
+    for (size_t b = 0; b < chart->m; b++) {
+        const double factor = T[b * n + j];
+        for (size_t k = 0; b != a && k < n; k++) T[b * n + k] -= factor * T[a * n + k];
+    }
+    chart->owner[a] = j;
+}
+
+/* The largest entry of the tableau outside the columns that have an owner, in the rows from first
+ * on; it is in row *a and column *j. */
+static double largest_entry(const dal_chart *chart, size_t owned, size_t first, size_t *a,
+                            size_t *j)
+{
+    double most = 0.0;
+    for (size_t k = 0; k < chart->n; k++) {
+        bool taken = false;
+        for (size_t b = 0; b < owned; b++) taken |= chart->owner[b] == k;
+        for (size_t b = first; !taken && b < chart->m; b++)
+            if (fabs(chart->tableau[b * chart->n + k]) > most) {
+                most = fabs(chart->tableau[b * chart->n + k]);
+                *a = b;
+                *j = k;
+            }
+    }
+    return most;
+}
+
+/* owner <- the dependent coordinates: [A, I] by Gauss and Jordan, then exchanges, each of which
+ * makes |det B| larger by the entry of A that it removes. */
+static int pivot_columns(dal_chart *chart)
+{
+    const size_t n = chart->n, m = chart->m;
+    double *const T = chart->tableau;
+    size_t a = 0, j = 0;
+    for (size_t b = 0; b < m; b++) { /* the size of a form means nothing */
+        double most = 0.0;
+        for (size_t k = 0; k < n; k++) {
+            T[b * n + k] = chart->mech.mu[b * n + k] / sqrt(chart->mech.metric[k * n + k]);
+            most = fmax(most, fabs(T[b * n + k]));
+        }
+        for (size_t k = 0; most > 0.0 && k < n; k++) T[b * n + k] /= most;
+    }
+    for (size_t row = 0; row < m; row++) {
+        if (!(largest_entry(chart, row, row, &a, &j) > 0.0))
+            return dal__fail(&chart->mech.error, DAL_ESINGULAR, "mu has rank %zu here, and not m = "
+                             "%zu: no choice of dependent coordinates is possible", row, m);
+        for (size_t k = 0; k < n && a != row; k++) {
+            const double entry = T[row * n + k];
+            T[row * n + k] = T[a * n + k];
+            T[a * n + k] = entry;
+        }
+        exchange(chart, row, j);
+    }
+    /* far more than are ever needed; a matrix without full rank could go on for ever */
+    for (size_t left = 4 * m * n; left > 0; left--) {
+        if (!(largest_entry(chart, m, 0, &a, &j) > EXCHANGE)) break;
+        exchange(chart, a, j);
+    }
+    return DAL_SUCCESS;
+}
+
+/* place <- owner, ascending, and then the rest. */
+static void arrange(dal_chart *chart)
+{
+    size_t dependent = 0, independent = chart->m;
+    for (size_t k = 0; k < chart->n; k++) {
+        bool owned = false;
+        for (size_t a = 0; a < chart->m; a++) owned |= chart->owner[a] == k;
+        chart->place[owned ? dependent++ : independent++] = k;
+    }
+}
+
+static int check_dependent(dal_chart *chart, const size_t *dependent)
+{
+    for (size_t a = 0; a < chart->m; a++) {
+        if (dependent[a] >= chart->n)
+            return dal__fail(&chart->mech.error, DAL_EINVAL, "dependent[%zu] = %zu: there are n = "
+                             "%zu coordinates", a, dependent[a], chart->n);
+        for (size_t b = 0; b < a; b++)
+            if (dependent[a] == dependent[b])
+                return dal__fail(&chart->mech.error, DAL_EINVAL, "dependent[%zu] and "
+                                 "dependent[%zu] are both %zu", b, a, dependent[a]);
+    }
+    return DAL_SUCCESS;
+}
+
+static void start_branch(dal_chart *chart, const double *x)
+{
+    for (size_t a = 0; a < chart->m; a++) chart->branch[a] = x[chart->n + chart->place[a]];
+}
+
+int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n, m = chart->m;
+    int status = dal__require_finite(&chart->mech, "x", 2 * n, x);
+    if (!status && dependent) status = check_dependent(chart, dependent);
+    if (!status)
+        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
+                                 &chart->mech.error);
+    if (!status) status = dal__form_metric(&chart->mech, x, x + n);
+    if (!status && !dependent) status = pivot_columns(chart);
+    if (status) return status;
+    if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
+    memcpy(chart->former, chart->place, n * sizeof *chart->place);
+    arrange(chart);
+    status = dal__chart_factor(chart, chart->mech.mu, false);
+    if (status) {
+        memcpy(chart->place, chart->former, n * sizeof *chart->place);
+        return status;
+    }
+    chart->chosen = true;
+    start_branch(chart, x);
+    return DAL_SUCCESS;
+}
+
+/* INFINITY where B is singular. */
+static int evaluate_condition(dal_chart *chart, const double *x, double *condition)
+{
+    const size_t n = chart->n, m = chart->m, free = n - m;
+    int status = dal__form_metric(&chart->mech, x, x + n);
+    if (!status)
+        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
+                                 &chart->mech.error);
+    if (status) return status;
+    *condition = (double)INFINITY;
+    const dal_error before = chart->mech.error;
+    if (dal__chart_factor(chart, chart->mech.mu, false)) { /* an answer, not a failure */
+        chart->mech.error = before;
+        return DAL_SUCCESS;
+    }
+    form_A(chart);
+    for (size_t a = 0; a < m; a++)
+        for (size_t j = 0; j < free; j++) {
+            const size_t d = chart->place[a], i = chart->place[m + j];
+            chart->A[a * free + j] *= sqrt(chart->mech.metric[d * n + d]
+                                           / chart->mech.metric[i * n + i]);
+        }
+    const double unit = dal__singular_values(m, free, chart->A, chart->right);
+    *condition = hypot(1.0, unit * sqrt(dal__largest(m, chart->right)));
+    return DAL_SUCCESS;
+}
+
+int dal_chart_condition(dal_chart *chart, const double *x, double *condition)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!condition) return dal__null_argument(&chart->mech, "condition");
+    double value = 0.0;
+    int status = require_state(chart, x);
+    if (!status) status = evaluate_condition(chart, x, &value);
+    if (!status) *condition = value;
+    return status;
+}
+
+int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool *keeps)
+{
+    const double m = (double)chart->m, free = (double)(chart->n - chart->m);
+    const int status = evaluate_condition(chart, x, condition);
+    *keeps = *condition <= LIMIT * sqrt(1.0 + m * free);
+    return status;
+}
+
+int dal_chart_renew(dal_chart *chart, const double *x, int *changed)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n, m = chart->m;
+    char from[128] = "", to[128];
+    double condition = (double)INFINITY;
+    bool keeps = false;
+    int status = dal__require_finite(&chart->mech, "x", 2 * n, x);
+    if (!status && chart->chosen) status = dal__chart_keeps(chart, x, &condition, &keeps);
+    if (status) return status;
+    if (keeps) {
+        start_branch(chart, x);
+        if (changed) *changed = 0;
+        return DAL_SUCCESS;
+    }
+    const bool first = !chart->chosen;
+    if (!first) write_names(chart, chart->place, m, sizeof from, from);
+    status = dal_chart_choose(chart, NULL, x);
+    if (status) return status;
+    const bool other = memcmp(chart->former, chart->place, n * sizeof *chart->place) != 0;
+    if (changed) *changed = first || other;
+    write_names(chart, chart->place, m, sizeof to, to);
+    if (!first && other)
+        dal__fail(&chart->mech.error, DAL_SUCCESS, "the dependent coordinates change from %s, "
+                  "whose condition is %.3g here, to %s", from, condition, to);
+    return DAL_SUCCESS;
+}
+
+/* ---- psi --------------------------------------------------------------------------------- */
+
+void dal__chart_drop(const dal_chart *chart, const double *x, double *xi)
+{
+    const size_t n = chart->n, m = chart->m;
+    memmove(xi, x, n * sizeof *xi);
+    for (size_t j = m; j < n; j++) chart->step[j] = x[n + chart->place[j]];
+    memcpy(xi + n, chart->step + m, (n - m) * sizeof *xi);
+}
+
+/* phi into mech.phi; of linear constraints from mu as it is, else with a new mu. */
+static int evaluate_phi(dal_chart *chart, const double *x, bool known)
+{
+    dal_mechanics *const mech = &chart->mech;
+    const double *const v = x + chart->n;
+    if (!known || kind(chart) != DAL_LINEAR)
+        return dal__constraint(&mech->eval, x, v, mech->phi, mech->mu, NULL, &mech->error);
+    dal__apply(chart->m, chart->n, mech->mu, v, mech->phi);
+    return DAL_SUCCESS;
+}
+
+/* The first solution is exact but for roundoff unless the constraints are nonlinear; what then
+ * follows mends the residual of what is stored. */
+int dal__chart_lift(dal_chart *chart, const double *xi, double *x)
+{
+    enum { MENDS = 3, MOST = 50 };
+    const size_t n = chart->n, m = chart->m;
+    const bool newton = kind(chart) == DAL_NONLINEAR;
+    const double limit = 2.0 * (double)n * DAL_ROUNDOFF;
+    double *const v = x + n, last = (double)INFINITY;
+    memmove(x, xi, n * sizeof *x);
+    for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
+    for (size_t a = 0; !newton && a < m; a++) v[chart->place[a]] = 0.0;
+    for (int iteration = 0;; iteration++) {
+        int status = evaluate_phi(chart, x, iteration > 0);
+        if (status) return status;
+        if (iteration <= 1 || newton) status = dal__form_metric(&chart->mech, x, v);
+        if (status) return status;
+        if (iteration > 0 || newton) {
+            const double relative = dal__relative_residual(&chart->mech, chart->mech.mu,
+                                                           chart->mech.phi, v);
+            if (relative <= limit || (!newton && iteration > MENDS)) break;
+        }
+        if (newton || iteration == 0) status = dal__chart_factor(chart, chart->mech.mu, false);
+        if (status) return status;
+        dal_lu_solve(m, chart->B, chart->row, chart->mech.phi, chart->solution);
+        double size = 0.0, scale = 0.0;
+        for (size_t a = 0; a < m; a++) {
+            v[chart->place[a]] -= chart->solution[a];
+            size += fabs(chart->solution[a]);
+        }
+        for (size_t i = 0; i < n; i++) scale += fabs(v[i]);
+        if (!newton) continue;
+        if (iteration > 0 && size <= 1e-11 * scale && size >= last) break; /* it is roundoff */
+        if (iteration == MOST || !(size <= DBL_MAX)) {
+            char names[128];
+            write_names(chart, chart->place, m, sizeof names, names);
+            return dal__fail(&chart->mech.error, DAL_ENOCONV, "Newton did not find the dependent "
+                             "velocities %s in %d iterations (last change %.3g of %.3g)", names,
+                             iteration, size, scale);
+        }
+        last = size;
+    }
+    if (dal__all_finite(2 * n, x)) return DAL_SUCCESS;
+    return dal__fail(&chart->mech.error, DAL_EDOMAIN, "the dependent velocities overflow");
+}
+
+int dal__chart_state(dal_chart *chart, const double *xi)
+{
+    int status = dal__chart_ready(chart);
+    if (!status) status = dal__require_finite(&chart->mech, "xi", chart->width, xi);
+    if (status) return status;
+    for (size_t a = 0; a < chart->m; a++) chart->x[chart->n + chart->place[a]] = chart->branch[a];
+    return dal__chart_lift(chart, xi, chart->x);
+}
+
+int dal_chart_lift(dal_chart *chart, const double *xi, double *x)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!x) return dal__null_argument(&chart->mech, "x");
+    const int status = dal__chart_state(chart, xi);
+    if (!status) memcpy(x, chart->x, 2 * chart->n * sizeof *x);
+    return status;
+}
+
+int dal_chart_drop(dal_chart *chart, const double *x, double *xi)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!xi) return dal__null_argument(&chart->mech, "xi");
+    const int status = require_state(chart, x);
+    if (!status) dal__chart_drop(chart, x, xi);
+    return status;
+}
+
+int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n;
+    int status = require_state(chart, x);
+    if (status) return status;
+    memcpy(chart->x, x, 2 * n * sizeof *x);
+    dal__chart_drop(chart, x, chart->y);
+    status = dal__chart_lift(chart, chart->y, chart->x);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
+    status = dal__require_output(&chart->mech.error, "ver", n, chart->w);
+    if (status) return status;
+    if (hor) memcpy(hor, chart->x + n, n * sizeof *hor);
+    if (ver) memcpy(ver, chart->w, n * sizeof *ver);
+    return DAL_SUCCESS;
+}
+
+int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *left)
+{
+    if (!chart) return DAL_EINVAL;
+    const size_t n = chart->n, m = chart->m, width = chart->width;
+    const size_t *const place = chart->place;
+    int status = dal__chart_state(chart, xi);
+    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu, false);
+    if (status) return status;
+    if (J) {
+        form_A(chart);
+        for (size_t k = 0; k < n; k++)
+            solve_column(chart, chart->mech.dmu, k, chart->tableau + k, n);
+        status = dal__require_output(&chart->mech.error, "J", m * n, chart->tableau);
+        if (!status)
+            status = dal__require_output(&chart->mech.error, "J", m * (n - m), chart->A);
+        if (status) return status;
+        memset(J, 0, 2 * n * width * sizeof *J);
+        for (size_t i = 0; i < n; i++) J[i * width + i] = 1.0;
+        for (size_t j = m; j < n; j++) J[(n + place[j]) * width + n + j - m] = 1.0;
+        for (size_t a = 0; a < m; a++)
+            for (size_t k = 0; k < width; k++) /* 0, and not -0 */
+                J[(n + place[a]) * width + k] = 0.0 - (k < n ? chart->tableau[a * n + k]
+                                                             : chart->A[a * (n - m) + k - n]);
+    }
+    if (left) {
+        memset(left, 0, 2 * n * width * sizeof *left);
+        for (size_t i = 0; i < n; i++) left[i * 2 * n + i] = 1.0;
+        for (size_t j = m; j < n; j++) left[(n + j - m) * 2 * n + n + place[j]] = 1.0;
+    }
+    return DAL_SUCCESS;
+}
+
+int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!xidot) return dal__null_argument(&chart->mech, "xidot");
+    int status = dal__chart_state(chart, xi);
+    if (!status) status = dal_field(&chart->mech, t, chart->x, chart->y);
+    if (!status) dal__chart_drop(chart, chart->y, xidot);
+    return status;
+}
+
+/* ---- multipliers ------------------------------------------------------------------------- */
+
+int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambda, double *lambda_E)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!lambda_E) return dal__null_argument(&chart->mech, "lambda_E");
+    const size_t n = chart->n, m = chart->m;
+    int status = require_state(chart, x);
+    if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
+    if (!status) status = form_B(chart, x, x + n, NULL, false);
+    if (status) return status;
+    for (size_t b = 0; b < m; b++) {
+        chart->solution[b] = 0.0;
+        for (size_t a = 0; a < m; a++)
+            chart->solution[b] += chart->mech.mu[a * n + chart->place[b]] * lambda[a];
+    }
+    status = dal__require_output(&chart->mech.error, "lambda_E", m, chart->solution);
+    if (!status) memcpy(lambda_E, chart->solution, m * sizeof *lambda_E);
+    return status;
+}
+
+int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *lambda_E,
+                               double *lambda)
+{
+    if (!chart) return DAL_EINVAL;
+    if (!lambda) return dal__null_argument(&chart->mech, "lambda");
+    const size_t n = chart->n, m = chart->m;
+    int status = require_state(chart, x);
+    if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
+    if (!status) status = form_B(chart, x, x + n, NULL, true);
+    if (status) return status;
+    dal_lu_solve(m, chart->B, chart->row, lambda_E, chart->solution);
+    status = dal__require_output(&chart->mech.error, "lambda", m, chart->solution);
+    if (!status) memcpy(lambda, chart->solution, m * sizeof *lambda);
+    return status;
+}

@@ -1,0 +1,797 @@
+/* A system examined at one state: its derivatives, the rank of mu = phi_v, whether M =
+ * L_vv is positive definite, and whether D is involutive.
+ *
+ * Eigenvalues and singular values are those of products with the Cholesky factor L of M = L L^T:
+ * of M on R^n the squares of those of L, of M on ker mu those of X L with the rows of X an
+ * orthonormal basis, of mu in the mass metric those of mu L^-T.  An M that is not positive definite
+ * is made so by a multiple of the identity, which is subtracted from the eigenvalues again. */
+#include "geometry/geometry.h"
+
+#include <gsl/gsl_linalg.h>
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+/* A derivative may be off by this much, relative to 1 + its size.  The differences are far better,
+ * unless the function oscillates within 1/80 of the unit of q; then smaller ones are taken. */
+static const double derivative_tolerance = 1e-7;
+
+/* Errors of roundoff in sums of terms that were computed in a few operations. */
+static const double sum_tolerance = 1e-12;
+
+/* Curvature that comes from roundoff and differences, relative to the terms that cancel, and as
+ * 1/length. */
+static const double curvature_tolerance = 1e-8, curvature_floor = 1e-10;
+
+typedef struct examination {
+    dal_mechanics mech;
+    const dal_system *system;
+    const double *x, *q, *v;      /* the state, and its halves */
+    size_t n, m;
+    dal_check found;
+    double *point, *other;        /* [n]: a moved q, and a velocity that is not in D */
+    const double *velocity;       /* [n], and the time: where what is differenced stands */
+    double time;
+    bool moves_v;                 /* it is differenced in v, at q, and not in q */
+    double *value, *slope;        /* [n] scratch of the differences */
+    double *bend, *height;        /* [n] how far slopes on both sides differ; the largest values */
+    double *expected;             /* [n] */
+    const char *unjudged;         /* a derivative that differences do not tell, or NULL */
+    double *gradient, *hessian;   /* [n], [n*n] */
+    double *forms;                /* [m*n] */
+    double *phi;                  /* [m] */
+    double *factor, lift;         /* [n*n] L of M + lift times the identity */
+    double *rows, *squares;       /* [n*n], [n]: whose singular values are sought */
+    double *QR, *tau;             /* [n*m], [m]: mu^T = Q R */
+    double *X;                    /* [(n-m)*n] rows: an orthonormal basis of ker mu */
+    double *N;                    /* [(n-m)*m*n] N(q, X_k) = d(mu X_k)/dq */
+} examination;
+
+/* Keeps the first thing that is wrong. */
+#if defined(__GNUC__)
+__attribute__((format(printf, 2, 3)))
+#endif
+static void complain(dal_check *found, const char *format, ...)
+{
+    if (found->text[0]) return;
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(found->text, sizeof found->text, format, arguments);
+    va_end(arguments);
+}
+
+/* ---- derivatives ------------------------------------------------------------------------- */
+
+static int value_V(const double *q, double *V, void *ctx)
+{
+    dal_mechanics *const mech = &((examination *)ctx)->mech;
+    return dal__potential(&mech->eval, q, V, NULL, NULL, &mech->error);
+}
+
+static int value_V_q(const double *q, double *V_q, void *ctx)
+{
+    dal_mechanics *const mech = &((examination *)ctx)->mech;
+    return dal__potential(&mech->eval, q, NULL, V_q, NULL, &mech->error);
+}
+
+static const double *position(const examination *ex, const double *moved)
+{
+    return ex->moves_v ? ex->q : moved;
+}
+
+static const double *velocity(const examination *ex, const double *moved)
+{
+    return ex->moves_v ? moved : ex->velocity;
+}
+
+static int value_jet(examination *ex, const double *moved, const dal__jet *wanted)
+{
+    return dal__lagrangian(&ex->mech.eval, position(ex, moved), velocity(ex, moved), wanted,
+                           &ex->mech.error);
+}
+
+static int value_L(const double *moved, double *L, void *ctx)
+{
+    return value_jet(ctx, moved, &(dal__jet){.L = L});
+}
+
+static int value_L_q(const double *moved, double *L_q, void *ctx)
+{
+    return value_jet(ctx, moved, &(dal__jet){.L_q = L_q});
+}
+
+static int value_L_v(const double *moved, double *L_v, void *ctx)
+{
+    return value_jet(ctx, moved, &(dal__jet){.L_v = L_v});
+}
+
+static int value_f(const double *moved, double *f, void *ctx)
+{
+    examination *const ex = ctx;
+    return dal__force(&ex->mech.eval, ex->time, position(ex, moved), velocity(ex, moved), f, NULL,
+                      NULL, &ex->mech.error);
+}
+
+/* mu v where the constraints are linear. */
+static int value_phi(const double *moved, double *phi, void *ctx)
+{
+    examination *const ex = ctx;
+    return dal__constraint(&ex->mech.eval, position(ex, moved), velocity(ex, moved), phi, NULL,
+                           NULL, &ex->mech.error);
+}
+
+/* slope <- differences of f by component j of the point, of order 4, over a distance d; bend <- the
+ * slope ahead minus that behind, of order 1; height <- the largest of the values. */
+static int difference(examination *ex, dal__function f, size_t j, size_t rows, double d)
+{
+    static const int offsets[5] = {0, 1, -1, 2, -2};
+    static const double weights[5] = {0.0, 8.0, -8.0, -1.0, 1.0};
+    static const double bends[5] = {-2.0, 1.0, 1.0, 0.0, 0.0};
+    const double centre = ex->point[j];
+    int status = DAL_SUCCESS;
+    for (size_t i = 0; i < rows; i++) ex->slope[i] = ex->bend[i] = ex->height[i] = 0.0;
+    for (int k = 0; k < 5 && !status; k++) {
+        ex->point[j] = centre + offsets[k] * d;
+        dal__forget(rows, ex->value);
+        status = f(ex->point, ex->value, ex);
+        for (size_t i = 0; i < rows && !status; i++) {
+            if (!isfinite(ex->value[i])) status = DAL_EDOMAIN;
+            ex->slope[i] += weights[k] * ex->value[i] / (12.0 * d);
+            ex->bend[i] += bends[k] * ex->value[i] / d;
+            ex->height[i] = fmax(ex->height[i], fabs(ex->value[i]));
+        }
+    }
+    ex->point[j] = centre;
+    return status;
+}
+
+static double off(double number, double expected)
+{
+    return fabs(number - expected) / (1.0 + fabs(expected));
+}
+
+/* The worst finding is a wrong entry, and of these, or if there is none, the one that is off
+ * most. */
+static void keep_worst(dal_difference *worst, const dal_difference *found)
+{
+    const size_t unjudged = worst->unjudged;
+    if (!worst->checked || found->wrong > worst->wrong
+        || (found->wrong == worst->wrong && found->error > worst->error)) *worst = *found;
+    worst->unjudged = unjudged;
+}
+
+/* One derivative against differences over smaller and smaller distances d: right if it agrees with
+ * those over any of them, wrong if they converge to something else: two that follow each other
+ * agree far better with each other than with it.  At a kink, where the slopes on both sides do not
+ * get closer with d, it may be either of these.  Where differences do not converge, or leave the
+ * domain, there is nothing to judge by. */
+static int descend(examination *ex, dal__function f, size_t rows, dal_difference *found)
+{
+    enum { DISTANCES = 14 };
+    const size_t i = found->row, j = found->column;
+    double before = (double)NAN, gap_before = (double)NAN, best = (double)INFINITY;
+    double d = dal__spacing(ex->point[j]);
+    found->wrong = 0;
+    found->unjudged = 1;
+    for (int k = 0; k < DISTANCES; k++, d /= 8.0) {
+        if (d <= 16.0 * DAL_ROUNDOFF * fabs(ex->point[j])) break;
+        const int status = difference(ex, f, j, rows, d);
+        if (status == DAL_EDOMAIN) continue;
+        if (status) return status;
+        const double here = ex->slope[i], gap = fabs(ex->bend[i]);
+        const double rounding = 32.0 * DAL_ROUNDOFF * ex->height[i] / d;
+        const double allowed = derivative_tolerance * (1.0 + fabs(here));
+        const double change = fabs(here - before) + rounding, far = fabs(found->given - here);
+        const bool is_kink = gap > 0.5 * gap_before + allowed + rounding && gap > far;
+        if (rounding <= 0.1 * allowed && far <= allowed) {
+            *found = (dal_difference){.error = off(found->given, here), .given = found->given,
+                                      .expected = here, .row = i, .column = j, .checked = 1};
+            return DAL_SUCCESS;
+        }
+        if (!is_kink && far > 4.0 * change && change < best && best > 0.1 * allowed) {
+            best = change;
+            found->expected = here;
+            found->error = off(found->given, here);
+            found->wrong = 1;
+            found->unjudged = 0;
+        }
+        before = here;
+        gap_before = gap;
+    }
+    return DAL_SUCCESS;
+}
+
+/* The rows x n matrix of derivatives given[] against differences of f, in v if moves_v.  size: of
+ * the values that are differenced, whose roundoff (a few u) is divided by the spacing 2^-12 of the
+ * differences. */
+static int compare(examination *ex, dal__function f, bool moves_v, size_t rows,
+                   const double *given, double size, dal_difference *worst)
+{
+    const double *const centre = moves_v ? ex->velocity : ex->q;
+    const double tolerance = derivative_tolerance + 32.0 * DAL_ROUNDOFF * 0x1p12 * size;
+    ex->moves_v = moves_v;
+    memcpy(ex->point, centre, ex->n * sizeof *ex->point);
+    for (size_t j = 0; j < ex->n; j++) {
+        int status = dal__difference(f, ex, ex->point, j, rows, ex->value, ex->expected, 1);
+        ex->point[j] = centre[j];
+        if (status && status != DAL_EDOMAIN) return status;
+        const bool outside = status == DAL_EDOMAIN;
+        for (size_t i = 0; i < rows; i++) {
+            const double number = given[i * ex->n + j], expected = ex->expected[i];
+            dal_difference found = {.error = off(number, expected), .given = number,
+                                    .expected = expected, .row = i, .column = j, .checked = 1};
+            if (outside || !(found.error <= tolerance)) status = descend(ex, f, rows, &found);
+            if (status && status != DAL_EDOMAIN) return status;
+            if (found.unjudged) worst->unjudged++;
+            else keep_worst(worst, &found);
+        }
+    }
+    return DAL_SUCCESS;
+}
+
+static void judge(examination *ex, const char *name, const char *function,
+                  const dal_difference *worst)
+{
+    if (worst->unjudged && !ex->unjudged) ex->unjudged = name;
+    if (!worst->wrong) return;
+    complain(&ex->found, "%s[%zu,%zu] is given as %.10g, but differences of %s are %.10g (error "
+             "%.1e)", name, worst->row, worst->column, worst->given, function, worst->expected,
+             worst->error);
+}
+
+static int examine_potential(examination *ex)
+{
+    dal_mechanics *const mech = &ex->mech;
+    const unsigned missing = ex->system->def.missing;
+    const bool has_V_q = !(missing & DAL_MISSING_V_Q), has_V_qq = !(missing & DAL_MISSING_V_QQ);
+    if (!ex->system->def.potential) return DAL_SUCCESS;
+    double V;
+    int status = dal__potential(&mech->eval, ex->q, &V, ex->gradient, has_V_qq ? ex->hessian : NULL,
+                                &mech->error);
+    if (status) return status;
+    /* a differenced gradient has lost the spacing's worth of digits before */
+    const double size = dal__largest(ex->n, ex->gradient) + (has_V_q ? 0.0 : 0x1p12 * fabs(V));
+    if (has_V_q)
+        status = compare(ex, value_V, false, 1, ex->gradient, fabs(V), &ex->found.V_q);
+    if (!status && has_V_qq)
+        status = compare(ex, value_V_q, false, ex->n, ex->hessian, size, &ex->found.V_qq);
+    if (status) return status;
+    judge(ex, "V_q", "V", &ex->found.V_q);
+    judge(ex, "V_qq", "V_q", &ex->found.V_qq);
+    return DAL_SUCCESS;
+}
+
+/* What depends on v is examined at two velocities, because at the given one, which may be 0, it may
+ * vanish altogether.  The other one was not asked for, so what is not defined there is passed over.
+ * Each has a time of its own, for forces that vanish at time 0. */
+enum { VELOCITIES = 2 };
+
+static void stand_at(examination *ex, int k)
+{
+    ex->velocity = k == 0 ? ex->v : ex->other;
+    ex->time = k;
+}
+
+static bool passed_over(int k, int status) { return k > 0 && status == DAL_EDOMAIN; }
+
+static int compare_lagrangian(examination *ex)
+{
+    dal_mechanics *const mech = &ex->mech;
+    dal_check *const found = &ex->found;
+    const unsigned missing = ex->system->def.missing;
+    double L;
+    const dal__jet given = {
+        .L = &L, .L_q = ex->gradient, .L_v = mech->momentum,
+        .L_qq = missing & DAL_MISSING_L_QQ ? NULL : ex->hessian,
+        .L_vq = missing & DAL_MISSING_L_VQ ? NULL : mech->L_vq,
+        .L_vv = missing & DAL_MISSING_L_VV ? NULL : mech->L_vv,
+    };
+    int status = dal__lagrangian(&mech->eval, ex->q, ex->velocity, &given, &mech->error);
+    if (status) return status;
+    const double size = fabs(L), size_q = dal__largest(ex->n, given.L_q);
+    const double size_v = dal__largest(ex->n, given.L_v);
+    status = compare(ex, value_L, false, 1, given.L_q, size, &found->L_q);
+    if (!status) status = compare(ex, value_L, true, 1, given.L_v, size, &found->L_v);
+    if (!status && given.L_qq)
+        status = compare(ex, value_L_q, false, ex->n, given.L_qq, size_q, &found->L_qq);
+    if (!status && given.L_vq)
+        status = compare(ex, value_L_v, false, ex->n, given.L_vq, size_v, &found->L_vq);
+    if (!status && given.L_vv)
+        status = compare(ex, value_L_v, true, ex->n, given.L_vv, size_v, &found->L_vv);
+    return status;
+}
+
+static int examine_lagrangian(examination *ex)
+{
+    for (int k = 0; k < VELOCITIES; k++) {
+        stand_at(ex, k);
+        const int status = compare_lagrangian(ex);
+        if (status && !passed_over(k, status)) return status;
+    }
+    judge(ex, "L_q", "L in q", &ex->found.L_q);
+    judge(ex, "L_v", "L in v", &ex->found.L_v);
+    judge(ex, "L_qq", "L_q in q", &ex->found.L_qq);
+    judge(ex, "L_vq", "L_v in q", &ex->found.L_vq);
+    judge(ex, "L_vv", "L_v in v", &ex->found.L_vv);
+    return DAL_SUCCESS;
+}
+
+static int compare_force(examination *ex)
+{
+    dal_mechanics *const mech = &ex->mech;
+    const unsigned missing = ex->system->def.missing;
+    double *const f_q = missing & DAL_MISSING_F_Q ? NULL : mech->f_q;
+    double *const f_v = missing & DAL_MISSING_F_V ? NULL : mech->f_v;
+    int status = dal__force(&mech->eval, ex->time, ex->q, ex->velocity, mech->force, f_q, f_v,
+                            &mech->error);
+    if (status) return status;
+    const double size = dal__largest(ex->n, mech->force);
+    if (f_q) status = compare(ex, value_f, false, ex->n, f_q, size, &ex->found.f_q);
+    if (!status && f_v) status = compare(ex, value_f, true, ex->n, f_v, size, &ex->found.f_v);
+    return status;
+}
+
+static int examine_force(examination *ex)
+{
+    if (!ex->system->def.force) return DAL_SUCCESS;
+    for (int k = 0; k < VELOCITIES; k++) {
+        stand_at(ex, k);
+        const int status = compare_force(ex);
+        if (status && !passed_over(k, status)) return status;
+    }
+    judge(ex, "f_q", "f in q", &ex->found.f_q);
+    judge(ex, "f_v", "f in v", &ex->found.f_v);
+    return DAL_SUCCESS;
+}
+
+static int compare_constraint(examination *ex)
+{
+    dal_mechanics *const mech = &ex->mech;
+    const bool linear = ex->system->def.kind == DAL_LINEAR;
+    double *const phi_q = ex->system->def.missing & DAL_MISSING_PHI_Q ? NULL : mech->dmu;
+    int status = dal__constraint(&mech->eval, ex->q, ex->velocity, ex->phi, mech->mu, phi_q,
+                                 &mech->error);
+    if (status) return status;
+    double size = dal__largest(ex->n, ex->velocity) * dal__largest(ex->m * ex->n, mech->mu);
+    if (!linear) size = fmax(size, dal__largest(ex->m, ex->phi));
+    if (phi_q) status = compare(ex, value_phi, false, ex->m, phi_q, size, &ex->found.phi_q);
+    if (!status && !linear)
+        status = compare(ex, value_phi, true, ex->m, mech->mu, size, &ex->found.phi_v);
+    return status;
+}
+
+/* phi_v of linear constraints is what there is: nothing to compare it with. */
+static int examine_phi(examination *ex)
+{
+    const dal_constraint_kind kind = ex->system->def.kind;
+    for (int k = 0; k < VELOCITIES; k++) {
+        stand_at(ex, k);
+        const int status = compare_constraint(ex);
+        if (status && !(kind == DAL_NONLINEAR && passed_over(k, status))) return status;
+    }
+    judge(ex, "phi_v", "phi in v", &ex->found.phi_v);
+    judge(ex, "phi_q", kind == DAL_LINEAR ? "phi_v v" : "phi in q", &ex->found.phi_q);
+    return DAL_SUCCESS;
+}
+
+/* ---- linearity --------------------------------------------------------------------------- */
+
+/* The change of mu from one velocity to the other, which must vanish unless the constraints are
+ * nonlinear.  Leaves mu in mech.mu. */
+static int compare_forms(examination *ex)
+{
+    dal_mechanics *const mech = &ex->mech;
+    const size_t n = ex->n, m = ex->m;
+    const bool nonlinear = ex->system->def.kind == DAL_NONLINEAR;
+    int status = dal__constraint(&mech->eval, ex->q, ex->v, NULL, mech->mu, NULL, &mech->error);
+    if (status) return status;
+    status = dal__constraint(&mech->eval, ex->q, ex->other, NULL, ex->forms, NULL, &mech->error);
+    if (nonlinear && passed_over(1, status)) return DAL_SUCCESS;
+    if (status) return status;
+    ex->found.linearity = 0.0;
+    for (size_t k = 0; k < m * n; k++) {
+        const double change = fabs(ex->forms[k] - mech->mu[k]);
+        if (!nonlinear && change > sum_tolerance * fabs(mech->mu[k]))
+            complain(&ex->found, "phi_v[%zu,%zu] is %.10g at v and %.10g at another velocity: mu "
+                     "must not depend on v", k / n, k % n, mech->mu[k], ex->forms[k]);
+        ex->found.linearity = fmax(ex->found.linearity, change);
+    }
+    return DAL_SUCCESS;
+}
+
+/* *sum <- mu^a v, *scale <- the sum of the absolute values of its terms. */
+static void weigh(const examination *ex, size_t a, const double *v, double *sum, double *scale)
+{
+    *sum = *scale = 0.0;
+    for (size_t i = 0; i < ex->n; i++) {
+        const double term = ex->mech.mu[a * ex->n + i] * v[i];
+        *sum += term;
+        *scale += fabs(term);
+    }
+}
+
+/* phi of linear constraints, where the callback gives it, is mu v. */
+static int examine_linear(examination *ex)
+{
+    const dal_system_def *const def = &ex->system->def;
+    for (size_t a = 0; a < ex->m; a++) ex->phi[a] = (double)NAN;
+    const int returned = def->constraint(ex->q, ex->other, ex->phi, ex->forms, NULL, def->ctx);
+    if (returned)
+        return dal__fail(&ex->mech.error, dal__callback_status(returned), "constraint returned %d "
+                         "when phi was asked for", returned);
+    for (size_t a = 0; a < ex->m; a++) {
+        double sum, scale;
+        weigh(ex, a, ex->other, &sum, &scale);
+        if (isfinite(ex->phi[a]) && fabs(ex->phi[a] - sum) > sum_tolerance * scale)
+            complain(&ex->found, "phi[%zu] is given as %.10g, but phi_v v is %.10g: linear "
+                     "constraints have phi = mu v", a, ex->phi[a], sum);
+    }
+    return DAL_SUCCESS;
+}
+
+/* a = phi - mu v of affine constraints is the same at both velocities. */
+static int examine_affine(examination *ex)
+{
+    dal_mechanics *const mech = &ex->mech;
+    int status = dal__constraint(&mech->eval, ex->q, ex->v, ex->phi, NULL, NULL, &mech->error);
+    if (!status)
+        status = dal__constraint(&mech->eval, ex->q, ex->other, ex->value, NULL, NULL,
+                                 &mech->error);
+    for (size_t a = 0; !status && a < ex->m; a++) {
+        double here, there, scale_here, scale_there;
+        weigh(ex, a, ex->v, &here, &scale_here);
+        weigh(ex, a, ex->other, &there, &scale_there);
+        const double scale = fabs(ex->phi[a]) + fabs(ex->value[a]) + scale_here + scale_there;
+        here = ex->phi[a] - here;
+        there = ex->value[a] - there;
+        if (fabs(there - here) > sum_tolerance * scale)
+            complain(&ex->found, "phi[%zu] - (phi_v v)[%zu] is %.10g at v and %.10g at another "
+                     "velocity: what is not linear in v must not depend on v", a, a, here, there);
+    }
+    return status;
+}
+
+static int examine_linearity(examination *ex)
+{
+    const dal_constraint_kind kind = ex->system->def.kind;
+    const int status = compare_forms(ex);
+    if (status || kind == DAL_NONLINEAR) return status;
+    return kind == DAL_LINEAR ? examine_linear(ex) : examine_affine(ex);
+}
+
+/* ---- rank and definiteness --------------------------------------------------------------- */
+
+static double smallest(size_t count, const double *x)
+{
+    double least = x[0];
+    for (size_t i = 1; i < count; i++) least = fmin(least, x[i]);
+    return least;
+}
+
+/* The smallest eigenvalue of A A^T; destroys A[count*n]. */
+static double smallest_eigenvalue(examination *ex, size_t count, double *A)
+{
+    const double unit = dal__singular_values(count, ex->n, A, ex->squares);
+    return unit * unit * smallest(count, ex->squares);
+}
+
+static int examine_mass(examination *ex)
+{
+    const size_t n = ex->n;
+    double *const L = ex->factor;
+    const dal__jet wanted = {.L_vv = ex->hessian};
+    const int status = dal__lagrangian(&ex->mech.eval, ex->q, ex->v, &wanted, &ex->mech.error);
+    if (status) return status;
+    memcpy(L, ex->hessian, n * n * sizeof *L);
+    /* always, of constant mass */
+    const bool definite = dal__cholesky(n, L, ex->squares, NULL, NULL);
+    if (!definite) { /* no eigenvalue is larger than n times the largest entry */
+        ex->lift = 2.0 * (double)n * fmax(dal__largest(n * n, ex->hessian), DBL_MIN);
+        memcpy(L, ex->hessian, n * n * sizeof *L);
+        for (size_t i = 0; i < n; i++) L[i * n + i] += ex->lift;
+        dal__cholesky(n, L, ex->squares, NULL, NULL);
+    }
+    memcpy(ex->rows, L, n * n * sizeof *ex->rows);
+    ex->found.mass_min = smallest_eigenvalue(ex, n, ex->rows) - ex->lift;
+    if (!definite)
+        complain(&ex->found, "L_vv is not positive definite: its smallest eigenvalue is %g",
+                 ex->found.mass_min);
+    return DAL_SUCCESS;
+}
+
+/* Rank of mu with rows of length 1, so that constraints may have different units. */
+static size_t rank_of(examination *ex, const double *mu)
+{
+    const size_t n = ex->n, m = ex->m;
+    for (size_t a = 0; a < m; a++) {
+        const double *const form = mu + a * n;
+        const double unit = dal__largest(n, form);
+        double square = 0.0;
+        for (size_t i = 0; i < n && unit > 0.0; i++) square += form[i] / unit * (form[i] / unit);
+        for (size_t i = 0; i < n; i++)
+            ex->rows[a * n + i] = unit > 0.0 ? form[i] / unit / sqrt(square) : 0.0;
+    }
+    dal__singular_values(m, n, ex->rows, ex->squares);
+    const double least = 4.0 * (double)n * DBL_EPSILON * sqrt(dal__largest(m, ex->squares));
+    size_t rank = 0;
+    for (size_t a = 0; a < m; a++) rank += sqrt(ex->squares[a]) > least;
+    return rank;
+}
+
+/* Condition of mu L^-T, whose rows are y = L^-1 mu^a. */
+static double condition_of(examination *ex, const double *mu)
+{
+    const size_t n = ex->n, m = ex->m;
+    for (size_t a = 0; a < m; a++) {
+        double *const y = ex->rows + a * n;
+        for (size_t i = 0; i < n; i++)
+            y[i] = (mu[a * n + i] - dal__dot(i, ex->factor + i * n, y)) / ex->factor[i * n + i];
+    }
+    dal__singular_values(m, n, ex->rows, ex->squares);
+    const double least = smallest(m, ex->squares);
+    return least > 0.0 ? sqrt(dal__largest(m, ex->squares) / least) : (double)INFINITY;
+}
+
+/* X and R from mu^T = Q R: the columns of Q after the first m are orthogonal to the forms. */
+static void split(examination *ex, const double *mu)
+{
+    const size_t n = ex->n, m = ex->m;
+    for (size_t i = 0; i < n; i++)
+        for (size_t a = 0; a < m; a++) ex->QR[i * m + a] = mu[a * n + i];
+    gsl_matrix_view QR = gsl_matrix_view_array(ex->QR, n, m);
+    gsl_vector_view tau = gsl_vector_view_array(ex->tau, m);
+    gsl_linalg_QR_decomp(&QR.matrix, &tau.vector);
+    memset(ex->X, 0, (n - m) * n * sizeof *ex->X);
+    for (size_t k = 0; k < n - m; k++) {
+        double *const x = ex->X + k * n;
+        gsl_vector_view column = gsl_vector_view_array(x, n);
+        x[m + k] = 1.0;
+        gsl_linalg_QR_Qvec(&QR.matrix, &tau.vector, &column.vector);
+    }
+}
+
+/* The smallest eigenvalue of X M X^T = (X L)(X L)^T - lift X X^T. */
+static double kernel_min(examination *ex)
+{
+    const size_t n = ex->n, count = ex->n - ex->m;
+    for (size_t k = 0; k < count; k++)
+        for (size_t j = 0; j < n; j++) {
+            double sum = 0.0; /* L is lower triangular */
+            for (size_t i = j; i < n; i++) sum += ex->X[k * n + i] * ex->factor[i * n + j];
+            ex->rows[k * n + j] = sum;
+        }
+    return smallest_eigenvalue(ex, count, ex->rows) - ex->lift;
+}
+
+/* mu in mech.mu.  Also asks for lambda: C, which all schemes invert, squares the condition. */
+static int examine_rank(examination *ex)
+{
+    dal_mechanics *const mech = &ex->mech;
+    dal_check *const found = &ex->found;
+    found->rank = rank_of(ex, mech->mu);
+    if (ex->lift == 0.0) found->condition = condition_of(ex, mech->mu);
+    if (found->rank < ex->m) {
+        complain(found, ex->system->def.kind == DAL_NONLINEAR
+                 ? "phi_v has rank %zu instead of %zu at this velocity: a constraint that is "
+                   "quadratic in v, for one, has no D at rest"
+                 : "mu has rank %zu instead of %zu: a constraint vanishes or follows from the "
+                   "others", found->rank, ex->m);
+        return DAL_SUCCESS;
+    }
+    split(ex, mech->mu);
+    found->kernel_min = kernel_min(ex);
+    if (!(found->mass_min > 0.0 && found->kernel_min > 0.0))
+        complain(found, "M is not positive definite on ker mu: its smallest eigenvalue is %g",
+                 found->kernel_min);
+    const int status = dal_multipliers(mech, 0.0, ex->x, mech->lambda);
+    if (status != DAL_ESINGULAR) return status;
+    complain(found, "mu M^-1 mu^T is singular to working precision: the condition of mu is %.3g",
+             found->condition);
+    return DAL_SUCCESS;
+}
+
+/* ---- involutivity ------------------------------------------------------------------------ */
+
+/* The length of the vector orthogonal to D that mu maps to r: that of R^-T r; destroys r[m]. */
+static double length_across(const examination *ex, double *r)
+{
+    const size_t m = ex->m;
+    const double *const R = ex->QR;
+    double square = 0.0;
+    for (size_t a = 0; a < m; a++) {
+        for (size_t b = 0; b < a; b++) r[a] -= R[b * m + a] * r[b];
+        r[a] /= R[a * m + a];
+        square += r[a] * r[a];
+    }
+    return sqrt(square);
+}
+
+/* Vector fields X, Y in D have mu [X, Y] = N(q,X) Y - N(q,Y) X.  *curvature <- the length of [X, Y]
+ * across D, the largest over the basis; *scale <- that of its two terms, the largest.  Neither
+ * depends on how mu is scaled or combined. */
+static int examine_curvature(examination *ex, const double *q, double *curvature, double *scale)
+{
+    dal_mechanics *const mech = &ex->mech;
+    const size_t n = ex->n, m = ex->m, count = n - m;
+    int status = dal__constraint(&mech->eval, q, ex->v, NULL, mech->mu, NULL, &mech->error);
+    if (status) return status;
+    split(ex, mech->mu);
+    for (size_t k = 0; k < count && !status; k++)
+        status = dal__constraint(&mech->eval, q, ex->X + k * n, NULL, NULL, ex->N + k * m * n,
+                                 &mech->error);
+    if (status) return status;
+    double *const here = ex->value, *const there = ex->slope, *const bracket = ex->phi;
+    *curvature = *scale = 0.0;
+    for (size_t k = 0; k < count; k++)
+        for (size_t l = 0; l < k; l++) {
+            dal__apply(m, n, ex->N + k * m * n, ex->X + l * n, here);
+            dal__apply(m, n, ex->N + l * m * n, ex->X + k * n, there);
+            for (size_t a = 0; a < m; a++) bracket[a] = here[a] - there[a];
+            *curvature = fmax(*curvature, length_across(ex, bracket));
+            *scale = fmax(*scale, fmax(length_across(ex, here), length_across(ex, there)));
+        }
+    return DAL_SUCCESS;
+}
+
+static bool is_flat(double curvature, double scale)
+{
+    return curvature <= curvature_tolerance * scale + curvature_floor;
+}
+
+/* The curvature may vanish at a single point; so D counts as integrable only if that is so at some
+ * points nearby as well, as far as they are in the domain of the constraint. */
+static int examine_involutivity(examination *ex)
+{
+    enum { NEARBY = 4 };
+    double scale;
+    if (ex->n - ex->m == 1) { /* a single field commutes with itself */
+        ex->found.curvature = 0.0;
+        ex->found.integrable = 1;
+        return DAL_SUCCESS;
+    }
+    int status = examine_curvature(ex, ex->q, &ex->found.curvature, &scale);
+    if (status) return status;
+    bool flat = is_flat(ex->found.curvature, scale);
+    for (int k = 1; k <= NEARBY && flat; k++) {
+        double curvature;
+        for (size_t i = 0; i < ex->n; i++)
+            ex->point[i] = ex->q[i] + 0.1 * (1.0 + fabs(ex->q[i])) * cos((double)(i + 1) * k);
+        status = examine_curvature(ex, ex->point, &curvature, &scale);
+        if (status == DAL_EDOMAIN) continue;
+        if (status) return status;
+        flat = is_flat(curvature, scale);
+    }
+    ex->found.integrable = flat;
+    return DAL_SUCCESS;
+}
+
+/* ---- the report -------------------------------------------------------------------------- */
+
+static int examine_constraint(examination *ex)
+{
+    dal_check *const found = &ex->found;
+    const bool linear = ex->system->def.kind == DAL_LINEAR;
+    /* phi_q of linear constraints is that of phi_v v, so phi_v comes first */
+    int status = linear ? examine_linearity(ex) : examine_phi(ex);
+    if (!status) status = linear ? examine_phi(ex) : examine_linearity(ex);
+    if (!status) status = examine_rank(ex);
+    bool consistent = true;
+    if (!status && found->mass_min > 0.0) /* else there is no metric to measure in */
+        status = dal__lies_in_D(&ex->mech, 0.0, ex->x, &found->residual, &consistent);
+    if (!status && linear && found->rank == ex->m) status = examine_involutivity(ex);
+    if (!status && !consistent)
+        complain(found, "(q, v) is not in D: the residual is %.3g, more than roundoff and %g of "
+                 "the terms of %s", found->residual, DAL_CONSISTENT, linear ? "mu v" : "phi");
+    return status;
+}
+
+/* Without constraints D is all of TQ. */
+static void examine_no_constraint(examination *ex)
+{
+    ex->found.kernel_min = ex->found.mass_min;
+    ex->found.linearity = ex->found.residual = ex->found.curvature = 0.0;
+    ex->found.condition = 1.0;
+    ex->found.integrable = 1;
+}
+
+static void summarize(const examination *ex, dal_check *found)
+{
+    char *const text = found->text;
+    const size_t size = sizeof found->text;
+    char agree[160];
+    snprintf(agree, sizeof agree, "the derivatives given agree with differences%s%s%s",
+             ex->unjudged ? " where these converge, which those for " : "",
+             ex->unjudged ? ex->unjudged : "", ex->unjudged ? " do not everywhere" : "");
+    if (ex->m == 0) {
+        snprintf(text, size, "%s; no constraints", agree);
+        return;
+    }
+    char shape[128];
+    if (ex->system->def.kind != DAL_LINEAR)
+        snprintf(shape, sizeof shape, "the constraints are %s in v",
+                 ex->system->def.kind == DAL_AFFINE ? "affine" : "nonlinear");
+    else if (ex->n - ex->m == 1)
+        snprintf(shape, sizeof shape, "D has dimension n - m = 1, which is always integrable");
+    else if (found->integrable)
+        snprintf(shape, sizeof shape, "D is integrable here and nearby: it may be a holonomic "
+                 "constraint in disguise");
+    else
+        snprintf(shape, sizeof shape, "D is not integrable, its curvature here is %.3g",
+                 found->curvature);
+    snprintf(text, size, "%s; mu has rank %zu and condition %.3g; (q, v) lies in D to %.1e; %s",
+             agree, found->rank, found->condition, found->residual, shape);
+}
+
+static void reserve(examination *ex, arena *a)
+{
+    const size_t n = ex->n, m = ex->m, nn = dal__times(n, n), mn = dal__times(m, n);
+    dal__mechanics_reserve(&ex->mech, ex->system, a);
+    dal__reserve(a, &ex->point, n, sizeof(double));
+    dal__reserve(a, &ex->other, n, sizeof(double));
+    dal__reserve(a, &ex->value, n, sizeof(double));
+    dal__reserve(a, &ex->slope, n, sizeof(double));
+    dal__reserve(a, &ex->bend, n, sizeof(double));
+    dal__reserve(a, &ex->height, n, sizeof(double));
+    dal__reserve(a, &ex->expected, n, sizeof(double));
+    dal__reserve(a, &ex->gradient, n, sizeof(double));
+    dal__reserve(a, &ex->hessian, nn, sizeof(double));
+    dal__reserve(a, &ex->forms, mn, sizeof(double));
+    dal__reserve(a, &ex->phi, m, sizeof(double));
+    dal__reserve(a, &ex->factor, nn, sizeof(double));
+    dal__reserve(a, &ex->rows, nn, sizeof(double));
+    dal__reserve(a, &ex->squares, n, sizeof(double));
+    dal__reserve(a, &ex->QR, mn, sizeof(double));
+    dal__reserve(a, &ex->tau, m, sizeof(double));
+    dal__reserve(a, &ex->X, dal__times(n - m, n), sizeof(double));
+    dal__reserve(a, &ex->N, dal__times(n - m, mn), sizeof(double));
+}
+
+/* A velocity in general position, of the size of v. */
+static void choose_other(examination *ex)
+{
+    const double size = 1.0 + dal__largest(ex->n, ex->v);
+    for (size_t i = 0; i < ex->n; i++)
+        ex->other[i] = ex->v[i] + size * (1.0 + 0.5 * sin((double)(i + 1)));
+}
+
+int dal_system_check(const dal_system *system, const double *x, dal_check *report,
+                     dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!system || !x || !report)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL",
+                         !system ? "system" : !x ? "x" : "report");
+    const size_t n = system->def.n;
+    for (size_t i = 0; i < 2 * n; i++)
+        if (!isfinite(x[i]))
+            return dal__fail(error, DAL_EINVAL, "x[%zu] = %g is not finite", i, x[i]);
+
+    examination ex = {.system = system, .x = x, .q = x, .v = x + n, .n = n, .m = system->def.m};
+    dal_check *const found = &ex.found;
+    arena memory = {0};
+    reserve(&ex, &memory);
+    int status = dal__allocate(&memory, error);
+    if (status) return status;
+    dal__mechanics_bind(&ex.mech, system);
+    choose_other(&ex);
+
+    const double unknown = (double)NAN; /* stays where the examination does not come to an end */
+    found->linearity = found->condition = found->mass_min = found->kernel_min = unknown;
+    found->residual = found->curvature = unknown;
+    status = system->mass ? examine_mass(&ex) : examine_lagrangian(&ex);
+    if (!status) status = system->mass ? examine_potential(&ex) : examine_mass(&ex);
+    if (!status) status = examine_force(&ex);
+    if (!status && ex.m == 0) examine_no_constraint(&ex);
+    if (!status && ex.m > 0) status = examine_constraint(&ex);
+    if (status) {
+        dal__fail(error, status, "%s", ex.mech.error.text);
+        snprintf(found->text, sizeof found->text, "%s", ex.mech.error.text);
+    }
+    found->passed = !found->text[0];
+    if (found->passed) summarize(&ex, found);
+    dal__release(&memory);
+    if (status == DAL_SUCCESS || status == DAL_EDOMAIN) *report = *found;
+    return status;
+}

@@ -1,0 +1,311 @@
+/* The reference flow, the ODE on D (h) by the adaptive integrator of ode.c; in the states
+ * x, or in the coordinates xi of charts (ODExi). */
+#include "geometry/geometry.h"
+
+#include <math.h>
+#include <string.h>
+
+/* How much looser the second integration is that the accuracy is estimated from. */
+static const double LOOSER = 10.0;
+
+/* And at the most such a share of the interval is a step of it.  Where the tolerance lets steps
+ * grow freely both integrations would else take the same ones, and make the same error. */
+static const double LONGEST = 0.0578;
+
+/* Numbers of the field between two looks at the clock, each of which costs a quarter of the field
+ * of a small system; in a large one it is read at every evaluation. */
+enum { PER_LOOK = 128 };
+
+/* Accepted steps of one integration in xi; far more than any sensible one takes. */
+enum { MOST_STEPS = 10000000 };
+
+struct dal_flow {
+    dal_mechanics mech;
+    bool in_xi;
+    dal_chart chart;         /* in xi only */
+    size_t chart_changes;
+    ode *integrator;
+    double tolerance;
+    double *result, *state;  /* [2n] */
+    dal__watch watch;
+    size_t unwatched;        /* numbers of the field since the clock was read */
+    dal_error error;
+    arena arena;
+};
+
+static size_t dimension(const dal_flow *flow) { return 2 * flow->mech.n; }
+
+static void copy(const dal_flow *flow, double *to, const double *from)
+{
+    memcpy(to, from, dimension(flow) * sizeof *to);
+}
+
+/* Whether to go on at time t. */
+static int ask(dal_flow *flow, double t, dal_error *error)
+{
+    if (!flow->watch.function || (flow->unwatched += dimension(flow)) < PER_LOOK)
+        return DAL_SUCCESS;
+    flow->unwatched = 0;
+    return dal__ask(&flow->watch, t, error);
+}
+
+/* dxdt[2n] <- the field on D at x[2n], of the flow ctx. */
+static int field(double t, const double *x, double *dxdt, void *ctx, dal_error *error)
+{
+    dal_flow *const flow = ctx;
+    dal_mechanics *const mech = &flow->mech;
+    int status = ask(flow, t, error);
+    if (status) return status;
+    status = dal_field(mech, t, x, dxdt);
+    if (status) *error = mech->error;
+    return status;
+}
+
+/* The same in xi[2n-m]. */
+static int field_in_xi(double t, const double *xi, double *dxidt, void *ctx, dal_error *error)
+{
+    dal_flow *const flow = ctx;
+    dal_chart *const chart = &flow->chart;
+    int status = ask(flow, t, error);
+    if (status) return status;
+    status = dal_chart_field(chart, t, xi, dxidt);
+    if (status) *error = chart->mech.error;
+    return status;
+}
+
+/* Making. */
+
+int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method method,
+                 dal_flow_coordinates coordinates, double tolerance, dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!flow || !system)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", flow ? "system" : "flow");
+    if (coordinates != DAL_FLOW_X && coordinates != DAL_FLOW_XI)
+        return dal__fail(error, DAL_EINVAL, "coordinates = %d is not a dal_flow_coordinates",
+                         (int)coordinates);
+
+    arena memory = {0};
+    dal_flow shape = {.in_xi = coordinates == DAL_FLOW_XI, .tolerance = tolerance}, *self;
+    const size_t n = dal_system_n(system), m = dal_system_m(system);
+    dal__reserve(&memory, &self, 1, sizeof *self);
+    dal__mechanics_reserve(&shape.mech, system, &memory);
+    if (shape.in_xi) dal__chart_reserve(&shape.chart, system, &memory);
+    dal__reserve(&memory, &shape.result, 2 * n, sizeof(double));
+    dal__reserve(&memory, &shape.state, 2 * n, sizeof(double));
+    int status = dal__allocate(&memory, error);
+    if (status) return status;
+    *self = shape;
+    self->arena = memory;
+    dal__mechanics_bind(&self->mech, system);
+    if (self->in_xi) dal__chart_bind(&self->chart, system);
+    status = dal__ode_new(&self->integrator, self->in_xi ? 2 * n - m : 2 * n, method, tolerance,
+                          self->in_xi ? field_in_xi : field, self, error);
+    if (status) dal_flow_free(self);
+    else *flow = self;
+    return status;
+}
+
+void dal_flow_free(dal_flow *flow)
+{
+    if (!flow) return;
+    dal__ode_free(flow->integrator);
+    arena memory = flow->arena; /* the object lies inside it */
+    dal__release(&memory);
+}
+
+void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
+{
+    if (!flow) return;
+    flow->watch = (dal__watch){watch, ctx, 0.0};
+    flow->unwatched = PER_LOOK; /* asked at the next evaluation */
+}
+
+const char *dal_flow_message(const dal_flow *flow) { return flow->error.text; }
+
+size_t dal_flow_chart_changes(const dal_flow *flow) { return flow->chart_changes; }
+
+size_t dal_flow_evaluations(const dal_flow *flow)
+{
+    return dal__ode_evaluations(flow->integrator);
+}
+
+dal_mechanics *dal__flow_mechanics(dal_flow *flow) { return &flow->mech; }
+
+double dal__flow_tolerance(const dal_flow *flow) { return flow->tolerance; }
+
+dal_error *dal__flow_error(dal_flow *flow) { return &flow->error; }
+
+/* Integration. */
+
+/* The failure of a part is the failure of the flow. */
+static int pass_on(dal_flow *flow, const dal_error *error, int status)
+{
+    flow->error = *error;
+    return status;
+}
+
+static int failed_chart(dal_flow *flow, int status)
+{
+    return pass_on(flow, &flow->chart.mech.error, status);
+}
+
+/* Ready to integrate from x[2n] at t0 over about span. */
+static int begin(dal_flow *flow, double t0, double span, const double *x, double factor)
+{
+    if (!flow->in_xi)
+        return dal__ode_begin(flow->integrator, t0, span, x, factor, &flow->error);
+    const int status = dal_chart_choose(&flow->chart, NULL, x);
+    if (status) return failed_chart(flow, status);
+    dal__chart_drop(&flow->chart, x, flow->chart.y);
+    return dal__ode_begin(flow->integrator, t0, span, flow->chart.y, factor, &flow->error);
+}
+
+/* flow->state <- psi(xi) of the integrator, in a chart that is well conditioned there. */
+static int renew_chart(dal_flow *flow, double end)
+{
+    double *const xi = dal__ode_state(flow->integrator);
+    int changed = 0, status = dal_chart_lift(&flow->chart, xi, flow->state);
+    if (!status) status = dal_chart_renew(&flow->chart, flow->state, &changed);
+    if (status) return failed_chart(flow, status);
+    if (!changed) return DAL_SUCCESS;
+    flow->chart_changes++;
+    dal__chart_drop(&flow->chart, flow->state, xi);
+    return dal__ode_restart(flow->integrator, end, &flow->error);
+}
+
+/* flow->state <- the state at elapsed time end. */
+static int reach(dal_flow *flow, double end)
+{
+    ode *const integrator = flow->integrator;
+    int status = DAL_SUCCESS;
+    if (!flow->in_xi) {
+        status = dal__ode_reach(integrator, end, &flow->error);
+        if (!status) copy(flow, flow->state, dal__ode_state(integrator));
+        return status;
+    }
+    for (size_t steps = 0; !status && dal__ode_elapsed(integrator) != end; steps++) {
+        if (steps == MOST_STEPS)
+            return dal__fail(&flow->error, DAL_ENOCONV, "%d steps in xi did not lead to the end of "
+                             "the interval", MOST_STEPS);
+        status = dal__ode_step(integrator, end, &flow->error);
+        if (!status) status = renew_chart(flow, end);
+    }
+    return status;
+}
+
+/* flow->state <- x[2n] at t0 taken to t0 + span. */
+static int integrate(dal_flow *flow, double t0, double span, const double *x, double factor,
+                     bool project)
+{
+    int status = begin(flow, t0, span, x, factor);
+    if (!status && factor > 1.0) dal__ode_shorten(flow->integrator, LONGEST * fabs(span));
+    if (!status) status = reach(flow, span);
+    if (status || !project || flow->in_xi) return status; /* psi(xi) lies in D */
+    status = dal_project(&flow->mech, 0.0, flow->state, NULL);
+    return status ? pass_on(flow, &flow->mech.error, status) : DAL_SUCCESS;
+}
+
+static int require_interval(dal_flow *flow, double t0, double t1, const double *x)
+{
+    if (!x) return dal__fail(&flow->error, DAL_EINVAL, "x is NULL");
+    if (!isfinite(t0) || !isfinite(t1) || !isfinite(t1 - t0))
+        return dal__fail(&flow->error, DAL_EINVAL, "from t0 = %g to t1 = %g is not a finite "
+                         "interval", t0, t1);
+    for (size_t i = 0; i < dimension(flow); i++)
+        if (!isfinite(x[i]))
+            return dal__fail(&flow->error, DAL_EINVAL, "x[%zu] = %g is not finite", i, x[i]);
+    return DAL_SUCCESS;
+}
+
+int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project)
+{
+    if (span == 0.0) return DAL_SUCCESS;
+    const int status = integrate(flow, t0, span, x, 1.0, project);
+    if (!status) copy(flow, x, flow->state);
+    return status;
+}
+
+/* The terms of which the acceleration is the sum, of the coordinate where they are largest: a
+ * reaction may take all that a force gives.  They are as dal_field left them. */
+static double largest_pull(dal_mechanics *mech)
+{
+    double largest = 0.0;
+    dal__accelerate(mech, mech->force, mech->w);
+    for (size_t i = 0; i < mech->n; i++) {
+        double sum = fabs(mech->w[i]);
+        for (size_t a = 0; a < mech->m; a++)
+            sum += fabs(mech->Z[a * mech->n + i] * mech->lambda[a]);
+        largest = fmax(largest, sum);
+    }
+    return largest;
+}
+
+/* *error <- what roundoff does at the least: to the result; all the time to velocity and
+ * acceleration, where nearly dependent forms make more of it; and to the time that a force sees. */
+static int roundoff(dal_flow *flow, double t0, double t1, double *error)
+{
+    dal_mechanics *const mech = &flow->mech;
+    const size_t N = dimension(flow), n = mech->n, m = mech->m;
+    const double span = fabs(t1 - t0);
+    const int status = dal_field(mech, t1, flow->result, flow->state);
+    if (status) return pass_on(flow, &mech->error, status);
+    double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal */
+    for (size_t a = 0; a < m; a++)
+        inverse += mech->sizes[a] * dal__dot(a + 1, mech->C + a * m, mech->C + a * m);
+    const double drift =
+        (dal__largest(n, flow->result + n) + 0.5 * span * largest_pull(mech)) * span;
+    *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result)
+           + DAL_ROUNDOFF * sqrt(inverse) * drift;
+    if (dal_system_is_forced(mech->eval.system))
+        *error += DAL_ROUNDOFF * fmax(fabs(t0), fabs(t1)) * dal__largest(N, flow->state);
+    return DAL_SUCCESS;
+}
+
+int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accuracy)
+{
+    if (!flow) return DAL_EINVAL;
+    int status = require_interval(flow, t0, t1, x);
+    if (status) return status;
+    if (!accuracy) return dal__flow_apply(flow, t0, t1 - t0, x, true);
+    if (t1 == t0) {
+        *accuracy = 0.0;
+        return DAL_SUCCESS;
+    }
+    status = integrate(flow, t0, t1 - t0, x, 1.0, true);
+    if (status) return status;
+    copy(flow, flow->result, flow->state);
+    status = integrate(flow, t0, t1 - t0, x, LOOSER, true);
+    if (status) return status;
+    double difference = 0.0;
+    for (size_t i = 0; i < dimension(flow); i++)
+        difference = fmax(difference, fabs(flow->result[i] - flow->state[i]));
+    double least;
+    status = roundoff(flow, t0, t1, &least);
+    if (status) return status;
+    copy(flow, x, flow->result);
+    *accuracy = fmax(difference, least);
+    return DAL_SUCCESS;
+}
+
+int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, double *x, size_t *done)
+{
+    if (done) *done = 0;
+    if (!flow) return DAL_EINVAL;
+    const size_t N = dimension(flow);
+    int status = require_interval(flow, t0, t0 + (double)steps * h, x);
+    if (!status && h == 0.0) status = dal__fail(&flow->error, DAL_EINVAL, "h = 0");
+    if (status || steps == 0) return status;
+    status = begin(flow, t0, h, x, 1.0);
+    for (size_t k = 1; !status && k <= steps; k++) {
+        /* The rows are projected, the integration goes on without: it need not start anew. */
+        status = reach(flow, (double)k * h);
+        if (status) break;
+        copy(flow, flow->result, flow->state);
+        if (!flow->in_xi) status = dal_project(&flow->mech, 0.0, flow->result, NULL);
+        if (status) return pass_on(flow, &flow->mech.error, status);
+        copy(flow, x + k * N, flow->result);
+        if (done) *done = k;
+    }
+    return status;
+}

@@ -1,0 +1,130 @@
+/* geometry.h - mechanics on D, charts of D, and the flow of the ODE on D. */
+#ifndef DAL__GEOMETRY_H
+#define DAL__GEOMETRY_H
+
+#include "dalembert/geometry.h"
+#include "system/system.h"
+
+/* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation. */
+struct dal_mechanics {
+    evaluator eval;
+    size_t n, m;
+    double *phi;                  /* [m] */
+    double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
+    double *Z;                    /* [m*n]: row a is M^-1 mu^a */
+    double *C, *sizes;            /* [m*m], [5*m]: mu M^-1 mu^T or its factors; see lu.h */
+    size_t *row;                  /* [m] */
+    double *force, *q, *w, *step; /* [n] */
+    double *lambda, *residual;    /* [m] */
+    double *point;                /* [2n] of jump.c */
+    double *hessian;              /* [n*n]: L_qq, or V_qq */
+    double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
+    double *L_vv, *factor;        /* [n*n]: M where it is not constant, and its Cholesky factor */
+    double *units, *per_units;    /* [n]: where M is not constant, what the next two point to */
+    const double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h, */
+    const double *metric;         /* [n*n] and M at the last point where it was asked for */
+    /* of the equations of a step */
+    double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
+    double *node, *muk;           /* [n], [m*n] q_k, mu_k */
+    double *trial, *chetaev, *bend; /* [n], [m*n], [n*n] of nonlinear constraints: where mu_k^T
+                                       kappa is differenced, its value and its derivative */
+    struct {
+        double t, beta, h;
+        bool kept;
+        const double *v;          /* [n] */
+        double base;              /* see dal__step_base */
+    } start;                      /* of the step that dal__step_begin began */
+    dal_error error;
+    arena arena; /* used only by dal_mechanics_new */
+};
+
+void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena *a);
+void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
+
+/* The helpers of mechanics.c leave the text of their failure in mech->error. */
+
+/* DAL_EINVAL unless x[count] is there and finite; name is that of the argument. */
+int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
+int dal__null_argument(dal_mechanics *mech, const char *name);
+/* M at (q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
+int dal__form_metric(dal_mechanics *mech, const double *q, const double *v);
+/* y[n] <- M^-1 f[n], M that of the last dal__form_metric; y and f may not overlap. */
+void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
+/* Z <- the rows M^-1 mu^a. */
+void dal__form_Z(dal_mechanics *mech, const double *mu);
+/* The Cholesky factor of C = mu Z^T with the Z of mu. */
+int dal__factor_gram(dal_mechanics *mech, const double *mu);
+/* y[m] <- C^-1 y. */
+void dal__solve_gram(const dal_mechanics *mech, double *y);
+/* The residual of residual.h, the largest of all a, in the units of the last dal__form_metric. */
+double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
+                              const double *v);
+/* Whether v is so near to D that it is meant to lie in it: |mu^a v| <= 1e-8 sum_i |mu^a_i v_i| + 4
+ * n u s^a, with phi and a^a where residual.h has them. */
+bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
+                        const double *v);
+/* *E <- the energy at x[2n], which may overflow. */
+int dal__energy(dal_mechanics *mech, const double *x, double *E);
+/* Both, of x[2n] and the D or D_eps of shift. */
+int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
+                   bool *consistent);
+/* w[n] moves along Z into D at q; *relative <- what is left of the residual, within its bound.  phi
+ * and mu are those of (q, w), before and after.  DAL_ESINGULAR. */
+int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative);
+
+/* A chart of D, connection.c.  It may be part of another object, as a dal_mechanics may. */
+struct dal_chart {
+    dal_mechanics mech;
+    size_t n, m, width;      /* width = 2n - m, that of xi */
+    bool chosen;
+    size_t *place;           /* [n]: the dependent coordinates, then the independent ones */
+    double *branch;          /* [m] v_dependent where Newton starts */
+    double *B, *B_sizes, *A; /* [m*m] factors, [5*m], [m*(n-m)] */
+    size_t *row;             /* [m] */
+    double *right, *solution; /* [m] */
+    double *x, *y;           /* [2n] */
+    double *tableau;         /* [m*n] */
+    size_t *former, *owner;  /* [n], [m] */
+    /* of dal_chart_step */
+    double *w, *R1, *step;   /* [n] */
+    double *R2, *kappa;      /* [m] */
+    double *K, *G;           /* [n*n] */
+    double *G_sizes;         /* [5*n] */
+    double *slope;           /* [m*n] */
+    size_t *G_row;           /* [n] */
+    /* of dal_chart_interpolate */
+    double *first, *second;  /* [3n] (q, v, vdot) at the ends of an interval */
+    size_t *kept_place;      /* [n] the caller's choice */
+    double *kept_branch;     /* [m] */
+    size_t *last_place;      /* [n] that of the state before */
+    arena arena;             /* used only by dal_chart_new */
+};
+
+void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a);
+void dal__chart_bind(dal_chart *chart, const dal_system *system);
+
+/* dal_chart_lift without checking its arguments; for nonlinear constraints Newton starts at the
+ * v_dependent that stands in x[2n].  On failure x is spoiled. */
+int dal__chart_lift(dal_chart *chart, const double *xi, double *x);
+/* dal_chart_drop, the same. */
+void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);
+/* chart->x <- psi(xi), Newton from the state of the choice; DAL_EINVAL unless there is a choice and
+ * xi[2n-m] is finite. */
+int dal__chart_state(dal_chart *chart, const double *xi);
+/* B, or B^T, of mu[m*n], factored, in the units of the last dal__form_metric. */
+int dal__chart_factor(dal_chart *chart, const double *mu, bool transposed);
+/* DAL_EINVAL unless there is a choice. */
+int dal__chart_ready(dal_chart *chart);
+/* Whether dal_chart_renew would keep the choice at x, and its condition. */
+int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool *keeps);
+
+/* dal_flow_apply over span, without checking its arguments and without the accuracy; the projection
+ * onto D at the end only if project. */
+int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project);
+
+/* What a flow is made of, and the record that dal_flow_message reads. */
+dal_mechanics *dal__flow_mechanics(dal_flow *flow);
+double dal__flow_tolerance(const dal_flow *flow);
+dal_error *dal__flow_error(dal_flow *flow);
+
+#endif /* DAL__GEOMETRY_H */

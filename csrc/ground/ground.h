@@ -1,0 +1,72 @@
+/* ground.h - errors, memory and small things that every floor needs.
+ *
+ * Private functions that cross files are called dal__name. */
+#ifndef DAL__GROUND_H
+#define DAL__GROUND_H
+
+#include "dalembert.h"
+
+#include <float.h>
+#include <stdbool.h>
+#include <stdint.h>
+
+/* Unit roundoff u = 2^-53, and the bound on the residual of D (residual.h) after every step. */
+#define DAL_ROUNDOFF (DBL_EPSILON / 2)
+#define DAL_RESIDUAL_BOUND(n) (4.0 * (double)(n) * DAL_ROUNDOFF)
+/* The same of initial data that are taken to be meant to lie in D. */
+#define DAL_CONSISTENT 1e-8
+
+#define DAL_LENGTH(array) (sizeof(array) / sizeof(array)[0])
+
+#if defined(__GNUC__)
+__attribute__((format(printf, 3, 4)))
+#endif
+/* Writes the text (printf format) and the status to error, which may be NULL; returns status. */
+int dal__fail(dal_error *error, int status, const char *format, ...);
+
+/* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
+int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);
+
+/* Status of what a user's callback returned: 0, DAL_EDOMAIN for > 0, DAL_EUSER for < 0. */
+int dal__callback_status(int returned);
+
+/* Seconds, of the time of day: it may be set back or forward. */
+double dal__clock(void);
+
+/* A caller's watch, asked every so many seconds. */
+#define DAL_WATCH_SECONDS 0.05
+typedef struct dal__watch {
+    dal_watch_fn function; /* or NULL */
+    void *ctx;
+    double asked;          /* when */
+} dal__watch;
+
+/* Asks the watch, unless that was done a moment ago.  DAL_STOPPED, DAL_EUSER. */
+int dal__ask(dal__watch *watch, double far, dal_error *error);
+
+/* A plan of arrays that share one allocation.  Usage: an arena {0}; dal__reserve for each array;
+ * dal__allocate once; then the pointers are valid until dal__release. */
+typedef struct arena {
+    struct {
+        void *slot; /* address of the pointer to set */
+        size_t offset;
+    } part[128];
+    size_t parts, size;
+    bool overflow;
+    void *block;
+} arena;
+
+/* Plans count elements of size bytes for *slot (the address of a pointer to any object type). */
+void dal__reserve(arena *a, void *slot, size_t count, size_t size);
+/* The same of doubles for each of slot[slots]. */
+void dal__reserve_doubles(arena *a, size_t slots, double **const slot[], size_t count);
+/* Zero-filled memory for all that was reserved; DAL_ENOMEM. */
+int dal__allocate(arena *a, dal_error *error);
+void dal__release(arena *a);
+
+/* a*b, or SIZE_MAX where that overflows. */
+size_t dal__times(size_t a, size_t b);
+
+bool dal__all_finite(size_t count, const double *x);
+
+#endif /* DAL__GROUND_H */

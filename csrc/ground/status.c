@@ -1,0 +1,72 @@
+/* Status codes in words, the error record, and watches. */
+#include "ground/ground.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <time.h>
+
+const char *dal_version(void) { return DAL_VERSION; }
+
+const char *dal_strerror(int status)
+{
+    switch ((dal_status)status) {
+    case DAL_SUCCESS: return "success";
+    case DAL_STOPPED: return "stopped by an observer or a watch";
+    case DAL_EINVAL: return "invalid argument";
+    case DAL_ENOMEM: return "out of memory";
+    case DAL_EUSER: return "a callback failed";
+    case DAL_EDOMAIN: return "a callback is undefined or not finite here";
+    case DAL_ESINGULAR: return "a matrix is singular to working precision";
+    case DAL_ENOCONV: return "an iteration did not converge";
+    case DAL_EOFFD: return "initial data do not satisfy the constraint";
+    case DAL_EUNSUPPORTED: return "not supported";
+    }
+    return "unknown status";
+}
+
+int dal__fail(dal_error *error, int status, const char *format, ...)
+{
+    if (error) {
+        va_list arguments;
+        va_start(arguments, format);
+        vsnprintf(error->text, sizeof error->text, format, arguments);
+        va_end(arguments);
+        error->status = status;
+    }
+    return status;
+}
+
+int dal__require_output(dal_error *error, const char *name, size_t count, const double *x)
+{
+    for (size_t i = 0; x && i < count; i++)
+        if (!isfinite(x[i]))
+            return dal__fail(error, DAL_EDOMAIN, "the result %s[%zu] = %g is not finite", name, i,
+                             x[i]);
+    return DAL_SUCCESS;
+}
+
+int dal__callback_status(int returned)
+{
+    if (returned == 0) return DAL_SUCCESS;
+    return returned > 0 ? DAL_EDOMAIN : DAL_EUSER;
+}
+
+double dal__clock(void)
+{
+    struct timespec now;
+    timespec_get(&now, TIME_UTC);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+int dal__ask(dal__watch *watch, double far, dal_error *error)
+{
+    if (!watch->function) return DAL_SUCCESS;
+    const double now = dal__clock();
+    if (fabs(now - watch->asked) < DAL_WATCH_SECONDS) return DAL_SUCCESS;
+    watch->asked = now;
+    const int returned = watch->function(far, watch->ctx);
+    if (returned == 0) return DAL_SUCCESS;
+    return dal__fail(error, returned > 0 ? DAL_STOPPED : DAL_EUSER, "the watch returned %d",
+                     returned);
+}

@@ -1,0 +1,62 @@
+/* An energy that jumps.  Where nothing does work on the system the energy of a step that
+ * is sensible stays near what it was; one that was refused by nothing and yet has changed it by
+ * more than half of the kinetic energy went astray. */
+#include "step/step.h"
+
+#include <math.h>
+#include <string.h>
+
+/* The energy and the kinetic energy at x[2n], moved back by shift v.  The statistics do not count
+ * it. */
+static int energies(dal_mechanics *mech, double shift, const double *x, double *E, double *kinetic)
+{
+    const size_t n = mech->n;
+    evaluator *const e = &mech->eval;
+    const size_t calls[] = {e->potential_calls, e->lagrangian_calls};
+    const double *y = x;
+    int status;
+    if (shift != 0.0) {
+        memcpy(mech->point, x, 2 * n * sizeof *x);
+        for (size_t i = 0; i < n; i++) mech->point[i] -= shift * x[n + i];
+        y = mech->point;
+    }
+    if (e->constant_mass) {
+        double V = 0.0;
+        status = dal__potential(e, y, &V, NULL, NULL, &mech->error);
+        dal__apply(n, n, mech->metric, y + n, mech->step);
+        *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
+        *E = *kinetic + V;
+    } else {
+        status = dal__form_metric(mech, y, y + n);
+        if (!status) status = dal__energy(mech, y, E);
+        dal__apply(n, n, mech->metric, y + n, mech->step);
+        *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
+    }
+    e->potential_calls = calls[0];
+    e->lagrangian_calls = calls[1];
+    return status;
+}
+
+int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shift, const double *x)
+{
+    const dal_system_def *const def = &mech->eval.system->def;
+    *jump = (dal__jump){.shift = shift};
+    if (order == 1 || def->force || def->kind != DAL_LINEAR) return DAL_SUCCESS;
+    const int status = energies(mech, shift, x, &jump->energy, &jump->kinetic);
+    jump->looking = isfinite(jump->energy);
+    return status;
+}
+
+int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x)
+{
+    double E, kinetic;
+    if (!jump->looking || jump->step > 0) return DAL_SUCCESS;
+    const int status = energies(mech, jump->shift, x, &E, &kinetic);
+    if (status == DAL_EUSER) return status;
+    if (status) E = HUGE_VAL; /* V is not finite there, or not defined, as it was at the start */
+    else jump->kinetic = fmax(jump->kinetic, kinetic);
+    if (isfinite(E) && fabs(E - jump->energy) <= 0.5 * jump->kinetic) return DAL_SUCCESS;
+    jump->step = step;
+    jump->change = E - jump->energy;
+    return DAL_SUCCESS;
+}

@@ -1,0 +1,28 @@
+/* The compilations of the step routine: n <= 8, m <= 4 as constants, and any sizes. */
+#include "step/step.h"
+#include "dalembert/kernel.h"
+
+#define DAL_KERNEL kernel_any
+#include "dalembert/kernel.h"
+
+#define DAL_ROW 1
+#include "step/kernel_row.h"
+#define DAL_ROW 2
+#include "step/kernel_row.h"
+#define DAL_ROW 3
+#include "step/kernel_row.h"
+#define DAL_ROW 4
+#include "step/kernel_row.h"
+#define DAL_ROW 5
+#include "step/kernel_row.h"
+#define DAL_ROW 6
+#include "step/kernel_row.h"
+
+dal_kernel_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes)
+{
+    static const dal_kernel_fn *const rows[] = {row_1, row_2, row_3, row_4, row_5, row_6};
+    const dal_kernel_fn fixed = m > 4 ? NULL
+                                : n <= DAL_LENGTH(rows) ? rows[n - 1][m]
+                                                        : dal__kernel_of_many(n, m);
+    return fixed && sizes == DAL_SIZES_AUTO ? fixed : kernel_any;
+}

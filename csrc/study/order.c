@@ -1,0 +1,726 @@
+/* The order (p, s) of a scheme, measured by refining the step.
+ *
+ * p and s are slopes of the error of one step from exact data, minus 1: p of the state, s of the
+ * scheme's own multiplier against lambda(t0 + h).  For kept nodes the data are those that the run
+ * starts from, which need not lie in D; the ODE (h) is defined there by the same formula.
+ *
+ * What has to hold.  A record promises (p, s) for a step from the set that it keeps.  The order p
+ * holds if the error of one step has the slope p + 1, or those at t_end the slope p: with p = 8 the
+ * error of a step reaches roundoff before its slope has settled, the one at t_end, greater by 1/h,
+ * does not.  Kept nodes started in D (DAL_INITIAL_D) jump to D_eps in their first step, which costs
+ * that step one order in both (E12), and the run none: for that start the first step has to have
+ * (p - 1, s - 1), and the errors at t_end the slope p. */
+#include "dalembert/study.h"
+#include "step/step.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { BLOCK = 256, FEWEST_POINTS = 3 };
+
+static const double SLACK = 0.2;           /* by which an order may fall short of its promise */
+static const double ABOVE_FLOOR = 100.0;   /* an error counts beyond so many times the floor */
+static const double AT_FLOOR = 10.0;       /* errors up to so many times the floor are roundoff */
+static const double STEP_ROUNDINGS = 4.0;  /* the floor of one step in u times scale, */
+static const double RUN_ROUNDINGS = 50.0;  /* and of a short run, in which they add up; */
+static const double WALK = 4.0;            /* N sub-steps have so many times the root of N */
+static const double SETTLED = 0.25;        /* by which the slopes between neighbours may differ */
+static const double RESOLVED = 0.5;        /* of the solution: a larger error says nothing */
+static const double SMALLEST_RANGE = 2.0;  /* of h over the points that count */
+static const double ENERGY = 1e-8;         /* changes of the energy below are not told */
+static const double DEFAULT_TOLERANCE = 1e-13;
+
+typedef struct study {
+    const dal_system *system;
+    const dal_scheme *scheme;
+    const dal_order_def *def;
+    size_t n, m;
+    bool kept;          /* kept nodes */
+    double shift;       /* 1 - beta of a record with a single sub-step, else NaN */
+    double tolerance;   /* of the flow */
+    double accuracy;    /* of the reference at t_end */
+    dal_mechanics *mech;
+    dal_stepper *stepper;
+    dal_flow *flow;     /* NULL where the exact solution serves */
+    double *x0;         /* [2n]: def->x0 in D to roundoff */
+    double *end;        /* [2n]: the reference at t_end */
+    double *end_lambda; /* [m] */
+    double *start;      /* [2n]: what the run starts from */
+    double *exact;      /* [2n] */
+    double *rows;       /* [(BLOCK + 1)*2n] */
+    double *energy, *relative;            /* [BLOCK + 1] */
+    double *lambda, *expected, *reaction; /* [m] */
+    double *h, *errors, *sizes;           /* [count]: of a fit */
+    unsigned char *counted;               /* [count] */
+    dal_order_point *points;              /* [count] */
+    double made;                          /* steps of all runs so far */
+    dal__watch watch;
+    dal_error *error;
+    arena memory;
+} study;
+
+/* ---- fits ------------------------------------------------------------------------------- */
+
+static double error_floor(const study *self, double roundings);
+
+/* By how much the slopes between neighbours differ, of the points above least. */
+static double spread_of_slopes(size_t count, const double *h, const double *errors, double least)
+{
+    double flattest = INFINITY, steepest = -INFINITY;
+    for (size_t i = 0; i < count; i++) {
+        size_t next = count;
+        for (size_t k = 0; k < count; k++)
+            if (isfinite(errors[k]) && errors[k] > least && fabs(h[k]) > fabs(h[i])
+                && (next == count || fabs(h[k]) < fabs(h[next])))
+                next = k;
+        if (next == count || !(isfinite(errors[i]) && errors[i] > least)) continue;
+        const double slope = log(errors[next] / errors[i]) / log(fabs(h[next] / h[i]));
+        flattest = fmin(flattest, slope);
+        steepest = fmax(steepest, slope);
+    }
+    return steepest - flattest;
+}
+
+void dal_fit_order(size_t count, const double *h, const double *errors, double floor,
+                   dal_fit *fit, unsigned char *counted)
+{
+    const double least = ABOVE_FLOOR * floor;
+    double sum_x = 0.0, sum_y = 0.0, shortest = INFINITY, longest = 0.0;
+    size_t points = 0, finite = 0, above = 0;
+    for (size_t i = 0; i < count; i++) {
+        const bool counts = isfinite(errors[i]) && errors[i] > least;
+        if (counted) counted[i] = counts;
+        finite += isfinite(errors[i]) != 0;
+        above += isfinite(errors[i]) && errors[i] > AT_FLOOR * floor;
+        if (!counts) continue;
+        points++;
+        sum_x += log(fabs(h[i]));
+        sum_y += log(errors[i]);
+        shortest = fmin(shortest, fabs(h[i]));
+        longest = fmax(longest, fabs(h[i]));
+    }
+    *fit = (dal_fit){.slope = NAN, .spread = NAN, .points = points,
+                     .exact = finite > 0 && above == 0};
+    if (points < FEWEST_POINTS || longest < SMALLEST_RANGE * shortest) return;
+
+    const double mean_x = sum_x / (double)points, mean_y = sum_y / (double)points;
+    double xx = 0.0, xy = 0.0;
+    for (size_t i = 0; i < count; i++) {
+        if (!(isfinite(errors[i]) && errors[i] > least)) continue;
+        const double x = log(fabs(h[i])) - mean_x;
+        xx += x * x;
+        xy += x * (log(errors[i]) - mean_y);
+    }
+    fit->slope = xy / xx;
+    fit->spread = spread_of_slopes(count, h, errors, least);
+}
+
+/* The fit of self->errors; the points that counted are marked. */
+static dal_fit fit_errors(study *self, dal_order_fit which, double floor)
+{
+    const unsigned bit = 1u << which;
+    dal_fit fit;
+    dal_fit_order(self->def->count, self->h, self->errors, floor, &fit, self->counted);
+    for (size_t i = 0; i < self->def->count; i++) {
+        unsigned *const counted = &self->points[i].counted;
+        *counted = self->counted[i] ? *counted | bit : *counted & ~bit;
+    }
+    return fit;
+}
+
+/* h and errors <- one column of the table, the member of dal_order_point at offset. */
+static void read_column(study *self, size_t offset)
+{
+    for (size_t i = 0; i < self->def->count; i++) {
+        self->h[i] = self->points[i].h;
+        memcpy(&self->errors[i], (const char *)&self->points[i] + offset, sizeof *self->errors);
+    }
+}
+
+static dal_fit fit_column(study *self, dal_order_fit which, size_t offset, double floor)
+{
+    read_column(self, offset);
+    return fit_errors(self, which, floor);
+}
+
+/* Error i, whose own floor is higher than the common one: where it does not stand clear of its own
+ * it is lowered to where it does not stand clear of the common one either. */
+static void lower(study *self, size_t i, double own, double floor)
+{
+    if (self->errors[i] <= AT_FLOOR * own)
+        self->errors[i] = fmin(self->errors[i], floor);
+    else if (self->errors[i] <= ABOVE_FLOOR * own)
+        self->errors[i] = fmin(self->errors[i], ABOVE_FLOOR * floor);
+}
+
+/* The fit of the errors at t_end.  Their roundoff is a walk of as many steps as the run has
+ * sub-steps, so the floor is higher for finer steps.  Measured with up to 2e6 sub-steps over up
+ * to 100 units of time, the walk stays below 50 of these floors, and for most systems below 5. */
+static dal_fit fit_run(study *self, dal_order_fit which, double floor)
+{
+    for (size_t i = 0; i < self->def->count; i++) {
+        const double substeps = (double)self->points[i].steps
+                              * (double)dal__scheme_count(self->scheme);
+        const double own = error_floor(self, fmax(RUN_ROUNDINGS, WALK * sqrt(substeps)));
+        lower(self, i, own, floor);
+    }
+    return fit_errors(self, which, floor);
+}
+
+static dal_fit fit_run_column(study *self, dal_order_fit which, size_t offset, double floor)
+{
+    read_column(self, offset);
+    return fit_run(self, which, floor);
+}
+
+static int ascending(const void *one, const void *other)
+{
+    const double x = *(const double *)one, y = *(const double *)other;
+    return (x > y) - (x < y);
+}
+
+/* The errors of reactions, which are impulses over h: their floor is that of an impulse over h. */
+static void read_reaction(study *self, size_t offset, double floor)
+{
+    read_column(self, offset);
+    for (size_t i = 0; i < self->def->count; i++)
+        lower(self, i, floor * fmax(1.0, 1.0 / fabs(self->h[i])), floor);
+}
+
+/* The fit of the reaction over the finer half of the steps, if that says anything.  Its errors are
+ * c1 h + c2 h^2 whatever p is: where a high order wants coarse steps, the second term still
+ * matters, and where the two have opposite signs the errors of the coarse steps have no slope at
+ * all. */
+static dal_fit fit_reaction(study *self, double floor)
+{
+    const size_t offset = offsetof(dal_order_point, local_reaction), count = self->def->count;
+    const size_t half = count / 2 > FEWEST_POINTS ? count / 2 : FEWEST_POINTS;
+    read_reaction(self, offset, floor);
+    for (size_t i = 0; i < count; i++) self->sizes[i] = fabs(self->h[i]);
+    qsort(self->sizes, count, sizeof *self->sizes, ascending);
+    const double longest = self->sizes[(half < count ? half : count) - 1];
+    for (size_t i = 0; i < count; i++)
+        if (fabs(self->h[i]) > longest) self->errors[i] = NAN;
+    const dal_fit fine = fit_errors(self, DAL_FIT_REACTION, floor);
+    if (!isnan(fine.slope)) return fine;
+    read_reaction(self, offset, floor);
+    return fit_errors(self, DAL_FIT_REACTION, floor);
+}
+
+static dal_fit fit_midpoint(study *self, double floor)
+{
+    read_reaction(self, offsetof(dal_order_point, local_midpoint), floor);
+    return fit_errors(self, DAL_FIT_MIDPOINT, floor);
+}
+
+/* The fit of the state at t_end, the larger error of q and v. */
+static dal_fit fit_global_state(study *self, double floor)
+{
+    for (size_t i = 0; i < self->def->count; i++) {
+        self->h[i] = self->points[i].h;
+        self->errors[i] = fmax(self->points[i].q, self->points[i].v);
+    }
+    return fit_run(self, DAL_FIT_GLOBAL_STATE, floor);
+}
+
+/* ---- errors ----------------------------------------------------------------------------- */
+
+static double largest_difference(size_t count, const double *x, const double *y)
+{
+    double most = 0.0;
+    for (size_t i = 0; i < count; i++) most = fmax(most, fabs(x[i] - y[i]));
+    return most;
+}
+
+static int failed_mechanics(const study *self, int status)
+{
+    return dal__fail(self->error, status, "%s", dal_mechanics_message(self->mech));
+}
+
+/* ---- the reference ---------------------------------------------------------------------- */
+
+/* The exact solution starts at time 0; only a force can tell that from t0. */
+static bool has_exact(const study *self)
+{
+    const dal_system_def *const def = &self->system->def;
+    return def->exact && (!def->force || self->def->t0 == 0.0);
+}
+
+/* x[2n] at t <- the solution that starts in start[2n] at t0.  Off D there is only the flow. */
+static int exact_state(study *self, double t, const double *start, double *x)
+{
+    if (!self->flow) return dal_system_exact(self->system, t - self->def->t0, start, x);
+    memcpy(x, start, 2 * self->n * sizeof *x);
+    return dal__flow_apply(self->flow, self->def->t0, t - self->def->t0, x, !self->kept);
+}
+
+/* The state and lambda at t_end, and how well they are known. */
+static int solve_reference(study *self)
+{
+    const dal_order_def *const def = self->def;
+    int status;
+    if (has_exact(self)) {
+        status = dal_system_exact(self->system, def->t_end - def->t0, self->x0, self->end);
+        if (status)
+            return dal__fail(self->error, status, "the exact solution at t_end = %g: %s",
+                             def->t_end, dal_strerror(status));
+    } else {
+        memcpy(self->end, self->x0, 2 * self->n * sizeof *self->end);
+        status = dal_flow_apply(self->flow, def->t0, def->t_end, self->end, &self->accuracy);
+        if (status)
+            return dal__fail(self->error, status, "reference flow: %s",
+                             dal_flow_message(self->flow));
+    }
+    status = dal_multipliers(self->mech, def->t_end, self->end, self->end_lambda);
+    return status ? failed_mechanics(self, status) : DAL_SUCCESS;
+}
+
+/* What errors are measured against: the accuracy of the reference, or so many roundings of a state.
+ * The flow that stands in for an exact solution off D promises its tolerance. */
+static double error_floor(const study *self, double roundings)
+{
+    const size_t n = self->n;
+    const double states = fmax(dal__largest(2 * n, self->x0), dal__largest(2 * n, self->end));
+    const double scale = fmax(states, dal__largest(self->m, self->end_lambda));
+    const bool stands_in = self->flow && has_exact(self);
+    return fmax(stands_in ? self->tolerance : self->accuracy, roundings * DAL_ROUNDOFF * scale);
+}
+
+/* ---- one step size ---------------------------------------------------------------------- */
+
+/* The stepper at the initial data.  DAL_INITIAL_D_EPS wants them in D_eps. */
+static int start_run(study *self, double h)
+{
+    memcpy(self->start, self->x0, 2 * self->n * sizeof *self->start);
+    if (self->kept && self->def->initial == DAL_INITIAL_D_EPS) {
+        const int status = dal_project(self->mech, self->shift * h, self->start, NULL);
+        if (status) return status;
+    }
+    return dal_stepper_start(self->stepper, self->def->t0, h, self->start, DAL_CHECK,
+                             self->def->initial);
+}
+
+/* The errors of one step from exact data. */
+static int measure_step(study *self, double h, dal_order_point *point)
+{
+    const size_t n = self->n, m = self->m;
+    const double t0 = self->def->t0;
+    const double *const state = dal_stepper_state(self->stepper);
+    memcpy(self->start, state, 2 * n * sizeof *self->start);
+    int status = dal_step(self->stepper, self->reaction);
+
+    if (!status) status = exact_state(self, t0 + 0.5 * h, self->start, self->exact);
+    if (!status) status = dal_multipliers(self->mech, t0 + 0.5 * h, self->exact, self->expected);
+    if (status) return status;
+    point->local_midpoint = largest_difference(m, self->reaction, self->expected);
+
+    status = exact_state(self, t0 + h, self->start, self->exact);
+    if (!status) status = dal_multipliers(self->mech, t0 + h, self->exact, self->expected);
+    if (!status) status = dal_multipliers(self->mech, t0 + h, state, self->lambda);
+    if (status) return status;
+    point->local_state = largest_difference(2 * n, state, self->exact);
+    point->local_multipliers = largest_difference(m, self->lambda, self->expected);
+    point->local_reaction = largest_difference(m, self->reaction, self->expected);
+    return DAL_SUCCESS;
+}
+
+/* Energy and residuals of the states in rows 1..count; row 0 is where the block began. */
+static int watch_block(study *self, double h, size_t count, double energy0,
+                       dal_order_point *point)
+{
+    const double *const x = self->rows + 2 * self->n;
+    const double t = dal_stepper_time(self->stepper);
+    int status = dal_trajectory(self->mech, t, h, 0.0, count, x, self->energy, NULL, NULL,
+                                self->relative, NULL);
+    if (status) return status;
+    for (size_t k = 0; k < count; k++) {
+        const double error = fabs(self->energy[k] - energy0) / fmax(fabs(energy0), 1.0);
+        point->energy = fmax(point->energy, error);
+    }
+    point->residual = fmax(point->residual, dal__largest(count, self->relative));
+    if (isnan(self->shift)) return DAL_SUCCESS;
+    status = dal_trajectory(self->mech, t, h, self->shift * h, count, x, NULL, NULL, NULL,
+                            self->relative, NULL);
+    if (status) return status;
+    point->residual_eps = fmax(point->residual_eps, dal__largest(count, self->relative));
+    return DAL_SUCCESS;
+}
+
+/* The run to t_end: what it keeps on the way, and its errors there.  Blocks begin with one step and
+ * grow as long as they are short in time, so that the watch is asked often enough however long a
+ * step takes. */
+static int measure_run(study *self, double h, size_t steps, dal_order_point *point)
+{
+    const size_t n = self->n;
+    double energy0;
+    int status = dal_energy(self->mech, dal_stepper_state(self->stepper), &energy0);
+    for (size_t made = 0, block = 1; !status && made < steps;) {
+        const size_t count = steps - made < block ? steps - made : block;
+        const double began = dal__clock();
+        status = dal_integrate(self->stepper, count, 1, self->rows, NULL, NULL, NULL, NULL);
+        if (!status) status = watch_block(self, h, count, energy0, point);
+        made += count;
+        self->made += (double)count;
+        if (!status) status = dal__ask(&self->watch, self->made, self->error);
+        if (block < BLOCK && dal__clock() - began < 0.1 * DAL_WATCH_SECONDS) block *= 2;
+    }
+    const double *const state = dal_stepper_state(self->stepper);
+    if (!status) status = dal_multipliers(self->mech, self->def->t_end, state, self->lambda);
+    if (status) return status;
+    point->q = largest_difference(n, state, self->end);
+    point->v = largest_difference(n, state + n, self->end + n);
+    point->multipliers = largest_difference(self->m, self->lambda, self->end_lambda);
+    return DAL_SUCCESS;
+}
+
+static dal_order_point failed_point(double h, size_t steps, int status)
+{
+    return (dal_order_point){.h = h, .steps = steps, .q = NAN, .v = NAN, .multipliers = NAN,
+                             .local_state = NAN, .local_multipliers = NAN, .local_reaction = NAN,
+                             .local_midpoint = NAN, .residual = NAN, .residual_eps = NAN,
+                             .energy = NAN, .failed = status};
+}
+
+/* One line of the table.  A run that fails is a failed point; but a callback or a watch that says
+ * stop is obeyed, and a lack of memory says nothing of the scheme. */
+static int measure_point(study *self, size_t steps, dal_order_point *point)
+{
+    const double h = (self->def->t_end - self->def->t0) / (double)steps;
+    *point = (dal_order_point){.h = h, .steps = steps};
+    point->residual_eps = isnan(self->shift) ? NAN : 0.0;
+    int status = start_run(self, h);
+    if (!status) status = measure_step(self, h, point);
+    if (!status) status = start_run(self, h);
+    if (!status) status = measure_run(self, h, steps, point);
+    if (status) *point = failed_point(h, steps, status);
+    if (status == DAL_STOPPED || status == DAL_EUSER || status == DAL_ENOMEM)
+        return dal__fail(self->error, status, "%s the run with h = %g",
+                         status == DAL_ENOMEM ? "out of memory in" : "a callback stopped", h);
+    return DAL_SUCCESS;
+}
+
+/* ---- the verdict ------------------------------------------------------------------------ */
+
+/* What the record promises for the first step of the run. */
+typedef struct promise {
+    int p, s;
+} promise;
+
+/* From D to D_eps, which is another set unless beta = 1. */
+static bool starts_with_jump(const study *self)
+{
+    return self->kept && self->shift > 0.0 && self->def->initial == DAL_INITIAL_D;
+}
+
+static promise promise_of_step(const study *self)
+{
+    const int lost = starts_with_jump(self) ? 1 : 0;
+    return (promise){self->scheme->order - lost, self->scheme->multiplier_order - lost};
+}
+
+static bool is_known(const dal_fit *fit) { return fit->exact || !isnan(fit->slope); }
+
+/* A slope of at least least, within the slack; an exact result has every order. */
+static bool reaches(const dal_fit *fit, int least)
+{
+    return fit->exact || fit->slope >= least - SLACK;
+}
+
+/* Falls short, and says so: slopes that still change with h are no order yet. */
+static bool falls_short(const dal_fit *fit, int least)
+{
+    return is_known(fit) && !reaches(fit, least) && fit->spread <= SETTLED;
+}
+
+/* Whether the runs resolve the solution: none is off by as much as the solution is large, and none
+ * fails with a smaller step than another that does not. */
+static bool is_resolved(const study *self)
+{
+    const size_t N = 2 * self->n;
+    const double scale = fmax(dal__largest(N, self->x0), dal__largest(N, self->end));
+    double longest = 0.0, failing = INFINITY;
+    for (size_t i = 0; i < self->def->count; i++) {
+        const dal_order_point *const point = &self->points[i];
+        if (point->failed) failing = fmin(failing, fabs(point->h));
+        else if (!(fmax(point->q, point->v) <= RESOLVED * scale)) return false;
+        else longest = fmax(longest, fabs(point->h));
+    }
+    return failing >= longest;
+}
+
+/* The verdict, and where it is -2 the reason in words. */
+static int judge(const study *self, const dal_order *order, const char **why)
+{
+    *why = "";
+    if (self->scheme->order == 0) return -1;
+    const dal_fit *const step = &order->state, *const run = &order->global_state;
+    const promise of_step = promise_of_step(self);
+    const bool both = starts_with_jump(self);
+    const bool step_holds = reaches(step, of_step.p + 1);
+    const bool run_holds = reaches(run, self->scheme->order);
+    const bool reached = both ? step_holds && run_holds : step_holds || run_holds;
+    const bool step_short = falls_short(step, of_step.p + 1);
+    const bool run_short = falls_short(run, self->scheme->order);
+    /* where either will do, one that falls short says nothing as long as the other is unknown */
+    const bool missed = both ? step_short || run_short : step_short && run_short;
+    const bool reaction_holds = reaches(&order->reaction, of_step.s + 1);
+    if (!is_known(&order->reaction) ||
+        !(reached || missed || (is_known(step) && is_known(run))))
+        *why = "not settled, for too few errors stand clear of roundoff: three over a factor of "
+               "two in h are needed, so give more numbers of steps, or take a longer interval";
+    else if (!is_resolved(self))
+        *why = "not settled, for an error at t_end is as large as the solution, or a run failed "
+               "with a smaller step than others: take fine steps only, or a shorter interval";
+    else if (!(reached || missed) ||
+             !(reaction_holds || falls_short(&order->reaction, of_step.s + 1)))
+        *why = "not settled, for the order still changes with h: take finer steps";
+    else if (reached && is_known(run) && !run_holds)
+        *why = "not settled, for the errors at t_end do not have the order that one step has: "
+               "take finer steps, and see whether the motion is smooth";
+    if (**why) return -2;
+    return reached && reaction_holds && (self->kept ? order->keeps_D_eps : order->keeps_D);
+}
+
+/* 1 if the residual at offset is within the bound at every state of every run that did not fail. */
+static int is_kept(const study *self, size_t offset, double *worst)
+{
+    *worst = 0.0;
+    size_t runs = 0;
+    for (size_t i = 0; i < self->def->count; i++) {
+        double residual;
+        if (self->points[i].failed) continue;
+        memcpy(&residual, (const char *)&self->points[i] + offset, sizeof residual);
+        if (!(residual <= *worst)) *worst = residual;
+        runs++;
+    }
+    return runs > 0 && *worst <= DAL_RESIDUAL_BOUND(self->n);
+}
+
+/* text <- a fitted order: the slope minus lost, "exact", or "?". */
+static const char *order_text(const dal_fit *fit, double lost, char text[16])
+{
+    if (fit->exact) snprintf(text, 16, "exact");
+    else if (isnan(fit->slope)) snprintf(text, 16, "?");
+    else snprintf(text, 16, "%.2f", round(100.0 * (fit->slope - lost)) / 100.0 + 0.0);
+    return text;
+}
+
+static const char *verdict_word(const dal_order *order, const char *why)
+{
+    switch (order->holds) {
+    case 1: return order->state.exact && order->global_state.exact ? "exact to roundoff" : "holds";
+    case 0: return "does not hold";
+    case -1: return "the record promises nothing";
+    default: return why;
+    }
+}
+
+/* Where nothing does work on the system, whether its energy changes alike at every step size. */
+static bool loses_energy(study *self)
+{
+    const dal_system_def *const def = &self->system->def;
+    dal_fit fit;
+    read_column(self, offsetof(dal_order_point, energy));
+    dal_fit_order(self->def->count, self->h, self->errors, ENERGY / ABOVE_FLOOR, &fit, NULL);
+    return !def->force && def->kind == DAL_LINEAR && is_resolved(self) && fit.slope < 0.5;
+}
+
+/* The verdict in words, with the numbers that it rests on. */
+static void write_verdict(study *self, double worst, const char *why, dal_order *order)
+{
+    char p[16], s[16], at_end[16], promised[64] = "", kept[64] = "", failed[128] = "";
+    size_t failures = 0, last = 0;
+    for (size_t i = 0; i < self->def->count; i++)
+        if (self->points[i].failed) {
+            failures++;
+            last = i;
+        }
+    if (failures)
+        snprintf(failed, sizeof failed, "; %zu of %zu runs failed (%s)", failures,
+                 self->def->count, dal_strerror(self->points[last].failed));
+    if (self->scheme->order != 0) {
+        const promise of_step = promise_of_step(self);
+        snprintf(promised, sizeof promised, ", promised (%d, %d)%s", of_step.p, of_step.s,
+                 starts_with_jump(self) ? " for the first step from D" : "");
+    }
+    if (self->m > 0 && failures < self->def->count)
+        snprintf(kept, sizeof kept, "; %s %s %.1e at every step", self->kept ? "D_eps" : "D",
+                 (self->kept ? order->keeps_D_eps : order->keeps_D) ? "kept to" : "violated by",
+                 worst);
+    snprintf(order->text, sizeof order->text,
+             "order (p, s) = (%s, %s) over %zu point%s%s, order %s at t_end: %s%s%s%s.",
+             order_text(&order->state, 1.0, p), order_text(&order->reaction, 1.0, s),
+             order->state.points, order->state.points == 1 ? "" : "s", promised,
+             order_text(&order->global_state, 0.0, at_end), verdict_word(order, why), kept,
+             failed, loses_energy(self) ? "; nothing does work on the system, but its energy "
+             "changes as much at the smallest h: gradient may not be that of potential, see "
+             "check" : "");
+}
+
+/* Whether errors of one order less than promised would be seen at the longest step.  Those of one
+ * step are about (rate h)^p of the state, with rate = |v'|/|v|, and those of a run T/h times as
+ * large.  Where nothing accelerates every scheme is exact. */
+static bool tells_lower_order(study *self, bool at_end, double floor)
+{
+    const dal_order_def *const def = self->def;
+    double v = 0.0, a = 0.0, h = 0.0;
+    for (int end = 0; end < 2; end++) {
+        const double *const x = end ? self->end : self->x0;
+        if (dal_acceleration(self->mech, end ? def->t_end : def->t0, x, self->exact)) return true;
+        v = fmax(v, dal__largest(self->n, x + self->n));
+        a = fmax(a, dal__largest(self->n, self->exact));
+    }
+    if (a <= error_floor(self, STEP_ROUNDINGS)) return true;
+    for (size_t i = 0; i < def->count; i++) h = fmax(h, fabs(self->points[i].h));
+    const double size = fmax(dal__largest(2 * self->n, self->x0),
+                             dal__largest(2 * self->n, self->end));
+    const double runs = at_end ? fabs(def->t_end - def->t0) / h : 1.0;
+    return size * pow(a / v * h, self->scheme->order) * runs > ABOVE_FLOOR * floor;
+}
+
+static void conclude(study *self, dal_order *order)
+{
+    const double step = error_floor(self, STEP_ROUNDINGS), run = error_floor(self, RUN_ROUNDINGS);
+#define FIT(which, member) fit_column(self, which, offsetof(dal_order_point, member), step)
+#define FIT_RUN(which, member) fit_run_column(self, which, offsetof(dal_order_point, member), run)
+    *order = (dal_order){
+        .state = FIT(DAL_FIT_STATE, local_state),
+        .multipliers = FIT(DAL_FIT_MULTIPLIERS, local_multipliers),
+        .reaction = fit_reaction(self, step), .midpoint = fit_midpoint(self, step),
+        .global_q = FIT_RUN(DAL_FIT_GLOBAL_Q, q), .global_v = FIT_RUN(DAL_FIT_GLOBAL_V, v),
+        .global_multipliers = FIT_RUN(DAL_FIT_GLOBAL_MULTIPLIERS, multipliers),
+        .global_state = fit_global_state(self, run), .floor = run, .reference = self->accuracy,
+    };
+#undef FIT_RUN
+#undef FIT
+    order->global_state.exact = order->global_state.exact && tells_lower_order(self, true, run);
+    order->state.exact = order->state.exact && is_known(&order->global_state)
+                         && tells_lower_order(self, false, step);
+    order->p = order->state.slope - 1.0;
+    order->s = order->reaction.slope - 1.0;
+    double worst_D, worst_D_eps;
+    order->keeps_D = is_kept(self, offsetof(dal_order_point, residual), &worst_D);
+    order->keeps_D_eps = is_kept(self, offsetof(dal_order_point, residual_eps), &worst_D_eps);
+    const char *why;
+    order->holds = judge(self, order, &why);
+    write_verdict(self, self->kept ? worst_D_eps : worst_D, why, order);
+}
+
+/* ---- the study -------------------------------------------------------------------------- */
+
+static int require_def(const dal_system *system, const dal_scheme *scheme,
+                       const dal_order_def *def, dal_error *error)
+{
+    if (!system || !scheme || !def || !def->x0 || !def->steps)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", !system ? "system" : !scheme ? "scheme"
+                         : !def ? "def" : !def->x0 ? "def->x0" : "def->steps");
+    if (!isfinite(def->t0) || !isfinite(def->t_end) || !isfinite(def->t_end - def->t0) ||
+        def->t_end == def->t0)
+        return dal__fail(error, DAL_EINVAL, "t0 = %g, t_end = %g: an interval of nonzero, finite "
+                         "length is needed", def->t0, def->t_end);
+    if (def->count == 0)
+        return dal__fail(error, DAL_EINVAL, "count = 0: at least one number of steps is needed");
+    for (size_t i = 0; i < def->count; i++)
+        if (def->steps[i] == 0) return dal__fail(error, DAL_EINVAL, "steps[%zu] = 0", i);
+    for (size_t i = 0; i < 2 * dal_system_n(system); i++)
+        if (!isfinite(def->x0[i]))
+            return dal__fail(error, DAL_EINVAL, "x0[%zu] = %g is not finite", i, def->x0[i]);
+    if (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)) return DAL_EINVAL;
+    const bool kept = scheme->nodes == DAL_KEPT_NODES;
+    if (kept != (def->initial != DAL_INITIAL_NONE))
+        return dal__fail(error, DAL_EINVAL, "initial = %d: %s", (int)def->initial,
+                         kept ? "kept nodes have to be told how to start"
+                              : "only kept nodes have a choice of how to start");
+    return DAL_SUCCESS;
+}
+
+static int reserve_arrays(study *self)
+{
+    const size_t N = 2 * self->n, rows = BLOCK + 1, count = self->def->count;
+    const struct {
+        double **slot;
+        size_t size;
+    } arrays[] = {{&self->x0, N}, {&self->end, N}, {&self->start, N}, {&self->exact, N},
+                  {&self->rows, dal__times(rows, N)}, {&self->energy, rows},
+                  {&self->relative, rows}, {&self->end_lambda, self->m}, {&self->lambda, self->m},
+                  {&self->expected, self->m}, {&self->reaction, self->m}, {&self->h, count},
+                  {&self->errors, count}, {&self->sizes, count}};
+    for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++)
+        dal__reserve(&self->memory, arrays[i].slot, arrays[i].size, sizeof(double));
+    dal__reserve(&self->memory, &self->points, count, sizeof *self->points);
+    dal__reserve(&self->memory, &self->counted, count, sizeof *self->counted);
+    return dal__allocate(&self->memory, self->error);
+}
+
+/* The flow computes: how far the study is does not change. */
+static int relay(double t, void *ctx)
+{
+    const study *const self = ctx;
+    (void)t;
+    return self->def->watch ? self->def->watch(self->made, self->def->watch_ctx) : 0;
+}
+
+/* The objects of the study.  The flow stands in where there is no exact solution: in general, or
+ * off D. */
+static int make_objects(study *self)
+{
+    int status = dal_mechanics_new(&self->mech, self->system, self->error);
+    if (!status)
+        status = dal_stepper_new(&self->stepper, self->system, self->scheme, NULL, self->error);
+    if (!status && (self->kept || !has_exact(self)))
+        status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, DAL_FLOW_X,
+                              self->tolerance, self->error);
+    if (!status) dal_flow_watch(self->flow, relay, self);
+    return status ? status : reserve_arrays(self);
+}
+
+static void release_objects(study *self)
+{
+    dal_flow_free(self->flow);
+    dal_stepper_free(self->stepper);
+    dal_mechanics_free(self->mech);
+    dal__release(&self->memory);
+}
+
+/* x0 <- the initial data, which must lie in D, in D to roundoff. */
+static int place_on_D(study *self)
+{
+    double residual;
+    memcpy(self->x0, self->def->x0, 2 * self->n * sizeof *self->x0);
+    int status = dal_relative_residual(self->mech, 0.0, self->x0, &residual);
+    if (!status && residual > DAL_CONSISTENT)
+        return dal__fail(self->error, DAL_EOFFD, "x0 does not lie in D: |mu v| is %.3g of "
+                         "sum |mu_i v_i|, at most %g is accepted", residual, DAL_CONSISTENT);
+    if (!status) status = dal_project(self->mech, 0.0, self->x0, NULL);
+    return status ? failed_mechanics(self, status) : DAL_SUCCESS;
+}
+
+int dal_order_study(const dal_system *system, const dal_scheme *scheme, const dal_order_def *def,
+                    dal_order_point *points, dal_order *order, dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!points || !order)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", points ? "order" : "points");
+    int status = require_def(system, scheme, def, error);
+    if (status) return status;
+
+    study self = {.system = system, .scheme = scheme, .def = def, .n = dal_system_n(system),
+                  .m = dal_system_m(system), .kept = scheme->nodes == DAL_KEPT_NODES,
+                  .tolerance = def->tolerance > 0.0 ? def->tolerance : DEFAULT_TOLERANCE,
+                  .watch = {def->watch, def->watch_ctx, 0.0}, .error = error};
+    if (dal_scheme_shift(scheme, &self.shift)) self.shift = NAN;
+
+    status = make_objects(&self);
+    if (!status) status = place_on_D(&self);
+    if (!status) status = solve_reference(&self);
+    for (size_t i = 0; !status && i < def->count; i++)
+        status = measure_point(&self, def->steps[i], &self.points[i]);
+    if (!status) {
+        conclude(&self, order);
+        memcpy(points, self.points, def->count * sizeof *points);
+    }
+    release_objects(&self);
+    return status;
+}

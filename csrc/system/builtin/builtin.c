@@ -1,0 +1,162 @@
+/* The built-in systems by name, their parameters, and how one is made. */
+#include "system/builtin/builtin.h"
+
+#include <stdio.h>
+#include <string.h>
+
+static const builtin *const table[] = {
+    &dal__particle,       &dal__particle_oscillator, &dal__knife_edge, &dal__sleigh,
+    &dal__sleigh_contact, &dal__disk,                &dal__heisenberg, &dal__contact_oscillator,
+    &dal__robot,          &dal__chaotic,             &dal__genmass,    &dal__rolling_disc,
+    &dal__ball_on_table,  &dal__snakeboard,          &dal__n_trailer,
+};
+enum { TABLE_COUNT = sizeof table / sizeof table[0] };
+
+size_t dal_builtin_count(void) { return TABLE_COUNT; }
+
+const char *dal_builtin_name(size_t i) { return i < TABLE_COUNT ? table[i]->name : NULL; }
+
+const char *dal_builtin_help(size_t i) { return i < TABLE_COUNT ? table[i]->help : NULL; }
+
+/* Equal, - and _ being the same. */
+static bool same_name(const char *a, const char *b)
+{
+    for (; *a && *b; a++, b++)
+        if ((*a == '-' ? '_' : *a) != (*b == '-' ? '_' : *b)) return false;
+    return *a == *b;
+}
+
+/* Number of names before the first NULL. */
+static size_t count_names(size_t size, const char *const *names)
+{
+    size_t count = 0;
+    while (count < size && names[count]) count++;
+    return count;
+}
+
+/* Adds a name to the list in text[size]. */
+static void append_name(size_t size, char *text, const char *name)
+{
+    const size_t used = strlen(text);
+    snprintf(text + used, size - used, "%s%s", used ? ", " : "", name);
+}
+
+static int fail_unknown_system(const char *name, dal_error *error)
+{
+    char known[400] = "";
+    for (size_t i = 0; i < TABLE_COUNT; i++) append_name(sizeof known, known, table[i]->name);
+    return dal__fail(error, DAL_EINVAL, "there is no built-in system \"%.60s\"; there are %s", name,
+                     known);
+}
+
+static int fail_unknown_parameter(const builtin *record, const char *name, dal_error *error)
+{
+    char known[128] = "";
+    const size_t parameters = count_names(MAX_PARAMETERS, record->parameters);
+    for (size_t i = 0; i < parameters; i++)
+        append_name(sizeof known, known, record->parameters[i]);
+    return dal__fail(error, DAL_EINVAL, "%s has no parameter \"%.60s\"; it has %s", record->name,
+                     name, parameters ? known : "none");
+}
+
+static bool in_range(range expected, unsigned most, double value)
+{
+    if (!isfinite(value)) return false;
+    switch (expected) {
+    case FINITE: return true;
+    case POSITIVE: return value > 0.0;
+    case NOT_NEGATIVE: return value >= 0.0;
+    case WHOLE: return value >= 1.0 && value <= most && value == floor(value);
+    }
+    return false;
+}
+
+static int fail_range(const builtin *record, size_t i, double value, dal_error *error)
+{
+    static const char *const words[] = {
+        [FINITE] = "a finite number", [POSITIVE] = "a finite number > 0",
+        [NOT_NEGATIVE] = "a finite number >= 0", [WHOLE] = "a whole number from 1 to "};
+    char most[16] = "";
+    if (record->ranges[i] == WHOLE) snprintf(most, sizeof most, "%u", record->most[i]);
+    return dal__fail(error, DAL_EINVAL, "parameter %s of %s is %.15g; expected %s%s",
+                     record->parameters[i], record->name, value, words[record->ranges[i]], most);
+}
+
+/* p[MAX_PARAMETERS] with the parameter called name changed to value. */
+static int set_parameter(const builtin *record, const char *name, double value, double *p,
+                         dal_error *error)
+{
+    const size_t parameters = count_names(MAX_PARAMETERS, record->parameters);
+    size_t i = 0;
+    while (i < parameters && !same_name(name, record->parameters[i])) i++;
+    if (i == parameters) return fail_unknown_parameter(record, name, error);
+    if (!in_range(record->ranges[i], record->most[i], value))
+        return fail_range(record, i, value, error);
+    p[i] = value;
+    return DAL_SUCCESS;
+}
+
+/* A system from its record and its parameters p; dal__system_make copies what depends on p. */
+static int make(dal_system **system, const builtin *record, const double *p, dal_error *error)
+{
+    size_t n = record->n, m = record->m;
+    if (record->sizes) record->sizes(p, &n, &m);
+    arena a = {0};
+    double *mass, *state;
+    const char **names;
+    char(*text)[NAME_SIZE];
+    dal__reserve(&a, &mass, dal__times(n, n), sizeof *mass);
+    dal__reserve(&a, &state, 2 * n, sizeof *state);
+    dal__reserve(&a, &names, n, sizeof *names);
+    dal__reserve(&a, &text, n, sizeof *text);
+    int status = dal__allocate(&a, error);
+    if (status) return status;
+
+    if (record->mass) record->mass(p, mass);
+    else if (!record->lagrangian)
+        for (size_t i = 0; i < n; i++) mass[i * n + i] = 1.0;
+    record->state(p, state);
+    for (size_t i = 0; i < n; i++) {
+        if (record->coordinate) record->coordinate(p, i, text[i]);
+        names[i] = record->coordinate ? text[i] : record->coordinates[i];
+    }
+    const dal_system_def def = {
+        .n = n, .m = m, .mass = record->lagrangian ? NULL : mass,
+        .potential = record->potential, .lagrangian = record->lagrangian,
+        .constraint = record->constraint, .kind = record->kind, .steady = record->steady,
+        .name = record->name, .help = record->help, .description = record->description,
+        .source = record->source, .formulas = record->formulas,
+        .coordinates = names, .state = state,
+        .exact = record->exact,
+        .invariants = count_names(MAX_INVARIANTS, record->invariants),
+        .invariant_names = record->invariants, .invariant = record->invariant,
+    };
+    status = dal__system_make(system, &def, count_names(MAX_PARAMETERS, record->parameters),
+                              record->parameters, p, error);
+    dal__release(&a);
+    return status;
+}
+
+int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
+                       const double *values, size_t count, dal_error *error)
+{
+    if (!system || !name)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "name" : "system");
+    if (count > 0 && (!names || !values))
+        return dal__fail(error, DAL_EINVAL, "%s is NULL with count = %zu parameters",
+                         names ? "values" : "names", count);
+    const builtin *record = NULL;
+    for (size_t i = 0; i < TABLE_COUNT && !record; i++)
+        if (same_name(name, table[i]->name)) record = table[i];
+    if (!record) return fail_unknown_system(name, error);
+
+    double p[MAX_PARAMETERS];
+    memcpy(p, record->defaults, sizeof p);
+    for (size_t i = 0; i < count; i++) {
+        if (!names[i]) return dal__fail(error, DAL_EINVAL, "names[%zu] is NULL", i);
+        const int status = set_parameter(record, names[i], values[i], p, error);
+        if (status) return status;
+    }
+    const int status = record->check ? record->check(p, error) : DAL_SUCCESS;
+    return status ? status : make(system, record, p, error);
+}

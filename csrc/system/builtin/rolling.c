@@ -1,0 +1,377 @@
+/* Bodies that roll without slipping on a plane. */
+#include "system/builtin/builtin.h"
+
+#include <string.h>
+
+/* M = diag(m, m, I, J) */
+static void wheel_mass(const double *p, double *M)
+{
+    M[0] = M[5] = p[0];
+    M[10] = p[1];
+    M[15] = p[2];
+}
+
+/* Rolling without slipping of a wheel of radius R in the plane of x, y = q[0], q[1]: x' = R roll'
+ * cos heading, y' = R roll' sin heading, with roll and heading the places of the angles in q. */
+static inline void constraint_rolling(size_t roll, size_t heading, double R, const double *q,
+                                      const double *v, double *phi, double *phi_v, double *phi_q)
+{
+    const double Rc = R * cos(q[heading]), Rs = R * sin(q[heading]);
+    if (phi) {
+        phi[0] = v[0] - Rc * v[roll];
+        phi[1] = v[1] - Rs * v[roll];
+    }
+    if (phi_v) {
+        set4(phi_v, 1.0, 0.0, 0.0, 0.0);
+        set4(phi_v + 4, 0.0, 1.0, 0.0, 0.0);
+        phi_v[roll] = -Rc;
+        phi_v[4 + roll] = -Rs;
+    }
+    if (phi_q) {
+        set4(phi_q, 0.0, 0.0, 0.0, 0.0);
+        set4(phi_q + 4, 0.0, 0.0, 0.0, 0.0);
+        phi_q[heading] = Rs * v[roll];
+        phi_q[4 + heading] = -Rc * v[roll];
+    }
+}
+
+/* ---- disk, vertical, rolling: q = (x, y, theta, phi), theta rolls, phi heads -------------- */
+
+static void disk_state(const double *p, double *x)
+{
+    const double R = p[3], roll = 1.1, phi = 0.4;
+    set4(x, 0.0, 0.0, 0.1, phi);
+    set4(x + 4, R * roll * cos(phi), R * roll * sin(phi), roll, 0.9);
+}
+
+static int disk_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, void *ctx)
+{
+    const double *p = ctx;
+    constraint_rolling(2, 3, p[3], q, v, phi, phi_v, phi_q);
+    return 0;
+}
+
+/* Both angles turn uniformly; the way is R theta' times the integrals of cos(phi) and sin(phi). */
+static int disk_exact(double t, const double *x0, double *x, void *ctx)
+{
+    const double *p = ctx, speed = p[3] * x0[6], roll = x0[6], turn = x0[7];
+    const double middle = x0[3] + turn * t / 2, phi = x0[3] + turn * t;
+    const double way = speed * t * sinc(turn * t / 2);
+    set4(x, x0[0] + way * cos(middle), x0[1] + way * sin(middle), x0[2] + roll * t, phi);
+    set4(x + 4, speed * cos(phi), speed * sin(phi), roll, turn);
+    return 0;
+}
+
+static int disk_invariant(const double *x, double *values, void *ctx)
+{
+    (void)ctx;
+    values[0] = x[6];
+    values[1] = x[7];
+    return 0;
+}
+
+const builtin dal__disk = {
+    .name = "disk",
+    .help = "vertical rolling disk of radius R; inertia I rolling (theta), J heading (phi)",
+    .description = "A disk of mass m and radius R that stays upright: (x, y) is the point of "
+                   "contact, theta the angle by which it has rolled (inertia I), phi its heading "
+                   "(inertia J). Both angles turn uniformly, and the path is a circle.",
+    .source = "J. I. Neimark, N. A. Fufaev: Dynamics of Nonholonomic Systems, AMS, 1972; "
+              "A. M. Bloch: Nonholonomic Mechanics and Control, Springer, 2003",
+    .formulas = "L = (m (v_x^2 + v_y^2) + I v_theta^2 + J v_phi^2)/2\n"
+                "v_x - R v_theta cos(phi) = 0\n"
+                "v_y - R v_theta sin(phi) = 0",
+    .n = 4, .m = 2, .coordinates = {"x", "y", "theta", "phi"},
+    .parameters = {"m", "I", "J", "R"}, .defaults = {1.2, 0.5, 0.3, 0.7},
+    .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE},
+    .mass = wheel_mass,
+    .state = disk_state,
+    .constraint = disk_constraint, .steady = DAL_STEADY_PROVED,
+    .exact = disk_exact,
+    .invariants = {"v_theta", "v_phi"}, .invariant = disk_invariant,
+};
+
+/* ---- robot: q = (x, y, phi, theta), phi heads, theta rolls ------------------------------- */
+
+static void robot_state(const double *p, double *x)
+{
+    set4(x + 4, p[3], 0.0, 0.5, 1.0);
+}
+
+/* V = k sin theta */
+static int robot_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const double *p = ctx, k = p[4];
+    if (V) *V = k * sin(q[3]);
+    if (V_q) set4(V_q, 0.0, 0.0, 0.0, k * cos(q[3]));
+    if (V_qq) {
+        for (size_t i = 0; i < 15; i++) V_qq[i] = 0.0;
+        V_qq[15] = -k * sin(q[3]);
+    }
+    return 0;
+}
+
+static int robot_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                            double *phi_q, void *ctx)
+{
+    const double *p = ctx;
+    constraint_rolling(3, 2, p[3], q, v, phi, phi_v, phi_q);
+    return 0;
+}
+
+/* phi is free, and (J + m R^2) theta'' = -k cos(theta). */
+static int robot_invariant(const double *x, double *values, void *ctx)
+{
+    const double *p = ctx, inertia = p[2] + p[0] * p[3] * p[3];
+    values[0] = x[6];
+    values[1] = inertia * x[7] * x[7] / 2 + p[4] * sin(x[3]);
+    return 0;
+}
+
+const builtin dal__robot = {
+    .name = "robot",
+    .help = "rolling robot with V = k sin(theta); inertia I heading (phi), J rolling (theta)",
+    .description = "A robot of mass m on wheels of radius R: (x, y) is its place, phi its heading "
+                   "(inertia I), theta the angle by which the wheels have rolled (inertia J), on "
+                   "which a torque from the potential k sin(theta) acts.",
+    .source = "J. Cortés, S. Martínez: Non-holonomic integrators, Nonlinearity 14 (2001) 1365-1392",
+    .formulas = "L = (m (v_x^2 + v_y^2) + I v_phi^2 + J v_theta^2)/2 - k sin(theta)\n"
+                "v_x - R v_theta cos(phi) = 0\n"
+                "v_y - R v_theta sin(phi) = 0",
+    .n = 4, .m = 2, .coordinates = {"x", "y", "phi", "theta"},
+    .parameters = {"m", "I", "J", "R", "k"}, .defaults = {1.0, 1.0, 1.0, 1.0, 10.0},
+    .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE, FINITE},
+    .mass = wheel_mass,
+    .state = robot_state,
+    .potential = robot_potential,
+    .constraint = robot_constraint, .steady = DAL_STEADY_PROVED,
+    .invariants = {"v_phi", "(J + m R^2) v_theta^2/2 + k sin(theta)"},
+    .invariant = robot_invariant,
+};
+
+/* ---- rolling_disc, free to lean: q = (x, y, alpha, beta, gamma) ---------------------------
+ * (x, y) lies below the centre, alpha is the yaw, beta the lean (0: upright), gamma the spin. */
+
+/* A steady circle about the origin: the lean is 5 degrees, and the yaw rate -rho times that of the
+ * spin, rho = 1/10.  With s = sin(beta), c = cos(beta) the lean keeps constant for
+ * spin^2 rho c ((C + m r^2)(1 - rho s) + A rho s) = m g r s. */
+static void rolling_disc_state(const double *p, double *x)
+{
+    const double m = p[0], r = p[1], A = p[2], C = p[3], g = p[4];
+    const double beta = 0.08726646259971647885 /* pi/36 */, rho = 0.1;
+    const double s = sin(beta), c = cos(beta);
+    const double pull = m * g * r * s / (rho * c);
+    const double spin = sqrt(pull / ((C + m * r * r) * (1 - rho * s) + A * rho * s));
+    x[1] = r * (1 / rho - s);
+    x[3] = beta;
+    x[5] = r * (spin - rho * spin * s);
+    x[7] = -rho * spin;
+    x[9] = spin;
+}
+
+/* L = (m (x'^2 + y'^2 + r^2 s^2 beta'^2) + A (beta'^2 + c^2 alpha'^2) + C omega^2)/2 - m g r c with
+ * s = sin(beta), c = cos(beta), omega = gamma' + s alpha' */
+static int rolling_disc_lagrangian(const double *q, const double *v, double *L, double *L_q,
+                                   double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    const double *p = ctx, m = p[0], r = p[1], A = p[2], C = p[3], weight = m * p[4] * r;
+    const double mr2 = m * r * r, s = sin(q[3]), c = cos(q[3]);
+    const double yaw = v[2], lean = v[3], omega = v[4] + s * yaw;
+    if (L)
+        *L = (m * (v[0] * v[0] + v[1] * v[1]) + (A + mr2 * s * s) * lean * lean
+              + A * c * c * yaw * yaw + C * omega * omega) / 2 - weight * c;
+    if (L_q) {
+        memset(L_q, 0, 5 * sizeof *L_q);
+        L_q[3] = s * c * (mr2 * lean * lean - A * yaw * yaw) + C * omega * c * yaw + weight * s;
+    }
+    if (L_v) {
+        L_v[0] = m * v[0];
+        L_v[1] = m * v[1];
+        L_v[2] = A * c * c * yaw + C * omega * s;
+        L_v[3] = (A + mr2 * s * s) * lean;
+        L_v[4] = C * omega;
+    }
+    if (L_qq) {
+        memset(L_qq, 0, 25 * sizeof *L_qq);
+        L_qq[18] = (c * c - s * s) * (mr2 * lean * lean - A * yaw * yaw)
+            + C * yaw * (c * c * yaw - s * omega) + weight * c;
+    }
+    if (L_vq) {
+        memset(L_vq, 0, 25 * sizeof *L_vq);
+        L_vq[13] = -2 * A * s * c * yaw + C * c * (omega + s * yaw);
+        L_vq[18] = 2 * mr2 * s * c * lean;
+        L_vq[23] = C * c * yaw;
+    }
+    if (L_vv) {
+        memset(L_vv, 0, 25 * sizeof *L_vv);
+        L_vv[0] = L_vv[6] = m;
+        L_vv[12] = A * c * c + C * s * s;
+        L_vv[14] = L_vv[22] = C * s;
+        L_vv[18] = A + mr2 * s * s;
+        L_vv[24] = C;
+    }
+    return 0;
+}
+
+/* The centre moves by r omega along the plane of the disc and by -r (sin beta)' across it:
+ * x' = r omega cos(alpha) + r c beta' sin(alpha),
+ * y' = r omega sin(alpha) - r c beta' cos(alpha). */
+static int rolling_disc_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                                   double *phi_q, void *ctx)
+{
+    const double *p = ctx, r = p[1], s = sin(q[3]), c = cos(q[3]);
+    const double rc = r * cos(q[2]), rs = r * sin(q[2]);
+    const double omega = v[4] + s * v[2], sway = c * v[3];
+    if (phi) {
+        phi[0] = v[0] - rc * omega - rs * sway;
+        phi[1] = v[1] - rs * omega + rc * sway;
+    }
+    if (phi_v) {
+        const double mu[10] = {1.0, 0.0, -rc * s, -rs * c, -rc, 0.0, 1.0, -rs * s, rc * c, -rs};
+        memcpy(phi_v, mu, sizeof mu);
+    }
+    if (phi_q) {
+        const double omega_beta = c * v[2], sway_beta = -s * v[3];
+        memset(phi_q, 0, 10 * sizeof *phi_q);
+        phi_q[2] = rs * omega - rc * sway;
+        phi_q[3] = -rc * omega_beta - rs * sway_beta;
+        phi_q[7] = -rc * omega - rs * sway;
+        phi_q[8] = -rs * omega_beta + rc * sway_beta;
+    }
+    return 0;
+}
+
+const builtin dal__rolling_disc = {
+    .name = "rolling_disc",
+    .help = "rolling disc that may lean and fall, unlike disk; inertia A diametral, C axial",
+    .description = "A disc of mass m and radius r under gravity g: (x, y) lies below its centre, "
+                   "alpha is the yaw, beta the lean (0: upright), gamma the spin; inertia A about "
+                   "a diameter, C about the axis. It starts in a steady circle about the origin.",
+    .source = "O. M. O'Reilly: The dynamics of rolling disks and sliding disks, Nonlinear Dyn. 10 "
+              "(1996) 287-305; the steady circle after C. Le Saux, R. I. Leine, C. Glocker: "
+              "Dynamics of a rolling disk in the presence of dry friction, J. Nonlinear Sci. 15 "
+              "(2005) 27-61",
+    .formulas = "L = (m (v_x^2 + v_y^2 + r^2 sin(beta)^2 v_beta^2) + A (v_beta^2 + cos(beta)^2 "
+                "v_alpha^2) + C omega^2)/2 - m g r cos(beta)\n"
+                "v_x - r omega cos(alpha) - r v_beta cos(beta) sin(alpha) = 0\n"
+                "v_y - r omega sin(alpha) + r v_beta cos(beta) cos(alpha) = 0\n"
+                "where omega = v_gamma + v_alpha sin(beta)",
+    .n = 5, .m = 2, .coordinates = {"x", "y", "alpha", "beta", "gamma"},
+    .parameters = {"m", "r", "A", "C", "g"}, .defaults = {1.0, 1.0, 0.25, 0.5, 9.81},
+    .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE, NOT_NEGATIVE},
+    .state = rolling_disc_state,
+    .lagrangian = rolling_disc_lagrangian,
+    .constraint = rolling_disc_constraint,
+};
+
+/* ---- ball_on_table, which turns by Omega: q = (x, y, theta_x, theta_y, theta_z) -----------
+ * The angles are the integrals of the angular velocity in space; a homogeneous ball needs to know
+ * nothing else of its orientation. */
+
+static void ball_mass(const double *p, double *M)
+{
+    M[0] = M[6] = p[0];
+    M[12] = M[18] = M[24] = p[1];
+}
+
+static void ball_state(const double *p, double *x)
+{
+    const double a = p[2], turn = p[3];
+    x[0] = 0.5;
+    x[1] = -0.2;
+    x[5] = 0.3;
+    x[6] = 0.4;
+    x[7] = (turn * x[0] - x[6]) / a;
+    x[8] = (turn * x[1] + x[5]) / a;
+    x[9] = 0.7;
+}
+
+/* The point of contact moves with the table: x' - a omega_y = -Omega y, y' + a omega_x = Omega x */
+static int ball_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, void *ctx)
+{
+    const double *p = ctx, a = p[2], turn = p[3];
+    if (phi) {
+        phi[0] = v[0] - a * v[3] + turn * q[1];
+        phi[1] = v[1] + a * v[2] - turn * q[0];
+    }
+    if (phi_v) {
+        const double mu[10] = {1.0, 0.0, 0.0, -a, 0.0, 0.0, 1.0, a, 0.0, 0.0};
+        memcpy(phi_v, mu, sizeof mu);
+    }
+    if (phi_q) {
+        const double slope[10] = {[1] = turn, [5] = -turn};
+        memcpy(phi_q, slope, sizeof slope);
+    }
+    return 0;
+}
+
+/* The velocity turns uniformly, by k = J/(J + m a^2) Omega; so the centre of the ball goes round a
+ * circle.  The angles follow from J theta_x - m a y and J theta_y + m a x, which change uniformly:
+ * the friction that accelerates the centre has the torque of this. */
+static int ball_exact(double t, const double *x0, double *x, void *ctx)
+{
+    const double *p = ctx, m = p[0], J = p[1], a = p[2], turn = p[3];
+    const double half = J / (J + m * a * a) * turn * t / 2, way = t * sinc(half);
+    const double vx = x0[5], vy = x0[6], vz = x0[9];
+    const double dx = way * (cos(half) * vx - sin(half) * vy);
+    const double dy = way * (sin(half) * vx + cos(half) * vy);
+    const double vx1 = cos(2 * half) * vx - sin(2 * half) * vy;
+    const double vy1 = sin(2 * half) * vx + cos(2 * half) * vy;
+    const double ma = m * a / J;
+    const double theta_x = x0[2] + (x0[7] - ma * vy) * t + ma * dy;
+    const double theta_y = x0[3] + (x0[8] + ma * vx) * t - ma * dx;
+    x[4] = x0[4] + vz * t;
+    x[0] = x0[0] + dx;
+    x[1] = x0[1] + dy;
+    x[2] = theta_x;
+    x[3] = theta_y;
+    x[5] = vx1;
+    x[6] = vy1;
+    x[7] = (turn * x[0] - vy1) / a;
+    x[8] = (turn * x[1] + vx1) / a;
+    x[9] = vz;
+    return 0;
+}
+
+/* The table does work, so that the energy changes; that in the frame that turns does not. */
+static int ball_invariant(const double *x, double *values, void *ctx)
+{
+    const double *p = ctx, m = p[0], J = p[1], a = p[2], turn = p[3];
+    const double *v = x + 5, *w = x + 7;
+    values[0] = w[2];
+    values[1] = J * w[0] - m * a * v[1];
+    values[2] = J * w[1] + m * a * v[0];
+    values[3] = m * (v[0] * v[0] + v[1] * v[1]) / 2
+        + J * (w[0] * w[0] + w[1] * w[1] + w[2] * w[2]) / 2
+        - m * turn * (x[0] * v[1] - x[1] * v[0]);
+    return 0;
+}
+
+const builtin dal__ball_on_table = {
+    .name = "ball_on_table",
+    .help = "homogeneous ball (m, J, radius a) on a table that turns by Omega: affine constraints",
+    .description = "A ball of mass m, inertia J and radius a that rolls on a table, which turns by "
+                   "Omega about the origin: (x, y) is the point of contact, `theta_x`, "
+                   "`theta_y`, `theta_z` are the integrals of the angular velocity. The centre "
+                   "goes round in a circle. The table does work, so the energy is not constant; "
+                   "the last of the invariants takes its place.",
+    .source = "J. I. Neimark, N. A. Fufaev: Dynamics of Nonholonomic Systems, AMS, 1972; F. Fassò, "
+              "N. Sansonetto: Conservation of 'moving' energy in nonholonomic systems with affine "
+              "constraints and integrability of spheres on rotating surfaces, J. Nonlinear Sci. 26 "
+              "(2016) 519-544",
+    .formulas = "L = (m (v_x^2 + v_y^2) + J (v_theta_x^2 + v_theta_y^2 + v_theta_z^2))/2\n"
+                "v_x - a v_theta_y + Omega y = 0\n"
+                "v_y + a v_theta_x - Omega x = 0",
+    .n = 5, .m = 2, .coordinates = {"x", "y", "theta_x", "theta_y", "theta_z"},
+    .parameters = {"m", "J", "a", "Omega"}, .defaults = {1.0, 0.1, 0.5, 1.0},
+    .ranges = {POSITIVE, POSITIVE, POSITIVE, FINITE},
+    .mass = ball_mass,
+    .state = ball_state,
+    .kind = DAL_AFFINE, .constraint = ball_constraint,
+    .exact = ball_exact,
+    .invariants = {"v_theta_z", "J v_theta_x - m a v_y", "J v_theta_y + m a v_x",
+                   "energy - m Omega (x v_y - y v_x)"},
+    .invariant = ball_invariant,
+};

@@ -1,0 +1,164 @@
+/* Systems whose constraint is that of another system, deformed.
+ *
+ * A deformed system is a system as any other: its callbacks call those of its base, which it
+ * borrows, with the ctx of the base.  It may be shared by threads as far as the base may, so what
+ * a call needs beside its outputs lies on the stack. */
+#include "system/system.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { MOST_ENTRIES = 4000 }; /* of phi_v, and of the coordinates */
+
+typedef struct deformation {
+    dal_system_def base;
+    dal_deformation_fn g; /* NULL: phi(q - delta v, v) */
+    void *ctx;            /* of g */
+    double delta;
+} deformation;
+
+/* ---- what is taken over from the base ---------------------------------------------------- */
+
+static int base_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const dal_system_def *const base = &((const deformation *)ctx)->base;
+    return base->potential(q, V, V_q, V_qq, base->ctx);
+}
+
+static int base_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
+                           double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    const dal_system_def *const base = &((const deformation *)ctx)->base;
+    return base->lagrangian(q, v, L, L_q, L_v, L_qq, L_vq, L_vv, base->ctx);
+}
+
+static int base_force(double t, const double *q, const double *v, double *f, double *f_q,
+                      double *f_v, void *ctx)
+{
+    const dal_system_def *const base = &((const deformation *)ctx)->base;
+    return base->force(t, q, v, f, f_q, f_v, base->ctx);
+}
+
+/* phi[m] of the base, which is mu v where it is linear, and phi_v[m*n], phi_q[m*n], which may be
+ * NULL; forms[m*n] is scratch. */
+static int base_constraint(const dal_system_def *base, const double *q, const double *v,
+                           double *phi, double *phi_v, double *phi_q, double *forms)
+{
+    if (base->kind != DAL_LINEAR) return base->constraint(q, v, phi, phi_v, phi_q, base->ctx);
+    double *const mu = phi && !phi_v ? forms : phi_v;
+    const int returned = base->constraint(q, v, NULL, mu, phi_q, base->ctx);
+    if (!returned && phi) dal__apply(base->m, base->n, mu, v, phi);
+    return returned;
+}
+
+/* ---- phi + delta g ----------------------------------------------------------------------- */
+
+static void add(size_t count, double delta, const double *g, double *sum)
+{
+    for (size_t i = 0; i < count; i++) sum[i] += delta * g[i];
+}
+
+static int deformed(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                    void *ctx)
+{
+    const deformation *const self = ctx;
+    const size_t m = self->base.m, mn = m * self->base.n;
+    double scratch[MOST_ENTRIES], row[MOST_ENTRIES];
+    int returned = base_constraint(&self->base, q, v, phi, phi_v, phi_q, scratch);
+    if (!returned && (phi || phi_v)) {
+        if (phi) dal__forget(m, row);
+        if (phi_v) dal__forget(mn, scratch);
+        returned = self->g(q, v, phi ? row : NULL, phi_v ? scratch : NULL, NULL, self->ctx);
+        if (!returned && phi) add(m, self->delta, row, phi);
+        if (!returned && phi_v) add(mn, self->delta, scratch, phi_v);
+    }
+    if (!returned && phi_q) {
+        dal__forget(mn, scratch);
+        returned = self->g(q, v, NULL, NULL, scratch, self->ctx);
+        if (!returned) add(mn, self->delta, scratch, phi_q);
+    }
+    return returned;
+}
+
+/* ---- phi(q - delta v, v) ------------------------------------------------------------------ */
+
+static int shifted(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                   void *ctx)
+{
+    const deformation *const self = ctx;
+    const size_t n = self->base.n, mn = self->base.m * n;
+    double point[MOST_ENTRIES], scratch[MOST_ENTRIES];
+    for (size_t i = 0; i < n; i++) point[i] = q[i] - self->delta * v[i];
+    double *const slope = phi_v && !phi_q ? scratch : phi_q; /* phi_v needs it */
+    const int returned =
+        base_constraint(&self->base, point, v, phi, phi_v, slope, phi_v ? NULL : scratch);
+    if (!returned && phi_v) add(mn, -self->delta, slope, phi_v);
+    return returned;
+}
+
+/* ---- making ------------------------------------------------------------------------------ */
+
+static int make(dal_system **system, const dal_system *base, deformation *self,
+                dal_constraint_fn constraint, dal_constraint_kind kind, unsigned missing,
+                dal_error *error)
+{
+    if (base->def.m == 0)
+        return dal__fail(error, DAL_EINVAL, "base has no constraints that could be deformed");
+    if (!isfinite(self->delta))
+        return dal__fail(error, DAL_EINVAL, "%s = %g is not finite", self->g ? "delta" : "shift",
+                         self->delta);
+    if (dal__times(base->def.m, base->def.n) > MOST_ENTRIES)
+        return dal__fail(error, DAL_EUNSUPPORTED, "m n = %zu * %zu: at most %d are supported",
+                         base->def.m, base->def.n, (int)MOST_ENTRIES);
+    char name[128];
+    snprintf(name, sizeof name, "%.100s_deformed", base->def.name);
+    self->base = base->def;
+    dal_system_def def = base->def;
+    def.potential = base->def.potential ? base_potential : NULL;
+    def.lagrangian = base->def.lagrangian ? base_lagrangian : NULL;
+    def.force = base->def.force ? base_force : NULL;
+    def.constraint = constraint;
+    def.kind = kind;
+    def.missing = base->def.missing | missing;
+    def.name = name;
+    def.description = def.source = def.formulas = NULL;
+    def.state = NULL;
+    def.exact = NULL;
+    def.invariant = NULL;
+    def.invariants = 0;
+    def.ctx_size = 0;
+    def.kernel = NULL;
+    def.steady = 0;
+    return dal__system_wrap(system, &def, self, sizeof *self, error);
+}
+
+int dal_system_deform(dal_system **system, const dal_system *base, dal_deformation_fn g, void *ctx,
+                      double delta, dal_constraint_kind kind, unsigned missing, dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!system || !base || !g)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL",
+                         !system ? "system" : !base ? "base" : "g");
+    if (missing & ~(unsigned)DAL_MISSING_PHI_Q)
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: only DAL_MISSING_PHI_Q, for g_q, is "
+                         "allowed", missing);
+    if (kind < base->def.kind)
+        return dal__fail(error, DAL_EINVAL, "kind = %d, but the base is of kind %d already",
+                         (int)kind, (int)base->def.kind);
+    deformation self = {.g = g, .ctx = ctx, .delta = delta};
+    return make(system, base, &self, deformed, kind, missing, error);
+}
+
+int dal_system_deform_nodes(dal_system **system, const dal_system *base, double shift,
+                            dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!system || !base)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "base" : "system");
+    if (base->def.missing & DAL_MISSING_PHI_Q)
+        return dal__fail(error, DAL_EINVAL, "base does not provide phi_q, which phi_v at a shifted "
+                         "point needs");
+    deformation self = {.delta = shift};
+    return make(system, base, &self, shifted, DAL_NONLINEAR, 0, error);
+}

@@ -1,0 +1,399 @@
+/* The triple (Q, L, D) as an object: validation, copies, what it says about itself. */
+#include "system/system.h"
+#include "dalembert/kernel.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* Shape, finiteness, symmetry and positive definiteness are separate questions with separate
+ * answers, because each is a different mistake. */
+static int check_mass(const dal_system_def *def, dal_error *error)
+{
+    const size_t n = def->n;
+    const double *M = def->mass;
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++)
+            if (!isfinite(M[i * n + j]))
+                return dal__fail(error, DAL_EINVAL, "mass[%zu,%zu] = %g is not finite", i, j,
+                                 M[i * n + j]);
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < i; j++) {
+            const double a = M[i * n + j], b = M[j * n + i];
+            if (fabs(a - b) > 16.0 * DAL_ROUNDOFF * (fabs(a) + fabs(b)))
+                return dal__fail(error, DAL_EINVAL,
+                                 "mass is not symmetric: mass[%zu,%zu] = %.17g, mass[%zu,%zu] = "
+                                 "%.17g", i, j, a, j, i, b);
+        }
+    return DAL_SUCCESS;
+}
+
+/* Either mass and potential, or a Lagrangian; and nothing is called missing that is not there. */
+static int check_lagrangian(const dal_system_def *def, dal_error *error)
+{
+    const unsigned of_potential = DAL_MISSING_V_Q | DAL_MISSING_V_QQ;
+    const unsigned of_lagrangian = DAL_MISSING_L_QQ | DAL_MISSING_L_VQ | DAL_MISSING_L_VV;
+    const unsigned of_force = DAL_MISSING_F_Q | DAL_MISSING_F_V;
+    const unsigned known = of_potential | DAL_MISSING_PHI_Q | of_lagrangian | of_force;
+    if (def->missing & ~known)
+        return dal__fail(error, DAL_EINVAL, "missing = %#x has bits outside %#x", def->missing,
+                         known);
+    if (def->lagrangian && (def->mass || def->potential))
+        return dal__fail(error, DAL_EINVAL, "lagrangian and %s are both given: a system has either "
+                         "a Lagrangian, or a mass and perhaps a potential",
+                         def->mass ? "mass" : "potential");
+    if (!def->lagrangian && !def->mass)
+        return dal__fail(error, DAL_EINVAL, "mass is NULL, and so is lagrangian");
+    if (def->lagrangian && (def->missing & of_potential))
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: there is no potential, but a "
+                         "lagrangian", def->missing);
+    if (!def->lagrangian && (def->missing & of_lagrangian))
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: lagrangian is NULL", def->missing);
+    if (!def->force && (def->missing & of_force))
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: force is NULL", def->missing);
+    return DAL_SUCCESS;
+}
+
+/* The step routine of the system's own, which has its callbacks inside. */
+static int check_kernel(const dal_system_def *def, dal_error *error)
+{
+    if (!def->kernel) return DAL_SUCCESS;
+    if (def->kernel_size != sizeof(dal_kernel))
+        return dal__fail(error, DAL_EINVAL, "kernel_size = %zu: this library was built with a "
+                         "dal_kernel of %zu bytes; compile the kernel with its kernel.h",
+                         def->kernel_size, sizeof(dal_kernel));
+    const char *const why = !def->mass ? "mass is NULL"
+                            : def->force ? "there is a force"
+                            : def->kind != DAL_LINEAR ? "the constraints are not linear"
+                            : def->missing ? "derivatives are missing"
+                                           : NULL;
+    if (!why) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "kernel is not NULL, and %s: a kernel makes the steps of "
+                     "constant mass and linear constraints, without force, with all derivatives",
+                     why);
+}
+
+static int check_steady(const dal_system_def *def, dal_error *error)
+{
+    const char *const why = !def->steady ? NULL
+                            : def->steady != DAL_STEADY_DECLARED && def->steady != DAL_STEADY_PROVED
+                                ? "that is not a dal_steady"
+                            : !def->mass ? "mass is NULL"
+                            : def->kind != DAL_LINEAR ? "the constraints are not linear"
+                                                      : NULL;
+    if (!why) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "steady = %d, and %s", def->steady, why);
+}
+
+static int check_def(const dal_system_def *def, dal_error *error)
+{
+    const size_t n = def->n, m = def->m;
+    if (n < 1) return dal__fail(error, DAL_EINVAL, "n = %zu: at least one coordinate is needed", n);
+    if (m >= n)
+        return dal__fail(error, DAL_EINVAL, "m = %zu constraints on n = %zu coordinates: m < n is "
+                         "needed", m, n);
+    if (dal__times(dal__times(n, n), sizeof(double)) > PTRDIFF_MAX)
+        return dal__fail(error, DAL_ENOMEM, "n = %zu: the size of an n x n matrix overflows", n);
+    int status = check_lagrangian(def, error);
+    if (status) return status;
+    if ((int)def->kind < DAL_LINEAR || def->kind > DAL_NONLINEAR)
+        return dal__fail(error, DAL_EINVAL, "kind = %d is not a dal_constraint_kind",
+                         (int)def->kind);
+    if (m == 0 && def->kind != DAL_LINEAR)
+        return dal__fail(error, DAL_EINVAL, "kind = %d with m = 0 constraints", (int)def->kind);
+    if (m > 0 && !def->constraint)
+        return dal__fail(error, DAL_EINVAL, "m = %zu and constraint is NULL", m);
+    if (m == 0 && def->constraint)
+        return dal__fail(error, DAL_EINVAL, "m = 0 and constraint is not NULL");
+    if (def->invariants > 0 && (!def->invariant || !def->invariant_names))
+        return dal__fail(error, DAL_EINVAL, "invariants = %zu and %s is NULL", def->invariants,
+                         def->invariant ? "invariant_names" : "invariant");
+    if (def->state && !dal__all_finite(2 * n, def->state))
+        return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
+    if (def->ctx_size > 0 && !def->ctx)
+        return dal__fail(error, DAL_EINVAL, "ctx_size = %zu and ctx is NULL", def->ctx_size);
+    status = check_kernel(def, error);
+    if (!status) status = check_steady(def, error);
+    if (!status && def->mass) status = check_mass(def, error);
+    return status;
+}
+
+static size_t text_size(const char *text) { return text ? strlen(text) + 1 : 1; }
+
+/* Copies text to *end and moves *end behind it; returns where the copy is. */
+static const char *copy_text(char **end, const char *text)
+{
+    char *copy = *end;
+    memcpy(copy, text ? text : "", text_size(text));
+    *end += text_size(text);
+    return copy;
+}
+
+/* The memory that a system owns, apart from what struct dal_system names. */
+typedef struct possessions {
+    dal_system *self;
+    void *ctx;      /* of size bytes; what it is a copy of is at source */
+    const void *source;
+    size_t size;
+    double *state;
+    const char **coordinates, **invariant_names;
+    char *text;
+} possessions;
+
+static void plan(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
+{
+    const size_t n = def->n, square = def->mass ? dal__times(n, n) : 0;
+    size_t text = text_size(def->name ? def->name : "system") + text_size(def->help)
+        + text_size(def->description) + text_size(def->source) + text_size(def->formulas);
+    for (size_t i = 0; i < n; i++)
+        text += def->coordinates ? text_size(def->coordinates[i]) : 24;
+    for (size_t i = 0; i < def->invariants; i++) text += text_size(def->invariant_names[i]);
+    dal__reserve(a, &own->self, 1, sizeof *own->self);
+    dal__reserve(a, &shape->mass, square, sizeof(double));
+    dal__reserve(a, &shape->mass_inverse, square, sizeof(double));
+    dal__reserve(a, &shape->unit, def->mass ? n : 0, sizeof(double));
+    dal__reserve(a, &shape->per_unit, def->mass ? n : 0, sizeof(double));
+    dal__reserve(a, &own->ctx, own->size, 1);
+    dal__reserve(a, &own->state, dal__times(2, n), sizeof(double));
+    dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
+    dal__reserve(a, &own->invariant_names, def->invariants, sizeof *own->invariant_names);
+    dal__reserve(a, &own->text, text, 1);
+}
+
+static void copy_names(dal_system *system, possessions *own, const dal_system_def *def)
+{
+    char *end = own->text;
+    system->def.name = copy_text(&end, def->name ? def->name : "system");
+    system->def.help = copy_text(&end, def->help);
+    system->def.description = copy_text(&end, def->description);
+    system->def.source = copy_text(&end, def->source);
+    system->def.formulas = copy_text(&end, def->formulas);
+    for (size_t i = 0; i < def->n; i++) {
+        char generic[24];
+        snprintf(generic, sizeof generic, "q%zu", i);
+        own->coordinates[i] = copy_text(&end, def->coordinates ? def->coordinates[i] : generic);
+    }
+    for (size_t i = 0; i < def->invariants; i++)
+        own->invariant_names[i] = copy_text(&end, def->invariant_names[i]);
+    system->def.coordinates = own->coordinates;
+    system->def.invariant_names = own->invariant_names;
+}
+
+static int not_definite(const dal_system *system, size_t row, double pivot, dal_error *error)
+{
+    return dal__fail(error, DAL_EINVAL, "mass is not positive definite to working precision: pivot "
+                     "%zu of its Cholesky factor is %g where mass[%zu,%zu] = %g", row, pivot, row,
+                     row, system->mass[row * system->def.n + row]);
+}
+
+static int invert_diagonal_mass(dal_system *system, dal_error *error)
+{
+    const size_t n = system->def.n;
+    for (size_t i = 0; i < n; i++) {
+        const double entry = system->mass[i * n + i];
+        if (!(entry > 0.0 && isfinite(1.0 / entry))) return not_definite(system, i, entry, error);
+        system->mass_inverse[i * n + i] = 1.0 / entry;
+    }
+    return DAL_SUCCESS;
+}
+
+/* M^-1 by columns; the mean of an entry and its mirror keeps it symmetric. */
+static int invert_mass(dal_system *system, dal_error *error)
+{
+    const size_t n = system->def.n;
+    double *const inverse = system->mass_inverse, *factor, *column;
+    arena scratch = {0};
+    dal__reserve(&scratch, &factor, n * n, sizeof *factor);
+    dal__reserve(&scratch, &column, n, sizeof *column);
+    int status = dal__allocate(&scratch, error);
+    if (status) return status;
+    size_t row = 0;
+    double pivot = 0.0;
+    memcpy(factor, system->mass, n * n * sizeof *factor);
+    if (!dal__cholesky(n, factor, column, &row, &pivot)) {
+        status = not_definite(system, row, pivot, error);
+    } else {
+        for (size_t j = 0; j < n; j++) {
+            memset(column, 0, n * sizeof *column);
+            column[j] = 1.0;
+            dal__cholesky_solve(n, factor, column);
+            for (size_t i = 0; i < n; i++) inverse[i * n + j] = column[i];
+        }
+        for (size_t i = 0; i < n; i++)
+            for (size_t j = 0; j < i; j++) {
+                const double mean = 0.5 * (inverse[i * n + j] + inverse[j * n + i]);
+                inverse[i * n + j] = inverse[j * n + i] = mean;
+            }
+    }
+    dal__release(&scratch);
+    return status;
+}
+
+static bool is_diagonal(size_t n, const double *A)
+{
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++)
+            if (i != j && A[i * n + j] != 0.0) return false;
+    return true;
+}
+
+/* own: source and size of a ctx to be owned, or zeros; shape: what the system is to start as. */
+static int make(dal_system **system, const dal_system_def *def, dal_system shape, possessions own,
+                dal_error *error)
+{
+    dal__fail(error, DAL_SUCCESS, "%s", "");
+    if (!system || !def)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "def" : "system");
+    int status = check_def(def, error);
+    if (status) return status;
+
+    arena memory = {0};
+    plan(&memory, &own, &shape, def);
+    status = dal__allocate(&memory, error);
+    if (status) return status;
+
+    dal_system *const self = own.self;
+    *self = shape;
+    self->arena = memory;
+    self->def = *def;
+    if (def->mass) {
+        self->diagonal = is_diagonal(def->n, def->mass);
+        memcpy(self->mass, def->mass, def->n * def->n * sizeof(double));
+    } else {
+        self->mass = self->mass_inverse = NULL;
+    }
+    self->def.mass = self->mass;
+    if (def->state) memcpy(own.state, def->state, 2 * def->n * sizeof(double));
+    self->def.state = def->state ? own.state : NULL;
+    if (own.size > 0) {
+        memcpy(own.ctx, own.source, own.size);
+        self->def.ctx = own.ctx;
+    }
+    if (self->parameters > 0) self->parameter_values = own.ctx;
+    copy_names(self, &own, def);
+    if (def->mass)
+        status = self->diagonal ? invert_diagonal_mass(self, error) : invert_mass(self, error);
+    for (size_t i = 0; !status && def->mass && i < def->n; i++) {
+        self->unit[i] = sqrt(self->mass_inverse[i * def->n + i]);
+        self->per_unit[i] = 1.0 / self->unit[i];
+    }
+    if (status) {
+        dal_system_free(self);
+        return status;
+    }
+    *system = self;
+    return DAL_SUCCESS;
+}
+
+int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
+{
+    const possessions own = {.source = def ? def->ctx : NULL, .size = def ? def->ctx_size : 0};
+    return make(system, def, (dal_system){0}, own, error);
+}
+
+int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
+                     const char *const *names, const double *values, dal_error *error)
+{
+    return make(system, def, (dal_system){.parameters = parameters, .parameter_names = names},
+                (possessions){.source = values, .size = parameters * sizeof *values}, error);
+}
+
+int dal__system_wrap(dal_system **system, const dal_system_def *def, const void *ctx, size_t size,
+                     dal_error *error)
+{
+    return make(system, def, (dal_system){0}, (possessions){.source = ctx, .size = size}, error);
+}
+
+void dal_system_free(dal_system *system)
+{
+    if (!system) return;
+    arena memory = system->arena; /* the system lies inside it */
+    dal__release(&memory);
+}
+
+size_t dal_system_n(const dal_system *system) { return system->def.n; }
+size_t dal_system_m(const dal_system *system) { return system->def.m; }
+unsigned dal_system_missing(const dal_system *system) { return system->def.missing; }
+const char *dal_system_name(const dal_system *system) { return system->def.name; }
+const char *dal_system_help(const dal_system *system) { return system->def.help; }
+const char *dal_system_description(const dal_system *system) { return system->def.description; }
+const char *dal_system_source(const dal_system *system) { return system->def.source; }
+const char *dal_system_formulas(const dal_system *system) { return system->def.formulas; }
+const double *dal_system_mass(const dal_system *system) { return system->mass; }
+dal_constraint_kind dal_system_kind(const dal_system *system) { return system->def.kind; }
+int dal_system_is_forced(const dal_system *system) { return system->def.force != NULL; }
+size_t dal_system_parameters(const dal_system *system) { return system->parameters; }
+size_t dal_system_invariants(const dal_system *system) { return system->def.invariants; }
+
+const char *dal_system_coordinate(const dal_system *system, size_t i)
+{
+    return i < system->def.n ? system->def.coordinates[i] : NULL;
+}
+
+const char *dal_system_parameter_name(const dal_system *system, size_t i)
+{
+    return i < system->parameters ? system->parameter_names[i] : NULL;
+}
+
+double dal_system_parameter(const dal_system *system, size_t i)
+{
+    return i < system->parameters ? system->parameter_values[i] : (double)NAN;
+}
+
+const char *dal_system_invariant_name(const dal_system *system, size_t i)
+{
+    return i < system->def.invariants ? system->def.invariant_names[i] : NULL;
+}
+
+int dal_system_state(const dal_system *system, double *x)
+{
+    if (!system || !x) return DAL_EINVAL;
+    if (!system->def.state) return DAL_EUNSUPPORTED;
+    memcpy(x, system->def.state, 2 * system->def.n * sizeof *x);
+    return DAL_SUCCESS;
+}
+
+/* Scratch for an answer[count] that is handed over whole or not at all; NaN, so that what is never
+ * written is found. */
+static int open_answer(arena *scratch, size_t count, double **fresh)
+{
+    dal__reserve(scratch, fresh, count, sizeof **fresh);
+    const int status = dal__allocate(scratch, NULL);
+    for (size_t i = 0; !status && i < count; i++) (*fresh)[i] = (double)NAN;
+    return status;
+}
+
+static int close_answer(arena *scratch, int returned, size_t count, const double *fresh,
+                        double *answer)
+{
+    int status = dal__callback_status(returned);
+    if (!status && !dal__all_finite(count, fresh)) status = DAL_EDOMAIN;
+    if (!status) memcpy(answer, fresh, count * sizeof *answer);
+    dal__release(scratch);
+    return status;
+}
+
+int dal_system_exact(const dal_system *system, double t, const double *x0, double *x)
+{
+    if (!system || !x0 || !x || !isfinite(t)) return DAL_EINVAL;
+    const dal_system_def *const def = &system->def;
+    if (!def->exact) return DAL_EUNSUPPORTED;
+    arena scratch = {0};
+    double *fresh;
+    const int status = open_answer(&scratch, 2 * def->n, &fresh);
+    if (status) return status;
+    return close_answer(&scratch, def->exact(t, x0, fresh, def->ctx), 2 * def->n, fresh, x);
+}
+
+int dal_system_invariant(const dal_system *system, const double *x, double *values)
+{
+    if (!system || !x || !values) return DAL_EINVAL;
+    const dal_system_def *const def = &system->def;
+    if (!def->invariant) return DAL_EUNSUPPORTED;
+    arena scratch = {0};
+    double *fresh;
+    const int status = open_answer(&scratch, def->invariants, &fresh);
+    if (status) return status;
+    return close_answer(&scratch, def->invariant(x, fresh, def->ctx), def->invariants, fresh,
+                        values);
+}

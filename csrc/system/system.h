@@ -1,0 +1,75 @@
+/* system.h - a system, and its callbacks as the rest of the library calls them. */
+#ifndef DAL__SYSTEM_H
+#define DAL__SYSTEM_H
+
+#include "algebra/algebra.h"
+
+struct dal_system {
+    dal_system_def def;      /* the strings, mass and state point into the arena */
+    double *mass;            /* M[n*n]; NULL for a general Lagrangian, as the next */
+    double *mass_inverse;    /* M^-1[n*n] */
+    double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h */
+    bool diagonal;           /* M is diagonal */
+    size_t parameters;       /* of a built-in system */
+    const char *const *parameter_names;
+    double *parameter_values;
+    arena arena;
+};
+
+/* dal_system_new for a built-in system: names must be static, values are copied and become ctx. */
+int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
+                     const char *const *names, const double *values, dal_error *error);
+
+/* dal_system_new with a ctx of size bytes that the system keeps a copy of. */
+int dal__system_wrap(dal_system **system, const dal_system_def *def, const void *ctx, size_t size,
+                     dal_error *error);
+
+/* The callbacks of a system as the rest of the library calls them: derivatives that the user does
+ * not give are differenced, calls are counted.  One evaluator for each thread.  potential and
+ * constraint may be called directly with their ctx (the hot path does, and counts by itself). */
+typedef struct evaluator {
+    const dal_system *system;
+    dal_potential_fn potential; /* NULL: V = 0 */
+    void *potential_ctx;
+    dal_constraint_fn constraint;
+    void *constraint_ctx;
+    bool constant_mass;
+    double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
+    double time;                      /* where what does not move stands in a difference, */
+    const double *position, *velocity; /* [n] */
+    size_t potential_calls, constraint_calls, lagrangian_calls, force_calls;
+} evaluator;
+
+/* Where L and its derivatives are to go; what is NULL is not wanted.  As in dal_lagrangian_fn. */
+typedef struct dal__jet {
+    double *L, *L_q, *L_v, *L_qq, *L_vq, *L_vv;
+} dal__jet;
+
+void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a);
+void dal__evaluator_bind(evaluator *e, const dal_system *system);
+
+/* Calls that check: status of the callback; DAL_EDOMAIN if an output is not finite.  The text
+ * names the callback, the component and the value. */
+int dal__potential(evaluator *e, const double *q, double *V, double *V_q, double *V_qq,
+                   dal_error *error);
+int dal__constraint(evaluator *e, const double *q, const double *v, double *phi, double *phi_v,
+                    double *phi_q, dal_error *error);
+/* Of every system: that of constant mass has the jet of v^T M v / 2 - V. */
+int dal__lagrangian(evaluator *e, const double *q, const double *v, const dal__jet *jet,
+                    dal_error *error);
+/* Of every system: zeros where there is no force. */
+int dal__force(evaluator *e, double t, const double *q, const double *v, double *f, double *f_q,
+               double *f_v, dal_error *error);
+
+/* f[count] at q; returns 0, or what its callback returned. */
+typedef int (*dal__function)(const double *q, double *f, void *ctx);
+
+/* slope[count], stride apart, <- df/dq_j at point[n] by central differences of order 4.
+ * value[count] is scratch; point is moved and put back.  Returns what f returned, at once if that
+ * is not 0. */
+int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
+                    double *value, double *slope, size_t stride);
+/* The distance of these points at a coordinate q. */
+double dal__spacing(double q);
+
+#endif /* DAL__SYSTEM_H */

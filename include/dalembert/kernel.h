@@ -1,0 +1,720 @@
+/* kernel.h - the step routine of every scheme, for every system with constant mass.
+ *
+ * A record of sub-steps {beta, fraction} becomes a list of stages.  With q~ and v the state, A, B
+ * and the weights those of struct dal_stage, a stage is
+ *
+ *     q_k = q~ + A h v
+ *     M (v' - v) = -h [start V_q(q~) + node V_q(q_k) + end V_q(q~')] + mu(q_k)^T kappa
+ *     q~' = q_k + B h v',      mu(q~') v' = 0
+ *
+ * which is the beta-scheme (DAELd1, DAELd2, Facil) for A = 1-beta, B = beta, and the fused pair
+ * (0, a), (1, b) for A = a, B = b: V then enters at the node only, and kappa is the only unknown.
+ * lambda = kappa / ((A+B) h).
+ *
+ * How it is solved.  Newton on (v', kappa) with the Hessian of V dropped needs one m x m matrix
+ *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
+ * factored once a stage at the predicted velocity.  What is predicted is the pull, the part of the
+ * change v' - v that is not known in advance (M^-1 mu^T kappa, and V_q where it acts at q~'), from
+ * those of the three stages before; so these two evaluations of the constraint do not wait for each
+ * other.  After a correction mu is evaluated at the q~' that the *stored* state gives back, unless
+ * it is V_q alone that still moves.  The stage is done when the residual of D there (residual.h) is
+ * at most half of its bound of 4 n u; else this evaluation serves the next correction, or, where
+ * the residual is a rounding of v' or q~', v' is mended at that q~'.  So most stages evaluate the
+ * constraint three times, and what is stored lies in D because it was looked at.  What does not
+ * contract, leaves the domain of a callback or is not finite goes to dal_kernel.finish: the full
+ * Newton matrix with the Hessian, and halved steps.  So does a negative det S: as h goes to 0 it
+ * goes to that of mu M^-1 mu^T, which is positive, and where it has changed its sign on the way the
+ * solution is not the one that small h lead to.
+ *
+ * In a steady system mu depends only on coordinates that no reaction pushes (a blade whose heading
+ * is free).  Where V does not act at q~' either, mu(q~') is known before v', the equations are
+ * linear in kappa, and the first correction is the solution.  Where the system is proved to be
+ * steady mu is not evaluated again; where it is only declared so it is, and a false declaration is
+ * found out.
+ *
+ * One text, many compilations.  The includer defines
+ *     DAL_KERNEL                  name of the function: int (dal_kernel *, size_t, size_t *)
+ *     DAL_N, DAL_M                sizes as constants; or neither, for sizes from the dal_kernel
+ *     DAL_KERNEL_CONSTRAINT(k, q, v, mu, N)   and   DAL_KERNEL_POTENTIAL(k, q, V_q)
+ *                                 how to call the system, the second only where there is a V; the
+ *                                 routine then makes the steps of moved nodes only.  By default the
+ *                                 pointers are called
+ *     DAL_KERNEL_PATTERN          with these, if wanted: a dal_pattern, in braces
+ *     DAL_KERNEL_STEADY           with these, if wanted: 1 if the system is steady
+ * and includes this file once for each.  All compilations make the same operations in the same
+ * order but for terms that are 0, so they give the same bits (build with -ffp-contract=off).
+ * Nothing here allocates, and nothing here needs libdalembert or GSL. */
+#ifndef DALEMBERT_KERNEL_H
+#define DALEMBERT_KERNEL_H
+
+#include <dalembert.h>
+#include <dalembert/lu.h>
+#include <dalembert/residual.h>
+
+#include <float.h>
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+
+typedef struct dal_stage {
+    double before, after;    /* A, B */
+    double start, node, end; /* weights of V_q at q~, q_k, q~' */
+    double span;             /* A + B */
+    double reuse;            /* largest weight of V_q(q~'), here or as start of the next stage */
+    double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
+} dal_stage;
+
+/* Which entries may be other than 0: bit a*n + i for entry (a, i), so n <= 8; or DAL_KERNEL_ALL.
+ * Terms with the others are left out. */
+typedef struct dal_pattern {
+    unsigned long long inverse; /* M^-1 */
+    unsigned long long mu, Z;   /* and Z = mu M^-1 */
+    unsigned long long N;
+    unsigned long long pull;    /* [n] where v' is not known in advance: by Z, or V_q at q~' */
+} dal_pattern;
+
+#define DAL_KERNEL_ALL (~0ULL)
+#define DAL_KERNEL_HAS(mask, index) \
+    ((mask) == DAL_KERNEL_ALL || ((mask) != 0 && ((mask) >> (index) & 1)))
+
+/* What stopped a stage. */
+typedef enum dal_failure {
+    DAL_FAILED_CONSTRAINT, /* the callback returned nonzero: see returned */
+    DAL_FAILED_POTENTIAL,
+    DAL_FAILED_FINITE,     /* something is NaN or Inf */
+    DAL_FAILED_SINGULAR_S, /* the Schur complement */
+    DAL_FAILED_SINGULAR_K, /* M + h^2 B end V_qq */
+    DAL_FAILED_SINGULAR_C, /* mu M^-1 mu^T in the final correction */
+    DAL_FAILED_STEADY,     /* the system is not, as it was declared */
+    DAL_FAILED_ROOT,       /* the iteration leads away from its start, */
+    DAL_FAILED_BRANCH,     /* or to a solution that no small h leads to */
+    DAL_FAILED_CONVERGE
+} dal_failure;
+
+/* The vectors and matrices of a stage. */
+typedef struct dal_arrays {
+    double *x;                    /* [2n] the state */
+    double *pull;                 /* [3n] the pulls of the last stages, the latest first */
+    double *node, *point, *w;     /* [n] q_k, q~' of the last evaluation, the current v' */
+    double *mu_node, *mu, *N;     /* [m*n] */
+    double *base, *goal, *step;   /* [n] the known part of v', all of it but Z^T kappa, w' - w */
+    double *seen;                 /* [n] the v' at whose q~' mu was evaluated last */
+    double *stored;               /* [n] the position of the new state */
+    double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
+    double *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
+    size_t *row;                  /* [m] */
+} dal_arrays;
+
+/* Everything down to max_iterations, the arrays, h and x are set by the owner, who then calls
+ * dal_kernel_forget; the rest belongs to the step routine. */
+typedef struct dal_kernel dal_kernel;
+struct dal_kernel {
+    size_t n, m;
+    dal_constraint_fn constraint;
+    dal_potential_fn potential; /* NULL: V = 0 */
+    void *constraint_ctx, *potential_ctx;
+    const double *mass, *mass_inverse; /* [n*n] */
+    const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
+    bool diagonal;
+    bool steady;  /* and V acts at no q~' */
+    bool proved;  /* to be so */
+    size_t stages;
+    const dal_stage *stage;
+    bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
+    double shift; /* 1 - beta */
+    int max_iterations;
+    /* What is left of a stage, on at: the full Newton iteration if not solved, and the residual of
+     * D at what is stored, evaluated, and mended. */
+    int (*finish)(dal_kernel *k, const dal_stage *s, bool solved);
+
+    double h;
+    double *impulse;       /* [m] sum of kappa since dal_advance began */
+    bool pulled;           /* the history of pulls is known */
+    bool forced;           /* force0 is known */
+    double *force0, *force1;        /* [n] V_q at q~ and at q~' */
+
+    /* From at.x to at.N one block, laid out by dal_kernel_share: the step routine reaches its parts
+     * by constant offsets, and callbacks see the same addresses at every call. */
+    dal_arrays at;
+    double *saved;                     /* [2n] */
+    double *K, *K_sizes, *y, *R;       /* [n*n], [5*n], [n], [n]: finish only, as */
+    size_t *K_row;                     /* [n] */
+
+    dal_stats stats;
+    struct {
+        dal_failure kind;
+        int returned, iterations;
+        double size, scale, first, travelled;
+    } failure;
+};
+
+#define DAL_KERNEL_U (DBL_EPSILON / 2)
+
+/* What is left of the force equation when its iteration stops is at most 1/DAL_KERNEL_SAFETY of a
+ * rounding of v': it has one sign from step to step and adds up in the energy. */
+#define DAL_KERNEL_SAFETY 256.0
+/* While V_q is not balanced yet, mu is not evaluated where the next correction is expected to be
+ * less than this many roundings, 2^-31 of v': what is linear in mu is off by its square. */
+#define DAL_KERNEL_PASSING 0x1p20
+/* Corrections of the modified Newton iteration, which halve at least; then the full one is better.
+ */
+enum { DAL_KERNEL_CORRECTIONS = 16 };
+
+#if defined(__GNUC__)
+#define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
+#define DAL_KERNEL_RARE(condition) __builtin_expect(!!(condition), 0)
+#else
+#define DAL_KERNEL_INLINE static inline
+#define DAL_KERNEL_RARE(condition) (condition)
+#endif
+
+static inline size_t dal_kernel_shared(size_t n, size_t m) { return 8 * n + 3 * m * n; }
+
+/* Lays x ... N out in block[dal_kernel_shared(n, m)]. */
+static inline void dal_kernel_share(dal_kernel *k, double *block)
+{
+    const size_t n = k->n, m = k->m;
+    k->at.x = block;
+    k->at.node = block + 2 * n;
+    k->at.point = block + 3 * n;
+    k->at.w = block + 4 * n;
+    k->at.pull = block + 5 * n;
+    k->at.mu_node = block + 8 * n;
+    k->at.mu = k->at.mu_node + m * n;
+    k->at.N = k->at.mu + m * n;
+}
+
+static inline int dal_kernel_fail(dal_kernel *k, int status, dal_failure kind)
+{
+    k->failure.kind = kind;
+    return status;
+}
+
+static inline int dal_kernel_refused(dal_kernel *k, dal_failure kind, int returned)
+{
+    k->failure.returned = returned;
+    return dal_kernel_fail(k, returned > 0 ? DAL_EDOMAIN : DAL_EUSER, kind);
+}
+
+static inline int dal_kernel_constraint(dal_kernel *k, const double *q, const double *v, double *mu,
+                                        double *N)
+{
+    k->stats.constraint_calls++;
+    return k->constraint(q, v, NULL, mu, N, k->constraint_ctx);
+}
+
+static inline int dal_kernel_potential(dal_kernel *k, const double *q, double *V_q)
+{
+    k->stats.potential_calls++;
+    return k->potential(q, NULL, V_q, NULL, k->potential_ctx);
+}
+
+/* Sums begin with their first term, or with -0, which x + -0 = x lets the compiler leave out: 0 + x
+ * costs an addition, and it is on the critical path. */
+DAL_KERNEL_INLINE double dal_kernel_sum(size_t n, const double *x)
+{
+    double sum = n > 0 ? fabs(x[0]) : 0.0;
+    for (size_t i = 1; i < n; i++) sum += fabs(x[i]);
+    return sum;
+}
+
+/* Row a of A[..*n], whose pattern is mask, times x[n]. */
+DAL_KERNEL_INLINE double dal_kernel_dot(size_t n, unsigned long long mask, const double *A,
+                                        size_t a, const double *x)
+{
+    double sum = DAL_KERNEL_HAS(mask, a * n) ? A[a * n] * x[0] : -0.0;
+    for (size_t i = 1; i < n; i++)
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += A[a * n + i] * x[i];
+    return sum;
+}
+
+/* Component i of Z^T c, for m > 0. */
+DAL_KERNEL_INLINE double dal_kernel_column(size_t n, size_t m, unsigned long long mask,
+                                           const double *Z, size_t i, const double *c)
+{
+    double sum = DAL_KERNEL_HAS(mask, i) ? Z[i] * c[0] : -0.0;
+    for (size_t a = 1; a < m; a++)
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += Z[a * n + i] * c[a];
+    return sum;
+}
+
+/* y <- M^-1 f. */
+DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, unsigned long long mask,
+                                             const double *f, double *y)
+{
+    const double *const inverse = k->mass_inverse;
+    if (mask == DAL_KERNEL_ALL && k->diagonal) {
+        for (size_t i = 0; i < n; i++) y[i] = inverse[i * n + i] * f[i];
+        return;
+    }
+    for (size_t i = 0; i < n; i++) y[i] = dal_kernel_dot(n, mask, inverse, i, f);
+}
+
+/* |mu^a| of residual.h for row a of mu[m*n]. */
+DAL_KERNEL_INLINE double dal_kernel_form(const dal_kernel *k, size_t n, unsigned long long mask,
+                                         const double *mu, size_t a)
+{
+    double sum = -0.0;
+    for (size_t i = 0; i < n; i++)
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += fabs(mu[a * n + i]) * k->unit[i];
+    return sum;
+}
+
+/* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu and b N in the metric, its
+ * columns those of mu_node; or, where there is one entry, both together that of its terms. */
+DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
+                                        double b, const dal_arrays *at)
+{
+    double terms = -0.0;
+    for (size_t a = 0; a < m; a++) {
+        double size = -0.0;
+        for (size_t c = 0; c < m; c++) at->S[a * m + c] = -0.0;
+        for (size_t i = 0; i < n; i++) {
+            const bool turns = DAL_KERNEL_HAS(has.N, a * n + i);
+            if (!turns && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
+            const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
+            const double entry = turns ? fabs(mu) + fabs(row) : fabs(mu);
+            if (m > 1) size += entry * k->unit[i];
+            for (size_t c = 0; c < m; c++) {
+                if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
+                const double term = row * at->Z[c * n + i];
+                at->S[a * m + c] += term;
+                terms += turns ? entry * fabs(at->Z[c * n + i]) : fabs(term);
+            }
+        }
+        at->sizes[a] = m > 1 ? size : terms;
+        at->sizes[m + a] = m > 1 ? dal_kernel_form(k, n, has.mu, at->mu_node, a) : 1.0;
+    }
+    return dal_lu_factor(m, at->S, at->sizes, at->row);
+}
+
+/* From the node and the new velocity to what is stored; point <- the q~' that it gives back.  With
+ * kept nodes q_{k+1} = q_k + h v' is stored, and its reader recovers q~' as q_{k+1} - (1-beta) h
+ * v'. */
+DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n,
+                                        bool kept, const dal_arrays *at)
+{
+    const double reach = (kept ? s->span : s->after) * k->h, shift = k->shift * k->h;
+    for (size_t i = 0; i < n; i++) {
+        at->stored[i] = at->node[i] + reach * at->w[i];
+        at->point[i] = kept ? at->stored[i] - shift * at->w[i] : at->stored[i];
+    }
+}
+
+/* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is at most limit
+ * for every constraint, and then *worst is kept up to date; never if r is not finite. */
+DAL_KERNEL_INLINE bool dal_kernel_settled(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
+                                          const dal_arrays *at, double limit, double *worst)
+{
+    const double speed = dal_residual_speed(n, k->per_unit, at->w);
+    double largest = *worst;
+    bool settled = true;
+    for (size_t a = 0; a < m; a++) {
+        const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
+        const double scale = dal_kernel_form(k, n, has.mu, at->mu, a) * speed;
+        at->r[a] = -sum;
+        if (!(limit * scale - fabs(sum) >= 0.0)) settled = false; /* nor if both are infinite */
+        if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
+    }
+    if (settled) *worst = largest;
+    return settled;
+}
+
+/* Whether r may be all roundoff: of w, which is the sum of goal and Z^T kappa, and of q~', through
+ * N.  No correction would make that smaller. */
+DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(const dal_kernel *k, size_t n, size_t m,
+                                              dal_pattern has, const dal_arrays *at)
+{
+    const double terms = dal_residual_speed(n, k->per_unit, at->w)
+                       + dal_residual_speed(n, k->per_unit, at->goal);
+    bool roundoff = true;
+    for (size_t a = 0; a < m; a++) {
+        double shifted = 0.0;
+        for (size_t i = 0; i < n; i++)
+            if (DAL_KERNEL_HAS(has.N, a * n + i))
+                shifted += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
+        const double bound = 2.0 * (double)n * dal_kernel_form(k, n, has.mu, at->mu, a) * terms;
+        if (!(2.0 * DAL_KERNEL_U * (bound + shifted) - fabs(at->r[a]) >= 0.0)) roundoff = false;
+    }
+    return roundoff;
+}
+
+/* One correction of w and kappa, from V_q(point) in k->force1 if ends, and mu and N at the q~' of
+ * seen[n].  first: kappa was 0.  The equations are v' = goal + Z^T kappa, and mu v' + b N (v' -
+ * seen) = 0, where b N (v' - seen) is how mu v' changes with q~'. */
+DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s, size_t n,
+                                         size_t m, dal_pattern has, bool ends, bool first,
+                                         const double *seen, const dal_arrays *at)
+{
+    const double h = k->h, b = s->after * h;
+    if (ends) dal_kernel_accelerate(k, n, has.inverse, k->force1, at->goal);
+    for (size_t i = 0; i < n; i++) {
+        at->goal[i] = ends ? at->base[i] - h * s->end * at->goal[i] : at->base[i];
+        at->step[i] = at->goal[i];
+        if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
+            at->step[i] += dal_kernel_column(n, m, has.Z, at->Z, i, at->kappa);
+    }
+    for (size_t a = 0; a < m; a++) {
+        double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->step);
+        if (has.N) {
+            double turn = -0.0;
+            for (size_t i = 0; i < n; i++)
+                if (DAL_KERNEL_HAS(has.N, a * n + i) && DAL_KERNEL_HAS(has.pull, i))
+                    turn += at->N[a * n + i] * (at->step[i] - seen[i]);
+            sum += b * turn;
+        }
+        at->r[a] = -sum;
+    }
+    dal_lu_solve(m, at->S, at->row, at->r, at->d);
+    for (size_t a = 0; a < m; a++) /* 0 + d would be waited for */
+        at->kappa[a] = first ? at->d[a] : at->kappa[a] + at->d[a];
+    for (size_t i = 0; i < n; i++) {
+        if (!DAL_KERNEL_HAS(has.pull, i)) continue;
+        const double reaction = m > 0 ? dal_kernel_column(n, m, has.Z, at->Z, i, at->kappa) : -0.0;
+        const double next = at->goal[i] + reaction;
+        at->step[i] = next - at->w[i];
+        at->w[i] = next;
+    }
+}
+
+/* Whether V_q need not be evaluated again after a correction of size, where the one before was
+ * last: corrections shrink by as much again, and the next stage may give V_q more weight. */
+DAL_KERNEL_INLINE bool dal_kernel_is_balanced(const dal_stage *s, bool first, double size,
+                                              double last, double noise)
+{
+    if (first || size <= noise) return size <= noise;
+    return DAL_KERNEL_SAFETY * size * (size / last) * s->reuse <= noise * fabs(s->end);
+}
+
+/* The state of the predictor, as after a start. */
+static inline void dal_kernel_forget(dal_kernel *k)
+{
+    k->pulled = false;
+    k->forced = false;
+    for (size_t i = 0; i < 3 * k->n; i++) k->at.pull[i] = 0.0;
+}
+
+#endif /* DALEMBERT_KERNEL_H */
+
+/* ---- the step routine, once for each inclusion ------------------------------------------ */
+
+#ifdef DAL_KERNEL
+
+#ifdef DAL_KERNEL_CONSTRAINT
+#define DAL_KERNEL_INSIDE 1
+#ifdef DAL_KERNEL_POTENTIAL
+#define DAL_KERNEL_PULLED true
+#else
+#define DAL_KERNEL_PULLED false
+#define DAL_KERNEL_POTENTIAL(k, q, V_q) 0
+#endif
+#else
+#define DAL_KERNEL_INSIDE 0
+#define DAL_KERNEL_PULLED ((k)->potential != NULL)
+#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) dal_kernel_constraint(k, q, v, mu, N)
+#define DAL_KERNEL_POTENTIAL(k, q, V_q) dal_kernel_potential(k, q, V_q)
+#endif
+#ifndef DAL_KERNEL_PATTERN
+#define DAL_KERNEL_PATTERN \
+    {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL}
+#endif
+#ifndef DAL_KERNEL_STEADY
+#define DAL_KERNEL_STEADY 0
+#endif
+
+#define DAL_KERNEL_JOIN_(a, b) a##b
+#define DAL_KERNEL_JOIN(a, b) DAL_KERNEL_JOIN_(a, b)
+#define DAL_KERNEL_STAGE DAL_KERNEL_JOIN(DAL_KERNEL, _stage)
+#define DAL_KERNEL_COPY DAL_KERNEL_JOIN(DAL_KERNEL, _copy)
+
+/* Arrays that no function outside sees: on the stack, for the registers, where sizes are constants.
+ * SHARED: those that callbacks see, unless they are inside. */
+#ifdef DAL_N
+#define DAL_KERNEL_M (DAL_M > 0 ? DAL_M : 1)
+#define DAL_KERNEL_ARRAY(type, name, size) type name[size]
+#else
+#define DAL_KERNEL_M 0
+#define DAL_KERNEL_ARRAY(type, name, size) type *const name = k->at.name
+#endif
+#if DAL_KERNEL_INSIDE
+#define DAL_KERNEL_SHARED(name, size, offset) double name[size]
+#else
+#define DAL_KERNEL_SHARED(name, size, offset) double *const name = x + (offset)
+#endif
+
+/* An index that stays a variable would keep an array in memory, also if that is off the hot path,
+ * where the compiler does not unroll by itself. */
+#if DAL_KERNEL_INSIDE && DAL_N <= 8 && defined(__GNUC__)
+#define DAL_KERNEL_UNROLL _Pragma("GCC unroll 64")
+#else
+#define DAL_KERNEL_UNROLL
+#endif
+
+/* memcpy would want arrays in memory too. */
+DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
+{
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) to[i] = from[i];
+}
+
+/* plain is a constant where this is inlined: V = 0 and moved nodes, so that what serves only the
+ * others costs nothing. */
+DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *const s,
+                                       const bool plain, double *const x, double *const pull)
+{
+#ifdef DAL_N
+    const size_t n = DAL_N, m = DAL_M;
+#else
+    const size_t n = k->n, m = k->m;
+#endif
+    DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
+    DAL_KERNEL_SHARED(point, DAL_N, 3 * n);
+    DAL_KERNEL_SHARED(w, DAL_N, 4 * n);
+    DAL_KERNEL_SHARED(mu_node, DAL_KERNEL_M * DAL_N, 8 * n);
+    DAL_KERNEL_SHARED(mu, DAL_KERNEL_M * DAL_N, 8 * n + m * n);
+    DAL_KERNEL_SHARED(N, DAL_KERNEL_M * DAL_N, 8 * n + 2 * m * n);
+    DAL_KERNEL_ARRAY(double, base, DAL_N);
+    DAL_KERNEL_ARRAY(double, goal, DAL_N);
+    DAL_KERNEL_ARRAY(double, step, DAL_N);
+    DAL_KERNEL_ARRAY(double, seen, DAL_N);
+    DAL_KERNEL_ARRAY(double, stored, DAL_N);
+    DAL_KERNEL_ARRAY(double, Z, DAL_KERNEL_M * DAL_N);
+    DAL_KERNEL_ARRAY(double, S, DAL_KERNEL_M * DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(double, sizes, 5 * DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(double, r, DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(double, d, DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(double, kappa, DAL_KERNEL_M);
+    DAL_KERNEL_ARRAY(size_t, row, DAL_KERNEL_M);
+    const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
+                           Z, S, sizes, r, d, kappa, row};
+    const double h = k->h, b = s->after * h;
+    const double limit = 2.0 * (double)n * DAL_KERNEL_U; /* half of the bound */
+    const bool linear = b == 0.0; /* mu(q~') is mu(q_k) */
+    const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
+    const bool potential = !plain && DAL_KERNEL_PULLED;
+    const bool ends = potential && s->end != 0.0; /* V_q at the unknown q~' */
+    const bool inside = DAL_KERNEL_STEADY && plain;
+    const bool steady = inside || k->steady, proved = inside || (k->steady && k->proved);
+    const bool known = m == 0 || proved || (linear && !kept); /* mu(q~') needs no evaluation */
+    dal_pattern has = DAL_KERNEL_PATTERN;
+    if (inside) has.N = 0;
+
+    /* ---- predict: the part of v' that is known, and the pull */
+    const double before = kept ? 0.0 : s->before * h; /* a kept node is the state */
+    for (size_t i = 0; i < n; i++) node[i] = x[i] + before * x[n + i];
+    for (size_t i = 0; i < n; i++) base[i] = x[n + i];
+    if (potential) {
+        double *const force = s->node != 0.0 ? k->force1 : k->force0;
+        if (s->node != 0.0 || !k->forced) {
+            const double shift = kept ? k->shift * h : 0.0;
+            DAL_KERNEL_UNROLL
+            for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
+                point[i] = s->node != 0.0 ? node[i] : x[i] - shift * x[n + i];
+            const int returned = DAL_KERNEL_POTENTIAL(k, point, force);
+            if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+        }
+        const double weight = h * (s->node != 0.0 ? s->node : s->start);
+        dal_kernel_accelerate(k, n, has.inverse, force, step);
+        for (size_t i = 0; i < n; i++) base[i] -= weight * step[i];
+    }
+    /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
+    for (size_t i = 0; i < n; i++) {
+        const bool pulled = !steady && DAL_KERNEL_HAS(has.pull, i);
+        double early = base[i];
+        if (pulled) early += s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i];
+        w[i] = early;
+        point[i] = node[i] + b * early;
+        if (pulled) {
+            w[i] += s->ahead[0] * pull[i];
+            point[i] += b * s->ahead[0] * pull[i];
+        }
+    }
+
+    /* ---- factor: mu at the prediction, and then at the node: more has to wait for the first */
+    int returned = 0;
+    if (m > 0 && !linear) returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, steady ? NULL : N);
+    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+    if (m > 0) {
+        const int status = DAL_KERNEL_CONSTRAINT(k, node, x + n, mu_node, NULL);
+        if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
+        for (size_t a = 0; a < m; a++)
+            dal_kernel_accelerate(k, n, has.inverse, mu_node + a * n, Z + a * n);
+    }
+    if (linear) DAL_KERNEL_COPY(m * n, mu_node, mu);
+    if (linear || (steady && has.N)) {
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < m * n; i++) N[i] = 0.0;
+    }
+    if (ends && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
+    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+
+    /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
+    bool solved = false, settled = false;
+    DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
+    if (returned == 0 && dal_kernel_factor(k, n, m, has, b, &at) > 0) {
+        double last = HUGE_VAL;
+        bool passed = false; /* mu was not evaluated after the last correction */
+        bool anew = true;    /* nor after the one before, so that this one may be larger */
+        if (ends) DAL_KERNEL_COPY(n, w, seen);
+        for (int iteration = 1; iteration <= DAL_KERNEL_CORRECTIONS; iteration++) {
+            const bool first = iteration == 1;
+            bool balanced = true;
+            k->stats.iterations++;
+            dal_kernel_newton(k, s, n, m, has, ends, first, ends ? seen : w, &at);
+            dal_kernel_place(k, s, n, kept, &at);
+            if (!known || ends) {
+                double size = -0.0;
+                for (size_t i = 0; i < n; i++)
+                    if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(step[i]) * k->per_unit[i];
+                const double noise =
+                    8.0 * DAL_KERNEL_U * dal_residual_extent(n, k->per_unit, goal);
+                if (ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
+                if (!(anew || size <= 0.5 * last || size <= noise)) break;
+                anew = passed && balanced;
+                passed = !balanced && size * (size / last) <= DAL_KERNEL_PASSING * noise;
+                last = size;
+            }
+            if (!known && !passed) {
+                returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, NULL);
+                if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+                if (ends) DAL_KERNEL_COPY(n, w, seen);
+            }
+            if (!balanced && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
+            if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+            if (returned > 0) break;
+            if (!balanced) continue;
+            settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
+            solved = settled || known || dal_kernel_is_roundoff(k, n, m, has, &at);
+            if (solved) break;
+            if (steady) return dal_kernel_fail(k, DAL_EINVAL, DAL_FAILED_STEADY);
+        }
+    } else {
+        DAL_KERNEL_COPY(n, node, stored);
+    }
+
+    /* ---- settle: the residual of D at what is stored; a kept node would give back another q~' */
+    if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !kept)) {
+        dal_lu_solve(m, S, row, r, d);
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) w[i] += dal_kernel_column(n, m, has.Z, Z, i, d);
+        settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
+    }
+    double total = -0.0; /* with an infinite w stored is infinite too, or NaN where b = 0 */
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) total += stored[i];
+    const bool finite = fabs(total) <= DBL_MAX;
+
+    /* ---- hand over what is left to k->finish */
+    if (DAL_KERNEL_RARE(!settled || !finite)) {
+        DAL_KERNEL_COPY(2 * n, x, k->at.x);
+        DAL_KERNEL_COPY(n, node, k->at.node);
+        DAL_KERNEL_COPY(n, w, k->at.w);
+        DAL_KERNEL_COPY(n, base, k->at.base);
+        if (kept) DAL_KERNEL_COPY(n, goal, k->at.goal);
+        DAL_KERNEL_COPY(n, stored, k->at.stored);
+        DAL_KERNEL_COPY(m * n, Z, k->at.Z);
+        DAL_KERNEL_COPY(m * n, mu_node, k->at.mu_node);
+        const int status = k->finish(k, s, solved);
+        if (status) return status;
+        DAL_KERNEL_COPY(n, k->at.w, w);
+        DAL_KERNEL_COPY(n, k->at.stored, stored);
+        if (!solved) DAL_KERNEL_COPY(m, k->at.kappa, kappa);
+    }
+
+    /* ---- commit */
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) {
+        if (!steady && DAL_KERNEL_HAS(has.pull, i)) {
+            pull[2 * n + i] = pull[n + i];
+            pull[n + i] = pull[i];
+            pull[i] = w[i] - base[i];
+        }
+        x[i] = stored[i];
+        x[n + i] = w[i];
+    }
+    if (DAL_KERNEL_RARE(!steady && !k->pulled)) { /* the best guess of the past */
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) pull[n + i] = pull[2 * n + i] = pull[i];
+        k->pulled = true;
+    }
+    for (size_t a = 0; a < m; a++) k->impulse[a] += kappa[a];
+    if (ends) {
+        double *const force = k->force0;
+        k->force0 = k->force1;
+        k->force1 = force;
+    }
+    if (potential) k->forced = ends && solved; /* the full one evaluates before its last step */
+    return DAL_SUCCESS;
+}
+
+/* steps steps of k.  *done <- how many were made; on failure the state is that after the last. */
+static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
+{
+#ifdef DAL_N
+    const size_t n = DAL_N;
+#else
+    const size_t n = k->n;
+#endif
+    const size_t stages = k->stages;
+    size_t made = 0;
+    int status = DAL_SUCCESS;
+#if DAL_KERNEL_INSIDE
+    double x[2 * DAL_N], pull[3 * DAL_N];
+    DAL_KERNEL_COPY(2 * n, k->at.x, x);
+    DAL_KERNEL_COPY(3 * n, k->at.pull, pull);
+#else
+    double *const x = k->at.x, *const pull = x + 5 * n;
+#endif
+    while (made < steps) {
+        const dal_stage *s = k->stage, *const end = s + stages;
+        if (DAL_KERNEL_RARE(stages > 1)) DAL_KERNEL_COPY(2 * n, x, k->saved);
+#if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
+        do
+            status = DAL_KERNEL_STAGE(k, s, !DAL_KERNEL_PULLED, x, pull);
+        while (!status && ++s < end);
+#else
+        if (k->potential || k->kept) {
+            do
+                status = DAL_KERNEL_STAGE(k, s, false, x, pull);
+            while (!status && ++s < end);
+        } else {
+            do
+                status = DAL_KERNEL_STAGE(k, s, true, x, pull);
+            while (!status && ++s < end);
+        }
+#endif
+        if (status) break;
+        made++;
+    }
+#if DAL_KERNEL_INSIDE
+    DAL_KERNEL_COPY(2 * n, x, k->at.x);
+    DAL_KERNEL_COPY(3 * n, pull, k->at.pull);
+#endif
+    if (status && stages > 1) {
+        DAL_KERNEL_COPY(2 * n, k->saved, k->at.x);
+        dal_kernel_forget(k);
+    }
+    k->stats.steps += made;
+    *done = made;
+    return status;
+}
+
+#undef DAL_KERNEL_INSIDE
+#undef DAL_KERNEL_PULLED
+#undef DAL_KERNEL_ARRAY
+#undef DAL_KERNEL_SHARED
+#undef DAL_KERNEL_UNROLL
+#undef DAL_KERNEL_M
+#undef DAL_KERNEL_COPY
+#undef DAL_KERNEL_STAGE
+#undef DAL_KERNEL_JOIN
+#undef DAL_KERNEL_JOIN_
+#undef DAL_KERNEL_STEADY
+#undef DAL_KERNEL_PATTERN
+#undef DAL_KERNEL_CONSTRAINT
+#undef DAL_KERNEL_POTENTIAL
+#undef DAL_KERNEL
+#undef DAL_N
+#undef DAL_M
+#endif /* DAL_KERNEL */

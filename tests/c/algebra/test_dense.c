@@ -1,0 +1,103 @@
+/* The ground: one allocation carved into arrays, sizes that overflow; products. */
+#include "fixtures.h"
+#include "check.h"
+
+static void test_arena(void)
+{
+    arena a = {0};
+    double *x, *y;
+    char *text;
+    size_t *none;
+    dal_error error;
+    dal__reserve(&a, &x, 3, sizeof *x);
+    dal__reserve(&a, &text, 1, 1);
+    dal__reserve(&a, &none, 0, sizeof *none);
+    dal__reserve(&a, &y, 100, sizeof *y);
+    CHECK(dal__allocate(&a, &error) == DAL_SUCCESS);
+    CHECK((uintptr_t)x % 64 == 0 && (uintptr_t)text % 64 == 0 && (uintptr_t)y % 64 == 0);
+    CHECK((char *)x + 3 * sizeof *x <= text && text + 1 <= (char *)y);
+    CHECK((char *)(y + 100) <= (char *)a.block + a.size + 64 && (char *)x >= (char *)a.block);
+    double sum = *text;
+    for (size_t i = 0; i < 100; i++) sum += fabs(y[i]) + fabs(x[i % 3]);
+    CHECK(sum == 0.0);
+    for (size_t i = 0; i < 100; i++) y[i] = 1.0;
+    CHECK(x[0] == 0.0 && *text == 0);
+    dal__release(&a);
+    CHECK(a.block == NULL);
+    dal__release(&a);
+}
+
+static void test_overflow(void)
+{
+    CHECK(dal__times(0, SIZE_MAX) == 0 && dal__times(SIZE_MAX, 0) == 0);
+    CHECK(dal__times(3, 5) == 15 && dal__times(SIZE_MAX, 1) == SIZE_MAX);
+    CHECK(dal__times(SIZE_MAX / 2 + 1, 2) == SIZE_MAX);
+    CHECK(dal__times(SIZE_MAX, SIZE_MAX) == SIZE_MAX);
+    static const size_t counts[][2] = {{SIZE_MAX, 1}, {SIZE_MAX / 8 + 2, 8}, {PTRDIFF_MAX, 1},
+                                       {PTRDIFF_MAX / 8, 8}};
+    for (size_t i = 0; i < 4; i++) {
+        arena a = {0};
+        double *first = NULL, *second = NULL;
+        dal_error error = {0};
+        dal__reserve(&a, &first, 4, sizeof *first);
+        dal__reserve(&a, &second, counts[i][0], counts[i][1]);
+        CHECK(dal__allocate(&a, &error) == DAL_ENOMEM && error.status == DAL_ENOMEM);
+        CHECK(strstr(error.text, "overflow") != NULL && !first && !second && !a.block);
+    }
+    arena halves = {0}; /* each fits, the sum does not */
+    char *one, *two;
+    dal__reserve(&halves, &one, PTRDIFF_MAX / 2, 1);
+    dal__reserve(&halves, &two, PTRDIFF_MAX / 2, 1);
+    CHECK(dal__allocate(&halves, NULL) == DAL_ENOMEM);
+}
+
+static void test_status(void)
+{
+    dal_error error = {.status = 5, .text = "before"};
+    for (int status = DAL_EUNSUPPORTED; status <= DAL_STOPPED; status++) {
+        CHECK(strlen(dal_strerror(status)) > 0);
+        CHECK(strcmp(dal_strerror(status), "unknown status") != 0);
+    }
+    CHECK(strcmp(dal_strerror(-99), "unknown status") == 0);
+    CHECK(strcmp(dal_strerror(2), "unknown status") == 0);
+    CHECK(dal__fail(&error, DAL_EINVAL, "n = %d", 3) == DAL_EINVAL);
+    CHECK(error.status == DAL_EINVAL && strcmp(error.text, "n = 3") == 0);
+    CHECK(dal__fail(NULL, DAL_ENOMEM, "%s", "nobody listens") == DAL_ENOMEM);
+    dal__fail(&error, DAL_EINVAL, "%0600d", 1);
+    CHECK(strlen(error.text) == sizeof error.text - 1);
+    CHECK(dal__callback_status(0) == 0 && dal__callback_status(3) == DAL_EDOMAIN);
+    CHECK(dal__callback_status(-3) == DAL_EUSER);
+    int major, minor, patch;
+    CHECK(sscanf(dal_version(), "%d.%d.%d", &major, &minor, &patch) == 3);
+}
+
+static void test_all_finite(void)
+{
+    double x[3] = {1.0, -1e308, 5e-324};
+    CHECK(dal__all_finite(3, x) && dal__all_finite(0, x));
+    const double bad[] = {NAN, INFINITY, -INFINITY};
+    for (size_t k = 0; k < 3; k++)
+        for (size_t i = 0; i < 3; i++) {
+            double y[3] = {1.0, -1e308, 2.0};
+            y[i] = bad[k];
+            CHECK(!dal__all_finite(3, y) && dal__all_finite(i, y));
+        }
+}
+
+static void test_apply(void)
+{
+    const double A[6] = {1, 2, 3, 4, 5, 6}, x[3] = {1, -1, 2};
+    double y[2];
+    dal__apply(2, 3, A, x, y);
+    CHECK(y[0] == 5.0 && y[1] == 11.0);
+}
+
+int main(void)
+{
+    test_arena();
+    test_overflow();
+    test_status();
+    test_all_finite();
+    test_apply();
+    return check_done();
+}

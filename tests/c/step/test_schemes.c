@@ -1,0 +1,227 @@
+/* Schemes as records: the table, names and numbers, what makes a record valid. */
+#include "fixtures.h"
+#include "check.h"
+
+#include <locale.h>
+
+static const char *const names[] = {
+    "leapfrog", "midpoint", "explicit", "endpoint", "leapfrog-mirror", "midpoint-nodes",
+    "explicit-nodes", "endpoint-nodes", "leapfrog-suzuki4", "leapfrog-yoshida4", "leapfrog-kl6",
+    "leapfrog-kl8", "midpoint-suzuki4", "midpoint-yoshida4", "midpoint-kl6", "midpoint-kl8",
+};
+enum { NAMES = sizeof names / sizeof names[0] };
+
+static double fraction(const dal_scheme *s, size_t j) { return dal__scheme_substep(s, j).fraction; }
+static double beta(const dal_scheme *s, size_t j) { return dal__scheme_substep(s, j).beta; }
+
+/* Every name that the header promises is in the table, and each record is found by its name. */
+static void test_table(void)
+{
+    dal_scheme scheme, found;
+    CHECK(dal_scheme_count() == NAMES);
+    for (size_t i = 0; i < NAMES; i++) {
+        CHECK(dal_scheme_find(&found, names[i], NULL) == DAL_SUCCESS);
+        CHECK(strcmp(found.name, names[i]) == 0);
+        CHECK(dal_scheme_at(&scheme, i) == DAL_SUCCESS);
+        CHECK(dal_scheme_find(&found, scheme.name, NULL) == DAL_SUCCESS);
+        CHECK(found.substeps == scheme.substeps && found.beta == scheme.beta);
+        CHECK(scheme.help && scheme.help[0] && scheme.reference && scheme.reference[0]);
+        CHECK(dal__scheme_check(&scheme, NULL) == DAL_SUCCESS);
+        CHECK(scheme.order >= 1 && scheme.multiplier_order == 0);
+        CHECK(scheme.symmetric == (scheme.order % 2 == 0));
+        CHECK((scheme.nodes == DAL_KEPT_NODES) == (strstr(scheme.name, "-nodes") != NULL));
+    }
+    CHECK(dal_scheme_at(&scheme, NAMES) == DAL_EINVAL && dal_scheme_at(NULL, 0) == DAL_EINVAL);
+}
+
+/* A symmetric record reads backwards as its adjoint: fractions mirrored, beta to 1 - beta.  Order p
+ * needs sum g = 1 over the base steps, and sum g^k = 0 for the odd k from 3 to p - 1. */
+static void test_compositions(void)
+{
+    for (size_t i = 0; i < NAMES; i++) {
+        const dal_scheme s = find_scheme(names[i]);
+        const size_t count = dal__scheme_count(&s);
+        double sum = 0.0, size = 0.0, cubes = 0.0, fifths = 0.0, sevenths = 0.0;
+        const size_t base = strncmp(s.name, "leapfrog", 8) == 0 ? 2 : 1;
+        for (size_t j = 0; j < count; j++) {
+            sum += fraction(&s, j);
+            size += fabs(fraction(&s, j));
+            if (s.symmetric) {
+                CHECK(fraction(&s, j) == fraction(&s, count - 1 - j));
+                CHECK(beta(&s, j) == 1.0 - beta(&s, count - 1 - j));
+            }
+            if (j % base == 0) {
+                const double g = (double)base * fraction(&s, j);
+                cubes += g * g * g;
+                fifths += pow(g, 5);
+                sevenths += pow(g, 7);
+            }
+        }
+        CHECK_NEAR(sum, 1.0, 4 * U * size); /* coefficients are rounded once, then added */
+        if (s.order >= 4) CHECK_NEAR(cubes, 0.0, 32 * U * size);
+        if (s.order >= 6) CHECK_NEAR(fifths, 0.0, 32 * U * size);
+        if (s.order >= 8) CHECK_NEAR(sevenths, 0.0, 32 * U * size);
+        if (s.order == 4) CHECK(fabs(fifths) > 0.01);
+    }
+    CHECK(dal__scheme_count(&(dal_scheme){.beta = 0.3}) == 1);
+    static const struct {
+        const char *name;
+        size_t count;
+        int order;
+    } expected[] = {{"leapfrog", 2, 2}, {"leapfrog-suzuki4", 10, 4}, {"leapfrog-yoshida4", 6, 4},
+                    {"leapfrog-kl6", 18, 6}, {"leapfrog-kl8", 34, 8}, {"midpoint-suzuki4", 5, 4},
+                    {"midpoint-yoshida4", 3, 4}, {"midpoint-kl6", 9, 6}, {"midpoint-kl8", 17, 8},
+                    {"midpoint", 1, 2}, {"explicit", 1, 1}, {"endpoint", 1, 1},
+                    {"midpoint-nodes", 1, 1}, {"leapfrog-mirror", 2, 2}};
+    for (size_t i = 0; i < sizeof expected / sizeof expected[0]; i++) {
+        const dal_scheme s = find_scheme(expected[i].name);
+        CHECK(dal__scheme_count(&s) == expected[i].count && s.order == expected[i].order);
+    }
+    const dal_scheme leapfrog = find_scheme("leapfrog"), mirror = find_scheme("leapfrog-mirror");
+    CHECK(beta(&leapfrog, 0) == 0.0 && beta(&leapfrog, 1) == 1.0 && fraction(&leapfrog, 0) == 0.5);
+    CHECK(beta(&mirror, 0) == 1.0 && beta(&mirror, 1) == 0.0 && fraction(&mirror, 1) == 0.5);
+}
+
+static void test_names(void)
+{
+    static const struct {
+        const char *name;
+        double beta;
+        dal_nodes nodes;
+        int order, symmetric;
+    } numbers[] = {
+        {"0", 0.0, DAL_MOVED_NODES, 1, 0},        {"1", 1.0, DAL_MOVED_NODES, 1, 0},
+        {"0.5", 0.5, DAL_MOVED_NODES, 2, 1},      {".25", 0.25, DAL_MOVED_NODES, 1, 0},
+        {"0.3-nodes", 0.3, DAL_KEPT_NODES, 1, 0}, {"0.5_nodes", 0.5, DAL_KEPT_NODES, 1, 0},
+        {"1e-3", 1e-3, DAL_MOVED_NODES, 1, 0},
+    };
+    dal_scheme scheme = {.beta = 7.0};
+    dal_error error;
+    setlocale(LC_ALL, "de_DE.UTF-8"); /* a decimal comma, where the host has it: nothing changes */
+    for (size_t i = 0; i < sizeof numbers / sizeof numbers[0]; i++) {
+        CHECK(dal_scheme_find(&scheme, numbers[i].name, &error) == DAL_SUCCESS);
+        CHECK(error.text[0] == '\0' && scheme.beta == numbers[i].beta && scheme.count == 0);
+        CHECK(scheme.nodes == numbers[i].nodes && scheme.order == numbers[i].order);
+        CHECK(scheme.symmetric == numbers[i].symmetric);
+    }
+    CHECK(dal_scheme_find(&scheme, "leapfrog_kl8", NULL) == DAL_SUCCESS && scheme.order == 8);
+    CHECK(dal_scheme_find(&scheme, "midpoint_nodes", NULL) == DAL_SUCCESS);
+
+    const char *const wrong[] = {"", "euler", "1.5", "-0.5", "nan", "inf", "0.5x", "0.5-node",
+                                 " 0.5", "0,5", "0x1p-1", ".", "1e-", "0.5.", "1e", "1e5",
+                                 "leapfrog-nodes", "leapfro", "leapfrog-", "MIDPOINT",
+                                 "leapfrog-kl8-and-much-more-than-forty-characters"};
+    scheme.beta = 7.0;
+    for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+        CHECK(dal_scheme_find(&scheme, wrong[i], &error) == DAL_EINVAL && scheme.beta == 7.0);
+        CHECK(strstr(error.text, wrong[i]) != NULL && strstr(error.text, "leapfrog") != NULL);
+        CHECK(error.status == DAL_EINVAL);
+    }
+    setlocale(LC_ALL, "C");
+    CHECK(dal_scheme_find(NULL, "midpoint", &error) == DAL_EINVAL);
+    CHECK(dal_scheme_find(&scheme, NULL, &error) == DAL_EINVAL && strstr(error.text, "name"));
+}
+
+static void check_invalid(const dal_scheme *scheme, const char *words)
+{
+    dal_error error = {0};
+    CHECK(dal__scheme_check(scheme, &error) == DAL_EINVAL);
+    check_true(strstr(error.text, words) != NULL, error.text, words, __LINE__);
+}
+
+static void test_validation(void)
+{
+    const dal_substep too_long[] = {{0.5, 0.5}, {0.5, 0.5000001}};
+    const dal_substep off[] = {{0.5, 0.5}, {0.5, 0.50000000000005}}; /* 1e-14 (1 + 1) is rounding */
+    const dal_substep zero[] = {{0.5, 1.0}, {0.5, 0.0}};
+    const dal_substep outside[] = {{0.5, 0.5}, {1.25, 0.5}}, unknown[] = {{NAN, 1.0}};
+    const dal_substep infinite[] = {{0.5, INFINITY}}, two[] = {{0.0, 0.5}, {1.0, 0.5}};
+    const dal_substep thirds[] = {{0.5, 0.333333333333333}, {0.5, 0.333333333333333},
+                                  {0.5, 0.333333333333333}};
+    check_invalid(&(dal_scheme){.beta = -0.1}, "beta = -0.1");
+    check_invalid(&(dal_scheme){.beta = NAN}, "beta = ");
+    check_invalid(&(dal_scheme){.count = 2}, "count = 2");
+    check_invalid(&(dal_scheme){.count = 2, .substeps = too_long}, "sum to 1.00000");
+    check_invalid(&(dal_scheme){.count = 2, .substeps = off}, "sum to 1.00000000000005");
+    check_invalid(&(dal_scheme){.count = 2, .substeps = zero}, "sub-step 1: fraction = 0");
+    check_invalid(&(dal_scheme){.count = 2, .substeps = outside}, "sub-step 1: beta = 1.25");
+    check_invalid(&(dal_scheme){.count = 1, .substeps = unknown}, "sub-step 0: beta");
+    check_invalid(&(dal_scheme){.count = 1, .substeps = infinite}, "fraction = inf");
+    check_invalid(&(dal_scheme){.count = 2, .substeps = two, .nodes = DAL_KEPT_NODES},
+                  "2 sub-steps");
+    check_invalid(&(dal_scheme){.nodes = (dal_nodes)3}, "nodes = 3");
+    CHECK(dal__scheme_check(&(dal_scheme){.count = 2, .substeps = two}, NULL) == DAL_SUCCESS);
+    CHECK(dal__scheme_check(&(dal_scheme){.count = 3, .substeps = thirds}, NULL) == DAL_SUCCESS);
+    CHECK(dal__scheme_check(&(dal_scheme){0}, NULL) == DAL_SUCCESS); /* explicit */
+}
+
+/* Never called. */
+static int no_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
+                         double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    (void)q, (void)v, (void)L, (void)L_q, (void)L_v, (void)L_qq, (void)L_vq, (void)L_vv, (void)ctx;
+    return -1;
+}
+
+static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
+                    void *ctx)
+{
+    (void)t, (void)q, (void)v, (void)f, (void)f_q, (void)f_v, (void)ctx;
+    return -1;
+}
+
+static int no_constraint(const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, void *ctx)
+{
+    (void)q, (void)v, (void)phi, (void)phi_v, (void)phi_q, (void)ctx;
+    return -1;
+}
+
+static void test_explicit_and_shift(void)
+{
+    dal_system *const system = open_system("particle_oscillator");
+    const dal_substep halves[] = {{0.0, 0.5}, {0.0, 0.5}}, one[] = {{0.25, 1.0}};
+    const dal_scheme twice = {.count = 2, .substeps = halves};
+    const dal_scheme single = {.count = 1, .substeps = one};
+    double shift = 7.0;
+    for (size_t i = 0; i < NAMES; i++) {
+        const dal_scheme s = find_scheme(names[i]);
+        CHECK(dal_scheme_is_explicit(&s, system) == (strncmp(names[i], "explicit", 8) == 0));
+        const int status = dal_scheme_shift(&s, &shift);
+        CHECK(status == (s.count > 1 ? DAL_EUNSUPPORTED : DAL_SUCCESS));
+        CHECK(status != DAL_SUCCESS || shift == 1.0 - s.beta);
+    }
+    CHECK(dal_scheme_is_explicit(&twice, system) == 1);
+    CHECK(dal_scheme_is_explicit(NULL, system) == 0 && dal_scheme_is_explicit(&twice, NULL) == 0);
+    /* not of a mass that is not constant, nor with a force, nor with a nonlinear constraint */
+    const double mass[4] = {1, 0, 0, 1};
+    dal_system_def def = {.n = 2, .mass = mass};
+    for (int k = 0; k < 4; k++) {
+        dal_system *other = NULL;
+        def.mass = k == 1 ? NULL : mass;
+        def.lagrangian = k == 1 ? no_lagrangian : NULL;
+        def.force = k == 2 ? no_force : NULL;
+        def.m = k == 3;
+        def.constraint = k == 3 ? no_constraint : NULL;
+        def.kind = k == 3 ? DAL_NONLINEAR : DAL_LINEAR;
+        CHECK(dal_system_new(&other, &def, NULL) == 0);
+        CHECK(dal_scheme_is_explicit(&twice, other) == (k == 0));
+        dal_system_free(other);
+    }
+    CHECK(dal_scheme_is_explicit(&single, system) == 0);
+    CHECK(dal_scheme_shift(&single, &shift) == DAL_SUCCESS && shift == 0.75);
+    CHECK(dal_scheme_shift(&twice, &shift) == DAL_EUNSUPPORTED && shift == 0.75);
+    CHECK(dal_scheme_shift(NULL, &shift) == DAL_EINVAL);
+    CHECK(dal_scheme_shift(&single, NULL) == DAL_EINVAL);
+    dal_system_free(system);
+}
+
+int main(void)
+{
+    test_table();
+    test_compositions();
+    test_names();
+    test_validation();
+    test_explicit_and_shift();
+    return check_done();
+}
