@@ -73,8 +73,8 @@ __all__ = [
 ]
 
 # What objects show of themselves: below `show` nothing knows of tables and pictures.
-table.attach(Study, table.study_lines, table.study_html)
-table.attach(Studies, table.studies_lines, table.studies_html)
+table.attach(Study, table.study_lines, table.of_study)
+table.attach(Studies, table.studies_lines, table.overview)
 Study.plot = Studies.plot = plot.convergence
 Embedding.plot = plot.embedded
 

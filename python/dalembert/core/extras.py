@@ -1,4 +1,4 @@
-"""The packages that are extras: matplotlib, rich, SymPy, tqdm, xarray."""
+"""The packages that are extras: matplotlib, Jinja2, SymPy, rich, tqdm, xarray."""
 
 from __future__ import annotations
 

@@ -6,10 +6,9 @@ A page is self-contained: no script, no network, the same bytes every time.
 from __future__ import annotations
 
 import contextlib
-import functools
 import re
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from ..run import Solution, integrate
 from ..symbolic import formula
 from ..system import System
 from . import plot, web
-from .table import Column, html, number
+from .table import Table, number
 
 __all__ = ["available", "page", "write"]
 
@@ -108,7 +107,7 @@ def write(
             paths.append(place / f"{name}.html")
             files.write(paths[-1], _page(system, run, names))
             cards.append((name, system, _small(system, run)))
-        files.write(index, web.render("index.html", cards=cards))
+        files.write(index, _index(cards))
         show(len(names))
     return paths
 
@@ -171,49 +170,56 @@ def _run(system: System, scheme: str, h: float) -> Solution:
         return integrate(system, scheme, h=h, t_end=END, throw=False)
 
 
+def _index(cards: Sequence[tuple[str, System, web.HTML]]) -> str:
+    words = (
+        f"Mechanical systems with velocity constraints, {len(cards)} of them. Each page has the "
+        "formulas, initial data, invariants, what is known of the solution, and the lines of "
+        "Python and C that make the system and run it."
+    )
+    sections = [("", words, web.render("cards.html", cards=cards))]
+    return web.page("Catalogue of systems", f"dalembert {core.version()}", sections)
+
+
 def _page(system: System, run: Solution, names: Sequence[str]) -> str:
-    runs = (run, _run(system, FINE, FINE_STEP))
-    k = names.index(_slug(system)) if names else 0
-    end = zip(system.coordinates, run.q[-1], run.v[-1])
-    is_ours = system._source.of_library
-    return str(
-        web.render(
-            "system.html",
-            system=system,
-            names=names,
-            library=(*systems.names(), *systems.names_in_sympy()),
-            before=names[k - 1] if k > 0 else None,
-            after=names[k + 1] if k + 1 < len(names) else None,
-            version=core.version(),
-            run=run,
-            typical=f"{SCHEME} with h = {STEP:g} to t = {END}",
-            shown=f"first {SHOWN} coordinates" if system.n > SHOWN else "coordinates",
-            has_path=_has_path(system),
-            picture=_picture(system, run),
-            facts=_table(("", ""), _facts(system), "facts"),
-            start=_start(system),
-            conserves=_conserves(system),
-            invariants=_invariants(system, runs),
-            reference=_known(system),
-            accuracy=_accuracy(system, runs),
-            python=python_lines(system) if is_ours else "",
-            c=c_lines(system) if is_ours else "",
-            end="\n".join(f"{name:12} {q: .17g}  {v: .17g}" for name, q, v in end),
-        )
+    library = (*systems.names(), *systems.names_in_sympy())
+    links = {**dict.fromkeys(library, ""), **{name: f"{name}.html" for name in names}}
+    above = [f"dalembert {core.version()}"]
+    if names:
+        k = names.index(_slug(system))
+        links["catalogue"] = "index.html"
+        above += ["`catalogue`", *(f"before: `{name}`" for name in names[:k][-1:])]
+        above += [f"next: `{name}`" for name in names[k + 1 :][:1]]
+    return web.page(
+        system.name,
+        " | ".join(above),
+        _sections(system, run),
+        coordinates=system.coordinates,
+        links=links,
     )
 
 
-def _table(titles: Sequence[str], rows: Iterable[Sequence[Any]], style: str = "") -> Any:
-    """A table as HTML, the first column flush left; with a style all columns."""
-    cells = list(zip(*rows))
-    if not cells:
-        return ""
-    return html([Column(*x, left=bool(style) or k == 0) for k, x in enumerate(zip(titles, cells))],
-                style=style)
-
-
-def _math(words: str, system: System) -> Any:
-    return web.math(words, system.coordinates)
+def _sections(system: System, run: Solution) -> Iterator[web.Section]:
+    runs = (run, _run(system, FINE, FINE_STEP))
+    yield "", web.sentence(system.help), ""
+    yield "", system.description, ""
+    yield "", f"Source: {web.sentence(system.source)}" if system.source else "", ""
+    if system.formulas:
+        rows = [
+            ("where" * line.startswith("where "), f"`{line.removeprefix('where ')}`")
+            for line in system.formulas
+        ]
+        yield "Formulas", "", Table(["", ""], rows, 2, style="formulas")
+    yield "", "", _picture(system, run)
+    yield "What it is", "", Table(["", ""], _facts(system), 2, style="facts")
+    values = [(f"`{key}`", f"{x:.15g}") for key, x in system.parameters.items()]
+    yield "Parameters and initial data", "", Table(["parameter", "value"], values)
+    yield "", "", _start(system)
+    yield _invariants(system, runs)
+    yield from _known(system)
+    yield from _accuracy(system, runs)
+    yield "How to make it", "" if system._source.of_library else web.OF_THE_USER, ""
+    if system._source.of_library:
+        yield from _programs(system, run)
 
 
 def _facts(system: System) -> list[tuple[str, str]]:
@@ -258,18 +264,13 @@ def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
     ]
 
 
-def _start(system: System) -> list[Any]:
-    """Parameters and initial data."""
+def _start(system: System) -> Table:
     assert system.q0 is not None and system.v0 is not None
-    values = [(_math(key, system), f"{x:.15g}") for key, x in system.parameters.items()]
     rows = [
-        (_math(name, system), f"{q:.15g}", f"{v:.15g}")
+        (f"`{name}`", f"{q:.15g}", f"{v:.15g}")
         for name, q, v in zip(system.coordinates, system.q0, system.v0)
     ]
-    return [
-        _table(("parameter", "value"), values),
-        _table(("coordinate", "at the start", "its velocity"), rows),
-    ]
+    return Table(["coordinate", "at the start", "its velocity"], rows)
 
 
 def _conserves(system: System) -> bool:
@@ -277,7 +278,7 @@ def _conserves(system: System) -> bool:
     return system.kind == "linear" and not system.is_forced
 
 
-def _invariants(system: System, runs: Sequence[Solution]) -> Any:
+def _invariants(system: System, runs: Sequence[Solution]) -> web.Section:
     """The first integrals, and how far they drift in the typical run and in the accurate one."""
     values = [
         {**({"energy": x.energy} if _conserves(system) else {}), **system.invariant(x.q, x.v)}
@@ -291,25 +292,25 @@ def _invariants(system: System, runs: Sequence[Solution]) -> Any:
         )
         for name in values[0]
     ]
-    drifts = (f"drift of {SCHEME}, h = {STEP:g}", f"of {FINE}, h = {FINE_STEP:g}")
-    return _table(("invariant", "at the start", *drifts), rows)
+    words = f"The drift is the largest change from t = 0 to {END}." if rows else "None is known."
+    if not _conserves(system):
+        why = "there is a force" if system.is_forced else "the constraints do work"
+        words += f" The energy is not among them: {why}."
+    drifts = [f"drift of {SCHEME}, h = {STEP:g}", f"of {FINE}, h = {FINE_STEP:g}"]
+    return "Invariants", words, Table(["invariant", "at the start", *drifts], rows)
 
 
-def _invariant(system: System, name: str) -> Any:
+def _invariant(system: System, name: str) -> str:
     """An invariant by its name; if there are shorthands in it, by its expression too."""
-    shown = _math(name, system)
+    velocities = {f"v_{x}" for x in system.coordinates}
+    with contextlib.suppress(ImportError, ValueError):
+        names = {x.name for side in formula.read(name) for x in side.free_symbols}
+        if names <= {*system.coordinates, *velocities, *system.parameters}:
+            return f"`{name}`"
     model = system._model
     if model is None or len(model.invariants) != len(system.invariants):
-        return shown
-    try:
-        found = {x.name for side in formula.read(name) for x in side.free_symbols}
-    except ValueError:
-        found = {name}
-    known = {*system.coordinates, *system.parameters, *(f"v_{x}" for x in system.coordinates)}
-    if found <= known:
-        return shown
-    expression = model.formula(model.invariants[system.invariants.index(name)])
-    return shown + "\n= " + _math(expression, system)
+        return f"`{name}`"
+    return f"`{name}`\n= `{model.formula(model.invariants[system.invariants.index(name)])}`"
 
 
 # ---- what is known of the solution ---------------------------------------------------------------
@@ -322,57 +323,54 @@ def _known_states(system: System) -> tuple[systems.KnownState, ...]:
     return systems.known_states(system.name)
 
 
-def _known(system: System) -> Any:
+def _known(system: System) -> Iterator[web.Section]:
     """The reference to 30 digits."""
-    states = _known_states(system)
-    rows = [
-        (_math(shown, system), *(getattr(x, letter)[i] for x in states))
-        for i, name in enumerate(system.coordinates)
-        for letter, shown in (("q", name), ("v", f"v_{name}"))
-    ]
-    return states and _table(("", *(f"t = {x.t:g}" for x in states)), rows, "digits")
+    if states := _known_states(system):
+        rows = [
+            (f"`{shown}`", *(getattr(x, letter)[i] for x in states))
+            for i, name in enumerate(system.coordinates)
+            for letter, shown in (("q", name), ("v", f"v_{name}"))
+        ]
+        titles = ["", *(f"t = {x.t:g}" for x in states)]
+        yield (
+            "Reference to 30 digits",
+            "From the initial data, with parameters and data that are decimals exactly; computed "
+            "by Taylor series and by extrapolation, which agree to these digits.",
+            Table(titles, rows, len(titles), style="digits"),
+        )
 
 
-def _accuracy(system: System, runs: Sequence[Solution]) -> Any:
+def _accuracy(system: System, runs: Sequence[Solution]) -> Iterator[web.Section]:
     """How far runs are from the exact solution and from the reference."""
-    states = {x.t: np.array([*x.q, *x.v], dtype=float) for x in _known_states(system)}
-    exact = functools.partial(_exact, system)
-    subjects = [
-        (f"{run.scheme.name}, h = {run.h:g}", functools.partial(_state, run)) for run in runs
-    ]
-    rows = []
+    known: dict[str, Callable[[float], Any]] = {}
     if system.has_exact:
-        rows = [(f"{name}, from the exact solution", *_distances(x, exact)) for name, x in subjects]
-        subjects = [("exact solution, in double precision", exact)]
-    if states:
-        rows += [(f"{name}, from the reference", *_distances(x, states.get))
-                 for name, x in subjects]  # fmt: skip
-    return _table(("largest difference of (q, v)", *(f"t = {t:g}" for t in TIMES)), rows)
+        known["the exact solution"] = lambda t: np.concatenate(system.exact(float(t)))
+    if states := _known_states(system):
+        known["the reference"] = {x.t: np.array([*x.q, *x.v], dtype=float) for x in states}.get
+    rows = [
+        (f"{run.scheme.name}, h = {run.h:g}, from {what}", *(_distance(run, at, t) for t in TIMES))
+        for what, at in known.items()
+        for run in runs
+    ]
+    if rows:
+        words = "There is an exact solution for all initial data: `system.exact(t)`."
+        titles = ["largest difference of (q, v)", *(f"t = {t:g}" for t in TIMES)]
+        yield "How accurate it is", words if system.has_exact else "", Table(titles, rows)
 
 
-def _exact(system: System, t: float) -> Array:
-    return np.concatenate(system.exact(float(t)))
-
-
-def _state(run: Solution, t: float) -> Array | None:
-    """The stored state at a time, None if the run did not come so far."""
+def _distance(run: Solution, at: Callable[[float], Any], t: float) -> str:
+    """How far a run is from what it should be at a time, if it came so far."""
     k = round(t / run.h)
-    return run.x[k] if k < len(run.x) else None
-
-
-def _distances(one: Callable[[float], Any], other: Callable[[float], Any]) -> list[str]:
-    found = []
-    for t in TIMES:
-        a, b = one(t), other(t)
-        found.append("-" if a is None or b is None else number(float(np.abs(a - b).max())))
-    return found
+    return number(float(np.abs(run.x[k] - at(t)).max())) if k < len(run.x) else "-"
 
 
 # ---- the picture of a run ------------------------------------------------------------------------
 
 
-def _has_path(system: System) -> bool:
-    return {"x", "y"} <= set(system.coordinates)
+def _plane(system: System) -> tuple[int, int] | None:
+    """Where x and y are among the coordinates, if they are."""
+    names = system.coordinates
+    return (names.index("x"), names.index("y")) if {"x", "y"} <= {*names} else None
 
 
 def _label(name: str) -> str:
@@ -383,78 +381,73 @@ def _label(name: str) -> str:
     return plot.plain(name)
 
 
-def _small(system: System, run: Solution) -> Any:
+def _small(system: System, run: Solution) -> web.HTML:
     """The path, or some coordinates over time, for the index."""
     figure = web.figure(3.2, 2.2, layout=None)
     ax = figure.add_axes((0.02, 0.02, 0.96, 0.96))
-    if _has_path(system):
-        _draw_path(run, ax)
+    if plane := _plane(system):
+        plot.path(run, ax, plane).legend().remove()
+        ax.set_title("")
     else:
-        for x, line in zip(run.q.T[:4], plot.LINES):
-            ax.plot(run.t[:500], x[:500], color="black", linestyle=line, linewidth=1.1)
+        ax.plot(run.t[:500], run.q[:500, :4])
     ax.axis("off")
     return web.svg(figure, f"small-{_slug(system)}", f"A run of {system.name}.")
 
 
-def _picture(system: System, run: Solution) -> Any:
+def _picture(system: System, run: Solution) -> web.HTML:
     """The path, the coordinates over time, and below the residual and the energy."""
-    names = system.coordinates[:SHOWN]
-    upper, lower, gap = max(3.9, 0.85 * len(names)), 1.9, 0.7
-    height = upper + gap + lower + 0.6
-    figure = web.figure(11.0, height, layout=None)  # that of matplotlib takes twice the time
+    names, plane = system.coordinates[:SHOWN], _plane(system)
+    figure = web.figure(11.0, 6.0 + 0.3 * len(names), layout=None)  # which takes half of the time
+    figure.subplots_adjust(left=0.07, right=0.99, bottom=0.08, top=0.98)
+    rows: list[list[Any]] = [["path" if plane else k, k] for k in range(len(names))]
     axes = figure.subplot_mosaic(
-        [
-            *(["path", ".", k] if _has_path(system) else [k] * 3 for k in range(len(names))),
-            ["."] * 3,
-            ["residual", ".", "energy"],
-        ],
-        width_ratios=(4.2, 1.0, 5.0),
-        height_ratios=[*[upper / len(names)] * len(names), gap, lower],
-        gridspec_kw={"left": 0.07, "right": 0.99, "wspace": 0, "hspace": 0.06},
+        [*rows, [".", "."], ["residual", "energy"]],
+        height_ratios=[*[1] * len(names), 0.3, 1 + len(names) / 3],
     )
-    figure.subplots_adjust(bottom=0.5 / height, top=1 - 0.1 / height)
-    if _has_path(system):
-        _draw_path(run, axes["path"])
-        axes["path"].set(xlabel="$x$", ylabel="$y$")
-        axes["path"].legend(frameon=False, fontsize="small")
+    if plane:
+        plot.path(run, axes["path"], plane).set_title("")
     for k, (name, x) in enumerate(zip(names, run.q.T)):
-        ax = axes[k]
-        ax.plot(run.t, x, color=plot.COLOURS[0], linewidth=1.2)
-        ax.plot(run.t[:1], x[:1], color="black", marker="o", markersize=4, clip_on=False)
-        ax.set_ylabel(_label(name), rotation=0)
-        ax.margins(x=0.01)
-        ax.locator_params(axis="y", nbins=3)
-        ax.tick_params(labelbottom=name == names[-1])
-    figure.align_ylabels([axes[k] for k in range(len(names))])
-    ax.set_xlabel("$t$")
-    _draw_residual(run, axes["residual"])
-    ax = axes["energy"]
-    ax.plot(run.t, run.energy - run.energy[0], color=plot.COLOURS[1], linewidth=1.2)
-    ax.set(xlabel="$t$", ylabel="$E - E_0$")
-    ax.margins(x=0.01)
-    ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
-    return web.svg(figure, f"run-{_slug(system)}", f"A run of {system.name}.")
-
-
-def _draw_path(run: Solution, ax: Any) -> None:
-    x, y = (run.q[:, run.system.coordinates.index(name)] for name in ("x", "y"))
-    ax.plot(x, y, color=plot.COLOURS[0], linewidth=1.4)
-    ax.plot(x[:1], y[:1], "ko", label="start")
-    ax.plot(x[-1:], y[-1:], "ks", markerfacecolor="white", label="end")
-    ax.set_aspect("equal", adjustable="datalim")
-
-
-def _draw_residual(run: Solution, ax: Any) -> None:
-    """The residual of D on a logarithmic axis, the largest of each stretch."""
-    ax.plot(*plot._stretches(run.t, run.residual), color=plot.COLOURS[2], linewidth=1.2)
-    ax.axhline(core.ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)))
+        axes[k].plot(run.t, x, color=plot.COLOURS[0], marker="o", markevery=[0])
+        axes[k].set_ylabel(_label(name), rotation=0, ha="right")
+        axes[k].tick_params(labelbottom=name == names[-1])
+    residual, energy = axes["residual"], axes["energy"]
+    residual.semilogy(*plot._stretches(run.t, run.residual), color=plot.COLOURS[2])
+    residual.axhline(core.ROUNDOFF, color="black", linestyle="--")
     top = max(plot.NOT_ROUNDOFF, 2 * float(run.residual.max()))
-    ax.set(yscale="log", ylim=(plot.ZERO / 4, top), yticks=[1e-16, 1e-12, 1e-8], xlabel="$t$")
-    ax.set_ylabel("residual of $D$" if run.system.m else "(no constraints)")
-    ax.margins(x=0.01)
+    residual.set(ylim=(plot.ZERO / 4, top), ylabel="residual of $D$", xlabel="$t$")
+    energy.plot(run.t, run.energy - run.energy[0], color=plot.COLOURS[1])
+    energy.set(ylabel="$E - E_0$", xlabel="$t$")
+    energy.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
+    about = f"A run of {system.name}."
+    return web.svg(figure, f"run-{_slug(system)}", about, _caption(system, run))
+
+
+def _caption(system: System, run: Solution) -> str:
+    broken = "" if run.success else f" It broke off at t = {run.t[-1]:g}: {run.message}."
+    path = "the path and " * bool(_plane(system)) + f"the first {SHOWN} " * (system.n > SHOWN)
+    change = "error of the energy" if _conserves(system) else "change of the energy, no error here"
+    return (
+        f"A typical run: {SCHEME} with h = {STEP:g} to t = {END}.{broken} Shown are {path}"
+        "coordinates over time; below, the relative residual of the constraints, with the unit "
+        f"roundoff as the dashed line, and the {change}."
+    )
 
 
 # ---- how to make it ------------------------------------------------------------------------------
+
+
+def _programs(system: System, run: Solution) -> Iterator[web.Section]:
+    yield "", "In Python, system and run:", python_lines(system)
+    words = "In C:"
+    if system._model is not None:
+        words = "In C, with the file that Python writes, `system.c_source()`:"
+    yield "", words, c_lines(system)
+    end = "\n".join(
+        f"{name:12} {q: .17g}  {v: .17g}"
+        for name, q, v in zip(system.coordinates, run.q[-1], run.v[-1])
+    )
+    words = f"Both end at t = {run.t[-1]:g} in (coordinate, its velocity):"
+    yield "", words, end
 
 
 def _changed(system: System) -> dict[str, float]:

@@ -7,7 +7,7 @@ import json
 import platform
 import shlex
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from ..core import files
 from ..run import Solution, integrate
 from ..study import Studies, Study
 from . import plot, web
-from .table import Column, html, studies_html, study_html
+from .table import Table, of_study, overview
 
 __all__ = ["write"]
 
@@ -75,140 +75,140 @@ def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
 
 def page(studies: Studies) -> str:
     """Return the HTML page of `write`."""
+    name = studies[0].system.name
+    title = f"{name}: {'fails' if studies.holds is False else 'study'}"
+    return web.page(title, f"dalembert study: {name}", _sections(studies), studies.sentence())
+
+
+def _sections(studies: Studies) -> Iterator[web.Section]:
+    yield "", _about(studies), ""
+    yield from _pictures(studies)
+    words = (
+        "p and s are slopes of the one-step errors from exact data, minus 1, over the points at "
+        "least 100 times above the round-off floor; s is the order of the scheme's own "
+        "multipliers. A scheme holds if p, or the order at the end, and s are at least the "
+        "promised ones minus 0.2 and its set is kept to roundoff."
+    )
+    yield "Tables", words, overview(studies)
+    for study in studies:
+        yield "", "", of_study(study)
+    yield from _reproduce(studies)
+
+
+def _about(studies: Studies) -> str:
+    """What was studied, from where to where, and what it is compared with."""
     first = studies[0]
-    styles = plot.styles(study.scheme.name for study in studies)
-    runs = [_run(study) for study in studies]
-    longest = max(runs, key=lambda run: run.t[-1])
-    return str(
-        web.render(
-            "report.html",
-            studies=studies,
-            first=first,
-            system=first.system,
-            start=", ".join(f"{x} = {q:g}" for x, q in zip(first.system.coordinates, first.q0)),
-            velocity=", ".join(f"{v:g}" for v in first.v0),
-            initial=repr(initial) if (initial := _initial(studies)) else "",
-            convergence=_convergence(studies, styles),
-            drift=_drift(runs, styles),
-            energy=_energy(studies, runs, styles),
-            step=f"{abs(longest.h):g}",
-            short=[run.scheme.name for run in runs if run.t[-1] != longest.t[-1]],
-            tables=[studies_html(studies), *map(study_html, studies)],
-            command=command(studies) if first.system._source.of_library else "",
-            data=(data := json.dumps(description(studies), sort_keys=True)),
-            facts=_facts(studies, data),
-        )
+    start = ", ".join(f"{x} = {q:g}" for x, q in zip(first.system.coordinates, first.q0))
+    velocity = ", ".join(f"{v:g}" for v in first.v0)
+    exact = first.reference == 0
+    other = "the exact solution" if exact else f"a reference flow good to {first.reference:.1e}"
+    initial = _initial(studies)
+    kept = f" Schemes with kept nodes start with `initial={initial!r}`." if initial else ""
+    return (
+        f"{web.sentence(first.system.help)} Runs go from t = {first.t0:g} to {first.t_end:g}, "
+        f"start in {start}, v = ({velocity}), and are compared with {other}.{kept} All numbers "
+        "are in the user's units."
     )
 
 
-def _run(study: Study) -> Solution:
-    """One longer run of the scheme of a study, for the drift and the energy; or what there is."""
-    initial = "project" if study.initial == "D_eps" else study.initial
-    try:
-        with warnings.catch_warnings():
-            # The pictures show what the warning would say.
-            warnings.simplefilter("ignore", core.DalembertWarning)
-            return integrate(
-                study.system,
-                study.scheme,
-                study.q0,
-                study.v0,
-                t0=study.t0,
-                h=(study.t_end - study.t0) / 20,
-                steps=400,
-                initial=initial,
-            )
-    except core.DalembertError as error:
-        if error.partial is None:
-            raise
-        return error.partial
-
-
-def _convergence(studies: Studies, styles: dict[str, Any]) -> str:
-    groups = [
-        [study for study in studies if study.scheme.order <= 2],
-        [study for study in studies if study.scheme.order > 2],
-    ]
-    groups = [group for group in groups if group]
-    figure = web.figure(6.0 * len(groups) if len(groups) > 1 else 8.0, 4.6)
-    for group, ax in zip(groups, figure.subplots(1, len(groups), squeeze=False)[0]):
-        plot.convergence(group, ax, styles=styles)
-        if len(groups) > 1:
-            ax.set_title("order up to 2" if group is groups[0] else "compositions")
-    return web.svg(figure, "convergence", "Errors at the end over the step size, log-log.")
-
-
-def _drift(runs: list[Solution], styles: dict[str, Any]) -> str:
+def _pictures(studies: Studies) -> Iterator[web.Section]:
+    styles = plot.styles(study.scheme.name for study in studies)
+    yield "Convergence", "", web.svg(
+        _by_order(studies, plot.convergence, styles),
+        "convergence",
+        "Errors at the end over the step size, log-log.",
+        "The largest error of (q, v) at the end of the interval. Triangles have whole slopes; "
+        "hollow markers lie too close to roundoff to count for the fitted order in the legend.",
+    )
+    runs = [_run(study) for study in studies]
     figure = web.figure(12.0, 4.4)
     plot.drift(runs, figure.subplots(1, 2, sharey=True), styles=styles)
-    return web.svg(figure, "drift", "Relative residuals of D and of D_eps over time.")
+    yield "Drift of D and D_eps", "", web.svg(
+        figure,
+        "drift",
+        "Relative residuals of D and of D_eps over time.",
+        "The relative residual of the constraint in D (left) and in D_eps (right). A scheme with "
+        "moved nodes keeps D, one with kept nodes D_eps. Of each run the largest residual in each "
+        "of 50 stretches is drawn; exact zeros are drawn at 1e-17, the dashed line is the unit "
+        "roundoff u. Schemes with several sub-steps have no D_eps.",
+    )
+    longest = max(runs, key=lambda run: run.t[-1])
+    short = ", ".join(run.scheme.name for run in runs if run.t[-1] != longest.t[-1])
+    yield "Energy", "", web.svg(
+        _by_order(runs, plot.energy, styles),
+        "energy",
+        "Relative energy error over time.",
+        f"The error of the energy over 400 steps of {abs(longest.h):g}, each panel on its own "
+        f"linear axis.{f' Runs that broke off: {short}.' if short else ''}",
+    )
 
 
-def _energy(studies: Studies, runs: list[Solution], styles: dict[str, Any]) -> str:
-    groups: dict[str, list[Solution]] = {}
-    for study, run in zip(studies, runs):
-        order = study.scheme.order
+def _by_order(items: Sequence[Any], draw: Callable[..., Any], styles: dict[str, Any]) -> Any:
+    """A figure with a panel for each kind of schemes that there is."""
+    groups: dict[str, list[Any]] = {}
+    for item in items:
+        order = item.scheme.order
         key = "order 1 or none" if order < 2 else "order 2" if order == 2 else "order 4 and more"
-        groups.setdefault(key, []).append(run)
+        groups.setdefault(key, []).append(item)
     figure = web.figure(max(4.0 * len(groups), 8.0), 5.0)
     axes = figure.subplots(1, len(groups), squeeze=False)[0]
-    for (title, group), ax in zip(sorted(groups.items()), axes):
-        plot.energy(group, ax, styles=styles)
+    for title, ax in zip(sorted(groups), axes):
+        draw(groups[title], ax, styles=styles)
         ax.set_title(title)
         ax.legend(
             loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False, fontsize="small"
         )
         if ax is not axes[0]:
             ax.set_ylabel("")
-    return web.svg(figure, "energy", "Relative energy error over time.")
+    return figure
+
+
+def _run(study: Study) -> Solution:
+    """One longer run of the scheme of a study, for the drift and the energy; or what there is."""
+    with warnings.catch_warnings():
+        # The pictures show what the warning would say.
+        warnings.simplefilter("ignore", core.DalembertWarning)
+        return integrate(
+            study.system,
+            study.scheme,
+            study.q0,
+            study.v0,
+            t0=study.t0,
+            h=(study.t_end - study.t0) / 20,
+            steps=400,
+            initial="project" if study.initial == "D_eps" else study.initial,
+            throw=False,
+        )
 
 
 def description(studies: Studies) -> dict[str, Any]:
     """Return what determines the numbers of the studies, as plain data."""
-    first = studies[0]
-    system = first.system
-    return {
-        "system": system.name,
-        "parameters": {key: float(x) for key, x in sorted(system.parameters.items())},
-        "n": system.n,
-        "m": system.m,
-        "q0": first.q0.tolist(),
-        "v0": first.v0.tolist(),
-        "t0": first.t0,
-        "t_end": first.t_end,
-        "schemes": [
-            {
-                "name": x.scheme.name,
-                "nodes": x.scheme.nodes,
-                "initial": x.initial,
-                "substeps": [list(map(float, sub)) for sub in x.scheme.substeps],
-                "steps": x.steps.tolist(),
-            }
-            for x in studies
-        ],
-    }
+    first, *_ = told = [study.to_dict() for study in studies]
+    same = ("system", "parameters", "q0", "v0", "t0", "t_end")
+    each = ("scheme", "nodes", "initial", "steps")
+    schemes = [
+        {**{key: x[key] for key in each}, "substeps": [*map(list, study.scheme.substeps)]}
+        for x, study in zip(told, studies)
+    ]
+    return {**{key: first[key] for key in same}, "schemes": schemes}
 
 
-def _facts(studies: Studies, data: str) -> Any:
-    """What else determines the numbers, as a table."""
+def _reproduce(studies: Studies) -> Iterator[web.Section]:
     import matplotlib
 
-    parameters = description(studies)["parameters"]
-    versions = {
-        "dalembert": core.version(),
-        "Python": platform.python_version(),
-        "NumPy": np.__version__,
-        "matplotlib": matplotlib.__version__,
-    }
-    rows = {
-        "versions": ", ".join([*map(" ".join, versions.items()), platform.machine()]),
+    data = json.dumps(description(studies), sort_keys=True)
+    parameters = studies[0].system.parameters
+    facts = {
+        "versions": f"dalembert {core.version()}, Python {platform.python_version()}, NumPy "
+        f"{np.__version__}, matplotlib {matplotlib.__version__}, {platform.machine()}",
         "parameters": ", ".join(f"{key} = {x!r}" for key, x in parameters.items()) or "none",
         "SHA-256 of the description": hashlib.sha256(data.encode()).hexdigest(),
     }
-    return html(
-        [Column("", list(rows), left=True), Column("", list(rows.values()), left=True)],
-        style="facts",
-    )
+    ours = studies[0].system._source.of_library
+    words, line = ("", command(studies)) if ours else (web.OF_THE_USER, "")
+    yield "How to reproduce", words, line
+    yield "", "", Table(["", ""], [*facts.items()], 2, style="facts")
+    yield "", "", data
 
 
 def _initial(studies: Studies) -> str | None:

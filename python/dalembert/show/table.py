@@ -15,19 +15,15 @@ from ..study.study import Fit, Studies, Study, order, worst
 from . import web
 
 __all__ = [
-    "Column",
+    "Table",
     "attach",
-    "columns",
     "heading",
-    "html",
-    "lines",
     "number",
+    "of_study",
     "overview",
     "rich",
     "show",
-    "studies_html",
     "studies_lines",
-    "study_html",
     "study_lines",
     "summary",
     "text",
@@ -51,62 +47,77 @@ def _points(fit: Fit) -> str:
     return "1 point" if fit.points == 1 else f"{fit.points} points"
 
 
-# ---- columns -------------------------------------------------------------------------------
+# ---- tables --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Column:
-    """A column of a table as text; ``left``: flush left."""
+class Table:
+    """A table, with a caption above and a note below it.
 
-    title: str
-    cells: list[str]
-    left: bool = False
+    Its first columns are flush left, the style is a class of the stylesheet.
+    """
 
-    @property
-    def width(self) -> int:
-        """Characters that the widest entry takes."""
-        return max(len(text) for text in (self.title, *self.cells))
+    titles: list[str]
+    rows: list[Any]
+    left: int = 1
+    caption: str = ""
+    note: str = ""
+    style: str = ""
+
+    def html(self) -> web.HTML:
+        """Return it as HTML."""
+        return web.render("table.html", table=self)
+
+    def lines(self, width: int) -> Iterator[Line]:
+        """Yield it line by line, in parts that repeat the first column if it is too wide."""
+        columns = [*zip(self.titles, *self.rows)]
+        widths = [max(map(len, column)) for column in columns]
+        parts = [[0]]
+        for k in range(1, len(columns)):
+            if len(parts[-1]) > 1 and sum(widths[j] + 2 for j in parts[-1]) + widths[k] > width:
+                parts.append([0])
+            parts[-1].append(k)
+        for part in parts:
+            for i, row in enumerate(zip(*columns)):
+                cells = (f"{row[k]:{'<' if k < self.left else '>'}{widths[k]}}" for k in part)
+                yield "  ".join(cells).rstrip(), "" if i else "bold"
 
 
-def columns(study: Study) -> list[Column]:
+def of_study(study: Study) -> Table:
     """Return the table of a study: step size, errors with local orders, residuals, energy."""
 
-    def errors(title: str, values: Array, orders: Array) -> Column:
-        cells = [f"{number(x):>7} {order(p):>5}" for x, p in zip(values, orders)]
-        return Column(title, cells)
+    def errors(values: Array, orders: Array) -> list[str]:
+        return [f"{number(x):>7} {order(p):>5}" for x, p in zip(values, orders)]
 
-    def largest(title: str, values: Array) -> Column:
-        return Column(title, [number(x) for x in values])
-
-    return [
-        Column("h", [f"{h:.4g}" for h in study.h]),
-        errors("q error order", study.q_error, study.q_orders),
-        errors("v error order", study.v_error, study.v_orders),
-        errors("lambda order", study.multiplier_error, study.multiplier_orders),
-        largest("res. D", study.residual),
-        largest("D_eps", study.residual_eps),
-        largest("energy", study.energy_error),
-    ]
+    columns = {
+        "h": [f"{h:.4g}" for h in study.h],
+        "q error order": errors(study.q_error, study.q_orders),
+        "v error order": errors(study.v_error, study.v_orders),
+        "lambda order": errors(study.multiplier_error, study.multiplier_orders),
+        "res. D": map(number, study.residual),
+        "D_eps": map(number, study.residual_eps),
+        "energy": map(number, study.energy_error),
+    }
+    return Table([*columns], [*zip(*columns.values())], 0, heading(study), summary(study))
 
 
-def overview(studies: Studies) -> list[Column]:
+def overview(studies: Studies) -> Table:
     """Return the table of several studies, one row for each scheme."""
-
-    def column(title: str, text: Callable[[Study], str]) -> Column:
-        return Column(title, [text(study) for study in studies])
-
-    return [
-        Column("scheme", [study.scheme.name for study in studies], left=True),
-        column("promised", lambda study: study.promise),
-        column("p", lambda study: study.fits["state"].order(1)),
-        column("s", lambda study: study.fits["reaction"].order(1)),
-        column("at t_end", lambda study: study.fits["global_state"].order()),
-        column("res. D", lambda study: number(worst(study.residual))),
-        column("D_eps", lambda study: number(worst(study.residual_eps))),
-        column("energy", lambda study: number(worst(study.energy_error))),
-        column("keeps", lambda study: study.keeps),
-        column("verdict", lambda study: study.verdict),
+    titles = "scheme", "promised", "p", "s", "at t_end", "res. D", "D_eps", "energy"
+    rows = [
+        (
+            study.scheme.name,
+            study.promise,
+            study.fits["state"].order(1),
+            study.fits["reaction"].order(1),
+            study.fits["global_state"].order(),
+            *(number(worst(x)) for x in (study.residual, study.residual_eps, study.energy_error)),
+            study.keeps,
+            study.verdict,
+        )
+        for study in studies
     ]
+    return Table([*titles, "keeps", "verdict"], rows, 1, f"Overview of {len(studies)} schemes")
 
 
 # ---- words ---------------------------------------------------------------------------------
@@ -135,9 +146,10 @@ def summary(study: Study) -> str:
 def study_lines(study: Study, width: int) -> Iterator[Line]:
     """Yield a study line by line; ValueError if ``width`` is no positive integer."""
     width = arguments.integer(width, "width", 1)
-    yield heading(study), "bold"
-    yield from lines(columns(study), width)
-    first, rest = summary(study).split("\n")
+    table = of_study(study)
+    yield table.caption, "bold"
+    yield from table.lines(width)
+    first, rest = table.note.split("\n")
     yield from _wrapped(first, width, COLOURS[study.holds])
     yield from _wrapped(rest, width)
 
@@ -149,32 +161,8 @@ def studies_lines(studies: Studies, width: int) -> Iterator[Line]:
         yield from study_lines(study, width)
         yield "", ""
     if studies:
-        yield from lines(overview(studies), width)
+        yield from overview(studies).lines(width)
     yield from _wrapped(studies.sentence(), width, "bold " + COLOURS[studies.holds])
-
-
-def lines(table: list[Column], width: int) -> Iterator[Line]:
-    """Yield the lines of a table."""
-    for block in _blocks(table, width):
-        for k, row in enumerate(zip(*([c.title, *c.cells] for c in block))):
-            cells = (
-                text.ljust(c.width) if c.left else text.rjust(c.width)
-                for text, c in zip(row, block)
-            )
-            yield "  ".join(cells).rstrip(), "" if k else "bold"
-
-
-def _blocks(table: list[Column], width: int) -> list[list[Column]]:
-    """Split the columns into tables of at most ``width`` characters that repeat the first one."""
-    first, *rest = table
-    blocks, room = [[first]], width - first.width
-    for column in rest:
-        if column.width + 2 > room and len(blocks[-1]) > 1:
-            blocks.append([first])
-            room = width - first.width
-        blocks[-1].append(column)
-        room -= column.width + 2
-    return blocks
 
 
 def _wrapped(text: str, width: int, style: str = "") -> Iterator[Line]:
@@ -207,35 +195,11 @@ def show(item: Study | Studies, file: TextIO | None) -> None:
         Console(file=out, highlight=False).print(item)
 
 
-# ---- HTML ----------------------------------------------------------------------------------
-
-
-def html(columns: list[Column], caption: str = "", style: str = "") -> Any:
-    """Return a table as HTML, of a class of the stylesheet."""
-    return web.render("table.html", columns=columns, caption=caption, style=style)
-
-
-def study_html(study: Study) -> Any:
-    """Return a study as HTML."""
-    fits = {name: study.fits[key] for name, key in (("p", "state"), ("s", "reaction"))}
-    return web.render(
-        "study.html",
-        study=study,
-        table=html(columns(study), heading(study)),
-        fitted=", ".join(f"{x} = {fit.order(1)} ({_points(fit)})" for x, fit in fits.items()),
-    )
-
-
-def studies_html(studies: Studies) -> Any:
-    """Return the overview of several studies as HTML."""
-    return html(overview(studies), f"Overview of {len(studies)} schemes")
-
-
 # ---- objects -------------------------------------------------------------------------------
 
 
 def attach(
-    kind: type, lines: Callable[[Any, int], Iterator[Line]], page: Callable[[Any], Any]
+    kind: type, lines: Callable[[Any, int], Iterator[Line]], main: Callable[[Any], Table]
 ) -> None:
     """Give the objects of a class their tables: as text, printed, and as HTML in a notebook."""
 
@@ -257,7 +221,7 @@ def attach(
         return rich(lines(self, options.max_width))
 
     def notebook(self: Any) -> str | None:
-        return str(page(self)) if extras.is_there("jinja2") else None
+        return str(main(self).html()) if extras.is_there("jinja2") else None
 
     methods = {"table": table, "__str__": lambda self: table(self), "show": shown,
                "__rich_console__": console, "_repr_html_": notebook}  # fmt: skip

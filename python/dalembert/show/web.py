@@ -1,4 +1,4 @@
-"""HTML by the templates of the package: self-contained, no script, no network, the same bytes."""
+"""HTML pages by the templates of the package: self-contained, no script, no network, no date."""
 
 from __future__ import annotations
 
@@ -6,13 +6,21 @@ import functools
 import html
 import io
 import re
-from collections.abc import Collection
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from ..core import extras
 from ..symbolic import formula
 
-__all__ = ["figure", "math", "render", "require", "svg"]
+__all__ = ["figure", "page", "render", "require", "sentence", "svg"]
+
+HTML = Any  # markupsafe.Markup: text that is not escaped again
+# Its title, prose, and what is below it: a table, a picture, or a program; "" is left out.
+Section = tuple[str, str, Any]
+
+OF_THE_USER = (
+    "The system is one of the user's own: the program that made it belongs to this page."
+)
 
 
 def require() -> None:
@@ -21,32 +29,56 @@ def require() -> None:
         extras.require(package, "a page")
 
 
-def render(name: str, **values: Any) -> Any:
-    """Return a template with values put in, as text that is escaped already."""
-    return _mark(_templates().get_template(name).render(values))
+def page(
+    title: str, above: str, sections: Iterable[Section], heading: str = "", **more: Any
+) -> str:
+    """Return a page; above its heading stands a line of prose."""
+    return str(
+        render("page.html", title=title, above=above, sections=sections, heading=heading, **more)
+    )
+
+
+def render(template: str, **values: Any) -> HTML:
+    """Return a template with values put in.
+
+    Of these ``coordinates`` are those of the formulas in prose, and ``links`` are the addresses of
+    names; one without an address is shown as it is.
+    """
+    return _mark(_templates().get_template(template).render(values))
 
 
 @functools.cache
 def _templates() -> Any:
     jinja2 = extras.require("jinja2", "a page")
     found = jinja2.Environment(
-        loader=jinja2.PackageLoader(__package__), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    found.filters["math"] = math
-    found.filters["sentence"] = lambda text: (
-        text[:1].upper() + text[1:].removesuffix(".") + "." if text else ""
+        loader=jinja2.PackageLoader(__package__),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
+    found.filters.update(prose=jinja2.pass_context(_prose), sentence=sentence)
     return found
 
 
-def math(text: str, coordinates: Collection[str] = ()) -> Any:
-    """Return a formula as HTML, see `dalembert.symbolic.formula`."""
-    return _mark(formula.mathml(text, coordinates))
-
-
-def _mark(text: str) -> Any:
+def _mark(text: str) -> HTML:
     return extras.require("markupsafe", "a page").Markup(text)
+
+
+def _prose(context: Mapping[str, Any], words: str) -> HTML:
+    """Return text in which what stands in backticks is a link, or a formula."""
+    links = context.get("links", {})
+    parts: list[Any] = words.split("`")
+    for k, part in enumerate(parts):
+        if k % 2 and links.get(part):
+            parts[k] = _mark('<a href="{}">{}</a>').format(links[part], part)
+        elif k % 2 and part not in links:
+            parts[k] = _mark(formula.mathml(part, context.get("coordinates", ())))
+    return _mark("").join(parts)
+
+
+def sentence(words: str) -> str:
+    """Return a line of help as a sentence."""
+    return f"{words[:1].upper()}{words[1:].removesuffix('.')}." if words else ""
 
 
 def figure(width: float, height: float, layout: str | None = "constrained") -> Any:
@@ -56,7 +88,7 @@ def figure(width: float, height: float, layout: str | None = "constrained") -> A
     return Figure(figsize=(width, height), layout=layout)
 
 
-def svg(figure: Any, name: str, label: str) -> Any:
+def svg(figure: Any, name: str, label: str, caption: str = "") -> HTML:
     """Return a figure as inline SVG: ids that begin with the name, a fixed salt, no date.
 
     The label is what a reader hears who does not see it.
@@ -67,7 +99,8 @@ def svg(figure: Any, name: str, label: str) -> Any:
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "path"}):
         figure.savefig(buffer, format="svg", metadata=nothing)
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
+    _, tag, text = buffer.getvalue().partition("<svg ")
     text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", text)
-    return _mark(text.replace("<svg ", f'<svg role="img" aria-label="{html.escape(label)}" ', 1))
+    text = f'{tag}role="img" aria-label="{html.escape(label)}" {text}'
+    frame = _mark("<figure>\n{}<figcaption>{}</figcaption></figure>")
+    return frame.format(_mark(text), caption)

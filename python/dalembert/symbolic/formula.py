@@ -22,13 +22,12 @@ Expr = Any
 FUNCTIONS = (
     "Abs sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp log sqrt erf erfc"
 ).split()
-_STRUCTURE = "Integer Add Mul Pow".split()
+_STRUCTURE = "Integer Float Rational Add Mul Pow".split()
 DEPTH = 50  # of brackets in brackets; the time that SymPy takes grows with its third power
 _NUMBER = r"\d+(?:\.\d+)?(?:e[+-]?\d{1,3})?(?![\d.])"
 _NAME = r"[A-Za-z]\w*(?:(?<=_)\(i-1\))?"
 _ALLOWED = re.compile(rf"(?:{_NUMBER}|{_NAME}|[-+^(), ]|/(?!/))++", re.ASCII)
-_LEADING_MINUS = re.compile(r"((?:^|[(,]) *)-(?= *[A-Za-z(])")
-_WORD = re.compile(rf"({_NUMBER})|({_NAME})(?=(\()?)", re.ASCII)
+_WORD = re.compile(rf"{_NUMBER}|({_NAME})(?=(\()?)", re.ASCII)
 
 
 def read(text: str, exact: bool = False) -> list[Expr]:
@@ -41,7 +40,7 @@ def read(text: str, exact: bool = False) -> list[Expr]:
     text : str
         See the module.
     exact : bool, optional
-        Whether decimals are rational numbers; else they are symbols, to be shown as they are.
+        Whether decimals are rational numbers.
 
     Raises
     ------
@@ -56,41 +55,38 @@ def read(text: str, exact: bool = False) -> list[Expr]:
     >>> formula.read("2 x - y = 0")
     [2*x - y, 0]
     """
-    return [_expression(side, exact) for side in text.split("=")]
+    return [_side(side.strip(), exact) for side in text.split("=")]
 
 
-def _expression(text: str, exact: bool) -> Expr:
+def _side(text: str, exact: bool) -> Expr:
     sympy = extras.require("sympy", "a formula")
     parser = extras.require("sympy.parsing.sympy_parser", "a formula")
-    depth = itertools.accumulate((c == "(") - (c == ")") for c in text)
-    if not _ALLOWED.fullmatch(text) or max(depth) > DEPTH:
-        raise ValueError(f"formula = {text!r}: this is none")
-    symbols: dict[str, Expr] = {}
+    known = {x: getattr(sympy, x) for x in (*_STRUCTURE, *FUNCTIONS)}
+    names: dict[str, Expr] = {}
 
     def word(match: re.Match[str]) -> str:
         """A number or a function as it is; a name, which may be a word of Python, as another."""
-        number, name, call = match.groups()
-        if (number and number.isdigit()) or (call and name in FUNCTIONS):
+        name, call = match.groups()
+        if not name or (call and name in FUNCTIONS):
             return match[0]
-        if number:
-            found = sympy.Rational(number) if exact else sympy.Symbol(number)
-        else:
-            found = (sympy.Function if call else sympy.Symbol)(name)
-        symbols[f"\N{GREEK SMALL LETTER NU}{len(symbols)}"] = found
-        return f" {list(symbols)[-1]}"
+        names[f"_{len(names)}"] = (sympy.Function if call else sympy.Symbol)(name)
+        return f" _{len(names) - 1}"
 
-    # For Python -a b is (-a) b.
-    words = _WORD.sub(word, _LEADING_MINUS.sub(r"\1-1 ", text.strip()))
-    known = {name: getattr(sympy, name) for name in (*_STRUCTURE, *FUNCTIONS)}
-    rules = (parser.auto_number, parser.implicit_multiplication, parser.convert_xor)
+    depth = itertools.accumulate((c == "(") - (c == ")") for c in text)
+    rules = [parser.auto_number, *([parser.rationalize] if exact else [])]
+    rules += [parser.implicit_multiplication, parser.convert_xor]
     try:
+        if not _ALLOWED.fullmatch(text) or max(depth) > DEPTH:
+            raise ValueError("there is a sign out of place")
+        # For Python -a b is (-a) b.
+        words = _WORD.sub(word, re.sub(r"((?:^|[(,]) *)-(?= *[A-Za-z(])", r"\1-1 ", text))
         found = parser.parse_expr(
-            words, symbols, rules, {"__builtins__": {}, **known}, evaluate=False
+            words, names, rules, {"__builtins__": {}, **known}, evaluate=False
         )
+        if not isinstance(found, sympy.Expr) or found.has(sympy.Tuple):
+            raise ValueError("there is a list out of place")
     except Exception as error:  # SyntaxError, TypeError, tokenize.TokenError, ...
-        raise ValueError(f"formula = {text!r}: this is none") from error
-    if not isinstance(found, sympy.Expr) or found.has(sympy.Tuple):
-        raise ValueError(f"formula = {text!r}: a list out of place")
+        raise ValueError(f"formula = {text!r}: {error}") from error
     return found
 
 
@@ -109,7 +105,7 @@ def latex(text: str, coordinates: Collection[str] = ()) -> list[str]:
     for side in read(text):
         names = {x: _symbol(x.name, known, sympy) for x in side.free_symbols}
         for k, term in enumerate(sympy.Add.make_args(side)):
-            tex = sympy.latex(term, order="none", mul_symbol=r"\,", symbol_names=names)
+            tex = sympy.latex(term, order="none", mul_symbol=r"\,", max=9, symbol_names=names)
             tex = tex.replace(r"\operatorname{sum}", r"\sum\limits")
             tex = re.sub(r"(?<![\d.])1 *(?:\\cdot|\\,) *(?=\\frac\{1\})", "", tex)
             sign = ("= " if k == 0 else "" if tex.startswith("-") else "+ ") if found else ""
@@ -119,8 +115,6 @@ def latex(text: str, coordinates: Collection[str] = ()) -> list[str]:
 
 def _symbol(name: str, coordinates: Collection[str], sympy: Any) -> str:
     """Return a name as LaTeX, with a dot if it is the velocity of a coordinate."""
-    if name[0].isdigit():
-        return re.sub(r"e\+?(.*)", r"\\cdot 10^{\1}", name)
     base = name.removeprefix("v_")
     has_dot = base in coordinates and base != name
     base = (base if has_dot else name).replace("eps", "epsilon")

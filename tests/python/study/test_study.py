@@ -15,8 +15,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import sympy as sp
+from conftest import Page
 
 import dalembert as dal
+from dalembert.core import extras
 from dalembert.show import table
 from dalembert.study import refinement
 
@@ -115,7 +117,8 @@ def test_one_order_everywhere():
         key: fit.points for key, fit in study.fits.items()
     }
     assert study.fits["reaction"].points == 4  # the finer half
-    row = {column.title: column.cells[0] for column in table.overview(dal.study.Studies([study]))}
+    overview = table.overview(dal.study.Studies([study]))
+    row = dict(zip(overview.titles, overview.rows[0]))
     assert row["at t_end"] == at_end
     html = dal.study.Studies([study])._repr_html_()
     assert f"<td>{at_end}</td>" in html
@@ -509,7 +512,8 @@ def test_the_promise_is_that_for_the_start():
         assert study.promised == promise and f"promised {promise}" in study.text
         assert study.to_dict()["promised"] == {"p": promise[0], "s": promise[1]}
         assert study.holds is True
-    row = {column.title: column.cells[0] for column in table.overview(dal.study.Studies([study]))}
+    overview = table.overview(dal.study.Studies([study]))
+    row = dict(zip(overview.titles, overview.rows[0]))
     assert row["promised"] == "(2, 0)"
     assert row["at t_end"] == f"{study.fits['global_state'].slope:.2f}"
 
@@ -586,7 +590,7 @@ def test_the_table_is_complete_and_fits(midpoint):
 @pytest.mark.parametrize("width", [24, 37, 38, 39, 40, 60, 79])
 def test_every_cell_is_seen_on_a_narrow_terminal(midpoint, width):
     wide, narrow = (
-        table.text(table.lines(table.columns(midpoint), x)).splitlines() for x in (100, width)
+        table.text(table.of_study(midpoint).lines(x)).splitlines() for x in (100, width)
     )
     assert max(map(len, narrow)) <= width
     assert {*" ".join(wide).split()} == {*" ".join(narrow).split()}
@@ -625,9 +629,14 @@ def test_to_dict_is_json_without_nan(midpoint):
     assert json.loads(json.dumps(midpoint.to_dict()))["q_error"] == midpoint.q_error.tolist()
 
 
-def test_html_representation_has_the_table(midpoint):
-    page = midpoint._repr_html_()
-    assert "<table>" in page and f"{midpoint.q_error[0]:.1e}" in page
+def test_html_representation_has_the_table(midpoint, monkeypatch):
+    """And what the plain text has; the plain text stands alone where Jinja2 is not installed."""
+    page = Page(midpoint._repr_html_())
+    assert page.rows[1][1].split()[0] == f"{midpoint.q_error[0]:.1e}"
+    words = [*page.words.split()]
+    assert sorted(words) == sorted(str(midpoint).split())
+    monkeypatch.setattr(extras, "is_there", lambda name: name != "jinja2")
+    assert midpoint._repr_html_() is None
 
 
 @pytest.mark.parametrize(

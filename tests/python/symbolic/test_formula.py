@@ -67,9 +67,9 @@ def test_names_are_names():
     """Also words of Python, functions that are not known here, and the constants of SymPy."""
     words = ["lambda", "in", "None", "E", "I", "pi", "S", "open", "os", "nu0", "sin"]
     assert expression(" ".join(words)) == sympy.Mul(*map(sympy.Symbol, words))
-    (found,) = formula.read("eval(x) exit()")
+    (found,) = formula.read("eval(x) Add(x)")
     assert {f.func.__name__ for f in found.atoms(sympy.core.function.AppliedUndef)} == {
-        "eval", "exit",
+        "eval", "Add",
     }  # fmt: skip
 
 
@@ -91,7 +91,7 @@ def test_no_formulas(text):
 def test_nothing_is_evaluated():
     assert formula.latex("9^9^9^9") == ["9^{9^{9^{9}}}"]
     assert formula.latex("x + (y - 1.50 x) = 1e300 sin(0)") == [
-        "x", "{}+ y", r"{}- 1.50\,x", r"{}= 1\cdot 10^{300}\,\sin{\left(0 \right)}",
+        "x", "{}+ y", r"{}- 1.5\,x", r"{}= 1.0 \cdot 10^{300}\,\sin{\left(0 \right)}",
     ]  # fmt: skip
 
 
