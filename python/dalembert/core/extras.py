@@ -1,4 +1,4 @@
-"""The packages that are extras: matplotlib, Jinja2, SymPy, rich, tqdm, xarray."""
+"""The packages that are extras: matplotlib, Jinja2, rich, SymPy, latex2mathml, tqdm, xarray."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ A page is self-contained: no script, no network, the same bytes every time.
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import re
 import warnings
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .. import core, growth, systems
-from ..core import Array, extras, files, require_system
+from ..core import extras, files, require_system
 from ..geometry import Check
 from ..run import Solution, integrate
 from ..symbolic import formula
@@ -82,9 +83,9 @@ def write(
     names = [_slug(x) if isinstance(x, System) else systems.plain_name(x) for x in found]
     if not names:
         raise ValueError("chosen is empty; expected at least one system")
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"chosen: {name} is there {names.count(name)} times")
+    name, count = collections.Counter(names).most_common(1)[0]
+    if count > 1:
+        raise ValueError(f"chosen: {name} is there {count} times")
     if "index" in names:
         raise ValueError("chosen: a system is called index, as the list of all pages is")
     for x, name in zip(found, names):
@@ -213,7 +214,12 @@ def _sections(system: System, run: Solution) -> Iterator[web.Section]:
     yield "What it is", "", Table(["", ""], _facts(system), 2, style="facts")
     values = [(f"`{key}`", f"{x:.15g}") for key, x in system.parameters.items()]
     yield "Parameters and initial data", "", Table(["parameter", "value"], values)
-    yield "", "", _start(system)
+    assert system.q0 is not None and system.v0 is not None
+    rows = [
+        (f"`{name}`", f"{q:.15g}", f"{v:.15g}")
+        for name, q, v in zip(system.coordinates, system.q0, system.v0)
+    ]
+    yield "", "", Table(["coordinate", "at the start", "its velocity"], rows)
     yield _invariants(system, runs)
     yield from _known(system)
     yield from _accuracy(system, runs)
@@ -262,15 +268,6 @@ def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
         ("growth vector of D", f"{grown}: {what}; {how}"),
         *(("holonomic in disguise", text) for text in found.holonomic),
     ]
-
-
-def _start(system: System) -> Table:
-    assert system.q0 is not None and system.v0 is not None
-    rows = [
-        (f"`{name}`", f"{q:.15g}", f"{v:.15g}")
-        for name, q, v in zip(system.coordinates, system.q0, system.v0)
-    ]
-    return Table(["coordinate", "at the start", "its velocity"], rows)
 
 
 def _conserves(system: System) -> bool:
@@ -369,8 +366,9 @@ def _distance(run: Solution, at: Callable[[float], Any], t: float) -> str:
 
 def _plane(system: System) -> tuple[int, int] | None:
     """Where x and y are among the coordinates, if they are."""
-    names = system.coordinates
-    return (names.index("x"), names.index("y")) if {"x", "y"} <= {*names} else None
+    with contextlib.suppress(ValueError):
+        return system.coordinates.index("x"), system.coordinates.index("y")
+    return None
 
 
 def _label(name: str) -> str:
@@ -406,16 +404,16 @@ def _picture(system: System, run: Solution) -> web.HTML:
     )
     if plane:
         plot.path(run, axes["path"], plane).set_title("")
-    for k, (name, x) in enumerate(zip(names, run.q.T)):
-        axes[k].plot(run.t, x, color=plot.COLOURS[0], marker="o", markevery=[0])
+    for k, name in enumerate(names):
+        axes[k].plot(run.t, run.q[:, k], marker="o", markevery=[0])
         axes[k].set_ylabel(_label(name), rotation=0, ha="right")
         axes[k].tick_params(labelbottom=name == names[-1])
     residual, energy = axes["residual"], axes["energy"]
-    residual.semilogy(*plot._stretches(run.t, run.residual), color=plot.COLOURS[2])
+    residual.semilogy(*plot._stretches(run.t, run.residual))
     residual.axhline(core.ROUNDOFF, color="black", linestyle="--")
     top = max(plot.NOT_ROUNDOFF, 2 * float(run.residual.max()))
     residual.set(ylim=(plot.ZERO / 4, top), ylabel="residual of $D$", xlabel="$t$")
-    energy.plot(run.t, run.energy - run.energy[0], color=plot.COLOURS[1])
+    energy.plot(run.t, run.energy - run.energy[0])
     energy.set(ylabel="$E - E_0$", xlabel="$t$")
     energy.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
     about = f"A run of {system.name}."

@@ -77,7 +77,8 @@ def page(studies: Studies) -> str:
     """Return the HTML page of `write`."""
     name = studies[0].system.name
     title = f"{name}: {'fails' if studies.holds is False else 'study'}"
-    return web.page(title, f"dalembert study: {name}", _sections(studies), studies.sentence())
+    above, heading = f"dalembert study: {name}", studies.sentence()
+    return web.page(title, above, _sections(studies), heading=heading)
 
 
 def _sections(studies: Studies) -> Iterator[web.Section]:

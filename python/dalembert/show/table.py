@@ -199,7 +199,7 @@ def show(item: Study | Studies, file: TextIO | None) -> None:
 
 
 def attach(
-    kind: type, lines: Callable[[Any, int], Iterator[Line]], main: Callable[[Any], Table]
+    kind: type, lines: Callable[[Any, int], Iterator[Line]], page: Callable[[Any], Table]
 ) -> None:
     """Give the objects of a class their tables: as text, printed, and as HTML in a notebook."""
 
@@ -221,7 +221,7 @@ def attach(
         return rich(lines(self, options.max_width))
 
     def notebook(self: Any) -> str | None:
-        return str(main(self).html()) if extras.is_there("jinja2") else None
+        return str(page(self).html()) if extras.is_there("jinja2") else None
 
     methods = {"table": table, "__str__": lambda self: table(self), "show": shown,
                "__rich_console__": console, "_repr_html_": notebook}  # fmt: skip

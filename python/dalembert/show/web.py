@@ -29,13 +29,9 @@ def require() -> None:
         extras.require(package, "a page")
 
 
-def page(
-    title: str, above: str, sections: Iterable[Section], heading: str = "", **more: Any
-) -> str:
-    """Return a page; above its heading stands a line of prose."""
-    return str(
-        render("page.html", title=title, above=above, sections=sections, heading=heading, **more)
-    )
+def page(title: str, above: str, sections: Iterable[Section], **more: Any) -> str:
+    """Return a page; above its heading, which is the title by default, stands a line of prose."""
+    return str(render("page.html", title=title, above=above, sections=sections, **more))
 
 
 def render(template: str, **values: Any) -> HTML:

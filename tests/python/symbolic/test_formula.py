@@ -77,9 +77,8 @@ def test_names_are_names():
     "text",
     [
         "", "x +", "(x", "x)", "x ^", "sin()", "x = ", "= x", "x?", "3 ~ x", "a, b", "x^^2",
-        "(a, b)",
-        "x.y", "1.2.3", "x**2", "x//2", "x[0]", "'x'", "_0", "__import__(os)", "x\ny", "é", "ν0",
-        "(" * 60 + "x" + ")" * 60, "-" * 3000 + "x", "9" * 5000, "a" * 50_000 + "?",
+        "(a, b)", "x.y", "1.2.3", "x**2", "x//2", "x[0]", "'x'", "_0", "__import__(os)", "x\ny",
+        "é", "(" * 60 + "x" + ")" * 60, "-" * 3000 + "x", "9" * 5000, "a" * 50_000 + "?",
     ],
 )  # fmt: skip
 def test_no_formulas(text):
@@ -156,8 +155,7 @@ def test_lines_may_break_before_a_sign():
     found = re.findall("<math.*?</math>", formula.mathml("L = -a x^2 + (b + c)/2 - d"))
     assert [Words(x).text for x in found] == ["L", "=−ax2", "+b+c2", "−d"]
     for piece in found[1:]:  # an operator that is not the first of a row is no prefix
-        short = piece.replace("<mrow></mrow>", "<mrow/>")
-        assert re.match(r"<math[^>]*><mrow><mrow ?/><mo>", short)
+        assert re.match("<math[^>]*><mrow>(<mrow ?/>|<mrow></mrow>)<mo>", piece)
 
 
 def test_foreign_names_are_shown_as_they_are():
