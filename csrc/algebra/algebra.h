@@ -25,20 +25,40 @@ bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pi
  * largest entry, which is returned; 0 for A = 0. */
 double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 
-/* sizes[2*count] <- the sizes of rows and columns (see lu.h) of a matrix of which nothing is known
- * but scale[count*count], the sums of the absolute values of the terms of its entries. */
-void dal__sizes(size_t count, const double *scale, double *sizes);
-
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
 
-/* Where Newton's iteration stands; the caller sets the first line. */
+/* ---- linear equations ---------------------------------------------------------------------- */
+
+/* A regular matrix.  Whoever fills A says of what size its rows and columns are; or has them found
+ * by dal__linear_balance.  A smaller size than was reserved may be set before. */
+typedef struct dal__linear {
+    size_t size;
+    double *A;     /* [size*size] by rows; then its factors */
+    double *sizes; /* [2*size] of rows, then of columns, see lu.h; [5*size] with the scratch */
+    size_t *row;   /* [size] */
+} dal__linear;
+
+void dal__linear_reserve(dal__linear *self, size_t size, arena *a);
+/* The sizes of a matrix of which nothing is known but scale[size*size], the sums of the absolute
+ * values of the terms of its entries. */
+void dal__linear_balance(dal__linear *self, const double *scale);
+/* The sign of the determinant; 0 if the matrix is singular, or NaN. */
+int dal__linear_factor(dal__linear *self);
+/* x[size] <- A^-1 b, or A^-T b, where b is destroyed; x and b may not overlap. */
+void dal__linear_solve(const dal__linear *self, const double *b, double *x);
+void dal__linear_solve_transposed(const dal__linear *self, double *b, double *x);
+
+/* ---- Newton's iteration --------------------------------------------------------------------- */
+
+/* Where Newton's iteration stands. */
 typedef struct dal__progress {
-    int iteration;        /* from 1 */
-    double scale, extent; /* roundoff of the unknowns is relative to scale; sum |q_i| of the point
-                             that the equations are evaluated at, whose own rounding moves them */
-    bool lagging;         /* something is wanted that is one step behind */
-    double size, last;    /* of the last step, and of the one before */
+    int iteration, halvings; /* the steps that were made; how often one was halved */
+    double scale;  /* roundoff of the unknowns is relative to it */
+    double moves;  /* how far they move, to first order, when the point that the equations are
+                      evaluated at becomes twice itself: times u, by the rounding of that point */
+    bool lagging;  /* something is wanted that is one step behind */
+    double size, last;              /* of the last step, and of the one before */
     double first, travelled, reach; /* of the first; of all together; how far they may lead */
 } dal__progress;
 
@@ -48,43 +68,58 @@ typedef enum dal__verdict { DAL__GOING, DAL__DONE, DAL__LOST } dal__verdict;
  * same factor, unless something is lagging; or the steps are small and no longer shrink.  LOST: not
  * finite, or they lead farther than first / (1 - ratio), with the ratio of the second to the first,
  * at least 1/2: as far as they would if they went on to shrink so.  What lies beyond may be a
- * solution that no small h leads to (theorem of Newton and Kantorovich). */
+ * solution that no small h leads to (theorem of Newton and Kantorovich).
+ *
+ * Small is 1e-11 of the scale, or 16 roundings of a point far from the origin: mu(q) turns by u |q|
+ * mu' when q is rounded, and the unknowns with it.  Size, scale and moves are all measured in the
+ * units of the unknowns, so no verdict depends on those of the coordinates. */
 dal__verdict dal__newton_judge(dal__progress *p, double size);
-/* The last step is halved. */
-void dal__newton_halve(dal__progress *p);
+/* Whether the equations are to be evaluated again, as they returned DAL_EDOMAIN after a step: then
+ * z[size] has gone back half of it.  Not more than 40 times in all. */
+bool dal__newton_halve(dal__progress *p, int status, size_t size, double *z, double *step);
 /* Of what is DONE where the determinant of the Newton matrix is negative.  As h goes to 0 it goes
  * to that of M and mu M^-1 mu^T, which is positive, so it has changed its sign on the way. */
 #define DAL__BRANCH_TEXT \
     "Newton did not converge to the solution that small steps lead to but to another, where the " \
     "determinant of its matrix is negative: try a smaller h, unless the constraints lose rank here"
 /* Of what is LOST but finite: travelled, first, scale. */
-#define DAL__LOST_TEXT \
+#define DAL__AWAY_TEXT \
     "Newton did not converge: its steps lead away from the start, %.3g in all where the first " \
-    "was %.3g, of %.3g; try a smaller h"
+    "was %.3g, of %.3g"
+#define DAL__LOST_TEXT DAL__AWAY_TEXT "; try a smaller h"
 
-/* size equations in as many unknowns z.  at: residual[size], J[size*size] its derivative and the
- * scale of the entries of J (see lu.h); a status.  The sum |dz_i| over the first measured unknowns
- * decides, each times its per_unit if there is one, against sum |z_i| over the same + base of the
- * root; that and extent are 0 unless at sets them. */
-typedef struct dal__equations {
-    int (*at)(void *ctx, const double *z, double *residual, double *J, double *scale);
+/* Equations for the unknowns z[size].  The caller has its own linear algebra: find_step sets step,
+ * and what else is below it, or returns a status, which ends the iteration and is for find_step to
+ * explain; but DAL_EDOMAIN, which leaves step as it is, only after a step was halved in vain.  The
+ * sum of |dz_i| per_unit_i over the first measured unknowns decides, against that of z and base. */
+typedef struct dal__newton dal__newton;
+struct dal__newton {
+    int (*find_step)(dal__newton *self);
     void *ctx;
-    size_t size, measured;
-    const double *per_unit; /* [measured], or NULL */
-    const char *singular; /* what to say if J is */
-} dal__equations;
+    size_t size, measured, n;
+    const double *per_unit; /* [n], used again for the next n unknowns */
+    int most;               /* iterations; 0: 50 */
+    bool lagging;
+    const char *advice;     /* where it does not converge; NULL: try a smaller h */
+    double *z, *step;       /* [size]: the guess, then the solution; the last step */
+    double base, moves;     /* 0 unless set; see dal__progress */
+    int sign;               /* of the determinant of the Newton matrix, if it should be positive */
+    dal__progress progress; /* afterwards */
+};
 
+/* DAL_ENOCONV, with the text in error. */
+int dal__newton_run(dal__newton *self, dal_error *error);
+
+/* What equations whose Newton matrix has no structure need. */
 typedef struct dal__root {
-    double *z, *residual, *step; /* [size]: z the guess, then the root */
-    double *J, *scale, *sizes;   /* [size*size], [size*size], [5*size] */
-    size_t *row;                 /* [size] */
-    double base, extent;         /* see dal__progress */
+    double *z, *residual, *step; /* [J.size] */
+    double *scale;               /* of J, see dal__linear_balance */
+    dal__linear J;
 } dal__root;
 
 void dal__root_reserve(dal__root *root, size_t most, arena *a);
-/* From the guess in root->z.  DAL_ESINGULAR, DAL_ENOCONV; what at returns is for at to explain,
- * after a step that led to DAL_EDOMAIN has been halved in vain. */
-int dal__find_root(dal__root *root, const dal__equations *equations, dal_error *error);
+/* step <- -J^-1 residual; J is destroyed.  DAL_ESINGULAR, with this text. */
+int dal__root_step(dal__root *root, const char *singular, dal_error *error);
 
 /* dydt[N] <- the field at y[N], which is finite, and time t.  Returns 0, or a dal_status that it
  * has written to error with its text, error never NULL: DAL_EUSER and DAL_STOPPED end the
@@ -110,6 +145,9 @@ int dal__ode_begin(ode *self, double t0, double span, const double *y, double fa
 /* From here on, until the next beginning, no step is longer; the first one is shorter too.  So it
  * looks at the field elsewhere than without. */
 void dal__ode_shorten(ode *self, double longest);
+/* The size of the next step; to begin with this size, at most span, instead of one guessed. */
+double dal__ode_suggested(const ode *self);
+void dal__ode_suggest(ode *self, double span, double size);
 /* The same from where it stands, after its state was changed, towards elapsed time end. */
 int dal__ode_restart(ode *self, double end, dal_error *error);
 

@@ -8,7 +8,6 @@
  * pointer when memory runs out; so they are our own, for msadams, which asks them for the
  * tolerance. */
 #include "algebra/algebra.h"
-#include "dalembert/lu.h"
 
 #include <gsl/gsl_errno.h>
 #include <gsl/gsl_odeiv2.h>
@@ -71,10 +70,9 @@ struct ode {
     double *slope, *slope_after, *step_error; /* [N] */
     /* of rodas */
     double *point, *right, *left, *rate;      /* [N]; rate: the derivative of the field by time */
-    double *jacobian, *matrix, *scale;        /* [N*N] */
-    double *sizes;                            /* [5*N] */
+    double *jacobian, *scale;                 /* [N*N] */
+    dal__linear matrix;
     double *stage;                            /* [STAGES*N] */
-    size_t *row;                              /* [N] */
     arena arena;
 };
 
@@ -164,11 +162,11 @@ static bool factor(ode *self, double h)
     const double one = 1.0 / (GAMMA * h);
     for (size_t i = 0; i < N * N; i++) {
         const double diagonal = i % (N + 1) == 0 ? one : 0.0;
-        self->matrix[i] = diagonal - self->jacobian[i];
+        self->matrix.A[i] = diagonal - self->jacobian[i];
         self->scale[i] = fabs(diagonal) + fabs(self->jacobian[i]);
     }
-    dal__sizes(N, self->scale, self->sizes);
-    return dal_lu_factor(N, self->matrix, self->sizes, self->row) != 0;
+    dal__linear_balance(&self->matrix, self->scale);
+    return dal__linear_factor(&self->matrix) != 0;
 }
 
 /* One step of rodas, as gsl_odeiv2_step_apply. */
@@ -189,8 +187,7 @@ static int rosenbrock(ode *self, double h)
             for (size_t r = 0; r < s; r++)
                 self->right[i] += stages[s].c[r] / h * self->stage[r * N + i];
         }
-        if (!status)
-            dal_lu_solve(N, self->matrix, self->row, self->right, self->stage + s * N);
+        if (!status) dal__linear_solve(&self->matrix, self->right, self->stage + s * N);
     }
     if (status) return status;
     copy(self, self->step_error, self->stage + (STAGES - 1) * N);
@@ -206,14 +203,13 @@ static void plan(ode *shape, arena *memory)
     double **const vectors[] = {&shape->state, &shape->before, &shape->slope, &shape->slope_after,
                                 &shape->step_error};
     double **const scratch[] = {&shape->point, &shape->right, &shape->left, &shape->rate};
-    double **const matrices[] = {&shape->jacobian, &shape->matrix, &shape->scale};
+    double **const matrices[] = {&shape->jacobian, &shape->scale};
     dal__reserve_doubles(memory, DAL_LENGTH(vectors), vectors, N);
     if (shape->method != DAL_FLOW_RODAS) return;
     dal__reserve_doubles(memory, DAL_LENGTH(scratch), scratch, N);
     dal__reserve_doubles(memory, DAL_LENGTH(matrices), matrices, N2);
-    dal__reserve(memory, &shape->sizes, dal__times(5, N), sizeof(double));
+    dal__linear_reserve(&shape->matrix, N, memory);
     dal__reserve(memory, &shape->stage, dal__times(STAGES, N), sizeof(double));
-    dal__reserve(memory, &shape->row, N, sizeof(size_t));
 }
 
 int dal__check_tolerance(double tolerance, dal_error *error)
@@ -309,6 +305,13 @@ void dal__ode_shorten(ode *self, double longest)
 {
     self->longest = longest;
     self->h *= SHORTER;
+}
+
+double dal__ode_suggested(const ode *self) { return fabs(self->h); }
+
+void dal__ode_suggest(ode *self, double span, double size)
+{
+    self->h = copysign(fmin(size, fabs(span)), span);
 }
 
 /* Whether the errors of a step of size h are allowed; self->h <- the size to go on with, for a

@@ -1,29 +1,29 @@
 /* One beta-step in the coordinates of a chart, with the multiplier eliminated. */
-#include "dalembert/lu.h"
 #include "dalembert/residual.h"
 #include "discrete/discrete.h"
 
 #include <math.h>
 #include <string.h>
 
-/* solution <- B_k^-T y_dependent with B_k^T factored: mu_k^T solution equals y in the dependent
+/* solution <- B_k^-T y_dependent with B_k factored: mu_k^T solution equals y in the dependent
  * components.  y[i*stride]. */
 static void match_dependent(dal_chart *chart, const double *y, size_t stride)
 {
     for (size_t a = 0; a < chart->m; a++) chart->right[a] = y[chart->place[a] * stride];
-    dal_lu_solve(chart->m, chart->B, chart->row, chart->right, chart->solution);
+    dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
 }
 
 /* step[n] <- the Newton step of w for H^T R1 = 0, phi = 0, with the n-m rows H^T = [-A(q_k)^T, I];
  * kappa <- that of R1_dependent = 0 at w. */
-static int newton_step(dal_chart *chart)
+static int find_step(dal__newton *equations)
 {
+    dal_chart *const chart = equations->ctx;
     dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n, m = chart->m, free = n - m;
     const size_t *const place = chart->place + m;
     int status = dal__step_at(mech, chart->w, chart->kappa, chart->R1, chart->R2, chart->K,
                               NULL, chart->slope);
-    if (!status) status = dal__chart_factor(chart, mech->muk, true);
+    if (!status) status = dal__chart_factor(chart, mech->muk);
     if (status) return status;
     match_dependent(chart, chart->R1, 1);
     for (size_t a = 0; a < m; a++) {
@@ -36,49 +36,36 @@ static int newton_step(dal_chart *chart)
             double sum = chart->K[place[j] * n + k];
             for (size_t a = 0; a < m; a++)
                 sum -= mech->muk[a * n + place[j]] * chart->solution[a];
-            chart->G[j * n + k] = sum;
+            chart->G.A[j * n + k] = sum;
         }
-        for (size_t a = 0; a < m; a++) chart->G[(free + a) * n + k] = chart->slope[a * n + k];
+        for (size_t a = 0; a < m; a++) chart->G.A[(free + a) * n + k] = chart->slope[a * n + k];
     }
-    for (size_t j = 0; j < free; j++) chart->G_sizes[j] = mech->per_unit[place[j]];
+    for (size_t j = 0; j < free; j++) chart->G.sizes[j] = mech->per_unit[place[j]];
     for (size_t a = 0; a < m; a++)
-        chart->G_sizes[free + a] = dal_residual_form(n, mech->unit, chart->slope + a * n);
-    memcpy(chart->G_sizes + n, mech->per_unit, n * sizeof *chart->G_sizes);
+        chart->G.sizes[free + a] = dal_residual_form(n, mech->unit, chart->slope + a * n);
+    memcpy(chart->G.sizes + n, mech->per_unit, n * sizeof *chart->G.sizes);
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
-    if (!dal_lu_factor(n, chart->G, chart->G_sizes, chart->G_row))
+    if (!dal__linear_factor(&chart->G))
         return dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these "
                          "coordinates are singular: the constraints lose rank, or h = %g is too "
                          "large here", mech->start.h);
-    dal_lu_solve(n, chart->G, chart->G_row, chart->y, chart->step);
+    dal__linear_solve(&chart->G, chart->y, chart->step);
+    equations->base = mech->start.base;
+    equations->moves = mech->start.moves;
     return DAL_SUCCESS;
 }
 
 static int solve_step(dal_chart *chart)
 {
-    enum { MOST = 50 };
+    dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n;
-    dal__progress p = {.lagging = true}; /* kappa */
-    memcpy(chart->w, chart->mech.start.v, n * sizeof *chart->w);
+    dal__newton equations = {.find_step = find_step, .ctx = chart, .size = n, .measured = n, .n = n,
+                             .per_unit = mech->per_unit, .z = chart->w, .step = chart->step,
+                             .lagging = true}; /* kappa */
+    memcpy(chart->w, mech->start.v, n * sizeof *chart->w);
     memset(chart->kappa, 0, chart->m * sizeof *chart->kappa);
-    for (p.iteration = 1;; p.iteration++) {
-        const int status = newton_step(chart);
-        if (status) return status;
-        for (size_t i = 0; i < n; i++) chart->w[i] += chart->step[i];
-        p.scale = dal_residual_extent(n, chart->mech.per_unit, chart->w)
-                + dal__step_base(&chart->mech);
-        p.extent = dal__sum_of_sizes(n, chart->mech.q);
-        const dal__verdict verdict =
-            dal__newton_judge(&p, dal_residual_extent(n, chart->mech.per_unit, chart->step));
-        if (verdict == DAL__DONE) return DAL_SUCCESS;
-        if (verdict == DAL__LOST && p.size <= DBL_MAX)
-            return dal__fail(&chart->mech.error, DAL_ENOCONV, DAL__LOST_TEXT, p.travelled, p.first,
-                             p.scale);
-        if (p.iteration == MOST || verdict == DAL__LOST)
-            return dal__fail(&chart->mech.error, DAL_ENOCONV, "Newton did not converge in %d "
-                             "iterations: last change %.3g of %.3g; try a smaller h", p.iteration,
-                             p.size, p.scale);
-    }
+    return dal__newton_run(&equations, &mech->error);
 }
 
 int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi, double *lambda_E)
@@ -93,7 +80,7 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
                          h);
     int status = dal__require_finite(mech, "t", 1, &t);
     if (!status) status = dal__chart_state(chart, xi);
-    if (!status) status = dal__step_begin(mech, t, beta, h, false, chart->x);
+    if (!status) status = dal__step_begin(mech, t, beta, beta, h, false, chart->x);
     if (!status) status = solve_step(chart);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {

@@ -128,24 +128,25 @@ int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *er
 /* ---- the inverse -------------------------------------------------------------------------- */
 
 typedef struct inversion {
-    dal__rho *rho;
+    dal_discrete *d;
     double h;
     const double *x;
-    dal_error *error;
 } inversion;
 
-/* rho(z) - x and its derivative by z = (q0, q1); the equations of f are multiplied by h. */
-static int inverse_at(void *ctx, const double *z, double *residual, double *J, double *scale)
+/* Of rho(z) - x at z = (q0, q1); the equations of f are multiplied by h. */
+static int find_step(dal__newton *equations)
 {
-    const inversion *const in = ctx;
-    const dal__rho *const rho = in->rho;
+    const inversion *const in = equations->ctx;
+    dal__rho *const rho = &in->d->constraint;
+    dal__root *const root = &in->d->root;
+    double *const J = root->J.A;
     const size_t n = rho->n, N = 2 * n;
-    const dal__pair pair = {in->h, z, z + n, NULL};
-    const int status = dal__rho_at(in->rho, &pair, true, in->error);
+    const dal__pair pair = {in->h, root->z, root->z + n, NULL};
+    const int status = dal__rho_at(rho, &pair, true, &in->d->mech.error);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {
-        residual[i] = rho->g[i] - in->x[i];
-        residual[n + i] = in->h * (rho->f[i] - in->x[n + i]);
+        root->residual[i] = rho->g[i] - in->x[i];
+        root->residual[n + i] = in->h * (rho->f[i] - in->x[n + i]);
         for (size_t j = 0; j < n; j++) {
             J[i * N + j] = rho->g_0[i * n + j];
             J[i * N + n + j] = rho->g_1[i * n + j];
@@ -153,34 +154,36 @@ static int inverse_at(void *ctx, const double *z, double *residual, double *J, d
             J[(n + i) * N + n + j] = rho->f_1[i * n + j];
         }
     }
-    for (size_t k = 0; k < N * N; k++) scale[k] = fabs(J[k]);
-    return DAL_SUCCESS;
+    for (size_t k = 0; k < N * N; k++) root->scale[k] = fabs(J[k]);
+    return dal__root_step(root, "the derivative of the difference map is singular: it has no "
+                          "inverse here", &in->d->mech.error);
 }
 
-int dal__rho_invert(dal__rho *rho, dal__root *root, double h, const double *x, double *q0,
-                    double *q1, dal_error *error)
+int dal__rho_invert(dal_discrete *d, double h, const double *x, double *q0, double *q1)
 {
-    const size_t n = rho->n;
-    const double beta = rho->map.beta, *const v = x + n;
-    if (!rho->map.map) {
-        for (size_t i = 0; i < n; i++) {
-            q0[i] = x[i] - beta * h * v[i];
-            q1[i] = x[i] + (1.0 - beta) * h * v[i];
-        }
-        const int status = dal__require_output(error, "q0", n, q0);
-        return status ? status : dal__require_output(error, "q1", n, q1);
-    }
-    inversion in = {rho, h, x, error};
-    const dal__equations equations = {.at = inverse_at, .ctx = &in, .size = 2 * n,
-                                      .measured = 2 * n, .singular = "the derivative of the "
-                                      "difference map is singular: it has no inverse here"};
+    const size_t n = d->n;
+    const dal_difference_map *const map = &d->constraint.map;
+    const double *const v = x + n;
+    double *const z = d->root.z;
+    const double before = map->map ? 0.5 : map->beta;
     for (size_t i = 0; i < n; i++) {
-        root->z[i] = x[i] - 0.5 * h * v[i];
-        root->z[n + i] = x[i] + 0.5 * h * v[i];
+        z[i] = x[i] - before * h * v[i];
+        z[n + i] = x[i] + (1.0 - before) * h * v[i];
     }
-    const int status = dal__find_root(root, &equations, error);
+    int status = DAL_SUCCESS;
+    if (map->map) {
+        inversion in = {d, h, x};
+        dal__newton equations = {.find_step = find_step, .ctx = &in, .size = 2 * n, .n = n,
+                                 .measured = 2 * n, .per_unit = d->mech.per_unit, .z = z,
+                                 .step = d->root.step};
+        status = dal__form_metric(&d->mech, x, v);
+        d->root.J.size = 2 * n;
+        if (!status) status = dal__newton_run(&equations, &d->mech.error);
+    }
+    if (!status) status = dal__require_output(&d->mech.error, "q0", n, z);
+    if (!status) status = dal__require_output(&d->mech.error, "q1", n, z + n);
     if (status) return status;
-    memcpy(q0, root->z, n * sizeof *q0);
-    memcpy(q1, root->z + n, n * sizeof *q1);
+    memcpy(q0, z, n * sizeof *q0);
+    memcpy(q1, z + n, n * sizeof *q1);
     return DAL_SUCCESS;
 }

@@ -7,18 +7,15 @@
 
 /* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone,
  * which are those of that function and have been checked; kept: x is (q_k, v), the state of kept
- * nodes.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K (see
+ * nodes.  alpha is beta there; another one is that of rho^alpha for L_d, and L acts at q_k + alpha h
+ * w.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K (see
  * lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n] the
  * velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
  * residual raises *worst.  The x of dal__step_begin must stay until the last dal__step_at. */
-int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
+int dal__step_begin(dal_mechanics *mech, double t, double alpha, double beta, double h, bool kept,
                     const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_sizes, double *B);
-/* What the roundoff of w is relative to beside w: the sizes of v and of the terms of R1, as changes
- * of velocity, at the last dal__step_at that gave R1 and K.  They may be far larger than w: at
- * rest, where a reaction balances a force. */
-double dal__step_base(const dal_mechanics *mech);
 int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst);
 
 /* Two nodes one step h apart, and the difference quotient w = (q1 - q0)/h, which may be known to
@@ -43,10 +40,6 @@ void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, ar
 void dal__rho_bind(dal__rho *rho);
 /* g and f at the pair, and the derivatives if slopes. */
 int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error);
-/* q0, q1 [n] <- the pair with rho(q0, q1) = x[2n]; root for 2n unknowns. */
-int dal__rho_invert(dal__rho *rho, dal__root *root, double h, const double *x, double *q0,
-                    double *q1, dal_error *error);
-
 struct dal_discrete {
     dal_mechanics mech;
     size_t n, m;
@@ -76,12 +69,19 @@ struct dal_discrete {
 int dal__discrete_step_size(dal_discrete *d, double h);
 int dal__discrete_require(dal_discrete *d, double h, const char *name0, const double *q0,
                           const char *name1, const double *q1);
+/* q0, q1 [n] <- the pair with rho(q0, q1) = x[2n], rho that of D_d. */
+int dal__rho_invert(dal_discrete *d, double h, const double *x, double *q0, double *q1);
 /* d->w <- (q1 - q0)/h; the pair. */
 dal__pair dal__discrete_pair(dal_discrete *d, double h, const double *q0, const double *q1);
 /* minus, plus [n] (or NULL) <- p^- = -D_1 L_d and p^+ = D_2 L_d, with the forces at time t of the
  * pair if forced; d->K if derivative. */
 int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pair *pair,
                           double *minus, double *plus, bool derivative);
+/* dal_discrete_advance; the residual of D raises *worst. */
+int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda,
+                          double *worst);
+/* The record that dal_discrete_message reads. */
+dal_error *dal__discrete_error(dal_discrete *discrete);
 /* d->phi, d->phi_v, and d->B if derivative. */
 int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool derivative);
 

@@ -65,6 +65,7 @@ void dal_discrete_free(dal_discrete *discrete)
 }
 
 const char *dal_discrete_message(const dal_discrete *discrete) { return discrete->mech.error.text; }
+dal_error *dal__discrete_error(dal_discrete *discrete) { return &discrete->mech.error; }
 
 /* ---- pairs -------------------------------------------------------------------------------- */
 
@@ -112,8 +113,7 @@ int dal_discrete_nodes(dal_discrete *discrete, double h, const double *x, double
     if (!q0 || !q1) return dal__null_argument(&d->mech, q0 ? "q1" : "q0");
     int status = dal__discrete_step_size(d, h);
     if (!status) status = dal__require_finite(&d->mech, "x", 2 * d->n, x);
-    if (!status)
-        status = dal__rho_invert(&d->constraint, &d->root, h, x, d->q0, d->q1, &d->mech.error);
+    if (!status) status = dal__rho_invert(d, h, x, d->q0, d->q1);
     if (status) return status;
     memcpy(q0, d->q0, d->n * sizeof *q0);
     memcpy(q1, d->q1, d->n * sizeof *q1);

@@ -1,7 +1,6 @@
 /* The discrete Lagrange-d'Alembert equations, and the maps that they define: on pairs of
  * nodes, and on states. */
 #include "discrete/discrete.h"
-#include "dalembert/lu.h"
 #include "dalembert/residual.h"
 
 #include <math.h>
@@ -94,7 +93,7 @@ static void assemble(const dal_discrete *d, double *J, double *scale)
 }
 
 /* What the roundoff of w is relative to beside w: the velocity before and the terms of the
- * equations of motion as changes of velocity, see dal__step_base. */
+ * equations of motion as changes of velocity, as those of a step are. */
 static double base_of_equations(const dal_discrete *d, const double *kappa)
 {
     const size_t n = d->n;
@@ -107,12 +106,13 @@ static double base_of_equations(const dal_discrete *d, const double *kappa)
     return base;
 }
 
-/* The step equations at z = (w, kappa), kappa = h lambda. */
-static int equations_at(void *ctx, const double *z, double *residual, double *J, double *scale)
+/* Of the step equations at z = (w, kappa), kappa = h lambda. */
+static int find_step(dal__newton *equations)
 {
-    dal_discrete *const d = ctx;
+    dal_discrete *const d = equations->ctx;
     const size_t n = d->n, m = d->m;
-    const double h = d->step.h, *const w = z, *const kappa = z + n;
+    const double h = d->step.h, *const w = d->root.z, *const kappa = w + n;
+    double *const residual = d->root.residual;
     for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i];
     const dal__pair pair = {h, d->step.node, d->q1, w};
     d->step.kappa = kappa;
@@ -128,26 +128,29 @@ static int equations_at(void *ctx, const double *z, double *residual, double *J,
         for (size_t a = 0; a < m; a++) residual[i] -= d->muk[a * n + i] * kappa[a];
     }
     memcpy(residual + n, d->phi, m * sizeof *residual);
-    d->root.base = base_of_equations(d, kappa);
-    d->root.extent = dal__sum_of_sizes(n, d->constraint.g);
-    assemble(d, J, scale);
-    return DAL_SUCCESS;
+    equations->base = base_of_equations(d, kappa);
+    equations->moves = dal__forms_move(&d->mech, d->phi_v, d->phi_q, d->constraint.g);
+    for (size_t k = 0; k < n * n; k++)
+        equations->moves += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
+                          * fabs(d->lagrangian.g[k % n]) * d->mech.unit[k / n];
+    assemble(d, d->root.J.A, d->root.scale);
+    return dal__root_step(&d->root, "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is singular: "
+                          "the constraints lose rank, or h is too large here", &d->mech.error);
 }
 
 /* d->root.z <- (w, kappa) of the pair after the given one, which is at time t. */
 static int solve(dal_discrete *d, double t, const dal__pair *pair)
 {
     const size_t n = d->n, m = d->m;
-    const dal__equations equations = {.at = equations_at, .ctx = d, .size = n + m, .measured = n,
-                                .per_unit = d->mech.per_unit,
-                                .singular = "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is "
-                                "singular: the constraints lose rank, or h is too large here"};
+    dal__newton equations = {.find_step = find_step, .ctx = d, .size = n + m, .measured = n, .n = n,
+                             .per_unit = d->mech.per_unit, .z = d->root.z, .step = d->root.step};
     int status = begin(d, t, pair);
     if (!status) status = dal__form_metric(&d->mech, d->constraint.g, d->velocity);
     if (status) return status;
     memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
     memset(d->root.z + n, 0, m * sizeof *d->root.z);
-    return dal__find_root(&d->root, &equations, &d->mech.error);
+    d->root.J.size = n + m;
+    return dal__newton_run(&equations, &d->mech.error);
 }
 
 /* d->q1 <- the node that the root leads to from q; its multipliers where they are wanted. */
@@ -203,31 +206,21 @@ int dal_discrete_residual(dal_discrete *discrete, double t, double h, const doub
 static void examine(dal_discrete *d, int *sign, double *logarithm, double *condition)
 {
     const size_t N = d->n + d->m;
-    double *const J = d->root.J, *const scale = d->root.scale, *const squares = d->root.residual;
-    size_t *const row = d->root.row;
-    int s = 1;
+    double *const J = d->root.J.A, *const scale = d->root.scale, *const squares = d->root.residual;
     double l = 0.0, most = 0.0, least = HUGE_VAL;
     assemble(d, J, scale);
-    dal__sizes(N, scale, d->root.sizes);
-    const bool regular = dal_lu_factor(N, J, d->root.sizes, row) != 0;
-    for (size_t k = 0; regular && k < N; k++) {
-        if (J[k * N + k] < 0.0) s = -s;
-        l -= log(fabs(J[k * N + k])); /* the diagonal is inverted */
-        for (; row[k] != k; s = -s) { /* the permutation, one exchange at a time */
-            const size_t other = row[k];
-            row[k] = row[other];
-            row[other] = other;
-        }
-    }
+    d->root.J.size = N;
+    dal__linear_balance(&d->root.J, scale);
+    *sign = dal__linear_factor(&d->root.J);
     assemble(d, J, NULL);
-    dal__singular_values(N, N, J, squares);
+    const double unit = dal__singular_values(N, N, J, squares);
     for (size_t k = 0; k < N; k++) {
+        l += log(unit) + 0.5 * log(squares[k]);
         most = fmax(most, squares[k]);
         least = fmin(least, squares[k]);
     }
-    *sign = regular ? s : 0;
-    *logarithm = regular ? l : -HUGE_VAL;
-    *condition = regular && least > 0.0 ? sqrt(most / least) : HUGE_VAL;
+    *logarithm = *sign ? l : -HUGE_VAL;
+    *condition = *sign && least > 0.0 ? sqrt(most / least) : HUGE_VAL;
 }
 
 int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const double *q,
@@ -246,7 +239,7 @@ int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const do
     if (!status) status = reaction_forms(d, q, d->constraint.f, d->muk);
     if (status) return status;
     int s;
-    double l, c, *const J = d->root.J;
+    double l, c, *const J = d->root.J.A;
     assemble(d, J, d->root.scale);
     status = dal__require_output(&d->mech.error, "matrix", N * N, J);
     if (!status) status = dal__require_output(&d->mech.error, "terms of matrix", N * N,
@@ -325,17 +318,15 @@ int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps, 
     return status;
 }
 
-int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda)
+int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda,
+                          double *worst)
 {
-    if (!discrete) return DAL_EINVAL;
     dal_discrete *const d = discrete;
     const size_t n = d->n;
-    double unused = 0.0;
     int status = dal__require_finite(&d->mech, "t", 1, &t);
     if (!status) status = dal__discrete_step_size(d, h);
     if (!status) status = dal__require_finite(&d->mech, "x", 2 * n, x);
-    if (!status)
-        status = dal__rho_invert(&d->constraint, &d->root, h, x, d->q0, d->node, &d->mech.error);
+    if (!status) status = dal__rho_invert(d, h, x, d->q0, d->node);
     if (status) return status;
     dal__pair pair = dal__discrete_pair(d, h, d->q0, d->node);
     if (!d->constraint.map.map) pair.w = x + n;
@@ -350,9 +341,15 @@ int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, 
     d->mech.start.h = h;
     d->mech.start.beta = 0.0;
     d->mech.start.kept = false;
-    status = dal__step_settle(&d->mech, d->w, d->state, &unused);
+    status = dal__step_settle(&d->mech, d->w, d->state, worst);
     if (status) return status;
     memcpy(x, d->state, 2 * n * sizeof *x);
     copy_multipliers(d, lambda);
     return DAL_SUCCESS;
+}
+
+int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda)
+{
+    double unused = 0.0;
+    return discrete ? dal__discrete_advance(discrete, t, h, x, lambda, &unused) : DAL_EINVAL;
 }

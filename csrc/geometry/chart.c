@@ -4,7 +4,6 @@
  * mu is phi_v, and B its dependent columns.  What is solved with B is the residual phi, so that D
  * is kept to roundoff and affine constraints need no formula of their own. */
 #include "geometry/geometry.h"
-#include "dalembert/lu.h"
 #include "dalembert/residual.h"
 
 #include <math.h>
@@ -18,20 +17,18 @@ static const double EXCHANGE = 1.25, LIMIT = 10.0;
 void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m;
-    const size_t nn = dal__times(n, n), mn = dal__times(m, n), mm = dal__times(m, m);
+    const size_t nn = dal__times(n, n), mn = dal__times(m, n);
     double **const vectors[] = {&chart->w, &chart->R1, &chart->step};
     double **const multipliers[] = {&chart->branch, &chart->right, &chart->solution, &chart->R2,
                                     &chart->kappa, &chart->kept_branch};
-    double **const squares[] = {&chart->K, &chart->G};
     double **const forms[] = {&chart->A, &chart->tableau, &chart->slope};
     dal__mechanics_reserve(&chart->mech, system, a);
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
-    dal__reserve_doubles(a, DAL_LENGTH(squares), squares, nn);
+    dal__reserve(a, &chart->K, nn, sizeof(double));
     dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
-    dal__reserve(a, &chart->B, mm, sizeof(double));
-    dal__reserve(a, &chart->B_sizes, dal__times(5, m), sizeof(double));
-    dal__reserve(a, &chart->G_sizes, dal__times(5, n), sizeof(double));
+    dal__linear_reserve(&chart->B, m, a);
+    dal__linear_reserve(&chart->G, n, a);
     dal__reserve(a, &chart->x, dal__times(2, n), sizeof(double));
     dal__reserve(a, &chart->y, dal__times(2, n), sizeof(double));
     dal__reserve(a, &chart->first, dal__times(3, n), sizeof(double));
@@ -41,8 +38,6 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     dal__reserve(a, &chart->place, n, sizeof(size_t));
     dal__reserve(a, &chart->former, n, sizeof(size_t));
     dal__reserve(a, &chart->owner, m, sizeof(size_t));
-    dal__reserve(a, &chart->row, m, sizeof(size_t));
-    dal__reserve(a, &chart->G_row, n, sizeof(size_t));
 }
 
 void dal__chart_bind(dal_chart *chart, const dal_system *system)
@@ -124,36 +119,34 @@ static void write_names(const dal_chart *chart, const size_t *place, size_t coun
 
 /* ---- A and B ----------------------------------------------------------------------------- */
 
-int dal__chart_factor(dal_chart *chart, const double *mu, bool transposed)
+int dal__chart_factor(dal_chart *chart, const double *mu)
 {
     const size_t n = chart->n, m = chart->m;
-    double *const forms = chart->B_sizes + (transposed ? m : 0);
-    double *const coordinates = chart->B_sizes + (transposed ? 0 : m);
+    double *const sizes = chart->B.sizes;
     for (size_t a = 0; a < m; a++) {
-        forms[a] = 0.0;
-        coordinates[a] = chart->mech.per_unit[chart->place[a]];
+        sizes[a] = 0.0;
+        sizes[m + a] = chart->mech.per_unit[chart->place[a]];
         for (size_t b = 0; b < m; b++) {
             const double entry = mu[a * n + chart->place[b]];
-            chart->B[transposed ? b * m + a : a * m + b] = entry;
-            forms[a] += fabs(entry) * chart->mech.unit[chart->place[b]];
+            chart->B.A[a * m + b] = entry;
+            sizes[a] += fabs(entry) * chart->mech.unit[chart->place[b]];
         }
     }
-    if (dal_lu_factor(m, chart->B, chart->B_sizes, chart->row)) return DAL_SUCCESS;
+    if (dal__linear_factor(&chart->B)) return DAL_SUCCESS;
     char names[128];
     write_names(chart, chart->place, m, sizeof names, names);
     return dal__fail(&chart->mech.error, DAL_ESINGULAR, "the columns of mu that belong to the "
                      "dependent coordinates %s form a singular matrix", names);
 }
 
-/* mu at (q, v), phi_q if wanted, and B, or B^T, factored. */
-static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q,
-                  bool transposed)
+/* mu at (q, v), phi_q if wanted, and B factored. */
+static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q)
 {
     int status = dal__form_metric(&chart->mech, q, v);
     if (!status)
         status = dal__constraint(&chart->mech.eval, q, v, NULL, chart->mech.mu, phi_q,
                                  &chart->mech.error);
-    return status ? status : dal__chart_factor(chart, chart->mech.mu, transposed);
+    return status ? status : dal__chart_factor(chart, chart->mech.mu);
 }
 
 /* result[a*stride] <- B^-1 times the column of forms[m*n]. */
@@ -161,7 +154,7 @@ static void solve_column(dal_chart *chart, const double *forms, size_t column, d
                          size_t stride)
 {
     for (size_t a = 0; a < chart->m; a++) chart->right[a] = forms[a * chart->n + column];
-    dal_lu_solve(chart->m, chart->B, chart->row, chart->right, chart->solution);
+    dal__linear_solve(&chart->B, chart->right, chart->solution);
     for (size_t a = 0; a < chart->m; a++) result[a * stride] = chart->solution[a];
 }
 
@@ -178,7 +171,7 @@ int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
-    if (!status) status = form_B(chart, x, x + n, NULL, false);
+    if (!status) status = form_B(chart, x, x + n, NULL);
     if (status) return status;
     form_A(chart);
     status = dal__require_output(&chart->mech.error, "A", m * (n - m), chart->A);
@@ -303,7 +296,7 @@ int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x)
     if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
     memcpy(chart->former, chart->place, n * sizeof *chart->place);
     arrange(chart);
-    status = dal__chart_factor(chart, chart->mech.mu, false);
+    status = dal__chart_factor(chart, chart->mech.mu);
     if (status) {
         memcpy(chart->place, chart->former, n * sizeof *chart->place);
         return status;
@@ -324,7 +317,7 @@ static int evaluate_condition(dal_chart *chart, const double *x, double *conditi
     if (status) return status;
     *condition = (double)INFINITY;
     const dal_error before = chart->mech.error;
-    if (dal__chart_factor(chart, chart->mech.mu, false)) { /* an answer, not a failure */
+    if (dal__chart_factor(chart, chart->mech.mu)) { /* an answer, not a failure */
         chart->mech.error = before;
         return DAL_SUCCESS;
     }
@@ -397,60 +390,89 @@ void dal__chart_drop(const dal_chart *chart, const double *x, double *xi)
     memcpy(xi + n, chart->step + m, (n - m) * sizeof *xi);
 }
 
-/* phi into mech.phi; of linear constraints from mu as it is, else with a new mu. */
-static int evaluate_phi(dal_chart *chart, const double *x, bool known)
+/* Not more than 2 n u: steps have twice that. */
+static bool is_in_D(const dal_chart *chart)
+{
+    const dal_mechanics *const mech = &chart->mech;
+    return dal__relative_residual(mech, mech->mu, mech->phi, chart->x + chart->n)
+        <= 2.0 * (double)chart->n * DAL_ROUNDOFF;
+}
+
+/* The metric, phi and mu at (q, v). */
+static int evaluate(dal_chart *chart, const double *q, const double *v)
 {
     dal_mechanics *const mech = &chart->mech;
-    const double *const v = x + chart->n;
-    if (!known || kind(chart) != DAL_LINEAR)
-        return dal__constraint(&mech->eval, x, v, mech->phi, mech->mu, NULL, &mech->error);
-    dal__apply(chart->m, chart->n, mech->mu, v, mech->phi);
+    const int status = dal__constraint(&mech->eval, q, v, mech->phi, mech->mu, NULL, &mech->error);
+    return status ? status : dal__form_metric(mech, q, v);
+}
+
+static void move_dependent(dal_chart *chart)
+{
+    dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
+    for (size_t a = 0; a < chart->m; a++)
+        chart->x[chart->n + chart->place[a]] -= chart->solution[a];
+}
+
+int dal__chart_mend(dal_chart *chart, double shift)
+{
+    enum { MENDS = 3 };
+    const size_t n = chart->n;
+    double *const q = chart->x, *const v = q + n;
+    for (int pass = 1;; pass++) {
+        int status = DAL_SUCCESS;
+        for (size_t i = 0; i < n; i++) chart->y[i] = q[i] - shift * v[i];
+        if (shift == 0.0 && kind(chart) == DAL_LINEAR) /* mu stands still */
+            dal__apply(chart->m, n, chart->mech.mu, v, chart->mech.phi);
+        else
+            status = evaluate(chart, chart->y, v);
+        if (status) return status;
+        if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
+        move_dependent(chart);
+    }
+}
+
+/* Of the dependent velocities, where the constraints are nonlinear.  They stay where they are as
+ * soon as the residual, which is that of the step before, is roundoff. */
+static int find_step(dal__newton *equations)
+{
+    dal_chart *const chart = equations->ctx;
+    const size_t m = chart->m;
+    for (size_t a = 0; a < m; a++) chart->x[chart->n + chart->place[a]] = equations->z[a];
+    int status = evaluate(chart, chart->x, chart->x + chart->n);
+    if (status) return status;
+    memset(equations->step, 0, m * sizeof *equations->step);
+    if (is_in_D(chart)) return DAL_SUCCESS;
+    status = dal__chart_factor(chart, chart->mech.mu);
+    if (status) return status;
+    dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
+    for (size_t a = 0; a < m; a++) equations->step[a] = -chart->solution[a];
     return DAL_SUCCESS;
 }
 
-/* The first solution is exact but for roundoff unless the constraints are nonlinear; what then
- * follows mends the residual of what is stored. */
-int dal__chart_lift(dal_chart *chart, const double *xi, double *x)
+/* Where the constraints are not nonlinear the first solution is exact but for roundoff. */
+int dal__chart_lift(dal_chart *chart, const double *xi)
 {
-    enum { MENDS = 3, MOST = 50 };
     const size_t n = chart->n, m = chart->m;
-    const bool newton = kind(chart) == DAL_NONLINEAR;
-    const double limit = 2.0 * (double)n * DAL_ROUNDOFF;
-    double *const v = x + n, last = (double)INFINITY;
+    double *const x = chart->x, *const v = x + n;
+    int status;
     memmove(x, xi, n * sizeof *x);
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
-    for (size_t a = 0; !newton && a < m; a++) v[chart->place[a]] = 0.0;
-    for (int iteration = 0;; iteration++) {
-        int status = evaluate_phi(chart, x, iteration > 0);
-        if (status) return status;
-        if (iteration <= 1 || newton) status = dal__form_metric(&chart->mech, x, v);
-        if (status) return status;
-        if (iteration > 0 || newton) {
-            const double relative = dal__relative_residual(&chart->mech, chart->mech.mu,
-                                                           chart->mech.phi, v);
-            if (relative <= limit || (!newton && iteration > MENDS)) break;
-        }
-        if (newton || iteration == 0) status = dal__chart_factor(chart, chart->mech.mu, false);
-        if (status) return status;
-        dal_lu_solve(m, chart->B, chart->row, chart->mech.phi, chart->solution);
-        double size = 0.0, scale = 0.0;
-        for (size_t a = 0; a < m; a++) {
-            v[chart->place[a]] -= chart->solution[a];
-            size += fabs(chart->solution[a]);
-        }
-        for (size_t i = 0; i < n; i++) scale += fabs(v[i]);
-        if (!newton) continue;
-        if (iteration > 0 && size <= 1e-11 * scale && size >= last) break; /* it is roundoff */
-        if (iteration == MOST || !(size <= DBL_MAX)) {
-            char names[128];
-            write_names(chart, chart->place, m, sizeof names, names);
-            return dal__fail(&chart->mech.error, DAL_ENOCONV, "Newton did not find the dependent "
-                             "velocities %s in %d iterations (last change %.3g of %.3g)", names,
-                             iteration, size, scale);
-        }
-        last = size;
+    if (kind(chart) == DAL_NONLINEAR) {
+        dal__newton equations = {.find_step = find_step, .ctx = chart, .size = m, .measured = m,
+                                 .n = m, .per_unit = chart->B.sizes + m, .z = chart->kappa,
+                                 .step = chart->R2, .lagging = true,
+                                 .advice = "there may be no such dependent velocities"};
+        for (size_t a = 0; a < m; a++) chart->kappa[a] = v[chart->place[a]];
+        status = dal__newton_run(&equations, &chart->mech.error);
+        for (size_t a = 0; a < m; a++) v[chart->place[a]] = chart->kappa[a];
+    } else {
+        for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
+        status = evaluate(chart, x, v);
+        if (!status) status = dal__chart_factor(chart, chart->mech.mu);
+        if (!status) move_dependent(chart);
+        if (!status) status = dal__chart_mend(chart, 0.0);
     }
-    if (dal__all_finite(2 * n, x)) return DAL_SUCCESS;
+    if (status || dal__all_finite(2 * n, x)) return status;
     return dal__fail(&chart->mech.error, DAL_EDOMAIN, "the dependent velocities overflow");
 }
 
@@ -460,7 +482,7 @@ int dal__chart_state(dal_chart *chart, const double *xi)
     if (!status) status = dal__require_finite(&chart->mech, "xi", chart->width, xi);
     if (status) return status;
     for (size_t a = 0; a < chart->m; a++) chart->x[chart->n + chart->place[a]] = chart->branch[a];
-    return dal__chart_lift(chart, xi, chart->x);
+    return dal__chart_lift(chart, xi);
 }
 
 int dal_chart_lift(dal_chart *chart, const double *xi, double *x)
@@ -489,7 +511,7 @@ int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver)
     if (status) return status;
     memcpy(chart->x, x, 2 * n * sizeof *x);
     dal__chart_drop(chart, x, chart->y);
-    status = dal__chart_lift(chart, chart->y, chart->x);
+    status = dal__chart_lift(chart, chart->y);
     if (status) return status;
     for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
     status = dal__require_output(&chart->mech.error, "ver", n, chart->w);
@@ -505,7 +527,7 @@ int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *le
     const size_t n = chart->n, m = chart->m, width = chart->width;
     const size_t *const place = chart->place;
     int status = dal__chart_state(chart, xi);
-    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu, false);
+    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu);
     if (status) return status;
     if (J) {
         form_A(chart);
@@ -550,7 +572,7 @@ int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambd
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
-    if (!status) status = form_B(chart, x, x + n, NULL, false);
+    if (!status) status = form_B(chart, x, x + n, NULL);
     if (status) return status;
     for (size_t b = 0; b < m; b++) {
         chart->solution[b] = 0.0;
@@ -570,9 +592,10 @@ int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
-    if (!status) status = form_B(chart, x, x + n, NULL, true);
+    if (!status) status = form_B(chart, x, x + n, NULL);
     if (status) return status;
-    dal_lu_solve(m, chart->B, chart->row, lambda_E, chart->solution);
+    if (m > 0) memcpy(chart->right, lambda_E, m * sizeof *lambda_E);
+    dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
     status = dal__require_output(&chart->mech.error, "lambda", m, chart->solution);
     if (!status) memcpy(lambda, chart->solution, m * sizeof *lambda);
     return status;

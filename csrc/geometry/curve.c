@@ -45,7 +45,7 @@ int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double
     dal_cutoff(tau, &chi0, &chi1, NULL);
     for (size_t i = 0; i < 2 * n; i++) chart->x[i] = chi0 * x1[i] + chi1 * x2[i];
     dal__chart_drop(chart, chart->x, chart->y);
-    status = dal__chart_lift(chart, chart->y, chart->x);
+    status = dal__chart_lift(chart, chart->y);
     if (!status) memcpy(x, chart->x, 2 * n * sizeof *x);
     return status;
 }
@@ -132,31 +132,16 @@ static int interpolate(dal_chart *chart, double h, double s, bool *pivoted)
     }
     if (status) return status;
     dal__chart_drop(chart, chart->x, chart->y);
-    return dal__chart_lift(chart, chart->y, chart->x);
+    return dal__chart_lift(chart, chart->y);
 }
 
 /* chart->x in D moves to its node q + shift v.  That rounds q; what it does to the residual at q -
- * shift v is mended with B as it is. */
+ * shift v is mended. */
 static int move_to_node(dal_chart *chart, double shift)
 {
-    enum { MENDS = 3 };
-    dal_mechanics *const mech = &chart->mech;
-    const size_t n = chart->n, m = chart->m;
-    double *const q = chart->x, *const v = q + n;
-    for (size_t i = 0; i < n; i++) q[i] += shift * v[i];
-    for (int pass = 1; shift != 0.0; pass++) {
-        for (size_t i = 0; i < n; i++) chart->y[i] = q[i] - shift * v[i];
-        int status = dal__form_metric(mech, chart->y, v);
-        if (!status)
-            status = dal__constraint(&mech->eval, chart->y, v, mech->phi, mech->mu, NULL,
-                                     &mech->error);
-        if (status) return status;
-        const double relative = dal__relative_residual(mech, mech->mu, mech->phi, v);
-        if (relative <= 2.0 * (double)n * DAL_ROUNDOFF || pass > MENDS) break;
-        dal_lu_solve(m, chart->B, chart->row, mech->phi, chart->solution);
-        for (size_t a = 0; a < m; a++) v[chart->place[a]] -= chart->solution[a];
-    }
-    return DAL_SUCCESS;
+    double *const q = chart->x, *const v = q + chart->n;
+    for (size_t i = 0; i < chart->n; i++) q[i] += shift * v[i];
+    return shift != 0.0 ? dal__chart_mend(chart, shift) : DAL_SUCCESS;
 }
 
 static int check_times(dal_chart *chart, const rows *r, size_t count, const double *t)

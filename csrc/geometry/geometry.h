@@ -12,8 +12,8 @@ struct dal_mechanics {
     double *phi;                  /* [m] */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
     double *Z;                    /* [m*n]: row a is M^-1 mu^a */
-    double *C, *sizes;            /* [m*m], [5*m]: mu M^-1 mu^T or its factors; see lu.h */
-    size_t *row;                  /* [m] */
+    dal__linear C;                /* mu M^-1 mu^T, or the factors of mu Z^T: of Cholesky, with
+                                     (C^-1)_aa in sizes, or where Z is not that of mu those of LU */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
     double *point;                /* [2n] of jump.c */
@@ -26,13 +26,14 @@ struct dal_mechanics {
     /* of the equations of a step */
     double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
     double *node, *muk;           /* [n], [m*n] q_k, mu_k */
+    double *place;                /* [n] where L acts, if that is not q */
     double *trial, *chetaev, *bend; /* [n], [m*n], [n*n] of nonlinear constraints: where mu_k^T
                                        kappa is differenced, its value and its derivative */
     struct {
-        double t, beta, h;
+        double t, alpha, beta, h;
         bool kept;
         const double *v;          /* [n] */
-        double base;              /* see dal__step_base */
+        double base, moves;       /* see algebra.h, of the last dal__step_at that gave R1, K, B */
     } start;                      /* of the step that dal__step_begin began */
     dal_error error;
     arena arena; /* used only by dal_mechanics_new */
@@ -65,6 +66,10 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
                         const double *v);
 /* *E <- the energy at x[2n], which may overflow. */
 int dal__energy(dal_mechanics *mech, const double *x, double *E);
+/* How far velocities move, to first order, when the point q where mu and slope = phi_q were
+ * evaluated becomes twice itself; see dal__progress. */
+double dal__forms_move(const dal_mechanics *mech, const double *mu, const double *slope,
+                       const double *q);
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
                    bool *consistent);
@@ -79,8 +84,8 @@ struct dal_chart {
     bool chosen;
     size_t *place;           /* [n]: the dependent coordinates, then the independent ones */
     double *branch;          /* [m] v_dependent where Newton starts */
-    double *B, *B_sizes, *A; /* [m*m] factors, [5*m], [m*(n-m)] */
-    size_t *row;             /* [m] */
+    dal__linear B;
+    double *A;               /* [m*(n-m)] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
     double *tableau;         /* [m*n] */
@@ -88,10 +93,8 @@ struct dal_chart {
     /* of dal_chart_step */
     double *w, *R1, *step;   /* [n] */
     double *R2, *kappa;      /* [m] */
-    double *K, *G;           /* [n*n] */
-    double *G_sizes;         /* [5*n] */
-    double *slope;           /* [m*n] */
-    size_t *G_row;           /* [n] */
+    double *K, *slope;       /* [n*n], [m*n] */
+    dal__linear G;
     /* of dal_chart_interpolate */
     double *first, *second;  /* [3n] (q, v, vdot) at the ends of an interval */
     size_t *kept_place;      /* [n] the caller's choice */
@@ -103,28 +106,43 @@ struct dal_chart {
 void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a);
 void dal__chart_bind(dal_chart *chart, const dal_system *system);
 
-/* dal_chart_lift without checking its arguments; for nonlinear constraints Newton starts at the
- * v_dependent that stands in x[2n].  On failure x is spoiled. */
-int dal__chart_lift(dal_chart *chart, const double *xi, double *x);
+/* chart->x <- psi(xi) without checking the arguments; for nonlinear constraints Newton starts at
+ * the v_dependent that stands there. */
+int dal__chart_lift(dal_chart *chart, const double *xi);
+/* v_dependent in chart->x moves into D at q - shift v, with B, and mu if shift = 0, as they are. */
+int dal__chart_mend(dal_chart *chart, double shift);
 /* dal_chart_drop, the same. */
 void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);
 /* chart->x <- psi(xi), Newton from the state of the choice; DAL_EINVAL unless there is a choice and
  * xi[2n-m] is finite. */
 int dal__chart_state(dal_chart *chart, const double *xi);
-/* B, or B^T, of mu[m*n], factored, in the units of the last dal__form_metric. */
-int dal__chart_factor(dal_chart *chart, const double *mu, bool transposed);
+/* B of mu[m*n], factored, in the units of the last dal__form_metric. */
+int dal__chart_factor(dal_chart *chart, const double *mu);
 /* DAL_EINVAL unless there is a choice. */
 int dal__chart_ready(dal_chart *chart);
 /* Whether dal_chart_renew would keep the choice at x, and its condition. */
 int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool *keeps);
 
+/* The tolerance where none is given. */
+#define DAL_FLOW_TOLERANCE 1e-13
+
 /* dal_flow_apply over span, without checking its arguments and without the accuracy; the projection
  * onto D at the end only if project. */
 int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project);
 
+/* Step k of a row of steps of size h from t0, of a flow in x: x[2n] at t0 + k h is taken to t0 +
+ * (k+1) h, in D; on failure x is as it was.  A step begins anew, with inner steps of the size that
+ * the step before ended with; but multistep methods go on.  dal__flow_forget: what comes next does
+ * not follow on what was before.  The inner size, all that a step depends on beside x; NULL for a
+ * multistep method. */
+int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x);
+void dal__flow_forget(dal_flow *flow);
+double *dal__flow_inner(dal_flow *flow);
+
 /* What a flow is made of, and the record that dal_flow_message reads. */
 dal_mechanics *dal__flow_mechanics(dal_flow *flow);
 double dal__flow_tolerance(const dal_flow *flow);
+dal_flow_method dal__flow_method(const dal_flow *flow);
 dal_error *dal__flow_error(dal_flow *flow);
 
 #endif /* DAL__GEOMETRY_H */

@@ -2,7 +2,6 @@
  *
  * Throughout mu is phi_v, Z holds the rows M^-1 mu^a with M = L_vv, and C = mu Z^T. */
 #include "geometry/geometry.h"
-#include "dalembert/lu.h"
 #include "dalembert/residual.h"
 
 #include <math.h>
@@ -11,11 +10,11 @@
 void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m;
-    const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
+    const size_t mn = dal__times(m, n), nn = dal__times(n, n);
     const size_t general = system->mass ? 0 : nn, forced = system->def.force ? nn : 0;
     const bool nonlinear = system->def.kind == DAL_NONLINEAR;
     double **const vectors[] = {&mech->force, &mech->q, &mech->w, &mech->step, &mech->momentum,
-                                &mech->reach, &mech->node, &mech->trial};
+                                &mech->reach, &mech->node, &mech->trial, &mech->place};
     double **const forms[] = {&mech->mu, &mech->dmu, &mech->Z, &mech->muk};
     double **const multipliers[] = {&mech->phi, &mech->lambda, &mech->residual};
     double **const matrices[] = {&mech->L_vq, &mech->L_vv, &mech->factor};
@@ -29,11 +28,9 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     dal__reserve(a, &mech->chetaev, nonlinear ? mn : 0, sizeof(double));
     dal__reserve(a, &mech->bend, nonlinear ? nn : 0, sizeof(double));
     dal__reserve(a, &mech->point, dal__times(2, n), sizeof(double));
-    dal__reserve(a, &mech->C, mm, sizeof(double));
-    dal__reserve(a, &mech->sizes, dal__times(5, m), sizeof(double));
+    dal__linear_reserve(&mech->C, m, a);
     dal__reserve(a, &mech->units, system->mass ? 0 : n, sizeof(double));
     dal__reserve(a, &mech->per_units, system->mass ? 0 : n, sizeof(double));
-    dal__reserve(a, &mech->row, m, sizeof(size_t));
     dal__reserve(a, &mech->hessian, nn, sizeof(double));
 }
 
@@ -144,21 +141,21 @@ static void form_gram(dal_mechanics *mech, const double *mu)
     const size_t n = mech->n, m = mech->m;
     for (size_t a = 0; a < m; a++)
         for (size_t b = 0; b < m; b++)
-            mech->C[a * m + b] = dal__dot(n, mu + a * n, mech->Z + b * n);
+            mech->C.A[a * m + b] = dal__dot(n, mu + a * n, mech->Z + b * n);
 }
 
 int dal__factor_gram(dal_mechanics *mech, const double *mu)
 {
     size_t row = 0;
     form_gram(mech, mu);
-    if (dal__cholesky(mech->m, mech->C, mech->sizes, &row, NULL)) return DAL_SUCCESS;
+    if (dal__cholesky(mech->m, mech->C.A, mech->C.sizes, &row, NULL)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide (pivot %zu of %zu)", row, mech->m);
 }
 
 void dal__solve_gram(const dal_mechanics *mech, double *y)
 {
-    dal__cholesky_solve(mech->m, mech->C, y);
+    dal__cholesky_solve(mech->m, mech->C.A, y);
 }
 
 /* The LU factors of mu Z^T, where Z need not be that of mu, and may leave coordinates out. */
@@ -167,16 +164,16 @@ static int factor_product(dal_mechanics *mech)
     const size_t n = mech->n, m = mech->m;
     form_gram(mech, mech->mu);
     for (size_t a = 0; a < m; a++) {
-        mech->sizes[a] = 0.0;
-        mech->sizes[m + a] = dal_residual_speed(n, mech->per_unit, mech->Z + a * n);
+        mech->C.sizes[a] = 0.0;
+        mech->C.sizes[m + a] = dal_residual_speed(n, mech->per_unit, mech->Z + a * n);
     }
     for (size_t i = 0; i < n; i++) {
         bool moves = false;
         for (size_t a = 0; a < m; a++) moves = moves || mech->Z[a * n + i] != 0.0;
         for (size_t a = 0; moves && a < m; a++)
-            mech->sizes[a] += fabs(mech->mu[a * n + i]) * mech->unit[i];
+            mech->C.sizes[a] += fabs(mech->mu[a * n + i]) * mech->unit[i];
     }
-    if (dal_lu_factor(m, mech->C, mech->sizes, mech->row)) return DAL_SUCCESS;
+    if (dal__linear_factor(&mech->C)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide");
 }
@@ -205,8 +202,8 @@ int dal_gram(dal_mechanics *mechanics, const double *x, double *C)
     if (status) return status;
     dal__form_Z(mech, mech->mu);
     form_gram(mech, mech->mu);
-    status = dal__require_output(&mech->error, "C", mech->m * mech->m, mech->C);
-    if (!status) memcpy(C, mech->C, mech->m * mech->m * sizeof *C);
+    status = dal__require_output(&mech->error, "C", mech->m * mech->m, mech->C.A);
+    if (!status) memcpy(C, mech->C.A, mech->m * mech->m * sizeof *C);
     return status;
 }
 
@@ -284,6 +281,19 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
     return worst;
 }
 
+double dal__forms_move(const dal_mechanics *mech, const double *mu, const double *slope,
+                       const double *q)
+{
+    const size_t n = mech->n;
+    double moves = 0.0;
+    for (size_t a = 0; a < mech->m; a++) { /* as phi is a residual: by the size of its form */
+        double moved = 0.0;
+        for (size_t i = 0; i < n; i++) moved += fabs(slope[a * n + i] * q[i]);
+        moves += moved / dal_residual_form(n, mech->unit, mu + a * n);
+    }
+    return moves;
+}
+
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
                         const double *v)
 {
@@ -313,7 +323,7 @@ int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative)
                              "precision: the residual of D stays at %.3g", *relative);
         int status = pass == 1 ? factor_product(mech) : DAL_SUCCESS;
         if (status) return status;
-        dal_lu_solve(m, mech->C, mech->row, mech->phi, mech->lambda);
+        dal__linear_solve(&mech->C, mech->phi, mech->lambda);
         for (size_t i = 0; i < n; i++) {
             double change = 0.0;
             for (size_t a = 0; a < m; a++) change += mech->Z[a * n + i] * mech->lambda[a];
@@ -528,39 +538,46 @@ static int accept(dal_mechanics *mech, double *x, double *distance)
     return DAL_SUCCESS;
 }
 
+/* The velocity of D_eps, or of D, that belongs to x. */
+typedef struct consistent {
+    dal_mechanics *mech;
+    double shift;
+    const double *x; /* [2n] */
+} consistent;
+
+static int find_step(dal__newton *equations)
+{
+    const consistent *const c = equations->ctx;
+    dal_mechanics *const mech = c->mech;
+    const size_t n = mech->n, m = mech->m;
+    for (size_t i = 0; i < n; i++) mech->q[i] = c->x[i] - c->shift * mech->w[i];
+    int status = dal__constraint(&mech->eval, mech->q, mech->w, mech->phi, mech->mu,
+                                 c->shift != 0.0 ? mech->dmu : NULL, &mech->error);
+    if (status) return status;
+    if (c->shift != 0.0) equations->moves = dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
+    for (size_t k = 0; c->shift != 0.0 && k < m * n; k++) mech->mu[k] -= c->shift * mech->dmu[k];
+    status = factor_product(mech);
+    if (status) return status;
+    dal__linear_solve(&mech->C, mech->phi, mech->lambda);
+    for (size_t i = 0; i < n; i++) {
+        double change = 0.0;
+        for (size_t a = 0; a < m; a++) change += mech->Z[a * n + i] * mech->lambda[a];
+        mech->step[i] = -change; /* where it is 0 a -0.0 stays one */
+    }
+    return DAL_SUCCESS;
+}
+
 /* Newton for phi(q - shift w, w) = 0 along w = v + Z^T kappa with Z as it is, into mech->w. */
 static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
 {
-    enum { MOST = 50 };
-    const size_t n = mech->n, m = mech->m;
-    dal__progress p = {0};
+    const size_t n = mech->n;
+    consistent c = {mech, shift, x};
+    dal__newton equations = {.find_step = find_step, .ctx = &c, .size = n, .measured = n, .n = n,
+                             .per_unit = mech->per_unit, .z = mech->w, .step = mech->step,
+                             .base = dal_residual_extent(n, mech->per_unit, velocity(mech, x)),
+                             .advice = "there may be no such velocity of D here"};
     memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
-    for (p.iteration = 1;; p.iteration++) {
-        for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * mech->w[i];
-        int status = dal__constraint(&mech->eval, mech->q, mech->w, mech->phi, mech->mu,
-                                     shift != 0.0 ? mech->dmu : NULL, &mech->error);
-        if (status) return status;
-        for (size_t k = 0; shift != 0.0 && k < m * n; k++) mech->mu[k] -= shift * mech->dmu[k];
-        status = factor_product(mech);
-        if (status) return status;
-        dal_lu_solve(m, mech->C, mech->row, mech->phi, mech->lambda);
-        double size = 0.0;
-        for (size_t i = 0; i < n; i++) {
-            double step = 0.0;
-            for (size_t a = 0; a < m; a++) step += mech->Z[a * n + i] * mech->lambda[a];
-            if (step != 0.0) mech->w[i] -= step; /* a -0.0 that is kept stays one */
-            size += fabs(step) * mech->per_unit[i];
-        }
-        p.scale = dal_residual_extent(n, mech->per_unit, mech->w)
-                + dal_residual_extent(n, mech->per_unit, velocity(mech, x));
-        p.extent = dal__sum_of_sizes(n, mech->q);
-        const dal__verdict verdict = dal__newton_judge(&p, size);
-        if (verdict == DAL__DONE) return DAL_SUCCESS;
-        if (p.iteration == MOST || verdict == DAL__LOST)
-            return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of %s was found in %d "
-                             "iterations (shift = %g, last change %g)",
-                             shift == 0.0 ? "D" : "D_eps", p.iteration, shift, size);
-    }
+    return dal__newton_run(&equations, &mech->error);
 }
 
 /* The velocity of D, or D_eps, that belongs to x, into mech->w; Z says along what. */

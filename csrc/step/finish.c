@@ -1,7 +1,6 @@
 /* What is left of a stage that the step routine of kernel.h does not finish by itself: the
  * full Newton iteration, and the residual of D evaluated at what is stored. */
-#include "step/step.h"
-#include "dalembert/kernel.h"
+#include "step/beta.h"
 #include "dalembert/residual.h"
 
 #include <math.h>
@@ -91,27 +90,20 @@ static double bent(const dal_kernel *k, const dal_stage *s)
  * leaves the domain of a callback is halved.  On success w, kappa, mu, N and point are set. */
 static int solve(dal_kernel *k, const dal_stage *s)
 {
-    enum { HALVINGS = 40 };
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
     const double b = s->after * k->h;
     dal__progress p = {0};
-    int halvings = 0;
     if (!(dal_kernel_sum(m * n, at->Z) + dal_kernel_sum(n, at->base) <= DBL_MAX))
         return is_not_finite(k);
     k->stats.full_newtons++;
     memcpy(at->w, at->x + n, n * sizeof *at->w);
     memset(at->kappa, 0, m * sizeof *at->kappa);
     for (p.iteration = 1; p.iteration <= k->max_iterations; p.iteration++) {
-        double moves = 0.0;
         int status, sign = 1;
-        while ((status = evaluate(k, s)) == DAL_EDOMAIN && p.iteration > 1
-               && halvings++ < HALVINGS) {
-            dal__newton_halve(&p);
-            for (size_t i = 0; i < n; i++) at->w[i] -= at->step[i] *= 0.5;
+        while (dal__newton_halve(&p, status = evaluate(k, s), n, at->w, at->step))
             k->stats.halvings++;
-        }
-        if (!status) moves = bent(k, s);
+        if (!status) p.moves = bent(k, s);
         if (!status) status = linearise(k, s, &sign);
         if (status) return status;
         k->stats.iterations++;
@@ -135,7 +127,6 @@ static int solve(dal_kernel *k, const dal_stage *s)
         p.scale = dal_residual_extent(n, k->per_unit, at->w)
                 + dal_residual_extent(n, k->per_unit, at->base)
                 + dal_residual_extent(n, k->per_unit, at->goal);
-        p.extent = moves / p.scale;
         k->failure.iterations = p.iteration;
         k->failure.size = dal_residual_extent(n, k->per_unit, at->step);
         k->failure.scale = p.scale;

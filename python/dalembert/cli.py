@@ -19,7 +19,7 @@ from typing import Any
 from . import compiler, core, systems
 from .core import extras, files
 from .core.arguments import suggestion
-from .run.scheme import INITIAL, REFERENCE
+from .run.scheme import INITIAL
 from .run.scheme import schemes as named_schemes
 from .show import pages, report, web
 from .study.refinement import MOST_STEPS, studies
@@ -307,7 +307,8 @@ def _schemes(given: argparse.Namespace) -> int:
         [
             ("N", "a number in [0, 1]: the beta-scheme of this number"),
             ("N-nodes", "the same at the original nodes: keeps D_eps"),
-            (REFERENCE.name, f"{REFERENCE.help}; has no order to study"),
+            ("pair:A:B", "two maps: beta A for L_d, beta B for D_d"),
+            ("FILE.so:SYMBOL", "a dal_scheme of your own, with its family"),
         ]
     )
     return 0

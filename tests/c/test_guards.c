@@ -1129,7 +1129,7 @@ static void test_judge(void)
     static const struct {
         double size[9]; /* up to the first 0 */
         dal__verdict verdict;
-        double extent;
+        double moves;
         bool lagging;
         int halvings;
     } cases[] = {
@@ -1160,13 +1160,13 @@ static void test_judge(void)
         {{1, NAN}, DAL__LOST, 0, false, 0},
     };
     for (size_t i = 0; i < DAL_LENGTH(cases); i++) {
-        dal__progress p = {.scale = 1.0, .extent = cases[i].extent, .lagging = cases[i].lagging};
+        dal__progress p = {.scale = 1.0, .moves = cases[i].moves, .lagging = cases[i].lagging};
         dal__verdict verdict = DAL__GOING;
         for (p.iteration = 1; cases[i].size[p.iteration - 1] != 0.0; p.iteration++) {
             check_true(verdict == DAL__GOING, "test_judge", "ended early", (int)i);
             verdict = dal__newton_judge(&p, cases[i].size[p.iteration - 1]);
             for (int k = 0; p.iteration == 1 && k < cases[i].halvings; k++)
-                dal__newton_halve(&p);
+                CHECK(dal__newton_halve(&p, DAL_EDOMAIN, 0, NULL, NULL));
         }
         check_true(verdict == cases[i].verdict, "test_judge", "verdict", (int)i);
     }

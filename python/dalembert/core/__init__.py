@@ -2,7 +2,15 @@
 
 from . import arguments, extras, files, pointers
 from .arguments import Array
-from .callbacks import FUNCTIONS, Callables, DeformationCallables, MapCallables, Observer
+from .callbacks import (
+    FUNCTIONS,
+    Callables,
+    DeformationCallables,
+    MapCallables,
+    Observer,
+    ignore,
+    watching,
+)
 from .errors import (
     ConvergenceError,
     DalembertError,
@@ -25,7 +33,6 @@ from .handle import (
     Workspaces,
     differenced,
     require_system,
-    watching,
 )
 from .library import (
     ROUNDOFF,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -253,21 +254,34 @@ def dal_py_watch(t: float, ctx: Any) -> int:
     return 0
 
 
-class Observer:
-    """A user's observer of a run; it sees every stored state once, whatever the blocks are."""
+def ignore(t: float) -> None:
+    """Do nothing, now and then in what computes for long, so that Ctrl-C is seen."""
 
-    __slots__ = ("bytes", "function", "last")
+
+@contextlib.contextmanager
+def watching(kind: str, one: Any, show: Callable[[float], Any] = ignore) -> Iterator[None]:
+    """Let Ctrl-C end what a ``dal_<kind>`` computes.
+
+    ``show(t)`` is called some times a second with the time where it is, or its steps.
+    """
+    watch, context = getattr(lib, f"dal_{kind}_watch"), ffi.new_handle(show)
+    watch(one, lib.dal_py_watch, context)
+    try:
+        yield
+    finally:
+        watch(one, ffi.NULL, ffi.NULL)
+
+
+class Observer:
+    """A user's observer of a run."""
+
+    __slots__ = ("bytes", "function")
 
     def __init__(self, n: int, function: Callable[[int, float, Array, Array], Any]) -> None:
-        self.bytes = 8 * n
-        self.function = function
-        self.last = -1
+        self.bytes, self.function = 8 * n, function
 
     def see(self, step: int, t: float, q: Array, v: Array) -> bool:
-        """Show a state, unless it is the last one again; return whether to stop."""
-        if step == self.last:
-            return False
-        self.last = step
+        """Show a state; return whether to stop."""
         answer = self.function(step, t, q, v)
         try:
             return bool(answer)

@@ -80,20 +80,6 @@ class Workspaces:
                 self.check(attempt(function, one, *row), one, k)
 
 
-@contextlib.contextmanager
-def watching(kind: str, one: Any, show: Callable[[float], Any] = lambda t: None) -> Iterator[None]:
-    """Let Ctrl-C end what a ``dal_<kind>`` computes.
-
-    ``show(t)`` is called some times a second with the time where it is, or its steps.
-    """
-    watch, context = getattr(lib, f"dal_{kind}_watch"), ffi.new_handle(show)
-    watch(one, lib.dal_py_watch, context)
-    try:
-        yield
-    finally:
-        watch(one, ffi.NULL, ffi.NULL)
-
-
 class Handle(Constant):
     """A C system, and what it says about itself; see `dalembert.System`."""
 

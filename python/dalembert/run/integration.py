@@ -25,20 +25,13 @@ from ..core import (
     require_system,
 )
 from ..system import System
-from .runs import FlowRun, SchemeRun, started_state
-from .scheme import Scheme
+from .runs import Run, consistent_state, started_stepper
+from .scheme import METHODS, Scheme
 from .solution import Solution
 
 __all__ = ["Reference", "integrate", "reference"]
 
 CONSISTENCY = {"check": lib.DAL_CHECK, "project": lib.DAL_PROJECT, "assume": lib.DAL_ASSUME}
-SOLVERS = {"schur": lib.DAL_SOLVER_SCHUR, "multiroot": lib.DAL_SOLVER_MULTIROOT}
-SIZES = {"auto": lib.DAL_SIZES_AUTO, "runtime": lib.DAL_SIZES_RUNTIME}
-METHODS = {
-    "rk8pd": lib.DAL_FLOW_RK8PD,
-    "msadams": lib.DAL_FLOW_MSADAMS,
-    "rodas": lib.DAL_FLOW_RODAS,
-}
 COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
 
 
@@ -58,8 +51,6 @@ def integrate(
     observer: Callable[[int, float, Array, Array], Any] | None = None,
     progress: bool | Callable[[int, int], Any] = False,
     throw: bool = True,
-    solver: str = "schur",
-    sizes: str = "auto",
     max_iterations: int = 50,
     method: str = "rk8pd",
     tolerance: float = 1e-13,
@@ -98,10 +89,6 @@ def integrate(
         steps, some times a second.
     throw : bool, optional
         False: a step that fails ends the run, and the Solution says so, instead of an exception.
-    solver : {"schur", "multiroot"}, optional
-        How the equations of a step are solved; "multiroot" is slow, an independent check.
-    sizes : {"auto", "runtime"}, optional
-        Which compilation of the step is used; the bits are the same.
     max_iterations : int, optional
         Of Newton in a sub-step.
     method : {"rk8pd", "msadams", "rodas"}, optional
@@ -159,25 +146,22 @@ def integrate(
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     start = record._initial(initial)
     options = ffi.new("dal_options *")
-    options.solver = arguments.choice(solver, "solver", SOLVERS)
-    options.sizes = arguments.choice(sizes, "sizes", SIZES)
     options.max_iterations = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
-    flow_method = arguments.choice(method, "method", METHODS)
-    tolerance = arguments.tolerance(tolerance)
+    flow = Scheme.flow(method, tolerance)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
-    rows = steps // stride
-    _require_memory(system, rows, steps, stride)
+    _require_memory(system, steps // stride, steps, stride)
 
     arguments.function(observer, "observer", "step, t, q, v")
     watcher = None if observer is None else core.Observer(system.n, observer)
-    run: SchemeRun | FlowRun
+    stepper = started_stepper(
+        system, flow if record.name == flow.name else record, x0, t0=t0, h=h,
+        consistency=consistency, initial=start, options=options,
+    )  # fmt: skip
     with extras.progress(progress, steps, "step") as show:
-        if record.is_reference:
-            run = FlowRun(system, record, t0, h, rows, stride, watcher, show)
-            run.start(x0, consistency, flow_method, tolerance)
-        else:
-            run = SchemeRun(system, record, t0, h, rows, stride, watcher, show)
-            run.start(x0, consistency, start, options)
+        run = Run(
+            system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=watcher,
+            show=show,
+        )  # fmt: skip
         run.make()
     solution = run.solution()
     error = run.error
@@ -268,7 +252,7 @@ def reference(
     tolerance = arguments.tolerance(tolerance)
     coordinate = arguments.choice(coordinates, "coordinates", COORDINATES)
     flow = system._c("flow", flow_method, coordinate, tolerance)
-    x = started_state(system, x0, t0, consistency)
+    x = consistent_state(system, x0, t0, consistency)
     accuracy = np.empty(1)
     with core.watching("flow", flow):
         status = core.attempt(lib.dal_flow_apply, flow, t0, t, x, accuracy)

@@ -23,7 +23,7 @@ from .. import core, geometry
 from ..core import Array, Workspaces, arguments, extras, ffi, lib, require_system
 from ..geometry import Chart
 from ..run.integration import CONSISTENCY
-from ..run.runs import started_state
+from ..run.runs import consistent_state
 from ..run.scheme import Scheme
 from ..system import System
 from .study import Fit
@@ -100,10 +100,11 @@ class Embedding(core.Constant):
         self.start.flags.writeable = False
         self.tolerance = tolerance
         self.numerical = numerical or not chart.system.has_exact
+        record, self._kept = scheme._record_of(chart.system)
         self._definition = ffi.new(
             "dal_embedding_def *",
             {
-                "scheme": scheme._record,
+                "scheme": record,
                 "h": h,
                 "order": order or 0,
                 "tolerance": tolerance,
@@ -596,6 +597,6 @@ def embedding(
     tolerance = arguments.tolerance(tolerance)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
-    q, v = np.split(started_state(system, x0, 0.0, consistency), 2)
+    q, v = np.split(consistent_state(system, x0, 0.0, consistency), 2)
     chart = Chart(system, q, v, dependent)
     return Embedding(chart, scheme, h, order, chart.drop(q, v), tolerance, bool(numerical))

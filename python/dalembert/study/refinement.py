@@ -97,8 +97,6 @@ def convergence(
     """
     require_system(system)
     record = Scheme.of(scheme)
-    if record.is_reference:
-        raise ValueError("scheme = 'reference': expected one with a step size to refine")
     t0 = arguments.number(t0, "t0")
     start = record._initial(initial)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
@@ -144,9 +142,11 @@ def convergence(
     with extras.progress(progress, sum(numbers), "step") as show:
         context = ffi.new_handle(lambda made: show(int(made)))
         definition.watch, definition.watch_ctx = lib.dal_py_watch, context
+        scheme, kept = record._record_of(system)
         status = core.attempt(
-            lib.dal_order_study, system._handle, record._record, definition, points, order, error
+            lib.dal_order_study, system._handle, scheme, definition, points, order, error
         )
+        del kept
         if status < 0:
             raise core.failure(status, core.string(error.text), kind=system.kind)
         show(sum(numbers))

@@ -276,6 +276,8 @@ def _kernel(made: Program, model: Model) -> None:
     if potential:
         made.add("#define DAL_KERNEL_POTENTIAL(k, q, V_q) model_inside_potential(k, q, V_q)")
     made.add("#include <dalembert/kernel.h>\n")
+    made.add("static const dal_compiled model_compiled = {")
+    made.add("    DAL_COMPILED_ABI, sizeof(dal_kernel), model_steps};\n")
 
 
 _INSIDE_CONSTRAINT = """DAL_KERNEL_INLINE int model_inside_constraint(
@@ -309,7 +311,7 @@ def _definition(model: Model, fast: bool) -> list[str]:
         if model.derived.function(name) is not None:
             found.append(f".{member} = model_call_{name}")
     if fast:
-        found += [".kernel = model_steps", ".kernel_size = sizeof(dal_kernel)"]
+        found += [".compiled = &model_compiled"]
     if model.derived.mass is not None and model.derived.kind == "linear":
         found.append(f".steady = {2 * int(pattern(model).steady)}")
     return found

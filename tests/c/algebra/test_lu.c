@@ -115,8 +115,9 @@ static int factor(const matrix *A, factors *f)
     static double scale[MOST * MOST];
     for (size_t k = 0; k < A->m * A->m; k++) scale[k] = fabs(A->entry[k]);
     memcpy(f->LU, A->entry, A->m * A->m * sizeof *scale);
-    dal__sizes(A->m, scale, f->sizes);
-    return dal_lu_factor(A->m, f->LU, f->sizes, f->row);
+    dal__linear linear = {A->m, f->LU, f->sizes, f->row};
+    dal__linear_balance(&linear, scale);
+    return dal__linear_factor(&linear);
 }
 
 /* The largest entry of the scaled U over the largest of the scaled A. */
@@ -508,13 +509,13 @@ static void test_sizes(void)
                 A.entry[i * m + j] = banded && (i > j + 2 || j > i + 2)
                                    ? 0.0 : pow(10.0, 0.5 * next_number(&seed));
         B = rescaled(&A, 10.0, &seed);
-        dal__sizes(m, B.entry, sizes);
+        dal__linear_balance(&(dal__linear){.size = m, .sizes = sizes}, B.entry);
         worst = fmax(worst, unevenness(&B, sizes));
         for (size_t k = 0; k < m * m; k++) scale[k] = B.entry[k];
         for (size_t i = 0; i < m; i++) /* what was 0 is roundoff of its row and column */
             for (size_t j = 0; j < m; j++)
                 if (scale[i * m + j] == 0.0) scale[i * m + j] = U * sizes[i] * sizes[m + j];
-        dal__sizes(m, scale, again);
+        dal__linear_balance(&(dal__linear){.size = m, .sizes = again}, scale);
         rounded = fmax(rounded, unevenness(&B, again));
     }
     CHECK(worst <= 100.0 && rounded <= 200.0);

@@ -237,54 +237,6 @@ static double slope(double error, double next, double factor)
     return log(error / next) / log(factor);
 }
 
-/* ---- roots ---------------------------------------------------------------------------------- */
-
-/* 0: log z, which is not defined for z <= 0; 1: z^2 + 1; 2: z^3 - 1, whose derivative vanishes at
- * 0; 3: z^2, to which Newton converges linearly. */
-static int one_equation(void *ctx, const double *z, double *residual, double *J, double *scale)
-{
-    const int which = *(const int *)ctx;
-    if (which == 0 && !(z[0] > 0.0)) return DAL_EDOMAIN;
-    residual[0] = which == 0 ? log(z[0]) : which == 1 ? z[0] * z[0] + 1
-                : which == 2 ? pow(z[0], 3) - 1 : z[0] * z[0];
-    J[0] = which == 0 ? 1 / z[0] : which == 2 ? 3 * z[0] * z[0] : 2 * z[0];
-    scale[0] = fabs(J[0]);
-    return DAL_SUCCESS;
-}
-
-static void test_roots(void)
-{
-    static const struct {
-        int which, status;
-        double guess, root;
-    } cases[] = {
-        {0, DAL_SUCCESS, 1.5, 1.0},
-        {0, DAL_SUCCESS, 10.0, 1.0}, /* the first step leads to -13, its quarter to 4.2 */
-        {0, DAL_SUCCESS, 1e6, 1.0},
-        {0, DAL_EDOMAIN, -1.0, NAN},
-        {1, DAL_ENOCONV, 0.7, NAN},
-        {2, DAL_SUCCESS, 3.0, 1.0},
-        {2, DAL_ESINGULAR, 0.0, NAN},
-        {3, DAL_ENOCONV, 1.0, NAN},
-    };
-    for (size_t c = 0; c < sizeof cases / sizeof *cases; c++) {
-        dal__root root;
-        arena memory = {0};
-        dal_error error = {0};
-        int which = cases[c].which;
-        dal__root_reserve(&root, 1, &memory);
-        need(dal__allocate(&memory, &error), "root", error.text);
-        const dal__equations equations = {.at = one_equation, .ctx = &which, .size = 1,
-                                          .measured = 1, .singular = "flat"};
-        root.z[0] = cases[c].guess;
-        CHECK(dal__find_root(&root, &equations, &error) == cases[c].status);
-        if (!cases[c].status) CHECK_NEAR(root.z[0], cases[c].root, 4 * U);
-        if (cases[c].status == DAL_ESINGULAR) CHECK(strcmp(error.text, "flat") == 0);
-        if (cases[c].status == DAL_ENOCONV) CHECK(strstr(error.text, "smaller h") != NULL);
-        dal__release(&memory);
-    }
-}
-
 /* ---- by hand -------------------------------------------------------------------------------- */
 
 /* The particle on springs with rho^(1/4). */
@@ -1298,7 +1250,6 @@ static void test_errors(void)
 
 int main(void)
 {
-    test_roots();
     test_by_hand();
     test_singular();
     test_trapezoidal();

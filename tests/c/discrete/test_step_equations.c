@@ -129,10 +129,9 @@ static void test_same_steps(const char *name)
             for (int sign = -1; sign <= 1; sign += 2) {
                 dal_system *const other = open_disguise(base, as);
                 const dal_scheme scheme = find_scheme(schemes[s]);
-                const dal_options slow = {.solver = DAL_SOLVER_MULTIROOT};
                 dal_stepper *const fast = open_stepper(base, &scheme, NULL);
                 dal_stepper *const full = open_stepper(other, &scheme, NULL);
-                dal_stepper *const check = open_stepper(other, &scheme, &slow);
+                dal_stepper *const check = open_stepper_by(BY_MULTIROOT, other, &scheme);
                 dal_stepper *const steppers[3] = {fast, full, check};
                 const bool kept = scheme.nodes == DAL_KEPT_NODES;
                 double reaction[3][MOST_M] = {{0.0}};
@@ -603,9 +602,8 @@ static void test_sabotage(void)
                     dal_system *system = NULL;
                     CHECK(dal_system_new(&system, &def, NULL) == 0);
                     const dal_scheme scheme = find_scheme("midpoint-suzuki4");
-                    const dal_options options = {.solver = multi ? DAL_SOLVER_MULTIROOT
-                                                                 : DAL_SOLVER_SCHUR};
-                    dal_stepper *const stepper = open_stepper(system, &scheme, &options);
+                    dal_stepper *const stepper =
+                        open_stepper_by(multi ? BY_MULTIROOT : BY_LIBRARY, system, &scheme);
                     CHECK(dal_stepper_start(stepper, 0.0, 0.1, curved_start, DAL_PROJECT,
                                             DAL_INITIAL_NONE) == 0);
                     CHECK(dal_step(stepper, NULL) == 0);
@@ -817,17 +815,41 @@ static dal_system *open_scaled(const other_units *u, disguise as)
     return system;
 }
 
-/* Steps do not depend on units, to the last bit. */
-static void test_units(const char *name, int most)
+/* From x one step of a chart to y, and one of pairs of nodes to z. */
+static void step_otherwise(const dal_system *system, const double *x, double *y, double *z)
+{
+    const dal_difference_map map = {.beta = 0.5};
+    const size_t n = system->def.n;
+    dal_chart *chart = NULL;
+    dal_discrete *discrete = NULL;
+    double xi[2 * MOST_N];
+    need(dal_chart_new(&chart, system, NULL), "chart", "");
+    need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
+    memcpy(y, x, 2 * n * sizeof *y);
+    memcpy(z, x, 2 * n * sizeof *z);
+    CHECK(dal_chart_choose(chart, NULL, y) == 0 && dal_chart_drop(chart, y, xi) == 0);
+    CHECK(dal_chart_step(chart, 0.0, 0.5, 0.1, xi, NULL) == 0);
+    CHECK(dal_chart_lift(chart, xi, y) == 0);
+    CHECK(dal_discrete_advance(discrete, 0.0, 0.1, z, NULL) == 0);
+    dal_discrete_free(discrete);
+    dal_chart_free(chart);
+}
+
+/* Steps do not depend on units, to the last bit and to the last iteration; nor, all coordinates in
+ * the same unit, far from the origin, where how far a rounding of q moves things decides when an
+ * iteration has ended.  Sizes that are found, of the matrix for pairs of nodes, decide between equal
+ * pivots. */
+static void test_units(const char *name, int most, double far)
 {
     dal_system *const base = open_system(name);
     const size_t n = base->def.n, m = base->def.m;
     other_units plain = {.base = base}, u = {.base = base};
     double x0[2 * MOST_N], y0[2 * MOST_N];
     CHECK(dal_system_state(base, x0) == 0);
+    for (size_t i = 0; i < n; i++) x0[i] += far * (i % 2 ? 1.0 : 1.37);
     for (size_t i = 0; i < n; i++) {
         plain.of_q[i] = 1.0;
-        u.of_q[i] = ldexp(1.0, most * (int)((i + 1) % 3 - 1));
+        u.of_q[i] = ldexp(1.0, far > 0.0 ? most : most * (int)((i + 1) % 3 - 1));
         y0[i] = x0[i] / u.of_q[i];
         y0[n + i] = x0[n + i] / u.of_q[i];
     }
@@ -842,13 +864,17 @@ static void test_units(const char *name, int most)
             const bool kept = scheme.nodes == DAL_KEPT_NODES;
             dal_system *const systems[2] = {open_scaled(&plain, disguises[j]),
                                             open_scaled(&u, disguises[j])};
-            double end[2][2 * MOST_N], lambda[2][MOST_M];
+            double end[2][2 * MOST_N], other[2][2 * MOST_N], pairs[2][2 * MOST_N];
+            double lambda[2][MOST_M];
+            dal_stats stats[2];
             for (int k = 0; k < 2; k++) {
                 dal_stepper *const stepper = open_stepper(systems[k], &scheme, NULL);
                 CHECK(dal_stepper_start(stepper, 0.0, 0.1, k ? y0 : x0, DAL_PROJECT,
                                         kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE) == 0);
                 CHECK(dal_advance(stepper, 50, lambda[k], NULL) == 0);
+                dal_stepper_stats(stepper, &stats[k]);
                 memcpy(end[k], dal_stepper_state(stepper), 2 * n * sizeof(double));
+                if (!kept) step_otherwise(systems[k], end[k], other[k], pairs[k]);
                 end[k][n] *= 1.1; /* and from there onto D_eps */
                 dal_mechanics *const mech = open_mechanics(systems[k]);
                 CHECK(dal_project(mech, 0.05, end[k], NULL) == 0);
@@ -857,6 +883,13 @@ static void test_units(const char *name, int most)
                 dal_system_free(systems[k]);
             }
             for (size_t i = 0; i < 2 * n; i++) end[1][i] *= u.of_q[i % n];
+            CHECK(stats[0].iterations == stats[1].iterations);
+            CHECK(stats[0].full_newtons == stats[1].full_newtons);
+            for (size_t i = 0; !kept && i < 2 * n; i++) {
+                CHECK(other[0][i] == other[1][i] * u.of_q[i % n]);
+                CHECK_NEAR(pairs[0][i], pairs[1][i] * u.of_q[i % n],
+                           1e2 * U * (1.0 + far + fabs(pairs[0][i])));
+            }
             for (size_t a = 0; a < m; a++) lambda[1][a] *= u.of_phi[a];
             CHECK(memcmp(end[0], end[1], 2 * n * sizeof(double)) == 0);
             CHECK(memcmp(lambda[0], lambda[1], m * sizeof(double)) == 0);
@@ -954,7 +987,6 @@ static void test_rest(void)
     const double mass[9] = {1.3, 0.1, 0.2, 0.1, 2.1, 0.3, 0.2, 0.3, 0.9}, h = 0.1;
     enum { STEPS = 100 };
     const double tolerance = 16 * STEPS * h * U;
-    const dal_options slow = {.solver = DAL_SOLVER_MULTIROOT};
     unsigned seed = 5;
     for (int trial = 0; trial < 6; trial++) {
         double g[3];
@@ -970,7 +1002,8 @@ static void test_rest(void)
                 for (int k = 0; k < 2; k++) {
                     const dal_scheme scheme = find_scheme(schemes[s]);
                     const bool kept = scheme.nodes == DAL_KEPT_NODES;
-                    dal_stepper *const stepper = open_stepper(system, &scheme, k ? &slow : NULL);
+                    dal_stepper *const stepper =
+                        open_stepper_by(k ? BY_MULTIROOT : BY_LIBRARY, system, &scheme);
                     CHECK(dal_stepper_start(stepper, 0.0, h, start, DAL_CHECK,
                                             kept ? DAL_INITIAL_D : DAL_INITIAL_NONE) == 0);
                     CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
@@ -1044,6 +1077,45 @@ static void test_far(const char *name, double far)
     dal_discrete_free(discrete);
     dal_chart_free(chart);
     dal_mechanics_free(mech);
+    dal_system_free(system);
+}
+
+static int pendulum(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    (void)ctx;
+    if (V) *V = -cos(q[0]);
+    if (V_q) *V_q = sin(q[0]);
+    if (V_qq) *V_qq = cos(q[0]);
+    return 0;
+}
+
+static int no_weight(double t, const double *q, const double *v, double *f, double *f_q,
+                     double *f_v, void *ctx)
+{
+    double none = 0.0;
+    (void)ctx;
+    return weight(t, q, v, f, f_q, f_v, &none);
+}
+
+/* A pendulum that has turned many times: there it is the force that one rounding of q moves. */
+static void test_turned(void)
+{
+    const double mass[1] = {1.0};
+    const dal_system_def def = {.n = 1, .mass = mass, .potential = pendulum, .force = no_weight};
+    const dal_difference_map map = {.beta = 0.5};
+    const dal_scheme scheme = find_scheme("midpoint");
+    dal_system *system = NULL;
+    dal_discrete *discrete = NULL;
+    double x[2] = {1e10, 0.3};
+    need(dal_system_new(&system, &def, NULL), "pendulum", "");
+    need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_advance(stepper, 1000, NULL, NULL) == 0);
+    for (int step = 0; step < 1000; step++)
+        CHECK(dal_discrete_advance(discrete, 0.0, 1.0, x, NULL) == 0);
+    dal_stepper_free(stepper);
+    dal_discrete_free(discrete);
     dal_system_free(system);
 }
 
@@ -1209,9 +1281,13 @@ int main(void)
     test_probes();
     test_degenerate();
     test_too_long();
-    test_units("particle_oscillator", 40);
-    test_units("generic4", 40);
-    test_units("disk", 40);
+    test_units("particle_oscillator", 40, 0.0);
+    test_units("generic4", 40, 0.0);
+    test_units("disk", 40, 0.0);
+    for (int most = -20; most <= 20; most += 40) { /* a factor of 1e6 */
+        test_units("disk", most, 1e6);
+        test_units("sleigh", most, 1e8);
+    }
     test_guess();
     test_guess_of_multipliers();
     test_rest();
@@ -1222,6 +1298,7 @@ int main(void)
     test_far_nodes("heisenberg", 1e3);
     test_far_nodes("heisenberg", 1e5);
     test_far_nodes("knife_edge", 1e7);
+    test_turned();
     test_bowl();
     test_far_differences("sleigh_contact");
     test_far_differences("rolling_disc");

@@ -1,24 +1,29 @@
-/* One beta-step by gsl_multiroot hybridsj in all n + m unknowns (w, kappa).
+/* Beta-steps by gsl_multiroot hybridsj in all n + m unknowns (w, kappa).
  *
  * Slow, and on purpose: it shares no formula with kernel.h, so it is a check of it. */
-#include "step/step.h"
+#include "oracle/multiroot.h"
+
+#include "step/beta.h"
 
 #include <gsl/gsl_multiroots.h>
 #include <math.h>
 #include <string.h>
 
-struct multiroot {
+typedef struct multiroot {
     size_t n, m;
+    size_t substeps;
+    dal_substep *substep;
     gsl_multiroot_fdfsolver *solver;
     gsl_multiroot_function_fdf equations;
     dal_mechanics *mech;           /* of the step that is being solved */
     double *K, *B;                 /* [n*n], [m*n] */
     double *w, *kappa, *R1, *R2;   /* [n], [m], [n], [m] */
     double *x;                     /* [2n] the new state */
+    double *impulse;               /* [m] of the steps so far */
     double *guess;                 /* [n+m] */
     int status;                    /* of the last evaluation: hybridsj does not hand it on */
     arena arena;
-};
+} multiroot;
 
 static int evaluate(const gsl_vector *unknown, void *ctx, gsl_vector *f, gsl_matrix *J)
 {
@@ -63,40 +68,42 @@ static int both(const gsl_vector *x, void *ctx, gsl_vector *f, gsl_matrix *J)
     return evaluate(x, ctx, f, J);
 }
 
-int dal__multiroot_new(multiroot **solver, const dal_system *system, dal_error *error)
+static void release(void *method)
 {
-    const size_t n = system->def.n, m = system->def.m, mn = dal__times(m, n);
-    multiroot shape = {.n = n, .m = m}, *self;
+    multiroot *const solver = method;
+    if (solver->solver) gsl_multiroot_fdfsolver_free(solver->solver);
+    arena memory = solver->arena; /* the object lies inside it */
+    dal__release(&memory);
+}
+
+static int make(void **method, dal_motion *motion, dal_error *error)
+{
+    const size_t n = dal_system_n(motion->system), m = dal_system_m(motion->system), mn = m * n;
+    multiroot shape = {.n = n, .m = m, .substeps = dal__scheme_count(motion->scheme)}, *self;
     arena memory = {0};
+    int status = dal__beta_check(motion->scheme, error);
+    if (status) return status;
     dal__reserve(&memory, &self, 1, sizeof *self);
-    dal__reserve(&memory, &shape.K, dal__times(n, n), sizeof(double));
+    dal__reserve(&memory, &shape.substep, shape.substeps, sizeof *shape.substep);
+    dal__reserve(&memory, &shape.K, n * n, sizeof(double));
     dal__reserve(&memory, &shape.B, mn, sizeof(double));
     dal__reserve(&memory, &shape.w, n, sizeof(double));
     dal__reserve(&memory, &shape.kappa, m, sizeof(double));
     dal__reserve(&memory, &shape.R1, n, sizeof(double));
     dal__reserve(&memory, &shape.R2, m, sizeof(double));
-    dal__reserve(&memory, &shape.x, dal__times(2, n), sizeof(double));
+    dal__reserve(&memory, &shape.x, 2 * n, sizeof(double));
+    dal__reserve(&memory, &shape.impulse, m, sizeof(double));
     dal__reserve(&memory, &shape.guess, n + m, sizeof(double));
-    const int status = dal__allocate(&memory, error);
+    status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;
     self->arena = memory;
+    for (size_t j = 0; j < self->substeps; j++)
+        self->substep[j] = dal__scheme_substep(motion->scheme, j);
     self->equations = (gsl_multiroot_function_fdf){residual, jacobian, both, n + m, self};
     self->solver = gsl_multiroot_fdfsolver_alloc(gsl_multiroot_fdfsolver_hybridsj, n + m);
-    if (!self->solver) {
-        dal__multiroot_free(self);
-        return dal__fail(error, DAL_ENOMEM, "out of memory for hybridsj in %zu unknowns", n + m);
-    }
-    *solver = self;
+    *method = self;
     return DAL_SUCCESS;
-}
-
-void dal__multiroot_free(multiroot *solver)
-{
-    if (!solver) return;
-    if (solver->solver) gsl_multiroot_fdfsolver_free(solver->solver);
-    arena memory = solver->arena; /* the object lies inside it */
-    dal__release(&memory);
 }
 
 /* hybridsj anew from unknown, which may be its own. */
@@ -120,7 +127,7 @@ static int iterate(multiroot *s, dal_stats *stats)
         if (s->status) return s->status;
         const gsl_vector *const unknown = gsl_multiroot_fdfsolver_root(s->solver);
         const gsl_vector *const change = gsl_multiroot_fdfsolver_dx(s->solver);
-        double size = 0.0, scale = dal__step_base(s->mech);
+        double size = 0.0, scale = s->mech->start.base;
         for (size_t i = 0; i < s->n; i++) {
             size += fabs(gsl_vector_get(change, i));
             scale += fabs(gsl_vector_get(unknown, i));
@@ -154,13 +161,13 @@ static int refuse_singular(multiroot *s)
     return dal__factor_gram(s->mech, s->mech->mu);
 }
 
-int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double beta, double h,
-                        bool kept, double *x, double *kappa, dal_stats *stats)
+/* One beta-scheme from x[2n], in place, into s->kappa. */
+static int solve(multiroot *s, dal_mechanics *mech, double t, double beta, double h, bool kept,
+                 double *x, dal_stats *stats)
 {
-    multiroot *const s = solver;
     const size_t n = s->n, m = s->m;
     s->mech = mech;
-    s->status = dal__step_begin(mech, t, beta, h, kept, x);
+    s->status = dal__step_begin(mech, t, beta, beta, h, kept, x);
     if (s->status) return s->status;
     memcpy(s->guess, x + n, n * sizeof *s->guess);
     memset(s->guess + n, 0, m * sizeof *s->guess);
@@ -176,6 +183,34 @@ int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double
     status = dal__step_settle(mech, s->w, s->x, &stats->worst_residual);
     if (status) return status;
     memcpy(x, s->x, 2 * n * sizeof *x);
-    for (size_t a = 0; a < m; a++) kappa[a] = gsl_vector_get(root, n + a);
+    for (size_t a = 0; a < m; a++) s->kappa[a] = gsl_vector_get(root, n + a);
     return DAL_SUCCESS;
 }
+
+static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
+{
+    multiroot *const self = method;
+    const bool kept = motion->scheme->nodes == DAL_KEPT_NODES;
+    const double h = motion->h;
+    double *const x = motion->mechanics->point; /* [2n] */
+    for (*done = 0; *done < steps; ++*done) {
+        double passed = 0.0;
+        memcpy(x, motion->x, 2 * self->n * sizeof *x);
+        memcpy(self->impulse, motion->impulse, self->m * sizeof *x);
+        for (size_t j = 0; j < self->substeps; j++) {
+            const dal_substep s = self->substep[j];
+            const double t = motion->t0 + ((double)(motion->steps + *done) + passed) * h;
+            const int status = solve(self, motion->mechanics, t, s.beta, s.fraction * h, kept, x,
+                                     motion->stats);
+            if (status) return status;
+            for (size_t a = 0; a < self->m; a++) self->impulse[a] += self->kappa[a];
+            passed += s.fraction;
+        }
+        memcpy(motion->x, x, 2 * self->n * sizeof *x);
+        memcpy(motion->impulse, self->impulse, self->m * sizeof *x);
+    }
+    return DAL_SUCCESS;
+}
+
+const dal_family multiroot_family = {
+    .name = "multiroot", .make = make, .free = release, .advance = advance};
