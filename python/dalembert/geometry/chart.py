@@ -593,7 +593,7 @@ def cutoff(tau: ArrayLike) -> tuple[Any, Any, Any]:
 
     Examples
     --------
-    >>> from dalembert.chart import cutoff
+    >>> from dalembert.geometry import cutoff
     >>> cutoff([0.0, 0.5, 1.0])[0]
     array([1. , 0.5, 0. ])
     """

@@ -117,8 +117,8 @@ class Source:
         return {}
 
     def with_values(self, values: dict[str, float]) -> Source:
-        """Return the source with other values of the parameters."""
-        raise NotImplementedError
+        """Return the source with other values of the parameters, itself if it has none."""
+        return self
 
     def require_picklable(self, name: str) -> None:
         """Raise PicklingError, with the line to change, for a function that does not pickle."""

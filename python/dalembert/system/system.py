@@ -611,10 +611,9 @@ class System(Handle):
         0.5
         """
         require_parameters(self.name, parameters, self._parameters)
-        if not parameters:
-            return self
         new = {key: arguments.parameter(x, key) for key, x in parameters.items()}
-        return type(self)._of(self._source.with_values(self._parameters | new))
+        source = self._source.with_values(self._parameters | new)
+        return self if source is self._source else type(self)._of(source)
 
     def c_source(self, name: str | None = None) -> str:
         """Return a C file with the system, for a program that is linked with libdalembert.
