@@ -26,7 +26,7 @@ import numpy as np
 from numpy.linalg import det, inv, norm, solve, svd
 
 import dalembert as dal
-from dalembert.show.table import Column, lines, text
+from dalembert.show.table import Table, text
 
 DOCUMENT = Path(__file__).with_name("errata.md")
 BEGIN, END = "<!-- table: docs/errata.py --write -->", "<!-- end of table -->"
@@ -703,9 +703,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.write and options.only:
         parser.error("--write: the document holds all points, without --only")
     rows = table(options.only or list(POINTS))
-    cells = [list(column) for column in zip(*rows)]
-    columns = [Column(title, texts, left=True) for title, texts in zip(TITLES, cells)]
-    print(text(lines(columns, sys.maxsize)))
+    print(text(Table(list(TITLES), rows, len(TITLES)).lines(sys.maxsize)))
     if options.write:
         write(rows)
     return 0 if all("NOT SHOWN" not in row for row in rows) else 1

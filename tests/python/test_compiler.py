@@ -52,7 +52,7 @@ def compiled(monkeypatch):
 
 def forget():
     """As in a new process."""
-    compiler.coreraries.clear()
+    compiler._libraries.clear()
 
 
 def slide(k=1):

@@ -75,7 +75,8 @@ def test_no_measured_number_outside_the_table():
 
 
 def test_names_of_the_library_exist():
-    header = (ROOT / "include" / "dalembert.h").read_text(encoding="utf-8")
+    headers = (ROOT / "include").rglob("*.h")
+    header = "\n".join(path.read_text(encoding="utf-8") for path in headers)
     names = set(re.findall(r"\b(?:dal|DAL)_\w+", PROSE))
     assert names
     for name in names:

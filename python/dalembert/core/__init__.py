@@ -9,7 +9,7 @@ from .callbacks import (
     MapCallables,
     Observer,
     ignore,
-    watched,
+    watching,
 )
 from .errors import (
     ConvergenceError,
@@ -25,7 +25,15 @@ from .errors import (
     in_python,
     make,
 )
-from .handle import KINDS, MISSING, MISSING_PHI_Q, Handle, Workspaces, differenced, require_system
+from .handle import (
+    KINDS,
+    MISSING,
+    MISSING_PHI_Q,
+    Handle,
+    Workspaces,
+    differenced,
+    require_system,
+)
 from .library import (
     ROUNDOFF,
     Constant,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from .arguments import Array, returned, shown
-from .errors import DomainError, attempt, raised
+from .errors import DomainError, raised
 from .library import ffi, lib
 
 _from_handle, _buffer, _memmove = ffi.from_handle, ffi.buffer, ffi.memmove
@@ -265,18 +266,22 @@ def dal_py_watch(t: float, ctx: Any) -> int:
     return 0
 
 
-def watched(function: Callable[..., int], flow: Any, *given: Any) -> int:
-    """Call a C function of a ``dal_flow`` so that Ctrl-C ends it; return its status."""
-    context = ffi.new_handle(ignore)
-    lib.dal_flow_watch(flow, lib.dal_py_watch, context)
-    try:
-        return attempt(function, flow, *given)
-    finally:
-        lib.dal_flow_watch(flow, ffi.NULL, ffi.NULL)
-
-
 def ignore(t: float) -> None:
     """Do nothing, now and then in what computes for long, so that Ctrl-C is seen."""
+
+
+@contextlib.contextmanager
+def watching(kind: str, one: Any, show: Callable[[float], Any] = ignore) -> Iterator[None]:
+    """Let Ctrl-C end what a ``dal_<kind>`` computes.
+
+    ``show(t)`` is called some times a second with the time where it is, or its steps.
+    """
+    watch, context = getattr(lib, f"dal_{kind}_watch"), ffi.new_handle(show)
+    watch(one, lib.dal_py_watch, context)
+    try:
+        yield
+    finally:
+        watch(one, ffi.NULL, ffi.NULL)
 
 
 class Observer:

@@ -21,7 +21,9 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from .library import ffi, lib, string
+import numpy as np
+
+from .library import ffi, lib, pointer, string
 
 __all__ = [
     "ConvergenceError",
@@ -160,9 +162,12 @@ raised = _Raised()
 
 
 def attempt(function: Callable[..., int], *arguments: Any) -> int:
-    """Call a C function that may call back; return its status for :func:`failure`."""
+    """Call a C function that may call back; return its status for :func:`failure`.
+
+    C gets the addresses of arrays, which hold what it expects.
+    """
     raised.exception = None
-    return function(*arguments)
+    return function(*(pointer(x) if isinstance(x, np.ndarray) else x for x in arguments))
 
 
 def failure(

@@ -23,7 +23,7 @@ def require(module: str, purpose: str) -> Any:
 
     Examples
     --------
-    >>> from dalembert import extras
+    >>> from dalembert.core import extras
     >>> extras.require("nowhere.at_all", "flying")
     Traceback (most recent call last):
         ...

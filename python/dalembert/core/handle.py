@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -71,11 +71,13 @@ class Workspaces:
         with self.lend() as one:
             self.check(attempt(function, one, *given), one)
 
-    def rows(self, function: Callable[..., int], inputs: Iterable[tuple[Any, ...]]) -> None:
-        """Call ``function(one, *given)`` for each row of arguments."""
+    def rows(self, function: Callable[..., int], *given: Any) -> None:
+        """Call ``function(one, *given)`` for each row of the arrays among what is given."""
+        count = next(len(x) for x in given if isinstance(x, np.ndarray))
         with self.lend() as one:
-            for k, given in enumerate(inputs):
-                self.check(attempt(function, one, *given), one, k)
+            for k in range(count):
+                row = (pointer(x, k) if isinstance(x, np.ndarray) else x for x in given)
+                self.check(attempt(function, one, *row), one, k)
 
 
 class Handle(Constant):

@@ -13,17 +13,14 @@ equations.  A pair (q_{k-1}, q_k) belongs to the state (q, v) = rho(q_{k-1}, q_k
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import core
-from ..core import arguments
-from .. import geometry
-from ..core import Array, Handle, ffi, lib, require_system
+from .. import core, geometry
+from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
 
 
 __all__ = ["DifferenceMap", "Discrete", "NodeRun", "Regularity", "exact_velocity"]
@@ -158,7 +155,7 @@ class NodeRun(NamedTuple):
     multipliers: Array
 
 
-class Discrete:
+class Discrete(core.Constant):
     """A system with its discrete Lagrangian and its discrete constraint.
 
     Parameters
@@ -204,63 +201,45 @@ class Discrete:
         constraint: DifferenceMap | float | None = None,
     ) -> None:
         require_system(system)
-        self._system = system
-        self._maps = (
-            _difference_map(lagrangian, "lagrangian"),
-            None if constraint is None else _difference_map(constraint, "constraint"),
-        )
-        self._definitions = [
-            (ffi.NULL, None) if one is None else one._definition(system.n) for one in self._maps
+        self.system = system
+        first = _difference_map(lagrangian, "lagrangian")
+        second = None if constraint is None else _difference_map(constraint, "constraint")
+        self.maps = first, second or first
+        definitions = [
+            (ffi.NULL, None) if one is None else one._definition(system.n)
+            for one in (first, second)
         ]
-        self._workspaces: list[Any] = []
-        with self._workspace():
+        handle, records = system._handle, [record for record, _ in definitions]
+        self._discretes = Workspaces(
+            "discrete",
+            lambda: core.make("discrete", handle, *records, owner=(handle, definitions)),
+            system.kind,
+        )
+        with self._discretes.lend():
             pass
 
-    @contextlib.contextmanager
-    def _workspace(self) -> Iterator[Any]:
-        """Lend a ``dal_discrete``; threads and callbacks that come back each get their own."""
-        try:
-            discrete = self._workspaces.pop()
-        except IndexError:
-            definitions = [one for one, _ in self._definitions]
-            discrete = core.make(
-                "discrete",
-                self._system._handle,
-                *definitions,
-                owner=(self._system, self._definitions),
-            )
-        try:
-            yield discrete
-        finally:
-            self._workspaces.append(discrete)
-
-    def _call(self, function: Callable[..., int], *given: Any) -> None:
-        with self._workspace() as discrete:
-            _check(core.attempt(function, discrete, *given), discrete)
-
-    def _nodes(self, *named: tuple[ArrayLike, str]) -> list[Array]:
-        n = self._system.n
-        return [arguments.array(value, name, (n,)) for value, name in named]
-
-    @property
-    def system(self) -> Handle:
-        """The system."""
-        return self._system
-
-    @property
-    def maps(self) -> tuple[DifferenceMap, DifferenceMap]:
-        """The maps of L_d and of D_d."""
-        lagrangian, constraint = self._maps
-        assert lagrangian is not None
-        return lagrangian, lagrangian if constraint is None else constraint
+    def _call(self, function: Callable[..., int], *outputs: Any, **given: Any) -> None:
+        """Call a C function of numbers t and h and of nodes, which are given by their names."""
+        n = self.system.n
+        self._discretes.call(
+            function,
+            *(
+                arguments.number(x, name)
+                if name in ("t", "h")
+                else arguments.array(x, name, (n,))
+                for name, x in given.items()
+            ),
+            *outputs,
+        )
 
     def __repr__(self) -> str:
         lagrangian, constraint = self.maps
         other = "" if constraint is lagrangian else f", {constraint!r} for D_d"
-        return f"<Discrete {self._system.name}: {lagrangian!r}{other}>"
+        return f"<Discrete {self.system.name}: {lagrangian!r}{other}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Discrete, (self._system, *self._maps)
+        first, second = self.maps
+        return Discrete, (self.system, first, None if second is first else second)
 
     # ---- nodes and states ------------------------------------------------------------------
 
@@ -288,10 +267,8 @@ class Discrete:
         >>> dal.Discrete(dal.systems.particle(), 0.5).state(0.5, [0, 1, 0], [1, 1, 1])
         (array([0.5, 1. , 0.5]), array([2., 0., 2.]))
         """
-        h = arguments.number(h, "h")
-        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
-        x = np.empty((2, self._system.n))
-        self._call(lib.dal_discrete_state, h, *map(core.pointer, (q0, q1, x)))
+        x = np.empty((2, self.system.n))
+        self._call(lib.dal_discrete_state, x, h=h, q0=q0, q1=q1)
         return x[0], x[1]
 
     def nodes(self, h: float, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
@@ -322,10 +299,10 @@ class Discrete:
         >>> dal.Discrete(dal.systems.particle(), 0.0).nodes(0.5, [0, 1, 0], [1, 1, 1])
         (array([0., 1., 0.]), array([0.5, 1.5, 0.5]))
         """
-        h = arguments.number(h, "h")
-        x = np.concatenate(self._nodes((q, "q"), (v, "v")))
-        q0, q1 = np.empty((2, self._system.n))
-        self._call(lib.dal_discrete_nodes, h, *map(core.pointer, (x, q0, q1)))
+        n = self.system.n
+        x = np.concatenate(_pair(self.system, q=q, v=v))
+        q0, q1 = np.empty((2, n))
+        self._call(lib.dal_discrete_nodes, x, q0, q1, h=h)
         return q0, q1
 
     # ---- the discrete Lagrangian and constraint ----------------------------------------------
@@ -354,13 +331,8 @@ class Discrete:
         >>> dal.Discrete(dal.systems.particle()).lagrangian(0.5, [0, 1, 0], [1, 1, 1])
         2.0
         """
-        h = arguments.number(h, "h")
-        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
-        value = ffi.new("double *")
-        self._call(
-            lib.dal_discrete_lagrangian, 0.0, h, core.pointer(q0), core.pointer(q1), value,
-            ffi.NULL, ffi.NULL, ffi.NULL,
-        )  # fmt: skip
+        value = np.empty(1)
+        self._call(lib.dal_discrete_lagrangian, value, *[ffi.NULL] * 3, t=0.0, h=h, q0=q0, q1=q1)
         return float(value[0])
 
     def lagrangian_derivatives(
@@ -392,15 +364,10 @@ class Discrete:
         >>> discrete.lagrangian_derivatives(0.5, [0, 1, 0], [1, 1, 1])[1]
         array([2., 0., 2.])
         """
-        h = arguments.number(h, "h")
-        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
-        n = self._system.n
+        n = self.system.n
         D1, D2 = np.empty((2, n))
         D12 = np.empty((n, n))
-        self._call(
-            lib.dal_discrete_lagrangian, 0.0, h, core.pointer(q0), core.pointer(q1), ffi.NULL,
-            *map(core.pointer, (D1, D2, D12)),
-        )  # fmt: skip
+        self._call(lib.dal_discrete_lagrangian, ffi.NULL, D1, D2, D12, t=0.0, h=h, q0=q0, q1=q1)
         return D1, D2, D12
 
     def constraint(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Array:
@@ -427,12 +394,8 @@ class Discrete:
         >>> dal.Discrete(dal.systems.particle()).constraint(0.5, [0, 1, 0], [1, 1, 2])
         array([2.])
         """
-        h = arguments.number(h, "h")
-        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
-        phi = np.empty(self._system.m)
-        self._call(
-            lib.dal_discrete_constraint, 0.0, h, *map(core.pointer, (q0, q1, phi)), ffi.NULL, ffi.NULL
-        )
+        phi = np.empty(self.system.m)
+        self._call(lib.dal_discrete_constraint, phi, ffi.NULL, ffi.NULL, t=0.0, h=h, q0=q0, q1=q1)
         return phi
 
     def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
@@ -460,13 +423,8 @@ class Discrete:
         >>> discrete.constraint_derivatives(0.5, [0, 1, 0], [1, 1, 2])[1]
         array([[-2., -1.,  2.]])
         """
-        h = arguments.number(h, "h")
-        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
-        D1, D2 = np.empty((2, self._system.m, self._system.n))
-        self._call(
-            lib.dal_discrete_constraint, 0.0, h, core.pointer(q0), core.pointer(q1), ffi.NULL,
-            core.pointer(D1), core.pointer(D2),
-        )  # fmt: skip
+        D1, D2 = np.empty((2, self.system.m, self.system.n))
+        self._call(lib.dal_discrete_constraint, ffi.NULL, D1, D2, t=0.0, h=h, q0=q0, q1=q1)
         return D1, D2
 
     def momenta(
@@ -500,10 +458,8 @@ class Discrete:
         >>> dal.Discrete(dal.systems.particle()).momenta(0.5, [0, 1, 0], [1, 1, 1])
         (array([2., 0., 2.]), array([2., 0., 2.]))
         """
-        h, t = arguments.number(h, "h"), arguments.number(t, "t")
-        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
-        minus, plus = np.empty((2, self._system.n))
-        self._call(lib.dal_discrete_momenta, t, h, *map(core.pointer, (q0, q1, minus, plus)))
+        minus, plus = np.empty((2, self.system.n))
+        self._call(lib.dal_discrete_momenta, minus, plus, t=t, h=h, q0=q0, q1=q1)
         return minus, plus
 
     def momentum(
@@ -547,10 +503,9 @@ class Discrete:
         >>> dal.Discrete(particle).momentum(0.5, [0, 1, 0], [1, 2, 1], y, y)
         (2.0, 2.0)
         """
-        h, t = arguments.number(h, "h"), arguments.number(t, "t")
-        given = self._nodes((q0, "q0"), (q1, "q1"), (xi0, "xi0"), (xi1, "xi1"))
-        minus, plus = ffi.new("double *"), ffi.new("double *")
-        self._call(lib.dal_discrete_momentum, t, h, *map(core.pointer, given), minus, plus)
+        minus, plus = np.empty((2, 1))
+        nodes = {"q0": q0, "q1": q1, "xi0": xi0, "xi1": xi1}
+        self._call(lib.dal_discrete_momentum, minus, plus, t=t, h=h, **nodes)
         return float(minus[0]), float(plus[0])
 
     # ---- the discrete equations --------------------------------------------------------------
@@ -594,13 +549,10 @@ class Discrete:
         >>> discrete.residual(0.5, [0, 1, 0], [1, 1, 1], [2, 1, 2], [0.25])
         array([-0.125,  0.   ,  0.125,  0.   ])
         """
-        h, t = arguments.number(h, "h"), arguments.number(t, "t")
-        given = self._nodes((q_before, "q_before"), (q, "q"), (q_after, "q_after"))
-        given.append(arguments.array(multipliers, "multipliers", (self._system.m,)))
-        residual = np.empty(self._system.n + self._system.m)
-        self._call(
-            lib.dal_discrete_residual, t, h, *map(core.pointer, given), core.pointer(residual)
-        )
+        forces = arguments.array(multipliers, "multipliers", (self.system.m,))
+        residual = np.empty(self.system.n + self.system.m)
+        nodes = {"q_before": q_before, "q": q, "q_after": q_after}
+        self._call(lib.dal_discrete_residual, forces, residual, t=t, h=h, **nodes)
         return residual
 
     def regularity(self, h: float, q: ArrayLike, q_after: ArrayLike, t: float = 0.0) -> Regularity:
@@ -635,16 +587,12 @@ class Discrete:
         >>> discrete.regularity(0.5, [0, -1, 0], [1, 1, 0]).sign
         0
         """
-        h, t = arguments.number(h, "h"), arguments.number(t, "t")
-        q, q_after = self._nodes((q, "q"), (q_after, "q_after"))
-        size = self._system.n + self._system.m
+        size = self.system.n + self.system.m
         matrix = np.empty((size, size))
         sign = ffi.new("int *")
-        logarithm, condition = ffi.new("double *"), ffi.new("double *")
-        self._call(
-            lib.dal_discrete_regularity, t, h, *map(core.pointer, (q, q_after, matrix)), sign,
-            logarithm, condition,
-        )  # fmt: skip
+        logarithm, condition = np.empty((2, 1))
+        outputs = (matrix, sign, logarithm, condition)
+        self._call(lib.dal_discrete_regularity, *outputs, t=t, h=h, q=q, q_after=q_after)
         return Regularity(matrix, int(sign[0]), float(logarithm[0]), float(condition[0]))
 
     def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> tuple[Array, Array]:
@@ -682,10 +630,9 @@ class Discrete:
         >>> q2
         array([2., 1., 2.])
         """
-        h, t = arguments.number(h, "h"), arguments.number(t, "t")
-        pair = [node.copy() for node in self._nodes((q0, "q0"), (q1, "q1"))]
-        multipliers = np.empty(self._system.m)
-        self._call(lib.dal_discrete_step, t, h, *map(core.pointer, pair), core.pointer(multipliers))
+        pair = np.array(_pair(self.system, q0=q0, q1=q1))
+        multipliers = np.empty(self.system.m)
+        self._call(lib.dal_discrete_step, pair[0], pair[1], multipliers, t=t, h=h)
         return pair[1], multipliers
 
     def run(
@@ -727,22 +674,19 @@ class Discrete:
         t0 = arguments.number(t0, "t0")
         h = arguments.step_size(h, t0)
         steps = arguments.integer(steps, "steps", 0)
-        nodes = np.empty((steps + 2, self._system.n))
-        nodes[:2] = self._nodes((q0, "q0"), (q1, "q1"))
-        multipliers = np.empty((steps, self._system.m))
+        nodes = np.empty((steps + 2, self.system.n))
+        nodes[:2] = _pair(self.system, q0=q0, q1=q1)
+        multipliers = np.empty((steps, self.system.m))
         done = ffi.new("size_t *")
-        with self._workspace() as discrete:
-            start, most = 0, geometry.most_in_a_call(self._system)
-            while True:
-                count = min(most, steps - start)
+        most = geometry.most_in_a_call(self.system)
+        with self._discretes.lend() as discrete:
+            for start in range(0, max(steps, 1), most):
                 status = core.attempt(
-                    lib.dal_discrete_run, discrete, t0 + start * h, h, count,
+                    lib.dal_discrete_run, discrete, t0 + start * h, h, min(most, steps - start),
                     core.pointer(nodes, start), core.pointer(multipliers, start), done,
                 )  # fmt: skip
-                _check(status, discrete, start + int(done[0]))
-                start += count
-                if start == steps:
-                    return NodeRun(nodes, multipliers)
+                self._discretes.check(status, discrete, start + int(done[0]))
+        return NodeRun(nodes, multipliers)
 
     def advance(
         self, h: float, q: ArrayLike, v: ArrayLike, t: float = 0.0
@@ -779,11 +723,10 @@ class Discrete:
         >>> q
         array([1., 1., 1.])
         """
-        h, t = arguments.number(h, "h"), arguments.number(t, "t")
-        n = self._system.n
-        x = np.concatenate(self._nodes((q, "q"), (v, "v")))
-        multipliers = np.empty(self._system.m)
-        self._call(lib.dal_discrete_advance, t, h, core.pointer(x), core.pointer(multipliers))
+        n = self.system.n
+        x = np.concatenate(_pair(self.system, q=q, v=v))
+        multipliers = np.empty(self.system.m)
+        self._call(lib.dal_discrete_advance, x, multipliers, t=t, h=h)
         return x[:n].copy(), x[n:].copy(), multipliers
 
 
@@ -798,9 +741,8 @@ def _difference_map(value: Any, name: str) -> DifferenceMap:
         ) from None
 
 
-def _check(status: int, discrete: Any, step: int | None = None) -> None:
-    if status < 0:
-        raise core.failure(status, core.string(lib.dal_discrete_message(discrete)), step=step)
+def _pair(system: Handle, **given: ArrayLike) -> list[Array]:
+    return [arguments.array(x, name, (system.n,)) for name, x in given.items()]
 
 
 def exact_velocity(
@@ -856,14 +798,10 @@ def exact_velocity(
     require_system(system)
     h, t0 = arguments.number(h, "h"), arguments.number(t0, "t0")
     tolerance = arguments.tolerance(tolerance)
-    q0 = arguments.array(q0, "q0", (system.n,))
-    q1 = arguments.array(q1, "q1", (system.n,))
-    handle, method = system._handle, lib.DAL_FLOW_RK8PD
-    flow = core.make("flow", handle, method, lib.DAL_FLOW_X, tolerance, owner=handle)
+    q0, q1 = _pair(system, q0=q0, q1=q1)
+    flow = system._c("flow", lib.DAL_FLOW_RK8PD, lib.DAL_FLOW_X, tolerance)
     v0, defect = np.empty(system.n), np.empty(system.m)
-    status = core.watched(
-        lib.dal_exact_velocity, flow, t0, h, *map(core.pointer, (q0, q1, v0, defect))
-    )
-    if status < 0:
-        raise core.failure(status, core.string(lib.dal_flow_message(flow)))
+    with core.watching("flow", flow):
+        status = core.attempt(lib.dal_exact_velocity, flow, t0, h, q0, q1, v0, defect)
+    core.check(status, core.string(lib.dal_flow_message(flow)))
     return v0, defect

@@ -11,18 +11,16 @@ happen to nonlinear constraints only, and whatever a function of the user raises
 
 from __future__ import annotations
 
-import contextlib
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
+from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
 from . import mechanics
-from ..core import arguments
-from ..core import Array, Handle, ffi, lib, require_system
 
 __all__ = ["Chart", "cutoff"]
 
@@ -86,11 +84,11 @@ class Chart(core.Constant):
         self.system = system
         self._x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
         self._width = 2 * system.n - system.m
-        self._workspaces: list[Any] = []
+        self._charts = Workspaces("chart", self._new, system.kind)
         self._place = ffi.NULL
         if dependent is not None:
             self._place = ffi.new("size_t[]", _indices(system, dependent))
-        with self._workspace() as chart:
+        with self._charts.lend() as chart:
             found = lib.dal_chart_dependent(chart)
             self._place = ffi.new("size_t[]", [found[a] for a in range(system.m)])
         chosen = set(self._place)
@@ -98,30 +96,16 @@ class Chart(core.Constant):
         self.dependent = tuple(c for i, c in enumerate(names) if i in chosen)
         self.independent = tuple(c for i, c in enumerate(names) if i not in chosen)
 
-    @contextlib.contextmanager
-    def _workspace(self) -> Iterator[Any]:
-        """Lend a ``dal_chart``, which belongs to one call at a time."""
-        try:
-            chart = self._workspaces.pop()
-        except IndexError:
-            handle = self.system._handle
-            chart = core.make("chart", handle, owner=handle)
-            self._choose(chart)
-        try:
-            yield chart
-        finally:
-            self._workspaces.append(chart)
+    def _new(self) -> Any:
+        """Return a ``dal_chart`` with the choice of this chart."""
+        chart = self.system._c("chart")
+        self._choose(chart)
+        return chart
 
     def _choose(self, chart: Any) -> None:
         """Make the choice of this chart that of a ``dal_chart``."""
-        x = core.pointer(self._x)
-        _check(core.attempt(lib.dal_chart_choose, chart, 0.0, self._place, x), chart, None)
-
-    def _rows(self, function: Callable[..., int], inputs: Iterable[tuple[Any, ...]]) -> None:
-        """Call ``function(chart, *given)``, one call for each row."""
-        with self._workspace() as chart:
-            for k, given in enumerate(inputs):
-                _check(core.attempt(function, chart, *given), chart, k)
+        status = core.attempt(lib.dal_chart_choose, chart, 0.0, self._place, self._x)
+        self._charts.check(status, chart)
 
     def _states(self, q: ArrayLike, v: ArrayLike | None) -> tuple[Array, bool]:
         return mechanics.states(self.system, q, np.zeros(np.shape(q)) if v is None else v)
@@ -193,12 +177,8 @@ class Chart(core.Constant):
     def _connection(self, q: ArrayLike, v: ArrayLike | None, which: int, columns: int) -> Array:
         x, single = self._states(q, v)
         values = np.empty((len(x), self.system.m * columns))
-        pointers = [ffi.NULL, ffi.NULL]
-        calls = []
-        for k in range(len(x)):
-            pointers[which] = core.pointer(values, k)
-            calls.append((0.0, core.pointer(x, k), *pointers))
-        self._rows(lib.dal_chart_connection, calls)
+        outputs = (values, ffi.NULL) if which == 0 else (ffi.NULL, values)
+        self._charts.rows(lib.dal_chart_connection, 0.0, x, *outputs)
         matrices = values.reshape(len(x), self.system.m, columns)
         return matrices[0] if single else matrices
 
@@ -231,8 +211,7 @@ class Chart(core.Constant):
         """
         x, single = self._states(q, v)
         values = np.empty(len(x))
-        calls = ((0.0, core.pointer(x, k), core.pointer(values, k)) for k in range(len(x)))
-        self._rows(lib.dal_chart_condition, calls)
+        self._charts.rows(lib.dal_chart_condition, 0.0, x, values)
         return float(values[0]) if single else values
 
     def renewed(self, q: ArrayLike, v: ArrayLike | None = None) -> Chart:
@@ -271,13 +250,12 @@ class Chart(core.Constant):
         v = np.zeros(system.n) if v is None else arguments.array(v, "v", (system.n,))
         x = np.concatenate([q, v])
         changed = ffi.new("int *")
-        chart = core.make("chart", system._handle, owner=system._handle)
-        self._choose(chart)
-        status = core.attempt(lib.dal_chart_renew, chart, 0.0, core.pointer(x), changed)
-        _check(status, chart, None)
+        chart = self._new()
+        status = core.attempt(lib.dal_chart_renew, chart, 0.0, x, changed)
+        self._charts.check(status, chart)
         if changed[0]:
             _log.info("%s", core.string(lib.dal_chart_message(chart)))
-        elif lib.dal_system_kind(system._handle) != lib.DAL_NONLINEAR:
+        elif system.kind != "nonlinear":
             return self
         found = lib.dal_chart_dependent(chart)
         return Chart(system, q, v, [system.coordinates[found[a]] for a in range(system.m)])
@@ -305,14 +283,9 @@ class Chart(core.Constant):
         (array([2., 1., 2.]), array([0., 0., 3.]))
         """
         x, single = self._states(q, v)
-        parts = np.empty((len(x), 2 * self.system.n))
-        n = self.system.n
-        calls = (
-            (0.0, core.pointer(x, k), core.pointer(parts, k), core.pointer(parts, k) + n)
-            for k in range(len(x))
-        )
-        self._rows(lib.dal_chart_split, calls)
-        return self._halves(parts, single)
+        hor, ver = np.empty((2, len(x), self.system.n))
+        self._charts.rows(lib.dal_chart_split, 0.0, x, hor, ver)
+        return (hor[0], ver[0]) if single else (hor, ver)
 
     # ---- psi -----------------------------------------------------------------------------
 
@@ -340,8 +313,7 @@ class Chart(core.Constant):
         """
         xi, single = self._coordinates(xi)
         x = np.empty((len(xi), 2 * self.system.n))
-        calls = ((0.0, core.pointer(xi, k), core.pointer(x, k)) for k in range(len(xi)))
-        self._rows(lib.dal_chart_lift, calls)
+        self._charts.rows(lib.dal_chart_lift, 0.0, xi, x)
         return self._halves(x, single)
 
     def drop(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -368,8 +340,7 @@ class Chart(core.Constant):
         """
         x, single = self._states(q, v)
         xi = np.empty((len(x), self._width))
-        calls = ((core.pointer(x, k), core.pointer(xi, k)) for k in range(len(x)))
-        self._rows(lib.dal_chart_drop, calls)
+        self._charts.rows(lib.dal_chart_drop, x, xi)
         return xi[0] if single else xi
 
     def jacobian(self, xi: ArrayLike) -> Array:
@@ -396,10 +367,7 @@ class Chart(core.Constant):
         """
         xi, single = self._coordinates(xi)
         values = np.empty((len(xi), 2 * self.system.n * self._width))
-        calls = (
-            (0.0, core.pointer(xi, k), core.pointer(values, k), ffi.NULL) for k in range(len(xi))
-        )
-        self._rows(lib.dal_chart_jacobian, calls)
+        self._charts.rows(lib.dal_chart_jacobian, 0.0, xi, values, ffi.NULL)
         matrices = values.reshape(len(xi), 2 * self.system.n, self._width)
         return matrices[0] if single else matrices
 
@@ -438,8 +406,7 @@ class Chart(core.Constant):
         xi, single = self._coordinates(xi)
         t = arguments.number(t, "t")
         values = np.empty_like(xi)
-        calls = ((t, core.pointer(xi, k), core.pointer(values, k)) for k in range(len(xi)))
-        self._rows(lib.dal_chart_field, calls)
+        self._charts.rows(lib.dal_chart_field, t, xi, values)
         return values[0] if single else values
 
     def multipliers(
@@ -510,11 +477,7 @@ class Chart(core.Constant):
         shape = (self.system.m,) if single else (len(x), self.system.m)
         given = np.atleast_2d(arguments.array(multipliers, "multipliers", shape))
         values = np.empty_like(given)
-        calls = (
-            (0.0, core.pointer(x, k), core.pointer(given, k), core.pointer(values, k))
-            for k in range(len(x))
-        )
-        self._rows(function, calls)
+        self._charts.rows(function, 0.0, x, given, values)
         return values[0] if single else values
 
     def step(
@@ -556,8 +519,7 @@ class Chart(core.Constant):
         xi, single = self._coordinates(xi)
         h, beta, t = (arguments.number(*pair) for pair in ((h, "h"), (beta, "beta"), (t, "t")))
         values = np.empty((len(xi), self.system.m))
-        calls = ((t, beta, h, core.pointer(xi, k), core.pointer(values, k)) for k in range(len(xi)))
-        self._rows(lib.dal_chart_step, calls)
+        self._charts.rows(lib.dal_chart_step, t, beta, h, xi, values)
         return (xi[0], values[0]) if single else (xi, values)
 
     def curve(
@@ -596,11 +558,11 @@ class Chart(core.Constant):
         times = arguments.array(tau, "tau", (), (None,))
         x = np.empty((times.size, 2 * n))
         first, second = core.pointer(ends), core.pointer(ends) + 2 * n
-        calls = (
-            (0.0, first, second, float(each), core.pointer(x, k))
-            for k, each in enumerate(times.flat)
-        )
-        self._rows(lib.dal_chart_curve, calls)
+        with self._charts.lend() as chart:
+            for k, each in enumerate(times.flat):
+                row = core.pointer(x, k)
+                status = core.attempt(lib.dal_chart_curve, chart, 0.0, first, second, float(each), row)
+                self._charts.check(status, chart, k)
         return self._halves(x, times.ndim == 0)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -631,7 +593,7 @@ def cutoff(tau: ArrayLike) -> tuple[Any, Any, Any]:
 
     Examples
     --------
-    >>> from dalembert.chart import cutoff
+    >>> from dalembert.geometry import cutoff
     >>> cutoff([0.0, 0.5, 1.0])[0]
     array([1. , 0.5, 0. ])
     """
@@ -641,11 +603,6 @@ def cutoff(tau: ArrayLike) -> tuple[Any, Any, Any]:
         lib.dal_cutoff(float(each), *(core.pointer(values, row) + k for row in range(3)))
     first, second, slope = values.reshape(3, *given.shape)
     return (first, second, slope) if given.ndim else (float(first), float(second), float(slope))
-
-
-def _check(status: int, chart: Any, row: int | None) -> None:
-    if status < 0:
-        raise core.failure(status, core.string(lib.dal_chart_message(chart)), step=row)
 
 
 def _indices(system: Handle, dependent: str | Iterable[str]) -> list[int]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from . import mechanics
 from ..core import Handle, ffi, lib
+from . import mechanics
 
 __all__ = ["Check", "Difference", "examine"]
 

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import arguments
-from ..core import Array, Handle, ffi, lib
+from ..core import Array, Handle, arguments, ffi, lib
 
 __all__ = [
     "acceleration",
@@ -107,28 +106,8 @@ def trajectory(
                 lib.dal_trajectory, mechanics, t0 + start * h, h, shift, count,
                 core.pointer(x, start, count * 2 * system.n), *pointers, done,
             )  # fmt: skip
-            _check(status, system, mechanics, start + done[0])
+            system._mechanics.check(status, mechanics, start + int(done[0]))
     return values
-
-
-def rows(
-    system: Handle,
-    function: Callable[..., int],
-    inputs: Iterable[tuple[Any, ...]],
-    values: Array | None = None,
-) -> None:
-    """Call ``function(mechanics, *given)``, one call for each row."""
-    with system._mechanics.lend() as mechanics:
-        for k, given in enumerate(inputs):
-            output = () if values is None else (core.pointer(values, k),)
-            status = core.attempt(function, mechanics, *given, *output)
-            _check(status, system, mechanics, k)
-
-
-def _check(status: int, system: Handle, mechanics: Any, row: int) -> None:
-    if status < 0:
-        message = core.string(lib.dal_mechanics_message(mechanics))
-        raise core.failure(status, message, kind=system.kind, step=int(row))
 
 
 # ---- functions -----------------------------------------------------------------------------
@@ -334,16 +313,9 @@ def power(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> tuple[A
     """
     x, single = states(system, q, v)
     t = arguments.number(t, "t")
-    values = np.empty((len(x), 2))
-    addresses = (core.pointer(values, k) for k in range(len(x)))
-    rows(
-        system,
-        lib.dal_power,
-        ((t, core.pointer(x, k), pair, pair + 1) for k, pair in enumerate(addresses)),
-    )
-    if single:
-        return float(values[0, 0]), float(values[0, 1])
-    return values[:, 0], values[:, 1]
+    constraint, force = np.empty((2, len(x)))
+    system._mechanics.rows(lib.dal_power, t, x, constraint, force)
+    return (float(constraint[0]), float(force[0])) if single else (constraint, force)
 
 
 def gram(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
@@ -379,7 +351,7 @@ def _matrices(
 ) -> Array:
     x, single = states(system, q, np.zeros(np.shape(q)) if v is None else v)
     values = np.empty((len(x), size**2))
-    rows(system, function, ((0.0, core.pointer(x, k)) for k in range(len(x))), values)
+    system._mechanics.rows(function, 0.0, x, values)
     matrices = values.reshape(len(x), size, size)
     return matrices[0] if single else matrices
 
@@ -446,7 +418,7 @@ def _vectors(
     x, single = states(system, q, v)
     t = arguments.number(t, "t")
     values = np.empty((len(x), width))
-    rows(system, function, ((t, core.pointer(x, k)) for k in range(len(x))), values)
+    system._mechanics.rows(function, t, x, values)
     return values[0] if single else values
 
 
@@ -501,14 +473,7 @@ def perturbed(
     push = np.atleast_2d(arguments.array(ghat, "ghat", shape))
     weight, t = arguments.number(weight, "weight"), arguments.number(t, "t")
     values, forces = np.empty_like(x), np.empty((len(x), system.m))
-    rows(
-        system,
-        lib.dal_perturbed,
-        (
-            (t, weight, *(core.pointer(each, k) for each in (x, push, values, forces)))
-            for k in range(len(x))
-        ),
-    )
+    system._mechanics.rows(lib.dal_perturbed, t, weight, x, push, values, forces)
     return (values[0], forces[0]) if single else (values, forces)
 
 
@@ -551,8 +516,7 @@ def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> A
 def projection(system: Handle, x: Array, shift: float = 0.0) -> Array:
     """Project the rows of ``x`` in place; return how far, in the mass metric, shape (N,)."""
     distances = np.empty(len(x))
-    given = ((0.0, shift, core.pointer(x, k)) for k in range(len(x)))
-    rows(system, lib.dal_project, given, distances)
+    system._mechanics.rows(lib.dal_project, 0.0, shift, x, distances)
     return distances
 
 
@@ -595,9 +559,7 @@ def consistent(
     """
     x, single = states(system, q0, v0, ("q0", "v0"))
     mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
-    distances = np.empty(len(x))
-    given = ((0.0, mask, core.pointer(x, k)) for k in range(len(x)))
-    rows(system, lib.dal_consistent, given, distances)
+    system._mechanics.rows(lib.dal_consistent, 0.0, mask, x, np.empty(len(x)))
     v = x[:, system.n :].copy()
     return v[0] if single else v
 

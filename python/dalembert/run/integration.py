@@ -13,15 +13,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import core
-from ..core import arguments, extras
-from .. import geometry
-from ..core import Array, DalembertError, DalembertWarning, ffi, lib
+from .. import core, geometry
+from ..core import (
+    Array,
+    DalembertError,
+    DalembertWarning,
+    arguments,
+    extras,
+    ffi,
+    lib,
+    require_system,
+)
+from ..system import System
 from .runs import Run, consistent_state, started_stepper
 from .scheme import METHODS, Scheme
 from .solution import Solution
-from ..core import require_system
-from ..system import System
 
 __all__ = ["Reference", "integrate", "reference"]
 
@@ -244,17 +250,12 @@ def reference(
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     flow_method = arguments.choice(method, "method", METHODS)
     tolerance = arguments.tolerance(tolerance)
-    flow = core.make(
-        "flow",
-        system._handle,
-        flow_method,
-        arguments.choice(coordinates, "coordinates", COORDINATES),
-        tolerance,
-        owner=system._handle,
-    )
+    coordinate = arguments.choice(coordinates, "coordinates", COORDINATES)
+    flow = system._c("flow", flow_method, coordinate, tolerance)
     x = consistent_state(system, x0, t0, consistency)
-    accuracy = ffi.new("double *")
-    status = core.watched(lib.dal_flow_apply, flow, t0, t, core.pointer(x), accuracy)
+    accuracy = np.empty(1)
+    with core.watching("flow", flow):
+        status = core.attempt(lib.dal_flow_apply, flow, t0, t, x, accuracy)
     if status < 0:
         raise core.failure(status, core.string(lib.dal_flow_message(flow)), kind=system.kind)
     return Reference(x[: system.n], x[system.n :], float(accuracy[0]))

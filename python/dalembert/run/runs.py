@@ -33,9 +33,7 @@ def started_stepper(
     """Return a ``dal_stepper`` at its initial data, which the core has checked."""
     record, kept = scheme._record_of(system)
     stepper = core.make("stepper", system._handle, record, options, owner=(system._handle, kept))
-    status = core.attempt(
-        lib.dal_stepper_start, stepper, t0, h, core.pointer(x0), consistency, initial
-    )
+    status = core.attempt(lib.dal_stepper_start, stepper, t0, h, x0, consistency, initial)
     if status < 0:
         hint = "; consistent='project' would project v0" if status == lib.DAL_EOFFD else ""
         message = core.string(lib.dal_stepper_message(stepper)) + hint

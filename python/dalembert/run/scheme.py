@@ -9,9 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from .. import core
-from ..core import arguments
-from ..core import ffi, lib
-from ..core import require_system
+from ..core import arguments, ffi, lib, require_system
 from ..discrete import DifferenceMap
 from ..system import System
 
@@ -111,7 +109,7 @@ class Scheme:
         record.symmetric = bool(self.symmetric)
         object.__setattr__(self, "_record", record)
         object.__setattr__(self, "_kept", kept)
-        core.make("stepper", _validator()._handle, record, ffi.NULL)
+        _validator()._c("stepper", record, ffi.NULL)
 
     @classmethod
     def find(cls, name: str) -> Scheme:
@@ -281,7 +279,8 @@ class Scheme:
         if self._maps is None:
             return self._record, self
         definitions, kept = zip(*(one._definition(system.n) for one in self._maps))
-        data = ffi.new("dal_pair *", {"lagrangian": definitions[0][0], "constraint": definitions[1][0]})
+        lagrangian, constraint = (each[0] for each in definitions)
+        data = ffi.new("dal_pair *", {"lagrangian": lagrangian, "constraint": constraint})
         record = ffi.new("dal_scheme *", self._record[0])
         record.data = data
         return record, (self, data, kept)

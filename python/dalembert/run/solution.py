@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import core
-from ..core import arguments, extras
-from .. import geometry
-from ..core import Array, differenced, ffi, lib, require_system
-from .scheme import Scheme
+from .. import core, geometry
+from ..core import Array, arguments, differenced, extras, ffi, lib, require_system
 from ..system import System
+from .scheme import Scheme
 
 __all__ = ["Solution", "States", "Statistics"]
 
@@ -297,10 +295,10 @@ class Solution(Mapping[str, Any]):
         """
         times = arguments.array(t, "t", (), (None,))
         flat = times.reshape(-1)
-        n, handle, h = self.system.n, self.system._handle, self.stride * self.h
+        n, h = self.system.n, self.stride * self.h
         x = np.empty((flat.size, 2 * n))
         changes, some = 0, ffi.new("size_t *")
-        chart = core.make("chart", handle, owner=handle)
+        chart = self.system._c("chart")
         before = flat[:0]  # the last time between stored states: seen again for a change after it
         most = geometry.most_in_a_call(self.system)
         for start in range(0, flat.size, most):

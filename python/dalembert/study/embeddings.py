@@ -11,26 +11,22 @@ grows as 1/h, with p - 1 it tends to 0: so it measures p.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import core
-from ..core import arguments, extras
-from .. import geometry
-from ..core import Array, ffi, lib
+from .. import core, geometry
+from ..core import Array, Workspaces, arguments, extras, ffi, lib, require_system
 from ..geometry import Chart
 from ..run.integration import CONSISTENCY
 from ..run.runs import consistent_state
 from ..run.scheme import Scheme
-from .study import Fit
-from ..core import require_system
 from ..system import System
+from .study import Fit
 
 __all__ = ["Embedding", "embedding"]
 
@@ -115,50 +111,29 @@ class Embedding(core.Constant):
                 "numerical": int(numerical),
             },
         )
-        self._workspaces: list[Any] = []
-        with self._workspace() as embedding:
+        self._embeddings = Workspaces("embedding", self._new, chart.system.kind)
+        with self._embeddings.lend() as embedding:
             self.order = int(lib.dal_embedding_order(embedding))
             self._noise = float(lib.dal_embedding_noise(embedding))
 
-    @contextlib.contextmanager
-    def _workspace(self, show: Callable[[float], Any] = lambda made: None) -> Iterator[Any]:
-        """Lend a ``dal_embedding``; threads and callbacks that come back each get their own.
+    def _new(self) -> Any:
+        """Return a ``dal_embedding`` with the choice of the chart."""
+        owner = (self.system, self.scheme)
+        embedding = core.make("embedding", self.system._handle, self._definition, owner=owner)
+        self.chart._choose(lib.dal_embedding_chart(embedding))
+        return embedding
 
-        Ctrl-C ends what it computes, and ``show`` is told some times a second how many steps of a
-        curve are made.
-        """
-        try:
-            embedding = self._workspaces.pop()
-        except IndexError:
-            owner = (self.system, self.scheme)
-            embedding = core.make("embedding", self.system._handle, self._definition, owner=owner)
-            self.chart._choose(lib.dal_embedding_chart(embedding))
-        context = ffi.new_handle(show)
-        lib.dal_embedding_watch(embedding, lib.dal_py_watch, context)
-        try:
-            yield embedding
-        finally:
-            lib.dal_embedding_watch(embedding, ffi.NULL, ffi.NULL)
-            self._workspaces.append(embedding)
-
-    def _rows(
+    def _call(
         self,
         function: Callable[..., int],
-        inputs: Iterable[tuple[Any, ...]],
-        values: Array,
-        show: Callable[[int, float], Any] = lambda row, made: None,
+        *given: Any,
+        row: int | None = None,
+        show: Callable[[float], Any] = lambda made: None,
     ) -> None:
-        """Call ``function(embedding, *given, value)``, one call for each row of values."""
-        k = 0
-        with self._workspace(lambda made: show(k, made)) as embedding:
-            for k, given in enumerate(inputs):
-                status = core.attempt(function, embedding, *given, core.pointer(values, k))
-                self._check(status, embedding, k)
-
-    def _check(self, status: int, embedding: Any, row: int | None = None) -> None:
-        if status < 0:
-            message = core.string(lib.dal_embedding_message(embedding))
-            raise core.failure(status, message, kind=self.system.kind, step=row)
+        """Call ``function(embedding, *given)``; ``show`` is told how many steps are made."""
+        with self._embeddings.lend() as embedding, core.watching("embedding", embedding, show):
+            status = core.attempt(function, embedding, *given)
+            self._embeddings.check(status, embedding, row)
 
     def _point(self, z: ArrayLike | None, name: str, *shapes: tuple[int | None, ...]) -> Array:
         return self.start if z is None else arguments.array(z, name, self.start.shape, *shapes)
@@ -180,10 +155,13 @@ class Embedding(core.Constant):
         times = np.broadcast_to(taus, rows or 1)
         places = np.ascontiguousarray(np.broadcast_to(points, (len(times), self.start.size)))
         values = np.empty_like(places)
-        inputs = ((float(t), core.pointer(places, k)) for k, t in enumerate(times))
         before = [0, *np.cumsum(np.maximum(np.ceil(times) - 1, 0)).tolist()]  # steps of curves
         with extras.progress(progress, int(before[-1]), "step") as show:
-            self._rows(function, inputs, values, lambda k, made: show(int(before[k] + made)))
+            for k, time in enumerate(times):
+                self._call(
+                    function, float(time), places[k], values[k], row=k,
+                    show=lambda made, k=k: show(int(before[k] + made)),
+                )  # fmt: skip
             show(int(before[-1]))
         return values if rows else values[0]
 
@@ -335,9 +313,9 @@ class Embedding(core.Constant):
         array([ 0.1 ,  0.  , -0.32, -0.21,  0.  ])
         """
         point = self._point(z, "z")
-        values = np.empty((1, point.size))
-        self._rows(lib.dal_embedding_limit, [(core.pointer(point),)], values)
-        return values[0]
+        values = np.empty(point.size)
+        self._call(lib.dal_embedding_limit, point, values, row=0)
+        return values
 
     # ---- curves ----------------------------------------------------------------------------
 
@@ -448,12 +426,8 @@ class Embedding(core.Constant):
         t0, t1 = arguments.number(t0, "t0"), arguments.number(t1, "t1")
         values = self._point(z, "z").copy()
         total = math.ceil(abs((t1 - t0) / self.h))
-        with (
-            extras.progress(progress, total, "step") as show,
-            self._workspace(lambda made: show(int(made))) as embedding,
-        ):
-            status = core.attempt(lib.dal_embedding_flow, embedding, t0, t1, core.pointer(values))
-            self._check(status, embedding)
+        with extras.progress(progress, total, "step") as show:
+            self._call(lib.dal_embedding_flow, t0, t1, values, show=lambda made: show(int(made)))
             show(total)
         return values
 
@@ -549,13 +523,7 @@ class Embedding(core.Constant):
         found = [self.with_step(h) for h in steps]
         # h^(p+1) g has one and the same noise for all h, that of the flow.
         sizes = np.array([abs(one.h) ** (one.order + 1) * one.bound(z) for one in found])
-        steps = np.abs(steps)
-        fit = ffi.new("dal_fit *")
-        counted = ffi.new("unsigned char[]", len(steps))
-        lib.dal_fit_order(
-            len(steps), core.pointer(steps), core.pointer(sizes), self.accuracy, fit, counted
-        )
-        raw = Fit.read(fit, map(bool, counted))
+        raw = Fit.of(np.abs(steps), sizes, self.accuracy)
         return dataclasses.replace(raw, slope=raw.slope - 1)
 
 

@@ -10,15 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import core
-from ..core import arguments, extras
-from .. import geometry
-from ..core import ffi, lib
-from ..run.scheme import Scheme
-from ..run.scheme import schemes as named_schemes
-from .study import Fit, Studies, Study
-from ..core import require_system
+from .. import core, geometry
+from ..core import arguments, extras, ffi, lib, require_system
+from ..run import Scheme
+from ..run import schemes as named_schemes
 from ..system import System
+from .study import Fit, Studies, Study
 
 __all__ = ["convergence", "studies"]
 
@@ -303,12 +300,7 @@ def _clear(study: Study) -> Fit:
 
     So steps are chosen that tell the order at the end too.
     """
-    fit, counted = ffi.new("dal_fit *"), ffi.new("unsigned char[]", len(study.h))
-    lib.dal_fit_order(
-        len(study.h), core.pointer(study.h), core.pointer(study.local_error), study.floor, fit,
-        counted,
-    )  # fmt: skip
-    return Fit.read(fit, map(bool, counted))
+    return Fit.of(study.h, study.local_error, study.floor)
 
 
 def _units(duration: float) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import core
-from ..core import Array
+from ..core import Array, ffi, lib
 from ..run import Scheme
 from ..system import System
 
@@ -60,6 +60,13 @@ class Fit:
     def read(cls, fit: Any, counted: Iterable[bool]) -> Fit:
         """Return the fit of a ``dal_fit``."""
         return cls(float(fit.slope), int(fit.points), bool(fit.exact), tuple(counted))
+
+    @classmethod
+    def of(cls, h: Array, errors: Array, floor: float) -> Fit:
+        """Return the fit of errors over step sizes, of those that are clear of the floor."""
+        fit, counted = ffi.new("dal_fit *"), ffi.new("unsigned char[]", len(h))
+        lib.dal_fit_order(len(h), core.pointer(h), core.pointer(errors), floor, fit, counted)
+        return cls.read(fit, map(bool, counted))
 
     def order(self, loss: int = 0) -> str:
         """Return ``slope - loss`` in words: a number, "exact", or "-" if it is not known."""

@@ -58,10 +58,10 @@ def pattern(model: Model) -> Pattern:
     Examples
     --------
     >>> import dalembert as dal
-    >>> from dalembert.pattern import pattern
+    >>> from dalembert.symbolic.pattern import pattern
     >>> x, y, z = dal.coordinates("x y z")
     >>> particle = dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2) / 2, [z.d - y * x.d])
-    >>> found = pattern(particle._symbolic.model)
+    >>> found = pattern(particle._model)
     >>> found.mu, found.pull, found.steady
     ([[True, False, True]], [[True, False, True]], True)
     """

@@ -45,7 +45,7 @@ def is_zero(expression: Expr) -> bool:
     Examples
     --------
     >>> import sympy
-    >>> from dalembert.zeros import is_zero
+    >>> from dalembert.symbolic.zeros import is_zero
     >>> x, y = sympy.symbols("x y", real=True)
     >>> is_zero(sympy.cos(x - y) - sympy.cos(x) * sympy.cos(y) - sympy.sin(x) * sympy.sin(y))
     True

@@ -117,8 +117,8 @@ class Source:
         return {}
 
     def with_values(self, values: dict[str, float]) -> Source:
-        """Return the source with other values of the parameters."""
-        raise NotImplementedError
+        """Return the source with other values of the parameters, itself if it has none."""
+        return self
 
     def require_picklable(self, name: str) -> None:
         """Raise PicklingError, with the line to change, for a function that does not pickle."""
@@ -173,7 +173,9 @@ class Functions(Source):
     def functions(self) -> dict[str, Any]:
         return {k: f for k, f in (self.given | self.invariants).items() if f is not None}
 
-    def define(self, callbacks: dict[str, Any], kind: int, missing: int, ctx: Any, kept: Any) -> Any:
+    def define(
+        self, callbacks: dict[str, Any], kind: int, missing: int, ctx: Any, kept: Any
+    ) -> Any:
         """Return the C system."""
         numbers = {"n": self.n, "m": self.m, "kind": kind, "missing": missing}
         given = {**numbers, "steady": int(bool(self.steady)), "ctx": ctx, **callbacks}

@@ -356,7 +356,8 @@ class System(Handle):
         >>> dal.System.from_lagranges_method(lm).multipliers([0, 0], [1, 0])
         array([1.])
         """
-        return cls.from_sympy(parameters=parameters, **{**symbolic.given.from_method(lm), **options})
+        given = symbolic.given.from_method(lm)
+        return cls.from_sympy(parameters=parameters, **{**given, **options})
 
     @classmethod
     def from_mechanics_system(
@@ -610,10 +611,9 @@ class System(Handle):
         0.5
         """
         require_parameters(self.name, parameters, self._parameters)
-        if not parameters:
-            return self
         new = {key: arguments.parameter(x, key) for key, x in parameters.items()}
-        return type(self)._of(self._source.with_values(self._parameters | new))
+        source = self._source.with_values(self._parameters | new)
+        return self if source is self._source else type(self)._of(source)
 
     def c_source(self, name: str | None = None) -> str:
         """Return a C file with the system, for a program that is linked with libdalembert.
@@ -679,10 +679,11 @@ class System(Handle):
     ) -> System:
         """Return the system with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE).
 
-        It is a system as any other: `gram` is C_delta, `multipliers` are lambda_delta and `field` is
-        h_delta (Ceps, heps).  Constraints that are nonlinear in v do work, see `power`, so that the
-        energy is no first integral.  The exact solution, the invariants and the initial data of the
-        system are not those of the deformed one; ``deformed.project(q, v)`` leads into its D.
+        It is a system as any other: `gram` is C_delta, `multipliers` are lambda_delta and `field`
+        is h_delta (Ceps, heps).  Constraints that are nonlinear in v do work, see `power`, so that
+        the energy is no first integral.  The exact solution, the invariants and the initial data
+        of the system are not those of the deformed one; ``deformed.project(q, v)`` leads into its
+        D.
 
         Parameters
         ----------
@@ -693,8 +694,8 @@ class System(Handle):
         g_v : callable
             ``g_v(q, v) -> (m, n)``: entry [a, i] is dg^a/dv_i.
         g_q : callable, optional
-            ``g_q(q, v) -> (m, n)``: entry [a, j] is dg^a/dq_j.  None: d(phi + delta g)/dq is replaced
-            by central differences, see `differenced`.
+            ``g_q(q, v) -> (m, n)``: entry [a, j] is dg^a/dq_j.  None: d(phi + delta g)/dq is
+            replaced by central differences, see `differenced`.
         kind : {"nonlinear", "affine", "linear"}, optional
             Of phi + delta g as a function of v.
 
@@ -706,8 +707,8 @@ class System(Handle):
         Raises
         ------
         ValueError
-            If an argument is out of range, the system has no constraints, or the kind is simpler than
-            that of the system.
+            If an argument is out of range, the system has no constraints, or the kind is simpler
+            than that of the system.
         NotImplementedError
             If m n > 4000.
 
@@ -739,11 +740,11 @@ class System(Handle):
         return type(self)._of(sources.Deformed(self, g, delta, g_v, g_q, kind))
 
     def at_kept_nodes(self, shift: float) -> System:
-        """Return the system with the constraints phi(q - shift v, v) = 0 (deformedCons, originalnodes).
+        """Return the system with phi(q - shift v, v) = 0 as constraints (deformedCons).
 
-        For ``shift = scheme.shift(h)``, which is (1 - beta) h, its D is the D_eps in which the scheme
-        with kept nodes stays.  It is a nonlinear constraint with a flow of its own; such a run is a
-        method of order 1 for that flow, as it is for the flow of this one.
+        For ``shift = scheme.shift(h)``, which is (1 - beta) h, its D is the D_eps in which the
+        scheme with kept nodes stays (originalnodes).  It is a nonlinear constraint with a flow of
+        its own; such a run is a method of order 1 for that flow, as it is for the flow of this one.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """The systems that come with the library: one function for each.
 
 ``dal.systems.names()`` lists those that are written in C, ``dal.systems.names_in_sympy()`` those
-that need SymPy, see `dalembert.catalogue`; ``dal.systems.particle()`` makes one, and
+that need SymPy, see `dalembert.systems.catalogue`; ``dal.systems.particle()`` makes one, and
 ``help(dal.systems.disk)`` shows its coordinates and parameters.
 
 >>> import dalembert as dal
