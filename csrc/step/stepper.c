@@ -46,7 +46,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
         return status;
     }
     if (scheme->nodes == DAL_KEPT_NODES) self->shift = 1.0 - dal__scheme_substep(scheme, 0).beta;
-    self->identity = dal__stepper_identify(system, scheme);
+    self->identity = dal__scheme_identify(system, scheme);
     *stepper = self;
     return DAL_SUCCESS;
 }
