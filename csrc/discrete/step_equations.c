@@ -178,63 +178,19 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     return DAL_SUCCESS;
 }
 
-/* Whether phi may be what the rounding of a large node x[n] makes of 0. */
-static bool is_rounding_of_node(dal_mechanics *mech, const double *x, const double *w)
-{
-    const size_t n = mech->n;
-    const double speed = dal_residual_speed(n, mech->per_unit, w);
-    if (dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, mech->dmu, &mech->error))
-        return false;
-    for (size_t a = 0; a < mech->m; a++) {
-        double bound = DAL_RESIDUAL_BOUND(n) * speed
-                     * dal_residual_form(n, mech->unit, mech->mu + a * n);
-        for (size_t i = 0; i < n; i++)
-            bound += 2.0 * DAL_ROUNDOFF * fabs(mech->dmu[a * n + i])
-                   * (fabs(mech->q[i]) + fabs(x[i]));
-        if (!(fabs(mech->phi[a]) <= bound)) return false;
-    }
-    return true;
-}
-
-/* The residual at the q~' that x gives back; where it is not small w is mended there.  A kept node
- * follows w, so that it gives back the same q~' but for a rounding. */
-static int mend_stored(dal_mechanics *mech, double *x, double shift, double *w, double *relative)
-{
-    enum { MOST = 8 };
-    const size_t n = mech->n;
-    for (int pass = 1;; pass++) {
-        for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * w[i];
-        int status = pass == 1 ? dal__form_metric(mech, mech->q, w) : DAL_SUCCESS;
-        if (!status)
-            status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, NULL,
-                                     &mech->error);
-        if (status) return status;
-        *relative = dal__relative_residual(mech, mech->mu, mech->phi, w);
-        if (*relative <= DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
-        if (pass > MOST && shift != 0.0 && is_rounding_of_node(mech, x, w)) return DAL_SUCCESS;
-        if (pass > MOST)
-            return dal__fail(&mech->error, DAL_ESINGULAR, "no velocity of D was found at the new "
-                             "position: its residual stays at %.3g", *relative);
-        dal__form_Z(mech, mech->mu);
-        status = dal__mend(mech, mech->q, w, relative);
-        if (status || shift == 0.0) return status;
-        for (size_t i = 0; i < n; i++) x[i] = mech->q[i] + shift * w[i];
-    }
-}
-
-int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst)
+int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *worst)
 {
     const size_t n = mech->n;
     const double h = mech->start.h, beta = mech->start.beta;
     const double after = mech->start.kept ? h : beta * h;
     const double shift = mech->start.kept ? (1.0 - beta) * h : 0.0;
     double relative = 0.0;
+    int status = DAL_SUCCESS;
     for (size_t i = 0; i < n; i++) x[i] = mech->node[i] + after * w[i];
-    if (mech->m > 0 && dal__all_finite(n, x) && dal__all_finite(n, w)) {
-        const int status = mend_stored(mech, x, shift, w, &relative);
-        if (status) return status;
-    }
     memcpy(x + n, w, n * sizeof *w);
+    if (mech->m > 0 && dal__all_finite(2 * n, x))
+        status = dal__mend(mech, shift, false, x, &relative);
+    if (status) return status;
     if (!dal__all_finite(2 * n, x))
         return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
     *worst = fmax(*worst, relative);

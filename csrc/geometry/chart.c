@@ -139,13 +139,10 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
                      "dependent coordinates %s form a singular matrix", names);
 }
 
-/* mu at (q, v), phi_q if wanted, and B factored. */
-static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q)
+/* phi, mu, the metric, and phi_q if wanted at x[2n], and B factored. */
+static int form_B(dal_chart *chart, const double *x, double *phi_q)
 {
-    int status = dal__form_metric(&chart->mech, q, v);
-    if (!status)
-        status = dal__constraint(&chart->mech.eval, q, v, NULL, chart->mech.mu, phi_q,
-                                 &chart->mech.error);
+    const int status = dal__forms_at(&chart->mech, 0.0, x, phi_q);
     return status ? status : dal__chart_factor(chart, chart->mech.mu);
 }
 
@@ -171,7 +168,7 @@ int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
-    if (!status) status = form_B(chart, x, x + n, NULL);
+    if (!status) status = form_B(chart, x, NULL);
     if (status) return status;
     form_A(chart);
     status = dal__require_output(&chart->mech.error, "A", m * (n - m), chart->A);
@@ -287,10 +284,7 @@ int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x)
     const size_t n = chart->n, m = chart->m;
     int status = dal__require_finite(&chart->mech, "x", 2 * n, x);
     if (!status && dependent) status = check_dependent(chart, dependent);
-    if (!status)
-        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
-                                 &chart->mech.error);
-    if (!status) status = dal__form_metric(&chart->mech, x, x + n);
+    if (!status) status = dal__forms_at(&chart->mech, 0.0, x, NULL);
     if (!status && !dependent) status = pivot_columns(chart);
     if (status) return status;
     if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
@@ -310,10 +304,7 @@ int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x)
 static int evaluate_condition(dal_chart *chart, const double *x, double *condition)
 {
     const size_t n = chart->n, m = chart->m, free = n - m;
-    int status = dal__form_metric(&chart->mech, x, x + n);
-    if (!status)
-        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
-                                 &chart->mech.error);
+    const int status = dal__forms_at(&chart->mech, 0.0, x, NULL);
     if (status) return status;
     *condition = (double)INFINITY;
     const dal_error before = chart->mech.error;
@@ -398,14 +389,6 @@ static bool is_in_D(const dal_chart *chart)
         <= 2.0 * (double)chart->n * DAL_ROUNDOFF;
 }
 
-/* The metric, phi and mu at (q, v). */
-static int evaluate(dal_chart *chart, const double *q, const double *v)
-{
-    dal_mechanics *const mech = &chart->mech;
-    const int status = dal__constraint(&mech->eval, q, v, mech->phi, mech->mu, NULL, &mech->error);
-    return status ? status : dal__form_metric(mech, q, v);
-}
-
 static void move_dependent(dal_chart *chart)
 {
     dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
@@ -416,15 +399,13 @@ static void move_dependent(dal_chart *chart)
 int dal__chart_mend(dal_chart *chart, double shift)
 {
     enum { MENDS = 3 };
-    const size_t n = chart->n;
-    double *const q = chart->x, *const v = q + n;
+    dal_mechanics *const mech = &chart->mech;
     for (int pass = 1;; pass++) {
         int status = DAL_SUCCESS;
-        for (size_t i = 0; i < n; i++) chart->y[i] = q[i] - shift * v[i];
         if (shift == 0.0 && kind(chart) == DAL_LINEAR) /* mu stands still */
-            dal__apply(chart->m, n, chart->mech.mu, v, chart->mech.phi);
+            dal__apply(chart->m, chart->n, mech->mu, chart->x + chart->n, mech->phi);
         else
-            status = evaluate(chart, chart->y, v);
+            status = dal__forms_at(mech, shift, chart->x, NULL);
         if (status) return status;
         if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
         move_dependent(chart);
@@ -438,7 +419,7 @@ static int find_step(dal__newton *equations)
     dal_chart *const chart = equations->ctx;
     const size_t m = chart->m;
     for (size_t a = 0; a < m; a++) chart->x[chart->n + chart->place[a]] = equations->z[a];
-    int status = evaluate(chart, chart->x, chart->x + chart->n);
+    int status = dal__forms_at(&chart->mech, 0.0, chart->x, NULL);
     if (status) return status;
     memset(equations->step, 0, m * sizeof *equations->step);
     if (is_in_D(chart)) return DAL_SUCCESS;
@@ -467,8 +448,7 @@ int dal__chart_lift(dal_chart *chart, const double *xi)
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = chart->kappa[a];
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
-        status = evaluate(chart, x, v);
-        if (!status) status = dal__chart_factor(chart, chart->mech.mu);
+        status = form_B(chart, x, NULL);
         if (!status) move_dependent(chart);
         if (!status) status = dal__chart_mend(chart, 0.0);
     }
@@ -527,7 +507,7 @@ int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *le
     const size_t n = chart->n, m = chart->m, width = chart->width;
     const size_t *const place = chart->place;
     int status = dal__chart_state(chart, xi);
-    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu);
+    if (!status) status = form_B(chart, chart->x, chart->mech.dmu);
     if (status) return status;
     if (J) {
         form_A(chart);
@@ -572,7 +552,7 @@ int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambd
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
-    if (!status) status = form_B(chart, x, x + n, NULL);
+    if (!status) status = form_B(chart, x, NULL);
     if (status) return status;
     for (size_t b = 0; b < m; b++) {
         chart->solution[b] = 0.0;
@@ -592,7 +572,7 @@ int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
-    if (!status) status = form_B(chart, x, x + n, NULL);
+    if (!status) status = form_B(chart, x, NULL);
     if (status) return status;
     if (m > 0) memcpy(chart->right, lambda_E, m * sizeof *lambda_E);
     dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);

@@ -150,8 +150,7 @@ static int refuse_singular(multiroot *s)
                                  &s->mech->error);
     if (!status) status = dal__form_metric(s->mech, s->mech->q, s->w);
     if (status || s->m == 0) return status;
-    dal__form_Z(s->mech, s->mech->mu);
-    return dal__factor_gram(s->mech, s->mech->mu);
+    return dal__factor_gram(s->mech);
 }
 
 int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double beta, double h,
