@@ -197,9 +197,7 @@ int dal_discrete_residual(dal_discrete *discrete, double t, double h, const doub
         for (size_t a = 0; a < m; a++) sides[i] += h * d->muk[a * n + i] * lambda[a];
     }
     memcpy(sides + n, d->phi, m * sizeof *sides);
-    status = dal__require_output(&d->mech.error, "residual", n + m, sides);
-    if (!status) memcpy(residual, sides, (n + m) * sizeof *residual);
-    return status;
+    return DAL__DELIVER(&d->mech.error, {"residual", n + m, sides, residual});
 }
 
 /* Of the matrix that was assembled, in the order of the arguments. */
@@ -247,12 +245,11 @@ int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const do
     assemble(d);
     for (size_t i = 0; i < N; i++)
         for (size_t j = 0; j < N; j++) J[i * N + j] *= (i < n ? -1.0 : 1.0) / (j < n ? h : 1.0);
-    if (matrix) status = dal__require_output(&d->mech.error, "matrix", N * N, J);
+    status = DAL__DELIVER(&d->mech.error, {"matrix", N * N, J, matrix});
     if (status) return status;
     if (sign) *sign = s;
     if (logarithm) *logarithm = l - (double)n * log(fabs(h));
     if (condition) *condition = c;
-    if (matrix) memcpy(matrix, J, N * N * sizeof *matrix);
     return DAL_SUCCESS;
 }
 

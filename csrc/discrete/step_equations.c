@@ -214,21 +214,20 @@ int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h
     if (!status) status = dal__step_begin(mech, t, beta, h, false, x);
     if (status) return status;
 
-    double *found[4], *const wanted[4] = {R1, R2, K, B};
-    const size_t sizes[4] = {n, m, dal__times(n, n), dal__times(m, n)};
-    static const char *const names[4] = {"R1", "R2", "K", "B"};
+    double *r1, *r2, *k, *b;
     arena scratch = {0};
-    for (size_t k = 0; k < 4; k++)
-        dal__reserve(&scratch, &found[k], sizes[k], sizeof(double));
+    dal__reserve(&scratch, &r1, n, sizeof *r1);
+    dal__reserve(&scratch, &r2, m, sizeof *r2);
+    dal__reserve(&scratch, &k, dal__times(n, n), sizeof *k);
+    dal__reserve(&scratch, &b, dal__times(m, n), sizeof *b);
     status = dal__allocate(&scratch, &mech->error);
     if (status) return status;
-    status = dal__step_at(mech, w, kappa, R1 ? found[0] : NULL, R2 ? found[1] : NULL,
-                          K ? found[2] : NULL, NULL, B ? found[3] : NULL);
-    for (size_t k = 0; !status && k < 4; k++)
-        status = dal__require_output(&mech->error, names[k], sizes[k], found[k]);
-    for (size_t k = 0; !status && k < 4; k++)
-        if (wanted[k]) memcpy(wanted[k], found[k], sizes[k] * sizeof(double));
-    if (!status && muk) memcpy(muk, mech->muk, m * n * sizeof *muk);
+    status = dal__step_at(mech, w, kappa, R1 ? r1 : NULL, R2 ? r2 : NULL, K ? k : NULL, NULL,
+                          B ? b : NULL);
+    if (!status)
+        status = DAL__DELIVER(&mech->error, {"R1", n, r1, R1}, {"R2", m, r2, R2},
+                              {"K", n * n, k, K}, {"B", m * n, b, B},
+                              {"mu_k", m * n, mech->muk, muk});
     dal__release(&scratch);
     return status;
 }

@@ -171,12 +171,10 @@ int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B
     if (!status) status = form_B(chart, x, NULL);
     if (status) return status;
     form_A(chart);
-    status = dal__require_output(&chart->mech.error, "A", m * (n - m), chart->A);
-    if (status) return status;
-    if (A) memcpy(A, chart->A, m * (n - m) * sizeof *A);
-    for (size_t a = 0; B && a < m; a++)
+    status = DAL__DELIVER(&chart->mech.error, {"A", m * (n - m), chart->A, A});
+    for (size_t a = 0; !status && B && a < m; a++)
         for (size_t b = 0; b < m; b++) B[a * m + b] = chart->mech.mu[a * n + chart->place[b]];
-    return DAL_SUCCESS;
+    return status;
 }
 
 /* ---- the choice -------------------------------------------------------------------------- */
@@ -412,21 +410,20 @@ int dal__chart_mend(dal_chart *chart, double shift)
     }
 }
 
-/* Of the dependent velocities, where the constraints are nonlinear.  They stay where they are as
- * soon as the residual, which is that of the step before, is roundoff. */
+/* Of v in chart->x where the constraints are nonlinear, of which only v_dependent moves; and it
+ * stands still as soon as the residual, which is that of the step before, is roundoff. */
 static int find_step(dal__newton *equations)
 {
     dal_chart *const chart = equations->ctx;
-    const size_t m = chart->m;
-    for (size_t a = 0; a < m; a++) chart->x[chart->n + chart->place[a]] = equations->z[a];
     int status = dal__forms_at(&chart->mech, 0.0, chart->x, NULL);
     if (status) return status;
-    memset(equations->step, 0, m * sizeof *equations->step);
+    memset(equations->step, 0, chart->n * sizeof *equations->step);
     if (is_in_D(chart)) return DAL_SUCCESS;
     status = dal__chart_factor(chart, chart->mech.mu);
     if (status) return status;
     dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
-    for (size_t a = 0; a < m; a++) equations->step[a] = -chart->solution[a];
+    for (size_t a = 0; a < chart->m; a++)
+        equations->step[chart->place[a]] = -chart->solution[a];
     return DAL_SUCCESS;
 }
 
@@ -439,13 +436,11 @@ int dal__chart_lift(dal_chart *chart, const double *xi)
     memmove(x, xi, n * sizeof *x);
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
     if (kind(chart) == DAL_NONLINEAR) {
-        dal__newton equations = {.find_step = find_step, .ctx = chart, .size = m, .measured = m,
-                                 .n = m, .per_unit = chart->B.sizes + m, .z = chart->kappa,
-                                 .step = chart->R2, .lagging = true,
+        dal__newton equations = {.find_step = find_step, .ctx = chart, .size = n, .measured = n,
+                                 .n = n, .per_unit = chart->mech.per_unit, .z = v,
+                                 .step = chart->step, .lagging = true,
                                  .advice = "there may be no such dependent velocities"};
-        for (size_t a = 0; a < m; a++) chart->kappa[a] = v[chart->place[a]];
         status = dal__newton_run(&equations, &chart->mech.error);
-        for (size_t a = 0; a < m; a++) v[chart->place[a]] = chart->kappa[a];
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
         status = form_B(chart, x, NULL);
@@ -494,11 +489,8 @@ int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver)
     status = dal__chart_lift(chart, chart->y);
     if (status) return status;
     for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
-    status = dal__require_output(&chart->mech.error, "ver", n, chart->w);
-    if (status) return status;
-    if (hor) memcpy(hor, chart->x + n, n * sizeof *hor);
-    if (ver) memcpy(ver, chart->w, n * sizeof *ver);
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&chart->mech.error, {"hor", n, chart->x + n, hor},
+                        {"ver", n, chart->w, ver});
 }
 
 int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *left)
@@ -559,9 +551,7 @@ int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambd
         for (size_t a = 0; a < m; a++)
             chart->solution[b] += chart->mech.mu[a * n + chart->place[b]] * lambda[a];
     }
-    status = dal__require_output(&chart->mech.error, "lambda_E", m, chart->solution);
-    if (!status) memcpy(lambda_E, chart->solution, m * sizeof *lambda_E);
-    return status;
+    return DAL__DELIVER(&chart->mech.error, {"lambda_E", m, chart->solution, lambda_E});
 }
 
 int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *lambda_E,
@@ -576,7 +566,5 @@ int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *
     if (status) return status;
     if (m > 0) memcpy(chart->right, lambda_E, m * sizeof *lambda_E);
     dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
-    status = dal__require_output(&chart->mech.error, "lambda", m, chart->solution);
-    if (!status) memcpy(lambda, chart->solution, m * sizeof *lambda);
-    return status;
+    return DAL__DELIVER(&chart->mech.error, {"lambda", m, chart->solution, lambda});
 }

@@ -195,9 +195,7 @@ int dal_gram(dal_mechanics *mechanics, const double *x, double *C)
     if (status) return status;
     dal__form_Z(mech, mech->mu);
     form_gram(mech);
-    status = dal__require_output(&mech->error, "C", mech->m * mech->m, mech->C.A);
-    if (!status) memcpy(C, mech->C.A, mech->m * mech->m * sizeof *C);
-    return status;
+    return DAL__DELIVER(&mech->error, {"C", mech->m * mech->m, mech->C.A, C});
 }
 
 /* ---- energy and power -------------------------------------------------------------------- */
@@ -228,9 +226,7 @@ int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
     double value = 0.0;
     int status = dal__require_finite(mechanics, "x", 2 * mechanics->n, x);
     if (!status) status = dal__energy(mechanics, x, &value);
-    if (!status) status = dal__require_output(&mechanics->error, "E", 1, &value);
-    if (!status) *E = value;
-    return status;
+    return status ? status : DAL__DELIVER(&mechanics->error, {"E", 1, &value, E});
 }
 
 /* ---- residuals --------------------------------------------------------------------------- */
@@ -450,9 +446,7 @@ int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double
         mech->step[i] = sum;
     }
     dal__accelerate(mech, mech->step, mech->q);
-    status = dal__require_output(&mech->error, "vdot", n, mech->q);
-    if (!status) memcpy(vdot, mech->q, n * sizeof *vdot);
-    return status;
+    return DAL__DELIVER(&mech->error, {"vdot", n, mech->q, vdot});
 }
 
 int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot)
@@ -492,14 +486,8 @@ int dal_perturbed(dal_mechanics *mechanics, double t, double weight, const doubl
         mech->q[i] = v + weight * ghat[i];
         mech->w[i] += weight * ghat[n + i];
     }
-    status = dal__require_output(&mech->error, "lambda", m, mech->lambda);
-    if (!status && xdot) status = dal__require_output(&mech->error, "xdot", n, mech->q);
-    if (!status && xdot) status = dal__require_output(&mech->error, "xdot", n, mech->w);
-    if (status) return status;
-    if (xdot) memcpy(xdot, mech->q, n * sizeof *xdot);
-    if (xdot) memcpy(xdot + n, mech->w, n * sizeof *xdot);
-    if (lambda) memcpy(lambda, mech->lambda, m * sizeof *lambda);
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&mech->error, {"lambda", m, mech->lambda, lambda},
+                        {"xdot", n, mech->q, xdot}, {"xdot", n, mech->w, xdot ? xdot + n : NULL});
 }
 
 int dal_power(dal_mechanics *mechanics, double t, const double *x, double *constraint,
@@ -517,12 +505,8 @@ int dal_power(dal_mechanics *mechanics, double t, const double *x, double *const
     status = dal__force(&mech->eval, t, x, v, mech->step, NULL, NULL, &mech->error);
     if (status) return status;
     const double of_force = dal__dot(n, mech->step, v);
-    status = dal__require_output(&mech->error, "constraint", 1, &of_constraint);
-    if (!status) status = dal__require_output(&mech->error, "force", 1, &of_force);
-    if (status) return status;
-    if (constraint) *constraint = of_constraint;
-    if (force) *force = of_force;
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&mech->error, {"constraint", 1, &of_constraint, constraint},
+                        {"force", 1, &of_force, force});
 }
 
 /* ---- projections ------------------------------------------------------------------------- */
@@ -541,18 +525,10 @@ static int accept(dal_mechanics *mech, double *x, double *distance)
 {
     const size_t n = mech->n;
     const double *const w = velocity(mech, mech->point);
-    for (size_t i = 0; i < n; i++)
-        if (!isfinite(w[i]))
-            return dal__fail(&mech->error, DAL_EDOMAIN, "the consistent velocity overflows: "
-                             "v[%zu] = %g from %g", i, w[i], x[n + i]);
     for (size_t i = 0; i < n; i++) mech->q[i] = w[i] - x[n + i];
     const double moved = mass_norm(mech, mech->q);
-    const int status =
-        distance ? dal__require_output(&mech->error, "distance", 1, &moved) : DAL_SUCCESS;
-    if (status) return status;
-    memcpy(x + n, w, n * sizeof *x);
-    if (distance) *distance = moved;
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&mech->error, {"consistent velocity", n, w, x + n},
+                        {"distance", 1, &moved, distance});
 }
 
 typedef struct shifted {
