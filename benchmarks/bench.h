@@ -8,7 +8,7 @@
 
 #define _POSIX_C_SOURCE 200809L
 
-#include "dalembert.h"
+#include "oracle/multiroot.h"
 
 #include <stdbool.h>
 #include <stdio.h>
@@ -61,12 +61,12 @@ static inline void bench_require(int status, const char *what)
 }
 
 /* A stepper of the midpoint scheme, not started. */
-static inline dal_stepper *bench_stepper(const dal_system *system, const dal_options *options)
+static inline dal_stepper *bench_stepper(way by, const dal_system *system)
 {
     dal_scheme scheme;
     dal_stepper *stepper = NULL;
     bench_require(dal_scheme_find(&scheme, "midpoint", NULL), "dal_scheme_find");
-    bench_require(dal_stepper_new(&stepper, system, &scheme, options, NULL), "dal_stepper_new");
+    bench_require(new_stepper_by(by, &stepper, system, &scheme, NULL), "dal_stepper_new");
     return stepper;
 }
 

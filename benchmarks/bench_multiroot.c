@@ -1,6 +1,6 @@
 /* bench_multiroot.c - the step of the library against gsl_multiroot hybridsj on the same equations.
  *
- * Two opponents: the stepper's own option DAL_SOLVER_MULTIROOT, which starts from nothing and
+ * Two opponents: the family of tests/oracle/multiroot.c, which starts from nothing and
  * checks everything, and a lean loop as one would write it by hand for speed: no checks, straight
  * into GSL's storage, started from the extrapolated unknowns of the last steps, ended as soon as
  * the equations hold to roundoff. */
@@ -137,11 +137,10 @@ static double difference(const dal_stepper *schur, const dal_stepper *multiroot,
 
 static bool compare(const dal_system_def *def)
 {
-    const dal_options hybridsj = {.solver = DAL_SOLVER_MULTIROOT};
     dal_system *system;
     bench_require(dal_system_new(&system, def, NULL), "dal_system_new");
-    dal_stepper *const schur = bench_stepper(system, NULL);
-    dal_stepper *const multiroot = bench_stepper(system, &hybridsj);
+    dal_stepper *const schur = bench_stepper(BY_LIBRARY, system);
+    dal_stepper *const multiroot = bench_stepper(BY_MULTIROOT, system);
     lean by_hand = {.def = def};
     by_hand.equations =
         (gsl_multiroot_function_fdf){lean_f, lean_df, lean_both, def->n + def->m, &by_hand};
@@ -158,9 +157,9 @@ static bool compare(const dal_system_def *def)
 
     printf("step of the %s, midpoint, h = %g\n", def->name, step_size);
     bench_report("library", 1e9 * fast, "ns");
-    bench_report("library, DAL_SOLVER_MULTIROOT", 1e9 * slow, "ns");
+    bench_report("family multiroot", 1e9 * slow, "ns");
     bench_report("lean loop over hybridsj", 1e9 * lean_time, "ns");
-    bool kept = bench_at_least("DAL_SOLVER_MULTIROOT / library", slow / fast, 10.0);
+    bool kept = bench_at_least("family multiroot / library", slow / fast, 10.0);
     kept &= bench_at_least("lean loop over hybridsj / library", lean_time / fast, 8.0);
     /* 1000 steps, roundoff 1e-15 each in numbers of size 10 */
     kept &= bench_at_most("difference of the states after 1000 steps / 1e-11",

@@ -40,12 +40,11 @@ static double difference(dal_stepper *stepper, const dal_system_def *def, double
 static bool compare_with_hand_loop(void)
 {
     const dal_system_def *const def = &bench_systems[BENCH_PARTICLE];
-    const dal_options run_time_sizes = {.sizes = DAL_SIZES_RUNTIME};
     const double h = 0.01;
     dal_system *system;
     bench_require(dal_system_new(&system, def, NULL), "dal_system_new");
-    dal_stepper *const constant = bench_stepper(system, NULL);
-    dal_stepper *const run_time = bench_stepper(system, &run_time_sizes);
+    dal_stepper *const constant = bench_stepper(BY_LIBRARY, system);
+    dal_stepper *const run_time = bench_stepper(BY_ANY_SIZES, system);
 
     double hand = INFINITY, with_constants = INFINITY, with_run_time = INFINITY;
     for (int repetition = 0; repetition < REPETITIONS; repetition++) {
@@ -78,7 +77,7 @@ static bool count_evaluations(void)
     for (int i = 0; i < BENCH_SYSTEMS; i++) {
         dal_system *system;
         bench_require(dal_system_new(&system, &bench_systems[i], NULL), "dal_system_new");
-        dal_stepper *const stepper = bench_stepper(system, NULL);
+        dal_stepper *const stepper = bench_stepper(BY_LIBRARY, system);
         for (size_t j = 0; j < sizeof h / sizeof *h; j++) {
             char what[64];
             dal_stats stats;

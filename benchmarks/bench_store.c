@@ -16,7 +16,7 @@ int main(int count, char **arguments)
                   "dal_system_builtin");
     double x0[6];
     bench_require(dal_system_state(system, x0), "dal_system_state");
-    dal_stepper *const stepper = bench_stepper(system, NULL);
+    dal_stepper *const stepper = bench_stepper(BY_LIBRARY, system);
     bench_require(dal_stepper_start(stepper, 0.0, 0.01, x0, DAL_CHECK, DAL_INITIAL_NONE),
                   "dal_stepper_start");
 

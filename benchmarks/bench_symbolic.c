@@ -43,12 +43,11 @@ static double time_constraint(const dal_system_def *def)
     return (bench_now() - start) / CALLS;
 }
 
-static dal_stepper *open_stepper(dal_system **system, const dal_system_def *def,
-                                 const dal_options *options)
+static dal_stepper *open_stepper(dal_system **system, const dal_system_def *def)
 {
     dal_error error;
     bench_require(dal_system_new(system, def, &error), error.text);
-    return bench_stepper(*system, options);
+    return bench_stepper(BY_LIBRARY, *system);
 }
 
 int main(int count, char **words)
@@ -69,8 +68,8 @@ int main(int count, char **words)
     def.ctx = parameters;
 
     dal_system *own, *by_hand;
-    dal_stepper *const inlined = open_stepper(&own, &def, NULL);
-    dal_stepper *const called = open_stepper(&by_hand, hand, NULL);
+    dal_stepper *const inlined = open_stepper(&own, &def);
+    dal_stepper *const called = open_stepper(&by_hand, hand);
     double loop = INFINITY, fast = INFINITY, slow = INFINITY, ours = INFINITY, theirs = INFINITY;
     for (int repetition = 0; repetition < REPETITIONS; repetition++) {
         bench_keep_least(&fast, time_step(inlined, hand));

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.linalg import det, inv, norm, solve, svd
 
 import dalembert as dal
-from dalembert.table import Column, plain
+from dalembert.show.table import Column, lines, text
 
 DOCUMENT = Path(__file__).with_name("errata.md")
 BEGIN, END = "<!-- table: docs/errata.py --write -->", "<!-- end of table -->"
@@ -705,7 +705,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows = table(options.only or list(POINTS))
     cells = [list(column) for column in zip(*rows)]
     columns = [Column(title, texts, left=True) for title, texts in zip(TITLES, cells)]
-    print("\n".join(plain(columns, sys.maxsize)))
+    print(text(lines(columns, sys.maxsize)))
     if options.write:
         write(rows)
     return 0 if all("NOT SHOWN" not in row for row in rows) else 1

@@ -20,10 +20,10 @@
  *      callbacks may.  Every other object belongs to one thread at a time.  There are no globals.
  *   7. GSL's error handler is never set, changed or provoked.  The one exception is memory: GSL
  *      can report a failed allocation only through its handler, so its workspaces are allocated
- *      only when an object is made: dal_flow_new (but for DAL_FLOW_RODAS), dal_embedding_new,
- *      dal_stepper_new with DAL_SOLVER_MULTIROOT, and dal_order_study, which makes a flow.  With a
+ *      only when an object is made: dal_flow_new (but for DAL_FLOW_RODAS), dal_stepper_new for the
+ *      scheme "reference", dal_embedding_new, and dal_order_study, which makes a flow.  With a
  *      handler that returns these return DAL_ENOMEM; only GSL itself may then have lost a block,
- *      for DAL_FLOW_MSADAMS and DAL_SOLVER_MULTIROOT.
+ *      for DAL_FLOW_MSADAMS.
  *
  * This header has systems, schemes, steppers and runs.  dalembert/geometry.h has the mechanics on D
  * and the reference flow, dalembert/discrete.h the discrete mechanics, dalembert/study.h what
@@ -133,11 +133,7 @@ typedef enum dal_missing {
     DAL_MISSING_F_V = 128  /* costs Newton's speed only */
 } dal_missing;
 
-struct dal_kernel; /* kernel.h */
-
-/* Makes steps steps of kernel; *done <- how many succeeded.  What kernel.h defines as
- * DAL_KERNEL. */
-typedef int (*dal_kernel_fn)(struct dal_kernel *kernel, size_t steps, size_t *done);
+struct dal_compiled; /* dalembert/kernel.h */
 
 /* In a steady system mu depends only on coordinates that no reaction pushes, those i with row i of
  * M^-1 mu^T zero, as on the heading of a blade.  Steps where V does not act at q~' are then
@@ -175,10 +171,9 @@ typedef struct dal_system_def {
     const char *const *invariant_names; /* [invariants] */
     dal_invariant_fn invariant;
     size_t ctx_size;                /* 0: ctx is borrowed; else it is copied */
-    dal_kernel_fn kernel;           /* the step routine compiled for this system, or NULL; only for
-                                       constant mass, linear constraints, no force, nothing missing.
-                                       It makes the steps of moved nodes */
-    size_t kernel_size;             /* sizeof(dal_kernel) as its compiler saw it */
+    const struct dal_compiled *compiled; /* the step routine compiled for this system, or NULL; only
+                                       for constant mass, linear constraints, no force, nothing
+                                       missing.  It makes the steps of moved nodes */
     int steady;                     /* a dal_steady or 0; only for constant mass and linear
                                        constraints */
 } dal_system_def;
@@ -281,12 +276,17 @@ typedef enum dal_nodes {
     DAL_KEPT_NODES = 1   /* states at the nodes q_k: keeps D_eps = {phi(q - (1-beta) h v, v) = 0} */
 } dal_nodes;
 
-/* A scheme is a record; one step routine runs every record.  To make one: zero-initialise, then
- * set beta, or substeps and count (they are copied when a stepper is made). */
+struct dal_family; /* dalembert/family.h */
+
+/* A scheme is a record, and its family makes the steps.  To make one: zero-initialise, then set
+ * beta, or substeps and count; or family and data.  What it points to is copied when a stepper is
+ * made. */
 typedef struct dal_scheme {
     char name[40];
     const char *help;             /* one line, or NULL */
     const char *reference;        /* where it comes from, or NULL */
+    const struct dal_family *family; /* NULL: beta-schemes one after the other */
+    const void *data;             /* what another family needs: a dal_pair, a dal_flow_scheme */
     double beta;                  /* of the only sub-step, for count = 0 */
     size_t count;
     const dal_substep *substeps;  /* [count] */
@@ -298,13 +298,18 @@ typedef struct dal_scheme {
 
 /* *scheme <- the record called name: "explicit", "midpoint", "endpoint", a number in [0, 1] (beta),
  * "leapfrog", "leapfrog-mirror", BASE"-nodes" (kept nodes; BASE one of the first four), and
- * BASE"-suzuki4", "-yoshida4", "-kl6", "-kl8" (BASE leapfrog or midpoint); - and _ are the same.
+ * BASE"-suzuki4", "-yoshida4", "-kl6", "-kl8" (BASE leapfrog or midpoint); "pair:A:B", the
+ * velocity integrator of two maps rho^A for L_d and rho^B for D_d; "reference", the flow of the ODE
+ * on D.  - and _ are the same.
  * DAL_EINVAL: there is no such scheme, the text lists what there is. */
 DAL_API int dal_scheme_find(dal_scheme *scheme, const char *name, dal_error *error);
 
 /* The table of named schemes: how many, and the i-th (DAL_EINVAL if i is too large). */
 DAL_API size_t dal_scheme_count(void);
 DAL_API int dal_scheme_at(dal_scheme *scheme, size_t i);
+
+/* The name of the family that makes its steps: "beta", "pair", "flow", or your own. */
+DAL_API const char *dal_scheme_family(const dal_scheme *scheme);
 
 /* 1 if every step of scheme on system is a sequence of linear solves, without iteration: every
  * sub-step has beta = 0, the mass is constant, no force, and the constraints are not nonlinear;
@@ -315,22 +320,15 @@ DAL_API int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *s
  * DAL_EUNSUPPORTED for a record with several. */
 DAL_API int dal_scheme_shift(const dal_scheme *scheme, double *shift);
 
-/* How the equations of a step are solved. */
-typedef enum dal_solver {
-    DAL_SOLVER_SCHUR = 0,    /* Newton on the m x m Schur complement: the default */
-    DAL_SOLVER_MULTIROOT = 1 /* gsl_multiroot hybridsj on all n + m unknowns: slow, a check */
-} dal_solver;
-
-typedef enum dal_sizes {
-    DAL_SIZES_AUTO = 0,   /* the step routine compiled for this (n, m) if there is one */
-    DAL_SIZES_RUNTIME = 1 /* the step routine for any (n, m); the same bits */
-} dal_sizes;
+/* What the steps of the scheme "reference" are made with: its data, or NULL for the defaults. */
+typedef struct dal_flow_scheme {
+    dal_flow_method method;
+    double tolerance; /* as of dal_flow_new; 0: 1e-13 */
+} dal_flow_scheme;
 
 /* Zero-initialised: the defaults. */
 typedef struct dal_options {
-    dal_solver solver;
-    dal_sizes sizes;
-    int max_iterations; /* of the full Newton in a sub-step; 0: 50 */
+    int max_iterations; /* of the full Newton in a step; 0: 50 */
 } dal_options;
 
 /* What is done with initial data (dal_stepper_start). */
@@ -358,6 +356,7 @@ typedef struct dal_stats {
     size_t iterations;          /* Newton iterations */
     size_t constraint_calls, potential_calls;
     size_t lagrangian_calls, force_calls;
+    size_t evaluations;         /* of the vector field, by the reference flow */
     size_t corrections;         /* final corrections that took an evaluation of their own */
     size_t full_newtons;        /* sub-steps that the modified Newton handed to the full one; where
                                    all are solved by the full one, that had to start anew */
@@ -412,17 +411,44 @@ DAL_API int dal_step(dal_stepper *stepper, double *reaction);
  * it is where it alone overflows (DAL_EDOMAIN, after all steps). */
 DAL_API int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *done);
 
+/* What the next step depends on, as numbers: how many they are, 0 if the steps of this scheme
+ * cannot be resumed (multistep flows); values[dal_stepper_saved] <- them; and from them, also into
+ * a stepper of the same system and scheme in another process, whose steps are then bit for bit
+ * those of the one that was saved.  On failure the stepper is as it was.
+ * DAL_EINVAL (not started; of another version, system or scheme; no such number),
+ * DAL_EUNSUPPORTED. */
+DAL_API size_t dal_stepper_saved(const dal_stepper *stepper);
+DAL_API int dal_stepper_save(dal_stepper *stepper, double *values);
+DAL_API int dal_stepper_restore(dal_stepper *stepper, const double *values, size_t count);
+
 /* ---- runs ------------------------------------------------------------------------------ */
 
 /* Called at every stored state; step counts from the start of the stepper.  Return 0 to go on, > 0
  * to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
 typedef int (*dal_observer_fn)(size_t step, double t, const double *x, void *ctx);
 
-/* steps steps from the stepper's state, every stride-th state stored (steps a multiple of stride).
- * x[(steps/stride + 1)*2n] (or NULL) <- the states, row 0 the state now;
- * reactions[(steps/stride)*m] (or NULL) <- the mean reaction over each interval, which belongs to
- * its middle.  observer or NULL. *done (or NULL) <- steps made and stored.  A second call goes on
- * where this one stopped. DAL_STOPPED, DAL_EINVAL and the errors of dal_step. */
+/* A run of a stepper: zero-initialise, set what is above done, and let it go. */
+typedef struct dal_run {
+    dal_stepper *stepper;   /* started */
+    size_t steps, stride;   /* every stride-th state is stored; steps is a multiple of stride */
+    double *x;              /* [(steps/stride + 1)*2n] or NULL: the states, row 0 where it begins */
+    double *reactions;      /* [(steps/stride)*m] or NULL: the mean reaction over each interval,
+                               which belongs to its middle; NaN for a scheme without multipliers */
+    dal_observer_fn observer; /* or NULL */
+    void *observer_ctx;
+    dal_watch_fn watch;     /* or NULL: asked within steps that take long, with their time */
+    void *watch_ctx;
+    size_t done;            /* steps made */
+    size_t stored;          /* rows of x that are valid */
+} dal_run;
+
+/* At most budget steps more of the run: so the caller can look at clocks and signals in between.
+ * The run is over when done is steps.  budget does not change a bit of what is stored.  After
+ * DAL_STOPPED, or a failure that the caller has mended, it may go on.
+ * DAL_STOPPED, DAL_EINVAL and the errors of dal_step. */
+DAL_API int dal_run_go(dal_run *run, size_t budget);
+
+/* A whole run in one call; *done (or NULL) <- steps made and stored. */
 DAL_API int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, double *x,
                           double *reactions, dal_observer_fn observer, void *ctx, size_t *done);
 

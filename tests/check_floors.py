@@ -17,8 +17,8 @@ from pathlib import Path
 
 from check_symbols import declared, read
 
-# Headers of the library that generated code includes, and the folder where they belong.
-STEP_HEADERS = {"lu": "algebra", "residual": "algebra", "kernel": "system"}
+# Headers that code of the user includes, and the folder where they belong.
+STEP_HEADERS = {"lu": "algebra", "residual": "algebra", "kernel": "step", "family": "step"}
 
 
 def symbols(archive: str) -> tuple[dict[str, str], dict[str, set[str]]]:

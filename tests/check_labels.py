@@ -98,13 +98,14 @@ def _assigned(node: ast.stmt) -> list[str]:
 def python_names(package: Path) -> set[str]:
     """What ``package`` exports, with a point before what its classes and modules contain."""
     names: set[str] = set()
-    for path in package.glob("*.py"):
+    for path in package.rglob("*.py"):
         module = ast.parse(path.read_text(encoding="utf-8"))
         for node in module.body:
-            if path.stem == "__init__":
+            if path.parent == package and path.stem == "__init__":
                 names.update(_assigned(node))
                 continue
-            names.update(f"{path.stem}.{name}" for name in _assigned(node))
+            owner = path.parent.name if path.stem == "__init__" else path.stem
+            names.update(f"{owner}.{name}" for name in _assigned(node))
             if not isinstance(node, ast.ClassDef):
                 continue
             members = [name for inner in node.body for name in _assigned(inner)]

@@ -5,7 +5,7 @@
 
 #include "generic4.h"
 #include "dalembert/study.h"
-#include "step/step.h"
+#include "oracle/multiroot.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -107,6 +107,15 @@ static inline dal_stepper *open_stepper(const dal_system *system, const dal_sche
     dal_stepper *stepper = NULL;
     dal_error error = {0};
     need(dal_stepper_new(&stepper, system, scheme, options, &error), scheme->name, error.text);
+    return stepper;
+}
+
+static inline dal_stepper *open_stepper_by(way by, const dal_system *system,
+                                           const dal_scheme *scheme)
+{
+    dal_stepper *stepper = NULL;
+    dal_error error = {0};
+    need(new_stepper_by(by, &stepper, system, scheme, &error), scheme->name, error.text);
     return stepper;
 }
 

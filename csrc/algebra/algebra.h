@@ -145,6 +145,9 @@ int dal__ode_begin(ode *self, double t0, double span, const double *y, double fa
 /* From here on, until the next beginning, no step is longer; the first one is shorter too.  So it
  * looks at the field elsewhere than without. */
 void dal__ode_shorten(ode *self, double longest);
+/* The size of the next step; to begin with this size, at most span, instead of one guessed. */
+double dal__ode_suggested(const ode *self);
+void dal__ode_suggest(ode *self, double span, double size);
 /* The same from where it stands, after its state was changed, towards elapsed time end. */
 int dal__ode_restart(ode *self, double end, dal_error *error);
 

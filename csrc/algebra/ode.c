@@ -307,6 +307,13 @@ void dal__ode_shorten(ode *self, double longest)
     self->h *= SHORTER;
 }
 
+double dal__ode_suggested(const ode *self) { return fabs(self->h); }
+
+void dal__ode_suggest(ode *self, double span, double size)
+{
+    self->h = copysign(fmin(size, fabs(span)), span);
+}
+
 /* Whether the errors of a step of size h are allowed; self->h <- the size to go on with, for a
  * method of this order. */
 static bool accurate(ode *self, double h, unsigned order)

@@ -7,11 +7,12 @@
 
 /* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone,
  * which are those of that function and have been checked; kept: x is (q_k, v), the state of kept
- * nodes.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K (see
+ * nodes.  alpha is beta there; another one is that of rho^alpha for L_d, and L acts at q_k + alpha h
+ * w.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K (see
  * lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n] the
  * velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
  * residual raises *worst.  The x of dal__step_begin must stay until the last dal__step_at. */
-int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
+int dal__step_begin(dal_mechanics *mech, double t, double alpha, double beta, double h, bool kept,
                     const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_sizes, double *B);
@@ -76,6 +77,11 @@ dal__pair dal__discrete_pair(dal_discrete *d, double h, const double *q0, const 
  * pair if forced; d->K if derivative. */
 int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pair *pair,
                           double *minus, double *plus, bool derivative);
+/* dal_discrete_advance; the residual of D raises *worst. */
+int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda,
+                          double *worst);
+/* The record that dal_discrete_message reads. */
+dal_error *dal__discrete_error(dal_discrete *discrete);
 /* d->phi, d->phi_v, and d->B if derivative. */
 int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool derivative);
 

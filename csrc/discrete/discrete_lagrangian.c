@@ -65,6 +65,7 @@ void dal_discrete_free(dal_discrete *discrete)
 }
 
 const char *dal_discrete_message(const dal_discrete *discrete) { return discrete->mech.error.text; }
+dal_error *dal__discrete_error(dal_discrete *discrete) { return &discrete->mech.error; }
 
 /* ---- pairs -------------------------------------------------------------------------------- */
 

@@ -312,12 +312,11 @@ int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps, 
     return status;
 }
 
-int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda)
+int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda,
+                          double *worst)
 {
-    if (!discrete) return DAL_EINVAL;
     dal_discrete *const d = discrete;
     const size_t n = d->n;
-    double unused = 0.0;
     int status = dal__require_finite(&d->mech, "t", 1, &t);
     if (!status) status = dal__discrete_step_size(d, h);
     if (!status) status = dal__require_finite(&d->mech, "x", 2 * n, x);
@@ -336,9 +335,15 @@ int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, 
     d->mech.start.h = h;
     d->mech.start.beta = 0.0;
     d->mech.start.kept = false;
-    status = dal__step_settle(&d->mech, d->w, d->state, &unused);
+    status = dal__step_settle(&d->mech, d->w, d->state, worst);
     if (status) return status;
     memcpy(x, d->state, 2 * n * sizeof *x);
     copy_multipliers(d, lambda);
     return DAL_SUCCESS;
+}
+
+int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda)
+{
+    double unused = 0.0;
+    return discrete ? dal__discrete_advance(discrete, t, h, x, lambda, &unused) : DAL_EINVAL;
 }

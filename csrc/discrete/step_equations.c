@@ -6,13 +6,22 @@
 #include <math.h>
 #include <string.h>
 
-int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool kept,
+/* Where L acts, a step before q_k + alpha h w, or there. */
+static const double *place_of_L(dal_mechanics *mech, double reach, const double *velocity)
+{
+    if (mech->start.alpha == mech->start.beta) return mech->q;
+    for (size_t i = 0; i < mech->n; i++) mech->place[i] = mech->node[i] + reach * velocity[i];
+    return mech->place;
+}
+
+int dal__step_begin(dal_mechanics *mech, double t, double alpha, double beta, double h, bool kept,
                     const double *x)
 {
     const size_t n = mech->n;
     const double *const v = x + n, before = (1.0 - beta) * h;
     int status = DAL_SUCCESS;
     mech->start.t = t;
+    mech->start.alpha = alpha;
     mech->start.beta = beta;
     mech->start.h = h;
     mech->start.kept = kept;
@@ -25,14 +34,15 @@ int dal__step_begin(dal_mechanics *mech, double t, double beta, double h, bool k
     if (mech->eval.system->def.kind != DAL_NONLINEAR)
         status = dal__constraint(&mech->eval, mech->node, v, NULL, mech->muk, NULL, &mech->error);
     memset(mech->reach, 0, n * sizeof *mech->reach);
-    const dal__jet wanted = {.L_q = beta != 0.0 ? mech->reach : NULL,
+    const double *const place = place_of_L(mech, (alpha - 1.0) * h, v);
+    const dal__jet wanted = {.L_q = alpha != 0.0 ? mech->reach : NULL,
                              .L_v = mech->eval.constant_mass ? NULL : mech->momentum};
-    if (!status) status = dal__lagrangian(&mech->eval, mech->q, v, &wanted, &mech->error);
-    if (!status && beta != 0.0 && mech->eval.system->def.force) {
-        status = dal__force(&mech->eval, t, mech->q, v, mech->step, NULL, NULL, &mech->error);
+    if (!status) status = dal__lagrangian(&mech->eval, place, v, &wanted, &mech->error);
+    if (!status && alpha != 0.0 && mech->eval.system->def.force) {
+        status = dal__force(&mech->eval, t + (alpha - beta) * h, place, v, mech->step, NULL, NULL, &mech->error);
         for (size_t i = 0; i < n; i++) mech->reach[i] += mech->step[i];
     }
-    for (size_t i = 0; i < n; i++) mech->reach[i] *= beta * h;
+    for (size_t i = 0; i < n; i++) mech->reach[i] *= alpha * h;
     return status;
 }
 
@@ -64,21 +74,23 @@ static int evaluate_bend(dal_mechanics *mech, const double *w, const double *kap
     return DAL_SUCCESS;
 }
 
-/* What R1 and K need of the Lagrangian and the force at (q1, w), each called once: w <- L_v(q1, w)
- * - L_v(q, v), which is M (w - v) for constant mass; force <- F(t+h, q1, w); second derivatives. */
+/* What R1 and K need of the Lagrangian and the force where L acts, each called once: w <- L_v(., w)
+ * - L_v(., v), which is M (w - v) for constant mass; force <- F(., w); second derivatives. */
 static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
 {
     const size_t n = mech->n;
-    const double beta = mech->start.beta, t = mech->start.t + mech->start.h;
-    const bool general = !mech->eval.constant_mass, ends = beta != 1.0; /* F acts at q1 */
+    const double alpha = mech->start.alpha, h = mech->start.h;
+    const double t = mech->start.t + h + (alpha - mech->start.beta) * h;
+    const double *const place = place_of_L(mech, alpha * h, w);
+    const bool general = !mech->eval.constant_mass, ends = alpha != 1.0; /* F acts there */
     const dal__jet wanted = {.L_q = R1 && ends ? mech->force : NULL,
                              .L_v = R1 && general ? mech->w : NULL,
-                             .L_qq = K && ends && beta != 0.0 ? mech->hessian : NULL,
+                             .L_qq = K && ends && alpha != 0.0 ? mech->hessian : NULL,
                              .L_vq = K && general ? mech->L_vq : NULL,
                              .L_vv = K && general ? mech->L_vv : NULL};
-    int status = dal__lagrangian(&mech->eval, mech->q, w, &wanted, &mech->error);
+    int status = dal__lagrangian(&mech->eval, place, w, &wanted, &mech->error);
     if (!status && ends && mech->eval.system->def.force) {
-        status = dal__force(&mech->eval, t, mech->q, w, R1 ? mech->step : NULL,
+        status = dal__force(&mech->eval, t, place, w, R1 ? mech->step : NULL,
                             K ? mech->f_q : NULL, K ? mech->f_v : NULL, &mech->error);
         for (size_t i = 0; R1 && i < n; i++) mech->force[i] += mech->step[i];
     }
@@ -95,7 +107,7 @@ static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
 static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
 {
     const size_t n = mech->n;
-    const double weight = mech->start.h * (1.0 - mech->start.beta);
+    const double weight = mech->start.h * (1.0 - mech->start.alpha);
     for (size_t i = 0; i < n; i++) {
         double sum = mech->w[i] - mech->reach[i];
         if (weight != 0.0) sum -= weight * mech->force[i];
@@ -110,7 +122,7 @@ static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
 static double base_of_R1(const dal_mechanics *mech, const double *kappa)
 {
     const size_t n = mech->n;
-    const double weight = fabs(mech->start.h * (1.0 - mech->start.beta));
+    const double weight = fabs(mech->start.h * (1.0 - mech->start.alpha));
     double base = dal_residual_extent(n, mech->per_unit, mech->start.v);
     for (size_t i = 0; i < n; i++) {
         double sum = fabs(mech->w[i]) + fabs(mech->reach[i]);
@@ -122,12 +134,14 @@ static double base_of_R1(const dal_mechanics *mech, const double *kappa)
     return base;
 }
 
-/* K = L_vv + beta h L_vq - h (1-beta) [L_vq^T + f_v + beta h (L_qq + f_q)] - bend at (q1, w).
- * start.moves: of phi, and of R1, when q1 = q_k + beta h w moves by itself. */
+/* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend.
+ * start.moves: of phi, and of R1, when q1 and the place of L move by themselves. */
 static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
 {
     const size_t n = mech->n;
-    const double a = mech->start.beta * mech->start.h, b = (1.0 - mech->start.beta) * mech->start.h;
+    const double a = mech->start.alpha * mech->start.h;
+    const double b = (1.0 - mech->start.alpha) * mech->start.h;
+    const double *const place = mech->start.alpha == mech->start.beta ? mech->q : mech->place;
     const bool general = !mech->eval.constant_mass, forced = mech->eval.system->def.force != NULL;
     mech->start.moves = dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
     for (size_t i = 0; i < n; i++)
@@ -150,7 +164,7 @@ static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
             K[ij] = sum;
             if (K_sizes && i == j) K_sizes[i] = K_sizes[n + i] = sqrt(scale);
             mech->start.moves += (fabs(terms[1]) + fabs(terms[3]) + fabs(terms[5]))
-                               * fabs(mech->q[j]) / fmax(fabs(a), DBL_MIN) * mech->unit[i];
+                               * fabs(place[j]) / fmax(fabs(a), DBL_MIN) * mech->unit[i];
         }
 }
 
@@ -211,7 +225,7 @@ int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h
     if (!status) status = dal__require_finite(mech, "x", 2 * n, x);
     if (!status) status = dal__require_finite(mech, "w", n, w);
     if (!status && m > 0) status = dal__require_finite(mech, "kappa", m, kappa);
-    if (!status) status = dal__step_begin(mech, t, beta, h, false, x);
+    if (!status) status = dal__step_begin(mech, t, beta, beta, h, false, x);
     if (status) return status;
 
     double *r1, *r2, *k, *b;

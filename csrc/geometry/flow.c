@@ -27,6 +27,12 @@ struct dal_flow {
     ode *integrator;
     double tolerance;
     double *result, *state;  /* [2n] */
+    dal_flow_method method;
+    struct {                 /* of dal__flow_step */
+        bool going;
+        double inner;        /* size of the inner steps to begin with; 0: not known */
+        size_t first;        /* number of the step where integration began */
+    } steps;
     dal__watch watch;
     size_t unwatched;        /* numbers of the field since the clock was read */
     dal_error error;
@@ -86,7 +92,8 @@ int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method meth
                          (int)coordinates);
 
     arena memory = {0};
-    dal_flow shape = {.in_xi = coordinates == DAL_FLOW_XI, .tolerance = tolerance}, *self;
+    dal_flow shape = {.in_xi = coordinates == DAL_FLOW_XI, .tolerance = tolerance,
+                      .method = method}, *self;
     const size_t n = dal_system_n(system), m = dal_system_m(system);
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
@@ -133,6 +140,8 @@ size_t dal_flow_evaluations(const dal_flow *flow)
 dal_mechanics *dal__flow_mechanics(dal_flow *flow) { return &flow->mech; }
 
 double dal__flow_tolerance(const dal_flow *flow) { return flow->tolerance; }
+
+dal_flow_method dal__flow_method(const dal_flow *flow) { return flow->method; }
 
 dal_error *dal__flow_error(dal_flow *flow) { return &flow->error; }
 
@@ -308,4 +317,38 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
         if (done) *done = k;
     }
     return status;
+}
+
+/* Single steps. */
+
+void dal__flow_forget(dal_flow *flow)
+{
+    flow->steps.going = false;
+    flow->steps.inner = 0.0;
+}
+
+/* Its steps depend on those before. */
+static bool is_multistep(const dal_flow *flow) { return flow->method == DAL_FLOW_MSADAMS; }
+
+double *dal__flow_inner(dal_flow *flow) { return is_multistep(flow) ? NULL : &flow->steps.inner; }
+
+int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x)
+{
+    int status = DAL_SUCCESS;
+    if (!is_multistep(flow) || !flow->steps.going) {
+        flow->steps.first = k;
+        status = begin(flow, t0 + (double)k * h, h, x, 1.0);
+        if (!status && flow->steps.inner != 0.0)
+            dal__ode_suggest(flow->integrator, h, flow->steps.inner);
+    }
+    flow->steps.going = false;
+    if (!status) status = reach(flow, (double)(k + 1 - flow->steps.first) * h);
+    if (status) return status;
+    copy(flow, flow->result, flow->state);
+    status = dal_project(&flow->mech, 0.0, flow->result, NULL);
+    if (status) return pass_on(flow, &flow->mech.error, status);
+    copy(flow, x, flow->result);
+    flow->steps.inner = dal__ode_suggested(flow->integrator);
+    flow->steps.going = true;
+    return DAL_SUCCESS;
 }

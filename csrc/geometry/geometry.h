@@ -26,10 +26,11 @@ struct dal_mechanics {
     /* of the equations of a step */
     double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
     double *node, *muk;           /* [n], [m*n] q_k, mu_k */
+    double *place;                /* [n] where L acts, if that is not q */
     double *trial, *chetaev, *bend; /* [n], [m*n], [n*n] of nonlinear constraints: where mu_k^T
                                        kappa is differenced, its value and its derivative */
     struct {
-        double t, beta, h;
+        double t, alpha, beta, h;
         bool kept;
         const double *v;          /* [n] */
         double base, moves;       /* see algebra.h, of the last dal__step_at that gave R1, K, B */
@@ -125,13 +126,26 @@ int dal__chart_ready(dal_chart *chart);
 /* Whether dal_chart_renew would keep the choice at x, and its condition. */
 int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool *keeps);
 
+/* The tolerance where none is given. */
+#define DAL_FLOW_TOLERANCE 1e-13
+
 /* dal_flow_apply over span, without checking its arguments and without the accuracy; the projection
  * onto D at the end only if project. */
 int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project);
 
+/* Step k of a row of steps of size h from t0, of a flow in x: x[2n] at t0 + k h is taken to t0 +
+ * (k+1) h, in D; on failure x is as it was.  A step begins anew, with inner steps of the size that
+ * the step before ended with; but multistep methods go on.  dal__flow_forget: what comes next does
+ * not follow on what was before.  The inner size, all that a step depends on beside x; NULL for a
+ * multistep method. */
+int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x);
+void dal__flow_forget(dal_flow *flow);
+double *dal__flow_inner(dal_flow *flow);
+
 /* What a flow is made of, and the record that dal_flow_message reads. */
 dal_mechanics *dal__flow_mechanics(dal_flow *flow);
 double dal__flow_tolerance(const dal_flow *flow);
+dal_flow_method dal__flow_method(const dal_flow *flow);
 dal_error *dal__flow_error(dal_flow *flow);
 
 #endif /* DAL__GEOMETRY_H */

@@ -14,7 +14,7 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     const size_t general = system->mass ? 0 : nn, forced = system->def.force ? nn : 0;
     const bool nonlinear = system->def.kind == DAL_NONLINEAR;
     double **const vectors[] = {&mech->force, &mech->q, &mech->w, &mech->step, &mech->momentum,
-                                &mech->reach, &mech->node, &mech->trial};
+                                &mech->reach, &mech->node, &mech->trial, &mech->place};
     double **const forms[] = {&mech->mu, &mech->dmu, &mech->Z, &mech->muk};
     double **const multipliers[] = {&mech->phi, &mech->lambda, &mech->residual};
     double **const matrices[] = {&mech->L_vq, &mech->L_vv, &mech->factor};

@@ -1,42 +1,75 @@
-/* Many steps into the caller's arrays. */
+/* A run: what is stored, and who watches. */
 #include "step/step.h"
 
 #include <string.h>
 
-/* Tells the observer of the state now; DAL_STOPPED or DAL_EUSER if it wants no more. */
-static int observe(dal_stepper *stepper, dal_observer_fn observer, void *ctx)
+/* Whether the state now is to be stored, and is not yet. */
+static bool is_due(const dal_run *run) { return run->done == run->stored * run->stride; }
+
+/* The mean reaction since the row before, if there is one. */
+static int store_reaction(const dal_run *run)
 {
-    dal_stats stats;
-    if (!observer) return DAL_SUCCESS;
-    dal_stepper_stats(stepper, &stats);
+    const size_t m = run->stepper->mech.m;
+    if (!run->reactions || run->stored == 0) return DAL_SUCCESS;
+    return dal__stepper_reaction(run->stepper, run->stride, run->reactions + (run->stored - 1) * m);
+}
+
+/* Stores the state now and tells the observer of it; DAL_STOPPED or DAL_EUSER if it wants no
+ * more. */
+static int store(dal_run *run)
+{
+    dal_stepper *const stepper = run->stepper;
+    const dal_motion *const motion = &stepper->motion;
+    const size_t N = 2 * stepper->mech.n;
+    const int status = store_reaction(run);
+    if (status) return status;
+    dal__stepper_forget_impulse(stepper);
+    if (run->x) memcpy(run->x + run->stored * N, motion->x, N * sizeof *run->x);
+    run->stored++;
+    if (!run->observer) return DAL_SUCCESS;
     const int returned =
-        observer(stats.steps, dal_stepper_time(stepper), dal_stepper_state(stepper), ctx);
+        run->observer(motion->steps, dal_stepper_time(stepper), motion->x, run->observer_ctx);
     if (returned > 0) return DAL_STOPPED;
     if (returned == 0) return DAL_SUCCESS;
-    return dal__fail(dal__stepper_error(stepper), DAL_EUSER, "the observer returned %d at step %zu",
-                     returned, stats.steps);
+    return dal__fail(&stepper->error, DAL_EUSER, "the observer returned %d at step %zu", returned,
+                     motion->steps);
+}
+
+static int check(const dal_run *run)
+{
+    if (run->stride > 0 && run->steps % run->stride == 0)
+        return dal__stepper_started(run->stepper);
+    return dal__fail(&run->stepper->error, DAL_EINVAL, "steps = %zu is not a multiple of stride = "
+                     "%zu", run->steps, run->stride);
+}
+
+int dal_run_go(dal_run *run, size_t budget)
+{
+    if (!run || !run->stepper) return DAL_EINVAL;
+    dal_motion *const motion = &run->stepper->motion;
+    int status = check(run);
+    if (!status && is_due(run)) status = store(run);
+    motion->watch = run->watch;
+    motion->watch_ctx = run->watch_ctx;
+    while (!status && budget > 0 && run->done < run->steps) {
+        const size_t left = run->stride - run->done % run->stride;
+        size_t made = 0;
+        status = dal__stepper_advance(run->stepper, left < budget ? left : budget, &made);
+        budget -= made;
+        run->done += made;
+        if (!status && is_due(run)) status = store(run);
+    }
+    motion->watch = NULL;
+    if (!status && run->done == run->steps) status = dal__stepper_look(run->stepper);
+    return status;
 }
 
 int dal_integrate(dal_stepper *stepper, size_t steps, size_t stride, double *x, double *reactions,
                   dal_observer_fn observer, void *ctx, size_t *done)
 {
-    if (done) *done = 0;
-    if (!stepper) return DAL_EINVAL;
-    const dal_system *const system = dal__stepper_system(stepper);
-    const size_t n = system->def.n, m = system->def.m;
-    if (stride == 0 || steps % stride != 0)
-        return dal__fail(dal__stepper_error(stepper), DAL_EINVAL,
-                         "steps = %zu is not a multiple of stride = %zu", steps, stride);
-    int status = dal_advance(stepper, 0, NULL, NULL); /* refuses a stepper that was not started */
-    if (status) return status;
-    if (x) memcpy(x, dal_stepper_state(stepper), 2 * n * sizeof *x);
-    status = observe(stepper, observer, ctx);
-    for (size_t row = 1; status == DAL_SUCCESS && row <= steps / stride; row++) {
-        status = dal_advance(stepper, stride, reactions ? reactions + (row - 1) * m : NULL, NULL);
-        if (status) break;
-        if (x) memcpy(x + row * 2 * n, dal_stepper_state(stepper), 2 * n * sizeof *x);
-        if (done) *done = row * stride;
-        status = observe(stepper, observer, ctx);
-    }
-    return status ? status : dal__stepper_look(stepper);
+    dal_run run = {.stepper = stepper, .steps = steps, .stride = stride, .x = x,
+                   .reactions = reactions, .observer = observer, .observer_ctx = ctx};
+    const int status = dal_run_go(&run, SIZE_MAX);
+    if (done) *done = run.stored > 0 ? (run.stored - 1) * stride : 0;
+    return status;
 }

@@ -1,7 +1,6 @@
 /* What is left of a stage that the step routine of kernel.h does not finish by itself: the
  * full Newton iteration, and the residual of D evaluated at what is stored. */
-#include "step/step.h"
-#include "dalembert/kernel.h"
+#include "step/beta.h"
 #include "dalembert/residual.h"
 
 #include <math.h>

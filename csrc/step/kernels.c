@@ -1,6 +1,5 @@
 /* The compilations of the step routine: n <= 8, m <= 4 as constants, and any sizes. */
-#include "step/step.h"
-#include "dalembert/kernel.h"
+#include "step/beta.h"
 
 #define DAL_KERNEL kernel_any
 #include "dalembert/kernel.h"
@@ -18,11 +17,13 @@
 #define DAL_ROW 6
 #include "step/kernel_row.h"
 
-dal_kernel_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes)
+dal_kernel_fn dal__kernel_any(void) { return kernel_any; }
+
+dal_kernel_fn dal__kernel_for(size_t n, size_t m)
 {
     static const dal_kernel_fn *const rows[] = {row_1, row_2, row_3, row_4, row_5, row_6};
     const dal_kernel_fn fixed = m > 4 ? NULL
                                 : n <= DAL_LENGTH(rows) ? rows[n - 1][m]
                                                         : dal__kernel_of_many(n, m);
-    return fixed && sizes == DAL_SIZES_AUTO ? fixed : kernel_any;
+    return fixed ? fixed : kernel_any;
 }

@@ -1,6 +1,5 @@
 /* The compilations for n = 7 and 8, apart because they take almost as long as the rest. */
-#include "step/step.h"
-#include "dalembert/kernel.h"
+#include "step/beta.h"
 
 #define DAL_ROW 7
 #include "step/kernel_row.h"

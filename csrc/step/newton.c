@@ -36,6 +36,24 @@ void dal__newton_bind(newton *solver, const dal_system *system, int max_iteratio
 
 void dal__newton_forget(newton *solver) { solver->warm = false; }
 
+size_t dal__newton_save(const newton *solver, double *values)
+{
+    const size_t n = solver->rate ? solver->n : 0, m = solver->rate ? solver->m : 0;
+    if (!values) return 1 + n + m;
+    values[0] = solver->warm;
+    for (size_t i = 0; i < n; i++) values[1 + i] = solver->rate[i];
+    for (size_t a = 0; a < m; a++) values[1 + n + a] = solver->lambda[a];
+    return 1 + n + m;
+}
+
+void dal__newton_restore(newton *solver, const double *values)
+{
+    const size_t n = solver->rate ? solver->n : 0, m = solver->rate ? solver->m : 0;
+    solver->warm = values[0] != 0.0;
+    for (size_t i = 0; i < n; i++) solver->rate[i] = values[1 + i];
+    for (size_t a = 0; a < m; a++) solver->lambda[a] = values[1 + n + a];
+}
+
 /* step <- the Newton step of w and kappa, from R1, R2, K, B and mu_k; *sign <- that of the
  * determinant of the matrix. */
 static int solve_linear(newton *s, int *sign)
@@ -92,15 +110,15 @@ static int iterate(newton *s)
     return status;
 }
 
-int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta, double h,
-                     bool kept, double *x, double *kappa, dal_stats *stats)
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double alpha, double beta,
+                     double h, bool kept, double *x, double *kappa, dal_stats *stats)
 {
     newton *const s = solver;
     const size_t n = s->n, m = s->m;
     const double *const v = x + n;
     s->mech = mech;
     s->stats = stats;
-    int status = dal__step_begin(mech, t, beta, h, kept, x);
+    int status = dal__step_begin(mech, t, alpha, beta, h, kept, x);
     if (status) return status;
     bool solved = false;
     if (s->warm) {

@@ -2,22 +2,22 @@
 #ifndef DAL__STEP_H
 #define DAL__STEP_H
 
+#include "dalembert/family.h"
 #include "discrete/discrete.h"
 
-/* The compilation of the step routine to use for these sizes. */
-dal_kernel_fn dal__kernel_for(size_t n, size_t m, dal_sizes sizes);
-/* One for n = 7 and 8, m <= 4; else NULL. */
-dal_kernel_fn dal__kernel_of_many(size_t n, size_t m);
+/* Those that the build list names, the one of records without a family first; NULL at the end. */
+extern const dal_family *const dal__families[];
+const dal_family *dal__scheme_family(const dal_scheme *scheme);
 
-struct dal_stage;
-/* As finish of a dal_kernel. */
-int dal__kernel_finish(struct dal_kernel *k, const struct dal_stage *s, bool solved);
+/* The decimal number at the start of text, *end behind it; NaN if there is none.  strtod would want
+ * the decimal point of the host's locale. */
+double dal__parse_number(const char *text, const char **end);
 
-/* The sub-steps of a record: its own, or the only one {beta, 1}.  DAL_EINVAL if the record is not
- * valid; the text says why. */
-int dal__scheme_check(const dal_scheme *scheme, dal_error *error);
+/* The sub-steps of a record: its own, or the only one {beta, 1}. */
 size_t dal__scheme_count(const dal_scheme *scheme);
 dal_substep dal__scheme_substep(const dal_scheme *scheme, size_t j);
+/* DAL_EINVAL unless the record has what all families know: moved nodes, no sub-steps. */
+int dal__scheme_check_plain(const dal_scheme *scheme, const char *family, dal_error *error);
 
 /* One beta-step of any system by the full Newton iteration on all n + m unknowns. */
 typedef struct newton {
@@ -37,18 +37,14 @@ void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);
 void dal__newton_bind(newton *solver, const dal_system *system, int max_iterations);
 /* Forgets the last step. */
 void dal__newton_forget(newton *solver);
+/* The last step, as save and restore of a family; of a solver without memory there is none. */
+size_t dal__newton_save(const newton *solver, double *values);
+void dal__newton_restore(newton *solver, const double *values);
 /* One beta-scheme with step h (of either sign) at time t from x[2n], in place; kappa[m] = h lambda.
- * kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
+ * alpha, kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
  * mech->error. */
-int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double beta, double h,
-                     bool kept, double *x, double *kappa, dal_stats *stats);
-
-/* The same by gsl_multiroot hybridsj. */
-typedef struct multiroot multiroot;
-int dal__multiroot_new(multiroot **solver, const dal_system *system, dal_error *error);
-void dal__multiroot_free(multiroot *solver);
-int dal__multiroot_step(multiroot *solver, dal_mechanics *mech, double t, double beta, double h,
-                        bool kept, double *x, double *kappa, dal_stats *stats);
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double alpha, double beta,
+                     double h, bool kept, double *x, double *kappa, dal_stats *stats);
 
 /* Whether the energy jumps (jump.c): looked at now and then, never where something does work, or by
  * schemes of order 1, which drift by design. */
@@ -63,10 +59,35 @@ int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shif
                     const double *x);
 int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
 
+struct dal_stepper {
+    dal_motion motion;
+    const dal_family *family;
+    void *method;          /* what the family made */
+    dal_scheme scheme;
+    double identity;       /* a number of its system and scheme, to tell others apart by */
+    double shift;          /* 1 - beta of kept nodes, else 0 */
+    dal_mechanics mech;
+    dal_stats stats;
+    double *fresh;         /* [2n] initial data being examined */
+    dal__jump jump;
+    bool started;
+    dal_error error;
+    arena arena;
+};
+
+/* A number of system and scheme, but for callbacks and what is behind data. */
+double dal__stepper_identify(const dal_system *system, const dal_scheme *scheme);
+/* DAL_EINVAL unless it is started; unless steps of h lead on from t0. */
+int dal__stepper_started(dal_stepper *stepper);
+int dal__stepper_check_times(dal_stepper *stepper, double t0, double h);
+/* dal_advance in parts, of a stepper that is started: the steps, whose impulses are added up; the
+ * mean reaction over so many of them. */
+void dal__stepper_forget_impulse(dal_stepper *stepper);
+int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made);
+int dal__stepper_reaction(dal_stepper *stepper, size_t steps, double *reaction);
 /* Looks at the energy of the state now.  DAL_EUSER. */
 int dal__stepper_look(dal_stepper *stepper);
-/* What a stepper was made of, and the record that dal_stepper_message reads. */
-const dal_system *dal__stepper_system(const dal_stepper *stepper);
-dal_error *dal__stepper_error(dal_stepper *stepper);
+/* Has the steps of a beta-scheme made by the compilation for any sizes: for tests. */
+void dal__beta_any_sizes(dal_stepper *stepper);
 
 #endif /* DAL__STEP_H */

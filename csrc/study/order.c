@@ -230,7 +230,10 @@ static dal_fit fit_global_state(study *self, double floor)
 static double largest_difference(size_t count, const double *x, const double *y)
 {
     double most = 0.0;
-    for (size_t i = 0; i < count; i++) most = fmax(most, fabs(x[i] - y[i]));
+    for (size_t i = 0; i < count; i++) {
+        const double difference = fabs(x[i] - y[i]);
+        if (!(difference <= most) && !isnan(most)) most = difference; /* a NaN stays */
+    }
     return most;
 }
 

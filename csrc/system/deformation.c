@@ -128,7 +128,7 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
     def.invariant = NULL;
     def.invariants = 0;
     def.ctx_size = 0;
-    def.kernel = NULL;
+    def.compiled = NULL;
     def.steady = 0;
     return dal__system_wrap(system, &def, self, sizeof *self, error);
 }

@@ -1,6 +1,5 @@
 /* The triple (Q, L, D) as an object: validation, copies, what it says about itself. */
 #include "system/system.h"
-#include "dalembert/kernel.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -54,25 +53,6 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
     return DAL_SUCCESS;
 }
 
-/* The step routine of the system's own, which has its callbacks inside. */
-static int check_kernel(const dal_system_def *def, dal_error *error)
-{
-    if (!def->kernel) return DAL_SUCCESS;
-    if (def->kernel_size != sizeof(dal_kernel))
-        return dal__fail(error, DAL_EINVAL, "kernel_size = %zu: this library was built with a "
-                         "dal_kernel of %zu bytes; compile the kernel with its kernel.h",
-                         def->kernel_size, sizeof(dal_kernel));
-    const char *const why = !def->mass ? "mass is NULL"
-                            : def->force ? "there is a force"
-                            : def->kind != DAL_LINEAR ? "the constraints are not linear"
-                            : def->missing ? "derivatives are missing"
-                                           : NULL;
-    if (!why) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "kernel is not NULL, and %s: a kernel makes the steps of "
-                     "constant mass and linear constraints, without force, with all derivatives",
-                     why);
-}
-
 static int check_steady(const dal_system_def *def, dal_error *error)
 {
     const char *const why = !def->steady ? NULL
@@ -112,7 +92,6 @@ static int check_def(const dal_system_def *def, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
     if (def->ctx_size > 0 && !def->ctx)
         return dal__fail(error, DAL_EINVAL, "ctx_size = %zu and ctx is NULL", def->ctx_size);
-    status = check_kernel(def, error);
     if (!status) status = check_steady(def, error);
     if (!status && def->mass) status = check_mass(def, error);
     return status;

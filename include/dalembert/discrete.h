@@ -31,6 +31,12 @@ typedef struct dal_difference_map {
     void *ctx;
 } dal_difference_map;
 
+/* The data of a scheme of the family pair, which "pair:A:B" is for rho^A and rho^B: its steps are
+ * those of dal_discrete_advance. */
+typedef struct dal_pair {
+    dal_difference_map lagrangian, constraint; /* of L_d, of D_d */
+} dal_pair;
+
 /* A system with difference maps: the discrete Lagrangian L_d = h L o rho (aprox, Ld1), the discrete
  * constraint D_d = {phi_d = phi o rho' = 0} (DiscNHSet; of dimension 2n - m, E14), rho and rho'
  * maps that may differ, and their discrete Lagrange-d'Alembert equations

@@ -108,6 +108,19 @@ typedef struct dal_arrays {
 /* Everything down to max_iterations, the arrays, h and x are set by the owner, who then calls
  * dal_kernel_forget; the rest belongs to the step routine. */
 typedef struct dal_kernel dal_kernel;
+
+/* Makes steps steps of kernel; *done <- how many succeeded. */
+typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
+
+/* A step routine that was compiled for one system: what compiled of its dal_system_def points
+ * to. */
+#define DAL_COMPILED_ABI 2u
+typedef struct dal_compiled {
+    unsigned abi;  /* DAL_COMPILED_ABI, */
+    size_t size;   /* and sizeof(dal_kernel), as its compiler saw them */
+    dal_kernel_fn advance;
+} dal_compiled;
+
 struct dal_kernel {
     size_t n, m;
     dal_constraint_fn constraint;
@@ -136,7 +149,7 @@ struct dal_kernel {
     /* From at.x to at.N one block, laid out by dal_kernel_share: the step routine reaches its parts
      * by constant offsets, and callbacks see the same addresses at every call. */
     dal_arrays at;
-    double *saved;                     /* [2n] */
+    double *saved;                     /* [2n+m] x and impulse before a step of several stages */
     double *K, *K_sizes, *y, *R;       /* [n*n], [5*n], [n], [n]: finish only, as */
     size_t *K_row;                     /* [n] */
 
@@ -668,7 +681,10 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #endif
     while (made < steps) {
         const dal_stage *s = k->stage, *const end = s + stages;
-        if (DAL_KERNEL_RARE(stages > 1)) DAL_KERNEL_COPY(2 * n, x, k->saved);
+        if (DAL_KERNEL_RARE(stages > 1)) {
+            DAL_KERNEL_COPY(2 * n, x, k->saved);
+            DAL_KERNEL_COPY(k->m, k->impulse, k->saved + 2 * n);
+        }
 #if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
         do
             status = DAL_KERNEL_STAGE(k, s, !DAL_KERNEL_PULLED, x, pull);
@@ -693,6 +709,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #endif
     if (status && stages > 1) {
         DAL_KERNEL_COPY(2 * n, k->saved, k->at.x);
+        DAL_KERNEL_COPY(k->m, k->saved + 2 * n, k->impulse);
         dal_kernel_forget(k);
     }
     k->stats.steps += made;

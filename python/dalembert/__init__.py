@@ -13,28 +13,25 @@ True
 
 import logging
 
-from . import _lib, geometry, pages, plot, report, systems
-from ._lib import (
+from . import compiler, core, geometry, growth, systems
+from .core import (
     ConvergenceError,
     DalembertError,
     DalembertWarning,
     DomainError,
     NotOnConstraintError,
     SingularError,
+    pointers,
 )
-from .chart import Chart
 from .discrete import DifferenceMap, Discrete, NodeRun, Regularity, exact_velocity
-from .embeddings import Embedding, embedding
-from .examination import Check, Difference
-from .integration import Reference, integrate, reference
-from .refinement import convergence, studies
-from .scheme import Scheme, schemes
-from .solution import Solution, States, Statistics
-from .study import Fit, Studies, Study
+from .geometry import Chart, Check, Difference
+from .run import Reference, Scheme, Solution, States, Statistics, integrate, reference, schemes
+from .show import pages, plot, report, table
+from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
 from .symbolic import coordinates
 from .system import System
 
-__version__ = _lib.version()
+__version__ = core.version()
 
 __all__ = [
     "Chart",
@@ -74,5 +71,11 @@ __all__ = [
     "studies",
     "systems",
 ]
+
+# What objects show of themselves: below `show` nothing knows of tables and pictures.
+table.attach(Study, table.study_lines, table.study_html)
+table.attach(Studies, table.studies_lines, table.studies_html)
+Study.plot = Studies.plot = plot.convergence
+Embedding.plot = plot.embedded
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())

@@ -16,11 +16,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _lib, catalogue, compiler, extras, files, pages, plot, report, systems
-from .arguments import suggestion
-from .refinement import MOST_STEPS, studies
-from .scheme import INITIAL, REFERENCE
-from .scheme import schemes as named_schemes
+from . import compiler, core, systems
+from .core import extras, files
+from .core.arguments import suggestion
+from .run.scheme import INITIAL
+from .run.scheme import schemes as named_schemes
+from .show import pages, report, web
+from .study.refinement import MOST_STEPS, studies
+from .systems import catalogue
 
 __all__ = ["main"]
 
@@ -69,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         _say(given, _in_words(error))
         return 1
-    except (_lib.DalembertError, NotImplementedError, MemoryError) as error:
+    except (core.DalembertError, NotImplementedError, MemoryError) as error:
         _say(given, error)
         return 1
     except KeyboardInterrupt:
@@ -102,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="dalembert",
         description="Nonholonomic variational integrators: measure what they promise.",
     )
-    parser.add_argument("--version", action="version", version=f"dalembert {_lib.version()}")
+    parser.add_argument("--version", action="version", version=f"dalembert {core.version()}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     study = commands.add_parser(
@@ -213,7 +216,7 @@ def _study(given: argparse.Namespace) -> int:
     output = None if given.no_report else given.output or Path("report.html")
     if output is not None:
         try:
-            plot.require_matplotlib()
+            web.require()
         except ImportError as error:
             if given.output:
                 raise
@@ -304,7 +307,8 @@ def _schemes(given: argparse.Namespace) -> int:
         [
             ("N", "a number in [0, 1]: the beta-scheme of this number"),
             ("N-nodes", "the same at the original nodes: keeps D_eps"),
-            (REFERENCE.name, f"{REFERENCE.help}; has no order to study"),
+            ("pair:A:B", "two maps: beta A for L_d, beta B for D_d"),
+            ("FILE.so:SYMBOL", "a dal_scheme of your own, with its family"),
         ]
     )
     return 0

@@ -33,8 +33,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from . import _lib
-from ._lib import DalembertError, DalembertWarning
+from . import core
+from .core import DalembertError, DalembertWarning
 
 __all__ = ["Compiler", "CompilerError", "Library", "clear", "entries", "find", "folder", "library"]
 
@@ -178,11 +178,9 @@ def _headers() -> dict[str, str]:
 
 @functools.cache
 def _generator() -> str:
-    """Return a digest of all that turns a model into C, headers and versions included."""
-    digest = hashlib.sha256(repr((_lib.version(), FLAGS, platform.machine())).encode())
-    here = importlib.resources.files(__package__)
-    for name in ("model.py", "zeros.py", "pattern.py", "codegen.py", "compiler.py"):
-        digest.update(here.joinpath(name).read_bytes())
+    """Return a digest of what compiles: this module, the headers, the library and the flags."""
+    digest = hashlib.sha256(repr((core.version(), FLAGS, platform.machine())).encode())
+    digest.update(Path(__file__).read_bytes())
     for name, text in _headers().items():
         digest.update(f"{name}\n{text}".encode())
     return digest.hexdigest()
@@ -300,13 +298,13 @@ class Library:
         self.path = path
         self._loaded = ctypes.CDLL(str(path))
         address = ctypes.addressof(ctypes.c_char.in_dll(self._loaded, "dal_model"))
-        self.definition = _lib.ffi.cast("dal_system_def *", address)
+        self.definition = core.ffi.cast("dal_system_def *", address)
 
     def has(self, name: str) -> bool:
         """Return whether there is a function ``dal_model_NAME`` of the parameters."""
         return hasattr(self._loaded, f"dal_model_{name}")
 
-    def evaluate(self, name: str, parameters: _lib.Array, output: _lib.Array) -> None:
+    def evaluate(self, name: str, parameters: core.Array, output: core.Array) -> None:
         """Call ``dal_model_NAME(output, parameters)``."""
         function = getattr(self._loaded, f"dal_model_{name}")
         function.restype = None

@@ -7,7 +7,7 @@
 #include "check.h"
 #include "dalembert/study.h"
 #include "generic4.h"
-#include "step/step.h"
+#include "oracle/multiroot.h"
 
 #include <ctype.h>
 #include <dlfcn.h>
@@ -173,7 +173,7 @@ static double state[MOST];
 
 typedef enum maker {
     SYSTEM, SYSTEM_DIAGONAL, BUILTIN, DEFORMED, DEFORMED_NODES, MECHANICS, CHART, FLOW_RK8PD,
-    FLOW_MSADAMS, FLOW_RODAS, FLOW_IN_XI, STEPPER, STEPPER_MULTIROOT, DISCRETE, EMBEDDING,
+    FLOW_MSADAMS, FLOW_RODAS, FLOW_IN_XI, STEPPER, STEPPER_PAIR, STEPPER_FLOW, DISCRETE, EMBEDDING,
     CHECK_SYSTEM, STUDY, STUDY_EXACT, CONSISTENT, EXACT, INVARIANT, VELOCITY, MAKERS
 } maker;
 
@@ -194,12 +194,11 @@ typedef struct outputs {
     double x[MOST], distance;
 } outputs;
 
-static int make_stepper(outputs *out, dal_solver solver, dal_error *error)
+static int make_stepper(outputs *out, const char *name, dal_error *error)
 {
     dal_scheme scheme;
-    const dal_options options = {.solver = solver};
-    CHECK(dal_scheme_find(&scheme, "leapfrog-suzuki4", NULL) == 0);
-    return dal_stepper_new(&out->stepper, generic4, &scheme, &options, error);
+    CHECK(dal_scheme_find(&scheme, name, NULL) == 0);
+    return dal_stepper_new(&out->stepper, generic4, &scheme, NULL, error);
 }
 
 static int make_study(outputs *out, const dal_system *system, dal_error *error)
@@ -256,8 +255,9 @@ static int make(maker what, outputs *out, dal_error *error)
     case FLOW_MSADAMS: return make_flow(out, DAL_FLOW_MSADAMS, DAL_FLOW_X, error);
     case FLOW_RODAS: return make_flow(out, DAL_FLOW_RODAS, DAL_FLOW_X, error);
     case FLOW_IN_XI: return make_flow(out, DAL_FLOW_RK8PD, DAL_FLOW_XI, error);
-    case STEPPER: return make_stepper(out, DAL_SOLVER_SCHUR, error);
-    case STEPPER_MULTIROOT: return make_stepper(out, DAL_SOLVER_MULTIROOT, error);
+    case STEPPER: return make_stepper(out, "leapfrog-suzuki4", error);
+    case STEPPER_PAIR: return make_stepper(out, "pair:0.25:0.5", error);
+    case STEPPER_FLOW: return make_stepper(out, "reference", error);
     case DISCRETE: return dal_discrete_new(&out->discrete, generic4, &map, NULL, error);
     case EMBEDDING: return make_embedding(out, error);
     case CHECK_SYSTEM: return dal_system_check(generic4, state, &out->check, error);
@@ -298,7 +298,7 @@ static void release(maker what, outputs *out)
     if (what == MECHANICS) dal_mechanics_free(out->mechanics);
     if (what == CHART) dal_chart_free(out->chart);
     if (FLOW_RK8PD <= what && what <= FLOW_IN_XI) dal_flow_free(out->flow);
-    if (what == STEPPER || what == STEPPER_MULTIROOT) dal_stepper_free(out->stepper);
+    if (STEPPER <= what && what <= STEPPER_FLOW) dal_stepper_free(out->stepper);
 }
 
 /* The k-th allocation fails, for every k, alone or with all that follow it: nothing is made,
@@ -331,7 +331,7 @@ static void test_failing(maker what)
 
 /* Every allocation fails once in turn, GSL's own included, whose handler returns: nothing is made,
  * the text says memory, and nothing is leaked but what GSL itself forgets, a block at each of so
- * many places: in msadams_alloc one, in gsl_matrix_alloc two for each of three matrices. */
+ * many places: in msadams_alloc one. */
 static void test_failing_gsl(maker what, size_t forgetful)
 {
     gsl_error_handler_t *const handler = gsl_set_error_handler_off();
@@ -394,8 +394,7 @@ static int observing(size_t step, double t, const double *x, void *ctx)
 }
 
 /* Steps, runs and failures of one scheme. */
-static void test_steps(const dal_system *system, const dal_scheme *scheme, dal_options options,
-                       size_t steps)
+static void test_steps(const dal_system *system, const dal_scheme *scheme, way by, size_t steps)
 {
     double x[16];
     dal_stepper *stepper = NULL;
@@ -403,7 +402,7 @@ static void test_steps(const dal_system *system, const dal_scheme *scheme, dal_o
     const bool kept = scheme->nodes == DAL_KEPT_NODES;
     const dal_initial initial = kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE;
     CHECK(dal_system_state(system, x) == 0);
-    CHECK(dal_stepper_new(&stepper, system, scheme, &options, NULL) == 0);
+    CHECK(new_stepper_by(by, &stepper, system, scheme, NULL) == 0);
     const size_t calls = process.calls;
     CHECK(dal_stepper_start(stepper, 0.0, 1e-3, x, DAL_CHECK, initial) == 0);
     for (size_t k = 0; k < steps / 2; k++) CHECK(dal_step(stepper, reactions) == 0);
@@ -511,15 +510,23 @@ int main(void)
     for (maker what = SYSTEM; what < MAKERS; what++) test_failing(what);
     test_message();
     for (maker what = SYSTEM; what < MAKERS; what++)
-        test_failing_gsl(what, what == FLOW_MSADAMS ? 1 : what == STEPPER_MULTIROOT ? 6 : 0);
+        test_failing_gsl(what, what == FLOW_MSADAMS);
 
     for (size_t i = 0; i < dal_scheme_count(); i++) {
         dal_scheme scheme;
         CHECK(dal_scheme_at(&scheme, i) == 0);
-        test_steps(generic4, &scheme, (dal_options){0}, STEPS);
-        test_steps(particle, &scheme, (dal_options){0}, STEPS / 10);
-        test_steps(generic4, &scheme, (dal_options){.sizes = DAL_SIZES_RUNTIME}, STEPS / 10);
-        test_steps(generic4, &scheme, (dal_options){.solver = DAL_SOLVER_MULTIROOT}, STEPS / 100);
+        const size_t steps = scheme.family ? STEPS / 10 : STEPS;
+        test_steps(generic4, &scheme, BY_LIBRARY, steps);
+        test_steps(particle, &scheme, BY_LIBRARY, STEPS / 10);
+        if (scheme.family) continue;
+        test_steps(generic4, &scheme, BY_ANY_SIZES, STEPS / 10);
+        test_steps(generic4, &scheme, BY_MULTIROOT, STEPS / 100);
+    }
+    static const char *const pairs[] = {"pair:0.25:0.5", "pair:0:1"};
+    for (size_t i = 0; i < DAL_LENGTH(pairs); i++) {
+        dal_scheme scheme;
+        CHECK(dal_scheme_find(&scheme, pairs[i], NULL) == 0);
+        test_steps(generic4, &scheme, BY_LIBRARY, STEPS / 10);
     }
     /* Lagrangians of any form, affine and nonlinear constraints. */
     static const char *const others[] = {"sleigh_contact", "ball_on_table"};
@@ -529,7 +536,7 @@ int main(void)
         for (size_t i = 0; i < dal_scheme_count(); i++) {
             dal_scheme scheme;
             CHECK(dal_scheme_at(&scheme, i) == 0);
-            test_steps(general, &scheme, (dal_options){0}, STEPS / 100);
+            test_steps(general, &scheme, BY_LIBRARY, STEPS / 100);
         }
         dal_system_free(general);
     }

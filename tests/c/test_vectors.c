@@ -167,8 +167,6 @@ static double reaction_noise(const subject *s, double h, const double *x)
 
 /* ---- steps and runs ----------------------------------------------------------------------- */
 
-enum { AUTO, RUNTIME, MULTIROOT, STEPPERS };
-
 /* The steps of r, each made three times: by the default; by the step routine for any sizes, with
  * the same bits; and from the same state by gsl_multiroot, which promises 64 u of the state.
  * reaction[m] <- that of the last step. */
@@ -179,22 +177,23 @@ static void make_steps(const subject *s, const run_vector *r, const char *where,
     const double shift = r->initial == DAL_INITIAL_NONE ? 0.0 : (1.0 - r->beta) * r->h;
     for (size_t k = 0; k < r->steps; k++) {
         double runtime_reaction[M], multiroot_reaction[M];
-        const double *const x = dal_stepper_state(stepper[AUTO]);
+        const double *const x = dal_stepper_state(stepper[BY_LIBRARY]);
         check_in(where, "start of multiroot",
-                 dal_stepper_start(stepper[MULTIROOT], 0.0, r->h, x, DAL_ASSUME, r->initial) == 0);
-        check_in(where, dal_stepper_message(stepper[AUTO]),
-                 dal_step(stepper[AUTO], reaction) == 0);
-        check_in(where, dal_stepper_message(stepper[RUNTIME]),
-                 dal_step(stepper[RUNTIME], runtime_reaction) == 0);
-        check_in(where, dal_stepper_message(stepper[MULTIROOT]),
-                 dal_step(stepper[MULTIROOT], multiroot_reaction) == 0);
+                 dal_stepper_start(stepper[BY_MULTIROOT], 0.0, r->h, x, DAL_ASSUME, r->initial)
+                     == 0);
+        check_in(where, dal_stepper_message(stepper[BY_LIBRARY]),
+                 dal_step(stepper[BY_LIBRARY], reaction) == 0);
+        check_in(where, dal_stepper_message(stepper[BY_ANY_SIZES]),
+                 dal_step(stepper[BY_ANY_SIZES], runtime_reaction) == 0);
+        check_in(where, dal_stepper_message(stepper[BY_MULTIROOT]),
+                 dal_step(stepper[BY_MULTIROOT], multiroot_reaction) == 0);
 
-        const double *const runtime = dal_stepper_state(stepper[RUNTIME]);
-        check_in(where, "DAL_SIZES_RUNTIME gives the same bits",
+        const double *const runtime = dal_stepper_state(stepper[BY_ANY_SIZES]);
+        check_in(where, "the compilation for any sizes gives the same bits",
                  memcmp(runtime, x, 2 * n * sizeof *x) == 0 &&
                      memcmp(runtime_reaction, reaction, m * sizeof *reaction) == 0);
         compare_within(64 * u * largest(2 * n, x), where, "multiroot: x", 2 * n,
-                       dal_stepper_state(stepper[MULTIROOT]), x);
+                       dal_stepper_state(stepper[BY_MULTIROOT]), x);
         if (m > 0) {
             compare_within(16 * reaction_noise(s, r->h, x), where, "multiroot: reaction", m,
                            multiroot_reaction, reaction);
@@ -205,10 +204,8 @@ static void make_steps(const subject *s, const run_vector *r, const char *where,
 
 static void check_run(const subject *s, const run_vector *r)
 {
-    const dal_options options[STEPPERS] = {[RUNTIME] = {.sizes = DAL_SIZES_RUNTIME},
-                                           [MULTIROOT] = {.solver = DAL_SOLVER_MULTIROOT}};
     const size_t n = s->n, m = s->m;
-    dal_stepper *stepper[STEPPERS] = {NULL};
+    dal_stepper *stepper[WAYS] = {NULL};
     dal_error error = {0};
     double reaction[M], value[M], energy;
     dal_stats stats;
@@ -219,15 +216,15 @@ static void check_run(const subject *s, const run_vector *r)
     dal_scheme scheme = {.beta = r->beta, .nodes = r->initial == DAL_INITIAL_NONE
                                                        ? DAL_MOVED_NODES : DAL_KEPT_NODES};
     if (r->scheme) check_in(where, r->scheme, dal_scheme_find(&scheme, r->scheme, &error) == 0);
-    for (int i = 0; i < STEPPERS; i++) {
-        const int status = dal_stepper_new(&stepper[i], s->system, &scheme, &options[i], &error);
+    for (way by = 0; by < WAYS; by++) {
+        const int status = new_stepper_by(by, &stepper[by], s->system, &scheme, &error);
         check_in(where, error.text, status == 0);
-        check_in(where, dal_stepper_message(stepper[i]),
-                 dal_stepper_start(stepper[i], 0.0, r->h, r->x, DAL_ASSUME, r->initial) == 0);
+        check_in(where, dal_stepper_message(stepper[by]),
+                 dal_stepper_start(stepper[by], 0.0, r->h, r->x, DAL_ASSUME, r->initial) == 0);
     }
     make_steps(s, r, where, stepper, reaction);
 
-    const double *const x = dal_stepper_state(stepper[AUTO]);
+    const double *const x = dal_stepper_state(stepper[BY_LIBRARY]);
     compare(where, "q", n, x, r->x1);
     compare(where, "v", n, x + n, r->x1 + n);
     if (r->reaction && m > 0)
@@ -242,9 +239,9 @@ static void check_run(const subject *s, const run_vector *r)
         compare(where, "energy", 1, &energy, r->energy);
     }
     /* At most 16 without the Hessian of V, and 6 with it, which converge quadratically. */
-    dal_stepper_stats(stepper[AUTO], &stats);
+    dal_stepper_stats(stepper[BY_LIBRARY], &stats);
     check_in(where, "22 iterations of Newton are enough", stats.iterations <= 22 * stats.substeps);
-    for (int i = 0; i < STEPPERS; i++) dal_stepper_free(stepper[i]);
+    for (way by = 0; by < WAYS; by++) dal_stepper_free(stepper[by]);
 }
 
 /* ---- formulas ----------------------------------------------------------------------------- */

@@ -16,7 +16,7 @@ import mpmath
 import sympy
 
 import dalembert as dal
-from dalembert import expressions
+from dalembert.symbolic import expressions
 
 TIMES = (1, 10)
 WORKING, WRITTEN, AGREED = 45, 30, 33
@@ -52,7 +52,7 @@ SPIN = "sqrt(m*g*r*s/(c/10*((C + m*r**2)*(1 - s/10) + A*s/10)))"
 
 def model_of(system):
     """Return the model of a system, and its parameters as decimals."""
-    found = system._symbolic.model if system._symbolic else expressions.model(system)
+    found = system._model or expressions.model(system)
     return found, {p: sympy.Rational(repr(x)) for p, x in zip(found.p, system.parameters.values())}
 
 

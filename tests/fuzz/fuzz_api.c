@@ -1014,7 +1014,7 @@ static bool make_world(world *w)
     }
     def.ctx = &w->r;
     def.ctx_size = 0;
-    def.kernel = NULL;
+    def.compiled = NULL;
     if (dal_system_new(&w->system, &def, NULL)) return false;
     w->n = w->r.n;
     w->m = w->r.m;

@@ -12,7 +12,8 @@ import warnings
 import pytest
 
 import dalembert as dal
-from dalembert import cli, refinement
+from dalembert import cli
+from dalembert.study import refinement
 
 
 def run(*arguments, cwd=None, **environment):

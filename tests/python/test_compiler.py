@@ -20,7 +20,9 @@ import pytest
 import sympy
 
 import dalembert as dal
-from dalembert import cli, codegen, compiler
+from dalembert import cli, compiler
+import dalembert.symbolic.codegen as codegen
+from dalembert.symbolic.evaluation import library
 
 SOURCE_ROOT = Path(__file__).parents[2]
 
@@ -50,7 +52,7 @@ def compiled(monkeypatch):
 
 def forget():
     """As in a new process."""
-    compiler._libraries.clear()
+    compiler.coreraries.clear()
 
 
 def slide(k=1):
@@ -122,7 +124,7 @@ def test_other_versions_are_made_again(cache, compiled, what, monkeypatch, tmp_p
     slide()
     forget()
     if what == "version":
-        monkeypatch.setattr(compiler._lib, "version", lambda: "99.0.0")
+        monkeypatch.setattr(compiler.core, "version", lambda: "99.0.0")
     if what == "flags":
         monkeypatch.setattr(compiler, "FLAGS", (*compiler.FLAGS, "-g"))
     if what == "compiler":
@@ -227,7 +229,7 @@ def test_a_cache_that_cannot_be_written(cache, compiled, why, monkeypatch):
     with pytest.warns(dal.DalembertWarning, match="cannot be kept in .*DALEMBERT_CACHE"):
         system = slide()
     assert energy(system) == pytest.approx(EXPECTED, rel=1e-15)
-    assert not str(system._kept.path).startswith(str(cache))
+    assert not str(library(system._model).path).startswith(str(cache))
     assert compiler.entries() == [] and not list(cache.parent.glob("cache/*"))
 
 
@@ -576,7 +578,7 @@ def compile_c(directory, *arguments):
     (include / "dalembert").mkdir(parents=True, exist_ok=True)
     shutil.copy(SOURCE_ROOT / "include" / "dalembert.h", include)
     for name in set(compiler.HEADERS) - {"dalembert.h"}:
-        shutil.copy(SOURCE_ROOT / "csrc" / name, include / "dalembert")
+        shutil.copy(SOURCE_ROOT / "include" / "dalembert" / name, include / "dalembert")
     command = [*compiler.find().command, "-std=c11", "-O2", "-ffp-contract=off", f"-I{include}"]
     done = subprocess.run(
         [*command, *arguments], cwd=directory, capture_output=True, text=True, check=False

@@ -9,22 +9,23 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from .. import extras
-from .._lib import Array
+import numpy as np
+
+from ..core import Array, DalembertError, Handle, extras
+from ..geometry import residual
+from ..symbolic import expressions
 from . import functions
 from .search import Distribution, is_settled
 
-if TYPE_CHECKING:
-    from ..model import Model
-    from ..system import System
+algebra = extras.Later(__name__, "algebra")
 
-__all__ = ["Distribution", "examine", "is_settled"]
+__all__ = ["Distribution", "agree", "examine", "is_settled"]
 
 
 def examine(
-    system: System,
+    system: Handle,
     near: Array,
     q: Array | None = None,
     show: Callable[[int], Any] = lambda found: None,
@@ -54,23 +55,49 @@ def examine(
     model = _model(system, near)
     if model is None:
         return functions.examine(system, near, q, show)
-    from . import algebra
-
     return algebra.examine(model, system.parameters, near, q, show)
 
 
-def _model(system: System, near: Array) -> Model | None:
+def _model(system: Handle, near: Array) -> Any:
     """Return the expressions of a system, or those of its formulas if they say what it is."""
-    if system._symbolic is not None:
-        return system._symbolic.model
+    if system._model is not None:
+        return system._model
     if not system.formulas or not extras.is_there("sympy"):
         return None
-    from .. import expressions
-
     with contextlib.suppress(ValueError, ArithmeticError):  # formulas may be for readers only
         model = expressions.model(system)
         # only constraints matter here; derivatives of L take longer than all the rest
         model = dataclasses.replace(model, L=sum(v**2 for v in model.v), force=None)
-        if expressions.agree(model, system, near):
+        if agree(model, system, near):
             return model
     return None
+
+
+def agree(found: Any, system: Handle, q: Array) -> bool:
+    """Return whether the linear constraints of a model are those of a system, at q and nearby.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> from dalembert.growth import agree
+    >>> from dalembert.symbolic import expressions
+    >>> system = dal.systems.disk()
+    >>> agree(expressions.model(system), system, system.q0)
+    True
+    """
+    if found.m != system.m or found.derived.kind != "linear":
+        return False
+    if found.m == 0:
+        return True
+    n, p = system.n, list(system.parameters.values())
+    forms = found.callables("constraint")["phi_v"]
+    for size in (0.0, 0.01, 0.1):
+        place = q + size * (1 + abs(q)) * np.cos(np.arange(1, n + 1))
+        try:
+            one = np.reshape(forms(place, np.zeros(n), p), (-1, n))
+            other = residual(system, np.tile(place, (n, 1)), np.eye(n)).T
+        except (DalembertError, ArithmeticError, ValueError):
+            return False
+        if one.shape != other.shape or not np.allclose(one, other, rtol=1e-12, atol=1e-12):
+            return False
+    return True

@@ -16,9 +16,9 @@ import mpmath
 import numpy as np
 import sympy
 
-from .._lib import Array
-from ..model import Model
-from ..zeros import is_zero
+from ..core import Array
+from ..symbolic.model import Model
+from ..symbolic.zeros import is_zero
 from . import search as growth
 from .search import Brackets, Distribution, Word
 

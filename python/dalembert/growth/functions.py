@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from .. import _lib
-from .._lib import Array
+from .. import core
+from ..core import Array, Handle
+from ..geometry import Chart
 from .search import (
     NEARBY, Brackets, Distribution, Word, at_random, is_larger, is_settled, no_more, of_new_ones,
     rising, search, shortened,
 )  # fmt: skip
 
-if TYPE_CHECKING:
-    from ..system import System
-
 __all__ = ["examine"]
 
 # What functions raise for states that they were not made for, and what the core does.
-_OUTSIDE = _lib.DalembertError, ArithmeticError, ValueError
+_OUTSIDE = core.DalembertError, ArithmeticError, ValueError
 # The derivative along a line by central differences of order 6.
 _WEIGHTS = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
 _STENCIL = [(sign * k, sign * w) for k, w in _WEIGHTS for sign in (1, -1)]
@@ -44,9 +42,7 @@ class _Functions:
 
     rounding = 2.0**-44
 
-    def __init__(self, system: System, q: Array) -> None:
-        from ..chart import Chart
-
+    def __init__(self, system: Handle, q: Array) -> None:
         self.n, self.m = system.n, system.m
         self._chart, self._q, self._h = Chart(system, q), q, _MOST
         self._dependent = [system.coordinates.index(c) for c in self._chart.dependent]
@@ -61,7 +57,7 @@ class _Functions:
                 if abs(row - twin).max() <= 64 * self.rounding * max(1, abs(row).max()):
                     return row, twin
             self._h /= 2
-        raise _lib.DalembertError("mu does not seem to be smooth there")
+        raise core.DalembertError("mu does not seem to be smooth there")
 
     def _row(self, word: Word, h: float) -> Array:
         stencil = [(h * step, self._h / h * weight) for step, weight in _STENCIL]
@@ -70,7 +66,7 @@ class _Functions:
 
 
 def examine(
-    system: System,
+    system: Handle,
     near: Array,
     q: Array | None = None,
     show: Callable[[int], Any] = lambda found: None,
@@ -88,7 +84,7 @@ def examine(
             point, at_random(n - m), point.most, lambda dimensions: dimensions[-1] >= most,
             lambda k: show(m + k),
         )  # fmt: skip
-    except _lib.DalembertError as error:
+    except core.DalembertError as error:
         return Distribution(None, general, str(error), _is_integrable(general), _DIGITS)
     here = shortened(found, n) if told else tuple(found)
     lacks = _lost(found) if not told else "" if found[-1] >= general[-1] else no_more(found)
@@ -103,7 +99,7 @@ def _is_integrable(general: tuple[int, ...] | None) -> bool | None:
 
 
 def _near(
-    system: System, q: Array, show: Callable[[int], Any]
+    system: Handle, q: Array, show: Callable[[int], Any]
 ) -> tuple[tuple[int, ...] | None, str]:
     """Return the growth vector at a general point near q, and what is not known of it.
 

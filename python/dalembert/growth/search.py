@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from .._lib import Array
+from ..core import Array
 
 __all__ = [
     "NEARBY", "Brackets", "Distribution", "Word", "at_random", "is_larger", "is_settled", "largest",

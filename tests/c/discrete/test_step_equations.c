@@ -129,10 +129,9 @@ static void test_same_steps(const char *name)
             for (int sign = -1; sign <= 1; sign += 2) {
                 dal_system *const other = open_disguise(base, as);
                 const dal_scheme scheme = find_scheme(schemes[s]);
-                const dal_options slow = {.solver = DAL_SOLVER_MULTIROOT};
                 dal_stepper *const fast = open_stepper(base, &scheme, NULL);
                 dal_stepper *const full = open_stepper(other, &scheme, NULL);
-                dal_stepper *const check = open_stepper(other, &scheme, &slow);
+                dal_stepper *const check = open_stepper_by(BY_MULTIROOT, other, &scheme);
                 dal_stepper *const steppers[3] = {fast, full, check};
                 const bool kept = scheme.nodes == DAL_KEPT_NODES;
                 double reaction[3][MOST_M] = {{0.0}};
@@ -603,9 +602,8 @@ static void test_sabotage(void)
                     dal_system *system = NULL;
                     CHECK(dal_system_new(&system, &def, NULL) == 0);
                     const dal_scheme scheme = find_scheme("midpoint-suzuki4");
-                    const dal_options options = {.solver = multi ? DAL_SOLVER_MULTIROOT
-                                                                 : DAL_SOLVER_SCHUR};
-                    dal_stepper *const stepper = open_stepper(system, &scheme, &options);
+                    dal_stepper *const stepper =
+                        open_stepper_by(multi ? BY_MULTIROOT : BY_LIBRARY, system, &scheme);
                     CHECK(dal_stepper_start(stepper, 0.0, 0.1, curved_start, DAL_PROJECT,
                                             DAL_INITIAL_NONE) == 0);
                     CHECK(dal_step(stepper, NULL) == 0);
@@ -989,7 +987,6 @@ static void test_rest(void)
     const double mass[9] = {1.3, 0.1, 0.2, 0.1, 2.1, 0.3, 0.2, 0.3, 0.9}, h = 0.1;
     enum { STEPS = 100 };
     const double tolerance = 16 * STEPS * h * U;
-    const dal_options slow = {.solver = DAL_SOLVER_MULTIROOT};
     unsigned seed = 5;
     for (int trial = 0; trial < 6; trial++) {
         double g[3];
@@ -1005,7 +1002,8 @@ static void test_rest(void)
                 for (int k = 0; k < 2; k++) {
                     const dal_scheme scheme = find_scheme(schemes[s]);
                     const bool kept = scheme.nodes == DAL_KEPT_NODES;
-                    dal_stepper *const stepper = open_stepper(system, &scheme, k ? &slow : NULL);
+                    dal_stepper *const stepper =
+                        open_stepper_by(k ? BY_MULTIROOT : BY_LIBRARY, system, &scheme);
                     CHECK(dal_stepper_start(stepper, 0.0, h, start, DAL_CHECK,
                                             kept ? DAL_INITIAL_D : DAL_INITIAL_NONE) == 0);
                     CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);

@@ -94,6 +94,11 @@ static int inside_constraint(dal_kernel *k, const double *q, const double *v, do
 #define DAL_KERNEL_STEADY 1
 #include "dalembert/kernel.h"
 
+static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), blade_step};
+static const dal_compiled compiled_in_full = {DAL_COMPILED_ABI, sizeof(dal_kernel),
+                                              blade_step_in_full};
+static const dal_compiled compiled_free = {DAL_COMPILED_ABI, sizeof(dal_kernel), free_blade_step};
+
 static const double mass[9] = {2.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.75};
 static const double state[6] = {0.0, 0.0, 0.2, 0.49003328892062081, 0.099334665397530605, 1.2};
 
@@ -102,8 +107,7 @@ static dal_system_def blade_def(blade *b)
 {
     return (dal_system_def){.n = 3, .m = 1, .mass = mass, .potential = potential,
                             .constraint = constraint, .state = state, .ctx = b,
-                            .ctx_size = sizeof *b, .kernel = blade_step,
-                            .kernel_size = sizeof(dal_kernel),
+                            .ctx_size = sizeof *b, .compiled = &compiled,
                             .steady = DAL_STEADY_PROVED};
 }
 
@@ -114,10 +118,10 @@ static dal_system *open_blade_as(variety kind, int refuses)
     blade b = {.slope = 5.0, .wobble = 0.1, .refuses = refuses};
     dal_system_def def = blade_def(&b);
     if (kind == IN_FULL) {
-        def.kernel = blade_step_in_full;
+        def.compiled = &compiled_in_full;
         def.steady = 0;
     } else if (kind == FREE) {
-        def.kernel = free_blade_step;
+        def.compiled = &compiled_free;
         def.potential = NULL;
     }
     dal_system *system = NULL;
@@ -136,14 +140,13 @@ static void test_same_bits(variety kind)
     enum { STEPS = 1000, CALLS = 10 };
     const char *const names[] = {"explicit", "midpoint", "endpoint", "0.3", "leapfrog",
                                  "midpoint-nodes", "midpoint-suzuki4", "leapfrog-kl8"};
-    const dal_options run_time = {.sizes = DAL_SIZES_RUNTIME};
     dal_system *const system = open_blade_as(kind, 0);
     for (size_t j = 0; j < sizeof names / sizeof *names; j++) {
         const dal_scheme scheme = find_scheme(names[j]);
         const dal_initial initial =
             scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE;
         dal_stepper *const own = open_stepper(system, &scheme, NULL);
-        dal_stepper *const library = open_stepper(system, &scheme, &run_time);
+        dal_stepper *const library = open_stepper_by(BY_ANY_SIZES, system, &scheme);
         double one, two;
         dal_stats a, b;
         CHECK(dal_stepper_start(own, 0.0, 0.02, state, DAL_CHECK, initial) == 0);
@@ -173,13 +176,12 @@ static void test_handed_over(void)
 {
     enum { STEPS = 200 };
     const char *const names[] = {"midpoint", "0.3", "midpoint-suzuki4"};
-    const dal_options run_time = {.sizes = DAL_SIZES_RUNTIME};
     dal_system *const system = open_blade_as(IN_FULL, 0);
     size_t full = 0;
     for (size_t j = 0; j < sizeof names / sizeof *names; j++) {
         const dal_scheme scheme = find_scheme(names[j]);
         dal_stepper *const own = open_stepper(system, &scheme, NULL);
-        dal_stepper *const library = open_stepper(system, &scheme, &run_time);
+        dal_stepper *const library = open_stepper_by(BY_ANY_SIZES, system, &scheme);
         dal_stats a, b;
         CHECK(dal_stepper_start(own, 0.0, 3.0, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_stepper_start(library, 0.0, 3.0, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
@@ -227,7 +229,7 @@ static void test_made_again(void)
 {
     hesitant self = {.shape = {.slope = 5.0, .wobble = 0.1}};
     dal_system_def def = blade_def(&self.shape);
-    def.kernel = NULL;
+    def.compiled = NULL;
     def.steady = 0;
     def.constraint = hesitant_constraint;
     def.potential = hesitant_potential;
@@ -292,8 +294,9 @@ static int inside_level(dal_kernel *k, const double *q, const double *v, double 
 
 static void test_overflow(void)
 {
+    static const dal_compiled level = {DAL_COMPILED_ABI, sizeof(dal_kernel), level_step};
     const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = level_constraint,
-                                .kernel = level_step, .kernel_size = sizeof(dal_kernel)};
+                                .compiled = &level};
     const double x[6] = {0.0, 0.0, 0.0, 1.0, -2.0, 1e307};
     dal_system *system = NULL;
     CHECK(dal_system_new(&system, &def, NULL) == 0);
@@ -389,7 +392,7 @@ static void test_false_declaration(void)
 {
     blade b = {.slope = 5.0};
     dal_system_def def = blade_def(&b);
-    def.kernel = NULL;
+    def.compiled = NULL;
     def.constraint = beside;
     def.steady = DAL_STEADY_DECLARED;
     dal_system *system = NULL;
@@ -412,7 +415,8 @@ static void test_false_declaration(void)
     dal_system_free(system);
 }
 
-/* The library's step routine is not the one that is used: this one counts its calls. */
+/* The library's step routine is not the one that is used: this one counts its calls.  Of kept nodes
+ * it knows nothing. */
 static int count_steps(dal_kernel *k, size_t steps, size_t *done)
 {
     k->stats.halvings++;
@@ -421,21 +425,20 @@ static int count_steps(dal_kernel *k, size_t steps, size_t *done)
 
 static void test_it_is_used(void)
 {
+    static const dal_compiled counting = {DAL_COMPILED_ABI, sizeof(dal_kernel), count_steps};
     blade b = {.slope = 5.0, .wobble = 0.1};
     dal_system_def def = blade_def(&b);
     dal_system *system = NULL;
-    def.kernel = count_steps;
+    def.compiled = &counting;
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     const dal_scheme scheme = find_scheme("midpoint");
-    const dal_options options[] = {{0}, {.sizes = DAL_SIZES_RUNTIME},
-                                   {.solver = DAL_SOLVER_MULTIROOT}};
-    for (size_t j = 0; j < 3; j++) {
-        dal_stepper *const stepper = open_stepper(system, &scheme, &options[j]);
+    for (way by = 0; by < WAYS; by++) {
+        dal_stepper *const stepper = open_stepper_by(by, system, &scheme);
         dal_stats stats;
         CHECK(dal_stepper_start(stepper, 0.0, 0.02, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_advance(stepper, 5, NULL, NULL) == 0);
         dal_stepper_stats(stepper, &stats);
-        CHECK(stats.steps == 5 && stats.halvings == (j == 0));
+        CHECK(stats.steps == 5 && stats.halvings == (by == BY_LIBRARY));
         dal_stepper_free(stepper);
     }
     dal_system_free(system);
@@ -445,12 +448,11 @@ static void test_it_is_used(void)
 static void test_refusals_of_callbacks(void)
 {
     const int returned[] = {-1, 1}, status[] = {DAL_EUSER, DAL_EDOMAIN};
-    const dal_options run_time = {.sizes = DAL_SIZES_RUNTIME};
     for (size_t j = 0; j < 2; j++) {
         dal_system *const system = open_blade(returned[j]);
         const dal_scheme scheme = find_scheme("midpoint");
         dal_stepper *const own = open_stepper(system, &scheme, NULL);
-        dal_stepper *const library = open_stepper(system, &scheme, &run_time);
+        dal_stepper *const library = open_stepper_by(BY_ANY_SIZES, system, &scheme);
         size_t one = 0, two = 0;
         CHECK(dal_stepper_start(own, 0.0, 0.02, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_stepper_start(library, 0.0, 0.02, state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
@@ -465,6 +467,14 @@ static void test_refusals_of_callbacks(void)
     }
 }
 
+/* Never called. */
+static int no_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
+                         double *L_qq, double *L_vq, double *L_vv, void *ctx)
+{
+    (void)q, (void)v, (void)L, (void)L_q, (void)L_v, (void)L_qq, (void)L_vq, (void)L_vv, (void)ctx;
+    return -1;
+}
+
 static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
                     void *ctx)
 {
@@ -475,7 +485,21 @@ static int no_force(double t, const double *q, const double *v, double *f, doubl
     return 0;
 }
 
+/* What is wrong is said by the stepper, in words. */
 static void refused(const dal_system_def *def, const char *words)
+{
+    const dal_scheme scheme = find_scheme("midpoint");
+    dal_system *system = NULL;
+    dal_stepper *stepper = NULL;
+    dal_error error;
+    need(dal_system_new(&system, def, &error), words, error.text);
+    CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, &error) == DAL_EINVAL && !stepper);
+    CHECK(error.status == DAL_EINVAL && strstr(error.text, words) != NULL);
+    dal_system_free(system);
+}
+
+/* The same by the system, which has no kernel to say it of. */
+static void refused_at_once(const dal_system_def *def, const char *words)
 {
     dal_system *system = NULL;
     dal_error error;
@@ -486,32 +510,36 @@ static void refused(const dal_system_def *def, const char *words)
 static void test_bad_definitions(void)
 {
     blade b = {.slope = 5.0, .wobble = 0.1};
+    const dal_compiled larger = {DAL_COMPILED_ABI, sizeof(dal_kernel) + 8, blade_step};
+    const dal_compiled older = {DAL_COMPILED_ABI - 1, sizeof(dal_kernel), blade_step};
     const dal_system_def good = blade_def(&b);
     dal_system_def def = good;
-    def.kernel_size = sizeof(dal_kernel) + 8;
-    refused(&def, "kernel_size");
-    def.kernel_size = 0;
-    refused(&def, "kernel_size = 0");
-    def.kernel = NULL; /* then nobody asks for its size */
-    dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
-    dal_system_free(system);
+    def.compiled = &larger;
+    refused(&def, "compile it with the kernel.h of this library");
+    def.compiled = &older;
+    refused(&def, "its number 1");
     def = good;
+    def.steady = 0;
     def.force = no_force;
-    refused(&def, "there is a force");
-    def = good;
+    refused(&def, "mass, constraints or force");
+    def.force = NULL;
     def.kind = DAL_AFFINE;
-    refused(&def, "not linear");
-    def = good;
+    refused(&def, "mass, constraints or force");
+    def.kind = DAL_LINEAR;
     def.missing = DAL_MISSING_PHI_Q;
     refused(&def, "missing");
+    def.missing = 0;
+    def.mass = NULL;
+    def.potential = NULL;
+    def.lagrangian = no_lagrangian;
+    refused(&def, "mass, constraints or force");
     def = good;
     def.ctx = NULL;
-    refused(&def, "ctx is NULL");
+    refused_at_once(&def, "ctx is NULL");
     def = good;
-    def.kernel = NULL;
+    def.compiled = NULL;
     def.kind = DAL_AFFINE;
-    refused(&def, "steady = 2, and the constraints are not linear");
+    refused_at_once(&def, "steady = 2, and the constraints are not linear");
 }
 
 /* A deformation is another system: it has neither the kernel nor the size of the ctx of its

@@ -2,14 +2,18 @@
 #include "fixtures.h"
 #include "check.h"
 
+#include "step/beta.h"
+
 #include <locale.h>
 
 static const char *const names[] = {
     "leapfrog", "midpoint", "explicit", "endpoint", "leapfrog-mirror", "midpoint-nodes",
     "explicit-nodes", "endpoint-nodes", "leapfrog-suzuki4", "leapfrog-yoshida4", "leapfrog-kl6",
     "leapfrog-kl8", "midpoint-suzuki4", "midpoint-yoshida4", "midpoint-kl6", "midpoint-kl8",
+    "reference",
 };
-enum { NAMES = sizeof names / sizeof names[0] };
+/* The first of them are records of sub-steps. */
+enum { NAMES = sizeof names / sizeof names[0], RECORDS = NAMES - 1 };
 
 static double fraction(const dal_scheme *s, size_t j) { return dal__scheme_substep(s, j).fraction; }
 static double beta(const dal_scheme *s, size_t j) { return dal__scheme_substep(s, j).beta; }
@@ -25,20 +29,24 @@ static void test_table(void)
         CHECK(dal_scheme_at(&scheme, i) == DAL_SUCCESS);
         CHECK(dal_scheme_find(&found, scheme.name, NULL) == DAL_SUCCESS);
         CHECK(found.substeps == scheme.substeps && found.beta == scheme.beta);
+        CHECK(found.family == scheme.family && (i < RECORDS) == !scheme.family);
         CHECK(scheme.help && scheme.help[0] && scheme.reference && scheme.reference[0]);
-        CHECK(dal__scheme_check(&scheme, NULL) == DAL_SUCCESS);
+        if (scheme.family) continue;
+        CHECK(dal__beta_check(&scheme, NULL) == DAL_SUCCESS);
         CHECK(scheme.order >= 1 && scheme.multiplier_order == 0);
         CHECK(scheme.symmetric == (scheme.order % 2 == 0));
         CHECK((scheme.nodes == DAL_KEPT_NODES) == (strstr(scheme.name, "-nodes") != NULL));
     }
     CHECK(dal_scheme_at(&scheme, NAMES) == DAL_EINVAL && dal_scheme_at(NULL, 0) == DAL_EINVAL);
+    CHECK(dal_scheme_at(&scheme, SIZE_MAX) == DAL_EINVAL);
+    CHECK(strcmp(scheme.family->name, "flow") == 0 && scheme.order == 0);
 }
 
 /* A symmetric record reads backwards as its adjoint: fractions mirrored, beta to 1 - beta.  Order p
  * needs sum g = 1 over the base steps, and sum g^k = 0 for the odd k from 3 to p - 1. */
 static void test_compositions(void)
 {
-    for (size_t i = 0; i < NAMES; i++) {
+    for (size_t i = 0; i < RECORDS; i++) {
         const dal_scheme s = find_scheme(names[i]);
         const size_t count = dal__scheme_count(&s);
         double sum = 0.0, size = 0.0, cubes = 0.0, fifths = 0.0, sevenths = 0.0;
@@ -106,15 +114,28 @@ static void test_names(void)
     }
     CHECK(dal_scheme_find(&scheme, "leapfrog_kl8", NULL) == DAL_SUCCESS && scheme.order == 8);
     CHECK(dal_scheme_find(&scheme, "midpoint_nodes", NULL) == DAL_SUCCESS);
+    CHECK(dal_scheme_find(&scheme, "pair:0.25:1e-1", NULL) == DAL_SUCCESS);
+    CHECK(strcmp(scheme.name, "pair:0.25:1e-1") == 0 && strcmp(scheme.family->name, "pair") == 0);
+    CHECK(scheme.order == 1 && !scheme.symmetric && scheme.help && scheme.reference);
+    CHECK(dal_scheme_find(&scheme, "pair:.5:0.5", NULL) == DAL_SUCCESS);
+    CHECK(scheme.order == 2 && scheme.symmetric);
+    CHECK(dal_scheme_find(&scheme, "pair:0.5:1", NULL) == DAL_SUCCESS && scheme.order == 1);
 
     const char *const wrong[] = {"", "euler", "1.5", "-0.5", "nan", "inf", "0.5x", "0.5-node",
                                  " 0.5", "0,5", "0x1p-1", ".", "1e-", "0.5.", "1e", "1e5",
                                  "leapfrog-nodes", "leapfro", "leapfrog-", "MIDPOINT",
+                                 "pair", "pair:", "pair:0.5", "pair:0.5:", "pair::0.5", "pair:2:1",
+                                 "pair:1:1.5", "pair:0:1x", "pair:0:1:1", "pair 0:1", "PAIR:0:1",
+                                 "pair:nan:0", "pair:-0:1", "reference-nodes",
                                  "leapfrog-kl8-and-much-more-than-forty-characters"};
     scheme.beta = 7.0;
     for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
         CHECK(dal_scheme_find(&scheme, wrong[i], &error) == DAL_EINVAL && scheme.beta == 7.0);
-        CHECK(strstr(error.text, wrong[i]) != NULL && strstr(error.text, "leapfrog") != NULL);
+        char begin[41]; /* of what may be long */
+        snprintf(begin, sizeof begin, "%s", wrong[i]);
+        CHECK(strstr(error.text, begin) != NULL && strstr(error.text, "leapfrog") != NULL);
+        CHECK(strstr(error.text, "reference, a number in [0, 1], beta") != NULL);
+        CHECK(strstr(error.text, "pair:A:B with A and B in [0, 1]") != NULL);
         CHECK(error.status == DAL_EINVAL);
     }
     setlocale(LC_ALL, "C");
@@ -125,7 +146,7 @@ static void test_names(void)
 static void check_invalid(const dal_scheme *scheme, const char *words)
 {
     dal_error error = {0};
-    CHECK(dal__scheme_check(scheme, &error) == DAL_EINVAL);
+    CHECK(dal__beta_check(scheme, &error) == DAL_EINVAL);
     check_true(strstr(error.text, words) != NULL, error.text, words, __LINE__);
 }
 
@@ -150,9 +171,9 @@ static void test_validation(void)
     check_invalid(&(dal_scheme){.count = 2, .substeps = two, .nodes = DAL_KEPT_NODES},
                   "2 sub-steps");
     check_invalid(&(dal_scheme){.nodes = (dal_nodes)3}, "nodes = 3");
-    CHECK(dal__scheme_check(&(dal_scheme){.count = 2, .substeps = two}, NULL) == DAL_SUCCESS);
-    CHECK(dal__scheme_check(&(dal_scheme){.count = 3, .substeps = thirds}, NULL) == DAL_SUCCESS);
-    CHECK(dal__scheme_check(&(dal_scheme){0}, NULL) == DAL_SUCCESS); /* explicit */
+    CHECK(dal__beta_check(&(dal_scheme){.count = 2, .substeps = two}, NULL) == DAL_SUCCESS);
+    CHECK(dal__beta_check(&(dal_scheme){.count = 3, .substeps = thirds}, NULL) == DAL_SUCCESS);
+    CHECK(dal__beta_check(&(dal_scheme){0}, NULL) == DAL_SUCCESS); /* explicit */
 }
 
 /* Never called. */
@@ -188,7 +209,7 @@ static void test_explicit_and_shift(void)
         const dal_scheme s = find_scheme(names[i]);
         CHECK(dal_scheme_is_explicit(&s, system) == (strncmp(names[i], "explicit", 8) == 0));
         const int status = dal_scheme_shift(&s, &shift);
-        CHECK(status == (s.count > 1 ? DAL_EUNSUPPORTED : DAL_SUCCESS));
+        CHECK(status == (s.count > 1 || s.family ? DAL_EUNSUPPORTED : DAL_SUCCESS));
         CHECK(status != DAL_SUCCESS || shift == 1.0 - s.beta);
     }
     CHECK(dal_scheme_is_explicit(&twice, system) == 1);
@@ -209,6 +230,9 @@ static void test_explicit_and_shift(void)
         dal_system_free(other);
     }
     CHECK(dal_scheme_is_explicit(&single, system) == 0);
+    const dal_scheme pair = find_scheme("pair:0:0");
+    CHECK(dal_scheme_is_explicit(&pair, system) == 0);
+    CHECK(dal_scheme_shift(&pair, &shift) == DAL_EUNSUPPORTED);
     CHECK(dal_scheme_shift(&single, &shift) == DAL_SUCCESS && shift == 0.75);
     CHECK(dal_scheme_shift(&twice, &shift) == DAL_EUNSUPPORTED && shift == 0.75);
     CHECK(dal_scheme_shift(NULL, &shift) == DAL_EINVAL);

@@ -1,10 +1,12 @@
 /* The discrete flow: its exact identities, its symmetries, all ways to start it, and that all
- * compilations and both solvers agree.
+ * compilations and the oracle agree.
  *
  * ROUNDOFF is what one step may err by, relative to sum |q| + sum |v|: Newton stops at 4 u, and the
  * factor 16 is for the condition of C, which is below 10 for the states used here. */
 #include "fixtures.h"
 #include "check.h"
+
+#include "step/beta.h"
 
 #define ROUNDOFF (64 * U)
 
@@ -309,7 +311,7 @@ static void test_adjoints(void)
         for (size_t j = 0; j < dal_scheme_count(); j++) {
             dal_scheme scheme;
             CHECK(dal_scheme_at(&scheme, j) == DAL_SUCCESS);
-            if (scheme.nodes == DAL_MOVED_NODES)
+            if (scheme.nodes == DAL_MOVED_NODES && !scheme.family)
                 check_inverse(system, &scheme, &scheme, 0.05, scheme.symmetric);
         }
         dal_system_free(system);
@@ -350,6 +352,7 @@ static void test_reversibility(void)
             CHECK(dal_scheme_at(&scheme, j) == DAL_SUCCESS);
             const dal_initial initial =
                 scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_D : DAL_INITIAL_NONE;
+            const bool reacts = strcmp(scheme.name, "reference") != 0;
             double x[2 * MOST_N], y[2 * MOST_N], lambda[MOST_M], mirrored[MOST_M];
             state_of(system, x);
             memcpy(y, x, 2 * n * sizeof *y);
@@ -358,7 +361,8 @@ static void test_reversibility(void)
             for (size_t i = n; i < 2 * n; i++) y[i] = -y[i];
             flow_from(system, &scheme, -0.02, initial, 20, x, x, lambda);
             CHECK(largest_difference(2 * n, x, y) == 0.0);
-            CHECK(largest_difference(m, lambda, mirrored) == 0.0);
+            for (size_t a = 0; a < m; a++)
+                CHECK(reacts ? lambda[a] == mirrored[a] : isnan(lambda[a]) && isnan(mirrored[a]));
             dal_system_free(system);
         }
 }
@@ -730,20 +734,11 @@ static void test_options(void)
 {
     dal_system *const system = open_system("particle");
     const dal_scheme midpoint = find_scheme("midpoint"), none = {.beta = 2.0};
-    const struct {
-        dal_options options;
-        const char *words;
-    } bad[] = {
-        {{.solver = (dal_solver)7}, "solver = 7"},
-        {{.sizes = (dal_sizes)4}, "sizes = 4"},
-        {{.max_iterations = -2}, "max_iterations = -2"},
-    };
+    const dal_options negative = {.max_iterations = -2};
     dal_stepper *stepper = NULL;
     dal_error error;
-    for (size_t j = 0; j < 3; j++) {
-        CHECK(dal_stepper_new(&stepper, system, &midpoint, &bad[j].options, &error) == DAL_EINVAL);
-        CHECK(strstr(error.text, bad[j].words) != NULL && error.status == DAL_EINVAL && !stepper);
-    }
+    CHECK(dal_stepper_new(&stepper, system, &midpoint, &negative, &error) == DAL_EINVAL);
+    CHECK(strstr(error.text, "max_iterations = -2") && error.status == DAL_EINVAL && !stepper);
     CHECK(dal_stepper_new(&stepper, system, &none, NULL, &error) == DAL_EINVAL && !stepper);
     CHECK(strstr(error.text, "beta = 2") != NULL);
     CHECK(dal_stepper_new(NULL, system, &midpoint, NULL, &error) == DAL_EINVAL);
@@ -758,7 +753,6 @@ static void test_sizes(void)
 {
     enum { STEPS = 1000 };
     const char *const names[] = {"leapfrog", "midpoint-nodes"};
-    const dal_options runtime = {.sizes = DAL_SIZES_RUNTIME};
     for (size_t n = 1; n <= 8; n++)
         for (size_t m = 0; m < n && m <= 4; m++)
             for (int kind = 0; kind < 4; kind++) {
@@ -768,10 +762,9 @@ static void test_sizes(void)
                 const dal_initial initial =
                     scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE;
                 dal_stepper *const fixed = open_stepper(system, &scheme, NULL);
-                dal_stepper *const any = open_stepper(system, &scheme, &runtime);
+                dal_stepper *const any = open_stepper_by(BY_ANY_SIZES, system, &scheme);
                 double one[MOST_M], two[MOST_M];
-                CHECK(dal__kernel_for(n, m, DAL_SIZES_AUTO)
-                      != dal__kernel_for(n, m, DAL_SIZES_RUNTIME));
+                CHECK(dal__kernel_for(n, m) != dal__kernel_any());
                 CHECK(dal_stepper_start(fixed, 0.0, 0.05, w.state, DAL_CHECK, initial) == 0);
                 CHECK(dal_stepper_start(any, 0.0, 0.05, w.state, DAL_CHECK, initial) == 0);
                 CHECK(dal_advance(fixed, STEPS, one, NULL) == DAL_SUCCESS);
@@ -786,12 +779,11 @@ static void test_sizes(void)
             }
 }
 
-/* The solver for all n + m unknowns shares no formula with the step routine. */
+/* The oracle, which solves for all n + m unknowns, shares no formula with the step routine. */
 static void test_multiroot(void)
 {
     const char *const names[] = {"explicit", "0.25", "midpoint", "endpoint", "leapfrog",
                                  "leapfrog-mirror", "midpoint-nodes", "midpoint-yoshida4"};
-    const dal_options all_unknowns = {.solver = DAL_SOLVER_MULTIROOT};
     for (size_t s = 0; s < SYSTEMS; s++)
         for (size_t j = 0; j < sizeof names / sizeof names[0]; j++) {
             dal_system *const system = open_system(all_systems[s]);
@@ -802,7 +794,7 @@ static void test_multiroot(void)
             double x0[2 * MOST_N], x[2 * MOST_N], lambda[MOST_M], other[MOST_M];
             dal_stats stats;
             state_of(system, x0);
-            dal_stepper *const slow = open_stepper(system, &scheme, &all_unknowns);
+            dal_stepper *const slow = open_stepper_by(BY_MULTIROOT, system, &scheme);
             CHECK(dal_stepper_start(slow, 0.0, 0.05, x0, DAL_ASSUME, initial) == 0);
             CHECK(dal_step(slow, other) == DAL_SUCCESS);
             flow_from(system, &scheme, 0.05, initial, 1, x0, x, lambda);
@@ -818,7 +810,7 @@ static void test_multiroot(void)
 
 /* Where a predicted velocity or residual could mislead: from rest, with the gradient of one stage
  * reused by the next in another weight, in stages without a span.  Each step is compared with one
- * of the other solver from the same state. */
+ * of the oracle from the same state. */
 static void test_corners(void)
 {
     static const dal_substep near_one[] = {{0.99, 1.0}}, uneven[] = {{0.9, 0.5}, {0.1, 0.5}},
@@ -831,13 +823,12 @@ static void test_corners(void)
                                   {.name = "midpoint", .beta = 0.5},
                                   {.name = "endpoint", .beta = 1.0}};
     const char *const names[] = {"particle_oscillator", "robot", "generic4", "chaotic"};
-    const dal_options all_unknowns = {.solver = DAL_SOLVER_MULTIROOT};
     for (size_t s = 0; s < sizeof names / sizeof names[0]; s++)
         for (size_t j = 0; j < sizeof records / sizeof records[0]; j++) {
             dal_system *const system = open_system(names[s]);
             const size_t n = dal_system_n(system);
             dal_stepper *const stepper = open_stepper(system, &records[j], NULL);
-            dal_stepper *const slow = open_stepper(system, &records[j], &all_unknowns);
+            dal_stepper *const slow = open_stepper_by(BY_MULTIROOT, system, &records[j]);
             double x[2 * MOST_N];
             CHECK(dal_system_state(system, x) == 0);
             const bool at_rest = s % 2 == 0 && j != 3; /* hybridsj finds no way out of no_span */
@@ -883,13 +874,12 @@ static void test_from_rest(void)
     const double mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, x0[6] = {0.5, 0.4, 0.0, 0.0, 0.0, 0.0};
     const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = bent_constraint,
                                 .potential = slope_potential};
-    const dal_options all_unknowns = {.solver = DAL_SOLVER_MULTIROOT};
     const char *const names[] = {"leapfrog", "midpoint", "endpoint"};
     dal_system *system = NULL;
     CHECK(dal_system_new(&system, &def, NULL) == DAL_SUCCESS);
     for (size_t j = 0; j < sizeof names / sizeof names[0]; j++) {
         const dal_scheme scheme = find_scheme(names[j]);
-        dal_stepper *const slow = open_stepper(system, &scheme, &all_unknowns);
+        dal_stepper *const slow = open_stepper_by(BY_MULTIROOT, system, &scheme);
         double x[6];
         CHECK(dal_stepper_start(slow, 0.0, 0.5, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_step(slow, NULL) == DAL_SUCCESS);

@@ -1,0 +1,368 @@
+/* The family beta: beta-schemes one after the other (DAELd1, DAELd2, Facil), by the step routine of
+ * kernel.h where the mass is constant, the constraints are linear and there is no force; by the
+ * full Newton iteration else. */
+#include "step/beta.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+typedef struct beta {
+    dal_kernel kernel;
+    dal_kernel_fn advance; /* the compilation of the step routine, or NULL: newton */
+    newton newton;
+    size_t substeps;
+    dal_substep *substep;
+    dal_stage *stage;
+    double *start; /* [2n] of explain; the state in the making of newton */
+    arena arena;
+} beta;
+
+/* A record as stages: one for each sub-step, but a pair (0, a), (1, b) is one (see kernel.h). */
+static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *stage)
+{
+    size_t stages = 0;
+    for (size_t j = 0; j < count; j++) {
+        const double beta = substep[j].beta, f = substep[j].fraction;
+        const bool pair = j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0;
+        const double g = pair ? substep[++j].fraction : 0.0;
+        dal_stage s = {.before = (1.0 - beta) * f, .after = beta * f + g, .span = f + g};
+        if (beta == 0.0) {
+            s.node = f + g;
+        } else {
+            s.start = beta * f;
+            s.end = (1.0 - beta) * f;
+        }
+        stage[stages++] = s;
+    }
+    for (size_t j = 0; j < stages; j++)
+        stage[j].reuse = fmax(fabs(stage[j].end), fabs(stage[(j + 1) % stages].start));
+    return stages;
+}
+
+/* Weights of the parabola through the values at times t[0..2] at the time t; where these lie too
+ * close together to extrapolate (compositions go back and forth), of the line through the last two,
+ * or the last value. */
+static void extrapolate(const double times[3], double t, double weight[3])
+{
+    const double most = 10.0;
+    const double a = t - times[0], b = t - times[1], c = t - times[2];
+    const double ab = times[0] - times[1], ac = times[0] - times[2], bc = times[1] - times[2];
+    const double parabola[3] = {b / ab * (c / ac), -a / ab * (c / bc), a / ac * (b / bc)};
+    const double line[3] = {b / ab, -a / ab, 0.0}, last[3] = {1.0, 0.0, 0.0};
+    const double *const choice[3] = {parabola, line, last};
+    for (int i = 0; i < 3; i++) {
+        memcpy(weight, choice[i], 3 * sizeof *weight);
+        if (fabs(weight[0]) + fabs(weight[1]) + fabs(weight[2]) <= most) return;
+    }
+}
+
+/* The pull of a stage, a change of velocity over its span, belongs to the time of its node. */
+static void plan_predictions(dal_stage *stage, size_t stages)
+{
+    for (size_t j = 0; j < stages; j++) {
+        double times[3], spans[3], start = 0.0; /* before the start of stage j */
+        for (size_t back = 1; back <= 3; back++) {
+            const dal_stage *s = stage + (j + 3 * stages - back) % stages;
+            start -= s->span;
+            times[back - 1] = start + s->before;
+            spans[back - 1] = s->span;
+        }
+        extrapolate(times, stage[j].before, stage[j].ahead);
+        for (int i = 0; i < 3; i++) /* a fused pair (0, a), (1, -a) has no span, and no lambda */
+            stage[j].ahead[i] *= spans[i] != 0.0 ? stage[j].span / spans[i] : 0.0;
+    }
+}
+
+static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
+{
+    const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
+    dal_arrays *const at = &k->at;
+    double **const vectors[] = {&k->force0, &k->force1, &at->base, &at->goal, &at->step,
+                                &at->seen, &at->stored, &k->y, &k->R};
+    double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
+    dal__reserve(a, &at->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
+    dal__reserve(a, &k->saved, dal__times(3, n), sizeof(double)); /* m < n */
+    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
+    dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
+    dal__reserve(a, &at->Z, mn, sizeof(double));
+    dal__reserve(a, &at->S, mm, sizeof(double));
+    dal__reserve(a, &at->sizes, dal__times(5, m), sizeof(double));
+    dal__reserve(a, &at->row, m, sizeof(size_t));
+    dal__reserve(a, &k->K, nn, sizeof(double));
+    dal__reserve(a, &k->K_sizes, dal__times(5, n), sizeof(double));
+    dal__reserve(a, &k->K_row, n, sizeof(size_t));
+}
+
+/* Whether kernel.h makes its steps; those of all others are newton's. */
+static bool has_step_routine(const dal_system *system)
+{
+    return system->mass && !system->def.force && system->def.kind == DAL_LINEAR;
+}
+
+/* Whether the step routine knows mu(q~') before v'. */
+static bool is_steady(const beta *self, const dal_system_def *def, bool kept)
+{
+    bool ends = false; /* V acts at some q~' */
+    for (size_t j = 0; j < self->kernel.stages; j++)
+        if (self->stage[j].end != 0.0) ends = true;
+    return def->steady && !kept && !(def->potential && ends);
+}
+
+/* A compiled step routine has to know the system as it is: constant mass, linear constraints, no
+ * force, nothing missing. */
+static int check_compiled(const dal_system *system, dal_error *error)
+{
+    const dal_compiled *const compiled = system->def.compiled;
+    if (!compiled) return DAL_SUCCESS;
+    if (compiled->abi != DAL_COMPILED_ABI || compiled->size != sizeof(dal_kernel))
+        return dal__fail(error, DAL_EINVAL, "compiled: its number %u and its dal_kernel of %zu "
+                         "bytes are not those of this library, %u and %zu; compile it with the "
+                         "kernel.h of this library", compiled->abi, compiled->size,
+                         DAL_COMPILED_ABI, sizeof(dal_kernel));
+    const char *const wrong = !has_step_routine(system) ? "mass, constraints or force are others"
+                            : system->def.missing       ? "derivatives are missing" : NULL;
+    if (!wrong) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and %s: a compiled step routine is "
+                     "for constant mass, linear constraints, no force and nothing missing", wrong);
+}
+
+static void bind_kernel(beta *self, dal_motion *motion)
+{
+    const dal_system *const system = motion->system;
+    const dal_scheme *const scheme = motion->scheme;
+    dal_kernel *const k = &self->kernel;
+    evaluator *const e = &motion->mechanics->eval;
+    k->n = system->def.n;
+    k->m = system->def.m;
+    k->constraint = e->constraint;
+    k->constraint_ctx = e->constraint_ctx;
+    k->potential = e->potential;
+    k->potential_ctx = e->potential_ctx;
+    k->mass = system->mass;
+    k->mass_inverse = system->mass_inverse;
+    k->unit = system->unit;
+    k->per_unit = system->per_unit;
+    k->diagonal = system->diagonal;
+    k->stage = self->stage;
+    k->stages = plan_stages(self->substep, self->substeps, self->stage);
+    plan_predictions(self->stage, k->stages);
+    k->kept = scheme->nodes == DAL_KEPT_NODES;
+    k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
+    k->max_iterations = motion->max_iterations;
+    dal_kernel_share(k, k->at.x);
+    k->impulse = motion->impulse;
+    k->finish = dal__kernel_finish;
+    k->steady = is_steady(self, &system->def, k->kept);
+    k->proved = system->def.steady == DAL_STEADY_PROVED;
+    if (has_step_routine(system))
+        self->advance = system->def.compiled && !k->kept ? system->def.compiled->advance
+                                                         : dal__kernel_for(k->n, k->m);
+    motion->x = k->at.x;
+    motion->stats = &k->stats;
+}
+
+static int make(void **method, dal_motion *motion, dal_error *error)
+{
+    const dal_system *const system = motion->system;
+    const dal_scheme *const scheme = motion->scheme;
+    int status = dal__beta_check(scheme, error);
+    if (!status) status = check_compiled(system, error);
+    if (status) return status;
+    const size_t n = system->def.n, count = dal__scheme_count(scheme);
+    beta shape = {.substeps = count}, *self;
+    arena memory = {0};
+    dal__reserve(&memory, &self, 1, sizeof *self);
+    reserve_kernel(&shape.kernel, n, system->def.m, &memory);
+    if (!has_step_routine(system)) dal__newton_reserve(&shape.newton, system, &memory);
+    dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
+    dal__reserve(&memory, &shape.stage, count, sizeof *shape.stage);
+    dal__reserve(&memory, &shape.start, n, sizeof(double));
+    status = dal__allocate(&memory, error);
+    if (status) return status;
+    /* the slots that the arena has filled are those of shape */
+    *self = shape;
+    self->arena = memory;
+    for (size_t j = 0; j < count; j++) self->substep[j] = dal__scheme_substep(scheme, j);
+    dal__newton_bind(&self->newton, system, motion->max_iterations);
+    bind_kernel(self, motion);
+    *method = self;
+    return DAL_SUCCESS;
+}
+
+static void release(void *method)
+{
+    arena memory = ((beta *)method)->arena; /* the object lies inside it */
+    dal__release(&memory);
+}
+
+static void start(void *method, dal_motion *motion)
+{
+    beta *const self = method;
+    self->kernel.h = motion->h;
+    dal_kernel_forget(&self->kernel);
+    dal__newton_forget(&self->newton);
+}
+
+/* ---- steps ------------------------------------------------------------------------------ */
+
+/* The number that was not finite in the step that failed, looked for by evaluating again, with
+ * checks, where the step evaluated: from q~ to the node to the last iterate. */
+static void find_not_finite(beta *self, dal_mechanics *mech)
+{
+    const dal_kernel *const k = &self->kernel;
+    const size_t n = k->n;
+    double *const start = self->start;
+    dal_error *const found = &mech->error;
+    for (size_t i = 0; i < n; i++) start[i] = k->at.x[i] - k->shift * k->h * k->at.x[n + i];
+    if (dal__all_finite(n, k->at.node)
+        && (dal__potential(&mech->eval, start, NULL, mech->force, NULL, found)
+            || dal__constraint(&mech->eval, k->at.node, k->at.x + n, NULL, mech->mu, NULL, found)
+            || dal__potential(&mech->eval, k->at.node, NULL, mech->force, NULL, found)))
+        return;
+    if (dal__all_finite(n, k->at.point) && dal__all_finite(n, k->at.w)
+        && (dal__constraint(&mech->eval, k->at.point, k->at.w, NULL, mech->mu, mech->dmu, found)
+            || dal__potential(&mech->eval, k->at.point, NULL, mech->force, NULL, found)))
+        return;
+    dal__fail(found, DAL_EDOMAIN, "a number is not finite; try a smaller h");
+}
+
+/* What went wrong in the step that failed, in words. */
+static void explain(beta *self, dal_mechanics *mech, int status)
+{
+    const dal_kernel *const k = &self->kernel;
+    dal_error *const error = &mech->error;
+    switch (k->failure.kind) {
+    case DAL_FAILED_CONSTRAINT:
+    case DAL_FAILED_POTENTIAL:
+        dal__fail(error, status, "%s returned %d (%s)",
+                 k->failure.kind == DAL_FAILED_CONSTRAINT ? "constraint" : "potential",
+                 k->failure.returned,
+                 k->failure.returned > 0 ? "outside its domain; try a smaller h" : "stop");
+        break;
+    case DAL_FAILED_FINITE:
+        find_not_finite(self, mech);
+        break;
+    case DAL_FAILED_SINGULAR_S:
+        dal__fail(error, status, "the Schur complement (mu(q') + beta h d(mu v)/dq) M^-1 "
+                 "mu(q_k)^T is singular: the constraints lose rank, or h is too large here");
+        break;
+    case DAL_FAILED_SINGULAR_K:
+        dal__fail(error, status, "M + h^2 beta (1-beta) V_qq is singular: h is too large here");
+        break;
+    case DAL_FAILED_SINGULAR_C:
+        dal__fail(error, status, "no velocity of D was found at the new position: mu M^-1 mu^T "
+                 "is singular there, or, with kept nodes, h is too large");
+        break;
+    case DAL_FAILED_STEADY:
+        dal__fail(error, status, "the system is declared steady, but mu at the end of the step "
+                 "is not what it was before the reaction acted: a coordinate that mu depends on is "
+                 "pushed by a reaction");
+        break;
+    case DAL_FAILED_ROOT:
+        dal__fail(error, status, DAL__LOST_TEXT, k->failure.travelled, k->failure.first,
+                 k->failure.scale);
+        break;
+    case DAL_FAILED_BRANCH:
+        dal__fail(error, status, DAL__BRANCH_TEXT);
+        break;
+    case DAL_FAILED_CONVERGE:
+        dal__fail(error, status, "Newton did not converge in %d iterations: last change %.3g of "
+                 "%.3g; try a smaller h", k->failure.iterations, k->failure.size, k->failure.scale);
+        break;
+    }
+}
+
+/* The same records by the full Newton iteration, sub-step by sub-step. */
+static int advance_by_newton(beta *self, dal_motion *motion, size_t steps, size_t *done)
+{
+    dal_kernel *const k = &self->kernel;
+    double *const x = k->saved, *const impulse = x + 2 * k->n;
+    for (*done = 0; *done < steps; ++*done) {
+        double passed = 0.0; /* fraction of the step */
+        memcpy(x, k->at.x, 2 * k->n * sizeof *x);
+        memcpy(impulse, k->impulse, k->m * sizeof *impulse);
+        for (size_t j = 0; j < self->substeps; j++) {
+            const dal_substep s = self->substep[j];
+            const double t = motion->t0 + ((double)(motion->steps + *done) + passed) * motion->h;
+            const int status =
+                dal__newton_step(&self->newton, motion->mechanics, t, s.beta, s.beta,
+                                 s.fraction * motion->h, k->kept, x, k->at.kappa, &k->stats);
+            if (status) {
+                if (j > 0) dal__newton_forget(&self->newton); /* the sub-steps that are undone */
+                return status;
+            }
+            for (size_t a = 0; a < k->m; a++) impulse[a] += k->at.kappa[a];
+            passed += s.fraction;
+        }
+        memcpy(k->at.x, x, 2 * k->n * sizeof *x);
+        memcpy(k->impulse, impulse, k->m * sizeof *impulse);
+    }
+    return DAL_SUCCESS;
+}
+
+static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
+{
+    beta *const self = method;
+    if (!self->advance) return advance_by_newton(self, motion, steps, done);
+    const int status = self->advance(&self->kernel, steps, done);
+    if (status) explain(self, motion->mechanics, status);
+    return status;
+}
+
+/* The predictor of the step routine: the pulls and V_q of the last stages; or that of newton.  What
+ * the flags call unknown is 0: a step that failed may have left anything there. */
+static size_t save(const void *method, double *values)
+{
+    const beta *const self = method;
+    const dal_kernel *const k = &self->kernel;
+    if (!self->advance) return dal__newton_save(&self->newton, values);
+    if (!values) return 2 + 4 * k->n;
+    values[0] = k->pulled;
+    values[1] = k->forced;
+    memcpy(values + 2, k->at.pull, 3 * k->n * sizeof *values);
+    for (size_t i = 0; i < k->n; i++) values[2 + 3 * k->n + i] = k->forced ? k->force0[i] : 0.0;
+    return 2 + 4 * k->n;
+}
+
+static int accepts(const void *method, const double *values)
+{
+    const bool has_two_flags = ((const beta *)method)->advance;
+    return (values[0] == 0.0 || values[0] == 1.0)
+        && (!has_two_flags || values[1] == 0.0 || values[1] == 1.0);
+}
+
+static void restore(void *method, const double *values)
+{
+    beta *const self = method;
+    dal_kernel *const k = &self->kernel;
+    if (!self->advance) {
+        dal__newton_restore(&self->newton, values);
+        return;
+    }
+    k->pulled = values[0] != 0.0;
+    k->forced = values[1] != 0.0;
+    memcpy(k->at.pull, values + 2, 3 * k->n * sizeof *values);
+    memcpy(k->force0, values + 2 + 3 * k->n, k->n * sizeof *values);
+}
+
+void dal__beta_any_sizes(dal_stepper *stepper)
+{
+    beta *const self = stepper->method;
+    if (self->advance) self->advance = dal__kernel_any();
+}
+
+const dal_family dal__family_beta = {
+    .name = "beta",
+    .schemes = dal__beta_records,
+    .count = DAL__BETA_RECORDS,
+    .parse = dal__beta_parse,
+    .help = "a number in [0, 1], beta (also with -nodes)",
+    .make = make,
+    .free = release,
+    .start = start,
+    .advance = advance,
+    .save = save,
+    .accepts = accepts,
+    .restore = restore,
+};

@@ -1,0 +1,242 @@
+"""What users give, and what their functions return, as the core takes it; or why not."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import operator
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "array", "choice", "function", "integer", "mapping", "names", "number", "pair", "parameter",
+    "returned", "shown", "step_size", "suggestion", "text", "tolerance",
+]  # fmt: skip
+
+Array = NDArray[np.float64]
+
+
+def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array:
+    """Return ``value`` as C-contiguous doubles of one of the shapes.
+
+    ``None`` in a shape stands for any length.  Where the shape is (1,) a number does.
+
+    Raises
+    ------
+    ValueError
+        With the name, what came and what was expected, if ``value`` is no array of real finite
+        numbers, or has another shape.
+    """
+    wanted = " or ".join(map(_shape, shapes))
+    try:
+        result = _reals(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected real numbers of shape {wanted}, got {error}") from error
+    if result.ndim == 0 and (1,) in shapes:
+        result = result.reshape(1)
+    if not any(_fits(result, shape) for shape in shapes):
+        raise ValueError(f"{name}: expected shape {wanted}, got {result.shape}")
+    if not np.isfinite(result).all():
+        where = tuple(int(k) for k in np.argwhere(~np.isfinite(result))[0])
+        index = f"[{', '.join(map(str, where))}]" if where else ""
+        raise ValueError(f"{name}{index} = {result[where]}: expected finite numbers")
+    return result
+
+
+def _reals(value: Any) -> Array:
+    """Return anything array-like as doubles that C can read; else TypeError or ValueError."""
+    rows = value if isinstance(value, (list, tuple)) else [value]
+    if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
+        raise ValueError("values that are masked")
+    given = np.asarray(value)
+    if value is None or given.dtype.kind not in "biufO":
+        raise TypeError("None" if value is None else f"values of type {given.dtype}")
+    try:
+        result = np.asarray(given, dtype=np.float64, order="C")
+    except OverflowError:
+        raise ValueError("an integer beyond the largest double, 1.8e308") from None
+    except (TypeError, ValueError):
+        raise ValueError(shown(value)) from None
+    return result if result.flags.aligned else result.copy()
+
+
+def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
+    return array.ndim == len(shape) and all(
+        wanted in (None, length) for wanted, length in zip(shape, array.shape)
+    )
+
+
+def _shape(shape: tuple[int | None, ...]) -> str:
+    """Return a shape as Python writes it, with N for any length."""
+    lengths = ", ".join("N" if k is None else str(k) for k in shape)
+    return {0: "() (a number)", 1: f"({lengths},)"}.get(len(shape), f"({lengths})")
+
+
+def number(value: Any, name: str) -> float:
+    """Return ``value`` as a finite float; ValueError otherwise."""
+    try:
+        result = _reals(value)
+    except (TypeError, ValueError):
+        result = None
+    if result is None or result.shape != () or not np.isfinite(result):
+        raise ValueError(f"{name} = {shown(value)}: expected a finite number")
+    return float(result)
+
+
+def tolerance(value: Any) -> float:
+    """Return ``value`` as a tolerance of the reference flow; ValueError otherwise."""
+    result = number(value, "tolerance")
+    if not 2.0**-51 <= result <= 0.1:
+        raise ValueError(f"tolerance = {result!r} is not in [4.4e-16, 0.1]")
+    return result
+
+
+def step_size(value: Any, t: float, name: str = "h") -> float:
+    """Return ``value`` as a step size at the time t, negative to go backwards; else ValueError."""
+    h = number(value, name)
+    if h == 0.0:
+        raise ValueError(f"{name} = 0: expected a step size, negative to integrate backwards")
+    if not np.isfinite(t):
+        raise ValueError(f"{name} = {h!r} leads to the time t = {t!r}: expected a finite one")
+    if abs(h) < sys.float_info.min:
+        raise ValueError(f"{name} = {h!r}: expected at least {sys.float_info.min:.1e} in size")
+    if t + h == t:
+        raise ValueError(
+            f"{name} = {h!r} does not change the time t = {t!r}: expected at least "
+            f"{np.spacing(abs(t)):.1e} in size"
+        )
+    return h
+
+
+def integer(value: Any, name: str, least: int, most: int = 2**63 - 1) -> int:
+    """Return ``value`` as an integer in least .. most; ValueError otherwise."""
+    try:
+        result = operator.index(value)
+    except TypeError:
+        raise ValueError(f"{name} = {shown(value)}: expected an integer") from None
+    if not least <= result <= most:
+        bound = f"at least {least}" if result < least else f"at most {most}"
+        raise ValueError(f"{name} = {shown(result)}: expected {bound}")
+    return result
+
+
+def text(value: Any, name: str) -> str:
+    """Return ``value`` if it is a string without NUL, which C would end at; else ValueError."""
+    if not isinstance(value, str) or "\0" in value:
+        raise ValueError(f"{name} = {shown(value)}: expected a string")
+    return value
+
+
+def names(value: Any, name: str, expected: str) -> list[str]:
+    """Return several strings as a list; ValueError otherwise.
+
+    One string is its letters if it has nothing else, as "xyz", but not "x y" or "x, y".
+    """
+    try:
+        result = list(value)
+    except TypeError:
+        result = [None]
+    one = isinstance(value, str) and not value.isalpha()
+    if one or not all(isinstance(each, str) for each in result):
+        raise ValueError(f"{name} = {shown(value)}: expected {expected}")
+    return [text(each, name) for each in result]
+
+
+def function(value: Any, name: str, taken: str = "") -> None:
+    """Raise ValueError if ``value`` is neither None nor can be called, with what is taken."""
+    if value is None:
+        return
+    if not callable(value):
+        raise ValueError(f"{name} = {shown(value)}: expected a function")
+    if not taken or inspect.isbuiltin(value):
+        return
+    try:
+        signature = inspect.signature(value)
+    except (TypeError, ValueError):  # of a function that is not written in Python
+        return
+    try:
+        signature.bind(*taken.split(", "))
+    except TypeError as error:
+        raise ValueError(
+            f"{name} is a function of {signature}: expected one of ({taken})"
+        ) from error
+
+
+def mapping(value: Any, name: str) -> dict[Any, Any]:
+    """Return a mapping as a dict, an empty one for None; ValueError for anything else."""
+    if not isinstance(value, Mapping | None):
+        raise ValueError(f"{name} = {shown(value)}: expected a mapping from names to values")
+    return dict(value or {})
+
+
+def parameter(value: Any, name: str) -> float:
+    """Return the value of a parameter, which may be a number of SymPy; ValueError otherwise."""
+    try:
+        return number(float(value) if hasattr(value, "is_number") else value, name)
+    except TypeError:
+        raise ValueError(f"{name} = {value!r}: expected a real number") from None
+
+
+def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str = "") -> None:
+    """Raise ValueError if one of two arguments is given without the other."""
+    if (first is None) != (second is None):
+        there, missing = names if second is None else names[::-1]
+        raise ValueError(f"{there} without {missing}: expected both, or neither{otherwise}")
+
+
+def choice(value: Any, name: str, choices: dict[str, int]) -> int:
+    """Return the number of an option that is given by its name; ValueError otherwise."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(
+            f"{name} = {shown(value)}: {suggestion(value, choices)}expected one of "
+            f"{', '.join(map(repr, choices))}"
+        )
+    return choices[value]
+
+
+def suggestion(value: Any, names: Iterable[str]) -> str:
+    """Return "did you mean ...? " with the one of the names that is close to ``value``, or ""."""
+    plain = {name.replace("-", "_").lower(): name for name in names}
+    asked = value.replace("-", "_").lower() if isinstance(value, str) else ""
+    nearest = difflib.get_close_matches(asked, plain, n=1)
+    return f"did you mean {plain[nearest[0]]!r}? " if nearest else ""
+
+
+def shown(value: Any) -> str:
+    """Return what a message shows of a value: its repr, cut off where that is long."""
+    try:
+        text = repr(value)
+    except Exception:  # an integer of more digits than Python prints, or an object of the user's
+        return f"a value of type {type(value).__name__}"
+    return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+def shape(value: Any) -> Any:
+    """Return the shape of what a callback returned, or in words why it has none."""
+    try:
+        return "None" if value is None else np.shape(value)
+    except ValueError:
+        return "rows of different lengths"
+
+
+def returned(value: Any, shape: tuple[int, ...], name: str) -> Array:
+    """Return what the callback ``name`` returned as doubles of ``shape``; NaN is left to C.
+
+    Raises
+    ------
+    ValueError
+        With the name, what came and what was expected.
+    """
+    try:
+        result = _reals(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name} has to return real numbers of shape {shape}, it returned {error}"
+        ) from error
+    if result.shape != shape:
+        raise ValueError(f"{name} has to return shape {shape}, it returned {result.shape}")
+    return result

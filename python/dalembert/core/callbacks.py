@@ -1,0 +1,294 @@
+"""The trampolines, through which C calls the functions of users."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from .arguments import Array, returned, shown
+from .errors import DomainError, attempt, raised
+from .library import ffi, lib
+
+_from_handle, _buffer, _memmove = ffi.from_handle, ffi.buffer, ffi.memmove
+_frombuffer, _ndarray, _double = np.frombuffer, np.ndarray, np.dtype(np.float64)
+
+
+FUNCTIONS = (
+    "forms", "forms_velocity_derivative", "affine", "affine_derivative",
+    "constraint", "constraint_v", "constraint_q",
+    "potential", "gradient", "hessian",
+    "lagrangian", "lagrangian_q", "lagrangian_v", "lagrangian_qq", "lagrangian_vq", "lagrangian_vv",
+    "force", "force_q", "force_v",
+    "exact",
+)  # fmt: skip
+
+
+class Callables:
+    """A user's functions of a system, and the shapes of what they return."""
+
+    __slots__ = (*FUNCTIONS, "bytes", "matrix", "multipliers", "square", "vector")
+
+    def __init__(self, n: int, m: int, functions: Mapping[str, Callable[..., Any] | None]) -> None:
+        for name in FUNCTIONS:
+            setattr(self, name, functions[name])
+        self.bytes = 8 * n
+        self.vector, self.multipliers, self.matrix, self.square = (n,), (m,), (m, n), (n, n)
+
+
+def _doubles(value: Any, shape: tuple[int, ...], name: str) -> Array:
+    """Return what a callback returned as C-contiguous doubles; such an array as it is."""
+    if type(value) is not _ndarray or value.dtype is not _double or value.shape != shape:
+        return returned(value, shape, name)
+    return value if value.flags.c_contiguous else value.copy()
+
+
+def _write(target: Any, value: Any, shape: tuple[int, ...], name: str) -> None:
+    """Copy what a callback returned to ``target``."""
+    value = _doubles(value, shape, name)
+    _memmove(target, value, value.nbytes)
+
+
+def _remember(kind: type[BaseException], value: BaseException, traceback: Any) -> int:
+    """Keep the exception of a callback until C has returned, and say so to C."""
+    raised.exception = value.with_traceback(traceback)
+    return 1 if isinstance(value, DomainError) else lib.DAL_EUSER
+
+
+# The arrays that a user's function gets are copies, of the 24 bytes of a particle say, made as a
+# bytes object: that is as fast as a view of C's memory, cannot be written to, and may be kept.
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_potential(q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    if V:
+        value = call.potential(point)
+        V[0] = value if isinstance(value, float) else returned(value, (), "potential")
+    if V_q:
+        _write(V_q, call.gradient(point), call.vector, "gradient")
+    if V_qq:
+        _write(V_qq, call.hessian(point), call.square, "hessian")
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_lagrangian(
+    q: Any, v: Any, L: Any, L_q: Any, L_v: Any, L_qq: Any, L_vq: Any, L_vv: Any, ctx: Any
+) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if L:
+        value = call.lagrangian(point, velocity)
+        L[0] = value if isinstance(value, float) else returned(value, (), "lagrangian")
+    if L_q:
+        _write(L_q, call.lagrangian_q(point, velocity), call.vector, "lagrangian_q")
+    if L_v:
+        _write(L_v, call.lagrangian_v(point, velocity), call.vector, "lagrangian_v")
+    if L_qq:
+        _write(L_qq, call.lagrangian_qq(point, velocity), call.square, "lagrangian_qq")
+    if L_vq:
+        _write(L_vq, call.lagrangian_vq(point, velocity), call.square, "lagrangian_vq")
+    if L_vv:
+        _write(L_vv, call.lagrangian_vv(point, velocity), call.square, "lagrangian_vv")
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_force(t: float, q: Any, v: Any, f: Any, f_q: Any, f_v: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if f:
+        _write(f, call.force(t, point, velocity), call.vector, "force")
+    if f_q:
+        _write(f_q, call.force_q(t, point, velocity), call.square, "force_q")
+    if f_v:
+        _write(f_v, call.force_v(t, point, velocity), call.square, "force_v")
+    return 0
+
+
+# The core asks linear constraints for mu alone, and never for phi = mu v.
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_linear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    if phi_v:
+        _write(phi_v, call.forms(point), call.matrix, "forms")
+    if phi_q:
+        velocity = _frombuffer(_buffer(v, call.bytes)[:])
+        _write(
+            phi_q,
+            call.forms_velocity_derivative(point, velocity),
+            call.matrix,
+            "forms_velocity_derivative",
+        )
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_affine(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if phi or phi_v:
+        forms = _doubles(call.forms(point), call.matrix, "forms")
+        if phi_v:
+            _memmove(phi_v, forms, forms.nbytes)
+        if phi:
+            shift = _doubles(call.affine(point), call.multipliers, "affine")
+            _write(phi, forms @ velocity + shift, call.multipliers, "affine")
+    if phi_q:
+        name = "forms_velocity_derivative"
+        turn = _doubles(call.forms_velocity_derivative(point, velocity), call.matrix, name)
+        shift = _doubles(call.affine_derivative(point), call.matrix, "affine_derivative")
+        _write(phi_q, turn + shift, call.matrix, name)
+    return 0
+
+
+def _constrain(call: Any, q: Any, v: Any, outputs: dict[str, Any]) -> int:
+    """Answer for m functions of (q, v), their derivatives by v and by q: names and targets."""
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    shapes = (call.multipliers, call.matrix, call.matrix)
+    for (name, target), shape in zip(outputs.items(), shapes, strict=True):
+        if target:
+            _write(target, getattr(call, name)(point, velocity), shape, name)
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_nonlinear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    return _constrain(call, q, v, {"constraint": phi, "constraint_v": phi_v, "constraint_q": phi_q})
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_exact(t: float, x0: Any, x: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    state = _buffer(x0, 2 * call.bytes)[:]
+    values = call.exact(t, _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :]))
+    _write_several((x, x + call.vector[0]), values, call.vector, ("exact (q)", "exact (v)"))
+    return 0
+
+
+class DeformationCallables:
+    """A user's g of phi + delta g, and the shapes of what it returns."""
+
+    __slots__ = ("bytes", "g", "g_q", "g_v", "matrix", "multipliers")
+
+    def __init__(
+        self,
+        n: int,
+        m: int,
+        g: Callable[..., Any],
+        g_v: Callable[..., Any],
+        g_q: Callable[..., Any] | None,
+    ) -> None:
+        self.g, self.g_v, self.g_q = g, g_v, g_q
+        self.bytes = 8 * n
+        self.multipliers, self.matrix = (m,), (m, n)
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_deformation(q: Any, v: Any, g: Any, g_v: Any, g_q: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    return _constrain(call, q, v, {"g": g, "g_v": g_v, "g_q": g_q})
+
+
+class MapCallables:
+    """A user's finite difference map of n coordinates."""
+
+    __slots__ = ("bytes", "derivatives", "map", "square", "vector")
+
+    def __init__(
+        self, n: int, map: Callable[..., Any], derivatives: Callable[..., Any] | None
+    ) -> None:
+        self.map = map
+        self.derivatives = derivatives
+        self.bytes = 8 * n
+        self.vector, self.square = (n,), (n, n)
+
+
+_OF_MAP = ("map (g)", "map (f)")
+_OF_DERIVATIVES = tuple(f"derivatives (d{x}/d{q})" for x in "gf" for q in ("q0", "q1"))
+
+
+def _write_several(
+    targets: tuple[Any, ...], values: Any, shape: tuple[int, ...], names: tuple[str, ...]
+) -> None:
+    """Copy what a callback returned as a tuple to as many targets."""
+    try:
+        several = tuple(values)
+    except TypeError:
+        several = ()
+    if len(several) != len(targets):
+        raise ValueError(
+            f"{names[0].split()[0]} has to return {len(targets)} arrays of shape {shape}, "
+            f"it returned {shown(values)}"
+        )
+    for target, value, what in zip(targets, several, names):
+        _write(target, value, shape, what)
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_map(
+    h: float, q0: Any, q1: Any, g: Any, f: Any, g_0: Any, g_1: Any, f_0: Any, f_1: Any, ctx: Any
+) -> int:
+    call = _from_handle(ctx)
+    pair = [_frombuffer(_buffer(q, call.bytes)[:]) for q in (q0, q1)]
+    _write_several((g, f), call.map(h, *pair), call.vector, _OF_MAP)
+    if g_0:
+        targets = (g_0, g_1, f_0, f_1)
+        _write_several(targets, call.derivatives(h, *pair), call.square, _OF_DERIVATIVES)
+    return 0
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_watch(t: float, ctx: Any) -> int:
+    _from_handle(ctx)(t)
+    return 0
+
+
+def watched(function: Callable[..., int], flow: Any, *given: Any) -> int:
+    """Call a C function of a ``dal_flow`` so that Ctrl-C ends it; return its status."""
+    context = ffi.new_handle(ignore)
+    lib.dal_flow_watch(flow, lib.dal_py_watch, context)
+    try:
+        return attempt(function, flow, *given)
+    finally:
+        lib.dal_flow_watch(flow, ffi.NULL, ffi.NULL)
+
+
+def ignore(t: float) -> None:
+    """Do nothing, now and then in what computes for long, so that Ctrl-C is seen."""
+
+
+class Observer:
+    """A user's observer of a run."""
+
+    __slots__ = ("bytes", "function")
+
+    def __init__(self, n: int, function: Callable[[int, float, Array, Array], Any]) -> None:
+        self.bytes, self.function = 8 * n, function
+
+    def see(self, step: int, t: float, q: Array, v: Array) -> bool:
+        """Show a state; return whether to stop."""
+        answer = self.function(step, t, q, v)
+        try:
+            return bool(answer)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"observer has to return whether to stop, it returned {shown(answer)}"
+            ) from error
+
+
+@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+def dal_py_observer(step: int, t: float, x: Any, ctx: Any) -> int:
+    observer = _from_handle(ctx)
+    state = _buffer(x, 2 * observer.bytes)[:]
+    half = observer.bytes
+    return int(observer.see(step, t, _frombuffer(state[:half]), _frombuffer(state[half:])))

@@ -1,0 +1,224 @@
+"""Calls of C, and the exceptions that they end in.
+
+How an exception of a user's function reaches the user:
+
+1. A public function calls C through :func:`attempt` or :func:`make`.  C holds no lock of Python.
+2. C calls a trampoline (``dal_py_potential``, ...), which calls the user's function.
+3. The function raises.  The trampoline's ``onerror`` keeps the exception for this thread and
+   returns ``DAL_EUSER`` to C (a positive number for a :class:`DomainError`, so that C may try a
+   shorter Newton step).
+4. C unwinds, leaves its state as it was, and returns its status.
+5. :func:`failure` sees the status and hands out the exception that was kept, with its traceback.
+
+What is kept belongs to the thread, not to an object: threads may share a system, and a callback
+may itself integrate, because an exception is kept only when the callback has already been left.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from .library import ffi, lib, string
+
+__all__ = [
+    "ConvergenceError",
+    "DalembertError",
+    "DalembertWarning",
+    "DomainError",
+    "NotOnConstraintError",
+    "SingularError",
+]
+
+
+# ---- exceptions ----------------------------------------------------------------------------
+
+
+class DalembertWarning(UserWarning):
+    """A result was computed, and there is reason to doubt it."""
+
+
+class DalembertError(RuntimeError):
+    """A computation that could not be finished.
+
+    Attributes
+    ----------
+    status : int
+        The status of the C library, see ``dal_status`` in ``dalembert.h``.
+    step : int or None
+        Number of steps that were made before the failure, in a run; in an evaluation of stacked
+        states, the row that failed.
+    t : float or None
+        Time of the last good state of a run.
+    partial : Solution or None
+        The part of a run that was computed.
+    """
+
+    status: int = lib.DAL_EUSER
+
+    def __init__(
+        self,
+        message: str = "",
+        *,
+        status: int | None = None,
+        step: int | None = None,
+        t: float | None = None,
+        partial: Any = None,
+    ) -> None:
+        super().__init__(message)
+        if status is not None:
+            self.status = status
+        self.step = step
+        self.t = t
+        self.partial = partial
+
+
+class ConvergenceError(DalembertError):
+    """Newton's iteration, or the step size control of the reference flow, did not converge."""
+
+    status = lib.DAL_ENOCONV
+
+
+class SingularError(DalembertError):
+    """A matrix that has to be invertible is not, to working precision."""
+
+    status = lib.DAL_ESINGULAR
+
+
+class NotOnConstraintError(DalembertError, ValueError):
+    """Initial data do not satisfy the constraint phi(q, v) = 0."""
+
+    status = lib.DAL_EOFFD
+
+
+class DomainError(DalembertError):
+    """A function is not defined where it was asked for: NaN, Inf, or raised by a callback.
+
+    A callback may raise it for a ``q`` outside its domain: Newton's iteration then tries a shorter
+    step before the run fails.
+    """
+
+    status = lib.DAL_EDOMAIN
+
+
+_EXCEPTIONS: dict[int, type[Exception]] = {
+    lib.DAL_EINVAL: ValueError,
+    lib.DAL_ENOMEM: MemoryError,
+    lib.DAL_EUNSUPPORTED: NotImplementedError,
+    lib.DAL_EDOMAIN: DomainError,
+    lib.DAL_ESINGULAR: SingularError,
+    lib.DAL_ENOCONV: ConvergenceError,
+    lib.DAL_EOFFD: NotOnConstraintError,
+}
+
+
+# What an output of a callback is called in Python, by the kind of the constraints; an index means
+# that an entry of it is meant.
+_COMMON_NAMES = (
+    (r"(?:potential: )?\bV_q\[0,(\d+)\]", r"gradient[\1]"),
+    (r"(?:potential: )?\bV_qq(?=\[)", "hessian"),
+    (r"potential: V\[0,0\]", "potential"),
+    (r"lagrangian: L\[0,0\]", "lagrangian"),
+    (r"(?:lagrangian: )?\bL_([qv])\[0,(\d+)\]", r"lagrangian_\1[\2]"),
+    (r"(?:lagrangian: )?\bL_(qq|vq|vv)(?=\[)", r"lagrangian_\1"),
+    (r"force: f\[0,(\d+)\]", r"force[\1]"),
+    (r"(?:force: )?\bf_([qv])(?=\[)", r"force_\1"),
+    (r"\bx0(?= does not lie in D)", "(q0, v0)"),
+)
+_PYTHON_NAMES = {
+    kind: [(re.compile(pattern), name) for pattern, name in (*_COMMON_NAMES, *names)]
+    for kind, names in {
+        "linear": (
+            (r"(?:constraint: )?\bphi_v(?=\[)", "forms"),
+            (r"(?:constraint: )?\bphi_q(?=\[)", "forms_velocity_derivative"),
+        ),
+        "affine": (
+            (r"constraint: phi\[0,(\d+)\]", r"(forms v + affine)[\1]"),
+            (r"(?:constraint: )?\bphi_v(?=\[)", "forms"),
+            (
+                r"(?:constraint: )?\bphi_q(?=\[)",
+                "(forms_velocity_derivative + affine_derivative)",
+            ),
+        ),
+        "nonlinear": (
+            (r"constraint: phi\[0,(\d+)\]", r"constraint[\1]"),
+            (r"(?:constraint: )?\bphi_([qv])(?=\[)", r"constraint_\1"),
+        ),
+    }.items()
+}
+
+
+class _Raised(threading.local):
+    """The exception that a callback of this thread raised, until C has returned."""
+
+    exception: BaseException | None = None
+
+
+raised = _Raised()
+
+
+def attempt(function: Callable[..., int], *arguments: Any) -> int:
+    """Call a C function that may call back; return its status for :func:`failure`."""
+    raised.exception = None
+    return function(*arguments)
+
+
+def failure(
+    status: int,
+    message: str,
+    *,
+    kind: str = "linear",
+    step: int | None = None,
+    t: float | None = None,
+) -> BaseException:
+    """Return the exception for a status that is not success.
+
+    It is the very exception that a callback raised, where this is why C failed.  ``kind`` is that
+    of the constraints, whose functions the message may name.
+    """
+    exception, raised.exception = raised.exception, None
+    if exception is not None and status in (lib.DAL_EUSER, lib.DAL_EDOMAIN):
+        return exception
+    message = in_python(message, kind) or string(lib.dal_strerror(status))
+    exception_type = _EXCEPTIONS.get(status, DalembertError)
+    if issubclass(exception_type, DalembertError):
+        return exception_type(message, status=status, step=step, t=t)
+    return exception_type(message)
+
+
+def check(status: int, message: str = "", *, step: int | None = None) -> None:
+    """Raise the exception of ``status``, unless it is success."""
+    if status < 0:
+        raise failure(status, message, step=step)
+
+
+def make(kind: str, *arguments: Any, owner: Any = None) -> Any:
+    """Return a C object ``dal_<kind>`` from ``dal_<kind>_new(&object, *arguments, &error)``.
+
+    It is freed with the last reference to it, and keeps ``owner`` alive until then.
+    """
+    return adopt(kind, getattr(lib, f"dal_{kind}_new"), *arguments, owner=owner)
+
+
+def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None) -> Any:
+    """As :func:`make`, for a constructor of another name."""
+    slot = ffi.new(f"dal_{kind} **")
+    error = ffi.new("dal_error *")
+    status = attempt(new, slot, *arguments, error)
+    if status < 0:
+        raise failure(status, string(error.text))
+    free = getattr(lib, f"dal_{kind}_free")
+
+    def release(handle: Any, _owner: Any = owner) -> None:
+        free(handle)
+
+    return ffi.gc(slot[0], release)
+
+
+def in_python(message: str, kind: str = "linear") -> str:
+    """Return a message of the core with the names that users of Python gave: gradient, not V_q."""
+    for pattern, name in _PYTHON_NAMES[kind]:
+        message = pattern.sub(name, message)
+    return message

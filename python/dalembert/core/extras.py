@@ -1,0 +1,79 @@
+"""The packages that are extras: matplotlib, rich, SymPy, tqdm, xarray."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.util
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from . import arguments
+
+__all__ = ["Later", "is_there", "progress", "require"]
+
+
+def require(module: str, purpose: str) -> Any:
+    """Import a module of an extra.
+
+    Raises
+    ------
+    ImportError
+        If it is not installed; the text has the line to type.
+
+    Examples
+    --------
+    >>> from dalembert import extras
+    >>> extras.require("nowhere.at_all", "flying")
+    Traceback (most recent call last):
+        ...
+    ImportError: flying needs nowhere: pip install nowhere
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise ImportError(f"{purpose} needs {package}: pip install {package}") from error
+
+
+class Later:
+    """A module of this package that needs SymPy: imported when something of it is used first."""
+
+    def __init__(self, package: str, name: str) -> None:
+        self._module = f"{package}.{name}"
+
+    def __getattr__(self, name: str) -> Any:
+        require("sympy", "a system from expressions")
+        return getattr(importlib.import_module(self._module), name)
+
+
+def is_there(package: str) -> bool:
+    """Return whether a package is installed."""
+    return importlib.util.find_spec(package) is not None
+
+
+@contextlib.contextmanager
+def progress(
+    wanted: bool | Callable[[int, int], Any], total: int, unit: str
+) -> Iterator[Callable[[int], Any]]:
+    """Give a function of how much is done that shows it: by a bar, to a function, or not at all.
+
+    Raises
+    ------
+    ValueError
+        If ``wanted`` is neither a truth value nor a function.
+    ImportError
+        If a bar is wanted and tqdm is not installed.
+    """
+    if callable(wanted):
+        yield lambda done: wanted(done, total)
+    elif not isinstance(wanted, bool):
+        raise ValueError(
+            f"progress = {arguments.shown(wanted)}: expected True, False or a function"
+        )
+    elif wanted:
+        tqdm = require("tqdm.auto", "progress=True").tqdm
+        with tqdm(total=total, unit=unit, unit_scale=True) as bar:
+            yield lambda done: bar.update(done - bar.n)
+    else:
+        yield lambda done: None

@@ -1,0 +1,160 @@
+"""A C system, and what it says about itself; and the C objects that functions work with."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from .arguments import Array, shown
+from .errors import attempt, failure, make
+from .library import Constant, doubles, ffi, lib, pointer, string
+
+# The kinds of constraints, by their names.
+KINDS = {"linear": lib.DAL_LINEAR, "affine": lib.DAL_AFFINE, "nonlinear": lib.DAL_NONLINEAR}
+
+# What each bit of dal_missing is called in Python; that of phi_q depends on the constraints.
+MISSING = {
+    lib.DAL_MISSING_V_Q: "gradient",
+    lib.DAL_MISSING_V_QQ: "hessian",
+    lib.DAL_MISSING_L_QQ: "lagrangian_qq",
+    lib.DAL_MISSING_L_VQ: "lagrangian_vq",
+    lib.DAL_MISSING_L_VV: "lagrangian_vv",
+    lib.DAL_MISSING_F_Q: "force_q",
+    lib.DAL_MISSING_F_V: "force_v",
+}
+MISSING_PHI_Q = {
+    "linear": ("forms_velocity_derivative",),
+    "affine": ("forms_velocity_derivative", "affine_derivative"),
+    "nonlinear": ("constraint_q",),
+}
+
+
+def differenced(bits: int, kind: str) -> tuple[str, ...]:
+    """Return the names of the derivatives in a sum of ``dal_missing``; kind of the constraints."""
+    names = tuple(name for bit, name in MISSING.items() if bits & bit)
+    return names + (MISSING_PHI_Q[kind] if bits & lib.DAL_MISSING_PHI_Q else ())
+
+
+class Workspaces:
+    """C objects ``dal_<kind>`` that belong to one call at a time.
+
+    Threads, and callbacks that come back, each get one of their own, so nobody waits.
+    """
+
+    def __init__(self, kind: str, new: Callable[[], Any], constraints: str) -> None:
+        self._message = getattr(lib, f"dal_{kind}_message")
+        self._new, self._constraints = new, constraints
+        self._free: list[Any] = []
+
+    @contextlib.contextmanager
+    def lend(self) -> Iterator[Any]:
+        """Lend one of them."""
+        try:
+            one = self._free.pop()
+        except IndexError:
+            one = self._new()
+        try:
+            yield one
+        finally:
+            self._free.append(one)
+
+    def check(self, status: int, one: Any, step: int | None = None) -> None:
+        """Raise the exception of a status of one of them, unless it is success."""
+        if status < 0:
+            raise failure(status, string(self._message(one)), kind=self._constraints, step=step)
+
+    def call(self, function: Callable[..., int], *given: Any) -> None:
+        """Call ``function(one, *given)``."""
+        with self.lend() as one:
+            self.check(attempt(function, one, *given), one)
+
+    def rows(self, function: Callable[..., int], inputs: Iterable[tuple[Any, ...]]) -> None:
+        """Call ``function(one, *given)`` for each row of arguments."""
+        with self.lend() as one:
+            for k, given in enumerate(inputs):
+                self.check(attempt(function, one, *given), one, k)
+
+
+class Handle(Constant):
+    """A C system, and what it says about itself; see `dalembert.System`."""
+
+    n: int
+    m: int
+    name: str
+    help: str
+    description: str
+    source: str
+    coordinates: tuple[str, ...]
+    mass: Array | None
+    kind: str
+    is_forced: bool
+    q0: Array | None
+    v0: Array | None
+    differenced: tuple[str, ...]
+    _model: Any = None  # the expressions that it was made from
+
+    def _adopt(self, handle: Any) -> None:
+        """Take over a C system, and read what it says."""
+
+        def text(what: str, *given: int) -> str:
+            return string(getattr(lib, f"dal_system_{what}")(handle, *given))
+
+        self._handle = handle
+        self.n, self.m = n, _ = int(lib.dal_system_n(handle)), int(lib.dal_system_m(handle))
+        for what in ("name", "help", "description", "source"):
+            setattr(self, what, text(what))
+        self._formulas = tuple(text("formulas").splitlines())
+        self.coordinates = tuple(text("coordinate", i) for i in range(n))
+        self._parameters = {
+            text("parameter_name", i): float(lib.dal_system_parameter(handle, i))
+            for i in range(lib.dal_system_parameters(handle))
+        }
+        self.kind = {number: name for name, number in KINDS.items()}[lib.dal_system_kind(handle)]
+        self.is_forced = bool(lib.dal_system_is_forced(handle))
+        self.differenced = differenced(lib.dal_system_missing(handle), self.kind)
+        mass, state = lib.dal_system_mass(handle), np.empty(2 * n)
+        self.mass = None if mass == ffi.NULL else doubles(mass, n**2).reshape(n, n)
+        has_state = lib.dal_system_state(handle, pointer(state)) == lib.DAL_SUCCESS
+        self.q0, self.v0 = (state[:n], state[n:]) if has_state else (None, None)
+        for array in (self.mass, self.q0, self.v0):
+            if array is not None:
+                array.flags.writeable = False
+        self._mechanics = Workspaces(
+            "mechanics", lambda: make("mechanics", handle, owner=handle), self.kind
+        )
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameters of a system that comes with the library; empty for a user's own."""
+        return dict(self._parameters)
+
+    @property
+    def formulas(self) -> tuple[str, ...]:
+        """L, the constraints, and what else is in them or in names of invariants, a line each.
+
+        ``v_x`` is the velocity of x, a blank a product, ``^`` a power.  Those of a system that was
+        made from expressions follow from these.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.systems.particle().formulas
+        ('L = (v_x^2 + v_y^2 + v_z^2)/2', 'v_z - y v_x = 0')
+        """
+        return self._formulas if self._model is None else self._model.formulas()
+
+    def _c(self, constructor: str, *given: Any) -> Any:
+        """Return a C object of this system, which keeps it alive."""
+        return make(constructor, self._handle, *given, owner=self._handle)
+
+
+def require_system(value: Any) -> None:
+    """Raise ValueError if an argument ``system`` is not one."""
+    if not isinstance(value, Handle):
+        raise ValueError(
+            f"system = {shown(value)}: expected a dalembert.System, as "
+            "dalembert.systems.sleigh() returns"
+        )

@@ -1,0 +1,70 @@
+"""The C library, and what its texts and numbers are in Python: the one module that sees `_core`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .._core import ffi as ffi
+from .._core import lib as lib
+from .arguments import Array as Array
+
+ROUNDOFF = 2.0**-53  # the unit roundoff u
+
+
+def version() -> str:
+    """Return the version of the C library that is running."""
+    return string(lib.dal_version())
+
+
+def string(text: Any) -> str:
+    """Return a C string, "" for NULL."""
+    return ffi.string(text).decode("utf-8", "replace") if text != ffi.NULL else ""
+
+
+def strings(texts: list[str]) -> tuple[Any, list[Any]]:
+    """Return a ``const char *[]`` and what has to be kept alive with it."""
+    kept = [ffi.new("char[]", text.encode()) for text in texts]
+    return ffi.new("const char *[]", kept), kept
+
+
+def pointer(array: Array, row: int = 0, count: int = 0, *, output: bool = False) -> Any:
+    """Return the address of ``array[row]``; the caller keeps the array alive.
+
+    C reads, or for an ``output`` writes, ``count`` doubles from there.
+
+    Raises
+    ------
+    ValueError
+        If the array does not hold C-contiguous doubles, so many after its row, or cannot be
+        written to.
+    """
+    if array.dtype != np.float64:
+        raise ValueError(f"an array of {array.dtype}: expected float64")
+    address = ffi.from_buffer("double[]", array, output)
+    start = row * (array.size // max(len(array), 1)) if row else 0
+    if not 0 <= start <= len(address) - count:
+        raise ValueError(
+            f"an array of shape {array.shape}: expected {count} numbers from row {row} on"
+        )
+    return address + start
+
+
+def doubles(address: Any, count: int) -> Array:
+    """Return a copy of ``count`` doubles."""
+    return np.frombuffer(ffi.buffer(address, 8 * count)[:]).copy()
+
+
+def residual_bound(n: int) -> float:
+    """Return 4 n u: a relative residual up to this is roundoff of n coordinates."""
+    return 4 * n * ROUNDOFF
+
+
+class Constant:
+    """An object whose public attributes are set once: C counts on them."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.__dict__ and not name.startswith("_"):
+            raise AttributeError(f"{type(self).__name__}.{name} does not change")
+        super().__setattr__(name, value)

@@ -1,0 +1,869 @@
+"""Discrete mechanics on pairs of nodes: difference maps, L_d and D_d, the node map.
+
+A finite difference map rho(q0, q1) = (g, f) makes a position and a velocity of two nodes one step h
+apart.  It turns L into the discrete Lagrangian L_d = h L o rho and D into the discrete constraint
+D_d = {phi_d = phi o rho = 0}, and the discrete Lagrange-d'Alembert equations
+
+    D_2 L_d(q_{k-1}, q_k) + D_1 L_d(q_k, q_{k+1}) + h mu(q_k)^T lambda_{k+1} = 0,
+    phi_d(q_k, q_{k+1}) = 0
+
+lead from one pair of nodes to the next.  Without constraints they are the discrete Euler-Lagrange
+equations.  A pair (q_{k-1}, q_k) belongs to the state (q, v) = rho(q_{k-1}, q_k) and to its time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from ..core import arguments
+from .. import geometry
+from ..core import Array, Handle, ffi, lib, require_system
+
+
+__all__ = ["DifferenceMap", "Discrete", "NodeRun", "Regularity", "exact_velocity"]
+
+class DifferenceMap:
+    """A finite difference map rho(q0, q1) = (g, f) for a step h (FDM).
+
+    Parameters
+    ----------
+    beta : float, optional
+        In [0, 1]; g = (1 - beta) q0 + beta q1 and f = (q1 - q0)/h (robeta).  For a map of your
+        own: where between the nodes g lies, which only forces that depend on time have to know.
+    map : callable, optional
+        ``map(h, q0, q1) -> (g, f)``, each of shape (n,), with g(q, q) = q, f(q, q) = 0 and
+        df/dq1 = 1/h on the diagonal.
+    derivatives : callable, optional
+        ``derivatives(h, q0, q1) -> (dg/dq0, dg/dq1, df/dq0, df/dq1)``, each of shape (n, n).
+        None: by central differences, which cost about 1e-12 of the derivatives of L_d.
+
+    Raises
+    ------
+    ValueError
+        If beta is not in [0, 1], or a function cannot be called.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dalembert as dal
+    >>> dal.DifferenceMap(0.5)
+    <DifferenceMap beta = 0.5>
+    >>> bent = dal.DifferenceMap(
+    ...     map=lambda h, q0, q1: ((q0 + q1) / 2, 2 * np.sinh((q1 - q0) / 2) / h)
+    ... )
+    >>> q, v = dal.Discrete(dal.systems.particle(), bent).state(0.1, [0, 1, 0], [0.1, 1, 0])
+    >>> v.round(6)
+    array([1.000417, 0.      , 0.      ])
+    """
+
+    __slots__ = ("_beta", "_derivatives", "_map")
+
+    def __init__(
+        self,
+        beta: float = 0.5,
+        *,
+        map: Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None = None,
+        derivatives: Callable[[float, Array, Array], tuple[ArrayLike, ...]] | None = None,
+    ) -> None:
+        arguments.function(map, "map")
+        arguments.function(derivatives, "derivatives")
+        if derivatives is not None and map is None:
+            raise ValueError("derivatives without map(h, q0, q1) -> (g, f)")
+        beta = arguments.number(beta, "beta")
+        if not 0 <= beta <= 1:
+            raise ValueError(f"beta = {beta}: expected a number in [0, 1]")
+        self._beta, self._map, self._derivatives = beta, map, derivatives
+
+    @property
+    def beta(self) -> float:
+        """Where between the nodes g lies."""
+        return self._beta
+
+    @property
+    def map(self) -> Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None:
+        """The map of the user's own; None for rho^beta."""
+        return self._map
+
+    @property
+    def derivatives(self) -> Callable[[float, Array, Array], tuple[ArrayLike, ...]] | None:
+        """The derivatives of `map`; None where they are differenced."""
+        return self._derivatives
+
+    def __repr__(self) -> str:
+        name = getattr(self._map, "__name__", self._map)
+        own = "" if self._map is None else f", map = {name}"
+        return f"<DifferenceMap beta = {self._beta:g}{own}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore_map, (self._beta, self._map, self._derivatives)
+
+    def _definition(self, n: int) -> tuple[Any, Any]:
+        """Return a ``dal_difference_map *`` for n coordinates, and what it needs to stay alive."""
+        if self._map is None:
+            return ffi.new("dal_difference_map *", {"beta": self._beta}), None
+        callables = core.MapCallables(n, self._map, self._derivatives)
+        context = ffi.new_handle(callables)
+        definition = {
+            "beta": self._beta,
+            "map": lib.dal_py_map,
+            "differenced": int(self._derivatives is None),
+            "ctx": context,
+        }
+        return ffi.new("dal_difference_map *", definition), (callables, context)
+
+
+def _restore_map(beta: float, map: Any, derivatives: Any) -> DifferenceMap:
+    """Make a map again from its parts."""
+    return DifferenceMap(beta, map=map, derivatives=derivatives)
+
+
+class Regularity(NamedTuple):
+    """The matrix of the equations for the next node, see `Discrete.regularity`.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (n + m, n + m)
+        [[D_1 D_2 L_d, mu^T], [D_2 phi_d, 0]].
+    sign : int
+        Of the determinant; 0 where it vanishes to working precision.
+    logarithm : float
+        log |determinant|, -inf where it vanishes.
+    condition : float
+        Of the matrix with its first n columns multiplied by h; inf where the determinant vanishes.
+    """
+
+    matrix: Array
+    sign: int
+    logarithm: float
+    condition: float
+
+
+class NodeRun(NamedTuple):
+    """A run on nodes, see `Discrete.run`.
+
+    Attributes
+    ----------
+    nodes : ndarray, shape (steps + 2, n)
+    multipliers : ndarray, shape (steps, m)
+        Row k acts at node k + 1; forces.
+    """
+
+    nodes: Array
+    multipliers: Array
+
+
+class Discrete:
+    """A system with its discrete Lagrangian and its discrete constraint.
+
+    Parameters
+    ----------
+    system : System
+    lagrangian : DifferenceMap or float, optional
+        The map rho of L_d = h L o rho; a number is beta.
+    constraint : DifferenceMap or float, optional
+        The map of phi_d = phi o rho, and of states.  None: the same.
+
+    Raises
+    ------
+    ValueError
+        If a map is neither a DifferenceMap nor a number in [0, 1].
+
+    Notes
+    -----
+    The methods take nodes and velocities of shape (n,), the step h first and times t last; they
+    raise ValueError for arguments of another shape, that are not finite, or h = 0; DomainError
+    where a function of the system or of the map is not finite; and whatever such a function
+    raises.  Threads may share it as far as these functions may.
+
+    Examples
+    --------
+    The midpoint map, ten steps of the particle on its nodes and on its states:
+
+    >>> import numpy as np
+    >>> import dalembert as dal
+    >>> particle = dal.systems.particle()
+    >>> discrete = dal.Discrete(particle, 0.5)
+    >>> q, v = particle.q0, particle.v0
+    >>> run = discrete.run(0.1, *discrete.nodes(0.1, q, v), steps=10)
+    >>> for k in range(10):
+    ...     q, v, reaction = discrete.advance(0.1, q, v)
+    >>> np.allclose(discrete.state(0.1, *run.nodes[-2:]), (q, v))
+    True
+    """
+
+    def __init__(
+        self,
+        system: Handle,
+        lagrangian: DifferenceMap | float = 0.5,
+        constraint: DifferenceMap | float | None = None,
+    ) -> None:
+        require_system(system)
+        self._system = system
+        self._maps = (
+            _difference_map(lagrangian, "lagrangian"),
+            None if constraint is None else _difference_map(constraint, "constraint"),
+        )
+        self._definitions = [
+            (ffi.NULL, None) if one is None else one._definition(system.n) for one in self._maps
+        ]
+        self._workspaces: list[Any] = []
+        with self._workspace():
+            pass
+
+    @contextlib.contextmanager
+    def _workspace(self) -> Iterator[Any]:
+        """Lend a ``dal_discrete``; threads and callbacks that come back each get their own."""
+        try:
+            discrete = self._workspaces.pop()
+        except IndexError:
+            definitions = [one for one, _ in self._definitions]
+            discrete = core.make(
+                "discrete",
+                self._system._handle,
+                *definitions,
+                owner=(self._system, self._definitions),
+            )
+        try:
+            yield discrete
+        finally:
+            self._workspaces.append(discrete)
+
+    def _call(self, function: Callable[..., int], *given: Any) -> None:
+        with self._workspace() as discrete:
+            _check(core.attempt(function, discrete, *given), discrete)
+
+    def _nodes(self, *named: tuple[ArrayLike, str]) -> list[Array]:
+        n = self._system.n
+        return [arguments.array(value, name, (n,)) for value, name in named]
+
+    @property
+    def system(self) -> Handle:
+        """The system."""
+        return self._system
+
+    @property
+    def maps(self) -> tuple[DifferenceMap, DifferenceMap]:
+        """The maps of L_d and of D_d."""
+        lagrangian, constraint = self._maps
+        assert lagrangian is not None
+        return lagrangian, lagrangian if constraint is None else constraint
+
+    def __repr__(self) -> str:
+        lagrangian, constraint = self.maps
+        other = "" if constraint is lagrangian else f", {constraint!r} for D_d"
+        return f"<Discrete {self._system.name}: {lagrangian!r}{other}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Discrete, (self._system, *self._maps)
+
+    # ---- nodes and states ------------------------------------------------------------------
+
+    def state(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
+        """Return the state (q, v) of a pair of nodes by the map of D_d (roloc).
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q0, q1 : array_like, shape (n,)
+
+        Returns
+        -------
+        q, v : ndarray, shape (n,)
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Discrete(dal.systems.particle(), 0.5).state(0.5, [0, 1, 0], [1, 1, 1])
+        (array([0.5, 1. , 0.5]), array([2., 0., 2.]))
+        """
+        h = arguments.number(h, "h")
+        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
+        x = np.empty((2, self._system.n))
+        self._call(lib.dal_discrete_state, h, *map(core.pointer, (q0, q1, x)))
+        return x[0], x[1]
+
+    def nodes(self, h: float, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+        """Return the pair of nodes of a state, by the inverse of the map of D_d.
+
+        A state in D gives a pair of D_d.
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q, v : array_like, shape (n,)
+
+        Returns
+        -------
+        q0, q1 : ndarray, shape (n,)
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+        SingularError, ConvergenceError
+            If a map of your own has no inverse there.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Discrete(dal.systems.particle(), 0.0).nodes(0.5, [0, 1, 0], [1, 1, 1])
+        (array([0., 1., 0.]), array([0.5, 1.5, 0.5]))
+        """
+        h = arguments.number(h, "h")
+        x = np.concatenate(self._nodes((q, "q"), (v, "v")))
+        q0, q1 = np.empty((2, self._system.n))
+        self._call(lib.dal_discrete_nodes, h, *map(core.pointer, (x, q0, q1)))
+        return q0, q1
+
+    # ---- the discrete Lagrangian and constraint ----------------------------------------------
+
+    def lagrangian(self, h: float, q0: ArrayLike, q1: ArrayLike) -> float:
+        """Return L_d(q0, q1) = h L(rho(q0, q1)) (aprox, Ld1).
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q0, q1 : array_like, shape (n,)
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Discrete(dal.systems.particle()).lagrangian(0.5, [0, 1, 0], [1, 1, 1])
+        2.0
+        """
+        h = arguments.number(h, "h")
+        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
+        value = ffi.new("double *")
+        self._call(
+            lib.dal_discrete_lagrangian, h, core.pointer(q0), core.pointer(q1), value,
+            ffi.NULL, ffi.NULL, ffi.NULL,
+        )  # fmt: skip
+        return float(value[0])
+
+    def lagrangian_derivatives(
+        self, h: float, q0: ArrayLike, q1: ArrayLike
+    ) -> tuple[Array, Array, Array]:
+        """Return D_1 L_d, D_2 L_d and D_1 D_2 L_d.
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q0, q1 : array_like, shape (n,)
+
+        Returns
+        -------
+        D1, D2 : ndarray, shape (n,)
+        D12 : ndarray, shape (n, n)
+            Entry [i, j] is d2L_d/dq0_i dq1_j; for a map of your own good to about 1e-10.
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> discrete = dal.Discrete(dal.systems.particle())
+        >>> discrete.lagrangian_derivatives(0.5, [0, 1, 0], [1, 1, 1])[1]
+        array([2., 0., 2.])
+        """
+        h = arguments.number(h, "h")
+        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
+        n = self._system.n
+        D1, D2 = np.empty((2, n))
+        D12 = np.empty((n, n))
+        self._call(
+            lib.dal_discrete_lagrangian, h, core.pointer(q0), core.pointer(q1), ffi.NULL,
+            *map(core.pointer, (D1, D2, D12)),
+        )  # fmt: skip
+        return D1, D2, D12
+
+    def constraint(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Array:
+        """Return phi_d(q0, q1), which is zero for a pair of D_d (DiscNHSet).
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q0, q1 : array_like, shape (n,)
+
+        Returns
+        -------
+        ndarray, shape (m,)
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Discrete(dal.systems.particle()).constraint(0.5, [0, 1, 0], [1, 1, 2])
+        array([2.])
+        """
+        h = arguments.number(h, "h")
+        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
+        phi = np.empty(self._system.m)
+        self._call(
+            lib.dal_discrete_constraint, h, *map(core.pointer, (q0, q1, phi)), ffi.NULL, ffi.NULL
+        )
+        return phi
+
+    def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
+        """Return D_1 phi_d and D_2 phi_d.
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q0, q1 : array_like, shape (n,)
+
+        Returns
+        -------
+        D1, D2 : ndarray, shape (m, n)
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> discrete = dal.Discrete(dal.systems.particle())
+        >>> discrete.constraint_derivatives(0.5, [0, 1, 0], [1, 1, 2])[1]
+        array([[-2., -1.,  2.]])
+        """
+        h = arguments.number(h, "h")
+        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
+        D1, D2 = np.empty((2, self._system.m, self._system.n))
+        self._call(
+            lib.dal_discrete_constraint, h, core.pointer(q0), core.pointer(q1), ffi.NULL,
+            core.pointer(D1), core.pointer(D2),
+        )  # fmt: skip
+        return D1, D2
+
+    def momenta(
+        self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0
+    ) -> tuple[Array, Array]:
+        """Return the discrete Legendre transforms p^- = -D_1 L_d and p^+ = D_2 L_d.
+
+        Along an orbit p^-(q_k, q_{k+1}) - p^+(q_{k-1}, q_k) = h mu(q_k)^T lambda_{k+1}.
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q0, q1 : array_like, shape (n,)
+        t : float, optional
+            Time of the pair, for generalized forces, which are part of the momenta.
+
+        Returns
+        -------
+        minus, plus : ndarray, shape (n,)
+            Momenta at q0 and at q1.
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Discrete(dal.systems.particle()).momenta(0.5, [0, 1, 0], [1, 1, 1])
+        (array([2., 0., 2.]), array([2., 0., 2.]))
+        """
+        h, t = arguments.number(h, "h"), arguments.number(t, "t")
+        q0, q1 = self._nodes((q0, "q0"), (q1, "q1"))
+        minus, plus = np.empty((2, self._system.n))
+        self._call(lib.dal_discrete_momenta, t, h, *map(core.pointer, (q0, q1, minus, plus)))
+        return minus, plus
+
+    def momentum(
+        self,
+        h: float,
+        q0: ArrayLike,
+        q1: ArrayLike,
+        xi0: ArrayLike,
+        xi1: ArrayLike,
+        t: float = 0.0,
+    ) -> tuple[float, float]:
+        """Return p^- . xi0 and p^+ . xi1, the discrete momentum of a symmetry.
+
+        They are equal if L_d is invariant; and constant along an orbit if moreover there is no
+        constraint, or xi lies in D at every node.
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q0, q1 : array_like, shape (n,)
+        xi0, xi1 : array_like, shape (n,)
+            The generator of the symmetry at q0 and at q1.
+        t : float, optional
+            Time of the pair.
+
+        Returns
+        -------
+        minus, plus : float
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> particle = dal.systems.particle()  # does not notice a translation along y
+        >>> y = [0, 1, 0]
+        >>> dal.Discrete(particle).momentum(0.5, [0, 1, 0], [1, 2, 1], y, y)
+        (2.0, 2.0)
+        """
+        h, t = arguments.number(h, "h"), arguments.number(t, "t")
+        given = self._nodes((q0, "q0"), (q1, "q1"), (xi0, "xi0"), (xi1, "xi1"))
+        minus, plus = ffi.new("double *"), ffi.new("double *")
+        self._call(lib.dal_discrete_momentum, t, h, *map(core.pointer, given), minus, plus)
+        return float(minus[0]), float(plus[0])
+
+    # ---- the discrete equations --------------------------------------------------------------
+
+    def residual(
+        self,
+        h: float,
+        q_before: ArrayLike,
+        q: ArrayLike,
+        q_after: ArrayLike,
+        multipliers: ArrayLike,
+        t: float = 0.0,
+    ) -> Array:
+        """Return the left sides of the discrete Lagrange-d'Alembert equations (DLA).
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q_before, q, q_after : array_like, shape (n,)
+            Three nodes.
+        multipliers : array_like, shape (m,)
+            lambda_{k+1}, a force.
+        t : float, optional
+            Time of the pair (q_before, q).
+
+        Returns
+        -------
+        ndarray, shape (n + m,)
+            n momenta, then phi_d(q, q_after).
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> discrete = dal.Discrete(dal.systems.particle())
+        >>> discrete.residual(0.5, [0, 1, 0], [1, 1, 1], [2, 1, 2], [0.25])
+        array([-0.125,  0.   ,  0.125,  0.   ])
+        """
+        h, t = arguments.number(h, "h"), arguments.number(t, "t")
+        given = self._nodes((q_before, "q_before"), (q, "q"), (q_after, "q_after"))
+        given.append(arguments.array(multipliers, "multipliers", (self._system.m,)))
+        residual = np.empty(self._system.n + self._system.m)
+        self._call(
+            lib.dal_discrete_residual, t, h, *map(core.pointer, given), core.pointer(residual)
+        )
+        return residual
+
+    def regularity(self, h: float, q: ArrayLike, q_after: ArrayLike, t: float = 0.0) -> Regularity:
+        """Return the matrix that has to be invertible where q_after is to be found.
+
+        It is (RegularityDLA) with the right sides of prop. REG: the node map is defined near
+        (q, q_after) if its determinant, sign * exp(logarithm), is not 0.
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q, q_after : array_like, shape (n,)
+        t : float, optional
+            Time of the pair before.
+
+        Returns
+        -------
+        Regularity
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+
+        Examples
+        --------
+        A step of the particle that no multiplier makes possible:
+
+        >>> import dalembert as dal
+        >>> discrete = dal.Discrete(dal.systems.particle(), 1.0)
+        >>> discrete.regularity(0.5, [0, -1, 0], [1, 1, 0]).sign
+        0
+        """
+        h, t = arguments.number(h, "h"), arguments.number(t, "t")
+        q, q_after = self._nodes((q, "q"), (q_after, "q_after"))
+        size = self._system.n + self._system.m
+        matrix = np.empty((size, size))
+        sign = ffi.new("int *")
+        logarithm, condition = ffi.new("double *"), ffi.new("double *")
+        self._call(
+            lib.dal_discrete_regularity, t, h, *map(core.pointer, (q, q_after, matrix)), sign,
+            logarithm, condition,
+        )  # fmt: skip
+        return Regularity(matrix, int(sign[0]), float(logarithm[0]), float(condition[0]))
+
+    def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> tuple[Array, Array]:
+        """Return the node after the pair (q0, q1), and the multipliers (NHFlow).
+
+        The pair need not lie in D_d; the new one does.
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q0, q1 : array_like, shape (n,)
+        t : float, optional
+            Time of the pair.
+
+        Returns
+        -------
+        q2 : ndarray, shape (n,)
+        multipliers : ndarray, shape (m,)
+            Forces.
+
+        Raises
+        ------
+        ValueError, DomainError
+            As of the class.
+        SingularError
+            If the matrix of `regularity` is singular.
+        ConvergenceError
+            If Newton's iteration does not converge.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> q2, multipliers = dal.Discrete(dal.systems.particle()).step(0.5, [0, 1, 0], [1, 1, 1])
+        >>> q2
+        array([2., 1., 2.])
+        """
+        h, t = arguments.number(h, "h"), arguments.number(t, "t")
+        pair = [node.copy() for node in self._nodes((q0, "q0"), (q1, "q1"))]
+        multipliers = np.empty(self._system.m)
+        self._call(lib.dal_discrete_step, t, h, *map(core.pointer, pair), core.pointer(multipliers))
+        return pair[1], multipliers
+
+    def run(
+        self, h: float, q0: ArrayLike, q1: ArrayLike, *, steps: int, t0: float = 0.0
+    ) -> NodeRun:
+        """Make steps on nodes, from a pair of D_d.
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q0, q1 : array_like, shape (n,)
+            The first two nodes, see `nodes`.
+        steps : int
+            How many nodes are found.
+        t0 : float, optional
+            Time of the pair (q0, q1), which is that of its state.
+
+        Returns
+        -------
+        NodeRun
+
+        Raises
+        ------
+        ValueError
+            As of the class.
+        NotOnConstraintError
+            If (q0, q1) does not lie in D_d; `step` leads there.
+        DomainError, SingularError, ConvergenceError
+            As of `step`; ``.step`` is the number of good steps.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> discrete = dal.Discrete(dal.systems.particle())
+        >>> discrete.run(0.5, [0, 1, 0], [1, 1, 1], steps=3).nodes[-1]
+        array([4., 1., 4.])
+        """
+        t0 = arguments.number(t0, "t0")
+        h = arguments.step_size(h, t0)
+        steps = arguments.integer(steps, "steps", 0)
+        nodes = np.empty((steps + 2, self._system.n))
+        nodes[:2] = self._nodes((q0, "q0"), (q1, "q1"))
+        multipliers = np.empty((steps, self._system.m))
+        done = ffi.new("size_t *")
+        with self._workspace() as discrete:
+            start, most = 0, geometry.most_in_a_call(self._system)
+            while True:
+                count = min(most, steps - start)
+                status = core.attempt(
+                    lib.dal_discrete_run, discrete, t0 + start * h, h, count,
+                    core.pointer(nodes, start), core.pointer(multipliers, start), done,
+                )  # fmt: skip
+                _check(status, discrete, start + int(done[0]))
+                start += count
+                if start == steps:
+                    return NodeRun(nodes, multipliers)
+
+    def advance(
+        self, h: float, q: ArrayLike, v: ArrayLike, t: float = 0.0
+    ) -> tuple[Array, Array, Array]:
+        """Return the state a step later, and the multipliers: rho F rho^-1 (VNI).
+
+        The new state lies in D to roundoff.  If both maps are rho^beta, this is the scheme beta
+        of `integrate`.
+
+        Parameters
+        ----------
+        h : float
+            The step.
+        q, v : array_like, shape (n,)
+            A state in D.
+        t : float, optional
+            Time of the state.
+
+        Returns
+        -------
+        q, v : ndarray, shape (n,)
+        multipliers : ndarray, shape (m,)
+            Forces.
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError, ConvergenceError
+            As of `step`.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> q, v, _ = dal.Discrete(dal.systems.particle()).advance(0.5, [0, 1, 0], [2, 0, 2])
+        >>> q
+        array([1., 1., 1.])
+        """
+        h, t = arguments.number(h, "h"), arguments.number(t, "t")
+        n = self._system.n
+        x = np.concatenate(self._nodes((q, "q"), (v, "v")))
+        multipliers = np.empty(self._system.m)
+        self._call(lib.dal_discrete_advance, t, h, core.pointer(x), core.pointer(multipliers))
+        return x[:n].copy(), x[n:].copy(), multipliers
+
+
+def _difference_map(value: Any, name: str) -> DifferenceMap:
+    if isinstance(value, DifferenceMap):
+        return value
+    try:
+        return DifferenceMap(value)
+    except ValueError:
+        raise ValueError(
+            f"{name} = {arguments.shown(value)}: expected a DifferenceMap or beta in [0, 1]"
+        ) from None
+
+
+def _check(status: int, discrete: Any, step: int | None = None) -> None:
+    if status < 0:
+        raise core.failure(status, core.string(lib.dal_discrete_message(discrete)), step=step)
+
+
+def exact_velocity(
+    system: Handle,
+    h: float,
+    q0: ArrayLike,
+    q1: ArrayLike,
+    *,
+    t0: float = 0.0,
+    tolerance: float = 1e-13,
+) -> tuple[Array, Array]:
+    """Return the velocity that leads from q0 to q1 in time h, and how far it misses across D.
+
+    The exact discrete constraint D_d^E consists of the pairs (q0, q(h)) of solutions in D.  For
+    any pair the velocity in D at q0 is found whose solution misses q1 only in the direction
+    M^-1 mu^T.
+
+    Parameters
+    ----------
+    system : System
+    h : float
+        Time from q0 to q1, of either sign.
+    q0, q1 : array_like, shape (n,)
+    t0 : float, optional
+        Time at q0.
+    tolerance : float, optional
+        Of the reference flow.
+
+    Returns
+    -------
+    v0 : ndarray, shape (n,)
+    defect : ndarray, shape (m,)
+        mu (q1 - q(h))/h, zero if and only if (q0, q1) lies in D_d^E.
+
+    Raises
+    ------
+    ValueError
+        If an argument has another shape or is not finite, or h = 0.
+    ConvergenceError
+        If h is too large.
+    DomainError, SingularError
+        As of `reference`.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> particle = dal.systems.particle()
+    >>> q1, _ = particle.exact(0.5, [0, 1, 0], [1, 1, 1])
+    >>> v0, defect = dal.exact_velocity(particle, 0.5, [0, 1, 0], q1)
+    >>> v0.round(10)
+    array([1., 1., 1.])
+    """
+    require_system(system)
+    h, t0 = arguments.number(h, "h"), arguments.number(t0, "t0")
+    tolerance = arguments.tolerance(tolerance)
+    q0 = arguments.array(q0, "q0", (system.n,))
+    q1 = arguments.array(q1, "q1", (system.n,))
+    handle, method = system._handle, lib.DAL_FLOW_RK8PD
+    flow = core.make("flow", handle, method, lib.DAL_FLOW_X, tolerance, owner=handle)
+    v0, defect = np.empty(system.n), np.empty(system.m)
+    status = core.watched(
+        lib.dal_exact_velocity, flow, t0, h, *map(core.pointer, (q0, q1, v0, defect))
+    )
+    if status < 0:
+        raise core.failure(status, core.string(lib.dal_flow_message(flow)))
+    return v0, defect

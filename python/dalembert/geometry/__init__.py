@@ -1,0 +1,23 @@
+"""Mechanics on D, charts of D, and what is found when a system is examined at a state."""
+
+from .chart import Chart, cutoff
+from .examination import Check, Difference, examine
+from .mechanics import (
+    acceleration,
+    consistent,
+    energy,
+    field,
+    gram,
+    initial,
+    metric,
+    most_in_a_call,
+    multipliers,
+    perturbed,
+    power,
+    project,
+    projection,
+    relative_residual,
+    residual,
+    states,
+    trajectory,
+)

@@ -1,0 +1,664 @@
+"""Charts of D: its states by m dependent velocities, and the curves between two of them.
+
+Every method takes ``q`` and ``v`` of shape (n,) or (N, n), or ``xi`` of shape (2n-m,) or
+(N, 2n-m), in the user's units, and puts the N first in the shape of its result.
+
+All of them raise ValueError if an argument has another shape or is not finite, DomainError if a
+function of the system is not, SingularError if the dependent velocities are not determined by the
+others (``.step`` is the row that failed), ConvergenceError if they were not found, which can
+happen to nonlinear constraints only, and whatever a function of the user raises.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from . import mechanics
+from ..core import arguments
+from ..core import Array, Handle, ffi, lib, require_system
+
+__all__ = ["Chart", "cutoff"]
+
+_log = logging.getLogger(__name__)
+
+
+class Chart(core.Constant):
+    """Coordinates xi = (q, v of the independent coordinates) of D.
+
+    With B the columns of mu(q) that belong to the dependent coordinates, and A = B^-1 times the
+    others, D is v_dependent = -A v_independent (the Ehresmann connection).  Affine constraints
+    have a further term; of nonlinear ones mu is d(phi)/dv, and v_dependent is found by Newton,
+    which starts at the one of the state where the chart was made.
+
+    A chart does not change, and may be used by several threads.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,), optional
+        The state where the choice is made, in the user's units.  Default: that of the system;
+        for v, where q is given, zero, which does for constraints that are not nonlinear.
+    dependent : str or iterable of str, optional
+        Names of the m dependent coordinates.  Default: chosen by pivoting, in a way that does not
+        depend on the units of the coordinates.
+
+    Attributes
+    ----------
+    system : System
+    dependent, independent : tuple of str
+        In the order of the system's coordinates; rows and columns of A and B follow it.
+    left_inverse : ndarray, shape (2n-m, 2n)
+        The derivative of `drop`; times `jacobian` it is the identity (Inverse).
+
+    Raises
+    ------
+    ValueError, DomainError
+        As at the top of this module.
+    SingularError
+        If the dependent velocities are not determined by the others.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> chart = dal.Chart(dal.systems.particle(), q=[0, 1, 0], dependent="z")
+    >>> q, v = chart.lift([0, 1, 0, 3, 5])          # x y z, and the velocities of x and y
+    >>> v
+    array([3., 5., 3.])
+    """
+
+    def __init__(
+        self,
+        system: Handle,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        dependent: str | Iterable[str] | None = None,
+    ) -> None:
+        require_system(system)
+        if q is not None and v is None:
+            v = np.zeros(system.n)
+        self.system = system
+        self._x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
+        self._width = 2 * system.n - system.m
+        self._workspaces: list[Any] = []
+        self._place = ffi.NULL
+        if dependent is not None:
+            self._place = ffi.new("size_t[]", _indices(system, dependent))
+        with self._workspace() as chart:
+            found = lib.dal_chart_dependent(chart)
+            self._place = ffi.new("size_t[]", [found[a] for a in range(system.m)])
+        chosen = set(self._place)
+        names = system.coordinates
+        self.dependent = tuple(c for i, c in enumerate(names) if i in chosen)
+        self.independent = tuple(c for i, c in enumerate(names) if i not in chosen)
+
+    @contextlib.contextmanager
+    def _workspace(self) -> Iterator[Any]:
+        """Lend a ``dal_chart``, which belongs to one call at a time."""
+        try:
+            chart = self._workspaces.pop()
+        except IndexError:
+            handle = self.system._handle
+            chart = core.make("chart", handle, owner=handle)
+            self._choose(chart)
+        try:
+            yield chart
+        finally:
+            self._workspaces.append(chart)
+
+    def _choose(self, chart: Any) -> None:
+        """Make the choice of this chart that of a ``dal_chart``."""
+        x = core.pointer(self._x)
+        _check(core.attempt(lib.dal_chart_choose, chart, self._place, x), chart, None)
+
+    def _rows(self, function: Callable[..., int], inputs: Iterable[tuple[Any, ...]]) -> None:
+        """Call ``function(chart, *given)``, one call for each row."""
+        with self._workspace() as chart:
+            for k, given in enumerate(inputs):
+                _check(core.attempt(function, chart, *given), chart, k)
+
+    def _states(self, q: ArrayLike, v: ArrayLike | None) -> tuple[Array, bool]:
+        return mechanics.states(self.system, q, np.zeros(np.shape(q)) if v is None else v)
+
+    def _coordinates(self, xi: ArrayLike) -> tuple[Array, bool]:
+        """Return the rows xi, shape (N, 2n-m), always a copy, and whether it was a single one."""
+        given = arguments.array(xi, "xi", (self._width,), (None, self._width))
+        return np.atleast_2d(given).copy(), given.ndim == 1
+
+    def _halves(self, x: Array, single: bool) -> tuple[Array, Array]:
+        n = self.system.n
+        q, v = x[:, :n].copy(), x[:, n:].copy()
+        return (q[0], v[0]) if single else (q, v)
+
+    # ---- the connection ------------------------------------------------------------------
+
+    def A(self, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+        """Return A = B^-1 mu[:, independent], so that v_dependent = -A v_independent on D.
+
+        Parameters
+        ----------
+        q : array_like, shape (n,) or (N, n)
+        v : array_like, shape (n,) or (N, n), optional
+            Matters only if the constraints are nonlinear; default 0.
+
+        Returns
+        -------
+        ndarray, shape (m, n-m) or (N, m, n-m)
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Chart(dal.systems.particle(), dependent="z").A([0, 3, 0])
+        array([[-3.,  0.]])
+        """
+        return self._connection(q, v, 0, self.system.n - self.system.m)
+
+    def B(self, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+        """Return B = mu[:, dependent].
+
+        Parameters
+        ----------
+        q : array_like, shape (n,) or (N, n)
+        v : array_like, shape (n,) or (N, n), optional
+            Matters only if the constraints are nonlinear; default 0.
+
+        Returns
+        -------
+        ndarray, shape (m, m) or (N, m, m)
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Chart(dal.systems.particle(), [0, 3, 0], dependent="x").B([0, 3, 0])
+        array([[-3.]])
+        """
+        return self._connection(q, v, 1, self.system.m)
+
+    def _connection(self, q: ArrayLike, v: ArrayLike | None, which: int, columns: int) -> Array:
+        x, single = self._states(q, v)
+        values = np.empty((len(x), self.system.m * columns))
+        pointers = [ffi.NULL, ffi.NULL]
+        calls = []
+        for k in range(len(x)):
+            pointers[which] = core.pointer(values, k)
+            calls.append((core.pointer(x, k), *pointers))
+        self._rows(lib.dal_chart_connection, calls)
+        matrices = values.reshape(len(x), self.system.m, columns)
+        return matrices[0] if single else matrices
+
+    def condition(self, q: ArrayLike, v: ArrayLike | None = None) -> Any:
+        """Return how much larger v can be than v_independent, in the units 1/sqrt(M_ii).
+
+        It is 1 at best, does not depend on the forms that describe D, and is infinite where the
+        dependent velocities are not determined.
+
+        Parameters
+        ----------
+        q : array_like, shape (n,) or (N, n)
+        v : array_like, shape (n,) or (N, n), optional
+            Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
+
+        Returns
+        -------
+        float or ndarray, shape (N,)
+
+        Raises
+        ------
+        ValueError, DomainError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Chart(dal.systems.particle(), dependent="z").condition([0, 0.75, 0])
+        1.25
+        """
+        x, single = self._states(q, v)
+        values = np.empty(len(x))
+        calls = ((core.pointer(x, k), core.pointer(values, k)) for k in range(len(x)))
+        self._rows(lib.dal_chart_condition, calls)
+        return float(values[0]) if single else values
+
+    def renewed(self, q: ArrayLike, v: ArrayLike | None = None) -> Chart:
+        """Return a chart that is well conditioned at (q, v): this one where it is.
+
+        A change of the dependent coordinates is logged (``logging``, level INFO).
+
+        Parameters
+        ----------
+        q : array_like, shape (n,)
+        v : array_like, shape (n,), optional
+            Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
+
+        Returns
+        -------
+        Chart
+            This very chart if its condition is at most 10 sqrt(1 + m (n-m)), else a new one.  For
+            nonlinear constraints always a new one, whose Newton iteration starts at v.
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> chart = dal.Chart(dal.systems.particle(), dependent="z")
+        >>> chart.renewed([0, 2, 0]) is chart
+        True
+        >>> chart.renewed([0, 100, 0]).dependent
+        ('x',)
+        """
+        system = self.system
+        q = arguments.array(q, "q", (system.n,))
+        v = np.zeros(system.n) if v is None else arguments.array(v, "v", (system.n,))
+        x = np.concatenate([q, v])
+        changed = ffi.new("int *")
+        chart = core.make("chart", system._handle, owner=system._handle)
+        self._choose(chart)
+        status = core.attempt(lib.dal_chart_renew, chart, core.pointer(x), changed)
+        _check(status, chart, None)
+        if changed[0]:
+            _log.info("%s", core.string(lib.dal_chart_message(chart)))
+        elif lib.dal_system_kind(system._handle) != lib.DAL_NONLINEAR:
+            return self
+        found = lib.dal_chart_dependent(chart)
+        return Chart(system, q, v, [system.coordinates[found[a]] for a in range(system.m)])
+
+    def split(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+        """Return v = hor + ver: hor is in D, and ver is zero in the independent components.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (n,) or (N, n)
+
+        Returns
+        -------
+        hor, ver : ndarray, shape (n,) or (N, n)
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError, ConvergenceError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Chart(dal.systems.particle(), dependent="z").split([0, 1, 0], [2, 1, 5])
+        (array([2., 1., 2.]), array([0., 0., 3.]))
+        """
+        x, single = self._states(q, v)
+        parts = np.empty((len(x), 2 * self.system.n))
+        n = self.system.n
+        calls = (
+            (core.pointer(x, k), core.pointer(parts, k), core.pointer(parts, k) + n)
+            for k in range(len(x))
+        )
+        self._rows(lib.dal_chart_split, calls)
+        return self._halves(parts, single)
+
+    # ---- psi -----------------------------------------------------------------------------
+
+    def lift(self, xi: ArrayLike) -> tuple[Array, Array]:
+        """Return the state psi(xi), which lies in D to roundoff (Embedd).
+
+        Parameters
+        ----------
+        xi : array_like, shape (2n-m,) or (N, 2n-m)
+
+        Returns
+        -------
+        q, v : ndarray, shape (n,) or (N, n)
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError, ConvergenceError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Chart(dal.systems.particle(), dependent="z").lift([0, 2, 0, 1, 1])
+        (array([0., 2., 0.]), array([1., 1., 2.]))
+        """
+        xi, single = self._coordinates(xi)
+        x = np.empty((len(xi), 2 * self.system.n))
+        calls = ((core.pointer(xi, k), core.pointer(x, k)) for k in range(len(xi)))
+        self._rows(lib.dal_chart_lift, calls)
+        return self._halves(x, single)
+
+    def drop(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Return xi = (q, v_independent).
+
+        Parameters
+        ----------
+        q, v : array_like, shape (n,) or (N, n)
+
+        Returns
+        -------
+        ndarray, shape (2n-m,) or (N, 2n-m)
+
+        Raises
+        ------
+        ValueError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Chart(dal.systems.particle(), dependent="z").drop([0, 2, 0], [1, 1, 2])
+        array([0., 2., 0., 1., 1.])
+        """
+        x, single = self._states(q, v)
+        xi = np.empty((len(x), self._width))
+        calls = ((core.pointer(x, k), core.pointer(xi, k)) for k in range(len(x)))
+        self._rows(lib.dal_chart_drop, calls)
+        return xi[0] if single else xi
+
+    def jacobian(self, xi: ArrayLike) -> Array:
+        """Return d(q, v)/dxi of `lift` (EhresJota).
+
+        Parameters
+        ----------
+        xi : array_like, shape (2n-m,) or (N, 2n-m)
+
+        Returns
+        -------
+        ndarray, shape (2n, 2n-m) or (N, 2n, 2n-m)
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError, ConvergenceError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Chart(dal.systems.particle(), dependent="z").jacobian([0, 2, 0, 3, 1])[5]
+        array([0., 3., 0., 2., 0.])
+        """
+        xi, single = self._coordinates(xi)
+        values = np.empty((len(xi), 2 * self.system.n * self._width))
+        calls = ((core.pointer(xi, k), core.pointer(values, k), ffi.NULL) for k in range(len(xi)))
+        self._rows(lib.dal_chart_jacobian, calls)
+        matrices = values.reshape(len(xi), 2 * self.system.n, self._width)
+        return matrices[0] if single else matrices
+
+    @property
+    def left_inverse(self) -> Array:
+        """The derivative of `drop`, shape (2n-m, 2n)."""
+        n = self.system.n
+        independent = [i for i in range(n) if i not in set(self._place)]
+        return np.eye(2 * n)[[*range(n), *(n + i for i in independent)]]
+
+    # ---- dynamics ------------------------------------------------------------------------
+
+    def field(self, xi: ArrayLike, t: float = 0.0) -> Array:
+        """Return dxi/dt of the ODE on D (ODExi, ODExiConnec).
+
+        Parameters
+        ----------
+        xi : array_like, shape (2n-m,) or (N, 2n-m)
+        t : float, optional
+
+        Returns
+        -------
+        ndarray, shape (2n-m,) or (N, 2n-m)
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError, ConvergenceError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Chart(dal.systems.particle(), dependent="z").field([0, 1, 0, 1, 1])
+        array([ 1. ,  1. ,  1. , -0.5,  0. ])
+        """
+        xi, single = self._coordinates(xi)
+        t = arguments.number(t, "t")
+        values = np.empty_like(xi)
+        calls = ((t, core.pointer(xi, k), core.pointer(values, k)) for k in range(len(xi)))
+        self._rows(lib.dal_chart_field, calls)
+        return values[0] if single else values
+
+    def multipliers(
+        self, q: ArrayLike, v: ArrayLike, multipliers: ArrayLike | None = None, t: float = 0.0
+    ) -> Array:
+        """Return lambda_E = B^T lambda, the multipliers of the forms [A, I].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (n,) or (N, n)
+        multipliers : array_like, shape (m,) or (N, m), optional
+            lambda.  Default: that of the ODE, `System.multipliers` at the time t.
+        t : float, optional
+            Time of the states.
+
+        Returns
+        -------
+        ndarray, shape (m,) or (N, m)
+            Forces.
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> chart = dal.Chart(dal.systems.particle(), [0, 2, 0], dependent="x")
+        >>> chart.multipliers([0, 2, 0], [1, 1, 2], multipliers=[3])
+        array([-6.])
+        """
+        if multipliers is None:
+            multipliers = self.system.multipliers(q, v, t)
+        return self._frame(lib.dal_chart_multipliers, q, v, multipliers)
+
+    def multipliers_back(self, q: ArrayLike, v: ArrayLike, multipliers: ArrayLike) -> Array:
+        """Return lambda = B^-T lambda_E, the multipliers of mu from those of the forms [A, I].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (n,) or (N, n)
+        multipliers : array_like, shape (m,) or (N, m)
+            lambda_E.
+
+        Returns
+        -------
+        ndarray, shape (m,) or (N, m)
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> chart = dal.Chart(dal.systems.particle(), [0, 2, 0], dependent="x")
+        >>> chart.multipliers_back([0, 2, 0], [1, 1, 2], [-6])
+        array([3.])
+        """
+        return self._frame(lib.dal_chart_multipliers_back, q, v, multipliers)
+
+    def _frame(
+        self, function: Callable[..., int], q: ArrayLike, v: ArrayLike, multipliers: ArrayLike
+    ) -> Array:
+        x, single = self._states(q, v)
+        shape = (self.system.m,) if single else (len(x), self.system.m)
+        given = np.atleast_2d(arguments.array(multipliers, "multipliers", shape))
+        values = np.empty_like(given)
+        calls = (
+            (core.pointer(x, k), core.pointer(given, k), core.pointer(values, k))
+            for k in range(len(x))
+        )
+        self._rows(function, calls)
+        return values[0] if single else values
+
+    def step(
+        self, xi: ArrayLike, h: float, beta: float = 0.5, t: float = 0.0
+    ) -> tuple[Array, Array]:
+        """Return xi after one step of the beta-scheme with moved nodes, and its multiplier.
+
+        The multiplier is eliminated from the equations, as in the decompositions that follow
+        firstorder and secondorder; the state is that of `integrate` to roundoff.
+
+        Parameters
+        ----------
+        xi : array_like, shape (2n-m,) or (N, 2n-m)
+        h : float
+        beta : float, optional
+            In [0, 1]; 0.5 is midpoint.
+        t : float, optional
+            Time at the beginning of the step.
+
+        Returns
+        -------
+        xi : ndarray, shape (2n-m,) or (N, 2n-m)
+        multipliers : ndarray, shape (m,) or (N, m)
+            lambda_E at the node q + (1 - beta) h v: forces.
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError, ConvergenceError
+            As at the top of this module; ConvergenceError for any constraints.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> chart = dal.Chart(dal.systems.particle(), dependent="z")
+        >>> xi, reaction = chart.step([0, 1, 0, 1, 1], h=0.1)
+        >>> bool(abs(reaction[0] - 1 / (1 + 1.05 * 1.1)) < 1e-14)
+        True
+        """
+        xi, single = self._coordinates(xi)
+        h, beta, t = (arguments.number(*pair) for pair in ((h, "h"), (beta, "beta"), (t, "t")))
+        values = np.empty((len(xi), self.system.m))
+        calls = ((t, beta, h, core.pointer(xi, k), core.pointer(values, k)) for k in range(len(xi)))
+        self._rows(lib.dal_chart_step, calls)
+        return (xi[0], values[0]) if single else (xi, values)
+
+    def curve(
+        self, q1: ArrayLike, v1: ArrayLike, q2: ArrayLike, v2: ArrayLike, tau: ArrayLike
+    ) -> tuple[Array, Array]:
+        """Return psi(chi_0(tau) xi1 + chi_1(tau) xi2), a curve in D (yD, InterpolationD).
+
+        It goes from (q1, v1) for tau <= 0 to (q2, v2) for tau >= 1, with all derivatives zero at
+        both ends.
+
+        Parameters
+        ----------
+        q1, v1, q2, v2 : array_like, shape (n,)
+            Two states of D.
+        tau : array_like, shape () or (N,)
+
+        Returns
+        -------
+        q, v : ndarray, shape (n,) or (N, n)
+
+        Raises
+        ------
+        ValueError, DomainError, SingularError, ConvergenceError
+            As at the top of this module.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> chart = dal.Chart(dal.systems.particle(), dependent="z")
+        >>> chart.curve([0, 1, 0], [2, 1, 2], [4, 3, 2], [0, 3, 0], 0.5)
+        (array([2., 2., 1.]), array([1., 2., 2.]))
+        """
+        n = self.system.n
+        given = ((q1, "q1"), (v1, "v1"), (q2, "q2"), (v2, "v2"))
+        ends = np.concatenate([arguments.array(value, name, (n,)) for value, name in given])
+        times = arguments.array(tau, "tau", (), (None,))
+        x = np.empty((times.size, 2 * n))
+        first, second = core.pointer(ends), core.pointer(ends) + 2 * n
+        calls = (
+            (first, second, float(each), core.pointer(x, k)) for k, each in enumerate(times.flat)
+        )
+        self._rows(lib.dal_chart_curve, calls)
+        return self._halves(x, times.ndim == 0)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        n = self.system.n
+        return Chart, (self.system, self._x[:n], self._x[n:], self.dependent)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Chart of {self.system.name}: ({', '.join(self.dependent)}) depend on "
+            f"({', '.join(self.independent)})>"
+        )
+
+
+def cutoff(tau: ArrayLike) -> tuple[Any, Any, Any]:
+    """Return the cut-off functions chi_0 and chi_1 = 1 - chi_0, and d chi_0 / d tau (CutOff).
+
+    chi_0 = (1 + tanh cot(pi tau)) / 2 on 0 < tau < 1, 1 before and 0 after.
+
+    Parameters
+    ----------
+    tau : array_like
+        Real numbers.
+
+    Returns
+    -------
+    chi_0, chi_1, slope : float or ndarray, shape of tau
+        To full relative accuracy, however small.
+
+    Examples
+    --------
+    >>> from dalembert.chart import cutoff
+    >>> cutoff([0.0, 0.5, 1.0])[0]
+    array([1. , 0.5, 0. ])
+    """
+    given = np.asarray(tau, dtype=float, order="C")
+    values = np.empty((3, given.size))
+    for k, each in enumerate(given.flat):
+        lib.dal_cutoff(float(each), *(core.pointer(values, row) + k for row in range(3)))
+    first, second, slope = values.reshape(3, *given.shape)
+    return (first, second, slope) if given.ndim else (float(first), float(second), float(slope))
+
+
+def _check(status: int, chart: Any, row: int | None) -> None:
+    if status < 0:
+        raise core.failure(status, core.string(lib.dal_chart_message(chart)), step=row)
+
+
+def _indices(system: Handle, dependent: str | Iterable[str]) -> list[int]:
+    """Return the places of m names of coordinates."""
+    names = [dependent] if isinstance(dependent, str) else dependent
+    names = arguments.names(names, "dependent", f"m = {system.m} names of coordinates")
+    unknown = [name for name in names if name not in system.coordinates]
+    if unknown:
+        raise ValueError(
+            f"dependent: there is no coordinate {arguments.shown(unknown[0])}; "
+            f"{arguments.suggestion(unknown[0], system.coordinates)}there are "
+            f"{', '.join(system.coordinates)}"
+        )
+    if len(names) != system.m:
+        raise ValueError(
+            f"dependent = {names!r}: expected m = {system.m} names of coordinates, one for each "
+            "constraint"
+        )
+    return [system.coordinates.index(name) for name in names]

@@ -1,0 +1,256 @@
+"""What is found when a system is examined at a state."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from . import mechanics
+from ..core import Handle, ffi, lib
+
+__all__ = ["Check", "Difference", "examine"]
+
+DERIVATIVES = (
+    "V_q", "V_qq", "L_q", "L_v", "L_qq", "L_vq", "L_vv", "f_q", "f_v", "phi_v", "phi_q",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A derivative compared with central differences.
+
+    Attributes
+    ----------
+    error : float
+        Worst ``|given - differenced| / (1 + |differenced|)`` over the entries.
+    given, expected : float
+        The two numbers at that entry.
+    row, column : int
+        Which entry it is.
+    checked : bool
+        False if the derivative was not provided, or no entry could be judged, so that there is
+        nothing to compare.
+    wrong : bool
+        True if the two numbers are not the same.
+    unjudged : int
+        How many entries stand where differences do not converge, and were left out.
+    """
+
+    error: float
+    given: float
+    expected: float
+    row: int
+    column: int
+    checked: bool
+    wrong: bool = False
+    unjudged: int = 0
+
+    @classmethod
+    def read(cls, found: Any) -> Difference:
+        """Return the comparison of a ``dal_difference``."""
+        return cls(
+            error=found.error,
+            given=found.given,
+            expected=found.expected,
+            row=int(found.row),
+            column=int(found.column),
+            checked=bool(found.checked),
+            wrong=bool(found.wrong),
+            unjudged=int(found.unjudged),
+        )
+
+    def __str__(self) -> str:
+        left = f"{self.unjudged} not judged: differences do not converge" if self.unjudged else ""
+        if not self.checked:
+            return left or "not given, nothing to compare"
+        return (
+            f"worst error {self.error:.1e} at [{self.row}, {self.column}]: "
+            f"given {self.given:.10g}, by differences {self.expected:.10g}"
+            + (f"; {left}" if left else "")
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Check:
+    """What `System.check` found at one state; true if all is as it should be.
+
+    Attributes
+    ----------
+    passed : bool
+        True if everything below is as it should be.
+    kind : {"linear", "affine", "nonlinear"}
+        Of the constraints.
+    general, forced : bool
+        True if the system has a Lagrangian of its own; if it has a force.
+    V_q, V_qq : Difference
+        gradient and hessian against differences.
+    L_q, L_v, L_qq, L_vq, L_vv : Difference
+        The derivatives of a general Lagrangian, lagrangian_q and so on.
+    f_q, f_v : Difference
+        force_q and force_v.
+    phi_v, phi_q : Difference
+        The derivatives of the constraints: phi_v is forms, against what it is the derivative of
+        where that is given, or constraint_v; phi_q is d(mu v)/dq, or constraint_q.
+    linearity : float
+        Worst change of mu with v; it must not depend on v, unless the constraints are nonlinear.
+    rank : int
+        Of mu; should be m.
+    condition : float
+        Condition number of mu in the mass metric.
+    mass_min, kernel_min : float
+        Smallest eigenvalues of the mass matrix M at the state, on R^n and on ker mu.
+    residual : float
+        As `System.relative_residual`: 0 if the velocity lies in D.
+    curvature : float
+        Largest curvature of D over an orthonormal basis; 0 if D is integrable here.  NaN unless the
+        constraints are linear.
+    integrable : bool
+        True if D is integrable at general points, a holonomic constraint in disguise: what its
+        growth vector says; if that is not known, whether the curvature vanishes here and nearby.
+        Where mu is given in pieces (Max, Abs, Piecewise, ...) that is said of the surroundings of
+        the state, unless ``exact``.
+    text : str
+        The first thing found wrong, or a summary.
+    growth : tuple of int or None
+        Growth vector of D: dimensions of D, D + [D, D], ...  At q, if q was given; else at a
+        general point near the initial data.
+        Its end is n if D is bracket generating; n - k, twice, if there are k holonomic constraints
+        in disguise; for anything else see `growth_note`.  None if it is not known, or the
+        constraints are not linear.
+    general_growth : tuple of int or None
+        At a general point, the largest of some that are looked at, most of them near the state;
+        where it differs, q is a singular one, or lies where mu is simpler than elsewhere.
+    growth_note : str
+        Why ``growth`` ends before that, or of which points it is known; or "".
+    holonomic : tuple of str
+        Of a system made by `System.from_sympy`: its constraints that are holonomic in disguise by
+        themselves, and how many are if several are taken together.
+    exact : bool
+        True if it is proved that D is integrable, or bracket generating, which takes expressions:
+        those of `System.from_sympy`, or formulas that say what the system is.  False if it was seen
+        at random points.
+    digits : int
+        With which it was seen there: 30 with expressions, 16 with functions.
+    """
+
+    passed: bool
+    kind: str
+    general: bool
+    forced: bool
+    V_q: Difference
+    V_qq: Difference
+    L_q: Difference
+    L_v: Difference
+    L_qq: Difference
+    L_vq: Difference
+    L_vv: Difference
+    f_q: Difference
+    f_v: Difference
+    phi_v: Difference
+    phi_q: Difference
+    linearity: float
+    rank: int
+    condition: float
+    mass_min: float
+    kernel_min: float
+    residual: float
+    curvature: float
+    integrable: bool
+    text: str
+    growth: tuple[int, ...] | None = None
+    general_growth: tuple[int, ...] | None = None
+    growth_note: str = ""
+    holonomic: tuple[str, ...] = ()
+    exact: bool = False
+    digits: int = 16
+
+    def __bool__(self) -> bool:
+        return self.passed
+
+    def with_distribution(self, found: Any) -> Check:
+        """Return the check with what else was found of D; on integrability there is one answer."""
+        if found.integrable and found.digits == 16 and not self.integrable:
+            found = dataclasses.replace(found, integrable=False)  # curved at one of the points
+        known = dataclasses.asdict(found)
+        if found.integrable is None or found.integrable == self.integrable:
+            return dataclasses.replace(self, **(known | {"integrable": self.integrable}))
+        first, sign, _ = self.text.rpartition("; D is ")
+        said = "integrable" if found.integrable else "not integrable"
+        text = f"{first}{sign}{said}" if self.passed else self.text
+        return dataclasses.replace(self, **(known | {"text": text}))
+
+    def __str__(self) -> str:
+        curvature = f"{self.curvature:.3g}" + (", integrable" * self.integrable)
+        lines: list[tuple[str, Any]] = [
+            *self._derivatives(),
+            ("change of mu with v", f"{self.linearity:.1e}"),
+            ("rank of mu", self.rank),
+            ("condition of mu", f"{self.condition:.3g}"),
+            ("smallest mass", f"{self.mass_min:.6g}, on ker mu {self.kernel_min:.6g}"),
+            ("|phi|, relative", f"{self.residual:.1e}"),
+            ("curvature of D", curvature if self.kind == "linear" else f"- ({self.kind})"),
+        ]
+        if self.growth is not None:
+            how = "" if self.exact else " (seen at points)"
+            note = f"; {self.growth_note}" if self.growth_note else ""
+            lines.append(("growth vector of D", f"{self.growth}{how}{note}"))
+        elif self.growth_note:
+            lines.append(("growth vector of D", f"not known; {self.growth_note}"))
+        if self.general_growth != self.growth:
+            lines.append(("at a general point", self.general_growth))
+        lines += [("holonomic in disguise", text) for text in self.holonomic]
+        head = ("passed: " if self.passed else "FAILED: ") + self.text
+        return "\n".join([head, *(f"{name:20} {value}" for name, value in lines)])
+
+    def __repr__(self) -> str:
+        return f"<Check: {'passed' if self.passed else 'FAILED'}: {self.text}>"
+
+    def _derivatives(self) -> list[tuple[str, Difference]]:
+        """Return the derivatives that a system of this kind may have."""
+        found = [("gradient (V_q)", self.V_q), ("hessian (V_qq)", self.V_qq)]
+        if self.general:
+            names = ("L_q", "L_v", "L_qq", "L_vq", "L_vv")
+            found = [(f"lagrangian{name[1:]} ({name})", getattr(self, name)) for name in names]
+        if self.forced:
+            found += [("force_q (f_q)", self.f_q), ("force_v (f_v)", self.f_v)]
+        if self.kind == "nonlinear":
+            return [
+                *found,
+                ("constraint_v (phi_v)", self.phi_v),
+                ("constraint_q (phi_q)", self.phi_q),
+            ]
+        if self.kind == "affine":
+            found.append(("forms (phi_v)", self.phi_v))
+        return [*found, ("d(mu v)/dq (phi_q)" if self.kind == "linear" else "phi_q", self.phi_q)]
+
+
+def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
+    """Return what the core finds at a state; see `System.check`."""
+    x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
+    report = ffi.new("dal_check *")
+    error = ffi.new("dal_error *")
+    status = core.attempt(lib.dal_system_check, system._handle, core.pointer(x), report, error)
+    # A callback that is not finite is a finding; an exception of the user's is not.
+    if status < 0 and not (status == lib.DAL_EDOMAIN and core.string(report.text)):
+        raise core.failure(status, core.string(error.text), kind=system.kind)
+    return Check(
+        passed=bool(report.passed) and status == lib.DAL_SUCCESS,
+        kind=system.kind,
+        general=system.mass is None,
+        forced=system.is_forced,
+        **{name: Difference.read(getattr(report, name)) for name in DERIVATIVES},
+        linearity=report.linearity,
+        rank=int(report.rank),
+        condition=report.condition,
+        mass_min=report.mass_min,
+        kernel_min=report.kernel_min,
+        residual=report.residual,
+        curvature=report.curvature,
+        integrable=bool(report.integrable),
+        text=core.in_python(core.string(report.text), system.kind),
+    )

@@ -1,0 +1,634 @@
+"""Mechanics on D, at one state or at N stacked ones.
+
+Every function takes ``q`` and ``v`` of shape (n,) or (N, n), in the user's units, and puts the N
+first in the shape of its result.  They are also methods of `dalembert.System`.  The sign and the
+scale of the multiplier: d/dt L_v - L_q = f + mu^T lambda, so lambda is a force.  Here M is L_vv,
+the mass matrix; D is {phi(q, v) = 0}; mu is phi_v, and phi is mu v for linear constraints.
+
+All of them raise ValueError if an argument has another shape or is not finite, DomainError if a
+function of the system is not, SingularError if mu(q) loses rank (``.step`` is the row that
+failed), and whatever a function of the user raises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from ..core import arguments
+from ..core import Array, Handle, ffi, lib
+
+__all__ = [
+    "acceleration",
+    "consistent",
+    "energy",
+    "field",
+    "gram",
+    "metric",
+    "multipliers",
+    "perturbed",
+    "power",
+    "project",
+    "relative_residual",
+    "residual",
+]
+
+def most_in_a_call(system: Handle) -> int:
+    """Return how many states or steps C may work on in one call, so that Ctrl-C is seen soon.
+
+    It takes a tenth of a second at most, as a state takes some (n + m)^3 operations.  It depends on
+    the sizes only, not on the machine, and so do the bits of what is summed up in a call.
+    """
+    return max(1, min(2**14, 2**22 // (system.n + system.m) ** 3))
+
+
+# ---- states --------------------------------------------------------------------------------
+
+
+def states(
+    system: Handle, q: ArrayLike, v: ArrayLike, names: tuple[str, str] = ("q", "v")
+) -> tuple[Array, bool]:
+    """Return the rows (q, v), shape (N, 2n), always a copy, and whether it was a single state.
+
+    ``names`` are those of the two arguments.
+    """
+    n = system.n
+    q = arguments.array(q, names[0], (n,), (None, n))
+    v = arguments.array(v, names[1], (n,), (None, n))
+    if q.shape != v.shape:
+        raise ValueError(f"{names[1]}: expected shape {q.shape} as {names[0]} has, got {v.shape}")
+    return np.concatenate([np.atleast_2d(q), np.atleast_2d(v)], axis=1), q.ndim == 1
+
+
+def initial(
+    system: Handle, q0: ArrayLike | None, v0: ArrayLike | None, *names: str
+) -> tuple[Array, Array]:
+    """Return initial data, those of the system where none are given; ValueError for half of them.
+
+    ``names`` are those of the two arguments, by default q0 and v0.
+    """
+    found = []
+    q_name, v_name = names or ("q0", "v0")
+    arguments.pair(q0, v0, (q_name, v_name), " for those of the system")
+    for given, default, name in ((q0, system.q0, q_name), (v0, system.v0, v_name)):
+        value = default if given is None else given
+        if value is None:
+            raise ValueError(f"{name}: needed, the system {system.name!r} has no initial data")
+        found.append(arguments.array(value, name, (system.n,)))
+    return found[0], found[1]
+
+
+def trajectory(
+    system: Handle,
+    x: Array,
+    output: str,
+    *,
+    t0: float = 0.0,
+    h: float = 0.0,
+    shift: float = 0.0,
+) -> Array:
+    """Evaluate one output of ``dal_trajectory`` on the rows of ``x``, shape (N, 2n)."""
+    outputs = {"energy": (), "multipliers": (system.m,), "residual": (system.m,), "relative": ()}
+    values = np.empty((len(x), *outputs[output]))
+    done = ffi.new("size_t *")
+    with system._mechanics.lend() as mechanics:
+        most = most_in_a_call(system)
+        for start in range(0, len(x), most):
+            count = min(most, len(x) - start)
+            pointers = [
+                core.pointer(values, start, output=True) if name == output else ffi.NULL
+                for name in outputs
+            ]
+            status = core.attempt(
+                lib.dal_trajectory, mechanics, t0 + start * h, h, shift, count,
+                core.pointer(x, start, count * 2 * system.n), *pointers, done,
+            )  # fmt: skip
+            _check(status, system, mechanics, start + done[0])
+    return values
+
+
+def rows(
+    system: Handle,
+    function: Callable[..., int],
+    inputs: Iterable[tuple[Any, ...]],
+    values: Array | None = None,
+) -> None:
+    """Call ``function(mechanics, *given)``, one call for each row."""
+    with system._mechanics.lend() as mechanics:
+        for k, given in enumerate(inputs):
+            output = () if values is None else (core.pointer(values, k),)
+            status = core.attempt(function, mechanics, *given, *output)
+            _check(status, system, mechanics, k)
+
+
+def _check(status: int, system: Handle, mechanics: Any, row: int) -> None:
+    if status < 0:
+        message = core.string(lib.dal_mechanics_message(mechanics))
+        raise core.failure(status, message, kind=system.kind, step=int(row))
+
+
+# ---- functions -----------------------------------------------------------------------------
+
+
+def energy(system: Handle, q: ArrayLike, v: ArrayLike) -> Any:
+    """Return E = L_v v - L, which is v^T M v / 2 + V(q) for a constant mass.
+
+    It is a first integral on D, unless there is a force or the constraint forces work, see `power`.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+
+    Returns
+    -------
+    float or ndarray, shape (N,)
+
+    Raises
+    ------
+    ValueError, DomainError
+        As at the top of this module.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.particle().energy([0, 1, 0], [1, 1, 1])
+    1.5
+    """
+    x, single = states(system, q, v)
+    values = trajectory(system, x, "energy")
+    return float(values[0]) if single else values
+
+
+def residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:
+    """Return phi(q - shift v, v): zero on D (shift 0) or on D_eps (shift (1 - beta) h).
+
+    For linear constraints it is mu(q - shift v) v.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    shift : float, optional
+        A time, in the user's units.
+
+    Returns
+    -------
+    ndarray, shape (m,) or (N, m)
+
+    Raises
+    ------
+    ValueError, DomainError
+        As at the top of this module.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.particle().residual([0, 1, 0], [1, 1, 3])
+    array([2.])
+    """
+    x, single = states(system, q, v)
+    shift = arguments.number(shift, "shift")
+    values = trajectory(system, x, "residual", shift=shift)
+    return values[0] if single else values
+
+
+def relative_residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Any:
+    """Return max_a |phi^a| / (|mu^a| |v| + |phi^a - mu^a v|) at (q - shift v, v).
+
+    Here |mu^a| = sum_i |mu^a_i| d_i and |v| = max_j |v_j| / d_j with d_i = sqrt((M^-1)_ii), which
+    is the largest |v_i| of a velocity with v^T M v = 1; phi^a - mu^a v is 0 for linear constraints.
+    It does not change when forms or coordinates are rescaled; on D it is at the level of roundoff,
+    at most 4 n 2^-53 at what a run stores.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    shift : float, optional
+        A time, in the user's units; 0 is D, (1 - beta) h is D_eps.
+
+    Returns
+    -------
+    float or ndarray, shape (N,)
+
+    Raises
+    ------
+    ValueError, DomainError
+        As at the top of this module.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.particle().relative_residual([0, 1, 0], [1, 1, 2])
+    0.25
+    """
+    x, single = states(system, q, v)
+    values = trajectory(system, x, "relative", shift=arguments.number(shift, "shift"))
+    return float(values[0]) if single else values
+
+
+def multipliers(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
+    """Return lambda = -C^-1 (phi_q v + mu f_v) (lambdax), with C = mu M^-1 mu^T.
+
+    Here f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for a constant mass and no force, and
+    phi_q v is d(mu v)/dq v for linear constraints.  It is defined off D as well.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    t : float, optional
+        Time of the states.
+
+    Returns
+    -------
+    ndarray, shape (m,) or (N, m)
+        Forces.
+
+    Raises
+    ------
+    ValueError, DomainError, SingularError
+        As at the top of this module.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.particle().multipliers([0, 1, 0], [1, 1, 1])
+    array([0.5])
+    """
+    x, single = states(system, q, v)
+    values = trajectory(system, x, "multipliers", t0=arguments.number(t, "t"))
+    return values[0] if single else values
+
+
+def metric(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+    """Return M = L_vv, the mass matrix at a state.
+
+    Parameters
+    ----------
+    system : System
+    q : array_like, shape (n,) or (N, n)
+    v : array_like, shape (n,) or (N, n), optional
+        Matters only if L is not quadratic in v; default 0.
+
+    Returns
+    -------
+    ndarray, shape (n, n) or (N, n, n)
+
+    Raises
+    ------
+    ValueError, DomainError
+        As at the top of this module.
+    SingularError
+        If it is not positive definite.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> polar = dal.System(
+    ...     lagrangian=lambda q, v: (v[0] ** 2 + (q[0] * v[1]) ** 2) / 2,
+    ...     lagrangian_q=lambda q, v: [q[0] * v[1] ** 2, 0],
+    ...     lagrangian_v=lambda q, v: [v[0], q[0] ** 2 * v[1]],
+    ...     lagrangian_vv=lambda q, v: [[1, 0], [0, q[0] ** 2]],
+    ...     coordinates=["r", "phi"],
+    ... )
+    >>> polar.metric([3, 0])
+    array([[1., 0.],
+           [0., 9.]])
+    """
+    return _matrices(system, lib.dal_metric, system.n, q, v)
+
+
+def power(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> tuple[Any, Any]:
+    """Return the powers lambda . (phi_v v) of the constraint forces and f . v of the force.
+
+    Their sum is dE/dt on D.  That of the constraint forces is 0 on D for linear constraints.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    t : float, optional
+        Time of the states.
+
+    Returns
+    -------
+    constraint, force : float or ndarray, shape (N,)
+
+    Raises
+    ------
+    ValueError, DomainError, SingularError
+        As at the top of this module.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> damped = dal.System(mass=[1, 1], force=lambda t, q, v: -v / 2)
+    >>> damped.power([0, 0], [2, 0])
+    (0.0, -2.0)
+    """
+    x, single = states(system, q, v)
+    t = arguments.number(t, "t")
+    values = np.empty((len(x), 2))
+    addresses = (core.pointer(values, k) for k in range(len(x)))
+    rows(
+        system,
+        lib.dal_power,
+        ((t, core.pointer(x, k), pair, pair + 1) for k, pair in enumerate(addresses)),
+    )
+    if single:
+        return float(values[0, 0]), float(values[0, 1])
+    return values[:, 0], values[:, 1]
+
+
+def gram(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+    """Return C = mu M^-1 mu^T (lemma lemmaC), symmetric and positive definite.
+
+    Parameters
+    ----------
+    system : System
+    q : array_like, shape (n,) or (N, n)
+    v : array_like, shape (n,) or (N, n), optional
+        Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
+
+    Returns
+    -------
+    ndarray, shape (m, m) or (N, m, m)
+
+    Raises
+    ------
+    ValueError, DomainError, SingularError
+        As at the top of this module.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.particle().gram([0, 1, 0])
+    array([[2.]])
+    """
+    return _matrices(system, lib.dal_gram, system.m, q, v)
+
+
+def _matrices(
+    system: Handle, function: Callable[..., int], size: int, q: ArrayLike, v: ArrayLike | None
+) -> Array:
+    x, single = states(system, q, np.zeros(np.shape(q)) if v is None else v)
+    values = np.empty((len(x), size**2))
+    rows(system, function, ((core.pointer(x, k),) for k in range(len(x))), values)
+    matrices = values.reshape(len(x), size, size)
+    return matrices[0] if single else matrices
+
+
+def acceleration(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
+    """Return vdot = f_v + M^-1 mu^T lambda, with f_v as in `multipliers`.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    t : float, optional
+        Time of the states.
+
+    Returns
+    -------
+    ndarray, shape (n,) or (N, n)
+
+    Raises
+    ------
+    ValueError, DomainError, SingularError
+        As at the top of this module.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.particle().acceleration([0, 1, 0], [1, 1, 1])
+    array([-0.5,  0. ,  0.5])
+    """
+    return _vectors(system, lib.dal_acceleration, system.n, q, v, t)
+
+
+def field(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
+    """Return (v, vdot), the vector field of the ODE on D.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    t : float, optional
+        Time of the states.
+
+    Returns
+    -------
+    ndarray, shape (2n,) or (N, 2n)
+
+    Raises
+    ------
+    ValueError, DomainError, SingularError
+        As at the top of this module.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.particle().field([0, 1, 0], [1, 1, 1])
+    array([ 1. ,  1. ,  1. , -0.5,  0. ,  0.5])
+    """
+    return _vectors(system, lib.dal_field, 2 * system.n, q, v, t)
+
+
+def _vectors(
+    system: Handle, function: Callable[..., int], width: int, q: ArrayLike, v: ArrayLike, t: float
+) -> Array:
+    x, single = states(system, q, v)
+    t = arguments.number(t, "t")
+    values = np.empty((len(x), width))
+    rows(system, function, ((t, core.pointer(x, k)) for k in range(len(x))), values)
+    return values[0] if single else values
+
+
+def perturbed(
+    system: Handle,
+    q: ArrayLike,
+    v: ArrayLike,
+    ghat: ArrayLike,
+    weight: float = 1.0,
+    t: float = 0.0,
+) -> tuple[Array, Array]:
+    """Return the field and the multipliers of the perturbed equations of motion (PerturbedDAE).
+
+    They are qdot = v + weight ghat_q, vdot = f_v + M^-1 mu^T lambda + weight ghat_v with
+    phi(q, v) = 0; on D their field is tangent to D for every ghat (ODEPert).  The multipliers are
+    those of `multipliers` minus weight C^-1 (phi_q ghat_q + mu ghat_v) (hatLambday): the same, if
+    ghat is tangent to D itself.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    ghat : array_like, shape (2n,) or (N, 2n)
+        (ghat_q, ghat_v).
+    weight : float, optional
+        h^p, say.
+    t : float, optional
+        Time of the states.
+
+    Returns
+    -------
+    field : ndarray, shape (2n,) or (N, 2n)
+        (qdot, vdot).
+    multipliers : ndarray, shape (m,) or (N, m)
+
+    Raises
+    ------
+    ValueError, DomainError, SingularError
+        As at the top of this module.
+
+    Examples
+    --------
+    A push in direction z, of which the constraint v_z = y v_x lets a part go to x:
+
+    >>> import dalembert as dal
+    >>> particle = dal.systems.particle()
+    >>> particle.perturbed([0, 1, 0], [0, 0, 0], [0, 0, 0, 0, 0, 2])
+    (array([0., 0., 0., 1., 0., 1.]), array([-1.]))
+    """
+    x, single = states(system, q, v)
+    shape = (2 * system.n,) if single else (len(x), 2 * system.n)
+    push = np.atleast_2d(arguments.array(ghat, "ghat", shape))
+    weight, t = arguments.number(weight, "weight"), arguments.number(t, "t")
+    values, forces = np.empty_like(x), np.empty((len(x), system.m))
+    rows(
+        system,
+        lib.dal_perturbed,
+        (
+            (t, weight, *(core.pointer(each, k) for each in (x, push, values, forces)))
+            for k in range(len(x))
+        ),
+    )
+    return (values[0], forces[0]) if single else (values, forces)
+
+
+def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:
+    """Return the velocity projected to D (shift 0) or to D_eps (shift (1 - beta) h).
+
+    For shift 0, and constraints that are not nonlinear, it is v - M^-1 mu^T C^-1 phi, the nearest
+    one in the mass metric.
+
+    Parameters
+    ----------
+    system : System
+    q, v : array_like, shape (n,) or (N, n)
+    shift : float, optional
+        A time, in the user's units.
+
+    Returns
+    -------
+    ndarray, shape (n,) or (N, n)
+
+    Raises
+    ------
+    ValueError, DomainError, SingularError
+        As at the top of this module.
+    ConvergenceError
+        For shift != 0 or nonlinear constraints, where the equation is not linear in v.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.particle().project([0, 1, 0], [1, 1, 3])
+    array([2., 1., 2.])
+    """
+    x, single = states(system, q, v)
+    projection(system, x, arguments.number(shift, "shift"))
+    v = x[:, system.n :].copy()
+    return v[0] if single else v
+
+
+def projection(system: Handle, x: Array, shift: float = 0.0) -> Array:
+    """Project the rows of ``x`` in place; return how far, in the mass metric, shape (N,)."""
+    distances = np.empty(len(x))
+    rows(system, lib.dal_project, ((shift, core.pointer(x, k)) for k in range(len(x))), distances)
+    return distances
+
+
+def consistent(
+    system: Handle,
+    q0: ArrayLike,
+    v0: ArrayLike,
+    keep: str | int | Iterable[str] | Iterable[int] | Iterable[bool] | None = None,
+) -> Array:
+    """Return the velocity in D nearest to v0 in the mass metric, with some components kept.
+
+    For nonlinear constraints it is one in D, found by Newton's iteration from v0.
+
+    Parameters
+    ----------
+    system : System
+    q0, v0 : array_like, shape (n,) or (N, n)
+    keep : str, int, iterable of str, of int, or of bool, optional
+        Coordinates whose velocities stay as they are, bit by bit: their names, their places from 0,
+        or n truth values.
+
+    Returns
+    -------
+    ndarray, shape (n,) or (N, n)
+
+    Raises
+    ------
+    ValueError, DomainError
+        As at the top of this module.
+    SingularError
+        If the kept components leave too little freedom, even where v0 is in D as it is.
+    ConvergenceError
+        For nonlinear constraints, where the equation is not linear in v.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.particle().consistent([0, 1, 0], [1, 1, 3], keep=["z"])
+    array([3., 1., 3.])
+    """
+    x, single = states(system, q0, v0, ("q0", "v0"))
+    mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
+    distances = np.empty(len(x))
+    rows(system, lib.dal_consistent, ((mask, core.pointer(x, k)) for k in range(len(x))), distances)
+    v = x[:, system.n :].copy()
+    return v[0] if single else v
+
+
+def _mask(system: Handle, keep: Any) -> list[int]:
+    """Return n zeros and ones for names or places of coordinates, or for n truth values."""
+    n, names = system.n, system.coordinates
+    try:
+        given = [keep] if isinstance(keep, str | bytes) else list(keep)
+    except TypeError:
+        given = [keep]
+    if given and all(isinstance(k, bool | np.bool_) for k in given):
+        if len(given) != n:
+            raise ValueError(f"keep: expected {n} truth values, got {len(given)}")
+        return [int(k) for k in given]
+    places = []
+    for k in given:
+        if isinstance(k, str) and k in names:
+            places.append(names.index(k))
+        elif isinstance(k, str):
+            raise ValueError(
+                f"keep: there is no coordinate {arguments.shown(k)}; "
+                f"{arguments.suggestion(k, names)}there are {', '.join(names)}"
+            )
+        elif isinstance(k, int | np.integer) and not isinstance(k, bool):
+            places.append(arguments.integer(k, "keep", 0, n - 1))
+            if places.count(k) > 1:
+                raise ValueError(
+                    f"keep = {arguments.shown(keep)}: {k} is there twice; truth values are bool"
+                )
+        else:
+            raise ValueError(
+                f"keep = {arguments.shown(keep)}: expected names or places of coordinates, or {n} "
+                "truth values"
+            )
+    return [int(i in places) for i in range(n)]

@@ -1,0 +1,5 @@
+"""Schemes, runs, and what they return."""
+
+from .integration import Reference, integrate, reference
+from .scheme import Scheme, schemes
+from .solution import Solution, States, Statistics

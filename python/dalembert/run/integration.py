@@ -1,0 +1,343 @@
+"""Integration: many steps of a scheme, or the reference flow, from initial data."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from ..core import arguments, extras
+from .. import geometry
+from ..core import Array, DalembertError, DalembertWarning, ffi, lib
+from .runs import Run, consistent_state, started_stepper
+from .scheme import METHODS, Scheme
+from .solution import Solution
+from ..core import require_system
+from ..system import System
+
+__all__ = ["Reference", "integrate", "reference"]
+
+CONSISTENCY = {"check": lib.DAL_CHECK, "project": lib.DAL_PROJECT, "assume": lib.DAL_ASSUME}
+COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
+
+
+def integrate(
+    system: System,
+    scheme: Scheme | str | float = "leapfrog",
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    *,
+    h: float,
+    t_end: float | None = None,
+    steps: int | None = None,
+    t0: float = 0.0,
+    stride: int = 1,
+    consistent: str = "check",
+    initial: str | None = None,
+    observer: Callable[[int, float, Array, Array], Any] | None = None,
+    progress: bool | Callable[[int, int], Any] = False,
+    throw: bool = True,
+    max_iterations: int = 50,
+    method: str = "rk8pd",
+    tolerance: float = 1e-13,
+) -> Solution:
+    """Integrate a system with a fixed step size.
+
+    Parameters
+    ----------
+    system : System
+    scheme : Scheme, str or float, optional
+        A record, the name of one, or beta.  "reference" is the adaptive flow of the ODE on D,
+        observed every ``h * stride``: the best choice for short accurate runs.
+    q0, v0 : array_like, shape (n,), optional
+        Initial data in the user's units, both; neither: those of the system.
+    h : float
+        Step size, negative to integrate backwards.  It is never changed.
+    t_end : float
+        End of the run; ``(t_end - t0) / h`` has to be an integer to 1e-9 of it.
+    steps : int
+        Number of steps, 0 is allowed.  Exactly one of t_end and steps is given.
+    t0 : float, optional
+        Initial time.
+    stride : int, optional
+        Every stride-th state is stored; the number of steps is a multiple of it.
+    consistent : {"check", "project", "assume"}, optional
+        Initial data that are not in D are refused, projected in the mass metric, or used.
+    initial : {"D", "D_eps", "project", "shift"}, optional
+        Needed for kept nodes, and only there.  "D": the data lie in D and are used as they are,
+        the first step jumps to D_eps.  "D_eps": they lie in D_eps.  "project": the velocity is
+        projected from D onto D_eps.  "shift": q is moved to the node q + (1 - beta) h v, so that
+        the run is that of the moved nodes, seen at the nodes.
+    observer : callable, optional
+        ``observer(step, t, q, v)`` is called at every stored state; true stops the run.
+    progress : bool or callable, optional
+        True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+        steps, some times a second.
+    throw : bool, optional
+        False: a step that fails ends the run, and the Solution says so, instead of an exception.
+    max_iterations : int, optional
+        Of Newton in a sub-step.
+    method : {"rk8pd", "msadams", "rodas"}, optional
+        Of the reference flow.
+    tolerance : float, optional
+        Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1].
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range; the text names it, its value, and what was expected.
+    MemoryError
+        If the states would not fit into the memory of this machine; nothing was allocated.
+    NotOnConstraintError
+        If the initial data are not in D; the text names the residual.
+    SingularError, ConvergenceError, DomainError
+        If a step failed; ``.step``, ``.t`` and ``.partial``, a Solution, say how far it came.
+    Exception
+        Whatever the observer or a function of the system raises, as it is; Ctrl-C likewise.
+        They have ``.partial`` too.
+
+    Warns
+    -----
+    DalembertWarning
+        If the result may be doubtful: the energy has jumped where nothing does work, or many steps
+        took the full Newton iteration, so that h is large for this system.
+
+    Notes
+    -----
+    C runs without the lock of the interpreter; threads may run on the same system.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.particle(), "midpoint", [0, 1, 0], [1, 1, 1],
+    ...                     h=0.01, t_end=10)
+    >>> bool(run.residual.max() < 1e-15)
+    True
+    """
+    require_system(system)
+    record = Scheme.of(scheme)
+    t0 = arguments.number(t0, "t0")
+    h = arguments.step_size(h, t0)
+    steps = _number_of_steps(t0, h, t_end, steps)
+    stride = arguments.integer(stride, "stride", 1)
+    if steps % stride:
+        raise ValueError(
+            f"steps = {steps}: expected a multiple of stride = {stride}, "
+            f"{steps - steps % stride} or {steps - steps % stride + stride}"
+        )
+    consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
+    start = record._initial(initial)
+    options = ffi.new("dal_options *")
+    options.max_iterations = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
+    flow = Scheme.flow(method, tolerance)
+    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    _require_memory(system, steps // stride, steps, stride)
+
+    arguments.function(observer, "observer", "step, t, q, v")
+    watcher = None if observer is None else core.Observer(system.n, observer)
+    stepper = started_stepper(
+        system, flow if record.name == flow.name else record, x0, t0=t0, h=h,
+        consistency=consistency, initial=start, options=options,
+    )  # fmt: skip
+    with extras.progress(progress, steps, "step") as show:
+        run = Run(
+            system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=watcher,
+            show=show,
+        )  # fmt: skip
+        run.make()
+    solution = run.solution()
+    error = run.error
+    if error is None:
+        _warn(solution)
+    elif throw or not isinstance(error, DalembertError):
+        with contextlib.suppress(AttributeError, TypeError):
+            error.partial = solution  # type: ignore[attr-defined]
+        try:
+            raise error
+        finally:
+            del error, run  # else the traceback would keep itself alive
+    return solution
+
+
+class Reference(NamedTuple):
+    """A state of the reference flow.
+
+    Attributes
+    ----------
+    q, v : ndarray, shape (n,)
+    accuracy : float
+        Estimate of the error, the largest component of the difference to the result at a
+        tolerance ten times as large.
+    """
+
+    q: Array
+    v: Array
+    accuracy: float
+
+
+def reference(
+    system: System,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    t: float = 1.0,
+    t0: float = 0.0,
+    consistent: str = "check",
+    method: str = "rk8pd",
+    tolerance: float = 1e-13,
+    coordinates: str = "x",
+) -> Reference:
+    """Return the state of the ODE on D at one time, by an adaptive method of GSL.
+
+    Parameters
+    ----------
+    system : System
+    q0, v0 : array_like, shape (n,), optional
+        State at t0 in the user's units, both; neither: the system's.
+    t, t0 : float, optional
+        Times; ``t < t0`` is allowed.
+    consistent : {"check", "project", "assume"}, optional
+        As in `integrate`.
+    method : {"rk8pd", "msadams", "rodas"}, optional
+        Prince-Dormand 8(9), Adams, or BDF for stiff potentials.
+    tolerance : float, optional
+        Relative and absolute, for each step, in [4.4e-16, 0.1].
+    coordinates : {"x", "xi"}, optional
+        Of the ODE: the states (q, v), or those of charts of D (`Chart`), which are changed on the
+        way where they become ill conditioned.
+
+    Returns
+    -------
+    Reference
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    NotOnConstraintError
+        If the initial data are not in D.
+    SingularError, ConvergenceError, DomainError
+        If the flow could not go on.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> particle = dal.systems.particle()
+    >>> end = dal.reference(particle, t=1.0)
+    >>> bool(abs(end.q - particle.exact(1.0)[0]).max() < 1e-11)
+    True
+    """
+    require_system(system)
+    t, t0 = arguments.number(t, "t"), arguments.number(t0, "t0")
+    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
+    flow_method = arguments.choice(method, "method", METHODS)
+    tolerance = arguments.tolerance(tolerance)
+    flow = core.make(
+        "flow",
+        system._handle,
+        flow_method,
+        arguments.choice(coordinates, "coordinates", COORDINATES),
+        tolerance,
+        owner=system._handle,
+    )
+    x = consistent_state(system, x0, t0, consistency)
+    accuracy = ffi.new("double *")
+    status = core.watched(lib.dal_flow_apply, flow, t0, t, core.pointer(x), accuracy)
+    if status < 0:
+        raise core.failure(status, core.string(lib.dal_flow_message(flow)), kind=system.kind)
+    return Reference(x[: system.n], x[system.n :], float(accuracy[0]))
+
+
+# ---- arguments -----------------------------------------------------------------------------
+
+
+def _number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None) -> int:
+    """Return the number of steps; h is never changed to make it an integer."""
+    if (t_end is None) == (steps is None):
+        given = "none" if steps is None else "both"
+        raise ValueError(f"t_end and steps: expected one of them, got {given}")
+    if t_end is None:
+        steps = arguments.integer(steps, "steps", 0)
+        arguments.step_size(h, t0 + steps * h)
+        return steps
+    t_end = arguments.number(t_end, "t_end")
+    ratio = (t_end - t0) / h
+    if ratio < 0.0:
+        raise ValueError(f"t_end = {t_end:g} lies before t0 = {t0:g} in the direction of h = {h:g}")
+    if not ratio < 2**63:
+        raise ValueError(f"h = {h:g} is too small for t_end - t0 = {t_end - t0:g}")
+    arguments.step_size(h, t_end)
+    steps = round(ratio)
+    if abs(ratio - steps) > 1e-9 * max(1.0, ratio):
+        few, many = math.floor(ratio), math.ceil(ratio)
+        sizes = [f"{(t_end - t0) / k!r}" for k in (many, few) if k > 0]
+        raise ValueError(
+            f"t_end = {t_end!r} is {ratio:.10g} steps of h = {h!r} from t0 = {t0!r}: take "
+            f"t_end = {t0 + few * h!r} or {t0 + many * h!r}, or h = {' or '.join(sizes)}"
+        )
+    return steps
+
+
+def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
+    """Refuse a run whose arrays do not fit, before anything is allocated."""
+    size = 8 * ((rows + 1) * (2 * system.n + 1) + rows * system.m)
+    memory = _available_memory() if size > 2**24 else sys.maxsize  # which takes a while to ask
+    if size > memory:
+        raise MemoryError(
+            f"steps = {steps} with stride = {stride} are {rows + 1} stored states, {size} bytes "
+            f"({size / 2**30:.4g} GiB); this machine has {memory / 2**30:.4g} GiB: store fewer "
+            "with a larger stride"
+        )
+
+
+def _available_memory() -> int:
+    """Return the bytes that can be had without swapping, as far as the machine tells."""
+    with contextlib.suppress(OSError, StopIteration, ValueError):
+        with open("/proc/meminfo", encoding="ascii") as lines:
+            line = next(line for line in lines if line.startswith("MemAvailable:"))
+        return int(line.split()[1]) * 1024
+    with contextlib.suppress(AttributeError, OSError, ValueError):
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return sys.maxsize
+
+
+def _warn(solution: Solution) -> None:
+    """Warn where a run that went through is doubtful."""
+    system, stats = solution.system, solution.stats
+    bound = core.residual_bound(system.n)
+    if stats.worst_residual > bound:
+        warnings.warn(
+            f"the constraint is kept to {stats.worst_residual:.1e} only, not to {bound:.1e}: the "
+            "kept nodes lie so far out that their rounding moves it by more",
+            DalembertWarning,
+            stacklevel=3,
+        )
+    if stats.jump_step:
+        warnings.warn(
+            f"the energy has changed by {stats.jump:.3g} at step {stats.jump_step} (t = "
+            f"{solution.t0 + stats.jump_step * solution.h:g}, h = {solution.h:g}), where the "
+            f"largest kinetic energy is {stats.largest_kinetic:.3g}: nothing does work on this "
+            "system, so h is too large, or gradient is not that of potential: see check()",
+            DalembertWarning,
+            stacklevel=3,
+        )
+    simple = system.mass is not None and system.kind == "linear" and not system.is_forced
+    if simple and stats.full_newtons > 0.1 * stats.substeps:
+        warnings.warn(
+            f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
+            f"as the simpler one did not converge: h = {solution.h:g} is large for this system",
+            DalembertWarning,
+            stacklevel=3,
+        )

@@ -1,0 +1,373 @@
+"""Schemes as records: beta-schemes one after the other, or what another family needs."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from .. import core
+from ..core import arguments
+from ..core import ffi, lib
+from ..core import require_system
+from ..discrete import DifferenceMap
+from ..system import System
+
+__all__ = ["Scheme", "schemes"]
+
+METHODS = {
+    "rk8pd": lib.DAL_FLOW_RK8PD,
+    "msadams": lib.DAL_FLOW_MSADAMS,
+    "rodas": lib.DAL_FLOW_RODAS,
+}
+NODES = {"moved": lib.DAL_MOVED_NODES, "kept": lib.DAL_KEPT_NODES}
+INITIAL = {
+    "D": lib.DAL_INITIAL_D,
+    "D_eps": lib.DAL_INITIAL_D_EPS,
+    "project": lib.DAL_INITIAL_PROJECT,
+    "shift": lib.DAL_INITIAL_SHIFT,
+}
+
+
+@dataclass(frozen=True, repr=False)
+class Scheme:
+    """A scheme as a record: beta-schemes one after the other, each over a fraction of the step.
+
+    Parameters
+    ----------
+    substeps : sequence of (beta, fraction)
+        beta in [0, 1]; the fractions are not 0 and sum to 1.
+    nodes : {"moved", "kept"}, optional
+        Where the states are: "moved" nodes (1 - beta) q_{k-1} + beta q_k keep D; "kept" nodes q_k
+        keep D_eps = {mu(q - (1 - beta) h v) v = 0} and need a single sub-step.
+    name : str, optional
+        At most 39 bytes.
+    help, reference : str, optional
+        One line about the scheme, and where it comes from.
+    order, multiplier_order : int, optional
+        What is promised, (p, s): local errors O(h^(p+1)) of q and v and O(h^(s+1)) of the scheme's
+        own multipliers.  order 0: nothing is promised.
+    symmetric : bool, optional
+        True if the scheme is its own adjoint on D.
+
+    Raises
+    ------
+    ValueError
+        If the record is not valid; the text says what.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> theta = dal.Scheme([(0.3, 1.0)], name="beta 0.3")
+    >>> dal.integrate(dal.systems.particle(), theta, h=0.1, steps=10).success
+    True
+    """
+
+    substeps: tuple[tuple[float, float], ...]
+    nodes: str = "moved"
+    name: str = "own"
+    help: str = ""
+    reference: str = ""
+    order: int = 0
+    multiplier_order: int = 0
+    symmetric: bool = False
+    _record: Any = field(init=False, repr=False, compare=False)  # the dal_scheme
+    _kept: Any = field(init=False, repr=False, compare=False)  # what the dal_scheme points to
+    _source: tuple[Any, ...] = field(init=False, repr=False, default=())  # of another family
+    _maps: Any = field(init=False, repr=False, compare=False, default=None)  # of a pair, one's own
+
+    def __post_init__(self) -> None:
+        name = arguments.text(self.name, "name").encode()
+        if not 0 < len(name) < 40:
+            raise ValueError(f"name = {self.name!r}: expected 1 to 39 bytes, got {len(name)}")
+        if isinstance(self.substeps, str):
+            raise ValueError(
+                f"substeps = {self.substeps!r}: expected several (beta, fraction); Scheme.find "
+                "has the schemes with a name"
+            )
+        if isinstance(self.substeps, (list, tuple)) and len(self.substeps) == 0:
+            raise ValueError("substeps is empty: expected at least one (beta, fraction)")
+        pairs = arguments.array(self.substeps, "substeps", (None, 2))
+        object.__setattr__(self, "substeps", tuple((float(b), float(f)) for b, f in pairs))
+        kept = (
+            ffi.new("dal_substep[]", list(self.substeps)),
+            ffi.new("char[]", arguments.text(self.help, "help").encode()),
+            ffi.new("char[]", arguments.text(self.reference, "reference").encode()),
+        )
+        record = ffi.new("dal_scheme *")
+        record.name = name
+        record.help, record.reference = kept[1], kept[2]
+        if self.substeps and (len(self.substeps) > 1 or self.substeps[0][1] != 1.0):
+            record.count, record.substeps = len(self.substeps), kept[0]
+        elif self.substeps:
+            record.beta = self.substeps[0][0]
+        record.nodes = arguments.choice(self.nodes, "nodes", NODES)
+        record.order = arguments.integer(self.order, "order", 0, 2**31 - 1)
+        record.multiplier_order = arguments.integer(
+            self.multiplier_order, "multiplier_order", -(2**31), 2**31 - 1
+        )
+        record.symmetric = bool(self.symmetric)
+        object.__setattr__(self, "_record", record)
+        object.__setattr__(self, "_kept", kept)
+        core.make("stepper", _validator()._handle, record, ffi.NULL)
+
+    @classmethod
+    def find(cls, name: str) -> Scheme:
+        """Return the scheme of this name.
+
+        Parameters
+        ----------
+        name : str
+            "explicit", "midpoint", "endpoint", a number in [0, 1] (beta), "leapfrog",
+            "leapfrog-mirror"; with "-nodes" for kept nodes; "leapfrog" and "midpoint" with
+            "-suzuki4", "-yoshida4", "-kl6", "-kl8"; "pair:A:B", see `pair`; "reference", the
+            adaptive flow of the ODE on D; or "FILE:SYMBOL", see `from_library`.  ``-`` and ``_``
+            are the same.
+
+        Raises
+        ------
+        ValueError
+            If there is no such scheme; the text lists what there is.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.Scheme.find("leapfrog").substeps
+        ((0.0, 0.5), (1.0, 0.5))
+        """
+        path, _, symbol = arguments.text(name, "scheme").rpartition(":")
+        if path.endswith(".so"):
+            return cls.from_library(path, symbol)
+        record = ffi.new("dal_scheme *")
+        error = ffi.new("dal_error *")
+        status = lib.dal_scheme_find(record, name.encode(), error)
+        if status < 0:
+            meant = arguments.suggestion(name, [s.name for s in schemes()])
+            text = core.string(error.text)
+            if meant:
+                text = f"there is no scheme {name!r}; {meant}{text[text.index('there are'):]}"
+            raise core.failure(status, text)
+        return cls._read(record, ("find", name))
+
+    @classmethod
+    def pair(cls, lagrangian: Any = 0.5, constraint: Any = None) -> Scheme:
+        """Return the velocity integrator of two difference maps (VNI).
+
+        Parameters
+        ----------
+        lagrangian, constraint : float or DifferenceMap, optional
+            rho for L_d and rho' for D_d; a number is the beta of rho^beta.  constraint None: the
+            same.  The steps are those of `Discrete.advance`.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> run = dal.integrate(dal.systems.robot(), dal.Scheme.pair(0.25, 0.5), h=0.1, steps=10)
+        >>> bool(run.residual.max() < 1e-15)
+        True
+        """
+        maps = [
+            one if isinstance(one, DifferenceMap) else DifferenceMap(one)
+            for one in (lagrangian, lagrangian if constraint is None else constraint)
+        ]
+        name = f"pair:{maps[0].beta!r}:{maps[1].beta!r}"
+        self = cls._of_family(name, ("pair", *maps))
+        object.__setattr__(self, "_maps", maps if any(one.map for one in maps) else None)
+        return self
+
+    @classmethod
+    def flow(cls, method: str = "rk8pd", tolerance: float = 1e-13) -> Scheme:
+        """Return the scheme "reference" with a method and a tolerance, as of `integrate`."""
+        data = ffi.new(
+            "dal_flow_scheme *",
+            {
+                "method": arguments.choice(method, "method", METHODS),
+                "tolerance": arguments.tolerance(tolerance),
+            },
+        )
+        return cls._of_family("reference", ("flow", method, float(tolerance)), data)
+
+    @classmethod
+    def from_library(cls, path: str, symbol: str) -> Scheme:
+        """Return the ``dal_scheme`` called ``symbol`` of a shared library, with its own family.
+
+        The library is compiled with ``dalembert/family.h``, and linked to a libdalembert of this
+        version if it calls that.  `find` knows the scheme as "path:symbol".
+
+        Raises
+        ------
+        ValueError
+            If there is no such library, or no such symbol in it.
+        """
+        try:
+            library = ctypes.CDLL(os.path.abspath(path))
+            address = ctypes.addressof(ctypes.c_char.in_dll(library, symbol))
+        except (OSError, ValueError) as error:
+            raise ValueError(f"scheme = {path}:{symbol}: {error}") from None
+        record = ffi.cast("dal_scheme *", address)
+        return cls._read(record, ("from_library", path, symbol), kept=library)
+
+    @classmethod
+    def _of_family(cls, name: str, source: tuple[Any, ...], data: Any = ffi.NULL) -> Scheme:
+        """Return the scheme of a name with other data."""
+        record = ffi.new("dal_scheme *")
+        core.check(lib.dal_scheme_find(record, name.encode(), ffi.NULL))
+        record.data = data
+        return cls._read(record, source, data)
+
+    @classmethod
+    def of(cls, value: Scheme | str | float) -> Scheme:
+        """Return a scheme that is given as itself, by its name, or by its beta."""
+        if isinstance(value, Scheme):
+            return value
+        if isinstance(value, str):
+            return cls.find(value)
+        try:
+            beta = float(value)
+        except (TypeError, ValueError, OverflowError):
+            raise ValueError(
+                f"scheme = {arguments.shown(value)}: expected a Scheme, the name of one, or beta"
+            ) from None
+        if not 0.0 <= beta <= 1.0:
+            raise ValueError(f"scheme = {arguments.shown(value)}: expected beta in [0, 1]")
+        # Not by its text: what C reads as a decimal point depends on the locale.
+        symmetric = beta == 0.5
+        return replace(
+            cls.find("0"),
+            substeps=((beta, 1.0),),
+            name=repr(beta),
+            order=2 if symmetric else 1,
+            symmetric=symmetric,
+        )
+
+    @classmethod
+    def _read(cls, record: Any, source: tuple[Any, ...], kept: Any = None) -> Scheme:
+        """Return the scheme of a ``dal_scheme``, which ``source`` would give again."""
+        count = int(record.count)
+        given = {
+            "nodes": "kept" if record.nodes == lib.DAL_KEPT_NODES else "moved",
+            "name": core.string(record.name),
+            "help": core.string(record.help),
+            "reference": core.string(record.reference),
+            "order": int(record.order),
+            "multiplier_order": int(record.multiplier_order),
+            "symmetric": bool(record.symmetric),
+        }
+        if record.family == ffi.NULL:
+            pairs = tuple((s.beta, s.fraction) for s in record.substeps[0:count])
+            return cls(substeps=pairs or ((record.beta, 1.0),), **given)
+        self = cls.__new__(cls)
+        own = ffi.new("dal_scheme *", record[0])
+        for key, value in {
+            **given, "substeps": (), "_record": own, "_kept": (kept, record), "_source": source,
+        }.items():  # fmt: skip
+            object.__setattr__(self, key, value)
+        return self
+
+    @property
+    def family(self) -> str:
+        """What makes the steps: "beta", "pair", "flow", or that of a library."""
+        return core.string(lib.dal_scheme_family(self._record))
+
+    @property
+    def is_reference(self) -> bool:
+        """True for the reference flow, which has no sub-steps."""
+        return self.family == "flow"
+
+    def _record_of(self, system: System) -> tuple[Any, Any]:
+        """Return the ``dal_scheme`` for a system, and what it needs to stay alive."""
+        if self._maps is None:
+            return self._record, self
+        definitions, kept = zip(*(one._definition(system.n) for one in self._maps))
+        data = ffi.new("dal_pair *", {"lagrangian": definitions[0][0], "constraint": definitions[1][0]})
+        record = ffi.new("dal_scheme *", self._record[0])
+        record.data = data
+        return record, (self, data, kept)
+
+    def is_explicit(self, system: System) -> bool:
+        """Return whether a step on this system is a sequence of linear solves."""
+        require_system(system)
+        return bool(lib.dal_scheme_is_explicit(self._record, system._handle))
+
+    def shift(self, h: float) -> float:
+        """Return the shift (1 - beta) h of the D_eps that kept nodes keep.
+
+        Raises
+        ------
+        NotImplementedError
+            For a record with several sub-steps, which has no D_eps.
+        """
+        shift = ffi.new("double *")
+        status = lib.dal_scheme_shift(self._record, shift)
+        core.check(status, f"{self.name!r} has no single sub-step, and so no D_eps")
+        return float(shift[0]) * arguments.number(h, "h")
+
+    def _initial(self, name: str | None) -> int:
+        """Return the ``dal_initial`` of an argument ``initial``, which kept nodes need.
+
+        Raises
+        ------
+        ValueError
+            If kept nodes are not told how to start, or moved ones are.
+        """
+        if self.nodes == "moved":
+            if name is not None:
+                raise ValueError(
+                    f"initial = {name!r}: {self.name!r} has moved nodes, it takes none"
+                )
+            return int(lib.DAL_INITIAL_NONE)
+        if name is None:
+            raise ValueError(
+                f"initial: needed, because {self.name!r} has kept nodes: one of "
+                f"{', '.join(map(repr, INITIAL))}"
+            )
+        return arguments.choice(name, "initial", INITIAL)
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __repr__(self) -> str:
+        promised = f", order {self.order}" if self.order else ""
+        if not self.substeps:
+            return f"<Scheme {self.name}: family {self.family}{promised}>"
+        few = ", ".join(f"({beta:g}, {fraction:g})" for beta, fraction in self.substeps[:4])
+        many = f", ..., {len(self.substeps)} in all" if len(self.substeps) > 4 else ""
+        return f"<Scheme {self.name}: (beta, fraction) = {few}{many}; {self.nodes} nodes{promised}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self._source:
+            return _again, self._source
+        return Scheme, (
+            self.substeps, self.nodes, self.name, self.help, self.reference, self.order,
+            self.multiplier_order, self.symmetric,
+        )  # fmt: skip
+
+
+def _again(constructor: str, *given: Any) -> Scheme:
+    """Return a scheme from what it was made of."""
+    return getattr(Scheme, constructor)(*given)
+
+
+@functools.cache
+def _validator() -> System:
+    """Return a system on which the core can try a record: a free particle on a line."""
+    return System(mass=[1.0], name="free particle")
+
+
+def schemes() -> list[Scheme]:
+    """Return the named schemes.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> "leapfrog" in [scheme.name for scheme in dal.schemes()]
+    True
+    """
+    found = []
+    for i in range(lib.dal_scheme_count()):
+        record = ffi.new("dal_scheme *")
+        core.check(lib.dal_scheme_at(record, i))
+        found.append(Scheme._read(record, ("find", core.string(record.name))))
+    return found

@@ -1,0 +1,409 @@
+"""What a run returns: its states, and what is computed from them when it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from ..core import arguments, extras
+from .. import geometry
+from ..core import Array, differenced, ffi, lib, require_system
+from .scheme import Scheme
+from ..system import System
+
+__all__ = ["Solution", "States", "Statistics"]
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a run has cost.
+
+    Attributes
+    ----------
+    steps, substeps : int
+        Steps made, and systems of equations solved in them.
+    iterations : int
+        Newton iterations.
+    constraint_calls, potential_calls, lagrangian_calls, force_calls : int
+        Calls of the system's functions.
+    corrections : int
+        Final corrections onto D that took an evaluation of their own.
+    full_newtons : int
+        Sub-steps solved by the full Newton iteration: all of a general system, and those that
+        needed the Hessian of V.
+    halvings : int
+        Newton steps halved because a function left its domain.
+    worst_residual : float
+        Largest relative residual of the kept set after a step.
+    initial_residual, initial_correction : float
+        Relative residual of the initial data, and how far they were moved in the mass metric.
+    differenced : tuple of str
+        Derivatives that were replaced by central differences.
+    evaluations : int
+        Of the vector field, by the reference flow.
+    jump_step, jump, largest_kinetic : int, float, float
+        The step after which the energy was first seen to have changed, by ``jump``, by more than
+        half of the largest kinetic energy; 0 if it was not. Looked at in every 64th step and at
+        the end, where nothing does work and the scheme is not of order 1.
+    """
+
+    steps: int = 0
+    substeps: int = 0
+    iterations: int = 0
+    constraint_calls: int = 0
+    potential_calls: int = 0
+    lagrangian_calls: int = 0
+    force_calls: int = 0
+    corrections: int = 0
+    full_newtons: int = 0
+    halvings: int = 0
+    worst_residual: float = 0.0
+    initial_residual: float = 0.0
+    initial_correction: float = 0.0
+    differenced: tuple[str, ...] = ()
+    evaluations: int = 0
+    jump_step: int = 0
+    jump: float = 0.0
+    largest_kinetic: float = 0.0
+
+    @classmethod
+    def _read(cls, stepper: Any, kind: str) -> Statistics:
+        stats = ffi.new("dal_stats *")
+        lib.dal_stepper_stats(stepper, stats)
+        values = {name: getattr(stats, name) for name, _ in ffi.typeof("dal_stats").fields}
+        return cls(**{**values, "differenced": differenced(stats.differenced, kind)})
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """States between the stored ones of a run.
+
+    Attributes
+    ----------
+    t : float or ndarray, shape (N,)
+    q, v : ndarray, shape (n,) or (N, n)
+    chart_changes : int
+        How often the dependent coordinates in which the run was interpolated changed from one of
+        these states to the next.
+    """
+
+    t: Any
+    q: Array
+    v: Array
+    chart_changes: int
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Solution(Mapping[str, Any]):
+    """A run: states, and what is computed from them when it is asked for.
+
+    Everything is an attribute and a key.  ``len`` is the number of keys, as for any mapping.  A run
+    does not change: its arrays are read-only, ``run.q.copy()`` may be written to.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N+1,)
+        Times ``t0 + k * h * stride``, in the user's units.
+    q, v : ndarray, shape (N+1, n)
+        Views of ``x``.
+    x : ndarray, shape (N+1, 2n)
+        The states (q, v), the very buffer that the core wrote.
+    y : ndarray, shape (2n, N+1)
+        ``x`` transposed, a view, as SciPy has it.
+    multipliers : ndarray, shape (N+1, m)
+        lambda(q, v) by the formula at the stored states: forces.
+    reactions : ndarray, shape (N, m)
+        The scheme's own multipliers: mean forces over the intervals between stored states,
+        belonging to their middles.  NaN for the reference flow, which has none.
+    energy : ndarray, shape (N+1,)
+    constraint : ndarray, shape (N+1, m)
+        phi(q, v), which is mu(q) v for linear constraints.
+    residual : ndarray, shape (N+1,)
+        Relative residual, as `System.relative_residual`, of the set that the scheme keeps: D for
+        moved nodes, D_eps (phi at q - shift v) for kept ones.
+    system : System
+    scheme : Scheme
+    h : float
+        Step size; between stored states lie ``stride`` steps.
+    stride : int
+    nodes : {"moved", "kept"}
+    shift : float
+        0 for moved nodes, (1 - beta) h for kept ones.
+    stats : Statistics
+    success : bool
+        True unless a step failed; stopped by an observer is a success.
+    status : int
+        ``dal_status`` of the C library: 0, 1 if an observer stopped the run, or negative.
+    message : str
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.01, t_end=10)
+    >>> run.q.shape, run["energy"].shape
+    ((1001, 3), (1001,))
+    """
+
+    _KEYS = (
+        "t", "q", "v", "multipliers", "reactions", "energy", "constraint", "residual", "scheme",
+        "h", "stats", "success", "status", "message", "y", "x", "system", "nodes", "shift",
+        "stride",
+    )  # fmt: skip
+
+    system: System
+    scheme: Scheme
+    x: Array
+    reactions: Array
+    t0: float
+    h: float
+    stride: int
+    stats: Statistics
+    status: int
+    message: str
+    _computed: dict[str, Array] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        require_system(self.system)
+        if not isinstance(self.scheme, Scheme):
+            raise ValueError(f"scheme = {self.scheme!r}: expected a dalembert.Scheme")
+        arguments.number(self.t0, "t0")
+        arguments.number(self.h, "h")
+        arguments.integer(self.stride, "stride", 1)
+        n, m = self.system.n, self.system.m
+        x = arguments.array(self.x, "x", (None, 2 * n))
+        reactions = np.asarray(self.reactions, dtype=float)  # NaN for the reference flow
+        if len(x) == 0 or reactions.shape != (len(x) - 1, m):
+            raise ValueError(
+                f"x and reactions: expected shapes (N+1, {2 * n}) and (N, {m}), "
+                f"got {x.shape} and {reactions.shape}"
+            )
+        for name, array in (("x", x), ("reactions", reactions)):
+            object.__setattr__(self, name, _read_only(array[:]))
+
+    @property
+    def success(self) -> bool:
+        """True unless a step failed."""
+        return self.status >= 0
+
+    @property
+    def nodes(self) -> str:
+        """Which nodes the scheme has: "moved" or "kept"."""
+        return self.scheme.nodes
+
+    @property
+    def shift(self) -> float:
+        """0 for moved nodes, (1 - beta) h for kept ones."""
+        return self.scheme.shift(self.h) if self.nodes == "kept" else 0.0
+
+    @property
+    def t(self) -> Array:
+        """Times of the states, shape (N+1,)."""
+        return self._once("t", lambda: self.t0 + np.arange(len(self.x)) * self.stride * self.h)
+
+    @property
+    def q(self) -> Array:
+        """Coordinates, shape (N+1, n), a view."""
+        return self.x[:, : self.system.n]
+
+    @property
+    def v(self) -> Array:
+        """Velocities, shape (N+1, n), a view."""
+        return self.x[:, self.system.n :]
+
+    @property
+    def y(self) -> Array:
+        """States, shape (2n, N+1), a view."""
+        return self.x.T
+
+    @property
+    def multipliers(self) -> Array:
+        """lambda(q, v) by the formula, shape (N+1, m)."""
+        return self._evaluate("multipliers", "multipliers")
+
+    @property
+    def energy(self) -> Array:
+        """Energy, shape (N+1,)."""
+        return self._evaluate("energy", "energy")
+
+    @property
+    def constraint(self) -> Array:
+        """mu(q) v, shape (N+1, m)."""
+        return self._evaluate("constraint", "residual")
+
+    @property
+    def residual(self) -> Array:
+        """Relative residual of the set that the scheme keeps, shape (N+1,)."""
+        return self._evaluate("residual", "relative", self.shift)
+
+    def _evaluate(self, name: str, output: str, shift: float = 0.0) -> Array:
+        """Return a quantity of the stored states."""
+        return self._once(
+            name,
+            lambda: geometry.trajectory(
+                self.system, self.x, output, t0=self.t0, h=self.stride * self.h, shift=shift
+            ),
+        )
+
+    def _once(self, name: str, compute: Callable[[], Array]) -> Array:
+        """Compute an array when it is asked for first.
+
+        Without a lock, which a fork would leave locked: of two threads the first to end wins.
+        """
+        if name not in self._computed:
+            self._computed.setdefault(name, compute())
+        return _read_only(self._computed[name])
+
+    def __call__(self, t: ArrayLike) -> States:
+        """Return the states at times between the stored ones, in the set that the scheme keeps.
+
+        The positions and the velocities of independent coordinates are interpolated by
+        polynomials, the other velocities follow from the constraint.  So the states lie in D, or
+        in D_eps for kept nodes, to roundoff; their error has the order of the scheme, up to 4 in
+        the distance of the stored states.  A stored state comes back as it is.
+
+        Parameters
+        ----------
+        t : array_like, shape () or (N,)
+            Times in the user's units, in any order.
+
+        Returns
+        -------
+        States
+            With ``t``, ``q`` and ``v``.
+
+        Raises
+        ------
+        ValueError
+            If a time lies outside of the run, or is not a finite number.
+        SingularError, DomainError
+            If the constraint has not full rank at a state, or a function is not defined there.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> system = dal.systems.particle()
+        >>> run = dal.integrate(system, "midpoint", h=0.1, t_end=10)
+        >>> state = run(2.345)
+        >>> bool(system.relative_residual(state.q, state.v) < 1e-15)
+        True
+        >>> run([0.15, 0.25, 0.35]).q.shape
+        (3, 3)
+        """
+        times = arguments.array(t, "t", (), (None,))
+        flat = times.reshape(-1)
+        n, handle, h = self.system.n, self.system._handle, self.stride * self.h
+        x = np.empty((flat.size, 2 * n))
+        changes, some = 0, ffi.new("size_t *")
+        chart = core.make("chart", handle, owner=handle)
+        before = flat[:0]  # the last time between stored states: seen again for a change after it
+        most = geometry.most_in_a_call(self.system)
+        for start in range(0, flat.size, most):
+            these = np.concatenate([before, flat[start : start + most]])
+            part = np.empty((len(these), 2 * n))
+            status = core.attempt(
+                lib.dal_chart_interpolate, chart, self.t0, h, self.shift,
+                len(self.x), core.pointer(self.x, 0, len(self.x) * 2 * n),
+                len(these), core.pointer(these), core.pointer(part, output=True), some, ffi.NULL,
+            )  # fmt: skip
+            if status < 0:
+                message = core.string(lib.dal_chart_message(chart))
+                raise core.failure(status, message, kind=self.system.kind)
+            changes += int(some[0])
+            x[start : start + most] = part[len(before) :]
+            nearest = np.rint((these - self.t0) / h).astype(int).clip(0, len(self.x) - 1)
+            before = these[(part != self.x[nearest]).any(axis=1)][-1:]
+        if times.ndim == 0:
+            return States(float(times), x[0, :n], x[0, n:], changes)
+        return States(times, x[:, :n], x[:, n:], changes)
+
+    def to_xarray(self) -> Any:
+        """Return the run as an ``xarray.Dataset``.
+
+        Dimensions: time, coordinate, form (one for each constraint), interval (the middles of the
+        intervals between stored states).
+
+        Raises
+        ------
+        ImportError
+            If xarray is not installed; the text is the line to type.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> data = dal.integrate(dal.systems.particle(), h=0.1, steps=10).to_xarray()
+        >>> data.q.sel(coordinate="y").shape
+        (11,)
+        """
+        xarray = extras.require("xarray", "to_xarray")
+        along = ("time", "coordinate")
+        return xarray.Dataset(
+            {
+                "q": (along, self.q),
+                "v": (along, self.v),
+                "multipliers": (("time", "form"), self.multipliers),
+                "energy": ("time", self.energy),
+                "constraint": (("time", "form"), self.constraint),
+                "residual": ("time", self.residual),
+                "reactions": (("interval", "form"), self.reactions),
+            },
+            coords={
+                "time": self.t,
+                "coordinate": list(self.system.coordinates),
+                "interval": (self.t[:-1] + self.t[1:]) / 2,
+            },
+            attrs={
+                "system": self.system.name,
+                **{f"parameter_{key}": x for key, x in self.system.parameters.items()},
+                "scheme": self.scheme.name,
+                "nodes": self.nodes,
+                "h": self.h,
+                "stride": self.stride,
+                "status": self.status,
+                "message": self.message,
+                "dalembert": core.version(),
+            },
+        )
+
+    def __getitem__(self, key: str) -> Any:
+        if key not in self._KEYS:
+            raise KeyError(f"{key!r}: expected one of {', '.join(self._KEYS)}")
+        return getattr(self, key)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._KEYS)
+
+    def __len__(self) -> int:
+        return len(self._KEYS)
+
+    __eq__ = object.__eq__  # arrays have no truth value
+    __hash__ = object.__hash__
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self._KEYS})
+
+    def __reduce__(self) -> tuple[Any, ...]:  # by way of the constructor, which checks the arrays
+        given = {x.name: getattr(self, x.name) for x in fields(self) if x.init}
+        return partial(type(self), **given), (), {"_computed": self._computed}
+
+    def __repr__(self) -> str:
+        kept = "D_eps" if self.nodes == "kept" else "D"
+        every = f", every {self.stride} steps" if self.stride > 1 else ""
+        lines = [
+            f"<Solution of {self.system.name} by {self.scheme.name}, h = {self.h:g}: "
+            f"{'success' if self.success else 'FAILED'}",
+            f"  {len(self.x)} states at t = {self.t[0]:g} .. {self.t[-1]:g}{every}",
+        ]
+        if not self.scheme.is_reference and self.system.m > 0:
+            lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
+        return "\n".join([*lines, f"  {self.message}>"])
+
+
+def _read_only(array: Array) -> Array:
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,527 @@
+"""Pictures of studies and runs, with matplotlib.
+
+Every function takes ``ax=None`` (default: axes of their own), returns the axes and shows nothing.
+Colours are those of Okabe and Ito; markers and line styles differ as well, so that a picture reads
+in black and white.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import geometry
+from ..core import ROUNDOFF, extras, residual_bound
+from ..run import Solution
+from ..study import Embedding, Studies, Study
+
+__all__ = ["convergence", "drift", "energy", "path", "perturbation", "styles"]
+
+Style = Mapping[str, Any]
+Axes = Any  # of matplotlib
+
+# Okabe and Ito without the yellow, which is too light for a line on white.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1.5, 1, 1.5, 1, 1.5)))
+
+ZERO = 1e-17  # where an exact zero is drawn on a logarithmic axis
+NOT_ROUNDOFF = 1e-8  # the axis of residuals reaches here, so that roundoff looks small
+STRETCHES = 50  # of a run, for the drift: roundoff of every step would hide what is beneath it
+
+QUANTITIES = {
+    "state": ("state_error", "global_state", 0, "error of (q, v) at t = {t_end:g} (user's units)"),
+    "q": ("q_error", "global_q", 0, "error of q at t = {t_end:g} (user's units)"),
+    "v": ("v_error", "global_v", 0, "error of v at t = {t_end:g} (user's units)"),
+    "multipliers": (
+        "multiplier_error",
+        "global_multipliers",
+        0,
+        "error of lambda at t = {t_end:g} (user's units)",
+    ),
+    "local": ("local_error", "state", 1, "error of (q, v) after one step (user's units)"),
+    "reactions": (
+        "local_reaction_error",
+        "reaction",
+        1,
+        "error of the scheme's multiplier after one step (user's units)",
+    ),
+}
+
+
+def styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return a colour, a marker and a line style for each name.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of schemes.  Up to 7 differ in colour; up to 280 in something.
+
+    Returns
+    -------
+    dict of str to dict
+        Properties of a line, for the argument ``styles`` of the pictures.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.plot.styles(["midpoint", "leapfrog"])["leapfrog"]["marker"]
+    's'
+    """
+    return {
+        name: {
+            "color": COLOURS[i % len(COLOURS)],
+            "marker": MARKERS[i % len(MARKERS)],
+            "linestyle": LINES[i % len(LINES)],
+            # Smaller and smaller, so that one of two equal curves is seen behind the other.
+            "markersize": 8.5 - 0.5 * (i % len(MARKERS)),
+        }
+        for i, name in enumerate(dict.fromkeys(names))
+    }
+
+
+def convergence(
+    study: Study | Studies | Sequence[Study],
+    ax: Axes | None = None,
+    *,
+    quantity: str = "state",
+    styles: Mapping[str, Style] | None = None,
+) -> Axes:
+    """Draw errors over the step size, log-log, with the fitted orders and slope triangles.
+
+    Lines join the points that count for the fit.  Hollow markers are the others: they are too close
+    to roundoff, or exactly zero and drawn at 1e-17.
+
+    Parameters
+    ----------
+    study : Study or sequence of Study
+    ax : matplotlib axes, optional
+    quantity : {"state", "q", "v", "multipliers", "local", "reactions"}
+        The errors at ``t_end`` (of (q, v), of q, ...), or the one-step errors of (q, v) or of the
+        scheme's own multipliers.  The order in the legend is that of the
+        scheme, slope - 1 of the latter two.
+    styles : mapping of scheme names to properties of a line, optional
+        See `styles`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such quantity, nothing to draw, or something else than a study.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> study = dal.convergence(dal.systems.particle(), "midpoint")
+    >>> dal.plot.convergence(study).get_xscale()
+    'log'
+    """
+    if quantity not in QUANTITIES:
+        raise ValueError(f"quantity is {quantity!r}; expected one of {', '.join(QUANTITIES)}")
+    name, key, loss, label = QUANTITIES[quantity]
+    studies = _several(study, "study", Study)
+    ax = _axes(ax)
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    styles = _styles(studies, styles)
+    triangles: dict[int, tuple[float, NDArray[np.float64], NDArray[np.float64]]] = {}
+    for item in studies:
+        fit, error = item.fits[key], getattr(item, name)
+        drawn = np.isfinite(error)
+        h, error = np.abs(item.h[drawn]), np.maximum(error[drawn], ZERO)
+        clear = np.array(fit.counted)[drawn]
+        style = dict(styles[item.scheme.name])
+        (line,) = ax.loglog(
+            h[clear], error[clear], label=plain(f"{item.scheme.name}: {fit.order(loss)}"), **style
+        )
+        ax.plot(
+            h[~clear],
+            error[~clear],
+            linestyle="none",
+            marker=style.get("marker"),
+            markersize=style.get("markersize"),
+            color=line.get_color(),
+            markerfacecolor="white",
+        )
+        if not math.isnan(fit.slope) and not fit.exact and round(fit.slope) > 0:
+            _lowest(triangles, round(fit.slope), h[clear], error[clear])
+    for slope, (_, h, error) in sorted(triangles.items()):
+        _triangle(ax, slope, h, error)
+    ax.set_xlabel("step h (user's units of time)")
+    shortest, longest = ax.get_xlim()
+    ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if longest < 100 * shortest else (1,)))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    ax.set_ylabel(label.format(t_end=studies[0].t_end))
+    ax.set_title(f"{_systems(studies)}: convergence")
+    _legend(ax, "scheme: fitted order")
+    return ax
+
+
+def drift(
+    solution: Solution | Sequence[Solution],
+    ax: Sequence[Axes] | None = None,
+    *,
+    styles: Mapping[str, Style] | None = None,
+) -> NDArray[Any]:
+    """Draw the relative residual of D and that of D_eps over time, side by side.
+
+    Exact zeros are drawn at 1e-17; the dashed line is the unit roundoff u.  Schemes with several
+    sub-steps have no D_eps and stand only on the left.  A hollow marker is the start of a run with
+    kept nodes that was in D and not in D_eps.  Of a run with more than 50 states the largest
+    residual in each of 50 stretches is drawn.
+
+    Parameters
+    ----------
+    solution : Solution or sequence of Solution
+    ax : two matplotlib axes, optional
+        For D and for D_eps.
+    styles : mapping of scheme names to properties of a line, optional
+        See `styles`.
+
+    Returns
+    -------
+    ndarray of two matplotlib axes
+
+    Raises
+    ------
+    ValueError
+        If ``ax`` is not two axes, there is nothing to draw, or something else than a run.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=100)
+    >>> left, right = dal.plot.drift(run)
+    """
+    solutions = _several(solution, "solution", Solution)
+    if ax is None:
+        _, ax = _pyplot().subplots(1, 2, sharey=True, layout="constrained", figsize=(9, 3.8))
+    axes = np.asarray(ax, dtype=object).ravel()
+    if len(axes) != 2:
+        raise ValueError(f"ax has {len(axes)} axes; expected two, for D and for D_eps")
+    axes = np.array([_axes(axis) for axis in axes])
+    styles = _styles(solutions, styles)
+    for run in solutions:
+        style = _over_time(styles[run.scheme.name], min(len(run.t), STRETCHES))
+        in_D, in_D_eps = _residuals(run)
+        axes[0].plot(*_stretches(run.t, in_D), label=plain(run.scheme.name), **style)
+        if in_D_eps is None:
+            continue
+        # Kept nodes may start in D and jump to D_eps in the first step: that start is a point.
+        jump = int(run.nodes == "kept" and in_D_eps[0] > residual_bound(run.system.n))
+        (line,) = axes[1].plot(*_stretches(run.t[jump:], in_D_eps[jump:]), **style)
+        axes[1].plot(
+            run.t[:jump],
+            in_D_eps[:jump],
+            linestyle="none",
+            marker=style.get("marker"),
+            color=line.get_color(),
+            markerfacecolor="white",
+        )
+    for axis, title in zip(
+        axes, (r"$D$:  $\mu(q)\,v = 0$", r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$")
+    ):
+        axis.set_yscale("log")
+        axis.axhline(ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)), zorder=1)
+        axis.annotate(
+            "u",
+            (1, ROUNDOFF),
+            xycoords=("axes fraction", "data"),
+            xytext=(3, 0),
+            textcoords="offset points",
+            va="center",
+        )
+        axis.set_title(title)
+        axis.set_xlabel("time t (user's units)")
+    for axis in axes:
+        lowest, highest = axis.get_ylim()
+        axis.set_ylim(min(lowest, ZERO / 4), max(highest, NOT_ROUNDOFF))
+    axes[0].set_ylabel("relative residual of the constraint")
+    _legend(axes[1], None, axes[0].get_legend_handles_labels())
+    return axes
+
+
+def energy(
+    solution: Solution | Sequence[Solution],
+    ax: Axes | None = None,
+    *,
+    styles: Mapping[str, Style] | None = None,
+) -> Axes:
+    """Draw the relative energy error over time, on a linear axis.
+
+    Parameters
+    ----------
+    solution : Solution or sequence of Solution
+    ax : matplotlib axes, optional
+    styles : mapping of scheme names to properties of a line, optional
+        See `styles`.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing to draw, or something else than a run.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=100)
+    >>> ax = dal.plot.energy(run)
+    """
+    solutions = _several(solution, "solution", Solution)
+    ax = _axes(ax)
+    styles = _styles(solutions, styles)
+    for run in solutions:
+        scale = max(abs(run.energy[0]), 1.0)
+        ax.plot(
+            run.t,
+            (run.energy - run.energy[0]) / scale,
+            label=plain(run.scheme.name),
+            **_over_time(styles[run.scheme.name], len(run.t)),
+        )
+    ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
+    ax.set_xlabel("time t (user's units)")
+    ax.set_ylabel(r"energy error  $(E - E_0) / \max(|E_0|, 1)$")
+    ax.set_title(f"{_systems(solutions)}: energy")
+    ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
+    _legend(ax, None)
+    return ax
+
+
+def path(
+    solution: Solution,
+    ax: Axes | None = None,
+    coordinates: tuple[int, int] = (0, 1),
+) -> Axes:
+    """Draw a run in the plane of two coordinates, with equal axes and the start marked.
+
+    Parameters
+    ----------
+    solution : Solution
+    ax : matplotlib axes, optional
+    coordinates : pair of int
+        Which two of q.
+
+    Raises
+    ------
+    ValueError
+        If the system does not have these coordinates.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> run = dal.integrate(dal.systems.knife_edge(), "leapfrog", h=0.05, steps=100)
+    >>> dal.plot.path(run).get_xlabel()
+    "x (user's units)"
+    """
+    _require(solution, "solution", Solution)
+    n = solution.system.n
+    try:
+        i, j = map(operator.index, coordinates)
+    except (TypeError, ValueError):
+        i = j = -1
+    if not (0 <= i < n and 0 <= j < n):
+        raise ValueError(f"coordinates is {coordinates!r}; expected two of 0 to {n - 1}")
+    ax = _axes(ax)
+    first, second = solution.q[:, i], solution.q[:, j]
+    ax.plot(first, second, color=COLOURS[0])
+    ax.plot(first[:1], second[:1], color=COLOURS[1], marker="o", linestyle="none", label="start")
+    ax.set_aspect("equal", adjustable="datalim")
+    names = solution.system.coordinates
+    ax.set_xlabel(f"{plain(names[i])} (user's units)")
+    ax.set_ylabel(f"{plain(names[j])} (user's units)")
+    title = f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}"
+    ax.set_title(plain(title))
+    ax.legend(frameon=False)
+    return ax
+
+
+def perturbation(
+    embedding: Embedding,
+    ax: Axes | None = None,
+    *,
+    hs: Sequence[float] | None = None,
+    z: ArrayLike | None = None,
+) -> Axes:
+    """Draw the largest component of |g| over tau for several h.
+
+    With the order of the scheme the curves nearly lie on each other; with one more they double as
+    h is halved.  A thin horizontal line is the noise of the curve of the same style, below which
+    it says nothing; where all is well it cannot be told from 0, and stands in the legend.
+
+    Parameters
+    ----------
+    embedding : Embedding
+    ax : matplotlib axes, optional
+    hs : sequence of float, optional
+        Steps.  Default: that of the embedding, a half and a quarter of it.
+    z : array_like, shape (2n-m,), optional
+        Where.  Default: ``embedding.start``.
+
+    Raises
+    ------
+    ValueError
+        If it is no embedding, there are no steps, or one is 0 or not finite.
+    ImportError
+        If matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> midpoint = dal.embedding(dal.systems.particle(), "midpoint", h=0.1)
+    >>> dal.plot.perturbation(midpoint).get_xlabel()
+    'time in units of the period, tau = t/h'
+    """
+    _require(embedding, "embedding", Embedding)
+    ax = _axes(ax)
+    steps = [embedding.h / 2**k for k in range(3)] if hs is None else list(hs)
+    if not steps:
+        raise ValueError("hs is empty; expected at least one step")
+    found = [embedding.with_step(h) for h in steps]
+    taus = np.arange(1, 200) / 200
+    for one, style in zip(found, styles(map(str, found)).values()):
+        size = np.abs(one.g(taus, z)).max(axis=-1)
+        line = {"color": style["color"], "linestyle": style["linestyle"]}
+        ax.plot(taus, size, label=f"{one.h:g}, noise {one.noise:.0e}", **line)
+        ax.axhline(one.noise, linewidth=0.8, zorder=1, **line)
+    ax.set_xlabel("time in units of the period, tau = t/h")
+    ax.set_ylabel("largest component of |g| (user's units)")
+    title = f"{embedding.system.name}: {embedding.scheme.name} with p = {embedding.order}"
+    ax.set_title(plain(title))
+    _legend(ax, "step h")
+    return ax
+
+
+def embedded(
+    self: Embedding,
+    hs: Sequence[float] | None = None,
+    z: ArrayLike | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw |g| over tau for several h, as `perturbation`: the method ``plot`` of an Embedding."""
+    return perturbation(self, ax, hs=hs, z=z)
+
+
+def _lowest(triangles: dict[int, Any], slope: int, h: NDArray[Any], error: NDArray[Any]) -> None:
+    """Keep for each slope the curve that lies lowest, where a triangle has room below it."""
+    if len(h) < 2:
+        return
+    height = float(np.mean(np.log(error) - slope * np.log(h)))
+    if slope not in triangles or height < triangles[slope][0]:
+        triangles[slope] = (height, h, error)
+
+
+def _triangle(ax: Axes, slope: int, h: NDArray[Any], error: NDArray[Any]) -> None:
+    """A triangle of this slope below the middle of a curve."""
+    order = np.argsort(h)
+    h, error = h[order], error[order]
+    middle = math.sqrt(h[0] * h[-1])
+    left, right = middle / 1.2, middle * 1.2
+    top = math.exp(np.interp(math.log(right), np.log(h), np.log(error))) / 2.0
+    bottom = top * (left / right) ** slope
+    ax.fill(
+        [left, right, right],
+        [bottom, bottom, top],
+        facecolor="0.85",
+        edgecolor="0.3",
+        linewidth=0.8,
+        zorder=1,
+    )
+    ax.annotate(
+        str(slope),
+        (right, math.sqrt(top * bottom)),
+        xytext=(3, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize="small",
+    )
+
+
+def _residuals(run: Solution) -> tuple[NDArray[Any], NDArray[Any] | None]:
+    """Relative residuals of D and of D_eps; None where the scheme has no D_eps."""
+    in_D = geometry.relative_residual(run.system, run.q, run.v)
+    if len(run.scheme.substeps) != 1:
+        return in_D, None
+    return in_D, geometry.relative_residual(run.system, run.q, run.v, run.scheme.shift(run.h))
+
+
+def _stretches(t: NDArray[Any], residual: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The largest residual in each stretch of a run, at the time where the stretch begins."""
+    starts = np.unique(np.linspace(0, len(t), min(len(t), STRETCHES), endpoint=False, dtype=int))
+    return t[starts], np.maximum(np.maximum.reduceat(residual, starts), ZERO)
+
+
+def _over_time(style: Style, points: int) -> dict[str, Any]:
+    """The style of a curve with many points: about a dozen markers, small ones."""
+    return {**style, "markevery": max(1, points // 12), "markersize": 4, "linewidth": 1.2}
+
+
+def _styles(items: Sequence[Any], given: Mapping[str, Style] | None) -> dict[str, Style]:
+    """The styles that are given, and others for the rest of the schemes."""
+    return {**styles(item.scheme.name for item in items), **(given or {})}
+
+
+def _systems(items: Sequence[Any]) -> str:
+    return plain(", ".join(dict.fromkeys(item.system.name for item in items)))
+
+
+def plain(text: str) -> str:
+    """Return a text of the user as Matplotlib draws it letter by letter: a $ begins no formula."""
+    return text.replace("$", r"\$")
+
+
+def _several(item: Any, what: str, kind: type) -> list[Any]:
+    items = list(item) if isinstance(item, Sequence) and not isinstance(item, str) else [item]
+    if not items:
+        raise ValueError(f"{what} is empty; expected at least one")
+    for one in items:
+        _require(one, what, kind, " or several")
+    return items
+
+
+def _require(item: Any, what: str, kind: type, more: str = "") -> None:
+    if not isinstance(item, kind):
+        package = kind.__module__.partition(".")[0]
+        raise ValueError(
+            f"{what} is a {type(item).__name__}; expected a {package}.{kind.__name__}{more}"
+        )
+
+
+def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None) -> None:
+    """Inside for a few curves, beside the picture for many."""
+    handles, labels = entries or ax.get_legend_handles_labels()
+    where: dict[str, Any] = {}
+    if len(handles) > 4:
+        where = {"loc": "upper left", "bbox_to_anchor": (1.05, 1)}
+    ax.legend(handles, labels, title=title, frameon=False, fontsize="small", **where)
+
+
+def _axes(ax: Axes | None) -> Axes:
+    if ax is None:
+        _, ax = _pyplot().subplots(layout="constrained")
+    _require(ax, "ax", extras.require("matplotlib.axes", "a picture").Axes)
+    return ax
+
+
+def _pyplot() -> Any:
+    require_matplotlib()
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def require_matplotlib() -> None:
+    """Raise an ImportError with the line to type if matplotlib is not installed."""
+    extras.require("matplotlib", "a picture")

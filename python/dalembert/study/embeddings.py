@@ -1,0 +1,634 @@
+"""A scheme as the period map of a periodically perturbed flow (propoDisc).
+
+One step of a scheme of order p from xi in D is the time-h map of
+
+    xidot = f(xi) + h^p g(t/h, xi)                              (pertODE, perturbedNhODExi)
+
+where xi are the coordinates of a `dalembert.Chart`, f is the field of the ODE on D in them, and g
+is 1-periodic in its first argument tau = t/h and bounded as h -> 0.  With p + 1 in place of p it
+grows as 1/h, with p - 1 it tends to 0: so it measures p.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from ..core import arguments, extras
+from .. import geometry
+from ..core import Array, ffi, lib
+from ..geometry import Chart
+from ..run.integration import CONSISTENCY
+from ..run.runs import consistent_state
+from ..run.scheme import Scheme
+from .study import Fit
+from ..core import require_system
+from ..system import System
+
+__all__ = ["Embedding", "embedding"]
+
+# Where |g| is looked at, in a period: among them 1/2, where chi_0' is largest.
+TAUS = np.arange(1, 64) / 64
+
+# The steps of a measured order, as fractions of the largest.
+FRACTIONS = (1, 2 / 3, 1 / 2, 1 / 3, 1 / 4)
+
+CLEAR = 100  # as many times g stands above its noise, if it is meaningful
+
+
+class Embedding(core.Constant):
+    """A scheme with the step h as the time-h map of xidot = f(xi) + h^p g(t/h, xi).
+
+    `embedding` makes it.  What the methods take as ``z`` and return are coordinates xi of `chart`,
+    (q, v of the independent coordinates), shape (2n-m,); where ``z`` is left out it is `start`.
+    Phi is the scheme, F the flow of the ODE on D, and tau = t/h the time in units of the period.
+    Of kept nodes the map of moved nodes is embedded, which is theirs seen from (q - (1-beta) h v,
+    v).
+
+    The methods raise ValueError if an argument has another shape or is not finite, ConvergenceError
+    if h is too large, the exceptions of a step and of the flow where those fail, and whatever a
+    function of the user raises.
+
+    Attributes
+    ----------
+    chart : Chart
+        The coordinates xi.
+    system : System
+    scheme : Scheme
+    h : float
+        The period, in the user's units of time.
+    order : int
+        p.
+    start : ndarray, shape (2n-m,), read-only
+        The initial data in these coordinates.
+    tolerance : float
+        Of the reference flow.
+    numerical : bool
+        True if F is the reference flow, False if it is the exact solution of the system.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> midpoint = dal.embedding(dal.systems.particle(), "midpoint", h=0.1)
+    >>> midpoint
+    <Embedding of midpoint on particle: h = 0.1, p = 2, exact flow, noise of g 4e-13>
+    >>> midpoint.coordinates
+    ('x', 'y', 'z', 'v_x', 'v_y')
+    >>> midpoint.g([0, 0.5]).shape
+    (2, 5)
+    >>> midpoint.measured_order().order()
+    '2.00'
+    """
+
+    def __init__(
+        self,
+        chart: Chart,
+        scheme: Scheme,
+        h: float,
+        order: int | None,
+        start: Array,
+        tolerance: float,
+        numerical: bool,
+    ) -> None:
+        self.chart = chart
+        self.scheme = scheme
+        self.h = h
+        self.start = start.copy()
+        self.start.flags.writeable = False
+        self.tolerance = tolerance
+        self.numerical = numerical or not chart.system.has_exact
+        record, self._kept = scheme._record_of(chart.system)
+        self._definition = ffi.new(
+            "dal_embedding_def *",
+            {
+                "scheme": record,
+                "h": h,
+                "order": order or 0,
+                "tolerance": tolerance,
+                "numerical": int(numerical),
+            },
+        )
+        self._workspaces: list[Any] = []
+        with self._workspace() as embedding:
+            self.order = int(lib.dal_embedding_order(embedding))
+            self._noise = float(lib.dal_embedding_noise(embedding))
+
+    @contextlib.contextmanager
+    def _workspace(self, show: Callable[[float], Any] = lambda made: None) -> Iterator[Any]:
+        """Lend a ``dal_embedding``; threads and callbacks that come back each get their own.
+
+        Ctrl-C ends what it computes, and ``show`` is told some times a second how many steps of a
+        curve are made.
+        """
+        try:
+            embedding = self._workspaces.pop()
+        except IndexError:
+            owner = (self.system, self.scheme)
+            embedding = core.make("embedding", self.system._handle, self._definition, owner=owner)
+            self.chart._choose(lib.dal_embedding_chart(embedding))
+        context = ffi.new_handle(show)
+        lib.dal_embedding_watch(embedding, lib.dal_py_watch, context)
+        try:
+            yield embedding
+        finally:
+            lib.dal_embedding_watch(embedding, ffi.NULL, ffi.NULL)
+            self._workspaces.append(embedding)
+
+    def _rows(
+        self,
+        function: Callable[..., int],
+        inputs: Iterable[tuple[Any, ...]],
+        values: Array,
+        show: Callable[[int, float], Any] = lambda row, made: None,
+    ) -> None:
+        """Call ``function(embedding, *given, value)``, one call for each row of values."""
+        k = 0
+        with self._workspace(lambda made: show(k, made)) as embedding:
+            for k, given in enumerate(inputs):
+                status = core.attempt(function, embedding, *given, core.pointer(values, k))
+                self._check(status, embedding, k)
+
+    def _check(self, status: int, embedding: Any, row: int | None = None) -> None:
+        if status < 0:
+            message = core.string(lib.dal_embedding_message(embedding))
+            raise core.failure(status, message, kind=self.system.kind, step=row)
+
+    def _point(self, z: ArrayLike | None, name: str, *shapes: tuple[int | None, ...]) -> Array:
+        return self.start if z is None else arguments.array(z, name, self.start.shape, *shapes)
+
+    def _along(
+        self,
+        function: Callable[..., int],
+        tau: ArrayLike,
+        z: ArrayLike | None,
+        name: str = "z",
+        progress: bool | Callable[[int, int], Any] = False,
+    ) -> Array:
+        """Return the values of a function of (tau, z), with one row for each of them."""
+        taus = arguments.array(tau, "tau", (), (None,))
+        points = self._point(z, name, (None, self.start.size))
+        if taus.ndim == 1 and points.ndim == 2 and len(taus) != len(points):
+            raise ValueError(f"{name}: expected {len(taus)} rows as tau has, got {len(points)}")
+        rows = (*taus.shape, *points.shape[:-1])[:1]
+        times = np.broadcast_to(taus, rows or 1)
+        places = np.ascontiguousarray(np.broadcast_to(points, (len(times), self.start.size)))
+        values = np.empty_like(places)
+        inputs = ((float(t), core.pointer(places, k)) for k, t in enumerate(times))
+        before = [0, *np.cumsum(np.maximum(np.ceil(times) - 1, 0)).tolist()]  # steps of curves
+        with extras.progress(progress, int(before[-1]), "step") as show:
+            self._rows(function, inputs, values, lambda k, made: show(int(before[k] + made)))
+            show(int(before[-1]))
+        return values if rows else values[0]
+
+    # ---- what it is ------------------------------------------------------------------------
+
+    @property
+    def system(self) -> System:
+        """The system."""
+        return self.chart.system
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates xi: those of q, and v_ with those that are independent."""
+        return (*self.system.coordinates, *(f"v_{name}" for name in self.chart.independent))
+
+    @property
+    def accuracy(self) -> float:
+        """The accuracy of F: the tolerance of the reference flow, roundoff for an exact one."""
+        return self._noise * abs(self.h) ** (self.order + 1)
+
+    @property
+    def noise(self) -> float:
+        """About how much of g is noise: the accuracy of F times h^-(p+1)."""
+        return self._noise
+
+    def with_step(self, h: float) -> Embedding:
+        """Return the embedding with another step, of the same order.
+
+        Parameters
+        ----------
+        h : float
+            Not 0.
+
+        Raises
+        ------
+        ValueError
+            If h is 0 or not finite.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> midpoint = dal.embedding(dal.systems.particle(), "midpoint", h=0.1)
+        >>> midpoint.with_step(0.05).h
+        0.05
+        """
+        h = arguments.number(h, "h")
+        return Embedding(
+            self.chart, self.scheme, h, self.order, self.start, self.tolerance, self.numerical
+        )
+
+    def __repr__(self) -> str:
+        flow = "reference flow" if self.numerical else "exact flow"
+        return (
+            f"<Embedding of {self.scheme.name} on {self.system.name}: h = {self.h:g}, "
+            f"p = {self.order}, {flow}, noise of g {self.noise:.0e}>"
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Embedding, (
+            self.chart, self.scheme, self.h, self.order, self.start, self.tolerance,
+            self.numerical,
+        )  # fmt: skip
+
+    # ---- the field -------------------------------------------------------------------------
+
+    def g(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
+        """Return g(tau, z), 1-periodic in tau (gdefinition).
+
+        Parameters
+        ----------
+        tau : array_like, shape () or (N,)
+            In units of h.
+        z : array_like, shape (2n-m,) or (N, 2n-m), optional
+
+        Returns
+        -------
+        ndarray, shape (2n-m,) or (N, 2n-m)
+            Exactly 0 where tau is an integer.
+
+        Raises
+        ------
+        ValueError, ConvergenceError, Exception
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> explicit = dal.embedding(dal.systems.particle(), "explicit", h=0.1)
+        >>> explicit.g(0.5, [0.5, 0.3, -0.2, 1, 0.7]).round(3)
+        array([ 0.163,  0.   , -0.504, -0.324,  0.   ])
+        """
+        return self._along(lib.dal_embedding_field, tau, z)
+
+    def g_tilde(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
+        """Return g~ = (dpsi/dxi) g in the state (q, v), a vector tangent to D (tildeg).
+
+        With it `System.perturbed` is the field of the perturbed ODE, and has the multipliers of
+        the system itself.
+
+        Parameters
+        ----------
+        tau : array_like, shape () or (N,)
+            In units of h.
+        z : array_like, shape (2n-m,) or (N, 2n-m), optional
+
+        Returns
+        -------
+        ndarray, shape (2n,) or (N, 2n)
+
+        Raises
+        ------
+        ValueError, ConvergenceError, Exception
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> explicit = dal.embedding(dal.systems.particle(), "explicit", h=0.1)
+        >>> explicit.g_tilde(0.5, [0.5, 0.3, -0.2, 1, 0.7]).round(3)
+        array([ 0.163,  0.   , -0.504, -0.324,  0.   , -0.097])
+        """
+        points = self._point(z, "z", (None, self.start.size))
+        return np.einsum("...ij,...j->...i", self.chart.jacobian(points), self.g(tau, points))
+
+    def limit(self, z: ArrayLike | None = None) -> Array:
+        """Return d(z) = (Phi(z) - F(h, z)) / h^(p+1).
+
+        For h -> 0 it is the error constant of the scheme, and g(tau, z) tends to -chi_0'(tau) d(z)
+        with the slope chi_0' of `dalembert.geometry.cutoff`.
+
+        Parameters
+        ----------
+        z : array_like, shape (2n-m,), optional
+
+        Returns
+        -------
+        ndarray, shape (2n-m,)
+
+        Raises
+        ------
+        ValueError, Exception
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> explicit = dal.embedding(dal.systems.particle(), "explicit", h=0.01)
+        >>> explicit.limit([0.5, 0.3, -0.2, 1, 0.7]).round(2)
+        array([ 0.1 ,  0.  , -0.32, -0.21,  0.  ])
+        """
+        point = self._point(z, "z")
+        values = np.empty((1, point.size))
+        self._rows(lib.dal_embedding_limit, [(core.pointer(point),)], values)
+        return values[0]
+
+    # ---- curves ----------------------------------------------------------------------------
+
+    def curve(
+        self,
+        tau: ArrayLike,
+        y: ArrayLike | None = None,
+        *,
+        progress: bool | Callable[[int, int], Any] = False,
+    ) -> Array:
+        """Return the solution G~(tau, y) that starts in y (Gdef, Gtilde, period0).
+
+        It is chi_0 F(h tau, y) + chi_1 F(h tau - h, Phi(y)) for tau <= 1, and goes on from Phi(y)
+        in the same way.
+
+        Parameters
+        ----------
+        tau : array_like, shape () or (N,)
+            In units of h, not negative.
+        y : array_like, shape (2n-m,) or (N, 2n-m), optional
+        progress : bool or callable, optional
+            True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+            steps of the scheme.
+
+        Returns
+        -------
+        ndarray, shape (2n-m,) or (N, 2n-m)
+
+        Raises
+        ------
+        ValueError, Exception
+            As of the class; ValueError also if a tau is negative.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> explicit = dal.embedding(dal.systems.particle(), "explicit", h=0.5)
+        >>> explicit.curve([0, 1], [0, 0, 0, 1, 1])
+        array([[0. , 0. , 0. , 1. , 1. ],
+               [0.5, 0.5, 0. , 0.8, 1. ]])
+        """
+        return self._along(lib.dal_embedding_curve, tau, y, "y", progress)
+
+    def source(self, tau: ArrayLike, z: ArrayLike | None = None) -> Array:
+        """Return the y whose curve goes through z at tau - floor(tau) (ztilde).
+
+        Parameters
+        ----------
+        tau : array_like, shape () or (N,)
+            In units of h.
+        z : array_like, shape (2n-m,) or (N, 2n-m), optional
+
+        Returns
+        -------
+        ndarray, shape (2n-m,) or (N, 2n-m)
+
+        Raises
+        ------
+        ValueError, ConvergenceError, Exception
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> explicit = dal.embedding(dal.systems.particle(), "explicit", h=0.1)
+        >>> z = [0.5, 0.3, -0.2, 1, 0.7]
+        >>> explicit.curve(0.4, explicit.source(0.4, z)).round(12)
+        array([ 0.5,  0.3, -0.2,  1. ,  0.7])
+        """
+        return self._along(lib.dal_embedding_source, tau, z)
+
+    def flow(
+        self,
+        t0: float,
+        t1: float,
+        z: ArrayLike | None = None,
+        *,
+        progress: bool | Callable[[int, int], Any] = False,
+    ) -> Array:
+        """Return the state at t1 of the perturbed ODE that is in z at t0, to about 1e-12.
+
+        From t0 to t0 + h for t0 = 0, h, 2 h, ... it is the scheme.
+
+        Parameters
+        ----------
+        t0, t1 : float
+            Times in the user's units; ``t1 < t0`` is allowed.
+        z : array_like, shape (2n-m,), optional
+        progress : bool or callable, optional
+            As of `curve`.
+
+        Returns
+        -------
+        ndarray, shape (2n-m,)
+
+        Raises
+        ------
+        ValueError, ConvergenceError, Exception
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> explicit = dal.embedding(dal.systems.particle(), "explicit", h=0.5)
+        >>> explicit.flow(0, 0.5, [0, 0, 0, 1, 1]).round(9)
+        array([0.5, 0.5, 0. , 0.8, 1. ])
+        """
+        t0, t1 = arguments.number(t0, "t0"), arguments.number(t1, "t1")
+        values = self._point(z, "z").copy()
+        total = math.ceil(abs((t1 - t0) / self.h))
+        with (
+            extras.progress(progress, total, "step") as show,
+            self._workspace(lambda made: show(int(made))) as embedding,
+        ):
+            status = core.attempt(lib.dal_embedding_flow, embedding, t0, t1, core.pointer(values))
+            self._check(status, embedding)
+            show(total)
+        return values
+
+    # ---- how large g is --------------------------------------------------------------------
+
+    def bound(self, z: ArrayLike | None = None) -> float:
+        """Return the largest component of |g(tau, z)| over a period.
+
+        Parameters
+        ----------
+        z : array_like, shape (2n-m,), optional
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        ValueError, ConvergenceError, Exception
+            As of the class.
+
+        Examples
+        --------
+        With the order of the scheme it hardly depends on h; with one more it grows as 1/h:
+
+        >>> import dalembert as dal
+        >>> for order in (2, 3):
+        ...     large = dal.embedding(dal.systems.particle(), "midpoint", h=0.1, order=order)
+        ...     print(round(large.with_step(0.05).bound() / large.bound(), 1))
+        1.0
+        2.0
+        """
+        return float(np.abs(self.g(TAUS, self._point(z, "z"))).max())
+
+    def meaningful(self, z: ArrayLike | None = None) -> bool:
+        """Return whether |g| is at least 100 times as large as its noise somewhere in a period.
+
+        Where it is not, say for p = 4 and small h, g says nothing.
+
+        Parameters
+        ----------
+        z : array_like, shape (2n-m,), optional
+
+        Returns
+        -------
+        bool
+
+        Raises
+        ------
+        ValueError, ConvergenceError, Exception
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> fourth = dal.embedding(dal.systems.heisenberg(), "leapfrog-suzuki4", h=0.1)
+        >>> fourth.meaningful(), fourth.with_step(0.005).meaningful()
+        (True, False)
+        """
+        return self.bound(z) > CLEAR * self.noise
+
+    def measured_order(self, hs: Sequence[float] | None = None, z: ArrayLike | None = None) -> Fit:
+        """Return the order of the scheme as the slope of h^p |g| over h, log-log.
+
+        It does not depend on the p with which g is made.
+
+        Parameters
+        ----------
+        hs : sequence of float, optional
+            Steps.  Default: h times 1, 2/3, 1/2, 1/3, 1/4.
+        z : array_like, shape (2n-m,), optional
+
+        Returns
+        -------
+        Fit
+            ``slope`` is the order, ``points`` how many of the steps were meaningful; at least
+            three of them are needed, over a factor of two in h.
+
+        Raises
+        ------
+        ValueError, ConvergenceError, Exception
+            As of the class.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> claimed = dal.embedding(dal.systems.sleigh(), "explicit", h=0.1, order=2)
+        >>> claimed.measured_order().order()
+        '1.00'
+        """
+        given = [self.h * x for x in FRACTIONS] if hs is None else hs
+        steps = arguments.array(given, "hs", (None,))
+        found = [self.with_step(h) for h in steps]
+        # h^(p+1) g has one and the same noise for all h, that of the flow.
+        sizes = np.array([abs(one.h) ** (one.order + 1) * one.bound(z) for one in found])
+        steps = np.abs(steps)
+        fit = ffi.new("dal_fit *")
+        counted = ffi.new("unsigned char[]", len(steps))
+        lib.dal_fit_order(
+            len(steps), core.pointer(steps), core.pointer(sizes), self.accuracy, fit, counted
+        )
+        raw = Fit.read(fit, map(bool, counted))
+        return dataclasses.replace(raw, slope=raw.slope - 1)
+
+
+def embedding(
+    system: System,
+    scheme: Scheme | str | float,
+    h: float,
+    order: int | None = None,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    dependent: str | Iterable[str] | None = None,
+    consistent: str = "check",
+    tolerance: float = 1e-14,
+    numerical: bool = False,
+) -> Embedding:
+    """Return a scheme as the period map of a periodically perturbed flow (propoDisc).
+
+    Parameters
+    ----------
+    system : System
+        Without a force, which may depend on time.
+    scheme : Scheme, str or float
+        Any but the reference flow.
+    h : float
+        Step and period, in the user's units of time; not 0.
+    order : int, optional
+        p, at least 1.  Default: what the scheme promises.
+    q0, v0 : array_like, shape (n,), optional
+        A state in D, where the coordinates are chosen and where g is looked at by default.
+        Default: that of the system.
+    dependent : str or iterable of str, optional
+        Names of the m dependent coordinates, as of `Chart`.
+    consistent : {"check", "project", "assume"}, optional
+        As in `integrate`.
+    tolerance : float, optional
+        Of the reference flow F, in [4.4e-16, 0.1].  Its error bounds what can be said about g: g
+        has a noise of about tolerance h^-(p+1).
+    numerical : bool, optional
+        True: F is the reference flow even where the system carries an exact solution.
+
+    Returns
+    -------
+    Embedding
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    NotOnConstraintError
+        If (q0, v0) is not in D.
+    NotImplementedError
+        If the system has a force.
+    SingularError, DomainError
+        If the coordinates cannot be chosen at (q0, v0).
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> for h in (0.2, 0.1, 0.05):
+    ...     print(f"{dal.embedding(dal.systems.particle(), 'explicit', h).bound():.2f}")
+    0.51
+    0.51
+    0.51
+    """
+    require_system(system)
+    scheme = Scheme.of(scheme)
+    if scheme.is_reference:
+        raise ValueError("scheme = 'reference': expected a scheme with steps")
+    h = arguments.number(h, "h")
+    order = None if order is None else arguments.integer(order, "order", 1, 2**31 - 1)
+    tolerance = arguments.tolerance(tolerance)
+    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
+    q, v = np.split(consistent_state(system, x0, 0.0, consistency), 2)
+    chart = Chart(system, q, v, dependent)
+    return Embedding(chart, scheme, h, order, chart.drop(q, v), tolerance, bool(numerical))

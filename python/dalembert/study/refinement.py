@@ -1,0 +1,378 @@
+"""Step-size refinement: the order of a scheme, measured and compared with what it promises."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from ..core import arguments, extras
+from .. import geometry
+from ..core import ffi, lib
+from ..run.scheme import Scheme
+from ..run.scheme import schemes as named_schemes
+from .study import Fit, Studies, Study
+from ..core import require_system
+from ..system import System
+
+__all__ = ["convergence", "studies"]
+
+# Numbers of steps over one unit of time: what tells the order of the reactions, and low orders,
+# and the candidates for high orders; COARSE is also how many units a longer step may take.
+FINE = (80, 120, 160, 240, 320, 480, 640)
+COARSE = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 64, 80)
+LONGEST = 16  # of the default intervals
+MOST_STEPS = 10**9  # of all runs together, unless the caller says that more are meant
+
+FITS = (  # in the order of dal_order_fit
+    "state",
+    "multipliers",
+    "reaction",
+    "midpoint",
+    "global_q",
+    "global_v",
+    "global_multipliers",
+    "global_state",
+)
+
+
+def convergence(
+    system: System,
+    scheme: Scheme | str | float,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    *,
+    t_end: float | None = None,
+    t0: float = 0.0,
+    steps: Sequence[int] | None = None,
+    initial: str | None = None,
+    tolerance: float = 1e-14,
+    max_steps: int = MOST_STEPS,
+    progress: bool | Callable[[int, int], Any] = False,
+) -> Study:
+    """Measure the order of a scheme by refining the step size.
+
+    Parameters
+    ----------
+    system : System
+    scheme : Scheme, str or float
+        A record, the name of one, or beta.
+    q0, v0 : array_like, shape (n,), optional
+        Initial data in D, in the user's units.  Default: those of the system.
+    t_end, t0 : float, optional
+        Interval of time, in the user's units.  Default: one unit; without ``steps`` 2, 4, 8 or 16
+        where the errors of a high order over less than that are too close to roundoff.
+    steps : sequence of int, optional
+        Numbers of steps over the interval, no two of them equal.  The default depends on the
+        promised order: small steps, for high orders as small as the round-off floor allows.
+    initial : {"D", "D_eps", "project", "shift"}, optional
+        How runs with kept nodes start; they refuse to start without.
+    tolerance : float, optional
+        Of the reference flow where the system has no exact solution, in [4.4e-16, 0.1].
+    max_steps : int, optional
+        More steps than these, of all runs together, are refused before the first one.
+    progress : bool or callable, optional
+        True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+        steps.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range; the text names it.
+    dalembert.DalembertError
+        If the reference flow fails.  A run that fails is a failed entry of the study instead.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> study = dal.convergence(dal.systems.particle(), "midpoint", t_end=1)
+    >>> study.holds, round(study.fits["global_q"].slope)
+    (True, 2)
+    """
+    require_system(system)
+    record = Scheme.of(scheme)
+    t0 = arguments.number(t0, "t0")
+    start = record._initial(initial)
+    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    max_steps = arguments.integer(max_steps, "max_steps", 1)
+
+    def probe(duration: float, candidates: Sequence[int]) -> Study:
+        return convergence(
+            system,
+            record,
+            q0,
+            v0,
+            t0=t0,
+            steps=candidates,
+            initial=initial,
+            t_end=t0 + duration,
+            tolerance=tolerance,
+            max_steps=max_steps,
+        )
+
+    if t_end is None:
+        t_end = t0 + (_default_duration(record.order, probe) if steps is None else 1.0)
+    t_end = arguments.number(t_end, "t_end")
+    if steps is None:
+        _require_few(_default_total(record.order, t_end - t0), max_steps)
+        steps = _default_steps(record.order, t_end - t0, probe)
+    numbers = _counts(steps)
+    _require_few(sum(numbers), max_steps)
+    c_numbers = ffi.new("size_t[]", numbers)
+    definition = ffi.new(
+        "dal_order_def *",
+        {
+            "t0": t0,
+            "t_end": t_end,
+            "x0": core.pointer(x0),
+            "steps": c_numbers,
+            "count": len(numbers),
+            "initial": start,
+            "tolerance": arguments.tolerance(tolerance),
+        },
+    )
+    points = ffi.new("dal_order_point[]", len(numbers))
+    order, error = ffi.new("dal_order *"), ffi.new("dal_error *")
+    with extras.progress(progress, sum(numbers), "step") as show:
+        context = ffi.new_handle(lambda made: show(int(made)))
+        definition.watch, definition.watch_ctx = lib.dal_py_watch, context
+        scheme, kept = record._record_of(system)
+        status = core.attempt(
+            lib.dal_order_study, system._handle, scheme, definition, points, order, error
+        )
+        del kept
+        if status < 0:
+            raise core.failure(status, core.string(error.text), kind=system.kind)
+        show(sum(numbers))
+
+    def column(member: str) -> Any:
+        return np.array([getattr(point, member) for point in points])
+
+    fits = {
+        name: Fit.read(getattr(order, name), [bool(x.counted >> k & 1) for x in points])
+        for k, name in enumerate(FITS)
+    }
+
+    return Study(
+        system=system,
+        scheme=record,
+        q0=x0[: system.n],
+        v0=x0[system.n :],
+        t0=t0,
+        t_end=t_end,
+        initial=initial,
+        steps=np.array(numbers),
+        h=column("h"),
+        q_error=column("q"),
+        v_error=column("v"),
+        multiplier_error=column("multipliers"),
+        local_error=column("local_state"),
+        local_multiplier_error=column("local_multipliers"),
+        local_reaction_error=column("local_reaction"),
+        local_midpoint_error=column("local_midpoint"),
+        residual=column("residual"),
+        residual_eps=column("residual_eps"),
+        energy_error=column("energy"),
+        failed=column("failed"),
+        fits=fits,
+        p=order.p,
+        s=order.s,
+        floor=order.floor,
+        reference=order.reference,
+        keeps_D=bool(order.keeps_D),
+        keeps_D_eps=bool(order.keeps_D_eps),
+        holds={1: True, 0: False}.get(order.holds),
+        text=core.string(order.text),
+    )
+
+
+def studies(
+    system: System,
+    schemes: Iterable[Scheme | str | float] | Scheme | str | float | None = None,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    *,
+    t_end: float | None = None,
+    t0: float = 0.0,
+    steps: Sequence[int] | None = None,
+    initial: str | None = None,
+    tolerance: float = 1e-14,
+    max_steps: int = MOST_STEPS,
+    progress: bool | Callable[[float, int], Any] = False,
+) -> Studies:
+    """Measure the order of several schemes on one system.
+
+    Parameters
+    ----------
+    system : System
+    schemes : Scheme, str or float, or iterable of them, optional
+        Default: every named scheme.
+    initial : {"D", "D_eps", "project", "shift"}, optional
+        How runs with kept nodes start.  Default: "D_eps"; schemes with moved nodes need none.
+    progress : bool or callable, optional
+        True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+        schemes; the part of a scheme that is done counts.
+    q0, v0, t_end, t0, steps, tolerance, max_steps
+        As in `convergence`; the default of t_end is that of the highest order, for all schemes, and
+        max_steps is for all of them together.
+
+    Returns
+    -------
+    Studies
+        In the order of ``schemes``.
+
+    Raises
+    ------
+    ValueError, dalembert.DalembertError
+        As `convergence`.
+    KeyboardInterrupt, Exception
+        Whatever ends it, Ctrl-C for one; ``.partial`` are the studies that were finished.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> found = dal.studies(dal.systems.particle(), ["midpoint", "leapfrog"])
+    >>> found.holds
+    True
+    """
+    if schemes is None:
+        schemes = named_schemes()
+    elif isinstance(schemes, str) or not isinstance(schemes, Iterable):
+        schemes = [schemes]
+    records = [Scheme.of(scheme) for scheme in schemes]
+    max_steps = arguments.integer(max_steps, "max_steps", 1)
+    # The highest order first: it has the longest default interval.
+    places = sorted(range(len(records)), key=lambda i: -records[i].order)
+    found: dict[int, Study] = {}
+    if steps is not None:
+        steps = _counts(steps)
+        _require_few(len(records) * sum(steps), max_steps)
+    elif t_end is not None:
+        duration = arguments.number(t_end, "t_end") - arguments.number(t0, "t0")
+        _require_few(sum(_default_total(record.order, duration) for record in records), max_steps)
+    with _kept(found), extras.progress(progress, len(records), "scheme") as show:
+        for i in places:
+            found[i] = convergence(
+                system,
+                records[i],
+                q0,
+                v0,
+                t_end=t_end,
+                t0=t0,
+                steps=steps,
+                initial=(initial or "D_eps") if records[i].nodes == "kept" else None,
+                tolerance=tolerance,
+                max_steps=max_steps,
+                progress=lambda made, total: show(len(found) + made / total),
+            )
+            t_end = found[i].t_end
+    return Studies(found[i] for i in range(len(records)))
+
+
+@contextlib.contextmanager
+def _kept(found: dict[int, Study]) -> Iterator[None]:
+    """Give an exception the studies that were finished before it."""
+    try:
+        yield
+    except BaseException as error:
+        error.partial = Studies(found[i] for i in sorted(found))  # type: ignore[attr-defined]
+        raise
+
+
+def _default_duration(order: int, probe: Callable[..., Study]) -> int:
+    """Return the shortest interval over which errors of this order tell it, 1 if none does."""
+    duration = 1
+    while order > 2 and duration <= LONGEST:
+        if not math.isnan(_clear(probe(duration, COARSE)).slope):
+            return duration
+        duration *= 2
+    return 1
+
+
+def _clear(study: Study) -> Fit:
+    """Return the fit of the one-step errors that the floor of those at the end leaves.
+
+    So steps are chosen that tell the order at the end too.
+    """
+    fit, counted = ffi.new("dal_fit *"), ffi.new("unsigned char[]", len(study.h))
+    lib.dal_fit_order(
+        len(study.h), core.pointer(study.h), core.pointer(study.local_error), study.floor, fit,
+        counted,
+    )  # fmt: skip
+    return Fit.read(fit, map(bool, counted))
+
+
+def _units(duration: float) -> int:
+    """Return how many units of time there are, about."""
+    if not math.isfinite(duration):
+        raise ValueError(f"t_end - t0 = {duration:g}: expected a finite interval of time")
+    return max(1, round(abs(duration)))
+
+
+def _default_total(order: int, duration: float) -> int:
+    """Return how many steps the default numbers take at most, with those that are tried."""
+    units = _units(duration)
+    tried = 0 if order <= 2 else (sum(COARSE) + 4) * units + sum(COARSE) + len(COARSE)
+    return sum(FINE) * units + 2 * tried
+
+
+def _default_steps(order: int, duration: float, probe: Callable[..., Study]) -> list[int]:
+    """Choose numbers of steps whose errors tell the order.
+
+    One-step errors h^(p+1) have to stand clear of the floor, with h as small as that allows: they
+    are a power of h only in the limit.  Up to order 2 any small h will do.  For a higher order
+    ``probe`` studies steps from 1/80 of a unit of time up to all of it, and the finest over a
+    factor of two are taken.  The reactions, whose order is low whatever p is, need the small
+    h too: their errors c1 h + c2 h^2 may change their sign where h is not (the core fits the finer
+    half).
+    """
+    units = _units(duration)
+    if order <= 2:
+        return [count * units for count in FINE]
+    longer = {math.ceil(units / k) for k in COARSE}
+    tried = probe(duration, sorted({*longer, *COARSE, *(count * units for count in COARSE)}))
+    clear = [int(x) for x in tried.steps[np.array(_clear(tried).counted)]]
+    finest = [count for count in clear if 2 * count >= clear[-1]]
+    chosen = clear[-max(len(finest), 3) :] or [count * units for count in COARSE[:3]]
+    if chosen[-1] < 2 * chosen[0]:
+        chosen = clear[-len(chosen) - 1 :]
+    return sorted({*chosen, *(count * units for count in FINE)})
+
+
+def _counts(steps: Iterable[int]) -> list[int]:
+    """Return numbers of steps as they are given; ValueError unless they are."""
+    places: dict[int, int] = {}
+    try:
+        for i, count in enumerate(steps):
+            if isinstance(count, bool):
+                raise ValueError(f"steps[{i}] = {count}: expected an integer")
+            number = arguments.integer(count, f"steps[{i}]", 1)
+            if number in places:
+                raise ValueError(f"steps[{i}] = {number}: steps[{places[number]}] is that already")
+            places[number] = i
+    except TypeError:
+        raise ValueError(
+            f"steps = {arguments.shown(steps)}: expected several numbers of steps"
+        ) from None
+    if not places:
+        raise ValueError("steps is empty: expected numbers of steps")
+    return list(places)
+
+
+def _require_few(total: int, most: int) -> None:
+    """Raise ValueError where a study would take more steps than the caller has agreed to."""
+    if total > most:
+        raise ValueError(
+            f"the study would take {total} steps in all, more than max_steps = {most}: take fewer "
+            f"steps or a shorter interval, or say that you mean it with max_steps={total} "
+            f"(--max-steps {total})"
+        )

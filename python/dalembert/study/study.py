@@ -1,0 +1,338 @@
+"""What step-size refinement has found: the numbers of `dal_order_study`, and the verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import core
+from ..core import Array
+from ..run import Scheme
+from ..system import System
+
+__all__ = ["Fit", "Studies", "Study"]
+
+
+def order(x: float) -> str:
+    """Return an order with two decimals, "-" if it is not known."""
+    return "-" if not math.isfinite(x) else f"{round(x, 2) + 0.0:.2f}"  # no -0.00
+
+
+def worst(values: Array) -> float:
+    """Return the largest of the values that are known."""
+    return max((float(x) for x in values if math.isfinite(x)), default=math.nan)
+
+
+def _listing(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted order: errors proportional to ``h**slope`` over the points that count.
+
+    Attributes
+    ----------
+    slope : float
+        NaN if fewer than three points count.
+    points : int
+        How many errors counted: those at least 100 times above the floor, which at ``t_end`` is
+        higher for runs of many steps, whose roundoff adds up.
+    exact : bool
+        True if every error is at the level of roundoff, so that there is no slope to fit, though
+        an order less than promised would be seen.
+    counted : tuple of bool
+        Which errors counted.
+    """
+
+    slope: float
+    points: int
+    exact: bool
+    counted: tuple[bool, ...]
+
+    @classmethod
+    def read(cls, fit: Any, counted: Iterable[bool]) -> Fit:
+        """Return the fit of a ``dal_fit``."""
+        return cls(float(fit.slope), int(fit.points), bool(fit.exact), tuple(counted))
+
+    def order(self, loss: int = 0) -> str:
+        """Return ``slope - loss`` in words: a number, "exact", or "-" if it is not known."""
+        if self.exact:
+            return "exact"
+        return order(self.slope - loss)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Study:
+    """What step-size refinement found for one scheme on one system.
+
+    Arrays have shape ``(k,)``, one entry for each step size.  Errors are largest components of
+    differences, in the user's units; an entry of a run that failed is NaN.
+
+    Attributes
+    ----------
+    system, scheme : System, Scheme
+    q0, v0 : ndarray, shape (n,)
+        Initial data in D.
+    t0, t_end : float
+        Interval of time.
+    initial : str or None
+        How runs with kept nodes started.
+    steps : ndarray of int
+        Numbers of steps, in the order in which they were given.
+    h : ndarray
+        Step sizes ``(t_end - t0) / steps``.
+    q_error, v_error, multiplier_error : ndarray
+        At ``t_end``, against the reference; the multipliers by the formula lambda(q, v).
+    local_error, local_multiplier_error : ndarray
+        Of (q, v) and of lambda(q, v) after one step from exact data.
+    local_reaction_error, local_midpoint_error : ndarray
+        Of the scheme's own multiplier of that step, against lambda at its end and at its middle.
+    residual, residual_eps : ndarray
+        Worst relative residual of D and of D_eps over the run; the latter is NaN for a scheme
+        with several sub-steps, which has no D_eps.
+    energy_error : ndarray
+        max |E - E0| / max(|E0|, 1) over the run.
+    failed : ndarray of int
+        Status of each run, 0 if it went through.
+    fits : dict of str to Fit
+        "state", "multipliers", "reaction", "midpoint" of the one-step errors, "global_q",
+        "global_v", "global_multipliers", "global_state" of the errors at ``t_end``.
+    p, s : float
+        Measured order of (q, v) and of the scheme's own multipliers, slopes of the one-step
+        errors minus 1.
+    floor : float
+        Errors at ``t_end`` below ``100 * floor`` do not count.
+    reference : float
+        Accuracy of the reference solution, 0 for an exact one.
+    keeps_D, keeps_D_eps : bool
+        Whether the residual stayed at roundoff at every stored state of every run.
+    holds : bool or None
+        The verdict; None if nothing is promised or the errors do not tell.
+    text : str
+        The verdict in words.
+    """
+
+    system: System
+    scheme: Scheme
+    q0: Array
+    v0: Array
+    t0: float
+    t_end: float
+    initial: str | None
+    steps: NDArray[np.int64]
+    h: Array
+    q_error: Array
+    v_error: Array
+    multiplier_error: Array
+    local_error: Array
+    local_multiplier_error: Array
+    local_reaction_error: Array
+    local_midpoint_error: Array
+    residual: Array
+    residual_eps: Array
+    energy_error: Array
+    failed: NDArray[np.int64]
+    fits: dict[str, Fit]
+    p: float
+    s: float
+    floor: float
+    reference: float
+    keeps_D: bool
+    keeps_D_eps: bool
+    holds: bool | None
+    text: str
+
+    @property
+    def state_error(self) -> Array:
+        """Error of (q, v) at ``t_end``, the larger of the two, shape (k,)."""
+        return np.maximum(self.q_error, self.v_error)
+
+    @property
+    def q_orders(self) -> Array:
+        """Local orders of ``q_error`` between neighbours, shape (k,).
+
+        NaN for the first entry, and where an error is too close to roundoff to count.
+        """
+        return self._local_orders(self.q_error, "global_q")
+
+    @property
+    def v_orders(self) -> Array:
+        """Local orders of ``v_error``, as `q_orders`."""
+        return self._local_orders(self.v_error, "global_v")
+
+    @property
+    def multiplier_orders(self) -> Array:
+        """Local orders of ``multiplier_error``, as `q_orders`."""
+        return self._local_orders(self.multiplier_error, "global_multipliers")
+
+    def _local_orders(self, error: Array, fit: str) -> Array:
+        clear = np.where(self.fits[fit].counted, error, np.nan)
+        orders = np.full(len(error), np.nan)
+        orders[1:] = np.diff(np.log(clear)) / np.diff(np.log(np.abs(self.h)))
+        return orders
+
+    @property
+    def promised(self) -> tuple[int, int]:
+        """The (p, s) that the scheme promises for a step from this start.
+
+        Kept nodes that start in D jump to D_eps in the first step, which costs one order of each.
+        """
+        jump = self.initial == "D" and self.scheme.shift(1.0) > 0.0
+        return self.scheme.order - jump, self.scheme.multiplier_order - jump
+
+    @property
+    def promise(self) -> str:
+        """The promised (p, s) in words, "nothing" for a record without a promise."""
+        return "nothing" if self.scheme.order == 0 else str(self.promised)
+
+    @property
+    def keeps(self) -> str:
+        """Which set the runs kept to roundoff: "D", "D_eps", "D and D_eps" or "neither"."""
+        kept = [
+            name for name, is_kept in (("D", self.keeps_D), ("D_eps", self.keeps_D_eps)) if is_kept
+        ]
+        return " and ".join(kept) or "neither"
+
+    @property
+    def verdict(self) -> str:
+        """In short: "holds", "exact" to roundoff, "fails", "no promise" or "undecided"."""
+        if self.holds is None:
+            return "no promise" if self.scheme.order == 0 else "undecided"
+        if self.fits["state"].exact and self.fits["global_state"].exact and self.holds:
+            return "exact"
+        return "holds" if self.holds else "fails"
+
+    def __repr__(self) -> str:
+        return (
+            f"<Study of {self.scheme.name} on {self.system.name}: p = {order(self.p)}, "
+            f"s = {order(self.s)}, {self.verdict}>"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain numbers, strings and lists, ready for JSON.
+
+        What is not finite is None.
+        """
+        arrays = (
+            "steps",
+            "h",
+            "q_error",
+            "q_orders",
+            "v_error",
+            "v_orders",
+            "multiplier_error",
+            "multiplier_orders",
+            "local_error",
+            "local_multiplier_error",
+            "local_reaction_error",
+            "local_midpoint_error",
+            "residual",
+            "residual_eps",
+            "energy_error",
+            "failed",
+        )
+        return {
+            "system": self.system.name,
+            "parameters": {key: float(x) for key, x in self.system.parameters.items()},
+            "q0": self.q0.tolist(),
+            "v0": self.v0.tolist(),
+            "t0": self.t0,
+            "t_end": self.t_end,
+            "scheme": self.scheme.name,
+            "nodes": self.scheme.nodes,
+            "initial": self.initial,
+            "promised": dict(zip("ps", self.promised)),
+            **{name: [_plain_number(x) for x in getattr(self, name).tolist()] for name in arrays},
+            "fits": {
+                key: {**dataclasses.asdict(fit), "slope": _plain_number(fit.slope)}
+                for key, fit in self.fits.items()
+            },
+            "p": _plain_number(self.p),
+            "s": _plain_number(self.s),
+            "floor": self.floor,
+            "reference": self.reference,
+            "keeps_D": self.keeps_D,
+            "keeps_D_eps": self.keeps_D_eps,
+            "holds": self.holds,
+            "verdict": self.verdict,
+            "text": self.text,
+        }
+
+
+class Studies(Sequence[Study]):
+    """Studies of several schemes on one system; a sequence of `Study`."""
+
+    def __init__(self, items: Iterable[Study]) -> None:
+        self._items = tuple(items)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    @overload
+    def __getitem__(self, index: int) -> Study: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Studies: ...
+
+    def __getitem__(self, index: int | slice) -> Study | Studies:
+        if isinstance(index, slice):
+            return Studies(self._items[index])
+        return self._items[index]
+
+    @property
+    def holds(self) -> bool | None:
+        """False if a verdict fails, True if none fails and one holds, else None."""
+        verdicts = {study.holds for study in self}
+        return False if False in verdicts else True if True in verdicts else None
+
+    def sentence(self) -> str:
+        """Return the verdict of all in one sentence."""
+        if not self:
+            return "No scheme was studied."
+        system = self[0].system.name
+        failing = [study.scheme.name for study in self if study.holds is False]
+        holding = [study for study in self if study.holds]
+        undecided = [study.scheme.name for study in self if study.holds is None]
+        rest = f"; no verdict on {_listing(undecided)}" if undecided else ""
+        if failing:
+            do = "does" if len(failing) == 1 else "do"
+            return (
+                f"On {system}, {_listing(failing)} {do} not deliver what is promised; "
+                f"{len(holding)} of {len(self)} schemes hold{rest}."
+            )
+        if not holding:
+            return f"On {system} there is no verdict on {_listing(undecided)}."
+        size = max(worst(x.residual if x.keeps_D else x.residual_eps) for x in holding)
+        if len(holding) == 1:
+            return (
+                f"On {system}, {holding[0].scheme.name} has its promised order and keeps its "
+                f"constraint set to {size:.1e}{rest}."
+            )
+        who = "both" if len(holding) == 2 else f"all {len(holding)}" if not rest else len(holding)
+        return (
+            f"On {system}, {who} schemes have their promised order and keep their constraint "
+            f"set to {size:.1e}{rest}."
+        )
+
+    def __repr__(self) -> str:
+        return f"<Studies of {', '.join(study.scheme.name for study in self)}>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain numbers, strings and lists, ready for JSON."""
+        return {
+            "version": core.version(),
+            "holds": self.holds,
+            "text": self.sentence(),
+            "studies": [study.to_dict() for study in self],
+        }
+
+
+def _plain_number(x: float) -> float | None:
+    return x if math.isfinite(x) else None

@@ -1,0 +1,164 @@
+"""Models with numbers: compiled, or as Python functions where there is no compiler."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.resources
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .. import compiler
+from ..compiler import Library
+from ..core import Array, DalembertWarning, arguments
+from . import codegen
+from .model import Model, default_engine
+
+__all__ = ["Evaluation", "library"]
+
+_PACKAGE = __name__.partition(".")[0]
+
+_WITHOUT_COMPILER = (
+    "no C compiler was found ({where}), so the system {name!r} runs on Python functions: a step "
+    "takes 30 to 300 times as long; install gcc or clang, or set CC"
+)
+
+
+@functools.cache
+def _generator() -> str:
+    """Return a digest of all that turns a model into C."""
+    here = importlib.resources.files(__package__)
+    names = ("model.py", "zeros.py", "pattern.py", "codegen.py")
+    return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
+
+
+def library(model: Model) -> Library | None:
+    """Return the compiled model; None if there is no compiler."""
+
+    def program() -> tuple[str, Callable[[int], str]]:
+        made = codegen.program(model)
+        return made.source, compiler.origin_of(made, model.shown)
+
+    return compiler.library(model.key, f"{default_engine()}, {_generator()}", program)
+
+
+class Evaluation:
+    """A model with values of its parameters: its matrices, and its functions in Python."""
+
+    def __init__(self, model: Model, values: dict[str, float]) -> None:
+        self.model = model
+        self.values = values
+        self.parameters = np.array(list(values.values()), dtype=float)
+
+    def bound(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function of the user with the values of the parameters as keywords."""
+        return functools.partial(function, **self.values)
+
+    def matrix(self, library: Library | None, name: str, shape: tuple[int, ...]) -> Array | None:
+        """Return what depends on the parameters alone, mass or state; None if there is none."""
+        found = np.full(shape, np.nan)
+        if library is not None:
+            if not library.has(name):
+                return None
+            library.evaluate(name, self.parameters, found)
+        else:
+            functions = list(self.model.callables(name).values())
+            if not functions:
+                return None
+            n = self.model.n
+            found[...] = np.reshape(functions[0](*np.zeros((2, n)), self.parameters), shape)
+        if not np.isfinite(found).all():
+            values = ", ".join(f"{key} = {x:g}" for key, x in self.values.items())
+            raise ValueError(f"parameters: the {name} is not finite for {values}")
+        return found
+
+    def in_python(self) -> dict[str, Any]:
+        """Return the arguments of System that make it from Python functions."""
+        derived, n, m = self.model.derived, self.model.n, self.model.m
+        p = self.parameters
+        found: dict[str, Any] = {}
+
+        def two(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
+            return lambda q, v: np.reshape(function(q, v, p), shape)
+
+        def one(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
+            zero = np.zeros(n)
+            return lambda q: np.reshape(function(q, zero, p), shape)
+
+        potential = self.model.callables("potential")
+        if potential:
+            found["potential"] = lambda q: float(potential["V"](q, q, p)[0])
+            found["gradient"] = one(potential["V_q"], n)
+            found["hessian"] = one(potential["V_qq"], n, n)
+        lagrangian = self.model.callables("lagrangian")
+        if lagrangian:
+            found["lagrangian"] = lambda q, v: float(lagrangian["L"](q, v, p)[0])
+            for key, shape in (("q", (n,)), ("v", (n,)), ("qq", (n, n)), ("vq", (n, n)),
+                               ("vv", (n, n))):  # fmt: skip
+                found[f"lagrangian_{key}"] = two(lagrangian[f"L_{key}"], *shape)
+        constraint = self.model.callables("constraint")
+        if constraint and derived.kind == "nonlinear":
+            found["constraint"] = two(constraint["phi"], m)
+            found["constraint_v"] = two(constraint["phi_v"], m, n)
+            found["constraint_q"] = two(constraint["phi_q"], m, n)
+        elif constraint:
+            found["forms"] = one(constraint["phi_v"], m, n)
+            slope = constraint["phi_q"]
+            found["forms_velocity_derivative"] = two(slope, m, n)
+            if derived.kind == "affine":
+                found["affine"] = one(constraint["phi"], m)
+                found["affine_derivative"] = one(slope, m, n)
+                found["forms_velocity_derivative"] = lambda q, v: np.reshape(
+                    np.subtract(slope(q, v, p), slope(q, np.zeros(n), p)), (m, n)
+                )
+        force = self.model.callables("force")
+        for key, function in force.items():
+            shape = (n,) if key == "f" else (n, n)
+            found[key.replace("f", "force", 1)] = (
+                lambda t, q, v, function=function, shape=shape: np.reshape(
+                    function(t, q, v, p), shape
+                )
+            )
+        if self.model.exact is not None:
+            exact = self.model.callables("exact")["x"]
+            found["exact"] = lambda t, q, v: np.split(np.array(exact(t, q, v, p)), 2)
+        return found
+
+    def invariants(
+        self, given: dict[str, Callable[..., Any] | None]
+    ) -> dict[str, Callable[..., Any]]:
+        """Return all first integrals as Python functions of (q, v); None: the next expression."""
+        values = self.model.callables("invariant").get("values")
+        found: dict[str, Callable[..., Any]] = {}
+        i = 0
+        for name, function in given.items():
+            arguments.function(function, name)
+            if function is not None:
+                found[name] = self.bound(function)
+            elif values is not None:
+                found[name] = lambda q, v, i=i: float(values(q, v, self.parameters)[i])
+                i += 1
+        return found
+
+    def warn(self, name: str) -> None:
+        """Say what it costs that there is no compiler."""
+        where = f"CC = {os.environ['CC']}" if os.environ.get("CC") else "cc, gcc, clang"
+        text = _WITHOUT_COMPILER.format(where=where, name=name)
+        warnings.warn(text, DalembertWarning, stacklevel=2 + _depth())
+
+
+def _depth() -> int:
+    """Return how many calls of this package lie between its caller and the user."""
+    frame, depth = sys._getframe(1), 0
+    while frame.f_back is not None and _is_ours(frame):
+        frame, depth = frame.f_back, depth + 1
+    return depth - 1
+
+
+def _is_ours(frame: Any) -> bool:
+    return str(frame.f_globals.get("__package__")).partition(".")[0] == _PACKAGE

@@ -1,0 +1,157 @@
+"""Formulas in plain text, as systems carry them: read and written by SymPy, and as MathML.
+
+``v_theta^2/2`` is a half of the square of the velocity of theta; a blank is a product, a name with
+a bracket at it a function: ``J v_theta^2``, ``m (v_x + v_y)``, ``sqrt(A B)``.  ``sum_i(y_i z_i)``
+is a sum over i.
+"""
+
+from __future__ import annotations
+
+import html
+import itertools
+import re
+from collections.abc import Collection
+from typing import Any
+
+from ..core import extras
+
+__all__ = ["latex", "mathml", "read"]
+
+Expr = Any
+
+FUNCTIONS = (
+    "Abs sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp log sqrt erf erfc"
+).split()
+_STRUCTURE = "Integer Add Mul Pow".split()
+DEPTH = 50  # of brackets in brackets; the time that SymPy takes grows with its third power
+_NUMBER = r"\d+(?:\.\d+)?(?:e[+-]?\d{1,3})?(?![\d.])"
+_NAME = r"[A-Za-z]\w*(?:(?<=_)\(i-1\))?"
+_ALLOWED = re.compile(rf"(?:{_NUMBER}|{_NAME}|[-+^(), ]|/(?!/))++", re.ASCII)
+_LEADING_MINUS = re.compile(r"((?:^|[(,]) *)-(?= *[A-Za-z(])")
+_WORD = re.compile(rf"({_NUMBER})|({_NAME})(?=(\()?)", re.ASCII)
+
+
+def read(text: str, exact: bool = False) -> list[Expr]:
+    """Return the sides of an equation, or an expression alone, as SymPy has them.
+
+    Nothing is evaluated, and all stands in its order.  Names are symbols and nothing else.
+
+    Parameters
+    ----------
+    text : str
+        See the module.
+    exact : bool, optional
+        Whether decimals are rational numbers; else they are symbols, to be shown as they are.
+
+    Raises
+    ------
+    ValueError
+        If it is no formula.
+    ImportError
+        If SymPy is not installed; the text has the line to type.
+
+    Examples
+    --------
+    >>> from dalembert.symbolic import formula
+    >>> formula.read("2 x - y = 0")
+    [2*x - y, 0]
+    """
+    return [_expression(side, exact) for side in text.split("=")]
+
+
+def _expression(text: str, exact: bool) -> Expr:
+    sympy = extras.require("sympy", "a formula")
+    parser = extras.require("sympy.parsing.sympy_parser", "a formula")
+    depth = itertools.accumulate((c == "(") - (c == ")") for c in text)
+    if not _ALLOWED.fullmatch(text) or max(depth) > DEPTH:
+        raise ValueError(f"formula = {text!r}: this is none")
+    symbols: dict[str, Expr] = {}
+
+    def word(match: re.Match[str]) -> str:
+        """A number or a function as it is; a name, which may be a word of Python, as another."""
+        number, name, call = match.groups()
+        if (number and number.isdigit()) or (call and name in FUNCTIONS):
+            return match[0]
+        if number:
+            found = sympy.Rational(number) if exact else sympy.Symbol(number)
+        else:
+            found = (sympy.Function if call else sympy.Symbol)(name)
+        symbols[f"\N{GREEK SMALL LETTER NU}{len(symbols)}"] = found
+        return f" {list(symbols)[-1]}"
+
+    # For Python -a b is (-a) b.
+    words = _WORD.sub(word, _LEADING_MINUS.sub(r"\1-1 ", text.strip()))
+    known = {name: getattr(sympy, name) for name in (*_STRUCTURE, *FUNCTIONS)}
+    rules = (parser.auto_number, parser.implicit_multiplication, parser.convert_xor)
+    try:
+        found = parser.parse_expr(
+            words, symbols, rules, {"__builtins__": {}, **known}, evaluate=False
+        )
+    except Exception as error:  # SyntaxError, TypeError, tokenize.TokenError, ...
+        raise ValueError(f"formula = {text!r}: this is none") from error
+    if not isinstance(found, sympy.Expr) or found.has(sympy.Tuple):
+        raise ValueError(f"formula = {text!r}: a list out of place")
+    return found
+
+
+def latex(text: str, coordinates: Collection[str] = ()) -> list[str]:
+    """Return a formula as LaTeX, its terms each with the sign before it.
+
+    Examples
+    --------
+    >>> from dalembert.symbolic import formula
+    >>> formula.latex("v_x - y_1 = 0", ["x"])
+    ['\\\\dot{x}', '{}- y_{1}', '{}= 0']
+    """
+    sympy = extras.require("sympy", "a formula")
+    known = {*coordinates, *(re.sub(r"\d+$", "_i", name) for name in coordinates)}
+    found = []
+    for side in read(text):
+        names = {x: _symbol(x.name, known, sympy) for x in side.free_symbols}
+        for k, term in enumerate(sympy.Add.make_args(side)):
+            tex = sympy.latex(term, order="none", mul_symbol=r"\,", symbol_names=names)
+            tex = tex.replace(r"\operatorname{sum}", r"\sum\limits")
+            tex = re.sub(r"(?<![\d.])1 *(?:\\cdot|\\,) *(?=\\frac\{1\})", "", tex)
+            sign = ("= " if k == 0 else "" if tex.startswith("-") else "+ ") if found else ""
+            found.append("{}" * bool(found) + sign + tex)
+    return found
+
+
+def _symbol(name: str, coordinates: Collection[str], sympy: Any) -> str:
+    """Return a name as LaTeX, with a dot if it is the velocity of a coordinate."""
+    if name[0].isdigit():
+        return re.sub(r"e\+?(.*)", r"\\cdot 10^{\1}", name)
+    base = name.removeprefix("v_")
+    has_dot = base in coordinates and base != name
+    base = (base if has_dot else name).replace("eps", "epsilon")
+    letter, *index = sympy.latex(sympy.Symbol(base)).split("_", 1)
+    if letter.isalpha() and len(letter) > 1:
+        letter = rf"\mathrm{{{letter}}}"
+    return "_".join([rf"\dot{{{letter}}}" if has_dot else letter, *index])
+
+
+def mathml(text: str, coordinates: Collection[str] = ()) -> str:
+    """Return a formula as MathML, an element for each term, so that lines break before a sign.
+
+    As code, if it cannot be read, or SymPy or latex2mathml is not installed.
+
+    Parameters
+    ----------
+    text : str
+        See the module.
+    coordinates : collection of str
+        What ``v_x`` may be the velocity of.
+
+    Examples
+    --------
+    >>> from dalembert.symbolic import formula
+    >>> formula.mathml("x", ["x"]).endswith("><mrow><mi>x</mi></mrow></math>")
+    True
+    >>> formula.mathml("x?")
+    '<code>x?</code>'
+    """
+    try:
+        write = extras.require("latex2mathml.converter", "a formula").convert
+        return " ".join(map(write, latex(text, coordinates)))
+    except (ImportError, ValueError):
+        return f"<code>{html.escape(text)}</code>"

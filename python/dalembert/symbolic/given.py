@@ -1,0 +1,479 @@
+"""What users write on paper, taken apart into a `model.Model`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import sympy
+from sympy.core.function import AppliedUndef
+
+from ..core import arguments
+from . import model as models
+from .model import Coordinate, Model, Velocity, in_order
+
+__all__ = ["from_method", "from_system", "make_model", "named", "require_assumed", "take"]
+
+Expr = Any
+
+
+def named(names: str | Sequence[str]) -> tuple[Any, ...]:
+    """Return what `dalembert.coordinates` does."""
+    if isinstance(names, str):
+        try:
+            words = [s.name for s in sympy.symbols(names, seq=True)] if names.strip() else []
+        except ValueError as error:
+            raise ValueError(f"names = {names!r}: {error}") from None
+    else:
+        words = _several(names, "names")
+    for word in words:
+        arguments.text(word, "names")
+    if not words or len(set(words)) != len(words):
+        raise ValueError(f"names = {names!r}: expected different names, at least one")
+    return models.make_coordinates(words)
+
+
+# ---- what was given ----------------------------------------------------------------------------
+
+
+def take(
+    L: Expr,
+    constraints: Any,
+    coordinates: Iterable[Any] | None,
+    parameters: Mapping[Any, Any] | None,
+    force: Any,
+    q0: Any,
+    v0: Any,
+    exact: Any,
+    invariants: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """Return the model, the values of its parameters, and what was given by numbers and functions.
+
+    Of invariants that are expressions the function is None.
+    """
+    state = None if q0 is None and v0 is None else initial_data(q0, v0)
+    in_model = isinstance(state, list)
+    named = arguments.mapping(invariants, "invariants")
+    by_expressions = is_expressions(exact)
+    model, values = make_model(
+        L,
+        constraints,
+        coordinates,
+        parameters,
+        force,
+        state if in_model else None,
+        exact if by_expressions else None,
+        {key: e for key, e in named.items() if is_expressions(e)},
+    )
+    return {
+        "model": model,
+        "values": values,
+        "state": None if in_model else state,
+        "exact": None if by_expressions else exact,
+        "invariants": {key: None if is_expressions(e) else e for key, e in named.items()},
+    }
+
+
+def make_model(
+    L: Expr,
+    constraints: Any,
+    coordinates: Iterable[Any] | None,
+    parameters: Mapping[Any, Any] | None,
+    force: Any,
+    state: Sequence[Any] | None,
+    exact: Any,
+    invariants: Mapping[str, Any] | None,
+) -> tuple[Model, dict[str, float]]:
+    """Return the model, and the values of its parameters; ValueError if something is left over."""
+    L = _expression(L, "L")
+    given = _constraints(constraints)
+    forces = None if force is None else _force(force)
+    pairs = _pairs(coordinates, L, [*_flat(given), *(forces or {}).values(), *(forces or {})])
+    n = len(pairs)
+    names = [name for name, _, _ in pairs]
+    if n == 0:
+        raise ValueError("coordinates: needed, there are none in L")
+    if len(set(names)) != n:
+        raise ValueError(f"coordinates = {names}: expected different names")
+    values, symbols = _parameters(parameters)
+    if both := sorted(values.keys() & set(names)):
+        raise ValueError(f"parameters: {both[0]} is a coordinate; expected another name")
+
+    q, v = models.canonical("q", n), models.canonical("v", n)
+    rule = dict(zip(symbols, models.canonical("p", len(symbols))))
+    used = {symbol.name: {symbol} for symbol in symbols}
+    velocities = {velocity: v[i] for i, (_, _, velocity) in enumerate(pairs)}
+    positions = {position: q[i] for i, (_, position, _) in enumerate(pairs)}
+    times = [q.args[0] for _, q, _ in pairs if not q.is_Symbol]
+    time = times[0] if times else sympy.Symbol("t")
+
+    # symbols of the same name, of other calls of dalembert.coordinates
+    called = Coordinate | Velocity
+    pairing = {**positions, **velocities}.items()
+    same = {_kind_and_name(s): c for s, c in pairing if isinstance(s, called)}
+
+    def translate(expression: Expr, where: str, with_time: bool = False) -> Expr:
+        if expression.has(sympy.Derivative):
+            _refuse_rates(expression, where)
+        made = expression.atoms(Coordinate, Velocity)
+        found = expression.xreplace({s: same[k] for s in made if (k := _kind_and_name(s)) in same})
+        if found.has(sympy.Derivative):
+            found = found.doit()
+        unknown = {d for d in found.atoms(sympy.Derivative) if d not in velocities}
+        if unknown:
+            raise ValueError(f"{where}: {unknown.pop()} is no velocity of a coordinate")
+        matching = _matching(found, rule)
+        for symbol in matching:
+            used[symbol.name].add(symbol)
+        found = found.xreplace({**positions, **velocities, **matching})
+        allowed = {*q, *v, *rule.values()}
+        if with_time:
+            found = found.xreplace({time: models.TIME})
+            allowed.add(models.TIME)
+        names_of = {c: s for s, c in (positions | velocities | matching).items()}
+        models.require_known(found, where, lambda e: e.xreplace(names_of))
+        left = sorted(str(s) for s in found.free_symbols - allowed)
+        if str(time) in left:
+            raise ValueError(
+                f"{where}: the time {time} is left over; only a force may depend on it"
+            )
+        if twins := [name for name in left if name.removesuffix(".d") in names]:
+            raise ValueError(
+                f"{where}: this {twins[0]} is another symbol than that of the coordinates; "
+                "expected the very one of dalembert.coordinates, or that given in coordinates="
+            )
+        if left:
+            raise ValueError(
+                f"{where}: {', '.join(left)} is neither a coordinate ({', '.join(names)}) nor a "
+                f"parameter ({', '.join(values) or 'there are none'})"
+            )
+        return found
+
+    phi = []
+    for a, constraint in enumerate(given):
+        where = f"constraints[{a}]"
+        if isinstance(constraint, list):
+            if len(constraint) != n:
+                raise ValueError(f"{where}: expected {n} coefficients, got {len(constraint)}")
+            phi.append(sympy.Add(*(translate(c, where) * v[i] for i, c in enumerate(constraint))))
+        else:
+            phi.append(translate(constraint, where))
+    if len(phi) >= n:
+        raise ValueError(f"constraints: {len(phi)} on {n} coordinates; expected fewer")
+    components = None
+    if forces is not None:
+        components = [sympy.Integer(0)] * n
+        for key, expression in forces.items():
+            position = positions.get(key, same.get(_kind_and_name(key)))
+            if position not in q:
+                raise ValueError(f"force: {key} is no coordinate ({', '.join(names)})")
+            components[q.index(position)] += translate(expression, f"force[{key}]", True)
+
+    def several(given: Any, name: str, count: int, with_time: bool = False) -> Any:
+        found = [_expression(e, name) for e in _several(given, name)]
+        if len(found) != count:
+            raise ValueError(f"{name}: expected {count} expressions, got {len(found)}")
+        return tuple(translate(e, f"{name}[{i}]", with_time) for i, e in enumerate(found))
+
+    found_state = None if state is None else several(state, "(q0, v0)", 2 * n)
+    if found_state is not None:
+        for e in found_state:
+            if e.free_symbols - set(rule.values()):
+                raise ValueError(f"(q0, v0): {e}: expected numbers, or expressions of parameters")
+    return (
+        Model(
+            coordinates=tuple(names),
+            parameters=tuple(values),
+            L=translate(L, "L"),
+            constraints=tuple(phi),
+            force=None if components is None else tuple(components),
+            state=found_state,
+            exact=None if exact is None else several(exact, "exact", 2 * n, True),
+            invariants=tuple(
+                translate(_expression(e, key), f"invariants[{key!r}]")
+                for key, e in (invariants or {}).items()
+            ),
+            assumptions=tuple(_assumed(used[name]) for name in values),
+        ),
+        values,
+    )
+
+
+def _kind_and_name(symbol: Expr) -> tuple[type, str]:
+    """Return what the same coordinate, or velocity, has in common in all calls."""
+    return type(symbol), str(symbol)
+
+
+def _refuse_rates(expression: Expr, where: str) -> None:
+    """Raise ValueError for Derivative(x, t) of a coordinate with a velocity x.d: it would be 0."""
+    for rate in expression.atoms(sympy.Derivative):
+        found = sorted(rate.expr.atoms(Coordinate), key=str)
+        if found and not all(isinstance(s, Coordinate) for s in rate.variables):
+            raise ValueError(f"{where}: {rate}: write {found[0].d} for the velocity of {found[0]}")
+
+
+def initial_data(q0: Any, v0: Any) -> Any:
+    """Return (q0, v0) as one array of numbers; as a list, if there are expressions in it."""
+    if q0 is None or v0 is None:
+        raise ValueError("q0 and v0: expected both or none")
+    both = [*_several(q0, "q0"), *_several(v0, "v0")]
+    if any(getattr(x, "free_symbols", None) for x in both):
+        return both
+    return np.array([arguments.parameter(x, "(q0, v0)") for x in both])
+
+
+def is_expressions(value: Any) -> bool:
+    """Return whether something is given by expressions, and not by a function of the user."""
+    return value is not None and (not callable(value) or hasattr(value, "free_symbols"))
+
+
+def _expression(value: Any, name: str) -> Expr:
+    """Return one expression."""
+    if isinstance(value, str):
+        raise ValueError(f"{name} = {value!r}: expected a SymPy expression, not a text")
+    try:
+        found = sympy.sympify(value)
+    except (sympy.SympifyError, TypeError) as error:
+        raise ValueError(f"{name} = {value!r}: expected a SymPy expression") from error
+    if isinstance(found, sympy.MatrixBase) and found.shape == (1, 1):
+        found = found[0]
+    if not isinstance(found, sympy.Expr):
+        raise ValueError(f"{name} = {value!r}: expected a SymPy expression")
+    return found
+
+
+def _constraints(given: Any) -> list[Any]:
+    """Return for each constraint an expression that vanishes, or a list of n coefficients."""
+    if given is None:
+        return []
+    if isinstance(given, sympy.MatrixBase):
+        if given.shape[1] > 1:  # one-forms
+            rows = range(given.shape[0])
+            return [[given[i, j] for j in range(given.shape[1])] for i in rows]
+        given = list(given)
+    if isinstance(given, sympy.Expr | sympy.Eq):
+        given = [given]
+    found: list[Any] = []
+    for a, one in enumerate(_several(given, "constraints")):
+        where = f"constraints[{a}]"
+        if isinstance(one, sympy.Eq):
+            found.append(_expression(one.lhs - one.rhs, where))
+        elif isinstance(one, list | tuple | sympy.Tuple | sympy.MatrixBase | np.ndarray):
+            found.append([_expression(c, where) for c in one])
+        elif one is True or one is False or one in (sympy.true, sympy.false):
+            raise ValueError(f"{where} = {one}: an equation that does not depend on anything")
+        else:
+            found.append(_expression(one, where))
+    return found
+
+
+def _several(given: Any, name: str) -> list[Any]:
+    """Return what was given one after another; ValueError if it was not."""
+    if isinstance(given, str | bytes) or not isinstance(given, Iterable):
+        raise ValueError(f"{name} = {given!r}: expected a sequence")
+    return list(given)
+
+
+def _flat(given: Iterable[Any]) -> list[Expr]:
+    return [e for one in given for e in (one if isinstance(one, list) else [one])]
+
+
+def _force(given: Any) -> dict[Expr, Expr]:
+    """Return the components of a force that are given, by the coordinate."""
+    found = {}
+    for key, value in arguments.mapping(given, "force").items():
+        if not isinstance(key, sympy.Expr):
+            raise ValueError(f"force: {key!r}: expected a coordinate, as the key of its component")
+        found[key] = _expression(value, f"force[{key}]")
+    return found
+
+
+def _pairs(given: Any, L: Expr, others: list[Expr]) -> list[tuple[str, Expr, Expr]]:
+    """Return name, symbol and velocity of each coordinate, as given or as they occur.
+
+    A function of time is a coordinate if it occurs in L; elsewhere it may be an input.
+    """
+    if given is None:
+        made = set().union(*(e.atoms(Coordinate) for e in [L, *others]))
+        moving = set().union(*(e.atoms(Velocity) for e in [L, *others]))
+        made |= {v.coordinate for v in moving}
+        functions = L.atoms(AppliedUndef)
+        moved = {f for f in functions if len(f.args) == 1 and _is_time(f.args[0])}
+        given = [*in_order(made), *sorted(moved, key=str)]
+    elif isinstance(given, Mapping):
+        given = list(given.items())
+    found = []
+    for one in _several(given, "coordinates"):
+        if isinstance(one, Coordinate):
+            found.append((one.name, one, one.d))
+        elif isinstance(one, AppliedUndef) and len(one.args) == 1:
+            found.append((str(one.func), one, sympy.Derivative(one, one.args[0])))
+        elif isinstance(one, list | tuple | sympy.Tuple) and len(one) == 2:
+            q, v = one
+            symbols = sympy.Symbol | AppliedUndef
+            if not isinstance(q, symbols) or not isinstance(v, symbols | sympy.Derivative):
+                raise ValueError(f"coordinates: {one!r}: expected a pair of symbols")
+            found.append((str(q.func) if isinstance(q, AppliedUndef) else q.name, q, v))
+        else:
+            raise ValueError(
+                f"coordinates: {one!r}: expected one of dalembert.coordinates, a dynamicsymbol, "
+                "or a pair of symbols (q, v)"
+            )
+    return found
+
+
+def _is_time(argument: Expr) -> bool:
+    """Return whether a function of this is a coordinate; of a coordinate it is none."""
+    return bool(argument.is_Symbol) and not isinstance(argument, Coordinate)
+
+
+def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list[Expr]]:
+    """Return the values of parameters by name, and their symbols."""
+    values, symbols = {}, []
+    for key, value in arguments.mapping(given, "parameters").items():
+        symbol = sympy.Symbol(key) if isinstance(key, str) else key
+        if not isinstance(symbol, sympy.Symbol):
+            raise ValueError(f"parameters: {key!r}: expected a symbol, or its name")
+        if symbol.name in values:
+            raise ValueError(f"parameters: {symbol.name} is there twice")
+        values[arguments.text(symbol.name, "parameters")] = arguments.parameter(value, symbol.name)
+        symbols.append(symbol)
+    return values, symbols
+
+
+def _matching(expression: Expr, rule: dict[Expr, Expr]) -> dict[Expr, Expr]:
+    """Return the rule for the symbols of an expression: equal names, whatever the assumptions."""
+    by_name = {symbol.name: canonical for symbol, canonical in rule.items()}
+    return {
+        symbol: by_name[symbol.name]
+        for symbol in expression.free_symbols
+        if symbol.name in by_name and not isinstance(symbol, Coordinate | Velocity)
+    }
+
+
+# What SymPy uses of a symbol when it simplifies, and so has to hold of its value; the first that
+# does not is named, so the stronger ones stand first.
+_ASSUMED: dict[str, tuple[str, Callable[[float], bool]]] = {
+    "positive": ("a positive number", lambda x: x > 0),
+    "negative": ("a negative number", lambda x: x < 0),
+    "nonnegative": ("a number >= 0", lambda x: x >= 0),
+    "nonpositive": ("a number <= 0", lambda x: x <= 0),
+    "nonzero": ("a number other than 0", lambda x: x != 0),
+    "integer": ("a whole number", lambda x: x == math.floor(x)),
+}
+
+
+def _assumed(symbols: Iterable[Expr]) -> tuple[str, ...]:
+    """Return what is assumed of any of some symbols for the same parameter."""
+    return tuple(word for word in _ASSUMED if any(getattr(s, f"is_{word}") for s in symbols))
+
+
+def require_assumed(model: Model, values: Mapping[str, float]) -> None:
+    """Raise ValueError if the value of a parameter is not what its symbol assumes."""
+    for (name, value), words in zip(values.items(), model.assumptions):
+        for word in words:
+            expected, holds = _ASSUMED[word]
+            if not holds(value):
+                raise ValueError(f"{name} = {value:.15g}: expected {expected}")
+
+
+# ---- sympy.physics.mechanics -------------------------------------------------------------------
+
+
+def _refuse_kane(value: Any) -> None:
+    from sympy.physics.mechanics import KanesMethod
+
+    if isinstance(value, KanesMethod):
+        raise ValueError(
+            "a KanesMethod holds no Lagrangian, and its constraints only after elimination; pass "
+            "sympy.physics.mechanics.Lagrangian(frame, *bodies) and the velocity constraints to "
+            "System.from_sympy, or the mechanics.System to System.from_mechanics_system"
+        )
+
+
+def from_method(method: Any) -> dict[str, Any]:
+    """Return the arguments of from_sympy for a LagrangesMethod."""
+    from sympy.physics.mechanics import LagrangesMethod
+
+    _refuse_kane(method)
+    if not isinstance(method, LagrangesMethod):
+        raise ValueError(f"lm = {method!r}: expected a sympy.physics.mechanics.LagrangesMethod")
+    _refuse_holonomic(method._hol_coneqs)
+    q = list(method.q)
+    return {
+        "L": method._L[0],
+        "constraints": list(method.coneqs),
+        "coordinates": q,
+        "force": _generalized(method.forcelist, method.inertial, q, {}),
+    }
+
+
+def from_system(system: Any) -> dict[str, Any]:
+    """Return the arguments of from_sympy for a mechanics.System."""
+    from sympy.physics import mechanics
+
+    _refuse_kane(system)
+    if not isinstance(system, mechanics.System):
+        raise ValueError(f"system = {system!r}: expected a sympy.physics.mechanics.System")
+    _refuse_holonomic(system.holonomic_constraints)
+    if len(system.u_aux):
+        raise ValueError(f"auxiliary speeds {list(system.u_aux)}: there is no slot for them")
+    q, time = list(system.q), mechanics.dynamicsymbols._t
+    speeds = [u for u in system.u if not isinstance(u, sympy.Derivative)]
+    # the generalized speeds by the velocities: kinematic differential equations are linear in them
+    rule = {}
+    if speeds:
+        if len(system.kdes) == 0:
+            raise ValueError(f"speeds {speeds}: expected kinematic differential equations (kdes)")
+        A, b = sympy.linear_eq_to_matrix(list(system.kdes), speeds)
+        rule = dict(zip(speeds, A.LUsolve(b)))
+    loads = [*system.loads, *(load for act in system.actuators for load in act.to_loads())]
+    constraints = [*system.nonholonomic_constraints]
+    if len(system.velocity_constraints) > len(constraints):
+        constraints = list(system.velocity_constraints)
+    L = mechanics.Lagrangian(system.frame, *system.bodies)
+    return {
+        "L": L.subs(rule).doit() if rule else L,
+        "constraints": [c.subs(rule) for c in constraints],
+        "coordinates": q,
+        "force": _generalized(loads, system.frame, q, rule, [x.diff(time) for x in q]),
+    }
+
+
+def _refuse_holonomic(constraints: Any) -> None:
+    found = [c for c in (constraints or []) if c != 0]
+    if found:
+        raise ValueError(
+            f"the holonomic constraint {found[0]} = 0: there is no slot for constraints on the "
+            "coordinates; choose coordinates that satisfy it, or give its time derivative as a "
+            "velocity constraint, which then is kept, while the coordinates drift"
+        )
+
+
+def _generalized(
+    loads: Iterable[Any],
+    frame: Any,
+    q: list[Expr],
+    rule: dict[Expr, Expr],
+    velocities: list[Expr] | None = None,
+) -> dict[Expr, Expr] | None:
+    """Return the generalized force of forces on points and torques on frames; None without any."""
+    from sympy.physics.mechanics import Point, dynamicsymbols
+
+    loads = list(loads or [])
+    if not loads:
+        return None
+    if frame is None:
+        raise ValueError("forcelist without frame: the inertial frame is needed for its forces")
+    found = dict.fromkeys(q, 0)
+    for place, vector in loads:
+        at = place.vel(frame) if isinstance(place, Point) else place.ang_vel_in(frame)
+        for x in q:
+            rate = x.diff(dynamicsymbols._t)
+            for u, expression in {rate: rate, **rule}.items():
+                slope = expression.diff(rate)
+                if slope != 0 and (u == rate or at.free_dynamicsymbols(frame)):
+                    found[x] += slope * at.diff(u, frame, var_in_dcm=False).dot(vector)
+    return {x: e.subs(rule).doit() if rule else e for x, e in found.items()}

@@ -1,0 +1,547 @@
+"""Where systems come from: each source makes a C system, pickles, and says what it adds to it."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from ..core import (
+    FUNCTIONS,
+    KINDS,
+    MISSING,
+    MISSING_PHI_Q,
+    Array,
+    Handle,
+    arguments,
+    ffi,
+    lib,
+    pointers,
+)
+from ..symbolic import evaluation, given
+
+__all__ = [
+    "AtKeptNodes", "BuiltIn", "CFunctions", "Deformed", "Expressions", "Functions", "Made",
+    "PythonFunctions", "Source", "functions", "require_named",
+]  # fmt: skip
+
+Function = Callable[..., Any]
+
+_CONSTRAINTS = {
+    "linear": lib.dal_py_linear,
+    "affine": lib.dal_py_affine,
+    "nonlinear": lib.dal_py_nonlinear,
+}
+
+_MOST_COORDINATES = 10_000  # of dense matrices: n^2 numbers each, n^3 operations in a step
+
+_OUTPUTS = {
+    "V_q": lib.DAL_MISSING_V_Q,
+    "V_qq": lib.DAL_MISSING_V_QQ,
+    "phi_q": lib.DAL_MISSING_PHI_Q,
+    "L_qq": lib.DAL_MISSING_L_QQ,
+    "L_vq": lib.DAL_MISSING_L_VQ,
+    "L_vv": lib.DAL_MISSING_L_VV,
+    "f_q": lib.DAL_MISSING_F_Q,
+    "f_v": lib.DAL_MISSING_F_V,
+}
+
+_TAKEN = {  # by the functions that do not take (q, v)
+    **dict.fromkeys(
+        ("potential", "gradient", "hessian", "forms", "affine", "affine_derivative"), "q"
+    ),
+    **dict.fromkeys(("force", "force_q", "force_v", "exact"), "t, q, v"),
+}
+
+# What each function makes no sense without.
+_NEEDS = {
+    "gradient": "potential(q) -> V",
+    "hessian": "potential(q) -> V",
+    "lagrangian": "lagrangian_q(q, v) -> dL/dq and lagrangian_v(q, v) -> dL/dv",
+    **dict.fromkeys(
+        ("lagrangian_q", "lagrangian_v", "lagrangian_qq", "lagrangian_vq", "lagrangian_vv"),
+        "lagrangian(q, v) -> L",
+    ),
+    "force_q": "force(t, q, v) -> f",
+    "force_v": "force(t, q, v) -> f",
+    "forms_velocity_derivative": "forms(q) -> mu",
+    "affine": "forms(q) -> mu",
+    "affine_derivative": "affine(q) -> a",
+    "constraint": "constraint_v(q, v) -> dphi/dv",
+    "constraint_v": "constraint(q, v) -> phi",
+    "constraint_q": "constraint(q, v) -> phi",
+}
+
+
+class Made(NamedTuple):
+    """A C system, and what it has besides in Python.
+
+    Attributes
+    ----------
+    handle : cdata
+        The ``dal_system *``.
+    exact : callable or None
+        The exact solution, where C does not know it.
+    invariants : dict
+        First integrals, where C does not know them.
+    has_exact : bool or None
+        Whether there is an exact solution; None: C knows.
+    model : Model or None
+        Of a system of expressions.
+    """
+
+    handle: Any
+    exact: Function | None = None
+    invariants: Mapping[str, Function] = {}
+    has_exact: bool | None = None
+    model: Any = None
+
+
+class Source:
+    """Where a system comes from; it pickles as the numbers, functions and expressions it holds."""
+
+    of_library = False  # True: `systems.get` with the name and the parameters makes it again
+
+    def make(self) -> Made:
+        """Make the system."""
+        raise NotImplementedError
+
+    def functions(self) -> dict[str, Any]:
+        """Return the user's functions by name."""
+        return {}
+
+    def with_values(self, values: dict[str, float]) -> Source:
+        """Return the source with other values of the parameters."""
+        raise NotImplementedError
+
+    def require_picklable(self, name: str) -> None:
+        """Raise PicklingError, with the line to change, for a function that does not pickle."""
+        for key, function in self.functions().items():
+            try:
+                pickle.dumps(function)
+            except Exception as error:
+                raise pickle.PicklingError(
+                    f"the system {name!r} does not pickle, because its {key} = {function!r} does "
+                    "not; define it with def at the top level of a module"
+                ) from error
+
+
+def _new(
+    definition: Any,
+    names: Sequence[str],
+    about: Mapping[str, str],
+    mass: Array | None,
+    state: Array | None,
+    owner: Any,
+) -> Any:
+    """Return the C system of a definition, with its names, texts, mass and initial data."""
+    c_names = core.strings(list(names))
+    definition.coordinates = c_names[0]
+    texts = [(key, ffi.new("char[]", arguments.text(x, key).encode())) for key, x in about.items()]
+    for key, text in texts:
+        setattr(definition, key, text)
+    definition.mass = ffi.NULL if mass is None else core.pointer(mass)
+    definition.state = ffi.NULL if state is None else core.pointer(state)
+    handle = core.make("system", definition, owner=owner)
+    del c_names, texts
+    return handle
+
+
+# ---- functions ---------------------------------------------------------------------------------
+
+
+@dataclass
+class Functions(Source):
+    """What systems of functions in Python and of those in C have in common."""
+
+    given: dict[str, Function | None]
+    mass: Array | None
+    n: int
+    m: int
+    about: dict[str, str]
+    coordinates: list[str]
+    state: Array | None
+    invariants: dict[str, Function]
+    steady: bool
+
+    def functions(self) -> dict[str, Any]:
+        return {k: f for k, f in (self.given | self.invariants).items() if f is not None}
+
+    def define(self, callbacks: dict[str, Any], kind: int, missing: int, ctx: Any, kept: Any) -> Any:
+        """Return the C system."""
+        numbers = {"n": self.n, "m": self.m, "kind": kind, "missing": missing}
+        given = {**numbers, "steady": int(bool(self.steady)), "ctx": ctx, **callbacks}
+        definition = ffi.new("dal_system_def *", given)
+        return _new(definition, self.coordinates, self.about, self.mass, self.state, (ctx, kept))
+
+
+class PythonFunctions(Functions):
+    """A system of functions in Python."""
+
+    def make(self) -> Made:
+        given, kind = self.given, "linear"
+        if self.m > 0:
+            kind = "affine" if given["affine"] is not None else kind
+            kind = "nonlinear" if given["constraint"] is not None else kind
+        callables = core.Callables(self.n, self.m, given)
+        callbacks = {
+            key: getattr(lib, f"dal_py_{key}")
+            for key in ("lagrangian", "potential", "force", "exact")
+            if given[key] is not None
+        }
+        if self.m > 0:
+            callbacks["constraint"] = _CONSTRAINTS[kind]
+        handle = self.define(
+            callbacks, KINDS[kind], _missing(given, self.m, kind), ffi.new_handle(callables),
+            callables,
+        )  # fmt: skip
+        return Made(handle, None, self.invariants, given["exact"] is not None)
+
+
+@dataclass
+class CFunctions(Functions):
+    """A system of functions in C."""
+
+    kind: str | None
+    missing: Sequence[str] | None
+    ctx: Any
+
+    def make(self) -> Made:
+        compiled = _compiled(self.given)
+        kind = arguments.choice("linear" if self.kind is None else self.kind, "kind", KINDS)
+        missing = sum({arguments.choice(x, "missing", _OUTPUTS) for x in self.missing or ()})
+        context, kept = pointers.context(self.ctx, compiled)
+        callbacks = {key: ffi.cast(f"dal_{key}_fn", x.address) for key, x in compiled.items()}
+        handle = self.define(callbacks, kind, missing, context, kept)
+        exact = self.given["exact"]
+        return Made(handle, exact, self.invariants, exact is not None)
+
+
+def functions(
+    *,
+    mass: ArrayLike | None,
+    n: int | None,
+    m: int | None,
+    name: str,
+    help: str,
+    description: str,
+    source: str,
+    formulas: Sequence[str],
+    coordinates: Sequence[str] | None,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    invariants: Mapping[str, Function] | None,
+    steady: bool,
+    kind: str | None,
+    missing: Sequence[str] | None,
+    ctx: Any,
+    **given: Function | None,
+) -> Functions:
+    """Return the source of a system of functions, see `dalembert.System`; ValueError if wrong."""
+    require_named(invariants)
+    compiled = _compiled(given)
+    for key, function in {**given, **(invariants or {})}.items():
+        if key not in compiled:
+            arguments.function(function, key, _TAKEN.get(key, "q, v"))
+    if compiled:
+        _require_compiled(given, compiled, mass, m)
+    else:
+        _require_parts(given, mass)
+        for key, value in (("kind", kind), ("missing", missing), ("ctx", ctx)):
+            if value is not None:
+                raise ValueError(f"{key} = {arguments.shown(value)}: only C functions take it")
+    arguments.pair(q0, v0, ("q0", "v0"))
+    if coordinates is not None:
+        coordinates = arguments.names(coordinates, "coordinates", "several names, as ['x', 'y']")
+    told = _number_of_coordinates(n, coordinates, q0)
+    matrix = None if mass is None else _mass_matrix(mass, n, told)
+    size = told if matrix is None else len(matrix)
+    if size is None:
+        raise ValueError("n: needed, because neither coordinates nor q0 tell it")
+    names = [f"q{i}" for i in range(size)] if coordinates is None else list(coordinates)
+    if len(names) != size or len(set(names)) != size:
+        raise ValueError(f"coordinates = {coordinates!r}: expected {size} different names")
+    state = None
+    if q0 is not None and v0 is not None:
+        state = np.concatenate(
+            [arguments.array(q0, "q0", (size,)), arguments.array(v0, "v0", (size,))]
+        )
+    if compiled:
+        m = arguments.integer(0 if m is None else m, "m", 0)
+    else:
+        m = _number_of_constraints(given["forms"], given["constraint"], m, size, state)
+    about = {"name": name, "help": help, "description": description, "source": source}
+    about["formulas"] = "\n".join(arguments.names(formulas, "formulas", "several lines"))
+    common = (given, matrix, size, m, about, names, state, dict(invariants or {}), steady)
+    return CFunctions(*common, kind, missing, ctx) if compiled else PythonFunctions(*common)
+
+
+def _compiled(given: Mapping[str, Any]) -> dict[str, pointers.Pointer]:
+    """Return those of the functions that are C functions."""
+    found = {key: pointers.find(key, given[key]) for key in pointers.ARGUMENTS}
+    return {key: pointer for key, pointer in found.items() if pointer is not None}
+
+
+# ---- what comes with the library, expressions, deformations ------------------------------------
+
+
+@dataclass
+class BuiltIn(Source):
+    """A system that comes with the library, written in C."""
+
+    name: str
+    values: Mapping[str, Any]
+    of_library = True
+
+    def make(self) -> Made:
+        numbers = [arguments.number(value, key) for key, value in self.values.items()]
+        values = np.array(numbers, dtype=float)
+        c_names, kept = core.strings(list(self.values))
+        c_name = ffi.new("char[]", self.name.encode())
+        new = lib.dal_system_builtin
+        handle = core.adopt("system", new, c_name, c_names, core.pointer(values), len(values))
+        del kept
+        return Made(handle)
+
+    def with_values(self, values: dict[str, float]) -> Source:
+        return dataclasses.replace(self, values=values)
+
+
+@dataclass
+class Expressions(Source):
+    """A system of expressions: a model, and values of its parameters.
+
+    An invariant that is None is an expression of the model.
+    """
+
+    model: Any
+    values: dict[str, float]
+    about: dict[str, str]
+    state: Array | None
+    exact: Function | None
+    invariants: dict[str, Function | None]
+    of_library: bool = False
+
+    def functions(self) -> dict[str, Any]:
+        named = {"exact": self.exact, **self.invariants}
+        return {key: function for key, function in named.items() if function is not None}
+
+    def with_values(self, values: dict[str, float]) -> Source:
+        return dataclasses.replace(self, values=values)
+
+    def make(self) -> Made:
+        model, state, n = self.model, self.state, self.model.n
+        given.require_assumed(model, self.values)
+        numbers = evaluation.Evaluation(model, self.values)
+        library = evaluation.library(model)
+        if model.state is not None:
+            state = numbers.matrix(library, "state", (2 * n,))
+        if state is not None and len(state) != 2 * n:
+            raise ValueError(f"(q0, v0): expected {n} numbers each, got {len(state)} in all")
+        mass = numbers.matrix(library, "mass", (n, n))
+        in_c = library is not None and not any(self.invariants.values())
+        invariants = {} if in_c else numbers.invariants(self.invariants)
+        exact = self.exact
+        if exact is not None:
+            arguments.function(exact, "exact")
+            exact = numbers.bound(exact)
+        if library is None:
+            numbers.warn(self.about["name"])
+            found = dict.fromkeys(FUNCTIONS) | numbers.in_python()
+            names = list(model.coordinates)
+            made = PythonFunctions(
+                found, mass, n, model.m, self.about, names, state, invariants, False
+            ).make()
+            made = made._replace(model=model)
+            return made if exact is None else made._replace(exact=exact, has_exact=True)
+        definition = ffi.new("dal_system_def *", library.definition[0])
+        c_invariants, kept = core.strings(list(self.invariants))
+        if self.values:
+            definition.ctx = core.pointer(numbers.parameters)
+            definition.ctx_size = numbers.parameters.nbytes
+        if definition.invariant != ffi.NULL and in_c:
+            definition.invariants = len(self.invariants)
+            definition.invariant_names = c_invariants
+        handle = _new(definition, model.coordinates, self.about, mass, state, library)
+        del kept
+        return Made(handle, exact, invariants, True if exact else None, model)
+
+
+@dataclass
+class Deformed(Source):
+    """A system with the constraints phi + delta g = 0."""
+
+    base: Handle
+    g: Function
+    delta: float
+    g_v: Function
+    g_q: Function | None
+    kind: str
+
+    def functions(self) -> dict[str, Any]:
+        named = {"g": self.g, "g_v": self.g_v, "g_q": self.g_q}
+        return {key: function for key, function in named.items() if function is not None}
+
+    def make(self) -> Made:
+        base = self.base
+        callables = core.DeformationCallables(base.n, base.m, self.g, self.g_v, self.g_q)
+        context = ffi.new_handle(callables)
+        missing = lib.DAL_MISSING_PHI_Q if self.g_q is None else 0
+        return Made(
+            core.adopt(
+                "system", lib.dal_system_deform, base._handle, lib.dal_py_deformation, context,
+                self.delta, KINDS[self.kind], missing, owner=(base, callables, context),
+            )
+        )  # fmt: skip
+
+
+@dataclass
+class AtKeptNodes(Source):
+    """A system with the constraints phi(q - shift v, v) = 0."""
+
+    base: Handle
+    shift: float
+
+    def make(self) -> Made:
+        new = lib.dal_system_deform_nodes
+        return Made(core.adopt("system", new, self.base._handle, self.shift, owner=self.base))
+
+
+# ---- what has to go together ---------------------------------------------------------------------
+
+
+def require_named(invariants: Any) -> None:
+    """Raise ValueError if invariants are neither None nor a mapping from names."""
+    named = arguments.mapping(invariants, "invariants")
+    arguments.names(named, "invariants", "names that are strings")
+    for name, value in named.items():
+        if value is None:
+            raise ValueError(f"invariants[{name!r}] = None: expected a function or an expression")
+
+
+def _require_parts(functions: dict[str, Callable[..., Any] | None], mass: Any) -> None:
+    """Raise ValueError if functions are given that do not go together, or not all that do."""
+    given = {key for key, function in functions.items() if function is not None}
+    if mass is not None:
+        given.add("mass")
+    for one, other in (
+        ("mass", "lagrangian"),
+        ("potential", "lagrangian"),
+        ("forms", "constraint"),
+    ):
+        if one in given and other in given:
+            raise ValueError(f"{one} and {other}: expected one of the two")
+    for key in FUNCTIONS:
+        needed = _NEEDS.get(key, "")
+        names = [part.split("(")[0] for part in needed.split(" and ")] if needed else []
+        if key in given and not given.issuperset(names):
+            raise ValueError(f"{key} without {needed}")
+    if not given & {"mass", "lagrangian"}:
+        raise ValueError("mass: needed, or a lagrangian")
+    derivatives = given & {"forms_velocity_derivative", "affine_derivative"}
+    if "affine" in given and len(derivatives) == 1:
+        raise ValueError(
+            f"{derivatives.pop()} alone: expected forms_velocity_derivative and "
+            "affine_derivative, both or none"
+        )
+
+
+def _require_compiled(
+    functions: dict[str, Callable[..., Any] | None],
+    compiled: Mapping[str, pointers.Pointer],
+    mass: Any,
+    m: int | None,
+) -> None:
+    """Raise ValueError if something does not go together with C functions."""
+    for key, function in functions.items():
+        if function is not None and key != "exact" and key not in compiled:
+            raise ValueError(
+                f"{key} = {function!r} together with the C function {next(iter(compiled))}: "
+                "expected C functions for potential, constraint, lagrangian and force, with their "
+                "derivatives among the outputs, or Python functions"
+            )
+    if (mass is None) == ("lagrangian" not in compiled):
+        raise ValueError("mass and lagrangian: expected one of the two")
+    if mass is None and "potential" in compiled:
+        raise ValueError("potential and lagrangian: expected one of the two")
+    if ("constraint" in compiled) != bool(m):
+        raise ValueError(f"m = {m}: expected the number of constraints, with a constraint only")
+
+
+def _missing(functions: dict[str, Callable[..., Any] | None], m: int, kind: str) -> int:
+    """Return the sum of ``dal_missing`` for the derivatives that are not given."""
+    owners = {"gradient": "potential", "hessian": "potential"}
+    bits = 0
+    for bit, name in MISSING.items():
+        owner = owners.get(name, name.split("_")[0])
+        if functions[owner] is not None and functions[name] is None:
+            bits |= bit
+    if m > 0 and any(functions[name] is None for name in MISSING_PHI_Q[kind]):
+        bits |= lib.DAL_MISSING_PHI_Q
+    return bits
+
+
+def _number_of_coordinates(
+    n: int | None, coordinates: Sequence[str] | None, q0: ArrayLike | None
+) -> int | None:
+    """Return n as given, or as the coordinates or q0 tell it; None if nothing does."""
+    if n is not None:
+        return arguments.integer(n, "n", 1, _MOST_COORDINATES)
+    if coordinates is not None:
+        return len(coordinates)
+    return None if q0 is None else int(np.size(q0))
+
+
+def _mass_matrix(mass: ArrayLike, n: int | None, told: int | None) -> Array:
+    """Return M for a matrix, its diagonal, or one number; ValueError if n does not agree."""
+    matrix = arguments.array(mass, "mass", (None, None), (None,), ())
+    if matrix.ndim == 0:
+        if told is None:
+            raise ValueError(f"n: needed, because mass = {mass!r} does not tell it")
+        matrix = np.full(told, float(matrix))
+    if matrix.ndim == 1:
+        matrix = np.diag(matrix)
+    if matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
+        raise ValueError(f"mass: expected a square matrix, got shape {matrix.shape}")
+    if n is not None and len(matrix) != n:
+        raise ValueError(f"n = {n}: the mass matrix has shape {matrix.shape}")
+    return matrix.copy()
+
+
+def _number_of_constraints(
+    forms: Callable[[Array], ArrayLike] | None,
+    constraint: Callable[[Array, Array], ArrayLike] | None,
+    m: int | None,
+    n: int,
+    state: Array | None,
+) -> int:
+    """Return m as given, or as many as ``forms(q)`` or ``constraint(q, v)`` returns."""
+    if forms is None and constraint is None:
+        if m:
+            raise ValueError(f"m = {m}: without forms or constraint there are no constraints")
+        return 0
+    if m is not None:
+        return arguments.integer(m, "m", 0)
+    point = np.concatenate([np.zeros(n), np.ones(n)]) if state is None else state.copy()
+    point.flags.writeable = False
+    if constraint is not None:
+        shape = arguments.shape(constraint(point[:n], point[n:]))
+        if len(shape) != 1:
+            raise ValueError(
+                "constraint has to return shape (m,), one number for each constraint, it "
+                f"returned {shape}"
+            )
+    elif forms is not None:
+        shape = arguments.shape(forms(point[:n]))
+        if len(shape) != 2 or shape[1] != n:
+            raise ValueError(
+                f"forms has to return shape (m, {n}), one row for each constraint, "
+                f"it returned {shape}"
+            )
+    return arguments.integer(shape[0], "m", 0)

@@ -1,0 +1,817 @@
+"""Systems: the triple (Q = R^n, L, D) with D = {phi(q, v) = 0}, and perhaps a force."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core, geometry, growth, symbolic
+from ..core import KINDS, Array, Handle, arguments, extras, lib
+from ..geometry import Check, examine
+from . import sources
+from .sources import Source
+
+__all__ = ["System"]
+
+class System(Handle):
+    """A mechanical system with velocity constraints, from functions of the user.
+
+    The equations are ``d/dt L_v - L_q = f + phi_v^T lambda`` with ``phi(q, v) = 0``.  The
+    Lagrangian L is ``v^T M v / 2 - V(q)`` with a constant mass matrix M, or any function with L_vv
+    positive definite.  The constraints phi are linear, ``mu(q) v``; affine, ``mu(q) v + a(q)``; or
+    nonlinear.  The force f may depend on time.  Systems that come with the library are made by the
+    functions of `dalembert.systems`.
+
+    Parameters
+    ----------
+    mass : array_like, shape (n, n), (n,) or ()
+        M, its diagonal, or one mass for all coordinates; symmetric, positive definite.  Either it
+        or ``lagrangian`` is given.
+    forms : callable, optional
+        ``forms(q) -> (m, n)``: mu(q), one row for each constraint.  Without it, and without
+        ``constraint``, there are no constraints.
+    forms_velocity_derivative : callable, optional
+        ``forms_velocity_derivative(q, v) -> (m, n)``: entry [a, j] is d(mu^a(q) v)/dq_j.
+    affine, affine_derivative : callable, optional
+        ``affine(q) -> (m,)``: a(q), so that the constraints are mu(q) v + a(q) = 0;
+        ``affine_derivative(q) -> (m, n)``: entry [a, j] is da^a/dq_j.  It is given together with
+        ``forms_velocity_derivative``, or neither is.
+    constraint, constraint_v, constraint_q : callable, optional
+        Nonlinear constraints, instead of ``forms``.  ``constraint(q, v) -> (m,)``: phi;
+        ``constraint_v(q, v) -> (m, n)``: dphi^a/dv_i, needed, and of rank m wherever the system
+        goes; ``constraint_q(q, v) -> (m, n)``: dphi^a/dq_j.
+    potential : callable, optional
+        ``potential(q) -> float``.  None: V = 0.
+    gradient : callable, optional
+        ``gradient(q) -> (n,)``: dV/dq_j.
+    hessian : callable, optional
+        ``hessian(q) -> (n, n)``: d2V/dq_i dq_j.
+    lagrangian, lagrangian_q, lagrangian_v : callable, optional
+        Instead of mass and potential, all three: ``lagrangian(q, v) -> float``;
+        ``lagrangian_q(q, v) -> (n,)``: dL/dq_i; ``lagrangian_v(q, v) -> (n,)``: dL/dv_i.
+    lagrangian_qq, lagrangian_vq, lagrangian_vv : callable, optional
+        Of (q, v), shape (n, n): d2L/dq_i dq_j; d2L/dv_i dq_j, where the row is that of the
+        velocity; d2L/dv_i dv_j, symmetric and positive definite.
+    force, force_q, force_v : callable, optional
+        ``force(t, q, v) -> (n,)``: f; ``force_q(t, q, v) -> (n, n)``: df_i/dq_j;
+        ``force_v(t, q, v) -> (n, n)``: df_i/dv_j.
+    n : int, optional
+        Number of coordinates; needed where neither the mass, the coordinates nor q0 tell it.
+    m : int, optional
+        Number of constraints.  Without it ``forms`` is asked once, at ``q0`` or at 0, or
+        ``constraint``, at (q0, v0) or at (0, (1, ..., 1)).
+    name, help : str, optional
+        A name, and one line about the system.
+    description, source : str, optional
+        What coordinates and parameters are, in some sentences; where the system is from.
+    formulas : sequence of str, optional
+        "L = ...", the constraints "... = 0", and "where NAME = ..." for what else is in them or in
+        names of invariants; ``v_x`` is the velocity of x, a blank a product, ``^`` a power.
+    coordinates : sequence of str, optional
+        Names of the coordinates; default "q0", "q1", ...
+    q0, v0 : array_like, shape (n,), optional
+        Initial data to start from by default, both or none.
+    exact : callable, optional
+        ``exact(t, q0, v0) -> (q, v)``: the exact state a time t after (q0, v0).  Where there is a
+        force that depends on time, the solution that starts at time 0.
+    invariants : mapping of str to callable, optional
+        ``invariant(q, v) -> float`` by name: first integrals besides the energy.
+    steady : bool, optional
+        Whether mu depends only on coordinates that no reaction pushes, those i with row i of
+        M^-1 mu^T zero, as on the heading of a blade; only with ``mass`` and ``forms``.  Steps are
+        then linear, without iteration; a step that finds it false ends the run.
+    kind : {"linear", "affine", "nonlinear"}, optional
+        Of a ``constraint`` that is a C function; default "linear".
+    missing : sequence of str, optional
+        Outputs that C functions do not write: "V_q", "V_qq", "phi_q", "L_qq", ...
+    ctx : array, address or pointer, optional
+        What C functions get as their last argument; kept alive, and theirs to read.
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape, is missing or one too many, or the mass matrix is not
+        symmetric and positive definite.  The text names it.
+
+    Notes
+    -----
+    Derivatives that are not given are replaced by central differences, see `differenced`.  Where
+    ``gradient``, ``lagrangian_vq``, ``lagrangian_vv`` or that of the constraints by q is missing,
+    accelerations and multipliers are good to about 1e-12; the others cost Newton's speed only.
+
+    A system of constant mass without force and with linear constraints is integrated by the fastest
+    step routine; all others by Newton's iteration on all n + m unknowns.
+
+    ``potential``, ``constraint``, ``lagrangian`` and ``force`` may be C functions, with the
+    arguments of ``dal_potential_fn`` and so on in ``dalembert.h``: a numba ``cfunc`` (see
+    `dalembert.pointers.numba_wanted`), a function pointer of ctypes or cffi, or a SciPy
+    ``LowLevelCallable``.  Then all that are given have to be, with the derivatives among their
+    outputs; m is needed; and a step is as fast as from C.  Python functions are called once for
+    each evaluation, which is the slow path, vectorised or not.
+
+    The arrays that the functions get are read-only copies, which may be kept.  An exception that
+    a function raises comes back from the call that caused it.  A function may raise
+    `dalembert.DomainError` for a state outside its domain.
+
+    A system does not change after it is made, and threads may share it as far as its functions
+    may.  It pickles as its description.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> own = dal.System(
+    ...     mass=[1, 1, 1],
+    ...     forms=lambda q: [[-q[1], 0, 1]],
+    ...     forms_velocity_derivative=lambda q, v: [[0, -v[0], 0]],
+    ...     coordinates=["x", "y", "z"],
+    ... )
+    >>> own.multipliers([0, 1, 0], [1, 1, 1])
+    array([0.5])
+
+    The same with friction, and a conveyor belt under it that moves with velocity 2:
+
+    >>> belt = dal.System(
+    ...     mass=[1, 1, 1],
+    ...     forms=lambda q: [[-q[1], 0, 1]],
+    ...     affine=lambda q: [-2],
+    ...     force=lambda t, q, v: -v / 10,
+    ...     coordinates=["x", "y", "z"],
+    ... )
+    >>> belt
+    <System system(x, y, z): n = 3, m = 1, affine, forced>
+    >>> belt.residual([0, 1, 0], [1, 1, 3])
+    array([0.])
+
+    A Lagrangian of its own, in polar coordinates, and a speed that is kept:
+
+    >>> speed = lambda q, v: (v[0] ** 2 + (q[0] * v[1]) ** 2) ** 0.5
+    >>> runner = dal.System(
+    ...     lagrangian=lambda q, v: (v[0] ** 2 + (q[0] * v[1]) ** 2) / 2,
+    ...     lagrangian_q=lambda q, v: [q[0] * v[1] ** 2, 0],
+    ...     lagrangian_v=lambda q, v: [v[0], q[0] ** 2 * v[1]],
+    ...     constraint=lambda q, v: [speed(q, v) - 2],
+    ...     constraint_v=lambda q, v: [[v[0] / speed(q, v), q[0] ** 2 * v[1] / speed(q, v)]],
+    ...     coordinates=["r", "phi"],
+    ... )
+    >>> runner.kind
+    'nonlinear'
+    """
+
+    def __init__(
+        self,
+        *,
+        mass: ArrayLike | None = None,
+        forms: Callable[[Array], ArrayLike] | None = None,
+        forms_velocity_derivative: Callable[[Array, Array], ArrayLike] | None = None,
+        affine: Callable[[Array], ArrayLike] | None = None,
+        affine_derivative: Callable[[Array], ArrayLike] | None = None,
+        constraint: Callable[[Array, Array], ArrayLike] | None = None,
+        constraint_v: Callable[[Array, Array], ArrayLike] | None = None,
+        constraint_q: Callable[[Array, Array], ArrayLike] | None = None,
+        potential: Callable[[Array], float] | None = None,
+        gradient: Callable[[Array], ArrayLike] | None = None,
+        hessian: Callable[[Array], ArrayLike] | None = None,
+        lagrangian: Callable[[Array, Array], float] | None = None,
+        lagrangian_q: Callable[[Array, Array], ArrayLike] | None = None,
+        lagrangian_v: Callable[[Array, Array], ArrayLike] | None = None,
+        lagrangian_qq: Callable[[Array, Array], ArrayLike] | None = None,
+        lagrangian_vq: Callable[[Array, Array], ArrayLike] | None = None,
+        lagrangian_vv: Callable[[Array, Array], ArrayLike] | None = None,
+        force: Callable[[float, Array, Array], ArrayLike] | None = None,
+        force_q: Callable[[float, Array, Array], ArrayLike] | None = None,
+        force_v: Callable[[float, Array, Array], ArrayLike] | None = None,
+        n: int | None = None,
+        m: int | None = None,
+        name: str = "system",
+        help: str = "",
+        description: str = "",
+        source: str = "",
+        formulas: Sequence[str] = (),
+        coordinates: Sequence[str] | None = None,
+        q0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        exact: Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None = None,
+        invariants: Mapping[str, Callable[[Array, Array], float]] | None = None,
+        steady: bool = False,
+        kind: str | None = None,
+        missing: Sequence[str] | None = None,
+        ctx: Any = None,
+    ) -> None:
+        if hasattr(self, "_handle"):
+            raise TypeError("a System does not change: __init__ is called once")
+        given = locals()
+        del given["self"]
+        self._take(sources.functions(**given))
+
+    @classmethod
+    def _of(cls, source: Source) -> System:
+        """Return the system of a source."""
+        self = cls.__new__(cls)
+        self._take(source)
+        return self
+
+    def _take(self, source: Source) -> None:
+        made = source.make()
+        self._source = source
+        self._exact, self._invariants, self._has_exact, self._model = made[1:]
+        self._adopt(made.handle)
+        if made.model is not None:
+            self._parameters = source.values
+        self.invariants = tuple(self._invariants) or tuple(
+            core.string(lib.dal_system_invariant_name(made.handle, i))
+            for i in range(lib.dal_system_invariants(made.handle))
+        )
+
+    @classmethod
+    def from_sympy(
+        cls,
+        L: Any,
+        constraints: Any = (),
+        coordinates: Iterable[Any] | None = None,
+        parameters: Mapping[Any, Any] | None = None,
+        *,
+        force: Mapping[Any, Any] | None = None,
+        name: str = "system",
+        help: str = "",
+        description: str = "",
+        source: str = "",
+        q0: Any = None,
+        v0: Any = None,
+        exact: Any = None,
+        invariants: Mapping[str, Any] | None = None,
+    ) -> System:
+        """Return the system of a Lagrangian and constraints that are SymPy expressions.
+
+        Everything is differentiated and compiled to C, step routine included, and kept in a cache
+        (see `dalembert.compiler`).  Parameters stay free: `with_parameters` compiles nothing.
+
+        A term is left out only where it is proved to be zero, so walls such as ``Max(0, x - 2)**2``
+        and numbers of any unit are kept.  The derivative of a ``Piecewise`` is that of its pieces:
+        a jump exerts no force.  Outside of all its pieces it is not defined, and callbacks end in a
+        `DomainError`.  Where Newton's method alone needs a derivative (V_qq, L_qq, f_q, f_v), that
+        of a jump is taken as 0, and that at the edge of ``Max(0, x)**(3/2)`` as finite.
+
+        Parameters
+        ----------
+        L : sympy.Expr
+            The Lagrangian.  If it is v^T M v / 2 - V(q) with a constant M, the fast step routine is
+            used.
+        constraints : sequence, optional
+            What vanishes, or an ``Eq``; linear, affine or nonlinear in the velocities, see `kind`.
+            A list of n coefficients, and a row of a matrix, is a one-form mu(q).
+        coordinates : sequence, optional
+            Of `dalembert.coordinates`; of dynamicsymbols, whose velocities are their derivatives;
+            or pairs (q, v) of symbols.  Default: all that occur, those of `dalembert.coordinates`
+            in the order in which they were named there, then dynamicsymbols by name.
+        parameters : mapping, optional
+            Symbol, or its name, to value.  What a symbol assumes, as ``positive=True``, has to hold
+            of every value that it gets, here and in `with_parameters`.
+        force : mapping, optional
+            Coordinate to component of a generalized force, d/dt L_v - L_q = f + mu^T lambda, in
+            coordinates, velocities and the time ``dynamicsymbols._t``.
+        name, help, description, source : str, optional
+            As of `System`.
+        q0, v0 : sequence, optional
+            Default initial data; numbers, or expressions in the parameters.
+        exact : sequence or callable, optional
+            The exact solution: 2n expressions (q, v) in the time and in the symbols of the
+            coordinates and velocities, which stand for the initial data; or
+            ``exact(t, q0, v0, **parameters) -> (q, v)``.
+        invariants : mapping, optional
+            Name to expression, or to ``invariant(q, v, **parameters) -> float``.
+
+        Returns
+        -------
+        System
+
+        Raises
+        ------
+        ValueError
+            If a symbol is left over, something has no place in a system, a function is not among
+            what can be compiled, or a derivative needs a ``DiracDelta``.  The text names it.
+        dalembert.compiler.CompilerError
+            If the compiler refuses the program; the text has the line, and what it comes from.
+        ImportError
+            If SymPy is not installed.
+
+        Warns
+        -----
+        DalembertWarning
+            If there is no C compiler, so that Python functions are used; or no cache.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> x, y, z = dal.coordinates("x y z")
+        >>> own = dal.System.from_sympy(
+        ...     L=(x.d**2 + y.d**2 + z.d**2) / 2, constraints=[z.d - y * x.d]
+        ... )
+        >>> own
+        <System system(x, y, z): n = 3, m = 1>
+        >>> own.multipliers([0, 1, 0], [1, 1, 1])
+        array([0.5])
+        """
+        arguments.mapping(parameters, "parameters")
+        arguments.mapping(force, "force")
+        sources.require_named(invariants)
+        taken = symbolic.given.take(
+            L, constraints, coordinates, parameters, force, q0, v0, exact, invariants
+        )
+        about = {"name": name, "help": help, "description": description, "source": source}
+        return cls._of(sources.Expressions(about=about, **taken))
+
+    @classmethod
+    def from_lagranges_method(
+        cls, lm: Any, parameters: Mapping[Any, Any] | None = None, **options: Any
+    ) -> System:
+        """Return the system of a ``sympy.physics.mechanics.LagrangesMethod``.
+
+        Its Lagrangian, ``nonhol_coneqs`` and ``forcelist`` are taken.  Mind the sign of the
+        multipliers: here d/dt L_v - L_q = f + mu^T lambda.  The equations of a LagrangesMethod and
+        its ``solve_multipliers`` have -lambda, its ``rhs()`` has lambda.
+
+        Parameters
+        ----------
+        lm : sympy.physics.mechanics.LagrangesMethod
+            Before or after ``form_lagranges_equations()``.
+        parameters, **options
+            As of `from_sympy`.
+
+        Raises
+        ------
+        ValueError
+            If there are holonomic constraints, the time is left over, or it is no LagrangesMethod.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
+        >>> x, y = dynamicsymbols("x y")
+        >>> lm = LagrangesMethod(x.diff() ** 2 / 2 + y.diff() ** 2 / 2 - x, [x, y],
+        ...                      nonhol_coneqs=[y.diff() - x * x.diff()])
+        >>> dal.System.from_lagranges_method(lm).multipliers([0, 0], [1, 0])
+        array([1.])
+        """
+        return cls.from_sympy(parameters=parameters, **{**symbolic.given.from_method(lm), **options})
+
+    @classmethod
+    def from_mechanics_system(
+        cls, system: Any, parameters: Mapping[Any, Any] | None = None, **options: Any
+    ) -> System:
+        """Return the system of a ``sympy.physics.mechanics.System``.
+
+        Its bodies give the Lagrangian, with their potential energies; its loads and actuators the
+        force; its nonholonomic constraints are kept.  Generalized speeds are replaced by velocities
+        after the kinematic differential equations.
+
+        Parameters
+        ----------
+        system : sympy.physics.mechanics.System
+        parameters, **options
+            As of `from_sympy`.
+
+        Raises
+        ------
+        ValueError
+            If there are holonomic constraints or auxiliary speeds, or it is no such System.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> from sympy.physics import mechanics
+        >>> q, u = mechanics.dynamicsymbols("q u")
+        >>> wall = mechanics.RigidBody("W")
+        >>> system = mechanics.System.from_newtonian(wall)
+        >>> bob = mechanics.Particle("P", mass=2)
+        >>> bob.potential_energy = 3 * q**2 / 2
+        >>> system.add_joints(mechanics.PrismaticJoint("J", wall, bob, q, u))
+        >>> dal.System.from_mechanics_system(system).acceleration([1], [0])
+        array([-1.5])
+        """
+        given = symbolic.given.from_system(system)
+        return cls.from_sympy(parameters=parameters, **{**given, **options})
+
+    # ---- what the system is --------------------------------------------------------------
+
+    def invariant(self, q: ArrayLike, v: ArrayLike) -> dict[str, Any]:
+        """Return the first integrals besides the energy.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (n,) or (N, n)
+            A state, or N of them, in the user's units.
+
+        Returns
+        -------
+        dict of str to float or ndarray
+            For each name a float, or an array of shape (N,) for stacked states.
+
+        Raises
+        ------
+        ValueError
+            If q or v has another shape.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.System(mass=[1, 1], invariants={"p": lambda q, v: v[0]}).invariant([0, 0], [2, 1])
+        {'p': 2.0}
+        """
+        x, single = geometry.states(self, q, v)
+        n, names = self.n, self.invariants
+        values = np.empty((len(x), len(names)))
+        for k, row in enumerate(x):
+            if self._invariants:
+                values[k] = [
+                    arguments.returned(f(row[:n].copy(), row[n:].copy()), (), name)
+                    for name, f in self._invariants.items()
+                ]
+            elif names:
+                core.check(
+                    lib.dal_system_invariant(
+                        self._handle, core.pointer(x, k), core.pointer(values, k)
+                    ),
+                    step=k,
+                )
+        if single:
+            return {name: float(values[0, i]) for i, name in enumerate(names)}
+        return {name: values[:, i] for i, name in enumerate(names)}
+
+    @property
+    def has_exact(self) -> bool:
+        """True if `exact` gives the exact solution."""
+        if self._has_exact is not None:
+            return self._has_exact
+        x = np.zeros(2 * self.n) if self.q0 is None else np.concatenate([self.q0, self.v0])
+        y = np.empty_like(x)
+        status = lib.dal_system_exact(self._handle, 0.0, core.pointer(x), core.pointer(y))
+        return bool(status != lib.DAL_EUNSUPPORTED)
+
+    def exact(
+        self, t: ArrayLike, q0: ArrayLike | None = None, v0: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Return the exact state a time t after (q0, v0).
+
+        Parameters
+        ----------
+        t : float or array_like, shape (N,)
+            Time since the initial state, in the user's units; negative times are allowed.
+        q0, v0 : array_like, shape (n,), optional
+            Initial state, in D, both; neither: the system's.
+
+        Returns
+        -------
+        q, v : ndarray, shape (n,) or (N, n)
+
+        Raises
+        ------
+        NotImplementedError
+            If the system carries no exact solution.
+        ValueError
+            If an argument has another shape.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> q, v = dal.systems.particle().exact(1.0, [0, 0, 0], [0, 1, 0])
+        >>> q
+        array([0., 1., 0.])
+        """
+        times = arguments.array(t, "t", (), (None,))
+        n = self.n
+        x0 = np.concatenate(geometry.initial(self, q0, v0))
+        x = np.empty((times.size, 2 * n))
+        for k, time in enumerate(np.atleast_1d(times)):
+            if self._exact is not None:
+                found = self._exact(float(time), x0[:n].copy(), x0[n:].copy())
+                x[k, :n] = arguments.returned(found[0], (n,), "exact (q)")
+                x[k, n:] = arguments.returned(found[1], (n,), "exact (v)")
+                continue
+            status = core.attempt(
+                lib.dal_system_exact,
+                self._handle,
+                float(time),
+                core.pointer(x0),
+                core.pointer(x, k),
+            )
+            if status == lib.DAL_EUNSUPPORTED:
+                raise NotImplementedError(f"the system {self.name!r} carries no exact solution")
+            core.check(status, step=k)
+        x = x[0] if times.ndim == 0 else x
+        return x[..., :n], x[..., n:]
+
+    def check(
+        self,
+        q: ArrayLike | None = None,
+        v: ArrayLike | None = None,
+        *,
+        progress: bool | Callable[[int, int], Any] = False,
+    ) -> Check:
+        """Examine the system at a state: derivatives, rank, definiteness, integrability, growth.
+
+        Derivatives are compared with differences over several distances; what is wrong by less
+        than 1e-7 of 1 + its size is not seen, and an entry where differences do not converge, such
+        as a second derivative at a kink, is not judged.
+        What depends on v is examined at another velocity too, where it is defined there, and the
+        force at times 0 and 1.  The growth vector of D, and with it whether D is integrable, is
+        found with many digits for a system made by `from_sympy`, and for one whose formulas say
+        what it is if SymPy is installed; else by its functions, as far as their digits go.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (n,), optional
+            Where to look, in the user's units, both; neither: the system's initial data; without
+            any, and if the system was made by `from_sympy`, some state in D.  The growth vector is
+            that at q if q is given, else that at a general point.
+        progress : bool or callable, optional
+            True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
+            dimensions that brackets add to D, m at a general point and m at q.
+
+        Returns
+        -------
+        Check
+            True if all is as it should be; ``print(system.check())`` shows what was found.
+
+        Raises
+        ------
+        ValueError
+            If q or v has another shape, or none is given and the system has no initial data.
+        Exception
+            Whatever a function of the user raises.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> wrong = dal.System(
+        ...     mass=[1, 1], potential=lambda q: q[0] ** 2, gradient=lambda q: [q[0], 0]
+        ... )
+        >>> bool(wrong.check([1, 0], [0, 0]))
+        False
+        >>> trailers = dal.systems.n_trailer(trailers=2)
+        >>> trailers.check().growth
+        (2, 3, 4, 5)
+
+        It grows more slowly where the first trailer stands at a right angle to the car:
+
+        >>> trailers.check([0, 0, 3.141592653589793 / 2, 0, 0], [0, 0, 0, 0, 0]).growth
+        (2, 3, 4, 4, 5)
+        """
+        asked = q is not None
+        if q is None and v is None and self.q0 is None and self._model is not None:
+            q, v = self._general_state()
+        found = examine(self, q, v)
+        if self.m == 0 or self.kind != "linear":
+            return found
+        place, _ = geometry.initial(self, q, v, "q", "v")
+        at = place if asked else None
+        total = self.m * (2 if asked else 1)
+        with extras.progress(progress, total, "dimension") as show:
+            distribution = growth.examine(self, place, at, show)
+            show(total)
+        return found.with_distribution(distribution)
+
+    def _general_state(self) -> tuple[Array, Array]:
+        """Return some state in D, in no special position."""
+        source, first = np.random.default_rng(1), None
+        for size in np.repeat((1.0, -1.0, 10.0, -10.0, 100.0, -100.0), 4):  # where it is defined
+            q, v = source.uniform(0.2, 1.0, (2, self.n))
+            state = size * q, v
+            first = first or state
+            with contextlib.suppress(core.DalembertError, ArithmeticError, ValueError):
+                return state[0], self.project(*state)
+        assert first is not None
+        return first  # the examination says why
+
+    def with_parameters(self, **parameters: float) -> System:
+        """Return the system with other values of some parameters; nothing is compiled.
+
+        Parameters
+        ----------
+        **parameters : float
+            New values, in the user's units.
+
+        Returns
+        -------
+        System
+
+        Raises
+        ------
+        ValueError
+            If the system has no such parameter, or the value is out of its range.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.systems.disk().with_parameters(R=0.5).parameters["R"]
+        0.5
+        """
+        require_parameters(self.name, parameters, self._parameters)
+        if not parameters:
+            return self
+        new = {key: arguments.parameter(x, key) for key, x in parameters.items()}
+        return type(self)._of(self._source.with_values(self._parameters | new))
+
+    def c_source(self, name: str | None = None) -> str:
+        """Return a C file with the system, for a program that is linked with libdalembert.
+
+        It has one function, ``int NAME_system(dal_system **system, double p0, ..., dal_error
+        *error)``, with the parameters in the order of `parameters`; what it makes steps as fast as
+        this system.  ``cc own.c main.c -ffp-contract=off $(pkg-config --cflags --libs dalembert)``
+
+        Parameters
+        ----------
+        name : str, optional
+            The NAME, a C identifier.  Default: the system's name.
+
+        Raises
+        ------
+        ValueError
+            If the system was not made from expressions, or the name is no identifier.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> x, y = dal.coordinates("x y")
+        >>> own = dal.System.from_sympy(L=(x.d**2 + y.d**2) / 2, constraints=[y.d - x * x.d])
+        >>> "int own_system(dal_system **system, dal_error *error);" in own.c_source("own")
+        True
+        """
+        if self._model is None:
+            raise ValueError(f"the system {self.name!r} was not made by from_sympy")
+        codegen = symbolic.codegen
+        identifier = codegen.c_identifier(name, self.name)
+        source: str = codegen.program(self._model, identifier, self).source
+        return source
+
+    def _repr_latex_(self) -> str | None:
+        """Return L, mu and the equations of motion for a notebook; None if they are not known."""
+        return None if self._model is None else f"${self._model.latex()}$"
+
+    # ---- mechanics on D: the functions of `geometry` as methods --------------------------
+
+    energy = geometry.energy
+    residual = geometry.residual
+    relative_residual = geometry.relative_residual
+    power = geometry.power
+    metric = geometry.metric
+    gram = geometry.gram
+    multipliers = geometry.multipliers
+    acceleration = geometry.acceleration
+    field = geometry.field
+    perturbed = geometry.perturbed
+    project = geometry.project
+    consistent = geometry.consistent
+
+    # ---- other constraints -----------------------------------------------------------------
+
+    def deformed(
+        self,
+        g: Callable[[Array, Array], ArrayLike],
+        delta: float,
+        *,
+        g_v: Callable[[Array, Array], ArrayLike],
+        g_q: Callable[[Array, Array], ArrayLike] | None = None,
+        kind: str = "nonlinear",
+    ) -> System:
+        """Return the system with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE).
+
+        It is a system as any other: `gram` is C_delta, `multipliers` are lambda_delta and `field` is
+        h_delta (Ceps, heps).  Constraints that are nonlinear in v do work, see `power`, so that the
+        energy is no first integral.  The exact solution, the invariants and the initial data of the
+        system are not those of the deformed one; ``deformed.project(q, v)`` leads into its D.
+
+        Parameters
+        ----------
+        g : callable
+            ``g(q, v) -> (m,)``.
+        delta : float
+            The size of the deformation, in the user's units.
+        g_v : callable
+            ``g_v(q, v) -> (m, n)``: entry [a, i] is dg^a/dv_i.
+        g_q : callable, optional
+            ``g_q(q, v) -> (m, n)``: entry [a, j] is dg^a/dq_j.  None: d(phi + delta g)/dq is replaced
+            by central differences, see `differenced`.
+        kind : {"nonlinear", "affine", "linear"}, optional
+            Of phi + delta g as a function of v.
+
+        Returns
+        -------
+        System
+            It keeps this one alive, and pickles if g, g_v and g_q do.
+
+        Raises
+        ------
+        ValueError
+            If an argument is out of range, the system has no constraints, or the kind is simpler than
+            that of the system.
+        NotImplementedError
+            If m n > 4000.
+
+        Examples
+        --------
+        The particle, deformed by g = v_x v_y:
+
+        >>> import dalembert as dal
+        >>> bent = dal.systems.particle().deformed(
+        ...     lambda q, v: [v[0] * v[1]], 0.5, g_v=lambda q, v: [[v[1], v[0], 0]],
+        ...     g_q=lambda q, v: [[0, 0, 0]],
+        ... )
+        >>> bent.residual([0, 1, 0], [2, 2, 0])
+        array([0.])
+        >>> bent.multipliers([0, 1, 0], [2, 2, 0]).round(12)
+        array([2.])
+        >>> [round(power, 12) for power in bent.power([0, 1, 0], [2, 2, 0])]
+        [4.0, 0.0]
+        """
+        for function, name in ((g, "g"), (g_v, "g_v"), (g_q, "g_q")):
+            arguments.function(function, name)
+        if g is None or g_v is None:
+            raise ValueError("g(q, v) and g_v(q, v) -> dg/dv: expected both")
+        if arguments.choice(kind, "kind", KINDS) < KINDS[self.kind]:
+            raise ValueError(
+                f"kind = {kind!r}: the constraints of the system are {self.kind} already"
+            )
+        delta = arguments.number(delta, "delta")
+        return type(self)._of(sources.Deformed(self, g, delta, g_v, g_q, kind))
+
+    def at_kept_nodes(self, shift: float) -> System:
+        """Return the system with the constraints phi(q - shift v, v) = 0 (deformedCons, originalnodes).
+
+        For ``shift = scheme.shift(h)``, which is (1 - beta) h, its D is the D_eps in which the scheme
+        with kept nodes stays.  It is a nonlinear constraint with a flow of its own; such a run is a
+        method of order 1 for that flow, as it is for the flow of this one.
+
+        Parameters
+        ----------
+        shift : float
+            A time, in the user's units.
+
+        Returns
+        -------
+        System
+            It keeps this one alive, and pickles if this one does.
+
+        Raises
+        ------
+        ValueError
+            If the shift is not finite, or the system does not provide what is needed.
+        NotImplementedError
+            If m n > 4000.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> particle, scheme = dal.systems.particle(), dal.Scheme.find("midpoint-nodes")
+        >>> run = dal.integrate(particle, scheme, h=0.1, steps=50, initial="shift")
+        >>> in_D_eps = particle.at_kept_nodes(scheme.shift(0.1))
+        >>> bool(in_D_eps.relative_residual(run.q, run.v).max() < 1e-15)
+        True
+        """
+        shift = arguments.number(shift, "shift")
+        if lib.dal_system_missing(self._handle) & lib.DAL_MISSING_PHI_Q:
+            needed = "constraint_q" if self.kind == "nonlinear" else "forms_velocity_derivative"
+            raise ValueError(f"{needed}: needed, the system {self.name!r} does not provide it")
+        return type(self)._of(sources.AtKeptNodes(self, shift))
+
+    # ---- as an object --------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{key} = {value:g}" for key, value in self._parameters.items())
+        names = ", ".join(self.coordinates[:8]) + ", ..." * (self.n > 8)
+        traits = (
+            (", general Lagrangian" if self.mass is None else "")
+            + (f", {self.kind}" if self.kind != "linear" else "")
+            + (", forced" if self.is_forced else "")
+        )
+        parameters = f"; parameters {values}" if values else ""
+        return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{traits}{parameters}>"
+
+    def __init_subclass__(cls) -> None:
+        for name in ("n", "m"):
+            if name in cls.__dict__:
+                raise TypeError(f"{name} of a System is that of its functions, not of the class")
+
+    def __copy__(self) -> System:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> System:
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        self._source.require_picklable(self.name)
+        return System._of, (self._source,)
+
+
+def require_parameters(name: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Raise ValueError for the first of the given parameters that the system does not have."""
+    names = list(known)
+    for key in given:
+        if key not in names:
+            raise ValueError(
+                f"parameters: {name!r} has no {key!r}; {arguments.suggestion(key, names)}it has "
+                f"{', '.join(names) or 'none'}"
+            )

@@ -1,0 +1,222 @@
+"""The systems that come with the library: one function for each.
+
+``dal.systems.names()`` lists those that are written in C, ``dal.systems.names_in_sympy()`` those
+that need SymPy, see `dalembert.catalogue`; ``dal.systems.particle()`` makes one, and
+``help(dal.systems.disk)`` shows its coordinates and parameters.
+
+>>> import dalembert as dal
+>>> ball = dal.systems.ball_on_table(Omega=2)  # affine constraints
+>>> ball.coordinates
+('x', 'y', 'theta_x', 'theta_y', 'theta_z')
+>>> ball.parameters["Omega"], dal.systems.rolling_disc(m=2, g=0).parameters["m"]
+(2.0, 2.0)
+>>> dal.systems.snakeboard(J0=1)
+Traceback (most recent call last):
+    ...
+ValueError: parameters m = 1, r = 0.5, J0 = 1 of snakeboard; expected m r^2 > J0, and m r^2 is 0.25
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.resources
+import inspect
+import json
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from .. import core
+from ..core import arguments, lib
+from ..system import BuiltIn, System, require_parameters
+from . import catalogue
+
+__all__ = ["KnownState", "get", "known_states", "names", "names_in_sympy", "plain_name"]
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the systems that are written in C, which need nothing else.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> "particle" in dal.systems.names()
+    True
+    """
+    return tuple(core.string(lib.dal_builtin_name(i)) for i in range(lib.dal_builtin_count()))
+
+
+def names_in_sympy() -> tuple[str, ...]:
+    """Return the names of the systems that are written in SymPy, and need it.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> "roller_racer" in dal.systems.names_in_sympy()
+    True
+    """
+    return tuple(catalogue.__all__)
+
+
+def get(name: str, /, **parameters: float) -> System:
+    """Return the system of this name, with some parameters changed from their defaults.
+
+    Parameters
+    ----------
+    name : str
+        One of `names` or `names_in_sympy`; ``-`` and ``_`` are the same.
+    **parameters : float
+        As ``System.parameters`` lists them, in the user's units.
+
+    Raises
+    ------
+    ValueError
+        If there is no such system or parameter, or a parameter is out of its range; the text
+        lists what there is.
+    ImportError
+        If the system is written in SymPy, and that is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.get("knife-edge").name
+    'knife_edge'
+    >>> train = dal.systems.get("n-trailer", trailers=10)
+    >>> train.n, train.m, train.coordinates[-1]
+    (13, 11, 'theta10')
+    """
+    plain = plain_name(name)
+    if plain not in names_in_sympy():
+        default = System._of(BuiltIn(plain, {}))
+        require_parameters(plain, parameters, default.parameters)
+        return System._of(BuiltIn(plain, parameters)) if parameters else default
+    make: Callable[..., System] = getattr(catalogue, plain)
+    require_parameters(plain, parameters, inspect.signature(make).parameters)
+    return make(**parameters)
+
+
+@dataclass(frozen=True)
+class KnownState:
+    """A state that is known to 30 digits.
+
+    Attributes
+    ----------
+    t : float
+        Time since the start.
+    q, v : tuple of str
+        The n coordinates and velocities, in decimals.
+    """
+
+    t: float
+    q: tuple[str, ...]
+    v: tuple[str, ...]
+
+
+def known_states(name: str) -> tuple[KnownState, ...]:
+    """Return states of a system with its default parameters and data, known to 30 digits.
+
+    They were computed by two methods, see ``tests/data/make_references.py``, with parameters and
+    data that are decimals exactly: a = 0.4 is 2/5.
+
+    Parameters
+    ----------
+    name : str
+        One of `names` or `names_in_sympy`; ``-`` and ``_`` are the same.
+
+    Returns
+    -------
+    tuple of KnownState
+        At t = 0, 1 and 10.
+
+    Raises
+    ------
+    ValueError
+        If there is no such system.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> start, one, ten = dal.systems.known_states("cvt")
+    >>> one.q[0]
+    '0.937266465602263978857429501611'
+    """
+    plain = plain_name(name)
+    return tuple(
+        KnownState(float(t), tuple(state["q"]), tuple(state["v"]))
+        for t, state in _references()[plain].items()
+    )
+
+
+@functools.cache
+def _references() -> dict[str, dict[str, dict[str, list[str]]]]:
+    text = importlib.resources.files(__package__).joinpath("references.json").read_text("ascii")
+    return json.loads(text)  # type: ignore[no-any-return]
+
+
+def plain_name(name: str) -> str:
+    """Return the name of a system as it is in `names` or `names_in_sympy`: with _ for -.
+
+    Raises
+    ------
+    ValueError
+        If it is in neither; the text lists what there is.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.plain_name("knife-edge")
+    'knife_edge'
+    """
+    plain = name.replace("-", "_") if isinstance(name, str) else name
+    there = [*names(), *names_in_sympy()]
+    if plain not in there:
+        raise ValueError(_no_system(name, there))
+    return plain
+
+
+def _no_system(name: Any, there: list[str]) -> str:
+    meant = arguments.suggestion(name, there)
+    return f"there is no system {arguments.shown(name)}; {meant}there are {', '.join(there)}"
+
+
+def _maker(name: str) -> Callable[..., System]:
+    """Return the function that makes one system; what it says is what the core says."""
+    default = get(name)
+
+    def make(**parameters: float) -> System:
+        return get(name, **parameters)
+
+    make.__name__ = make.__qualname__ = name
+    values = "\n".join(f"{key} : float, default {x:g}" for key, x in default.parameters.items())
+    formulas = "\n".join(f"    {line}" for line in default.formulas)
+    make.__doc__ = (
+        f"{default.help}\n\n{textwrap.fill(default.description, 96)}\n\n"
+        f"Coordinates {', '.join(default.coordinates)}; {default.m} constraint"
+        f"{'s' * (default.m > 1)}"
+        f"{', with an exact solution' if default.has_exact else ''}::\n\n{formulas}\n"
+        + (f"\nParameters\n----------\n{values}\n" if values else "")
+        + "\nReturns\n-------\nSystem\n"
+        + f"\nReferences\n----------\n{textwrap.fill(default.source, 96)}\n"
+    )
+    make.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=x, annotation=float)
+            for key, x in default.parameters.items()
+        ],
+        return_annotation=System,
+    )
+    return make
+
+
+def __getattr__(name: str) -> Callable[..., System]:
+    if name in names_in_sympy():
+        return getattr(catalogue, name)  # type: ignore[no-any-return]
+    if name not in names():
+        raise AttributeError(_no_system(name, [*names(), *names_in_sympy()]))
+    globals()[name] = maker = _maker(name)
+    return maker
+
+
+def __dir__() -> list[str]:
+    return [*__all__, *names(), *names_in_sympy()]

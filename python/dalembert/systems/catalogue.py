@@ -1,0 +1,419 @@
+"""Systems that come with the library as SymPy expressions: cars, robots, a gearbox, a control case.
+
+They are functions of `dalembert.systems` like those written in C.  SymPy is imported when one of
+them is called, and what it makes is compiled once, see `dalembert.compiler`.  The docstring of each
+is the one place for what it says about itself: help, description and source of the system.
+
+>>> import dalembert as dal
+>>> car = dal.systems.steered_car(l=0.4)
+>>> car
+<System steered_car(x, y, theta, phi): n = 4, m = 2; parameters m = 1, J = 0.2, K = 0.1, l = 0.4>
+>>> car.invariants
+('v_theta + v_phi', 'm (v_x^2 + v_y^2) + J v_theta^2')
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from typing import Any
+
+from ..core import arguments, extras
+from ..symbolic import model
+from ..system import System
+
+__all__ = [
+    "cvt",
+    "disguised",
+    "roller_racer",
+    "sleigh_with_rotor",
+    "steered_car",
+    "two_wheeled_robot",
+]
+
+
+def steered_car(*, m: float = 1.0, J: float = 0.2, K: float = 0.1, l: float = 0.5) -> System:
+    """Car with rear axle at (x, y), front axle (inertia K) at distance l, steered by phi.
+
+    Coordinates x, y, theta, phi: middle of the rear axle, where the centre of mass is, heading, and
+    angle of the front axle to it.  Both axles move along themselves only::
+
+        L = (m (x'^2 + y'^2) + J theta'^2 + K (theta' + phi')^2)/2
+        -sin(theta) x' + cos(theta) y' = 0
+        -sin(theta + phi) x' + cos(theta + phi) y' + l cos(phi) theta' = 0
+
+    No constraint acts on phi; so the momentum of the front axle is constant, and the energy of the
+    rest.
+
+    Parameters
+    ----------
+    m, J, K : float
+        Mass, inertia without the front axle, inertia of the front axle; positive.
+    l : float
+        Distance of the axles; positive.
+
+    Returns
+    -------
+    System
+        It starts at q0 = (0, 0, 1/5, 3/10) at speed 1, with phi' = 1/2.
+
+    References
+    ----------
+    M. Kobilarov, J. E. Marsden, G. S. Sukhatme: Geometric discretization of nonholonomic
+    systems with symmetries, Discrete Contin. Dyn. Syst. Ser. S 3 (2010) 61-84
+    """
+    given = {"m": m, "J": J, "K": K, "l": l}
+    sympy, (x, y, theta, phi), symbols = _start(steered_car, "x y theta phi", given, "m J K l")
+    m_, J_, K_, l_ = symbols
+    cos, sin = sympy.cos, sympy.sin
+    heading, steering = sympy.Rational(1, 5), sympy.Rational(3, 10)
+    return _make(
+        steered_car,
+        given,
+        (m_ * (x.d**2 + y.d**2) + J_ * theta.d**2 + K_ * (theta.d + phi.d) ** 2) / 2,
+        [
+            -sin(theta) * x.d + cos(theta) * y.d,
+            -sin(theta + phi) * x.d + cos(theta + phi) * y.d + l_ * cos(phi) * theta.d,
+        ],
+        [x, y, theta, phi],
+        q0=[0, 0, heading, steering],
+        v0=[cos(heading), sin(heading), sympy.tan(steering) / l_, 0.5],
+        invariants={
+            "v_theta + v_phi": theta.d + phi.d,
+            "m (v_x^2 + v_y^2) + J v_theta^2": m_ * (x.d**2 + y.d**2) + J_ * theta.d**2,
+        },
+    )
+
+
+def roller_racer(
+    *, m: float = 1.0, J: float = 0.2, K: float = 0.05, d1: float = 0.5, d2: float = 0.2
+) -> System:
+    """Roller racer: two bodies in a hinge, each on an axle; it drives by swinging the handle.
+
+    Coordinates x, y, theta, phi: middle of the rear axle, where the body (m, J) has its centre of
+    mass, heading of the body, and angle of the handle (K, without mass) to it.  The hinge is d1
+    before the rear axle, and the axle of the handle d2 before the hinge::
+
+        L = (m (x'^2 + y'^2) + J theta'^2 + K (theta' + phi')^2)/2
+        -sin(theta) x' + cos(theta) y' = 0
+        -sin(theta + phi) x' + cos(theta + phi) y' + (d1 cos(phi) + d2) theta' + d2 phi' = 0
+
+    Beside the energy there is one more invariant, which is not among those of the system because
+    there is an elliptic integral in it.  It stands in the docstring, where u is the speed along the
+    heading, and N is `sin(phi)^2/m + d1^2 cos(phi)^2/J`::
+
+        atan2(sqrt(1 + K N/d2^2) (u sin(phi) - d1 theta' cos(phi)),
+              d1 u cos(phi) sqrt(m/J) + theta' sin(phi) sqrt(J/m))
+        - integral of d1/(sqrt(m J) N sqrt(1 + K N/d2^2)) over phi
+
+    The handle comes to rest in the end, and the racer goes round in a circle.
+
+    Parameters
+    ----------
+    m, J, K : float
+        Mass and inertia of the body, inertia of the handle; positive.
+    d1, d2 : float
+        Distances of the axles from the hinge; positive.
+
+    Returns
+    -------
+    System
+        It starts at q0 = (0, 0, 0, 2/5) at speed 1, with theta' = 1/2.
+
+    References
+    ----------
+    P. S. Krishnaprasad, D. P. Tsakiris: Oscillations, SE(2)-snakes and motion control: a
+    study of the roller racer, Dyn. Syst. 16 (2001) 347-397
+    """
+    given = {"m": m, "J": J, "K": K, "d1": d1, "d2": d2}
+    names = "x y theta phi"
+    sympy, (x, y, theta, phi), symbols = _start(roller_racer, names, given, "m J K d1 d2")
+    m_, J_, K_, d1_, d2_ = symbols
+    cos, sin = sympy.cos, sympy.sin
+    bend, turn = sympy.Rational(2, 5), sympy.Rational(1, 2)
+    return _make(
+        roller_racer,
+        given,
+        (m_ * (x.d**2 + y.d**2) + J_ * theta.d**2 + K_ * (theta.d + phi.d) ** 2) / 2,
+        [
+            -sin(theta) * x.d + cos(theta) * y.d,
+            -sin(theta + phi) * x.d
+            + cos(theta + phi) * y.d
+            + (d1_ * cos(phi) + d2_) * theta.d
+            + d2_ * phi.d,
+        ],
+        [x, y, theta, phi],
+        q0=[0, 0, 0, bend],
+        v0=[1, 0, turn, (sin(bend) - (d1_ * cos(bend) + d2_) * turn) / d2_],
+    )
+
+
+def two_wheeled_robot(
+    *,
+    m: float = 2.0,
+    J: float = 0.3,
+    I: float = 0.05,
+    a: float = 0.2,
+    b: float = 0.3,
+    r: float = 0.1,
+) -> System:
+    """Robot on two wheels (inertia I, radius r) at distance b either side, centre of mass a ahead.
+
+    Coordinates x, y, theta, right, left: middle of the axle, heading, angles of the wheels; the
+    speed along the heading is `u = v_x cos(theta) + v_y sin(theta)`, and w is that across it::
+
+        L = (m (u^2 + (w + a theta')^2) + J theta'^2 + I (right'^2 + left'^2))/2
+        w = 0,  u + b theta' = r right',  u - b theta' = r left'
+
+    One of the constraints is holonomic in disguise: `r (right - left) - 2 b theta` is constant.
+    The rest is a sleigh, whose second invariant has `A = m + 2 I/r^2` and
+    `B = J + m a^2 + 2 I b^2/r^2` in it.
+
+    Parameters
+    ----------
+    m, J, I : float
+        Mass and inertia of the robot about its centre of mass, inertia of a wheel; positive.
+    a : float
+        How far the centre of mass is before the axle.
+    b, r : float
+        Half the distance of the wheels, and their radius; positive.
+
+    Returns
+    -------
+    System
+        It starts at q0 = (0, 0, 3/10, 0, 0) at speed 1/5, with theta' = 1.
+
+    References
+    ----------
+    G. Campion, G. Bastin, B. d'Andréa-Novel: Structural properties and classification of
+    kinematic and dynamic models of wheeled mobile robots, IEEE Trans. Robot. Autom. 12 (1996)
+    47-62
+    """
+    given = {"m": m, "J": J, "I": I, "a": a, "b": b, "r": r}
+    names = "x y theta right left"
+    sympy, q, symbols = _start(two_wheeled_robot, names, given, "m J I b r")
+    x, y, theta, right, left = q
+    m_, J_, I_, a_, b_, r_ = symbols
+    cos, sin = sympy.cos, sympy.sin
+    u = cos(theta) * x.d + sin(theta) * y.d
+    across = -sin(theta) * x.d + cos(theta) * y.d
+    A, B = m_ + 2 * I_ / r_**2, J_ + m_ * a_**2 + 2 * I_ * b_**2 / r_**2
+    heading, speed = sympy.Rational(3, 10), sympy.Rational(1, 5)
+    # (u, w + a theta') has the length of (x', y') + a theta' (-sin(theta), cos(theta)).
+    T = m_ * (x.d**2 + y.d**2 + 2 * a_ * theta.d * across + (a_ * theta.d) ** 2)
+    return _make(
+        two_wheeled_robot,
+        given,
+        (T + J_ * theta.d**2 + I_ * (right.d**2 + left.d**2)) / 2,
+        [across, u + b_ * theta.d - r_ * right.d, u - b_ * theta.d - r_ * left.d],
+        q,
+        q0=[0, 0, heading, 0, 0],
+        v0=[
+            speed * cos(heading), speed * sin(heading), 1, (speed + b_) / r_, (speed - b_) / r_,
+        ],
+        invariants={
+            "r (right - left) - 2 b theta": r_ * (right - left) - 2 * b_ * theta,
+            "m a theta/sqrt(A B) - atan(sqrt(A/B) u/v_theta)": m_ * a_ * theta / sympy.sqrt(A * B)
+            - sympy.atan(sympy.sqrt(A / B) * u / theta.d),
+        },
+    )  # fmt: skip
+
+
+def cvt(*, c: float = 0.2) -> System:
+    """Gearbox (CVT) between oscillators x and z, whose ratio y swings in V = y^2/2 + c y^3.
+
+    Coordinates x, y, z: the two oscillators, with y, the driver, between them::
+
+        L = (x'^2 + y'^2 + z'^2)/2 - (x^2 + z^2)/2 - y^2/2 - c y^3
+        x' + y z' = 0
+
+    Nothing acts upon the driver: its energy is constant, and that of the pair x, z.  With `c = 0`
+    it is `contact_oscillator`; otherwise the driver swings out of centre, by which the energy of
+    the pair drifts under most integrators.
+
+    Parameters
+    ----------
+    c : float
+        Asymmetry of the driver, which stays near 0 below the energy 1/(54 c^2).
+
+    Returns
+    -------
+    System
+        It starts at rest at q0 = (1, 1/2, 0).
+
+    References
+    ----------
+    K. Modin, O. Verdier: What makes nonholonomic integrators work?, Numer. Math. 145 (2020)
+    405-435
+    """
+    given = {"c": c}
+    _, (x, y, z), (c_,) = _start(cvt, "x y z", given)
+    V = y**2 / 2 + c_ * y**3
+    return _make(
+        cvt,
+        given,
+        (x.d**2 + y.d**2 + z.d**2) / 2 - (x**2 + z**2) / 2 - V,
+        [x.d + y * z.d],
+        [x, y, z],
+        q0=[1, 0.5, 0],
+        v0=[0, 0, 0],
+        invariants={
+            "v_y^2/2 + y^2/2 + c y^3": y.d**2 / 2 + V,
+            "(x^2 + z^2 + (1 + y^2) v_z^2)/2": (x**2 + z**2 + (1 + y**2) * z.d**2) / 2,
+        },
+    )
+
+
+def sleigh_with_rotor(
+    *, m: float = 1.5, J: float = 0.8, a: float = 0.4, K: float = 0.3, k: float = 0.5
+) -> System:
+    """Chaplygin sleigh (m, J, a) with a rotor of inertia K on a torsion spring k.
+
+    Coordinates x, y, theta, psi: centre of mass, where the rotor turns, heading, and angle of the
+    rotor to the sleigh.  The blade, a distance a behind, moves along itself only::
+
+        L = (m (x'^2 + y'^2) + J theta'^2 + K (theta' + psi')^2)/2 - k psi^2/2
+        -sin(theta) x' + cos(theta) y' - a theta' = 0
+
+    Beside the energy there is an invariant for `k = 0` only: no constraint acts on psi, so the
+    momentum `K (v_theta + v_psi)` of the rotor changes by the torque `-k psi` of the spring alone.
+    Without the spring the sleigh does not feel the rotor, and moves as `sleigh` does; with it, the
+    rotor is stopped in the end, and the sleigh goes straight.
+
+    Parameters
+    ----------
+    m, J, K : float
+        Mass of the whole, inertia of the sleigh and of the rotor; positive.
+    a : float
+        How far the centre of mass is before the blade.
+    k : float
+        Stiffness of the spring.
+
+    Returns
+    -------
+    System
+        It starts at q0 = (0, 0, 3/10, 3/5) at speed 1/5, with theta' = 1 and psi' = -1/2.
+
+    References
+    ----------
+    I. A. Bizyaev, A. V. Borisov, I. S. Mamaev: The Chaplygin sleigh with parametric
+    excitation: chaotic dynamics and nonholonomic acceleration, Regul. Chaotic Dyn. 22 (2017)
+    955-975, where the motion inside the sleigh is given instead
+    """
+    given = {"m": m, "J": J, "a": a, "K": K, "k": k}
+    names = "x y theta psi"
+    sympy, (x, y, theta, psi), symbols = _start(sleigh_with_rotor, names, given, "m J K")
+    m_, J_, a_, K_, k_ = symbols
+    cos, sin = sympy.cos, sympy.sin
+    heading, speed = sympy.Rational(3, 10), sympy.Rational(1, 5)
+    T = m_ * (x.d**2 + y.d**2) + J_ * theta.d**2 + K_ * (theta.d + psi.d) ** 2
+    return _make(
+        sleigh_with_rotor,
+        given,
+        T / 2 - k_ * psi**2 / 2,
+        [-sin(theta) * x.d + cos(theta) * y.d - a_ * theta.d],
+        [x, y, theta, psi],
+        q0=[0, 0, heading, 0.6],
+        v0=[
+            speed * cos(heading) - a_ * sin(heading),
+            speed * sin(heading) + a_ * cos(heading),
+            1,
+            -0.5,
+        ],
+    )
+
+
+def disguised() -> System:
+    """Quartic oscillators with v_x = -sum z_i v_zi, a holonomic constraint in disguise.
+
+    Coordinates x, y1, y2, y3, z1, z2, z3; the Lagrangian and the start of `chaotic`::
+
+        L = |v|^2/2 - (|q|^2 + z1^2 z2^2 + sum y_i^2 z_i^2)/2
+        x' + z1 z1' + z2 z2' + z3 z3' = 0
+
+    The constraint is the time derivative of the invariant: the control case for what should hold of
+    nonholonomic systems only, and for the check of a system.
+
+    Returns
+    -------
+    System
+
+    References
+    ----------
+    The Lagrangian is that of R. McLachlan, M. Perlmutter: Integrators for nonholonomic mechanical
+    systems, J. Nonlinear Sci. 16 (2006) 283-328
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.systems.disguised().check().growth
+    (6, 6)
+    """
+    sympy, q, _ = _start(disguised, "x y1 y2 y3 z1 z2 z3", {})
+    x, y, z = q[0], q[1:4], q[4:]
+    V = sum(c**2 for c in q) + (z[0] * z[1]) ** 2 + sum((b * c) ** 2 for b, c in zip(y, z))
+    angle = sympy.pi / 9
+    start = [sympy.cos(angle), 0.6, 0.4, 0.2, 1, 1, 1]
+    return _make(
+        disguised,
+        {},
+        sum(c.d**2 for c in q) / 2 - V / 2,
+        [x.d + sum(c * c.d for c in z)],
+        q,
+        q0=start,
+        v0=[0, sympy.sin(angle), 0, 0, 0, 0, 0],
+        invariants={"x + (z1^2 + z2^2 + z3^2)/2": x + sum(c**2 for c in z) / 2},
+    )
+
+
+# ---- what they share ---------------------------------------------------------------------------
+
+
+def about(name: str) -> dict[str, str]:
+    """Return what a system says about itself: help, description and source; without SymPy."""
+    summary, _, rest = (inspect.getdoc(globals()[name]) or "").partition("\n\n")
+    extended, *sections = re.split(r"\n\n(\w+)\n-+\n", f"\n\n{rest}")
+    named = dict(zip(sections[::2], sections[1::2]))
+    paragraphs = [x for x in extended.strip().split("\n\n") if not x.startswith(" ")]
+    prose = " ".join(" ".join(paragraphs).replace("::", ".").split())
+    return {
+        "help": summary,
+        "description": prose,
+        "source": " ".join(named.get("References", "").split()),
+    }
+
+
+def _start(
+    system: Callable[..., System],
+    coordinates: str,
+    parameters: dict[str, float],
+    positive: str = "",
+) -> tuple[Any, tuple[Any, ...], list[Any]]:
+    """Return SymPy, the coordinates, and a symbol for each parameter."""
+    for key, value in parameters.items():
+        arguments.number(value, key)
+    if not extras.is_there("sympy"):
+        raise ImportError(f"the system {system.__name__} needs SymPy: pip install sympy")
+    sympy = extras.require("sympy", f"the system {system.__name__}")
+    symbols = [
+        sympy.Symbol(key, positive=True if key in positive.split() else None) for key in parameters
+    ]
+    call = tuple(coordinates.split())
+    return sympy, tuple(model.Coordinate(name, call) for name in call), symbols
+
+
+def _make(
+    system: Callable[..., System],
+    parameters: dict[str, float],
+    L: Any,
+    constraints: list[Any],
+    coordinates: Any,
+    **more: Any,
+) -> System:
+    name = system.__name__
+    made = System.from_sympy(
+        L, constraints, coordinates, parameters, name=name, **about(name), **more
+    )
+    made._source.of_library = True
+    return made

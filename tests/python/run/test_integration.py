@@ -1,0 +1,652 @@
+"""Runs: the schemes against NumPy, the grid of time, arguments, the Solution, and failures."""
+
+import pickle
+import sys
+import warnings
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+from conftest import U
+from dalembert.run import integration
+
+STEPS, H = 20, 0.05
+# Newton stops within a few u of the solution; 20 steps of a smooth flow over one unit of time
+# amplify that by less than e^5 = 150, and numbers are below 10: 64 * 150 * 10 * u = 1e-11.
+TOLERANCE = 1e-11
+
+
+def transcribed(own, substeps, h=H, steps=STEPS, q=None, v=None):
+    """The states and the mean multipliers of a composition of beta-schemes."""
+    q, v = (own.q0, own.v0()) if q is None else (q, v)
+    states, reactions = [np.concatenate([q, v])], []
+    for _ in range(steps):
+        mean = np.zeros(2)
+        for beta, fraction in substeps:
+            q, v, lam = own.beta_step(beta, fraction * h, q, v)
+            mean += fraction * lam
+        states.append(np.concatenate([q, v]))
+        reactions.append(mean)
+    return np.array(states), np.array(reactions)
+
+
+# ---- schemes -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("beta", [0.0, 0.25, 0.5, 1.0])
+@pytest.mark.parametrize("h", [H, -H])
+def test_beta_schemes(own, beta, h):
+    run = dal.integrate(own.system(), beta, h=h, steps=STEPS)
+    x, reactions = transcribed(own, [(beta, 1.0)], h)
+    np.testing.assert_allclose(run.x, x, rtol=TOLERANCE, atol=TOLERANCE)
+    # lambda is an impulse divided by h.
+    np.testing.assert_allclose(run.reactions, reactions, atol=TOLERANCE / H)
+    assert run.residual.max() <= 4 * 4 * U
+
+
+@pytest.mark.parametrize(("name", "beta"), [("explicit", 0.0), ("midpoint", 0.5), ("endpoint", 1)])
+def test_names_are_numbers(own, name, beta):
+    system = own.system()
+    named = dal.integrate(system, name, h=H, steps=STEPS)
+    np.testing.assert_array_equal(named.x, dal.integrate(system, beta, h=H, steps=STEPS).x)
+    assert named.scheme.name == name
+
+
+@pytest.mark.parametrize(
+    ("name", "substeps"),
+    [
+        ("leapfrog", [(0.0, 0.5), (1.0, 0.5)]),
+        ("leapfrog-mirror", [(1.0, 0.5), (0.0, 0.5)]),
+        (None, [(0.5, 0.25), (0.0, 0.5), (1.0, 0.25)]),
+    ],
+)
+def test_compositions(own, name, substeps):
+    scheme = name or dal.Scheme(substeps, name="three")
+    run = dal.integrate(own.system(), scheme, h=H, steps=STEPS)
+    x, reactions = transcribed(own, substeps)
+    np.testing.assert_allclose(run.x, x, rtol=TOLERANCE, atol=TOLERANCE)
+    np.testing.assert_allclose(run.reactions, reactions, atol=TOLERANCE / H)
+    if name:
+        np.testing.assert_allclose(run.scheme.substeps, substeps, rtol=0)
+
+
+@pytest.mark.parametrize("beta", [0.0, 0.5, 0.75])
+@pytest.mark.parametrize("initial", ["D", "D_eps", "project", "shift"])
+def test_kept_nodes(own, beta, initial):
+    system, shift = own.system(), (1 - beta) * H
+    scheme = dal.Scheme([(beta, 1)], nodes="kept")
+    q, v = own.q0, own.v0()
+    if initial == "D_eps":
+        v = system.project(q, v, shift)
+    run = dal.integrate(system, scheme, q, v, h=H, steps=STEPS, initial=initial)
+    # The state of the moved nodes that belongs to the initial node and velocity.
+    node = q + shift * v if initial == "shift" else q
+    if initial == "project":
+        v = system.project(q, v, shift)
+    x, _ = transcribed(own, [(beta, 1.0)], q=node - shift * v, v=v)
+    x[:, :4] += shift * x[:, 4:]
+    np.testing.assert_allclose(run.x, x, rtol=TOLERANCE, atol=TOLERANCE)
+    assert run.nodes == "kept" and run.shift == shift
+    kept = run.residual[1:] if initial == "D" else run.residual
+    assert kept.max() <= 4 * 4 * U  # of D_eps
+    assert run.residual[0] > 1e-4 or initial != "D"
+    if beta == 0.5:
+        assert abs(run.constraint[1:]).max() > 1e-6  # of D: not kept
+
+
+def test_shift_is_the_moved_run_seen_at_its_nodes(own):
+    system = own.system()
+    moved = dal.integrate(system, "midpoint", h=H, steps=STEPS)
+    kept = dal.integrate(system, "midpoint-nodes", h=H, steps=STEPS, initial="shift")
+    np.testing.assert_allclose(kept.q, moved.q + H / 2 * moved.v, atol=TOLERANCE)
+    np.testing.assert_allclose(kept.v, moved.v, atol=TOLERANCE)
+
+
+def test_particle_in_closed_form(particle):
+    beta, h = 0.3, 0.1
+    run = dal.integrate(particle, beta, [0.5, 0.3, -0.2], [1, 0.7, 0.3], h=h, steps=STEPS)
+    (x, y, z), (vx, vy, vz) = run.q[0], run.v[0]
+    for k in range(STEPS):
+        node, end = y + (1 - beta) * h * vy, y + h * vy
+        lam = vx * vy / (1 + node * end)
+        new = vx * (1 + y * node) / (1 + end * node)
+        x, z = x + h * ((1 - beta) * vx + beta * new), z + h * ((1 - beta) * vz + beta * end * new)
+        y, vx, vz = end, new, end * new
+        np.testing.assert_allclose(run.x[k + 1], [x, y, z, vx, vy, vz], rtol=1e-13)
+        np.testing.assert_allclose(run.reactions[k], [lam], rtol=1e-12)
+
+
+def test_python_and_c_functions_give_the_same_bits(particle, particle_in_python):
+    for scheme in ("midpoint", "leapfrog", "midpoint-kl6"):
+        runs = [dal.integrate(s, scheme, h=0.1, steps=50) for s in (particle, particle_in_python)]
+        np.testing.assert_array_equal(runs[0].x, runs[1].x)
+        np.testing.assert_array_equal(runs[0].reactions, runs[1].reactions)
+
+
+@pytest.mark.parametrize("options", [{"solver": "multiroot"}, {"sizes": "runtime"}])
+def test_solvers_agree(own, options):
+    system = own.system()
+    x = dal.integrate(system, "midpoint", h=H, steps=STEPS).x
+    y = dal.integrate(system, "midpoint", h=H, steps=STEPS, **options).x
+    np.testing.assert_allclose(y, x, atol=0 if "sizes" in options else TOLERANCE)
+
+
+def test_representations_of_schemes():
+    assert repr(dal.Scheme.find("leapfrog")) == (
+        "<Scheme leapfrog: (beta, fraction) = (0, 0.5), (1, 0.5); moved nodes, order 2>"
+    )
+    assert repr(dal.Scheme([(0.5, 1.0)], nodes="kept", name="mine")) == (
+        "<Scheme mine: (beta, fraction) = (0.5, 1); kept nodes>"
+    )
+    assert "..., 18 in all" in repr(dal.Scheme.find("leapfrog-kl6"))
+    assert repr(dal.Scheme.find("reference")) == "<Scheme reference: the adaptive flow of GSL>"
+
+
+def test_table_of_schemes():
+    names = [scheme.name for scheme in dal.schemes()]
+    assert {"leapfrog", "midpoint", "explicit", "endpoint", "midpoint-nodes"} <= set(names)
+    for scheme in dal.schemes():
+        assert scheme.help and scheme.order >= 1
+        assert abs(sum(f for _, f in scheme.substeps) - 1) < 1e-14
+        assert dal.Scheme.find(scheme.name) == scheme
+        assert dal.Scheme.find(scheme.name.replace("-", "_")) == scheme
+        assert pickle.loads(pickle.dumps(scheme)) == scheme
+    assert dal.Scheme.find("midpoint-nodes").nodes == "kept"
+    assert dal.Scheme.find("0.3").substeps == ((0.3, 1.0),)
+
+
+@pytest.mark.parametrize("beta", [0, 0.25, 0.5, 1.0])
+def test_beta_as_a_number_is_the_scheme_of_that_number(beta, monkeypatch):
+    by_name = dal.Scheme.find(repr(float(beta)))
+    find = dal.Scheme.find
+
+    def without_point(name):
+        assert "." not in name, "C would read it by its locale"
+        return find(name)
+
+    monkeypatch.setattr(dal.Scheme, "find", without_point)
+    assert dal.Scheme.of(beta) == by_name
+
+
+def test_explicit_is_a_property_of_scheme_and_system(own):
+    assert dal.Scheme.find("explicit").is_explicit(own.system())
+    assert not dal.Scheme.find("midpoint").is_explicit(own.system())
+    assert dal.Scheme.find("midpoint-nodes").shift(0.1) == 0.05
+    with pytest.raises(NotImplementedError, match="leapfrog"):
+        dal.Scheme.find("leapfrog").shift(0.1)
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (lambda: dal.Scheme([(1.5, 1)]), "1.5"),
+        (lambda: dal.Scheme([(0.5, 0.5)]), "0.5"),
+        (lambda: dal.Scheme([(0, 0.5), (1, 0.5)], nodes="kept"), "kept"),
+        (lambda: dal.Scheme([(0.5, 1)], nodes="fixed"), "nodes = 'fixed'.*'moved', 'kept'"),
+        (lambda: dal.Scheme([]), "at least one"),
+        (lambda: dal.Scheme(3), r"substeps: expected shape \(N, 2\), got \(\)"),
+        (lambda: dal.Scheme([(0.5, 1)], name=3), "name = 3: expected a string"),
+        (lambda: dal.Scheme([(0.5, 1)], order=1.5), "order = 1.5: expected an integer"),
+        (lambda: dal.Scheme.find(3), "scheme = 3: expected a string"),
+        (lambda: dal.Scheme([0.5, 1]), r"shape \(N, 2\), got \(2,\)"),
+        (lambda: dal.Scheme([(0.5, 1)], name="x" * 40), "39 bytes"),
+        (lambda: dal.Scheme.find("simpson"), "simpson.*leapfrog"),
+        (lambda: dal.Scheme.of(1.5), r"scheme = 1.5: expected beta in \[0, 1\]"),
+        (lambda: dal.Scheme.of(float("nan")), "scheme = nan: expected beta"),
+        (lambda: dal.Scheme.find("leap"), '"leap"; did you mean .leapfrog.. there are .*a number'),
+        (lambda: dal.Scheme.find("simpson"), '"simpson"; there are .*-nodes.*takes reference'),
+        (lambda: dal.Scheme.find("refrence"), "did you mean 'reference'"),
+        (lambda: dal.Scheme.of(10**400), "scheme = 1000.*: expected a Scheme"),
+        (lambda: dal.Scheme.find("midpoint").shift("x"), "h = 'x': expected a finite number"),
+        (lambda: dal.Scheme.find("midpoint").is_explicit(3), "system = 3: expected a dalembert.Sy"),
+        (lambda: dal.Scheme.of(None), "scheme"),
+    ],
+)
+def test_wrong_schemes(make, text):
+    with pytest.raises(ValueError, match=text):
+        make()
+
+
+# ---- the reference flow --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["rk8pd", "msadams", "rodas"])
+def test_reference_flow_as_an_integrator(particle, method):
+    # BDF has order 5 at most, so its tolerance has to be larger to end in time.
+    tolerance = 1e-8 if method == "rodas" else 1e-12
+    run = dal.integrate(
+        particle, "reference", h=0.01, t_end=5, stride=2, method=method, tolerance=tolerance
+    )
+    q, v = particle.exact(run.t)
+    # Errors of single steps add up over some hundred steps.
+    np.testing.assert_allclose(run.q, q, atol=1e3 * tolerance)
+    np.testing.assert_allclose(run.v, v, atol=1e3 * tolerance)
+    assert run.residual.max() <= 4 * 3 * U
+    assert run.x.shape == (251, 6) and run.reactions.shape == (250, 1)
+    assert np.isnan(run.reactions).all() and run.stats.evaluations > 0
+    assert run.scheme.name == "reference"
+
+
+def test_reference(own):
+    system = own.system()
+    there = dal.reference(system, own.q0, own.v0(), 2.0)
+    back = dal.reference(system, there.q, there.v, t=0.0, t0=2.0)
+    np.testing.assert_allclose(back.q, own.q0, atol=1e-11)
+    np.testing.assert_allclose(back.v, own.v0(), atol=1e-11)
+    assert 0 < there.accuracy < 1e-11
+    fine = dal.integrate(system, "leapfrog-kl8", h=0.02, t_end=2)
+    np.testing.assert_allclose(there.q, fine.q[-1], atol=1e-10)  # 1e-10: order 8 at h = 0.02
+
+
+@pytest.mark.parametrize("method", ["rk8pd", "msadams", "rodas"])
+@pytest.mark.parametrize("coordinates", ["x", "xi"])
+def test_tolerances_below_roundoff_are_refused(particle, method, coordinates):
+    options = {"method": method, "coordinates": coordinates}
+    for tolerance in (1e-300, 4.4e-16, -1.0, 0.2):
+        with pytest.raises(ValueError, match=r"tolerance = .* is not in \[4.4e-16, 0.1\]"):
+            dal.reference(particle, t=1e-3, tolerance=tolerance, **options)
+    assert dal.reference(particle, t=1e-9, tolerance=4 * U, **options).accuracy < 1e-14
+
+
+def test_reference_refuses_data_off_D(particle):
+    for call in (
+        lambda: dal.reference(particle, [0, 1, 0], [1, 1, 3], 1.0),
+        lambda: dal.integrate(particle, "reference", [0, 1, 0], [1, 1, 3], h=0.1, steps=1),
+    ):
+        with pytest.raises(dal.NotOnConstraintError, match="0.333.*consistent='project'"):
+            call()
+    end = dal.reference(particle, [0, 1, 0], [1, 1, 3], t=0.0, consistent="project")
+    np.testing.assert_array_equal(end.v, [2, 1, 2])
+    run = dal.integrate(
+        particle, "reference", [0, 1, 0], [1, 1, 3], h=0.1, steps=1, consistent="project"
+    )
+    np.testing.assert_array_equal(run.v[0], [2, 1, 2])
+    assert run.stats.initial_correction == pytest.approx(np.sqrt(2), rel=1e-14)
+    run = dal.integrate(
+        particle, "reference", [0, 1, 0], [1, 1, 3], h=0.1, steps=1, consistent="assume"
+    )
+    np.testing.assert_array_equal(run.v[0], [1, 1, 3])
+
+
+# ---- grid of time --------------------------------------------------------------------------
+
+
+def test_times_are_not_accumulated(particle):
+    run = dal.integrate(particle, "midpoint", h=0.1, t_end=100, t0=0.0)
+    assert run.t[-1] == 1000 * 0.1
+    np.testing.assert_array_equal(run.t, [k * 0.1 for k in range(1001)])
+    run = dal.integrate(particle, "midpoint", h=-0.1, t_end=-2, t0=1.0, stride=5)
+    np.testing.assert_array_equal(run.t, [1.0 + k * -0.1 for k in range(0, 31, 5)])
+
+
+def test_stride(own):
+    system = own.system()
+    every = dal.integrate(system, "leapfrog", h=H, steps=STEPS)
+    some = dal.integrate(system, "leapfrog", h=H, steps=STEPS, stride=4)
+    np.testing.assert_array_equal(some.x, every.x[::4])
+    means = every.reactions.reshape(5, 4, 2).mean(axis=1)
+    np.testing.assert_allclose(some.reactions, means, rtol=1e-14)
+    assert some.stats.steps == STEPS
+
+
+def test_stride_longer_than_a_block(particle):
+    steps = 50_000  # in pieces of 10 000
+    some = dal.integrate(particle, "midpoint", h=1e-4, steps=steps, stride=steps // 2)
+    every = dal.integrate(particle, "midpoint", h=1e-4, steps=steps)
+    np.testing.assert_array_equal(some.x, every.x[:: steps // 2])
+    # The mean of 25 000 numbers summed in another order: 25 000 u relative at most.
+    np.testing.assert_allclose(
+        some.reactions, every.reactions.reshape(2, -1, 1).mean(axis=1), rtol=steps * U
+    )
+
+
+def test_no_steps(own):
+    seen = []
+    for scheme in ("leapfrog", "reference"):
+        run = dal.integrate(
+            own.system(), scheme, h=H, steps=0, observer=lambda *state: seen.append(state)
+        )
+        assert run.success and run.x.shape == (1, 8) and run.reactions.shape == (0, 2)
+        assert run.t.tolist() == [0.0] and run.energy.shape == (1,)
+    assert [state[:2] for state in seen] == [(0, 0.0), (0, 0.0)]
+    assert dal.integrate(own.system(), h=H, t_end=0).x.shape == (1, 8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"h": 0.03, "t_end": 1.0}, "33.33.* t_end = 0.99 or 1.02, or h = 0.0294.* or 0.0303"),
+        ({"h": 0.1, "t_end": -1.0}, "t_end = -1 lies before"),
+        ({"h": 0.1}, "t_end and steps.*none"),
+        ({"h": 0.1, "t_end": 1.0, "steps": 10}, "t_end and steps.*both"),
+        ({"h": 0, "steps": 1}, "h = 0"),
+        ({"h": np.nan, "steps": 1}, "h = nan"),
+        ({"h": [0.1], "steps": 1}, r"h = \[0.1\]: expected a finite number"),
+        ({"h": 0.1, "t_end": "x"}, "t_end = 'x': expected a finite number"),
+        ({"h": 0.1, "steps": -1}, "steps = -1"),
+        ({"h": 0.1, "steps": 1.0}, "steps = 1.0: expected an integer"),
+        ({"h": 0.1, "steps": 10, "stride": 3}, "steps = 10.*stride = 3, 9 or 12"),
+        ({"h": 0.1, "steps": 10, "stride": 0}, "stride = 0"),
+        ({"h": 0.1, "steps": 1, "consistent": "maybe"}, "consistent = 'maybe'.*'check'"),
+        ({"h": 0.1, "steps": 1, "initial": "D"}, "initial = 'D'.*moved"),
+        ({"h": 0.1, "steps": 1, "scheme": "midpoint-nodes"}, "initial: needed.*'D_eps'"),
+        ({"h": 0.1, "steps": 1, "scheme": None}, "scheme = None: expected a Scheme"),
+        ({"h": 0.1, "steps": 1, "observer": 3}, "observer = 3: expected a function"),
+        ({"h": 0.1, "steps": 1, "progress": 3}, "progress = 3: expected True, False or a function"),
+        ({"h": 0.1, "steps": 1, "solver": 3}, "solver = 3"),
+        ({"h": 0.1, "steps": 1, "max_iterations": 0}, "max_iterations = 0"),
+        ({"h": 0.1, "steps": 1, "q0": [0, 1], "v0": [0, 1, 1]}, r"q0: .* \(3,\), got \(2,\)"),
+        ({"h": 0.1, "steps": 1, "q0": [0, 1, 1], "v0": [0, 1, np.inf]}, r"v0\[2\] = inf"),
+        ({"h": 0.1, "steps": 1, "t0": None}, "t0"),
+        ({"h": 1e-300, "t_end": 1.0e9}, "too small"),
+        ({"h": 0.1, "steps": 2**63}, "steps = 9223372036854775808: expected at most"),
+        ({"h": 0.1, "steps": 10**5000}, "steps = a value of type int: expected at most"),
+        ({"h": 1e-3, "t_end": 1e200}, "too small"),
+        ({"h": 1e-17, "t0": 1, "steps": 1}, "h = 1e-17 does not change the time t = 1.0"),
+        ({"h": 1e308, "steps": 2}, "h = 1e\\+308 leads to the time t = inf"),
+        ({"h": 1e-320, "steps": 2}, "h = 1e-320: expected at least 2.2e-308 in size"),
+        ({"h": -0.5, "t0": 1e16, "steps": 1}, "h = -0.5 does not change the time t = 1e\\+16"),
+        ({"h": 0.1, "steps": 10**17}, "h = 0.1 does not change the time t = 1e\\+16"),
+        ({"h": 0.5, "t_end": 2.0**53}, "h = 0.5 does not change the time t = 9007199254740992.0"),
+        ({"h": 10**400, "steps": 1}, "h = 1000.*: expected a finite number"),
+        ({"h": 0.1, "steps": 1, "t0": 10**400}, "t0 = 1000.*: expected a finite number"),
+        ({"h": 0.1, "steps": 1, "q0": [0, 10**400, 0], "v0": [0, 1, 1]}, "q0: .*largest double"),
+        ({"h": 0.1, "steps": 1, "scheme": 10**400}, "scheme = 1000.*: expected a Scheme"),
+        ({"h": 0.1, "steps": 1, "scheme": "leapfrgo"}, "did you mean 'leapfrog'.*midpoint"),
+        ({"h": 0.1, "steps": 1, "scheme": "kl8-leapfrog"}, "there are explicit"),
+        ({"h": 0.1, "steps": 1, "method": "rk8"}, "method = 'rk8': did you mean 'rk8pd'"),
+        ({"h": 0.1, "steps": 1, "scheme": "reference", "tolerance": 0}, "tolerance"),
+    ],
+)
+def test_wrong_arguments_are_named(particle, arguments, text):
+    with pytest.raises(ValueError, match=text):
+        dal.integrate(particle, **arguments)
+
+
+def test_a_system_is_needed():
+    with pytest.raises(ValueError, match="system = 'particle'"):
+        dal.integrate("particle", h=0.1, steps=1)
+    with pytest.raises(ValueError, match="q0: needed"):
+        dal.integrate(dal.System(mass=[1]), h=0.1, steps=1)
+
+
+@pytest.mark.parametrize("steps", [10**12, 10**15, 2**52])
+def test_huge_runs_are_refused_with_their_size(particle, steps, monkeypatch):
+    def refuse(*arguments, **options):
+        raise AssertionError("allocated")
+
+    monkeypatch.setattr(np, "empty", refuse)
+    # (steps + 1) rows of q, v and t, and one reaction for each step.
+    size = 8 * ((steps + 1) * 7 + steps)
+    with pytest.raises(MemoryError, match=rf"steps = {steps}.*\b{size} bytes"):
+        dal.integrate(particle, h=4.0, steps=steps)
+
+
+# ---- initial data --------------------------------------------------------------------------
+
+
+def test_consistent(particle):
+    q0, v0 = [0, 1, 0], [1, 1, 3]
+    with pytest.raises(dal.NotOnConstraintError, match="0.333") as caught:
+        dal.integrate(particle, "midpoint", q0, v0, h=0.1, steps=1)
+    assert isinstance(caught.value, ValueError) and caught.value.step == 0
+    projected = dal.integrate(particle, "midpoint", q0, v0, h=0.1, steps=1, consistent="project")
+    np.testing.assert_array_equal(projected.x[0], [0, 1, 0, 2, 1, 2])
+    # v moves by (1, 0, -1); the mass matrix is 1.
+    assert projected.stats.initial_correction == pytest.approx(np.sqrt(2), rel=1e-14)
+    assert projected.stats.initial_residual == pytest.approx(1 / 3)  # |z' - y x'| / (2 max |v_i|)
+    assumed = dal.integrate(particle, "midpoint", q0, v0, h=0.1, steps=1, consistent="assume")
+    np.testing.assert_array_equal(assumed.x[0], [0, 1, 0, 1, 1, 3])
+
+
+def test_data_in_D_to_1e_8_are_corrected(particle):
+    run = dal.integrate(particle, "midpoint", [0, 1, 0], [1, 1, 1 + 1e-9], h=0.1, steps=1)
+    assert run.residual[0] <= 4 * 3 * U
+    assert 0 < run.stats.initial_correction < 2e-9
+
+
+def test_integers_and_strided_initial_data(particle):
+    q0, v0 = np.array([0, 9, 1, 9, 0])[::2], np.ones((3, 2))[:, 0]
+    run = dal.integrate(particle, "midpoint", q0, v0, h=0.1, steps=3)
+    same = dal.integrate(particle, "midpoint", (0, 1, 0), [1, 1, 1], h=0.1, steps=3)
+    np.testing.assert_array_equal(run.x, same.x)
+    np.testing.assert_array_equal(run.x[0], [0, 1, 0, 1, 1, 1])
+
+
+def test_read_only_initial_data_stay_as_they_are(particle):
+    q0, v0 = np.array([0, 1, 0]), np.array([1.0, 1.0, 3.0])
+    q0.flags.writeable = v0.flags.writeable = False
+    for scheme in ("midpoint", "reference"):
+        dal.integrate(particle, scheme, q0, v0, h=0.1, steps=1, consistent="project")
+    np.testing.assert_array_equal(v0, [1, 1, 3])
+
+
+# ---- the Solution --------------------------------------------------------------------------
+
+
+def test_computed_quantities(own):
+    run = dal.integrate(own.system(), "midpoint", h=H, steps=STEPS)
+    lam = np.array([own.acceleration(q, v)[1] for q, v in zip(run.q, run.v)])
+    energy = [v @ own.mass @ v / 2 + own.potential(q) for q, v in zip(run.q, run.v)]
+    np.testing.assert_allclose(run.multipliers, lam, atol=1e-12)
+    np.testing.assert_allclose(run.energy, energy, rtol=1e-13)
+    np.testing.assert_allclose(
+        run.constraint, [own.forms(q) @ v for q, v in zip(run.q, run.v)], atol=4 * 4 * U
+    )
+    np.testing.assert_allclose(
+        run.residual, [own.residual(q, v) for q, v in zip(run.q, run.v)], atol=4 * 4 * U
+    )
+    assert run.multipliers is run.multipliers
+
+
+def test_arrays_are_views_of_one_buffer(particle):
+    run = dal.integrate(particle, "midpoint", h=0.1, steps=10)
+    assert run.x.shape == (11, 6) and run.x.flags.c_contiguous
+    for view, shape in ((run.q, (11, 3)), (run.v, (11, 3)), (run.y, (6, 11))):
+        assert view.shape == shape and np.shares_memory(view, run.x)
+    np.testing.assert_array_equal(np.hstack([run.q, run.v]), run.x)
+    np.testing.assert_array_equal(run.y.T, run.x)
+
+
+def test_solution_is_a_mapping(particle):
+    run = dal.integrate(particle, "midpoint", h=0.1, steps=10)
+    keys = "t q v multipliers reactions energy constraint residual scheme h stats success status"
+    assert set(keys.split()) | {"message", "y", "x", "system", "nodes", "shift"} <= set(run)
+    assert len(run) == len(dict(run)) == len(list(run))
+    for key in run:
+        np.testing.assert_equal(run[key], getattr(run, key))
+    with pytest.raises(KeyError, match="lam"):
+        run["lam"]
+    assert run.success and run.status == 0 and run.message == "10 steps to t = 1"
+    assert run.stats.steps == run.stats.substeps == 10
+    assert run == run and run != dal.integrate(particle, "midpoint", h=0.1, steps=10)
+
+
+def test_repr_tells_the_essentials(particle):
+    text = repr(dal.integrate(particle, "midpoint", h=0.1, steps=10, stride=2))
+    for part in ("particle", "midpoint", "h = 0.1", "success", "6 states", "0 .. 1", "every 2"):
+        assert part in text
+
+
+def test_pickle_of_a_solution(own):
+    run = dal.integrate(own.system(), "midpoint", h=H, steps=5)
+    again = pickle.loads(pickle.dumps(run))
+    np.testing.assert_array_equal(again.x, run.x)
+    np.testing.assert_array_equal(again.energy, run.energy)
+    assert again.stats == run.stats and again.scheme == run.scheme
+
+
+def test_to_xarray(own):
+    run = dal.integrate(own.system(), "midpoint", h=H, steps=5, stride=5)
+    data = run.to_xarray()
+    np.testing.assert_array_equal(data.q.sel(coordinate="q2"), run.q[:, 2])
+    np.testing.assert_array_equal(data.multipliers, run.multipliers)
+    np.testing.assert_array_equal(data.interval, [2.5 * H])
+    assert data.attrs["scheme"] == "midpoint" and data.attrs["h"] == H
+
+
+def test_a_missing_extra_says_the_line_to_type(particle, monkeypatch):
+    run = dal.integrate(particle, "midpoint", h=0.1, steps=1)
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    monkeypatch.setitem(sys.modules, "tqdm.auto", None)
+    with pytest.raises(ImportError, match="pip install xarray"):
+        run.to_xarray()
+    with pytest.raises(ImportError, match="pip install tqdm"):
+        dal.integrate(particle, "midpoint", h=0.1, steps=1, progress=True)
+
+
+def test_nothing_is_printed(own, capfd):
+    dal.integrate(own.system(), "midpoint", h=H, steps=5)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_differenced_are_in_the_statistics(own):
+    bare = own.system(hessian=None, forms_velocity_derivative=None)
+    run = dal.integrate(bare, "midpoint", h=H, steps=5)
+    assert run.stats.differenced == ("hessian", "forms_velocity_derivative")
+    full = dal.integrate(own.system(), "midpoint", h=H, steps=5)
+    # Only Newton's matrix is differenced: the solution is the same to what Newton stops at.
+    np.testing.assert_allclose(run.x, full.x, atol=TOLERANCE)
+
+
+def test_a_step_that_is_large_for_the_potential_is_a_warning():
+    # h^2 V_qq beta (1 - beta) / M = 62: Newton without the Hessian does not contract.
+    stiff = dal.System(
+        mass=[1, 1],
+        potential=lambda q: 500 * q @ q,
+        gradient=lambda q: 1000 * q,
+        hessian=lambda q: 1000 * np.eye(2),
+        q0=[1, 0],
+        v0=[0, 1],
+    )
+    with pytest.warns(dal.DalembertWarning, match="h = 0.5 is large") as caught:
+        run = dal.integrate(stiff, "midpoint", h=0.5, steps=4)
+    assert caught[0].filename == __file__
+    assert run.success and run.stats.full_newtons == 4
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dal.integrate(stiff, "midpoint", h=0.005, steps=4)
+
+
+@pytest.mark.parametrize(
+    "numbers, warned",
+    [
+        ({"full_newtons": 10}, False),
+        ({"full_newtons": 11}, True),
+        ({"jump_step": 7, "jump": 2.0, "largest_kinetic": 1.5}, True),
+    ],
+)
+def test_what_is_warned_of(particle, numbers, warned):
+    """More than a tenth of the sub-steps by the full iteration, or an energy that has jumped."""
+    stats = dal.Statistics(substeps=100, **numbers)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        integration._warn(SimpleNamespace(system=particle, stats=stats, t0=0.0, h=0.1))
+    assert len(caught) == warned
+
+
+@pytest.mark.parametrize("t_end, steps", [(1 + 5e-10, 10), (3e-11, 0), (1e5 * (1 + 5e-10), 10**6)])
+def test_t_end_is_met_to_1e_9(particle, t_end, steps):
+    assert dal.integrate(particle, h=0.1, t_end=t_end, stride=steps or 1).stats.steps == steps
+    for sign in (1, -1):
+        with pytest.raises(ValueError, match="steps of h = 0.1"):
+            dal.integrate(particle, h=0.1, t_end=max(t_end, 0.1) * (1 + 2e-9 * sign))
+
+
+# ---- progress ------------------------------------------------------------------------------
+
+
+def test_progress_as_a_function(particle):
+    told = []
+    steps = 100_000
+    dal.integrate(
+        particle, "midpoint", h=1e-4, steps=steps, progress=lambda *numbers: told.append(numbers)
+    )
+    done = [d for d, _ in told]
+    assert {total for _, total in told} == {steps}
+    assert done == sorted(set(done)) and done[-1] == steps
+    assert len(told) < 1000  # by blocks, not by steps
+
+
+def test_progress_between_two_stored_states(particle):
+    told = []
+    steps = 5_000_000  # in one interval, some 0.2 s
+    dal.integrate(
+        particle, "midpoint", h=1e-6, steps=steps, stride=steps,
+        progress=lambda *numbers: told.append(numbers),
+    )  # fmt: skip
+    done = [d for d, _ in told]
+    assert len(done) > 1 and done == sorted(set(done)) and done[-1] == steps
+
+
+def test_progress_of_the_reference_flow_between_two_stored_states():
+    seen = []
+    dal.integrate(
+        dal.systems.particle_oscillator(), "reference", h=0.01, steps=3 * 10**6, stride=3 * 10**6,
+        progress=lambda done, total: seen.append((done, total)),
+    )  # fmt: skip
+    done = [count for count, _ in seen]
+    assert done == sorted(set(done)) and seen[-1] == (3 * 10**6, 3 * 10**6)
+    assert sum(0 < count < 3 * 10**6 for count in done) >= 2  # 1 s of work, asked every 0.05 s
+
+
+def test_progress_as_a_bar(particle, capsys):
+    dal.integrate(particle, "midpoint", h=0.1, steps=100, progress=True)
+    assert "100%" in capsys.readouterr().err
+
+
+# ---- failures ------------------------------------------------------------------------------
+
+
+def singular(particle, **options):
+    """Steps of y by h v_y = 2 with beta = 1: from y = -1 to 1 is S = 1 + y y' = 0 exactly."""
+    return dal.integrate(
+        particle, "endpoint", [0, -7, 0], [0, 1, 0], h=2.0, steps=10, t0=1.0, **options
+    )
+
+
+def test_a_step_that_fails_keeps_what_was_computed(particle):
+    with pytest.raises(dal.SingularError) as caught:
+        singular(particle)
+    error = caught.value
+    assert (error.step, error.t) == (3, 7.0)
+    assert error.status == error.partial.status < 0
+    assert not error.partial.success and "SingularError" in error.partial.message
+    np.testing.assert_array_equal(error.partial.q[:, 1], [-7, -5, -3, -1])
+    assert error.partial.reactions.shape == (3, 1) and error.partial.t[-1] == 7.0
+    assert error.partial.energy.shape == (4,)
+
+
+def test_a_failure_between_stored_states(particle):
+    with pytest.raises(dal.SingularError) as caught:
+        singular(particle, stride=2)
+    assert caught.value.step == 3 and caught.value.t == 7.0
+    np.testing.assert_array_equal(caught.value.partial.q[:, 1], [-7, -3])
+
+
+def test_without_throwing(particle):
+    run = singular(particle, throw=False)
+    assert not run.success and run.status < 0 and len(run.x) == 4
+    assert "FAILED" in repr(run)
+
+
+def test_newton_that_does_not_converge():
+    with pytest.raises(dal.ConvergenceError) as caught:
+        dal.integrate(dal.systems.chaotic(), "midpoint", h=5.0, steps=100)
+    assert caught.value.partial is not None
+
+
+def test_too_few_iterations(own):
+    with pytest.raises(dal.ConvergenceError):
+        dal.integrate(own.system(), "midpoint", h=0.5, steps=10, max_iterations=1)
+
+
+def test_exceptions_pickle(particle):
+    with pytest.raises(dal.SingularError) as caught:
+        singular(particle)
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert str(again) == str(caught.value) and again.step == 3
+    assert again.status == caught.value.status
+    np.testing.assert_array_equal(again.partial.x, caught.value.partial.x)

@@ -1,0 +1,274 @@
+"""The report: one page that stands alone, with the verdict first, the same bytes every time."""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import json
+import math
+import os
+import re
+import shlex
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import Page
+
+import dalembert as dal
+from dalembert import cli
+from dalembert.show import table
+from dalembert.core import files
+
+STEPS = (10, 15, 20, 30)
+
+
+@pytest.fixture(scope="module")
+def studies():
+    return dal.studies(
+        dal.systems.particle(), ["midpoint", "explicit", "midpoint-nodes", "leapfrog-suzuki4"]
+    )
+
+
+@pytest.fixture(scope="module")
+def text(studies, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    assert dal.report.write(studies, path) == path
+    return path.read_text(encoding="utf-8")
+
+
+def test_the_page_stands_alone(text):
+    page = Page(text)
+    assert "script" not in page.tags and "link" not in page.tags and "img" not in page.tags
+    assert page.tags.count("svg") == 3
+    # Names of XML vocabularies and of the maker of the pictures are no addresses that are fetched.
+    assert not re.search(r"(?:src|action)\s*=|@import|url\((?!#)", text)
+    assert all(ref.startswith("#") for ref in re.findall(r'href="([^"]*)"', text))
+
+
+def test_ids_are_unique_and_references_resolve(text):
+    ids = Page(text).ids
+    assert len(ids) == len(set(ids))
+    used = set(re.findall(r'href="#([^"]+)"', text)) | set(re.findall(r"url\(#([^)]+)\)", text))
+    assert used and used <= set(ids)
+
+
+def test_the_verdict_is_the_first_sentence(studies, text):
+    words = " ".join(Page(text).words.split())
+    assert words.startswith(f"dalembert study: particle {studies.sentence()}")
+    assert re.search(r"<h1>([^<]*)</h1>", text).group(1) == studies.sentence()
+
+
+def test_what_runs_are_compared_with(text):
+    assert "and are compared with the exact solution." in " ".join(Page(text).words.split())
+
+
+def test_the_parts_stand_in_order(text):
+    places = [
+        text.index(f'aria-label="{word}')
+        for word in ("Errors", "Relative residuals", "Relative energy")
+    ]
+    places += [text.index("<h2>Tables"), text.index("<details>")]
+    assert places == sorted(places)
+
+
+def test_every_number_of_the_tables_is_there(studies, text):
+    for study in studies:
+        assert study.text in text
+        for column in table.columns(study):
+            assert all(f"<td>{cell}</td>" in text for cell in column.cells)
+
+
+def test_the_same_studies_give_the_same_bytes(studies, text, tmp_path):
+    again = dal.report.write(list(studies), tmp_path / "again.html")
+    assert again.read_bytes().decode("utf-8") == text
+
+
+def test_how_to_reproduce(studies, text):
+    pre = [html.unescape(part) for part in re.findall(r"<pre>(.*?)</pre>", text, re.S)]
+    command = shlex.split(pre[0])
+    assert command[:3] == ["dalembert", "study", "particle"]
+    assert [command[i + 1] for i, word in enumerate(command) if word == "--scheme"] == [
+        study.scheme.name for study in studies
+    ]
+    def option(name):
+        (value,) = [word for word in command if word.startswith(f"{name}=")] or [
+            f"{name}={command[command.index(name) + 1]}"
+        ]
+        return value.partition("=")[2]
+
+    assert option("--q0") == "0.5,0.3,-0.2" and option("--v0") == "1.0,0.7,0.3"
+    assert float(option("--t-end")) == 1 and option("--initial") == "D_eps"
+    assert "--steps" not in command  # each scheme has its own
+    again = cli._parser().parse_args(command[1:])
+    back = dal.studies(
+        dal.systems.particle(), again.scheme, again.q0, again.v0, t_end=again.t_end,
+        steps=again.steps, initial=again.initial,
+    )  # fmt: skip
+    assert [study.to_dict() for study in back] == [study.to_dict() for study in studies]
+    assert dal.__version__ in text
+    data = json.loads(pre[1])
+    assert data["q0"] == studies[0].q0.tolist() and data["t_end"] == 1
+    digest = hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+    assert Page(text).cell("SHA-256") == digest
+
+
+def test_other_options_are_said(tmp_path):
+    """Each as it was given; what the runs are compared with is said too."""
+    knife = dal.systems.knife_edge(m=3)
+    q0, v0 = [-1, 0, 0.5], [math.cos(0.5), math.sin(0.5), 1]
+    studies = dal.studies(knife, ["midpoint", "leapfrog"], q0, v0, t_end=0.5, steps=STEPS)
+    line = shlex.split(dal.report.command(studies))
+    parameters = [f"{key}={value!r}" for key, value in knife.parameters.items()]
+    assert "m=3.0" in parameters
+    assert line == [
+        "dalembert", "study", "knife_edge",
+        *(word for x in parameters for word in ("--parameter", x)),
+        "--q0=-1.0,0.0,0.5", f"--v0={v0[0]!r},{v0[1]!r},1.0", "--t-end", "0.5",
+        "--scheme", "midpoint", "--scheme", "leapfrog", "--steps", "10,15,20,30",
+    ]  # fmt: skip
+    generic = dal.studies(dal.systems.chaotic(), ["midpoint"], t_end=1, steps=STEPS)
+    text = dal.report.write(generic, tmp_path / "report.html").read_text(encoding="utf-8")
+    words = " ".join(Page(text).words.split())
+    good = f"compared with a reference flow good to {generic[0].reference:.1e}."
+    assert generic[0].reference > 0 and good in words
+
+
+def test_orders_are_those_of_the_fits(studies, text):
+    """The numbers of the overview, read from the page, are slopes of the errors by NumPy."""
+    rows = {row[0]: row for row in Page(text).rows if row}
+    for study in studies:
+        counted = np.array(study.fits["global_state"].counted)
+        slope = np.polyfit(np.log(study.h[counted]), np.log(study.state_error[counted]), 1)[0]
+        assert float(rows[study.scheme.name][4]) == pytest.approx(slope, abs=0.006)
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+
+def limited(program, folder, *arguments):
+    """Run a program where files may have 20 kB at most, as on a disk that is full then."""
+    preamble = (
+        "import resource, signal\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))\n"
+    )
+    return subprocess.run(
+        [sys.executable, "-c", preamble + program, *arguments],
+        cwd=folder, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+
+
+def test_a_full_disk_leaves_the_old_report(tmp_path):
+    (tmp_path / "report.html").write_text("old")
+    program = (
+        "import dalembert as dal\n"
+        "found = dal.studies(dal.systems.particle(), ['midpoint'], steps=(10, 15, 20))\n"
+        "dal.report.write(found, 'report.html')\n"
+    )
+    done = limited(program, tmp_path)
+    assert done.returncode == 1 and "File too large: 'report.html'" in done.stderr
+    assert (tmp_path / "report.html").read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_full_disk_of_the_command(tmp_path):
+    (tmp_path / "out.json").write_text("old")
+    program = "import sys; from dalembert.cli import main; sys.exit(main())\n"
+    done = limited(
+        program, tmp_path, "study", "particle", "--json", "out.json", "--no-report"
+    )
+    assert done.returncode == 1 and "out.json: File too large" in done.stderr
+    assert (tmp_path / "out.json").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
+    assert "all 16 schemes" in done.stdout  # what was computed is shown
+
+
+def test_a_device_is_written_to():
+    with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
+        files.write("/dev/full", "text")
+    assert os.path.exists("/dev/full")
+    files.write(os.devnull, "text")
+    assert not os.path.isfile(os.devnull)
+
+
+def test_a_report_is_a_file_as_any_other(tmp_path):
+    """New ones have the permissions of the user, old ones keep theirs; links are followed."""
+    path = tmp_path / "new.html"
+    mask = os.umask(0o027)
+    try:
+        files.write(path, "new")
+    finally:
+        os.umask(mask)
+    assert path.stat().st_mode & 0o777 == 0o640
+    path.chmod(0o604)
+    (tmp_path / "link.html").symlink_to("new.html")
+    files.write(tmp_path / "link.html", "newer")
+    assert (tmp_path / "link.html").is_symlink() and path.stat().st_mode & 0o777 == 0o604
+    assert path.read_text() == "newer"
+    assert {x.name for x in tmp_path.iterdir()} == {"new.html", "link.html"}  # no drafts
+    files.write(tmp_path / ("x" * 250 + ".html"), "a long name")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--output", "/"), ("--output", "."), ("--output", "no/where.html"),
+        ("--json", "no/where.json", "--no-report"), ("--json", ".", "--no-report"),
+        ("--output", "file/report.html"), ("--output", "/proc/report.html"),
+    ],
+)  # fmt: skip
+def test_where_output_goes_is_looked_at_first(options, tmp_path, monkeypatch, capsys):
+    def studies(*_, **__):
+        raise AssertionError("the work has begun")
+
+    (tmp_path / "file").write_text("")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "studies", studies)
+    assert cli.main(["study", "particle", *options]) == 2
+    assert f"dalembert study: {options[1]}: " in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_failure_is_said_first(tmp_path):
+    claim = dal.Scheme([(0.5, 1.0)], name="<claims> 3", order=3)
+    studies = dal.studies(dal.systems.particle(), [claim, "midpoint"], steps=STEPS)
+    text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
+    Page(text)
+    assert "&lt;claims&gt; 3 does not deliver what is promised" in text
+    assert '<td class="fails">fails</td>' in text and "<claims>" not in text
+
+
+@pytest.mark.parametrize("name", ["mine", "particle"])  # also one called as the library's is
+def test_a_system_of_the_users_own(name, tmp_path):
+    own = dal.System(
+        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], q0=[0, 1, 0], v0=[1, 1, 1], name=name
+    )
+    studies = dal.studies(own, ["midpoint"], steps=STEPS)
+    text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "one of the user's own" in text and f"dalembert study {name}" not in text
+
+
+def test_a_run_that_breaks_off_is_named(tmp_path):
+    # y = -1, h v_y = 2 makes the step of beta = 1 singular: here h = t_end/20 = 2 of the pictures.
+    studies = dal.studies(
+        dal.systems.particle(),
+        ["endpoint", "midpoint"],
+        [0, -1, 0],
+        [1, 1, -1],
+        t_end=40,
+        steps=(4000, 6000, 8000),
+    )
+    text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "broke off: endpoint" in text
+
+
+def test_bad_arguments_are_named(studies, tmp_path):
+    with pytest.raises(ValueError, match="studies is empty"):
+        dal.report.write([], tmp_path / "report.html")
+    other = dal.convergence(dal.systems.knife_edge(), "midpoint")
+    with pytest.raises(ValueError, match="knife_edge, particle; expected one system"):
+        dal.report.write([studies[0], other], tmp_path / "report.html")
+    with pytest.raises(OSError):
+        dal.report.write(studies, tmp_path / "nowhere" / "report.html")
+    assert not (tmp_path / "report.html").exists()

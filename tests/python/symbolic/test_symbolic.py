@@ -1,0 +1,915 @@
+"""Systems from SymPy: what is accepted and refused, what is generated, against exact arithmetic."""
+
+import functools
+import itertools
+import json
+import pickle
+import re
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from fractions import Fraction
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+import sympy
+from conftest import U
+from sympy.physics import mechanics
+from sympy.physics.mechanics import dynamicsymbols
+
+import dalembert as dal
+from dalembert import core
+import dalembert.symbolic.codegen as codegen
+import dalembert.symbolic.given as symbolic
+import dalembert.symbolic.model as model
+from dalembert.symbolic.evaluation import library
+
+VECTORS = json.loads((Path(__file__).parents[2] / "data" / "vectors.json").read_text("ascii"))
+
+
+# ---- systems ---------------------------------------------------------------------------------
+
+
+def from_strings(name, constrained=True):
+    """Return a system of the vectors, from the strings that stand there."""
+    entry = VECTORS["systems"][name]
+    words = {c: sympy.Symbol(c) for c in [*entry["coordinates"], *entry["params"]]}
+
+    def read(text):
+        return sympy.sympify(text, locals=words, rational=True)
+
+    q = [words[c] for c in entry["coordinates"]]
+    v = sympy.symbols(f"u0:{len(q)}")
+    M = sympy.Matrix([[read(e) for e in row] for row in entry["mass_matrix"]])
+    velocity = sympy.Matrix(v)
+    b = sympy.Matrix([read(e) for e in entry["b"]])
+    L = (velocity.T * M * velocity)[0] / 2 + (b.T * velocity)[0] - read(entry["V"])
+    mu = sympy.Matrix([[read(e) for e in row] for row in entry["mu"]])
+    values = {key: float(Fraction(x)) for key, x in entry["params"].items()}
+    return dal.System.from_sympy(
+        L, mu if constrained else (), coordinates=list(zip(q, v)), parameters=values, name=name
+    )
+
+
+def trailer(count, **options):
+    """Return a car with trailers in a row: n = count + 3, m = count + 1."""
+    names = " ".join(f"theta{i}" for i in range(count + 1))
+    x, y, *angles = dal.coordinates(f"x y {names}")
+    rows = []
+    X, Y = x.d, y.d
+    for i, angle in enumerate(angles):
+        if i > 0:  # the axle of trailer i is 1 behind the one before
+            X = X + sympy.sin(angle) * angle.d
+            Y = Y - sympy.cos(angle) * angle.d
+        rows.append(sympy.sin(angle) * X - sympy.cos(angle) * Y)
+    L = (x.d**2 + y.d**2 + sum(a.d**2 for a in angles)) / 2
+    return dal.System.from_sympy(L, rows, coordinates=[x, y, *angles], **options)
+
+
+def rich():
+    """Return a system with everything in it: general metric, force, parameters, many functions."""
+    x, y, z = dal.coordinates("x y z")
+    a, b = sympy.symbols("a b")
+    t = dynamicsymbols._t
+    L = (
+        (2 + sympy.sin(x)) * x.d**2 / 2
+        + sympy.exp(y / 4) * y.d**2
+        + (3 + sympy.sqrt(1 + z**2)) * z.d**2 / 2
+        + a * sympy.cos(z) * x.d * y.d / 2
+        + sympy.tanh(x) * y.d
+        - sympy.log(2 + y**2) * b**3
+        - sympy.atan2(y, 2 + x) ** 5
+        - sympy.Rational(1, 3) * x**4 / (1 + z**2)
+        - sympy.cosh(z) ** sympy.Rational(3, 2)
+    )
+    force = {x: sympy.cos(t) - a * x.d, z: -z.d * sympy.Abs(z.d) + sympy.pi * sympy.tan(t * x / 9)}
+    rows = [z.d - sympy.sinh(y) * x.d / (1 + x**2) + b * sympy.asin(x / 3) * y.d]
+    return dal.System.from_sympy(L, rows, parameters={a: 0.7, b: 1.3}, force=force)
+
+
+# ---- generated callbacks against 25 digits ---------------------------------------------------
+
+
+def value_and_scale(e, values):
+    """Return an expression to 25 digits, and the size that its terms have: what rounding sees.
+
+    Each part is taken to be known up to u times its scale; so the scale of a sum is the sum of the
+    scales, and that of f(x) is |f(x)| + |f'(x)| scale(x).
+    """
+    if e.is_Symbol:
+        return values[e], abs(values[e])
+    if e.is_number:
+        x = mpmath.mpf(sympy.N(e, 30)) if e != 0 else mpmath.mpf(0)
+        return x, abs(x)
+    parts = [value_and_scale(a, values) for a in e.args]
+    if e.is_Add:
+        return mpmath.fsum(x for x, _ in parts), mpmath.fsum(s for _, s in parts)
+    if e.is_Mul:
+        return mpmath.fprod(x for x, _ in parts), mpmath.fprod(s for _, s in parts)
+    stand_ins = [sympy.Dummy(real=True) for _ in parts]
+    f = e.func(*stand_ins)
+    at = {d: sympy.Float(str(x), 30) for d, (x, _) in zip(stand_ins, parts)}
+    x = mpmath.mpf(sympy.N(f.subs(at), 30))
+    scale = abs(x)
+    for d, (_, s), argument in zip(stand_ins, parts, e.args):
+        if not argument.is_number:
+            scale += abs(mpmath.mpf(sympy.N(f.diff(d).subs(at), 30))) * s
+    return x, scale
+
+
+def evaluate(system, name, t, q, v):
+    """Call a callback of a compiled system through its pointer; every output by name."""
+    n, m = system.n, system.m
+    shapes = {
+        "potential": {"V": 1, "V_q": n, "V_qq": n * n},
+        "constraint": {"phi": m, "phi_v": m * n, "phi_q": m * n},
+        "lagrangian": {
+            "L": 1, "L_q": n, "L_v": n, "L_qq": n * n, "L_vq": n * n, "L_vv": n * n
+        },
+        "force": {"f": n, "f_q": n * n, "f_v": n * n},
+    }[name]  # fmt: skip
+    function = getattr(library(system._model).definition, name)
+    parameters = np.array(list(system.parameters.values()))
+    ctx = core.ffi.cast("void *", parameters.ctypes.data)
+    point = {"potential": [q], "force": [t, q, v]}.get(name, [q, v])
+    inputs = [x if isinstance(x, float) else core.pointer(x) for x in point]
+    together = {key: np.full(size, np.nan) for key, size in shapes.items()}
+    assert function(*inputs, *(core.pointer(x) for x in together.values()), ctx) == 0
+    for key, size in shapes.items():  # alone it is the same, bit by bit
+        alone = np.full(size, np.nan)
+        wanted = [core.pointer(alone) if k == key else core.ffi.NULL for k in shapes]
+        assert function(*inputs, *wanted, ctx) == 0
+        np.testing.assert_array_equal(alone, together[key])
+    return together
+
+
+MAKERS = {
+    **{name: (lambda name=name: from_strings(name)) for name in VECTORS["systems"]},
+    "trailer3": lambda: trailer(3),
+    "rich": rich,
+}
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_callbacks_to_25_digits(name):
+    """Every output at two states, within 64 u of the scale of its terms."""
+    system = MAKERS[name]()
+    found = system._model
+    source = np.random.default_rng(5)
+    checked = 0
+    expected = {
+        "potential": lambda: {"V": [-found.L.xreplace(dict.fromkeys(found.v, sympy.S.Zero))]},
+        "lagrangian": lambda: {"L": [found.L]},
+        "constraint": lambda: {"phi": list(found.constraints)},
+        "force": lambda: {"f": list(found.force)},
+    }
+    for _ in range(2):
+        q, v = source.uniform(0.2, 1.1, (2, system.n))
+        t = float(source.uniform(0.2, 1.1))
+        values = dict(zip(found.q, map(mpmath.mpf, q))) | dict(zip(found.v, map(mpmath.mpf, v)))
+        values |= dict(zip(found.p, map(mpmath.mpf, system.parameters.values())))
+        values[model.TIME] = mpmath.mpf(t)
+        for callback, first in expected.items():
+            if found.derived.function(callback) is None:
+                continue
+            outputs = first()
+            base = next(iter(outputs.values()))
+            for key in dict(found.derived.function(callback).outputs):
+                letters = key.partition("_")[2]
+                entries = base
+                for letter in letters:
+                    entries = [e.diff(x) for e in entries for x in getattr(found, letter)]
+                outputs[key] = entries
+            got = evaluate(system, callback, t, q, v)
+            with mpmath.workdps(30):
+                for key, entries in outputs.items():
+                    for k, e in enumerate(entries):
+                        x, scale = value_and_scale(e, values)
+                        assert abs(got[key][k] - x) <= 64 * U * scale, (callback, key, k, e)
+                        checked += 1
+    assert checked >= 2 * system.n
+
+
+@pytest.mark.parametrize("name", ["generic4", "genmass", "trailer3", "rich"])
+def test_sympy_and_symengine_give_the_same(name, monkeypatch):
+    """Both ways of differentiating, within 64 u of the largest entry and of 1."""
+    assert model.symengine is not None, "the tests need SymEngine, see ./dev"
+    fast = MAKERS[name]()
+    assert fast._model.derived
+    monkeypatch.setattr(model, "symengine", None)
+    slow = MAKERS[name]()
+    assert slow._model.derived.function("constraint").engine is model._SymPy
+    assert name == "rich" or (
+        fast._model.derived.function("constraint").engine is model._SymEngine
+    )
+    source = np.random.default_rng(6)
+    for callback in ("potential", "lagrangian", "constraint", "force"):
+        if slow._model.derived.function(callback) is None:
+            continue
+        q, v = source.uniform(0.2, 1.1, (2, slow.n))
+        one, two = (evaluate(s, callback, 0.3, q, v) for s in (fast, slow))
+        for key, expected in two.items():
+            size = max(1.0, np.abs(expected).max())
+            np.testing.assert_allclose(one[key], expected, rtol=0, atol=64 * U * size)
+
+
+# ---- vectors -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", VECTORS["systems"])
+def test_vectors(name):
+    """One step and the mechanics, from the strings of the data, against 36 digits.
+
+    As in test_vectors.py: 1e-13, 900 u, of the largest component of a vector or of 1.
+    """
+    system = from_strings(name)
+    assert (system.mass is not None) == VECTORS["systems"][name]["constant_mass"]
+
+    def near(value, expected, more=0.0):
+        expected = np.array(expected, dtype=float)
+        size = max(1.0, np.abs(expected).max())
+        np.testing.assert_allclose(value, expected, rtol=0, atol=1e-13 * size + more)
+
+    entries = [e for e in VECTORS["continuous"] if e["system"] == name]
+    for e in entries:
+        q, v = np.array(e["q"], dtype=float), np.array(e["v"], dtype=float)
+        near(system.multipliers(q, v), e["lambda"])
+        near(system.acceleration(q, v), e["vdot"])
+        near(system.energy(q, v), float(e["energy"]))
+    steps = [e for e in VECTORS["onestep"] if e["system"] == name and e["scheme"] == "beta"]
+    assert entries and steps
+    for e in steps:
+        h, beta = float(Fraction(e["eps"])), float(Fraction(e["beta"]))
+        scheme = dal.Scheme([(beta, 1.0)])
+        q, v = np.array(e["q"], dtype=float), np.array(e["v"], dtype=float)
+        run = dal.integrate(system, scheme, q, v, h=h, steps=1)
+        near(run.q[-1], e["q1"])
+        near(run.v[-1], e["v1"])
+
+
+@pytest.mark.parametrize("name", ["particle", "sleigh", "generic4", "knife", "trailer3"])
+@pytest.mark.parametrize("scheme", ["midpoint", "leapfrog", "explicit", "leapfrog-kl8"])
+def test_one_text_two_compilations(name, scheme):
+    """1000 steps of the compiled step routine have the bits of the library's run-time version."""
+    system = MAKERS[name]()
+    assert library(system._model).definition.kernel != core.ffi.NULL
+    source = np.random.default_rng(7)
+    q0 = source.uniform(-0.5, 0.5, system.n)
+    v0 = system.project(q0, source.uniform(-1, 1, system.n))
+    ends = []
+    for sizes in (core.lib.DAL_SIZES_AUTO, core.lib.DAL_SIZES_RUNTIME):
+        record = dal.Scheme.find(scheme)
+        options = core.ffi.new("dal_options *", {"sizes": sizes})
+        stepper = core.make("stepper", system._handle, c_record(record), options)
+        x = np.concatenate([q0, v0])
+        start = (0.0, 0.01, core.pointer(x), core.lib.DAL_CHECK, core.lib.DAL_INITIAL_NONE)
+        assert core.lib.dal_stepper_start(stepper, *start) == 0
+        reaction = np.zeros(system.m)
+        done = core.lib.dal_advance(stepper, 1000, core.pointer(reaction), core.ffi.NULL)
+        assert done == 0, core.string(core.lib.dal_stepper_message(stepper))
+        state = core.doubles(core.lib.dal_stepper_state(stepper), 2 * system.n)
+        ends.append(np.concatenate([state, reaction]))
+    np.testing.assert_array_equal(*ends)
+    assert np.abs(ends[0][: system.n] - q0).max() > 0.1
+
+
+def test_many_coordinates():
+    """Too many for a step routine of their own; the run-time version makes the steps."""
+    q = dal.coordinates(" ".join(f"x{i}" for i in range(40)))
+    rows = [a.d - b * c.d for a, b, c in zip(q, q[10:], q[20:30])]
+    large = dal.System.from_sympy(sum(x.d**2 for x in q) / 2, rows, coordinates=list(q))
+    assert library(large._model).definition.kernel == core.ffi.NULL
+    q0 = np.linspace(-1, 1, 40)
+    run = dal.integrate(large, "midpoint", q0, large.project(q0, np.cos(q0)), h=0.01, steps=100)
+    assert run.success and run.residual.max() <= 4 * 40 * U
+
+
+def c_record(record):
+    found = core.ffi.new("dal_scheme *")
+    error = core.ffi.new("dal_error *")
+    assert core.lib.dal_scheme_find(found, record.name.encode(), error) == 0
+    return found
+
+
+# ---- what is accepted --------------------------------------------------------------------------
+
+
+def test_four_ways_to_write_a_particle():
+    """Coordinates with .d, dynamicsymbols, pairs of symbols, one-forms: the same compiled model."""
+    x, y, z = dal.coordinates("x y z")
+    m = sympy.Symbol("m", positive=True)
+    systems = [
+        dal.System.from_sympy(
+            m * (x.d**2 + y.d**2 + z.d**2) / 2, [sympy.Eq(z.d, y * x.d)], parameters={m: 2}
+        )
+    ]
+    X, Y, Z = dynamicsymbols("x y z")
+    t = dynamicsymbols._t
+    L = m * (X.diff(t) ** 2 + Y.diff(t) ** 2 + Z.diff(t) ** 2) / 2
+    rows = [Z.diff(t) - Y * X.diff(t)]
+    systems.append(dal.System.from_sympy(L, rows, parameters={"m": sympy.Integer(2)}))
+    q, v = sympy.symbols("x y z"), sympy.symbols("u:3")
+    L = m * sum(u**2 for u in v) / 2
+    forms = sympy.Matrix([[-q[1], 0, 1]])
+    for constraints in (forms, [[-q[1], 0, 1]], v[2] - q[1] * v[0]):
+        systems.append(
+            dal.System.from_sympy(L, constraints, dict(zip(q, v)), parameters={m: 2})
+        )
+    assert {s.coordinates for s in systems} == {("x", "y", "z")}
+    assert len({s._model.key for s in systems}) == 1
+    assert len({library(s._model).path for s in systems}) == 1
+    assert systems[0].multipliers([0, 1, 0], [1, 1, 1]) == pytest.approx([1.0], abs=4 * U)
+
+
+def test_order_of_coordinates():
+    z, x = dal.coordinates("z x")
+    assert dal.System.from_sympy(x.d**2 + z.d**2).coordinates == ("z", "x")
+    x, z = dal.coordinates(["x", "z"])
+    assert dal.System.from_sympy(x.d**2 + z.d**2).coordinates == ("x", "z")
+    assert dal.System.from_sympy(x.d**2 + z.d**2, coordinates=[z, x]).coordinates == ("z", "x")
+    again = dal.coordinates("x z")[0]
+    assert x == again and x.d == again.d and hash(x.d) == hash(again.d)
+    assert x.d != sympy.Symbol("x.d", real=True)
+    for symbol in pickle.loads(pickle.dumps([x, x.d, x.d**2 + sympy.sin(x)])):
+        assert symbol in (x, x.d, x.d**2 + sympy.sin(x))
+
+
+@pytest.mark.parametrize("disturb", [
+    lambda: [make() for make in map(functools.partial(getattr, dal.systems),
+                                    dal.systems.names_in_sympy())],
+    lambda: [dal.coordinates(names) for names in itertools.permutations("xyz")],
+    lambda: dal.coordinates("tau x"),
+    lambda: [dal.coordinates(name) for name in "zyx"],
+], ids=["library", "permutations", "another", "single"])  # fmt: skip
+def test_no_other_call_changes_an_order(disturb):
+    """The multiplier (9.81 + v_x v_y)/2 of z' = y x' in a field 9.81 z is that of x, y, z."""
+    disturb()
+    x, y, z = dal.coordinates("x y z")
+    kinetic = (x.d**2 + y.d**2 + z.d**2) / 2
+    for _ in range(2):
+        own = dal.System.from_sympy(kinetic - 9.81 * z, [z.d - y * x.d])
+        assert own.coordinates == ("x", "y", "z")
+        assert own.multipliers([0, 1, 0], [1, 1, 1]) == pytest.approx([(9.81 + 1) / 2], rel=1e-15)
+        disturb()
+
+
+def test_symbols_of_several_calls():
+    """As the calls name them, then in the order of the calls; else they are asked for."""
+    x, y, theta = dal.coordinates("x y theta")
+    _, other = dal.coordinates("tau x")
+    kinetic = (other.d**2 + y.d**2 + theta.d**2) / 2
+    make = dal.System.from_sympy
+    forms = [sympy.cos(theta) * y.d - sympy.sin(theta) * x.d]  # of another x
+    own = make(kinetic, forms, force={x: theta})
+    assert own.coordinates == ("x", "y", "theta")
+    same = make(kinetic.subs(other.d, x.d), forms, force={x: theta})
+    assert own._model.key == same._model.key
+    assert make(kinetic - sympy.Derivative(x**2, other)).formulas[0].endswith("- 2 x")
+    assert make(kinetic, forms, coordinates=[theta, y, x]).coordinates == ("theta", "y", "x")
+    a, b = dal.coordinates("first1")[0], dal.coordinates("second1")[0]
+    assert make(b.d**2 + a.d**2).coordinates == ("first1", "second1")
+    dal.coordinates("first1")  # made again, the order of the two is no longer clear
+    with pytest.raises(ValueError, match="coordinates: needed, .* order of first1, second1 is"):
+        make(b.d**2 + a.d**2)
+    swapped = dal.coordinates("theta y")[0]
+    with pytest.raises(ValueError, match=r"'theta y'\) and .*\('x y theta'"):
+        make((x.d**2 + y.d**2 + theta.d**2) / 2 - swapped)
+
+
+def test_the_derivative_by_time_is_written_d():
+    x, y = dal.coordinates("x y")
+    t = dynamicsymbols._t
+    for by in (t, "t", sympy.Symbol("t", real=True)):
+        with pytest.raises(ValueError, match=r"x.diff\(t\): write x.d"):
+            sympy.diff(x, by)
+    for rate in (sympy.Derivative(x, t), sympy.Derivative(x * y, t, t)):
+        with pytest.raises(ValueError, match=r"constraints\[0\]: .* write x.d for the velocity"):
+            dal.System.from_sympy(x.d**2 + y.d**2, [y.d - rate])
+    assert x.diff(x) == 1 and x.diff(y) == 0 and x.diff(sympy.Symbol("m")) == 0
+    made = dal.System.from_sympy(x.d**2 + y.d**2 - sympy.Derivative(x**2, x))
+    assert made.formulas[0] == "L = v_x^2 + v_y^2 - 2 x"
+
+
+def test_keys_tell_models_apart():
+    """Equal ones have equal keys, in whatever order their parts were given."""
+    x, y = dal.coordinates("x y")
+    m = sympy.Symbol("m")
+    kinetic = (x.d**2 + y.d**2) / 2
+
+    def key(L, constraints=()):
+        found, _ = symbolic.make_model(L, constraints, [x, y], {m: 1}, None, None, None, None)
+        return found.key
+
+    different = [
+        kinetic, kinetic - x, kinetic - y, kinetic - m * x, kinetic - x * y, kinetic - x**2,
+        kinetic - sympy.sin(x), kinetic - sympy.cos(x), kinetic - 2 * x, kinetic - x / 2,
+        kinetic - sympy.Float(0.5) * x, kinetic - sympy.sin(x + y), kinetic - sympy.sin(x) - y,
+        kinetic - sympy.Piecewise((x, x > 0), (y, True)),
+        kinetic - sympy.Piecewise((x, x >= 0), (y, True)),
+    ]  # fmt: skip
+    keys = [key(L) for L in different] + [key(kinetic, [y.d]), key(kinetic, [y.d - x.d])]
+    assert len(set(keys)) == len(keys)
+    assert key(y.d**2 / 2 - y * x + x.d**2 / 2) == key(kinetic - x * y)
+
+
+def test_large_callbacks_are_called():
+    """Small ones are inlined in the step routine; those of many operations are not."""
+    x, y = dal.coordinates("x y")
+    for count, head in ((1, "DAL_KERNEL_INLINE int"), (150, "static int")):
+        V = sum(sympy.sin(k * x) / k for k in range(1, count + 1))
+        found, _ = symbolic.make_model(
+            (x.d**2 + y.d**2) / 2 - V, [y.d - x * x.d], [x, y], None, None, None, None, None
+        )
+        source = codegen.program(found).source
+        assert f"{head}\nmodel_potential(" in source
+        assert "DAL_KERNEL_INLINE int\nmodel_constraint(" in source
+
+
+def test_constant_mass_is_found():
+    """Where it takes sin^2 + cos^2 = 1 to see it; and not where it is not there."""
+    x, y, theta = dal.coordinates("x y theta")
+    m = sympy.Symbol("m")
+    c, s = sympy.cos(theta), sympy.sin(theta)
+    turned = ((c * x.d + s * y.d) ** 2 + (-s * x.d + c * y.d) ** 2 + theta.d**2) * m / 2
+    system = dal.System.from_sympy(turned - x, coordinates=[x, y, theta], parameters={m: 3})
+    np.testing.assert_array_equal(system.mass, 3 * np.eye(3))
+    assert system.energy([2, 0, 0.3], [1, 0, 0]) == pytest.approx(3.5, abs=16 * U)
+    for extra in (x * theta.d, c * x.d * y.d / 4, x.d**4 / 12):
+        general = dal.System.from_sympy(turned + extra, [x, y, theta][:0], [x, y, theta], {m: 3})
+        assert general.mass is None
+    # a gyroscopic term that cancels
+    zero = (s**2 + c**2 - 1) * x.d
+    assert dal.System.from_sympy(turned + zero, (), [x, y, theta], {m: 3}).mass is not None
+
+
+def test_kinds():
+    x, y, z = dal.coordinates("x y z")
+    L = (x.d**2 + y.d**2 + z.d**2) / 2
+    cases = {
+        "linear": [z.d - y * x.d, (z.d + y) * 2 - 2 * y + x.d],
+        "affine": [z.d - y * x.d - 2, z.d + sympy.cos(x)],
+        "nonlinear": [z.d - x.d**2, sympy.sqrt(x.d**2 + y.d**2) - 2],
+    }
+    for kind, constraints in cases.items():
+        for constraint in constraints:
+            assert dal.System.from_sympy(L, constraint, [x, y, z]).kind == kind
+    hidden = z.d * (sympy.sin(x) ** 2 + sympy.cos(x) ** 2) + x.d**2 - x.d * (x.d - y)
+    assert dal.System.from_sympy(L, hidden, [x, y, z]).kind == "linear"
+
+
+def test_parameters_stay_free():
+    """with_parameters compiles nothing, shares the code, and is the system of these values."""
+    x, theta = dal.coordinates("x theta")
+    m, k, g = sympy.symbols("m k g")
+    L = m * x.d**2 / 2 + theta.d**2 / 2 - k * x**2 / 2 - g * sympy.cos(theta)
+    system = dal.System.from_sympy(
+        L,
+        [x.d - k * theta.d],
+        parameters={m: 1, k: 2, g: 0},
+        q0=[k, 0],
+        v0=[k**2, k],
+        invariants={"p": m * x.d},
+        exact=lambda t, q0, v0, m, k, g: (q0 + t * v0, v0 * m * k),
+    )
+    other = system.with_parameters(m=3, k=5)
+    assert library(other._model) is library(system._model)
+    assert other.parameters == {"m": 3, "k": 5, "g": 0}
+    np.testing.assert_array_equal(other.mass, np.diag([3.0, 1.0]))
+    np.testing.assert_array_equal(other.q0, [5, 0])
+    np.testing.assert_array_equal(other.v0, [25, 5])
+    np.testing.assert_array_equal(system.q0, [2, 0])
+    assert other.invariant(other.q0, other.v0) == {"p": 75.0}
+    assert other.exact(1.0)[1] == pytest.approx([25 * 15, 5 * 15])
+    assert other.residual(other.q0, other.v0) == 0
+    again = pickle.loads(pickle.dumps(dal.System.from_sympy(L, (), None, {m: 1, k: 2, g: 0})))
+    assert again.with_parameters(g=2).energy([0, 0], [0, 0]) == 2
+    with pytest.raises(ValueError, match="has no 'l'; it has m, k, g"):
+        system.with_parameters(l=1)
+    with pytest.raises(ValueError, match="mass is not positive definite"):
+        system.with_parameters(m=-1)
+    with pytest.raises(ValueError, match="m = nan: expected a finite number"):
+        system.with_parameters(m=float("nan"))
+    with pytest.raises(ValueError, match="has no 'm'"):
+        dal.System(mass=[1]).with_parameters(m=1)
+
+
+def test_values_are_what_their_symbols_assume():
+    """sqrt(m^2) is m because m is positive: so it has to be, here and in with_parameters."""
+    x = dal.coordinates("x")[0]
+    words = {
+        "positive": (2, -1, "-1: expected a positive number"),
+        "negative": (-2, 0, "0: expected a negative number"),
+        "nonnegative": (0, -0.5, "-0.5: expected a number >= 0"),
+        "nonpositive": (0, 0.5, "0.5: expected a number <= 0"),
+        "nonzero": (1, 0, "0: expected a number other than 0"),
+        "integer": (3, 2.5, "2.5: expected a whole number"),
+    }
+    for word, (good, bad, text) in words.items():
+        k = sympy.Symbol("k", real=True, **{word: True})
+        for key in (k, "k"):  # what stands in L counts, too
+            make = functools.partial(dal.System.from_sympy, x.d**2 / 2 - k**2 * x, name="fall")
+            system = make(parameters={key: good})
+            for again in (system, pickle.loads(pickle.dumps(system))):
+                with pytest.raises(ValueError, match=f"k = {text}"):
+                    again.with_parameters(k=bad)
+                assert again.with_parameters(k=2 * good).parameters == {"k": 2.0 * good}
+            with pytest.raises(ValueError, match=f"k = {text}"):
+                make(parameters={key: bad})
+    free = dal.System.from_sympy(x.d**2 / 2 - sympy.Symbol("k") * x, parameters={"k": 1})
+    assert free.with_parameters(k=-1).parameters == {"k": -1.0}
+
+
+def test_what_it_says_about_itself_stays():
+    x = dal.coordinates("x")[0]
+    k = sympy.Symbol("k")
+    about = {"name": "fall", "help": "a line", "description": "two lines", "source": "a book"}
+    system = dal.System.from_sympy(x.d**2 / 2 - k * x, parameters={k: 1}, **about)
+    for again in (system, pickle.loads(pickle.dumps(system)), system.with_parameters(k=2)):
+        assert {key: getattr(again, key) for key in about} == about
+        assert again.formulas == ("L = v_x^2/2 - k x",)
+
+
+def test_exact_and_invariants_by_expressions():
+    """A falling point: exact solution and angular momentum, compiled; the study uses them."""
+    x, y = dal.coordinates("x y")
+    g = sympy.Symbol("g")
+    t = sympy.Symbol("t")
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2 - g * y,
+        parameters={g: 3},
+        exact=[x + t * x.d, y + t * y.d - g * t**2 / 2, x.d, y.d - g * t],
+        invariants={"v_x": x.d, "parabola": y.d**2 / 2 + g * y},
+        q0=[1, 2],
+        v0=[1, 1],
+    )
+    q, v = system.exact(2.0)
+    np.testing.assert_allclose([*q, *v], [3, -2, 1, -5], rtol=4 * U)
+    assert system.invariant(q, v) == {"v_x": 1.0, "parabola": 6.5}
+    assert system.invariants == ("v_x", "parabola") and system.has_exact
+    mixed = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2,
+        parameters={g: 3},
+        coordinates=[x, y],
+        invariants={"p": x.d * g, "r": lambda q, v, g: v[1] * g, "s": y.d},
+    )
+    assert mixed.invariant([0, 0], [1, 2]) == {"p": 3.0, "r": 6.0, "s": 2.0}
+
+
+def test_refused_by_name():
+    x, y, z = dal.coordinates("x y z")
+    m, t = sympy.symbols("m t")
+    f, u = sympy.Function("f"), sympy.Function("u")(t)
+    X = dynamicsymbols("X")
+    L = (x.d**2 + y.d**2) / 2
+    from_sympy = dal.System.from_sympy
+    cases = [
+        (lambda: from_sympy(m * L), "L: m is neither a coordinate .x, y. nor a parameter"),
+        (lambda: from_sympy(L * t), "the time t is left over"),
+        (lambda: from_sympy(L, [x - y]), r"constraints\[0\] = x - y: expected a velocity"),
+        (lambda: from_sympy(L, [x.d, y.d]), "2 on 2 coordinates"),
+        (lambda: from_sympy(L, [x.d - f(x)]), r"unknown function"),
+        (lambda: from_sympy(L - sympy.gamma(x)), "gamma.* is not among what can be compiled"),
+        (lambda: from_sympy(L + sympy.I * x), "not among what can be compiled"),
+        (lambda: from_sympy(L + sympy.Float("1e400") * x), "too large for a double"),
+        (lambda: from_sympy("x**2"), "expected a SymPy expression, not a text"),
+        (lambda: from_sympy(sympy.Integer(1)), "coordinates: needed"),
+        (lambda: from_sympy(L, coordinates=["x"]), "coordinates: 'x'"),
+        (lambda: from_sympy(L, coordinates=[x, x, y]), "expected different names"),
+        (lambda: from_sympy(L, [sympy.true]), "does not depend on anything"),
+        (lambda: from_sympy(L, [[1, 2, 3]]), "expected 2 coefficients, got 3"),
+        (lambda: from_sympy(L, parameters={m: "heavy"}), "m = 'heavy'"),
+        (lambda: from_sympy(L, parameters={m: 10**400}), "m = 10{50}.*: expected a finite number"),
+        (lambda: from_sympy(L, parameters={m: sympy.Integer(10) ** 400}), "m = inf"),
+        (lambda: from_sympy(L, parameters={m: sympy.I}), "m = I: expected a real number"),
+        (lambda: from_sympy(L, parameters=b"x"), "parameters = b'x': expected a mapping"),
+        (lambda: from_sympy(L, force=b"x"), "force = b'x': expected a mapping"),
+        (lambda: from_sympy(L, invariants=[x.d]), "invariants = .x.d.: expected a mapping"),
+        (lambda: from_sympy(L, coordinates=5), "coordinates = 5: expected a sequence"),
+        (lambda: from_sympy(L, constraints=5), "constraints = 5: expected a sequence"),
+        (lambda: from_sympy(L, constraints="x"), "constraints = 'x': expected a sequence"),
+        (lambda: from_sympy(L, exact=5), "exact = 5: expected a sequence"),
+        (lambda: from_sympy(L, q0=5, v0=[0, 0]), "q0 = 5: expected a sequence"),
+        (lambda: from_sympy(L, q0=[0, 0], v0=5), "v0 = 5: expected a sequence"),
+        (lambda: dal.coordinates(b"x y"), "names = b'x y': expected a sequence"),
+        (lambda: dal.coordinates(5), "names = 5: expected a sequence"),
+        (lambda: from_sympy(L, [y.d - t * x.d]), "constraints.0.: the time t is left over"),
+        (lambda: from_sympy(L, force={x: u}), r"force\[x\]: u\(t\) is an unknown function"),
+        (lambda: from_sympy(L, force={x: u.diff(t)}), r"force\[x\]: Derivative\(u\(t\), t\) is no"),
+        (lambda: from_sympy(L, [y.d - u * x.d]), r"constraints\[0\]: u\(t\) is an unknown"),
+        (lambda: from_sympy(L, force={x: m}), r"force\[x\]: m is neither a coordinate"),
+        (lambda: from_sympy(L - z), r"L: z\.d is not in it, .* so that z has no mass"),
+        (lambda: from_sympy(L, coordinates=[x, y, z]), r"L: z\.d is not in it"),
+        (lambda: from_sympy(L + x * z.d), r"L: z\.d is not in it, or only linearly"),
+        (lambda: from_sympy(L - X), r"L: X\.d is not in it"),
+        (lambda: from_sympy(L - sympy.Mod(x, 2)), r"L: Mod\(x, 2\) \(Mod\) is not among"),
+        (lambda: from_sympy(L, parameters={"m": 1, m: 2}), "m is there twice"),
+        (lambda: from_sympy(L, force={m: 1}), "force: m is no coordinate"),
+        (lambda: from_sympy(L, force={3: x}), "force: 3: expected a coordinate"),
+        (lambda: from_sympy(L, invariants={"p": None}), r"invariants\['p'\] = None: expected a"),
+        (lambda: from_sympy(L, q0=[0, 0]), "q0 and v0: expected both"),
+        (lambda: from_sympy(L, q0=[0], v0=[0]), "expected 2 numbers each"),
+        (lambda: from_sympy(L, q0=[x, 0], v0=[0, 0]), "expected numbers, or expressions of param"),
+        (lambda: from_sympy(X.diff("t") ** 2 + X.diff("t", 2)), "no velocity of a coordinate"),
+        (lambda: from_sympy(L, exact=[x]), "exact: expected 4 expressions, got 1"),
+        (lambda: from_sympy(L, name="a\0b"), "name"),
+        (lambda: from_sympy(L, source=3), "source = 3: expected a string"),
+        (lambda: dal.coordinates("x x"), "expected different names"),
+        (lambda: dal.coordinates(""), "at least one"),
+        (lambda: dal.coordinates("x,,y"), "names = 'x,,y': missing symbol"),
+        (lambda: dal.systems.particle().c_source(), "was not made by from_sympy"),
+        (lambda: from_sympy(L).c_source("a b"), "expected a C identifier"),
+    ]
+    for number, (call, words) in enumerate(cases):
+        with pytest.raises(ValueError, match=words):
+            call()
+            pytest.fail(f"case {number}: {words}")
+
+
+@pytest.mark.parametrize("call", ["coordinates('x')", "System.from_sympy(0)"])
+def test_without_sympy(call):
+    program = f"import sys; sys.modules['sympy'] = None; import dalembert as dal; dal.{call}"
+    done = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
+    assert done.stderr.endswith("a system from expressions needs sympy: pip install sympy\n")
+
+
+@pytest.mark.parametrize("exponent", ["4/3", "3/2", "5/2"])
+@pytest.mark.parametrize("scheme", ["leapfrog", "midpoint", "reference"])
+def test_a_wall_whose_stiffness_is_infinite_at_its_edge(scheme, exponent):
+    """Outside of it nothing acts; V_qq, 0 times infinity there, is for Newton's method alone."""
+    x, y, z = dal.coordinates("x y z")
+    kinetic, form = (x.d**2 + y.d**2 + z.d**2) / 2, z.d - y * x.d
+    power, edge = sympy.Rational(exponent), sympy.Rational(1, 2)
+    inside = sympy.Piecewise(((x - edge) ** power, x > edge), (0, True))
+    runs = [
+        dal.integrate(dal.System.from_sympy(L, form, force=force), scheme,
+                      [0, 1, 0], [1, 1, 1], h=0.01, steps=100)
+        for L, force in [
+            (kinetic - 50 * sympy.Max(0, x - edge) ** power, None),
+            (kinetic - 50 * (sympy.Max(0, x - edge) + sympy.Max(0, -x - edge)) ** power, None),
+            (kinetic - 50 * inside, None),
+            (kinetic, {x: -50 * power * sympy.Max(0, x - edge) ** (power - 1)}),
+        ]
+    ]  # fmt: skip
+    assert runs[0].q[-1, 0] < 0.8  # it has come back
+    for run in runs[1:]:
+        assert run.q == pytest.approx(runs[0].q, rel=1e-9, abs=1e-9)
+
+
+def test_a_barrier_still_refuses():
+    x = dal.coordinates("x")[0]
+    barrier = dal.System.from_sympy(x.d**2 / 2 - 1 / sympy.Max(0, x))
+    with pytest.raises(dal.DomainError):
+        dal.integrate(barrier, "leapfrog", [-1], [1], h=0.01, steps=1)
+
+
+def test_what_has_no_jump_after_all():
+    """A factor that vanishes where the argument does; but sign(x^3) jumps, where 3 x^2 vanishes."""
+    x, y = dal.coordinates("x y")
+    sign, half = sympy.sign, sympy.Rational(1, 2)
+    q = [0.3, -0.7]
+    for V in (
+        y**4 * sign(y * sympy.Abs(y)), x * sign(x**3), x * y * sign(x**3 * y),
+        x**2 * sign(sympy.tanh(x) * sympy.exp(y)), x * (x - half) * sign(x * (x - half)),
+        x**2 * sympy.Heaviside(-(x**3)), x * x.d * sympy.Abs(x.d) * sign(sympy.sinh(x)),
+    ):  # fmt: skip
+        L = (x.d**2 + y.d**2) / 2 - V
+        made = dal.System.from_sympy(L)._model
+        name, output = ("lagrangian", "L_q") if V.has(x.d) else ("potential", "V_q")
+        found = made.callables(name)[output](q, [0.2, 0.5], [])
+        value = sympy.lambdify([(x, y), (x.d, y.d)], L if V.has(x.d) else V, "mpmath")
+        for i in range(2):
+            exact = mpmath.diff(
+                lambda s, i=i: value([s if j == i else q[j] for j in range(2)], [0.2, 0.5]), q[i]
+            )
+            assert found[i] == pytest.approx(float(exact), rel=1e-12, abs=1e-12), V
+    for V in (
+        sign(x**3), y * sign(x**3), x * sign(sympy.tanh(y)), sign(y * sympy.Abs(y)),
+        x**2 * sign(x * y), x * sign(x * (x - 1)), sign(sympy.sinh(x) ** 3), sign(x**5 - x**3),
+        sign(sympy.Piecewise((x, x > y), (1, True))) * y,
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="L: its derivative by [xy] needs DiracDelta"):
+            dal.System.from_sympy((x.d**2 + y.d**2) / 2 - V)
+
+
+def test_names_that_are_taken_for_others():
+    x, y = dal.coordinates("x y")
+    L = (x.d**2 + y.d**2) / 2
+    assert dal.coordinates("q1:4, z") == dal.coordinates(["q1", "q2", "q3", "z"])
+    for other in (sympy.Symbol("x"), sympy.Symbol("x.d")):
+        with pytest.raises(ValueError, match=f"L: this {other} is another symbol than that of the"):
+            dal.System.from_sympy(L - other)
+    for key in (x, "x", sympy.Symbol("x")):
+        with pytest.raises(ValueError, match="parameters: x is a coordinate"):
+            dal.System.from_sympy(L, parameters={key: 1})
+    nothing = (sympy.sin(x) ** 2 + sympy.cos(x) ** 2 - 1) * x.d
+    with pytest.raises(ValueError, match=r"constraints\[0\] = .*: it is 0 for all velocities"):
+        dal.System.from_sympy(L, [nothing])
+
+
+@pytest.mark.parametrize("formulas", [
+    ("L = (v_x^2 + v_y^2 + v_z^2)/2",),
+    ("v_z - y v_x = 0",),
+    ("L = (v_x^2 + v_y^2 + v_z^2)/2", "v_z - exp(exp(exp(exp(exp(10))))) v_x = 0"),
+], ids=["L", "constraint", "too large"])  # fmt: skip
+def test_formulas_that_say_a_part(formulas):
+    """Then the growth vector is that of the functions."""
+    system = dal.System(
+        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], coordinates=["x", "y", "z"],
+        formulas=formulas,
+    )  # fmt: skip
+    assert system.check([0.3, 0.4, 0.5], [1, 1, 0.4]).growth == (2, 3)
+
+
+def test_latex():
+    system = rich()
+    text = system._repr_latex_()
+    assert text.startswith("$") and text.count(r"\begin{aligned}") == 1
+    for part in (r"L &=", r"\mu &=", r"L_{vv} \ddot q", r"\lambda &=", r"\dot{x}"):
+        assert part in text
+    assert dal.systems.particle()._repr_latex_() is None
+    (evil,) = dal.coordinates([r"\href{javascript:alert(1)}{x}"])
+    text = dal.System.from_sympy(evil.d**2)._repr_latex_()
+    assert "href{" not in text and ":" not in text
+
+
+def test_pickle_and_threads():
+    """Systems go to other processes as models; many threads make and run the same ones."""
+    system = rich()
+    again = pickle.loads(pickle.dumps(system))
+    q, v = [0.3, 0.4, 0.5], [1.0, 2.0, 3.0]
+    assert again.energy(q, v) == system.energy(q, v)
+    expected = dal.integrate(system, "midpoint", q, system.project(q, v), h=0.01, steps=50).y
+
+    def work(k):
+        own = rich() if k % 2 else pickle.loads(pickle.dumps(system))
+        return dal.integrate(own, "midpoint", q, own.project(q, v), h=0.01, steps=50).y
+
+    with ThreadPoolExecutor(8) as pool:
+        for y in pool.map(work, range(16)):
+            np.testing.assert_array_equal(y, expected)
+
+
+# ---- sympy.physics.mechanics -------------------------------------------------------------------
+
+
+def sleigh_method(frame=None, forces=None):
+    x, y, theta = dynamicsymbols("x y theta")
+    m, J, a = sympy.symbols("m J a")
+    t = dynamicsymbols._t
+    L = (m * (x.diff(t) ** 2 + y.diff(t) ** 2) + J * theta.diff(t) ** 2) / 2 - m * x
+    row = -sympy.sin(theta) * x.diff(t) + sympy.cos(theta) * y.diff(t) - a * theta.diff(t)
+    values = {m: 1.5, J: 0.8, a: 0.4}
+    method = mechanics.LagrangesMethod(
+        L, [x, y, theta], nonhol_coneqs=[row], frame=frame, forcelist=forces
+    )
+    return method, values
+
+
+def solve(field, state, t_end):
+    """Solve s' = field(s) to about 1e-10: by SciPy, or by the classical method of order 4."""
+    try:
+        from scipy.integrate import solve_ivp
+    except ImportError:
+        steps = 2000
+        h = t_end / steps  # h^4 = 1e-12
+        for _ in range(steps):
+            a = field(state)
+            b = field(state + h / 2 * a)
+            c = field(state + h / 2 * b)
+            d = field(state + h * c)
+            state = state + h / 6 * (a + 2 * b + 2 * c + d)
+        return state
+    found = solve_ivp(
+        lambda _, s: field(s), (0, t_end), state, rtol=1e-12, atol=1e-13, method="DOP853"
+    )
+    return found.y[:, -1]
+
+
+def test_lagranges_method_round_trip():
+    """The motion of SymPy's own rhs(), solved otherwise, and the documented sign of lambda."""
+    method, values = sleigh_method()
+    system = dal.System.from_lagranges_method(method, parameters=values)
+    assert system.coordinates == ("x", "y", "theta") and system.mass is not None
+    method.form_lagranges_equations()
+    assert dal.System.from_lagranges_method(method, values)._model.key == system._model.key
+    state = [*method.q, *method.q.diff(dynamicsymbols._t)]
+    plain = sympy.symbols("s:6")
+    rule = dict(zip(state, plain))
+    backwards = dict(reversed(rule.items()))  # derivatives before functions
+    rhs = sympy.lambdify([plain], list(method.rhs().subs(values).subs(backwards)))
+    q0 = np.array([0.1, -0.2, 0.3])
+    v0 = system.project(q0, np.array([0.4, 0.8, 1.0]))
+    end = solve(lambda s: np.array(rhs(s)[:6], dtype=float), np.array([*q0, *v0]), 2.0)
+    run = dal.integrate(system, "leapfrog-kl8", q0, v0, h=0.02, t_end=2)
+    np.testing.assert_allclose(run.y[:, -1], end, rtol=0, atol=1e-9)
+
+    ours = system.multipliers(q0, v0)
+    at = {**dict(zip(plain, [*q0, *v0])), **values}
+    solved = method.rhs().subs(backwards).subs(at)
+    np.testing.assert_allclose(float(solved[6]), ours[0], rtol=1e-12)
+    accelerations = dict(zip(method.q.diff(dynamicsymbols._t, 2), system.acceleration(q0, v0)))
+    equations = method.eom.subs(accelerations).subs(backwards).subs(at)
+    multiplier = method.lam_vec[0]
+    for equation in equations:  # they hold for -lambda
+        assert abs(float(equation.subs(multiplier, -ours[0]))) < 1e-12
+
+
+def test_forces_of_lagranges_method():
+    """A force on a point and a torque become the generalized force."""
+    N = mechanics.ReferenceFrame("N")
+    body = mechanics.ReferenceFrame("B")
+    x, y, theta = dynamicsymbols("x y theta")
+    body.orient_axis(N, theta, N.z)
+    centre = mechanics.Point("C")
+    centre.set_vel(N, x.diff() * N.x + y.diff() * N.y)
+    method, values = sleigh_method(N, [(centre, 3 * body.x), (body, -theta.diff() * N.z)])
+    system = dal.System.from_lagranges_method(method, values)
+    assert system.is_forced
+    q, v = [0.1, 0.2, 0.7], [1.0, 2.0, 3.0]
+    power = 3 * (np.cos(0.7) * 1.0 + np.sin(0.7) * 2.0) - 9.0
+    _, force = power_of(system, q, v)
+    assert force == pytest.approx(power, rel=16 * U)
+    with pytest.raises(ValueError, match="inertial frame"):
+        dal.System.from_lagranges_method(sleigh_method(None, [(centre, N.x)])[0], values)
+
+
+def power_of(system, q, v):
+    with system._mechanics.lend() as mechanics_of:
+        x = np.array([*q, *v])
+        found = np.zeros(2)
+        core.check(
+            core.lib.dal_power(
+                mechanics_of, 0.0, core.pointer(x), core.pointer(found),
+                core.pointer(found[1:]),
+            )
+        )  # fmt: skip
+    return found
+
+
+def test_mechanics_system():
+    """Bodies, a joint and a knife edge, with generalized speeds, against the same by hand."""
+    x, y, theta, u, w, omega = dynamicsymbols("x y theta u w omega")
+    m, J = sympy.symbols("m J")
+    frame = mechanics.ReferenceFrame("N")
+    origin = mechanics.Point("O")
+    origin.set_vel(frame, 0)
+    made = mechanics.System(frame, origin)
+    body = mechanics.ReferenceFrame("B")
+    body.orient_axis(frame, theta, frame.z)
+    body.set_ang_vel(frame, omega * frame.z)
+    centre = origin.locatenew("C", x * frame.x + y * frame.y)
+    centre.set_vel(frame, u * frame.x + w * frame.y)
+    inertia = (mechanics.inertia(body, 0, 0, J), centre)
+    sleigh = mechanics.RigidBody("S", centre, body, m, inertia)
+    sleigh.potential_energy = 2 * m * x
+    made.add_bodies(sleigh)
+    made.add_coordinates(x, y, theta)
+    made.add_speeds(u, w, omega)
+    made.add_kdes(u - x.diff(), w - y.diff(), omega - theta.diff())
+    made.add_loads(mechanics.Torque(body, -omega * frame.z))
+    made.add_nonholonomic_constraints(-sympy.sin(theta) * u + sympy.cos(theta) * w)
+    system = dal.System.from_mechanics_system(made, {m: 1.5, J: 0.8}, name="sleigh")
+    X, Y, T = dal.coordinates("x y theta")
+    twin = dal.System.from_sympy(
+        (1.5 * (X.d**2 + Y.d**2) + 0.8 * T.d**2) / 2 - 3 * X,
+        [-sympy.sin(T) * X.d + sympy.cos(T) * Y.d],
+        [X, Y, T],
+        force={T: -T.d},
+    )
+    q, v = [0.1, 0.2, 0.7], [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(system.acceleration(q, v), twin.acceleration(q, v), rtol=1e-13)
+    assert system.mass is not None and system.is_forced
+
+
+def test_mechanics_refused():
+    x, y, u = dynamicsymbols("x y u")
+    N = mechanics.ReferenceFrame("N")
+    holonomic = mechanics.LagrangesMethod(
+        x.diff() ** 2 / 2 + y.diff() ** 2 / 2, [x, y], hol_coneqs=[x**2 + y**2 - 1]
+    )
+    with pytest.raises(ValueError, match=r"holonomic constraint .*\*\*2.* = 0: there is no slot"):
+        dal.System.from_lagranges_method(holonomic)
+    t = dynamicsymbols._t
+    with pytest.raises(ValueError, match="the time t is left over"):
+        dal.System.from_lagranges_method(
+            mechanics.LagrangesMethod(x.diff() ** 2 / 2 - t * x, [x])
+        )
+    kane = mechanics.KanesMethod(N, [x], [u], kd_eqs=[u - x.diff()])
+    for make in (dal.System.from_lagranges_method, dal.System.from_mechanics_system):
+        with pytest.raises(ValueError, match="KanesMethod holds no Lagrangian.*from_sympy"):
+            make(kane)
+        with pytest.raises(ValueError, match="expected a sympy.physics.mechanics"):
+            make(5)
+    made = mechanics.System.from_newtonian(mechanics.RigidBody("W"))
+    made.add_coordinates(x)
+    made.add_holonomic_constraints(x**2 - 1)
+    with pytest.raises(ValueError, match="holonomic constraint"):
+        dal.System.from_mechanics_system(made)
+
+
+def test_reserved_names_of_c():
+    for name, expected in (("a-b", "a_b"), ("2d", "model_2d"), ("größe", "gr__e")):
+        assert codegen.c_identifier(None, name) == expected
+    assert re.fullmatch(r"\w+", codegen.c_identifier("own", "x"))

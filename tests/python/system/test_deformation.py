@@ -1,0 +1,400 @@
+"""Deformed constraints: against numbers of 36 digits, formulas in NumPy, and what the flow does."""
+
+import copy
+import gc
+import json
+import pickle
+import re
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+from conftest import U, Own, particle_derivative, particle_forms
+
+DATA = Path(__file__).parents[2] / "data"
+VECTORS = json.loads((DATA / "vectors.json").read_text(encoding="ascii"))["deformed"]
+
+# Solves with condition below 100 and sums of 4 terms of size 1 to 10: 1e-13 is about 1000 u.
+TOLERANCE = 1e-13
+
+
+class Mine(Exception):
+    """An exception that the package does not know."""
+
+
+def product(q, v):
+    return [v[0] * v[1]]
+
+
+def product_v(q, v):
+    return [[v[1], v[0], 0.0]]
+
+
+def product_q(q, v):
+    return [[0.0, 0.0, 0.0]]
+
+
+def with_product(system, delta, **changes):
+    return system.deformed(product, delta, **{"g_v": product_v, "g_q": product_q, **changes})
+
+
+class Bent:
+    """A deformation of the system in R^4, nonlinear in v, with its derivatives."""
+
+    delta = 0.3
+
+    def g(self, q, v):
+        return np.array(
+            [np.sin(q[0]) * v[1] ** 2 + v[0] * v[2] * q[3], v[3] ** 2 / 2 + q[1] * v[0]]
+        )
+
+    def g_v(self, q, v):
+        return np.array(
+            [
+                [v[2] * q[3], 2 * np.sin(q[0]) * v[1], v[0] * q[3], 0.0],
+                [q[1], 0.0, 0.0, v[3]],
+            ]
+        )
+
+    def g_q(self, q, v):
+        return np.array([[np.cos(q[0]) * v[1] ** 2, 0.0, 0.0, v[0] * v[2]], [0.0, v[0], 0.0, 0.0]])
+
+    def of(self, base, **changes):
+        derivatives = {"g_v": self.g_v, "g_q": self.g_q}
+        return base.deformed(self.g, self.delta, **{**derivatives, **changes})
+
+
+@pytest.fixture
+def bent():
+    return Bent()
+
+
+def several(own, system, count=5):
+    """Return states of D_delta."""
+    rng = np.random.default_rng(3)
+    q = own.q0 + 0.1 * rng.standard_normal((count, 4))
+    return q, system.project(q, own.v0() + 0.1 * rng.standard_normal((count, 4)))
+
+
+# ---- numbers and formulas ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("entry", VECTORS, ids=lambda entry: entry["delta"])
+def test_vectors(entry):
+    q, v, vdot = (np.array(entry[key], dtype=float) for key in ("q", "v", "vdot"))
+    over = entry["delta"].split("/")
+    delta = float(over[0]) / float(over[1])
+    system = with_product(dal.systems.particle(), delta)
+    # Sums of a few terms of size 1.
+    assert system.relative_residual(q, v) <= 4 * U
+    assert abs(system.gram(q, v)[0, 0] - float(entry["C_delta"])) <= 8 * U
+    assert abs(system.multipliers(q, v)[0] - float(entry["lambda_delta"])) <= 8 * U
+    np.testing.assert_allclose(system.acceleration(q, v), vdot, rtol=0, atol=8 * U)
+    np.testing.assert_array_equal(system.field(q, v), [*v, *system.acceleration(q, v)])
+    constraint, force = system.power(q, v)
+    assert abs(constraint - float(entry["lambda_delta"]) * delta * v[0] * v[1]) <= 8 * U
+    assert force == 0.0
+
+
+def test_formulas(own, bent):
+    """lambda_delta and vdot from the saddle point system of phi + delta g."""
+    system = bent.of(own.system())
+    q, v = several(own, system)
+    for p, w in zip(q, v):
+        phi_v = own.forms(p) + bent.delta * bent.g_v(p, w)
+        phi_q = own.forms_velocity_derivative(p, w) + bent.delta * bent.g_q(p, w)
+        saddle = np.block([[own.mass, -phi_v.T], [phi_v, np.zeros((2, 2))]])
+        x = np.linalg.solve(saddle, np.concatenate([-own.gradient(p), -phi_q @ w]))
+        close = {"rtol": TOLERANCE, "atol": TOLERANCE}
+        np.testing.assert_allclose(system.acceleration(p, w), x[:4], **close)
+        np.testing.assert_allclose(system.multipliers(p, w), x[4:], **close)
+        gram = phi_v @ np.linalg.solve(own.mass, phi_v.T)
+        np.testing.assert_allclose(system.gram(p, w), gram, **close)
+        residual = own.forms(p) @ w + bent.delta * bent.g(p, w)
+        np.testing.assert_allclose(system.residual(p, w), residual, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(system.power(p, w)[0], x[4:] @ phi_v @ w, **close)
+        assert abs(system.power(p, w)[0]) > 1e-4
+
+
+def test_the_energy_changes_by_the_power(own, bent):
+    system = bent.of(own.system())
+    q0, v0 = (x[0] for x in several(own, system, 1))
+    run = dal.integrate(system, "reference", q0, v0, h=0.01, steps=100)
+    power, _ = system.power(run.q, run.v)
+    # By differences of order 4, which err by h^4 E^(5) / 30.
+    slope = (8 * (run.energy[3:-1] - run.energy[1:-3]) - (run.energy[4:] - run.energy[:-4])) / 0.12
+    np.testing.assert_allclose(slope, power[2:-2], rtol=0, atol=1e-7)
+    assert abs(run.energy[-1] - run.energy[0]) > 1e-3
+    assert run.residual.max() < 16 * U
+
+
+def test_schemes_keep_it_and_have_their_order(own, bent):
+    system = bent.of(own.system())
+    q0, v0 = (x[0] for x in several(own, system, 1))
+    for scheme, order in (("explicit", 1), ("midpoint", 2)):
+        run = dal.integrate(system, scheme, q0, v0, h=0.02, steps=50)
+        assert run.residual.max() <= 4 * 4 * U
+        study = dal.convergence(system, scheme, q0, v0)
+        assert study.holds and abs(study.p - order) < 0.2, study.text
+
+
+def test_the_check_examines_the_derivatives(own, bent):
+    base = own.system()
+    q, v = (x[0] for x in several(own, bent.of(base), 1))
+    assert bent.of(base).check(q, v), bent.of(base).check(q, v).text
+    for name in ("g_v", "g_q"):
+        wrong = bent.of(base, **{name: lambda q, v, name=name: 1.1 * getattr(bent, name)(q, v)})
+        found = wrong.check(q, v)
+        assert not found and f"constraint_{name[-1]}" in found.text
+    without = bent.of(base, g_q=None)
+    assert without.check(q, v) and without.differenced == ("constraint_q",)
+    # By central differences: the header says 1e-12 of quantities of size 1 to 10.
+    np.testing.assert_allclose(
+        without.multipliers(q, v), bent.of(base).multipliers(q, v), rtol=0, atol=1e-10
+    )
+
+
+def test_linear_in_v_is_a_distribution(particle):
+    """A linear deformation is a linear system, with the fast step, whose reaction does no work."""
+
+    def tilt(q, v):
+        return [np.sin(q[0]) * v[1]]
+
+    tilted = particle.deformed(
+        tilt, 0.3,
+        g_v=lambda q, v: [[0.0, np.sin(q[0]), 0.0]],
+        g_q=lambda q, v: [[np.cos(q[0]) * v[1], 0.0, 0.0]],
+        kind="linear",
+    )  # fmt: skip
+    same = dal.System(
+        mass=[1, 1, 1],
+        forms=lambda q: [[-q[1], 0.3 * np.sin(q[0]), 1]],
+        forms_velocity_derivative=lambda q, v: [[0.3 * np.cos(q[0]) * v[1], -v[0], 0]],
+    )
+    assert tilted.kind == "linear"
+    q = particle.q0
+    v = tilted.project(q, particle.v0)
+    assert tilted.check(q, v) and abs(tilted.power(q, v)[0]) <= 16 * U
+    for scheme in ("leapfrog", "midpoint"):
+        runs = [dal.integrate(system, scheme, q, v, h=0.1, steps=30) for system in (tilted, same)]
+        np.testing.assert_allclose(runs[0].x, runs[1].x, rtol=0, atol=TOLERANCE)
+
+
+def test_what_is_taken_over(own, bent, particle):
+    system = with_product(particle, 0.1)
+    assert (system.n, system.m, system.kind) == (3, 1, "nonlinear")
+    assert system.coordinates == particle.coordinates
+    assert system.name == "particle_deformed"
+    np.testing.assert_array_equal(system.mass, particle.mass)
+    assert system.q0 is None and system.invariants == () and not system.has_exact
+    assert "nonlinear" in repr(system)
+    q, v = several(own, bent.of(own.system()), 1)
+    np.testing.assert_array_equal(bent.of(own.system()).energy(q, v), own.system().energy(q, v))
+    np.testing.assert_array_equal(
+        with_product(particle, 0.0).field(q[0, :3], v[0, :3]),
+        particle.field(q[0, :3], v[0, :3]),
+    )
+
+
+# ---- kept nodes ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["midpoint-nodes", "explicit-nodes"])
+def test_kept_nodes_stay_in_it(own, scheme):
+    h, record = 0.05, dal.Scheme.find(scheme)
+    base = own.system()
+    system = base.at_kept_nodes(record.shift(h))
+    run = dal.integrate(base, record, h=h, steps=100, initial="shift")
+    np.testing.assert_array_equal(
+        system.residual(run.q, run.v), base.residual(run.q, run.v, record.shift(h))
+    )
+    assert system.relative_residual(run.q, run.v).max() <= 4 * 4 * U
+    assert base.relative_residual(run.q, run.v).max() > 1e-3
+    found = system.check(run.q[-1], run.v[-1])
+    assert found and found.kind == "nonlinear", found.text
+
+
+def test_kept_nodes_of_the_particle(particle):
+    """There mu is affine in q, and D_eps is D deformed by -Dmu[v]v = v_x v_y (deformedCons)."""
+    shift = 0.05
+    kept, same = particle.at_kept_nodes(shift), with_product(particle, shift)
+    q = particle.q0
+    v = kept.project(q, particle.v0)
+    np.testing.assert_allclose(kept.field(q, v), same.field(q, v), rtol=0, atol=16 * U)
+    # Along the flow of heps the energy changes as the remark says: lambda delta v_x v_y.
+    work = kept.multipliers(q, v)[0] * shift * v[0] * v[1]
+    np.testing.assert_allclose(kept.power(q, v)[0], work, rtol=16 * U)
+
+
+# ---- as objects ----------------------------------------------------------------------------
+
+
+def test_the_base_lives_as_long():
+    own = Own()
+    q, v = own.q0, own.v0()
+    bent = Bent()
+    deformed = bent.of(own.system())
+    expected = bent.of(own.system()).field(q, v)
+    for once_more in (deformed, deformed.at_kept_nodes(0.1), deformed.deformed(
+        bent.g, 0.0, g_v=bent.g_v
+    )):  # fmt: skip
+        gc.collect()
+        junk = [own.system() for _ in range(20)]
+        assert np.isfinite(once_more.field(q, v)).all()
+        del junk
+    del deformed
+    gc.collect()
+    twice = once_more.field(q, v)
+    np.testing.assert_allclose(twice, expected, rtol=0, atol=1e-9)  # its g_q is differenced
+
+
+def test_the_handle_keeps_the_base():
+    """What C holds is the handle: with it the base lives, and with it it goes."""
+    for deform in (lambda base: with_product(base, 0.1), lambda base: base.at_kept_nodes(0.1)):
+        base = dal.System(
+            mass=[1, 1, 1], forms=particle_forms, forms_velocity_derivative=particle_derivative
+        )
+        alive, handle = weakref.ref(base), deform(base)._handle
+        del base
+        gc.collect()
+        assert alive() is not None
+        del handle
+        gc.collect()
+        assert alive() is None
+
+
+def test_pickle():
+    base = dal.System(
+        mass=[1, 1, 1], forms=particle_forms, forms_velocity_derivative=particle_derivative
+    )
+    q, v = [0.5, 0.3, -0.2], [1.0, 0.7, 0.265]
+    for system in (
+        with_product(dal.systems.particle(), 0.05),
+        with_product(base, 0.05),
+        base.at_kept_nodes(0.1),
+        with_product(dal.systems.particle().at_kept_nodes(0.1), 0.2),
+    ):
+        again = pickle.loads(pickle.dumps(system))
+        np.testing.assert_array_equal(again.field(q, v), system.field(q, v))
+        assert (again.name, again.kind) == (system.name, system.kind)
+        assert copy.deepcopy(system) is system
+
+
+def test_pickle_of_a_lambda_says_which(particle):
+    system = particle.deformed(product, 0.1, g_v=lambda q, v: product_v(q, v), g_q=product_q)
+    with pytest.raises(pickle.PicklingError, match="'particle_deformed'.*its g_v = <function"):
+        pickle.dumps(system)
+    local = dal.System(mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], name="local")
+    with pytest.raises(pickle.PicklingError, match="'local'.*forms"):
+        pickle.dumps(with_product(local, 0.1))
+
+
+# ---- what may go wrong ---------------------------------------------------------------------
+
+
+def use(system, own):
+    """Make the core ask for every output of every function."""
+    q, v = own.q0, own.v0()
+    system.field(q, v)
+    return system.check(q, v)
+
+
+@pytest.mark.parametrize("name", ["g", "g_v", "g_q"])
+def test_exceptions_come_back_as_themselves(own, bent, name):
+    error = Mine(name)
+
+    def failing(q, v):
+        raise error
+
+    functions = {"g": bent.g, "g_v": bent.g_v, "g_q": bent.g_q, name: failing}
+    with pytest.raises(Mine) as caught:
+        use(own.system().deformed(functions.pop("g"), 0.3, **functions), own)
+    assert caught.value is error
+
+
+@pytest.mark.parametrize("name", ["forms", "forms_velocity_derivative", "gradient"])
+def test_exceptions_of_the_base_come_back(own, bent, name):
+    error = Mine(name)
+
+    def failing(*arguments):
+        raise error
+
+    base = own.system(**{name: failing}, m=2)
+    for system in (bent.of(base), base.at_kept_nodes(0.1)):
+        with pytest.raises(Mine) as caught:
+            system.field(own.q0, own.v0())
+        assert caught.value is error
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("g", np.ones(3), r"g has to return shape \(2,\), it returned \(3,\)"),
+        ("g", 1.0, r"g has to return shape \(2,\), it returned \(\)"),
+        ("g_v", np.ones((4, 2)), r"g_v has to return shape \(2, 4\), it returned \(4, 2\)"),
+        ("g_q", None, r"g_q has to return real numbers of shape \(2, 4\)"),
+    ],
+)
+def test_wrong_shapes_name_the_function(own, bent, name, value, text):
+    functions = {"g": bent.g, "g_v": bent.g_v, "g_q": bent.g_q, name: lambda q, v: value}
+    with pytest.raises(ValueError, match=text):
+        use(own.system().deformed(functions.pop("g"), 0.3, **functions), own)
+
+
+def test_what_is_not_finite_is_a_domain_error(own, bent):
+    system = bent.of(own.system(), g_v=lambda q, v: np.full((2, 4), np.nan))
+    with pytest.raises(dal.DomainError, match="constraint_v"):
+        system.field(own.q0, own.v0())
+
+
+def test_arguments_are_read_only(own, bent):
+    def write(q, v):
+        v[0] = 0.0
+
+    with pytest.raises(ValueError, match="read-only"):
+        own.system().deformed(write, 0.3, g_v=bent.g_v).residual(own.q0, own.v0())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"g": None}, r"g\(q, v\) and g_v\(q, v\) -> dg/dv: expected both"),
+        ({"g_v": None}, r"g\(q, v\) and g_v\(q, v\)"),
+        ({"g": 5}, "g = 5: expected a function"),
+        ({"g_v": "x"}, "g_v = 'x': expected a function"),
+        ({"g_q": 5}, "g_q = 5: expected a function"),
+        ({"delta": np.nan}, "delta = nan: expected a finite number"),
+        ({"delta": "x"}, "delta = 'x'"),
+        ({"kind": "cubic"}, "kind = 'cubic': expected one of 'linear', 'affine', 'nonlinear'"),
+        ({"kind": 2}, "kind = 2"),
+    ],
+)
+def test_wrong_arguments_are_named(particle, arguments, text):
+    given = {"g": product, "delta": 0.1, "g_v": product_v, **arguments}
+    with pytest.raises(ValueError, match="^" + text):
+        particle.deformed(given.pop("g"), given.pop("delta"), **given)
+
+
+def test_refused(own, bent, particle):
+    system = bent.of(own.system())
+    with pytest.raises(ValueError, match="kind = 'linear'.*are nonlinear already"):
+        bent.of(system, kind="linear")
+    free = dal.System(mass=[1, 1])
+    with pytest.raises(ValueError, match="no constraints"):
+        free.deformed(product, 0.1, g_v=product_v)
+    with pytest.raises(ValueError, match="no constraints"):
+        free.at_kept_nodes(0.1)
+    for shift in (np.inf, None, [1.0]):
+        with pytest.raises(ValueError, match=re.escape(f"shift = {shift!r}")):
+            particle.at_kept_nodes(shift)
+    bare = own.system(forms_velocity_derivative=None)
+    with pytest.raises(ValueError, match="^forms_velocity_derivative: needed.*'own'"):
+        bare.at_kept_nodes(0.1)
+    bare = dal.System(
+        mass=[1, 1], constraint=lambda q, v: [v[0]], constraint_v=lambda q, v: [[1, 0]]
+    )
+    with pytest.raises(ValueError, match="^constraint_q: needed"):
+        bare.at_kept_nodes(0.1)
