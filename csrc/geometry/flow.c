@@ -129,6 +129,11 @@ void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
     flow->unwatched = PER_LOOK; /* asked at the next evaluation */
 }
 
+void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
+{
+    if (flow->watch.function != watch || flow->watch.ctx != ctx) dal_flow_watch(flow, watch, ctx);
+}
+
 const char *dal_flow_message(const dal_flow *flow) { return flow->error.text; }
 
 size_t dal_flow_chart_changes(const dal_flow *flow) { return flow->chart_changes; }

@@ -152,6 +152,8 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
  * multistep method. */
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst);
 void dal__flow_forget(dal_flow *flow);
+/* dal_flow_watch, for who asks before every step: the clock of the same watch goes on. */
+void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);
 double *dal__flow_inner(dal_flow *flow);
 
 /* What a flow is made of, and the record that dal_flow_message reads. */
