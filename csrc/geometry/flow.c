@@ -332,7 +332,7 @@ static bool is_multistep(const dal_flow *flow) { return flow->method == DAL_FLOW
 
 double *dal__flow_inner(dal_flow *flow) { return is_multistep(flow) ? NULL : &flow->steps.inner; }
 
-int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x)
+int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst)
 {
     const double t1 = t0 + ((double)k + 1.0) * h;
     int status = DAL_SUCCESS;
@@ -346,8 +346,11 @@ int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x)
     if (!status) status = reach(flow, (double)(k + 1 - flow->steps.first) * h, t1);
     if (status) return status;
     copy(flow, flow->result, flow->state);
+    double residual = 0.0;
     status = dal_project(&flow->mech, t1, 0.0, flow->result, NULL);
+    if (!status) status = dal_relative_residual(&flow->mech, t1, 0.0, flow->result, &residual);
     if (status) return pass_on(flow, &flow->mech.error, status);
+    *worst = fmax(*worst, residual);
     copy(flow, x, flow->result);
     flow->steps.inner = dal__ode_suggested(flow->integrator);
     flow->steps.going = true;

@@ -36,16 +36,11 @@ static void start(void *method, dal_motion *motion)
 static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 {
     const size_t m = dal_system_m(motion->system), evaluations = dal_flow_evaluations(method);
-    double worst, *const most = &motion->stats->worst_residual;
     int status = DAL_SUCCESS;
     dal_flow_watch(method, motion->watch, motion->watch_ctx);
-    for (*done = 0; !status && *done < steps; *done += !status) {
-        const size_t k = motion->steps + *done;
-        const double end = motion->t0 + (double)(k + 1) * motion->h;
-        status = dal__flow_step(method, motion->t0, motion->h, k, motion->x);
-        if (!status && !dal_relative_residual(motion->mechanics, end, 0.0, motion->x, &worst))
-            *most = fmax(*most, worst);
-    }
+    for (*done = 0; !status && *done < steps; *done += !status)
+        status = dal__flow_step(method, motion->t0, motion->h, motion->steps + *done, motion->x,
+                                &motion->stats->worst_residual);
     for (size_t a = 0; a < m; a++) motion->impulse[a] = (double)NAN;
     motion->stats->evaluations += dal_flow_evaluations(method) - evaluations;
     if (status) *motion->error = *dal__flow_error(method);
