@@ -146,10 +146,10 @@ int dal__chart_keeps(dal_chart *chart, double t, const double *x, double *condit
 int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project);
 
 /* Step k of a row of steps of size h from t0, of a flow in x: x[2n] at t0 + k h is taken to t0 +
- * (k+1) h, in D, whose residual raises *worst; on failure x is as it was.  A step begins anew, with inner steps of the size that
- * the step before ended with; but multistep methods go on.  dal__flow_forget: what comes next does
- * not follow on what was before.  The inner size, all that a step depends on beside x; NULL for a
- * multistep method. */
+ * (k+1) h, in D, whose residual raises *worst; on failure x is as it was.  A step begins anew, with
+ * inner steps of the size that the step before ended with; but multistep methods go on.
+ * dal__flow_forget: what comes next does not follow on what was before.  The inner size, all that a
+ * step depends on beside x; NULL for a multistep method. */
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst);
 void dal__flow_forget(dal_flow *flow);
 /* dal_flow_watch, for who asks before every step: the clock of the same watch goes on. */

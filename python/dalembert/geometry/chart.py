@@ -561,7 +561,9 @@ class Chart(core.Constant):
         with self._charts.lend() as chart:
             for k, each in enumerate(times.flat):
                 row = core.pointer(x, k)
-                status = core.attempt(lib.dal_chart_curve, chart, 0.0, first, second, float(each), row)
+                status = core.attempt(
+                    lib.dal_chart_curve, chart, 0.0, first, second, float(each), row
+                )
                 self._charts.check(status, chart, k)
         return self._halves(x, times.ndim == 0)
 
