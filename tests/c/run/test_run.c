@@ -303,7 +303,8 @@ static void test_mended(void)
             double state[N2], rows[2][(ROWS + 1) * N2], reactions[2][ROWS * M];
             generic4_state(state);
             const dal_system_def def = {
-                .n = 4, .m = 2, .mass = as ? NULL : generic4_mass, .lagrangian = as ? general : NULL,
+                .n = 4, .m = 2, .mass = as ? NULL : generic4_mass,
+                .lagrangian = as ? general : NULL,
                 .potential = as ? NULL : generic4_potential, .constraint = fragile, .ctx = &left,
                 .state = state};
             dal_system *system = NULL;
