@@ -23,7 +23,7 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
         for (size_t i = 0; i < N; i++) y[i] = motion->x[i] + h * before[i];
         if (!status) status = dal_field(motion->mechanics, t + h, y, after);
         for (size_t i = 0; i < N; i++) y[i] = motion->x[i] + h / 2 * (before[i] + after[i]);
-        if (!status) status = dal_project(motion->mechanics, 0.0, y, NULL);
+        if (!status) status = dal_project(motion->mechanics, t + h, 0.0, y, NULL);
         if (status) return status;
         memcpy(motion->x, y, N * sizeof *y);
     }

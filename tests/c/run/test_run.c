@@ -265,21 +265,21 @@ static void test_budgets(void)
 }
 
 /* generic4 whose constraint refuses, once, at one of its calls. */
-static int fragile(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                   void *ctx)
+static int fragile(double t, const double *q, const double *v, double *phi, double *phi_v,
+                   double *phi_q, double *phi_t, void *ctx)
 {
     size_t *const left = ctx;
     if (*left > 0 && --*left == 0) return -1;
-    return generic4_constraint(q, v, phi, phi_v, phi_q, NULL);
+    return generic4_constraint(t, q, v, phi, phi_v, phi_q, phi_t, NULL);
 }
 
 /* A general Lagrangian of the same system. */
-static int general(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                   double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int general(double t, const double *q, const double *v, double *L, double *L_q, double *L_v,
+                   double *L_qq, double *L_vq, double *L_vv, double *L_vt, void *ctx)
 {
     double V = 0.0, Mv[4];
     (void)ctx;
-    generic4_potential(q, &V, L_q, L_qq, NULL);
+    generic4_potential(t, q, &V, L_q, L_qq, NULL);
     dal__apply(4, 4, generic4_mass, v, Mv);
     if (L) *L = 0.5 * dal__dot(4, v, Mv) - V;
     for (size_t i = 0; L_q && i < 4; i++) L_q[i] = -L_q[i];
@@ -303,9 +303,9 @@ static void test_mended(void)
             double state[N2], rows[2][(ROWS + 1) * N2], reactions[2][ROWS * M];
             generic4_state(state);
             const dal_system_def def = {
-                .n = 4, .m = 2, .mass = as ? NULL : generic4_mass, .lagrangian = as ? general : NULL,
-                .potential = as ? NULL : generic4_potential, .constraint = fragile, .ctx = &left,
-                .state = state};
+                .n = 4, .m = 2, .mass = as ? NULL : generic4_mass,
+                .lagrangian = as ? general : NULL, .potential = as ? NULL : generic4_potential,
+                .constraint = fragile, .ctx = &left, .state = state};
             dal_system *system = NULL;
             need(dal_system_new(&system, &def, NULL), "fragile", "");
             for (size_t calls = 0; calls < 400; calls += 3) {

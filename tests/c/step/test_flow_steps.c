@@ -157,15 +157,15 @@ static void test_calls(void)
 }
 
 /* uneven_edge up to the wall at ctx. */
-static int walled(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                  void *ctx)
+static int walled(double t, const double *q, const double *v, double *phi, double *phi_v,
+                  double *phi_q, double *phi_t, void *ctx)
 {
     if (q[0] > *(const double *)ctx) return 1;
-    return uneven_constraint(q, v, phi, phi_v, phi_q, NULL);
+    return uneven_constraint(t, q, v, phi, phi_v, phi_q, phi_t, NULL);
 }
 
-/* A step that fails says so, and has changed nothing: where the cause is removed it is made as if it
- * had not failed. */
+/* A step that fails says so, and has changed nothing: where the cause is removed it is made as if
+ * it had not failed. */
 static void test_failure(void)
 {
     for (size_t j = 0; j < DAL_LENGTH(methods); j++) {
