@@ -274,11 +274,11 @@ static int fragile(double t, const double *q, const double *v, double *phi, doub
 }
 
 /* A general Lagrangian of the same system. */
-static int general(double t, const double *q, const double *v, double *L, double *L_q, double *L_v,
-                   double *L_qq, double *L_vq, double *L_vv, double *L_vt, void *ctx)
+static int general(double t, const double *q, const double *v, double *L, double *L_q,
+                   double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt, void *ctx)
 {
     double V = 0.0, Mv[4];
-    (void)ctx;
+    (void)ctx, (void)L_vt;
     generic4_potential(t, q, &V, L_q, L_qq, NULL);
     dal__apply(4, 4, generic4_mass, v, Mv);
     if (L) *L = 0.5 * dal__dot(4, v, Mv) - V;
@@ -343,8 +343,8 @@ static void test_mended(void)
 }
 
 /* v_x = 0 on a steep slope: the impulses of some steps overflow in their sum, and no state does. */
-static int still(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                 void *ctx)
+static int still(double t, const double *q, const double *v, double *phi, double *phi_v,
+                 double *phi_q, double *phi_t, void *ctx)
 {
     (void)q, (void)ctx;
     if (phi) phi[0] = v[0];
@@ -353,7 +353,7 @@ static int still(const double *q, const double *v, double *phi, double *phi_v, d
     return 0;
 }
 
-static int slope(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int slope(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const double *const steepness = ctx;
     if (V) *V = *steepness * q[0];
