@@ -948,6 +948,36 @@ static void test_guess(void)
     dal_system_free(system);
 }
 
+static int weight_until(double t, const double *q, const double *v, double *f, double *f_q,
+                        double *f_v, void *ctx)
+{
+    double g = 9.81;
+    return t <= *(const double *)ctx ? weight(t, q, v, f, f_q, f_v, &g) : 1;
+}
+
+/* A step that fails after its first sub-step takes no guess from it: it was undone. */
+static void test_guess_after_failure(void)
+{
+    enum { SUBSTEPS = 5 };
+    const double mass[1] = {2.0}, x[2] = {0.0, 0.3}, h = 0.1;
+    double end = HUGE_VAL;
+    const dal_system_def def = {.n = 1, .mass = mass, .force = weight_until, .ctx = &end};
+    const dal_scheme scheme = find_scheme("midpoint-suzuki4");
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "weight until", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_step(stepper, NULL) == 0);
+    end = 1.6 * h; /* in the second sub-step of the second step */
+    CHECK(dal_step(stepper, NULL) == DAL_EDOMAIN);
+    const size_t before = stats_of(stepper).iterations;
+    end = HUGE_VAL;
+    CHECK(dal_step(stepper, NULL) == 0);
+    CHECK(stats_of(stepper).iterations == before + SUBSTEPS + 1);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
 /* Where the forms turn with the velocity the multipliers of the step before help too. */
 static void test_guess_of_multipliers(void)
 {
@@ -1088,7 +1118,7 @@ static void test_far(const char *name, double far)
     dal_system_free(system);
 }
 
-static int pendulum(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int pendulum(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     (void)ctx;
     if (V) *V = -cos(q[0]);
@@ -1297,6 +1327,7 @@ int main(void)
         test_units("sleigh", most, 1e8);
     }
     test_guess();
+    test_guess_after_failure();
     test_guess_of_multipliers();
     test_rest();
     test_far("n_trailer", 1e4);

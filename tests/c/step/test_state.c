@@ -532,7 +532,7 @@ static void test_refusals(void)
 /* ---- after a failure ------------------------------------------------------------------------ */
 
 /* V = q^2/2, not a number while that is so. */
-static int spring(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const bool bad = *(const bool *)ctx;
     if (V) *V = 0.5 * q[0] * q[0];
