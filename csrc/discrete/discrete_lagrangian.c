@@ -106,15 +106,16 @@ int dal_discrete_state(dal_discrete *discrete, double h, const double *q0, const
     return DAL_SUCCESS;
 }
 
-int dal_discrete_nodes(dal_discrete *discrete, double h, const double *x, double *q0, double *q1)
+int dal_discrete_nodes(dal_discrete *discrete, double t, double h, const double *x, double *q0,
+                       double *q1)
 {
     if (!discrete) return DAL_EINVAL;
     dal_discrete *const d = discrete;
     if (!q0 || !q1) return dal__null_argument(&d->mech, q0 ? "q1" : "q0");
-    int status = dal__discrete_step_size(d, h);
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_step_size(d, h);
     if (!status) status = dal__require_finite(&d->mech, "x", 2 * d->n, x);
-    /* the metric, here of time 0, only measures the steps of Newton */
-    if (!status) status = dal__rho_invert(d, 0.0, h, x, d->q0, d->q1);
+    if (!status) status = dal__rho_invert(d, t, h, x, d->q0, d->q1);
     if (status) return status;
     memcpy(q0, d->q0, d->n * sizeof *q0);
     memcpy(q1, d->q1, d->n * sizeof *q1);

@@ -71,8 +71,8 @@ DAL_API int dal_discrete_state(dal_discrete *discrete, double h, const double *q
 /* q0[n], q1[n] <- the pair of nodes with rho'(q0, q1) = x[2n]: how a run on nodes starts from a
  * state, which gives a pair of D_d if x lies in D (E17).  rho^beta: q0 = q - beta h v, q1 = q +
  * (1-beta) h v; else by Newton.  Also DAL_ESINGULAR, DAL_ENOCONV. */
-DAL_API int dal_discrete_nodes(dal_discrete *discrete, double h, const double *x, double *q0,
-                               double *q1);
+DAL_API int dal_discrete_nodes(dal_discrete *discrete, double t, double h, const double *x,
+                               double *q0, double *q1);
 
 /* *L_d; D1[n] = dL_d/dq0; D2[n] = dL_d/dq1; D12[i*n+j] = d2L_d/dq0_i dq1_j.  For a map of the
  * user's own D12 is good to about 1e-10, because its second derivatives are differenced.  Outputs

@@ -118,7 +118,7 @@ typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
 
 /* A step routine that was compiled for one system: what compiled of its dal_system_def points
  * to. */
-#define DAL_COMPILED_ABI 2u
+#define DAL_COMPILED_ABI 3u
 typedef struct dal_compiled {
     unsigned abi;  /* DAL_COMPILED_ABI, */
     size_t size;   /* and sizeof(dal_kernel), as its compiler saw them */

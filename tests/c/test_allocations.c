@@ -441,7 +441,7 @@ static void test_discrete(void)
     memcpy(x, state, sizeof x);
     CHECK(dal_discrete_new(&discrete, generic4, &map, NULL, NULL) == 0);
     const size_t calls = process.calls;
-    CHECK(dal_discrete_nodes(discrete, 0.01, x, nodes, nodes + MOST / 2) == 0);
+    CHECK(dal_discrete_nodes(discrete, 0.0, 0.01, x, nodes, nodes + MOST / 2) == 0);
     CHECK(dal_discrete_run(discrete, 0.0, 0.01, 10, nodes, NULL, NULL) == 0);
     CHECK(dal_discrete_advance(discrete, 0.0, 0.01, x, lambda) == 0);
     CHECK(dal_discrete_advance(discrete, 0.0, NAN, x, lambda) == DAL_EINVAL);

@@ -1461,7 +1461,7 @@ ASKS(huge_disconnected, dal_chart_multipliers_back(a->chart, 0.0, a->x, a->kappa
 ASKS(huge_chart_step, dal_chart_step(a->chart, a->t, 0.5, a->h, a->x, a->out))
 ASKS(huge_curve, dal_chart_curve(a->chart, 0.0, a->x, a->y, 0.4, a->out))
 ASKS(huge_state, dal_discrete_state(a->discrete, a->h, a->x, a->y, a->out))
-ASKS(huge_nodes, dal_discrete_nodes(a->discrete, a->h, a->x, a->out, a->out + 8))
+ASKS(huge_nodes, dal_discrete_nodes(a->discrete, 0.0, a->h, a->x, a->out, a->out + 8))
 ASKS(huge_lagrangian,
      dal_discrete_lagrangian(a->discrete, 0.0, a->h, a->x, a->y, a->out, a->out + 1,
                                               a->out + 9, a->out + 17))

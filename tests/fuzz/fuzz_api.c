@@ -703,7 +703,7 @@ static int call_discrete(world *w)
     int sign;
     switch (which) {
     case 1: return CALL(dal_discrete_state, a, h, in(w, n), in(w, n), changed(w));
-    case 2: return CALL(dal_discrete_nodes, a, h, state(w), out(w, n), out(w, n));
+    case 2: return CALL(dal_discrete_nodes, a, t, h, state(w), out(w, n), out(w, n));
     case 3:
         return CALL(dal_discrete_lagrangian, a, t, h, in(w, n), in(w, n), out(w, 1), out(w, n),
                     out(w, n), out(w, n * n));

@@ -302,7 +302,7 @@ class Discrete(core.Constant):
         n = self.system.n
         x = np.concatenate(_pair(self.system, q=q, v=v))
         q0, q1 = np.empty((2, n))
-        self._call(lib.dal_discrete_nodes, x, q0, q1, h=h)
+        self._call(lib.dal_discrete_nodes, x, q0, q1, t=0.0, h=h)
         return q0, q1
 
     # ---- the discrete Lagrangian and constraint ----------------------------------------------

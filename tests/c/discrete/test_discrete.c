@@ -250,7 +250,7 @@ static void test_by_hand(void)
     double expected = 0.0, residual[4], momenta[6];
     CHECK(dal_discrete_message(d)[0] == '\0');
     GOOD(d, dal_discrete_state(d, h, q0, q1, x));
-    GOOD(d, dal_discrete_nodes(d, h, x, p, q));
+    GOOD(d, dal_discrete_nodes(d, 0.0, h, x, p, q));
     GOOD(d, dal_discrete_lagrangian(d, 0.0, h, q0, q1, &L, D1, D2, D12));
     GOOD(d, dal_discrete_momenta(d, 0.0, h, q0, q1, momenta, momenta + 3));
     for (size_t i = 0; i < 3; i++) {
@@ -358,7 +358,7 @@ static void test_inverse(const dal_system *system, dal_difference_map map)
         const double h = (const double[]){0.2, -0.2, 1e-3, 0.5}[k];
         double x[2 * N], y[2 * N], q0[N], q1[N];
         state_of(system, x);
-        GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+        GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q0, q1));
         GOOD(d, dal_discrete_state(d, h, q0, q1, y));
         const double size = sum_of_sizes(2 * n, x);
         CHECK_NEAR(largest_difference(2 * n, x, y), 0.0, 16 * U * size * (1 + 1 / fabs(h)));
@@ -387,7 +387,7 @@ static void test_step(const dal_system *system, dal_difference_map lagrangian,
         GOOD(d, dal_discrete_advance(d, t0, h, y, NULL));
         CHECK(d->mech.eval.lagrangian_calls <= 1 + 5 * 2);
     }
-    GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+    GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q0, q1));
     memcpy(nodes, q0, n * sizeof *q0);
     memcpy(nodes + n, q1, n * sizeof *q1);
     GOOD(d, dal_discrete_run(d, t0, h, STEPS, nodes, lambda, &done));
@@ -469,7 +469,7 @@ static void test_diagram(const dal_system *system, double beta, double h)
     state_of(system, x);
     need(dal_stepper_start(on_D, t0, h, x, DAL_ASSUME, DAL_INITIAL_NONE), "moved", "");
     need(dal_stepper_start(on_D_eps, t0, h, x, DAL_ASSUME, DAL_INITIAL_SHIFT), "kept", "");
-    GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+    GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q0, q1));
     memcpy(nodes, q0, n * sizeof *q0);
     memcpy(nodes + n, q1, n * sizeof *q1);
     GOOD(d, dal_discrete_run(d, t0, h, STEPS, nodes, NULL, NULL));
@@ -512,7 +512,7 @@ static void test_regularity(const dal_system *system, double beta, double h)
     const double t = 0.7;
     int sign = 9;
     state_of(system, x);
-    GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+    GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q0, q1));
     const double *const w = x + n;
     for (size_t i = 0; i < n; i++) q2[i] = q1[i] + h * w[i];
     GOOD(d, dal_discrete_regularity(d, t, h, q1, q2, matrix, &sign, &logarithm, &condition));
@@ -560,7 +560,7 @@ static void test_singular(void)
     const double h = 0.5, x[6] = {0.5, -1.0, 0.2, 1.0, 4.0, -1.0};
     double q0[3], q1[3], lambda = 7.0, y[6], logarithm = NAN, condition = NAN;
     int sign = 9;
-    GOOD(d, dal_discrete_nodes(d, h, x, q0, q1));
+    GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q0, q1));
     const double before[6] = {q0[0], q0[1], q0[2], q1[0], q1[1], q1[2]};
     CHECK(dal_discrete_step(d, 0.0, h, q0, q1, &lambda) == DAL_ESINGULAR && lambda == 7.0);
     CHECK(memcmp(q0, before, sizeof q0) == 0 && memcmp(q1, before + 3, sizeof q1) == 0);
@@ -706,7 +706,7 @@ static void test_symplectic(const dal_system *system, dal_difference_map map, do
     dal_discrete *const d = open_discrete(system, map, NULL);
     double x[2 * N], q[2 * N], J[2][4 * N * N], form[2][4 * N * N], value[2 * N];
     state_of(system, x);
-    GOOD(d, dal_discrete_nodes(d, h, x, q, q + n));
+    GOOD(d, dal_discrete_nodes(d, 0.0, h, x, q, q + n));
     for (int k = 0; k < 2; k++) {
         phase_point p = {d, h, k == 1};
         for (size_t j = 0; j < 2 * n; j++)
@@ -789,7 +789,7 @@ static void test_rotations(void)
     for (size_t b = 0; b < BETAS; b++) {
         dal_discrete *const d = open_discrete(system, rho_beta(betas[b]), NULL);
         double nodes[3 * (STEPS + 2)], first[3] = {NAN, NAN, NAN};
-        GOOD(d, dal_discrete_nodes(d, h, x, nodes, nodes + 3));
+        GOOD(d, dal_discrete_nodes(d, 0.0, h, x, nodes, nodes + 3));
         GOOD(d, dal_discrete_run(d, 0.0, h, STEPS, nodes, NULL, NULL));
         for (size_t k = 0; k <= STEPS; k++) {
             const double *const q0 = nodes + 3 * k, *const q1 = q0 + 3;
@@ -830,7 +830,7 @@ static void test_translations(void)
             const double h = 0.05;
             xi[cases[c].coordinate] = 1.0;
             state_of(system, x);
-            GOOD(d, dal_discrete_nodes(d, h, x, nodes, nodes + n));
+            GOOD(d, dal_discrete_nodes(d, 0.0, h, x, nodes, nodes + n));
             GOOD(d, dal_discrete_run(d, 0.0, h, STEPS, nodes, NULL, NULL));
             for (size_t k = 0; k <= STEPS; k++) {
                 const double *const q = nodes + k * n;
@@ -858,7 +858,7 @@ static void test_force_times(void)
         dal_discrete *const two = open_discrete(system, rho_beta(beta_L), &of_D);
         double x[6], q0[3], q1[3], p0[3], p1[3], s0[3], s1[3];
         state_of(system, x);
-        GOOD(two, dal_discrete_nodes(two, h, x, q0, q1));
+        GOOD(two, dal_discrete_nodes(two, 0.0, h, x, q0, q1));
         memcpy(p0, q0, sizeof p0);
         memcpy(p1, q1, sizeof p1);
         memcpy(s0, q0, sizeof s0);
@@ -1115,7 +1115,7 @@ static void test_errors(void)
     for (int k = 0; k < 3; k++) {
         const double h = (const double[]){0.0, NAN, INFINITY}[k];
         NAMED(dal_discrete_state(d, h, q0, q1, out), "h = ");
-        NAMED(dal_discrete_nodes(d, h, x, out, out + 3), "h = ");
+        NAMED(dal_discrete_nodes(d, 0.0, h, x, out, out + 3), "h = ");
         NAMED(dal_discrete_lagrangian(d, 0.0, h, q0, q1, out, NULL, NULL, NULL), "h = ");
         NAMED(dal_discrete_constraint(d, 0.0, h, q0, q1, out, NULL, NULL), "h = ");
         NAMED(dal_discrete_momenta(d, 0.0, h, q0, q1, out, NULL), "h = ");
@@ -1125,9 +1125,9 @@ static void test_errors(void)
     NAMED(dal_discrete_state(d, 0.1, NULL, q1, out), "q0 is NULL");
     NAMED(dal_discrete_state(d, 0.1, q0, NULL, out), "q1 is NULL");
     NAMED(dal_discrete_state(d, 0.1, q0, q1, NULL), "x is NULL");
-    NAMED(dal_discrete_nodes(d, 0.1, NULL, out, out), "x is NULL");
-    NAMED(dal_discrete_nodes(d, 0.1, x, NULL, out), "q0 is NULL");
-    NAMED(dal_discrete_nodes(d, 0.1, x, out, NULL), "q1 is NULL");
+    NAMED(dal_discrete_nodes(d, 0.0, 0.1, NULL, out, out), "x is NULL");
+    NAMED(dal_discrete_nodes(d, 0.0, 0.1, x, NULL, out), "q0 is NULL");
+    NAMED(dal_discrete_nodes(d, 0.0, 0.1, x, out, NULL), "q1 is NULL");
     NAMED(dal_discrete_momenta(d, NAN, 0.1, q0, q1, out, NULL), "t[0] = nan");
     NAMED(dal_discrete_momentum(d, 0.0, 0.1, q0, q1, NULL, q1, out, NULL), "xi0 is NULL");
     NAMED(dal_discrete_momentum(d, 0.0, 0.1, q0, q1, q0, NULL, out, NULL), "xi1 is NULL");
@@ -1154,7 +1154,7 @@ static void test_errors(void)
 #undef NAMED
     for (size_t i = 0; i < 64; i++) CHECK(out[i] == 7.0);
     CHECK(dal_discrete_state(NULL, 0.1, q0, q1, x) == DAL_EINVAL);
-    CHECK(dal_discrete_nodes(NULL, 0.1, x, q0, q1) == DAL_EINVAL);
+    CHECK(dal_discrete_nodes(NULL, 0.0, 0.1, x, q0, q1) == DAL_EINVAL);
     CHECK(dal_discrete_lagrangian(NULL, 0.0, 0.1, q0, q1, NULL, NULL, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_discrete_constraint(NULL, 0.0, 0.1, q0, q1, NULL, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_discrete_momenta(NULL, 0.0, 0.1, q0, q1, NULL, NULL) == DAL_EINVAL);
@@ -1183,7 +1183,7 @@ static void test_errors(void)
     /* How far off a run may start: the velocity is (1, 0.7, y), and lies in D with y = 0.3. */
     for (int k = 0; k < 2; k++) {
         const double off = k == 0 ? 1e-7 : 1e-10, start[6] = {0.5, 0.3, -0.2, 1, 0.7, 0.3 + off};
-        CHECK(dal_discrete_nodes(d, 0.1, start, nodes, nodes + 3) == DAL_SUCCESS);
+        CHECK(dal_discrete_nodes(d, 0.0, 0.1, start, nodes, nodes + 3) == DAL_SUCCESS);
         CHECK(dal_discrete_run(d, 0.0, 0.1, 2, nodes, NULL, &done) == (k == 0 ? DAL_EOFFD : 0));
     }
     /* an overflow is found */
@@ -1209,13 +1209,14 @@ static void test_errors(void)
     const dal_difference_map flat = {.map = flat_map};
     double left[3] = {7, 7, 7}, right[3] = {7, 7, 7};
     d = open_discrete(system, flat, NULL);
-    CHECK(dal_discrete_nodes(d, 0.1, (double[]){0, 0, 0, 1, 1, 1}, left, right) == DAL_ESINGULAR);
+    CHECK(dal_discrete_nodes(d, 0.0, 0.1, (double[]){0, 0, 0, 1, 1, 1}, left, right)
+          == DAL_ESINGULAR);
     CHECK(strstr(dal_discrete_message(d), "has no inverse") != NULL);
     dal_discrete_free(d);
     size_t three = 3;
     const dal_difference_map mixed = {.map = mixed_map, .ctx = &three};
     d = open_discrete(system, mixed, NULL); /* d + d^2/9 >= -9/4 */
-    CHECK(dal_discrete_nodes(d, 1.0, (double[]){0, 0, 0, -3, -3, -3}, left, right) < 0);
+    CHECK(dal_discrete_nodes(d, 0.0, 1.0, (double[]){0, 0, 0, -3, -3, -3}, left, right) < 0);
     CHECK(left[0] == 7.0 && right[0] == 7.0);
     dal_discrete_free(d);
 

@@ -472,10 +472,10 @@ static void test_refusals_of_callbacks(void)
 }
 
 /* Never called. */
-static int no_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                         double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int no_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                         double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                         void *ctx)
 {
-    (void)q, (void)v, (void)L, (void)L_q, (void)L_v, (void)L_qq, (void)L_vq, (void)L_vv, (void)ctx;
     return -1;
 }
 
@@ -521,7 +521,7 @@ static void test_bad_definitions(void)
     def.compiled = &larger;
     refused(&def, "compile it with the kernel.h of this library");
     def.compiled = &older;
-    refused(&def, "its number 1");
+    refused(&def, "its number 2");
     def = good;
     def.steady = 0;
     def.force = no_force;
