@@ -22,8 +22,6 @@ from .. import core
 from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
 from . import mechanics
 
-__all__ = ["Chart", "cutoff"]
-
 _log = logging.getLogger(__name__)
 
 
