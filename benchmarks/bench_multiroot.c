@@ -33,7 +33,7 @@ static int lean_both(const gsl_vector *unknown, void *ctx, gsl_vector *f, gsl_ma
     const double *const w = unknown->data, *const kappa = w + n, half = 0.5 * step_size;
     double q[MAX_N] = {0}, mu[MAX_M * MAX_N], N[MAX_M * MAX_N];
     for (size_t i = 0; i < n; i++) q[i] = s->q[i] + half * w[i];
-    s->def->constraint(q, w, NULL, mu, J ? N : NULL, NULL);
+    s->def->constraint(0.0, q, w, NULL, mu, J ? N : NULL, NULL, NULL);
     for (size_t i = 0; f && i < n; i++) {
         double sum = s->def->mass[i * n + i] * (w[i] - s->v[i]);
         for (size_t a = 0; a < m; a++) sum -= s->mu_node[a * n + i] * kappa[a];
@@ -86,7 +86,7 @@ static void lean_step(lean *s)
         s->q[i] += half * s->v[i];
         scale += fabs(s->v[i]);
     }
-    s->def->constraint(s->q, s->v, NULL, s->mu_node, NULL, NULL);
+    s->def->constraint(0.0, s->q, s->v, NULL, s->mu_node, NULL, NULL, NULL);
     for (size_t i = 0; i < size; i++) {
         guess[i] = 2.0 * s->last[i] - s->before[i];
         s->before[i] = s->last[i];

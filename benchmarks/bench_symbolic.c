@@ -37,7 +37,8 @@ static double time_constraint(const dal_system_def *def)
     memcpy(x, def->state, 2 * def->n * sizeof *x);
     const double start = bench_now();
     for (int k = 0; k < CALLS; k++) {
-        bench_require(def->constraint(x, x + def->n, NULL, mu, N, def->ctx), "constraint");
+        bench_require(def->constraint(0.0, x, x + def->n, NULL, mu, N, NULL, def->ctx),
+                      "constraint");
         for (size_t i = 0; i < def->n; i++) x[i] += 1e-6 * (mu[i] + N[i]);
     }
     return (bench_now() - start) / CALLS;

@@ -5,10 +5,9 @@
 #include <math.h>
 
 /* v_z = y v_x */
-static int particle(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                    void *ctx)
+static int particle(double t, const double *q, const double *v, double *phi, double *phi_v,
+                    double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) phi[0] = v[2] - q[1] * v[0];
     if (phi_v) {
         phi_v[0] = -q[1];
@@ -27,10 +26,9 @@ static int particle(const double *q, const double *v, double *phi, double *phi_v
  * slip sideways */
 static const double sleigh_a = 0.8;
 
-static int sleigh(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                  void *ctx)
+static int sleigh(double t, const double *q, const double *v, double *phi, double *phi_v,
+                  double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     const double s = sin(q[2]), c = cos(q[2]);
     if (phi) phi[0] = -s * v[0] + c * v[1] - sleigh_a * v[2];
     if (phi_v) {
@@ -48,10 +46,9 @@ static int sleigh(const double *q, const double *v, double *phi, double *phi_v, 
 /* v_x = R cos(phi) v_theta, v_y = R sin(phi) v_theta: rolling without slipping */
 static const double disk_R = 0.5;
 
-static int disk(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                void *ctx)
+static int disk(double t, const double *q, const double *v, double *phi, double *phi_v,
+                double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     const double s = disk_R * sin(q[3]), c = disk_R * cos(q[3]);
     if (phi) {
         phi[0] = v[0] - c * v[2];

@@ -30,7 +30,7 @@ typedef struct cart {
     double m, J, I, R, b, g;
 } cart;
 
-static int potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int potential(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const cart *const c = ctx;
     if (V) *V = -c->m * c->g * q[0];
@@ -43,8 +43,8 @@ static int potential(const double *q, double *V, double *V_q, double *V_qq, void
     return 0;
 }
 
-static int constraint(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                      void *ctx)
+static int constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                      double *phi_q, double *phi_t, void *ctx)
 {
     const cart *const c = ctx;
     const double sine = sin(q[2]), cosine = cos(q[2]);
@@ -66,7 +66,7 @@ static int constraint(const double *q, const double *v, double *phi, double *phi
     return 0;
 }
 
-static int invariant(const double *x, double *values, void *ctx)
+static int invariant(double t, const double *x, double *values, void *ctx)
 {
     const cart *const c = ctx;
     values[0] = x[N + 2];
@@ -103,7 +103,7 @@ int main(void)
     dal_stepper *stepper;
     dal_check check;
     dal_error error;
-    if (dal_system_new(&system, &def, &error) || dal_system_check(system, x0, &check, &error)
+    if (dal_system_new(&system, &def, &error) || dal_system_check(system, 0.0, x0, &check, &error)
         || dal_mechanics_new(&mechanics, system, &error)
         || dal_scheme_find(&scheme, "leapfrog", &error)
         || dal_stepper_new(&stepper, system, &scheme, NULL, &error)) {
@@ -123,7 +123,7 @@ int main(void)
     double lowest = 0.0, worst = 0.0;
     for (int k = 0; k <= STEPS; k++) {
         double values[2];
-        if (dal_system_invariant(system, x[k], values)) return 1;
+        if (dal_system_invariant(system, 0.0, x[k], values)) return 1;
         v_phi[k] = values[0];
         slip[k] = values[1];
         lowest = fmax(lowest, x[k][0]);

@@ -82,39 +82,43 @@ typedef int (*dal_watch_fn)(double far, void *ctx);
 
 /* ---- system ---------------------------------------------------------------------------- */
 
-/* Callbacks.  Inputs are read only.  An output that is NULL is not wanted.  Return 0; or > 0 if
- * (q, v) is outside the domain of the functions (the step that asked is refused, DAL_EDOMAIN); or
- * < 0 to stop (DAL_EUSER).  ctx is the pointer of the definition and is never read here. */
+/* Callbacks.  Inputs are read only: the time t, q[n], v[n].  An output that is NULL is not wanted.
+ * Return 0; or > 0 if (t, q, v) is outside the domain of the functions (the step that asked is
+ * refused, DAL_EDOMAIN); or < 0 to stop (DAL_EUSER).  ctx is the pointer of the definition and is
+ * never read here.  The formulas of this library are written without t where it only stands for
+ * the moment at which all that is in them is evaluated. */
 
-/* V; V_q[n] = dV/dq_i; V_qq[n*n] = d2V/dq_i dq_j.  q[n].  The Lagrangian is v^T M v / 2 - V. */
-typedef int (*dal_potential_fn)(const double *q, double *V, double *V_q, double *V_qq, void *ctx);
+/* V; V_q[n] = dV/dq_i; V_qq[n*n] = d2V/dq_i dq_j.  The Lagrangian is v^T M v / 2 - V. */
+typedef int (*dal_potential_fn)(double t, const double *q, double *V, double *V_q, double *V_qq,
+                                void *ctx);
 
-/* phi[m], the constraint phi(q, v) = 0, which is mu(q) v for linear constraints; phi_v[m*n] =
- * dphi_a/dv_i, which is mu(q) for them; phi_q[m*n] = dphi_a/dq_j, which is N(q, v) = d(mu v)/dq for
- * them.  q[n], v[n]. */
-typedef int (*dal_constraint_fn)(const double *q, const double *v, double *phi, double *phi_v,
-                                 double *phi_q, void *ctx);
+/* phi[m], the constraint phi(t, q, v) = 0, which is mu(t, q) v for linear constraints; phi_v[m*n] =
+ * dphi_a/dv_i, which is mu for them; phi_q[m*n] = dphi_a/dq_j, which is N(q, v) = d(mu v)/dq for
+ * them; phi_t[m] = dphi_a/dt, which is d(mu v)/dt for them. */
+typedef int (*dal_constraint_fn)(double t, const double *q, const double *v, double *phi,
+                                 double *phi_v, double *phi_q, double *phi_t, void *ctx);
 
 /* A general normal Lagrangian, L_vv positive definite: L; L_q[n]; L_v[n]; L_qq[n*n]; L_vq[i*n+j] =
- * d2L/dv_i dq_j; L_vv[n*n].  q[n], v[n]. */
-typedef int (*dal_lagrangian_fn)(const double *q, const double *v, double *L, double *L_q,
-                                 double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx);
+ * d2L/dv_i dq_j; L_vv[n*n]; L_vt[n] = d2L/dv_i dt. */
+typedef int (*dal_lagrangian_fn)(double t, const double *q, const double *v, double *L, double *L_q,
+                                 double *L_v, double *L_qq, double *L_vq, double *L_vv,
+                                 double *L_vt, void *ctx);
 
-/* A generalized force, d/dt L_v - L_q = f + mu^T lambda: f[n] at time t; f_q[i*n+j] = df_i/dq_j;
- * f_v[i*n+j] = df_i/dv_j.  q[n], v[n]. */
+/* A generalized force, d/dt L_v - L_q = f + mu^T lambda: f[n]; f_q[i*n+j] = df_i/dq_j; f_v[i*n+j] =
+ * df_i/dv_j. */
 typedef int (*dal_force_fn)(double t, const double *q, const double *v, double *f, double *f_q,
                             double *f_v, void *ctx);
 
 /* x[2n] <- the exact state at time t of the solution that starts in x0[2n] at time 0. */
 typedef int (*dal_exact_fn)(double t, const double *x0, double *x, void *ctx);
 
-/* values[invariants] <- the first integrals at x[2n], energy not among them. */
-typedef int (*dal_invariant_fn)(const double *x, double *values, void *ctx);
+/* values[invariants] <- the first integrals at x[2n] and time t, energy not among them. */
+typedef int (*dal_invariant_fn)(double t, const double *x, double *values, void *ctx);
 
 typedef enum dal_constraint_kind {
-    DAL_LINEAR = 0,    /* phi = mu(q) v; the residual is phi_v v, only the check asks for phi */
-    DAL_AFFINE = 1,    /* phi = mu(q) v + a(q), beyond the paper as the next */
-    DAL_NONLINEAR = 2  /* any phi(q, v) with phi_v of full rank, and with the reaction phi_v^T
+    DAL_LINEAR = 0,    /* phi = mu(t, q) v; the residual is phi_v v, only the check asks for phi */
+    DAL_AFFINE = 1,    /* phi = mu(t, q) v + a(t, q), beyond the paper as the next */
+    DAL_NONLINEAR = 2  /* any phi(t, q, v) with phi_v of full rank, and with the reaction phi_v^T
                           lambda (Chetaev), beyond the paper; a phi that is quadratic in v has no
                           D at rest, where phi_v vanishes */
 } dal_constraint_kind;
@@ -130,7 +134,9 @@ typedef enum dal_missing {
     DAL_MISSING_L_VQ = 16, /* lambda(q, v) and the reference flow are then good to about 1e-12 */
     DAL_MISSING_L_VV = 32, /* the same, and the metric of projections */
     DAL_MISSING_F_Q = 64,  /* costs Newton's speed only */
-    DAL_MISSING_F_V = 128  /* costs Newton's speed only */
+    DAL_MISSING_F_V = 128, /* costs Newton's speed only */
+    DAL_MISSING_PHI_T = 256, /* as phi_q, and for functions that vary over 1 or more in t; so the */
+    DAL_MISSING_L_VT = 512   /* next */
 } dal_missing;
 
 struct dal_compiled; /* dalembert/kernel.h */
@@ -174,8 +180,10 @@ typedef struct dal_system_def {
     const struct dal_compiled *compiled; /* the step routine compiled for this system, or NULL; only
                                        for constant mass, linear constraints, no force, nothing
                                        missing.  It makes the steps of moved nodes */
-    int steady;                     /* a dal_steady or 0; only for constant mass and linear
-                                       constraints */
+    int steady;                     /* a dal_steady or 0; only for constant mass, linear
+                                       constraints, and not time_dependent */
+    int time_dependent;             /* 1: a callback besides the force depends on t; phi_t and L_vt
+                                       are then asked for, and 0 otherwise */
 } dal_system_def;
 
 typedef struct dal_system dal_system;
@@ -196,23 +204,24 @@ DAL_API void dal_system_free(dal_system *system);
 DAL_API int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
                                const double *values, size_t count, dal_error *error);
 
-/* g[m] of the deformation phi + delta g; g_v[m*n], g_q[m*n] its derivatives.  q[n], v[n]. */
-typedef int (*dal_deformation_fn)(const double *q, const double *v, double *g, double *g_v,
-                                  double *g_q, void *ctx);
+/* g[m] of the deformation phi + delta g; g_v[m*n], g_q[m*n], g_t[m] its derivatives. */
+typedef int (*dal_deformation_fn)(double t, const double *q, const double *v, double *g,
+                                  double *g_v, double *g_q, double *g_t, void *ctx);
 
 /* *system <- base with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE): a system
  * as any other, of the given kind (of phi + delta g as a function of v), with C_delta,
  * lambda_delta and h_delta (Ceps, heps) from dal_gram, dal_multipliers and dal_field.  missing:
- * DAL_MISSING_PHI_Q if g_q is not provided, else 0.  base and ctx must outlive it; exact solution,
- * invariants, initial data, description, source and formulas are not taken over.
+ * DAL_MISSING_PHI_Q if g_q is not provided, DAL_MISSING_PHI_T if g_t is not.  g may depend on t,
+ * and g_t is asked for, only where base is time_dependent.  base and ctx must outlive it; exact
+ * solution, invariants, initial data, description, source and formulas are not taken over.
  * DAL_EINVAL (NULL, delta not finite, kind, missing), DAL_ENOMEM, DAL_EUNSUPPORTED (m n > 4000). */
 DAL_API int dal_system_deform(dal_system **system, const dal_system *base, dal_deformation_fn g,
                               void *ctx, double delta, dal_constraint_kind kind, unsigned missing,
                               dal_error *error);
 
-/* *system <- base with the constraints phi(q - shift v, v) = 0, nonlinear: for shift = (1 - beta) h
- * its D is the D_eps that the beta-scheme with kept nodes preserves (deformedCons, originalnodes).
- * base must outlive it and provide phi_q.  Errors as of dal_system_deform. */
+/* *system <- base with the constraints phi(t, q - shift v, v) = 0, nonlinear: for shift = (1 -
+ * beta) h its D is the D_eps that the beta-scheme with kept nodes preserves (deformedCons,
+ * originalnodes). base must outlive it and provide phi_q.  Errors as of dal_system_deform. */
 DAL_API int dal_system_deform_nodes(dal_system **system, const dal_system *base, double shift,
                                     dal_error *error);
 
@@ -234,6 +243,7 @@ DAL_API const char *dal_system_coordinate(const dal_system *system, size_t i); /
 DAL_API const double *dal_system_mass(const dal_system *system); /* [n*n]; NULL: not constant */
 DAL_API dal_constraint_kind dal_system_kind(const dal_system *system);
 DAL_API int dal_system_is_forced(const dal_system *system); /* 1: there is a generalized force */
+DAL_API int dal_system_is_time_dependent(const dal_system *system); /* as of the definition */
 
 /* Parameters of a built-in system; a system of the user's own has none. */
 DAL_API size_t dal_system_parameters(const dal_system *system);
@@ -243,16 +253,17 @@ DAL_API double dal_system_parameter(const dal_system *system, size_t i);        
 /* x[2n] <- the default initial data.  DAL_EUNSUPPORTED if there are none. */
 DAL_API int dal_system_state(const dal_system *system, double *x);
 
-/* x[2n] <- the exact state a time t after x0[2n], which must lie in D; where there is a force, of
- * the solution that starts at time 0.
+/* x[2n] <- the exact state a time t after x0[2n], which must lie in D; where there is a force, or
+ * the system depends on time, of the solution that starts at time 0.
  * DAL_EUNSUPPORTED if the system carries no exact solution; DAL_EUSER, DAL_EDOMAIN, DAL_ENOMEM. */
 DAL_API int dal_system_exact(const dal_system *system, double t, const double *x0, double *x);
 
-/* First integrals besides the energy: how many, their names, values[count] at x[2n].
+/* First integrals besides the energy: how many, their names, values[count] at x[2n] and time t.
  * DAL_EUNSUPPORTED if there are none; DAL_EUSER, DAL_EDOMAIN, DAL_ENOMEM. */
 DAL_API size_t dal_system_invariants(const dal_system *system);
 DAL_API const char *dal_system_invariant_name(const dal_system *system, size_t i); /* or NULL */
-DAL_API int dal_system_invariant(const dal_system *system, const double *x, double *values);
+DAL_API int dal_system_invariant(const dal_system *system, double t, const double *x,
+                                 double *values);
 
 /* ---- schemes --------------------------------------------------------------------------- */
 
@@ -273,7 +284,8 @@ typedef struct dal_substep {
 /* What a run shows of a pair of nodes (q_{k-1}, q_k) (ros). */
 typedef enum dal_nodes {
     DAL_MOVED_NODES = 0, /* states at q~_k = (1-beta) q_{k-1} + beta q_k: keeps D */
-    DAL_KEPT_NODES = 1   /* states at the nodes q_k: keeps D_eps = {phi(q - (1-beta) h v, v) = 0} */
+    DAL_KEPT_NODES = 1   /* states at the nodes q_k: keeps D_eps = {phi(q - (1-beta) h v, v) = 0}
+                            at the time of q~_k */
 } dal_nodes;
 
 struct dal_family; /* dalembert/family.h */
@@ -369,8 +381,9 @@ typedef struct dal_stats {
     size_t jump_step;           /* the step after which the energy was first seen to have changed,
                                    by jump, by more than half of the largest kinetic energy: h is
                                    too large.  0: it was not.  Looked at in every 64th step and at
-                                   the end of dal_integrate, where there is no force, the
-                                   constraints are linear, and the scheme is not of order 1 */
+                                   the end of dal_integrate, where there is no force, nothing
+                                   depends on time, the constraints are linear, and the scheme is
+                                   not of order 1 */
     double jump, largest_kinetic;
 } dal_stats;
 

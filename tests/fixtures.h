@@ -25,9 +25,9 @@ static inline void need(int status, const char *what, const char *text)
  * M = diag(2, 2, 3/4), V = -5 x + sin(theta)/10, mu = (sin theta, -cos theta, 0).  Its heading
  * grows without end and its speed passes through 0 again and again. */
 
-static inline int uneven_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static inline int uneven_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                                   void *ctx)
 {
-    (void)ctx;
     if (V) *V = -5.0 * q[0] + sin(q[2]) / 10;
     if (V_q) {
         V_q[0] = -5.0;
@@ -41,8 +41,8 @@ static inline int uneven_potential(const double *q, double *V, double *V_q, doub
     return 0;
 }
 
-static inline int uneven_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                    double *phi_q, void *ctx)
+static inline int uneven_constraint(double t, const double *q, const double *v, double *phi,
+                                    double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double s = sin(q[2]), c = cos(q[2]);
     (void)ctx;
@@ -154,7 +154,8 @@ static inline void inverse_diagonal(const dal_system *system, const double *x, d
     if (system->mass) {
         memcpy(M, system->mass, n * n * sizeof *M);
     } else {
-        if (dal_mechanics_new(&mechanics, system, NULL) || dal_metric(mechanics, x, M)) exit(2);
+        if (dal_mechanics_new(&mechanics, system, NULL) || dal_metric(mechanics, 0.0, x, M))
+            exit(2);
         dal_mechanics_free(mechanics);
     }
     for (size_t i = 0; i < n; i++) {
@@ -183,7 +184,8 @@ static inline double residual_of(const dal_system *system, double shift, const d
         y[i] = x[i] - shift * x[n + i];
         y[n + i] = x[n + i];
     }
-    if (m > 0 && system->def.constraint(y, y + n, linear ? NULL : phi, mu, NULL, system->def.ctx))
+    if (m > 0 && system->def.constraint(0.0, y, y + n, linear ? NULL : phi, mu, NULL, NULL,
+                                        system->def.ctx))
         exit(2);
     if (m > 0) inverse_diagonal(system, y, square);
     for (size_t i = 0; m > 0 && i < n; i++) speed = fmax(speed, fabs(y[n + i]) / sqrt(square[i]));
@@ -213,7 +215,8 @@ typedef struct wide {
     double mass[WIDE_N * WIDE_N], state[2 * WIDE_N];
 } wide;
 
-static inline int wide_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static inline int wide_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                                 void *ctx)
 {
     const size_t n = ((const wide *)ctx)->n;
     if (V) *V = 0.0;
@@ -232,8 +235,8 @@ static inline int wide_potential(const double *q, double *V, double *V_q, double
     return 0;
 }
 
-static inline int wide_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                  double *phi_q, void *ctx)
+static inline int wide_constraint(double t, const double *q, const double *v, double *phi,
+                                  double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const size_t n = ((const wide *)ctx)->n, m = ((const wide *)ctx)->m;
     if (phi) memset(phi, 0, m * sizeof *phi);
@@ -268,7 +271,8 @@ static inline dal_system *open_wide(wide *w, size_t n, size_t m, bool full_mass,
     need(dal_system_new(&system, &def, &error), "wide", error.text);
     for (size_t i = 0; i < 2 * n; i++) w->state[i] = next_number(&seed);
     dal_mechanics *const mechanics = open_mechanics(system);
-    need(dal_project(mechanics, 0.0, w->state, NULL), "wide", dal_mechanics_message(mechanics));
+    need(dal_project(mechanics, 0.0, 0.0, w->state, NULL), "wide",
+         dal_mechanics_message(mechanics));
     dal_mechanics_free(mechanics);
     return system;
 }
@@ -288,14 +292,14 @@ static inline void mixing(size_t m, const double *q, double *B, size_t j, double
 }
 
 /* ctx is the dal_system whose forms are mixed. */
-static inline int mixed_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                   double *phi_q, void *ctx)
+static inline int mixed_constraint(double t, const double *q, const double *v, double *phi,
+                                   double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     enum { MOST = 8 };
     const dal_system_def *def = &((const dal_system *)ctx)->def;
     const size_t n = def->n, m = def->m;
     double mu[2 * MOST], N[2 * MOST], muv[2], B[4], B_q[4];
-    if (def->constraint(q, v, NULL, mu, N, def->ctx)) return -1;
+    if (def->constraint(t, q, v, NULL, mu, N, NULL, def->ctx)) return -1;
     dal__apply(m, n, mu, v, muv);
     for (size_t j = 0; j < n; j++) {
         mixing(m, q, B, j, B_q);
@@ -313,10 +317,11 @@ static inline int mixed_constraint(const double *q, const double *v, double *phi
     return 0;
 }
 
-static inline int mixed_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static inline int mixed_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                                  void *ctx)
 {
     const dal_system_def *def = &((const dal_system *)ctx)->def;
-    return def->potential(q, V, V_q, V_qq, def->ctx);
+    return def->potential(t, q, V, V_q, V_qq, def->ctx);
 }
 
 static inline dal_system *open_mixed(dal_system *base)

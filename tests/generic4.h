@@ -19,8 +19,8 @@ static const double generic4_mass[16] = {
 
 /* V = a^4/4 + a^2/2 + a b c/5 - a d/4 + b^4/4 + b^2 d^2/3 + b^2 + c^4/4 + 3 c^2/4 + d^4/4 + d^2/2
  * with (a, b, c, d) = q. */
-static inline int generic4_potential(const double *q, double *V, double *V_q, double *V_qq,
-                                     void *ctx)
+static inline int generic4_potential(double t, const double *q, double *V, double *V_q,
+                                     double *V_qq, void *ctx)
 {
     const double a = q[0], b = q[1], c = q[2], d = q[3];
     (void)ctx;
@@ -47,8 +47,8 @@ static inline int generic4_potential(const double *q, double *V, double *V_q, do
 }
 
 /* mu^1 = (1, c/2, -b/3 + sin(d)/4, a/5), mu^2 = (b/4 + c^2/10, cos(a)/3, 1, a d/6 - c/2). */
-static inline int generic4_constraint(const double *q, const double *v, double *phi,
-                                      double *phi_v, double *phi_q, void *ctx)
+static inline int generic4_constraint(double t, const double *q, const double *v, double *phi,
+                                      double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double a = q[0], b = q[1], c = q[2], d = q[3];
     const double mu[8] = {

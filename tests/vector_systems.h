@@ -31,37 +31,35 @@ static inline void vector_form(const double *mu, const double *derivative, const
 
 /* ---- particle, particle_osc: mu = (-y, 0, 1) --------------------------------------------- */
 
-static inline int vector_particle_constraint(const double *q, const double *v, double *phi,
-                                             double *phi_v, double *phi_q, void *ctx)
+static inline int vector_particle_constraint(double t, const double *q, const double *v,
+                                             double *phi, double *phi_v, double *phi_q,
+                                             double *phi_t, void *ctx)
 {
-    (void)ctx;
     vector_form((double[]){-q[1], 0.0, 1.0}, (double[]){0.0, -v[0], 0.0}, v, phi, phi_v, phi_q);
     return 0;
 }
 
 /* V = x^2/2 + y^2 + 3 z^2/4 */
-static inline int vector_particle_osc_potential(const double *q, double *V, double *V_q,
+static inline int vector_particle_osc_potential(double t, const double *q, double *V, double *V_q,
                                                 double *V_qq, void *ctx)
 {
-    (void)ctx;
     vector_springs((double[]){1.0, 2.0, 1.5}, q, V, V_q, V_qq);
     return 0;
 }
 
 /* ---- knife: V = -m gs x, mu = (sin theta, -cos theta, 0), m = 2, J = 3/4, gs = 5/2 -------- */
 
-static inline int vector_knife_potential(const double *q, double *V, double *V_q, double *V_qq,
-                                         void *ctx)
+static inline int vector_knife_potential(double t, const double *q, double *V, double *V_q,
+                                         double *V_qq, void *ctx)
 {
-    (void)ctx;
     if (V) *V = -5.0 * q[0];
     vector_set(V_q, 3, (double[]){-5.0, 0.0, 0.0});
     vector_set(V_qq, 9, (double[9]){0.0});
     return 0;
 }
 
-static inline int vector_knife_constraint(const double *q, const double *v, double *phi,
-                                          double *phi_v, double *phi_q, void *ctx)
+static inline int vector_knife_constraint(double t, const double *q, const double *v, double *phi,
+                                          double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double s = sin(q[2]), c = cos(q[2]);
     (void)ctx;
@@ -72,8 +70,8 @@ static inline int vector_knife_constraint(const double *q, const double *v, doub
 
 /* ---- sleigh: mu = (-sin theta, cos theta, -a), m = 3/2, J = 4/5, a = 2/5 ------------------ */
 
-static inline int vector_sleigh_constraint(const double *q, const double *v, double *phi,
-                                           double *phi_v, double *phi_q, void *ctx)
+static inline int vector_sleigh_constraint(double t, const double *q, const double *v, double *phi,
+                                           double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double s = sin(q[2]), c = cos(q[2]);
     (void)ctx;
@@ -84,8 +82,8 @@ static inline int vector_sleigh_constraint(const double *q, const double *v, dou
 
 /* ---- disk: mu^1 = (1, 0, -R cos phi, 0), mu^2 = (0, 1, -R sin phi, 0), R = 7/10 ------------ */
 
-static inline int vector_disk_constraint(const double *q, const double *v, double *phi,
-                                         double *phi_v, double *phi_q, void *ctx)
+static inline int vector_disk_constraint(double t, const double *q, const double *v, double *phi,
+                                         double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double R = 0.7, s = sin(q[3]), c = cos(q[3]);
     (void)ctx;
@@ -97,18 +95,16 @@ static inline int vector_disk_constraint(const double *q, const double *v, doubl
 
 /* ---- heis: V = (x^2 + 9/4 y^2 + z^2/2)/2, mu = (y, -x, 1) ---------------------------------- */
 
-static inline int vector_heis_potential(const double *q, double *V, double *V_q, double *V_qq,
-                                        void *ctx)
+static inline int vector_heis_potential(double t, const double *q, double *V, double *V_q,
+                                        double *V_qq, void *ctx)
 {
-    (void)ctx;
     vector_springs((double[]){1.0, 2.25, 0.5}, q, V, V_q, V_qq);
     return 0;
 }
 
-static inline int vector_heis_constraint(const double *q, const double *v, double *phi,
-                                         double *phi_v, double *phi_q, void *ctx)
+static inline int vector_heis_constraint(double t, const double *q, const double *v, double *phi,
+                                         double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     vector_form((double[]){q[1], -q[0], 1.0}, (double[]){-v[1], v[0], 0.0}, v, phi, phi_v, phi_q);
     return 0;
 }
@@ -163,9 +159,9 @@ static inline void vector_jet(vector_metric *g, const double *v, double *L, doub
 }
 
 /* m = 3/2, J = 4/5, a = 2/5 */
-static inline int vector_contact_lagrangian(const double *q, const double *v, double *L,
+static inline int vector_contact_lagrangian(double t, const double *q, const double *v, double *L,
                                             double *L_q, double *L_v, double *L_qq, double *L_vq,
-                                            double *L_vv, void *ctx)
+                                            double *L_vv, double *L_vt, void *ctx)
 {
     const double am = 0.4 * 1.5, s = am * sin(q[2]), c = am * cos(q[2]);
     (void)ctx;
@@ -179,8 +175,9 @@ static inline int vector_contact_lagrangian(const double *q, const double *v, do
 }
 
 /* mu = (-sin theta, cos theta, 0) */
-static inline int vector_contact_constraint(const double *q, const double *v, double *phi,
-                                            double *phi_v, double *phi_q, void *ctx)
+static inline int vector_contact_constraint(double t, const double *q, const double *v,
+                                            double *phi, double *phi_v, double *phi_q,
+                                            double *phi_t, void *ctx)
 {
     const double s = sin(q[2]), c = cos(q[2]);
     (void)ctx;
@@ -191,9 +188,9 @@ static inline int vector_contact_constraint(const double *q, const double *v, do
 
 /* M = ((2 + y^2/4, z/5, 1/10), (z/5, 3/2 + cos(x)/3, x/6), (1/10, x/6, 1 + x^2/3)),
  * b = (y z/4, sin(x)/3, -x y/5), V = x^4/4 + x^2/2 + x y z/5 + y^2 + 3 z^2/4, q = (x, y, z). */
-static inline int vector_genmass_lagrangian(const double *q, const double *v, double *L,
+static inline int vector_genmass_lagrangian(double t, const double *q, const double *v, double *L,
                                             double *L_q, double *L_v, double *L_qq, double *L_vq,
-                                            double *L_vv, void *ctx)
+                                            double *L_vv, double *L_vt, void *ctx)
 {
     const double x = q[0], y = q[1], z = q[2];
     (void)ctx;
@@ -223,8 +220,9 @@ static inline int vector_genmass_lagrangian(const double *q, const double *v, do
 }
 
 /* mu = (-y, x/2 + z/4, 1 + x^2/5) */
-static inline int vector_genmass_constraint(const double *q, const double *v, double *phi,
-                                            double *phi_v, double *phi_q, void *ctx)
+static inline int vector_genmass_constraint(double t, const double *q, const double *v,
+                                            double *phi, double *phi_v, double *phi_q,
+                                            double *phi_t, void *ctx)
 {
     const double x = q[0], y = q[1], z = q[2];
     (void)ctx;

@@ -79,8 +79,8 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
         return dal__fail(&mech->error, DAL_EINVAL, "h = %g: expected a finite step other than 0",
                          h);
     int status = dal__require_finite(mech, "t", 1, &t);
-    if (!status) status = dal__chart_state(chart, xi);
-    if (!status) status = dal__step_begin(mech, t, beta, beta, h, false, chart->x);
+    if (!status) status = dal__chart_state(chart, t, xi);
+    if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, chart->x);
     if (!status) status = solve_step(chart);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {

@@ -159,7 +159,7 @@ static int find_step(dal__newton *equations)
                           "inverse here", &in->d->mech.error);
 }
 
-int dal__rho_invert(dal_discrete *d, double h, const double *x, double *q0, double *q1)
+int dal__rho_invert(dal_discrete *d, double t, double h, const double *x, double *q0, double *q1)
 {
     const size_t n = d->n;
     const dal_difference_map *const map = &d->constraint.map;
@@ -176,7 +176,7 @@ int dal__rho_invert(dal_discrete *d, double h, const double *x, double *q0, doub
         dal__newton equations = {.find_step = find_step, .ctx = &in, .size = 2 * n, .n = n,
                                  .measured = 2 * n, .per_unit = d->mech.per_unit, .z = z,
                                  .step = d->root.step};
-        status = dal__form_metric(&d->mech, x, v);
+        status = dal__form_metric(&d->mech, t, x, v);
         d->root.J.size = 2 * n;
         if (!status) status = dal__newton_run(&equations, &d->mech.error);
     }

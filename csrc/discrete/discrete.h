@@ -6,14 +6,15 @@
 #include "geometry/geometry.h"
 
 /* The equations of dal_step_equations in parts.  First what depends on t, beta, h and x alone,
- * which are those of that function and have been checked; kept: x is (q_k, v), the state of kept
- * nodes.  alpha is beta there; another one is that of rho^alpha for L_d, and L acts at q_k + alpha h
- * w.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K (see
- * lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n] the
- * velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
+ * which are those of that function and have been checked; end is t + h, where phi is wanted, but
+ * for the rounding of the time that the state is stored with; kept: x is (q_k, v), the state of
+ * kept nodes.  alpha is beta there; another one is that of rho^alpha for L_d, and L acts at q_k +
+ * alpha h w.  Then the rest, as often as needed; K_sizes[2*n]: those of the rows and columns of K
+ * (see lu.h); mu_k is in mech->muk; outputs may be NULL.  At last x[2n] <- the new state, with w[n]
+ * the velocity that was found, corrected so that phi at the q~' that x gives back is roundoff; the
  * residual raises *worst.  The x of dal__step_begin must stay until the last dal__step_at. */
-int dal__step_begin(dal_mechanics *mech, double t, double alpha, double beta, double h, bool kept,
-                    const double *x);
+int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, double beta, double h,
+                    bool kept, const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_sizes, double *B);
 int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst);
@@ -58,7 +59,8 @@ struct dal_discrete {
     double *muk;                     /* [m*n] the forms along which the constraint reacts */
     double *point, *value, *bend;    /* [n], [n], [n*n] of differences by w or by q1 */
     struct {                         /* of the step that is being solved */
-        double t, h;                 /* the time of the pair before */
+        double t, h;                 /* the time of the pair before, */
+        double middle;               /* and of q_k */
         const double *node, *kappa;  /* [n] q_k; [m] */
     } step;
     double *momentum, *velocity;     /* [n] p^+_k; v_k */
@@ -69,12 +71,12 @@ struct dal_discrete {
 int dal__discrete_step_size(dal_discrete *d, double h);
 int dal__discrete_require(dal_discrete *d, double h, const char *name0, const double *q0,
                           const char *name1, const double *q1);
-/* q0, q1 [n] <- the pair with rho(q0, q1) = x[2n], rho that of D_d. */
-int dal__rho_invert(dal_discrete *d, double h, const double *x, double *q0, double *q1);
+/* q0, q1 [n] <- the pair with rho(q0, q1) = x[2n] at time t, rho that of D_d. */
+int dal__rho_invert(dal_discrete *d, double t, double h, const double *x, double *q0, double *q1);
 /* d->w <- (q1 - q0)/h; the pair. */
 dal__pair dal__discrete_pair(dal_discrete *d, double h, const double *q0, const double *q1);
-/* minus, plus [n] (or NULL) <- p^- = -D_1 L_d and p^+ = D_2 L_d, with the forces at time t of the
- * pair if forced; d->K if derivative. */
+/* minus, plus [n] (or NULL) <- p^- = -D_1 L_d and p^+ = D_2 L_d of the pair at time t, with the
+ * forces if forced; d->K if derivative. */
 int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pair *pair,
                           double *minus, double *plus, bool derivative);
 /* dal_discrete_advance; the residual of D raises *worst. */
@@ -83,6 +85,6 @@ int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x,
 /* The record that dal_discrete_message reads. */
 dal_error *dal__discrete_error(dal_discrete *discrete);
 /* d->phi, d->phi_v, and d->B if derivative. */
-int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool derivative);
+int dal__discrete_constraint(dal_discrete *d, double t, const dal__pair *pair, bool derivative);
 
 #endif /* DAL__DISCRETE_H */

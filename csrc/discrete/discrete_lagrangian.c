@@ -113,7 +113,8 @@ int dal_discrete_nodes(dal_discrete *discrete, double h, const double *x, double
     if (!q0 || !q1) return dal__null_argument(&d->mech, q0 ? "q1" : "q0");
     int status = dal__discrete_step_size(d, h);
     if (!status) status = dal__require_finite(&d->mech, "x", 2 * d->n, x);
-    if (!status) status = dal__rho_invert(d, h, x, d->q0, d->q1);
+    /* the metric, here of time 0, only measures the steps of Newton */
+    if (!status) status = dal__rho_invert(d, 0.0, h, x, d->q0, d->q1);
     if (status) return status;
     memcpy(q0, d->q0, d->n * sizeof *q0);
     memcpy(q1, d->q1, d->n * sizeof *q1);
@@ -215,13 +216,19 @@ static int form_K(dal_discrete *d, bool forced, const dal__pair *pair)
     return DAL_SUCCESS;
 }
 
+/* That of g of the pair at time t. */
+static double time_of_L(const dal_discrete *d, double t, double h)
+{
+    return t + (d->lagrangian.map.beta - d->constraint.map.beta) * h;
+}
+
 int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pair *pair,
                           double *minus, double *plus, bool derivative)
 {
     const size_t n = d->n;
     const double h = pair->h;
     dal__rho *const rho = &d->lagrangian;
-    const double time = t + (rho->map.beta - d->constraint.map.beta) * h; /* of g */
+    const double time = time_of_L(d, t, h);
     const bool push = forced && d->mech.eval.system->def.force;
     int status = dal__rho_at(rho, pair, true, &d->mech.error);
     if (status) return status;
@@ -229,7 +236,7 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
                              .L_qq = derivative ? d->L_qq : NULL,
                              .L_vq = derivative ? d->L_vq : NULL,
                              .L_vv = derivative ? d->L_vv : NULL};
-    status = dal__lagrangian(&d->mech.eval, rho->g, rho->f, &wanted, &d->mech.error);
+    status = dal__lagrangian(&d->mech.eval, time, rho->g, rho->f, &wanted, &d->mech.error);
     if (!status && push)
         status = dal__force(&d->mech.eval, time, rho->g, rho->f, d->value,
                             derivative ? d->f_q : NULL, derivative ? d->f_v : NULL,
@@ -243,21 +250,22 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
     return derivative ? form_K(d, push, pair) : DAL_SUCCESS;
 }
 
-int dal_discrete_lagrangian(dal_discrete *discrete, double h, const double *q0, const double *q1,
-                            double *L_d, double *D1, double *D2, double *D12)
+int dal_discrete_lagrangian(dal_discrete *discrete, double t, double h, const double *q0,
+                            const double *q1, double *L_d, double *D1, double *D2, double *D12)
 {
     if (!discrete) return DAL_EINVAL;
     dal_discrete *const d = discrete;
     const size_t n = d->n;
     double L = 0.0;
-    int status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
     if (status) return status;
     const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
-    status = dal__discrete_momenta(d, 0.0, false, &pair, d->minus, d->plus, D12 != NULL);
+    status = dal__discrete_momenta(d, t, false, &pair, d->minus, d->plus, D12 != NULL);
     const dal__jet wanted = {.L = &L};
     if (!status)
-        status = dal__lagrangian(&d->mech.eval, d->lagrangian.g, d->lagrangian.f, &wanted,
-                                 &d->mech.error);
+        status = dal__lagrangian(&d->mech.eval, time_of_L(d, t, h), d->lagrangian.g,
+                                 d->lagrangian.f, &wanted, &d->mech.error);
     if (status) return status;
     L *= h;
     for (size_t i = 0; i < n; i++) d->minus[i] = -d->minus[i];
@@ -313,14 +321,14 @@ int dal_discrete_momentum(dal_discrete *discrete, double t, double h, const doub
 
 /* ---- the discrete constraint -------------------------------------------------------------- */
 
-int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool derivative)
+int dal__discrete_constraint(dal_discrete *d, double t, const dal__pair *pair, bool derivative)
 {
     const size_t n = d->n, m = d->m;
     dal__rho *const rho = &d->constraint;
     int status = dal__rho_at(rho, pair, derivative, &d->mech.error);
     if (!status)
-        status = dal__constraint(&d->mech.eval, rho->g, rho->f, d->phi, d->phi_v,
-                                 derivative ? d->phi_q : NULL, &d->mech.error);
+        status = dal__constraint(&d->mech.eval, t, rho->g, rho->f, d->phi, d->phi_v,
+                                 derivative ? d->phi_q : NULL, NULL, &d->mech.error);
     if (status || !derivative) return status;
     const diagonal slope = rho->map.map ? NEITHER : THE_SECOND;
     memset(d->B, 0, m * n * sizeof *d->B);
@@ -330,16 +338,17 @@ int dal__discrete_constraint(dal_discrete *d, const dal__pair *pair, bool deriva
     return DAL_SUCCESS;
 }
 
-int dal_discrete_constraint(dal_discrete *discrete, double h, const double *q0, const double *q1,
-                            double *phi_d, double *D1, double *D2)
+int dal_discrete_constraint(dal_discrete *discrete, double t, double h, const double *q0,
+                            const double *q1, double *phi_d, double *D1, double *D2)
 {
     if (!discrete) return DAL_EINVAL;
     dal_discrete *const d = discrete;
     const size_t n = d->n, mn = d->m * n;
-    int status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
+    int status = dal__require_finite(&d->mech, "t", 1, &t);
+    if (!status) status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
     if (status) return status;
     const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
-    status = dal__discrete_constraint(d, &pair, true);
+    status = dal__discrete_constraint(d, t, &pair, true);
     if (status) return status;
     const diagonal slope = d->constraint.map.map ? NEITHER : THE_SECOND;
     double *const left = d->muk;

@@ -35,8 +35,9 @@ static int shoot(search *s)
     if (status) return status;
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
     if (m == 0) return DAL_SUCCESS;
-    status = dal__constraint(&mech->eval, s->x, v, NULL, mech->mu, NULL, &mech->error);
-    if (!status) status = dal__form_metric(mech, s->x, v);
+    status = dal__constraint(&mech->eval, s->t0, s->x, v, NULL, mech->mu, NULL, NULL,
+                             &mech->error);
+    if (!status) status = dal__form_metric(mech, s->t0, s->x, v);
     if (status) return pass_on(s, status);
     dal__form_Z(mech, mech->mu);
     status = dal__factor_gram(mech, mech->mu);
@@ -58,7 +59,7 @@ static int find_velocity(search *s)
     const double extent = dal__sum_of_sizes(n, s->x) + dal__sum_of_sizes(n, s->q1);
     double last = HUGE_VAL, size = 0.0, scale = 0.0;
     for (int iteration = 1; iteration <= MOST; iteration++) {
-        int status = pass_on(s, dal_project(s->mech, 0.0, s->x, NULL));
+        int status = pass_on(s, dal_project(s->mech, s->t0, 0.0, s->x, NULL));
         if (!status) status = shoot(s);
         if (status) return status;
         size = dal__sum_of_sizes(n, s->end);

@@ -11,17 +11,24 @@ static bool is_nonlinear(const dal_discrete *d)
     return d->mech.eval.system->def.kind == DAL_NONLINEAR;
 }
 
-/* muk <- phi_v(node, v). */
-static int reaction_forms(dal_discrete *d, const double *node, const double *v, double *muk)
+/* That of q_k, where t is that of the pair before. */
+static double time_of_node(const dal_discrete *d, double t, double h)
 {
-    return dal__constraint(&d->mech.eval, node, v, NULL, muk, NULL, &d->mech.error);
+    return t + (1.0 - d->constraint.map.beta) * h;
+}
+
+/* muk <- phi_v(node, v), the node at time t. */
+static int reaction_forms(dal_discrete *d, double t, const double *node, const double *v,
+                          double *muk)
+{
+    return dal__constraint(&d->mech.eval, t, node, v, NULL, muk, NULL, NULL, &d->mech.error);
 }
 
 /* muk <- phi_v(q_k, (v_k + v)/2), which only a nonlinear constraint asks for. */
 static int middle_forms(dal_discrete *d, const double *v, double *muk)
 {
     for (size_t i = 0; i < d->n; i++) d->mech.step[i] = 0.5 * (d->velocity[i] + v[i]);
-    return reaction_forms(d, d->step.node, d->mech.step, muk);
+    return reaction_forms(d, d->step.middle, d->step.node, d->mech.step, muk);
 }
 
 /* The equations after the pair at time t: its p^+, its velocity, and mu_k where that is known. */
@@ -34,8 +41,10 @@ static int begin(dal_discrete *d, double t, const dal__pair *pair)
     memcpy(d->velocity, d->constraint.f, n * sizeof *d->velocity);
     d->step.t = t;
     d->step.h = pair->h;
+    d->step.middle = time_of_node(d, t, pair->h);
     d->step.node = pair->q1;
-    return is_nonlinear(d) ? DAL_SUCCESS : reaction_forms(d, pair->q1, d->velocity, d->muk);
+    if (is_nonlinear(d)) return DAL_SUCCESS;
+    return reaction_forms(d, d->step.middle, pair->q1, d->velocity, d->muk);
 }
 
 /* mu_k^T kappa as a function of w, to be differenced. */
@@ -120,7 +129,7 @@ static int find_step(dal__newton *equations)
     if (!status && is_nonlinear(d)) status = subtract_bend(d, w);
     if (status) return status;
     for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i]; /* it was moved */
-    status = dal__discrete_constraint(d, &pair, true);
+    status = dal__discrete_constraint(d, d->step.t + h, &pair, true);
     if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {
@@ -145,7 +154,7 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
     dal__newton equations = {.find_step = find_step, .ctx = d, .size = n + m, .measured = n, .n = n,
                              .per_unit = d->mech.per_unit, .z = d->root.z, .step = d->root.step};
     int status = begin(d, t, pair);
-    if (!status) status = dal__form_metric(&d->mech, d->constraint.g, d->velocity);
+    if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->velocity);
     if (status) return status;
     memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
     memset(d->root.z + n, 0, m * sizeof *d->root.z);
@@ -188,7 +197,7 @@ int dal_discrete_residual(dal_discrete *discrete, double t, double h, const doub
     status = begin(d, t, &pair);
     pair = dal__discrete_pair(d, h, q, q_after);
     if (!status) status = dal__discrete_momenta(d, t + h, true, &pair, d->minus, NULL, false);
-    if (!status) status = dal__discrete_constraint(d, &pair, false);
+    if (!status) status = dal__discrete_constraint(d, t + h, &pair, false);
     if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
     if (status) return status;
     double *const sides = d->root.residual;
@@ -235,8 +244,9 @@ int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const do
     if (status) return status;
     const dal__pair pair = dal__discrete_pair(d, h, q, q_after);
     status = dal__discrete_momenta(d, t + h, true, &pair, NULL, NULL, true);
-    if (!status) status = dal__discrete_constraint(d, &pair, true);
-    if (!status) status = reaction_forms(d, q, d->constraint.f, d->muk);
+    if (!status) status = dal__discrete_constraint(d, t + h, &pair, true);
+    if (!status)
+        status = reaction_forms(d, time_of_node(d, t, h), q, d->constraint.f, d->muk);
     if (status) return status;
     int s;
     double l, c, *const J = d->root.J.A;
@@ -280,10 +290,10 @@ int dal_discrete_step(dal_discrete *discrete, double t, double h, double *q0, do
     return DAL_SUCCESS;
 }
 
-static int require_on_constraint(dal_discrete *d, const dal__pair *pair)
+static int require_on_constraint(dal_discrete *d, double t, const dal__pair *pair)
 {
-    int status = dal__discrete_constraint(d, pair, false);
-    if (!status) status = dal__form_metric(&d->mech, d->constraint.g, d->constraint.f);
+    int status = dal__discrete_constraint(d, t, pair, false);
+    if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->constraint.f);
     if (status || dal__is_consistent(&d->mech, d->phi_v, d->phi, d->constraint.f)) return status;
     return dal__fail(&d->mech.error, DAL_EOFFD, "the first pair of nodes does not lie in D_d: its "
                      "residual is %.3g, more than roundoff and %g of the terms of phi_d",
@@ -303,7 +313,7 @@ int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps, 
     if (!status) status = dal__require_finite(&d->mech, "nodes", 2 * n, nodes);
     if (status) return status;
     dal__pair pair = dal__discrete_pair(d, h, nodes, nodes + n);
-    status = require_on_constraint(d, &pair);
+    status = require_on_constraint(d, t0, &pair);
     for (size_t k = 0; !status && k < steps; k++) {
         pair.q0 = nodes + k * n;
         pair.q1 = pair.q0 + n;
@@ -326,7 +336,7 @@ int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x,
     int status = dal__require_finite(&d->mech, "t", 1, &t);
     if (!status) status = dal__discrete_step_size(d, h);
     if (!status) status = dal__require_finite(&d->mech, "x", 2 * n, x);
-    if (!status) status = dal__rho_invert(d, h, x, d->q0, d->node);
+    if (!status) status = dal__rho_invert(d, t, h, x, d->q0, d->node);
     if (status) return status;
     dal__pair pair = dal__discrete_pair(d, h, d->q0, d->node);
     if (!d->constraint.map.map) pair.w = x + n;
@@ -338,6 +348,7 @@ int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x,
     /* Corrected as a step with beta = 0, whose state stands at its node. */
     memcpy(d->mech.node, d->constraint.g, n * sizeof *d->mech.node);
     memcpy(d->w, d->constraint.f, n * sizeof *d->w);
+    d->mech.start.end = t + h;
     d->mech.start.h = h;
     d->mech.start.beta = 0.0;
     d->mech.start.kept = false;

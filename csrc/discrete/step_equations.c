@@ -14,13 +14,16 @@ static const double *place_of_L(dal_mechanics *mech, double reach, const double 
     return mech->place;
 }
 
-int dal__step_begin(dal_mechanics *mech, double t, double alpha, double beta, double h, bool kept,
-                    const double *x)
+int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, double beta, double h,
+                    bool kept, const double *x)
 {
     const size_t n = mech->n;
     const double *const v = x + n, before = (1.0 - beta) * h;
     int status = DAL_SUCCESS;
-    mech->start.t = t;
+    const double later = (alpha - beta) * h; /* than at q~ and q~' L acts */
+    mech->start.middle = t + before;
+    mech->start.end = end;
+    mech->start.acts = t + h + later;
     mech->start.alpha = alpha;
     mech->start.beta = beta;
     mech->start.h = h;
@@ -32,14 +35,18 @@ int dal__step_begin(dal_mechanics *mech, double t, double alpha, double beta, do
         mech->q[i] = kept ? x[i] - before * v[i] : x[i];
     }
     if (mech->eval.system->def.kind != DAL_NONLINEAR)
-        status = dal__constraint(&mech->eval, mech->node, v, NULL, mech->muk, NULL, &mech->error);
+        status = dal__constraint(&mech->eval, mech->start.middle, mech->node, v, NULL, mech->muk,
+                                 NULL, NULL, &mech->error);
     memset(mech->reach, 0, n * sizeof *mech->reach);
     const double *const place = place_of_L(mech, (alpha - 1.0) * h, v);
     const dal__jet wanted = {.L_q = alpha != 0.0 ? mech->reach : NULL,
                              .L_v = mech->eval.constant_mass ? NULL : mech->momentum};
-    if (!status) status = dal__lagrangian(&mech->eval, place, v, &wanted, &mech->error);
+    if (!status) status = dal__lagrangian(&mech->eval, t + later, place, v, &wanted, &mech->error);
+    /* a step depends on its start alone, and not on where its stepper was before */
+    if (!status) status = dal__renew_metric(mech, t, mech->q, v);
     if (!status && alpha != 0.0 && mech->eval.system->def.force) {
-        status = dal__force(&mech->eval, t + (alpha - beta) * h, place, v, mech->step, NULL, NULL, &mech->error);
+        status = dal__force(&mech->eval, t + later, place, v, mech->step, NULL, NULL,
+                            &mech->error);
         for (size_t i = 0; i < n; i++) mech->reach[i] += mech->step[i];
     }
     for (size_t i = 0; i < n; i++) mech->reach[i] *= alpha * h;
@@ -50,7 +57,8 @@ int dal__step_begin(dal_mechanics *mech, double t, double alpha, double beta, do
 static int chetaev_forms(dal_mechanics *mech, const double *w, double *muk)
 {
     for (size_t i = 0; i < mech->n; i++) mech->step[i] = 0.5 * (mech->start.v[i] + w[i]);
-    return dal__constraint(&mech->eval, mech->node, mech->step, NULL, muk, NULL, &mech->error);
+    return dal__constraint(&mech->eval, mech->start.middle, mech->node, mech->step, NULL, muk, NULL,
+                           NULL, &mech->error);
 }
 
 /* bend <- d(mu_k^T kappa)/dw, by central differences, which serve Newton's speed only. */
@@ -79,16 +87,15 @@ static int evaluate_bend(dal_mechanics *mech, const double *w, const double *kap
 static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
 {
     const size_t n = mech->n;
-    const double alpha = mech->start.alpha, h = mech->start.h;
-    const double t = mech->start.t + h + (alpha - mech->start.beta) * h;
-    const double *const place = place_of_L(mech, alpha * h, w);
+    const double alpha = mech->start.alpha, t = mech->start.acts;
+    const double *const place = place_of_L(mech, alpha * mech->start.h, w);
     const bool general = !mech->eval.constant_mass, ends = alpha != 1.0; /* F acts there */
     const dal__jet wanted = {.L_q = R1 && ends ? mech->force : NULL,
                              .L_v = R1 && general ? mech->w : NULL,
                              .L_qq = K && ends && alpha != 0.0 ? mech->hessian : NULL,
                              .L_vq = K && general ? mech->L_vq : NULL,
                              .L_vv = K && general ? mech->L_vv : NULL};
-    int status = dal__lagrangian(&mech->eval, place, w, &wanted, &mech->error);
+    int status = dal__lagrangian(&mech->eval, t, place, w, &wanted, &mech->error);
     if (!status && ends && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t, place, w, R1 ? mech->step : NULL,
                             K ? mech->f_q : NULL, K ? mech->f_v : NULL, &mech->error);
@@ -177,8 +184,8 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     int status = DAL_SUCCESS;
     for (size_t i = 0; i < n; i++) mech->q[i] = mech->node[i] + a * w[i];
     if (R2 || B)
-        status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, B ? mech->dmu : NULL,
-                                 &mech->error);
+        status = dal__constraint(&mech->eval, mech->start.end, mech->q, w, mech->phi, mech->mu,
+                                 B ? mech->dmu : NULL, NULL, &mech->error);
     if (!status && nonlinear) status = chetaev_forms(mech, w, mech->muk);
     if (!status && K && nonlinear) status = evaluate_bend(mech, w, kappa);
     if (!status && (R1 || K)) status = evaluate(mech, w, R1 != NULL, K != NULL);
@@ -197,7 +204,8 @@ static bool is_rounding_of_node(dal_mechanics *mech, const double *x, const doub
 {
     const size_t n = mech->n;
     const double speed = dal_residual_speed(n, mech->per_unit, w);
-    if (dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, mech->dmu, &mech->error))
+    if (dal__constraint(&mech->eval, mech->start.end, mech->q, w, mech->phi, mech->mu, mech->dmu,
+                        NULL, &mech->error))
         return false;
     for (size_t a = 0; a < mech->m; a++) {
         double bound = DAL_RESIDUAL_BOUND(n) * speed
@@ -216,11 +224,12 @@ static int mend_stored(dal_mechanics *mech, double *x, double shift, double *w, 
 {
     enum { MOST = 8 };
     const size_t n = mech->n;
+    const double t = mech->start.end;
     for (int pass = 1;; pass++) {
         for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * w[i];
-        int status = pass == 1 ? dal__form_metric(mech, mech->q, w) : DAL_SUCCESS;
+        int status = pass == 1 ? dal__form_metric(mech, t, mech->q, w) : DAL_SUCCESS;
         if (!status)
-            status = dal__constraint(&mech->eval, mech->q, w, mech->phi, mech->mu, NULL,
+            status = dal__constraint(&mech->eval, t, mech->q, w, mech->phi, mech->mu, NULL, NULL,
                                      &mech->error);
         if (status) return status;
         *relative = dal__relative_residual(mech, mech->mu, mech->phi, w);
@@ -230,7 +239,7 @@ static int mend_stored(dal_mechanics *mech, double *x, double shift, double *w, 
             return dal__fail(&mech->error, DAL_ESINGULAR, "no velocity of D was found at the new "
                              "position: its residual stays at %.3g", *relative);
         dal__form_Z(mech, mech->mu);
-        status = dal__mend(mech, mech->q, w, relative);
+        status = dal__mend(mech, t, mech->q, w, relative);
         if (status || shift == 0.0) return status;
         for (size_t i = 0; i < n; i++) x[i] = mech->q[i] + shift * w[i];
     }
@@ -269,7 +278,7 @@ int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h
     if (!status) status = dal__require_finite(mech, "x", 2 * n, x);
     if (!status) status = dal__require_finite(mech, "w", n, w);
     if (!status && m > 0) status = dal__require_finite(mech, "kappa", m, kappa);
-    if (!status) status = dal__step_begin(mech, t, beta, beta, h, false, x);
+    if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, x);
     if (status) return status;
 
     double *found[4], *const wanted[4] = {R1, R2, K, B};

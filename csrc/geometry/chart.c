@@ -96,10 +96,11 @@ int dal__chart_ready(dal_chart *chart)
     return dal__fail(&chart->mech.error, DAL_EINVAL, "no dependent coordinates are chosen yet");
 }
 
-/* A choice, and a finite x[2n]. */
-static int require_state(dal_chart *chart, const double *x)
+/* A choice, and finite t and x[2n]. */
+static int require_state(dal_chart *chart, double t, const double *x)
 {
-    const int status = dal__chart_ready(chart);
+    int status = dal__chart_ready(chart);
+    if (!status) status = dal__require_finite(&chart->mech, "t", 1, &t);
     return status ? status : dal__require_finite(&chart->mech, "x", 2 * chart->n, x);
 }
 
@@ -140,11 +141,11 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
 }
 
 /* mu at (q, v), phi_q if wanted, and B factored. */
-static int form_B(dal_chart *chart, const double *q, const double *v, double *phi_q)
+static int form_B(dal_chart *chart, double t, const double *q, const double *v, double *phi_q)
 {
-    int status = dal__form_metric(&chart->mech, q, v);
+    int status = dal__form_metric(&chart->mech, t, q, v);
     if (!status)
-        status = dal__constraint(&chart->mech.eval, q, v, NULL, chart->mech.mu, phi_q,
+        status = dal__constraint(&chart->mech.eval, t, q, v, NULL, chart->mech.mu, phi_q, NULL,
                                  &chart->mech.error);
     return status ? status : dal__chart_factor(chart, chart->mech.mu);
 }
@@ -166,12 +167,12 @@ static void form_A(dal_chart *chart)
         solve_column(chart, chart->mech.mu, chart->place[chart->m + j], chart->A + j, free);
 }
 
-int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B)
+int dal_chart_connection(dal_chart *chart, double t, const double *x, double *A, double *B)
 {
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m;
-    int status = require_state(chart, x);
-    if (!status) status = form_B(chart, x, x + n, NULL);
+    int status = require_state(chart, t, x);
+    if (!status) status = form_B(chart, t, x, x + n, NULL);
     if (status) return status;
     form_A(chart);
     status = dal__require_output(&chart->mech.error, "A", m * (n - m), chart->A);
@@ -281,16 +282,17 @@ static void start_branch(dal_chart *chart, const double *x)
     for (size_t a = 0; a < chart->m; a++) chart->branch[a] = x[chart->n + chart->place[a]];
 }
 
-int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x)
+int dal_chart_choose(dal_chart *chart, double t, const size_t *dependent, const double *x)
 {
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m;
-    int status = dal__require_finite(&chart->mech, "x", 2 * n, x);
+    int status = dal__require_finite(&chart->mech, "t", 1, &t);
+    if (!status) status = dal__require_finite(&chart->mech, "x", 2 * n, x);
     if (!status && dependent) status = check_dependent(chart, dependent);
     if (!status)
-        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
+        status = dal__constraint(&chart->mech.eval, t, x, x + n, NULL, chart->mech.mu, NULL, NULL,
                                  &chart->mech.error);
-    if (!status) status = dal__form_metric(&chart->mech, x, x + n);
+    if (!status) status = dal__form_metric(&chart->mech, t, x, x + n);
     if (!status && !dependent) status = pivot_columns(chart);
     if (status) return status;
     if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
@@ -307,12 +309,12 @@ int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x)
 }
 
 /* INFINITY where B is singular. */
-static int evaluate_condition(dal_chart *chart, const double *x, double *condition)
+static int evaluate_condition(dal_chart *chart, double t, const double *x, double *condition)
 {
     const size_t n = chart->n, m = chart->m, free = n - m;
-    int status = dal__form_metric(&chart->mech, x, x + n);
+    int status = dal__form_metric(&chart->mech, t, x, x + n);
     if (!status)
-        status = dal__constraint(&chart->mech.eval, x, x + n, NULL, chart->mech.mu, NULL,
+        status = dal__constraint(&chart->mech.eval, t, x, x + n, NULL, chart->mech.mu, NULL, NULL,
                                  &chart->mech.error);
     if (status) return status;
     *condition = (double)INFINITY;
@@ -333,34 +335,35 @@ static int evaluate_condition(dal_chart *chart, const double *x, double *conditi
     return DAL_SUCCESS;
 }
 
-int dal_chart_condition(dal_chart *chart, const double *x, double *condition)
+int dal_chart_condition(dal_chart *chart, double t, const double *x, double *condition)
 {
     if (!chart) return DAL_EINVAL;
     if (!condition) return dal__null_argument(&chart->mech, "condition");
     double value = 0.0;
-    int status = require_state(chart, x);
-    if (!status) status = evaluate_condition(chart, x, &value);
+    int status = require_state(chart, t, x);
+    if (!status) status = evaluate_condition(chart, t, x, &value);
     if (!status) *condition = value;
     return status;
 }
 
-int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool *keeps)
+int dal__chart_keeps(dal_chart *chart, double t, const double *x, double *condition, bool *keeps)
 {
     const double m = (double)chart->m, free = (double)(chart->n - chart->m);
-    const int status = evaluate_condition(chart, x, condition);
+    const int status = evaluate_condition(chart, t, x, condition);
     *keeps = *condition <= LIMIT * sqrt(1.0 + m * free);
     return status;
 }
 
-int dal_chart_renew(dal_chart *chart, const double *x, int *changed)
+int dal_chart_renew(dal_chart *chart, double t, const double *x, int *changed)
 {
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m;
     char from[128] = "", to[128];
     double condition = (double)INFINITY;
     bool keeps = false;
-    int status = dal__require_finite(&chart->mech, "x", 2 * n, x);
-    if (!status && chart->chosen) status = dal__chart_keeps(chart, x, &condition, &keeps);
+    int status = dal__require_finite(&chart->mech, "t", 1, &t);
+    if (!status) status = dal__require_finite(&chart->mech, "x", 2 * n, x);
+    if (!status && chart->chosen) status = dal__chart_keeps(chart, t, x, &condition, &keeps);
     if (status) return status;
     if (keeps) {
         start_branch(chart, x);
@@ -369,7 +372,7 @@ int dal_chart_renew(dal_chart *chart, const double *x, int *changed)
     }
     const bool first = !chart->chosen;
     if (!first) write_names(chart, chart->place, m, sizeof from, from);
-    status = dal_chart_choose(chart, NULL, x);
+    status = dal_chart_choose(chart, t, NULL, x);
     if (status) return status;
     const bool other = memcmp(chart->former, chart->place, n * sizeof *chart->place) != 0;
     if (changed) *changed = first || other;
@@ -399,11 +402,12 @@ static bool is_in_D(const dal_chart *chart)
 }
 
 /* The metric, phi and mu at (q, v). */
-static int evaluate(dal_chart *chart, const double *q, const double *v)
+static int evaluate(dal_chart *chart, double t, const double *q, const double *v)
 {
     dal_mechanics *const mech = &chart->mech;
-    const int status = dal__constraint(&mech->eval, q, v, mech->phi, mech->mu, NULL, &mech->error);
-    return status ? status : dal__form_metric(mech, q, v);
+    const int status =
+        dal__constraint(&mech->eval, t, q, v, mech->phi, mech->mu, NULL, NULL, &mech->error);
+    return status ? status : dal__form_metric(mech, t, q, v);
 }
 
 static void move_dependent(dal_chart *chart)
@@ -413,7 +417,7 @@ static void move_dependent(dal_chart *chart)
         chart->x[chart->n + chart->place[a]] -= chart->solution[a];
 }
 
-int dal__chart_mend(dal_chart *chart, double shift)
+int dal__chart_mend(dal_chart *chart, double t, double shift)
 {
     enum { MENDS = 3 };
     const size_t n = chart->n;
@@ -424,21 +428,27 @@ int dal__chart_mend(dal_chart *chart, double shift)
         if (shift == 0.0 && kind(chart) == DAL_LINEAR) /* mu stands still */
             dal__apply(chart->m, n, chart->mech.mu, v, chart->mech.phi);
         else
-            status = evaluate(chart, chart->y, v);
+            status = evaluate(chart, t, chart->y, v);
         if (status) return status;
         if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
         move_dependent(chart);
     }
 }
 
+typedef struct lift {
+    dal_chart *chart;
+    double t;
+} lift;
+
 /* Of the dependent velocities, where the constraints are nonlinear.  They stay where they are as
  * soon as the residual, which is that of the step before, is roundoff. */
 static int find_step(dal__newton *equations)
 {
-    dal_chart *const chart = equations->ctx;
+    const lift *const l = equations->ctx;
+    dal_chart *const chart = l->chart;
     const size_t m = chart->m;
     for (size_t a = 0; a < m; a++) chart->x[chart->n + chart->place[a]] = equations->z[a];
-    int status = evaluate(chart, chart->x, chart->x + chart->n);
+    int status = evaluate(chart, l->t, chart->x, chart->x + chart->n);
     if (status) return status;
     memset(equations->step, 0, m * sizeof *equations->step);
     if (is_in_D(chart)) return DAL_SUCCESS;
@@ -450,7 +460,7 @@ static int find_step(dal__newton *equations)
 }
 
 /* Where the constraints are not nonlinear the first solution is exact but for roundoff. */
-int dal__chart_lift(dal_chart *chart, const double *xi)
+int dal__chart_lift(dal_chart *chart, double t, const double *xi)
 {
     const size_t n = chart->n, m = chart->m;
     double *const x = chart->x, *const v = x + n;
@@ -458,7 +468,8 @@ int dal__chart_lift(dal_chart *chart, const double *xi)
     memmove(x, xi, n * sizeof *x);
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
     if (kind(chart) == DAL_NONLINEAR) {
-        dal__newton equations = {.find_step = find_step, .ctx = chart, .size = m, .measured = m,
+        lift l = {chart, t};
+        dal__newton equations = {.find_step = find_step, .ctx = &l, .size = m, .measured = m,
                                  .n = m, .per_unit = chart->B.sizes + m, .z = chart->kappa,
                                  .step = chart->R2, .lagging = true,
                                  .advice = "there may be no such dependent velocities"};
@@ -467,29 +478,30 @@ int dal__chart_lift(dal_chart *chart, const double *xi)
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = chart->kappa[a];
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
-        status = evaluate(chart, x, v);
+        status = evaluate(chart, t, x, v);
         if (!status) status = dal__chart_factor(chart, chart->mech.mu);
         if (!status) move_dependent(chart);
-        if (!status) status = dal__chart_mend(chart, 0.0);
+        if (!status) status = dal__chart_mend(chart, t, 0.0);
     }
     if (status || dal__all_finite(2 * n, x)) return status;
     return dal__fail(&chart->mech.error, DAL_EDOMAIN, "the dependent velocities overflow");
 }
 
-int dal__chart_state(dal_chart *chart, const double *xi)
+int dal__chart_state(dal_chart *chart, double t, const double *xi)
 {
     int status = dal__chart_ready(chart);
+    if (!status) status = dal__require_finite(&chart->mech, "t", 1, &t);
     if (!status) status = dal__require_finite(&chart->mech, "xi", chart->width, xi);
     if (status) return status;
     for (size_t a = 0; a < chart->m; a++) chart->x[chart->n + chart->place[a]] = chart->branch[a];
-    return dal__chart_lift(chart, xi);
+    return dal__chart_lift(chart, t, xi);
 }
 
-int dal_chart_lift(dal_chart *chart, const double *xi, double *x)
+int dal_chart_lift(dal_chart *chart, double t, const double *xi, double *x)
 {
     if (!chart) return DAL_EINVAL;
     if (!x) return dal__null_argument(&chart->mech, "x");
-    const int status = dal__chart_state(chart, xi);
+    const int status = dal__chart_state(chart, t, xi);
     if (!status) memcpy(x, chart->x, 2 * chart->n * sizeof *x);
     return status;
 }
@@ -498,20 +510,21 @@ int dal_chart_drop(dal_chart *chart, const double *x, double *xi)
 {
     if (!chart) return DAL_EINVAL;
     if (!xi) return dal__null_argument(&chart->mech, "xi");
-    const int status = require_state(chart, x);
+    int status = dal__chart_ready(chart);
+    if (!status) status = dal__require_finite(&chart->mech, "x", 2 * chart->n, x);
     if (!status) dal__chart_drop(chart, x, xi);
     return status;
 }
 
-int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver)
+int dal_chart_split(dal_chart *chart, double t, const double *x, double *hor, double *ver)
 {
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n;
-    int status = require_state(chart, x);
+    int status = require_state(chart, t, x);
     if (status) return status;
     memcpy(chart->x, x, 2 * n * sizeof *x);
     dal__chart_drop(chart, x, chart->y);
-    status = dal__chart_lift(chart, chart->y);
+    status = dal__chart_lift(chart, t, chart->y);
     if (status) return status;
     for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
     status = dal__require_output(&chart->mech.error, "ver", n, chart->w);
@@ -521,13 +534,13 @@ int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver)
     return DAL_SUCCESS;
 }
 
-int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *left)
+int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J, double *left)
 {
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m, width = chart->width;
     const size_t *const place = chart->place;
-    int status = dal__chart_state(chart, xi);
-    if (!status) status = form_B(chart, chart->x, chart->x + n, chart->mech.dmu);
+    int status = dal__chart_state(chart, t, xi);
+    if (!status) status = form_B(chart, t, chart->x, chart->x + n, chart->mech.dmu);
     if (status) return status;
     if (J) {
         form_A(chart);
@@ -557,7 +570,7 @@ int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot)
 {
     if (!chart) return DAL_EINVAL;
     if (!xidot) return dal__null_argument(&chart->mech, "xidot");
-    int status = dal__chart_state(chart, xi);
+    int status = dal__chart_state(chart, t, xi);
     if (!status) status = dal_field(&chart->mech, t, chart->x, chart->y);
     if (!status) dal__chart_drop(chart, chart->y, xidot);
     return status;
@@ -565,14 +578,15 @@ int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot)
 
 /* ---- multipliers ------------------------------------------------------------------------- */
 
-int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambda, double *lambda_E)
+int dal_chart_multipliers(dal_chart *chart, double t, const double *x, const double *lambda,
+                          double *lambda_E)
 {
     if (!chart) return DAL_EINVAL;
     if (!lambda_E) return dal__null_argument(&chart->mech, "lambda_E");
     const size_t n = chart->n, m = chart->m;
-    int status = require_state(chart, x);
+    int status = require_state(chart, t, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
-    if (!status) status = form_B(chart, x, x + n, NULL);
+    if (!status) status = form_B(chart, t, x, x + n, NULL);
     if (status) return status;
     for (size_t b = 0; b < m; b++) {
         chart->solution[b] = 0.0;
@@ -584,15 +598,15 @@ int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambd
     return status;
 }
 
-int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *lambda_E,
-                               double *lambda)
+int dal_chart_multipliers_back(dal_chart *chart, double t, const double *x,
+                               const double *lambda_E, double *lambda)
 {
     if (!chart) return DAL_EINVAL;
     if (!lambda) return dal__null_argument(&chart->mech, "lambda");
     const size_t n = chart->n, m = chart->m;
-    int status = require_state(chart, x);
+    int status = require_state(chart, t, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
-    if (!status) status = form_B(chart, x, x + n, NULL);
+    if (!status) status = form_B(chart, t, x, x + n, NULL);
     if (status) return status;
     if (m > 0) memcpy(chart->right, lambda_E, m * sizeof *lambda_E);
     dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);

@@ -30,7 +30,8 @@ void dal_cutoff(double tau, double *chi0, double *chi1, double *slope)
     if (slope) *slope = change;
 }
 
-int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double tau, double *x)
+int dal_chart_curve(dal_chart *chart, double t, const double *x1, const double *x2, double tau,
+                    double *x)
 {
     if (!chart) return DAL_EINVAL;
     dal_mechanics *const mech = &chart->mech;
@@ -38,6 +39,7 @@ int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double
     double chi0, chi1;
     if (!x) return dal__null_argument(mech, "x");
     int status = dal__chart_ready(chart);
+    if (!status) status = dal__require_finite(mech, "t", 1, &t);
     if (!status) status = dal__require_finite(mech, "x1", 2 * n, x1);
     if (!status) status = dal__require_finite(mech, "x2", 2 * n, x2);
     if (!status) status = dal__require_finite(mech, "tau", 1, &tau);
@@ -45,7 +47,7 @@ int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double
     dal_cutoff(tau, &chi0, &chi1, NULL);
     for (size_t i = 0; i < 2 * n; i++) chart->x[i] = chi0 * x1[i] + chi1 * x2[i];
     dal__chart_drop(chart, chart->x, chart->y);
-    status = dal__chart_lift(chart, chart->y);
+    status = dal__chart_lift(chart, t, chart->y);
     if (!status) memcpy(x, chart->x, 2 * n * sizeof *x);
     return status;
 }
@@ -111,37 +113,37 @@ static void evaluate_polynomials(dal_chart *chart, double h, double s)
     }
 }
 
-/* chart->x[2n] <- the state at s of the interval whose ends are loaded; *pivoted: the choice is
- * that of its middle. */
-static int interpolate(dal_chart *chart, double h, double s, bool *pivoted)
+/* chart->x[2n] <- the state at time t and s of the interval whose ends are loaded; *pivoted: the
+ * choice is that of its middle. */
+static int interpolate(dal_chart *chart, double t, double h, double s, bool *pivoted)
 {
     double condition = 0.0;
     bool keeps = false;
     int status = DAL_SUCCESS;
     if (!*pivoted) {
         evaluate_polynomials(chart, h, 0.5);
-        status = dal_chart_choose(chart, NULL, chart->x);
+        status = dal_chart_choose(chart, t + (0.5 - s) * h, NULL, chart->x);
         if (status) return status;
         *pivoted = true;
     }
     evaluate_polynomials(chart, h, s);
-    status = dal__chart_keeps(chart, chart->x, &condition, &keeps);
+    status = dal__chart_keeps(chart, t, chart->x, &condition, &keeps);
     if (!status && !keeps) {
         *pivoted = false;
-        status = dal_chart_choose(chart, NULL, chart->x);
+        status = dal_chart_choose(chart, t, NULL, chart->x);
     }
     if (status) return status;
     dal__chart_drop(chart, chart->x, chart->y);
-    return dal__chart_lift(chart, chart->y);
+    return dal__chart_lift(chart, t, chart->y);
 }
 
-/* chart->x in D moves to its node q + shift v.  That rounds q; what it does to the residual at q -
- * shift v is mended. */
-static int move_to_node(dal_chart *chart, double shift)
+/* chart->x in D at time t moves to its node q + shift v.  That rounds q; what it does to the
+ * residual at q - shift v is mended. */
+static int move_to_node(dal_chart *chart, double t, double shift)
 {
     double *const q = chart->x, *const v = q + chart->n;
     for (size_t i = 0; i < chart->n; i++) q[i] += shift * v[i];
-    return shift != 0.0 ? dal__chart_mend(chart, shift) : DAL_SUCCESS;
+    return shift != 0.0 ? dal__chart_mend(chart, t, shift) : DAL_SUCCESS;
 }
 
 static int check_times(dal_chart *chart, const rows *r, size_t count, const double *t)
@@ -184,8 +186,8 @@ static int follow(dal_chart *chart, const rows *r, size_t count, const double *t
             pivoted = false;
         }
         const double s = (now - time_of(r, here)) / r->h;
-        if (!status) status = interpolate(chart, r->h, s, &pivoted);
-        if (!status) status = move_to_node(chart, r->shift);
+        if (!status) status = interpolate(chart, now, r->h, s, &pivoted);
+        if (!status) status = move_to_node(chart, now, r->shift);
         if (!status) status = dal__require_output(&mech->error, "the state", 2 * n, chart->x);
         if (status) return status;
         memcpy(out, chart->x, 2 * n * sizeof *out);

@@ -33,8 +33,8 @@ typedef struct examination {
     dal_check found;
     double *point, *other;        /* [n]: a moved q, and a velocity that is not in D */
     const double *velocity;       /* [n], and the time: where what is differenced stands */
-    double time;
-    bool moves_v;                 /* it is differenced in v, at q, and not in q */
+    double t, time;               /* the time of the state comes first */
+    dal__moves moves;             /* in what it is differenced */
     double *value, *slope;        /* [n] scratch of the differences */
     double *bend, *height;        /* [n] how far slopes on both sides differ; the largest values */
     double *expected;             /* [n] */
@@ -64,32 +64,37 @@ static void complain(dal_check *found, const char *format, ...)
 
 /* ---- derivatives ------------------------------------------------------------------------- */
 
-static int value_V(const double *q, double *V, void *ctx)
+static double time_of(const examination *ex, const double *moved)
 {
-    dal_mechanics *const mech = &((examination *)ctx)->mech;
-    return dal__potential(&mech->eval, q, V, NULL, NULL, &mech->error);
-}
-
-static int value_V_q(const double *q, double *V_q, void *ctx)
-{
-    dal_mechanics *const mech = &((examination *)ctx)->mech;
-    return dal__potential(&mech->eval, q, NULL, V_q, NULL, &mech->error);
+    return ex->moves == MOVES_T ? *moved : ex->time;
 }
 
 static const double *position(const examination *ex, const double *moved)
 {
-    return ex->moves_v ? ex->q : moved;
+    return ex->moves == MOVES_Q ? moved : ex->q;
 }
 
 static const double *velocity(const examination *ex, const double *moved)
 {
-    return ex->moves_v ? moved : ex->velocity;
+    return ex->moves == MOVES_V ? moved : ex->velocity;
+}
+
+static int value_V(const double *moved, double *V, void *ctx)
+{
+    examination *const ex = ctx;
+    return dal__potential(&ex->mech.eval, ex->time, moved, V, NULL, NULL, &ex->mech.error);
+}
+
+static int value_V_q(const double *moved, double *V_q, void *ctx)
+{
+    examination *const ex = ctx;
+    return dal__potential(&ex->mech.eval, ex->time, moved, NULL, V_q, NULL, &ex->mech.error);
 }
 
 static int value_jet(examination *ex, const double *moved, const dal__jet *wanted)
 {
-    return dal__lagrangian(&ex->mech.eval, position(ex, moved), velocity(ex, moved), wanted,
-                           &ex->mech.error);
+    return dal__lagrangian(&ex->mech.eval, time_of(ex, moved), position(ex, moved),
+                           velocity(ex, moved), wanted, &ex->mech.error);
 }
 
 static int value_L(const double *moved, double *L, void *ctx)
@@ -110,16 +115,16 @@ static int value_L_v(const double *moved, double *L_v, void *ctx)
 static int value_f(const double *moved, double *f, void *ctx)
 {
     examination *const ex = ctx;
-    return dal__force(&ex->mech.eval, ex->time, position(ex, moved), velocity(ex, moved), f, NULL,
-                      NULL, &ex->mech.error);
+    return dal__force(&ex->mech.eval, time_of(ex, moved), position(ex, moved), velocity(ex, moved),
+                      f, NULL, NULL, &ex->mech.error);
 }
 
 /* mu v where the constraints are linear. */
 static int value_phi(const double *moved, double *phi, void *ctx)
 {
     examination *const ex = ctx;
-    return dal__constraint(&ex->mech.eval, position(ex, moved), velocity(ex, moved), phi, NULL,
-                           NULL, &ex->mech.error);
+    return dal__constraint(&ex->mech.eval, time_of(ex, moved), position(ex, moved),
+                           velocity(ex, moved), phi, NULL, NULL, NULL, &ex->mech.error);
 }
 
 /* slope <- differences of f by component j of the point, of order 4, over a distance d; bend <- the
@@ -203,23 +208,25 @@ static int descend(examination *ex, dal__function f, size_t rows, dal_difference
     return DAL_SUCCESS;
 }
 
-/* The rows x n matrix of derivatives given[] against differences of f, in v if moves_v.  size: of
+/* The matrix of derivatives given[rows*n], or [rows] in time, against differences of f.  size: of
  * the values that are differenced, whose roundoff (a few u) is divided by the spacing 2^-12 of the
  * differences. */
-static int compare(examination *ex, dal__function f, bool moves_v, size_t rows,
+static int compare(examination *ex, dal__function f, dal__moves moves, size_t rows,
                    const double *given, double size, dal_difference *worst)
 {
-    const double *const centre = moves_v ? ex->velocity : ex->q;
+    const double *const centre = moves == MOVES_T ? &ex->time
+                               : moves == MOVES_V ? ex->velocity : ex->q;
+    const size_t columns = moves == MOVES_T ? 1 : ex->n;
     const double tolerance = derivative_tolerance + 32.0 * DAL_ROUNDOFF * 0x1p12 * size;
-    ex->moves_v = moves_v;
-    memcpy(ex->point, centre, ex->n * sizeof *ex->point);
-    for (size_t j = 0; j < ex->n; j++) {
+    ex->moves = moves;
+    memcpy(ex->point, centre, columns * sizeof *ex->point);
+    for (size_t j = 0; j < columns; j++) {
         int status = dal__difference(f, ex, ex->point, j, rows, ex->value, ex->expected, 1);
         ex->point[j] = centre[j];
         if (status && status != DAL_EDOMAIN) return status;
         const bool outside = status == DAL_EDOMAIN;
         for (size_t i = 0; i < rows; i++) {
-            const double number = given[i * ex->n + j], expected = ex->expected[i];
+            const double number = given[i * columns + j], expected = ex->expected[i];
             dal_difference found = {.error = off(number, expected), .given = number,
                                     .expected = expected, .row = i, .column = j, .checked = 1};
             if (outside || !(found.error <= tolerance)) status = descend(ex, f, rows, &found);
@@ -248,15 +255,15 @@ static int examine_potential(examination *ex)
     const bool has_V_q = !(missing & DAL_MISSING_V_Q), has_V_qq = !(missing & DAL_MISSING_V_QQ);
     if (!ex->system->def.potential) return DAL_SUCCESS;
     double V;
-    int status = dal__potential(&mech->eval, ex->q, &V, ex->gradient, has_V_qq ? ex->hessian : NULL,
-                                &mech->error);
+    int status = dal__potential(&mech->eval, ex->time, ex->q, &V, ex->gradient,
+                                has_V_qq ? ex->hessian : NULL, &mech->error);
     if (status) return status;
     /* a differenced gradient has lost the spacing's worth of digits before */
     const double size = dal__largest(ex->n, ex->gradient) + (has_V_q ? 0.0 : 0x1p12 * fabs(V));
     if (has_V_q)
-        status = compare(ex, value_V, false, 1, ex->gradient, fabs(V), &ex->found.V_q);
+        status = compare(ex, value_V, MOVES_Q, 1, ex->gradient, fabs(V), &ex->found.V_q);
     if (!status && has_V_qq)
-        status = compare(ex, value_V_q, false, ex->n, ex->hessian, size, &ex->found.V_qq);
+        status = compare(ex, value_V_q, MOVES_Q, ex->n, ex->hessian, size, &ex->found.V_qq);
     if (status) return status;
     judge(ex, "V_q", "V", &ex->found.V_q);
     judge(ex, "V_qq", "V_q", &ex->found.V_qq);
@@ -265,13 +272,13 @@ static int examine_potential(examination *ex)
 
 /* What depends on v is examined at two velocities, because at the given one, which may be 0, it may
  * vanish altogether.  The other one was not asked for, so what is not defined there is passed over.
- * Each has a time of its own, for forces that vanish at time 0. */
+ * Each has a time of its own, for what vanishes at time 0. */
 enum { VELOCITIES = 2 };
 
 static void stand_at(examination *ex, int k)
 {
     ex->velocity = k == 0 ? ex->v : ex->other;
-    ex->time = k;
+    ex->time = ex->t + k;
 }
 
 static bool passed_over(int k, int status) { return k > 0 && status == DAL_EDOMAIN; }
@@ -287,19 +294,22 @@ static int compare_lagrangian(examination *ex)
         .L_qq = missing & DAL_MISSING_L_QQ ? NULL : ex->hessian,
         .L_vq = missing & DAL_MISSING_L_VQ ? NULL : mech->L_vq,
         .L_vv = missing & DAL_MISSING_L_VV ? NULL : mech->L_vv,
+        .L_vt = missing & DAL_MISSING_L_VT ? NULL : mech->L_vt,
     };
-    int status = dal__lagrangian(&mech->eval, ex->q, ex->velocity, &given, &mech->error);
+    int status = dal__lagrangian(&mech->eval, ex->time, ex->q, ex->velocity, &given, &mech->error);
     if (status) return status;
     const double size = fabs(L), size_q = dal__largest(ex->n, given.L_q);
     const double size_v = dal__largest(ex->n, given.L_v);
-    status = compare(ex, value_L, false, 1, given.L_q, size, &found->L_q);
-    if (!status) status = compare(ex, value_L, true, 1, given.L_v, size, &found->L_v);
+    status = compare(ex, value_L, MOVES_Q, 1, given.L_q, size, &found->L_q);
+    if (!status) status = compare(ex, value_L, MOVES_V, 1, given.L_v, size, &found->L_v);
     if (!status && given.L_qq)
-        status = compare(ex, value_L_q, false, ex->n, given.L_qq, size_q, &found->L_qq);
+        status = compare(ex, value_L_q, MOVES_Q, ex->n, given.L_qq, size_q, &found->L_qq);
     if (!status && given.L_vq)
-        status = compare(ex, value_L_v, false, ex->n, given.L_vq, size_v, &found->L_vq);
+        status = compare(ex, value_L_v, MOVES_Q, ex->n, given.L_vq, size_v, &found->L_vq);
     if (!status && given.L_vv)
-        status = compare(ex, value_L_v, true, ex->n, given.L_vv, size_v, &found->L_vv);
+        status = compare(ex, value_L_v, MOVES_V, ex->n, given.L_vv, size_v, &found->L_vv);
+    if (!status && given.L_vt && ex->system->def.time_dependent)
+        status = compare(ex, value_L_v, MOVES_T, ex->n, given.L_vt, size_v, &found->L_vt);
     return status;
 }
 
@@ -315,6 +325,7 @@ static int examine_lagrangian(examination *ex)
     judge(ex, "L_qq", "L_q in q", &ex->found.L_qq);
     judge(ex, "L_vq", "L_v in q", &ex->found.L_vq);
     judge(ex, "L_vv", "L_v in v", &ex->found.L_vv);
+    judge(ex, "L_vt", "L_v in t", &ex->found.L_vt);
     return DAL_SUCCESS;
 }
 
@@ -328,8 +339,8 @@ static int compare_force(examination *ex)
                             &mech->error);
     if (status) return status;
     const double size = dal__largest(ex->n, mech->force);
-    if (f_q) status = compare(ex, value_f, false, ex->n, f_q, size, &ex->found.f_q);
-    if (!status && f_v) status = compare(ex, value_f, true, ex->n, f_v, size, &ex->found.f_v);
+    if (f_q) status = compare(ex, value_f, MOVES_Q, ex->n, f_q, size, &ex->found.f_q);
+    if (!status && f_v) status = compare(ex, value_f, MOVES_V, ex->n, f_v, size, &ex->found.f_v);
     return status;
 }
 
@@ -350,15 +361,19 @@ static int compare_constraint(examination *ex)
 {
     dal_mechanics *const mech = &ex->mech;
     const bool linear = ex->system->def.kind == DAL_LINEAR;
-    double *const phi_q = ex->system->def.missing & DAL_MISSING_PHI_Q ? NULL : mech->dmu;
-    int status = dal__constraint(&mech->eval, ex->q, ex->velocity, ex->phi, mech->mu, phi_q,
-                                 &mech->error);
+    const unsigned missing = ex->system->def.missing;
+    double *const phi_q = missing & DAL_MISSING_PHI_Q ? NULL : mech->dmu;
+    double *const phi_t = missing & DAL_MISSING_PHI_T ? NULL : mech->phi_t;
+    int status = dal__constraint(&mech->eval, ex->time, ex->q, ex->velocity, ex->phi, mech->mu,
+                                 phi_q, phi_t, &mech->error);
     if (status) return status;
     double size = dal__largest(ex->n, ex->velocity) * dal__largest(ex->m * ex->n, mech->mu);
     if (!linear) size = fmax(size, dal__largest(ex->m, ex->phi));
-    if (phi_q) status = compare(ex, value_phi, false, ex->m, phi_q, size, &ex->found.phi_q);
+    if (phi_q) status = compare(ex, value_phi, MOVES_Q, ex->m, phi_q, size, &ex->found.phi_q);
     if (!status && !linear)
-        status = compare(ex, value_phi, true, ex->m, mech->mu, size, &ex->found.phi_v);
+        status = compare(ex, value_phi, MOVES_V, ex->m, mech->mu, size, &ex->found.phi_v);
+    if (!status && phi_t && ex->system->def.time_dependent)
+        status = compare(ex, value_phi, MOVES_T, ex->m, phi_t, size, &ex->found.phi_t);
     return status;
 }
 
@@ -373,6 +388,52 @@ static int examine_phi(examination *ex)
     }
     judge(ex, "phi_v", "phi in v", &ex->found.phi_v);
     judge(ex, "phi_q", kind == DAL_LINEAR ? "phi_v v" : "phi in q", &ex->found.phi_q);
+    judge(ex, "phi_t", kind == DAL_LINEAR ? "phi_v v in t" : "phi in t", &ex->found.phi_t);
+    return DAL_SUCCESS;
+}
+
+/* ---- time -------------------------------------------------------------------------------- */
+
+static bool differ(size_t count, const double *x, const double *y)
+{
+    for (size_t k = 0; k < count; k++)
+        if (x[k] != y[k]) return true;
+    return false;
+}
+
+/* What does not depend on time gives the same bits at another one, which is the period of nothing.
+ * What is not defined there is passed over; second derivatives follow the first. */
+static int examine_time(examination *ex)
+{
+    static const double later = 0.6180339887498949;
+    dal_mechanics *const mech = &ex->mech;
+    const size_t n = ex->n, m = ex->m;
+    for (int k = 0; k < VELOCITIES && !ex->system->def.time_dependent; k++) {
+        double L[2], *const L_q[2] = {ex->gradient, ex->expected};
+        double *const L_v[2] = {mech->momentum, ex->slope}, *const phi[2] = {ex->phi, mech->phi};
+        double *const phi_v[2] = {mech->mu, ex->forms};
+        int status = DAL_SUCCESS;
+        stand_at(ex, k);
+        for (int i = 0; !status && i < 2; i++) {
+            const double t = ex->time + i * later;
+            const dal__jet jet = {.L = &L[i], .L_q = L_q[i], .L_v = L_v[i]};
+            status = dal__lagrangian(&mech->eval, t, ex->q, ex->velocity, &jet, &mech->error);
+            if (!status)
+                status = dal__constraint(&mech->eval, t, ex->q, ex->velocity, phi[i], phi_v[i],
+                                         NULL, NULL, &mech->error);
+        }
+        if (status == DAL_EDOMAIN) continue;
+        if (status) return status;
+        const char *const which = differ(1, &L[0], &L[1]) || differ(n, L_q[0], L_q[1])
+                                      || differ(n, L_v[0], L_v[1])
+                                ? ex->system->mass ? "potential" : "lagrangian"
+                                : differ(m, phi[0], phi[1]) || differ(m * n, phi_v[0], phi_v[1])
+                                ? "constraint" : NULL;
+        if (which)
+            complain(&ex->found, "%s gives other numbers at t = %g than at t = %g: a system that "
+                     "depends on time has to be declared time_dependent", which, ex->time + later,
+                     ex->time);
+    }
     return DAL_SUCCESS;
 }
 
@@ -385,9 +446,11 @@ static int compare_forms(examination *ex)
     dal_mechanics *const mech = &ex->mech;
     const size_t n = ex->n, m = ex->m;
     const bool nonlinear = ex->system->def.kind == DAL_NONLINEAR;
-    int status = dal__constraint(&mech->eval, ex->q, ex->v, NULL, mech->mu, NULL, &mech->error);
+    int status = dal__constraint(&mech->eval, ex->t, ex->q, ex->v, NULL, mech->mu, NULL, NULL,
+                                 &mech->error);
     if (status) return status;
-    status = dal__constraint(&mech->eval, ex->q, ex->other, NULL, ex->forms, NULL, &mech->error);
+    status = dal__constraint(&mech->eval, ex->t, ex->q, ex->other, NULL, ex->forms, NULL, NULL,
+                             &mech->error);
     if (nonlinear && passed_over(1, status)) return DAL_SUCCESS;
     if (status) return status;
     ex->found.linearity = 0.0;
@@ -417,7 +480,8 @@ static int examine_linear(examination *ex)
 {
     const dal_system_def *const def = &ex->system->def;
     for (size_t a = 0; a < ex->m; a++) ex->phi[a] = (double)NAN;
-    const int returned = def->constraint(ex->q, ex->other, ex->phi, ex->forms, NULL, def->ctx);
+    const int returned = def->constraint(ex->t, ex->q, ex->other, ex->phi, ex->forms, NULL,
+                                         NULL, def->ctx);
     if (returned)
         return dal__fail(&ex->mech.error, dal__callback_status(returned), "constraint returned %d "
                          "when phi was asked for", returned);
@@ -435,9 +499,10 @@ static int examine_linear(examination *ex)
 static int examine_affine(examination *ex)
 {
     dal_mechanics *const mech = &ex->mech;
-    int status = dal__constraint(&mech->eval, ex->q, ex->v, ex->phi, NULL, NULL, &mech->error);
+    int status = dal__constraint(&mech->eval, ex->t, ex->q, ex->v, ex->phi, NULL, NULL, NULL,
+                                 &mech->error);
     if (!status)
-        status = dal__constraint(&mech->eval, ex->q, ex->other, ex->value, NULL, NULL,
+        status = dal__constraint(&mech->eval, ex->t, ex->q, ex->other, ex->value, NULL, NULL, NULL,
                                  &mech->error);
     for (size_t a = 0; !status && a < ex->m; a++) {
         double here, there, scale_here, scale_there;
@@ -482,7 +547,8 @@ static int examine_mass(examination *ex)
     const size_t n = ex->n;
     double *const L = ex->factor;
     const dal__jet wanted = {.L_vv = ex->hessian};
-    const int status = dal__lagrangian(&ex->mech.eval, ex->q, ex->v, &wanted, &ex->mech.error);
+    const int status = dal__lagrangian(&ex->mech.eval, ex->t, ex->q, ex->v, &wanted,
+                                       &ex->mech.error);
     if (status) return status;
     memcpy(L, ex->hessian, n * n * sizeof *L);
     /* always, of constant mass */
@@ -585,7 +651,7 @@ static int examine_rank(examination *ex)
     if (!(found->mass_min > 0.0 && found->kernel_min > 0.0))
         complain(found, "M is not positive definite on ker mu: its smallest eigenvalue is %g",
                  found->kernel_min);
-    const int status = dal_multipliers(mech, 0.0, ex->x, mech->lambda);
+    const int status = dal_multipliers(mech, ex->t, ex->x, mech->lambda);
     if (status != DAL_ESINGULAR) return status;
     complain(found, "mu M^-1 mu^T is singular to working precision: the condition of mu is %.3g",
              found->condition);
@@ -615,12 +681,13 @@ static int examine_curvature(examination *ex, const double *q, double *curvature
 {
     dal_mechanics *const mech = &ex->mech;
     const size_t n = ex->n, m = ex->m, count = n - m;
-    int status = dal__constraint(&mech->eval, q, ex->v, NULL, mech->mu, NULL, &mech->error);
+    int status = dal__constraint(&mech->eval, ex->t, q, ex->v, NULL, mech->mu, NULL, NULL,
+                                 &mech->error);
     if (status) return status;
     split(ex, mech->mu);
     for (size_t k = 0; k < count && !status; k++)
-        status = dal__constraint(&mech->eval, q, ex->X + k * n, NULL, NULL, ex->N + k * m * n,
-                                 &mech->error);
+        status = dal__constraint(&mech->eval, ex->t, q, ex->X + k * n, NULL, NULL,
+                                 ex->N + k * m * n, NULL, &mech->error);
     if (status) return status;
     double *const here = ex->value, *const there = ex->slope, *const bracket = ex->phi;
     *curvature = *scale = 0.0;
@@ -679,7 +746,7 @@ static int examine_constraint(examination *ex)
     if (!status) status = examine_rank(ex);
     bool consistent = true;
     if (!status && found->mass_min > 0.0) /* else there is no metric to measure in */
-        status = dal__lies_in_D(&ex->mech, 0.0, ex->x, &found->residual, &consistent);
+        status = dal__lies_in_D(&ex->mech, ex->t, 0.0, ex->x, &found->residual, &consistent);
     if (!status && linear && found->rank == ex->m) status = examine_involutivity(ex);
     if (!status && !consistent)
         complain(found, "(q, v) is not in D: the residual is %.3g, more than roundoff and %g of "
@@ -756,7 +823,7 @@ static void choose_other(examination *ex)
         ex->other[i] = ex->v[i] + size * (1.0 + 0.5 * sin((double)(i + 1)));
 }
 
-int dal_system_check(const dal_system *system, const double *x, dal_check *report,
+int dal_system_check(const dal_system *system, double t, const double *x, dal_check *report,
                      dal_error *error)
 {
     dal__fail(error, DAL_SUCCESS, "%s", "");
@@ -764,11 +831,13 @@ int dal_system_check(const dal_system *system, const double *x, dal_check *repor
         return dal__fail(error, DAL_EINVAL, "%s is NULL",
                          !system ? "system" : !x ? "x" : "report");
     const size_t n = system->def.n;
+    if (!isfinite(t)) return dal__fail(error, DAL_EINVAL, "t = %g is not finite", t);
     for (size_t i = 0; i < 2 * n; i++)
         if (!isfinite(x[i]))
             return dal__fail(error, DAL_EINVAL, "x[%zu] = %g is not finite", i, x[i]);
 
-    examination ex = {.system = system, .x = x, .q = x, .v = x + n, .n = n, .m = system->def.m};
+    examination ex = {.system = system, .t = t, .x = x, .q = x, .v = x + n, .n = n,
+                      .m = system->def.m};
     dal_check *const found = &ex.found;
     arena memory = {0};
     reserve(&ex, &memory);
@@ -780,7 +849,9 @@ int dal_system_check(const dal_system *system, const double *x, dal_check *repor
     const double unknown = (double)NAN; /* stays where the examination does not come to an end */
     found->linearity = found->condition = found->mass_min = found->kernel_min = unknown;
     found->residual = found->curvature = unknown;
-    status = system->mass ? examine_mass(&ex) : examine_lagrangian(&ex);
+    status = examine_time(&ex);
+    ex.time = t;
+    if (!status) status = system->mass ? examine_mass(&ex) : examine_lagrangian(&ex);
     if (!status) status = system->mass ? examine_potential(&ex) : examine_mass(&ex);
     if (!status) status = examine_force(&ex);
     if (!status && ex.m == 0) examine_no_constraint(&ex);

@@ -24,6 +24,7 @@ struct dal_flow {
     bool in_xi;
     dal_chart chart;         /* in xi only */
     size_t chart_changes;
+    double t0;               /* where the integration began */
     ode *integrator;
     double tolerance;
     double *result, *state;  /* [2n] */
@@ -162,20 +163,21 @@ static int failed_chart(dal_flow *flow, int status)
 /* Ready to integrate from x[2n] at t0 over about span. */
 static int begin(dal_flow *flow, double t0, double span, const double *x, double factor)
 {
+    flow->t0 = t0;
     if (!flow->in_xi)
         return dal__ode_begin(flow->integrator, t0, span, x, factor, &flow->error);
-    const int status = dal_chart_choose(&flow->chart, NULL, x);
+    const int status = dal_chart_choose(&flow->chart, t0, NULL, x);
     if (status) return failed_chart(flow, status);
     dal__chart_drop(&flow->chart, x, flow->chart.y);
     return dal__ode_begin(flow->integrator, t0, span, flow->chart.y, factor, &flow->error);
 }
 
-/* flow->state <- psi(xi) of the integrator, in a chart that is well conditioned there. */
-static int renew_chart(dal_flow *flow, double end)
+/* flow->state <- psi(xi) of the integrator at time t, in a chart that is well conditioned there. */
+static int renew_chart(dal_flow *flow, double t, double end)
 {
     double *const xi = dal__ode_state(flow->integrator);
-    int changed = 0, status = dal_chart_lift(&flow->chart, xi, flow->state);
-    if (!status) status = dal_chart_renew(&flow->chart, flow->state, &changed);
+    int changed = 0, status = dal_chart_lift(&flow->chart, t, xi, flow->state);
+    if (!status) status = dal_chart_renew(&flow->chart, t, flow->state, &changed);
     if (status) return failed_chart(flow, status);
     if (!changed) return DAL_SUCCESS;
     flow->chart_changes++;
@@ -183,8 +185,8 @@ static int renew_chart(dal_flow *flow, double end)
     return dal__ode_restart(flow->integrator, end, &flow->error);
 }
 
-/* flow->state <- the state at elapsed time end. */
-static int reach(dal_flow *flow, double end)
+/* flow->state <- the state at elapsed time end, which is the time t1. */
+static int reach(dal_flow *flow, double end, double t1)
 {
     ode *const integrator = flow->integrator;
     int status = DAL_SUCCESS;
@@ -198,20 +200,21 @@ static int reach(dal_flow *flow, double end)
             return dal__fail(&flow->error, DAL_ENOCONV, "%d steps in xi did not lead to the end of "
                              "the interval", MOST_STEPS);
         status = dal__ode_step(integrator, end, &flow->error);
-        if (!status) status = renew_chart(flow, end);
+        const double elapsed = dal__ode_elapsed(integrator);
+        if (!status) status = renew_chart(flow, elapsed == end ? t1 : flow->t0 + elapsed, end);
     }
     return status;
 }
 
-/* flow->state <- x[2n] at t0 taken to t0 + span. */
-static int integrate(dal_flow *flow, double t0, double span, const double *x, double factor,
-                     bool project)
+/* flow->state <- x[2n] at t0 taken to t1 = t0 + span. */
+static int integrate(dal_flow *flow, double t0, double span, double t1, const double *x,
+                     double factor, bool project)
 {
     int status = begin(flow, t0, span, x, factor);
     if (!status && factor > 1.0) dal__ode_shorten(flow->integrator, LONGEST * fabs(span));
-    if (!status) status = reach(flow, span);
+    if (!status) status = reach(flow, span, t1);
     if (status || !project || flow->in_xi) return status; /* psi(xi) lies in D */
-    status = dal_project(&flow->mech, 0.0, flow->state, NULL);
+    status = dal_project(&flow->mech, t1, 0.0, flow->state, NULL);
     return status ? pass_on(flow, &flow->mech.error, status) : DAL_SUCCESS;
 }
 
@@ -230,7 +233,7 @@ static int require_interval(dal_flow *flow, double t0, double t1, const double *
 int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project)
 {
     if (span == 0.0) return DAL_SUCCESS;
-    const int status = integrate(flow, t0, span, x, 1.0, project);
+    const int status = integrate(flow, t0, span, t0 + span, x, 1.0, project);
     if (!status) copy(flow, x, flow->state);
     return status;
 }
@@ -251,7 +254,8 @@ static double largest_pull(dal_mechanics *mech)
 }
 
 /* *error <- what roundoff does at the least: to the result; all the time to velocity and
- * acceleration, where nearly dependent forms make more of it; and to the time that a force sees. */
+ * acceleration, where nearly dependent forms make more of it; and to the time that they depend
+ * on. */
 static int roundoff(dal_flow *flow, double t0, double t1, double *error)
 {
     dal_mechanics *const mech = &flow->mech;
@@ -266,7 +270,7 @@ static int roundoff(dal_flow *flow, double t0, double t1, double *error)
         (dal__largest(n, flow->result + n) + 0.5 * span * largest_pull(mech)) * span;
     *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result)
            + DAL_ROUNDOFF * sqrt(inverse) * drift;
-    if (dal_system_is_forced(mech->eval.system))
+    if (!dal__is_autonomous(mech->eval.system))
         *error += DAL_ROUNDOFF * fmax(fabs(t0), fabs(t1)) * dal__largest(N, flow->state);
     return DAL_SUCCESS;
 }
@@ -276,24 +280,19 @@ int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accu
     if (!flow) return DAL_EINVAL;
     int status = require_interval(flow, t0, t1, x);
     if (status) return status;
-    if (!accuracy) return dal__flow_apply(flow, t0, t1 - t0, x, true);
-    if (t1 == t0) {
-        *accuracy = 0.0;
-        return DAL_SUCCESS;
+    double difference = 0.0, least = 0.0;
+    if (t1 != t0) {
+        status = integrate(flow, t0, t1 - t0, t1, x, 1.0, true);
+        if (status) return status;
+        copy(flow, flow->result, flow->state);
+        if (accuracy) status = integrate(flow, t0, t1 - t0, t1, x, LOOSER, true);
+        for (size_t i = 0; accuracy && i < dimension(flow); i++)
+            difference = fmax(difference, fabs(flow->result[i] - flow->state[i]));
+        if (!status && accuracy) status = roundoff(flow, t0, t1, &least);
+        if (status) return status;
+        copy(flow, x, flow->result);
     }
-    status = integrate(flow, t0, t1 - t0, x, 1.0, true);
-    if (status) return status;
-    copy(flow, flow->result, flow->state);
-    status = integrate(flow, t0, t1 - t0, x, LOOSER, true);
-    if (status) return status;
-    double difference = 0.0;
-    for (size_t i = 0; i < dimension(flow); i++)
-        difference = fmax(difference, fabs(flow->result[i] - flow->state[i]));
-    double least;
-    status = roundoff(flow, t0, t1, &least);
-    if (status) return status;
-    copy(flow, x, flow->result);
-    *accuracy = fmax(difference, least);
+    if (accuracy) *accuracy = fmax(difference, least);
     return DAL_SUCCESS;
 }
 
@@ -307,11 +306,12 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
     if (status || steps == 0) return status;
     status = begin(flow, t0, h, x, 1.0);
     for (size_t k = 1; !status && k <= steps; k++) {
+        const double t = t0 + (double)k * h;
         /* The rows are projected, the integration goes on without: it need not start anew. */
-        status = reach(flow, (double)k * h);
+        status = reach(flow, (double)k * h, t);
         if (status) break;
         copy(flow, flow->result, flow->state);
-        if (!flow->in_xi) status = dal_project(&flow->mech, 0.0, flow->result, NULL);
+        if (!flow->in_xi) status = dal_project(&flow->mech, t, 0.0, flow->result, NULL);
         if (status) return pass_on(flow, &flow->mech.error, status);
         copy(flow, x + k * N, flow->result);
         if (done) *done = k;
@@ -334,6 +334,7 @@ double *dal__flow_inner(dal_flow *flow) { return is_multistep(flow) ? NULL : &fl
 
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x)
 {
+    const double t1 = t0 + ((double)k + 1.0) * h;
     int status = DAL_SUCCESS;
     if (!is_multistep(flow) || !flow->steps.going) {
         flow->steps.first = k;
@@ -342,10 +343,10 @@ int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x)
             dal__ode_suggest(flow->integrator, h, flow->steps.inner);
     }
     flow->steps.going = false;
-    if (!status) status = reach(flow, (double)(k + 1 - flow->steps.first) * h);
+    if (!status) status = reach(flow, (double)(k + 1 - flow->steps.first) * h, t1);
     if (status) return status;
     copy(flow, flow->result, flow->state);
-    status = dal_project(&flow->mech, 0.0, flow->result, NULL);
+    status = dal_project(&flow->mech, t1, 0.0, flow->result, NULL);
     if (status) return pass_on(flow, &flow->mech.error, status);
     copy(flow, x, flow->result);
     flow->steps.inner = dal__ode_suggested(flow->integrator);

@@ -9,7 +9,7 @@
 struct dal_mechanics {
     evaluator eval;
     size_t n, m;
-    double *phi;                  /* [m] */
+    double *phi, *phi_t;          /* [m] */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
     double *Z;                    /* [m*n]: row a is M^-1 mu^a */
     dal__linear C;                /* mu M^-1 mu^T, or the factors of mu Z^T: of Cholesky, with
@@ -18,9 +18,12 @@ struct dal_mechanics {
     double *lambda, *residual;    /* [m] */
     double *point;                /* [2n] of jump.c */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
+    double *L_vt;                 /* [n], and */
     double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
     double *L_vv, *factor;        /* [n*n]: M where it is not constant, and its Cholesky factor */
-    double *units, *per_units;    /* [n]: where M is not constant, what the next two point to */
+    double *units, *per_units;    /* [n]: where M is not constant, what the next two point to, */
+    double *formed_at;            /* [2n+1] (q, v) and t of these, */
+    bool formed;                  /* if there are any */
     const double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h, */
     const double *metric;         /* [n*n] and M at the last point where it was asked for */
     /* of the equations of a step */
@@ -30,7 +33,8 @@ struct dal_mechanics {
     double *trial, *chetaev, *bend; /* [n], [m*n], [n*n] of nonlinear constraints: where mu_k^T
                                        kappa is differenced, its value and its derivative */
     struct {
-        double t, alpha, beta, h;
+        double middle, end, acts; /* times of q_k and q~', and where L acts at the end */
+        double alpha, beta, h;
         bool kept;
         const double *v;          /* [n] */
         double base, moves;       /* see algebra.h, of the last dal__step_at that gave R1, K, B */
@@ -47,8 +51,10 @@ void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
 /* DAL_EINVAL unless x[count] is there and finite; name is that of the argument. */
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
 int dal__null_argument(dal_mechanics *mech, const char *name);
-/* M at (q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
-int dal__form_metric(dal_mechanics *mech, const double *q, const double *v);
+/* M at (t, q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
+int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v);
+/* The same, if it is not the last that was formed; the statistics do not count it. */
+int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v);
 /* y[n] <- M^-1 f[n], M that of the last dal__form_metric; y and f may not overlap. */
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
 /* Z <- the rows M^-1 mu^a. */
@@ -65,17 +71,21 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
                         const double *v);
 /* *E <- the energy at x[2n], which may overflow. */
-int dal__energy(dal_mechanics *mech, const double *x, double *E);
+int dal__energy(dal_mechanics *mech, double t, const double *x, double *E);
 /* How far velocities move, to first order, when the point q where mu and slope = phi_q were
  * evaluated becomes twice itself; see dal__progress. */
 double dal__forms_move(const dal_mechanics *mech, const double *mu, const double *slope,
                        const double *q);
 /* Both, of x[2n] and the D or D_eps of shift. */
-int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
+int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x, double *relative,
                    bool *consistent);
 /* w[n] moves along Z into D at q; *relative <- what is left of the residual, within its bound.  phi
  * and mu are those of (q, w), before and after.  DAL_ESINGULAR. */
-int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative);
+int dal__mend(dal_mechanics *mech, double t, const double *q, double *w, double *relative);
+/* dal_trajectory of rows that belong to the times t0 + (first + k) h. */
+int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, double shift,
+                    size_t count, const double *x, double *energy, double *multipliers,
+                    double *residual, double *relative, size_t *done);
 
 /* A chart of D, connection.c.  It may be part of another object, as a dal_mechanics may. */
 struct dal_chart {
@@ -106,22 +116,23 @@ struct dal_chart {
 void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a);
 void dal__chart_bind(dal_chart *chart, const dal_system *system);
 
-/* chart->x <- psi(xi) without checking the arguments; for nonlinear constraints Newton starts at
+/* chart->x <- psi(t, xi) without checking the arguments; for nonlinear constraints Newton starts at
  * the v_dependent that stands there. */
-int dal__chart_lift(dal_chart *chart, const double *xi);
-/* v_dependent in chart->x moves into D at q - shift v, with B, and mu if shift = 0, as they are. */
-int dal__chart_mend(dal_chart *chart, double shift);
+int dal__chart_lift(dal_chart *chart, double t, const double *xi);
+/* v_dependent in chart->x moves into D at q - shift v and time t, with B, and mu if shift = 0, as
+ * they are. */
+int dal__chart_mend(dal_chart *chart, double t, double shift);
 /* dal_chart_drop, the same. */
 void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);
-/* chart->x <- psi(xi), Newton from the state of the choice; DAL_EINVAL unless there is a choice and
- * xi[2n-m] is finite. */
-int dal__chart_state(dal_chart *chart, const double *xi);
+/* chart->x <- psi(t, xi), Newton from the state of the choice; DAL_EINVAL unless there is a choice
+ * and t and xi[2n-m] are finite. */
+int dal__chart_state(dal_chart *chart, double t, const double *xi);
 /* B of mu[m*n], factored, in the units of the last dal__form_metric. */
 int dal__chart_factor(dal_chart *chart, const double *mu);
 /* DAL_EINVAL unless there is a choice. */
 int dal__chart_ready(dal_chart *chart);
-/* Whether dal_chart_renew would keep the choice at x, and its condition. */
-int dal__chart_keeps(dal_chart *chart, const double *x, double *condition, bool *keeps);
+/* Whether dal_chart_renew would keep the choice at (t, x), and its condition. */
+int dal__chart_keeps(dal_chart *chart, double t, const double *x, double *condition, bool *keeps);
 
 /* The tolerance where none is given. */
 #define DAL_FLOW_TOLERANCE 1e-13

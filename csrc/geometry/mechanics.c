@@ -16,13 +16,14 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     double **const vectors[] = {&mech->force, &mech->q, &mech->w, &mech->step, &mech->momentum,
                                 &mech->reach, &mech->node, &mech->trial, &mech->place};
     double **const forms[] = {&mech->mu, &mech->dmu, &mech->Z, &mech->muk};
-    double **const multipliers[] = {&mech->phi, &mech->lambda, &mech->residual};
+    double **const multipliers[] = {&mech->phi, &mech->phi_t, &mech->lambda, &mech->residual};
     double **const matrices[] = {&mech->L_vq, &mech->L_vv, &mech->factor};
     dal__evaluator_reserve(&mech->eval, system, a);
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
     dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
     dal__reserve_doubles(a, DAL_LENGTH(matrices), matrices, general);
+    dal__reserve(a, &mech->L_vt, system->mass ? 0 : n, sizeof(double));
     dal__reserve(a, &mech->f_q, forced, sizeof(double));
     dal__reserve(a, &mech->f_v, forced, sizeof(double));
     dal__reserve(a, &mech->chetaev, nonlinear ? mn : 0, sizeof(double));
@@ -31,6 +32,7 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     dal__linear_reserve(&mech->C, m, a);
     dal__reserve(a, &mech->units, system->mass ? 0 : n, sizeof(double));
     dal__reserve(a, &mech->per_units, system->mass ? 0 : n, sizeof(double));
+    dal__reserve(a, &mech->formed_at, system->mass ? 0 : dal__times(2, n) + 1, sizeof(double));
     dal__reserve(a, &mech->hessian, nn, sizeof(double));
 }
 
@@ -92,14 +94,21 @@ int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, con
     return DAL_SUCCESS;
 }
 
+static int require_state(dal_mechanics *mech, double t, const double *x)
+{
+    const int status = dal__require_finite(mech, "t", 1, &t);
+    return status ? status : dal__require_finite(mech, "x", 2 * mech->n, x);
+}
+
 /* ---- M and C ----------------------------------------------------------------------------- */
 
-/* The factor of the metric in mech->L_vv, and its units. */
-static int factor_metric(dal_mechanics *mech)
+/* The factor of the metric in mech->L_vv, which is that at (t, q, v), and its units. */
+static int factor_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
     const size_t n = mech->n;
     size_t row = 0;
     double pivot = 0.0;
+    mech->formed = false;
     memcpy(mech->factor, mech->L_vv, n * n * sizeof *mech->factor);
     if (!dal__cholesky(n, mech->factor, mech->units, &row, &pivot))
         return dal__fail(&mech->error, DAL_ESINGULAR, "L_vv is not positive definite to working "
@@ -109,15 +118,31 @@ static int factor_metric(dal_mechanics *mech)
         mech->units[i] = sqrt(mech->units[i]);
         mech->per_units[i] = 1.0 / mech->units[i];
     }
+    memcpy(mech->formed_at, q, n * sizeof *q);
+    memcpy(mech->formed_at + n, v, n * sizeof *v);
+    mech->formed_at[2 * n] = t;
+    mech->formed = true;
     return DAL_SUCCESS;
 }
 
-int dal__form_metric(dal_mechanics *mech, const double *q, const double *v)
+int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
     if (mech->eval.constant_mass) return DAL_SUCCESS;
     const dal__jet wanted = {.L_vv = mech->L_vv};
-    const int status = dal__lagrangian(&mech->eval, q, v, &wanted, &mech->error);
-    return status ? status : factor_metric(mech);
+    const int status = dal__lagrangian(&mech->eval, t, q, v, &wanted, &mech->error);
+    return status ? status : factor_metric(mech, t, q, v);
+}
+
+int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v)
+{
+    const size_t n = mech->n, calls = mech->eval.lagrangian_calls;
+    if (mech->eval.constant_mass) return DAL_SUCCESS;
+    if (mech->formed && memcmp(mech->formed_at, q, n * sizeof *q) == 0
+        && memcmp(mech->formed_at + n, v, n * sizeof *v) == 0 && mech->formed_at[2 * n] == t)
+        return DAL_SUCCESS;
+    const int status = dal__form_metric(mech, t, q, v);
+    mech->eval.lagrangian_calls = calls;
+    return status;
 }
 
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y)
@@ -178,27 +203,27 @@ static int factor_product(dal_mechanics *mech)
                      "rank, or two constraints coincide");
 }
 
-int dal_metric(dal_mechanics *mechanics, const double *x, double *M)
+int dal_metric(dal_mechanics *mechanics, double t, const double *x, double *M)
 {
     if (!mechanics) return DAL_EINVAL;
     if (!M) return dal__null_argument(mechanics, "M");
     dal_mechanics *const mech = mechanics;
-    int status = dal__require_finite(mech, "x", 2 * mech->n, x);
-    if (!status) status = dal__form_metric(mech, x, velocity(mech, x));
+    int status = require_state(mech, t, x);
+    if (!status) status = dal__form_metric(mech, t, x, velocity(mech, x));
     if (!status) memcpy(M, mech->metric, mech->n * mech->n * sizeof *M);
     return status;
 }
 
-int dal_gram(dal_mechanics *mechanics, const double *x, double *C)
+int dal_gram(dal_mechanics *mechanics, double t, const double *x, double *C)
 {
     if (!mechanics) return DAL_EINVAL;
     if (!C) return dal__null_argument(mechanics, "C");
     dal_mechanics *const mech = mechanics;
-    int status = dal__require_finite(mech, "x", 2 * mech->n, x);
+    int status = require_state(mech, t, x);
     if (status) return status;
     const double *const v = velocity(mech, x);
-    status = dal__constraint(&mech->eval, x, v, NULL, mech->mu, NULL, &mech->error);
-    if (!status) status = dal__form_metric(mech, x, v);
+    status = dal__constraint(&mech->eval, t, x, v, NULL, mech->mu, NULL, NULL, &mech->error);
+    if (!status) status = dal__form_metric(mech, t, x, v);
     if (status) return status;
     dal__form_Z(mech, mech->mu);
     form_gram(mech, mech->mu);
@@ -209,32 +234,32 @@ int dal_gram(dal_mechanics *mechanics, const double *x, double *C)
 
 /* ---- energy and power -------------------------------------------------------------------- */
 
-int dal__energy(dal_mechanics *mech, const double *x, double *E)
+int dal__energy(dal_mechanics *mech, double t, const double *x, double *E)
 {
     const size_t n = mech->n;
     const double *const v = velocity(mech, x);
     double V = 0.0, L = 0.0;
     int status;
     if (mech->eval.constant_mass) {
-        status = dal__potential(&mech->eval, x, &V, NULL, NULL, &mech->error);
+        status = dal__potential(&mech->eval, t, x, &V, NULL, NULL, &mech->error);
         if (status) return status;
         dal__apply(n, n, mech->metric, v, mech->step);
         *E = 0.5 * dal__dot(n, v, mech->step) + V;
         return DAL_SUCCESS;
     }
     const dal__jet wanted = {.L = &L, .L_v = mech->step};
-    status = dal__lagrangian(&mech->eval, x, v, &wanted, &mech->error);
+    status = dal__lagrangian(&mech->eval, t, x, v, &wanted, &mech->error);
     if (!status) *E = dal__dot(n, v, mech->step) - L;
     return status;
 }
 
-int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
+int dal_energy(dal_mechanics *mechanics, double t, const double *x, double *E)
 {
     if (!mechanics) return DAL_EINVAL;
     if (!E) return dal__null_argument(mechanics, "E");
     double value = 0.0;
-    int status = dal__require_finite(mechanics, "x", 2 * mechanics->n, x);
-    if (!status) status = dal__energy(mechanics, x, &value);
+    int status = require_state(mechanics, t, x);
+    if (!status) status = dal__energy(mechanics, t, x, &value);
     if (!status) status = dal__require_output(&mechanics->error, "E", 1, &value);
     if (!status) *E = value;
     return status;
@@ -243,25 +268,27 @@ int dal_energy(dal_mechanics *mechanics, const double *x, double *E)
 /* ---- residuals --------------------------------------------------------------------------- */
 
 /* phi and mu at q - shift v, and the metric; with a contiguous copy of that point in mech->q. */
-static int forms_at(dal_mechanics *mech, double shift, const double *x, double *dmu)
+static int forms_at(dal_mechanics *mech, double t, double shift, const double *x)
 {
     const size_t n = mech->n;
     const double *const v = velocity(mech, x);
     for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * v[i];
-    int status = dal__form_metric(mech, mech->q, v);
+    int status = dal__form_metric(mech, t, mech->q, v);
     if (!status)
-        status = dal__constraint(&mech->eval, mech->q, v, mech->phi, mech->mu, dmu, &mech->error);
+        status = dal__constraint(&mech->eval, t, mech->q, v, mech->phi, mech->mu, NULL, NULL,
+                                 &mech->error);
     return status ? status : dal__require_output(&mech->error, "phi", mech->m, mech->phi);
 }
 
-int dal_residual(dal_mechanics *mechanics, double shift, const double *x, double *residual)
+int dal_residual(dal_mechanics *mechanics, double t, double shift, const double *x,
+                 double *residual)
 {
     if (!mechanics) return DAL_EINVAL;
     if (!residual) return dal__null_argument(mechanics, "residual");
     dal_mechanics *const mech = mechanics;
     int status = dal__require_finite(mech, "shift", 1, &shift);
-    if (!status) status = dal__require_finite(mech, "x", 2 * mech->n, x);
-    if (!status) status = forms_at(mech, shift, x, NULL);
+    if (!status) status = require_state(mech, t, x);
+    if (!status) status = forms_at(mech, t, shift, x);
     if (!status) memcpy(residual, mech->phi, mech->m * sizeof *residual);
     return status;
 }
@@ -310,7 +337,7 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
     return true;
 }
 
-int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative)
+int dal__mend(dal_mechanics *mech, double t, const double *q, double *w, double *relative)
 {
     enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */
     const size_t n = mech->n, m = mech->m;
@@ -336,15 +363,16 @@ int dal__mend(dal_mechanics *mech, const double *q, double *w, double *relative)
         if (is_linear(mech))
             dal__apply(m, n, mech->mu, w, mech->phi);
         else
-            status = dal__constraint(&mech->eval, q, w, mech->phi, mech->mu, NULL, &mech->error);
+            status = dal__constraint(&mech->eval, t, q, w, mech->phi, mech->mu, NULL, NULL,
+                                     &mech->error);
         if (status) return status;
     }
 }
 
-int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *relative,
+int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x, double *relative,
                    bool *consistent)
 {
-    int status = forms_at(mech, shift, x, NULL);
+    int status = forms_at(mech, t, shift, x);
     if (status) return status;
     *relative = dal__relative_residual(mech, mech->mu, mech->phi, velocity(mech, x));
     status = dal__require_output(&mech->error, "residual", 1, relative);
@@ -353,7 +381,8 @@ int dal__lies_in_D(dal_mechanics *mech, double shift, const double *x, double *r
     return DAL_SUCCESS;
 }
 
-int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x, double *worst)
+int dal_relative_residual(dal_mechanics *mechanics, double t, double shift, const double *x,
+                          double *worst)
 {
     if (!mechanics) return DAL_EINVAL;
     if (!worst) return dal__null_argument(mechanics, "worst");
@@ -361,51 +390,52 @@ int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *
     double relative;
     bool consistent;
     int status = dal__require_finite(mech, "shift", 1, &shift);
-    if (!status) status = dal__require_finite(mech, "x", 2 * mech->n, x);
-    if (!status) status = dal__lies_in_D(mech, shift, x, &relative, &consistent);
+    if (!status) status = require_state(mech, t, x);
+    if (!status) status = dal__lies_in_D(mech, t, shift, x, &relative, &consistent);
     if (!status) *worst = relative;
     return status;
 }
 
 /* ---- the ODE on D ------------------------------------------------------------------------ */
 
-/* mech->force <- L_q - L_vq v + f; M is that at x afterwards. */
+/* mech->force <- L_q - L_vq v - L_vt + f; M is that at x afterwards. */
 static int form_force(dal_mechanics *mech, double t, const double *x)
 {
     const size_t n = mech->n;
     const double *const v = velocity(mech, x);
     const bool general = !mech->eval.constant_mass;
     const dal__jet wanted = {.L_q = mech->force, .L_vq = general ? mech->L_vq : NULL,
-                             .L_vv = general ? mech->L_vv : NULL};
-    int status = dal__lagrangian(&mech->eval, x, v, &wanted, &mech->error);
-    if (!status && general) status = factor_metric(mech);
+                             .L_vv = general ? mech->L_vv : NULL,
+                             .L_vt = general ? mech->L_vt : NULL};
+    int status = dal__lagrangian(&mech->eval, t, x, v, &wanted, &mech->error);
+    if (!status && general) status = factor_metric(mech, t, x, v);
     if (status) return status;
     for (size_t i = 0; general && i < n; i++)
-        mech->force[i] -= dal__dot(n, mech->L_vq + i * n, v);
+        mech->force[i] = mech->force[i] - dal__dot(n, mech->L_vq + i * n, v) - mech->L_vt[i];
     if (!mech->eval.system->def.force) return DAL_SUCCESS;
     status = dal__force(&mech->eval, t, x, v, mech->step, NULL, NULL, &mech->error);
     for (size_t i = 0; !status && i < n; i++) mech->force[i] += mech->step[i];
     return status;
 }
 
-/* lambda in mech->lambda, L_q - L_vq v + f in mech->force, mu in mech->mu. */
+/* lambda in mech->lambda, L_q - L_vq v - L_vt + f in mech->force, mu in mech->mu. */
 static int solve_multipliers(dal_mechanics *mech, double t, const double *x)
 {
     const size_t n = mech->n, m = mech->m;
-    int status = dal__require_finite(mech, "t", 1, &t);
-    if (!status) status = dal__require_finite(mech, "x", 2 * n, x);
+    int status = require_state(mech, t, x);
     if (status) return status;
     const double *const v = velocity(mech, x);
     status = form_force(mech, t, x);
     if (!status)
-        status = dal__constraint(&mech->eval, x, v, NULL, mech->mu, mech->dmu, &mech->error);
+        status = dal__constraint(&mech->eval, t, x, v, NULL, mech->mu, mech->dmu, mech->phi_t,
+                                 &mech->error);
     if (status || m == 0) return status;
     dal__form_Z(mech, mech->mu);
     status = dal__factor_gram(mech, mech->mu);
     if (status) return status;
     for (size_t a = 0; a < m; a++)
         mech->lambda[a] = -dal__dot(n, mech->Z + a * n, mech->force)
-                        - dal__dot(n, mech->dmu + a * n, v);
+                        - dal__dot(n, mech->dmu + a * n, v) - mech->phi_t[a];
     dal__solve_gram(mech, mech->lambda);
     return dal__require_output(&mech->error, "lambda", m, mech->lambda);
 }
@@ -541,7 +571,7 @@ static int accept(dal_mechanics *mech, double *x, double *distance)
 /* The velocity of D_eps, or of D, that belongs to x. */
 typedef struct consistent {
     dal_mechanics *mech;
-    double shift;
+    double t, shift;
     const double *x; /* [2n] */
 } consistent;
 
@@ -551,8 +581,8 @@ static int find_step(dal__newton *equations)
     dal_mechanics *const mech = c->mech;
     const size_t n = mech->n, m = mech->m;
     for (size_t i = 0; i < n; i++) mech->q[i] = c->x[i] - c->shift * mech->w[i];
-    int status = dal__constraint(&mech->eval, mech->q, mech->w, mech->phi, mech->mu,
-                                 c->shift != 0.0 ? mech->dmu : NULL, &mech->error);
+    int status = dal__constraint(&mech->eval, c->t, mech->q, mech->w, mech->phi, mech->mu,
+                                 c->shift != 0.0 ? mech->dmu : NULL, NULL, &mech->error);
     if (status) return status;
     if (c->shift != 0.0) equations->moves = dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
     for (size_t k = 0; c->shift != 0.0 && k < m * n; k++) mech->mu[k] -= c->shift * mech->dmu[k];
@@ -568,10 +598,10 @@ static int find_step(dal__newton *equations)
 }
 
 /* Newton for phi(q - shift w, w) = 0 along w = v + Z^T kappa with Z as it is, into mech->w. */
-static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
+static int solve_velocity(dal_mechanics *mech, double t, double shift, const double *x)
 {
     const size_t n = mech->n;
-    consistent c = {mech, shift, x};
+    consistent c = {mech, t, shift, x};
     dal__newton equations = {.find_step = find_step, .ctx = &c, .size = n, .measured = n, .n = n,
                              .per_unit = mech->per_unit, .z = mech->w, .step = mech->step,
                              .base = dal_residual_extent(n, mech->per_unit, velocity(mech, x)),
@@ -581,35 +611,36 @@ static int solve_velocity(dal_mechanics *mech, double shift, const double *x)
 }
 
 /* The velocity of D, or D_eps, that belongs to x, into mech->w; Z says along what. */
-static int find_velocity(dal_mechanics *mech, double shift, const double *x)
+static int find_velocity(dal_mechanics *mech, double t, double shift, const double *x)
 {
     const size_t n = mech->n;
     double relative;
     int status = DAL_SUCCESS;
     if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR)
-        status = solve_velocity(mech, shift, x);
+        status = solve_velocity(mech, t, shift, x);
     else
         memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
     if (status || shift != 0.0) return status;
-    status = dal__constraint(&mech->eval, x, mech->w, mech->phi, mech->mu, NULL, &mech->error);
+    status = dal__constraint(&mech->eval, t, x, mech->w, mech->phi, mech->mu, NULL, NULL,
+                             &mech->error);
     if (!status) status = factor_product(mech); /* without full rank it is refused for any v */
-    return status ? status : dal__mend(mech, x, mech->w, &relative);
+    return status ? status : dal__mend(mech, t, x, mech->w, &relative);
 }
 
-int dal_project(dal_mechanics *mechanics, double shift, double *x, double *distance)
+int dal_project(dal_mechanics *mechanics, double t, double shift, double *x, double *distance)
 {
     if (!mechanics) return DAL_EINVAL;
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n;
     int status = dal__require_finite(mech, "shift", 1, &shift);
-    if (!status) status = dal__require_finite(mech, "x", 2 * n, x);
-    if (!status) status = dal__form_metric(mech, x, velocity(mech, x));
+    if (!status) status = require_state(mech, t, x);
+    if (!status) status = dal__form_metric(mech, t, x, velocity(mech, x));
     if (status) return status;
     if (mech->m > 0) {
-        status = forms_at(mech, 0.0, x, NULL);
+        status = forms_at(mech, t, 0.0, x);
         if (status) return status;
         dal__form_Z(mech, mech->mu);
-        status = find_velocity(mech, shift, x);
+        status = find_velocity(mech, t, shift, x);
         if (status) return status;
     } else {
         memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
@@ -653,20 +684,21 @@ static int form_free_Z(dal_mechanics *mech, const unsigned char *keep, size_t *f
     return DAL_SUCCESS;
 }
 
-int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *x, double *distance)
+int dal_consistent(dal_mechanics *mechanics, double t, const unsigned char *keep, double *x,
+                   double *distance)
 {
-    if (!keep) return dal_project(mechanics, 0.0, x, distance);
+    if (!keep) return dal_project(mechanics, t, 0.0, x, distance);
     if (!mechanics) return DAL_EINVAL;
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n, m = mech->m;
     size_t free_count = 0;
-    int status = dal__require_finite(mech, "x", 2 * n, x);
-    if (!status) status = forms_at(mech, 0.0, x, NULL);
-    if (!status) status = dal__form_metric(mech, x, velocity(mech, x));
+    int status = require_state(mech, t, x);
+    if (!status) status = forms_at(mech, t, 0.0, x);
+    if (!status) status = dal__form_metric(mech, t, x, velocity(mech, x));
     if (!status && m > 0) status = form_free_Z(mech, keep, &free_count);
     if (status) return status;
     memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
-    if (m > 0) status = find_velocity(mech, 0.0, x);
+    if (m > 0) status = find_velocity(mech, t, 0.0, x);
     if (status == DAL_ESINGULAR)
         return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu "
                          "restricted to the other %zu has rank below m = %zu", n - free_count, n,
@@ -679,24 +711,21 @@ int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *
 
 /* ---- many states ------------------------------------------------------------------------- */
 
-int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift, size_t count,
-                   const double *x, double *energy, double *multipliers, double *residual,
-                   double *relative, size_t *done)
+int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, double shift,
+                    size_t count, const double *x, double *energy, double *multipliers,
+                    double *residual, double *relative, size_t *done)
 {
-    if (done) *done = 0;
-    if (!mechanics) return DAL_EINVAL;
-    if (!x && count > 0) return dal__null_argument(mechanics, "x");
-    dal_mechanics *const mech = mechanics;
     const size_t n = mech->n, m = mech->m;
     int status = dal__require_finite(mech, "shift", 1, &shift);
     for (size_t k = 0; !status && k < count; k++, x += 2 * n) {
+        const double t = t0 + (double)(first + k) * h;
         double E = 0.0, worst = 0.0;
         bool consistent;
-        status = dal__require_finite(mech, "x", 2 * n, x);
-        if (!status && energy) status = dal_energy(mech, x, &E);
-        if (!status && multipliers) status = solve_multipliers(mech, t0 + (double)k * h, x);
+        status = require_state(mech, t, x);
+        if (!status && energy) status = dal_energy(mech, t, x, &E);
+        if (!status && multipliers) status = solve_multipliers(mech, t, x);
         if (!status && (residual || relative))
-            status = dal__lies_in_D(mech, shift, x, &worst, &consistent);
+            status = dal__lies_in_D(mech, t, shift, x, &worst, &consistent);
         if (status) return status;
         /* nothing of a row is written before all of it is known */
         if (energy) energy[k] = E;
@@ -706,4 +735,15 @@ int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift, 
         if (done) *done = k + 1;
     }
     return status;
+}
+
+int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift, size_t count,
+                   const double *x, double *energy, double *multipliers, double *residual,
+                   double *relative, size_t *done)
+{
+    if (done) *done = 0;
+    if (!mechanics) return DAL_EINVAL;
+    if (!x && count > 0) return dal__null_argument(mechanics, "x");
+    return dal__trajectory(mechanics, t0, h, 0, shift, count, x, energy, multipliers, residual,
+                           relative, done);
 }

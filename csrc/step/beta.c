@@ -22,6 +22,7 @@ typedef struct beta {
 static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *stage)
 {
     size_t stages = 0;
+    double passed = 0.0; /* of the step */
     for (size_t j = 0; j < count; j++) {
         const double beta = substep[j].beta, f = substep[j].fraction;
         const bool pair = j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0;
@@ -33,6 +34,10 @@ static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *s
             s.start = beta * f;
             s.end = (1.0 - beta) * f;
         }
+        s.t_start = passed;
+        s.t_end = passed = j + 1 < count ? passed + s.span : 1.0;
+        s.linear = s.after == 0.0;
+        s.t_node = s.linear ? s.t_end : s.t_start + s.before;
         stage[stages++] = s;
     }
     for (size_t j = 0; j < stages; j++)
@@ -148,13 +153,13 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->stages = plan_stages(self->substep, self->substeps, self->stage);
     plan_predictions(self->stage, k->stages);
     k->kept = scheme->nodes == DAL_KEPT_NODES;
+    k->plain = !k->potential && !k->kept;
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
     k->max_iterations = motion->max_iterations;
     dal_kernel_share(k, k->at.x);
     k->impulse = motion->impulse;
     k->finish = dal__kernel_finish;
-    k->steady = is_steady(self, &system->def, k->kept);
-    k->proved = system->def.steady == DAL_STEADY_PROVED;
+    k->steady = is_steady(self, &system->def, k->kept) ? system->def.steady : 0;
     if (has_step_routine(system))
         self->advance = system->def.compiled && !k->kept ? system->def.compiled->advance
                                                          : dal__kernel_for(k->n, k->m);
@@ -199,6 +204,7 @@ static void release(void *method)
 static void start(void *method, dal_motion *motion)
 {
     beta *const self = method;
+    self->kernel.t0 = motion->t0;
     self->kernel.h = motion->h;
     dal_kernel_forget(&self->kernel);
     dal__newton_forget(&self->newton);
@@ -212,17 +218,23 @@ static void find_not_finite(beta *self, dal_mechanics *mech)
 {
     const dal_kernel *const k = &self->kernel;
     const size_t n = k->n;
+    const dal_stage *const s = k->failure.stage;
+    const double number = (double)k->stats.steps, t_start = dal_kernel_time(k, number, 0.0);
+    const double t_node = dal_kernel_time(k, number, s->t_node);
+    const double t_end = dal_kernel_time(k, number, s->t_end);
     double *const start = self->start;
     dal_error *const found = &mech->error;
     for (size_t i = 0; i < n; i++) start[i] = k->at.x[i] - k->shift * k->h * k->at.x[n + i];
     if (dal__all_finite(n, k->at.node)
-        && (dal__potential(&mech->eval, start, NULL, mech->force, NULL, found)
-            || dal__constraint(&mech->eval, k->at.node, k->at.x + n, NULL, mech->mu, NULL, found)
-            || dal__potential(&mech->eval, k->at.node, NULL, mech->force, NULL, found)))
+        && (dal__potential(&mech->eval, t_start, start, NULL, mech->force, NULL, found)
+            || dal__constraint(&mech->eval, t_node, k->at.node, k->at.x + n, NULL, mech->mu, NULL,
+                               NULL, found)
+            || dal__potential(&mech->eval, t_node, k->at.node, NULL, mech->force, NULL, found)))
         return;
     if (dal__all_finite(n, k->at.point) && dal__all_finite(n, k->at.w)
-        && (dal__constraint(&mech->eval, k->at.point, k->at.w, NULL, mech->mu, mech->dmu, found)
-            || dal__potential(&mech->eval, k->at.point, NULL, mech->force, NULL, found)))
+        && (dal__constraint(&mech->eval, t_end, k->at.point, k->at.w, NULL, mech->mu, mech->dmu,
+                            NULL, found)
+            || dal__potential(&mech->eval, t_end, k->at.point, NULL, mech->force, NULL, found)))
         return;
     dal__fail(found, DAL_EDOMAIN, "a number is not finite; try a smaller h");
 }
@@ -284,16 +296,19 @@ static int advance_by_newton(beta *self, dal_motion *motion, size_t steps, size_
         memcpy(impulse, k->impulse, k->m * sizeof *impulse);
         for (size_t j = 0; j < self->substeps; j++) {
             const dal_substep s = self->substep[j];
-            const double t = motion->t0 + ((double)(motion->steps + *done) + passed) * motion->h;
+            const double number = (double)(motion->steps + *done);
+            const double next = j + 1 < self->substeps ? passed + s.fraction : 1.0;
             const int status =
-                dal__newton_step(&self->newton, motion->mechanics, t, s.beta, s.beta,
+                dal__newton_step(&self->newton, motion->mechanics,
+                                 motion->t0 + (number + passed) * motion->h,
+                                 motion->t0 + (number + next) * motion->h, s.beta, s.beta,
                                  s.fraction * motion->h, k->kept, x, k->at.kappa, &k->stats);
             if (status) {
                 if (j > 0) dal__newton_forget(&self->newton); /* the sub-steps that are undone */
                 return status;
             }
             for (size_t a = 0; a < k->m; a++) impulse[a] += k->at.kappa[a];
-            passed += s.fraction;
+            passed = next;
         }
         memcpy(k->at.x, x, 2 * k->n * sizeof *x);
         memcpy(k->impulse, impulse, k->m * sizeof *impulse);

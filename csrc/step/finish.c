@@ -14,9 +14,9 @@ static int is_not_finite(dal_kernel *k)
     return dal_kernel_fail(k, DAL_EDOMAIN, DAL_FAILED_FINITE);
 }
 
-/* The callbacks at the iterate w of solve, and goal, which is all of v' but Z^T kappa.
+/* The callbacks at the iterate w of solve and time t, and goal, which is all of v' but Z^T kappa.
  * DAL_EDOMAIN: outside their domain or not finite; the reason is in k->failure. */
-static int evaluate(dal_kernel *k, const dal_stage *s)
+static int evaluate(dal_kernel *k, double t, const dal_stage *s)
 {
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
@@ -25,13 +25,13 @@ static int evaluate(dal_kernel *k, const dal_stage *s)
     double total = 0.0;
     memcpy(at->goal, at->base, n * sizeof *at->goal);
     if (m > 0) {
-        const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu, at->N);
+        const int returned = dal_kernel_constraint(k, t, at->point, at->w, at->mu, at->N);
         if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
         total += dal_kernel_sum(m * n, at->mu) + dal_kernel_sum(m * n, at->N);
     }
     if (k->potential && s->end != 0.0) {
         k->stats.potential_calls++;
-        const int returned = k->potential(at->point, NULL, k->force1, k->K, k->potential_ctx);
+        const int returned = k->potential(t, at->point, NULL, k->force1, k->K, k->potential_ctx);
         if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         dal_kernel_accelerate(k, n, everything.inverse, k->force1, at->goal);
         for (size_t i = 0; i < n; i++) at->goal[i] = at->base[i] - k->h * s->end * at->goal[i];
@@ -88,7 +88,7 @@ static double bent(const dal_kernel *k, const dal_stage *s)
 
 /* Newton with the full matrix [[K, -mu_node^T], [mu + B h N, 0]] from w = v, kappa = 0; a step that
  * leaves the domain of a callback is halved.  On success w, kappa, mu, N and point are set. */
-static int solve(dal_kernel *k, const dal_stage *s)
+static int solve(dal_kernel *k, double t, const dal_stage *s)
 {
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
@@ -101,7 +101,7 @@ static int solve(dal_kernel *k, const dal_stage *s)
     memset(at->kappa, 0, m * sizeof *at->kappa);
     for (p.iteration = 1; p.iteration <= k->max_iterations; p.iteration++) {
         int status, sign = 1;
-        while (dal__newton_halve(&p, status = evaluate(k, s), n, at->w, at->step))
+        while (dal__newton_halve(&p, status = evaluate(k, t, s), n, at->w, at->step))
             k->stats.halvings++;
         if (!status) p.moves = bent(k, s);
         if (!status) status = linearise(k, s, &sign);
@@ -145,7 +145,7 @@ static int solve(dal_kernel *k, const dal_stage *s)
  * with evaluations of its own.  Works on at.w and at.stored.  Each pass leaves its own roundoff of
  * what it takes away; a kept node follows v', so that it gives back the same q~' but for a
  * rounding. */
-static int correct(dal_kernel *k)
+static int correct(dal_kernel *k, double t)
 {
     enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */
     const dal_arrays *const at = &k->at;
@@ -155,7 +155,7 @@ static int correct(dal_kernel *k)
     double *const worst = &k->stats.worst_residual;
     for (int pass = 1;; pass++) {
         for (size_t i = 0; i < n; i++) at->point[i] = at->stored[i] - shift * at->w[i];
-        const int returned = dal_kernel_constraint(k, at->point, at->w, at->mu,
+        const int returned = dal_kernel_constraint(k, t, at->point, at->w, at->mu,
                                                    pass > MOST ? at->N : NULL);
         k->stats.corrections++;
         if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
@@ -184,14 +184,14 @@ static int correct(dal_kernel *k)
     }
 }
 
-int dal__kernel_finish(dal_kernel *k, const dal_stage *s, bool solved)
+int dal__kernel_finish(dal_kernel *k, double t_end, const dal_stage *s, bool solved)
 {
     if (!solved) {
-        const int status = solve(k, s);
+        const int status = solve(k, t_end, s);
         if (status) return status;
         dal_kernel_place(k, s, k->n, k->kept, &k->at);
     }
     if (!(dal_kernel_sum(k->n, k->at.stored) + dal_kernel_sum(k->n, k->at.w) <= DBL_MAX))
         return is_not_finite(k);
-    return k->m > 0 ? correct(k) : DAL_SUCCESS;
+    return k->m > 0 ? correct(k, t_end) : DAL_SUCCESS;
 }

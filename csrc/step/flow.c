@@ -40,8 +40,10 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     int status = DAL_SUCCESS;
     dal_flow_watch(method, motion->watch, motion->watch_ctx);
     for (*done = 0; !status && *done < steps; *done += !status) {
-        status = dal__flow_step(method, motion->t0, motion->h, motion->steps + *done, motion->x);
-        if (!status && !dal_relative_residual(motion->mechanics, 0.0, motion->x, &worst))
+        const size_t k = motion->steps + *done;
+        const double end = motion->t0 + (double)(k + 1) * motion->h;
+        status = dal__flow_step(method, motion->t0, motion->h, k, motion->x);
+        if (!status && !dal_relative_residual(motion->mechanics, end, 0.0, motion->x, &worst))
             *most = fmax(*most, worst);
     }
     for (size_t a = 0; a < m; a++) motion->impulse[a] = (double)NAN;

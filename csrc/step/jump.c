@@ -22,13 +22,13 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
     }
     if (e->constant_mass) {
         double V = 0.0;
-        status = dal__potential(e, y, &V, NULL, NULL, &mech->error);
+        status = dal__potential(e, 0.0, y, &V, NULL, NULL, &mech->error);
         dal__apply(n, n, mech->metric, y + n, mech->step);
         *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
         *E = *kinetic + V;
     } else {
-        status = dal__form_metric(mech, y, y + n);
-        if (!status) status = dal__energy(mech, y, E);
+        status = dal__form_metric(mech, 0.0, y, y + n);
+        if (!status) status = dal__energy(mech, 0.0, y, E);
         dal__apply(n, n, mech->metric, y + n, mech->step);
         *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
     }
@@ -41,7 +41,8 @@ int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shif
 {
     const dal_system_def *const def = &mech->eval.system->def;
     *jump = (dal__jump){.shift = shift};
-    if (order == 1 || def->force || def->kind != DAL_LINEAR) return DAL_SUCCESS;
+    if (order == 1 || !dal__is_autonomous(mech->eval.system) || def->kind != DAL_LINEAR)
+        return DAL_SUCCESS;
     const int status = energies(mech, shift, x, &jump->energy, &jump->kinetic);
     jump->looking = isfinite(jump->energy);
     return status;

@@ -110,15 +110,15 @@ static int iterate(newton *s)
     return status;
 }
 
-int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double alpha, double beta,
-                     double h, bool kept, double *x, double *kappa, dal_stats *stats)
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double alpha,
+                     double beta, double h, bool kept, double *x, double *kappa, dal_stats *stats)
 {
     newton *const s = solver;
     const size_t n = s->n, m = s->m;
     const double *const v = x + n;
     s->mech = mech;
     s->stats = stats;
-    int status = dal__step_begin(mech, t, alpha, beta, h, kept, x);
+    int status = dal__step_begin(mech, t, end, alpha, beta, h, kept, x);
     if (status) return status;
     bool solved = false;
     if (s->warm) {

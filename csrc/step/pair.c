@@ -92,16 +92,17 @@ static void start(void *method, dal_motion *motion)
 }
 
 /* One step from self->x, in place. */
-static int step(pair_steps *self, dal_motion *motion, double t)
+static int step(pair_steps *self, dal_motion *motion, double number)
 {
+    const double h = motion->h, t = motion->t0 + number * h, end = motion->t0 + (number + 1.0) * h;
     const size_t m = dal_system_m(motion->system);
     if (!self->discrete)
-        return dal__newton_step(&self->newton, motion->mechanics, t, self->alpha, self->beta,
-                                motion->h, false, self->x, self->kappa, motion->stats);
-    const int status = dal__discrete_advance(self->discrete, t, motion->h, self->x, self->kappa,
+        return dal__newton_step(&self->newton, motion->mechanics, t, end, self->alpha, self->beta,
+                                h, false, self->x, self->kappa, motion->stats);
+    const int status = dal__discrete_advance(self->discrete, t, h, self->x, self->kappa,
                                              &motion->stats->worst_residual);
     if (status) *motion->error = *dal__discrete_error(self->discrete);
-    for (size_t a = 0; a < m; a++) self->kappa[a] *= motion->h;
+    for (size_t a = 0; a < m; a++) self->kappa[a] *= h;
     return status;
 }
 
@@ -111,8 +112,7 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     const size_t n = dal_system_n(motion->system), m = dal_system_m(motion->system);
     for (*done = 0; *done < steps; ++*done) {
         memcpy(self->x, motion->x, 2 * n * sizeof *self->x);
-        const int status =
-            step(self, motion, motion->t0 + (double)(motion->steps + *done) * motion->h);
+        const int status = step(self, motion, (double)(motion->steps + *done));
         if (status) return status;
         memcpy(motion->x, self->x, 2 * n * sizeof *self->x);
         for (size_t a = 0; a < m; a++) motion->impulse[a] += self->kappa[a];

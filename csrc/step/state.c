@@ -64,6 +64,7 @@ static void read_head(dal_stepper *self, const double *head)
     self->jump = (dal__jump){.looking = head[7] != 0.0, .shift = head[8], .energy = head[9],
                              .kinetic = head[10], .step = (size_t)head[11], .change = head[12]};
     *motion->stats = (dal_stats){
+        .steps = motion->steps,
         .iterations = (size_t)head[13], .constraint_calls = (size_t)head[14],
         .potential_calls = (size_t)head[15], .corrections = (size_t)head[16],
         .full_newtons = (size_t)head[17], .halvings = (size_t)head[18],
@@ -111,6 +112,7 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
 }
 
 /* What stands at i of the head. */
+enum { LOOKING = 7 };
 static bool is_of_energy(size_t i) { return i >= 9 && i <= 12; }
 static bool is_counter(size_t i)
 {
@@ -134,10 +136,12 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
         return dal__fail(error, DAL_EINVAL, "count = %zu: expected %zu numbers", count, expected);
     for (size_t i = 0; i < count; i++) {
         const double value = values[i];
-        if (!isfinite(value) && !is_of_energy(i)) /* what is seen of it may overflow */
+        if (isnan(value) || (isinf(value) && !is_of_energy(i))) /* what is seen of it may be */
             return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is not finite", i, value);
         if (is_counter(i) && !(value >= 0.0 && value <= 0x1p53 && value == floor(value)))
             return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is no counter", i, value);
+        if (i == LOOKING && value != 0.0 && value != 1.0)
+            return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is neither 0 nor 1", i, value);
     }
     const double t = values[4], h = values[5];
     const int status = dal__stepper_check_times(self, t, h);

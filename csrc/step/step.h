@@ -41,13 +41,13 @@ void dal__newton_forget(newton *solver);
 size_t dal__newton_save(const newton *solver, double *values);
 void dal__newton_restore(newton *solver, const double *values);
 /* One beta-scheme with step h (of either sign) at time t from x[2n], in place; kappa[m] = h lambda.
- * alpha, kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
+ * end, alpha, kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
  * mech->error. */
-int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double alpha, double beta,
-                     double h, bool kept, double *x, double *kappa, dal_stats *stats);
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double alpha,
+                     double beta, double h, bool kept, double *x, double *kappa, dal_stats *stats);
 
-/* Whether the energy jumps (jump.c): looked at now and then, never where something does work, or by
- * schemes of order 1, which drift by design. */
+/* Whether the energy jumps (jump.c): looked at now and then, never where something does work or
+ * depends on time, or by schemes of order 1, which drift by design. */
 typedef struct dal__jump {
     bool looking;
     double shift, energy, kinetic; /* of the states' D_eps; at the start; the largest seen */

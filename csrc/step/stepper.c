@@ -131,18 +131,19 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
 /* The steps of a start leave the text of their failure in the error of self->mech. */
 
 /* fresh <- consistent data of D (shift = 0) or D_eps; what was found and done goes to stats. */
-static int make_consistent(dal_stepper *self, double shift, dal_consistency consistency,
+static int make_consistent(dal_stepper *self, double t0, double shift, dal_consistency consistency,
                            dal_stats *stats)
 {
     dal_mechanics *const mech = &self->mech;
     bool consistent;
-    int status = dal__lies_in_D(mech, shift, self->fresh, &stats->initial_residual, &consistent);
+    int status = dal__lies_in_D(mech, t0, shift, self->fresh, &stats->initial_residual,
+                                &consistent);
     if (!status && consistency == DAL_CHECK && !consistent)
         return dal__fail(&mech->error, DAL_EOFFD, "the initial data do not lie in %s: their "
                          "residual is %.3g, more than roundoff and %g of the terms of phi",
                          shift == 0.0 ? "D" : "D_eps", stats->initial_residual, DAL_CONSISTENT);
     if (!status && consistency != DAL_ASSUME)
-        status = dal_project(mech, shift, self->fresh, &stats->initial_correction);
+        status = dal_project(mech, t0, shift, self->fresh, &stats->initial_correction);
     return status;
 }
 
@@ -175,10 +176,11 @@ static int probe(dal_stepper *self, double t0)
     const dal__jet jet = {.L_q = mech->force, .L_v = mech->momentum, .L_qq = mech->hessian,
                           .L_vq = mech->L_vq, .L_vv = mech->L_vv};
     const dal__jet simple = {.L_q = mech->force, .L_qq = mech->hessian};
-    int status = dal__constraint(&mech->eval, q, v, mech->phi, mech->mu, mech->dmu, &mech->error);
+    int status = dal__constraint(&mech->eval, t0, q, v, mech->phi, mech->mu, mech->dmu, NULL,
+                                 &mech->error);
     if (!status && mech->eval.system->def.steady) status = check_steady(mech);
     if (!status)
-        status = dal__lagrangian(&mech->eval, q, v, mech->eval.constant_mass ? &simple : &jet,
+        status = dal__lagrangian(&mech->eval, t0, q, v, mech->eval.constant_mass ? &simple : &jet,
                                  &mech->error);
     if (!status && mech->eval.system->def.force)
         status = dal__force(&mech->eval, t0, q, v, mech->force, mech->f_q, mech->f_v,
@@ -212,10 +214,10 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     memcpy(self->fresh, x, 2 * n * sizeof *x);
     status = probe(self, t0);
     if (!status)
-        status = make_consistent(self, initial == DAL_INITIAL_D_EPS ? shift : 0.0, consistency,
+        status = make_consistent(self, t0, initial == DAL_INITIAL_D_EPS ? shift : 0.0, consistency,
                                  &stats);
     if (!status && initial == DAL_INITIAL_PROJECT)
-        status = dal_project(&self->mech, shift, self->fresh, &stats.initial_correction);
+        status = dal_project(&self->mech, t0, shift, self->fresh, &stats.initial_correction);
     if (!status && initial == DAL_INITIAL_SHIFT) status = move_node(self, shift, self->fresh);
     dal__jump jump = {0};
     if (!status)

@@ -54,9 +54,10 @@ static int check_def(const dal_system *system, const dal_embedding_def *def, dal
     if (def->order == 0 && def->scheme->order <= 0)
         return dal__fail(error, DAL_EINVAL, "order = 0, and the record promises no order either");
     if (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)) return DAL_EINVAL;
-    if (system->def.force)
-        return dal__fail(error, DAL_EUNSUPPORTED, "a force may depend on time: only autonomous "
-                         "systems are embedded");
+    if (!dal__is_autonomous(system))
+        return dal__fail(error, DAL_EUNSUPPORTED, "%s: only autonomous systems are embedded",
+                         system->def.force ? "a force may depend on time"
+                                           : "the system depends on time");
     return DAL_SUCCESS;
 }
 
@@ -146,7 +147,7 @@ static int fail(dal_embedding *self, int status, const char *where, const char *
 /* x <- psi(z). */
 static int lift(dal_embedding *self, const double *z, double *x)
 {
-    const int status = dal_chart_lift(self->chart, z, x);
+    const int status = dal_chart_lift(self->chart, 0.0, z, x);
     return status ? fail(self, status, "chart", dal_chart_message(self->chart)) : DAL_SUCCESS;
 }
 

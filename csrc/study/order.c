@@ -244,11 +244,12 @@ static int failed_mechanics(const study *self, int status)
 
 /* ---- the reference ---------------------------------------------------------------------- */
 
-/* The exact solution starts at time 0; only a force can tell that from t0. */
+/* The exact solution starts at time 0; a system that does not depend on time cannot tell that from
+ * t0. */
 static bool has_exact(const study *self)
 {
     const dal_system_def *const def = &self->system->def;
-    return def->exact && (!def->force || self->def->t0 == 0.0);
+    return def->exact && (dal__is_autonomous(self->system) || self->def->t0 == 0.0);
 }
 
 /* x[2n] at t <- the solution that starts in start[2n] at t0.  Off D there is only the flow. */
@@ -298,7 +299,8 @@ static int start_run(study *self, double h)
 {
     memcpy(self->start, self->x0, 2 * self->n * sizeof *self->start);
     if (self->kept && self->def->initial == DAL_INITIAL_D_EPS) {
-        const int status = dal_project(self->mech, self->shift * h, self->start, NULL);
+        const int status = dal_project(self->mech, self->def->t0, self->shift * h, self->start,
+                                       NULL);
         if (status) return status;
     }
     return dal_stepper_start(self->stepper, self->def->t0, h, self->start, DAL_CHECK,
@@ -329,14 +331,15 @@ static int measure_step(study *self, double h, dal_order_point *point)
     return DAL_SUCCESS;
 }
 
-/* Energy and residuals of the states in rows 1..count; row 0 is where the block began. */
-static int watch_block(study *self, double h, size_t count, double energy0,
+/* Energy and residuals of the states in rows 1..count, of the steps first to first + count - 1; row
+ * 0 is where the block began. */
+static int watch_block(study *self, double h, size_t first, size_t count, double energy0,
                        dal_order_point *point)
 {
     const double *const x = self->rows + 2 * self->n;
-    const double t = dal_stepper_time(self->stepper);
-    int status = dal_trajectory(self->mech, t, h, 0.0, count, x, self->energy, NULL, NULL,
-                                self->relative, NULL);
+    const double t0 = self->def->t0;
+    int status = dal__trajectory(self->mech, t0, h, first, 0.0, count, x, self->energy, NULL, NULL,
+                                 self->relative, NULL);
     if (status) return status;
     for (size_t k = 0; k < count; k++) {
         const double error = fabs(self->energy[k] - energy0) / fmax(fabs(energy0), 1.0);
@@ -344,8 +347,8 @@ static int watch_block(study *self, double h, size_t count, double energy0,
     }
     point->residual = fmax(point->residual, dal__largest(count, self->relative));
     if (isnan(self->shift)) return DAL_SUCCESS;
-    status = dal_trajectory(self->mech, t, h, self->shift * h, count, x, NULL, NULL, NULL,
-                            self->relative, NULL);
+    status = dal__trajectory(self->mech, t0, h, first, self->shift * h, count, x, NULL, NULL, NULL,
+                             self->relative, NULL);
     if (status) return status;
     point->residual_eps = fmax(point->residual_eps, dal__largest(count, self->relative));
     return DAL_SUCCESS;
@@ -358,12 +361,12 @@ static int measure_run(study *self, double h, size_t steps, dal_order_point *poi
 {
     const size_t n = self->n;
     double energy0;
-    int status = dal_energy(self->mech, dal_stepper_state(self->stepper), &energy0);
+    int status = dal_energy(self->mech, self->def->t0, dal_stepper_state(self->stepper), &energy0);
     for (size_t made = 0, block = 1; !status && made < steps;) {
         const size_t count = steps - made < block ? steps - made : block;
         const double began = dal__clock();
         status = dal_integrate(self->stepper, count, 1, self->rows, NULL, NULL, NULL, NULL);
-        if (!status) status = watch_block(self, h, count, energy0, point);
+        if (!status) status = watch_block(self, h, made + 1, count, energy0, point);
         made += count;
         self->made += (double)count;
         if (!status) status = dal__ask(&self->watch, self->made, self->error);
@@ -527,7 +530,8 @@ static bool loses_energy(study *self)
     dal_fit fit;
     read_column(self, offsetof(dal_order_point, energy));
     dal_fit_order(self->def->count, self->h, self->errors, ENERGY / ABOVE_FLOOR, &fit, NULL);
-    return !def->force && def->kind == DAL_LINEAR && is_resolved(self) && fit.slope < 0.5;
+    return dal__is_autonomous(self->system) && def->kind == DAL_LINEAR && is_resolved(self)
+        && fit.slope < 0.5;
 }
 
 /* The verdict in words, with the numbers that it rests on. */
@@ -692,11 +696,11 @@ static int place_on_D(study *self)
 {
     double residual;
     memcpy(self->x0, self->def->x0, 2 * self->n * sizeof *self->x0);
-    int status = dal_relative_residual(self->mech, 0.0, self->x0, &residual);
+    int status = dal_relative_residual(self->mech, self->def->t0, 0.0, self->x0, &residual);
     if (!status && residual > DAL_CONSISTENT)
         return dal__fail(self->error, DAL_EOFFD, "x0 does not lie in D: |mu v| is %.3g of "
                          "sum |mu_i v_i|, at most %g is accepted", residual, DAL_CONSISTENT);
-    if (!status) status = dal_project(self->mech, 0.0, self->x0, NULL);
+    if (!status) status = dal_project(self->mech, self->def->t0, 0.0, self->x0, NULL);
     return status ? failed_mechanics(self, status) : DAL_SUCCESS;
 }
 

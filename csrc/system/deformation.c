@@ -20,17 +20,19 @@ typedef struct deformation {
 
 /* ---- what is taken over from the base ---------------------------------------------------- */
 
-static int base_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int base_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                          void *ctx)
 {
     const dal_system_def *const base = &((const deformation *)ctx)->base;
-    return base->potential(q, V, V_q, V_qq, base->ctx);
+    return base->potential(t, q, V, V_q, V_qq, base->ctx);
 }
 
-static int base_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                           double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int base_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                           double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                           void *ctx)
 {
     const dal_system_def *const base = &((const deformation *)ctx)->base;
-    return base->lagrangian(q, v, L, L_q, L_v, L_qq, L_vq, L_vv, base->ctx);
+    return base->lagrangian(t, q, v, L, L_q, L_v, L_qq, L_vq, L_vv, L_vt, base->ctx);
 }
 
 static int base_force(double t, const double *q, const double *v, double *f, double *f_q,
@@ -40,15 +42,16 @@ static int base_force(double t, const double *q, const double *v, double *f, dou
     return base->force(t, q, v, f, f_q, f_v, base->ctx);
 }
 
-/* phi[m] of the base, which is mu v where it is linear, and phi_v[m*n], phi_q[m*n], which may be
- * NULL; forms[m*n] is scratch. */
-static int base_constraint(const dal_system_def *base, const double *q, const double *v,
-                           double *phi, double *phi_v, double *phi_q, double *forms)
+/* phi[m] of the base, which is mu v where it is linear, and phi_v[m*n], phi_q[m*n], phi_t[m], which
+ * may be NULL; forms[m*n] is scratch. */
+static int base_constraint(const dal_system_def *base, double t, const double *q, const double *v,
+                           double *phi, double *phi_v, double *phi_q, double *phi_t, double *forms)
 {
-    if (base->kind != DAL_LINEAR) return base->constraint(q, v, phi, phi_v, phi_q, base->ctx);
-    double *const mu = phi && !phi_v ? forms : phi_v;
-    const int returned = base->constraint(q, v, NULL, mu, phi_q, base->ctx);
-    if (!returned && phi) dal__apply(base->m, base->n, mu, v, phi);
+    const bool linear = base->kind == DAL_LINEAR;
+    double *const mu = linear && phi && !phi_v ? forms : phi_v;
+    const int returned =
+        base->constraint(t, q, v, linear ? NULL : phi, mu, phi_q, phi_t, base->ctx);
+    if (!returned && linear && phi) dal__apply(base->m, base->n, mu, v, phi);
     return returned;
 }
 
@@ -59,40 +62,44 @@ static void add(size_t count, double delta, const double *g, double *sum)
     for (size_t i = 0; i < count; i++) sum[i] += delta * g[i];
 }
 
-static int deformed(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                    void *ctx)
+static int deformed(double t, const double *q, const double *v, double *phi, double *phi_v,
+                    double *phi_q, double *phi_t, void *ctx)
 {
     const deformation *const self = ctx;
     const size_t m = self->base.m, mn = m * self->base.n;
     double scratch[MOST_ENTRIES], row[MOST_ENTRIES];
-    int returned = base_constraint(&self->base, q, v, phi, phi_v, phi_q, scratch);
+    int returned = base_constraint(&self->base, t, q, v, phi, phi_v, phi_q, phi_t, scratch);
     if (!returned && (phi || phi_v)) {
         if (phi) dal__forget(m, row);
         if (phi_v) dal__forget(mn, scratch);
-        returned = self->g(q, v, phi ? row : NULL, phi_v ? scratch : NULL, NULL, self->ctx);
+        returned =
+            self->g(t, q, v, phi ? row : NULL, phi_v ? scratch : NULL, NULL, NULL, self->ctx);
         if (!returned && phi) add(m, self->delta, row, phi);
         if (!returned && phi_v) add(mn, self->delta, scratch, phi_v);
     }
-    if (!returned && phi_q) {
-        dal__forget(mn, scratch);
-        returned = self->g(q, v, NULL, NULL, scratch, self->ctx);
-        if (!returned) add(mn, self->delta, scratch, phi_q);
+    if (!returned && (phi_q || phi_t)) {
+        if (phi_q) dal__forget(mn, scratch);
+        if (phi_t) dal__forget(m, row);
+        returned =
+            self->g(t, q, v, NULL, NULL, phi_q ? scratch : NULL, phi_t ? row : NULL, self->ctx);
+        if (!returned && phi_q) add(mn, self->delta, scratch, phi_q);
+        if (!returned && phi_t) add(m, self->delta, row, phi_t);
     }
     return returned;
 }
 
 /* ---- phi(q - delta v, v) ------------------------------------------------------------------ */
 
-static int shifted(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                   void *ctx)
+static int shifted(double t, const double *q, const double *v, double *phi, double *phi_v,
+                   double *phi_q, double *phi_t, void *ctx)
 {
     const deformation *const self = ctx;
     const size_t n = self->base.n, mn = self->base.m * n;
     double point[MOST_ENTRIES], scratch[MOST_ENTRIES];
     for (size_t i = 0; i < n; i++) point[i] = q[i] - self->delta * v[i];
     double *const slope = phi_v && !phi_q ? scratch : phi_q; /* phi_v needs it */
-    const int returned =
-        base_constraint(&self->base, point, v, phi, phi_v, slope, phi_v ? NULL : scratch);
+    const int returned = base_constraint(&self->base, t, point, v, phi, phi_v, slope, phi_t,
+                                         phi_v ? NULL : scratch);
     if (!returned && phi_v) add(mn, -self->delta, slope, phi_v);
     return returned;
 }
@@ -140,9 +147,9 @@ int dal_system_deform(dal_system **system, const dal_system *base, dal_deformati
     if (!system || !base || !g)
         return dal__fail(error, DAL_EINVAL, "%s is NULL",
                          !system ? "system" : !base ? "base" : "g");
-    if (missing & ~(unsigned)DAL_MISSING_PHI_Q)
-        return dal__fail(error, DAL_EINVAL, "missing = %#x: only DAL_MISSING_PHI_Q, for g_q, is "
-                         "allowed", missing);
+    if (missing & ~(unsigned)(DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: only DAL_MISSING_PHI_Q, for g_q, and "
+                         "DAL_MISSING_PHI_T, for g_t, are allowed", missing);
     if (kind < base->def.kind)
         return dal__fail(error, DAL_EINVAL, "kind = %d, but the base is of kind %d already",
                          (int)kind, (int)base->def.kind);

@@ -31,9 +31,12 @@ static int check_mass(const dal_system_def *def, dal_error *error)
 static int check_lagrangian(const dal_system_def *def, dal_error *error)
 {
     const unsigned of_potential = DAL_MISSING_V_Q | DAL_MISSING_V_QQ;
-    const unsigned of_lagrangian = DAL_MISSING_L_QQ | DAL_MISSING_L_VQ | DAL_MISSING_L_VV;
+    const unsigned of_lagrangian =
+        DAL_MISSING_L_QQ | DAL_MISSING_L_VQ | DAL_MISSING_L_VV | DAL_MISSING_L_VT;
     const unsigned of_force = DAL_MISSING_F_Q | DAL_MISSING_F_V;
-    const unsigned known = of_potential | DAL_MISSING_PHI_Q | of_lagrangian | of_force;
+    const unsigned of_time = DAL_MISSING_PHI_T | DAL_MISSING_L_VT;
+    const unsigned known =
+        of_potential | DAL_MISSING_PHI_Q | of_lagrangian | of_force | of_time;
     if (def->missing & ~known)
         return dal__fail(error, DAL_EINVAL, "missing = %#x has bits outside %#x", def->missing,
                          known);
@@ -50,6 +53,8 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "missing = %#x: lagrangian is NULL", def->missing);
     if (!def->force && (def->missing & of_force))
         return dal__fail(error, DAL_EINVAL, "missing = %#x: force is NULL", def->missing);
+    if (!def->time_dependent && (def->missing & of_time))
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: time_dependent is 0", def->missing);
     return DAL_SUCCESS;
 }
 
@@ -60,7 +65,8 @@ static int check_steady(const dal_system_def *def, dal_error *error)
                                 ? "that is not a dal_steady"
                             : !def->mass ? "mass is NULL"
                             : def->kind != DAL_LINEAR ? "the constraints are not linear"
-                                                      : NULL;
+                            : def->time_dependent ? "the system depends on time"
+                                                  : NULL;
     if (!why) return DAL_SUCCESS;
     return dal__fail(error, DAL_EINVAL, "steady = %d, and %s", def->steady, why);
 }
@@ -92,6 +98,9 @@ static int check_def(const dal_system_def *def, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
     if (def->ctx_size > 0 && !def->ctx)
         return dal__fail(error, DAL_EINVAL, "ctx_size = %zu and ctx is NULL", def->ctx_size);
+    if (def->time_dependent != 0 && def->time_dependent != 1)
+        return dal__fail(error, DAL_EINVAL, "time_dependent = %d: expected 0 or 1",
+                         def->time_dependent);
     if (!status) status = check_steady(def, error);
     if (!status && def->mass) status = check_mass(def, error);
     return status;
@@ -301,6 +310,7 @@ const char *dal_system_formulas(const dal_system *system) { return system->def.f
 const double *dal_system_mass(const dal_system *system) { return system->mass; }
 dal_constraint_kind dal_system_kind(const dal_system *system) { return system->def.kind; }
 int dal_system_is_forced(const dal_system *system) { return system->def.force != NULL; }
+int dal_system_is_time_dependent(const dal_system *system) { return system->def.time_dependent; }
 size_t dal_system_parameters(const dal_system *system) { return system->parameters; }
 size_t dal_system_invariants(const dal_system *system) { return system->def.invariants; }
 
@@ -364,15 +374,15 @@ int dal_system_exact(const dal_system *system, double t, const double *x0, doubl
     return close_answer(&scratch, def->exact(t, x0, fresh, def->ctx), 2 * def->n, fresh, x);
 }
 
-int dal_system_invariant(const dal_system *system, const double *x, double *values)
+int dal_system_invariant(const dal_system *system, double t, const double *x, double *values)
 {
-    if (!system || !x || !values) return DAL_EINVAL;
+    if (!system || !x || !values || !isfinite(t)) return DAL_EINVAL;
     const dal_system_def *const def = &system->def;
     if (!def->invariant) return DAL_EUNSUPPORTED;
     arena scratch = {0};
     double *fresh;
     const int status = open_answer(&scratch, def->invariants, &fresh);
     if (status) return status;
-    return close_answer(&scratch, def->invariant(x, fresh, def->ctx), def->invariants, fresh,
+    return close_answer(&scratch, def->invariant(t, x, fresh, def->ctx), def->invariants, fresh,
                         values);
 }

@@ -27,6 +27,8 @@ int dal__system_wrap(dal_system **system, const dal_system_def *def, const void 
 /* The callbacks of a system as the rest of the library calls them: derivatives that the user does
  * not give are differenced, calls are counted.  One evaluator for each thread.  potential and
  * constraint may be called directly with their ctx (the hot path does, and counts by itself). */
+typedef enum dal__moves { MOVES_Q, MOVES_V, MOVES_T } dal__moves;
+
 typedef struct evaluator {
     const dal_system *system;
     dal_potential_fn potential; /* NULL: V = 0 */
@@ -37,12 +39,13 @@ typedef struct evaluator {
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
     double time;                      /* where what does not move stands in a difference, */
     const double *position, *velocity; /* [n] */
+    dal__moves moves;                 /* and what moves */
     size_t potential_calls, constraint_calls, lagrangian_calls, force_calls;
 } evaluator;
 
 /* Where L and its derivatives are to go; what is NULL is not wanted.  As in dal_lagrangian_fn. */
 typedef struct dal__jet {
-    double *L, *L_q, *L_v, *L_qq, *L_vq, *L_vv;
+    double *L, *L_q, *L_v, *L_qq, *L_vq, *L_vv, *L_vt;
 } dal__jet;
 
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a);
@@ -50,16 +53,20 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system);
 
 /* Calls that check: status of the callback; DAL_EDOMAIN if an output is not finite.  The text
  * names the callback, the component and the value. */
-int dal__potential(evaluator *e, const double *q, double *V, double *V_q, double *V_qq,
+int dal__potential(evaluator *e, double t, const double *q, double *V, double *V_q, double *V_qq,
                    dal_error *error);
-int dal__constraint(evaluator *e, const double *q, const double *v, double *phi, double *phi_v,
-                    double *phi_q, dal_error *error);
+/* phi_t is 0 unless the system is time_dependent, and so is L_vt. */
+int dal__constraint(evaluator *e, double t, const double *q, const double *v, double *phi,
+                    double *phi_v, double *phi_q, double *phi_t, dal_error *error);
 /* Of every system: that of constant mass has the jet of v^T M v / 2 - V. */
-int dal__lagrangian(evaluator *e, const double *q, const double *v, const dal__jet *jet,
+int dal__lagrangian(evaluator *e, double t, const double *q, const double *v, const dal__jet *jet,
                     dal_error *error);
 /* Of every system: zeros where there is no force. */
 int dal__force(evaluator *e, double t, const double *q, const double *v, double *f, double *f_q,
                double *f_v, dal_error *error);
+
+/* Whether nothing depends on time, as far as the definition says. */
+bool dal__is_autonomous(const dal_system *system);
 
 /* f[count] at q; returns 0, or what its callback returned. */
 typedef int (*dal__function)(const double *q, double *f, void *ctx);

@@ -24,7 +24,7 @@ typedef int (*dal_map_fn)(double h, const double *q0, const double *q1, double *
 typedef struct dal_difference_map {
     double beta;     /* in [0, 1].  With map NULL: rho^beta, g = (1-beta) q0 + beta q1 and
                         f = (q1-q0)/h (robeta; ro1, ro2 are 0 and 1/2).  Else where between the
-                        nodes g lies, which only a force that depends on time has to know */
+                        nodes g lies, which only what depends on time has to know */
     dal_map_fn map;  /* of the user's own, or NULL */
     int differenced; /* 1: map gives g and f only; central differences then cost about 1e-12 of
                         D_r L_d, which the orbit sees, and nothing of phi_d */
@@ -48,7 +48,8 @@ typedef struct dal_pair {
  * (discreteeq), and what is said of lambda[m], phi_d[m] is empty.
  *
  * The pair (q_(k-1), q_k) belongs to the state (q~_k, v_k) = rho'(q_(k-1), q_k) and to its time
- * t_k, which is the t of the functions below. */
+ * t_k, which is the t of the functions below.  There phi_d is evaluated; L and f at t_k + (beta -
+ * beta') h with the beta of rho and of rho', and mu(q_k) at t_k + (1 - beta') h. */
 typedef struct dal_discrete dal_discrete;
 
 /* lagrangian: rho; constraint: rho', or NULL: the same.  They are copied, their ctx is borrowed.
@@ -76,15 +77,15 @@ DAL_API int dal_discrete_nodes(dal_discrete *discrete, double h, const double *x
 /* *L_d; D1[n] = dL_d/dq0; D2[n] = dL_d/dq1; D12[i*n+j] = d2L_d/dq0_i dq1_j.  For a map of the
  * user's own D12 is good to about 1e-10, because its second derivatives are differenced.  Outputs
  * may be NULL. */
-DAL_API int dal_discrete_lagrangian(dal_discrete *discrete, double h, const double *q0,
+DAL_API int dal_discrete_lagrangian(dal_discrete *discrete, double t, double h, const double *q0,
                                     const double *q1, double *L_d, double *D1, double *D2,
                                     double *D12);
 
 /* phi_d[m] (DiscNHSet, Ff); D1[m*n] = dphi_d/dq0; D2[m*n] = dphi_d/dq1.  Outputs may be NULL. */
-DAL_API int dal_discrete_constraint(dal_discrete *discrete, double h, const double *q0,
+DAL_API int dal_discrete_constraint(dal_discrete *discrete, double t, double h, const double *q0,
                                     const double *q1, double *phi_d, double *D1, double *D2);
 
-/* The discrete Legendre transforms, with the forces at time t: minus[n] <- p^- = -D_1 L_d - f^-,
+/* The discrete Legendre transforms: minus[n] <- p^- = -D_1 L_d - f^-,
  * the momentum at q0; plus[n] <- p^+ = D_2 L_d + f^+, that at q1.  Either may be NULL.  Along an
  * orbit p^-(q_k, q_(k+1)) - p^+(q_(k-1), q_k) = h mu(q_k)^T lambda_(k+1). */
 DAL_API int dal_discrete_momenta(dal_discrete *discrete, double t, double h, const double *q0,

@@ -27,9 +27,9 @@ typedef struct dal_difference {
 /* What dal_system_check found at one point. */
 typedef struct dal_check {
     int passed;              /* 1: all below is as it should be */
-    dal_difference V_q, V_qq, phi_q;
+    dal_difference V_q, V_qq, phi_q, phi_t;
     dal_difference phi_v;    /* of affine and nonlinear constraints, against phi */
-    dal_difference L_q, L_v, L_qq, L_vq, L_vv, f_q, f_v;
+    dal_difference L_q, L_v, L_qq, L_vq, L_vv, L_vt, f_q, f_v;
     double linearity;        /* worst |mu(q) at v - mu(q) at another v|, which must not depend on v
                                 unless the constraint is nonlinear */
     size_t rank;             /* of mu(q); should be m (FullRank, RegularitySet) */
@@ -44,14 +44,15 @@ typedef struct dal_check {
     char text[508];          /* the first thing found wrong, in words; or the summary */
 } dal_check;
 
-/* *report <- the system examined at x[2n]; what depends on v also at another velocity, where it is
- * defined there; a force at time 0, and with the other velocity at time 1.  The mass is examined at
- * x, curvature and integrable (NaN, 0) only of linear constraints, and condition (NaN) only if M is
- * positive definite.  Findings are in the report; the return value is for
+/* *report <- the system examined at x[2n] and time t; what depends on v also at another velocity,
+ * where it is defined there, and at time t + 1.  That a callback besides the force gives other
+ * numbers at another time is a finding, unless the system is time_dependent.  The mass is examined
+ * at x, curvature and integrable (NaN, 0) only of linear constraints, and condition (NaN) only if M
+ * is positive definite.  Findings are in the report; the return value is for
  * what prevents the examination: DAL_EINVAL, DAL_ENOMEM, DAL_EUSER, DAL_EDOMAIN (a callback that
  * is not finite or writes nothing is a finding of its own: passed = 0 and DAL_EDOMAIN). */
-DAL_API int dal_system_check(const dal_system *system, const double *x, dal_check *report,
-                             dal_error *error);
+DAL_API int dal_system_check(const dal_system *system, double t, const double *x,
+                             dal_check *report, dal_error *error);
 
 /* ---- geometry -------------------------------------------------------------------------- */
 
@@ -64,40 +65,41 @@ DAL_API void dal_mechanics_free(dal_mechanics *mechanics);
 /* What the last failure was, with the numbers; "" if there was none. */
 DAL_API const char *dal_mechanics_message(const dal_mechanics *mechanics);
 
-/* In this section M is L_vv, and D = {phi(q, v) = 0}; mu is phi_v, and phi is mu v where the
- * constraints are linear.  Errors of the functions below: DAL_EINVAL, DAL_EUSER, DAL_EDOMAIN;
- * DAL_ESINGULAR where C or M is inverted. */
+/* In this section M is L_vv, and D = {phi(t, q, v) = 0}; mu is phi_v, and phi is mu v where the
+ * constraints are linear; all of them at time t.  Errors of the functions below: DAL_EINVAL,
+ * DAL_EUSER, DAL_EDOMAIN; DAL_ESINGULAR where C or M is inverted. */
 
 /* *E <- L_v v - L, which is v^T M v / 2 + V(q) for constant mass; a first integral on D unless
- * there is a force, or the constraint forces work (dal_power). */
-DAL_API int dal_energy(dal_mechanics *mechanics, const double *x, double *E);
+ * there is a force, L depends on t, or the constraint forces work (dal_power). */
+DAL_API int dal_energy(dal_mechanics *mechanics, double t, const double *x, double *E);
 
 /* *constraint <- lambda . (phi_v v), the power of the constraint forces, which is 0 on D for linear
- * constraints and dE/dt of an affine or nonlinear one (deformation); *force <- f . v.  Either may
+ * constraints; *force <- f . v.  dE/dt is their sum, less dL/dt at fixed q, v.  Either may
  * be NULL. */
 DAL_API int dal_power(dal_mechanics *mechanics, double t, const double *x, double *constraint,
                       double *force);
 
 /* M[n*n] <- L_vv at x (metric). */
-DAL_API int dal_metric(dal_mechanics *mechanics, const double *x, double *M);
+DAL_API int dal_metric(dal_mechanics *mechanics, double t, const double *x, double *M);
 
 /* residual[m] <- phi(q - shift v, v).  shift = 0 is D; shift = (1 - beta) h is the deformation
  * D_eps that the beta-scheme with kept nodes preserves (deformedCons). */
-DAL_API int dal_residual(dal_mechanics *mechanics, double shift, const double *x, double *residual);
+DAL_API int dal_residual(dal_mechanics *mechanics, double t, double shift, const double *x,
+                         double *residual);
 
 /* *worst <- the largest of all a of
  *     |phi^a| / (sum_i |mu^a_i| d_i max_j |v_j| / d_j + |phi^a - mu^a v|),   d_i = sqrt((M^-1)_ii),
  * at (q - shift v, v), where the last term is 0 for linear constraints; 0 where phi is 0.  d_i is
  * the largest |v_i| of a velocity with v^T M v = 1.  It does not change when forms or coordinates
  * are rescaled.  Also DAL_ESINGULAR (M(q) is not positive definite). */
-DAL_API int dal_relative_residual(dal_mechanics *mechanics, double shift, const double *x,
-                                  double *worst);
+DAL_API int dal_relative_residual(dal_mechanics *mechanics, double t, double shift,
+                                  const double *x, double *worst);
 
 /* C[m*m] <- mu M^-1 mu^T at x (lemmaC; Ceps). */
-DAL_API int dal_gram(dal_mechanics *mechanics, const double *x, double *C);
+DAL_API int dal_gram(dal_mechanics *mechanics, double t, const double *x, double *C);
 
-/* lambda[m] <- -C^-1 (phi_q v + mu f_v) with f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for
- * constant mass and no force (f, lambdax, lambdaQV); defined off D as well. */
+/* lambda[m] <- -C^-1 (phi_q v + phi_t + mu f_v) with f_v = M^-1 (L_q - L_vq v - L_vt + f), which is
+ * -M^-1 V_q for constant mass and no force (f, lambdax, lambdaQV); defined off D as well. */
 DAL_API int dal_multipliers(dal_mechanics *mechanics, double t, const double *x, double *lambda);
 
 /* vdot[n] <- f_v + M^-1 mu^T lambda (soODE). */
@@ -119,31 +121,33 @@ DAL_API int dal_perturbed(dal_mechanics *mechanics, double t, double weight, con
  * linear and affine constraints and shift = 0 that is v - M^-1 mu^T C^-1 phi, the nearest
  * consistent velocity in the metric M.  *distance (or NULL) <- the length of the correction in
  * that metric. Also DAL_ENOCONV. */
-DAL_API int dal_project(dal_mechanics *mechanics, double shift, double *x, double *distance);
+DAL_API int dal_project(dal_mechanics *mechanics, double t, double shift, double *x,
+                        double *distance);
 
 /* x[2n]: v <- the velocity in D_q nearest in the metric M with v_i unchanged where keep[i] is not 0
  * (keep[n], or NULL: none): data to start from (InitialData).  For nonlinear constraints one that
  * is consistent, found by Newton.
  * DAL_ESINGULAR if the kept components leave too little freedom; also DAL_ENOMEM, DAL_ENOCONV. */
-DAL_API int dal_consistent(dal_mechanics *mechanics, const unsigned char *keep, double *x,
-                           double *distance);
+DAL_API int dal_consistent(dal_mechanics *mechanics, double t, const unsigned char *keep,
+                           double *x, double *distance);
 
 /* The residual and the Jacobian [[K, -mu_k^T], [B, 0]] of one step of the beta-scheme from x[2n] at
  * time t, at a trial velocity w[n] and impulse kappa[m] = h lambda (DAELd1, DAELd2, Facil):
  *   q_k = q + (1-beta) h v,  q1 = q_k + beta h w,  F = L_q + f,
- *   R1[n] = L_v(q1, w) - L_v(q, v) - h ((1-beta) F(t+h, q1, w) + beta F(t, q, v)) - mu_k^T kappa,
+ *   R1[n] = L_v(q1, w) - L_v(q, v) - h ((1-beta) F(q1, w) + beta F(q, v)) - mu_k^T kappa,
  *   R2[m] = phi(q1, w),  mu_k = phi_v(q_k, (v+w)/2), which is mu(q_k) unless phi is nonlinear,
- *   K[n*n] = dR1/dw,  B[m*n] = dR2/dw = phi_v + beta h phi_q at (q1, w).
+ *   K[n*n] = dR1/dw,  B[m*n] = dR2/dw = phi_v + beta h phi_q at (q1, w);
+ * what stands at q, q_k and q1 is evaluated at the times t, t + (1-beta) h and t + h.
  * For constant mass and no force K = M + h^2 beta (1-beta) V_qq(q1).  muk[m*n] <- mu_k.  Every
  * output may be NULL. */
 DAL_API int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h,
                                const double *x, const double *w, const double *kappa, double *R1,
                                double *R2, double *K, double *B, double *muk);
 
-/* Evaluates count rows (q, v) of x[count*2n]: energy[count]; multipliers[count*m] by lambdax, which
- * have the order of the rows (rmkpdisc);
- * residual[count*m] = phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may
- * be NULL.  On failure *done (or NULL) is the number of rows that were evaluated. */
+/* Evaluates count rows (q, v) of x[count*2n], row k at time t0 + k h: energy[count];
+ * multipliers[count*m] by lambdax, which have the order of the rows (rmkpdisc); residual[count*m] =
+ * phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may be NULL.  On failure
+ * *done (or NULL) is the number of rows that were evaluated. */
 DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift,
                            size_t count, const double *x, double *energy, double *multipliers,
                            double *residual, double *relative, size_t *done);
@@ -172,7 +176,7 @@ DAL_API const char *dal_chart_message(const dal_chart *chart);
  * units 1/sqrt(M_ii), so that the choice does not depend on the units of q, and with exchanges
  * until no entry of A exceeds 5/4 in them, so that it hardly depends on which forms describe D
  * either.  Newton for nonlinear constraints starts at the v_dependent of x. */
-DAL_API int dal_chart_choose(dal_chart *chart, const size_t *dependent, const double *x);
+DAL_API int dal_chart_choose(dal_chart *chart, double t, const size_t *dependent, const double *x);
 
 /* The choice: [m] and [n-m] indices, ascending, borrowed; NULL before the first one. */
 DAL_API const size_t *dal_chart_dependent(const dal_chart *chart);
@@ -181,42 +185,44 @@ DAL_API const size_t *dal_chart_independent(const dal_chart *chart);
 /* *condition <- the largest singular value of [A, I] at x in the units 1/sqrt(M_ii): how much
  * larger v can be than v_independent.  It is the condition of B once the forms are made
  * orthonormal, 1 at best, and the same for mu and any B(q) mu; INFINITY where B is singular. */
-DAL_API int dal_chart_condition(dal_chart *chart, const double *x, double *condition);
+DAL_API int dal_chart_condition(dal_chart *chart, double t, const double *x, double *condition);
 
 /* Keeps the choice where its condition at x is at most 10 sqrt(1 + m (n-m)), else chooses anew; a
  * choice by pivoting starts eight times below this limit, so it does not flip back.  *changed (or
  * NULL) <- whether the dependent coordinates changed, as they do when first chosen;
  * dal_chart_message then says from which to which.  For nonlinear constraints Newton starts at the
  * v_dependent of x from then on. */
-DAL_API int dal_chart_renew(dal_chart *chart, const double *x, int *changed);
+DAL_API int dal_chart_renew(dal_chart *chart, double t, const double *x, int *changed);
 
 /* A[m*(n-m)] and B[m*m] at x[2n], either may be NULL. */
-DAL_API int dal_chart_connection(dal_chart *chart, const double *x, double *A, double *B);
+DAL_API int dal_chart_connection(dal_chart *chart, double t, const double *x, double *A,
+                                 double *B);
 
 /* v = hor + ver: hor[n] is the velocity of D with the v_independent of x, and ver[n] is zero in the
  * independent components.  For linear constraints both are linear in v.  Either may be NULL. */
-DAL_API int dal_chart_split(dal_chart *chart, const double *x, double *hor, double *ver);
+DAL_API int dal_chart_split(dal_chart *chart, double t, const double *x, double *hor, double *ver);
 
 /* x[2n] <- psi(xi[2n-m]) (Embedd), with |phi_a| <= 4 n u of the size of its terms. */
-DAL_API int dal_chart_lift(dal_chart *chart, const double *xi, double *x);
+DAL_API int dal_chart_lift(dal_chart *chart, double t, const double *xi, double *x);
 
 /* xi[2n-m] <- (q, v_independent) of x[2n]; the left inverse of psi. */
 DAL_API int dal_chart_drop(dal_chart *chart, const double *x, double *xi);
 
 /* J[2n*(2n-m)] <- dpsi/dxi (EhresJota), left[(2n-m)*2n] <- its left inverse, the derivative of
  * dal_chart_drop (Inverse); either may be NULL. */
-DAL_API int dal_chart_jacobian(dal_chart *chart, const double *xi, double *J, double *left);
+DAL_API int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J,
+                               double *left);
 
-/* xidot[2n-m] <- the ODE on D in these coordinates: left h(psi(xi)) (ODExi, ODEred, ODExiConnec;
- * ODExiEps). */
+/* xidot[2n-m] <- the ODE on D in these coordinates, left h(psi(xi)), also where psi depends on t
+ * (ODExi, ODEred, ODExiConnec; ODExiEps). */
 DAL_API int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot);
 
 /* The multipliers of the forms [A, I] from those of mu, and back: lambda_E[m] <- B^T lambda,
  * lambda[m] <- B^-T lambda_E, B at x[2n]; mu^T lambda = [A, I]^T lambda_E.  They may overlap. */
-DAL_API int dal_chart_multipliers(dal_chart *chart, const double *x, const double *lambda,
-                                  double *lambda_E);
-DAL_API int dal_chart_multipliers_back(dal_chart *chart, const double *x, const double *lambda_E,
-                                       double *lambda);
+DAL_API int dal_chart_multipliers(dal_chart *chart, double t, const double *x,
+                                  const double *lambda, double *lambda_E);
+DAL_API int dal_chart_multipliers_back(dal_chart *chart, double t, const double *x,
+                                       const double *lambda_E, double *lambda);
 
 /* One beta-step with moved nodes from xi[2n-m] at time t, in place, with the multiplier eliminated
  * (the decompositions that follow firstorder and secondorder): with R1 that of dal_step_equations
@@ -239,8 +245,8 @@ DAL_API void dal_cutoff(double tau, double *chi0, double *chi1, double *slope);
 /* x[2n] <- c(tau) = psi(chi_0 xi1 + chi_1 xi2), a curve in D from x1[2n] for tau <= 0 to x2[2n] for
  * tau >= 1, which have to lie in D (yD, InterpolationD; not checked: only their q and v_independent
  * matter).  For nonlinear constraints Newton starts at chi_0 v1 + chi_1 v2.  Errors as above. */
-DAL_API int dal_chart_curve(dal_chart *chart, const double *x1, const double *x2, double tau,
-                            double *x);
+DAL_API int dal_chart_curve(dal_chart *chart, double t, const double *x1, const double *x2,
+                            double tau, double *x);
 
 /* Between the rows (q, v) of x[rows*2n], which stand at t0 + k h, k < rows: out[count*2n] <- the
  * states at the times t[count], in any order, between t0 and t0 + (rows-1) h (up to 1e-9 of that).

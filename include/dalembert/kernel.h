@@ -9,7 +9,9 @@
  *
  * which is the beta-scheme (DAELd1, DAELd2, Facil) for A = 1-beta, B = beta, and the fused pair
  * (0, a), (1, b) for A = a, B = b: V then enters at the node only, and kappa is the only unknown.
- * lambda = kappa / ((A+B) h).
+ * lambda = kappa / ((A+B) h).  What stands at q~, q_k, q~' is evaluated at the times t, t + A h and
+ * t + (A+B) h; each is t0 + (k + c) h with the number k of the step and a constant c of the stage,
+ * so that no rounding adds up, and the end of a step is the time of dal_stepper_time to the bit.
  *
  * How it is solved.  Newton on (v', kappa) with the Hessian of V dropped needs one m x m matrix
  *     S = (mu(q~') + B h N) M^-1 mu(q_k)^T,      N = d(mu v)/dq,
@@ -35,7 +37,7 @@
  * One text, many compilations.  The includer defines
  *     DAL_KERNEL                  name of the function: int (dal_kernel *, size_t, size_t *)
  *     DAL_N, DAL_M                sizes as constants; or neither, for sizes from the dal_kernel
- *     DAL_KERNEL_CONSTRAINT(k, q, v, mu, N)   and   DAL_KERNEL_POTENTIAL(k, q, V_q)
+ *     DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N)   and   DAL_KERNEL_POTENTIAL(k, t, q, V_q)
  *                                 how to call the system, the second only where there is a V; the
  *                                 routine then makes the steps of moved nodes only.  By default the
  *                                 pointers are called
@@ -60,6 +62,8 @@ typedef struct dal_stage {
     double before, after;    /* A, B */
     double start, node, end; /* weights of V_q at q~, q_k, q~' */
     double span;             /* A + B */
+    double t_start, t_node, t_end; /* times of q~, q_k, q~' since the step began, in units of h */
+    bool linear;             /* B = 0: mu(q~') is mu(q_k) */
     double reuse;            /* largest weight of V_q(q~'), here or as start of the next stage */
     double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
 } dal_stage;
@@ -105,7 +109,7 @@ typedef struct dal_arrays {
     size_t *row;                  /* [m] */
 } dal_arrays;
 
-/* Everything down to max_iterations, the arrays, h and x are set by the owner, who then calls
+/* Everything down to max_iterations, the arrays, t0, h and x are set by the owner, who then calls
  * dal_kernel_forget; the rest belongs to the step routine. */
 typedef struct dal_kernel dal_kernel;
 
@@ -129,18 +133,18 @@ struct dal_kernel {
     const double *mass, *mass_inverse; /* [n*n] */
     const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;
-    bool steady;  /* and V acts at no q~' */
-    bool proved;  /* to be so */
+    int steady;   /* a dal_steady, where V acts at no q~', or 0 */
     size_t stages;
     const dal_stage *stage;
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
+    bool plain;   /* V = 0, and moved nodes */
     double shift; /* 1 - beta */
     int max_iterations;
     /* What is left of a stage, on at: the full Newton iteration if not solved, and the residual of
      * D at what is stored, evaluated, and mended. */
-    int (*finish)(dal_kernel *k, const dal_stage *s, bool solved);
+    int (*finish)(dal_kernel *k, double t_end, const dal_stage *s, bool solved);
 
-    double h;
+    double t0, h;          /* step k, counted in stats, begins at t0 + k h */
     double *impulse;       /* [m] sum of kappa since dal_advance began */
     bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */
@@ -156,6 +160,7 @@ struct dal_kernel {
     dal_stats stats;
     struct {
         dal_failure kind;
+        const dal_stage *stage;
         int returned, iterations;
         double size, scale, first, travelled;
     } failure;
@@ -209,17 +214,23 @@ static inline int dal_kernel_refused(dal_kernel *k, dal_failure kind, int return
     return dal_kernel_fail(k, returned > 0 ? DAL_EDOMAIN : DAL_EUSER, kind);
 }
 
-static inline int dal_kernel_constraint(dal_kernel *k, const double *q, const double *v, double *mu,
-                                        double *N)
+static inline int dal_kernel_constraint(dal_kernel *k, double t, const double *q, const double *v,
+                                        double *mu, double *N)
 {
     k->stats.constraint_calls++;
-    return k->constraint(q, v, NULL, mu, N, k->constraint_ctx);
+    return k->constraint(t, q, v, NULL, mu, N, NULL, k->constraint_ctx);
 }
 
-static inline int dal_kernel_potential(dal_kernel *k, const double *q, double *V_q)
+static inline int dal_kernel_potential(dal_kernel *k, double t, const double *q, double *V_q)
 {
     k->stats.potential_calls++;
-    return k->potential(q, NULL, V_q, NULL, k->potential_ctx);
+    return k->potential(t, q, NULL, V_q, NULL, k->potential_ctx);
+}
+
+/* The time of what stands c steps behind the beginning of step number. */
+DAL_KERNEL_INLINE double dal_kernel_time(const dal_kernel *k, double number, double c)
+{
+    return k->t0 + (number + c) * k->h;
 }
 
 /* Sums begin with their first term, or with -0, which x + -0 = x lets the compiler leave out: 0 + x
@@ -419,13 +430,13 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_PULLED true
 #else
 #define DAL_KERNEL_PULLED false
-#define DAL_KERNEL_POTENTIAL(k, q, V_q) 0
+#define DAL_KERNEL_POTENTIAL(k, t, q, V_q) 0
 #endif
 #else
 #define DAL_KERNEL_INSIDE 0
 #define DAL_KERNEL_PULLED ((k)->potential != NULL)
-#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) dal_kernel_constraint(k, q, v, mu, N)
-#define DAL_KERNEL_POTENTIAL(k, q, V_q) dal_kernel_potential(k, q, V_q)
+#define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) dal_kernel_constraint(k, t, q, v, mu, N)
+#define DAL_KERNEL_POTENTIAL(k, t, q, V_q) dal_kernel_potential(k, t, q, V_q)
 #endif
 #ifndef DAL_KERNEL_PATTERN
 #define DAL_KERNEL_PATTERN \
@@ -470,10 +481,12 @@ DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
     for (size_t i = 0; i < n; i++) to[i] = from[i];
 }
 
-/* plain is a constant where this is inlined: V = 0 and moved nodes, so that what serves only the
- * others costs nothing. */
-DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *const s,
-                                       const bool plain, double *const x, double *const pull)
+/* Of step number, counted from 0.  plain is a constant where this is inlined: V = 0 and moved
+ * nodes, so that what serves only the others costs nothing.  A time that was kept in a register
+ * would be stored and loaded at every call, which costs more than to compute it there. */
+DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
+                                       const dal_stage *const s, const bool plain, double *const x,
+                                       double *const pull)
 {
 #ifdef DAL_N
     const size_t n = DAL_N, m = DAL_M;
@@ -502,13 +515,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
                            Z, S, sizes, r, d, kappa, row};
     const double h = k->h, b = s->after * h;
     const double limit = 2.0 * (double)n * DAL_KERNEL_U; /* half of the bound */
-    const bool linear = b == 0.0; /* mu(q~') is mu(q_k) */
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
     const bool potential = !plain && DAL_KERNEL_PULLED;
     const bool ends = potential && s->end != 0.0; /* V_q at the unknown q~' */
     const bool inside = DAL_KERNEL_STEADY && plain;
-    const bool steady = inside || k->steady, proved = inside || (k->steady && k->proved);
-    const bool known = m == 0 || proved || (linear && !kept); /* mu(q~') needs no evaluation */
+    const bool steady = inside || k->steady, proved = inside || k->steady == DAL_STEADY_PROVED;
+    const bool known = m == 0 || proved || (s->linear && !kept); /* mu(q~') needs no evaluation */
     dal_pattern has = DAL_KERNEL_PATTERN;
     if (inside) has.N = 0;
 
@@ -523,7 +535,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
             DAL_KERNEL_UNROLL
             for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
                 point[i] = s->node != 0.0 ? node[i] : x[i] - shift * x[n + i];
-            const int returned = DAL_KERNEL_POTENTIAL(k, point, force);
+            const int returned = DAL_KERNEL_POTENTIAL(
+                k, dal_kernel_time(k, number, s->node != 0.0 ? s->t_node : s->t_start), point,
+                force);
             if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         }
         const double weight = h * (s->node != 0.0 ? s->node : s->start);
@@ -545,20 +559,25 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
 
     /* ---- factor: mu at the prediction, and then at the node: more has to wait for the first */
     int returned = 0;
-    if (m > 0 && !linear) returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, steady ? NULL : N);
+    if (m > 0 && !s->linear)
+        returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w, mu,
+                                         steady ? NULL : N);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
     if (m > 0) {
-        const int status = DAL_KERNEL_CONSTRAINT(k, node, x + n, mu_node, NULL);
+        const int status = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_node), node,
+                                                 x + n, mu_node, NULL);
         if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
         for (size_t a = 0; a < m; a++)
             dal_kernel_accelerate(k, n, has.inverse, mu_node + a * n, Z + a * n);
     }
-    if (linear) DAL_KERNEL_COPY(m * n, mu_node, mu);
-    if (linear || (steady && has.N)) {
+    if (s->linear) DAL_KERNEL_COPY(m * n, mu_node, mu);
+    if (s->linear || (steady && has.N)) {
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < m * n; i++) N[i] = 0.0;
     }
-    if (ends && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
+    if (ends && returned == 0)
+        returned =
+            DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
 
     /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
@@ -589,11 +608,14 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
                 last = size;
             }
             if (!known && !passed) {
-                returned = DAL_KERNEL_CONSTRAINT(k, point, w, mu, NULL);
+                returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w,
+                                                 mu, NULL);
                 if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
                 if (ends) DAL_KERNEL_COPY(n, w, seen);
             }
-            if (!balanced && returned == 0) returned = DAL_KERNEL_POTENTIAL(k, point, k->force1);
+            if (!balanced && returned == 0)
+                returned =
+                    DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
             if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
             if (returned > 0) break;
             if (!balanced) continue;
@@ -628,7 +650,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const dal_stage *con
         DAL_KERNEL_COPY(n, stored, k->at.stored);
         DAL_KERNEL_COPY(m * n, Z, k->at.Z);
         DAL_KERNEL_COPY(m * n, mu_node, k->at.mu_node);
-        const int status = k->finish(k, s, solved);
+        const int status = k->finish(k, dal_kernel_time(k, number, s->t_end), s, solved);
         if (status) return status;
         DAL_KERNEL_COPY(n, k->at.w, w);
         DAL_KERNEL_COPY(n, k->at.stored, stored);
@@ -670,7 +692,8 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const size_t n = k->n;
 #endif
     const size_t stages = k->stages;
-    size_t made = 0;
+    const double first = (double)k->stats.steps, last = first + (double)steps;
+    double number = first;
     int status = DAL_SUCCESS;
 #if DAL_KERNEL_INSIDE
     double x[2 * DAL_N], pull[3 * DAL_N];
@@ -679,7 +702,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #else
     double *const x = k->at.x, *const pull = x + 5 * n;
 #endif
-    while (made < steps) {
+    for (; number < last; number += 1.0) {
         const dal_stage *s = k->stage, *const end = s + stages;
         if (DAL_KERNEL_RARE(stages > 1)) {
             DAL_KERNEL_COPY(2 * n, x, k->saved);
@@ -687,21 +710,23 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         }
 #if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
         do
-            status = DAL_KERNEL_STAGE(k, s, !DAL_KERNEL_PULLED, x, pull);
+            status = DAL_KERNEL_STAGE(k, number, s, !DAL_KERNEL_PULLED, x, pull);
         while (!status && ++s < end);
 #else
-        if (k->potential || k->kept) {
+        if (k->plain) {
             do
-                status = DAL_KERNEL_STAGE(k, s, false, x, pull);
+                status = DAL_KERNEL_STAGE(k, number, s, true, x, pull);
             while (!status && ++s < end);
         } else {
             do
-                status = DAL_KERNEL_STAGE(k, s, true, x, pull);
+                status = DAL_KERNEL_STAGE(k, number, s, false, x, pull);
             while (!status && ++s < end);
         }
 #endif
-        if (status) break;
-        made++;
+        if (status) {
+            k->failure.stage = s;
+            break;
+        }
     }
 #if DAL_KERNEL_INSIDE
     DAL_KERNEL_COPY(2 * n, x, k->at.x);
@@ -712,8 +737,8 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         DAL_KERNEL_COPY(k->m, k->saved + 2 * n, k->impulse);
         dal_kernel_forget(k);
     }
-    k->stats.steps += made;
-    *done = made;
+    *done = (size_t)(number - first);
+    k->stats.steps += *done;
     return status;
 }
 

@@ -118,7 +118,8 @@ typedef struct dal_embedding_def {
     int numerical;            /* 1: the reference flow even where there is an exact solution */
 } dal_embedding_def;
 
-/* DAL_EINVAL, DAL_ENOMEM, DAL_EUNSUPPORTED (a system with a force: it may depend on time). */
+/* DAL_EINVAL, DAL_ENOMEM, DAL_EUNSUPPORTED (a system with a force, which may depend on
+ * time, or one that is time_dependent). */
 DAL_API int dal_embedding_new(dal_embedding **embedding, const dal_system *system,
                               const dal_embedding_def *def, dal_error *error);
 DAL_API void dal_embedding_free(dal_embedding *embedding);

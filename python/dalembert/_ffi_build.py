@@ -16,21 +16,21 @@ from cffi import FFI
 OPENING, CLOSING = "/* <cdef> */", "/* </cdef> */"
 
 TRAMPOLINES = """
-extern "Python" int dal_py_potential(const double *q, double *V, double *V_q, double *V_qq,
-                                     void *ctx);
-extern "Python" int dal_py_lagrangian(const double *q, const double *v, double *L, double *L_q,
-                                      double *L_v, double *L_qq, double *L_vq, double *L_vv,
-                                      void *ctx);
+extern "Python" int dal_py_potential(double t, const double *q, double *V, double *V_q,
+                                     double *V_qq, void *ctx);
+extern "Python" int dal_py_lagrangian(double t, const double *q, const double *v, double *L,
+                                      double *L_q, double *L_v, double *L_qq, double *L_vq,
+                                      double *L_vv, double *L_vt, void *ctx);
 extern "Python" int dal_py_force(double t, const double *q, const double *v, double *f, double *f_q,
                                  double *f_v, void *ctx);
-extern "Python" int dal_py_linear(const double *q, const double *v, double *phi, double *phi_v,
-                                  double *phi_q, void *ctx);
-extern "Python" int dal_py_affine(const double *q, const double *v, double *phi, double *phi_v,
-                                  double *phi_q, void *ctx);
-extern "Python" int dal_py_nonlinear(const double *q, const double *v, double *phi, double *phi_v,
-                                     double *phi_q, void *ctx);
-extern "Python" int dal_py_deformation(const double *q, const double *v, double *g, double *g_v,
-                                       double *g_q, void *ctx);
+extern "Python" int dal_py_linear(double t, const double *q, const double *v, double *phi,
+                                  double *phi_v, double *phi_q, double *phi_t, void *ctx);
+extern "Python" int dal_py_affine(double t, const double *q, const double *v, double *phi,
+                                  double *phi_v, double *phi_q, double *phi_t, void *ctx);
+extern "Python" int dal_py_nonlinear(double t, const double *q, const double *v, double *phi,
+                                     double *phi_v, double *phi_q, double *phi_t, void *ctx);
+extern "Python" int dal_py_deformation(double t, const double *q, const double *v, double *g,
+                                       double *g_v, double *g_q, double *g_t, void *ctx);
 extern "Python" int dal_py_exact(double t, const double *x0, double *x, void *ctx);
 extern "Python" int dal_py_map(double h, const double *q0, const double *q1, double *g, double *f,
                                double *g_0, double *g_1, double *f_0, double *f_1, void *ctx);

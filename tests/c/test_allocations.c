@@ -213,10 +213,9 @@ static int make_study(outputs *out, const dal_system *system, dal_error *error)
 }
 
 /* Never called. */
-static int no_deformation(const double *q, const double *v, double *g, double *g_v, double *g_q,
-                          void *ctx)
+static int no_deformation(double t, const double *q, const double *v, double *g, double *g_v,
+                          double *g_q, double *g_t, void *ctx)
 {
-    (void)q, (void)v, (void)g, (void)g_v, (void)g_q, (void)ctx;
     return -1;
 }
 
@@ -260,13 +259,13 @@ static int make(maker what, outputs *out, dal_error *error)
     case STEPPER_FLOW: return make_stepper(out, "reference", error);
     case DISCRETE: return dal_discrete_new(&out->discrete, generic4, &map, NULL, error);
     case EMBEDDING: return make_embedding(out, error);
-    case CHECK_SYSTEM: return dal_system_check(generic4, state, &out->check, error);
+    case CHECK_SYSTEM: return dal_system_check(generic4, 0.0, state, &out->check, error);
     case STUDY: return make_study(out, generic4, error);
     case STUDY_EXACT: return make_study(out, particle, error); /* each exact state allocates */
     case CONSISTENT:
-        return dal_consistent(mechanics, keep, out->x, &out->distance);
+        return dal_consistent(mechanics, 0.0, keep, out->x, &out->distance);
     case EXACT: return dal_system_exact(particle, 1.0, state, out->x);
-    case INVARIANT: return dal_system_invariant(particle, state, out->x);
+    case INVARIANT: return dal_system_invariant(particle, 0.0, state, out->x);
     case VELOCITY:
         return dal_exact_velocity(reference, 0.0, 0.1, state, state, out->x, NULL);
     case MAKERS: break;
@@ -429,7 +428,7 @@ static void test_trajectory(void)
     CHECK(dal_trajectory(mechanics, 0.0, 0.1, 0.1, ROWS, rows, energy, multipliers, residual,
                          relative, &done) == 0);
     CHECK(done == ROWS);
-    CHECK(dal_project(mechanics, 0.1, x, &distance) == 0);
+    CHECK(dal_project(mechanics, 0.0, 0.1, x, &distance) == 0);
     CHECK(process.calls == calls);
 }
 
@@ -459,9 +458,10 @@ static void test_chart(void)
     for (size_t k = 0; k < STATES; k++) t[k] = 0.03 * (double)k;
     CHECK(dal_chart_new(&chart, generic4, NULL) == 0);
     const size_t calls = process.calls;
-    CHECK(dal_chart_renew(chart, state, NULL) == 0 && dal_chart_drop(chart, state, xi) == 0);
+    CHECK(dal_chart_renew(chart, 0.0, state, NULL) == 0 && dal_chart_drop(chart, state, xi) == 0);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 0.1, xi, NULL) == 0);
-    CHECK(dal_chart_lift(chart, xi, x) == 0 && dal_chart_jacobian(chart, xi, J, NULL) == 0);
+    CHECK(dal_chart_lift(chart, 0.0, xi, x) == 0
+          && dal_chart_jacobian(chart, 0.0, xi, J, NULL) == 0);
     CHECK(dal_chart_interpolate(chart, 0.0, 0.1, 0.0, ROWS, rows, STATES, t, out, NULL, NULL) == 0);
     CHECK(process.calls == calls);
     dal_chart_free(chart);
@@ -472,7 +472,7 @@ static void test_embedding(void)
     outputs out;
     double G[MOST], g[MOST];
     CHECK(make_embedding(&out, NULL) == 0);
-    CHECK(dal_chart_choose(dal_embedding_chart(out.embedding), NULL, state) == 0);
+    CHECK(dal_chart_choose(dal_embedding_chart(out.embedding), 0.0, NULL, state) == 0);
     CHECK(dal_chart_drop(dal_embedding_chart(out.embedding), state, G) == 0);
     const size_t calls = process.calls;
     CHECK(dal_embedding_curve(out.embedding, 2.5, G, g) == 0);

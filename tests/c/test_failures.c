@@ -88,14 +88,14 @@ static int answer(const fault *f) { return f->what == REFUSE ? 1 : f->what == ST
 
 static int status_of(disturbance what) { return what == STOP ? DAL_EUSER : DAL_EDOMAIN; }
 
-static int faulty_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                             double *phi_q, void *ctx)
+static int faulty_constraint(double t, const double *q, const double *v, double *phi,
+                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     fault *const f = ctx;
     const dal_system_def *const def = &f->inner->def;
     const bool hit = strikes(f, CONSTRAINT);
     if (hit && f->what == WRITE_NOTHING) return 0;
-    const int returned = def->constraint(q, v, phi, phi_v, phi_q, def->ctx);
+    const int returned = def->constraint(t, q, v, phi, phi_v, phi_q, NULL, def->ctx);
     if (!hit) return returned;
     spoil(f, def->m, phi);
     spoil(f, def->m * def->n, phi_v);
@@ -103,13 +103,14 @@ static int faulty_constraint(const double *q, const double *v, double *phi, doub
     return answer(f);
 }
 
-static int faulty_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int faulty_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                            void *ctx)
 {
     fault *const f = ctx;
     const dal_system_def *const def = &f->inner->def;
     const bool hit = strikes(f, POTENTIAL);
     if (hit && f->what == WRITE_NOTHING) return 0;
-    const int returned = def->potential(q, V, V_q, V_qq, def->ctx);
+    const int returned = def->potential(t, q, V, V_q, V_qq, def->ctx);
     if (!hit) return returned;
     spoil(f, 1, V);
     spoil(f, def->n, V_q);
@@ -486,19 +487,20 @@ static void test_refused_start(way by)
 /* Writes all that is asked for but one output. */
 typedef enum output { V, V_Q, V_QQ, PHI_V, PHI_Q, OUTPUTS } output;
 
-static int forgetful_potential(const double *q, double *V_, double *V_q, double *V_qq, void *ctx)
+static int forgetful_potential(double t, const double *q, double *V_, double *V_q, double *V_qq,
+                               void *ctx)
 {
     const output forgotten = *(const output *)ctx;
-    return generic4_potential(q, forgotten == V ? NULL : V_, forgotten == V_Q ? NULL : V_q,
+    return generic4_potential(t, q, forgotten == V ? NULL : V_, forgotten == V_Q ? NULL : V_q,
                               forgotten == V_QQ ? NULL : V_qq, NULL);
 }
 
-static int forgetful_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                double *phi_q, void *ctx)
+static int forgetful_constraint(double t, const double *q, const double *v, double *phi,
+                                double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const output forgotten = *(const output *)ctx;
-    return generic4_constraint(q, v, phi, forgotten == PHI_V ? NULL : phi_v,
-                               forgotten == PHI_Q ? NULL : phi_q, NULL);
+    return generic4_constraint(t, q, v, phi, forgotten == PHI_V ? NULL : phi_v,
+                               forgotten == PHI_Q ? NULL : phi_q, NULL, NULL);
 }
 
 static void test_nothing_written(void)
@@ -516,7 +518,7 @@ static void test_nothing_written(void)
         CHECK(dal_system_new(&system, &def, NULL) == 0);
         CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
         if (forgotten == V) {
-            CHECK(dal_energy(mechanics, x, &E) == DAL_EDOMAIN && E == UNTOUCHED);
+            CHECK(dal_energy(mechanics, 0.0, x, &E) == DAL_EDOMAIN && E == UNTOUCHED);
             CHECK(strstr(dal_mechanics_message(mechanics), names[V]) != NULL);
         }
         for (size_t i = 0; i < WAYS * SCHEMES && forgotten != V; i++) {
@@ -563,16 +565,16 @@ static int ask(dal_mechanics *mechanics, question about, double *answers)
     static const unsigned char keep[4] = {0, 1, 0, 0};
     double *const x = answers, *const out = answers + MOST;
     switch (about) {
-    case ENERGY: return dal_energy(mechanics, x, out);
-    case RESIDUAL: return dal_residual(mechanics, 0.1, x, out);
-    case RELATIVE: return dal_relative_residual(mechanics, 0.1, x, out);
-    case GRAM: return dal_gram(mechanics, x, out);
+    case ENERGY: return dal_energy(mechanics, 0.0, x, out);
+    case RESIDUAL: return dal_residual(mechanics, 0.0, 0.1, x, out);
+    case RELATIVE: return dal_relative_residual(mechanics, 0.0, 0.1, x, out);
+    case GRAM: return dal_gram(mechanics, 0.0, x, out);
     case MULTIPLIERS: return dal_multipliers(mechanics, 0.0, x, out);
     case ACCELERATION: return dal_acceleration(mechanics, 0.0, x, out);
     case FIELD: return dal_field(mechanics, 0.0, x, out);
-    case PROJECT: return dal_project(mechanics, 0.0, x, out);
-    case PROJECT_SHIFTED: return dal_project(mechanics, 0.1, x, out);
-    case CONSISTENT: return dal_consistent(mechanics, keep, x, out);
+    case PROJECT: return dal_project(mechanics, 0.0, 0.0, x, out);
+    case PROJECT_SHIFTED: return dal_project(mechanics, 0.0, 0.1, x, out);
+    case CONSISTENT: return dal_consistent(mechanics, 0.0, keep, x, out);
     case EQUATIONS:
         return dal_step_equations(mechanics, 0.0, 0.5, h, x, w, kappa, out, out + 4, out + 6,
                                   out + 22, out + 30);
@@ -676,7 +678,7 @@ static int spoiling_exact(double t, const double *x0, double *x, void *ctx)
     return answer(f);
 }
 
-static int spoiling_invariant(const double *x, double *values, void *ctx)
+static int spoiling_invariant(double t, const double *x, double *values, void *ctx)
 {
     const fault *const f = ctx;
     if (f->what == WRITE_NOTHING) return 0;
@@ -701,7 +703,7 @@ static void test_exact_and_invariants(void)
         fill(MOST, x, UNTOUCHED);
         fill(2, values, UNTOUCHED);
         CHECK(dal_system_exact(system, 1.0, x0, x) == status_of(f.what));
-        CHECK(dal_system_invariant(system, x0, values) == status_of(f.what));
+        CHECK(dal_system_invariant(system, 0.0, x0, values) == status_of(f.what));
         CHECK(all_are(MOST, x, UNTOUCHED) && all_are(2, values, UNTOUCHED));
     }
     CHECK(dal_system_exact(system, NAN, x0, x) == DAL_EINVAL);
@@ -819,8 +821,8 @@ static void test_disturbed_study(const char *scheme_name, size_t every)
 /* n = 3, m = 2: (1, q_1, 0) and a row that is zero, the same, or free of it. */
 typedef enum deficiency { ZERO_ROW, EQUAL_ROWS, DOUBLED_ROW } deficiency;
 
-static int deficient_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                double *phi_q, void *ctx)
+static int deficient_constraint(double t, const double *q, const double *v, double *phi,
+                                double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double factor = (const double[]){0.0, 1.0, 1.0 / 3.0}[*(const deficiency *)ctx];
     if (phi) {
@@ -859,9 +861,9 @@ static void test_singular_constraints(void)
         CHECK(has_number(dal_mechanics_message(mechanics)));
         CHECK(dal_acceleration(mechanics, 0.0, x, out) == DAL_ESINGULAR);
         CHECK(dal_field(mechanics, 0.0, x, out) == DAL_ESINGULAR);
-        CHECK(dal_project(mechanics, 0.0, x, out) == DAL_ESINGULAR);
-        CHECK(dal_project(mechanics, 0.1, x, out) == DAL_ESINGULAR);
-        CHECK(dal_consistent(mechanics, (const unsigned char[3]){0, 0, 1}, x, out)
+        CHECK(dal_project(mechanics, 0.0, 0.0, x, out) == DAL_ESINGULAR);
+        CHECK(dal_project(mechanics, 0.0, 0.1, x, out) == DAL_ESINGULAR);
+        CHECK(dal_consistent(mechanics, 0.0, (const unsigned char[3]){0, 0, 1}, x, out)
               == DAL_ESINGULAR);
         CHECK(dal_flow_apply(flow, 0.0, 1.0, x, out) == DAL_ESINGULAR);
         for (size_t i = 0; i < WAYS * SCHEMES; i++) {
@@ -971,9 +973,9 @@ static void test_divergence(way by)
 }
 
 /* V = 10 (q ln q - q) for q > 0. */
-static int logarithmic_potential(const double *q, double *V_, double *V_q, double *V_qq, void *ctx)
+static int logarithmic_potential(double t, const double *q, double *V_, double *V_q, double *V_qq,
+                                 void *ctx)
 {
-    (void)ctx;
     if (!(q[0] > 0.0)) return 1;
     if (V_) *V_ = 10.0 * (q[0] * log(q[0]) - q[0]);
     if (V_q) *V_q = 10.0 * log(q[0]);
@@ -1106,12 +1108,12 @@ static void test_extreme_numbers(void)
             for (size_t i = 0; i < N; i++) x0[i] = NEXT;
             const double shift = NEXT;
             memcpy(x, x0, sizeof x);
-            int status = dal_project(mechanics, trial % 2 ? shift : 0.0, x, NULL);
+            int status = dal_project(mechanics, 0.0, trial % 2 ? shift : 0.0, x, NULL);
             successes += !status;
             CHECK(status ? memcmp(x, x0, N * sizeof *x) == 0 : dal__all_finite(N, x));
             memcpy(x, x0, sizeof x);
             const unsigned char keep[4] = {trial % 3 == 0, trial % 5 == 0, 0, 0};
-            status = dal_consistent(mechanics, keep, x, NULL);
+            status = dal_consistent(mechanics, 0.0, keep, x, NULL);
             CHECK(status ? memcmp(x, x0, N * sizeof *x) == 0 : dal__all_finite(N, x));
 
             dal_stepper *stepper = NULL;
@@ -1144,10 +1146,9 @@ static void test_extreme_numbers(void)
 
 /* ---- sizes -------------------------------------------------------------------------------- */
 
-static int any_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                          double *phi_q, void *ctx)
+static int any_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                          double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)v, (void)phi, (void)phi_v, (void)phi_q, (void)ctx;
     return 0;
 }
 
@@ -1248,9 +1249,9 @@ static void test_null_system(dal_system *system, const double *x)
     CHECK(dal_system_exact(NULL, 1.0, x, out) == DAL_EINVAL);
     CHECK(dal_system_exact(system, 1.0, NULL, out) == DAL_EINVAL);
     CHECK(dal_system_exact(system, 1.0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_system_invariant(NULL, x, out) == DAL_EINVAL);
-    CHECK(dal_system_invariant(system, NULL, out) == DAL_EINVAL);
-    CHECK(dal_system_invariant(system, x, NULL) == DAL_EINVAL);
+    CHECK(dal_system_invariant(NULL, 0.0, x, out) == DAL_EINVAL);
+    CHECK(dal_system_invariant(system, 0.0, NULL, out) == DAL_EINVAL);
+    CHECK(dal_system_invariant(system, 0.0, x, NULL) == DAL_EINVAL);
     CHECK(all_are(MOST, out, UNTOUCHED));
     dal_system_free(NULL);
 }
@@ -1266,19 +1267,19 @@ static void test_null_mechanics(const dal_system *system, const double *x0)
     CHECK(dal_mechanics_new(&mechanics, NULL, NULL) == DAL_EINVAL && mechanics == NULL);
     CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
     dal_mechanics *const mech = mechanics;
-    CHECK(dal_energy(NULL, x, out) == DAL_EINVAL);
-    CHECK(dal_energy(mech, NULL, out) == DAL_EINVAL);
-    CHECK(dal_energy(mech, x, NULL) == DAL_EINVAL);
-    CHECK(dal_residual(NULL, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_residual(mech, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_residual(mech, 0.0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_residual(mech, NAN, x, out) == DAL_EINVAL);
-    CHECK(dal_relative_residual(NULL, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_relative_residual(mech, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_relative_residual(mech, 0.0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_gram(NULL, x, out) == DAL_EINVAL);
-    CHECK(dal_gram(mech, NULL, out) == DAL_EINVAL);
-    CHECK(dal_gram(mech, x, NULL) == DAL_EINVAL);
+    CHECK(dal_energy(NULL, 0.0, x, out) == DAL_EINVAL);
+    CHECK(dal_energy(mech, 0.0, NULL, out) == DAL_EINVAL);
+    CHECK(dal_energy(mech, 0.0, x, NULL) == DAL_EINVAL);
+    CHECK(dal_residual(NULL, 0.0, 0.0, x, out) == DAL_EINVAL);
+    CHECK(dal_residual(mech, 0.0, 0.0, NULL, out) == DAL_EINVAL);
+    CHECK(dal_residual(mech, 0.0, 0.0, x, NULL) == DAL_EINVAL);
+    CHECK(dal_residual(mech, 0.0, NAN, x, out) == DAL_EINVAL);
+    CHECK(dal_relative_residual(NULL, 0.0, 0.0, x, out) == DAL_EINVAL);
+    CHECK(dal_relative_residual(mech, 0.0, 0.0, NULL, out) == DAL_EINVAL);
+    CHECK(dal_relative_residual(mech, 0.0, 0.0, x, NULL) == DAL_EINVAL);
+    CHECK(dal_gram(NULL, 0.0, x, out) == DAL_EINVAL);
+    CHECK(dal_gram(mech, 0.0, NULL, out) == DAL_EINVAL);
+    CHECK(dal_gram(mech, 0.0, x, NULL) == DAL_EINVAL);
     CHECK(dal_multipliers(NULL, 0.0, x, out) == DAL_EINVAL);
     CHECK(dal_multipliers(mech, 0.0, NULL, out) == DAL_EINVAL);
     CHECK(dal_multipliers(mech, 0.0, x, NULL) == DAL_EINVAL);
@@ -1288,12 +1289,12 @@ static void test_null_mechanics(const dal_system *system, const double *x0)
     CHECK(dal_field(NULL, 0.0, x, out) == DAL_EINVAL);
     CHECK(dal_field(mech, 0.0, NULL, out) == DAL_EINVAL);
     CHECK(dal_field(mech, 0.0, x, NULL) == DAL_EINVAL);
-    CHECK(dal_project(NULL, 0.0, x, out) == DAL_EINVAL);
-    CHECK(dal_project(mech, 0.0, NULL, out) == DAL_EINVAL);
-    CHECK(dal_project(mech, INFINITY, x, out) == DAL_EINVAL);
-    CHECK(dal_consistent(NULL, NULL, x, out) == DAL_EINVAL);
-    CHECK(dal_consistent(mech, NULL, NULL, out) == DAL_EINVAL);
-    CHECK(dal_consistent(mech, (const unsigned char[3]){1, 0, 0}, NULL, out) == DAL_EINVAL);
+    CHECK(dal_project(NULL, 0.0, 0.0, x, out) == DAL_EINVAL);
+    CHECK(dal_project(mech, 0.0, 0.0, NULL, out) == DAL_EINVAL);
+    CHECK(dal_project(mech, 0.0, INFINITY, x, out) == DAL_EINVAL);
+    CHECK(dal_consistent(NULL, 0.0, NULL, x, out) == DAL_EINVAL);
+    CHECK(dal_consistent(mech, 0.0, NULL, NULL, out) == DAL_EINVAL);
+    CHECK(dal_consistent(mech, 0.0, (const unsigned char[3]){1, 0, 0}, NULL, out) == DAL_EINVAL);
     CHECK(dal_step_equations(NULL, 0.0, 0.5, h, x, x, x, out, NULL, NULL, NULL, NULL)
           == DAL_EINVAL);
     CHECK(dal_step_equations(mech, 0.0, 0.5, h, NULL, x, x, out, NULL, NULL, NULL, NULL)
@@ -1431,39 +1432,41 @@ typedef struct huge {
 typedef int (*huge_fn)(huge *a);
 
 #define ASKS(name, call) static int name(huge *a) { return call; }
-ASKS(huge_energy, dal_energy(a->mech, a->x, a->out))
+ASKS(huge_energy, dal_energy(a->mech, 0.0, a->x, a->out))
 ASKS(huge_power, dal_power(a->mech, a->t, a->x, a->out, a->out + 1))
-ASKS(huge_metric, dal_metric(a->mech, a->x, a->out))
-ASKS(huge_residual, dal_residual(a->mech, a->shift, a->x, a->out))
-ASKS(huge_relative, dal_relative_residual(a->mech, a->shift, a->x, a->out))
-ASKS(huge_gram, dal_gram(a->mech, a->x, a->out))
+ASKS(huge_metric, dal_metric(a->mech, 0.0, a->x, a->out))
+ASKS(huge_residual, dal_residual(a->mech, 0.0, a->shift, a->x, a->out))
+ASKS(huge_relative, dal_relative_residual(a->mech, 0.0, a->shift, a->x, a->out))
+ASKS(huge_gram, dal_gram(a->mech, 0.0, a->x, a->out))
 ASKS(huge_multipliers, dal_multipliers(a->mech, a->t, a->x, a->out))
 ASKS(huge_acceleration, dal_acceleration(a->mech, a->t, a->x, a->out))
 ASKS(huge_field, dal_field(a->mech, a->t, a->x, a->out))
 ASKS(huge_perturbed, dal_perturbed(a->mech, a->t, a->h, a->x, a->ghat, a->out, a->out + 16))
-ASKS(huge_project, dal_project(a->mech, a->shift, a->x, a->out))
-ASKS(huge_consistent, dal_consistent(a->mech, NULL, a->x, a->out))
+ASKS(huge_project, dal_project(a->mech, 0.0, a->shift, a->x, a->out))
+ASKS(huge_consistent, dal_consistent(a->mech, 0.0, NULL, a->x, a->out))
 ASKS(huge_equations, dal_step_equations(a->mech, a->t, 0.25, a->h, a->x, a->w, a->kappa, a->out,
                                         a->out + 8, a->out + 16, a->out + 80, a->out + 120))
 ASKS(huge_trajectory, dal_trajectory(a->mech, a->t, a->h, a->shift, 1, a->x, a->out, a->out + 1,
                                      a->out + 9, a->out + 17, NULL))
-ASKS(huge_condition, dal_chart_condition(a->chart, a->x, a->out))
-ASKS(huge_renew, dal_chart_renew(a->chart, a->x, NULL))
-ASKS(huge_connection, dal_chart_connection(a->chart, a->x, a->out, a->out + 64))
-ASKS(huge_split, dal_chart_split(a->chart, a->x, a->out, a->out + 8))
-ASKS(huge_lift, dal_chart_lift(a->chart, a->x, a->out))
+ASKS(huge_condition, dal_chart_condition(a->chart, 0.0, a->x, a->out))
+ASKS(huge_renew, dal_chart_renew(a->chart, 0.0, a->x, NULL))
+ASKS(huge_connection, dal_chart_connection(a->chart, 0.0, a->x, a->out, a->out + 64))
+ASKS(huge_split, dal_chart_split(a->chart, 0.0, a->x, a->out, a->out + 8))
+ASKS(huge_lift, dal_chart_lift(a->chart, 0.0, a->x, a->out))
 ASKS(huge_drop, dal_chart_drop(a->chart, a->x, a->out))
-ASKS(huge_jacobian, dal_chart_jacobian(a->chart, a->x, a->out, a->out + 200))
+ASKS(huge_jacobian, dal_chart_jacobian(a->chart, 0.0, a->x, a->out, a->out + 200))
 ASKS(huge_chart_field, dal_chart_field(a->chart, a->t, a->x, a->out))
-ASKS(huge_connected, dal_chart_multipliers(a->chart, a->x, a->kappa, a->out))
-ASKS(huge_disconnected, dal_chart_multipliers_back(a->chart, a->x, a->kappa, a->out))
+ASKS(huge_connected, dal_chart_multipliers(a->chart, 0.0, a->x, a->kappa, a->out))
+ASKS(huge_disconnected, dal_chart_multipliers_back(a->chart, 0.0, a->x, a->kappa, a->out))
 ASKS(huge_chart_step, dal_chart_step(a->chart, a->t, 0.5, a->h, a->x, a->out))
-ASKS(huge_curve, dal_chart_curve(a->chart, a->x, a->y, 0.4, a->out))
+ASKS(huge_curve, dal_chart_curve(a->chart, 0.0, a->x, a->y, 0.4, a->out))
 ASKS(huge_state, dal_discrete_state(a->discrete, a->h, a->x, a->y, a->out))
 ASKS(huge_nodes, dal_discrete_nodes(a->discrete, a->h, a->x, a->out, a->out + 8))
-ASKS(huge_lagrangian, dal_discrete_lagrangian(a->discrete, a->h, a->x, a->y, a->out, a->out + 1,
+ASKS(huge_lagrangian,
+     dal_discrete_lagrangian(a->discrete, 0.0, a->h, a->x, a->y, a->out, a->out + 1,
                                               a->out + 9, a->out + 17))
-ASKS(huge_constraint, dal_discrete_constraint(a->discrete, a->h, a->x, a->y, a->out, a->out + 8,
+ASKS(huge_constraint,
+     dal_discrete_constraint(a->discrete, 0.0, a->h, a->x, a->y, a->out, a->out + 8,
                                               a->out + 72))
 ASKS(huge_momenta, dal_discrete_momenta(a->discrete, a->t, a->h, a->x, a->y, a->out, a->out + 8))
 ASKS(huge_momentum, dal_discrete_momentum(a->discrete, a->t, a->h, a->x, a->y, a->w, a->ghat,
@@ -1475,7 +1478,7 @@ ASKS(huge_regularity, dal_discrete_regularity(a->discrete, a->t, a->h, a->x, a->
 ASKS(huge_node_step, dal_discrete_step(a->discrete, a->t, a->h, a->x, a->y, a->out))
 ASKS(huge_advance, dal_discrete_advance(a->discrete, a->t, a->h, a->x, a->out))
 ASKS(huge_exact, dal_system_exact(a->mech->eval.system, a->t, a->x, a->out))
-ASKS(huge_invariant, dal_system_invariant(a->mech->eval.system, a->x, a->out))
+ASKS(huge_invariant, dal_system_invariant(a->mech->eval.system, 0.0, a->x, a->out))
 #undef ASKS
 
 static const struct {
@@ -1541,7 +1544,7 @@ static void test_overflown(const char *name)
             fill_huge(&random, a.n, a.w);
             fill_huge(&random, a.m, a.kappa);
             fill_huge(&random, 2 * a.n, a.ghat);
-            CHECK(dal_chart_choose(a.chart, NULL, x0) == 0);
+            CHECK(dal_chart_choose(a.chart, 0.0, NULL, x0) == 0);
             fill(OVERFLOWN, out, UNTOUCHED);
             const huge before = a;
             const int status = huge_questions[k].ask(&a);

@@ -66,8 +66,8 @@ static void gradient_at(const drawn *s, const real *q, real *V_q, real *V_qq)
 }
 
 /* What the library calls: the values in long double, rounded once. */
-static int constraint(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                      void *ctx)
+static int constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                      double *phi_q, double *phi_t, void *ctx)
 {
     drawn *const s = ctx;
     const size_t n = s->n, m = s->m;
@@ -90,7 +90,7 @@ static int constraint(const double *q, const double *v, double *phi, double *phi
     return 0;
 }
 
-static int potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int potential(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     drawn *const s = ctx;
     const size_t n = s->n;
@@ -569,7 +569,7 @@ static void test_units(unsigned systems)
 /* ---- how long the Hessian is left out ------------------------------------------------------ */
 
 /* V = k q^2/2; k is the ctx. */
-static int spring(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const double k = *(const double *)ctx;
     if (V) *V = k * q[0] * q[0] / 2;
@@ -579,7 +579,7 @@ static int spring(const double *q, double *V, double *V_q, double *V_qq, void *c
 }
 
 /* V = -5 q, and a soft wall: 10 q^2/2 more where q > 0. */
-static int wall(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int wall(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const double in = q[0] > 0.0 ? q[0] : 0.0;
     (void)ctx;
@@ -590,7 +590,7 @@ static int wall(const double *q, double *V, double *V_q, double *V_qq, void *ctx
 }
 
 /* V = k q^4/4. */
-static int quartic(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int quartic(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const double k = *(const double *)ctx;
     if (V) *V = k * pow(q[0], 4.0) / 4.0;
@@ -624,8 +624,8 @@ static double worst_balance(dal_potential_fn V, double *k, double beta, double h
     for (int step = 0; step < STEPS; step++) {
         memcpy(x, y, sizeof x);
         CHECK(dal_step(stepper, NULL) == 0);
-        V(x, NULL, &before, NULL, k);
-        V(y, NULL, &after, NULL, k);
+        V(0.0, x, NULL, &before, NULL, k);
+        V(0.0, y, NULL, &after, NULL, k);
         const real sum = (real)y[1] - x[1] + (real)h * ((real)beta * before
                                                         + (1.0L - (real)beta) * after);
         const real size = fabs(y[1]) + fabs(x[1])
@@ -736,7 +736,7 @@ static void test_negative_spring(void)
 }
 
 /* V = (a x^2 + b y^2)/2; a and b are the ctx. */
-static int two_springs(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int two_springs(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const double *const k = ctx;
     if (V) *V = (k[0] * q[0] * q[0] + k[1] * q[1] * q[1]) / 2.0;
@@ -772,7 +772,8 @@ typedef struct slope {
     double G, g;
 } slope;
 
-static int towards_an_end(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int towards_an_end(double t, const double *q, double *V, double *V_q, double *V_qq,
+                          void *ctx)
 {
     const slope *const s = ctx;
     if (!(q[0] > 0.0)) return 1;
@@ -853,9 +854,8 @@ static void test_too_few_iterations(void)
     }
 }
 
-static int pendulum(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int pendulum(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
-    (void)ctx;
     if (V) *V = -cos(q[0]);
     if (V_q) *V_q = sin(q[0]);
     if (V_qq) *V_qq = cos(q[0]);
@@ -934,12 +934,14 @@ static int growth(size_t m, const double *q, const double *v, double *phi, doubl
     return 0;
 }
 
-static int growth_1(const double *q, const double *v, double *phi, double *mu, double *N, void *ctx)
+static int growth_1(double t, const double *q, const double *v, double *phi, double *mu, double *N,
+                    double *phi_t, void *ctx)
 {
     return growth(1, q, v, phi, mu, N, *(const double *)ctx);
 }
 
-static int growth_2(const double *q, const double *v, double *phi, double *mu, double *N, void *ctx)
+static int growth_2(double t, const double *q, const double *v, double *phi, double *mu, double *N,
+                    double *phi_t, void *ctx)
 {
     return growth(2, q, v, phi, mu, N, *(const double *)ctx);
 }
@@ -979,10 +981,9 @@ static void test_lost_difference(void)
 enum { HELD_N = 4, HELD_M = 2 };
 static const double held_forms[HELD_M * HELD_N] = {0.3, 0.7, -0.2, 0.1, -0.4, 0.2, 0.9, 0.6};
 
-static int held_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, void *ctx)
+static int held_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)ctx;
     if (phi) dal__apply(HELD_M, HELD_N, held_forms, v, phi);
     if (phi_v) memcpy(phi_v, held_forms, sizeof held_forms);
     if (phi_q) memset(phi_q, 0, sizeof held_forms);
@@ -990,7 +991,8 @@ static int held_constraint(const double *q, const double *v, double *phi, double
 }
 
 /* V = (mu_1 - 3 mu_2) q + k |q|^2/2: at 0 it pulls across D only.  ctx is k. */
-static int held_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int held_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                          void *ctx)
 {
     const double k = *(const double *)ctx;
     if (V) *V = 0.0;

@@ -87,8 +87,8 @@ static void test_two_points_of_the_sleigh(void)
             flow_by(blade, t, z);
             need(dal_system_exact(blade, t, y, y), "sleigh_contact", "");
             CHECK_NEAR(largest_difference(6, y, z), 0.0, flow_tolerance * (1 + t));
-            CHECK(dal_energy(of_centre, x, &E[0]) == DAL_SUCCESS);
-            CHECK(dal_energy(of_blade, y, &E[1]) == DAL_SUCCESS);
+            CHECK(dal_energy(of_centre, 0.0, x, &E[0]) == DAL_SUCCESS);
+            CHECK(dal_energy(of_blade, 0.0, y, &E[1]) == DAL_SUCCESS);
             CHECK_NEAR(E[0], E[1], 64 * U * E[0]);
             CHECK(dal_multipliers(of_centre, 0.0, x, &lambda[0]) == DAL_SUCCESS);
             CHECK(dal_multipliers(of_blade, 0.0, y, &lambda[1]) == DAL_SUCCESS);
@@ -144,8 +144,9 @@ static void test_axles(void)
         train all = {n - 3, dal_system_parameter(system, 1), x};
         dal__difference(axles, &all, &t, 0, 2 * m, value, velocity, 1);
         CHECK(m == n - 2 && all.d == 0.8);
-        CHECK(system->def.constraint(x, x + n, phi, NULL, NULL, system->def.ctx) == 0);
-        CHECK(system->def.lagrangian(x, x + n, &L, NULL, NULL, NULL, NULL, NULL, system->def.ctx)
+        CHECK(system->def.constraint(0.0, x, x + n, phi, NULL, NULL, NULL, system->def.ctx) == 0);
+        CHECK(system->def.lagrangian(0.0, x, x + n, &L, NULL, NULL, NULL, NULL, NULL, NULL,
+                                     system->def.ctx)
               == 0);
         for (size_t i = 0; i < m; i++) {
             const double vx = velocity[2 * i], vy = velocity[2 * i + 1], turn = x[n + 2 + i];

@@ -154,8 +154,8 @@ static double reaction_noise(const subject *s, double h, const double *x)
 {
     double mu[M * N], mass[N * N], least = HUGE_VAL, momentum = 0.0;
     const double *const v = x + s->n;
-    CHECK(dal_metric(s->mechanics, x, mass) == 0);
-    CHECK(s->is->constraint(x, v, NULL, mu, NULL, NULL) == 0);
+    CHECK(dal_metric(s->mechanics, 0.0, x, mass) == 0);
+    CHECK(s->is->constraint(0.0, x, v, NULL, mu, NULL, NULL, NULL) == 0);
     for (size_t a = 0; a < s->m; a++) least = fmin(least, largest(s->n, mu + a * s->n));
     for (size_t i = 0; i < s->n; i++) {
         double p = 0.0;
@@ -235,7 +235,7 @@ static void check_run(const subject *s, const run_vector *r)
         compare(where, "multipliers", m, value, r->multipliers);
     }
     if (r->energy) {
-        CHECK(dal_energy(s->mechanics, x, &energy) == 0);
+        CHECK(dal_energy(s->mechanics, 0.0, x, &energy) == 0);
         compare(where, "energy", 1, &energy, r->energy);
     }
     /* At most 16 without the Hessian of V, and 6 with it, which converge quadratically. */
@@ -255,11 +255,11 @@ static void check_point(const subject *s, const subject *unconstrained,
     char where[80];
     snprintf(where, sizeof where, "continuous of %s (%s)", p->system, s->kind);
 
-    CHECK(dal_metric(s->mechanics, p->x, mass) == 0);
+    CHECK(dal_metric(s->mechanics, 0.0, p->x, mass) == 0);
     compare(where, "mass", n * n, mass, p->mass);
-    CHECK(dal_energy(s->mechanics, p->x, &energy) == 0);
+    CHECK(dal_energy(s->mechanics, 0.0, p->x, &energy) == 0);
     compare(where, "energy", 1, &energy, &p->energy);
-    CHECK(dal_gram(s->mechanics, p->x, C) == 0);
+    CHECK(dal_gram(s->mechanics, 0.0, p->x, C) == 0);
     compare(where, "C", m * m, C, p->C);
     CHECK(dal_multipliers(s->mechanics, 0.0, p->x, lambda) == 0);
     compare(where, "multipliers", m, lambda, p->multipliers);
@@ -280,7 +280,7 @@ static void check_point(const subject *s, const subject *unconstrained,
     CHECK(dal_acceleration(s->mechanics, 0.0, p->off_x, vdot) == 0);
     compare(where, "off D: vdot", n, vdot, p->off_vdot);
     memcpy(x, p->off_x, sizeof x);
-    CHECK(dal_project(s->mechanics, 0.0, x, NULL) == 0);
+    CHECK(dal_project(s->mechanics, 0.0, 0.0, x, NULL) == 0);
     compare(where, "projection: q", n, x, p->x);
     compare(where, "projection: v", n, x + n, p->projected_v);
     check_residual(s, where, 0.0, x);
@@ -290,7 +290,7 @@ static void check_point(const subject *s, const subject *unconstrained,
 static void check_transcription(const vector_system *is, const point_vector *p)
 {
     double mu[M * N], derivative[M * N], gamma[M] = {0.0};
-    CHECK(is->constraint(p->x, p->x + is->n, NULL, mu, derivative, NULL) == 0);
+    CHECK(is->constraint(0.0, p->x, p->x + is->n, NULL, mu, derivative, NULL, NULL) == 0);
     for (size_t a = 0; a < is->m; a++)
         for (size_t j = 0; j < is->n; j++)
             gamma[a] += derivative[a * is->n + j] * p->x[is->n + j];
@@ -320,7 +320,7 @@ static void check_projection(const subject *s, const projection_vector *p)
     char where[80];
     snprintf(where, sizeof where, "projection of %s (%s), beta %g", p->system, s->kind, p->beta);
     memcpy(x, p->x, sizeof x);
-    CHECK(dal_project(s->mechanics, shift, x, NULL) == 0);
+    CHECK(dal_project(s->mechanics, 0.0, shift, x, NULL) == 0);
     compare(where, "q", s->n, x, p->x);
     compare(where, "v", s->n, x + s->n, p->v1);
     check_residual(s, where, shift, x);
@@ -335,18 +335,18 @@ static void check_chart(const subject *s, const chart_vector *c)
     snprintf(where, sizeof where, "ehresmann of %s (%s)", c->system, s->kind);
     CHECK(dal_chart_new(&chart, s->system, NULL) == 0);
     memcpy(x, c->xi, n * sizeof *x);
-    check_in(where, dal_chart_message(chart), dal_chart_choose(chart, c->dependent, x) == 0);
-    check_in(where, dal_chart_message(chart), dal_chart_lift(chart, c->xi, x) == 0);
+    check_in(where, dal_chart_message(chart), dal_chart_choose(chart, 0.0, c->dependent, x) == 0);
+    check_in(where, dal_chart_message(chart), dal_chart_lift(chart, 0.0, c->xi, x) == 0);
     for (size_t a = 0; a < m; a++) v_dep[a] = x[n + c->dependent[a]];
     compare(where, "v_dep", m, v_dep, c->v_dep);
-    CHECK(dal_chart_connection(chart, x, A, B) == 0);
+    CHECK(dal_chart_connection(chart, 0.0, x, A, B) == 0);
     compare(where, "A", m * (n - m), A, c->A);
     compare(where, "B", m * m, B, c->B);
     CHECK(dal_multipliers(s->mechanics, 0.0, x, lambda) == 0);
     compare(where, "multipliers", m, lambda, c->multipliers);
-    CHECK(dal_chart_multipliers(chart, x, lambda, lambda_E) == 0);
+    CHECK(dal_chart_multipliers(chart, 0.0, x, lambda, lambda_E) == 0);
     compare(where, "multipliers of [A, I]", m, lambda_E, c->multipliers_E);
-    CHECK(dal_chart_multipliers_back(chart, x, c->multipliers_E, lambda) == 0);
+    CHECK(dal_chart_multipliers_back(chart, 0.0, x, c->multipliers_E, lambda) == 0);
     compare(where, "multipliers and back", m, lambda, c->multipliers);
     dal_chart_free(chart);
 }
@@ -386,7 +386,7 @@ static void compare_end(const subject *s, const char *where, double error,
     check_residual(s, where, 0.0, x);
     CHECK(dal_multipliers(s->mechanics, 0.0, x, lambda) == 0);
     compare_within(10 * error, where, "multipliers", s->m, lambda, r->multipliers);
-    CHECK(dal_energy(s->mechanics, x, &energy) == 0);
+    CHECK(dal_energy(s->mechanics, 0.0, x, &energy) == 0);
     compare_within(10 * error, where, "energy", 1, &energy, &r->energy);
 }
 

@@ -107,13 +107,13 @@ static void test_energy(const char *name)
     const dal_scheme scheme = find_scheme(name);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     double x[6], E0 = NAN, mean[TENTHS] = {0}, most[TENTHS] = {0};
-    CHECK(dal_system_state(system, x) == 0 && dal_energy(mechanics, x, &E0) == 0);
+    CHECK(dal_system_state(system, x) == 0 && dal_energy(mechanics, 0.0, x, &E0) == 0);
     CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_SUCCESS);
     for (int tenth = 0; tenth < TENTHS; tenth++)
         for (size_t k = 0; k < STEPS / TENTHS; k++) {
             double E = NAN;
             need(dal_step(stepper, NULL), name, dal_stepper_message(stepper));
-            need(dal_energy(mechanics, dal_stepper_state(stepper), &E), name, "energy");
+            need(dal_energy(mechanics, 0.0, dal_stepper_state(stepper), &E), name, "energy");
             mean[tenth] += (E - E0) / (STEPS / TENTHS);
             most[tenth] = fmax(most[tenth], fabs(E - E0));
         }

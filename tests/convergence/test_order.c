@@ -551,11 +551,11 @@ static void test_run(void)
     CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, NULL) == 0);
     CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-14, NULL) == 0);
     CHECK(dal_stepper_start(stepper, 0.0, 3.0 / 600, x, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
-    CHECK(dal_energy(mechanics, dal_stepper_state(stepper), &energy0) == 0);
+    CHECK(dal_energy(mechanics, 0.0, dal_stepper_state(stepper), &energy0) == 0);
     for (size_t k = 0; k < 600; k++) {
         CHECK(dal_step(stepper, NULL) == 0);
-        CHECK(dal_energy(mechanics, dal_stepper_state(stepper), &energy) == 0);
-        CHECK(dal_relative_residual(mechanics, 3.0 / 600, dal_stepper_state(stepper),
+        CHECK(dal_energy(mechanics, 0.0, dal_stepper_state(stepper), &energy) == 0);
+        CHECK(dal_relative_residual(mechanics, 0.0, 3.0 / 600, dal_stepper_state(stepper),
                                     &residual) == 0);
         drift = fmax(drift, fabs(energy - energy0) / fmax(fabs(energy0), 1.0));
         worst = fmax(worst, residual);
@@ -657,11 +657,11 @@ static void test_failed_points(void)
     dal_system_free(system);
 }
 
-static int stopped_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                              double *phi_q, void *ctx)
+static int stopped_constraint(double t, const double *q, const double *v, double *phi,
+                              double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     size_t *const calls = ctx;
-    return ++*calls > 500 ? -1 : generic4_constraint(q, v, phi, phi_v, phi_q, NULL);
+    return ++*calls > 500 ? -1 : generic4_constraint(t, q, v, phi, phi_v, phi_q, NULL, NULL);
 }
 
 static void test_arguments(void)

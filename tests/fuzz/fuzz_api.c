@@ -117,6 +117,7 @@ typedef struct recipe {
     double bend[MOST_M];     /* phi += bend v_n^2, of nonlinear constraints */
     dal_constraint_kind kind;
     double drag, drive;
+    double speed;            /* all but the force is what it was at time 0 at q + speed t */
     faults fault;
     bool quiet;              /* no fault, no end: the checks look at the state */
 } recipe;
@@ -157,15 +158,32 @@ static void spoil(fault_kind kind, size_t count, double *output)
 
 static int answer(fault_kind kind) { return kind == REFUSE ? 1 : kind == STOP ? -1 : 0; }
 
-static int potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+/* point[n] <- q + speed t, and so df/dt = speed sum_j df/dq_j. */
+static void move(const recipe *r, double t, const double *q, double *point)
+{
+    for (size_t i = 0; i < r->n; i++) point[i] = q[i] + r->speed * t;
+}
+
+static void add_up(const recipe *r, size_t rows, const double *slopes, double *rates)
+{
+    for (size_t i = 0; i < rows; i++) {
+        rates[i] = 0.0;
+        for (size_t j = 0; j < r->n; j++) rates[i] += r->speed * slopes[i * r->n + j];
+    }
+}
+
+static int potential(double t, const double *place, double *V, double *V_q, double *V_qq,
+                     void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
     const size_t n = r->n, j = r->well.j;
+    double q[MOST_N + 2];
+    move(r, t, place, q);
     if (fault == WRITE_NOTHING) return 0;
     if (r->inner) {
         const dal_system_def *const def = &r->inner->def;
-        const int returned = def->potential(q, V, V_q, V_qq, def->ctx);
+        const int returned = def->potential(0.0, q, V, V_q, V_qq, def->ctx);
         if (returned) return returned;
     } else {
         if (V) *V = value_of(&r->well, q);
@@ -192,7 +210,7 @@ static int own_lagrangian(recipe *r, const double *q, const double *v, double *L
     double V;
     recipe calm = *r;
     calm.quiet = true;
-    potential(q, L ? &V : NULL, L_q, L_qq, &calm);
+    potential(0.0, q, L ? &V : NULL, L_q, L_qq, &calm);
     if (L) *L = -V;
     for (size_t i = 0; L_q && i < n; i++) L_q[i] = -L_q[i];
     for (size_t k = 0; L_qq && k < n * n; k++) L_qq[k] = -L_qq[k];
@@ -211,27 +229,33 @@ static int own_lagrangian(recipe *r, const double *q, const double *v, double *L
     return 0;
 }
 
-static int lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                      double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int lagrangian(double t, const double *place, const double *v, double *L, double *L_q,
+                      double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                      void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
     const size_t n = r->n;
+    double q[MOST_N + 2], turns[(MOST_N + 2) * (MOST_N + 2)];
+    double *const slopes = L_vt && !L_vq ? turns : L_vq;
     if (fault == WRITE_NOTHING) return 0;
     int returned = 0;
+    move(r, t, place, q);
     if (r->inner) {
         const dal_system_def *const def = &r->inner->def;
-        returned = def->lagrangian(q, v, L, L_q, L_v, L_qq, L_vq, L_vv, def->ctx);
+        returned = def->lagrangian(0.0, q, v, L, L_q, L_v, L_qq, slopes, L_vv, NULL, def->ctx);
     } else {
-        returned = own_lagrangian(r, q, v, L, L_q, L_v, L_qq, L_vq, L_vv);
+        returned = own_lagrangian(r, q, v, L, L_q, L_v, L_qq, slopes, L_vv);
     }
     if (returned) return returned;
+    if (L_vt) add_up(r, n, slopes, L_vt);
     spoil(fault, 1, L);
     spoil(fault, n, L_q);
     spoil(fault, n, L_v);
     spoil(fault, n * n, L_qq);
     spoil(fault, n * n, L_vq);
     spoil(fault, n * n, L_vv);
+    spoil(fault, n, L_vt);
     return answer(fault);
 }
 
@@ -261,22 +285,27 @@ static void own_constraint(const recipe *r, const double *q, const double *v, do
     }
 }
 
-static int constraint(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                      void *ctx)
+static int constraint(double t, const double *place, const double *v, double *phi, double *phi_v,
+                      double *phi_q, double *phi_t, void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
+    double q[MOST_N + 2], turns[(MOST_N + 2) * (MOST_N + 2)];
+    double *const slopes = phi_t && !phi_q ? turns : phi_q;
     if (fault == WRITE_NOTHING) return 0;
+    move(r, t, place, q);
     if (r->inner) {
         const dal_system_def *const def = &r->inner->def;
-        const int returned = def->constraint(q, v, phi, phi_v, phi_q, def->ctx);
+        const int returned = def->constraint(0.0, q, v, phi, phi_v, slopes, NULL, def->ctx);
         if (returned) return returned;
     } else {
-        own_constraint(r, q, v, phi, phi_v, phi_q);
+        own_constraint(r, q, v, phi, phi_v, slopes);
     }
+    if (phi_t) add_up(r, r->m, slopes, phi_t);
     spoil(fault, r->m, phi);
     spoil(fault, r->m * r->n, phi_v);
     spoil(fault, r->m * r->n, phi_q);
+    spoil(fault, r->m, phi_t);
     return answer(fault);
 }
 
@@ -302,8 +331,8 @@ static int force(double t, const double *q, const double *v, double *f, double *
 }
 
 /* g_a = sin(q_a) v_(a+1), a deformation that stays linear. */
-static int deformation(const double *q, const double *v, double *g, double *g_v, double *g_q,
-                       void *ctx)
+static int deformation(double t, const double *q, const double *v, double *g, double *g_v,
+                       double *g_q, double *g_t, void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
@@ -315,6 +344,7 @@ static int deformation(const double *q, const double *v, double *g, double *g_v,
         if (g) g[a] = sin(q[a]) * v[a + 1];
         if (g_v) g_v[a * n + a + 1] = sin(q[a]);
         if (g_q) g_q[a * n + a] = cos(q[a]) * v[a + 1];
+        if (g_t) g_t[a] = 0.0;
     }
     spoil(fault, m, g);
     spoil(fault, m * n, g_v);
@@ -517,10 +547,12 @@ static int call_system(world *w)
     dal_check check;
     dal_error error;
     switch (next_below(&w->t, 4)) {
-    case 0: return CALL(dal_system_check, w->system, state(w), &check, &error);
+    case 0:
+        return CALL(dal_system_check, w->system, next_ordinary(&w->t), state(w), &check, &error);
     case 1: return CALL(dal_system_exact, w->system, next_number(&w->t), state(w), changed(w));
     case 2: return CALL(dal_system_state, w->system, changed(w));
-    default: return CALL(dal_system_invariant, w->system, state(w), out(w, count));
+    default:
+        return CALL(dal_system_invariant, w->system, next_number(&w->t), state(w), out(w, count));
     }
 }
 
@@ -530,23 +562,23 @@ static int call_mechanics(world *w)
     const double t = next_ordinary(&w->t);
     dal_mechanics *const a = w->mechanics;
     switch (next_below(&w->t, 14)) {
-    case 0: return CALL(dal_energy, a, state(w), out(w, 1));
+    case 0: return CALL(dal_energy, a, t, state(w), out(w, 1));
     case 1: return CALL(dal_power, a, t, state(w), out(w, 1), out(w, 1));
-    case 2: return CALL(dal_metric, a, state(w), out(w, n * n));
-    case 3: return CALL(dal_residual, a, step_size(w), state(w), out(w, m));
-    case 4: return CALL(dal_relative_residual, a, step_size(w), state(w), out(w, 1));
-    case 5: return CALL(dal_gram, a, state(w), out(w, m * m));
+    case 2: return CALL(dal_metric, a, t, state(w), out(w, n * n));
+    case 3: return CALL(dal_residual, a, t, step_size(w), state(w), out(w, m));
+    case 4: return CALL(dal_relative_residual, a, t, step_size(w), state(w), out(w, 1));
+    case 5: return CALL(dal_gram, a, t, state(w), out(w, m * m));
     case 6: return CALL(dal_multipliers, a, t, state(w), out(w, m));
     case 7: return CALL(dal_acceleration, a, t, state(w), out(w, n));
     case 8: return CALL(dal_field, a, t, state(w), out(w, 2 * n));
     case 9:
         return CALL(dal_perturbed, a, t, next_number(&w->t), state(w), in(w, 2 * n),
                     out(w, 2 * n), out(w, m));
-    case 10: return CALL(dal_project, a, step_size(w), changed(w), out(w, 1));
+    case 10: return CALL(dal_project, a, t, step_size(w), changed(w), out(w, 1));
     case 11: {
         unsigned char keep[MOST_N + 2];
         for (size_t i = 0; i < n; i++) keep[i] = (unsigned char)next_below(&w->t, 2);
-        return CALL(dal_consistent, a, keep, changed(w), out(w, 1));
+        return CALL(dal_consistent, a, t, keep, changed(w), out(w, 1));
     }
     case 12:
         return CALL(dal_step_equations, a, t, beta(w), step_size(w), state(w), in(w, n),
@@ -571,24 +603,25 @@ static int call_chart(world *w)
     case 0: {
         size_t dependent[MOST_N + 2] = {0};
         for (size_t k = 0; k < m; k++) dependent[k] = next_below(&w->t, (unsigned)n + 1);
-        return CALL(dal_chart_choose, a, dependent, state(w));
+        return CALL(dal_chart_choose, a, t, dependent, state(w));
     }
     case 1:
-    case 2: return CALL(dal_chart_choose, a, NULL, state(w));
-    case 3: return CALL(dal_chart_condition, a, state(w), out_of(w, 1, false));
-    case 4: return CALL(dal_chart_renew, a, state(w), &moves);
-    case 5: return CALL(dal_chart_connection, a, state(w), out(w, m * (n - m)), out(w, m * m));
-    case 6: return CALL(dal_chart_split, a, state(w), out(w, n), out(w, n));
-    case 7: return CALL(dal_chart_lift, a, in(w, xi), changed(w));
+    case 2: return CALL(dal_chart_choose, a, t, NULL, state(w));
+    case 3: return CALL(dal_chart_condition, a, t, state(w), out_of(w, 1, false));
+    case 4: return CALL(dal_chart_renew, a, t, state(w), &moves);
+    case 5: return CALL(dal_chart_connection, a, t, state(w), out(w, m * (n - m)), out(w, m * m));
+    case 6: return CALL(dal_chart_split, a, t, state(w), out(w, n), out(w, n));
+    case 7: return CALL(dal_chart_lift, a, t, in(w, xi), changed(w));
     case 8: return CALL(dal_chart_drop, a, state(w), out(w, xi));
-    case 9: return CALL(dal_chart_jacobian, a, in(w, xi), out(w, 2 * n * xi), out(w, 2 * n * xi));
+    case 9:
+        return CALL(dal_chart_jacobian, a, t, in(w, xi), out(w, 2 * n * xi), out(w, 2 * n * xi));
     case 10: return CALL(dal_chart_field, a, t, in(w, xi), out(w, xi));
-    case 11: return CALL(dal_chart_multipliers, a, state(w), in(w, m), out(w, m));
-    case 12: return CALL(dal_chart_multipliers_back, a, state(w), in(w, m), out(w, m));
+    case 11: return CALL(dal_chart_multipliers, a, t, state(w), in(w, m), out(w, m));
+    case 12: return CALL(dal_chart_multipliers_back, a, t, state(w), in(w, m), out(w, m));
     case 13:
         return CALL(dal_chart_step, a, t, beta(w), step_size(w), moved(w, xi), out(w, m));
     case 14:
-        return CALL(dal_chart_curve, a, state(w), state(w), next_number(&w->t), changed(w));
+        return CALL(dal_chart_curve, a, t, state(w), state(w), next_number(&w->t), changed(w));
     default: {
         const size_t given = some(w), count = some(w);
         const double h = step_size(w), length = h * ((double)given - 1.0), shift = step_size(w);
@@ -672,11 +705,11 @@ static int call_discrete(world *w)
     case 1: return CALL(dal_discrete_state, a, h, in(w, n), in(w, n), changed(w));
     case 2: return CALL(dal_discrete_nodes, a, h, state(w), out(w, n), out(w, n));
     case 3:
-        return CALL(dal_discrete_lagrangian, a, h, in(w, n), in(w, n), out(w, 1), out(w, n),
+        return CALL(dal_discrete_lagrangian, a, t, h, in(w, n), in(w, n), out(w, 1), out(w, n),
                     out(w, n), out(w, n * n));
     case 4:
-        return CALL(dal_discrete_constraint, a, h, in(w, n), in(w, n), out(w, m), out(w, m * n),
-                    out(w, m * n));
+        return CALL(dal_discrete_constraint, a, t, h, in(w, n), in(w, n), out(w, m),
+                    out(w, m * n), out(w, m * n));
     case 5: return CALL(dal_discrete_momenta, a, t, h, in(w, n), in(w, n), out(w, n), out(w, n));
     case 6:
         return CALL(dal_discrete_momentum, a, t, h, in(w, n), in(w, n), in(w, n), in(w, n),
@@ -744,7 +777,8 @@ static void check_residual(world *w)
         shift *= w->h;
     }
     w->r.quiet = true;
-    const int status = dal_relative_residual(w->mechanics, shift, x, &worst);
+    const int status =
+        dal_relative_residual(w->mechanics, dal_stepper_time(w->stepper), shift, x, &worst);
     w->r.quiet = false;
     MUST(status == 0, "no residual at a state that %s gave: %d", w->call, status);
     MUST(worst <= bound, "%s keeps D to %g, n = %zu, with %s", w->call, worst, w->n,
@@ -904,7 +938,7 @@ static int call_embedding(world *w)
         dal_embedding_free(w->embedding);
         w->embedding = fresh;
         w->r.quiet = true;
-        dal_chart_choose(dal_embedding_chart(fresh), NULL, w->x);
+        dal_chart_choose(dal_embedding_chart(fresh), 0.0, NULL, w->x);
         w->r.quiet = false;
         if (which == 0) return status;
     }
@@ -913,7 +947,7 @@ static int call_embedding(world *w)
                                                  : fabs(next_ordinary(&w->t));
     switch (which) {
     case 1:
-    case 2: return CALL(dal_chart_choose, dal_embedding_chart(a), NULL, state(w));
+    case 2: return CALL(dal_chart_choose, dal_embedding_chart(a), tau, NULL, state(w));
     case 3: return CALL(dal_embedding_curve, a, tau, in(w, xi), out(w, xi));
     case 4: return CALL(dal_embedding_source, a, tau, in(w, xi), out(w, xi));
     case 5: return CALL(dal_embedding_field, a, tau, in(w, xi), out(w, xi));
@@ -997,6 +1031,8 @@ static void make_own(world *w, dal_system_def *def, double *mass)
                             .potential = !(shape & 1) && shape & 2 ? potential : NULL,
                             .constraint = m ? constraint : NULL,
                             .force = (shape & 12) == 12 ? force : NULL};
+    def->time_dependent = (shape & 192) == 192;
+    if (def->time_dependent) r->speed = next_ordinary(given);
     if ((shape & 48) == 48) def->missing = next_byte(given);
 }
 
@@ -1034,8 +1070,8 @@ static bool make_world(world *w)
     fill(w, 2 * w->n, w->x);
     w->r.quiet = true;
     dal_system_state(w->system, w->x);
-    dal_project(w->mechanics, 0.0, w->x, NULL);
-    dal_chart_choose(w->chart, NULL, w->x);
+    dal_project(w->mechanics, 0.0, 0.0, w->x, NULL);
+    dal_chart_choose(w->chart, 0.0, NULL, w->x);
     w->r.quiet = false;
     return true;
 }

@@ -153,21 +153,22 @@ static int iterate(multiroot *s, dal_stats *stats)
 /* hybridsj does not notice that a constraint that is satisfied vanishes, or follows from others. */
 static int refuse_singular(multiroot *s)
 {
-    int status = dal__constraint(&s->mech->eval, s->mech->q, s->w, NULL, s->mech->mu, NULL,
+    const double t = s->mech->start.end;
+    int status = dal__constraint(&s->mech->eval, t, s->mech->q, s->w, NULL, s->mech->mu, NULL, NULL,
                                  &s->mech->error);
-    if (!status) status = dal__form_metric(s->mech, s->mech->q, s->w);
+    if (!status) status = dal__form_metric(s->mech, t, s->mech->q, s->w);
     if (status || s->m == 0) return status;
     dal__form_Z(s->mech, s->mech->mu);
     return dal__factor_gram(s->mech, s->mech->mu);
 }
 
 /* One beta-scheme from x[2n], in place, into s->kappa. */
-static int solve(multiroot *s, dal_mechanics *mech, double t, double beta, double h, bool kept,
-                 double *x, dal_stats *stats)
+static int solve(multiroot *s, dal_mechanics *mech, double t, double end, double beta, double h,
+                 bool kept, double *x, dal_stats *stats)
 {
     const size_t n = s->n, m = s->m;
     s->mech = mech;
-    s->status = dal__step_begin(mech, t, beta, beta, h, kept, x);
+    s->status = dal__step_begin(mech, t, end, beta, beta, h, kept, x);
     if (s->status) return s->status;
     memcpy(s->guess, x + n, n * sizeof *s->guess);
     memset(s->guess + n, 0, m * sizeof *s->guess);
@@ -199,12 +200,15 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
         memcpy(self->impulse, motion->impulse, self->m * sizeof *x);
         for (size_t j = 0; j < self->substeps; j++) {
             const dal_substep s = self->substep[j];
-            const double t = motion->t0 + ((double)(motion->steps + *done) + passed) * h;
-            const int status = solve(self, motion->mechanics, t, s.beta, s.fraction * h, kept, x,
-                                     motion->stats);
+            const double number = (double)(motion->steps + *done);
+            const double next = j + 1 < self->substeps ? passed + s.fraction : 1.0;
+            const int status =
+                solve(self, motion->mechanics, motion->t0 + (number + passed) * h,
+                      motion->t0 + (number + next) * h, s.beta, s.fraction * h, kept, x,
+                      motion->stats);
             if (status) return status;
             for (size_t a = 0; a < self->m; a++) self->impulse[a] += self->kappa[a];
-            passed += s.fraction;
+            passed = next;
         }
         memcpy(motion->x, x, 2 * self->n * sizeof *x);
         memcpy(motion->impulse, self->impulse, self->m * sizeof *x);

@@ -19,7 +19,8 @@ static void knife_edge_state(const double *p, double *x)
 }
 
 /* V = -m gs x */
-static int knife_edge_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int knife_edge_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                                void *ctx)
 {
     const double *p = ctx, weight = p[0] * p[2];
     if (V) *V = -weight * q[0];
@@ -30,10 +31,9 @@ static int knife_edge_potential(const double *q, double *V, double *V_q, double 
 }
 
 /* mu = (sin theta, -cos theta, 0) */
-static int knife_edge_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                 double *phi_q, void *ctx)
+static int knife_edge_constraint(double t, const double *q, const double *v, double *phi,
+                                 double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     const double s = sin(q[2]), c = cos(q[2]);
     if (phi) phi[0] = s * v[0] - c * v[1];
     if (phi_v) set3(phi_v, s, -c, 0.0);
@@ -69,7 +69,7 @@ static int knife_edge_exact(double t, const double *x0, double *x, void *ctx)
     return 0;
 }
 
-static int knife_edge_invariant(const double *x, double *values, void *ctx)
+static int knife_edge_invariant(double t, const double *x, double *values, void *ctx)
 {
     const double *p = ctx, gs = p[2], s = sin(x[2]), c = cos(x[2]);
     values[0] = x[5];
@@ -111,8 +111,8 @@ static void sleigh_state(const double *p, double *x)
 }
 
 /* mu = (-sin theta, cos theta, -a): the blade, a distance a behind, moves along itself only. */
-static int sleigh_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                             double *phi_q, void *ctx)
+static int sleigh_constraint(double t, const double *q, const double *v, double *phi,
+                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double *p = ctx, a = p[2], s = sin(q[2]), c = cos(q[2]);
     if (phi) phi[0] = c * v[1] - s * v[0] - a * v[2];
@@ -212,7 +212,7 @@ static int sleigh_exact(double t, const double *x0, double *x, void *ctx)
 
 /* a theta - sqrt(I/m) atan(sqrt(m/I) u/theta'): a times the heading of the sleigh where u = 0.  The
  * sign of theta' never changes; so the atan does not jump. */
-static int sleigh_invariant(const double *x, double *values, void *ctx)
+static int sleigh_invariant(double t, const double *x, double *values, void *ctx)
 {
     const double *p = ctx, m = p[0], a = p[2], ratio = sqrt((p[1] + m * a * a) / m);
     const double u = x[3] * cos(x[2]) + x[4] * sin(x[2]), w = x[5];
@@ -254,9 +254,9 @@ static void sleigh_contact_state(const double *p, double *x)
 }
 
 /* L = m |v|^2/2 + m a omega w + (J + m a^2) omega^2/2, w = -v_x sin(theta) + v_y cos(theta) */
-static int sleigh_contact_lagrangian(const double *q, const double *v, double *L, double *L_q,
-                                     double *L_v, double *L_qq, double *L_vq, double *L_vv,
-                                     void *ctx)
+static int sleigh_contact_lagrangian(double t, const double *q, const double *v, double *L,
+                                     double *L_q, double *L_v, double *L_qq, double *L_vq,
+                                     double *L_vv, double *L_vt, void *ctx)
 {
     const double *p = ctx, m = p[0], a = p[2], ma = m * a, inertia = p[1] + ma * a;
     const double s = sin(q[2]), c = cos(q[2]), omega = v[2];
@@ -284,10 +284,9 @@ static int sleigh_contact_lagrangian(const double *q, const double *v, double *L
 }
 
 /* mu = (-sin theta, cos theta, 0) */
-static int sleigh_contact_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                     double *phi_q, void *ctx)
+static int sleigh_contact_constraint(double t, const double *q, const double *v, double *phi,
+                                     double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     const double s = sin(q[2]), c = cos(q[2]);
     if (phi) phi[0] = c * v[1] - s * v[0];
     if (phi_v) set3(phi_v, -s, c, 0.0);

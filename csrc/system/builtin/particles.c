@@ -2,7 +2,8 @@
 #include "system/builtin/builtin.h"
 
 /* V = (k1 x^2 + k2 y^2 + k3 z^2)/2 */
-static int potential_springs(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int potential_springs(double t, const double *q, double *V, double *V_q, double *V_qq,
+                             void *ctx)
 {
     const double *k = ctx;
     if (V) *V = (k[0] * q[0] * q[0] + k[1] * q[1] * q[1] + k[2] * q[2] * q[2]) / 2;
@@ -24,10 +25,9 @@ static void particle_state(const double *p, double *x)
     set3(x + 3, 1.0, 0.7, 0.3);
 }
 
-static int particle_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                               double *phi_q, void *ctx)
+static int particle_constraint(double t, const double *q, const double *v, double *phi,
+                               double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) phi[0] = v[2] - q[1] * v[0];
     if (phi_v) set3(phi_v, -q[1], 0.0, 1.0);
     if (phi_q) set3(phi_q, 0.0, -v[0], 0.0);
@@ -53,15 +53,14 @@ static int particle_exact(double t, const double *x0, double *x, void *ctx)
     return 0;
 }
 
-static int particle_invariant(const double *x, double *values, void *ctx)
+static int particle_invariant(double t, const double *x, double *values, void *ctx)
 {
-    (void)ctx;
     values[0] = x[4];
     values[1] = x[3] * hypot(1.0, x[1]);
     return 0;
 }
 
-static int particle_oscillator_invariant(const double *x, double *values, void *ctx)
+static int particle_oscillator_invariant(double t, const double *x, double *values, void *ctx)
 {
     const double *k = ctx;
     values[0] = (x[4] * x[4] + k[1] * x[1] * x[1]) / 2;
@@ -113,10 +112,9 @@ static void heisenberg_state(const double *p, double *x)
     set3(x + 3, 0.3, 0.5, 0.34);
 }
 
-static int heisenberg_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                 double *phi_q, void *ctx)
+static int heisenberg_constraint(double t, const double *q, const double *v, double *phi,
+                                 double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) phi[0] = q[1] * v[0] - q[0] * v[1] + v[2];
     if (phi_v) set3(phi_v, q[1], -q[0], 1.0);
     if (phi_q) set3(phi_q, -v[1], v[0], 0.0);

@@ -44,8 +44,8 @@ static void disk_state(const double *p, double *x)
     set4(x + 4, R * roll * cos(phi), R * roll * sin(phi), roll, 0.9);
 }
 
-static int disk_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, void *ctx)
+static int disk_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, double *phi_t, void *ctx)
 {
     const double *p = ctx;
     constraint_rolling(2, 3, p[3], q, v, phi, phi_v, phi_q);
@@ -63,9 +63,8 @@ static int disk_exact(double t, const double *x0, double *x, void *ctx)
     return 0;
 }
 
-static int disk_invariant(const double *x, double *values, void *ctx)
+static int disk_invariant(double t, const double *x, double *values, void *ctx)
 {
-    (void)ctx;
     values[0] = x[6];
     values[1] = x[7];
     return 0;
@@ -100,7 +99,8 @@ static void robot_state(const double *p, double *x)
 }
 
 /* V = k sin theta */
-static int robot_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int robot_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                           void *ctx)
 {
     const double *p = ctx, k = p[4];
     if (V) *V = k * sin(q[3]);
@@ -112,8 +112,8 @@ static int robot_potential(const double *q, double *V, double *V_q, double *V_qq
     return 0;
 }
 
-static int robot_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                            double *phi_q, void *ctx)
+static int robot_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                            double *phi_q, double *phi_t, void *ctx)
 {
     const double *p = ctx;
     constraint_rolling(3, 2, p[3], q, v, phi, phi_v, phi_q);
@@ -121,7 +121,7 @@ static int robot_constraint(const double *q, const double *v, double *phi, doubl
 }
 
 /* phi is free, and (J + m R^2) theta'' = -k cos(theta). */
-static int robot_invariant(const double *x, double *values, void *ctx)
+static int robot_invariant(double t, const double *x, double *values, void *ctx)
 {
     const double *p = ctx, inertia = p[2] + p[0] * p[3] * p[3];
     values[0] = x[6];
@@ -172,8 +172,9 @@ static void rolling_disc_state(const double *p, double *x)
 
 /* L = (m (x'^2 + y'^2 + r^2 s^2 beta'^2) + A (beta'^2 + c^2 alpha'^2) + C omega^2)/2 - m g r c with
  * s = sin(beta), c = cos(beta), omega = gamma' + s alpha' */
-static int rolling_disc_lagrangian(const double *q, const double *v, double *L, double *L_q,
-                                   double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int rolling_disc_lagrangian(double t, const double *q, const double *v, double *L,
+                                   double *L_q, double *L_v, double *L_qq, double *L_vq,
+                                   double *L_vv, double *L_vt, void *ctx)
 {
     const double *p = ctx, m = p[0], r = p[1], A = p[2], C = p[3], weight = m * p[4] * r;
     const double mr2 = m * r * r, s = sin(q[3]), c = cos(q[3]);
@@ -217,8 +218,8 @@ static int rolling_disc_lagrangian(const double *q, const double *v, double *L, 
 /* The centre moves by r omega along the plane of the disc and by -r (sin beta)' across it:
  * x' = r omega cos(alpha) + r c beta' sin(alpha),
  * y' = r omega sin(alpha) - r c beta' cos(alpha). */
-static int rolling_disc_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                   double *phi_q, void *ctx)
+static int rolling_disc_constraint(double t, const double *q, const double *v, double *phi,
+                                   double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double *p = ctx, r = p[1], s = sin(q[3]), c = cos(q[3]);
     const double rc = r * cos(q[2]), rs = r * sin(q[2]);
@@ -288,8 +289,8 @@ static void ball_state(const double *p, double *x)
 }
 
 /* The point of contact moves with the table: x' - a omega_y = -Omega y, y' + a omega_x = Omega x */
-static int ball_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, void *ctx)
+static int ball_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, double *phi_t, void *ctx)
 {
     const double *p = ctx, a = p[2], turn = p[3];
     if (phi) {
@@ -336,7 +337,7 @@ static int ball_exact(double t, const double *x0, double *x, void *ctx)
 }
 
 /* The table does work, so that the energy changes; that in the frame that turns does not. */
-static int ball_invariant(const double *x, double *values, void *ctx)
+static int ball_invariant(double t, const double *x, double *values, void *ctx)
 {
     const double *p = ctx, m = p[0], J = p[1], a = p[2], turn = p[3];
     const double *v = x + 5, *w = x + 7;

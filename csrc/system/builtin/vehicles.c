@@ -38,8 +38,8 @@ static void snakeboard_state(const double *p, double *x)
 
 /* The axles move along themselves only: their normals are (-sin, cos) of theta +- phi.  By the
  * addition theorems, because theta + phi is rounded, and theta may be large. */
-static int snakeboard_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                 double *phi_q, void *ctx)
+static int snakeboard_constraint(double t, const double *q, const double *v, double *phi,
+                                 double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double *p = ctx, r = p[1];
     const double heading[2] = {cos(q[2]), sin(q[2])}, turn[2] = {cos(q[4]), sin(q[4])};
@@ -63,7 +63,7 @@ static int snakeboard_constraint(const double *q, const double *v, double *phi, 
 }
 
 /* No constraint acts on phi or psi. */
-static int snakeboard_invariant(const double *x, double *values, void *ctx)
+static int snakeboard_invariant(double t, const double *x, double *values, void *ctx)
 {
     const double *p = ctx;
     values[0] = x[9];
@@ -174,8 +174,9 @@ static void n_trailer_state(const double *p, double *x)
  * hangs at axle k: dL/dtheta_k' = J theta_k' - d n_k P_k and dL/dtheta_k = d theta_k' e_k P_k for
  * k > 0; and P_k changes by -w d n_j with theta_j' and by w d theta_j' e_j with theta_j, where w is
  * the mass behind both k and j. */
-static int n_trailer_lagrangian(const double *q, const double *v, double *L, double *L_q,
-                                double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int n_trailer_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                                double *L_v, double *L_qq, double *L_vq, double *L_vv,
+                                double *L_vt, void *ctx)
 {
     chain all;
     n_trailer_chain(ctx, q, v, &all);
@@ -234,8 +235,8 @@ static int n_trailer_lagrangian(const double *q, const double *v, double *L, dou
 }
 
 /* n_i p_i' = 0 */
-static int n_trailer_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                double *phi_q, void *ctx)
+static int n_trailer_constraint(double t, const double *q, const double *v, double *phi,
+                                double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     chain all;
     n_trailer_chain(ctx, q, v, &all);
@@ -261,7 +262,7 @@ static int n_trailer_constraint(const double *q, const double *v, double *phi, d
 }
 
 /* No constraint acts on the heading of the first axle, and it moves nothing else. */
-static int n_trailer_invariant(const double *x, double *values, void *ctx)
+static int n_trailer_invariant(double t, const double *x, double *values, void *ctx)
 {
     values[0] = x[n_trailer_trailers(ctx) + 5];
     return 0;

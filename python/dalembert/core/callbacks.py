@@ -54,12 +54,15 @@ def _remember(kind: type[BaseException], value: BaseException, traceback: Any) -
     return 1 if isinstance(value, DomainError) else lib.DAL_EUSER
 
 
+# Time goes to forces and exact solutions alone: what C asks for phi_t or L_vt is declared to depend
+# on time, and no system of Python's functions is.
+
 # The arrays that a user's function gets are copies, of the 24 bytes of a particle say, made as a
 # bytes object: that is as fast as a view of C's memory, cannot be written to, and may be kept.
 
 
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_potential(q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) -> int:
+def dal_py_potential(t: float, q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     point = _frombuffer(_buffer(q, call.bytes)[:])
     if V:
@@ -74,7 +77,8 @@ def dal_py_potential(q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) -> int:
 
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
 def dal_py_lagrangian(
-    q: Any, v: Any, L: Any, L_q: Any, L_v: Any, L_qq: Any, L_vq: Any, L_vv: Any, ctx: Any
+    t: float, q: Any, v: Any, L: Any, L_q: Any, L_v: Any, L_qq: Any, L_vq: Any, L_vv: Any,
+    L_vt: Any, ctx: Any,
 ) -> int:
     call = _from_handle(ctx)
     point = _frombuffer(_buffer(q, call.bytes)[:])
@@ -110,7 +114,9 @@ def dal_py_force(t: float, q: Any, v: Any, f: Any, f_q: Any, f_v: Any, ctx: Any)
 
 # The core asks linear constraints for mu alone, and never for phi = mu v.
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_linear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+def dal_py_linear(
+    t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
+) -> int:
     call = _from_handle(ctx)
     point = _frombuffer(_buffer(q, call.bytes)[:])
     if phi_v:
@@ -127,7 +133,9 @@ def dal_py_linear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) ->
 
 
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_affine(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+def dal_py_affine(
+    t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
+) -> int:
     call = _from_handle(ctx)
     point = _frombuffer(_buffer(q, call.bytes)[:])
     velocity = _frombuffer(_buffer(v, call.bytes)[:])
@@ -158,7 +166,9 @@ def _constrain(call: Any, q: Any, v: Any, outputs: dict[str, Any]) -> int:
 
 
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_nonlinear(q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, ctx: Any) -> int:
+def dal_py_nonlinear(
+    t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
+) -> int:
     call = _from_handle(ctx)
     return _constrain(call, q, v, {"constraint": phi, "constraint_v": phi_v, "constraint_q": phi_q})
 
@@ -173,7 +183,9 @@ def dal_py_exact(t: float, x0: Any, x: Any, ctx: Any) -> int:
 
 
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_deformation(q: Any, v: Any, g: Any, g_v: Any, g_q: Any, ctx: Any) -> int:
+def dal_py_deformation(
+    t: float, q: Any, v: Any, g: Any, g_v: Any, g_q: Any, g_t: Any, ctx: Any
+) -> int:
     call = _from_handle(ctx)
     return _constrain(call, q, v, {"g": g, "g_v": g_v, "g_q": g_q})
 

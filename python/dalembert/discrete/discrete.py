@@ -330,7 +330,7 @@ class Discrete(core.Constant):
         2.0
         """
         value = np.empty(1)
-        self._call(lib.dal_discrete_lagrangian, value, *[ffi.NULL] * 3, h=h, q0=q0, q1=q1)
+        self._call(lib.dal_discrete_lagrangian, value, *[ffi.NULL] * 3, t=0.0, h=h, q0=q0, q1=q1)
         return float(value[0])
 
     def lagrangian_derivatives(
@@ -365,7 +365,7 @@ class Discrete(core.Constant):
         n = self.system.n
         D1, D2 = np.empty((2, n))
         D12 = np.empty((n, n))
-        self._call(lib.dal_discrete_lagrangian, ffi.NULL, D1, D2, D12, h=h, q0=q0, q1=q1)
+        self._call(lib.dal_discrete_lagrangian, ffi.NULL, D1, D2, D12, t=0.0, h=h, q0=q0, q1=q1)
         return D1, D2, D12
 
     def constraint(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Array:
@@ -393,7 +393,7 @@ class Discrete(core.Constant):
         array([2.])
         """
         phi = np.empty(self.system.m)
-        self._call(lib.dal_discrete_constraint, phi, ffi.NULL, ffi.NULL, h=h, q0=q0, q1=q1)
+        self._call(lib.dal_discrete_constraint, phi, ffi.NULL, ffi.NULL, t=0.0, h=h, q0=q0, q1=q1)
         return phi
 
     def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
@@ -422,7 +422,7 @@ class Discrete(core.Constant):
         array([[-2., -1.,  2.]])
         """
         D1, D2 = np.empty((2, self.system.m, self.system.n))
-        self._call(lib.dal_discrete_constraint, ffi.NULL, D1, D2, h=h, q0=q0, q1=q1)
+        self._call(lib.dal_discrete_constraint, ffi.NULL, D1, D2, t=0.0, h=h, q0=q0, q1=q1)
         return D1, D2
 
     def momenta(

@@ -102,7 +102,7 @@ class Chart(core.Constant):
 
     def _choose(self, chart: Any) -> None:
         """Make the choice of this chart that of a ``dal_chart``."""
-        status = core.attempt(lib.dal_chart_choose, chart, self._place, self._x)
+        status = core.attempt(lib.dal_chart_choose, chart, 0.0, self._place, self._x)
         self._charts.check(status, chart)
 
     def _states(self, q: ArrayLike, v: ArrayLike | None) -> tuple[Array, bool]:
@@ -176,7 +176,7 @@ class Chart(core.Constant):
         x, single = self._states(q, v)
         values = np.empty((len(x), self.system.m * columns))
         outputs = (values, ffi.NULL) if which == 0 else (ffi.NULL, values)
-        self._charts.rows(lib.dal_chart_connection, x, *outputs)
+        self._charts.rows(lib.dal_chart_connection, 0.0, x, *outputs)
         matrices = values.reshape(len(x), self.system.m, columns)
         return matrices[0] if single else matrices
 
@@ -209,7 +209,7 @@ class Chart(core.Constant):
         """
         x, single = self._states(q, v)
         values = np.empty(len(x))
-        self._charts.rows(lib.dal_chart_condition, x, values)
+        self._charts.rows(lib.dal_chart_condition, 0.0, x, values)
         return float(values[0]) if single else values
 
     def renewed(self, q: ArrayLike, v: ArrayLike | None = None) -> Chart:
@@ -249,7 +249,7 @@ class Chart(core.Constant):
         x = np.concatenate([q, v])
         changed = ffi.new("int *")
         chart = self._new()
-        status = core.attempt(lib.dal_chart_renew, chart, x, changed)
+        status = core.attempt(lib.dal_chart_renew, chart, 0.0, x, changed)
         self._charts.check(status, chart)
         if changed[0]:
             _log.info("%s", core.string(lib.dal_chart_message(chart)))
@@ -282,7 +282,7 @@ class Chart(core.Constant):
         """
         x, single = self._states(q, v)
         hor, ver = np.empty((2, len(x), self.system.n))
-        self._charts.rows(lib.dal_chart_split, x, hor, ver)
+        self._charts.rows(lib.dal_chart_split, 0.0, x, hor, ver)
         return (hor[0], ver[0]) if single else (hor, ver)
 
     # ---- psi -----------------------------------------------------------------------------
@@ -311,7 +311,7 @@ class Chart(core.Constant):
         """
         xi, single = self._coordinates(xi)
         x = np.empty((len(xi), 2 * self.system.n))
-        self._charts.rows(lib.dal_chart_lift, xi, x)
+        self._charts.rows(lib.dal_chart_lift, 0.0, xi, x)
         return self._halves(x, single)
 
     def drop(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -365,7 +365,7 @@ class Chart(core.Constant):
         """
         xi, single = self._coordinates(xi)
         values = np.empty((len(xi), 2 * self.system.n * self._width))
-        self._charts.rows(lib.dal_chart_jacobian, xi, values, ffi.NULL)
+        self._charts.rows(lib.dal_chart_jacobian, 0.0, xi, values, ffi.NULL)
         matrices = values.reshape(len(xi), 2 * self.system.n, self._width)
         return matrices[0] if single else matrices
 
@@ -475,7 +475,7 @@ class Chart(core.Constant):
         shape = (self.system.m,) if single else (len(x), self.system.m)
         given = np.atleast_2d(arguments.array(multipliers, "multipliers", shape))
         values = np.empty_like(given)
-        self._charts.rows(function, x, given, values)
+        self._charts.rows(function, 0.0, x, given, values)
         return values[0] if single else values
 
     def step(
@@ -559,7 +559,8 @@ class Chart(core.Constant):
         with self._charts.lend() as chart:
             for k, each in enumerate(times.flat):
                 row = core.pointer(x, k)
-                status = core.attempt(lib.dal_chart_curve, chart, first, second, float(each), row)
+                given = (0.0, first, second, float(each), row)
+                status = core.attempt(lib.dal_chart_curve, chart, *given)
                 self._charts.check(status, chart, k)
         return self._halves(x, times.ndim == 0)
 

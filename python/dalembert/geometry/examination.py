@@ -232,7 +232,7 @@ def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
     x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
     report = ffi.new("dal_check *")
     error = ffi.new("dal_error *")
-    status = core.attempt(lib.dal_system_check, system._handle, core.pointer(x), report, error)
+    status = core.attempt(lib.dal_system_check, system._handle, 0.0, core.pointer(x), report, error)
     # A callback that is not finite is a finding; an exception of the user's is not.
     if status < 0 and not (status == lib.DAL_EDOMAIN and core.string(report.text)):
         raise core.failure(status, core.string(error.text), kind=system.kind)

@@ -337,7 +337,7 @@ def _matrices(
 ) -> Array:
     x, single = states(system, q, np.zeros(np.shape(q)) if v is None else v)
     values = np.empty((len(x), size**2))
-    system._mechanics.rows(function, x, values)
+    system._mechanics.rows(function, 0.0, x, values)
     matrices = values.reshape(len(x), size, size)
     return matrices[0] if single else matrices
 
@@ -502,7 +502,7 @@ def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> A
 def projection(system: Handle, x: Array, shift: float = 0.0) -> Array:
     """Project the rows of ``x`` in place; return how far, in the mass metric, shape (N,)."""
     distances = np.empty(len(x))
-    system._mechanics.rows(lib.dal_project, shift, x, distances)
+    system._mechanics.rows(lib.dal_project, 0.0, shift, x, distances)
     return distances
 
 
@@ -545,7 +545,7 @@ def consistent(
     """
     x, single = states(system, q0, v0, ("q0", "v0"))
     mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
-    system._mechanics.rows(lib.dal_consistent, mask, x, np.empty(len(x)))
+    system._mechanics.rows(lib.dal_consistent, 0.0, mask, x, np.empty(len(x)))
     v = x[:, system.n :].copy()
     return v[0] if single else v
 

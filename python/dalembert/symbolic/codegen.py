@@ -28,13 +28,14 @@ _LARGEST = 32
 _INLINED = 400
 
 _SIGNATURES = {
-    "potential": "const double *q, double *V, double *V_q, double *V_qq",
-    "constraint": "const double *q, const double *v, double *phi, double *phi_v, double *phi_q",
-    "lagrangian": "const double *q, const double *v, double *L, double *L_q, double *L_v, "
-    "double *L_qq, double *L_vq, double *L_vv",
+    "potential": "double t, const double *q, double *V, double *V_q, double *V_qq",
+    "constraint": "double t, const double *q, const double *v, double *phi, double *phi_v, "
+    "double *phi_q, double *phi_t",
+    "lagrangian": "double t, const double *q, const double *v, double *L, double *L_q, "
+    "double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt",
     "force": "double t, const double *q, const double *v, double *f, double *f_q, double *f_v",
     "exact": "double t, const double *start, double *x",
-    "invariant": "const double *start, double *values",
+    "invariant": "double t, const double *start, double *values",
     "mass": "double *M",
     "state": "double *x",
 }
@@ -165,7 +166,7 @@ def _function(
             if symbol.name in used:
                 place = _element(letter, i, arrays, model.n)
                 made.add(f"    const double {symbol.name} = {place};")
-    inputs = [i for i in _names(arrays) if i in ("t", "q", "v", "start")]
+    inputs = [i for i in _names(arrays) if i in ("t", "q", "v", "start", "phi_t", "L_vt")]
     made.add("    " + ", ".join(f"(void){name}" for name in [*inputs, "p"]) + ";")
     print_c = Printer(powers)
 
@@ -260,37 +261,37 @@ def _kernel(made: Program, model: Model) -> None:
     potential = model.derived.function("potential") is not None
     if model.m > 0:
         made.add(_INSIDE_CONSTRAINT)
-        constrain = "model_inside_constraint(k, q, v, mu, N)"
+        constrain = "model_inside_constraint(k, t, q, v, mu, N)"
     else:
-        constrain = "((void)(k), (void)(q), (void)(v), (void)(mu), (void)(N), 0)"
+        constrain = "((void)(k), (void)(t), (void)(q), (void)(v), (void)(mu), (void)(N), 0)"
     if potential:
         made.add(_INSIDE_POTENTIAL)
     made.add(f"#define DAL_N {model.n}\n#define DAL_M {model.m}\n#define DAL_KERNEL model_steps")
-    made.add(f"#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) {constrain}")
+    made.add(f"#define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) {constrain}")
     zeros = pattern(model)
     if initializer := zeros.initializer():
         made.add(f"#define DAL_KERNEL_PATTERN {initializer}")
     made.add(f"#define DAL_KERNEL_STEADY {int(zeros.steady)}")
     if potential:
-        made.add("#define DAL_KERNEL_POTENTIAL(k, q, V_q) model_inside_potential(k, q, V_q)")
+        made.add("#define DAL_KERNEL_POTENTIAL(k, t, q, V_q) model_inside_potential(k, t, q, V_q)")
     made.add("#include <dalembert/kernel.h>\n")
     made.add("static const dal_compiled model_compiled = {")
     made.add("    DAL_COMPILED_ABI, sizeof(dal_kernel), model_steps};\n")
 
 
 _INSIDE_CONSTRAINT = """DAL_KERNEL_INLINE int model_inside_constraint(
-    dal_kernel *k, const double *q, const double *v, double *mu, double *N)
+    dal_kernel *k, double t, const double *q, const double *v, double *mu, double *N)
 {
     k->stats.constraint_calls++;
-    return model_constraint(q, v, NULL, mu, N, k->constraint_ctx);
+    return model_constraint(t, q, v, NULL, mu, N, NULL, k->constraint_ctx);
 }
 """
 
-_INSIDE_POTENTIAL = """DAL_KERNEL_INLINE int model_inside_potential(dal_kernel *k, const double *q,
-    double *V_q)
+_INSIDE_POTENTIAL = """DAL_KERNEL_INLINE int model_inside_potential(dal_kernel *k, double t,
+    const double *q, double *V_q)
 {
     k->stats.potential_calls++;
-    return model_potential(q, NULL, V_q, NULL, k->potential_ctx);
+    return model_potential(t, q, NULL, V_q, NULL, k->potential_ctx);
 }
 """
 

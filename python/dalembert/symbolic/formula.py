@@ -105,6 +105,7 @@ def latex(text: str, coordinates: Collection[str] = ()) -> list[str]:
         for k, term in enumerate(sympy.Add.make_args(side)):
             tex = sympy.latex(term, order="none", mul_symbol=r"\,", max=9, symbol_names=names)
             tex = tex.replace(r"\operatorname{sum}", r"\sum\limits")
+            # What is not evaluated has 1 times 1/2 for 1/2.
             tex = re.sub(r"(?<![\d.])1 *(?:\\cdot|\\,) *(?=\\frac\{1\})", "", tex)
             sign = ("= " if k == 0 else "" if tex.startswith("-") else "+ ") if found else ""
             found.append("{}" * bool(found) + sign + tex)

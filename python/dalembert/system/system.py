@@ -433,7 +433,7 @@ class System(Handle):
             elif names:
                 core.check(
                     lib.dal_system_invariant(
-                        self._handle, core.pointer(x, k), core.pointer(values, k)
+                        self._handle, 0.0, core.pointer(x, k), core.pointer(values, k)
                     ),
                     step=k,
                 )

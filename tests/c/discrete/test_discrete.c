@@ -31,8 +31,9 @@ typedef struct rich {
     dal_constraint_kind kind;
 } rich;
 
-static int rich_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                           double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int rich_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                           double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                           void *ctx)
 {
     const double M0 = 1 + q[1] * q[1] / 4, M1 = 1.5 + sin(q[0]) / 4;
     const double V = (q[0] * q[0] + 2 * q[1] * q[1] + 1.5 * q[2] * q[2]) / 2 + pow(q[0], 4) / 8;
@@ -75,8 +76,8 @@ static int rich_force(double t, const double *q, const double *v, double *f, dou
     return 0;
 }
 
-static int rich_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, void *ctx)
+static int rich_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, double *phi_t, void *ctx)
 {
     const dal_constraint_kind kind = ((const rich *)ctx)->kind;
     const double affine = kind != DAL_LINEAR, bent = kind == DAL_NONLINEAR;
@@ -192,7 +193,7 @@ static void state_of(const dal_system *system, double *x)
     need(dal_system_state(system, x), "state", "");
     for (size_t i = 0; i < 2 * dal_system_n(system); i++) x[i] += 0.2 * next_number(&seed);
     dal_mechanics *const mechanics = open_mechanics(system);
-    need(dal_project(mechanics, 0.0, x, NULL), "project", dal_mechanics_message(mechanics));
+    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project", dal_mechanics_message(mechanics));
     dal_mechanics_free(mechanics);
 }
 
@@ -250,7 +251,7 @@ static void test_by_hand(void)
     CHECK(dal_discrete_message(d)[0] == '\0');
     GOOD(d, dal_discrete_state(d, h, q0, q1, x));
     GOOD(d, dal_discrete_nodes(d, h, x, p, q));
-    GOOD(d, dal_discrete_lagrangian(d, h, q0, q1, &L, D1, D2, D12));
+    GOOD(d, dal_discrete_lagrangian(d, 0.0, h, q0, q1, &L, D1, D2, D12));
     GOOD(d, dal_discrete_momenta(d, 0.0, h, q0, q1, momenta, momenta + 3));
     for (size_t i = 0; i < 3; i++) {
         const double g = 0.75 * q0[i] + 0.25 * q1[i], f = (q1[i] - q0[i]) / h;
@@ -266,7 +267,7 @@ static void test_by_hand(void)
             CHECK_NEAR(D12[3 * i + j], i == j ? -1 / h - 0.1875 * h * k[i] : 0.0, 64 * U);
     }
     CHECK_NEAR(L, expected, 16 * U);
-    GOOD(d, dal_discrete_constraint(d, h, q0, q1, &phi, phi1, phi2));
+    GOOD(d, dal_discrete_constraint(d, 0.0, h, q0, q1, &phi, phi1, phi2));
     const double y = 0.275, vx = x[3];
     CHECK_NEAR(phi, x[5] - y * vx, 16 * U);
     CHECK_NEAR(phi1[0], y / h, 16 * U);
@@ -302,8 +303,8 @@ static int of_pair(const double *q, double *out, void *ctx)
 {
     const pair_function *const p = ctx;
     const size_t n = p->d->n;
-    if (p->what == PHI) return dal_discrete_constraint(p->d, p->h, q, q + n, out, NULL, NULL);
-    return dal_discrete_lagrangian(p->d, p->h, q, q + n, p->what == VALUE ? out : NULL,
+    if (p->what == PHI) return dal_discrete_constraint(p->d, 0.0, p->h, q, q + n, out, NULL, NULL);
+    return dal_discrete_lagrangian(p->d, 0.0, p->h, q, q + n, p->what == VALUE ? out : NULL,
                                    p->what == FIRST ? out : NULL, NULL, NULL);
 }
 
@@ -324,8 +325,8 @@ static void test_derivatives(const dal_system *system, dal_difference_map lagran
             q[i] = x[i];
             q[n + i] = x[i] + h * x[n + i];
         }
-        GOOD(d, dal_discrete_lagrangian(d, h, q, q + n, NULL, D1, D2, D12));
-        GOOD(d, dal_discrete_constraint(d, h, q, q + n, NULL, phi1, phi2));
+        GOOD(d, dal_discrete_lagrangian(d, 0.0, h, q, q + n, NULL, D1, D2, D12));
+        GOOD(d, dal_discrete_constraint(d, 0.0, h, q, q + n, NULL, phi1, phi2));
         const double size = 1 + sum_of_sizes(n, D1) + sum_of_sizes(n, D2)
                           + sum_of_sizes(n * n, D12) + sum_of_sizes(m * n, phi1);
         const double tolerance = (lagrangian.differenced ? 1e-8 : 1e-10) * size;
@@ -409,7 +410,8 @@ static void test_step(const dal_system *system, dal_difference_map lagrangian,
         GOOD(d, dal_discrete_state(d, h, q - n, q, v));
         GOOD(d, dal_discrete_state(d, h, q, q + n, w));
         for (size_t i = 0; i < n; i++) v[i] = (v[n + i] + w[n + i]) / 2;
-        if (m > 0) CHECK(system->def.constraint(q, v, NULL, mu, NULL, system->def.ctx) == 0);
+        if (m > 0) CHECK(system->def.constraint(0.0, q, v, NULL, mu, NULL, NULL, system->def.ctx)
+                         == 0);
         for (size_t i = 0; i < n; i++) {
             for (size_t a = 0; a < m; a++) plus[i] += h * mu[a * n + i] * lambda[k * m + a];
             CHECK_NEAR(minus[i], plus[i], ROUNDOFF * size);
@@ -423,7 +425,7 @@ static void test_step(const dal_system *system, dal_difference_map lagrangian,
             CHECK(residual_of(system, 0.0, x) <= DAL_RESIDUAL_BOUND(n));
         double relative = NAN;
         dal_mechanics *const mech = open_mechanics(system);
-        CHECK(dal_relative_residual(mech, 0.0, x, &relative) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, 0.0, x, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(n)); /* for every map */
         dal_mechanics_free(mech);
     }
@@ -514,8 +516,8 @@ static void test_regularity(const dal_system *system, double beta, double h)
     const double *const w = x + n;
     for (size_t i = 0; i < n; i++) q2[i] = q1[i] + h * w[i];
     GOOD(d, dal_discrete_regularity(d, t, h, q1, q2, matrix, &sign, &logarithm, &condition));
-    GOOD(d, dal_discrete_lagrangian(d, h, q1, q2, NULL, NULL, NULL, D12));
-    GOOD(d, dal_discrete_constraint(d, h, q1, q2, NULL, NULL, phi2));
+    GOOD(d, dal_discrete_lagrangian(d, 0.0, h, q1, q2, NULL, NULL, NULL, D12));
+    GOOD(d, dal_discrete_constraint(d, 0.0, h, q1, q2, NULL, NULL, phi2));
     CHECK(dal_step_equations(mech, t, beta, h, x, w, kappa, NULL, NULL, K, B, mu) == 0);
     const double size = (1 + sum_of_sizes(n * n, D12)) * 16 * U / fabs(h);
     for (size_t i = 0; i < L; i++)
@@ -605,10 +607,10 @@ static void test_action(dal_system *system)
                 memcpy(x, x0, sizeof x);
                 CHECK(dal_flow_apply(flow, 0.0, h * (1 + at[i]) / 2, x, NULL) == 0);
                 const dal__jet wanted = {.L = &L};
-                CHECK(dal__lagrangian(&mech->eval, x, x + n, &wanted, NULL) == 0);
+                CHECK(dal__lagrangian(&mech->eval, 0.0, x, x + n, &wanted, NULL) == 0);
                 action += h / 2 * weight[i] * L;
             }
-            GOOD(d, dal_discrete_lagrangian(d, h, x0, end, &L_d, NULL, NULL, NULL));
+            GOOD(d, dal_discrete_lagrangian(d, 0.0, h, x0, end, &L_d, NULL, NULL, NULL));
             error[k] = fabs(L_d - action);
         }
         const double expected = betas[b] == 0.5 ? 3 : 2;
@@ -730,8 +732,8 @@ static void test_trapezoidal(void)
     memcpy(x, w.state, sizeof x);
     memcpy(y, x, sizeof y);
     GOOD(d, dal_discrete_advance(d, 0.0, h, y, NULL));
-    wide_potential(x, NULL, g0, NULL, &w);
-    wide_potential(y, NULL, g1, NULL, &w);
+    wide_potential(0.0, x, NULL, g0, NULL, &w);
+    wide_potential(0.0, y, NULL, g1, NULL, &w);
     for (size_t i = 0; i < 4; i++) {
         CHECK_NEAR(y[i], x[i] + h / 2 * (x[4 + i] + y[4 + i]), 8 * U * sum_of_sizes(8, x));
         x[4 + i] = y[4 + i] - x[4 + i];
@@ -762,7 +764,7 @@ static void test_trapezoidal(void)
 }
 
 /* V = -1/|q| in R^3 */
-static int kepler(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int kepler(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const double r = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]), r3 = r * r * r;
     (void)ctx;
@@ -882,10 +884,10 @@ static double energy_band(const char *name, double beta_L, double beta_D)
     dal_discrete *const d = open_discrete(system, rho_beta(beta_L), &of_D);
     double x[2 * N], E0 = NAN, E = NAN, worst = 0.0;
     need(dal_system_state(system, x), "state", "");
-    CHECK(dal_energy(mech, x, &E0) == 0);
+    CHECK(dal_energy(mech, 0.0, x, &E0) == 0);
     for (size_t k = 0; k < 2000; k++) {
         GOOD(d, dal_discrete_advance(d, 0.0, 0.05, x, NULL));
-        CHECK(dal_energy(mech, x, &E) == 0);
+        CHECK(dal_energy(mech, 0.0, x, &E) == 0);
         worst = fmax(worst, fabs(E - E0));
         CHECK(residual_of(system, 0.0, x) <= DAL_RESIDUAL_BOUND(n));
     }
@@ -968,7 +970,7 @@ static void test_exact(const dal_system *system, bool even)
             dal_discrete *const d = open_discrete(system, rho_beta(betas[b]), NULL);
             memcpy(end, x, sizeof end);
             CHECK(dal_flow_apply(flow, t0, t0 + finer, end, NULL) == 0);
-            GOOD(d, dal_discrete_constraint(d, finer, x, end, phi, NULL, NULL));
+            GOOD(d, dal_discrete_constraint(d, 0.0, finer, x, end, phi, NULL, NULL));
             size[b][k] = dal__largest(m, phi);
             dal_discrete_free(d);
         }
@@ -1077,9 +1079,8 @@ static void test_moods(void)
     dal_system_free(system);
 }
 
-static int spring(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
-    (void)ctx;
     if (V) *V = q[0] * q[0] / 2;
     if (V_q) V_q[0] = q[0];
     if (V_qq) V_qq[0] = 1.0;
@@ -1115,8 +1116,8 @@ static void test_errors(void)
         const double h = (const double[]){0.0, NAN, INFINITY}[k];
         NAMED(dal_discrete_state(d, h, q0, q1, out), "h = ");
         NAMED(dal_discrete_nodes(d, h, x, out, out + 3), "h = ");
-        NAMED(dal_discrete_lagrangian(d, h, q0, q1, out, NULL, NULL, NULL), "h = ");
-        NAMED(dal_discrete_constraint(d, h, q0, q1, out, NULL, NULL), "h = ");
+        NAMED(dal_discrete_lagrangian(d, 0.0, h, q0, q1, out, NULL, NULL, NULL), "h = ");
+        NAMED(dal_discrete_constraint(d, 0.0, h, q0, q1, out, NULL, NULL), "h = ");
         NAMED(dal_discrete_momenta(d, 0.0, h, q0, q1, out, NULL), "h = ");
         NAMED(dal_discrete_step(d, 0.0, h, q0, q1, out), "h = ");
         NAMED(dal_discrete_advance(d, 0.0, h, x, out), "h = ");
@@ -1148,14 +1149,14 @@ static void test_errors(void)
     x[4] = NAN;
     NAMED(dal_discrete_advance(d, 0.0, 0.1, x, out), "x[4] = nan");
     q1[2] = INFINITY;
-    NAMED(dal_discrete_lagrangian(d, 0.1, q0, q1, out, NULL, NULL, NULL), "q1[2] = inf");
+    NAMED(dal_discrete_lagrangian(d, 0.0, 0.1, q0, q1, out, NULL, NULL, NULL), "q1[2] = inf");
     q1[2] = 0.2;
 #undef NAMED
     for (size_t i = 0; i < 64; i++) CHECK(out[i] == 7.0);
     CHECK(dal_discrete_state(NULL, 0.1, q0, q1, x) == DAL_EINVAL);
     CHECK(dal_discrete_nodes(NULL, 0.1, x, q0, q1) == DAL_EINVAL);
-    CHECK(dal_discrete_lagrangian(NULL, 0.1, q0, q1, NULL, NULL, NULL, NULL) == DAL_EINVAL);
-    CHECK(dal_discrete_constraint(NULL, 0.1, q0, q1, NULL, NULL, NULL) == DAL_EINVAL);
+    CHECK(dal_discrete_lagrangian(NULL, 0.0, 0.1, q0, q1, NULL, NULL, NULL, NULL) == DAL_EINVAL);
+    CHECK(dal_discrete_constraint(NULL, 0.0, 0.1, q0, q1, NULL, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_discrete_momenta(NULL, 0.0, 0.1, q0, q1, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_discrete_momentum(NULL, 0.0, 0.1, q0, q1, q0, q1, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_discrete_residual(NULL, 0.0, 0.1, q0, q0, q1, x, out) == DAL_EINVAL);
@@ -1172,10 +1173,10 @@ static void test_errors(void)
     CHECK(strstr(dal_discrete_message(d), "does not lie in D_d") != NULL);
     CHECK(nodes[6] == 7.0 && out[0] == 7.0);
     CHECK(dal_discrete_step(d, 0.0, 0.1, q0, q1, NULL) == DAL_SUCCESS);
-    CHECK(dal_discrete_constraint(d, 0.1, q0, q1, &one, NULL, NULL) == DAL_SUCCESS);
+    CHECK(dal_discrete_constraint(d, 0.0, 0.1, q0, q1, &one, NULL, NULL) == DAL_SUCCESS);
     CHECK_NEAR(one, 0.0, ROUNDOFF / 0.1);
     /* nothing to do */
-    GOOD(d, dal_discrete_constraint(d, 0.1, q0, q1, NULL, NULL, NULL));
+    GOOD(d, dal_discrete_constraint(d, 0.0, 0.1, q0, q1, NULL, NULL, NULL));
     memcpy(nodes, q0, sizeof q0);
     memcpy(nodes + 3, q1, sizeof q1);
     CHECK(dal_discrete_run(d, 0.0, 0.1, 0, nodes, NULL, NULL) == DAL_SUCCESS && nodes[6] == 7.0);

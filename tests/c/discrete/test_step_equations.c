@@ -14,14 +14,15 @@ enum { SCHEMES = sizeof schemes / sizeof schemes[0] };
 /* ---- a system of constant mass in disguise ------------------------------------------------ */
 
 /* L = v^T M v / 2 - V as a Lagrangian of no known form. */
-static int plain_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                            double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int plain_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                            double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                            void *ctx)
 {
     const dal_system *const base = ctx;
     const size_t n = base->def.n;
     double V = 0.0, V_q[MOST_N] = {0.0}, V_qq[MOST_N * MOST_N] = {0.0}, p[MOST_N];
     if (base->def.potential) {
-        const int returned = base->def.potential(q, &V, V_q, V_qq, base->def.ctx);
+        const int returned = base->def.potential(t, q, &V, V_q, V_qq, base->def.ctx);
         if (returned) return returned;
     }
     dal__apply(n, n, base->mass, v, p);
@@ -34,12 +35,12 @@ static int plain_lagrangian(const double *q, const double *v, double *L, double 
     return 0;
 }
 
-static int plain_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                            double *phi_q, void *ctx)
+static int plain_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                            double *phi_q, double *phi_t, void *ctx)
 {
     const dal_system *const base = ctx;
     double mu[MOST_M * MOST_N];
-    const int returned = base->def.constraint(q, v, NULL, mu, phi_q, base->def.ctx);
+    const int returned = base->def.constraint(t, q, v, NULL, mu, phi_q, NULL, base->def.ctx);
     if (returned) return returned;
     if (phi) dal__apply(base->def.m, base->def.n, mu, v, phi);
     if (phi_v) memcpy(phi_v, mu, base->def.m * base->def.n * sizeof *mu);
@@ -57,10 +58,11 @@ static int no_force(double t, const double *q, const double *v, double *f, doubl
     return 0;
 }
 
-static int base_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int base_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                          void *ctx)
 {
     const dal_system *const base = ctx;
-    if (base->def.potential) return base->def.potential(q, V, V_q, V_qq, base->def.ctx);
+    if (base->def.potential) return base->def.potential(t, q, V, V_q, V_qq, base->def.ctx);
     if (V) *V = 0.0;
     if (V_q) memset(V_q, 0, base->def.n * sizeof *V_q);
     if (V_qq) memset(V_qq, 0, base->def.n * base->def.n * sizeof *V_qq);
@@ -90,11 +92,12 @@ static dal_system *open_disguise(const dal_system *base, disguise as)
     return system;
 }
 
-static int jet_of_base(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                       double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int jet_of_base(double t, const double *q, const double *v, double *L, double *L_q,
+                       double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                       void *ctx)
 {
     const dal_system *const base = ctx;
-    return base->def.lagrangian(q, v, L, L_q, L_v, L_qq, L_vq, L_vv, base->def.ctx);
+    return base->def.lagrangian(t, q, v, L, L_q, L_v, L_qq, L_vq, L_vv, NULL, base->def.ctx);
 }
 
 /* A system with a general Lagrangian whose second derivatives are differenced. */
@@ -121,7 +124,7 @@ static void test_same_steps(const char *name)
     if (sum_of_sizes(n, x0 + n) == 0.0) { /* the contact oscillator: at rest D_eps is D */
         dal_mechanics *const mech = open_mechanics(base);
         for (size_t i = 0; i < n; i++) x0[n + i] = 0.3 + 0.1 * (double)i;
-        CHECK(dal_project(mech, 0.0, x0, NULL) == 0);
+        CHECK(dal_project(mech, 0.0, 0.0, x0, NULL) == 0);
         dal_mechanics_free(mech);
     }
     for (disguise as = LAGRANGIAN; as < DISGUISES; as++)
@@ -170,28 +173,28 @@ static void test_same_mechanics(const char *name)
             double x[2 * MOST_N], y[2 * MOST_N], a[2 * MOST_N], b[2 * MOST_N], d[2], E[2], power[2];
             double M[MOST_N * MOST_N], C[2][MOST_M * MOST_M];
             for (size_t i = 0; i < 2 * n; i++) x[i] = next_number(&seed);
-            CHECK(dal_energy(plain, x, E) == 0 && dal_energy(mech, x, E + 1) == 0);
+            CHECK(dal_energy(plain, 0.0, x, E) == 0 && dal_energy(mech, 0.0, x, E + 1) == 0);
             CHECK_NEAR(E[0], E[1], 64 * U * (1.0 + fabs(E[0])));
             CHECK(dal_field(plain, 0.0, x, a) == 0 && dal_field(mech, 0.0, x, b) == 0);
             CHECK_NEAR(largest_difference(2 * n, a, b), 0.0,
                        tolerance * (1 + sum_of_sizes(2 * n, a)));
             CHECK(dal_multipliers(plain, 0.0, x, a) == 0 && dal_multipliers(mech, 0.0, x, b) == 0);
             CHECK_NEAR(largest_difference(m, a, b), 0.0, tolerance * (1 + sum_of_sizes(m, a)));
-            CHECK(dal_gram(plain, x, C[0]) == 0 && dal_gram(mech, x, C[1]) == 0);
+            CHECK(dal_gram(plain, 0.0, x, C[0]) == 0 && dal_gram(mech, 0.0, x, C[1]) == 0);
             CHECK_NEAR(largest_difference(m * m, C[0], C[1]), 0.0, tolerance * (1 + C[0][0]));
-            CHECK(dal_metric(mech, x, M) == 0);
+            CHECK(dal_metric(mech, 0.0, x, M) == 0);
             CHECK_NEAR(largest_difference(n * n, M, base->mass), 0.0, tolerance);
             CHECK(dal_power(mech, 0.0, x, power, power + 1) == 0);
             double mu_v[MOST_M], work = 0.0;
-            CHECK(dal_residual(mech, 0.0, x, mu_v) == 0);
+            CHECK(dal_residual(mech, 0.0, 0.0, x, mu_v) == 0);
             for (size_t k = 0; k < m; k++) work += b[k] * mu_v[k];
             CHECK_NEAR(power[0], work, tolerance * (1.0 + fabs(work)));
             CHECK(power[1] == 0.0);
             for (int kept = 0; kept < 2; kept++) {
                 memcpy(y, x, sizeof y);
                 memcpy(a, x, sizeof a);
-                CHECK(dal_project(plain, 0.05 * kept, a, d) == 0);
-                CHECK(dal_project(mech, 0.05 * kept, y, d + 1) == 0);
+                CHECK(dal_project(plain, 0.0, 0.05 * kept, a, d) == 0);
+                CHECK(dal_project(mech, 0.0, 0.05 * kept, y, d + 1) == 0);
                 CHECK_NEAR(largest_difference(2 * n, a, y), 0.0,
                            tolerance * (1.0 + sum_of_sizes(2 * n, a)));
                 CHECK_NEAR(d[0], d[1], tolerance * (1.0 + d[0]));
@@ -200,8 +203,8 @@ static void test_same_mechanics(const char *name)
             keep[1] = 1;
             memcpy(y, x, sizeof y);
             memcpy(a, x, sizeof a);
-            const int status = dal_consistent(plain, keep, a, NULL);
-            CHECK(dal_consistent(mech, keep, y, NULL) == status);
+            const int status = dal_consistent(plain, 0.0, keep, a, NULL);
+            CHECK(dal_consistent(mech, 0.0, keep, y, NULL) == status);
             CHECK_NEAR(largest_difference(2 * n, a, y), 0.0,
                        tolerance * (1.0 + sum_of_sizes(2 * n, a)));
         }
@@ -216,9 +219,8 @@ static void test_same_mechanics(const char *name)
 
 static const double damping = 0.2, stiffness = 1.7, drive = 1.3;
 
-static int spring(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int spring(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
-    (void)ctx;
     if (V) *V = stiffness * q[0] * q[0] / 2;
     if (V_q) V_q[0] = stiffness * q[0];
     if (V_qq) V_qq[0] = stiffness;
@@ -308,14 +310,15 @@ static void test_power_of_force(void)
     for (int k = -2; k <= 2; k++) {
         double x[2];
         driven_exact(t, t + k * d, x0, x);
-        CHECK(dal_energy(mech, x, &E[k + 2]) == 0);
+        CHECK(dal_energy(mech, 0.0, x, &E[k + 2]) == 0);
     }
     CHECK(dal_power(mech, t, x0, NULL, &power) == 0);
     CHECK_NEAR(power, (8 * (E[3] - E[1]) - (E[4] - E[0])) / (12 * d), 1e-11);
     CHECK(dal_power(mech, NAN, x0, NULL, &power) == DAL_EINVAL);
     CHECK(strstr(dal_mechanics_message(mech), "t[0] = nan") != NULL);
     CHECK(dal_power(NULL, t, x0, NULL, &power) == DAL_EINVAL);
-    CHECK(dal_metric(NULL, x0, &power) == DAL_EINVAL && dal_metric(mech, x0, NULL) == DAL_EINVAL);
+    CHECK(dal_metric(NULL, 0.0, x0, &power) == DAL_EINVAL
+          && dal_metric(mech, 0.0, x0, NULL) == DAL_EINVAL);
     dal_mechanics_free(mech);
     dal_system_free(system);
 }
@@ -324,8 +327,9 @@ static void test_power_of_force(void)
 
 /* L = (1 + x^2/4) v_x^2/2 + v_y^2/2 + (2 + sin x) v_z^2/2 + v_x v_y/5 + y v_x/3 - x z v_y/4 - V,
  * V = (x^2 + 2 y^2 + z^2)/2 + x y z/3. */
-static int curved_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                             double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int curved_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                             double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                             void *ctx)
 {
     const double x = q[0], y = q[1], z = q[2], a = v[0], b = v[1], c = v[2];
     (void)ctx;
@@ -382,10 +386,9 @@ static int curved_force(double t, const double *q, const double *v, double *f, d
 }
 
 /* phi = v_z - y v_x + v_x v_y^2/5 - 1/10 */
-static int curved_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                             double *phi_q, void *ctx)
+static int curved_constraint(double t, const double *q, const double *v, double *phi,
+                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) phi[0] = v[2] - q[1] * v[0] + v[0] * v[1] * v[1] / 5 - 0.1;
     if (phi_v) {
         phi_v[0] = -q[1] + v[1] * v[1] / 5;
@@ -453,14 +456,14 @@ static void test_curved_flow(void)
     double x[6], E[5], power[2], residual;
     const double d = 1e-2, t = 0.4;
     memcpy(x, curved_start, sizeof x);
-    CHECK(dal_project(mech, 0.0, x, NULL) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, x, NULL) == 0);
     CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
     for (int k = -2; k <= 2; k++) {
         double y[6];
         memcpy(y, x, sizeof y);
         CHECK(dal__flow_apply(flow, t, k * d, y, false) == 0);
-        CHECK(dal_relative_residual(mech, 0.0, y, &residual) == 0 && residual < 1e-12);
-        CHECK(dal_energy(mech, y, &E[k + 2]) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, 0.0, y, &residual) == 0 && residual < 1e-12);
+        CHECK(dal_energy(mech, 0.0, y, &E[k + 2]) == 0);
     }
     CHECK(dal_power(mech, t, x, power, power + 1) == 0);
     CHECK(fabs(power[0]) > 1e-2 && fabs(power[1]) > 1e-2);
@@ -477,7 +480,7 @@ static void test_curved_orders(unsigned missing)
     dal_mechanics *const mech = open_mechanics(system);
     double start[6], exact[6];
     memcpy(start, curved_start, sizeof start);
-    CHECK(dal_project(mech, 0.0, start, NULL) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, start, NULL) == 0);
     memcpy(exact, start, sizeof exact);
     dal_flow *flow = NULL;
     CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, NULL) == 0);
@@ -501,7 +504,8 @@ static void test_curved_orders(unsigned missing)
             for (size_t step = 1; step <= steps; step++) {
                 double relative;
                 CHECK(dal_step(stepper, NULL) == 0);
-                CHECK(dal_relative_residual(mech, kept ? 0.5 * h : 0.0, dal_stepper_state(stepper),
+                CHECK(dal_relative_residual(mech, 0.0, kept ? 0.5 * h : 0.0,
+                                            dal_stepper_state(stepper),
                                             &relative) == 0);
                 CHECK(relative <= DAL_RESIDUAL_BOUND(3));
             }
@@ -524,7 +528,7 @@ static void test_adjoint(void)
     dal_mechanics *const mech = open_mechanics(system);
     double start[6];
     memcpy(start, curved_start, sizeof start);
-    CHECK(dal_project(mech, 0.0, start, NULL) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, start, NULL) == 0);
     for (int b = 0; b <= 4; b++) {
         const dal_scheme there = {.beta = 0.25 * b}, back = {.beta = 1.0 - 0.25 * b};
         const double h = 0.1, t = 0.3;
@@ -566,10 +570,11 @@ static int sabotage(saboteur *s, callback where, double *output)
     return 0;
 }
 
-static int faulty_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                             double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int faulty_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                             double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                             void *ctx)
 {
-    curved_lagrangian(q, v, L, L_q, L_v, L_qq, L_vq, L_vv, NULL);
+    curved_lagrangian(t, q, v, L, L_q, L_v, L_qq, L_vq, L_vv, NULL, NULL);
     return sabotage(ctx, OF_LAGRANGIAN, L_q ? L_q : L_v ? L_v : L_vv);
 }
 
@@ -580,10 +585,10 @@ static int faulty_force(double t, const double *q, const double *v, double *f, d
     return sabotage(ctx, OF_FORCE, f ? f : f_v);
 }
 
-static int faulty_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                             double *phi_q, void *ctx)
+static int faulty_constraint(double t, const double *q, const double *v, double *phi,
+                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    curved_constraint(q, v, phi, phi_v, phi_q, NULL);
+    curved_constraint(t, q, v, phi, phi_v, phi_q, NULL, NULL);
     return sabotage(ctx, OF_CONSTRAINT, phi ? phi : phi_v);
 }
 
@@ -632,11 +637,11 @@ static int late_force(double t, const double *q, const double *v, double *f, dou
     return curved_force(t, q, v, f, *(const bool *)ctx ? NULL : f_q, f_v, NULL);
 }
 
-static int forgetful_lagrangian(const double *q, const double *v, double *L, double *L_q,
-                                double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int forgetful_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                                double *L_v, double *L_qq, double *L_vq, double *L_vv,
+                                double *L_vt, void *ctx)
 {
-    (void)L_vq;
-    return curved_lagrangian(q, v, L, L_q, L_v, L_qq, NULL, L_vv, ctx);
+    return curved_lagrangian(t, q, v, L, L_q, L_v, L_qq, NULL, L_vv, NULL, ctx);
 }
 
 /* What callbacks never write is found at the start, where the force sees the time of the start. */
@@ -663,10 +668,10 @@ static void test_probes(void)
 }
 
 /* L_vv = diag(1, x): singular at x = 0, indefinite beyond. */
-static int degenerate_lagrangian(const double *q, const double *v, double *L, double *L_q,
-                                 double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int degenerate_lagrangian(double t, const double *q, const double *v, double *L,
+                                 double *L_q, double *L_v, double *L_qq, double *L_vq,
+                                 double *L_vv, double *L_vt, void *ctx)
 {
-    (void)ctx;
     if (L) *L = v[0] * v[0] / 2 + q[0] * v[1] * v[1] / 2;
     if (L_q) {
         L_q[0] = v[1] * v[1] / 2;
@@ -698,13 +703,13 @@ static void test_degenerate(void)
     double out[4] = {7, 7, 7, 7}, x[4] = {0.0, 0.0, 1.0, 1.0};
     for (int sign = -1; sign <= 0; sign++) {
         x[0] = sign;
-        CHECK(dal_metric(mech, x, out) == DAL_ESINGULAR);
+        CHECK(dal_metric(mech, 0.0, x, out) == DAL_ESINGULAR);
         CHECK(dal_field(mech, 0.0, x, out) == DAL_ESINGULAR);
         CHECK(strstr(dal_mechanics_message(mech), "pivot 1") != NULL);
         CHECK(out[0] == 7.0 && out[3] == 7.0);
     }
     x[0] = 2.0;
-    CHECK(dal_metric(mech, x, out) == 0 && out[3] == 2.0);
+    CHECK(dal_metric(mech, 0.0, x, out) == 0 && out[3] == 2.0);
     dal_mechanics_free(mech);
     dal_system_free(system);
 }
@@ -746,15 +751,15 @@ static void scale_matrix(const other_units *u, double *A)
     for (size_t k = 0; A && k < n * n; k++) A[k] *= u->of_q[k / n] * u->of_q[k % n];
 }
 
-static int scaled_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                             double *phi_q, void *ctx)
+static int scaled_constraint(double t, const double *q, const double *v, double *phi,
+                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const other_units *const u = ctx;
     const size_t n = u->base->def.n, m = u->base->def.m;
     double at[MOST_N], along[MOST_N];
     to_base(u, q, at);
     to_base(u, v, along);
-    const int returned = plain_constraint(at, along, phi, phi_v, phi_q, (void *)u->base);
+    const int returned = plain_constraint(t, at, along, phi, phi_v, phi_q, NULL, (void *)u->base);
     for (size_t a = 0; phi && a < m; a++) phi[a] *= u->of_phi[a];
     for (size_t k = 0; k < m * n; k++) {
         if (phi_v) phi_v[k] *= u->of_phi[k / n] * u->of_q[k % n];
@@ -763,26 +768,28 @@ static int scaled_constraint(const double *q, const double *v, double *phi, doub
     return returned;
 }
 
-static int scaled_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int scaled_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                            void *ctx)
 {
     const other_units *const u = ctx;
     double at[MOST_N];
     to_base(u, q, at);
-    const int returned = base_potential(at, V, V_q, V_qq, (void *)u->base);
+    const int returned = base_potential(t, at, V, V_q, V_qq, (void *)u->base);
     if (V_q) to_base(u, V_q, V_q);
     scale_matrix(u, V_qq);
     return returned;
 }
 
-static int scaled_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                             double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int scaled_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                             double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                             void *ctx)
 {
     const other_units *const u = ctx;
     double at[MOST_N], along[MOST_N];
     to_base(u, q, at);
     to_base(u, v, along);
-    const int returned = plain_lagrangian(at, along, L, L_q, L_v, L_qq, L_vq, L_vv,
-                                          (void *)u->base);
+    const int returned = plain_lagrangian(t, at, along, L, L_q, L_v, L_qq, L_vq, L_vv,
+                                          NULL, (void *)u->base);
     if (L_q) to_base(u, L_q, L_q);
     if (L_v) to_base(u, L_v, L_v);
     scale_matrix(u, L_qq);
@@ -827,9 +834,9 @@ static void step_otherwise(const dal_system *system, const double *x, double *y,
     need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
     memcpy(y, x, 2 * n * sizeof *y);
     memcpy(z, x, 2 * n * sizeof *z);
-    CHECK(dal_chart_choose(chart, NULL, y) == 0 && dal_chart_drop(chart, y, xi) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, y) == 0 && dal_chart_drop(chart, y, xi) == 0);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 0.1, xi, NULL) == 0);
-    CHECK(dal_chart_lift(chart, xi, y) == 0);
+    CHECK(dal_chart_lift(chart, 0.0, xi, y) == 0);
     CHECK(dal_discrete_advance(discrete, 0.0, 0.1, z, NULL) == 0);
     dal_discrete_free(discrete);
     dal_chart_free(chart);
@@ -877,7 +884,7 @@ static void test_units(const char *name, int most, double far)
                 if (!kept) step_otherwise(systems[k], end[k], other[k], pairs[k]);
                 end[k][n] *= 1.1; /* and from there onto D_eps */
                 dal_mechanics *const mech = open_mechanics(systems[k]);
-                CHECK(dal_project(mech, 0.05, end[k], NULL) == 0);
+                CHECK(dal_project(mech, 0.0, 0.05, end[k], NULL) == 0);
                 dal_mechanics_free(mech);
                 dal_stepper_free(stepper);
                 dal_system_free(systems[k]);
@@ -958,7 +965,8 @@ static void test_guess_of_multipliers(void)
 /* ---- at rest, and far out ------------------------------------------------------------------ */
 
 /* A body at rest whose weight g[3] is balanced by the reaction of mu = (1 + y^2) g. */
-static int hung_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int hung_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                          void *ctx)
 {
     const double *const g = ctx;
     if (V) *V = dal__dot(3, g, q);
@@ -967,8 +975,8 @@ static int hung_potential(const double *q, double *V, double *V_q, double *V_qq,
     return 0;
 }
 
-static int hung_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, void *ctx)
+static int hung_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, double *phi_t, void *ctx)
 {
     const double *const g = ctx, factor = 1.0 + q[1] * q[1], along = dal__dot(3, g, v);
     if (phi) phi[0] = factor * along;
@@ -1018,7 +1026,7 @@ static void test_rest(void)
             const dal_difference_map map = {.beta = 0.5};
             need(dal_chart_new(&chart, system, NULL), "chart", "");
             need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
-            CHECK(dal_chart_choose(chart, NULL, start) == 0);
+            CHECK(dal_chart_choose(chart, 0.0, NULL, start) == 0);
             CHECK(dal_chart_drop(chart, start, xi) == 0);
             memcpy(x, start, sizeof x);
             for (int step = 0; step < STEPS; step++) {
@@ -1046,7 +1054,7 @@ static void test_far(const char *name, double far)
     double x[16];
     CHECK(dal_system_state(system, x) == 0);
     for (size_t i = 0; i < n; i++) x[i] += far * (i % 2 ? 1.0 : 1.37);
-    CHECK(dal_project(mech, 0.0, x, NULL) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, x, NULL) == 0);
     for (size_t s = 0; s < SCHEMES; s++) {
         const dal_scheme scheme = find_scheme(schemes[s]);
         const bool kept = scheme.nodes == DAL_KEPT_NODES;
@@ -1068,10 +1076,10 @@ static void test_far(const char *name, double far)
     need(dal_discrete_new(&discrete, system, &map, NULL, NULL), "discrete", "");
     memcpy(y, x, 2 * n * sizeof *y);
     for (int step = 0; step < 300; step++) {
-        CHECK(dal_chart_choose(chart, NULL, y) == 0);
+        CHECK(dal_chart_choose(chart, 0.0, NULL, y) == 0);
         CHECK(dal_chart_drop(chart, y, xi) == 0);
         CHECK(dal_chart_step(chart, 0.0, 0.5, 0.1, xi, NULL) == 0);
-        CHECK(dal_chart_lift(chart, xi, y) == 0);
+        CHECK(dal_chart_lift(chart, 0.0, xi, y) == 0);
         CHECK(dal_discrete_advance(discrete, 0.0, 0.1, x, NULL) == 0);
     }
     dal_discrete_free(discrete);
@@ -1121,8 +1129,8 @@ static void test_turned(void)
 
 /* mu = (1 + k y^2, a, 1): it turns back at y = 0, and v_x may pass through 0 as it bends; *ctx is
  * {k, a}. */
-static int bowl(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                void *ctx)
+static int bowl(double t, const double *q, const double *v, double *phi, double *phi_v,
+                double *phi_q, double *phi_t, void *ctx)
 {
     const double k = ((const double *)ctx)[0], a = ((const double *)ctx)[1];
     const double x = 1.0 + k * q[1] * q[1];
@@ -1173,7 +1181,7 @@ static double unavoidable(const dal_system *system, double shift, const double *
     const size_t n = system->def.n, m = system->def.m;
     double q[MOST_N], mu[MOST_M * MOST_N], N[MOST_M * MOST_N], worst = 0.0;
     for (size_t i = 0; i < n; i++) q[i] = x[i] - shift * x[n + i];
-    CHECK(system->def.constraint(q, x + n, NULL, mu, N, system->def.ctx) == 0);
+    CHECK(system->def.constraint(0.0, q, x + n, NULL, mu, N, NULL, system->def.ctx) == 0);
     for (size_t a = 0; a < m; a++) {
         double turned = 0.0, scale = 0.0;
         for (size_t i = 0; i < n; i++) {
@@ -1224,7 +1232,7 @@ static void test_far_projection(const char *name, double far)
     for (int trial = 0; trial < 200; trial++) {
         for (size_t i = 0; i < n; i++) x[i] = far * (1.0 + next_number(&seed));
         for (size_t i = 0; i < n; i++) x[n + i] = next_number(&seed);
-        CHECK(dal_project(mech, 0.1, x, NULL) == 0);
+        CHECK(dal_project(mech, 0.0, 0.1, x, NULL) == 0);
         /* q - shift v, which rounds by u far, is where D_eps is */
         CHECK(residual_of(system, 0.1, x) <= DAL_RESIDUAL_BOUND(n) + 16 * U * far);
     }
@@ -1245,7 +1253,7 @@ static void test_far_differences(const char *name)
         double x[2 * MOST_N], expected[MOST_N], vdot[MOST_N];
         CHECK(dal_system_state(base, x) == 0);
         for (size_t i = 0; i < n; i++) x[i] += far;
-        CHECK(dal_project(given, 0.0, x, NULL) == 0);
+        CHECK(dal_project(given, 0.0, 0.0, x, NULL) == 0);
         CHECK(dal_acceleration(given, 0.0, x, expected) == 0);
         CHECK(dal_acceleration(other, 0.0, x, vdot) == 0);
         CHECK_NEAR(largest_difference(n, vdot, expected), 0.0,

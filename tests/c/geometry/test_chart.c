@@ -14,9 +14,9 @@ enum { N = 12, M = 6, WIDTH = 2 * N };
 /* ---- systems ------------------------------------------------------------------------------- */
 
 /* phi = mu v + delta v_x v_y */
-static int product(const double *q, const double *v, double *g, double *g_v, double *g_q, void *ctx)
+static int product(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
+                   double *g_t, void *ctx)
 {
-    (void)q, (void)ctx;
     if (g) g[0] = v[0] * v[1];
     vector_set(g_v, 3, (double[]){v[1], v[0], 0.0});
     vector_set(g_q, 3, (double[3]){0.0});
@@ -24,9 +24,9 @@ static int product(const double *q, const double *v, double *g, double *g_v, dou
 }
 
 /* phi = mu v + delta (1 + sin x) */
-static int drift(const double *q, const double *v, double *g, double *g_v, double *g_q, void *ctx)
+static int drift(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
+                 double *g_t, void *ctx)
 {
-    (void)v, (void)ctx;
     if (g) g[0] = 1.0 + sin(q[0]);
     vector_set(g_v, 3, (double[3]){0.0});
     vector_set(g_q, 3, (double[]){cos(q[0]), 0.0, 0.0});
@@ -83,8 +83,8 @@ static subject open_subject(dal_system *system, unsigned seed)
     s.width = 2 * s.n - s.m;
     somewhere(2 * s.n, &seed, s.x);
     const char *const name = dal_system_name(system);
-    need(dal_project(s.mech, 0.0, s.x, NULL), name, dal_mechanics_message(s.mech));
-    need(dal_chart_choose(s.chart, NULL, s.x), name, dal_chart_message(s.chart));
+    need(dal_project(s.mech, 0.0, 0.0, s.x, NULL), name, dal_mechanics_message(s.mech));
+    need(dal_chart_choose(s.chart, 0.0, NULL, s.x), name, dal_chart_message(s.chart));
     return s;
 }
 
@@ -105,26 +105,27 @@ static void test_particle(void)
     double A[2], B, hor[3], ver[3], xi[5], back[6], xidot[5], J[30], left[30], condition, one = 2.0;
     CHECK(dal_chart_message(chart)[0] == '\0');
     CHECK(dal_chart_dependent(chart) == NULL && dal_chart_independent(chart) == NULL);
-    CHECK(dal_chart_choose(chart, NULL, far) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, far) == 0);
     CHECK(dal_chart_dependent(chart)[0] == 0);
     CHECK(dal_chart_independent(chart)[0] == 1 && dal_chart_independent(chart)[1] == 2);
-    CHECK(dal_chart_connection(chart, far, A, &B) == 0);
+    CHECK(dal_chart_connection(chart, 0.0, far, A, &B) == 0);
     CHECK(B == -3.0 && A[0] == 0.0);
     CHECK_NEAR(A[1], -1.0 / 3, U);
-    CHECK(dal_chart_multipliers(chart, far, &one, &one) == 0 && one == -6.0);
-    CHECK(dal_chart_multipliers_back(chart, far, &one, &one) == 0);
+    CHECK(dal_chart_multipliers(chart, 0.0, far, &one, &one) == 0 && one == -6.0);
+    CHECK(dal_chart_multipliers_back(chart, 0.0, far, &one, &one) == 0);
     CHECK_NEAR(one, 2.0, 2 * U);
 
-    CHECK(dal_chart_choose(chart, NULL, x) == 0 && dal_chart_dependent(chart)[0] == 2);
-    CHECK(dal_chart_connection(chart, x, A, &B) == 0 && A[0] == -0.3 && A[1] == 0.0 && B == 1.0);
-    CHECK(dal_chart_condition(chart, x, &condition) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0 && dal_chart_dependent(chart)[0] == 2);
+    CHECK(dal_chart_connection(chart, 0.0, x, A, &B) == 0 && A[0] == -0.3 && A[1] == 0.0
+          && B == 1.0);
+    CHECK(dal_chart_condition(chart, 0.0, x, &condition) == 0);
     CHECK_NEAR(condition, sqrt(1.09), 4 * U);
-    CHECK(dal_chart_split(chart, x, hor, ver) == 0);
+    CHECK(dal_chart_split(chart, 0.0, x, hor, ver) == 0);
     CHECK(hor[0] == 1.0 && hor[1] == 0.7 && hor[2] == 0.3);
     CHECK(ver[0] == 0.0 && ver[1] == 0.0);
     CHECK_NEAR(ver[2], 0.6, U);
     CHECK(dal_chart_drop(chart, x, xi) == 0 && memcmp(xi, x, sizeof xi) == 0);
-    CHECK(dal_chart_lift(chart, xi, back) == 0 && memcmp(xi, back, sizeof xi) == 0);
+    CHECK(dal_chart_lift(chart, 0.0, xi, back) == 0 && memcmp(xi, back, sizeof xi) == 0);
     CHECK(back[5] == 0.3);
     /* vdot = mu^T lambda, lambda = v_x v_y / (1 + y^2) */
     CHECK(dal_chart_field(chart, 0.0, xi, xidot) == 0);
@@ -132,7 +133,7 @@ static void test_particle(void)
     CHECK_NEAR(xidot[3], -0.3 * 0.7 / 1.09, 2 * U);
     CHECK(xidot[4] == 0.0);
     /* v_z = y v_x */
-    CHECK(dal_chart_jacobian(chart, xi, J, left) == 0);
+    CHECK(dal_chart_jacobian(chart, 0.0, xi, J, left) == 0);
     for (size_t i = 0; i < 6; i++)
         for (size_t k = 0; k < 5; k++) {
             const double expected = i < 5 ? (double)(i == k) : k == 1 ? 1.0 : k == 3 ? 0.3 : 0.0;
@@ -151,8 +152,8 @@ static void test_connection(const subject *s)
     const size_t *const dep = dal_chart_dependent(s->chart);
     const size_t *const ind = dal_chart_independent(s->chart);
     double A[M * N], B[M * M], mu[M * N], mass[N * N], hor[N], ver[N], other[N], condition = NAN;
-    CHECK(dal_chart_connection(s->chart, s->x, A, B) == 0);
-    CHECK(dal_metric(s->mech, s->x, mass) == 0);
+    CHECK(dal_chart_connection(s->chart, 0.0, s->x, A, B) == 0);
+    CHECK(dal_metric(s->mech, 0.0, s->x, mass) == 0);
     /* beta = 1 has its node at q, and w = v: mu_k is mu */
     const double zeros[M] = {0.0};
     CHECK(dal_step_equations(s->mech, 0.0, 1.0, 0.0, s->x, s->x + n, zeros, NULL, NULL, NULL, NULL,
@@ -177,7 +178,7 @@ static void test_connection(const subject *s)
     }
     CHECK(largest <= 1.25 * (1 + ROUNDOFF));
     /* between the largest entry of A and the root of the sum of squares, which is it for m = 1 */
-    CHECK(dal_chart_condition(s->chart, s->x, &condition) == 0);
+    CHECK(dal_chart_condition(s->chart, 0.0, s->x, &condition) == 0);
     CHECK(condition >= hypot(1.0, largest) * (1 - ROUNDOFF));
     CHECK(condition <= sqrt(1.0 + squares) * (1 + ROUNDOFF));
     if (m == 1 || free == 1) CHECK_NEAR(condition, sqrt(1.0 + squares), ROUNDOFF * condition);
@@ -187,20 +188,20 @@ static void test_connection(const subject *s)
     unsigned seed = 9;
     memcpy(off, s->x, sizeof off);
     for (size_t i = 0; i < n; i++) off[n + i] += 0.1 * next_number(&seed);
-    CHECK(dal_chart_split(s->chart, off, hor, ver) == 0);
+    CHECK(dal_chart_split(s->chart, 0.0, off, hor, ver) == 0);
     const double scale = sum_of_sizes(n, hor) + sum_of_sizes(n, ver);
     for (size_t i = 0; i < n; i++) CHECK_NEAR(hor[i] + ver[i], off[n + i], 2 * U * scale);
     for (size_t j = 0; j < free; j++) CHECK(ver[ind[j]] == 0.0);
     memcpy(other, off + n, sizeof other);
     memcpy(off + n, hor, n * sizeof *hor);
     double relative = NAN;
-    CHECK(dal_relative_residual(s->mech, 0.0, off, &relative) == 0);
+    CHECK(dal_relative_residual(s->mech, 0.0, 0.0, off, &relative) == 0);
     CHECK(relative <= DAL_RESIDUAL_BOUND(n));
     /* ver is B^-1 phi where phi is at most affine */
     if (dal_system_kind(s->system) == DAL_NONLINEAR) return;
     double phi[M];
     memcpy(off + n, other, n * sizeof *other);
-    CHECK(dal_residual(s->mech, 0.0, off, phi) == 0);
+    CHECK(dal_residual(s->mech, 0.0, 0.0, off, phi) == 0);
     for (size_t a = 0; a < m; a++) {
         double sum = 0.0;
         for (size_t b = 0; b < m; b++) sum += B[a * m + b] * ver[dep[b]];
@@ -215,19 +216,19 @@ static void test_all_choices(const subject *s)
     const size_t n = s->n, m = s->m;
     dal_chart *const chart = open_chart(s->system);
     double best = INFINITY, chosen = NAN;
-    CHECK(dal_chart_condition(s->chart, s->x, &chosen) == 0);
+    CHECK(dal_chart_condition(s->chart, 0.0, s->x, &chosen) == 0);
     for (unsigned set = 0; set < 1u << n; set++) {
         size_t dependent[N], count = 0;
         for (size_t i = n; i-- > 0;)
             if ((set >> i) & 1) dependent[count++] = i; /* descending */
         if (count != m) continue;
         double condition = NAN;
-        const int status = dal_chart_choose(chart, dependent, s->x);
+        const int status = dal_chart_choose(chart, 0.0, dependent, s->x);
         CHECK(status == DAL_SUCCESS || status == DAL_ESINGULAR);
         if (status) continue;
         for (size_t a = 0; a < m; a++)
             CHECK(dal_chart_dependent(chart)[a] == dependent[m - 1 - a]);
-        CHECK(dal_chart_condition(chart, s->x, &condition) == 0 && condition >= 1.0);
+        CHECK(dal_chart_condition(chart, 0.0, s->x, &condition) == 0 && condition >= 1.0);
         best = fmin(best, condition);
     }
     CHECK(chosen <= 1.25 * sqrt(1.0 + (double)(m * (n - m))) * best);
@@ -243,29 +244,29 @@ static void test_psi(const subject *s)
     double xi[WIDTH], again[WIDTH], x[2 * N], J[2 * N * WIDTH], left[2 * N * WIDTH];
     double relative = NAN;
     CHECK(dal_chart_drop(s->chart, s->x, xi) == 0);
-    CHECK(dal_chart_lift(s->chart, xi, x) == 0);
+    CHECK(dal_chart_lift(s->chart, 0.0, xi, x) == 0);
     const double scale = 1 + sum_of_sizes(2 * n, s->x);
     CHECK_NEAR(largest_difference(2 * n, x, s->x), 0.0, ROUNDOFF * scale);
     unsigned seed = 5;
     for (int k = 0; k < 10; k++) {
         for (size_t i = 0; i < width; i++) xi[i] += 0.1 * next_number(&seed);
-        CHECK(dal_chart_lift(s->chart, xi, x) == 0);
+        CHECK(dal_chart_lift(s->chart, 0.0, xi, x) == 0);
         CHECK(dal_chart_drop(s->chart, x, again) == 0);
         CHECK(memcmp(again, xi, width * sizeof *xi) == 0);
-        CHECK(dal_relative_residual(s->mech, 0.0, x, &relative) == 0);
+        CHECK(dal_relative_residual(s->mech, 0.0, 0.0, x, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(n));
     }
 
     /* differences with d = 2^-17 err by d^2 times third derivatives and u/d: 1e-9 together */
     const double d = 0x1p-17;
-    CHECK(dal_chart_jacobian(s->chart, xi, J, left) == 0);
+    CHECK(dal_chart_jacobian(s->chart, 0.0, xi, J, left) == 0);
     for (size_t k = 0; k < width; k++) {
         double up[2 * N], down[2 * N], moved[WIDTH];
         memcpy(moved, xi, sizeof moved);
         moved[k] = xi[k] + d;
-        CHECK(dal_chart_lift(s->chart, moved, up) == 0);
+        CHECK(dal_chart_lift(s->chart, 0.0, moved, up) == 0);
         moved[k] = xi[k] - d;
-        CHECK(dal_chart_lift(s->chart, moved, down) == 0);
+        CHECK(dal_chart_lift(s->chart, 0.0, moved, down) == 0);
         for (size_t i = 0; i < 2 * n; i++) {
             const double entry = J[i * width + k];
             CHECK_NEAR(entry, (up[i] - down[i]) / (2 * d), 1e-8 * (1 + fabs(entry)));
@@ -279,7 +280,8 @@ static void test_psi(const subject *s)
 
     /* h is tangent to D: the ODE in xi, moved by J, is the ODE on D */
     double xidot[WIDTH], xdot[2 * N], moved[2 * N], A[M * N];
-    CHECK(dal_chart_lift(s->chart, xi, x) == 0 && dal_chart_field(s->chart, 0.7, xi, xidot) == 0);
+    CHECK(dal_chart_lift(s->chart, 0.0, xi, x) == 0
+          && dal_chart_field(s->chart, 0.7, xi, xidot) == 0);
     CHECK(dal_field(s->mech, 0.7, x, xdot) == 0);
     dal__apply(2 * n, width, J, xidot, moved);
     const double size = sum_of_sizes(2 * n, xdot) * (1 + sum_of_sizes(2 * n * width, J));
@@ -290,10 +292,10 @@ static void test_psi(const subject *s)
     /* mu^T lambda = [A, I]^T lambda_E */
     double lambda[M], lambda_E[M], back[M], mu[M * N], zeros[M] = {0.0};
     somewhere(m, &seed, lambda);
-    CHECK(dal_chart_multipliers(s->chart, x, lambda, lambda_E) == 0);
-    CHECK(dal_chart_multipliers_back(s->chart, x, lambda_E, back) == 0);
+    CHECK(dal_chart_multipliers(s->chart, 0.0, x, lambda, lambda_E) == 0);
+    CHECK(dal_chart_multipliers_back(s->chart, 0.0, x, lambda_E, back) == 0);
     CHECK_NEAR(largest_difference(m, back, lambda), 0.0, ROUNDOFF * (1 + sum_of_sizes(m, lambda)));
-    CHECK(dal_chart_connection(s->chart, x, A, NULL) == 0);
+    CHECK(dal_chart_connection(s->chart, 0.0, x, A, NULL) == 0);
     CHECK(dal_step_equations(s->mech, 0.0, 1.0, 0.0, x, x + n, zeros, NULL, NULL, NULL, NULL, mu)
           == 0);
     for (size_t i = 0; i < n; i++) {
@@ -331,7 +333,7 @@ static void test_step(const subject *s)
             CHECK(dal_chart_drop(s->chart, node, xi) == 0);
             CHECK(dal_step(stepper, lambda) == 0);
             CHECK(dal_chart_step(s->chart, t, beta, h, xi, lambda_E) == 0);
-            CHECK(dal_chart_lift(s->chart, xi, x) == 0);
+            CHECK(dal_chart_lift(s->chart, 0.0, xi, x) == 0);
             const double *const end = dal_stepper_state(stepper);
             const double scale = 1 + sum_of_sizes(2 * n, end);
             CHECK_NEAR(largest_difference(2 * n, x, end), 0.0, ROUNDOFF * scale);
@@ -339,7 +341,7 @@ static void test_step(const subject *s)
                 node[i] += (1 - beta) * h * node[n + i];
                 node[n + i] = 0.5 * (node[n + i] + end[n + i]);
             }
-            CHECK(dal_chart_multipliers(s->chart, node, lambda, expected) == 0);
+            CHECK(dal_chart_multipliers(s->chart, 0.0, node, lambda, expected) == 0);
             CHECK_NEAR(largest_difference(m, lambda_E, expected), 0.0,
                        ROUNDOFF * scale * (1 + sum_of_sizes(m, expected)) / fabs(h));
             dal_stepper_free(stepper);
@@ -365,11 +367,11 @@ static void test_errata(void)
         double xi[6], x[8], node[8], A[4], A_node[4];
         CHECK(dal_chart_drop(s.chart, s.x, xi) == 0);
         CHECK(dal_chart_step(s.chart, 0.0, 0.5, h, xi, NULL) == 0);
-        CHECK(dal_chart_lift(s.chart, xi, x) == 0);
+        CHECK(dal_chart_lift(s.chart, 0.0, xi, x) == 0);
         memcpy(node, s.x, sizeof node);
         for (size_t i = 0; i < n; i++) node[i] += h / 2 * node[n + i];
-        CHECK(dal_chart_connection(s.chart, x, A, NULL) == 0);
-        CHECK(dal_chart_connection(s.chart, node, A_node, NULL) == 0);
+        CHECK(dal_chart_connection(s.chart, 0.0, x, A, NULL) == 0);
+        CHECK(dal_chart_connection(s.chart, 0.0, node, A_node, NULL) == 0);
         printed_E6[k] = 0.0;
         for (size_t a = 0; a < m; a++) {
             double corrected = node[dep[a]], printed = node[dep[a]];
@@ -385,15 +387,15 @@ static void test_errata(void)
         CHECK(dal_chart_drop(s.chart, s.x, xi) == 0);
         CHECK(dal_chart_step(s.chart, 0.0, 0.0, h, xi, NULL) == 0);
         CHECK(dal_multipliers(s.mech, 0.0, s.x, lambda) == 0);
-        CHECK(dal_chart_multipliers(s.chart, s.x, lambda, lambda_E) == 0);
+        CHECK(dal_chart_multipliers(s.chart, 0.0, s.x, lambda, lambda_E) == 0);
         memcpy(node, s.x, sizeof node);
         for (size_t i = 0; i < n; i++) node[i] += h * node[n + i];
-        CHECK(dal_chart_connection(s.chart, node, A, NULL) == 0);
+        CHECK(dal_chart_connection(s.chart, 0.0, node, A, NULL) == 0);
         for (size_t a = 0; a < m; a++) {
             force[dep[a]] = lambda_E[a];
             force[ind[a]] = A[a] * lambda_E[0] + A[2 + a] * lambda_E[1]; /* column a of A */
         }
-        CHECK(system->def.potential(node, NULL, V_q, NULL, system->def.ctx) == 0);
+        CHECK(system->def.potential(0.0, node, NULL, V_q, NULL, system->def.ctx) == 0);
         dal__apply(n, n, inverse, force, push);
         dal__apply(n, n, inverse, V_q, kick);
         printed_E5[k] = corrected_E5[k] = 0.0;
@@ -422,8 +424,8 @@ typedef struct other_units {
     double unit[4];
 } other_units;
 
-static int scaled_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                             double *phi_q, void *ctx)
+static int scaled_constraint(double t, const double *q, const double *v, double *phi,
+                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const other_units *const o = ctx;
     double Q[4], V[4];
@@ -431,7 +433,7 @@ static int scaled_constraint(const double *q, const double *v, double *phi, doub
         Q[i] = q[i] * o->unit[i];
         V[i] = v[i] * o->unit[i];
     }
-    const int returned = o->def->constraint(Q, V, phi, phi_v, phi_q, o->def->ctx);
+    const int returned = o->def->constraint(t, Q, V, phi, phi_v, phi_q, NULL, o->def->ctx);
     for (size_t a = 0; a < 2; a++)
         for (size_t i = 0; i < 4; i++) {
             if (phi_v) phi_v[a * 4 + i] *= o->unit[i];
@@ -457,20 +459,20 @@ static void test_invariance(void)
         subject s = open_subject(system, seed);
         double x[8], condition = NAN, other = NAN, A[4], mixed_A[4];
         for (size_t i = 0; i < 8; i++) x[i] = s.x[i] / o.unit[i % 4];
-        CHECK(dal_chart_choose(in_units, NULL, x) == 0);
+        CHECK(dal_chart_choose(in_units, 0.0, NULL, x) == 0);
         for (size_t k = 0; k < 2; k++)
             CHECK(dal_chart_dependent(in_units)[k] == dal_chart_dependent(s.chart)[k]);
-        CHECK(dal_chart_condition(s.chart, s.x, &condition) == 0);
-        CHECK(dal_chart_condition(in_units, x, &other) == 0);
+        CHECK(dal_chart_condition(s.chart, 0.0, s.x, &condition) == 0);
+        CHECK(dal_chart_condition(in_units, 0.0, x, &other) == 0);
         CHECK_NEAR(condition, other, ROUNDOFF * condition);
-        CHECK(dal_chart_choose(of_forms, dal_chart_dependent(s.chart), s.x) == 0);
-        CHECK(dal_chart_condition(of_forms, s.x, &other) == 0);
+        CHECK(dal_chart_choose(of_forms, 0.0, dal_chart_dependent(s.chart), s.x) == 0);
+        CHECK(dal_chart_condition(of_forms, 0.0, s.x, &other) == 0);
         CHECK_NEAR(condition, other, ROUNDOFF * condition);
-        CHECK(dal_chart_connection(s.chart, s.x, A, NULL) == 0);
-        CHECK(dal_chart_connection(of_forms, s.x, mixed_A, NULL) == 0);
+        CHECK(dal_chart_connection(s.chart, 0.0, s.x, A, NULL) == 0);
+        CHECK(dal_chart_connection(of_forms, 0.0, s.x, mixed_A, NULL) == 0);
         CHECK_NEAR(largest_difference(4, A, mixed_A), 0.0, ROUNDOFF * condition);
-        CHECK(dal_chart_choose(of_forms, NULL, s.x) == 0);
-        CHECK(dal_chart_condition(of_forms, s.x, &other) == 0);
+        CHECK(dal_chart_choose(of_forms, 0.0, NULL, s.x) == 0);
+        CHECK(dal_chart_condition(of_forms, 0.0, s.x, &other) == 0);
         CHECK(other <= 1.25 * sqrt(5.0));
         close_subject(&s);
     }
@@ -491,9 +493,9 @@ static void test_many_constraints(void)
     need(dal_system_builtin(&system, "n_trailer", names, &fifty, 1, NULL), "n_trailer", "");
     dal_chart *const chart = open_chart(system);
     CHECK(dal_system_state(system, x) == 0);
-    CHECK(dal_chart_choose(chart, NULL, x) == 0);
-    CHECK(dal_chart_condition(chart, x, &condition) == 0 && condition < 1.2);
-    CHECK(dal_chart_drop(chart, x, xi) == 0 && dal_chart_lift(chart, xi, back) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0);
+    CHECK(dal_chart_condition(chart, 0.0, x, &condition) == 0 && condition < 1.2);
+    CHECK(dal_chart_drop(chart, x, xi) == 0 && dal_chart_lift(chart, 0.0, xi, back) == 0);
     CHECK_NEAR(largest_difference(106, x, back), 0.0, 53 * U);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 0.01, xi, NULL) == 0);
     dal_chart_free(chart);
@@ -515,7 +517,7 @@ static void test_renewal(void)
     for (size_t k = 0; k < sizeof course / sizeof *course; k++) {
         const double x[6] = {0.0, course[k].y, 0.0, 1.0, 1.0, course[k].y};
         int changed = -1;
-        CHECK(dal_chart_renew(chart, x, &changed) == 0);
+        CHECK(dal_chart_renew(chart, 0.0, x, &changed) == 0);
         CHECK(changed == course[k].changed);
         CHECK(dal_chart_dependent(chart)[0] == course[k].dependent);
         if (k == 3)
@@ -525,19 +527,19 @@ static void test_renewal(void)
     double condition = NAN;
     const double at_infinity[6] = {0.0, 0.0, 0.0, 1.0, 1.0, 0.0}, beside[6] = {0.0, 1.0};
     const size_t x_depends = 0;
-    CHECK(dal_chart_choose(chart, &x_depends, beside) == 0);
-    CHECK(dal_chart_condition(chart, at_infinity, &condition) == 0 && condition == INFINITY);
+    CHECK(dal_chart_choose(chart, 0.0, &x_depends, beside) == 0);
+    CHECK(dal_chart_condition(chart, 0.0, at_infinity, &condition) == 0 && condition == INFINITY);
     CHECK(strstr(dal_chart_message(chart), "singular") == NULL); /* that is no failure */
-    CHECK(dal_chart_renew(chart, at_infinity, NULL) == 0 && dal_chart_dependent(chart)[0] == 2);
+    CHECK(dal_chart_renew(chart, 0.0, at_infinity, NULL) == 0
+          && dal_chart_dependent(chart)[0] == 2);
     dal_chart_free(chart);
     dal_system_free(system);
 }
 
 /* phi = v_z^2 - v_x^2 - v_y^2 has two branches; Newton stays on that of the choice. */
-static int cone(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                void *ctx)
+static int cone(double t, const double *q, const double *v, double *phi, double *phi_v,
+                double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)ctx;
     if (phi) phi[0] = v[2] * v[2] - v[0] * v[0] - v[1] * v[1];
     vector_set(phi_v, 3, (double[]){-2 * v[0], -2 * v[1], 2 * v[2]});
     vector_set(phi_q, 3, (double[3]){0.0});
@@ -555,12 +557,12 @@ static void test_branches(void)
     double x[6], start[6] = {7, 7, 7, 7, 7, 7};
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     dal_chart *const chart = open_chart(system);
-    CHECK(dal_chart_choose(chart, &z, up) == 0 && dal_chart_lift(chart, xi, x) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, &z, up) == 0 && dal_chart_lift(chart, 0.0, xi, x) == 0);
     CHECK_NEAR(x[5], 13.0, 32 * U);
-    CHECK(dal_chart_renew(chart, down, NULL) == 0 && dal_chart_lift(chart, xi, x) == 0);
+    CHECK(dal_chart_renew(chart, 0.0, down, NULL) == 0 && dal_chart_lift(chart, 0.0, xi, x) == 0);
     CHECK_NEAR(x[5], -13.0, 32 * U);
     /* where the branches meet Newton halves v_z for ever: phi_v vanishes with v */
-    CHECK(dal_chart_lift(chart, none, start) == DAL_ENOCONV && start[0] == 7.0);
+    CHECK(dal_chart_lift(chart, 0.0, none, start) == DAL_ENOCONV && start[0] == 7.0);
     CHECK(strstr(dal_chart_message(chart), "in 50 iterations") != NULL);
     dal_chart_free(chart);
     dal_system_free(system);
@@ -577,17 +579,17 @@ static void test_no_constraint(void)
     double xi[6], x[6], J[36], left[36], hor[3], ver[3], xidot[6], xdot[6], condition = NAN;
     CHECK(dal_chart_dependent(s.chart) != NULL && dal_chart_independent(s.chart)[2] == 2);
     CHECK(dal_chart_drop(s.chart, s.x, xi) == 0 && memcmp(xi, s.x, sizeof xi) == 0);
-    CHECK(dal_chart_lift(s.chart, xi, x) == 0 && memcmp(xi, x, sizeof xi) == 0);
-    CHECK(dal_chart_jacobian(s.chart, xi, J, left) == 0);
+    CHECK(dal_chart_lift(s.chart, 0.0, xi, x) == 0 && memcmp(xi, x, sizeof xi) == 0);
+    CHECK(dal_chart_jacobian(s.chart, 0.0, xi, J, left) == 0);
     for (size_t k = 0; k < 36; k++) CHECK(J[k] == (double)(k % 7 == 0) && left[k] == J[k]);
-    CHECK(dal_chart_split(s.chart, x, hor, ver) == 0 && memcmp(hor, x + 3, sizeof hor) == 0);
+    CHECK(dal_chart_split(s.chart, 0.0, x, hor, ver) == 0 && memcmp(hor, x + 3, sizeof hor) == 0);
     CHECK(ver[0] == 0.0 && ver[1] == 0.0 && ver[2] == 0.0);
     CHECK(dal_chart_field(s.chart, 0.0, xi, xidot) == 0 && dal_field(s.mech, 0.0, x, xdot) == 0);
     CHECK(memcmp(xidot, xdot, sizeof xdot) == 0);
-    CHECK(dal_chart_condition(s.chart, x, &condition) == 0 && condition == 1.0);
-    CHECK(dal_chart_connection(s.chart, x, NULL, NULL) == 0);
-    CHECK(dal_chart_multipliers(s.chart, x, NULL, x) == 0);
-    CHECK(dal_chart_renew(s.chart, x, NULL) == 0);
+    CHECK(dal_chart_condition(s.chart, 0.0, x, &condition) == 0 && condition == 1.0);
+    CHECK(dal_chart_connection(s.chart, 0.0, x, NULL, NULL) == 0);
+    CHECK(dal_chart_multipliers(s.chart, 0.0, x, NULL, x) == 0);
+    CHECK(dal_chart_renew(s.chart, 0.0, x, NULL) == 0);
     test_step(&s);
     close_subject(&s);
     dal_system_free(system);
@@ -596,7 +598,7 @@ static void test_no_constraint(void)
     double fast[2] = {0.0, 1e300};
     CHECK(dal_system_new(&system_of_line, &line, NULL) == 0);
     dal_chart *const chart = open_chart(system_of_line);
-    CHECK(dal_chart_choose(chart, NULL, fast) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, fast) == 0);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 1e10, fast, NULL) == DAL_EDOMAIN);
     CHECK(fast[0] == 0.0 && strstr(dal_chart_message(chart), "overflows with h = 1e+10") != NULL);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 1e5, fast, NULL) == 0 && fast[1] == 1e300);
@@ -605,39 +607,35 @@ static void test_no_constraint(void)
 }
 
 /* Two forms that coincide where q0 = 0; outside its domain for q0 > 10, stops for q0 < -10. */
-static int degenerate(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                      void *ctx)
+static int degenerate(double t, const double *q, const double *v, double *phi, double *phi_v,
+                      double *phi_q, double *phi_t, void *ctx)
 {
-    (void)phi, (void)ctx;
     vector_set(phi_v, 6, (double[]){1.0, 2.0, 0.3, 1.0, 2.0, 0.3 + q[0]});
     vector_set(phi_q, 6, (double[]){0.0, 0.0, 0.0, v[2], 0.0, 0.0});
     return q[0] > 10.0 ? 1 : q[0] < -10.0 ? -1 : 0;
 }
 
 /* The first two columns are parallel, but for the rounding of 2.1. */
-static int parallel(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                    void *ctx)
+static int parallel(double t, const double *q, const double *v, double *phi, double *phi_v,
+                    double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)v, (void)phi, (void)ctx;
     vector_set(phi_v, 6, (double[]){0.1, 0.7, 1.0, 0.3, 2.1, 2.0});
     vector_set(phi_q, 6, (double[6]){0.0});
     return 0;
 }
 
 /* Elimination by the largest entry takes the first two columns and gives A = (2, 1). */
-static int exchanged(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                     void *ctx)
+static int exchanged(double t, const double *q, const double *v, double *phi, double *phi_v,
+                     double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)v, (void)phi, (void)ctx;
     vector_set(phi_v, 6, (double[]){1.0, -1.0, 1.0, 0.0, 5.0, 5.0});
     vector_set(phi_q, 6, (double[6]){0.0});
     return 0;
 }
 
-static int steep(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                 void *ctx)
+static int steep(double t, const double *q, const double *v, double *phi, double *phi_v,
+                 double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)v, (void)phi, (void)ctx;
     vector_set(phi_v, 2, (double[]){1.0, 1e-300});
     vector_set(phi_q, 2, (double[2]){0.0});
     return 0;
@@ -653,10 +651,10 @@ static void test_overflow(void)
     dal_system *system = NULL;
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     dal_chart *const chart = open_chart(system);
-    CHECK(dal_chart_choose(chart, &second, x) == 0 && dal_chart_lift(chart, xi, x) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, &second, x) == 0 && dal_chart_lift(chart, 0.0, xi, x) == 0);
     CHECK_NEAR(x[3], -1e300, 1e300 * 4 * U);
     xi[2] = 1e10;
-    CHECK(dal_chart_lift(chart, xi, x) == DAL_EDOMAIN && x[2] == 1.0);
+    CHECK(dal_chart_lift(chart, 0.0, xi, x) == DAL_EDOMAIN && x[2] == 1.0);
     CHECK(strstr(dal_chart_message(chart), "overflow") != NULL);
     dal_chart_free(chart);
     dal_system_free(system);
@@ -671,7 +669,8 @@ static void test_pivoting(void)
     double A[2];
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     dal_chart *chart = open_chart(system);
-    CHECK(dal_chart_choose(chart, NULL, x) == 0 && dal_chart_connection(chart, x, A, NULL) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0
+          && dal_chart_connection(chart, 0.0, x, A, NULL) == 0);
     CHECK(dal_chart_independent(chart)[0] == 0);
     CHECK_NEAR(A[0], -0.5, 2 * U);
     CHECK_NEAR(A[1], 0.5, 2 * U);
@@ -681,8 +680,8 @@ static void test_pivoting(void)
     def.constraint = parallel;
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     chart = open_chart(system);
-    CHECK(dal_chart_choose(chart, first, x) == DAL_ESINGULAR);
-    CHECK(dal_chart_choose(chart, NULL, x) == 0 && dal_chart_dependent(chart)[1] == 2);
+    CHECK(dal_chart_choose(chart, 0.0, first, x) == DAL_ESINGULAR);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0 && dal_chart_dependent(chart)[1] == 2);
     dal_chart_free(chart);
     dal_system_free(system);
 }
@@ -710,80 +709,80 @@ static void test_failures(void)
         CHECK((call) == (status));                                       \
         CHECK(strstr(dal_chart_message(chart), words) != NULL);          \
     } while (0)
-    FAILS(DAL_EINVAL, dal_chart_lift(chart, x, out), "no dependent coordinates are chosen");
-    FAILS(DAL_EINVAL, dal_chart_condition(chart, x, &condition), "no dependent");
+    FAILS(DAL_EINVAL, dal_chart_lift(chart, 0.0, x, out), "no dependent coordinates are chosen");
+    FAILS(DAL_EINVAL, dal_chart_condition(chart, 0.0, x, &condition), "no dependent");
     FAILS(DAL_EINVAL, dal_chart_drop(chart, x, out), "no dependent");
-    FAILS(DAL_EINVAL, dal_chart_choose(chart, twice, x), "[0] and dependent[1] are both 1");
-    FAILS(DAL_EINVAL, dal_chart_choose(chart, beyond, x), "dependent[1] = 3: there are n = 3");
-    FAILS(DAL_ESINGULAR, dal_chart_choose(chart, first, x), "dependent coordinates q0, q1");
-    FAILS(DAL_EINVAL, dal_chart_choose(chart, NULL, NULL), "x is NULL");
+    FAILS(DAL_EINVAL, dal_chart_choose(chart, 0.0, twice, x), "[0] and dependent[1] are both 1");
+    FAILS(DAL_EINVAL, dal_chart_choose(chart, 0.0, beyond, x), "dependent[1] = 3: there are n = 3");
+    FAILS(DAL_ESINGULAR, dal_chart_choose(chart, 0.0, first, x), "dependent coordinates q0, q1");
+    FAILS(DAL_EINVAL, dal_chart_choose(chart, 0.0, NULL, NULL), "x is NULL");
     CHECK(dal_chart_dependent(chart) == NULL);
-    CHECK(dal_chart_choose(chart, NULL, x) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0);
     /* the choice survives what fails */
-    FAILS(DAL_ESINGULAR, dal_chart_choose(chart, first, x), "form a singular matrix");
+    FAILS(DAL_ESINGULAR, dal_chart_choose(chart, 0.0, first, x), "form a singular matrix");
     CHECK(dal_chart_dependent(chart)[0] == 1 && dal_chart_dependent(chart)[1] == 2);
     x[0] = 0.0;
-    FAILS(DAL_ESINGULAR, dal_chart_choose(chart, NULL, x), "mu has rank 1");
-    FAILS(DAL_ESINGULAR, dal_chart_renew(chart, x, &changed), "mu has rank 1");
-    FAILS(DAL_ESINGULAR, dal_chart_lift(chart, x, out), "coordinates q1, q2");
-    FAILS(DAL_ESINGULAR, dal_chart_connection(chart, x, out, out), "singular");
-    FAILS(DAL_ESINGULAR, dal_chart_split(chart, x, out, out), "singular");
-    FAILS(DAL_ESINGULAR, dal_chart_jacobian(chart, x, out, out), "singular");
+    FAILS(DAL_ESINGULAR, dal_chart_choose(chart, 0.0, NULL, x), "mu has rank 1");
+    FAILS(DAL_ESINGULAR, dal_chart_renew(chart, 0.0, x, &changed), "mu has rank 1");
+    FAILS(DAL_ESINGULAR, dal_chart_lift(chart, 0.0, x, out), "coordinates q1, q2");
+    FAILS(DAL_ESINGULAR, dal_chart_connection(chart, 0.0, x, out, out), "singular");
+    FAILS(DAL_ESINGULAR, dal_chart_split(chart, 0.0, x, out, out), "singular");
+    FAILS(DAL_ESINGULAR, dal_chart_jacobian(chart, 0.0, x, out, out), "singular");
     FAILS(DAL_ESINGULAR, dal_chart_field(chart, 0.0, x, out), "singular");
-    FAILS(DAL_ESINGULAR, dal_chart_multipliers(chart, x, x, out), "singular");
-    FAILS(DAL_ESINGULAR, dal_chart_multipliers_back(chart, x, x, out), "singular");
+    FAILS(DAL_ESINGULAR, dal_chart_multipliers(chart, 0.0, x, x, out), "singular");
+    FAILS(DAL_ESINGULAR, dal_chart_multipliers_back(chart, 0.0, x, x, out), "singular");
     FAILS(DAL_ESINGULAR, dal_chart_step(chart, 0, 0.5, 0.1, x, out), "singular");
     x[0] = 11.0;
-    FAILS(DAL_EDOMAIN, dal_chart_lift(chart, x, out), "returned 1");
-    FAILS(DAL_EDOMAIN, dal_chart_condition(chart, x, &condition), "returned 1");
+    FAILS(DAL_EDOMAIN, dal_chart_lift(chart, 0.0, x, out), "returned 1");
+    FAILS(DAL_EDOMAIN, dal_chart_condition(chart, 0.0, x, &condition), "returned 1");
     x[0] = -11.0;
     FAILS(DAL_EUSER, dal_chart_step(chart, 0, 0.5, 0.1, x, out), "returned -1");
-    FAILS(DAL_EUSER, dal_chart_renew(chart, x, &changed), "returned -1");
+    FAILS(DAL_EUSER, dal_chart_renew(chart, 0.0, x, &changed), "returned -1");
     x[0] = 1.0;
     FAILS(DAL_EINVAL, dal_chart_step(chart, 0, 1.5, 0.1, x, out), "beta = 1.5");
     FAILS(DAL_EINVAL, dal_chart_step(chart, 0, 0.5, 0.0, x, out), "h = 0");
     FAILS(DAL_EINVAL, dal_chart_step(chart, 0, 0.5, INFINITY, x, out), "h = inf");
     FAILS(DAL_EINVAL, dal_chart_step(chart, NAN, 0.5, 0.1, x, out), "t[0] = nan");
     FAILS(DAL_EINVAL, dal_chart_step(chart, 0, 0.5, 0.1, NULL, out), "xi is NULL");
-    FAILS(DAL_EINVAL, dal_chart_lift(chart, x, NULL), "x is NULL");
-    FAILS(DAL_EINVAL, dal_chart_lift(chart, NULL, out), "xi is NULL");
+    FAILS(DAL_EINVAL, dal_chart_lift(chart, 0.0, x, NULL), "x is NULL");
+    FAILS(DAL_EINVAL, dal_chart_lift(chart, 0.0, NULL, out), "xi is NULL");
     FAILS(DAL_EINVAL, dal_chart_drop(chart, NULL, out), "x is NULL");
     FAILS(DAL_EINVAL, dal_chart_drop(chart, x, NULL), "xi is NULL");
     FAILS(DAL_EINVAL, dal_chart_field(chart, 0, NULL, out), "xi is NULL");
     FAILS(DAL_EINVAL, dal_chart_field(chart, 0, x, NULL), "xidot is NULL");
     FAILS(DAL_EINVAL, dal_chart_field(chart, NAN, x, out), "t[0] = nan");
-    FAILS(DAL_EINVAL, dal_chart_condition(chart, x, NULL), "condition is NULL");
-    FAILS(DAL_EINVAL, dal_chart_condition(chart, NULL, &condition), "x is NULL");
-    FAILS(DAL_EINVAL, dal_chart_renew(chart, NULL, &changed), "x is NULL");
-    FAILS(DAL_EINVAL, dal_chart_connection(chart, NULL, out, out), "x is NULL");
-    FAILS(DAL_EINVAL, dal_chart_split(chart, NULL, out, out), "x is NULL");
-    FAILS(DAL_EINVAL, dal_chart_jacobian(chart, NULL, out, out), "xi is NULL");
-    FAILS(DAL_EINVAL, dal_chart_multipliers(chart, x, NULL, out), "lambda is NULL");
-    FAILS(DAL_EINVAL, dal_chart_multipliers(chart, x, x, NULL), "lambda_E is NULL");
-    FAILS(DAL_EINVAL, dal_chart_multipliers_back(chart, x, NULL, out), "lambda_E is NULL");
-    FAILS(DAL_EINVAL, dal_chart_multipliers_back(chart, x, x, NULL), "lambda is NULL");
+    FAILS(DAL_EINVAL, dal_chart_condition(chart, 0.0, x, NULL), "condition is NULL");
+    FAILS(DAL_EINVAL, dal_chart_condition(chart, 0.0, NULL, &condition), "x is NULL");
+    FAILS(DAL_EINVAL, dal_chart_renew(chart, 0.0, NULL, &changed), "x is NULL");
+    FAILS(DAL_EINVAL, dal_chart_connection(chart, 0.0, NULL, out, out), "x is NULL");
+    FAILS(DAL_EINVAL, dal_chart_split(chart, 0.0, NULL, out, out), "x is NULL");
+    FAILS(DAL_EINVAL, dal_chart_jacobian(chart, 0.0, NULL, out, out), "xi is NULL");
+    FAILS(DAL_EINVAL, dal_chart_multipliers(chart, 0.0, x, NULL, out), "lambda is NULL");
+    FAILS(DAL_EINVAL, dal_chart_multipliers(chart, 0.0, x, x, NULL), "lambda_E is NULL");
+    FAILS(DAL_EINVAL, dal_chart_multipliers_back(chart, 0.0, x, NULL, out), "lambda_E is NULL");
+    FAILS(DAL_EINVAL, dal_chart_multipliers_back(chart, 0.0, x, x, NULL), "lambda is NULL");
     x[3] = NAN;
-    FAILS(DAL_EINVAL, dal_chart_lift(chart, x, out), "xi[3] = nan");
-    FAILS(DAL_EINVAL, dal_chart_split(chart, x, out, out), "x[3] = nan");
+    FAILS(DAL_EINVAL, dal_chart_lift(chart, 0.0, x, out), "xi[3] = nan");
+    FAILS(DAL_EINVAL, dal_chart_split(chart, 0.0, x, out, out), "x[3] = nan");
     x[3] = 0.5;
 #undef FAILS
     const dal_chart *const none = NULL;
     CHECK(dal_chart_dependent(none) == NULL && dal_chart_independent(none) == NULL);
-    CHECK(dal_chart_choose(NULL, NULL, x) == DAL_EINVAL);
-    CHECK(dal_chart_lift(NULL, x, out) == DAL_EINVAL);
-    CHECK(dal_chart_condition(NULL, x, out) == DAL_EINVAL);
-    CHECK(dal_chart_renew(NULL, x, NULL) == DAL_EINVAL);
-    CHECK(dal_chart_connection(NULL, x, out, out) == DAL_EINVAL);
-    CHECK(dal_chart_split(NULL, x, out, out) == DAL_EINVAL);
+    CHECK(dal_chart_choose(NULL, 0.0, NULL, x) == DAL_EINVAL);
+    CHECK(dal_chart_lift(NULL, 0.0, x, out) == DAL_EINVAL);
+    CHECK(dal_chart_condition(NULL, 0.0, x, out) == DAL_EINVAL);
+    CHECK(dal_chart_renew(NULL, 0.0, x, NULL) == DAL_EINVAL);
+    CHECK(dal_chart_connection(NULL, 0.0, x, out, out) == DAL_EINVAL);
+    CHECK(dal_chart_split(NULL, 0.0, x, out, out) == DAL_EINVAL);
     CHECK(dal_chart_drop(NULL, x, out) == DAL_EINVAL);
-    CHECK(dal_chart_jacobian(NULL, x, out, out) == DAL_EINVAL);
+    CHECK(dal_chart_jacobian(NULL, 0.0, x, out, out) == DAL_EINVAL);
     CHECK(dal_chart_field(NULL, 0, x, out) == DAL_EINVAL);
-    CHECK(dal_chart_multipliers(NULL, x, x, out) == DAL_EINVAL);
-    CHECK(dal_chart_multipliers_back(NULL, x, x, out) == DAL_EINVAL);
+    CHECK(dal_chart_multipliers(NULL, 0.0, x, x, out) == DAL_EINVAL);
+    CHECK(dal_chart_multipliers_back(NULL, 0.0, x, x, out) == DAL_EINVAL);
     CHECK(dal_chart_step(NULL, 0, 0.5, 0.1, x, out) == DAL_EINVAL);
     for (size_t k = 0; k < 24; k++) CHECK(out[k] == 7.0);
     CHECK(condition == 7.0 && changed == 7);
-    CHECK(dal_chart_dependent(chart)[0] == 1 && dal_chart_lift(chart, x, out) == 0);
+    CHECK(dal_chart_dependent(chart)[0] == 1 && dal_chart_lift(chart, 0.0, x, out) == 0);
     dal_chart_free(chart);
     dal_system_free(system);
 }
@@ -795,7 +794,7 @@ static void test_singular_step(void)
     dal_chart *const chart = open_chart(system);
     const double x[6] = {0, -1, 0, 1, 1, -1};
     double xi[5], before[5];
-    CHECK(dal_chart_choose(chart, NULL, x) == 0 && dal_chart_drop(chart, x, xi) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0 && dal_chart_drop(chart, x, xi) == 0);
     memcpy(before, xi, sizeof xi);
     CHECK(dal_chart_step(chart, 0.0, 1.0, 2.0, xi, NULL) == DAL_ESINGULAR);
     CHECK(strstr(dal_chart_message(chart), "h = 2 is too large") != NULL);

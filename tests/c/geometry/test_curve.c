@@ -68,10 +68,10 @@ static void test_curve_by_hand(void)
     const double x1[6] = {0, 1, 0, 2, 1, 2}, x2[6] = {4, 3, 2, 0, 3, 0};
     double x[6] = {7, 7, 7, 7, 7, 7};
     const size_t z = 2;
-    CHECK(dal_chart_curve(chart, x1, x2, 0.5, x) == DAL_EINVAL && x[0] == 7.0);
+    CHECK(dal_chart_curve(chart, 0.0, x1, x2, 0.5, x) == DAL_EINVAL && x[0] == 7.0);
     CHECK(strstr(dal_chart_message(chart), "no dependent coordinates") != NULL);
-    CHECK(dal_chart_choose(chart, &z, x1) == 0);
-    CHECK(dal_chart_curve(chart, x1, x2, 0.5, x) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, &z, x1) == 0);
+    CHECK(dal_chart_curve(chart, 0.0, x1, x2, 0.5, x) == 0);
     const double middle[6] = {2, 2, 1, 1, 2, 2}; /* v_z = y v_x */
     CHECK(memcmp(x, middle, sizeof x) == 0);
     const struct {
@@ -81,10 +81,11 @@ static void test_curve_by_hand(void)
     } bad[] = {{NULL, x2, 0.5, x, "x1 is NULL"}, {x1, NULL, 0.5, x, "x2 is NULL"},
                {x1, x2, 0.5, NULL, "x is NULL"}, {x1, x2, INFINITY, x, "tau[0] = inf"}};
     for (size_t k = 0; k < sizeof bad / sizeof *bad; k++) {
-        CHECK(dal_chart_curve(chart, bad[k].x1, bad[k].x2, bad[k].tau, bad[k].x) == DAL_EINVAL);
+        CHECK(dal_chart_curve(chart, 0.0, bad[k].x1, bad[k].x2, bad[k].tau, bad[k].x)
+              == DAL_EINVAL);
         CHECK(strstr(dal_chart_message(chart), bad[k].words) != NULL);
     }
-    CHECK(dal_chart_curve(NULL, x1, x2, 0.5, x) == DAL_EINVAL);
+    CHECK(dal_chart_curve(NULL, 0.0, x1, x2, 0.5, x) == DAL_EINVAL);
     CHECK(memcmp(x, middle, sizeof x) == 0);
     dal_chart_free(chart);
     dal_system_free(system);
@@ -100,11 +101,11 @@ static void test_curve(const dal_system *system)
     unsigned seed = 7;
     for (size_t i = 0; i < 2 * n; i++) x1[i] = 0.3 * next_number(&seed);
     for (size_t i = 0; i < 2 * n; i++) x2[i] = x1[i] + 0.3 * next_number(&seed);
-    CHECK(dal_project(mech, 0.0, x1, NULL) == 0 && dal_project(mech, 0.0, x2, NULL) == 0);
-    CHECK(dal_chart_choose(chart, NULL, x1) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, x1, NULL) == 0 && dal_project(mech, 0.0, 0.0, x2, NULL) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, x1) == 0);
     for (int k = -2; k <= 66; k++) {
-        CHECK(dal_chart_curve(chart, x1, x2, k / 64.0, x) == 0);
-        CHECK(dal_relative_residual(mech, 0.0, x, &relative) == 0);
+        CHECK(dal_chart_curve(chart, 0.0, x1, x2, k / 64.0, x) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, 0.0, x, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(n));
         if (k <= 1) CHECK_NEAR(largest_difference(2 * n, x, x1), 0.0, 64 * U);
         if (k >= 63) CHECK_NEAR(largest_difference(2 * n, x, x2), 0.0, 64 * U);
@@ -152,9 +153,8 @@ static int between(dal_chart *chart, const run *r, size_t count, const double *t
 }
 
 /* A free fall: q is a square and v is linear in t, so the polynomials are what they interpolate. */
-static int gravity(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int gravity(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
-    (void)ctx;
     if (V) *V = 9.0 * q[0];
     vector_set(V_q, 2, (double[]){9.0, 0.0});
     vector_set(V_qq, 4, (double[4]){0.0});
@@ -204,7 +204,7 @@ static void test_order(const dal_system *system, const char *scheme, size_t stri
             const double t = r.t0 + h * (double)(rows - 1) * ((double)k + 0.37) / TIMES;
             double x[2 * N], exact[2 * N];
             CHECK(between(chart, &r, 1, &t, x) == 0);
-            CHECK(dal_relative_residual(mech, r.shift, x, &relative) == 0);
+            CHECK(dal_relative_residual(mech, 0.0, r.shift, x, &relative) == 0);
             CHECK(relative <= DAL_RESIDUAL_BOUND(n));
             for (size_t i = 0; i < n; i++) x[i] -= r.shift * x[n + i];
             CHECK(dal_system_state(system, exact) == 0);
@@ -268,7 +268,7 @@ static void test_kept_nodes(const dal_system *system)
     CHECK(between(chart, &a, TIMES, t, x) == 0 && between(chart, &b, TIMES, t, y) == 0);
     for (size_t k = 0; k < TIMES; k++) {
         double *const row = y + 2 * n * k, relative = NAN;
-        CHECK(dal_relative_residual(mech, b.shift, row, &relative) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, b.shift, row, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(n));
         for (size_t i = 0; i < n; i++) row[i] -= b.shift * row[n + i];
         /* the two runs differ by the roundoff of 40 steps */
@@ -288,7 +288,7 @@ static void test_large_angles(void)
     dal_chart *const chart = open_chart(disk);
     double state[8] = {0.0, 0.0, 0.1, 0x1p20 - 0.2, 0.8, 0.3, 1.1, 0.9};
     double rows[8 * 9], t[TIMES], x[8 * TIMES];
-    CHECK(dal_project(mech, 0.0, state, NULL) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, state, NULL) == 0);
     dal_system_def def = disk->def;
     def.state = state;
     def.exact = NULL;
@@ -300,7 +300,7 @@ static void test_large_angles(void)
     CHECK(between(chart, &r, TIMES, t, x) == 0);
     for (size_t k = 0; k < TIMES; k++) {
         double relative = NAN;
-        CHECK(dal_relative_residual(mech, r.shift, x + 8 * k, &relative) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, r.shift, x + 8 * k, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(4));
     }
     dal_system_free(system);
@@ -322,7 +322,7 @@ static void test_changes(void)
     for (size_t k = 0; k < 61; k++)
         CHECK(dal_system_exact(system, 0.1 * (double)k, x0, rows + 6 * k) == 0);
     for (size_t k = 0; k < TIMES; k++) t[k] = 6.0 * ((double)k + 0.3) / TIMES;
-    CHECK(dal_chart_choose(chart, NULL, flat) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, NULL, flat) == 0);
     CHECK(dal_chart_interpolate(chart, 0.0, 0.1, 0.0, 61, rows, TIMES, t, out, &changes, &done)
           == 0);
     CHECK(changes == 2 && done == TIMES);
@@ -333,7 +333,7 @@ static void test_changes(void)
         CHECK(dal_system_exact(system, t[k], x0, exact) == 0);
         /* h^4/384 of the fourth derivative of v, which is below 30 */
         CHECK_NEAR(largest_difference(6, out + 6 * k, exact), 0.0, 30 * 1e-4 / 384);
-        CHECK(dal_relative_residual(mech, 0.0, out + 6 * k, &relative) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, 0.0, out + 6 * k, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(3));
     }
     dal_chart_free(chart);
@@ -342,10 +342,9 @@ static void test_changes(void)
 }
 
 /* phi = v_z^2 - v_x^2 - v_y^2, two branches: between rows on one the chart stays on the other. */
-static int cone(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                void *ctx)
+static int cone(double t, const double *q, const double *v, double *phi, double *phi_v,
+                double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)ctx;
     if (phi) phi[0] = v[2] * v[2] - v[0] * v[0] - v[1] * v[1];
     vector_set(phi_v, 3, (double[]){-2 * v[0], -2 * v[1], 2 * v[2]});
     vector_set(phi_q, 3, (double[3]){0.0});
@@ -363,10 +362,10 @@ static void test_branches(void)
     double x[6];
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     dal_chart *const chart = open_chart(system);
-    CHECK(dal_chart_choose(chart, &z, up) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, &z, up) == 0);
     CHECK(dal_chart_interpolate(chart, 0.0, 1.0, 0.0, 2, rows, 1, &t, x, NULL, NULL) == 0);
     CHECK_NEAR(largest_difference(6, x, middle), 0.0, 32 * U);
-    CHECK(dal_chart_lift(chart, xi, x) == 0);
+    CHECK(dal_chart_lift(chart, 0.0, xi, x) == 0);
     CHECK_NEAR(x[5], 13.0, 32 * U);
     dal_chart_free(chart);
     dal_system_free(system);
@@ -388,7 +387,7 @@ static void test_coarse(void)
     CHECK(dal_chart_interpolate(chart, 0.0, h, 0.0, 5, rows, TIMES, t, out, &changes, NULL) == 0);
     CHECK(changes >= 2);
     for (size_t k = 0; k < TIMES; k++) {
-        CHECK(dal_relative_residual(mech, 0.0, out + 6 * k, &relative) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, 0.0, out + 6 * k, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(3));
         CHECK(sum_of_sizes(6, out + 6 * k) < 1e3);
     }
@@ -404,10 +403,10 @@ static void test_coarse(void)
 /* ---- failures ------------------------------------------------------------------------------- */
 
 /* The forms of the particle, undefined for x > 1/2. */
-static int bounded(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                   void *ctx)
+static int bounded(double t, const double *q, const double *v, double *phi, double *phi_v,
+                   double *phi_q, double *phi_t, void *ctx)
 {
-    vector_particle_constraint(q, v, phi, phi_v, phi_q, ctx);
+    vector_particle_constraint(t, q, v, phi, phi_v, phi_q, NULL, ctx);
     return q[0] > 0.5 ? 1 : 0;
 }
 
@@ -465,9 +464,9 @@ static void test_failures(void)
 /* ---- systems with a state, some with M(q) or a nonlinear constraint ------------------------ */
 
 /* g = v_x v_y */
-static int product(const double *q, const double *v, double *g, double *g_v, double *g_q, void *ctx)
+static int product(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
+                   double *g_t, void *ctx)
 {
-    (void)q, (void)ctx;
     if (g) g[0] = v[0] * v[1];
     vector_set(g_v, 3, (double[]){v[1], v[0], 0.0});
     vector_set(g_q, 3, (double[3]){0.0});
@@ -489,7 +488,7 @@ static dal_system *with_state(const vector_system *is, dal_constraint_kind kind,
         CHECK(dal_system_deform(&held[1], held[0], product, NULL, 0.3, kind, 0, NULL) == 0);
     def = held[held[1] ? 1 : 0]->def; /* again, with the callbacks and the context of that one */
     dal_mechanics *const mech = open_mechanics(held[held[1] ? 1 : 0]);
-    CHECK(dal_project(mech, 0.0, state, NULL) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, state, NULL) == 0);
     dal_mechanics_free(mech);
     def.state = state;
     CHECK(dal_system_new(&system, &def, NULL) == 0);

@@ -39,7 +39,7 @@ static void fill(size_t count, double *x, double value)
     for (size_t i = 0; x && i < count; i++) x[i] = value;
 }
 
-static int potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int potential(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     spoiled *const s = ctx;
     if (++s->calls == s->call) {
@@ -51,7 +51,7 @@ static int potential(const double *q, double *V, double *V_q, double *V_qq, void
     if (s->wrong == NO_V) V = NULL;
     if (s->wrong == NO_V_Q) V_q = NULL;
     if (s->wrong == NO_V_QQ) V_qq = NULL;
-    generic4_potential(q, V, V_q, V_qq, NULL);
+    generic4_potential(t, q, V, V_q, V_qq, NULL);
     if (V && s->wrong == OFFSET) *V += 1e8;
     if (V_q && s->wrong == SIGN_V_Q) V_q[s->entry] = -V_q[s->entry];
     if (V_qq && s->wrong == SIGN_V_QQ) V_qq[s->entry] = -V_qq[s->entry];
@@ -65,8 +65,8 @@ static void combine(double *second, double unit, double share, double copies)
         second[i] = unit * (share * second[i] + copies * (second - 4)[i]);
 }
 
-static int constraint(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                      void *ctx)
+static int constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                      double *phi_q, double *phi_t, void *ctx)
 {
     spoiled *const s = ctx;
     if (++s->calls == s->call) {
@@ -78,7 +78,7 @@ static int constraint(const double *q, const double *v, double *phi, double *phi
     if (s->wrong == NO_PHI || s->wrong >= UNITS) phi = NULL;
     if (s->wrong == NO_PHI_V) phi_v = NULL;
     if (s->wrong == NO_PHI_Q) phi_q = NULL;
-    generic4_constraint(q, v, phi, phi_v, phi_q, NULL);
+    generic4_constraint(t, q, v, phi, phi_v, phi_q, NULL, NULL);
     if (phi && s->wrong == AFFINE) phi[1] += 0.25;
     if (phi_v && s->wrong == VELOCITY) phi_v[6] += 1e-3 * v[1];
     if (phi_q && s->wrong == SIGN_PHI_Q) phi_q[s->entry] = -phi_q[s->entry];
@@ -100,7 +100,7 @@ static int examine_def(const dal_system_def *def, const double *x, dal_check *re
     CHECK(dal_system_new(&system, def, &made) == 0);
     if (!system) fprintf(stderr, "%s\n", made.text);
     memset(report, 0x7f, sizeof *report);
-    const int status = dal_system_check(system, x, report, error);
+    const int status = dal_system_check(system, 0.0, x, report, error);
     dal_system_free(system);
     return status;
 }
@@ -133,7 +133,7 @@ static void test_builtins(void)
         CHECK(dal_system_builtin(&system, dal_builtin_name(i), NULL, NULL, 0, NULL) == 0);
         const size_t n = dal_system_n(system);
         CHECK(2 * n <= 64 && dal_system_state(system, x) == 0);
-        CHECK(dal_system_check(system, x, &report, &error) == 0);
+        CHECK(dal_system_check(system, 0.0, x, &report, &error) == 0);
         if (!report.passed) fprintf(stderr, "%s: %s\n", dal_builtin_name(i), report.text);
         CHECK(report.passed && error.status == 0 && error.text[0] == '\0');
         CHECK(!report.integrable);
@@ -159,7 +159,7 @@ static void examine_builtin(const char *name, dal_check *report)
     dal_system *system = NULL;
     CHECK(dal_system_builtin(&system, name, NULL, NULL, 0, NULL) == 0);
     CHECK(dal_system_state(system, x) == 0);
-    CHECK(dal_system_check(system, x, report, NULL) == 0);
+    CHECK(dal_system_check(system, 0.0, x, report, NULL) == 0);
     dal_system_free(system);
 }
 
@@ -192,10 +192,9 @@ static void test_numbers(void)
 }
 
 /* mu = ctx[3], constant. */
-static int constant_forms(const double *q, const double *v, double *phi, double *phi_v,
-                          double *phi_q, void *ctx)
+static int constant_forms(double t, const double *q, const double *v, double *phi, double *phi_v,
+                          double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)v, (void)phi;
     if (phi_v) memcpy(phi_v, ctx, 3 * sizeof *phi_v);
     fill(3, phi_q, 0.0);
     return 0;
@@ -229,7 +228,7 @@ static void test_generic(void)
     dal_mechanics *mechanics = NULL;
     generic4_state(x);
     CHECK(generic4_new(&system, NULL) == 0 && dal_mechanics_new(&mechanics, system, NULL) == 0);
-    CHECK(dal_gram(mechanics, x, C) == 0);
+    CHECK(dal_gram(mechanics, 0.0, x, C) == 0);
     const double mean = (C[0] + C[3]) / 2, radius = hypot((C[0] - C[3]) / 2, C[1]);
     CHECK_NEAR(report.condition, sqrt((mean + radius) / (mean - radius)), 64 * DBL_EPSILON);
     dal_mechanics_free(mechanics);
@@ -370,10 +369,9 @@ static const double unit_mass[49] = {[0] = 1, [8] = 1, [16] = 1, [24] = 1,
 
 /* q = (x, y1, y2, y3, z1, z2, z3), mu = e^x (1, 0, 0, 0, z1, z2, z3): the differential of
  * x + |z|^2/2, which the factor hides from a look at d mu. */
-static int disguised(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                     void *ctx)
+static int disguised(double t, const double *q, const double *v, double *phi, double *phi_v,
+                     double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx, (void)phi;
     const double factor = exp(q[0]);
     fill(7, phi_v, 0.0);
     fill(7, phi_q, 0.0);
@@ -402,8 +400,8 @@ static void test_disguise(unsigned missing)
 }
 
 /* mu = (1, 0, y^2), whose curvature 2 y vanishes at y = 0 only; nothing is known for |y| > ctx. */
-static int touching(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                    void *ctx)
+static int touching(double t, const double *q, const double *v, double *phi, double *phi_v,
+                    double *phi_q, double *phi_t, void *ctx)
 {
     const double *limit = ctx;
     (void)phi;
@@ -435,8 +433,8 @@ static void test_exceptional_point(void)
 
 /* mu = (-ctx[0] y, -ctx[1] x, 1): along the axes the bracket is ctx[0] - ctx[1], and its terms are
  * these. */
-static int twisted(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                   void *ctx)
+static int twisted(double t, const double *q, const double *v, double *phi, double *phi_v,
+                   double *phi_q, double *phi_t, void *ctx)
 {
     const double *const twist = ctx;
     (void)phi;
@@ -474,10 +472,9 @@ static void test_smallest_curvature(void)
 }
 
 /* A plane and a second one at the angle ctx: singular values sqrt(2) and ctx / sqrt(2). */
-static int nearly_parallel(const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, void *ctx)
+static int nearly_parallel(double t, const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)v, (void)phi;
     fill(6, phi_v, 0.0);
     fill(6, phi_q, 0.0);
     if (phi_v) phi_v[0] = phi_v[3] = 1.0, phi_v[4] = *(const double *)ctx;
@@ -498,10 +495,9 @@ static void test_smallest_angle(void)
 }
 
 /* n - m = 1: mu = (1, 0), a line field. */
-static int line(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                void *ctx)
+static int line(double t, const double *q, const double *v, double *phi, double *phi_v,
+                double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx, (void)phi;
     if (phi_v) phi_v[0] = 1.0, phi_v[1] = sin(q[0]);
     if (phi_q) phi_q[0] = cos(q[0]) * v[1], phi_q[1] = 0.0;
     return 0;
@@ -567,8 +563,9 @@ static void fill_vector(double *x, double a, double b, double c)
 
 /* L = ((2 + sin x) u^2 + (2 + y^2/4) v^2 + 3 w^2)/2 + cos z u v/2 + w^4/24 + y w + sin x v
  *     - x^2 y - cos z */
-static int general_lagrangian(const double *q, const double *qdot, double *L, double *L_q,
-                              double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int general_lagrangian(double t, const double *q, const double *qdot, double *L,
+                              double *L_q, double *L_v, double *L_qq, double *L_vq, double *L_vv,
+                              double *L_vt, void *ctx)
 {
     general *const g = ctx;
     const double x = q[0], y = q[1], z = q[2], u = qdot[0], v = qdot[1], w = qdot[2];
@@ -616,8 +613,8 @@ static int general_force(double t, const double *q, const double *qdot, double *
 }
 
 /* phi = w - sin y u - x v, that minus cos z, or w - (1 + x^2) sqrt(1 + u^2 + y^2 v^2) */
-static int general_constraint(const double *q, const double *qdot, double *phi, double *phi_v,
-                              double *phi_q, void *ctx)
+static int general_constraint(double t, const double *q, const double *qdot, double *phi,
+                              double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     general *const g = ctx;
     const double x = q[0], y = q[1], z = q[2], u = qdot[0], v = qdot[1], w = qdot[2];
@@ -649,7 +646,7 @@ static void general_state(dal_constraint_kind kind, double *x)
     double phi;
     fill_vector(x, 0.4, 0.7, -0.3);
     fill_vector(x + 3, 0.5, -0.6, 0.0);
-    general_constraint(x, x + 3, &phi, NULL, NULL, &g);
+    general_constraint(0.0, x, x + 3, &phi, NULL, NULL, NULL, &g);
     x[5] = -phi;
 }
 
@@ -798,7 +795,8 @@ static double wall(double q, int order)
     return q <= 0.0 ? 0.0 : order == 0 ? 1e6 * q * q : order == 1 ? 2e6 * q : 2e6;
 }
 
-static int rough_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int rough_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                           void *ctx)
 {
     const rough *const r = ctx;
     if (V) *V = r->V(q[0], 0);
@@ -842,10 +840,9 @@ static void test_kink(void)
 }
 
 /* phi_q is that of phi_v v, so a wrong phi_v is not to be called a wrong phi_q. */
-static int turned(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                  void *ctx)
+static int turned(double t, const double *q, const double *v, double *phi, double *phi_v,
+                  double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) *phi = v[2] - q[1] * v[0];
     fill_vector(phi_v, q[1], 0, 1);
     fill_vector(phi_q, 0, -v[0], 0);
@@ -862,10 +859,9 @@ static void test_wrong_forms(void)
 }
 
 /* phi = u^2 + v^2 + w^2 - 1 */
-static int speed_squared(const double *q, const double *v, double *phi, double *phi_v,
-                         double *phi_q, void *ctx)
+static int speed_squared(double t, const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)ctx;
     if (phi) *phi = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] - 1;
     fill_vector(phi_v, 2 * v[0], 2 * v[1], 2 * v[2]);
     fill_vector(phi_q, 0, 0, 0);
@@ -885,8 +881,9 @@ static void test_rank_at_rest(void)
 }
 
 /* L = ctx[0] u^2/2 + ctx[1] v^2/2 */
-static int diagonal_lagrangian(const double *q, const double *v, double *L, double *L_q,
-                               double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int diagonal_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                               double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                               void *ctx)
 {
     const double *const a = ctx;
     (void)q;
@@ -901,10 +898,9 @@ static int diagonal_lagrangian(const double *q, const double *v, double *L, doub
 }
 
 /* mu = (0, 1) */
-static int second(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                  void *ctx)
+static int second(double t, const double *q, const double *v, double *phi, double *phi_v,
+                  double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)v, (void)phi, (void)ctx;
     if (phi_v) phi_v[0] = 0.0, phi_v[1] = 1.0;
     fill(2, phi_q, 0.0);
     return 0;
@@ -1103,12 +1099,16 @@ static void test_arguments(void)
     memset(&untouched, 0x7f, sizeof untouched);
     report = untouched;
     generic4_state(x);
-    CHECK(dal_system_check(NULL, x, &report, &error) == DAL_EINVAL && says(error.text, "system"));
-    CHECK(dal_system_check(system, NULL, &report, &error) == DAL_EINVAL && says(error.text, "x"));
-    CHECK(dal_system_check(system, x, NULL, &error) == DAL_EINVAL && says(error.text, "report"));
-    CHECK(dal_system_check(system, x, NULL, NULL) == DAL_EINVAL);
+    CHECK(dal_system_check(NULL, 0.0, x, &report, &error) == DAL_EINVAL
+          && says(error.text, "system"));
+    CHECK(dal_system_check(system, 0.0, NULL, &report, &error) == DAL_EINVAL
+          && says(error.text, "x"));
+    CHECK(dal_system_check(system, 0.0, x, NULL, &error) == DAL_EINVAL
+          && says(error.text, "report"));
+    CHECK(dal_system_check(system, 0.0, x, NULL, NULL) == DAL_EINVAL);
     x[6] = (double)INFINITY;
-    CHECK(dal_system_check(system, x, &report, &error) == DAL_EINVAL && says(error.text, "x[6]"));
+    CHECK(dal_system_check(system, 0.0, x, &report, &error) == DAL_EINVAL
+          && says(error.text, "x[6]"));
     CHECK(memcmp(&report, &untouched, sizeof report) == 0);
     dal_system_free(system);
 }

@@ -189,7 +189,7 @@ static void test_reference(dal_flow_method method, double tolerance, double shar
 
         dal_mechanics *mechanics = NULL;
         CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
-        CHECK(dal_relative_residual(mechanics, 0.0, x, &residual) == 0);
+        CHECK(dal_relative_residual(mechanics, 0.0, 0.0, x, &residual) == 0);
         CHECK(residual <= DAL_RESIDUAL_BOUND(n));
 
         memcpy(back, x, sizeof back);
@@ -244,15 +244,15 @@ static void test_off_D(void)
     CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
     x[4] += 0.25;
     memcpy(projected, x, sizeof x);
-    CHECK(dal_residual(mechanics, 0.0, x, before) == 0);
+    CHECK(dal_residual(mechanics, 0.0, 0.0, x, before) == 0);
     CHECK(fabs(before[0]) > 0.1);
     CHECK(dal_flow_apply(flow, 1.0, 1.0, x, NULL) == 0); /* over no time nothing is projected */
     CHECK(memcmp(x, projected, sizeof x) == 0);
     CHECK(dal__flow_apply(flow, 0.0, 1.0, x, false) == 0);
-    CHECK(dal_residual(mechanics, 0.0, x, after) == 0);
+    CHECK(dal_residual(mechanics, 0.0, 0.0, x, after) == 0);
     CHECK_NEAR(distance(2, before, after), 0.0, 1e-11);
     CHECK(dal__flow_apply(flow, 0.0, 1.0, projected, true) == 0);
-    CHECK(dal_residual(mechanics, 0.0, projected, residual) == 0);
+    CHECK(dal_residual(mechanics, 0.0, 0.0, projected, residual) == 0);
     CHECK_NEAR(distance(2, residual, (double[2]){0.0, 0.0}), 0.0, 64 * DBL_EPSILON);
     dal_mechanics_free(mechanics);
     dal_flow_free(flow);
@@ -276,7 +276,7 @@ static void test_trajectory(dal_flow_method method, double h)
         memcpy(x, x0, sizeof x);
         CHECK(dal_flow_apply(flow, 1.5, 1.5 + (double)k * h, x, NULL) == 0);
         CHECK_NEAR(distance(8, x, rows + 8 * k), 0.0, 1e-8); /* 1000 tolerances */
-        CHECK(dal_relative_residual(mechanics, 0.0, rows + 8 * k, &residual) == 0);
+        CHECK(dal_relative_residual(mechanics, 0.0, 0.0, rows + 8 * k, &residual) == 0);
         CHECK(residual <= DAL_RESIDUAL_BOUND(4));
     }
     dal_mechanics_free(mechanics);
@@ -301,7 +301,8 @@ static bool fails(fault *f)
 }
 
 /* V = |q|^2 / 2 for n = 2. */
-static int faulty_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int faulty_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                            void *ctx)
 {
     fault *const f = ctx;
     const bool now = fails(f);
@@ -316,8 +317,8 @@ static int faulty_potential(const double *q, double *V, double *V_q, double *V_q
 }
 
 /* v_1 = q_2 v_2. */
-static int faulty_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                             double *phi_q, void *ctx)
+static int faulty_constraint(double t, const double *q, const double *v, double *phi,
+                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     fault *const f = ctx;
     const bool now = fails(f);
@@ -398,7 +399,8 @@ static void test_recovery(dal_flow_method method)
 
 /* V = -|q|^4 / 4: q'' = |q|^2 q; from q = (1, 0), v = (1/sqrt 2, 0) the state is infinite at
  * t = sqrt 2. */
-static int explosive_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int explosive_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                               void *ctx)
 {
     const double r2 = q[0] * q[0] + q[1] * q[1];
     (void)ctx;
@@ -442,7 +444,8 @@ static void test_collapse(dal_flow_method method)
 
 /* V = 16 (|q_1| - 1/2)^4 for |q_1| > 1/2, nothing inside, and no V for |q_1| >= 1: the long steps
  * of the free motion overshoot.  The count of refusals is the ctx. */
-static int walled_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int walled_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                            void *ctx)
 {
     const double depth = fmax(fabs(q[0]) - 0.5, 0.0);
     if (!(depth < 0.5)) {
@@ -470,9 +473,9 @@ static void test_domain(dal_flow_method method)
     dal_mechanics *mechanics = NULL;
     double x[4] = {0.0, 0.0, 1.0, 0.0}, E0, E; /* turns at |q_1| = 0.92 */
     CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
-    CHECK(dal_energy(mechanics, x, &E0) == 0);
+    CHECK(dal_energy(mechanics, 0.0, x, &E0) == 0);
     CHECK(dal_flow_apply(flow, 0.0, 20.0, x, NULL) == 0);
-    CHECK(dal_energy(mechanics, x, &E) == 0);
+    CHECK(dal_energy(mechanics, 0.0, x, &E) == 0);
     CHECK(refusals > 0);
     CHECK(fabs(x[0]) < 1.0);
     CHECK_NEAR(E, E0, 1e-5); /* 1000 tolerances */
@@ -482,10 +485,9 @@ static void test_domain(dal_flow_method method)
 }
 
 /* mu = (q_1, 0): no constraint at all at q_1 = 0, where C is singular. */
-static int vanishing_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                double *phi_q, void *ctx)
+static int vanishing_constraint(double t, const double *q, const double *v, double *phi,
+                                double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) *phi = q[0] * v[0];
     if (phi_v) {
         phi_v[0] = q[0];
@@ -515,7 +517,8 @@ static void test_singular(void)
 }
 
 /* V = stiffness q_1^2 / 2; the stiffness is the ctx. */
-static int spring_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int spring_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                            void *ctx)
 {
     const double stiffness = *(const double *)ctx;
     if (V) *V = 0.5 * stiffness * q[0] * q[0];
@@ -647,7 +650,7 @@ static void test_in_xi(const char *name, dal_flow_method method, double toleranc
     memcpy(rows, x0, sizeof x0);
     CHECK(dal_flow_trajectory(flow, 0.0, 0.5, 20, rows, NULL) == 0);
     for (size_t k = 1; k <= 20; k++) {
-        CHECK(dal_relative_residual(mech, 0.0, rows + k * N, &relative) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, 0.0, rows + k * N, &relative) == 0);
         CHECK(relative <= DAL_RESIDUAL_BOUND(N / 2));
     }
     memcpy(in_x, x0, sizeof in_x);

@@ -37,9 +37,9 @@ static void test_particle(void)
     dal_system *const system = open_system("particle_oscillator");
     dal_mechanics *const mech = open_mechanics(system);
     double E = NAN, C = NAN, lambda = NAN, vdot[3], xdot[6], residual = NAN, relative = NAN;
-    CHECK(dal_energy(mech, x, &E) == 0);
+    CHECK(dal_energy(mech, 0.0, x, &E) == 0);
     CHECK_NEAR(E, (1.0 + 0.49 + 0.81 + 0.25 + 2 * 0.09 + 1.5 * 0.04) / 2, 8 * U);
-    CHECK(dal_gram(mech, x, &C) == 0);
+    CHECK(dal_gram(mech, 0.0, x, &C) == 0);
     CHECK_NEAR(C, 1.09, 4 * U);
     CHECK(dal_multipliers(mech, 0.0, x, &lambda) == 0);
     CHECK_NEAR(lambda, (0.7 + (-0.3 * 0.5 - 1.5 * 0.2)) / 1.09, 8 * U);
@@ -49,20 +49,20 @@ static void test_particle(void)
         CHECK_NEAR(vdot[i], mu[i] * lambda - k[i] * x[i], 8 * U);
         CHECK(xdot[i] == x[3 + i] && xdot[3 + i] == vdot[i]);
     }
-    CHECK(dal_residual(mech, 0.0, x, &residual) == 0);
+    CHECK(dal_residual(mech, 0.0, 0.0, x, &residual) == 0);
     CHECK_NEAR(residual, 0.9 - 0.3, 4 * U);
-    CHECK(dal_relative_residual(mech, 0.0, x, &relative) == 0);
+    CHECK(dal_relative_residual(mech, 0.0, 0.0, x, &relative) == 0);
     CHECK_NEAR(relative, 0.6 / 1.3, 4 * U); /* (0.3 + 1) max(1, 0.7, 0.9), M = 1 */
-    CHECK(dal_residual(mech, 0.1, x, &residual) == 0); /* mu at y - 0.1 v_y = 0.23 */
+    CHECK(dal_residual(mech, 0.0, 0.1, x, &residual) == 0); /* mu at y - 0.1 v_y = 0.23 */
     CHECK_NEAR(residual, 0.9 - 0.23, 4 * U);
-    CHECK(dal_relative_residual(mech, 0.1, x, &relative) == 0);
+    CHECK(dal_relative_residual(mech, 0.0, 0.1, x, &relative) == 0);
     CHECK_NEAR(relative, 0.67 / 1.23, 4 * U);
     double alias[6];
     memcpy(alias, x, sizeof alias);
     CHECK(dal_field(mech, 0.0, alias, alias) == 0);
     CHECK(memcmp(alias, xdot, sizeof alias) == 0);
     const double rest[6] = {0.5, 0.3, -0.2, 0, 0, 0};
-    CHECK(dal_relative_residual(mech, 0.0, rest, &relative) == 0 && relative == 0.0);
+    CHECK(dal_relative_residual(mech, 0.0, 0.0, rest, &relative) == 0 && relative == 0.0);
     dal_mechanics_free(mech);
     dal_mechanics_free(NULL);
     dal_system_free(system);
@@ -74,17 +74,17 @@ static void test_definitions(dal_mechanics *mech, const dal_system *system, cons
     const size_t n = dal_system_n(system), m = dal_system_m(system);
     const double *const mass = dal_system_mass(system);
     double E = NAN, V = 0.0, kinetic = 0.0, size = 0.0, C[M * M], mu[M * N], back[N];
-    if (system->def.potential) system->def.potential(x, &V, NULL, NULL, system->def.ctx);
+    if (system->def.potential) system->def.potential(0.0, x, &V, NULL, NULL, system->def.ctx);
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) {
             kinetic += mass[i * n + j] * x[n + i] * x[n + j] / 2;
             size += fabs(mass[i * n + j] * x[n + i] * x[n + j]);
         }
-    CHECK(dal_energy(mech, x, &E) == 0);
+    CHECK(dal_energy(mech, 0.0, x, &E) == 0);
     CHECK_NEAR(E, kinetic + V, ROUNDOFF * (size + fabs(V)));
     if (m == 0) return;
-    CHECK(dal_gram(mech, x, C) == 0);
-    system->def.constraint(x, x + n, NULL, mu, NULL, system->def.ctx);
+    CHECK(dal_gram(mech, 0.0, x, C) == 0);
+    system->def.constraint(0.0, x, x + n, NULL, mu, NULL, NULL, system->def.ctx);
     for (size_t a = 0; a < m; a++) { /* mu^T = M Z^T, C = mu Z^T: solve with M by its factor */
         double factor[N * N], inverse[N], z[N];
         memcpy(factor, mass, n * n * sizeof *factor);
@@ -106,8 +106,8 @@ static void test_ode(dal_mechanics *mech, const dal_system *system, const double
 {
     const size_t n = dal_system_n(system), m = dal_system_m(system);
     double mu[M * N], dmu[M * N], vdot[N], force[N] = {0}, lambda[M], balance[N], xd[2 * N];
-    if (system->def.potential) system->def.potential(x, NULL, force, NULL, system->def.ctx);
-    system->def.constraint(x, x + n, NULL, mu, dmu, system->def.ctx);
+    if (system->def.potential) system->def.potential(0.0, x, NULL, force, NULL, system->def.ctx);
+    system->def.constraint(0.0, x, x + n, NULL, mu, dmu, NULL, system->def.ctx);
     CHECK(dal_acceleration(mech, 0.0, x, vdot) == 0 && dal_multipliers(mech, 0.0, x, lambda) == 0);
     const double size =
         1 + sum_of_sizes(n, vdot) + sum_of_sizes(n, force) + sum_of_sizes(m, lambda);
@@ -120,7 +120,7 @@ static void test_ode(dal_mechanics *mech, const dal_system *system, const double
         CHECK_NEAR(balance[i] + force[i], reaction, 10 * ROUNDOFF * size);
     }
     memcpy(xd, x, 2 * n * sizeof *xd);
-    CHECK(dal_project(mech, 0.0, xd, NULL) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, xd, NULL) == 0);
     CHECK(dal_acceleration(mech, 0.0, xd, vdot) == 0);
     dal__apply(n, n, dal_system_mass(system), vdot, balance);
     for (size_t i = 0; i < n; i++) balance[i] += force[i];
@@ -136,8 +136,8 @@ static void test_perturbed(dal_mechanics *mech, const dal_system *system, const 
     const double weight = 0.3, *const mass = dal_system_mass(system);
     double mu[M * N], dmu[M * N], force[N] = {0}, ghat[2 * N], xdot[2 * N], other[2 * N];
     double lambda[M], shifted[M], free[N], balance[N], factor[N * N];
-    if (system->def.potential) system->def.potential(x, NULL, force, NULL, system->def.ctx);
-    system->def.constraint(x, x + n, NULL, mu, dmu, system->def.ctx);
+    if (system->def.potential) system->def.potential(0.0, x, NULL, force, NULL, system->def.ctx);
+    system->def.constraint(0.0, x, x + n, NULL, mu, dmu, NULL, system->def.ctx);
     somewhere(n, 5, ghat);
     CHECK(dal_perturbed(mech, 0.0, weight, x, ghat, xdot, lambda) == 0);
     const double size = 1 + sum_of_sizes(2 * n, xdot) + sum_of_sizes(2 * n, ghat)
@@ -180,9 +180,9 @@ static void test_first_integrals(dal_mechanics *mech, const dal_system *system, 
     double x[2 * N], slope[2 * N] = {0}, stage[2 * N], before[M], after[M], E0 = NAN, E1 = NAN;
     for (int on = 0; on < 2; on++) {
         memcpy(x, x0, 2 * n * sizeof *x);
-        if (on) CHECK(dal_project(mech, 0.0, x, NULL) == 0);
+        if (on) CHECK(dal_project(mech, 0.0, 0.0, x, NULL) == 0);
         memcpy(stage, x, sizeof stage);
-        CHECK(dal_residual(mech, 0.0, x, before) == 0 && dal_energy(mech, x, &E0) == 0);
+        CHECK(dal_residual(mech, 0.0, 0.0, x, before) == 0 && dal_energy(mech, 0.0, x, &E0) == 0);
         double sum[2 * N] = {0};
         memset(slope, 0, sizeof slope);
         for (int k = 0; k < 4; k++) {
@@ -191,7 +191,7 @@ static void test_first_integrals(dal_mechanics *mech, const dal_system *system, 
             for (size_t i = 0; i < 2 * n; i++) sum[i] += weight[k] * slope[i];
         }
         for (size_t i = 0; i < 2 * n; i++) x[i] += h / 6 * sum[i];
-        CHECK(dal_residual(mech, 0.0, x, after) == 0 && dal_energy(mech, x, &E1) == 0);
+        CHECK(dal_residual(mech, 0.0, 0.0, x, after) == 0 && dal_energy(mech, 0.0, x, &E1) == 0);
         CHECK_NEAR(largest_difference(m, before, after), 0.0, 100 * pow(h, 5) + 40 * U);
         if (on) CHECK_NEAR(E1, E0, 100 * pow(h, 5) + 40 * U * (1 + fabs(E0)));
         CHECK(largest_difference(2 * n, x, x0) > 1e-5);
@@ -206,7 +206,7 @@ static void test_mixing(dal_mechanics *mech, const dal_system *system, dal_mecha
     double x[2 * N], y[2 * N], one[2 * N], two[2 * N], lambda[M], other[M], expected[M];
     memcpy(x, x0, 2 * n * sizeof *x);
     memcpy(y, x0, 2 * n * sizeof *y);
-    CHECK(dal_project(mech, 0.0, x, NULL) == 0 && dal_project(mixed, 0.0, y, NULL) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, x, NULL) == 0 && dal_project(mixed, 0.0, 0.0, y, NULL) == 0);
     CHECK_NEAR(largest_difference(2 * n, x, y), 0.0, ROUNDOFF * sum_of_sizes(2 * n, x0));
     CHECK(dal_field(mech, 0.0, x, one) == 0 && dal_field(mixed, 0.0, x, two) == 0);
     const double size = 1 + sum_of_sizes(2 * n, one);
@@ -227,11 +227,11 @@ static void test_projection(dal_mechanics *mech, const dal_system *system, const
     const size_t n = dal_system_n(system);
     double x[2 * N], again[2 * N], d[N], Md[N], Mv[N], distance = NAN, second = NAN;
     memcpy(x, x0, 2 * n * sizeof *x);
-    CHECK(dal_project(mech, 0.0, x, &distance) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, x, &distance) == 0);
     CHECK(memcmp(x, x0, n * sizeof *x) == 0);
     CHECK(residual_of(system, 0.0, x) <= DAL_RESIDUAL_BOUND(n));
     memcpy(again, x, sizeof again);
-    CHECK(dal_project(mech, 0.0, again, &second) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, again, &second) == 0);
     const double size = sum_of_sizes(n, x0 + n);
     CHECK_NEAR(largest_difference(2 * n, x, again), 0.0, ROUNDOFF * size);
     CHECK_NEAR(second, 0.0, ROUNDOFF * size);
@@ -254,7 +254,7 @@ static void test_deformed(dal_mechanics *mech, const dal_system *system, const d
         double x[2 * N], d[N], Md[N], tangent[2 * N], distance = NAN;
         memcpy(x, x0, 2 * n * sizeof *x);
         const size_t calls = mech->eval.constraint_calls;
-        CHECK(dal_project(mech, shift, x, &distance) == 0);
+        CHECK(dal_project(mech, 0.0, shift, x, &distance) == 0);
         CHECK(mech->eval.constraint_calls - calls <= 8); /* Newton, and not a slower iteration */
         CHECK(memcmp(x, x0, n * sizeof *x) == 0);
         CHECK(residual_of(system, shift, x) <= ROUNDOFF);
@@ -264,7 +264,7 @@ static void test_deformed(dal_mechanics *mech, const dal_system *system, const d
         for (unsigned seed = 1; seed < 4; seed++) {
             somewhere(n, seed, tangent);
             memcpy(tangent, x, n * sizeof *tangent);
-            CHECK(dal_project(mech, 0.0, tangent, NULL) == 0);
+            CHECK(dal_project(mech, 0.0, 0.0, tangent, NULL) == 0);
             CHECK_NEAR(dot(n, tangent + n, Md), 0.0, 20 * ROUNDOFF * (1 + sum_of_sizes(n, Md)));
         }
     }
@@ -286,7 +286,7 @@ static void test_consistent(void)
         for (size_t i = 0; i < SIZE; i++) kept += keep[i] = (pattern >> i) & 1;
         somewhere(SIZE, pattern + 5, x0);
         memcpy(x, x0, sizeof x);
-        const int status = dal_consistent(mech, keep, x, &distance);
+        const int status = dal_consistent(mech, 0.0, keep, x, &distance);
         if (kept > SIZE - FORMS) {
             CHECK(status == DAL_ESINGULAR && distance == 7.0 && !memcmp(x, x0, sizeof x));
             CHECK(strstr(dal_mechanics_message(mech), "are kept: mu restricted to") != NULL);
@@ -307,7 +307,7 @@ static void test_consistent(void)
         if (pattern == 0) {
             double plain[2 * SIZE];
             memcpy(plain, x0, sizeof plain);
-            CHECK(dal_consistent(mech, NULL, plain, NULL) == DAL_SUCCESS);
+            CHECK(dal_consistent(mech, 0.0, NULL, plain, NULL) == DAL_SUCCESS);
             CHECK_NEAR(largest_difference(2 * SIZE, plain, x), 0.0, ROUNDOFF * scale);
         }
         /* any other consistent velocity with the same kept components is farther away */
@@ -317,7 +317,7 @@ static void test_consistent(void)
             memcpy(other, x0, SIZE * sizeof *other);
             for (size_t i = 0; i < SIZE; i++)
                 if (keep[i]) other[SIZE + i] = x0[SIZE + i];
-            CHECK(dal_consistent(mech, keep, other, NULL) == DAL_SUCCESS);
+            CHECK(dal_consistent(mech, 0.0, keep, other, NULL) == DAL_SUCCESS);
             double size = 0.0;
             for (size_t i = 0; i < SIZE; i++) {
                 e[i] = other[SIZE + i] - x[SIZE + i];
@@ -349,7 +349,7 @@ static void test_consistent_or_refused(void)
             somewhere(SIZE, seed * 97 + pattern, x0);
             x0[SIZE] = -0.0;
             memcpy(x, x0, sizeof x);
-            const int status = dal_consistent(mech, keep, x, NULL);
+            const int status = dal_consistent(mech, 0.0, keep, x, NULL);
             refused += status == DAL_ESINGULAR && !memcmp(x, x0, sizeof x);
             if (status) continue;
             bool same = true;
@@ -439,12 +439,12 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
     for (size_t k = 0; k < ROWS; k++) {
         const double *const row = x + k * 2 * n;
         double one = NAN, many[M];
-        CHECK(dal_energy(mech, row, &one) == 0 && one == E[k]);
+        CHECK(dal_energy(mech, 0.0, row, &one) == 0 && one == E[k]);
         CHECK(dal_multipliers(mech, 0.0, row, many) == 0);
         CHECK(memcmp(many, lambda + k * m, m * sizeof *many) == 0);
-        CHECK(dal_residual(mech, 0.07, row, many) == 0);
+        CHECK(dal_residual(mech, 0.0, 0.07, row, many) == 0);
         CHECK(memcmp(many, residual + k * m, m * sizeof *many) == 0);
-        CHECK(dal_relative_residual(mech, 0.07, row, &one) == 0 && one == relative[k]);
+        CHECK(dal_relative_residual(mech, 0.0, 0.07, row, &one) == 0 && one == relative[k]);
         CHECK_NEAR(one, residual_of(system, 0.07, row), ROUNDOFF * one);
     }
     CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, NULL, NULL) == DAL_SUCCESS);
@@ -454,16 +454,16 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
 #define NAMED(call, name)                                                       \
     CHECK((call) == DAL_EINVAL);                                                \
     CHECK(strcmp(dal_mechanics_message(mech), name " is NULL") == 0)
-    NAMED(dal_energy(mech, x, NULL), "E");
-    NAMED(dal_energy(mech, NULL, E), "x");
-    NAMED(dal_residual(mech, 0.0, x, NULL), "residual");
-    NAMED(dal_relative_residual(mech, 0.0, x, NULL), "worst");
-    NAMED(dal_gram(mech, x, NULL), "C");
+    NAMED(dal_energy(mech, 0.0, x, NULL), "E");
+    NAMED(dal_energy(mech, 0.0, NULL, E), "x");
+    NAMED(dal_residual(mech, 0.0, 0.0, x, NULL), "residual");
+    NAMED(dal_relative_residual(mech, 0.0, 0.0, x, NULL), "worst");
+    NAMED(dal_gram(mech, 0.0, x, NULL), "C");
     NAMED(dal_multipliers(mech, 0.0, x, NULL), "lambda");
     NAMED(dal_acceleration(mech, 0.0, x, NULL), "vdot");
     NAMED(dal_field(mech, 0.0, x, NULL), "xdot");
-    NAMED(dal_project(mech, 0.0, NULL, NULL), "x");
-    NAMED(dal_consistent(mech, NULL, NULL, NULL), "x");
+    NAMED(dal_project(mech, 0.0, 0.0, NULL, NULL), "x");
+    NAMED(dal_consistent(mech, 0.0, NULL, NULL, NULL), "x");
     NAMED(dal_step_equations(mech, 0.0, 0.5, 0.1, x, NULL, x, NULL, NULL, NULL, NULL, NULL), "w");
 #undef NAMED
     CHECK(dal_step_equations(mech, 0.0, 1.5, 0.1, x, x, x, NULL, NULL, NULL, NULL, NULL)
@@ -481,10 +481,9 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
 /* ---- errors ------------------------------------------------------------------------------ */
 
 /* Two forms that coincide where q0 = 0; outside its domain for q0 > 10, stops for q0 < -10. */
-static int degenerate(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                      void *ctx)
+static int degenerate(double t, const double *q, const double *v, double *phi, double *phi_v,
+                      double *phi_q, double *phi_t, void *ctx)
 {
-    (void)v, (void)phi, (void)ctx;
     const double mu[6] = {1.0, 2.0, 0.0, 1.0, 2.0, q[0]};
     if (phi_v) memcpy(phi_v, mu, sizeof mu);
     if (phi_q) {
@@ -513,25 +512,28 @@ static void test_errors(void)
     CHECK(strstr(dal_mechanics_message(mech), "singular") != NULL);
     CHECK(dal_acceleration(mech, 0, x, out) == DAL_ESINGULAR && out[0] == 7.0);
     CHECK(dal_field(mech, 0, x, out) == DAL_ESINGULAR && out[0] == 7.0);
-    CHECK(dal_project(mech, 0.0, x, &one) == DAL_ESINGULAR && one == 7.0);
+    CHECK(dal_project(mech, 0.0, 0.0, x, &one) == DAL_ESINGULAR && one == 7.0);
     CHECK(memcmp(x, before, sizeof x) == 0);
-    CHECK(dal_energy(mech, x, &one) == DAL_SUCCESS && one == 7.0); /* (1 + 4 + 9)/2 */
+    CHECK(dal_energy(mech, 0.0, x, &one) == DAL_SUCCESS && one == 7.0); /* (1 + 4 + 9)/2 */
     x[0] = 1e-3;
     CHECK(dal_multipliers(mech, 0, x, out) == DAL_SUCCESS);
     x[0] = 11.0;
-    CHECK(dal_residual(mech, 0, x, out) == DAL_EDOMAIN);
-    CHECK(dal_project(mech, 0, x, NULL) == DAL_EDOMAIN);
+    CHECK(dal_residual(mech, 0.0, 0, x, out) == DAL_EDOMAIN);
+    CHECK(dal_project(mech, 0.0, 0, x, NULL) == DAL_EDOMAIN);
     x[0] = -11.0;
-    CHECK(dal_gram(mech, x, out) == DAL_EUSER);
+    CHECK(dal_gram(mech, 0.0, x, out) == DAL_EUSER);
     CHECK(strstr(dal_mechanics_message(mech), "returned -1") != NULL);
     x[0] = NAN;
-    CHECK(dal_energy(mech, x, &one) == DAL_EINVAL && dal_gram(mech, x, out) == DAL_EINVAL);
+    CHECK(dal_energy(mech, 0.0, x, &one) == DAL_EINVAL
+          && dal_gram(mech, 0.0, x, out) == DAL_EINVAL);
     x[0] = 1.0;
-    CHECK(dal_project(mech, INFINITY, x, NULL) == DAL_EINVAL);
+    CHECK(dal_project(mech, 0.0, INFINITY, x, NULL) == DAL_EINVAL);
     CHECK(strstr(dal_mechanics_message(mech), "shift") != NULL);
-    CHECK(dal_residual(mech, NAN, x, out) == DAL_EINVAL);
-    CHECK(dal_energy(NULL, x, &one) == DAL_EINVAL && dal_energy(mech, NULL, &one) == DAL_EINVAL);
-    CHECK(dal_energy(mech, x, NULL) == DAL_EINVAL && dal_field(mech, 0, x, NULL) == DAL_EINVAL);
+    CHECK(dal_residual(mech, 0.0, NAN, x, out) == DAL_EINVAL);
+    CHECK(dal_energy(NULL, 0.0, x, &one) == DAL_EINVAL
+          && dal_energy(mech, 0.0, NULL, &one) == DAL_EINVAL);
+    CHECK(dal_energy(mech, 0.0, x, NULL) == DAL_EINVAL
+          && dal_field(mech, 0, x, NULL) == DAL_EINVAL);
     CHECK(dal_step_equations(mech, 0.0, 0.5, NAN, x, x + 3, out, out, NULL, NULL, NULL, NULL)
           == DAL_EINVAL);
     CHECK(dal_step_equations(mech, 0.0, 0.5, 0.1, x, x + 3, NULL, out, NULL, NULL, NULL, NULL)
@@ -548,12 +550,12 @@ static void test_no_constraint(void)
     dal_mechanics *const mech = open_mechanics(system);
     double x[6], vdot[3], force[3], balance[3], unused[1] = {7.0}, distance = NAN, relative = NAN;
     memcpy(x, w.state, sizeof x);
-    CHECK(dal_project(mech, 0.0, x, &distance) == 0 && distance == 0.0);
-    CHECK(dal_project(mech, 0.3, x, &distance) == 0 && memcmp(x, w.state, sizeof x) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, x, &distance) == 0 && distance == 0.0);
+    CHECK(dal_project(mech, 0.0, 0.3, x, &distance) == 0 && memcmp(x, w.state, sizeof x) == 0);
     CHECK(dal_multipliers(mech, 0.0, x, unused) == 0 && unused[0] == 7.0);
-    CHECK(dal_relative_residual(mech, 0.0, x, &relative) == 0 && relative == 0.0);
+    CHECK(dal_relative_residual(mech, 0.0, 0.0, x, &relative) == 0 && relative == 0.0);
     CHECK(dal_acceleration(mech, 0.0, x, vdot) == 0);
-    wide_potential(x, NULL, force, NULL, &w);
+    wide_potential(0.0, x, NULL, force, NULL, &w);
     dal__apply(3, 3, w.mass, vdot, balance);
     for (size_t i = 0; i < 3; i++)
         CHECK_NEAR(balance[i], -force[i], ROUNDOFF * sum_of_sizes(3, force));
@@ -595,8 +597,8 @@ typedef struct rows {
     double mu[9], a[3];
 } rows;
 
-static int constant_forms(const double *q, const double *v, double *phi, double *phi_v,
-                          double *phi_q, void *ctx)
+static int constant_forms(double t, const double *q, const double *v, double *phi, double *phi_v,
+                          double *phi_q, double *phi_t, void *ctx)
 {
     const rows *const r = ctx;
     (void)q;
@@ -617,8 +619,9 @@ static dal_system *open_rows(rows *r, const double *mass, dal_constraint_kind ki
 }
 
 /* L = (1 + x^2) v_x^2/2 + 2 v_y^2. */
-static int stretched(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                     double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int stretched(double t, const double *q, const double *v, double *L, double *L_q,
+                     double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                     void *ctx)
 {
     const double inertia = 1.0 + q[0] * q[0];
     (void)L_qq, (void)L_vq, (void)ctx;
@@ -644,7 +647,7 @@ static void test_residual_of_affine(void)
         const double at = x[0] - shift * x[2], d = 1.0 / sqrt(1.0 + at * at);
         const double speed = fmax(fabs(x[2]) / d, fabs(x[3]) / 0.5);
         double relative = NAN;
-        CHECK(dal_relative_residual(mech, shift, x, &relative) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, shift, x, &relative) == 0);
         CHECK_NEAR(relative, (2.0 * x[2] - 3.0 * x[3] + 5.0)
                                  / ((2.0 * d + 3.0 * 0.5) * speed + 5.0), 8 * U);
     }
@@ -679,14 +682,14 @@ static void test_across(void)
         for (size_t i = 0; i < 3; i++) size += mass[4 * i] * x[3 + i] * x[3 + i];
         dal_system *const system = open_rows(&r, mass, DAL_LINEAR);
         dal_mechanics *const mech = open_mechanics(system);
-        CHECK(dal_project(mech, 0.0, x, &distance) == 0);
+        CHECK(dal_project(mech, 0.0, 0.0, x, &distance) == 0);
         CHECK_NEAR(sum_of_sizes(3, x + 3), 0.0, 1e-12 * sqrt(size)); /* C may have a condition */
         CHECK_NEAR(distance, sqrt(size), 1e-12 * sqrt(size));
         if (r.m == 2) { /* with one component kept at 0, D is 0 */
             const unsigned char keep[3] = {1, 0, 0};
             const double v[3] = {0.0, next_number(&seed), next_number(&seed)};
             memcpy(x + 3, v, sizeof v);
-            CHECK(dal_consistent(mech, keep, x, &distance) == 0);
+            CHECK(dal_consistent(mech, 0.0, keep, x, &distance) == 0);
             CHECK_NEAR(sum_of_sizes(3, x + 3), 0.0, 1e-12);
         }
         dal_mechanics_free(mech);
@@ -698,11 +701,11 @@ static void test_across(void)
     dal_system *const system = open_rows(&wall, mass, DAL_LINEAR);
     dal_mechanics *const mech = open_mechanics(system);
     double x[4] = {0.0, 0.0, 1.0, 1e-17}, large[4] = {0.0, 0.0, -1e200, 1.0}, d = 0.0;
-    CHECK(dal_project(mech, 0.0, x, NULL) == 0 && x[2] == 0.0 && x[3] == 1e-17);
-    CHECK(dal_project(mech, 0.0, large, &d) == 0 && d == 1e200 && large[3] == 1.0);
+    CHECK(dal_project(mech, 0.0, 0.0, x, NULL) == 0 && x[2] == 0.0 && x[3] == 1e-17);
+    CHECK(dal_project(mech, 0.0, 0.0, large, &d) == 0 && d == 1e200 && large[3] == 1.0);
     wall.mu[0] = 1e10;
     const double fast[4] = {0.0, 0.0, 1e300, 0.0};
-    CHECK(dal_relative_residual(mech, 0.0, fast, &d) == DAL_EDOMAIN && d == 1e200);
+    CHECK(dal_relative_residual(mech, 0.0, 0.0, fast, &d) == DAL_EDOMAIN && d == 1e200);
     dal_mechanics_free(mech);
     dal_system_free(system);
 }
@@ -716,7 +719,7 @@ static void test_kept_units(void)
     double x[4] = {0.0, 0.0, 1e-20, 0.0};
     dal_system *const system = open_rows(&r, mass, DAL_LINEAR);
     dal_mechanics *const mech = open_mechanics(system);
-    CHECK(dal_consistent(mech, keep, x, NULL) == 0);
+    CHECK(dal_consistent(mech, 0.0, keep, x, NULL) == 0);
     CHECK_NEAR(x[3], -1.0, 4 * U);
     dal_mechanics_free(mech);
     dal_system_free(system);

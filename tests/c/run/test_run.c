@@ -199,13 +199,12 @@ static void test_arguments(void)
 }
 
 /* The particle's forms, up to x = 1.7; ctx is the particle. */
-static int walled(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                  void *ctx)
+static int walled(double t, const double *q, const double *v, double *phi, double *phi_v,
+                  double *phi_q, double *phi_t, void *ctx)
 {
-    (void)phi;
     if (q[0] > 1.7) return 1;
     const dal_system *const particle = ctx;
-    return particle->def.constraint(q, v, NULL, phi_v, phi_q, particle->def.ctx);
+    return particle->def.constraint(t, q, v, NULL, phi_v, phi_q, NULL, particle->def.ctx);
 }
 
 /* A step that fails ends the run: the rows before it stand, done says how many, and the stepper
@@ -252,9 +251,8 @@ static void test_failure(void)
     dal_system_free(particle);
 }
 
-static int steep(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int steep(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
-    (void)ctx;
     if (V) *V = 5e5 * q[0] * q[0];
     if (V_q) V_q[0] = 1e6 * q[0];
     if (V_qq) V_qq[0] = 1e6;
@@ -291,7 +289,7 @@ typedef struct stairs {
     double slope, push, at[2], up[2];
 } stairs;
 
-static int on_stairs(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int on_stairs(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const stairs *const s = ctx;
     if (V) *V = s->slope * q[0];
@@ -302,11 +300,12 @@ static int on_stairs(const double *q, double *V, double *V_q, double *V_qq, void
     return 0;
 }
 
-static int lagrangian_on_stairs(const double *q, const double *v, double *L, double *L_q,
-                                double *L_v, double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int lagrangian_on_stairs(double t, const double *q, const double *v, double *L, double *L_q,
+                                double *L_v, double *L_qq, double *L_vq, double *L_vv,
+                                double *L_vt, void *ctx)
 {
     double V, V_q[2];
-    on_stairs(q, &V, V_q, L_qq, ctx);
+    on_stairs(t, q, &V, V_q, L_qq, ctx);
     if (L) *L = v[0] * v[0] + v[1] * v[1] - V;
     for (size_t i = 0; i < 2; i++) {
         if (L_q) L_q[i] = -V_q[i];
@@ -317,10 +316,9 @@ static int lagrangian_on_stairs(const double *q, const double *v, double *L, dou
     return 0;
 }
 
-static int in_line(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                   void *ctx)
+static int in_line(double t, const double *q, const double *v, double *phi, double *phi_v,
+                   double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)ctx;
     if (phi) phi[0] = v[1];
     if (phi_v) phi_v[0] = 0.0, phi_v[1] = 1.0;
     if (phi_q) phi_q[0] = phi_q[1] = 0.0;

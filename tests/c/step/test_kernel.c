@@ -7,30 +7,31 @@
 
 /* What the callbacks of uneven_edge read; its kernel gets it as ctx. */
 typedef struct blade {
-    double slope, wobble;
-    int refuses; /* what the constraint returns where x > 0.1 */
+    double slope, wobble, turn; /* the plane turns at this rate, and what wobbles with it */
+    int refuses;                /* what the constraint returns where x > 0.1 */
 } blade;
 
-DAL_KERNEL_INLINE int blade_potential(const double *q, double *V, double *V_q, double *V_qq,
-                                      const blade *b)
+DAL_KERNEL_INLINE int blade_potential(double t, const double *q, double *V, double *V_q,
+                                      double *V_qq, const blade *b)
 {
-    if (V) *V = -b->slope * q[0] + b->wobble * sin(q[2]);
+    const double heading = q[2] + b->turn * t;
+    if (V) *V = -b->slope * q[0] + b->wobble * sin(heading);
     if (V_q) {
         V_q[0] = -b->slope;
         V_q[1] = 0.0;
-        V_q[2] = b->wobble * cos(q[2]);
+        V_q[2] = b->wobble * cos(heading);
     }
     if (V_qq) {
         memset(V_qq, 0, 9 * sizeof *V_qq);
-        V_qq[8] = -b->wobble * sin(q[2]);
+        V_qq[8] = -b->wobble * sin(heading);
     }
     return 0;
 }
 
-DAL_KERNEL_INLINE int blade_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                                       double *phi_q, const blade *b)
+DAL_KERNEL_INLINE int blade_constraint(double t, const double *q, const double *v, double *phi,
+                                       double *phi_v, double *phi_q, double *phi_t, const blade *b)
 {
-    const double s = sin(q[2]), c = cos(q[2]);
+    const double s = sin(q[2] + b->turn * t), c = cos(q[2] + b->turn * t);
     if (phi) phi[0] = s * v[0] - c * v[1];
     if (phi_v) {
         phi_v[0] = s;
@@ -41,38 +42,40 @@ DAL_KERNEL_INLINE int blade_constraint(const double *q, const double *v, double 
         phi_q[0] = phi_q[1] = 0.0;
         phi_q[2] = c * v[0] + s * v[1];
     }
+    if (phi_t) *phi_t = b->turn * (c * v[0] + s * v[1]);
     return q[0] > 0.1 ? b->refuses : 0;
 }
 
-static int potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int potential(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
-    return blade_potential(q, V, V_q, V_qq, ctx);
+    return blade_potential(t, q, V, V_q, V_qq, ctx);
 }
 
-static int constraint(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                      void *ctx)
+static int constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                      double *phi_q, double *phi_t, void *ctx)
 {
-    return blade_constraint(q, v, phi, phi_v, phi_q, ctx);
+    return blade_constraint(t, q, v, phi, phi_v, phi_q, phi_t, ctx);
 }
 
-static int inside_potential(dal_kernel *k, const double *q, double *V_q)
+static int inside_potential(dal_kernel *k, double t, const double *q, double *V_q)
 {
     k->stats.potential_calls++;
-    return blade_potential(q, NULL, V_q, NULL, k->potential_ctx);
+    return blade_potential(t, q, NULL, V_q, NULL, k->potential_ctx);
 }
 
-static int inside_constraint(dal_kernel *k, const double *q, const double *v, double *mu, double *N)
+static int inside_constraint(dal_kernel *k, double t, const double *q, const double *v, double *mu,
+                            double *N)
 {
     k->stats.constraint_calls++;
-    return blade_constraint(q, v, NULL, mu, N, k->constraint_ctx);
+    return blade_constraint(t, q, v, NULL, mu, N, NULL, k->constraint_ctx);
 }
 
 /* mu = (s, -c, 0) for M = diag, so Z too; V_q has its first and last entry, and N only the last. */
 #define DAL_N 3
 #define DAL_M 1
 #define DAL_KERNEL blade_step
-#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) inside_constraint(k, q, v, mu, N)
-#define DAL_KERNEL_POTENTIAL(k, q, V_q) inside_potential(k, q, V_q)
+#define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_constraint(k, t, q, v, mu, N)
+#define DAL_KERNEL_POTENTIAL(k, t, q, V_q) inside_potential(k, t, q, V_q)
 #define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x7ULL}
 #define DAL_KERNEL_STEADY 1
 #include "dalembert/kernel.h"
@@ -81,15 +84,15 @@ static int inside_constraint(dal_kernel *k, const double *q, const double *v, do
 #define DAL_N 3
 #define DAL_M 1
 #define DAL_KERNEL blade_step_in_full
-#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) inside_constraint(k, q, v, mu, N)
-#define DAL_KERNEL_POTENTIAL(k, q, V_q) inside_potential(k, q, V_q)
+#define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_constraint(k, t, q, v, mu, N)
+#define DAL_KERNEL_POTENTIAL(k, t, q, V_q) inside_potential(k, t, q, V_q)
 #include "dalembert/kernel.h"
 
 /* Without V. */
 #define DAL_N 3
 #define DAL_M 1
 #define DAL_KERNEL free_blade_step
-#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) inside_constraint(k, q, v, mu, N)
+#define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_constraint(k, t, q, v, mu, N)
 #define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x3ULL}
 #define DAL_KERNEL_STEADY 1
 #include "dalembert/kernel.h"
@@ -111,13 +114,14 @@ static dal_system_def blade_def(blade *b)
                             .steady = DAL_STEADY_PROVED};
 }
 
-typedef enum variety { STEADY, IN_FULL, FREE } variety;
+typedef enum variety { STEADY, IN_FULL, FREE, TURNING } variety;
 
 static dal_system *open_blade_as(variety kind, int refuses)
 {
     blade b = {.slope = 5.0, .wobble = 0.1, .refuses = refuses};
     dal_system_def def = blade_def(&b);
-    if (kind == IN_FULL) {
+    if (kind == IN_FULL || kind == TURNING) {
+        b.turn = def.time_dependent = kind == TURNING;
         def.compiled = &compiled_in_full;
         def.steady = 0;
     } else if (kind == FREE) {
@@ -209,18 +213,19 @@ typedef struct hesitant {
     int calls;
 } hesitant;
 
-static int hesitant_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int hesitant_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                              void *ctx)
 {
     hesitant *const self = ctx;
     if (self->calls == 0) return 1;
     if (self->calls > 0) self->calls--;
-    return potential(q, V, V_q, V_qq, &self->shape);
+    return potential(t, q, V, V_q, V_qq, &self->shape);
 }
 
-static int hesitant_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                               double *phi_q, void *ctx)
+static int hesitant_constraint(double t, const double *q, const double *v, double *phi,
+                               double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    return constraint(q, v, phi, phi_v, phi_q, &((hesitant *)ctx)->shape);
+    return constraint(t, q, v, phi, phi_v, phi_q, phi_t, &((hesitant *)ctx)->shape);
 }
 
 /* A step of several stages that fails in any of them, and is then made again, is that of a stepper
@@ -265,10 +270,9 @@ static void test_made_again(void)
 }
 
 /* What overflows is seen also where it is in nothing that is computed with: mu = (1, 1/2, 0). */
-static int level_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                            double *phi_q, void *ctx)
+static int level_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                            double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)ctx;
     if (phi) *phi = v[0] + 0.5 * v[1];
     if (phi_v) {
         phi_v[0] = 1.0;
@@ -279,16 +283,17 @@ static int level_constraint(const double *q, const double *v, double *phi, doubl
     return 0;
 }
 
-static int inside_level(dal_kernel *k, const double *q, const double *v, double *mu, double *N)
+static int inside_level(dal_kernel *k, double t, const double *q, const double *v, double *mu,
+                        double *N)
 {
     k->stats.constraint_calls++;
-    return level_constraint(q, v, NULL, mu, N, k->constraint_ctx);
+    return level_constraint(t, q, v, NULL, mu, N, NULL, k->constraint_ctx);
 }
 
 #define DAL_N 3
 #define DAL_M 1
 #define DAL_KERNEL level_step
-#define DAL_KERNEL_CONSTRAINT(k, q, v, mu, N) inside_level(k, q, v, mu, N)
+#define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_level(k, t, q, v, mu, N)
 #define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x0ULL, 0x3ULL}
 #include "dalembert/kernel.h"
 
@@ -342,10 +347,10 @@ static void test_steady(void)
 }
 
 /* The same constraint with the centre of mass beside the blade: a reaction turns it. */
-static int beside(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                  void *ctx)
+static int beside(double t, const double *q, const double *v, double *phi, double *phi_v,
+                  double *phi_q, double *phi_t, void *ctx)
 {
-    const int returned = constraint(q, v, phi, phi_v, phi_q, ctx);
+    const int returned = constraint(t, q, v, phi, phi_v, phi_q, NULL, ctx);
     if (phi) phi[0] += 0.5 * v[2];
     if (phi_v) phi_v[2] = 0.5;
     return returned;
@@ -353,10 +358,9 @@ static int beside(const double *q, const double *v, double *phi, double *phi_v, 
 
 /* v_x + x v_y = 0 and v_z = 0: only the first reaction pushes x, on which only the first form
  * depends. */
-static int two_forms(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                     void *ctx)
+static int two_forms(double t, const double *q, const double *v, double *phi, double *phi_v,
+                     double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) phi[0] = v[0] + q[0] * v[1], phi[1] = v[2];
     if (phi_v) {
         memset(phi_v, 0, 6 * sizeof *phi_v);
@@ -554,8 +558,8 @@ static void test_deformed(void)
     double residual, expected, x[6];
     memcpy(x, state, sizeof x);
     x[4] += 0.3;
-    CHECK(dal_residual(mech, 0.0, x, &residual) == 0);
-    CHECK(dal_residual(plain, 0.01, x, &expected) == 0);
+    CHECK(dal_residual(mech, 0.0, 0.0, x, &residual) == 0);
+    CHECK(dal_residual(plain, 0.0, 0.01, x, &expected) == 0);
     CHECK_NEAR(residual, expected, 8 * U);
     dal_mechanics_free(mech);
     dal_mechanics_free(plain);
@@ -568,6 +572,7 @@ int main(void)
     test_same_bits(STEADY);
     test_same_bits(IN_FULL);
     test_same_bits(FREE);
+    test_same_bits(TURNING);
     test_handed_over();
     test_made_again();
     test_overflow();

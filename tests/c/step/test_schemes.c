@@ -177,10 +177,10 @@ static void test_validation(void)
 }
 
 /* Never called. */
-static int no_lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                         double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int no_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
+                         double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                         void *ctx)
 {
-    (void)q, (void)v, (void)L, (void)L_q, (void)L_v, (void)L_qq, (void)L_vq, (void)L_vv, (void)ctx;
     return -1;
 }
 
@@ -191,10 +191,9 @@ static int no_force(double t, const double *q, const double *v, double *f, doubl
     return -1;
 }
 
-static int no_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                         double *phi_q, void *ctx)
+static int no_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)v, (void)phi, (void)phi_v, (void)phi_q, (void)ctx;
     return -1;
 }
 

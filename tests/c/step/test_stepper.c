@@ -31,7 +31,7 @@ static void state_of(const dal_system *system, double *x)
     need(dal_system_state(system, x), "state", "");
     for (size_t i = 0; i < 2 * dal_system_n(system); i++) x[i] += 0.3 * next_number(&seed);
     dal_mechanics *const mechanics = open_mechanics(system);
-    need(dal_project(mechanics, 0.0, x, NULL), "project", dal_mechanics_message(mechanics));
+    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project", dal_mechanics_message(mechanics));
     dal_mechanics_free(mechanics);
 }
 
@@ -73,10 +73,10 @@ static void check_equations(dal_mechanics *mechanics, const dal_system *system, 
     memset(g0, 0, sizeof g0);
     memset(g1, 0, sizeof g1);
     if (system->def.potential) {
-        CHECK(system->def.potential(x, &V0, g0, NULL, system->def.ctx) == 0);
-        CHECK(system->def.potential(x1, &V1, g1, NULL, system->def.ctx) == 0);
+        CHECK(system->def.potential(0.0, x, &V0, g0, NULL, system->def.ctx) == 0);
+        CHECK(system->def.potential(0.0, x1, &V1, g1, NULL, system->def.ctx) == 0);
     }
-    CHECK(dal_energy(mechanics, x, &E0) == 0 && dal_energy(mechanics, x1, &E1) == 0);
+    CHECK(dal_energy(mechanics, 0.0, x, &E0) == 0 && dal_energy(mechanics, 0.0, x1, &E1) == 0);
 
     const double *const M = dal_system_mass(system);
     const double extent = sum_of_sizes(2 * n, x) + sum_of_sizes(2 * n, x1)
@@ -134,13 +134,14 @@ static void test_explicit_reaction(const dal_system *system, const double *x, do
     double kick[MOST_N] = {0.0}, factor[MOST_N * MOST_N], inverse[MOST_N];
     for (size_t i = 0; i < n; i++) y[i] = x[i] + h * x[n + i];
     if (system->def.potential) {
-        CHECK(system->def.potential(y, NULL, kick, NULL, system->def.ctx) == 0);
+        CHECK(system->def.potential(0.0, y, NULL, kick, NULL, system->def.ctx) == 0);
         memcpy(factor, dal_system_mass(system), n * n * sizeof *factor);
         CHECK(dal__cholesky(n, factor, inverse, NULL, NULL));
         dal__cholesky_solve(n, factor, kick);
     }
     for (size_t i = 0; i < n; i++) y[n + i] = x[n + i] - h * kick[i];
-    CHECK(dal_gram(mechanics, y, C) == 0 && dal_residual(mechanics, 0.0, y, impulse) == 0);
+    CHECK(dal_gram(mechanics, 0.0, y, C) == 0
+          && dal_residual(mechanics, 0.0, 0.0, y, impulse) == 0);
     CHECK(dal__cholesky(m, C, inverse, NULL, NULL));
     dal__cholesky_solve(m, C, impulse);
     flow(system, &scheme, h, 1, x, end, lambda);
@@ -235,13 +236,13 @@ static void test_exact_energy(void)
         const dal_scheme midpoint = find_scheme("midpoint");
         const dal_scheme mirror = find_scheme("leapfrog-mirror");
         double x[2 * MOST_N], E0 = NAN, E = NAN;
-        CHECK(dal_system_state(system, x) == 0 && dal_energy(mechanics, x, &E0) == 0);
+        CHECK(dal_system_state(system, x) == 0 && dal_energy(mechanics, 0.0, x, &E0) == 0);
         flow(system, &midpoint, 0.1, STEPS, x, x, NULL);
-        CHECK(dal_energy(mechanics, x, &E) == 0);
+        CHECK(dal_energy(mechanics, 0.0, x, &E) == 0);
         CHECK_NEAR(E, E0, 4 * U * E0 * STEPS);
         CHECK(dal_system_state(system, x) == 0);
         flow(system, &mirror, 0.1, 7, x, x, NULL);
-        CHECK(dal_energy(mechanics, x, &E) == 0);
+        CHECK(dal_energy(mechanics, 0.0, x, &E) == 0);
         if (s == 1) CHECK(fabs(E - E0) > 1e-5 * E0);
         dal_mechanics_free(mechanics);
         dal_system_free(system);
@@ -441,7 +442,7 @@ static void test_no_constraint(void)
     memcpy(y, w.state, sizeof y);
     for (int k = 0; k < 10; k++) {
         for (size_t i = 0; i < 3; i++) y[i] += h / 2 * y[3 + i];
-        wide_potential(y, NULL, g, NULL, &w);
+        wide_potential(0.0, y, NULL, g, NULL, &w);
         for (size_t i = 0; i < 3; i++) y[3 + i] -= h * g[i] / w.mass[4 * i];
         for (size_t i = 0; i < 3; i++) y[i] += h / 2 * y[3 + i];
     }
@@ -450,7 +451,7 @@ static void test_no_constraint(void)
     memcpy(y, w.state, sizeof y);
     for (int k = 0; k < 10; k++) {
         for (int half = 0; half < 2; half++) {
-            wide_potential(y, NULL, g, NULL, &w);
+            wide_potential(0.0, y, NULL, g, NULL, &w);
             for (size_t i = 0; i < 3; i++) y[3 + i] -= h / 2 * g[i] / w.mass[4 * i];
             for (size_t i = 0; half == 0 && i < 3; i++) y[i] += h * y[3 + i];
         }
@@ -571,7 +572,7 @@ static void check_starts(const dal_system *system, double h)
     dal_stats stats;
     state_of(system, x0);
     memcpy(x, x0, 2 * n * sizeof *x);
-    CHECK(dal_project(mechanics, shift, x, &distance) == DAL_SUCCESS);
+    CHECK(dal_project(mechanics, 0.0, shift, x, &distance) == DAL_SUCCESS);
     CHECK(dal_stepper_start(stepper, 0.0, h, x0, DAL_CHECK, DAL_INITIAL_PROJECT) == DAL_SUCCESS);
     CHECK_NEAR(largest_difference(2 * n, dal_stepper_state(stepper), x), 0.0,
                ROUNDOFF * sum_of_sizes(2 * n, x));
@@ -850,19 +851,18 @@ static void test_corners(void)
 }
 
 /* From rest d(mu v)/dq is 0, and tells nothing of how mu bends: the first step iterates. */
-static int bent_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, void *ctx)
+static int bent_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                           double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) phi[0] = q[0] * v[0] + (2 * q[1] + q[0]) * v[1] + v[2];
     if (phi_v) phi_v[0] = q[0], phi_v[1] = 2 * q[1] + q[0], phi_v[2] = 1.0;
     if (phi_q) phi_q[0] = v[0] + v[1], phi_q[1] = 2 * v[1], phi_q[2] = 0.0;
     return 0;
 }
 
-static int slope_potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int slope_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                           void *ctx)
 {
-    (void)ctx;
     if (V) *V = q[2];
     if (V_q) V_q[0] = V_q[1] = 0.0, V_q[2] = 1.0;
     for (int i = 0; V_qq && i < 9; i++) V_qq[i] = 0.0;
@@ -893,8 +893,8 @@ static void test_from_rest(void)
 
 /* A blade whose angle is the sum of two coordinates: far from the origin the rounding of the sum is
  * one that no derivative tells of. */
-static int sum_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                          double *phi_q, void *ctx)
+static int sum_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                          double *phi_q, double *phi_t, void *ctx)
 {
     const double s = sin(q[2] + q[3]), c = cos(q[2] + q[3]);
     (void)ctx;
@@ -923,7 +923,8 @@ static void test_far_from_the_origin(void)
                                 kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE) == 0);
         for (int step = 0; step < 20000; step++) {
             CHECK(dal_step(stepper, NULL) == DAL_SUCCESS);
-            CHECK(dal_relative_residual(mechanics, kept ? 0.005 : 0.0, dal_stepper_state(stepper),
+            CHECK(dal_relative_residual(mechanics, 0.0, kept ? 0.005 : 0.0,
+                                        dal_stepper_state(stepper),
                                         &relative) == DAL_SUCCESS);
             above += relative > DAL_RESIDUAL_BOUND(4);
         }
@@ -1005,7 +1006,8 @@ typedef struct watched {
     bool stops;
 } watched;
 
-static int watched_spring(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int watched_spring(double t, const double *q, double *V, double *V_q, double *V_qq,
+                          void *ctx)
 {
     const watched *const w = ctx;
     if (V && w->stops) return -1;

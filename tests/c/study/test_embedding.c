@@ -25,7 +25,7 @@ static dal_embedding *open_embedding(const dal_system *system, const dal_embeddi
     need(dal_embedding_new(&embedding, system, def, &error), "embedding", error.text);
     dal_chart *const chart = dal_embedding_chart(embedding);
     CHECK(dal_system_state(system, x) == 0);
-    CHECK(dal_chart_choose(chart, dependent, x) == 0);
+    CHECK(dal_chart_choose(chart, 0.0, dependent, x) == 0);
     if (z) CHECK(dal_chart_drop(chart, x, z) == 0);
     return embedding;
 }
@@ -76,7 +76,7 @@ static void test_period_map(const char *name, const char *scheme_name, double h)
     dal_chart *const chart = dal_embedding_chart(embedding);
     const size_t width = 2 * system->def.n - system->def.m;
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-    CHECK(dal_chart_lift(chart, z, x) == 0);
+    CHECK(dal_chart_lift(chart, 0.0, z, x) == 0);
     CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     CHECK(dal_step(stepper, NULL) == 0);
     CHECK(dal_chart_drop(chart, dal_stepper_state(stepper), end) == 0);
@@ -109,7 +109,7 @@ static void test_period_map(const char *name, const char *scheme_name, double h)
     double lambda[MOST_N], lambda0[MOST_N];
     const size_t n = system->def.n, m = system->def.m;
     dal_mechanics *const mech = open_mechanics(system);
-    CHECK(dal_chart_jacobian(chart, z, J, NULL) == 0);
+    CHECK(dal_chart_jacobian(chart, 0.0, z, J, NULL) == 0);
     dal__apply(2 * n, width, J, g, gtilde);
     const double weight = pow(h, scheme.order);
     CHECK(dal_perturbed(mech, 0.0, weight, x, gtilde, xdot, lambda) == 0);
@@ -221,10 +221,9 @@ static void test_slow_contraction(double h, int expected)
 }
 
 /* The particle, without its exact solution. */
-static int particle_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                               double *phi_q, void *ctx)
+static int particle_constraint(double t, const double *q, const double *v, double *phi,
+                               double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) *phi = v[2] - q[1] * v[0];
     if (phi_v) phi_v[0] = -q[1], phi_v[1] = 0.0, phi_v[2] = 1.0;
     if (phi_q) phi_q[0] = 0.0, phi_q[1] = -v[0], phi_q[2] = 0.0;
@@ -301,7 +300,7 @@ static void test_failures(void)
     CHECK(strstr(dal_embedding_message(embedding), "chart") != NULL);
     double x[6];
     CHECK(dal_system_state(system, x) == 0);
-    CHECK(dal_chart_choose(dal_embedding_chart(embedding), NULL, x) == 0);
+    CHECK(dal_chart_choose(dal_embedding_chart(embedding), 0.0, NULL, x) == 0);
     CHECK(dal_embedding_field(embedding, NAN, z, g) == DAL_EINVAL);
     CHECK(dal_embedding_field(embedding, 0.5, NULL, g) == DAL_EINVAL);
     CHECK(strstr(dal_embedding_message(embedding), "z is NULL") != NULL);

@@ -107,7 +107,7 @@ static void some_state(dal_mechanics *mechanics, const dal_system *system, unsig
     const size_t n = dal_system_n(system);
     CHECK(dal_system_state(system, x) == DAL_SUCCESS);
     for (size_t i = 0; i < 2 * n; i++) x[i] += 0.7 * next(&seed);
-    CHECK(dal_project(mechanics, 0.0, x, NULL) == DAL_SUCCESS);
+    CHECK(dal_project(mechanics, 0.0, 0.0, x, NULL) == DAL_SUCCESS);
 }
 
 /* x[2n] after steps classical Runge-Kutta steps of the field on D. */
@@ -146,23 +146,24 @@ static void test_potential(const dal_system *system, const double *q)
     double V = NAN, V_q[MAX_N], V_qq[MAX_N * MAX_N], again[MAX_N * MAX_N];
     for (size_t i = 0; i < n * n; i++) V_qq[i] = again[i] = NAN;
     for (size_t i = 0; i < n; i++) V_q[i] = NAN;
-    CHECK(potential(q, &V, V_q, V_qq, ctx) == 0);
+    CHECK(potential(0.0, q, &V, V_q, V_qq, ctx) == 0);
     CHECK(isfinite(V) && dal__all_finite(n, V_q) && dal__all_finite(n * n, V_qq));
     check_symmetric(n, V_qq);
 
-    CHECK(potential(q, again, NULL, NULL, ctx) == 0 && again[0] == V);
-    CHECK(potential(q, NULL, again, NULL, ctx) == 0 && !memcmp(again, V_q, n * sizeof *again));
-    CHECK(potential(q, NULL, NULL, again, ctx) == 0 && !memcmp(again, V_qq, n * n * sizeof *again));
-    CHECK(potential(q, NULL, NULL, NULL, ctx) == 0);
+    CHECK(potential(0.0, q, again, NULL, NULL, ctx) == 0 && again[0] == V);
+    CHECK(potential(0.0, q, NULL, again, NULL, ctx) == 0 && !memcmp(again, V_q, n * sizeof *again));
+    CHECK(potential(0.0, q, NULL, NULL, again, ctx) == 0
+          && !memcmp(again, V_qq, n * n * sizeof *again));
+    CHECK(potential(0.0, q, NULL, NULL, NULL, ctx) == 0);
 
     const double scale = difference_tolerance * (1 + fabs(V) + largest(n, V_q));
     for (size_t j = 0; j < n; j++) {
         double point[MAX_N], left, right, V_q_left[MAX_N], V_q_right[MAX_N];
         memcpy(point, q, n * sizeof *point);
         point[j] = q[j] + h;
-        CHECK(potential(point, &right, V_q_right, NULL, ctx) == 0);
+        CHECK(potential(0.0, point, &right, V_q_right, NULL, ctx) == 0);
         point[j] = q[j] - h;
-        CHECK(potential(point, &left, V_q_left, NULL, ctx) == 0);
+        CHECK(potential(0.0, point, &left, V_q_left, NULL, ctx) == 0);
         CHECK_NEAR(V_q[j], (right - left) / (2 * h), scale);
         for (size_t i = 0; i < n; i++)
             CHECK_NEAR(V_qq[i * n + j], (V_q_right[i] - V_q_left[i]) / (2 * h), scale);
@@ -174,8 +175,9 @@ static int value_lagrangian(const double *x, double *values, void *ctx)
 {
     const dal_system *system = ctx;
     const size_t n = dal_system_n(system);
-    return system->def.lagrangian(x, x + n, values, values + 1, values + 1 + n, NULL, NULL, NULL,
-                                  system->def.ctx);
+    return system->def.lagrangian(0.0, x, x + n, values, values + 1, values + 1 + n, NULL, NULL,
+                                  NULL,
+                                  NULL, system->def.ctx);
 }
 
 static void test_lagrangian(const dal_system *system, const double *x)
@@ -188,19 +190,21 @@ static void test_lagrangian(const dal_system *system, const double *x)
     void *ctx = system->def.ctx;
     for (size_t k = 0; k < OUTPUTS; k++)
         for (size_t i = 0; i < MAX_N * MAX_N; i++) given[k][i] = NAN;
-    CHECK(lagrangian(q, v, given[0], given[1], given[2], given[3], given[4], given[5], ctx) == 0);
+    CHECK(lagrangian(0.0, q, v, given[0], given[1], given[2], given[3], given[4], given[5], NULL,
+                     ctx) == 0);
     for (size_t k = 0; k < OUTPUTS; k++) CHECK(dal__all_finite(sizes[k], given[k]));
     const double *const L_q = given[1], *const L_v = given[2];
     const double *const L_qq = given[3], *const L_vq = given[4], *const L_vv = given[5];
     check_symmetric(n, L_qq);
     check_symmetric(n, L_vv);
 
-    CHECK(lagrangian(q, v, NULL, NULL, NULL, NULL, NULL, NULL, ctx) == 0);
+    CHECK(lagrangian(0.0, q, v, NULL, NULL, NULL, NULL, NULL, NULL, NULL, ctx) == 0);
     for (size_t k = 0; k < OUTPUTS; k++) {
         double *want[OUTPUTS] = {NULL};
         want[k] = again;
         for (size_t i = 0; i < sizes[k]; i++) again[i] = NAN;
-        CHECK(lagrangian(q, v, want[0], want[1], want[2], want[3], want[4], want[5], ctx) == 0);
+        CHECK(lagrangian(0.0, q, v, want[0], want[1], want[2], want[3], want[4], want[5], NULL, ctx)
+              == 0);
         CHECK(!memcmp(again, given[k], sizes[k] * sizeof *again));
     }
 
@@ -230,34 +234,36 @@ static void test_constraint(const dal_system *system, const double *q, const dou
     double phi[MAX_M], mu[MAX_M * MAX_N], phi_q[MAX_M * MAX_N], again[MAX_M * MAX_N];
     for (size_t i = 0; i < m; i++) phi[i] = NAN;
     for (size_t i = 0; i < m * n; i++) mu[i] = phi_q[i] = again[i] = NAN;
-    CHECK(constraint(q, v, phi, mu, phi_q, ctx) == 0);
+    CHECK(constraint(0.0, q, v, phi, mu, phi_q, NULL, ctx) == 0);
     CHECK(dal__all_finite(m, phi) && dal__all_finite(m * n, mu) && dal__all_finite(m * n, phi_q));
 
-    CHECK(constraint(q, v, again, NULL, NULL, ctx) == 0 && !memcmp(again, phi, m * sizeof *phi));
-    CHECK(constraint(q, v, NULL, again, NULL, ctx) == 0 && !memcmp(again, mu, m * n * sizeof *mu));
-    CHECK(constraint(q, v, NULL, NULL, again, ctx) == 0
+    CHECK(constraint(0.0, q, v, again, NULL, NULL, NULL, ctx) == 0
+          && !memcmp(again, phi, m * sizeof *phi));
+    CHECK(constraint(0.0, q, v, NULL, again, NULL, NULL, ctx) == 0
+          && !memcmp(again, mu, m * n * sizeof *mu));
+    CHECK(constraint(0.0, q, v, NULL, NULL, again, NULL, ctx) == 0
           && !memcmp(again, phi_q, m * n * sizeof *phi_q));
-    CHECK(constraint(q, v, NULL, NULL, NULL, ctx) == 0);
+    CHECK(constraint(0.0, q, v, NULL, NULL, NULL, NULL, ctx) == 0);
 
     const double scale = difference_tolerance * (1 + largest(m * n, mu)) * (1 + largest(n, v));
     for (size_t j = 0; j < n; j++) {
         double point[MAX_N], left[MAX_M], right[MAX_M];
         memcpy(point, v, n * sizeof *point);
         point[j] = v[j] + 1.0;
-        CHECK(constraint(q, point, right, NULL, NULL, ctx) == 0);
+        CHECK(constraint(0.0, q, point, right, NULL, NULL, NULL, ctx) == 0);
         for (size_t a = 0; a < m; a++) /* linear in v, so that only roundoff is left */
             CHECK_NEAR(mu[a * n + j], right[a] - phi[a], 1e-14 * scale / difference_tolerance);
         memcpy(point, q, n * sizeof *point);
         point[j] = q[j] + h;
-        CHECK(constraint(point, v, right, NULL, NULL, ctx) == 0);
+        CHECK(constraint(0.0, point, v, right, NULL, NULL, NULL, ctx) == 0);
         point[j] = q[j] - h;
-        CHECK(constraint(point, v, left, NULL, NULL, ctx) == 0);
+        CHECK(constraint(0.0, point, v, left, NULL, NULL, NULL, ctx) == 0);
         for (size_t a = 0; a < m; a++)
             CHECK_NEAR(phi_q[a * n + j], (right[a] - left[a]) / (2 * h), scale);
     }
     const double rest[MAX_N] = {0};
     double offset[MAX_M];
-    CHECK(constraint(q, rest, offset, NULL, NULL, ctx) == 0);
+    CHECK(constraint(0.0, q, rest, offset, NULL, NULL, NULL, ctx) == 0);
     for (size_t a = 0; a < m; a++) { /* phi = mu v, and an offset if it is affine */
         double sum = offset[a];
         CHECK(system->def.kind == DAL_AFFINE || offset[a] == 0.0);
@@ -272,7 +278,7 @@ static void test_state(dal_mechanics *mechanics, const dal_system *system)
     const size_t n = dal_system_n(system);
     double x[2 * MAX_N], worst = NAN;
     CHECK(dal_system_state(system, x) == DAL_SUCCESS);
-    CHECK(dal_relative_residual(mechanics, 0.0, x, &worst) == DAL_SUCCESS);
+    CHECK(dal_relative_residual(mechanics, 0.0, 0.0, x, &worst) == DAL_SUCCESS);
     CHECK(worst <= DAL_RESIDUAL_BOUND(n));
 }
 
@@ -287,12 +293,12 @@ static void test_invariants(dal_mechanics *mechanics, const dal_system *system, 
     CHECK(count <= MAX_VALUES);
     if (count == 0) return;
     CHECK(dal_field(mechanics, 0.0, x, slope) == DAL_SUCCESS);
-    CHECK(dal_system_invariant(system, x, now) == DAL_SUCCESS);
+    CHECK(dal_system_invariant(system, 0.0, x, now) == DAL_SUCCESS);
     double rate[MAX_VALUES] = {0}, change[MAX_VALUES] = {0};
     for (int k = -3; k <= 3; k++) {
         double y[2 * MAX_N], values[MAX_VALUES];
         for (size_t i = 0; i < 2 * n; i++) y[i] = x[i] + k * step * slope[i];
-        CHECK(dal_system_invariant(system, y, values) == DAL_SUCCESS);
+        CHECK(dal_system_invariant(system, 0.0, y, values) == DAL_SUCCESS);
         for (size_t j = 0; j < count; j++)
             rate[j] += (k < 0 ? -weight[-k] : weight[k]) * values[j] / step;
     }
@@ -302,7 +308,7 @@ static void test_invariants(dal_mechanics *mechanics, const dal_system *system, 
         double y[2 * MAX_N], values[MAX_VALUES];
         memcpy(y, x, 2 * n * sizeof *y);
         y[i] += 0.1;
-        CHECK(dal_system_invariant(system, y, values) == DAL_SUCCESS);
+        CHECK(dal_system_invariant(system, 0.0, y, values) == DAL_SUCCESS);
         for (size_t j = 0; j < count; j++) change[j] += fabs(values[j] - now[j]);
     }
     for (size_t j = 0; j < count; j++) CHECK(change[j] > 1e-3);
@@ -322,7 +328,7 @@ static void test_exact(dal_mechanics *mechanics, const dal_system *system, const
     }
     CHECK(dal_system_exact(system, 0.0, x, y) == DAL_SUCCESS);
     CHECK_VECTOR(2 * n, y, x, 1e-15);
-    CHECK(dal_system_invariant(system, x, start) == DAL_SUCCESS);
+    CHECK(dal_system_invariant(system, 0.0, x, start) == DAL_SUCCESS);
     for (double t = -2.25; t < 5.0; t += 1.5) {
         double rate[2 * MAX_N] = {0}, worst = NAN;
         for (int k = -3; k <= 3; k++) {
@@ -333,9 +339,9 @@ static void test_exact(dal_mechanics *mechanics, const dal_system *system, const
         CHECK(dal_system_exact(system, t, x, y) == DAL_SUCCESS);
         CHECK(dal_field(mechanics, 0.0, y, slope) == DAL_SUCCESS);
         CHECK_VECTOR(2 * n, rate, slope, 1e-11 * (1 + largest(n, y)));
-        CHECK(dal_relative_residual(mechanics, 0.0, y, &worst) == DAL_SUCCESS);
+        CHECK(dal_relative_residual(mechanics, 0.0, 0.0, y, &worst) == DAL_SUCCESS);
         CHECK(worst <= DAL_RESIDUAL_BOUND(n));
-        CHECK(dal_system_invariant(system, y, end) == DAL_SUCCESS);
+        CHECK(dal_system_invariant(system, 0.0, y, end) == DAL_SUCCESS);
         for (size_t j = 0; j < count; j++)
             CHECK_NEAR(end[j], start[j], 1e-14 * (1 + fabs(start[j]) + largest(2 * n, y)));
         memcpy(z, y, sizeof z);
@@ -444,7 +450,7 @@ static void test_references(void)
         /* Without an exact solution Runge-Kutta with h = 1/2000: about h^4 10 2^5/120 = 2e-13. */
         const double tolerance = exact ? 1e-13 : 4e-12;
         CHECK(dal_system_state(system, x) == DAL_SUCCESS);
-        CHECK(dal_energy(mechanics, x, &E) == DAL_SUCCESS);
+        CHECK(dal_energy(mechanics, 0.0, x, &E) == DAL_SUCCESS);
         CHECK_NEAR(E, reference[k].energy, 1e-15);
         CHECK(dal_multipliers(mechanics, 0.0, x, lambda) == DAL_SUCCESS);
         CHECK_VECTOR(m, lambda, reference[k].lambda0, 1e-14);
@@ -675,8 +681,8 @@ static void test_default_data(void)
     system = make(&(choice){"contact_oscillator", {"eps"}, {0.3}});
     mechanics = mechanics_of(system);
     CHECK(dal_system_state(system, x) == DAL_SUCCESS);
-    CHECK(dal_energy(mechanics, x, &E) == DAL_SUCCESS);
-    CHECK(dal_system_invariant(system, x, values) == DAL_SUCCESS);
+    CHECK(dal_energy(mechanics, 0.0, x, &E) == DAL_SUCCESS);
+    CHECK(dal_system_invariant(system, 0.0, x, values) == DAL_SUCCESS);
     CHECK_NEAR(E, 1.5, 1e-15);
     CHECK_NEAR(values[0], 0.5, 1e-15);
     CHECK_NEAR(values[1], 1.0, 1e-15); /* radius = E - H_y on D */
@@ -694,7 +700,7 @@ static void test_default_data(void)
     CHECK(dal_system_state(system, x) == DAL_SUCCESS);
     const double chaotic[14] = {cos(pi / 9), 0.6, 0.4, 0.2, 1, 1, 1, 0, sin(pi / 9)};
     CHECK_VECTOR(14, x, chaotic, 1e-15);
-    CHECK(dal_energy(mechanics, x, &E) == DAL_SUCCESS);
+    CHECK(dal_energy(mechanics, 0.0, x, &E) == DAL_SUCCESS);
     CHECK_NEAR(E, 3.06, 2e-15);
     run r = {{"chaotic", {NULL}, {0}}, {0}, 1, 1000,
              {1.350176734692, 0.370364124178, 0.084301432243, 0.036964929517, 0.552255076721,
@@ -805,7 +811,7 @@ static void test_description(void)
         CHECK(dal_system_invariants(system) == expected[k].invariants);
         double x[14], values[MAX_VALUES];
         CHECK(dal_system_state(system, x) == DAL_SUCCESS);
-        CHECK(dal_system_invariant(system, x, values)
+        CHECK(dal_system_invariant(system, 0.0, x, values)
               == (expected[k].invariants ? DAL_SUCCESS : DAL_EUNSUPPORTED));
         for (i = 0; i < expected[k].invariants; i++) {
             CHECK(strlen(dal_system_invariant_name(system, i)) > 0);
@@ -874,7 +880,7 @@ static void test_steady(void)
                 q[i] = 0.1 + 0.07 * (double)i;
                 v[i] = 1.0 - 0.3 * (double)i;
             }
-            CHECK(def->constraint(q, v, NULL, mu, N, def->ctx) == 0);
+            CHECK(def->constraint(0.0, q, v, NULL, mu, N, NULL, def->ctx) == 0);
             bool both = false;
             for (size_t i = 0; i < n; i++) {
                 bool pushed = false, turns = false;

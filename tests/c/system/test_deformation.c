@@ -7,7 +7,8 @@
 enum { MOST_N = 8, MOST_M = 4 };
 
 /* g = v_x v_y */
-static int product(const double *q, const double *v, double *g, double *g_v, double *g_q, void *ctx)
+static int product(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
+                   double *g_t, void *ctx)
 {
     const double *const factor = ctx;
     (void)q;
@@ -22,9 +23,9 @@ static int product(const double *q, const double *v, double *g, double *g_v, dou
 }
 
 /* g = sin(x) v_y: linear in v, so the deformed D is a distribution. */
-static int tilt(const double *q, const double *v, double *g, double *g_v, double *g_q, void *ctx)
+static int tilt(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
+                double *g_t, void *ctx)
 {
-    (void)ctx;
     if (g) g[0] = sin(q[0]) * v[1];
     if (g_v) {
         g_v[0] = g_v[2] = 0.0;
@@ -65,8 +66,8 @@ static void test_vectors(void)
         dal_mechanics *const mech = open_mechanics(system);
         const double x[6] = {0.5, 0.3, -0.2, 1.0, 0.7, expected[k].v_z};
         double C, lambda, vdot[3], residual, power[2];
-        CHECK(dal_relative_residual(mech, 0.0, x, &residual) == 0 && residual < 4 * U);
-        CHECK(dal_gram(mech, x, &C) == 0 && dal_multipliers(mech, 0.0, x, &lambda) == 0);
+        CHECK(dal_relative_residual(mech, 0.0, 0.0, x, &residual) == 0 && residual < 4 * U);
+        CHECK(dal_gram(mech, 0.0, x, &C) == 0 && dal_multipliers(mech, 0.0, x, &lambda) == 0);
         CHECK(dal_acceleration(mech, 0.0, x, vdot) == 0);
         CHECK_NEAR(C, expected[k].C, 8 * U);
         CHECK_NEAR(lambda, expected[k].lambda, 8 * U);
@@ -84,7 +85,7 @@ static void test_vectors(void)
 static void random_state(dal_mechanics *mech, size_t n, unsigned *seed, double *x)
 {
     for (size_t i = 0; i < 2 * n; i++) x[i] = 0.6 * next_number(seed);
-    CHECK(dal_project(mech, 0.0, x, NULL) == 0);
+    CHECK(dal_project(mech, 0.0, 0.0, x, NULL) == 0);
 }
 
 /* The derivatives of the deformed constraint, by the check that the library offers. */
@@ -97,12 +98,14 @@ static void test_derivatives(const dal_system *system)
         const size_t n = system->def.n, m = system->def.m, mn = m * n;
         double phi_v[MOST_M * MOST_N], phi_q[MOST_M * MOST_N], alone[MOST_M * MOST_N];
         random_state(mech, n, &seed, x);
-        CHECK(system->def.constraint(x, x + n, value[0], phi_v, phi_q, system->def.ctx) == 0);
-        CHECK(system->def.constraint(x, x + n, NULL, alone, NULL, system->def.ctx) == 0);
+        CHECK(system->def.constraint(0.0, x, x + n, value[0], phi_v, phi_q, NULL, system->def.ctx)
+              == 0);
+        CHECK(system->def.constraint(0.0, x, x + n, NULL, alone, NULL, NULL, system->def.ctx) == 0);
         CHECK(memcmp(alone, phi_v, mn * sizeof *alone) == 0);
-        CHECK(system->def.constraint(x, x + n, NULL, NULL, alone, system->def.ctx) == 0);
+        CHECK(system->def.constraint(0.0, x, x + n, NULL, NULL, alone, NULL, system->def.ctx) == 0);
         CHECK(memcmp(alone, phi_q, mn * sizeof *alone) == 0);
-        CHECK(system->def.constraint(x, x + n, value[1], NULL, NULL, system->def.ctx) == 0);
+        CHECK(system->def.constraint(0.0, x, x + n, value[1], NULL, NULL, NULL, system->def.ctx)
+              == 0);
         CHECK(memcmp(value[0], value[1], m * sizeof *alone) == 0);
         for (size_t j = 0; j < 2 * n; j++) {
             static const int at[4] = {1, -1, 2, -2}, weight[4] = {8, -8, -1, 1};
@@ -112,7 +115,8 @@ static void test_derivatives(const dal_system *system)
                 double y[2 * MOST_N];
                 memcpy(y, x, sizeof y);
                 y[j] += at[k] * d;
-                CHECK(system->def.constraint(y, y + n, value[0], NULL, NULL, system->def.ctx) == 0);
+                CHECK(system->def.constraint(0.0, y, y + n, value[0], NULL, NULL, NULL,
+                                             system->def.ctx) == 0);
                 for (size_t a = 0; a < m; a++) slope[a] += weight[k] * value[0][a] / (12 * d);
             }
             const double *const given = j < n ? phi_q : phi_v;
@@ -140,7 +144,8 @@ static void test_linear(void)
         random_state(plain, 3, &seed, x);
         CHECK(dal_field(plain, 0.0, x, a) == 0 && dal_field(mech, 0.0, x, b) == 0);
         CHECK(memcmp(a, b, sizeof a) == 0);
-        CHECK(dal_energy(plain, x, E) == 0 && dal_energy(mech, x, E + 1) == 0 && E[0] == E[1]);
+        CHECK(dal_energy(plain, 0.0, x, E) == 0 && dal_energy(mech, 0.0, x, E + 1) == 0
+              && E[0] == E[1]);
     }
     test_derivatives(tilted);
     dal_mechanics *const slant = open_mechanics(tilted);
@@ -148,11 +153,11 @@ static void test_linear(void)
     dal_stepper *const stepper = open_stepper(tilted, &scheme, NULL);
     double x[6], E0, E, power;
     random_state(slant, 3, &seed, x);
-    CHECK(dal_energy(slant, x, &E0) == 0 && dal_power(slant, 0.0, x, &power, NULL) == 0);
+    CHECK(dal_energy(slant, 0.0, x, &E0) == 0 && dal_power(slant, 0.0, x, &power, NULL) == 0);
     CHECK_NEAR(power, 0.0, 64 * U); /* linear constraints do no work */
     CHECK(dal_stepper_start(stepper, 0.0, 0.02, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     CHECK(dal_advance(stepper, 1000, NULL, NULL) == 0);
-    CHECK(dal_energy(slant, dal_stepper_state(stepper), &E) == 0);
+    CHECK(dal_energy(slant, 0.0, dal_stepper_state(stepper), &E) == 0);
     CHECK_NEAR(E, E0, 1e-3);
     CHECK(residual_of(tilted, 0.0, dal_stepper_state(stepper)) <= DAL_RESIDUAL_BOUND(3));
     dal_stepper_free(stepper);
@@ -183,9 +188,9 @@ static void test_flow(void)
         double y[6];
         memcpy(y, x, sizeof y);
         CHECK(dal__flow_apply(flow, 0.0, k * d, y, false) == 0);
-        CHECK(dal_energy(mech, y, &E[k + 2]) == 0);
+        CHECK(dal_energy(mech, 0.0, y, &E[k + 2]) == 0);
         CHECK(dal__flow_apply(flow, k * d, 2.0 - k * d, y, false) == 0);
-        CHECK(dal_relative_residual(mech, 0.0, y, &residual) == 0 && residual < 1e-11);
+        CHECK(dal_relative_residual(mech, 0.0, 0.0, y, &residual) == 0 && residual < 1e-11);
     }
     CHECK(dal_power(mech, 0.0, x, &power, NULL) == 0 && fabs(power) > 1e-4);
     CHECK_NEAR(power, (8 * (E[3] - E[1]) - (E[4] - E[0])) / (12 * d), 1e-8);
@@ -220,12 +225,13 @@ static void test_kept_nodes(const char *name)
             const double *const x = dal_stepper_state(stepper);
             double of_system[MOST_M], of_base[MOST_M], relative, E[2];
             CHECK(dal_step(stepper, NULL) == 0);
-            CHECK(dal_residual(mech, 0.0, x, of_system) == 0);
-            CHECK(dal_residual(plain, shift * h, x, of_base) == 0);
+            CHECK(dal_residual(mech, 0.0, 0.0, x, of_system) == 0);
+            CHECK(dal_residual(plain, 0.0, shift * h, x, of_base) == 0);
             CHECK(memcmp(of_system, of_base, base->def.m * sizeof *of_base) == 0);
-            CHECK(dal_relative_residual(plain, shift * h, x, &relative) == 0);
+            CHECK(dal_relative_residual(plain, 0.0, shift * h, x, &relative) == 0);
             CHECK(relative <= DAL_RESIDUAL_BOUND(n));
-            CHECK(dal_energy(mech, x, E) == 0 && dal_energy(plain, x, E + 1) == 0 && E[0] == E[1]);
+            CHECK(dal_energy(mech, 0.0, x, E) == 0 && dal_energy(plain, 0.0, x, E + 1) == 0
+                  && E[0] == E[1]);
         }
         if (strcmp(name, "particle") == 0 && s == 0) {
             double one = 1.0;
@@ -247,10 +253,9 @@ static void test_kept_nodes(const char *name)
 }
 
 /* A deformed general Lagrangian, affine base, and a base that differences phi_q. */
-static int affine(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                  void *ctx)
+static int affine(double t, const double *q, const double *v, double *phi, double *phi_v,
+                  double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
     if (phi) phi[0] = v[2] - q[1] * v[0] + 0.3 * q[0];
     if (phi_v) {
         phi_v[0] = -q[1];
@@ -265,10 +270,9 @@ static int affine(const double *q, const double *v, double *phi, double *phi_v, 
     return 0;
 }
 
-static int kinetic(const double *q, const double *v, double *L, double *L_q, double *L_v,
-                   double *L_qq, double *L_vq, double *L_vv, void *ctx)
+static int kinetic(double t, const double *q, const double *v, double *L, double *L_q, double *L_v,
+                   double *L_qq, double *L_vq, double *L_vv, double *L_vt, void *ctx)
 {
-    (void)q, (void)ctx;
     if (L) *L = dal__dot(3, v, v) / 2;
     if (L_q) memset(L_q, 0, 3 * sizeof *L_q);
     if (L_v) memcpy(L_v, v, 3 * sizeof *L_v);
@@ -318,17 +322,16 @@ static void test_general_base(void)
 }
 
 /* A base or a deformation that fails, fails the deformed system. */
-static int failing(const double *q, const double *v, double *g, double *g_v, double *g_q, void *ctx)
+static int failing(double t, const double *q, const double *v, double *g, double *g_v, double *g_q,
+                   double *g_t, void *ctx)
 {
-    (void)q, (void)v, (void)g, (void)g_v, (void)g_q;
     return *(const int *)ctx;
 }
 
 /* Never called. */
-static int no_constraint(const double *q, const double *v, double *phi, double *phi_v,
-                         double *phi_q, void *ctx)
+static int no_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)v, (void)phi, (void)phi_v, (void)phi_q, (void)ctx;
     return -1;
 }
 

@@ -17,18 +17,19 @@ from dalembert.core import pointers
 
 SOURCE = r"""
 #include <math.h>
-int constraint(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-               void *ctx)
+int constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+               double *phi_q, double *phi_t, void *ctx)
 {
-    (void)ctx;
+    (void)t, (void)phi_t, (void)ctx;
     if (phi) phi[0] = v[2] - q[1] * v[0];
     if (phi_v) { phi_v[0] = -q[1]; phi_v[1] = 0; phi_v[2] = 1; }
     if (phi_q) { phi_q[0] = 0; phi_q[1] = -v[0]; phi_q[2] = 0; }
     return 0;
 }
-int potential(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+int potential(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
     const double *k = ctx;
+    (void)t;
     if (V) *V = (k[0] * q[0] * q[0] + k[1] * q[1] * q[1] + k[2] * q[2] * q[2]) / 2;
     for (int i = 0; V_q && i < 3; i++) V_q[i] = k[i] * q[i];
     for (int i = 0; V_qq && i < 9; i++) V_qq[i] = i % 4 ? 0 : k[i / 4];
@@ -43,10 +44,11 @@ int drag(double t, const double *q, const double *v, double *f, double *f_q, dou
     for (int i = 0; f_v && i < 9; i++) f_v[i] = i % 4 ? 0 : -k[3];
     return 0;
 }
-int lagrangian(const double *q, const double *v, double *L, double *L_q, double *L_v, double *L_qq,
-               double *L_vq, double *L_vv, void *ctx)
+int lagrangian(double t, const double *q, const double *v, double *L, double *L_q, double *L_v,
+               double *L_qq, double *L_vq, double *L_vv, double *L_vt, void *ctx)
 {
     const double *k = ctx;
+    (void)t, (void)L_vt;
     if (L) *L = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2] - k[0] * q[0] * q[0] - k[1] * q[1] * q[1]
                  - k[2] * q[2] * q[2]) / 2;
     for (int i = 0; L_q && i < 3; i++) L_q[i] = -k[i] * q[i];
@@ -56,13 +58,14 @@ int lagrangian(const double *q, const double *v, double *L, double *L_q, double 
     for (int i = 0; L_vv && i < 9; i++) L_vv[i] = i % 4 == 0;
     return 0;
 }
-int refuse(const double *q, const double *v, double *phi, double *phi_v, double *phi_q, void *ctx)
+int refuse(double t, const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+           double *phi_t, void *ctx)
 {
     if (q[0] > 1) return -1;
-    return constraint(q, v, phi, phi_v, phi_q, ctx);
+    return constraint(t, q, v, phi, phi_v, phi_q, phi_t, ctx);
 }
 """
-ARGUMENTS = {"constraint": 6, "potential": 5, "drag": 7, "lagrangian": 9, "refuse": 6}
+ARGUMENTS = {"constraint": 8, "potential": 6, "drag": 7, "lagrangian": 11, "refuse": 8}
 START = {"q0": [0.5, 0.3, -0.2], "v0": [1.0, 0.7, 0.3]}
 SPRINGS = np.array([1.0, 2.0, 1.5, 0.1])
 
@@ -78,17 +81,13 @@ def library(tmp_path_factory):
 
 def of_ctypes(library, name):
     function = getattr(ctypes.CDLL(str(library)), name)
-    double = [ctypes.c_double] if name == "drag" else []
-    count = ARGUMENTS[name] - len(double)
-    function.argtypes = double + [ctypes.c_void_p] * count
+    function.argtypes = [ctypes.c_double] + [ctypes.c_void_p] * (ARGUMENTS[name] - 1)
     return function
 
 
 def of_cffi(library, name):
     ffi = cffi.FFI()
-    signature = ["void *"] * ARGUMENTS[name]
-    if name == "drag":
-        signature[0] = "double"
+    signature = ["double"] + ["void *"] * (ARGUMENTS[name] - 1)
     ffi.cdef(f"int {name}({', '.join(signature)});")
     opened = ffi.dlopen(str(library))
     return ffi.addressof(opened, name)
@@ -188,8 +187,8 @@ def test_numba():
     pointer = numba.types.CPointer(numba.types.double)
     wanted = pointers.numba_wanted()
 
-    @numba.cfunc(numba.types.int32(*[pointer] * 5, numba.types.voidptr))
-    def constraint(q, v, phi, phi_v, phi_q, ctx):
+    @numba.cfunc(numba.types.int32(numba.types.double, *[pointer] * 6, numba.types.voidptr))
+    def constraint(t, q, v, phi, phi_v, phi_q, phi_t, ctx):
         if wanted(phi):
             phi[0] = v[2] - q[1] * v[0]
         if wanted(phi_v):
@@ -228,7 +227,7 @@ def test_refused(library):
     constraint = of_ctypes(library, "constraint")
     good = {"mass": [1, 1, 1], "constraint": constraint, "m": 1}
     cases = [
-        ({**good, "potential": of_ctypes(library, "drag")}, "7 arguments, expected the 5"),
+        ({**good, "potential": of_ctypes(library, "drag")}, "7 arguments, expected the 6"),
         ({**good, "potential": lambda q: 0.0}, "together with the C function constraint"),
         ({**good, "forms": lambda q: [[1, 0, 0]]}, "together with the C function"),
         ({"mass": [1, 1, 1], "constraint": constraint}, "m = None"),
