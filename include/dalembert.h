@@ -19,15 +19,13 @@
  *   6. A dal_system is constant after it is made and may be shared by threads as far as its
  *      callbacks may.  Every other object belongs to one thread at a time.  There are no globals.
  *   7. GSL's error handler is never set, changed or provoked.  The one exception is memory: GSL
- *      can report a failed allocation only through its handler, so its workspaces are allocated
- *      only when an object is made: dal_flow_new (but for DAL_FLOW_RODAS), dal_stepper_new for the
- *      scheme "reference", dal_embedding_new, and dal_order_study, which makes a flow.  With a
- *      handler that returns these return DAL_ENOMEM; only GSL itself may then have lost a block,
- *      for DAL_FLOW_MSADAMS.
+ *      reports a failed allocation only through its handler, so it allocates only where a flow is
+ *      made (but for DAL_FLOW_RODAS): dal_flow_new, dal_stepper_new for "reference",
+ *      dal_embedding_new, dal_order_study.  With a handler that returns these return DAL_ENOMEM.
  *
- * This header has systems, schemes, steppers and runs.  dalembert/geometry.h has the mechanics on D
- * and the reference flow, dalembert/discrete.h the discrete mechanics, dalembert/study.h what
- * measures orders. */
+ * This header has systems, schemes, steppers and runs; dalembert/deformation.h has systems made of
+ * others, geometry.h the mechanics on D and the reference flow, discrete.h the discrete mechanics,
+ * study.h what measures orders, family.h how to make steps of your own. */
 #ifndef DALEMBERT_H
 #define DALEMBERT_H
 
@@ -203,27 +201,6 @@ DAL_API void dal_system_free(dal_system *system);
  * range), DAL_ENOMEM. */
 DAL_API int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
                                const double *values, size_t count, dal_error *error);
-
-/* g[m] of the deformation phi + delta g; g_v[m*n], g_q[m*n], g_t[m] its derivatives. */
-typedef int (*dal_deformation_fn)(double t, const double *q, const double *v, double *g,
-                                  double *g_v, double *g_q, double *g_t, void *ctx);
-
-/* *system <- base with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE): a system
- * as any other, of the given kind (of phi + delta g as a function of v), with C_delta,
- * lambda_delta and h_delta (Ceps, heps) from dal_gram, dal_multipliers and dal_field.  missing:
- * DAL_MISSING_PHI_Q if g_q is not provided, DAL_MISSING_PHI_T if g_t is not.  g may depend on t,
- * and g_t is asked for, only where base is time_dependent.  base and ctx must outlive it; exact
- * solution, invariants, initial data, description, source and formulas are not taken over.
- * DAL_EINVAL (NULL, delta not finite, kind, missing), DAL_ENOMEM, DAL_EUNSUPPORTED (m n > 4000). */
-DAL_API int dal_system_deform(dal_system **system, const dal_system *base, dal_deformation_fn g,
-                              void *ctx, double delta, dal_constraint_kind kind, unsigned missing,
-                              dal_error *error);
-
-/* *system <- base with the constraints phi(t, q - shift v, v) = 0, nonlinear: for shift = (1 -
- * beta) h its D is the D_eps that the beta-scheme with kept nodes preserves (deformedCons,
- * originalnodes). base must outlive it and provide phi_q.  Errors as of dal_system_deform. */
-DAL_API int dal_system_deform_nodes(dal_system **system, const dal_system *base, double shift,
-                                    dal_error *error);
 
 /* Number of built-in systems, the name of the i-th and one line about it; NULL: i is too large. */
 DAL_API size_t dal_builtin_count(void);

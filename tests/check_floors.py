@@ -18,7 +18,7 @@ from pathlib import Path
 from check_symbols import declared, read
 
 # Headers that code of the user includes, and the folder where they belong.
-STEP_HEADERS = {"lu": "algebra", "residual": "algebra", "kernel": "step", "family": "step"}
+STEP_HEADERS = {"deformation": "system", "lu": "algebra", "residual": "algebra", "kernel": "step", "family": "step"}
 
 
 def symbols(archive: str) -> tuple[dict[str, str], dict[str, set[str]]]:

@@ -180,10 +180,5 @@ int dal__rho_invert(dal_discrete *d, double t, double h, const double *x, double
         d->root.J.size = 2 * n;
         if (!status) status = dal__newton_run(&equations, &d->mech.error);
     }
-    if (!status) status = dal__require_output(&d->mech.error, "q0", n, z);
-    if (!status) status = dal__require_output(&d->mech.error, "q1", n, z + n);
-    if (status) return status;
-    memcpy(q0, z, n * sizeof *q0);
-    memcpy(q1, z + n, n * sizeof *q1);
-    return DAL_SUCCESS;
+    return status ? status : DAL__DELIVER(&d->mech.error, {"q0", n, z, q0}, {"q1", n, z + n, q1});
 }

@@ -17,7 +17,7 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
                     bool kept, const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_sizes, double *B);
-int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst);
+int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *worst);
 
 /* Two nodes one step h apart, and the difference quotient w = (q1 - q0)/h, which may be known to
  * more digits than the nodes leave. */

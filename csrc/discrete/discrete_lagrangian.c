@@ -270,16 +270,8 @@ int dal_discrete_lagrangian(dal_discrete *discrete, double t, double h, const do
     L *= h;
     for (size_t i = 0; i < n; i++) d->minus[i] = -d->minus[i];
     for (size_t k = 0; D12 && k < n * n; k++) d->K[k] /= -h;
-    if (L_d) status = dal__require_output(&d->mech.error, "L_d", 1, &L);
-    if (!status && D1) status = dal__require_output(&d->mech.error, "D1", n, d->minus);
-    if (!status && D2) status = dal__require_output(&d->mech.error, "D2", n, d->plus);
-    if (!status && D12) status = dal__require_output(&d->mech.error, "D12", n * n, d->K);
-    if (status) return status;
-    if (L_d) *L_d = L;
-    if (D1) memcpy(D1, d->minus, n * sizeof *D1);
-    if (D2) memcpy(D2, d->plus, n * sizeof *D2);
-    if (D12) memcpy(D12, d->K, n * n * sizeof *D12);
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&d->mech.error, {"L_d", 1, &L, L_d}, {"D1", n, d->minus, D1},
+                        {"D2", n, d->plus, D2}, {"D12", n * n, d->K, D12});
 }
 
 int dal_discrete_momenta(dal_discrete *discrete, double t, double h, const double *q0,
@@ -292,12 +284,9 @@ int dal_discrete_momenta(dal_discrete *discrete, double t, double h, const doubl
     if (status) return status;
     const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
     status = dal__discrete_momenta(d, t, true, &pair, d->minus, d->plus, false);
-    if (!status && minus) status = dal__require_output(&d->mech.error, "minus", d->n, d->minus);
-    if (!status && plus) status = dal__require_output(&d->mech.error, "plus", d->n, d->plus);
     if (status) return status;
-    if (minus) memcpy(minus, d->minus, d->n * sizeof *minus);
-    if (plus) memcpy(plus, d->plus, d->n * sizeof *plus);
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&d->mech.error, {"minus", d->n, d->minus, minus},
+                        {"plus", d->n, d->plus, plus});
 }
 
 int dal_discrete_momentum(dal_discrete *discrete, double t, double h, const double *q0,
@@ -311,12 +300,7 @@ int dal_discrete_momentum(dal_discrete *discrete, double t, double h, const doub
     if (!status) status = dal_discrete_momenta(d, t, h, q0, q1, NULL, NULL);
     if (status) return status;
     const double before = dal__dot(d->n, d->minus, xi0), after = dal__dot(d->n, d->plus, xi1);
-    if (minus) status = dal__require_output(&d->mech.error, "minus", 1, &before);
-    if (!status && plus) status = dal__require_output(&d->mech.error, "plus", 1, &after);
-    if (status) return status;
-    if (minus) *minus = before;
-    if (plus) *plus = after;
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&d->mech.error, {"minus", 1, &before, minus}, {"plus", 1, &after, plus});
 }
 
 /* ---- the discrete constraint -------------------------------------------------------------- */
@@ -357,12 +341,6 @@ int dal_discrete_constraint(dal_discrete *discrete, double t, double h, const do
     add_product(d->m, n, 1.0 / h, slope, d->phi_v, false, d->constraint.f_0, NULL, left,
                 d->B_scale);
     for (size_t k = 0; k < mn; k++) d->B[k] /= h;
-    if (phi_d) status = dal__require_output(&d->mech.error, "phi_d", d->m, d->phi);
-    if (!status && D1) status = dal__require_output(&d->mech.error, "D1", mn, left);
-    if (!status && D2) status = dal__require_output(&d->mech.error, "D2", mn, d->B);
-    if (status) return status;
-    if (phi_d) memcpy(phi_d, d->phi, d->m * sizeof *phi_d);
-    if (D1) memcpy(D1, left, mn * sizeof *D1);
-    if (D2) memcpy(D2, d->B, mn * sizeof *D2);
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&d->mech.error, {"phi_d", d->m, d->phi, phi_d}, {"D1", mn, left, D1},
+                        {"D2", mn, d->B, D2});
 }

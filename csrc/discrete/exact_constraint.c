@@ -29,18 +29,14 @@ static int shoot(search *s)
 {
     dal_mechanics *const mech = s->mech;
     const size_t n = mech->n, m = mech->m;
-    const double *const v = s->x + n;
     memcpy(s->end, s->x, 2 * n * sizeof *s->end);
     int status = dal__flow_apply(s->flow, s->t0, s->h, s->end, false);
     if (status) return status;
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
     if (m == 0) return DAL_SUCCESS;
-    status = dal__constraint(&mech->eval, s->t0, s->x, v, NULL, mech->mu, NULL, NULL,
-                             &mech->error);
-    if (!status) status = dal__form_metric(mech, s->t0, s->x, v);
+    status = dal__forms_at(mech, s->t0, 0.0, s->x, NULL);
     if (status) return pass_on(s, status);
-    dal__form_Z(mech, mech->mu);
-    status = dal__factor_gram(mech, mech->mu);
+    status = dal__factor_gram(mech);
     if (status) return pass_on(s, status);
     dal__apply(m, n, mech->mu, s->miss, s->defect);
     memcpy(mech->lambda, s->defect, m * sizeof *s->defect);

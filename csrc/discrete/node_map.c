@@ -80,22 +80,23 @@ static int subtract_bend(dal_discrete *d, const double *w)
     return DAL_SUCCESS;
 }
 
-/* J[(n+m)*(n+m)] <- [[K, -mu_k^T], [B, 0]] with the scale of its entries (or NULL). */
-static void assemble(const dal_discrete *d, double *J, double *scale)
+/* root.J of n + m equations <- [[K, -mu_k^T], [B, 0]], and the scale of its entries. */
+static void assemble(dal_discrete *d)
 {
     const size_t n = d->n, m = d->m, N = n + m;
+    double *const J = d->root.J.A, *const scale = d->root.scale;
+    d->root.J.size = N;
     memset(J, 0, N * N * sizeof *J);
-    if (scale) memset(scale, 0, N * N * sizeof *scale);
+    memset(scale, 0, N * N * sizeof *scale);
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) {
             J[i * N + j] = d->K[i * n + j];
-            if (scale) scale[i * N + j] = d->K_scale[i * n + j];
+            scale[i * N + j] = d->K_scale[i * n + j];
         }
     for (size_t a = 0; a < m; a++)
         for (size_t i = 0; i < n; i++) {
             J[i * N + n + a] = -d->muk[a * n + i];
             J[(n + a) * N + i] = d->B[a * n + i];
-            if (!scale) continue;
             scale[i * N + n + a] = fabs(d->muk[a * n + i]);
             scale[(n + a) * N + i] = d->B_scale[a * n + i];
         }
@@ -142,7 +143,7 @@ static int find_step(dal__newton *equations)
     for (size_t k = 0; k < n * n; k++)
         equations->moves += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
                           * fabs(d->lagrangian.g[k % n]) * d->mech.unit[k / n];
-    assemble(d, d->root.J.A, d->root.scale);
+    assemble(d);
     return dal__root_step(&d->root, "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is singular: "
                           "the constraints lose rank, or h is too large here", &d->mech.error);
 }
@@ -158,7 +159,6 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
     if (status) return status;
     memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
     memset(d->root.z + n, 0, m * sizeof *d->root.z);
-    d->root.J.size = n + m;
     return dal__newton_run(&equations, &d->mech.error);
 }
 
@@ -206,29 +206,24 @@ int dal_discrete_residual(dal_discrete *discrete, double t, double h, const doub
         for (size_t a = 0; a < m; a++) sides[i] += h * d->muk[a * n + i] * lambda[a];
     }
     memcpy(sides + n, d->phi, m * sizeof *sides);
-    status = dal__require_output(&d->mech.error, "residual", n + m, sides);
-    if (!status) memcpy(residual, sides, (n + m) * sizeof *residual);
-    return status;
+    return DAL__DELIVER(&d->mech.error, {"residual", n + m, sides, residual});
 }
 
-/* Of the matrix J[N*N], in the order of the arguments; J is destroyed. */
+/* Of the matrix that was assembled, in the order of the arguments. */
 static void examine(dal_discrete *d, int *sign, double *logarithm, double *condition)
 {
-    const size_t N = d->n + d->m;
-    double *const J = d->root.J.A, *const scale = d->root.scale, *const squares = d->root.residual;
-    double l = 0.0, most = 0.0, least = HUGE_VAL;
-    assemble(d, J, scale);
-    d->root.J.size = N;
-    dal__linear_balance(&d->root.J, scale);
+    const size_t N = d->root.J.size;
+    double *const squares = d->root.residual, sum = 0.0, most = 0.0, least = HUGE_VAL;
+    dal__linear_balance(&d->root.J, d->root.scale);
     *sign = dal__linear_factor(&d->root.J);
-    assemble(d, J, NULL);
-    const double unit = dal__singular_values(N, N, J, squares);
+    assemble(d);
+    const double unit = dal__singular_values(N, N, d->root.J.A, squares);
     for (size_t k = 0; k < N; k++) {
-        l += log(unit) + 0.5 * log(squares[k]);
+        sum += log(unit) + 0.5 * log(squares[k]);
         most = fmax(most, squares[k]);
         least = fmin(least, squares[k]);
     }
-    *logarithm = *sign ? l : -HUGE_VAL;
+    *logarithm = *sign ? sum : -HUGE_VAL;
     *condition = *sign && least > 0.0 ? sqrt(most / least) : HUGE_VAL;
 }
 
@@ -250,22 +245,21 @@ int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const do
     if (status) return status;
     int s;
     double l, c, *const J = d->root.J.A;
-    assemble(d, J, d->root.scale);
+    assemble(d);
     status = dal__require_output(&d->mech.error, "matrix", N * N, J);
     if (!status) status = dal__require_output(&d->mech.error, "terms of matrix", N * N,
                                               d->root.scale);
     if (status) return status;
     examine(d, &s, &l, &c);
     if (n % 2 == 1 && h > 0.0) s = -s; /* of (-1/h)^n */
-    assemble(d, J, NULL);
+    assemble(d);
     for (size_t i = 0; i < N; i++)
         for (size_t j = 0; j < N; j++) J[i * N + j] *= (i < n ? -1.0 : 1.0) / (j < n ? h : 1.0);
-    if (matrix) status = dal__require_output(&d->mech.error, "matrix", N * N, J);
+    status = DAL__DELIVER(&d->mech.error, {"matrix", N * N, J, matrix});
     if (status) return status;
     if (sign) *sign = s;
     if (logarithm) *logarithm = l - (double)n * log(fabs(h));
     if (condition) *condition = c;
-    if (matrix) memcpy(matrix, J, N * N * sizeof *matrix);
     return DAL_SUCCESS;
 }
 

@@ -199,65 +199,19 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     return DAL_SUCCESS;
 }
 
-/* Whether phi may be what the rounding of a large node x[n] makes of 0. */
-static bool is_rounding_of_node(dal_mechanics *mech, const double *x, const double *w)
-{
-    const size_t n = mech->n;
-    const double speed = dal_residual_speed(n, mech->per_unit, w);
-    if (dal__constraint(&mech->eval, mech->start.end, mech->q, w, mech->phi, mech->mu, mech->dmu,
-                        NULL, &mech->error))
-        return false;
-    for (size_t a = 0; a < mech->m; a++) {
-        double bound = DAL_RESIDUAL_BOUND(n) * speed
-                     * dal_residual_form(n, mech->unit, mech->mu + a * n);
-        for (size_t i = 0; i < n; i++)
-            bound += 2.0 * DAL_ROUNDOFF * fabs(mech->dmu[a * n + i])
-                   * (fabs(mech->q[i]) + fabs(x[i]));
-        if (!(fabs(mech->phi[a]) <= bound)) return false;
-    }
-    return true;
-}
-
-/* The residual at the q~' that x gives back; where it is not small w is mended there.  A kept node
- * follows w, so that it gives back the same q~' but for a rounding. */
-static int mend_stored(dal_mechanics *mech, double *x, double shift, double *w, double *relative)
-{
-    enum { MOST = 8 };
-    const size_t n = mech->n;
-    const double t = mech->start.end;
-    for (int pass = 1;; pass++) {
-        for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * w[i];
-        int status = pass == 1 ? dal__form_metric(mech, t, mech->q, w) : DAL_SUCCESS;
-        if (!status)
-            status = dal__constraint(&mech->eval, t, mech->q, w, mech->phi, mech->mu, NULL, NULL,
-                                     &mech->error);
-        if (status) return status;
-        *relative = dal__relative_residual(mech, mech->mu, mech->phi, w);
-        if (*relative <= DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
-        if (pass > MOST && shift != 0.0 && is_rounding_of_node(mech, x, w)) return DAL_SUCCESS;
-        if (pass > MOST)
-            return dal__fail(&mech->error, DAL_ESINGULAR, "no velocity of D was found at the new "
-                             "position: its residual stays at %.3g", *relative);
-        dal__form_Z(mech, mech->mu);
-        status = dal__mend(mech, t, mech->q, w, relative);
-        if (status || shift == 0.0) return status;
-        for (size_t i = 0; i < n; i++) x[i] = mech->q[i] + shift * w[i];
-    }
-}
-
-int dal__step_settle(dal_mechanics *mech, double *w, double *x, double *worst)
+int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *worst)
 {
     const size_t n = mech->n;
     const double h = mech->start.h, beta = mech->start.beta;
     const double after = mech->start.kept ? h : beta * h;
     const double shift = mech->start.kept ? (1.0 - beta) * h : 0.0;
     double relative = 0.0;
+    int status = DAL_SUCCESS;
     for (size_t i = 0; i < n; i++) x[i] = mech->node[i] + after * w[i];
-    if (mech->m > 0 && dal__all_finite(n, x) && dal__all_finite(n, w)) {
-        const int status = mend_stored(mech, x, shift, w, &relative);
-        if (status) return status;
-    }
     memcpy(x + n, w, n * sizeof *w);
+    if (mech->m > 0 && dal__all_finite(2 * n, x))
+        status = dal__mend(mech, mech->start.end, shift, false, x, &relative);
+    if (status) return status;
     if (!dal__all_finite(2 * n, x))
         return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
     *worst = fmax(*worst, relative);
@@ -281,21 +235,20 @@ int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h
     if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, x);
     if (status) return status;
 
-    double *found[4], *const wanted[4] = {R1, R2, K, B};
-    const size_t sizes[4] = {n, m, dal__times(n, n), dal__times(m, n)};
-    static const char *const names[4] = {"R1", "R2", "K", "B"};
+    double *r1, *r2, *k, *b;
     arena scratch = {0};
-    for (size_t k = 0; k < 4; k++)
-        dal__reserve(&scratch, &found[k], sizes[k], sizeof(double));
+    dal__reserve(&scratch, &r1, n, sizeof *r1);
+    dal__reserve(&scratch, &r2, m, sizeof *r2);
+    dal__reserve(&scratch, &k, dal__times(n, n), sizeof *k);
+    dal__reserve(&scratch, &b, dal__times(m, n), sizeof *b);
     status = dal__allocate(&scratch, &mech->error);
     if (status) return status;
-    status = dal__step_at(mech, w, kappa, R1 ? found[0] : NULL, R2 ? found[1] : NULL,
-                          K ? found[2] : NULL, NULL, B ? found[3] : NULL);
-    for (size_t k = 0; !status && k < 4; k++)
-        status = dal__require_output(&mech->error, names[k], sizes[k], found[k]);
-    for (size_t k = 0; !status && k < 4; k++)
-        if (wanted[k]) memcpy(wanted[k], found[k], sizes[k] * sizeof(double));
-    if (!status && muk) memcpy(muk, mech->muk, m * n * sizeof *muk);
+    status = dal__step_at(mech, w, kappa, R1 ? r1 : NULL, R2 ? r2 : NULL, K ? k : NULL, NULL,
+                          B ? b : NULL);
+    if (!status)
+        status = DAL__DELIVER(&mech->error, {"R1", n, r1, R1}, {"R2", m, r2, R2},
+                              {"K", n * n, k, K}, {"B", m * n, b, B},
+                              {"mu_k", m * n, mech->muk, muk});
     dal__release(&scratch);
     return status;
 }

@@ -140,13 +140,10 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
                      "dependent coordinates %s form a singular matrix", names);
 }
 
-/* mu at (q, v), phi_q if wanted, and B factored. */
-static int form_B(dal_chart *chart, double t, const double *q, const double *v, double *phi_q)
+/* phi, mu, the metric, and phi_q if wanted at x[2n], and B factored. */
+static int form_B(dal_chart *chart, double t, const double *x, double *phi_q)
 {
-    int status = dal__form_metric(&chart->mech, t, q, v);
-    if (!status)
-        status = dal__constraint(&chart->mech.eval, t, q, v, NULL, chart->mech.mu, phi_q, NULL,
-                                 &chart->mech.error);
+    const int status = dal__forms_at(&chart->mech, t, 0.0, x, phi_q);
     return status ? status : dal__chart_factor(chart, chart->mech.mu);
 }
 
@@ -172,15 +169,13 @@ int dal_chart_connection(dal_chart *chart, double t, const double *x, double *A,
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, t, x);
-    if (!status) status = form_B(chart, t, x, x + n, NULL);
+    if (!status) status = form_B(chart, t, x, NULL);
     if (status) return status;
     form_A(chart);
-    status = dal__require_output(&chart->mech.error, "A", m * (n - m), chart->A);
-    if (status) return status;
-    if (A) memcpy(A, chart->A, m * (n - m) * sizeof *A);
-    for (size_t a = 0; B && a < m; a++)
+    status = DAL__DELIVER(&chart->mech.error, {"A", m * (n - m), chart->A, A});
+    for (size_t a = 0; !status && B && a < m; a++)
         for (size_t b = 0; b < m; b++) B[a * m + b] = chart->mech.mu[a * n + chart->place[b]];
-    return DAL_SUCCESS;
+    return status;
 }
 
 /* ---- the choice -------------------------------------------------------------------------- */
@@ -289,10 +284,7 @@ int dal_chart_choose(dal_chart *chart, double t, const size_t *dependent, const 
     int status = dal__require_finite(&chart->mech, "t", 1, &t);
     if (!status) status = dal__require_finite(&chart->mech, "x", 2 * n, x);
     if (!status && dependent) status = check_dependent(chart, dependent);
-    if (!status)
-        status = dal__constraint(&chart->mech.eval, t, x, x + n, NULL, chart->mech.mu, NULL, NULL,
-                                 &chart->mech.error);
-    if (!status) status = dal__form_metric(&chart->mech, t, x, x + n);
+    if (!status) status = dal__forms_at(&chart->mech, t, 0.0, x, NULL);
     if (!status && !dependent) status = pivot_columns(chart);
     if (status) return status;
     if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
@@ -312,10 +304,7 @@ int dal_chart_choose(dal_chart *chart, double t, const size_t *dependent, const 
 static int evaluate_condition(dal_chart *chart, double t, const double *x, double *condition)
 {
     const size_t n = chart->n, m = chart->m, free = n - m;
-    int status = dal__form_metric(&chart->mech, t, x, x + n);
-    if (!status)
-        status = dal__constraint(&chart->mech.eval, t, x, x + n, NULL, chart->mech.mu, NULL, NULL,
-                                 &chart->mech.error);
+    const int status = dal__forms_at(&chart->mech, t, 0.0, x, NULL);
     if (status) return status;
     *condition = (double)INFINITY;
     const dal_error before = chart->mech.error;
@@ -401,15 +390,6 @@ static bool is_in_D(const dal_chart *chart)
         <= 2.0 * (double)chart->n * DAL_ROUNDOFF;
 }
 
-/* The metric, phi and mu at (q, v). */
-static int evaluate(dal_chart *chart, double t, const double *q, const double *v)
-{
-    dal_mechanics *const mech = &chart->mech;
-    const int status =
-        dal__constraint(&mech->eval, t, q, v, mech->phi, mech->mu, NULL, NULL, &mech->error);
-    return status ? status : dal__form_metric(mech, t, q, v);
-}
-
 static void move_dependent(dal_chart *chart)
 {
     dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
@@ -420,15 +400,13 @@ static void move_dependent(dal_chart *chart)
 int dal__chart_mend(dal_chart *chart, double t, double shift)
 {
     enum { MENDS = 3 };
-    const size_t n = chart->n;
-    double *const q = chart->x, *const v = q + n;
+    dal_mechanics *const mech = &chart->mech;
     for (int pass = 1;; pass++) {
         int status = DAL_SUCCESS;
-        for (size_t i = 0; i < n; i++) chart->y[i] = q[i] - shift * v[i];
         if (shift == 0.0 && kind(chart) == DAL_LINEAR) /* mu stands still */
-            dal__apply(chart->m, n, chart->mech.mu, v, chart->mech.phi);
+            dal__apply(chart->m, chart->n, mech->mu, chart->x + chart->n, mech->phi);
         else
-            status = evaluate(chart, t, chart->y, v);
+            status = dal__forms_at(mech, t, shift, chart->x, NULL);
         if (status) return status;
         if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
         move_dependent(chart);
@@ -440,22 +418,21 @@ typedef struct lift {
     double t;
 } lift;
 
-/* Of the dependent velocities, where the constraints are nonlinear.  They stay where they are as
- * soon as the residual, which is that of the step before, is roundoff. */
+/* Of v in chart->x where the constraints are nonlinear, of which only v_dependent moves; and it
+ * stands still as soon as the residual, which is that of the step before, is roundoff. */
 static int find_step(dal__newton *equations)
 {
     const lift *const l = equations->ctx;
     dal_chart *const chart = l->chart;
-    const size_t m = chart->m;
-    for (size_t a = 0; a < m; a++) chart->x[chart->n + chart->place[a]] = equations->z[a];
-    int status = evaluate(chart, l->t, chart->x, chart->x + chart->n);
+    int status = dal__forms_at(&chart->mech, l->t, 0.0, chart->x, NULL);
     if (status) return status;
-    memset(equations->step, 0, m * sizeof *equations->step);
+    memset(equations->step, 0, chart->n * sizeof *equations->step);
     if (is_in_D(chart)) return DAL_SUCCESS;
     status = dal__chart_factor(chart, chart->mech.mu);
     if (status) return status;
     dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
-    for (size_t a = 0; a < m; a++) equations->step[a] = -chart->solution[a];
+    for (size_t a = 0; a < chart->m; a++)
+        equations->step[chart->place[a]] = -chart->solution[a];
     return DAL_SUCCESS;
 }
 
@@ -469,17 +446,14 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
     if (kind(chart) == DAL_NONLINEAR) {
         lift l = {chart, t};
-        dal__newton equations = {.find_step = find_step, .ctx = &l, .size = m, .measured = m,
-                                 .n = m, .per_unit = chart->B.sizes + m, .z = chart->kappa,
-                                 .step = chart->R2, .lagging = true,
+        dal__newton equations = {.find_step = find_step, .ctx = &l, .size = n, .measured = n,
+                                 .n = n, .per_unit = chart->mech.per_unit, .z = v,
+                                 .step = chart->step, .lagging = true,
                                  .advice = "there may be no such dependent velocities"};
-        for (size_t a = 0; a < m; a++) chart->kappa[a] = v[chart->place[a]];
         status = dal__newton_run(&equations, &chart->mech.error);
-        for (size_t a = 0; a < m; a++) v[chart->place[a]] = chart->kappa[a];
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
-        status = evaluate(chart, t, x, v);
-        if (!status) status = dal__chart_factor(chart, chart->mech.mu);
+        status = form_B(chart, t, x, NULL);
         if (!status) move_dependent(chart);
         if (!status) status = dal__chart_mend(chart, t, 0.0);
     }
@@ -527,11 +501,8 @@ int dal_chart_split(dal_chart *chart, double t, const double *x, double *hor, do
     status = dal__chart_lift(chart, t, chart->y);
     if (status) return status;
     for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
-    status = dal__require_output(&chart->mech.error, "ver", n, chart->w);
-    if (status) return status;
-    if (hor) memcpy(hor, chart->x + n, n * sizeof *hor);
-    if (ver) memcpy(ver, chart->w, n * sizeof *ver);
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&chart->mech.error, {"hor", n, chart->x + n, hor},
+                        {"ver", n, chart->w, ver});
 }
 
 int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J, double *left)
@@ -540,7 +511,7 @@ int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J, 
     const size_t n = chart->n, m = chart->m, width = chart->width;
     const size_t *const place = chart->place;
     int status = dal__chart_state(chart, t, xi);
-    if (!status) status = form_B(chart, t, chart->x, chart->x + n, chart->mech.dmu);
+    if (!status) status = form_B(chart, t, chart->x, chart->mech.dmu);
     if (status) return status;
     if (J) {
         form_A(chart);
@@ -586,16 +557,14 @@ int dal_chart_multipliers(dal_chart *chart, double t, const double *x, const dou
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, t, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
-    if (!status) status = form_B(chart, t, x, x + n, NULL);
+    if (!status) status = form_B(chart, t, x, NULL);
     if (status) return status;
     for (size_t b = 0; b < m; b++) {
         chart->solution[b] = 0.0;
         for (size_t a = 0; a < m; a++)
             chart->solution[b] += chart->mech.mu[a * n + chart->place[b]] * lambda[a];
     }
-    status = dal__require_output(&chart->mech.error, "lambda_E", m, chart->solution);
-    if (!status) memcpy(lambda_E, chart->solution, m * sizeof *lambda_E);
-    return status;
+    return DAL__DELIVER(&chart->mech.error, {"lambda_E", m, chart->solution, lambda_E});
 }
 
 int dal_chart_multipliers_back(dal_chart *chart, double t, const double *x,
@@ -606,11 +575,9 @@ int dal_chart_multipliers_back(dal_chart *chart, double t, const double *x,
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, t, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
-    if (!status) status = form_B(chart, t, x, x + n, NULL);
+    if (!status) status = form_B(chart, t, x, NULL);
     if (status) return status;
     if (m > 0) memcpy(chart->right, lambda_E, m * sizeof *lambda_E);
     dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
-    status = dal__require_output(&chart->mech.error, "lambda", m, chart->solution);
-    if (!status) memcpy(lambda, chart->solution, m * sizeof *lambda);
-    return status;
+    return DAL__DELIVER(&chart->mech.error, {"lambda", m, chart->solution, lambda});
 }

@@ -129,6 +129,11 @@ void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
     flow->unwatched = PER_LOOK; /* asked at the next evaluation */
 }
 
+void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
+{
+    if (flow->watch.function != watch || flow->watch.ctx != ctx) dal_flow_watch(flow, watch, ctx);
+}
+
 const char *dal_flow_message(const dal_flow *flow) { return flow->error.text; }
 
 size_t dal_flow_chart_changes(const dal_flow *flow) { return flow->chart_changes; }
@@ -332,7 +337,7 @@ static bool is_multistep(const dal_flow *flow) { return flow->method == DAL_FLOW
 
 double *dal__flow_inner(dal_flow *flow) { return is_multistep(flow) ? NULL : &flow->steps.inner; }
 
-int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x)
+int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst)
 {
     const double t1 = t0 + ((double)k + 1.0) * h;
     int status = DAL_SUCCESS;
@@ -346,8 +351,11 @@ int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x)
     if (!status) status = reach(flow, (double)(k + 1 - flow->steps.first) * h, t1);
     if (status) return status;
     copy(flow, flow->result, flow->state);
+    double residual = 0.0;
     status = dal_project(&flow->mech, t1, 0.0, flow->result, NULL);
+    if (!status) status = dal_relative_residual(&flow->mech, t1, 0.0, flow->result, &residual);
     if (status) return pass_on(flow, &flow->mech.error, status);
+    *worst = fmax(*worst, residual);
     copy(flow, x, flow->result);
     flow->steps.inner = dal__ode_suggested(flow->integrator);
     flow->steps.going = true;

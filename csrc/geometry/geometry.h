@@ -16,7 +16,7 @@ struct dal_mechanics {
                                      (C^-1)_aa in sizes, or where Z is not that of mu those of LU */
     double *force, *q, *w, *step; /* [n] */
     double *lambda, *residual;    /* [m] */
-    double *point;                /* [2n] of jump.c */
+    double *point;                /* [2n] the state that is projected; of jump.c too */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
     double *L_vt;                 /* [n], and */
     double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
@@ -59,8 +59,8 @@ int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const doub
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
 /* Z <- the rows M^-1 mu^a. */
 void dal__form_Z(dal_mechanics *mech, const double *mu);
-/* The Cholesky factor of C = mu Z^T with the Z of mu. */
-int dal__factor_gram(dal_mechanics *mech, const double *mu);
+/* Z, and the Cholesky factor of C = mu Z^T, of mech->mu. */
+int dal__factor_gram(dal_mechanics *mech);
 /* y[m] <- C^-1 y. */
 void dal__solve_gram(const dal_mechanics *mech, double *y);
 /* The residual of residual.h, the largest of all a, in the units of the last dal__form_metric. */
@@ -79,9 +79,13 @@ double dal__forms_move(const dal_mechanics *mech, const double *mu, const double
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x, double *relative,
                    bool *consistent);
-/* w[n] moves along Z into D at q; *relative <- what is left of the residual, within its bound.  phi
- * and mu are those of (q, w), before and after.  DAL_ESINGULAR. */
-int dal__mend(dal_mechanics *mech, double t, const double *q, double *w, double *relative);
+/* phi, mu, and phi_q if dmu, at q - shift v of x[2n], which stands in q then; and the metric. */
+int dal__forms_at(dal_mechanics *mech, double t, double shift, const double *x, double *dmu);
+/* v of x[2n] moves into the D or D_eps of shift, along Z as it is or that of mu, and q with it so
+ * that q - shift v is the same but for a rounding; *relative <- what is left of the residual,
+ * within its bound.  DAL_ESINGULAR. */
+int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double *x,
+              double *relative);
 /* dal_trajectory of rows that belong to the times t0 + (first + k) h. */
 int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, double shift,
                     size_t count, const double *x, double *energy, double *multipliers,
@@ -142,12 +146,14 @@ int dal__chart_keeps(dal_chart *chart, double t, const double *x, double *condit
 int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project);
 
 /* Step k of a row of steps of size h from t0, of a flow in x: x[2n] at t0 + k h is taken to t0 +
- * (k+1) h, in D; on failure x is as it was.  A step begins anew, with inner steps of the size that
- * the step before ended with; but multistep methods go on.  dal__flow_forget: what comes next does
- * not follow on what was before.  The inner size, all that a step depends on beside x; NULL for a
- * multistep method. */
-int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x);
+ * (k+1) h, in D, whose residual raises *worst; on failure x is as it was.  A step begins anew, with
+ * inner steps of the size that the step before ended with; but multistep methods go on.
+ * dal__flow_forget: what comes next does not follow on what was before.  The inner size, all that a
+ * step depends on beside x; NULL for a multistep method. */
+int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst);
 void dal__flow_forget(dal_flow *flow);
+/* dal_flow_watch, for who asks before every step: the clock of the same watch goes on. */
+void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);
 double *dal__flow_inner(dal_flow *flow);
 
 /* What a flow is made of, and the record that dal_flow_message reads. */

@@ -75,11 +75,6 @@ const char *dal_mechanics_message(const dal_mechanics *mechanics) { return mecha
 
 static const double *velocity(const dal_mechanics *mech, const double *x) { return x + mech->n; }
 
-static bool is_linear(const dal_mechanics *mech)
-{
-    return mech->eval.system->def.kind == DAL_LINEAR;
-}
-
 int dal__null_argument(dal_mechanics *mech, const char *name)
 {
     return dal__fail(&mech->error, DAL_EINVAL, "%s is NULL", name);
@@ -161,18 +156,19 @@ void dal__form_Z(dal_mechanics *mech, const double *mu)
         dal__accelerate(mech, mu + a * mech->n, mech->Z + a * mech->n);
 }
 
-static void form_gram(dal_mechanics *mech, const double *mu)
+static void form_gram(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
     for (size_t a = 0; a < m; a++)
         for (size_t b = 0; b < m; b++)
-            mech->C.A[a * m + b] = dal__dot(n, mu + a * n, mech->Z + b * n);
+            mech->C.A[a * m + b] = dal__dot(n, mech->mu + a * n, mech->Z + b * n);
 }
 
-int dal__factor_gram(dal_mechanics *mech, const double *mu)
+int dal__factor_gram(dal_mechanics *mech)
 {
     size_t row = 0;
-    form_gram(mech, mu);
+    dal__form_Z(mech, mech->mu);
+    form_gram(mech);
     if (dal__cholesky(mech->m, mech->C.A, mech->C.sizes, &row, NULL)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide (pivot %zu of %zu)", row, mech->m);
@@ -187,7 +183,7 @@ void dal__solve_gram(const dal_mechanics *mech, double *y)
 static int factor_product(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
-    form_gram(mech, mech->mu);
+    form_gram(mech);
     for (size_t a = 0; a < m; a++) {
         mech->C.sizes[a] = 0.0;
         mech->C.sizes[m + a] = dal_residual_speed(n, mech->per_unit, mech->Z + a * n);
@@ -220,16 +216,11 @@ int dal_gram(dal_mechanics *mechanics, double t, const double *x, double *C)
     if (!C) return dal__null_argument(mechanics, "C");
     dal_mechanics *const mech = mechanics;
     int status = require_state(mech, t, x);
-    if (status) return status;
-    const double *const v = velocity(mech, x);
-    status = dal__constraint(&mech->eval, t, x, v, NULL, mech->mu, NULL, NULL, &mech->error);
-    if (!status) status = dal__form_metric(mech, t, x, v);
+    if (!status) status = dal__forms_at(mech, t, 0.0, x, NULL);
     if (status) return status;
     dal__form_Z(mech, mech->mu);
-    form_gram(mech, mech->mu);
-    status = dal__require_output(&mech->error, "C", mech->m * mech->m, mech->C.A);
-    if (!status) memcpy(C, mech->C.A, mech->m * mech->m * sizeof *C);
-    return status;
+    form_gram(mech);
+    return DAL__DELIVER(&mech->error, {"C", mech->m * mech->m, mech->C.A, C});
 }
 
 /* ---- energy and power -------------------------------------------------------------------- */
@@ -260,22 +251,19 @@ int dal_energy(dal_mechanics *mechanics, double t, const double *x, double *E)
     double value = 0.0;
     int status = require_state(mechanics, t, x);
     if (!status) status = dal__energy(mechanics, t, x, &value);
-    if (!status) status = dal__require_output(&mechanics->error, "E", 1, &value);
-    if (!status) *E = value;
-    return status;
+    return status ? status : DAL__DELIVER(&mechanics->error, {"E", 1, &value, E});
 }
 
 /* ---- residuals --------------------------------------------------------------------------- */
 
-/* phi and mu at q - shift v, and the metric; with a contiguous copy of that point in mech->q. */
-static int forms_at(dal_mechanics *mech, double t, double shift, const double *x)
+int dal__forms_at(dal_mechanics *mech, double t, double shift, const double *x, double *dmu)
 {
     const size_t n = mech->n;
     const double *const v = velocity(mech, x);
     for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * v[i];
     int status = dal__form_metric(mech, t, mech->q, v);
     if (!status)
-        status = dal__constraint(&mech->eval, t, mech->q, v, mech->phi, mech->mu, NULL, NULL,
+        status = dal__constraint(&mech->eval, t, mech->q, v, mech->phi, mech->mu, dmu, NULL,
                                  &mech->error);
     return status ? status : dal__require_output(&mech->error, "phi", mech->m, mech->phi);
 }
@@ -288,7 +276,7 @@ int dal_residual(dal_mechanics *mechanics, double t, double shift, const double 
     dal_mechanics *const mech = mechanics;
     int status = dal__require_finite(mech, "shift", 1, &shift);
     if (!status) status = require_state(mech, t, x);
-    if (!status) status = forms_at(mech, t, shift, x);
+    if (!status) status = dal__forms_at(mech, t, shift, x, NULL);
     if (!status) memcpy(residual, mech->phi, mech->m * sizeof *residual);
     return status;
 }
@@ -337,42 +325,68 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
     return true;
 }
 
-int dal__mend(dal_mechanics *mech, double t, const double *q, double *w, double *relative)
+/* Whether phi may be what the rounding of a large node x[n] makes of 0. */
+static bool is_rounding_of_node(dal_mechanics *mech, double t, double shift, const double *x)
+{
+    const size_t n = mech->n;
+    const double speed = dal_residual_speed(n, mech->per_unit, velocity(mech, x));
+    if (dal__forms_at(mech, t, shift, x, mech->dmu)) return false;
+    for (size_t a = 0; a < mech->m; a++) {
+        double bound = DAL_RESIDUAL_BOUND(n) * speed
+                     * dal_residual_form(n, mech->unit, mech->mu + a * n);
+        for (size_t i = 0; i < n; i++)
+            bound += 2.0 * DAL_ROUNDOFF * fabs(mech->dmu[a * n + i])
+                   * (fabs(mech->q[i]) + fabs(x[i]));
+        if (!(fabs(mech->phi[a]) <= bound)) return false;
+    }
+    return true;
+}
+
+/* The velocity of x, or w, moves by -Z^T (mu Z^T)^-1 phi with the factors in C. */
+static void find_change(dal_mechanics *mech, double *change)
+{
+    dal__linear_solve(&mech->C, mech->phi, mech->lambda);
+    for (size_t i = 0; i < mech->n; i++) {
+        double sum = 0.0;
+        for (size_t a = 0; a < mech->m; a++) sum += mech->Z[a * mech->n + i] * mech->lambda[a];
+        change[i] = -sum; /* where it is 0 a velocity of -0.0 stays one */
+    }
+}
+
+int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double *x,
+              double *relative)
 {
     enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */
-    const size_t n = mech->n, m = mech->m;
-    const double before = dal_residual_speed(n, mech->per_unit, w);
+    const size_t n = mech->n;
+    double *const v = x + n;
+    const double before = dal_residual_speed(n, mech->per_unit, v);
     for (int pass = 1;; pass++) {
-        *relative = dal__relative_residual(mech, mech->mu, mech->phi, w);
+        int status = dal__forms_at(mech, t, shift, x, NULL);
+        if (status) return status;
+        *relative = dal__relative_residual(mech, mech->mu, mech->phi, v);
         if (*relative <= DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
+        if (pass > MOST && shift != 0.0 && is_rounding_of_node(mech, t, shift, x))
+            return DAL_SUCCESS;
         if (pass > MOST)
             return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular to working "
                              "precision: the residual of D stays at %.3g", *relative);
-        int status = pass == 1 ? factor_product(mech) : DAL_SUCCESS;
+        if (!along_Z) dal__form_Z(mech, mech->mu);
+        status = factor_product(mech);
         if (status) return status;
-        dal__linear_solve(&mech->C, mech->phi, mech->lambda);
-        for (size_t i = 0; i < n; i++) {
-            double change = 0.0;
-            for (size_t a = 0; a < m; a++) change += mech->Z[a * n + i] * mech->lambda[a];
-            if (change != 0.0) w[i] -= change; /* a -0.0 that is kept stays one */
-        }
+        find_change(mech, mech->step);
+        for (size_t i = 0; i < n; i++) v[i] += mech->step[i];
         /* A velocity across D, of which each pass leaves its own roundoff, is zero. */
-        const double speed = dal_residual_speed(n, mech->per_unit, w);
+        const double speed = dal_residual_speed(n, mech->per_unit, v);
         if (pass == MOST && speed <= DAL_RESIDUAL_BOUND(n) * before)
-            memset(w, 0, n * sizeof *w);
-        if (is_linear(mech))
-            dal__apply(m, n, mech->mu, w, mech->phi);
-        else
-            status = dal__constraint(&mech->eval, t, q, w, mech->phi, mech->mu, NULL, NULL,
-                                     &mech->error);
-        if (status) return status;
+            memset(v, 0, n * sizeof *v);
+        for (size_t i = 0; shift != 0.0 && i < n; i++) x[i] = mech->q[i] + shift * v[i];
     }
 }
 
 int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x, double *relative,
                    bool *consistent)
 {
-    int status = forms_at(mech, t, shift, x);
+    int status = dal__forms_at(mech, t, shift, x, NULL);
     if (status) return status;
     *relative = dal__relative_residual(mech, mech->mu, mech->phi, velocity(mech, x));
     status = dal__require_output(&mech->error, "residual", 1, relative);
@@ -430,8 +444,7 @@ static int solve_multipliers(dal_mechanics *mech, double t, const double *x)
         status = dal__constraint(&mech->eval, t, x, v, NULL, mech->mu, mech->dmu, mech->phi_t,
                                  &mech->error);
     if (status || m == 0) return status;
-    dal__form_Z(mech, mech->mu);
-    status = dal__factor_gram(mech, mech->mu);
+    status = dal__factor_gram(mech);
     if (status) return status;
     for (size_t a = 0; a < m; a++)
         mech->lambda[a] = -dal__dot(n, mech->Z + a * n, mech->force)
@@ -464,9 +477,7 @@ int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double
         mech->step[i] = sum;
     }
     dal__accelerate(mech, mech->step, mech->q);
-    status = dal__require_output(&mech->error, "vdot", n, mech->q);
-    if (!status) memcpy(vdot, mech->q, n * sizeof *vdot);
-    return status;
+    return DAL__DELIVER(&mech->error, {"vdot", n, mech->q, vdot});
 }
 
 int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot)
@@ -506,14 +517,8 @@ int dal_perturbed(dal_mechanics *mechanics, double t, double weight, const doubl
         mech->q[i] = v + weight * ghat[i];
         mech->w[i] += weight * ghat[n + i];
     }
-    status = dal__require_output(&mech->error, "lambda", m, mech->lambda);
-    if (!status && xdot) status = dal__require_output(&mech->error, "xdot", n, mech->q);
-    if (!status && xdot) status = dal__require_output(&mech->error, "xdot", n, mech->w);
-    if (status) return status;
-    if (xdot) memcpy(xdot, mech->q, n * sizeof *xdot);
-    if (xdot) memcpy(xdot + n, mech->w, n * sizeof *xdot);
-    if (lambda) memcpy(lambda, mech->lambda, m * sizeof *lambda);
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&mech->error, {"lambda", m, mech->lambda, lambda},
+                        {"xdot", n, mech->q, xdot}, {"xdot", n, mech->w, xdot ? xdot + n : NULL});
 }
 
 int dal_power(dal_mechanics *mechanics, double t, const double *x, double *constraint,
@@ -531,12 +536,8 @@ int dal_power(dal_mechanics *mechanics, double t, const double *x, double *const
     status = dal__force(&mech->eval, t, x, v, mech->step, NULL, NULL, &mech->error);
     if (status) return status;
     const double of_force = dal__dot(n, mech->step, v);
-    status = dal__require_output(&mech->error, "constraint", 1, &of_constraint);
-    if (!status) status = dal__require_output(&mech->error, "force", 1, &of_force);
-    if (status) return status;
-    if (constraint) *constraint = of_constraint;
-    if (force) *force = of_force;
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&mech->error, {"constraint", 1, &of_constraint, constraint},
+                        {"force", 1, &of_force, force});
 }
 
 /* ---- projections ------------------------------------------------------------------------- */
@@ -550,102 +551,72 @@ static double mass_norm(dal_mechanics *mech, double *d)
     return largest * sqrt(fmax(0.0, dal__dot(mech->n, d, mech->step)));
 }
 
-/* x takes the velocity mech->w, unless that overflowed. */
+/* x takes the velocity of mech->point, unless that overflowed. */
 static int accept(dal_mechanics *mech, double *x, double *distance)
 {
     const size_t n = mech->n;
-    for (size_t i = 0; i < n; i++)
-        if (!isfinite(mech->w[i]))
-            return dal__fail(&mech->error, DAL_EDOMAIN, "the consistent velocity overflows: "
-                             "v[%zu] = %g from %g", i, mech->w[i], x[n + i]);
-    for (size_t i = 0; i < n; i++) mech->q[i] = mech->w[i] - x[n + i];
+    const double *const w = velocity(mech, mech->point);
+    for (size_t i = 0; i < n; i++) mech->q[i] = w[i] - x[n + i];
     const double moved = mass_norm(mech, mech->q);
-    const int status =
-        distance ? dal__require_output(&mech->error, "distance", 1, &moved) : DAL_SUCCESS;
-    if (status) return status;
-    memcpy(x + n, mech->w, n * sizeof *x);
-    if (distance) *distance = moved;
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&mech->error, {"consistent velocity", n, w, x + n},
+                        {"distance", 1, &moved, distance});
 }
 
-/* The velocity of D_eps, or of D, that belongs to x. */
-typedef struct consistent {
+typedef struct shifted {
     dal_mechanics *mech;
     double t, shift;
-    const double *x; /* [2n] */
-} consistent;
+} shifted;
 
+/* Of the velocity w of mech->point for phi(q - shift w, w) = 0, along Z as it is. */
 static int find_step(dal__newton *equations)
 {
-    const consistent *const c = equations->ctx;
-    dal_mechanics *const mech = c->mech;
-    const size_t n = mech->n, m = mech->m;
-    for (size_t i = 0; i < n; i++) mech->q[i] = c->x[i] - c->shift * mech->w[i];
-    int status = dal__constraint(&mech->eval, c->t, mech->q, mech->w, mech->phi, mech->mu,
-                                 c->shift != 0.0 ? mech->dmu : NULL, NULL, &mech->error);
+    const shifted *const s = equations->ctx;
+    dal_mechanics *const mech = s->mech;
+    const double shift = s->shift;
+    const double *const q = mech->point, *const w = velocity(mech, q);
+    for (size_t i = 0; i < mech->n; i++) mech->q[i] = q[i] - shift * w[i];
+    int status = dal__constraint(&mech->eval, s->t, mech->q, w, mech->phi, mech->mu,
+                                 shift != 0.0 ? mech->dmu : NULL, NULL, &mech->error);
     if (status) return status;
-    if (c->shift != 0.0) equations->moves = dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
-    for (size_t k = 0; c->shift != 0.0 && k < m * n; k++) mech->mu[k] -= c->shift * mech->dmu[k];
+    if (shift != 0.0) equations->moves = dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
+    for (size_t k = 0; shift != 0.0 && k < mech->m * mech->n; k++)
+        mech->mu[k] -= shift * mech->dmu[k];
     status = factor_product(mech);
-    if (status) return status;
-    dal__linear_solve(&mech->C, mech->phi, mech->lambda);
-    for (size_t i = 0; i < n; i++) {
-        double change = 0.0;
-        for (size_t a = 0; a < m; a++) change += mech->Z[a * n + i] * mech->lambda[a];
-        mech->step[i] = -change; /* where it is 0 a -0.0 stays one */
-    }
-    return DAL_SUCCESS;
+    if (!status) find_change(mech, equations->step);
+    return status;
 }
 
-/* Newton for phi(q - shift w, w) = 0 along w = v + Z^T kappa with Z as it is, into mech->w. */
-static int solve_velocity(dal_mechanics *mech, double t, double shift, const double *x)
+/* The velocity of mech->point <- that of D, or of D_eps, which belongs to it; Z says along what. */
+static int find_velocity(dal_mechanics *mech, double t, double shift)
 {
     const size_t n = mech->n;
-    consistent c = {mech, t, shift, x};
-    dal__newton equations = {.find_step = find_step, .ctx = &c, .size = n, .measured = n, .n = n,
-                             .per_unit = mech->per_unit, .z = mech->w, .step = mech->step,
-                             .base = dal_residual_extent(n, mech->per_unit, velocity(mech, x)),
-                             .advice = "there may be no such velocity of D here"};
-    memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
-    return dal__newton_run(&equations, &mech->error);
-}
-
-/* The velocity of D, or D_eps, that belongs to x, into mech->w; Z says along what. */
-static int find_velocity(dal_mechanics *mech, double t, double shift, const double *x)
-{
-    const size_t n = mech->n;
-    double relative;
+    double relative, *const w = mech->point + n;
     int status = DAL_SUCCESS;
-    if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR)
-        status = solve_velocity(mech, t, shift, x);
-    else
-        memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
+    if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR) {
+        shifted s = {mech, t, shift};
+        dal__newton equations = {.find_step = find_step, .ctx = &s, .size = n, .measured = n,
+                                 .n = n, .per_unit = mech->per_unit, .z = w, .step = mech->step,
+                                 .base = dal_residual_extent(n, mech->per_unit, w),
+                                 .advice = "there may be no such velocity of D here"};
+        status = dal__newton_run(&equations, &mech->error);
+    }
     if (status || shift != 0.0) return status;
-    status = dal__constraint(&mech->eval, t, x, mech->w, mech->phi, mech->mu, NULL, NULL,
-                             &mech->error);
-    if (!status) status = factor_product(mech); /* without full rank it is refused for any v */
-    return status ? status : dal__mend(mech, t, x, mech->w, &relative);
+    status = dal__mend(mech, t, 0.0, true, mech->point, &relative);
+    return status ? status : factor_product(mech); /* without full rank it is refused for any v */
 }
 
 int dal_project(dal_mechanics *mechanics, double t, double shift, double *x, double *distance)
 {
     if (!mechanics) return DAL_EINVAL;
     dal_mechanics *const mech = mechanics;
-    const size_t n = mech->n;
     int status = dal__require_finite(mech, "shift", 1, &shift);
     if (!status) status = require_state(mech, t, x);
-    if (!status) status = dal__form_metric(mech, t, x, velocity(mech, x));
+    if (!status) status = dal__forms_at(mech, t, 0.0, x, NULL);
     if (status) return status;
-    if (mech->m > 0) {
-        status = forms_at(mech, t, 0.0, x);
-        if (status) return status;
-        dal__form_Z(mech, mech->mu);
-        status = find_velocity(mech, t, shift, x);
-        if (status) return status;
-    } else {
-        memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
-    }
-    return accept(mech, x, distance);
+    dal__form_Z(mech, mech->mu);
+    memcpy(mech->point, x, 2 * mech->n * sizeof *x);
+    if (mech->m > 0) status = find_velocity(mech, t, shift);
+    return status ? status : accept(mech, x, distance);
 }
 
 /* Z <- the directions in which the free components alone may move, [M_ff^-1 mu_f^T, 0]: those of
@@ -693,12 +664,11 @@ int dal_consistent(dal_mechanics *mechanics, double t, const unsigned char *keep
     const size_t n = mech->n, m = mech->m;
     size_t free_count = 0;
     int status = require_state(mech, t, x);
-    if (!status) status = forms_at(mech, t, 0.0, x);
-    if (!status) status = dal__form_metric(mech, t, x, velocity(mech, x));
+    if (!status) status = dal__forms_at(mech, t, 0.0, x, NULL);
     if (!status && m > 0) status = form_free_Z(mech, keep, &free_count);
     if (status) return status;
-    memcpy(mech->w, velocity(mech, x), n * sizeof *mech->w);
-    if (m > 0) status = find_velocity(mech, t, 0.0, x);
+    memcpy(mech->point, x, 2 * n * sizeof *x);
+    if (m > 0) status = find_velocity(mech, t, 0.0);
     if (status == DAL_ESINGULAR)
         return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu "
                          "restricted to the other %zu has rank below m = %zu", n - free_count, n,

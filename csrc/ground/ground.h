@@ -27,6 +27,19 @@ int dal__fail(dal_error *error, int status, const char *format, ...);
 /* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);
 
+/* A result of this name, and where it goes: NULL, if it is not wanted. */
+typedef struct dal__result {
+    const char *name;
+    size_t count;
+    const double *from;
+    double *to; /* [count], both */
+} dal__result;
+
+/* All that is wanted, or nothing of it: DAL_EDOMAIN if a number is not finite. */
+int dal__deliver(dal_error *error, size_t count, const dal__result *results);
+#define DAL__DELIVER(error, ...) \
+    dal__deliver(error, DAL_LENGTH(((dal__result[]){__VA_ARGS__})), (dal__result[]){__VA_ARGS__})
+
 /* Status of what a user's callback returned: 0, DAL_EDOMAIN for > 0, DAL_EUSER for < 0. */
 int dal__callback_status(int returned);
 

@@ -4,6 +4,7 @@
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
+#include <string.h>
 #include <time.h>
 
 const char *dal_version(void) { return DAL_VERSION; }
@@ -43,6 +44,17 @@ int dal__require_output(dal_error *error, const char *name, size_t count, const 
         if (!isfinite(x[i]))
             return dal__fail(error, DAL_EDOMAIN, "the result %s[%zu] = %g is not finite", name, i,
                              x[i]);
+    return DAL_SUCCESS;
+}
+
+int dal__deliver(dal_error *error, size_t count, const dal__result *results)
+{
+    for (const dal__result *r = results; r < results + count; r++) {
+        const int status = dal__require_output(error, r->name, r->count, r->to ? r->from : NULL);
+        if (status) return status;
+    }
+    for (const dal__result *r = results; r < results + count; r++)
+        if (r->to) memcpy(r->to, r->from, r->count * sizeof *r->to);
     return DAL_SUCCESS;
 }
 

@@ -32,21 +32,14 @@ static void start(void *method, dal_motion *motion)
     dal__flow_forget(method);
 }
 
-/* The flow has no multiplier of its own. */
 static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 {
-    const size_t m = dal_system_m(motion->system), evaluations = dal_flow_evaluations(method);
-    double worst, *const most = &motion->stats->worst_residual;
+    const size_t evaluations = dal_flow_evaluations(method);
     int status = DAL_SUCCESS;
-    dal_flow_watch(method, motion->watch, motion->watch_ctx);
-    for (*done = 0; !status && *done < steps; *done += !status) {
-        const size_t k = motion->steps + *done;
-        const double end = motion->t0 + (double)(k + 1) * motion->h;
-        status = dal__flow_step(method, motion->t0, motion->h, k, motion->x);
-        if (!status && !dal_relative_residual(motion->mechanics, end, 0.0, motion->x, &worst))
-            *most = fmax(*most, worst);
-    }
-    for (size_t a = 0; a < m; a++) motion->impulse[a] = (double)NAN;
+    dal__flow_watch(method, motion->watch, motion->watch_ctx);
+    for (*done = 0; !status && *done < steps; *done += !status)
+        status = dal__flow_step(method, motion->t0, motion->h, motion->steps + *done, motion->x,
+                                &motion->stats->worst_residual);
     motion->stats->evaluations += dal_flow_evaluations(method) - evaluations;
     if (status) *motion->error = *dal__flow_error(method);
     return status;
@@ -82,7 +75,7 @@ const dal_family dal__family_flow = {
     .name = "flow",
     .schemes = records,
     .count = DAL_LENGTH(records),
-    .no_reaction = 1,
+    .no_reaction = 1, /* the flow has no multiplier of its own */
     .make = make,
     .free = release,
     .start = start,

@@ -136,7 +136,7 @@ int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, 
     }
     if (!status) status = dal__step_settle(mech, s->z, s->x, &stats->worst_residual);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) s->rate[i] = (s->z[i] - v[i]) / h;
+    for (size_t i = 0; i < n; i++) s->rate[i] = (s->x[n + i] - v[i]) / h;
     for (size_t a = 0; a < m; a++) s->lambda[a] = s->z[n + a] / h;
     s->warm = true;
     memcpy(x, s->x, 2 * n * sizeof *x);

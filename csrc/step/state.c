@@ -5,33 +5,6 @@
 #include <math.h>
 #include <string.h>
 
-/* FNV-1a. */
-static uint64_t digest(uint64_t hash, size_t size, const void *bytes)
-{
-    for (size_t i = 0; i < size; i++)
-        hash = (hash ^ ((const unsigned char *)bytes)[i]) * UINT64_C(0x100000001b3);
-    return hash;
-}
-
-double dal__stepper_identify(const dal_system *system, const dal_scheme *scheme)
-{
-    const char *const family = dal_scheme_family(scheme);
-    const char *const name = dal_system_name(system);
-    const size_t n = system->def.n;
-    const int kinds[] = {(int)scheme->nodes, (int)system->def.kind};
-    uint64_t hash = UINT64_C(0xcbf29ce484222325);
-    hash = digest(hash, strlen(family) + 1, family);
-    hash = digest(hash, strlen(name) + 1, name);
-    hash = digest(hash, sizeof kinds, kinds);
-    hash = digest(hash, system->parameters * sizeof(double), system->parameter_values);
-    if (system->mass) hash = digest(hash, n * n * sizeof(double), system->mass);
-    for (size_t j = 0; j < dal__scheme_count(scheme); j++) {
-        const dal_substep s = dal__scheme_substep(scheme, j);
-        hash = digest(hash, sizeof s, &s);
-    }
-    return (double)(hash >> 11); /* a double holds 53 bits */
-}
-
 /* What stands in front of x and of what the family keeps.  Counters are exact below 2^53. */
 enum { VERSION = 1, HEAD = 27 };
 

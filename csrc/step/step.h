@@ -18,6 +18,8 @@ size_t dal__scheme_count(const dal_scheme *scheme);
 dal_substep dal__scheme_substep(const dal_scheme *scheme, size_t j);
 /* DAL_EINVAL unless the record has what all families know: moved nodes, no sub-steps. */
 int dal__scheme_check_plain(const dal_scheme *scheme, const char *family, dal_error *error);
+/* A number of system and scheme, but for callbacks and what is behind data. */
+double dal__scheme_identify(const dal_system *system, const dal_scheme *scheme);
 
 /* One beta-step of any system by the full Newton iteration on all n + m unknowns. */
 typedef struct newton {
@@ -41,8 +43,8 @@ void dal__newton_forget(newton *solver);
 size_t dal__newton_save(const newton *solver, double *values);
 void dal__newton_restore(newton *solver, const double *values);
 /* One beta-scheme with step h (of either sign) at time t from x[2n], in place; kappa[m] = h lambda.
- * end, alpha, kept: as in dal__step_begin.  What was done is added to stats; the text of a failure is in
- * mech->error. */
+ * end, alpha, kept: as in dal__step_begin.  What was done is added to stats; the text of a failure
+ * is in mech->error. */
 int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double alpha,
                      double beta, double h, bool kept, double *x, double *kappa, dal_stats *stats);
 
@@ -75,8 +77,6 @@ struct dal_stepper {
     arena arena;
 };
 
-/* A number of system and scheme, but for callbacks and what is behind data. */
-double dal__stepper_identify(const dal_system *system, const dal_scheme *scheme);
 /* DAL_EINVAL unless it is started; unless steps of h lead on from t0. */
 int dal__stepper_started(dal_stepper *stepper);
 int dal__stepper_check_times(dal_stepper *stepper, double t0, double h);

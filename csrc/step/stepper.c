@@ -46,7 +46,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
         return status;
     }
     if (scheme->nodes == DAL_KEPT_NODES) self->shift = 1.0 - dal__scheme_substep(scheme, 0).beta;
-    self->identity = dal__stepper_identify(system, scheme);
+    self->identity = dal__scheme_identify(system, scheme);
     *stepper = self;
     return DAL_SUCCESS;
 }
@@ -288,8 +288,9 @@ int dal__stepper_reaction(dal_stepper *stepper, size_t steps, double *reaction)
     const dal_motion *const motion = &self->motion;
     double *const mean = self->mech.lambda;
     for (size_t a = 0; a < self->mech.m; a++) {
-        mean[a] = motion->impulse[a] / ((double)steps * motion->h);
-        if (!isfinite(mean[a]) && !self->family->no_reaction)
+        const bool none = self->family->no_reaction;
+        mean[a] = none ? (double)NAN : motion->impulse[a] / ((double)steps * motion->h);
+        if (!none && !isfinite(mean[a]))
             return dal__fail(&self->error, DAL_EDOMAIN, "reaction[%zu] = %g is not finite after "
                              "step %zu (t = %g, h = %g)", a, mean[a], motion->steps,
                              dal_stepper_time(self), motion->h);

@@ -471,8 +471,9 @@ static int judge(const study *self, const dal_order *order, const char **why)
     const bool run_short = falls_short(run, self->scheme->order);
     /* where either will do, one that falls short says nothing as long as the other is unknown */
     const bool missed = both ? step_short || run_short : step_short && run_short;
-    const bool reaction_holds = reaches(&order->reaction, of_step.s + 1);
-    if (!is_known(&order->reaction) ||
+    const bool reacts = !dal__scheme_family(self->scheme)->no_reaction;
+    const bool reaction_holds = !reacts || reaches(&order->reaction, of_step.s + 1);
+    if ((reacts && !is_known(&order->reaction)) ||
         !(reached || missed || (is_known(step) && is_known(run))))
         *why = "not settled, for too few errors stand clear of roundoff: three over a factor of "
                "two in h are needed, so give more numbers of steps, or take a longer interval";

@@ -3,6 +3,7 @@
  * A deformed system is a system as any other: its callbacks call those of its base, which it
  * borrows, with the ctx of the base.  It may be shared by threads as far as the base may, so what
  * a call needs beside its outputs lies on the stack. */
+#include "dalembert/deformation.h"
 #include "system/system.h"
 
 #include <math.h>

@@ -22,7 +22,8 @@ typedef struct dal_motion {
     dal_stats *stats;
     dal_watch_fn watch;        /* or NULL: asked by steps that may take long, with the time */
     void *watch_ctx;
-    dal_error *error;          /* what went wrong in the last step, without its number */
+    dal_error *error;          /* what went wrong in the last step, without its number: what
+                                  mechanics says of itself is there */
 } dal_motion;
 
 /* A function that is NULL has nothing to do.  method is what make made. */

@@ -3,7 +3,7 @@
 #ifndef DALEMBERT_GEOMETRY_H
 #define DALEMBERT_GEOMETRY_H
 
-#include <dalembert.h>
+#include <dalembert/deformation.h>
 
 #ifdef __cplusplus
 extern "C" {

@@ -38,6 +38,9 @@ extern "Python" int dal_py_watch(double t, void *ctx);
 extern "Python" int dal_py_observer(size_t step, double t, const double *x, void *ctx);
 """
 
+# For tests alone: the steps of a stepper are made by the compilation for any sizes.
+FOR_TESTS = "void dal__beta_any_sizes(dal_stepper *stepper);\n"
+
 
 def declarations(header: str) -> str:
     """Return what stands between the cdef marks of ``header``, without the export macro.
@@ -59,9 +62,9 @@ def write_extension(headers: list[Path], output: Path) -> None:
     """Write to ``output`` the C source of the extension over the functions of ``headers``."""
     ffi = FFI()
     texts = [declarations(header.read_text(encoding="utf-8")) for header in headers]
-    ffi.cdef("".join(texts) + TRAMPOLINES)
+    ffi.cdef("".join(texts) + TRAMPOLINES + FOR_TESTS)
     names = [header.relative_to(headers[0].parent) for header in headers]
-    ffi.set_source("dalembert._core", "".join(f"#include <{name}>\n" for name in names))
+    ffi.set_source("dalembert._core", "".join(f"#include <{name}>\n" for name in names) + FOR_TESTS)
     ffi.emit_c_code(str(output))
 
 

@@ -158,8 +158,7 @@ static int refuse_singular(multiroot *s)
                                  &s->mech->error);
     if (!status) status = dal__form_metric(s->mech, t, s->mech->q, s->w);
     if (status || s->m == 0) return status;
-    dal__form_Z(s->mech, s->mech->mu);
-    return dal__factor_gram(s->mech, s->mech->mu);
+    return dal__factor_gram(s->mech);
 }
 
 /* One beta-scheme from x[2n], in place, into s->kappa. */

@@ -134,7 +134,7 @@ def test_systems_and_schemes_are_listed_one_line_each():
     assert done.returncode == 0
     lines, footer = (part.splitlines() for part in done.stdout.split("\n\nBesides these:\n"))
     assert [line.split()[0] for line in lines] == [scheme.name for scheme in dal.schemes()]
-    assert [line.split()[0] for line in footer] == ["N", "N-nodes", "reference"]
+    assert [line.split()[0] for line in footer] == ["N", "N-nodes", "pair:A:B", "FILE.so:SYMBOL"]
     assert all(len(line.split()) > 2 for line in [*lines, *footer])
 
 
@@ -170,7 +170,7 @@ def test_version():
         (("study", "particle", "--q0", "0,1,0", "--no-report"), "q0 without v0: expected both"),
         (("study", "particle", "--v0", "1,1,1", "--no-report"), "v0 without q0: expected both"),
         (("study", "particle", "--scheme", "trapezoid"), "leapfrog"),
-        (("study", "particle", "--scheme", "reference"), "reference"),
+        (("study", "particle", "--scheme", "no.so:x"), "no.so"),
         (("study", "knife_edge", "--parameter", "weight=3"), "weight"),
         (("study", "knife_edge", "--parameter", "m"), "expected NAME=NUMBER"),
         (("study", "knife_edge", "--parameter", "m=-1"), "m"),

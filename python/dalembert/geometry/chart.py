@@ -22,6 +22,8 @@ from .. import core
 from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
 from . import mechanics
 
+__all__ = ["Chart", "cutoff"]
+
 _log = logging.getLogger(__name__)
 
 
@@ -559,8 +561,9 @@ class Chart(core.Constant):
         with self._charts.lend() as chart:
             for k, each in enumerate(times.flat):
                 row = core.pointer(x, k)
-                given = (0.0, first, second, float(each), row)
-                status = core.attempt(lib.dal_chart_curve, chart, *given)
+                status = core.attempt(
+                    lib.dal_chart_curve, chart, 0.0, first, second, float(each), row
+                )
                 self._charts.check(status, chart, k)
         return self._halves(x, times.ndim == 0)
 

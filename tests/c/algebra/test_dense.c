@@ -71,6 +71,19 @@ static void test_status(void)
     CHECK(sscanf(dal_version(), "%d.%d.%d", &major, &minor, &patch) == 3);
 }
 
+/* All results that are wanted, or none; what is not wanted may be anything. */
+static void test_deliver(void)
+{
+    const double good[2] = {1.0, 2.0}, bad[2] = {3.0, NAN};
+    double first[2] = {7.0, 7.0}, second[2] = {7.0, 7.0};
+    dal_error error = {0};
+    CHECK(DAL__DELIVER(&error, {"first", 2, good, first}, {"second", 2, bad, second})
+          == DAL_EDOMAIN);
+    CHECK(first[0] == 7.0 && second[0] == 7.0 && strstr(error.text, "second[1]") != NULL);
+    CHECK(DAL__DELIVER(&error, {"first", 2, good, first}, {"second", 2, bad, NULL}) == 0);
+    CHECK(first[0] == 1.0 && first[1] == 2.0);
+}
+
 static void test_all_finite(void)
 {
     double x[3] = {1.0, -1e308, 5e-324};
@@ -97,6 +110,7 @@ int main(void)
     test_arena();
     test_overflow();
     test_status();
+    test_deliver();
     test_all_finite();
     test_apply();
     return check_done();

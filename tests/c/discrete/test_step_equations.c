@@ -844,8 +844,8 @@ static void step_otherwise(const dal_system *system, const double *x, double *y,
 
 /* Steps do not depend on units, to the last bit and to the last iteration; nor, all coordinates in
  * the same unit, far from the origin, where how far a rounding of q moves things decides when an
- * iteration has ended.  Sizes that are found, of the matrix for pairs of nodes, decide between equal
- * pivots. */
+ * iteration has ended.  Sizes that are found, of the matrix for pairs of nodes, decide between
+ * equal pivots. */
 static void test_units(const char *name, int most, double far)
 {
     dal_system *const base = open_system(name);

@@ -173,6 +173,282 @@ static void test_observer(void)
     dal_system_free(system);
 }
 
+/* ---- in parts ----------------------------------------------------------------------------- */
+
+enum { LONG = 2000, MOST_2N = 16, MOST_M = 4 };
+
+/* What an observer has seen, in one number for all of it; it may want no more, once. */
+typedef struct witness {
+    size_t calls, stop_at;
+    double sum;
+} witness;
+
+static int testify(size_t step, double t, const double *x, void *ctx)
+{
+    witness *const w = ctx;
+    w->sum = 0.75 * w->sum + (double)step + t + x[0] + x[1];
+    w->calls++;
+    if (w->calls != w->stop_at) return 0;
+    w->stop_at = 0;
+    return 1;
+}
+
+typedef struct record {
+    double x[(LONG + 1) * MOST_2N], reactions[LONG * MOST_M];
+    size_t stops;
+    witness seen;
+} record;
+
+/* A run of LONG steps by so many at a time, which the observer interrupts at one of its calls. */
+static void run_in_parts(const dal_system *system, const char *scheme, size_t stride, size_t budget,
+                         size_t stop_at, record *r)
+{
+    dal_stepper *const stepper = started(system, scheme, 0.25, 0.01);
+    const size_t N = 2 * dal_system_n(system);
+    fill(DAL_LENGTH(r->x), r->x);
+    fill(DAL_LENGTH(r->reactions), r->reactions);
+    r->stops = 0;
+    r->seen = (witness){.stop_at = stop_at};
+    dal_run run = {.stepper = stepper, .steps = LONG, .stride = stride, .x = r->x,
+                   .reactions = r->reactions, .observer = testify, .observer_ctx = &r->seen};
+    CHECK(dal_run_go(&run, 0) == (stop_at == 1 ? DAL_STOPPED : DAL_SUCCESS));
+    CHECK(run.done == 0 && run.stored == 1 && r->seen.calls == 1); /* where it begins */
+    r->stops += stop_at == 1;
+    while (run.done < LONG) {
+        const size_t before = run.done, left = LONG - before;
+        const int status = dal_run_go(&run, budget);
+        const size_t made = run.done - before;
+        CHECK(status == DAL_SUCCESS ? made == (left < budget ? left : budget)
+                                    : status == DAL_STOPPED && made <= budget);
+        CHECK(run.stored == run.done / stride + 1 && r->seen.calls == run.stored);
+        CHECK(dal_stepper_time(stepper) == 0.25 + (double)run.done * 0.01);
+        r->stops += status == DAL_STOPPED;
+    }
+    CHECK(memcmp(dal_stepper_state(stepper), r->x + (run.stored - 1) * N, N * sizeof *r->x) == 0);
+    CHECK(dal_run_go(&run, budget) == DAL_SUCCESS && run.done == LONG); /* it is over */
+    CHECK(r->seen.calls == LONG / stride + 1);
+    dal_stepper_free(stepper);
+}
+
+/* However many steps at a time, and wherever the observer stops it once: the same rows, reactions
+ * and calls of the observer, to the bit. */
+static void test_budgets(void)
+{
+    static const size_t strides[] = {1, 10, 1000}, budgets[] = {1, 7, 64, 1000, SIZE_MAX};
+    static const struct {
+        const char *system, *scheme;
+    } cases[] = {{"generic4", "leapfrog-suzuki4"}, {"genmass", "midpoint"}, {"disk", "leapfrog"},
+                 {"particle", "midpoint-nodes"}, {"generic4", "pair:0.25:0.5"},
+                 {"particle_oscillator", "reference"}};
+    record *const whole = malloc(sizeof *whole), *const parts = malloc(sizeof *parts);
+    if (!whole || !parts) exit(2);
+    for (size_t c = 0; c < DAL_LENGTH(cases); c++) {
+        dal_system *const system = open_system(cases[c].system);
+        for (size_t s = 0; s < DAL_LENGTH(strides); s++) {
+            run_in_parts(system, cases[c].scheme, strides[s], LONG, 0, whole);
+            for (size_t b = 0; b < DAL_LENGTH(budgets); b++)
+                for (size_t stop = 0; stop <= 2; stop++) {
+                    const size_t rows = LONG / strides[s] + 1;
+                    const size_t stop_at = stop == 2 ? rows / 2 + 1 : stop;
+                    run_in_parts(system, cases[c].scheme, strides[s], budgets[b], stop_at, parts);
+                    CHECK(parts->stops == (stop_at > 0));
+                    CHECK(memcmp(whole->x, parts->x, sizeof whole->x) == 0);
+                    const size_t size = sizeof whole->reactions; /* NaN has its bits */
+                    CHECK(memcmp(whole->reactions, parts->reactions, size) == 0);
+                    CHECK(whole->seen.sum == parts->seen.sum);
+                }
+        }
+        dal_system_free(system);
+    }
+    free(whole);
+    free(parts);
+}
+
+/* generic4 whose constraint refuses, once, at one of its calls. */
+static int fragile(double t, const double *q, const double *v, double *phi, double *phi_v,
+                   double *phi_q, double *phi_t, void *ctx)
+{
+    size_t *const left = ctx;
+    if (*left > 0 && --*left == 0) return -1;
+    return generic4_constraint(t, q, v, phi, phi_v, phi_q, phi_t, NULL);
+}
+
+/* A general Lagrangian of the same system. */
+static int general(double t, const double *q, const double *v, double *L, double *L_q,
+                   double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt, void *ctx)
+{
+    double V = 0.0, Mv[4];
+    (void)ctx, (void)L_vt;
+    generic4_potential(t, q, &V, L_q, L_qq, NULL);
+    dal__apply(4, 4, generic4_mass, v, Mv);
+    if (L) *L = 0.5 * dal__dot(4, v, Mv) - V;
+    for (size_t i = 0; L_q && i < 4; i++) L_q[i] = -L_q[i];
+    for (size_t k = 0; L_qq && k < 16; k++) L_qq[k] = -L_qq[k];
+    if (L_v) memcpy(L_v, Mv, sizeof Mv);
+    if (L_vq) memset(L_vq, 0, 16 * sizeof *L_vq);
+    if (L_vv) memcpy(L_vv, generic4_mass, sizeof generic4_mass);
+    return 0;
+}
+
+/* A failure in the middle of a stride, in any sub-step: the rows before it stand, and the run goes
+ * on.  What a step that failed had gathered of impulses is in no reaction. */
+static void test_mended(void)
+{
+    static const char *const schemes[] = {"leapfrog", "leapfrog-suzuki4", "midpoint-yoshida4",
+                                          "pair:0.25:0.5"};
+    enum { MADE = 12, STRIDE = 4, ROWS = MADE / STRIDE };
+    for (int as = 0; as < 2; as++)
+        for (size_t j = 0; j < DAL_LENGTH(schemes); j++) {
+            size_t left = 0, failures = 0;
+            double state[N2], rows[2][(ROWS + 1) * N2], reactions[2][ROWS * M];
+            generic4_state(state);
+            const dal_system_def def = {
+                .n = 4, .m = 2, .mass = as ? NULL : generic4_mass, .lagrangian = as ? general : NULL,
+                .potential = as ? NULL : generic4_potential, .constraint = fragile, .ctx = &left,
+                .state = state};
+            dal_system *system = NULL;
+            need(dal_system_new(&system, &def, NULL), "fragile", "");
+            for (size_t calls = 0; calls < 400; calls += 3) {
+                left = 0;
+                dal_stepper *const stepper = started(system, schemes[j], 0.0, 0.2);
+                const int k = calls > 0;
+                dal_run run = {.stepper = stepper, .steps = MADE, .stride = STRIDE, .x = rows[k],
+                               .reactions = reactions[k]};
+                fill((ROWS + 1) * N2, rows[k]);
+                fill(ROWS * M, reactions[k]);
+                left = calls;
+                int status = dal_run_go(&run, SIZE_MAX);
+                CHECK(status == DAL_SUCCESS || (k && status == DAL_EUSER));
+                if (status) {
+                    failures++;
+                    CHECK(run.done < MADE && run.stored == run.done / STRIDE + 1);
+                    for (size_t i = run.stored * N2; i < (ROWS + 1) * N2; i++)
+                        CHECK(rows[1][i] == EMPTY);
+                    for (size_t i = (run.stored - 1) * M; i < ROWS * M; i++)
+                        CHECK(reactions[1][i] == EMPTY);
+                    CHECK(dal_stepper_time(stepper) == (double)run.done * 0.2);
+                    status = dal_run_go(&run, SIZE_MAX);
+                }
+                CHECK(status == DAL_SUCCESS && run.done == MADE && run.stored == ROWS + 1);
+                /* predictions begin anew, each step is solved to 64 u of the state */
+                CHECK_NEAR(largest_difference((ROWS + 1) * N2, rows[0], rows[k]), 0.0,
+                           64 * MADE * U * sum_of_sizes(N2, dal_stepper_state(stepper)));
+                CHECK_NEAR(largest_difference(ROWS * M, reactions[0], reactions[k]), 0.0,
+                           256 * MADE * U * sum_of_sizes(N2, dal_stepper_state(stepper)) / 0.2);
+                dal_stepper_free(stepper);
+            }
+            CHECK(failures >= 10);
+            dal_system_free(system);
+        }
+}
+
+/* v_x = 0 on a steep slope: the impulses of some steps overflow in their sum, and no state does. */
+static int still(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
+                 void *ctx)
+{
+    (void)q, (void)ctx;
+    if (phi) phi[0] = v[0];
+    if (phi_v) phi_v[0] = 1.0, phi_v[1] = 0.0;
+    if (phi_q) phi_q[0] = phi_q[1] = 0.0;
+    return 0;
+}
+
+static int slope(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const double *const steepness = ctx;
+    if (V) *V = *steepness * q[0];
+    if (V_q) V_q[0] = *steepness, V_q[1] = 0.0;
+    if (V_qq) memset(V_qq, 0, 4 * sizeof *V_qq);
+    return 0;
+}
+
+/* A row whose reaction is not finite is not stored, and nothing takes its place. */
+static void test_pending(void)
+{
+    const double mass[4] = {1.0, 0.0, 0.0, 1.0}, x0[4] = {0.0, 0.0, 0.0, 1.0};
+    double steepness = 4e307;
+    const dal_system_def def = {.n = 2, .m = 1, .mass = mass, .potential = slope,
+                                .constraint = still, .ctx = &steepness};
+    const dal_scheme scheme = find_scheme("explicit");
+    dal_system *system = NULL;
+    double x[4 * 4], reactions[3];
+    need(dal_system_new(&system, &def, NULL), "still", "");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    need(dal_stepper_start(stepper, 0.0, 0.5, x0, DAL_CHECK, DAL_INITIAL_NONE), "still", "");
+    fill(DAL_LENGTH(x), x);
+    dal_run run = {.stepper = stepper, .steps = 30, .stride = 10, .x = x,
+                   .reactions = reactions};
+    for (int again = 0; again < 3; again++) { /* ten impulses of 2e307 each */
+        CHECK(dal_run_go(&run, 10) == DAL_EDOMAIN && run.done == 10 && run.stored == 1);
+        check_true(strstr(dal_stepper_message(stepper), "reaction[0]") != NULL,
+                   dal_stepper_message(stepper), "reaction", __LINE__);
+        CHECK(x[4] == EMPTY);
+    }
+    run.reactions = NULL; /* then it may go on */
+    CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS && run.done == 30 && run.stored == 4);
+    for (size_t row = 0; row < 4; row++) CHECK(x[4 * row + 1] == 5.0 * (double)row);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
+/* How often it was asked, and what it answers. */
+typedef struct guard {
+    size_t calls;
+    int answer;
+    double from, to;
+} guard;
+
+static int keep_watch(double far, void *ctx)
+{
+    guard *const g = ctx;
+    CHECK(g->from <= far && far <= g->to);
+    g->calls++;
+    return g->answer;
+}
+
+/* A step of the reference flow that takes long is stopped within it: nothing has changed, and the
+ * run goes on to the same bits.  Short steps leave the watch in peace. */
+static void test_watch(void)
+{
+    const dal_scheme scheme = find_scheme("reference");
+    dal_system *const system = open_system("generic4");
+    double x0[N2], x[2][4 * N2];
+    CHECK(dal_system_state(system, x0) == 0);
+    for (int watched = 0; watched < 2; watched++) {
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        guard g = {.answer = 1, .from = 0.5, .to = 0.5 + 3 * 40.0};
+        dal_run run = {.stepper = stepper, .steps = 3, .stride = 1, .x = x[watched],
+                       .watch = watched ? keep_watch : NULL, .watch_ctx = &g};
+        CHECK(dal_stepper_start(stepper, 0.5, 40.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        fill(4 * N2, x[watched]);
+        CHECK(dal_run_go(&run, 1) == (watched ? DAL_STOPPED : DAL_SUCCESS));
+        if (watched) { /* in the middle of the first step */
+            CHECK(g.calls == 1 && run.done == 0 && run.stored == 1 && x[1][N2] == EMPTY);
+            CHECK(memcmp(dal_stepper_state(stepper), x[1], N2 * sizeof *x0) == 0);
+            CHECK(strstr(dal_stepper_message(stepper), "the watch returned 1") != NULL);
+            g.answer = -1;
+            run.watch_ctx = &(guard){.answer = -1, .from = g.from, .to = g.to};
+            CHECK(dal_run_go(&run, 1) == DAL_EUSER && run.done == 0);
+            run.watch_ctx = &g;
+            g.answer = 0;
+        }
+        CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS && run.done == 3 && run.stored == 4);
+        CHECK(dal_advance(stepper, 1, NULL, NULL) == DAL_SUCCESS); /* nobody watches that */
+        dal_stepper_free(stepper);
+    }
+    CHECK(memcmp(x[0], x[1], sizeof x[0]) == 0);
+
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    guard g = {.from = 0.0, .to = LONG};
+    dal_run run = {.stepper = stepper, .steps = LONG, .stride = 1, .watch = keep_watch,
+                   .watch_ctx = &g};
+    CHECK(dal_stepper_start(stepper, 0.0, 0.01, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
+    CHECK(g.calls >= 1 && g.calls < LONG / 4); /* of which it would be asked in each */
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
 /* ---- errors --------------------------------------------------------------------------------- */
 
 static void test_arguments(void)
@@ -193,6 +469,12 @@ static void test_arguments(void)
     CHECK(strstr(dal_stepper_message(stepper), "stride = 2") != NULL);
     CHECK(dal_integrate(stepper, 5, 0, x, NULL, NULL, NULL, &done) == DAL_EINVAL && done == 0);
     CHECK(x[0] == EMPTY && memcmp(before, dal_stepper_state(stepper), sizeof before) == 0);
+    dal_run run = {.steps = 4, .stride = 2};
+    CHECK(dal_run_go(NULL, 3) == DAL_EINVAL && dal_run_go(&run, 3) == DAL_EINVAL);
+    run.stepper = fresh;
+    CHECK(dal_run_go(&run, 3) == DAL_EINVAL && run.done == 0 && run.stored == 0);
+    run = (dal_run){.stepper = stepper, .steps = 4, .stride = 0};
+    CHECK(dal_run_go(&run, 3) == DAL_EINVAL && run.done == 0 && run.stored == 0);
     dal_stepper_free(fresh);
     dal_stepper_free(stepper);
     dal_system_free(system);
@@ -427,6 +709,10 @@ int main(void)
     test_empty();
     test_time();
     test_observer();
+    test_budgets();
+    test_mended();
+    test_pending();
+    test_watch();
     test_arguments();
     test_failure();
     test_infinite_energy();

@@ -86,7 +86,7 @@ static void state_of(const dal_system *system, double *x)
     if (dal_system_state(system, x)) /* one that is made from generic4 */
         generic4_state(x);
     for (size_t i = 0; i < n; i++) x[n + i] += 0.1 + 0.03 * (double)i;
-    need(dal_project(mechanics, 0.0, x, NULL), "state", dal_mechanics_message(mechanics));
+    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "state", dal_mechanics_message(mechanics));
     dal_mechanics_free(mechanics);
 }
 

@@ -199,18 +199,6 @@ def test_one_step(general, beta, h):
         assert general.residual(run.q[k + 1], run.v[k + 1]) <= 4 * 3 * U
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", "leapfrog-suzuki4", "endpoint-nodes"])
-def test_multiroot(general, scheme):
-    """Another solver of the same equations agrees to 64 u."""
-    options = {"initial": "project"} if scheme.endswith("nodes") else {}
-    runs = [
-        dal.integrate(general.system(), scheme, h=0.05, steps=3, solver=solver, **options)
-        for solver in ("schur", "multiroot")
-    ]
-    scale = np.max(np.abs(runs[0].x))
-    np.testing.assert_allclose(runs[1].x, runs[0].x, rtol=0.0, atol=64 * U * scale)
-
-
 @pytest.mark.parametrize("beta", BETAS[:3])
 def test_kept_nodes_keep_the_deformation(general, beta):
     scheme = dal.Scheme([(beta, 1.0)], nodes="kept")

@@ -125,14 +125,6 @@ def test_python_and_c_functions_give_the_same_bits(particle, particle_in_python)
         np.testing.assert_array_equal(runs[0].reactions, runs[1].reactions)
 
 
-@pytest.mark.parametrize("options", [{"solver": "multiroot"}, {"sizes": "runtime"}])
-def test_solvers_agree(own, options):
-    system = own.system()
-    x = dal.integrate(system, "midpoint", h=H, steps=STEPS).x
-    y = dal.integrate(system, "midpoint", h=H, steps=STEPS, **options).x
-    np.testing.assert_allclose(y, x, atol=0 if "sizes" in options else TOLERANCE)
-
-
 def test_representations_of_schemes():
     assert repr(dal.Scheme.find("leapfrog")) == (
         "<Scheme leapfrog: (beta, fraction) = (0, 0.5), (1, 0.5); moved nodes, order 2>"
@@ -335,7 +327,6 @@ def test_no_steps(own):
         ({"h": 0.1, "steps": 1, "scheme": None}, "scheme = None: expected a Scheme"),
         ({"h": 0.1, "steps": 1, "observer": 3}, "observer = 3: expected a function"),
         ({"h": 0.1, "steps": 1, "progress": 3}, "progress = 3: expected True, False or a function"),
-        ({"h": 0.1, "steps": 1, "solver": 3}, "solver = 3"),
         ({"h": 0.1, "steps": 1, "max_iterations": 0}, "max_iterations = 0"),
         ({"h": 0.1, "steps": 1, "q0": [0, 1], "v0": [0, 1, 1]}, r"q0: .* \(3,\), got \(2,\)"),
         ({"h": 0.1, "steps": 1, "q0": [0, 1, 1], "v0": [0, 1, np.inf]}, r"v0\[2\] = inf"),

@@ -284,20 +284,6 @@ def test_two_kinds_agree(name, group):
         )
 
 
-@pytest.mark.parametrize("group", ["onestep", "hat", "composition"])
-@pytest.mark.parametrize(("name", "kind"), SUBJECTS)
-def test_options(name, kind, group):
-    """The step for any sizes gives the same bits; gsl_multiroot the state to 64 u."""
-    subject = system(name, kind)
-    for entry in entries(group, name):
-        run = integrate(subject, entry)
-        anysize = integrate(subject, entry, sizes="runtime")
-        assert np.array_equal(run.x, anysize.x) and np.array_equal(run.reactions, anysize.reactions)
-        slow = integrate(subject, entry, solver="multiroot")
-        scale = np.max(np.abs(run.x[-1]))
-        np.testing.assert_allclose(slow.x[-1], run.x[-1], rtol=0.0, atol=64 * U * scale)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_unconstrained(name):
     """The beta-schemes without constraints."""

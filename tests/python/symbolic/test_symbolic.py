@@ -254,15 +254,16 @@ def test_vectors(name):
 def test_one_text_two_compilations(name, scheme):
     """1000 steps of the compiled step routine have the bits of the library's run-time version."""
     system = MAKERS[name]()
-    assert library(system._model).definition.kernel != core.ffi.NULL
+    assert library(system._model).definition.compiled != core.ffi.NULL
     source = np.random.default_rng(7)
     q0 = source.uniform(-0.5, 0.5, system.n)
     v0 = system.project(q0, source.uniform(-1, 1, system.n))
     ends = []
-    for sizes in (core.lib.DAL_SIZES_AUTO, core.lib.DAL_SIZES_RUNTIME):
+    for any_sizes in (False, True):
         record = dal.Scheme.find(scheme)
-        options = core.ffi.new("dal_options *", {"sizes": sizes})
-        stepper = core.make("stepper", system._handle, c_record(record), options)
+        stepper = core.make("stepper", system._handle, c_record(record), core.ffi.NULL)
+        if any_sizes:
+            core.lib.dal__beta_any_sizes(stepper)
         x = np.concatenate([q0, v0])
         start = (0.0, 0.01, core.pointer(x), core.lib.DAL_CHECK, core.lib.DAL_INITIAL_NONE)
         assert core.lib.dal_stepper_start(stepper, *start) == 0
@@ -280,7 +281,7 @@ def test_many_coordinates():
     q = dal.coordinates(" ".join(f"x{i}" for i in range(40)))
     rows = [a.d - b * c.d for a, b, c in zip(q, q[10:], q[20:30])]
     large = dal.System.from_sympy(sum(x.d**2 for x in q) / 2, rows, coordinates=list(q))
-    assert library(large._model).definition.kernel == core.ffi.NULL
+    assert library(large._model).definition.compiled == core.ffi.NULL
     q0 = np.linspace(-1, 1, 40)
     run = dal.integrate(large, "midpoint", q0, large.project(q0, np.cos(q0)), h=0.01, steps=100)
     assert run.success and run.residual.max() <= 4 * 40 * U

@@ -225,8 +225,6 @@ def test_twin(name):
         near("multipliers", q, v, factor=condition)
         near("acceleration", q, v, factor=condition)
         runs = [dal.integrate(s, "midpoint", q, v, h=0.01, steps=100) for s in (in_c, twin)]
-        again = dal.integrate(twin, "midpoint", q, v, h=0.01, steps=100, sizes="runtime")
-        np.testing.assert_array_equal(again.y, runs[1].y)
         size = max(1.0, np.abs(runs[0].y).max())
         error = np.abs(runs[1].y - runs[0].y).max()
         assert error <= 64 * U * size * condition
