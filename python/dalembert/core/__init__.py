@@ -5,8 +5,6 @@ from .arguments import Array
 from .callbacks import (
     FUNCTIONS,
     Callables,
-    DeformationCallables,
-    MapCallables,
     Observer,
     ignore,
     watching,

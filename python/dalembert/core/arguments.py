@@ -12,11 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "array", "choice", "function", "integer", "mapping", "names", "number", "pair", "parameter",
-    "returned", "shown", "step_size", "suggestion", "text", "tolerance",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 
 

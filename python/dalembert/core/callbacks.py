@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -27,13 +27,10 @@ FUNCTIONS = (
 
 
 class Callables:
-    """A user's functions of a system, and the shapes of what they return."""
+    """A user's functions, and the shapes of what they return, of n coordinates, m constraints."""
 
-    __slots__ = (*FUNCTIONS, "bytes", "matrix", "multipliers", "square", "vector")
-
-    def __init__(self, n: int, m: int, functions: Mapping[str, Callable[..., Any] | None]) -> None:
-        for name in FUNCTIONS:
-            setattr(self, name, functions[name])
+    def __init__(self, n: int, m: int, **functions: Callable[..., Any] | None) -> None:
+        self.__dict__.update(functions)
         self.bytes = 8 * n
         self.vector, self.multipliers, self.matrix, self.square = (n,), (m,), (m, n), (n, n)
 
@@ -89,16 +86,15 @@ def dal_py_lagrangian(
     if L:
         value = call.lagrangian(point, velocity)
         L[0] = value if isinstance(value, float) else returned(value, (), "lagrangian")
-    if L_q:
-        _write(L_q, call.lagrangian_q(point, velocity), call.vector, "lagrangian_q")
-    if L_v:
-        _write(L_v, call.lagrangian_v(point, velocity), call.vector, "lagrangian_v")
-    if L_qq:
-        _write(L_qq, call.lagrangian_qq(point, velocity), call.square, "lagrangian_qq")
-    if L_vq:
-        _write(L_vq, call.lagrangian_vq(point, velocity), call.square, "lagrangian_vq")
-    if L_vv:
-        _write(L_vv, call.lagrangian_vv(point, velocity), call.square, "lagrangian_vv")
+    vector, square = call.vector, call.square
+    outputs = (
+        ("q", L_q, vector), ("v", L_v, vector), ("qq", L_qq, square), ("vq", L_vq, square),
+        ("vv", L_vv, square),
+    )  # fmt: skip
+    for key, target, shape in outputs:
+        if target:
+            name = f"lagrangian_{key}"
+            _write(target, getattr(call, name)(point, velocity), shape, name)
     return 0
 
 
@@ -186,44 +182,12 @@ def dal_py_exact(t: float, x0: Any, x: Any, ctx: Any) -> int:
     return 0
 
 
-class DeformationCallables:
-    """A user's g of phi + delta g, and the shapes of what it returns."""
-
-    __slots__ = ("bytes", "g", "g_q", "g_v", "matrix", "multipliers")
-
-    def __init__(
-        self,
-        n: int,
-        m: int,
-        g: Callable[..., Any],
-        g_v: Callable[..., Any],
-        g_q: Callable[..., Any] | None,
-    ) -> None:
-        self.g, self.g_v, self.g_q = g, g_v, g_q
-        self.bytes = 8 * n
-        self.multipliers, self.matrix = (m,), (m, n)
-
-
 @ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
 def dal_py_deformation(
     t: float, q: Any, v: Any, g: Any, g_v: Any, g_q: Any, g_t: Any, ctx: Any
 ) -> int:
     call = _from_handle(ctx)
     return _constrain(call, q, v, {"g": g, "g_v": g_v, "g_q": g_q})
-
-
-class MapCallables:
-    """A user's finite difference map of n coordinates."""
-
-    __slots__ = ("bytes", "derivatives", "map", "square", "vector")
-
-    def __init__(
-        self, n: int, map: Callable[..., Any], derivatives: Callable[..., Any] | None
-    ) -> None:
-        self.map = map
-        self.derivatives = derivatives
-        self.bytes = 8 * n
-        self.vector, self.square = (n,), (n, n)
 
 
 _OF_MAP = ("map (g)", "map (f)")

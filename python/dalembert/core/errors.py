@@ -25,16 +25,6 @@ import numpy as np
 
 from .library import ffi, lib, pointer, string
 
-__all__ = [
-    "ConvergenceError",
-    "DalembertError",
-    "DalembertWarning",
-    "DomainError",
-    "NotOnConstraintError",
-    "SingularError",
-]
-
-
 # ---- exceptions ----------------------------------------------------------------------------
 
 

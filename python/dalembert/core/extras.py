@@ -10,8 +10,6 @@ from typing import Any
 
 from . import arguments
 
-__all__ = ["Later", "is_there", "progress", "require"]
-
 
 def require(module: str, purpose: str) -> Any:
     """Import a module of an extra.

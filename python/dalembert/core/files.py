@@ -10,8 +10,6 @@ import shutil
 import tempfile
 from pathlib import Path
 
-__all__ = ["require_folder", "require_writable", "write"]
-
 
 def require_writable(path: str | Path) -> None:
     """Raise OSError, with the name of the file, if `write` could not begin; nothing is changed."""

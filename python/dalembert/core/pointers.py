@@ -14,8 +14,6 @@ from . import arguments
 from .extras import require
 from .library import ffi
 
-__all__ = ["ARGUMENTS", "Pointer", "context", "find", "numba_wanted"]
-
 # Number of arguments of the callbacks of dalembert.h.
 ARGUMENTS = {"potential": 6, "constraint": 8, "lagrangian": 11, "force": 7}
 

@@ -23,8 +23,6 @@ from .. import core, geometry
 from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
 
 
-__all__ = ["DifferenceMap", "Discrete", "NodeRun", "Regularity", "exact_velocity"]
-
 class DifferenceMap:
     """A finite difference map rho(q0, q1) = (g, f) for a step h (FDM).
 
@@ -104,7 +102,7 @@ class DifferenceMap:
         """Return a ``dal_difference_map *`` for n coordinates, and what it needs to stay alive."""
         if self._map is None:
             return ffi.new("dal_difference_map *", {"beta": self._beta}), None
-        callables = core.MapCallables(n, self._map, self._derivatives)
+        callables = core.Callables(n, 0, map=self._map, derivatives=self._derivatives)
         context = ffi.new_handle(callables)
         definition = {
             "beta": self._beta,

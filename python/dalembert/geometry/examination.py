@@ -13,8 +13,6 @@ from .. import core
 from ..core import Handle, ffi, lib
 from . import mechanics
 
-__all__ = ["Check", "Difference", "examine"]
-
 DERIVATIVES = (
     "V_q", "V_qq", "L_q", "L_v", "L_qq", "L_vq", "L_vv", "f_q", "f_v", "phi_v", "phi_q",
 )  # fmt: skip

@@ -21,20 +21,6 @@ from numpy.typing import ArrayLike
 from .. import core
 from ..core import Array, Handle, arguments, ffi, lib
 
-__all__ = [
-    "acceleration",
-    "consistent",
-    "energy",
-    "field",
-    "gram",
-    "metric",
-    "multipliers",
-    "perturbed",
-    "power",
-    "project",
-    "relative_residual",
-    "residual",
-]
 
 def most_in_a_call(system: Handle) -> int:
     """Return how many states or steps C may work on in one call, so that Ctrl-C is seen soon.
@@ -110,6 +96,15 @@ def trajectory(
     return values
 
 
+def _quantity(
+    system: Handle, q: ArrayLike, v: ArrayLike, output: str, **numbers: float
+) -> Any:
+    """Evaluate one output of ``dal_trajectory`` on states as they are given."""
+    x, single = states(system, q, v)
+    values = trajectory(system, x, output, **numbers)
+    return values if not single else values[0] if values.ndim > 1 else float(values[0])
+
+
 # ---- functions -----------------------------------------------------------------------------
 
 
@@ -138,9 +133,7 @@ def energy(system: Handle, q: ArrayLike, v: ArrayLike) -> Any:
     >>> dal.systems.particle().energy([0, 1, 0], [1, 1, 1])
     1.5
     """
-    x, single = states(system, q, v)
-    values = trajectory(system, x, "energy")
-    return float(values[0]) if single else values
+    return _quantity(system, q, v, "energy")
 
 
 def residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:
@@ -170,10 +163,7 @@ def residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> 
     >>> dal.systems.particle().residual([0, 1, 0], [1, 1, 3])
     array([2.])
     """
-    x, single = states(system, q, v)
-    shift = arguments.number(shift, "shift")
-    values = trajectory(system, x, "residual", shift=shift)
-    return values[0] if single else values
+    return _quantity(system, q, v, "residual", shift=arguments.number(shift, "shift"))
 
 
 def relative_residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Any:
@@ -206,9 +196,7 @@ def relative_residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float =
     >>> dal.systems.particle().relative_residual([0, 1, 0], [1, 1, 2])
     0.25
     """
-    x, single = states(system, q, v)
-    values = trajectory(system, x, "relative", shift=arguments.number(shift, "shift"))
-    return float(values[0]) if single else values
+    return _quantity(system, q, v, "relative", shift=arguments.number(shift, "shift"))
 
 
 def multipliers(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
@@ -240,9 +228,7 @@ def multipliers(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> A
     >>> dal.systems.particle().multipliers([0, 1, 0], [1, 1, 1])
     array([0.5])
     """
-    x, single = states(system, q, v)
-    values = trajectory(system, x, "multipliers", t0=arguments.number(t, "t"))
-    return values[0] if single else values
+    return _quantity(system, q, v, "multipliers", t0=arguments.number(t, "t"))
 
 
 def metric(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:

@@ -22,8 +22,6 @@ from ..symbolic.zeros import is_zero
 from . import search as growth
 from .search import Brackets, Distribution, Word
 
-__all__ = ["examine"]
-
 Expr = Any
 
 # The steps of differences are 2**-_BITS; what is not larger than _ZERO is zero.

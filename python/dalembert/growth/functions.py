@@ -16,8 +16,6 @@ from .search import (
     rising, search, shortened,
 )  # fmt: skip
 
-__all__ = ["examine"]
-
 # What functions raise for states that they were not made for, and what the core does.
 _OUTSIDE = core.DalembertError, ArithmeticError, ValueError
 # The derivative along a line by central differences of order 6.

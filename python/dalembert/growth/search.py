@@ -28,11 +28,6 @@ import numpy as np
 
 from ..core import Array
 
-__all__ = [
-    "NEARBY", "Brackets", "Distribution", "Word", "at_random", "is_larger", "is_settled", "largest",
-    "no_more", "of_new_ones", "rising", "search", "shortened",
-]  # fmt: skip
-
 # An entry counts if it is this many times the difference to its twin.
 _TRUST = 30
 # What does not count is zero if it is so much smaller than what counted last.

@@ -29,8 +29,6 @@ from .runs import Run, consistent_state, started_stepper
 from .scheme import METHODS, Scheme
 from .solution import Solution
 
-__all__ = ["Reference", "integrate", "reference"]
-
 CONSISTENCY = {"check": lib.DAL_CHECK, "project": lib.DAL_PROJECT, "assume": lib.DAL_ASSUME}
 COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
 

@@ -14,8 +14,6 @@ from ..system import System
 from .scheme import Scheme
 from .solution import Solution, Statistics
 
-__all__ = ["Run", "consistent_state"]
-
 PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
 
 

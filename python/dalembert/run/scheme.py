@@ -13,8 +13,6 @@ from ..core import arguments, ffi, lib, require_system
 from ..discrete import DifferenceMap
 from ..system import System
 
-__all__ = ["Scheme", "schemes"]
-
 METHODS = {
     "rk8pd": lib.DAL_FLOW_RK8PD,
     "msadams": lib.DAL_FLOW_MSADAMS,

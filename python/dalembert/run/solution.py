@@ -15,8 +15,6 @@ from ..core import Array, arguments, differenced, extras, ffi, lib, require_syst
 from ..system import System
 from .scheme import Scheme
 
-__all__ = ["Solution", "States", "Statistics"]
-
 
 @dataclass(frozen=True)
 class Statistics:

@@ -14,21 +14,6 @@ from ..core import Array, arguments, extras
 from ..study.study import Fit, Studies, Study, order, worst
 from . import web
 
-__all__ = [
-    "Table",
-    "attach",
-    "heading",
-    "number",
-    "of_study",
-    "overview",
-    "rich",
-    "show",
-    "studies_lines",
-    "study_lines",
-    "summary",
-    "text",
-]
-
 Line = tuple[str, str]  # its text, and its style for rich
 
 WIDTH = 100  # of the plain table, at most

@@ -12,8 +12,6 @@ from typing import Any
 from ..core import extras
 from ..symbolic import formula
 
-__all__ = ["figure", "page", "render", "require", "sentence", "svg"]
-
 HTML = Any  # markupsafe.Markup: text that is not escaped again
 # Its title, prose, and what is below it: a table, a picture, or a program; "" is left out.
 Section = tuple[str, str, Any]

@@ -28,8 +28,6 @@ from ..run.scheme import Scheme
 from ..system import System
 from .study import Fit
 
-__all__ = ["Embedding", "embedding"]
-
 # Where |g| is looked at, in a period: among them 1/2, where chi_0' is largest.
 TAUS = np.arange(1, 64) / 64
 

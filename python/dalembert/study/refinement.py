@@ -17,8 +17,6 @@ from ..run import schemes as named_schemes
 from ..system import System
 from .study import Fit, Studies, Study
 
-__all__ = ["convergence", "studies"]
-
 # Numbers of steps over one unit of time: what tells the order of the reactions, and low orders,
 # and the candidates for high orders; COARSE is also how many units a longer step may take.
 FINE = (80, 120, 160, 240, 320, 480, 640)

@@ -16,8 +16,6 @@ from ..core import Array, ffi, lib
 from ..run import Scheme
 from ..system import System
 
-__all__ = ["Fit", "Studies", "Study"]
-
 
 def order(x: float) -> str:
     """Return an order with two decimals, "-" if it is not known."""

@@ -18,8 +18,6 @@ from sympy.logic.boolalg import BooleanFalse, BooleanTrue
 from .model import FUNCTIONS, Function, Model, nearest
 from .pattern import pattern
 
-__all__ = ["Program", "c_identifier", "program"]
-
 GENERATOR = 1  # changes with what is generated, as the files of this module do
 
 # Above this number of coordinates a step routine of the model's own, whose arrays are on the stack,

@@ -19,8 +19,6 @@ from ..core import Array, DalembertWarning, arguments
 from . import codegen
 from .model import Model, default_engine
 
-__all__ = ["Evaluation", "library"]
-
 _PACKAGE = __name__.partition(".")[0]
 
 _WITHOUT_COMPILER = (

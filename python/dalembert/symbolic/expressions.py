@@ -13,8 +13,6 @@ from . import given
 from .formula import read
 from .model import Model
 
-__all__ = ["model"]
-
 Expr = Any
 
 

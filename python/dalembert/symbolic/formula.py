@@ -15,8 +15,6 @@ from typing import Any
 
 from ..core import extras
 
-__all__ = ["latex", "mathml", "read"]
-
 Expr = Any
 
 FUNCTIONS = (

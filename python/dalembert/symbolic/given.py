@@ -14,8 +14,6 @@ from ..core import arguments
 from . import model as models
 from .model import Coordinate, Model, Velocity, in_order
 
-__all__ = ["from_method", "from_system", "make_model", "named", "require_assumed", "take"]
-
 Expr = Any
 
 

@@ -30,8 +30,6 @@ except ImportError:
 
 from .zeros import is_zero
 
-__all__ = ["Coordinate", "Derived", "Model", "Velocity"]
-
 Expr = Any  # sympy has no types
 
 

@@ -8,8 +8,6 @@ from typing import Any
 
 from .model import Model
 
-__all__ = ["Pattern", "pattern"]
-
 _MOST = 8  # coordinates; n*n bits have to fit into a word of 64
 
 Rows = list[list[bool]]

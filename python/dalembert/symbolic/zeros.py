@@ -18,8 +18,6 @@ from typing import Any
 import sympy
 from sympy import QQ
 
-__all__ = ["is_zero"]
-
 Expr = Any
 
 # A monomial is its letters and their exponents, by letter; a polynomial has its coefficients.

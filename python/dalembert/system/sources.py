@@ -26,11 +26,6 @@ from ..core import (
 )
 from ..symbolic import evaluation, given
 
-__all__ = [
-    "AtKeptNodes", "BuiltIn", "CFunctions", "Deformed", "Expressions", "Functions", "Made",
-    "PythonFunctions", "Source", "functions", "require_named",
-]  # fmt: skip
-
 Function = Callable[..., Any]
 
 _CONSTRAINTS = {
@@ -191,7 +186,7 @@ class PythonFunctions(Functions):
         if self.m > 0:
             kind = "affine" if given["affine"] is not None else kind
             kind = "nonlinear" if given["constraint"] is not None else kind
-        callables = core.Callables(self.n, self.m, given)
+        callables = core.Callables(self.n, self.m, **given)
         callbacks = {
             key: getattr(lib, f"dal_py_{key}")
             for key in ("lagrangian", "potential", "force", "exact")
@@ -392,7 +387,7 @@ class Deformed(Source):
 
     def make(self) -> Made:
         base = self.base
-        callables = core.DeformationCallables(base.n, base.m, self.g, self.g_v, self.g_q)
+        callables = core.Callables(base.n, base.m, g=self.g, g_v=self.g_v, g_q=self.g_q)
         context = ffi.new_handle(callables)
         missing = lib.DAL_MISSING_PHI_Q if self.g_q is None else 0
         return Made(

@@ -15,7 +15,6 @@ from ..geometry import Check, examine
 from . import sources
 from .sources import Source
 
-__all__ = ["System"]
 
 class System(Handle):
     """A mechanical system with velocity constraints, from functions of the user.
