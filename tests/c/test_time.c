@@ -90,7 +90,8 @@ static int exact(double t, const double *x0, double *x, void *ctx)
     const real h = (real)t / steps;
     real y[3] = {(x0[3] - floor_speed(s, 0.0)) * c0 + x0[4] * s0, x0[0], x0[1]};
     for (int k = 0; k < steps; k++) {
-        static const real parts[4] = {0.0L, 0.5L, 0.5L, 1.0L}, weights[4] = {1.0L, 2.0L, 2.0L, 1.0L};
+        static const real parts[4] = {0.0L, 0.5L, 0.5L, 1.0L};
+        static const real weights[4] = {1.0L, 2.0L, 2.0L, 1.0L};
         real slopes[3] = {0}, sum[3] = {0}, z[3];
         for (int j = 0; j < 4; j++) {
             for (int i = 0; i < 3; i++) z[i] = y[i] + h * parts[j] * slopes[i];
