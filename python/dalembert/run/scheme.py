@@ -141,9 +141,7 @@ class Scheme:
         status = lib.dal_scheme_find(record, name.encode(), error)
         if status < 0:
             meant = arguments.suggestion(name, [s.name for s in schemes()])
-            text = core.string(error.text)
-            if meant:
-                text = f"there is no scheme {name!r}; {meant}{text[text.index('there are'):]}"
+            text = core.string(error.text).replace("; there are", f"; {meant}there are")
             raise core.failure(status, text)
         return cls._read(record, ("find", name))
 
