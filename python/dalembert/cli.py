@@ -252,7 +252,7 @@ def _study(given: argparse.Namespace) -> int:
 
     found.show(shown)
     if interrupt:
-        wanted = given.scheme or named_schemes()
+        wanted = given.scheme or [scheme for scheme in named_schemes() if scheme.order > 0]
         _say(given, f"interrupted: {len(found)} of {len(wanted)} schemes were studied")
     if given.json:
         text = json.dumps(found.to_dict(), indent=2, allow_nan=False) + "\n"

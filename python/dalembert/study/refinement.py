@@ -240,7 +240,7 @@ def studies(
     True
     """
     if schemes is None:
-        schemes = named_schemes()
+        schemes = [scheme for scheme in named_schemes() if scheme.order > 0]
     elif isinstance(schemes, str) or not isinstance(schemes, Iterable):
         schemes = [schemes]
     records = [Scheme.of(scheme) for scheme in schemes]

@@ -133,14 +133,15 @@ def evaluate(system, name, t, q, v):
     function = getattr(library(system._model).definition, name)
     parameters = np.array(list(system.parameters.values()))
     ctx = core.ffi.cast("void *", parameters.ctypes.data)
-    point = {"potential": [q], "force": [t, q, v]}.get(name, [q, v])
+    point = [t, q] if name == "potential" else [t, q, v]
+    rates = [] if name in ("potential", "force") else [core.ffi.NULL]  # phi_t, L_vt
     inputs = [x if isinstance(x, float) else core.pointer(x) for x in point]
     together = {key: np.full(size, np.nan) for key, size in shapes.items()}
-    assert function(*inputs, *(core.pointer(x) for x in together.values()), ctx) == 0
+    assert function(*inputs, *(core.pointer(x) for x in together.values()), *rates, ctx) == 0
     for key, size in shapes.items():  # alone it is the same, bit by bit
         alone = np.full(size, np.nan)
         wanted = [core.pointer(alone) if k == key else core.ffi.NULL for k in shapes]
-        assert function(*inputs, *wanted, ctx) == 0
+        assert function(*inputs, *wanted, *rates, ctx) == 0
         np.testing.assert_array_equal(alone, together[key])
     return together
 
