@@ -814,10 +814,7 @@ static int call_new_stepper(world *w)
     dal_stepper *fresh = NULL;
     dal_scheme scheme = {0};
     const unsigned bits = next_byte(&w->t);
-    const dal_options options = {.solver = bits % 16 == 15 ? DAL_SOLVER_MULTIROOT
-                                                           : DAL_SOLVER_SCHUR,
-                                 .sizes = (dal_sizes)(bits / 16 % 2),
-                                 .max_iterations = (int)(bits / 32) - 1};
+    const dal_options options = {.max_iterations = (int)(bits / 32) - 1};
     int status = CALL(choose_scheme, w, &scheme);
     if (status) return status;
     status = CALL(dal_stepper_new, &fresh, w->system, &scheme, bits % 2 ? &options : NULL, NULL);
@@ -825,6 +822,7 @@ static int call_new_stepper(world *w)
     if (status) return status;
     dal_stepper_free(w->stepper);
     w->stepper = fresh;
+    if (bits / 16 % 2 && !scheme.family) dal__beta_any_sizes(fresh);
     w->scheme = scheme;
     if (scheme.substeps == w->substeps) { /* which the next choice writes over */
         memcpy(w->own, w->substeps, sizeof w->own);
