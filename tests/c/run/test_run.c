@@ -344,18 +344,19 @@ static void test_mended(void)
 }
 
 /* v_x = 0 on a steep slope: the impulses of some steps overflow in their sum, and no state does. */
-static int still(const double *q, const double *v, double *phi, double *phi_v, double *phi_q,
-                 void *ctx)
+static int still(double t, const double *q, const double *v, double *phi, double *phi_v,
+                 double *phi_q, double *phi_t, void *ctx)
 {
-    (void)q, (void)ctx;
+    (void)t, (void)q, (void)phi_t, (void)ctx;
     if (phi) phi[0] = v[0];
     if (phi_v) phi_v[0] = 1.0, phi_v[1] = 0.0;
     if (phi_q) phi_q[0] = phi_q[1] = 0.0;
     return 0;
 }
 
-static int slope(const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+static int slope(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
+    (void)t;
     const double *const steepness = ctx;
     if (V) *V = *steepness * q[0];
     if (V_q) V_q[0] = *steepness, V_q[1] = 0.0;
