@@ -110,14 +110,15 @@ int main(void)
         fprintf(stderr, "%s\n", error.text);
         return 1;
     }
-    printf("check: %s\n", check.text);
+    printf("check: %s\n", check.finding.text);
     if (!check.passed) return 1;
 
     if (dal_stepper_start(stepper, 0.0, h, x0, DAL_CHECK, DAL_INITIAL_NONE)
         || dal_integrate(stepper, STEPS, 1, x[0], NULL, NULL, NULL, NULL)
         || dal_trajectory(mechanics, 0.0, h, 0.0, STEPS + 1, x[0], energy, NULL, NULL, residual,
                           NULL)) {
-        fprintf(stderr, "%s%s\n", dal_stepper_message(stepper), dal_mechanics_message(mechanics));
+        fprintf(stderr, "%s%s\n", dal_stepper_error(stepper)->text,
+                dal_mechanics_error(mechanics)->text);
         return 1;
     }
     double lowest = 0.0, worst = 0.0;

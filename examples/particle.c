@@ -35,7 +35,8 @@ int main(void)
         || dal_system_exact(system, STEPS * h, x0, exact)
         || dal_trajectory(mechanics, 0.0, h, 0.0, STEPS + 1, x[0], energy, NULL, NULL, residual,
                           NULL)) {
-        fprintf(stderr, "%s%s\n", dal_stepper_message(stepper), dal_mechanics_message(mechanics));
+        fprintf(stderr, "%s%s\n", dal_stepper_error(stepper)->text,
+                dal_mechanics_error(mechanics)->text);
         return 1;
     }
     double least = energy[0], most = energy[0], worst = residual[0];

@@ -61,11 +61,16 @@ typedef enum dal_status {
     DAL_EUNSUPPORTED = -8  /* the request is valid and this version does not provide it */
 } dal_status;
 
-/* What went wrong, in words with the numbers.  Filled by functions that make objects; text is
- * empty on success.  NULL may be passed. */
+/* What went wrong, in words with the numbers; text is empty on success.  Functions that make
+ * objects fill the caller's, which may be NULL; an object keeps that of its last failure.  Where it
+ * is about one number that a callback gives, output ("V_q"), row and column say which, and
+ * text[begin] up to text[end] are the words for it. */
 typedef struct dal_error {
     int status;
     char text[508];
+    const char *output; /* or NULL */
+    size_t row, column, begin, end;
+    double value;
 } dal_error;
 
 /* "major.minor.patch" of the library that is running. */
@@ -376,7 +381,7 @@ DAL_API int dal_stepper_new(dal_stepper **stepper, const dal_system *system,
                             const dal_scheme *scheme, const dal_options *options,
                             dal_error *error);
 DAL_API void dal_stepper_free(dal_stepper *stepper);
-DAL_API const char *dal_stepper_message(const dal_stepper *stepper);
+DAL_API const dal_error *dal_stepper_error(const dal_stepper *stepper);
 
 /* Start from x[2n] (InitialData) at time t0 with step h (negative: backwards; 0 is DAL_EINVAL).  x
  * is not changed; the state used is that of dal_stepper_state.  A change of h or of the state is a

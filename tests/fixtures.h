@@ -272,7 +272,7 @@ static inline dal_system *open_wide(wide *w, size_t n, size_t m, bool full_mass,
     for (size_t i = 0; i < 2 * n; i++) w->state[i] = next_number(&seed);
     dal_mechanics *const mechanics = open_mechanics(system);
     need(dal_project(mechanics, 0.0, 0.0, w->state, NULL), "wide",
-         dal_mechanics_message(mechanics));
+         dal_mechanics_error(mechanics)->text);
     dal_mechanics_free(mechanics);
     return system;
 }

@@ -82,7 +82,7 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
 /* dal_discrete_advance; the residual of D raises *worst. */
 int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda,
                           double *worst);
-/* The record that dal_discrete_message reads. */
+/* The record that dal_discrete_error reads. */
 dal_error *dal__discrete_error(dal_discrete *discrete);
 /* d->phi, d->phi_v, and d->B if derivative. */
 int dal__discrete_constraint(dal_discrete *d, double t, const dal__pair *pair, bool derivative);

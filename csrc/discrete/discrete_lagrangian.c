@@ -64,7 +64,7 @@ void dal_discrete_free(dal_discrete *discrete)
     dal__release(&memory);
 }
 
-const char *dal_discrete_message(const dal_discrete *discrete) { return discrete->mech.error.text; }
+const dal_error *dal_discrete_error(const dal_discrete *discrete) { return &discrete->mech.error; }
 dal_error *dal__discrete_error(dal_discrete *discrete) { return &discrete->mech.error; }
 
 /* ---- pairs -------------------------------------------------------------------------------- */

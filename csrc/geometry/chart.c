@@ -73,7 +73,7 @@ void dal_chart_free(dal_chart *chart)
     dal__release(&memory);
 }
 
-const char *dal_chart_message(const dal_chart *chart) { return chart->mech.error.text; }
+const dal_error *dal_chart_error(const dal_chart *chart) { return &chart->mech.error; }
 
 const size_t *dal_chart_dependent(const dal_chart *chart)
 {
@@ -572,7 +572,7 @@ int dal_chart_multipliers_back(dal_chart *chart, double t, const double *x,
 {
     if (!chart) return DAL_EINVAL;
     if (!lambda) return dal__null_argument(&chart->mech, "lambda");
-    const size_t n = chart->n, m = chart->m;
+    const size_t m = chart->m;
     int status = require_state(chart, t, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
     if (!status) status = form_B(chart, t, x, NULL);

@@ -10,7 +10,6 @@
 #include <gsl/gsl_linalg.h>
 
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -49,17 +48,10 @@ typedef struct examination {
     double *N;                    /* [(n-m)*m*n] N(q, X_k) = d(mu X_k)/dq */
 } examination;
 
-/* Keeps the first thing that is wrong. */
-#if defined(__GNUC__)
-__attribute__((format(printf, 2, 3)))
-#endif
-static void complain(dal_check *found, const char *format, ...)
+/* Where the first thing that is wrong is said; NULL after that. */
+static dal_error *open_finding(examination *ex)
 {
-    if (found->text[0]) return;
-    va_list arguments;
-    va_start(arguments, format);
-    vsnprintf(found->text, sizeof found->text, format, arguments);
-    va_end(arguments);
+    return ex->found.finding.text[0] ? NULL : &ex->found.finding;
 }
 
 /* ---- derivatives ------------------------------------------------------------------------- */
@@ -243,9 +235,10 @@ static void judge(examination *ex, const char *name, const char *function,
 {
     if (worst->unjudged && !ex->unjudged) ex->unjudged = name;
     if (!worst->wrong) return;
-    complain(&ex->found, "%s[%zu,%zu] is given as %.10g, but differences of %s are %.10g (error "
-             "%.1e)", name, worst->row, worst->column, worst->given, function, worst->expected,
-             worst->error);
+    const dal__entry entry = {NULL, name, worst->row, worst->column, worst->given};
+    dal__fail_entry(open_finding(ex), DAL_EINVAL, &entry, " is given as %.10g, but differences of "
+                    "%s are %.10g (error %.1e)", worst->given, function, worst->expected,
+                    worst->error);
 }
 
 static int examine_potential(examination *ex)
@@ -430,9 +423,9 @@ static int examine_time(examination *ex)
                                 : differ(m, phi[0], phi[1]) || differ(m * n, phi_v[0], phi_v[1])
                                 ? "constraint" : NULL;
         if (which)
-            complain(&ex->found, "%s gives other numbers at t = %g than at t = %g: a system that "
-                     "depends on time has to be declared time_dependent", which, ex->time + later,
-                     ex->time);
+            dal__fail(open_finding(ex), DAL_EINVAL, "%s gives other numbers at t = %g than at t = "
+                      "%g: a system that depends on time has to be declared time_dependent",
+                      which, ex->time + later, ex->time);
     }
     return DAL_SUCCESS;
 }
@@ -456,9 +449,11 @@ static int compare_forms(examination *ex)
     ex->found.linearity = 0.0;
     for (size_t k = 0; k < m * n; k++) {
         const double change = fabs(ex->forms[k] - mech->mu[k]);
+        const dal__entry entry = {NULL, "phi_v", k / n, k % n, mech->mu[k]};
         if (!nonlinear && change > sum_tolerance * fabs(mech->mu[k]))
-            complain(&ex->found, "phi_v[%zu,%zu] is %.10g at v and %.10g at another velocity: mu "
-                     "must not depend on v", k / n, k % n, mech->mu[k], ex->forms[k]);
+            dal__fail_entry(open_finding(ex), DAL_EINVAL, &entry, " is %.10g at v and %.10g at "
+                            "another velocity: mu must not depend on v", mech->mu[k],
+                            ex->forms[k]);
         ex->found.linearity = fmax(ex->found.linearity, change);
     }
     return DAL_SUCCESS;
@@ -489,8 +484,8 @@ static int examine_linear(examination *ex)
         double sum, scale;
         weigh(ex, a, ex->other, &sum, &scale);
         if (isfinite(ex->phi[a]) && fabs(ex->phi[a] - sum) > sum_tolerance * scale)
-            complain(&ex->found, "phi[%zu] is given as %.10g, but phi_v v is %.10g: linear "
-                     "constraints have phi = mu v", a, ex->phi[a], sum);
+            dal__fail(open_finding(ex), DAL_EINVAL, "phi[%zu] is given as %.10g, but phi_v v is "
+                      "%.10g: linear constraints have phi = mu v", a, ex->phi[a], sum);
     }
     return DAL_SUCCESS;
 }
@@ -512,8 +507,9 @@ static int examine_affine(examination *ex)
         here = ex->phi[a] - here;
         there = ex->value[a] - there;
         if (fabs(there - here) > sum_tolerance * scale)
-            complain(&ex->found, "phi[%zu] - (phi_v v)[%zu] is %.10g at v and %.10g at another "
-                     "velocity: what is not linear in v must not depend on v", a, a, here, there);
+            dal__fail(open_finding(ex), DAL_EINVAL, "phi[%zu] - (phi_v v)[%zu] is %.10g at v and "
+                      "%.10g at another velocity: what is not linear in v must not depend on v", a,
+                      a, here, there);
     }
     return status;
 }
@@ -562,8 +558,8 @@ static int examine_mass(examination *ex)
     memcpy(ex->rows, L, n * n * sizeof *ex->rows);
     ex->found.mass_min = smallest_eigenvalue(ex, n, ex->rows) - ex->lift;
     if (!definite)
-        complain(&ex->found, "L_vv is not positive definite: its smallest eigenvalue is %g",
-                 ex->found.mass_min);
+        dal__fail(open_finding(ex), DAL_EINVAL, "L_vv is not positive definite: its smallest "
+                  "eigenvalue is %g", ex->found.mass_min);
     return DAL_SUCCESS;
 }
 
@@ -639,22 +635,22 @@ static int examine_rank(examination *ex)
     found->rank = rank_of(ex, mech->mu);
     if (ex->lift == 0.0) found->condition = condition_of(ex, mech->mu);
     if (found->rank < ex->m) {
-        complain(found, ex->system->def.kind == DAL_NONLINEAR
-                 ? "phi_v has rank %zu instead of %zu at this velocity: a constraint that is "
-                   "quadratic in v, for one, has no D at rest"
-                 : "mu has rank %zu instead of %zu: a constraint vanishes or follows from the "
+        dal__fail(open_finding(ex), DAL_EINVAL, ex->system->def.kind == DAL_NONLINEAR
+                  ? "phi_v has rank %zu instead of %zu at this velocity: a constraint that is "
+                    "quadratic in v, for one, has no D at rest"
+                  : "mu has rank %zu instead of %zu: a constraint vanishes or follows from the "
                    "others", found->rank, ex->m);
         return DAL_SUCCESS;
     }
     split(ex, mech->mu);
     found->kernel_min = kernel_min(ex);
     if (!(found->mass_min > 0.0 && found->kernel_min > 0.0))
-        complain(found, "M is not positive definite on ker mu: its smallest eigenvalue is %g",
-                 found->kernel_min);
+        dal__fail(open_finding(ex), DAL_EINVAL, "M is not positive definite on ker mu: its "
+                  "smallest eigenvalue is %g", found->kernel_min);
     const int status = dal_multipliers(mech, ex->t, ex->x, mech->lambda);
     if (status != DAL_ESINGULAR) return status;
-    complain(found, "mu M^-1 mu^T is singular to working precision: the condition of mu is %.3g",
-             found->condition);
+    dal__fail(open_finding(ex), DAL_EINVAL, "mu M^-1 mu^T is singular to working precision: the "
+              "condition of mu is %.3g", found->condition);
     return DAL_SUCCESS;
 }
 
@@ -749,8 +745,9 @@ static int examine_constraint(examination *ex)
         status = dal__lies_in_D(&ex->mech, ex->t, 0.0, ex->x, &found->residual, &consistent);
     if (!status && linear && found->rank == ex->m) status = examine_involutivity(ex);
     if (!status && !consistent)
-        complain(found, "(q, v) is not in D: the residual is %.3g, more than roundoff and %g of "
-                 "the terms of %s", found->residual, DAL_CONSISTENT, linear ? "mu v" : "phi");
+        dal__fail(open_finding(ex), DAL_EINVAL, "(q, v) is not in D: the residual is %.3g, more "
+                  "than roundoff and %g of the terms of %s", found->residual, DAL_CONSISTENT,
+                  linear ? "mu v" : "phi");
     return status;
 }
 
@@ -763,19 +760,17 @@ static void examine_no_constraint(examination *ex)
     ex->found.integrable = 1;
 }
 
-static void summarize(const examination *ex, dal_check *found)
+static void summarize(const examination *ex, dal_error *summary)
 {
-    char *const text = found->text;
-    const size_t size = sizeof found->text;
-    char agree[160];
+    char agree[160], shape[128];
+    const dal_check *const found = &ex->found;
     snprintf(agree, sizeof agree, "the derivatives given agree with differences%s%s%s",
              ex->unjudged ? " where these converge, which those for " : "",
              ex->unjudged ? ex->unjudged : "", ex->unjudged ? " do not everywhere" : "");
     if (ex->m == 0) {
-        snprintf(text, size, "%s; no constraints", agree);
+        dal__fail(summary, DAL_SUCCESS, "%s; no constraints", agree);
         return;
     }
-    char shape[128];
     if (ex->system->def.kind != DAL_LINEAR)
         snprintf(shape, sizeof shape, "the constraints are %s in v",
                  ex->system->def.kind == DAL_AFFINE ? "affine" : "nonlinear");
@@ -787,8 +782,11 @@ static void summarize(const examination *ex, dal_check *found)
     else
         snprintf(shape, sizeof shape, "D is not integrable, its curvature here is %.3g",
                  found->curvature);
-    snprintf(text, size, "%s; mu has rank %zu and condition %.3g; (q, v) lies in D to %.1e; %s",
-             agree, found->rank, found->condition, found->residual, shape);
+    dal__fail(summary, DAL_SUCCESS, "%s; mu has rank %zu and condition %.3g; (q, v) lies in D to "
+              "%.1e; %s", agree, found->rank, found->condition, found->residual, shape);
+    summary->output = "D";
+    summary->end = strlen(summary->text);
+    summary->begin = summary->end - strlen(shape);
 }
 
 static void reserve(examination *ex, arena *a)
@@ -856,12 +854,10 @@ int dal_system_check(const dal_system *system, double t, const double *x, dal_ch
     if (!status) status = examine_force(&ex);
     if (!status && ex.m == 0) examine_no_constraint(&ex);
     if (!status && ex.m > 0) status = examine_constraint(&ex);
-    if (status) {
-        dal__fail(error, status, "%s", ex.mech.error.text);
-        snprintf(found->text, sizeof found->text, "%s", ex.mech.error.text);
-    }
-    found->passed = !found->text[0];
-    if (found->passed) summarize(&ex, found);
+    dal__fail_because(error, status, &ex.mech.error, "%s", "");
+    if (status) found->finding = ex.mech.error;
+    found->passed = !found->finding.text[0];
+    if (found->passed) summarize(&ex, &found->finding);
     dal__release(&memory);
     if (status == DAL_SUCCESS || status == DAL_EDOMAIN) *report = *found;
     return status;

@@ -134,7 +134,7 @@ void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
     if (flow->watch.function != watch || flow->watch.ctx != ctx) dal_flow_watch(flow, watch, ctx);
 }
 
-const char *dal_flow_message(const dal_flow *flow) { return flow->error.text; }
+const dal_error *dal_flow_error(const dal_flow *flow) { return &flow->error; }
 
 size_t dal_flow_chart_changes(const dal_flow *flow) { return flow->chart_changes; }
 

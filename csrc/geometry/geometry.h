@@ -156,7 +156,7 @@ void dal__flow_forget(dal_flow *flow);
 void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);
 double *dal__flow_inner(dal_flow *flow);
 
-/* What a flow is made of, and the record that dal_flow_message reads. */
+/* What a flow is made of, and the record that dal_flow_error reads. */
 dal_mechanics *dal__flow_mechanics(dal_flow *flow);
 double dal__flow_tolerance(const dal_flow *flow);
 dal_flow_method dal__flow_method(const dal_flow *flow);

@@ -71,7 +71,7 @@ void dal_mechanics_free(dal_mechanics *mechanics)
     dal__release(&memory);
 }
 
-const char *dal_mechanics_message(const dal_mechanics *mechanics) { return mechanics->error.text; }
+const dal_error *dal_mechanics_error(const dal_mechanics *mechanics) { return &mechanics->error; }
 
 static const double *velocity(const dal_mechanics *mech, const double *x) { return x + mech->n; }
 
@@ -97,6 +97,15 @@ static int require_state(dal_mechanics *mech, double t, const double *x)
 
 /* ---- M and C ----------------------------------------------------------------------------- */
 
+static int singular_metric(dal_mechanics *mech, size_t row, double pivot)
+{
+    const double value = mech->L_vv[row * mech->n + row];
+    const dal__entry entry = {NULL, "L_vv", row, row, value};
+    return dal__fail_entry(&mech->error, DAL_ESINGULAR, &entry, " = %g: L_vv is not positive "
+                           "definite to working precision, pivot %zu of its Cholesky factor is %g",
+                           value, row, pivot);
+}
+
 /* The factor of the metric in mech->L_vv, which is that at (t, q, v), and its units. */
 static int factor_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
@@ -106,9 +115,7 @@ static int factor_metric(dal_mechanics *mech, double t, const double *q, const d
     mech->formed = false;
     memcpy(mech->factor, mech->L_vv, n * n * sizeof *mech->factor);
     if (!dal__cholesky(n, mech->factor, mech->units, &row, &pivot))
-        return dal__fail(&mech->error, DAL_ESINGULAR, "L_vv is not positive definite to working "
-                         "precision: pivot %zu of its Cholesky factor is %g where L_vv[%zu,%zu] = "
-                         "%g", row, pivot, row, row, mech->L_vv[row * n + row]);
+        return singular_metric(mech, row, pivot);
     for (size_t i = 0; i < n; i++) {
         mech->units[i] = sqrt(mech->units[i]);
         mech->per_units[i] = 1.0 / mech->units[i];
@@ -288,10 +295,12 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
     const double speed = dal_residual_speed(n, mech->per_unit, v);
     double worst = 0.0;
     for (size_t a = 0; a < mech->m; a++) {
-        const double scale = dal_residual_form(n, mech->unit, mu + a * n) * speed
-                           + fabs(phi[a] - dal__dot(n, mu + a * n, v));
+        const double form = dal_residual_form(n, mech->unit, mu + a * n);
+        const double unit = form * speed <= DBL_MAX ? 1.0 : DBL_MIN, size = unit * fabs(phi[a]);
+        const double scale = unit * form * speed
+                           + unit * fabs(phi[a] - dal__dot(n, mu + a * n, v));
         if (!(fabs(phi[a]) <= DBL_MAX && scale <= DBL_MAX)) return HUGE_VAL;
-        if (fabs(phi[a]) > worst * scale) worst = fabs(phi[a]) / scale;
+        if (size > worst * scale) worst = size / scale;
     }
     return worst;
 }

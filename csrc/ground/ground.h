@@ -24,6 +24,27 @@ __attribute__((format(printf, 3, 4)))
 /* Writes the text (printf format) and the status to error, which may be NULL; returns status. */
 int dal__fail(dal_error *error, int status, const char *format, ...);
 
+/* A number that a callback gives; the callback is NULL where the text need not name it. */
+typedef struct dal__entry {
+    const char *callback, *output;
+    size_t row, column;
+    double value;
+} dal__entry;
+
+#if defined(__GNUC__)
+__attribute__((format(printf, 4, 5)))
+#endif
+/* The same about an entry: "callback: output[row,column]" stands before the text. */
+int dal__fail_entry(dal_error *error, int status, const dal__entry *entry, const char *format, ...);
+
+#if defined(__GNUC__)
+__attribute__((format(printf, 4, 5)))
+#endif
+/* The same with the record of its cause, whose text comes after the words given here; nothing on
+ * success. */
+int dal__fail_because(dal_error *error, int status, const dal_error *cause, const char *format,
+                      ...);
+
 /* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);
 

@@ -26,14 +26,55 @@ const char *dal_strerror(int status)
     return "unknown status";
 }
 
+/* The text from its character `at` on. */
+static void write(dal_error *error, size_t at, const char *format, va_list arguments)
+{
+    vsnprintf(error->text + at, sizeof error->text - at, format, arguments);
+}
+
 int dal__fail(dal_error *error, int status, const char *format, ...)
 {
-    if (error) {
-        va_list arguments;
-        va_start(arguments, format);
-        vsnprintf(error->text, sizeof error->text, format, arguments);
-        va_end(arguments);
-        error->status = status;
+    if (!error) return status;
+    va_list arguments;
+    va_start(arguments, format);
+    *error = (dal_error){.status = status};
+    write(error, 0, format, arguments);
+    va_end(arguments);
+    return status;
+}
+
+int dal__fail_entry(dal_error *error, int status, const dal__entry *entry, const char *format, ...)
+{
+    if (!error) return status;
+    va_list arguments;
+    va_start(arguments, format);
+    dal__fail(error, status, "%s%s%s[%zu,%zu]", entry->callback ? entry->callback : "",
+              entry->callback ? ": " : "", entry->output, entry->row, entry->column);
+    error->output = entry->output;
+    error->row = entry->row;
+    error->column = entry->column;
+    error->value = entry->value;
+    error->end = strlen(error->text);
+    write(error, error->end, format, arguments);
+    va_end(arguments);
+    return status;
+}
+
+int dal__fail_because(dal_error *error, int status, const dal_error *cause, const char *format, ...)
+{
+    if (!error || status == DAL_SUCCESS) return status;
+    const dal_error inner = *cause;
+    va_list arguments;
+    va_start(arguments, format);
+    *error = inner;
+    error->status = status;
+    write(error, 0, format, arguments);
+    va_end(arguments);
+    const size_t before = strlen(error->text);
+    snprintf(error->text + before, sizeof error->text - before, "%s", inner.text);
+    if (error->output) {
+        error->begin += before;
+        error->end += before;
     }
     return status;
 }

@@ -59,7 +59,7 @@ void dal_stepper_free(dal_stepper *stepper)
     dal__release(&memory);
 }
 
-const char *dal_stepper_message(const dal_stepper *stepper) { return stepper->error.text; }
+const dal_error *dal_stepper_error(const dal_stepper *stepper) { return &stepper->error; }
 const double *dal_stepper_state(const dal_stepper *stepper) { return stepper->motion.x; }
 
 double dal_stepper_time(const dal_stepper *stepper)
@@ -268,9 +268,9 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
         motion->steps += done;
         *made += done;
         if (status)
-            return dal__fail(&self->error, status, "step %zu (t = %g, h = %g): %.400s",
-                             motion->steps + 1, dal_stepper_time(self), motion->h,
-                             motion->error->text);
+            return dal__fail_because(&self->error, status, motion->error,
+                                     "step %zu (t = %g, h = %g): ", motion->steps + 1,
+                                     dal_stepper_time(self), motion->h);
         const int stopped = motion->steps % BETWEEN_LOOKS == 0 ? dal__stepper_look(self) : 0;
         if (stopped) return stopped;
     }

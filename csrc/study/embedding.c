@@ -36,7 +36,7 @@ struct dal_embedding {
     arena arena;
 };
 
-const char *dal_embedding_message(const dal_embedding *embedding) { return embedding->error.text; }
+const dal_error *dal_embedding_error(const dal_embedding *embedding) { return &embedding->error; }
 dal_chart *dal_embedding_chart(dal_embedding *embedding) { return embedding->chart; }
 int dal_embedding_order(const dal_embedding *embedding) { return embedding->order; }
 
@@ -139,16 +139,15 @@ void dal_embedding_watch(dal_embedding *embedding, dal_watch_fn watch, void *ctx
 
 /* ---- the flow and the scheme in xi ------------------------------------------------------- */
 
-static int fail(dal_embedding *self, int status, const char *where, const char *text)
+static int chart_result(dal_embedding *self, int status, const char *what)
 {
-    return dal__fail(&self->error, status, "%s: %.400s", where, text);
+    return dal__fail_because(&self->error, status, dal_chart_error(self->chart), "%s: ", what);
 }
 
 /* x <- psi(z). */
 static int lift(dal_embedding *self, const double *z, double *x)
 {
-    const int status = dal_chart_lift(self->chart, 0.0, z, x);
-    return status ? fail(self, status, "chart", dal_chart_message(self->chart)) : DAL_SUCCESS;
+    return chart_result(self, dal_chart_lift(self->chart, 0.0, z, x), "chart");
 }
 
 /* result <- F(t, z); they may be the same. */
@@ -158,10 +157,12 @@ static int flow(dal_embedding *self, double t, const double *z, double *result)
     if (status) return status;
     if (self->flow) {
         status = dal_flow_apply(self->flow, 0.0, t, self->x, NULL);
-        if (status) return fail(self, status, "flow", dal_flow_message(self->flow));
+        if (status)
+            return dal__fail_because(&self->error, status, dal_flow_error(self->flow), "flow: ");
     } else {
         status = dal_system_exact(self->system, t, self->x, self->moved);
-        if (status) return fail(self, status, "exact solution", dal_strerror(status));
+        if (status)
+            return dal__fail(&self->error, status, "exact solution: %s", dal_strerror(status));
         memcpy(self->x, self->moved, 2 * self->system->def.n * sizeof *self->x);
     }
     dal__chart_drop(self->chart, self->x, result);
@@ -176,15 +177,16 @@ static int step(dal_embedding *self, const double *z, double *result)
         status = dal_stepper_start(self->stepper, 0.0, self->h, self->x, DAL_ASSUME,
                                    DAL_INITIAL_NONE);
     if (!status) status = dal_step(self->stepper, NULL);
-    if (status) return fail(self, status, "scheme", dal_stepper_message(self->stepper));
+    if (status)
+        return dal__fail_because(&self->error, status, dal_stepper_error(self->stepper),
+                                 "scheme: ");
     dal__chart_drop(self->chart, dal_stepper_state(self->stepper), result);
     return DAL_SUCCESS;
 }
 
 static int field(dal_embedding *self, const double *z, double *zdot)
 {
-    const int status = dal_chart_field(self->chart, 0.0, z, zdot);
-    return status ? fail(self, status, "field", dal_chart_message(self->chart)) : DAL_SUCCESS;
+    return chart_result(self, dal_chart_field(self->chart, 0.0, z, zdot), "field");
 }
 
 /* ---- curves ------------------------------------------------------------------------------ */
@@ -258,7 +260,7 @@ static int check_arguments(dal_embedding *self, const char *name, const double *
         if (!isfinite(z[i]))
             return dal__fail(&self->error, DAL_EINVAL, "%s[%zu] = %g is not finite", name, i, z[i]);
     const int status = dal__chart_ready(self->chart);
-    return status ? fail(self, status, "chart", dal_chart_message(self->chart)) : DAL_SUCCESS;
+    return chart_result(self, status, "chart");
 }
 
 int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, double *G)

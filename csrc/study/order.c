@@ -237,11 +237,6 @@ static double largest_difference(size_t count, const double *x, const double *y)
     return most;
 }
 
-static int failed_mechanics(const study *self, int status)
-{
-    return dal__fail(self->error, status, "%s", dal_mechanics_message(self->mech));
-}
-
 /* ---- the reference ---------------------------------------------------------------------- */
 
 /* The exact solution starts at time 0; a system that does not depend on time cannot tell that from
@@ -274,11 +269,11 @@ static int solve_reference(study *self)
         memcpy(self->end, self->x0, 2 * self->n * sizeof *self->end);
         status = dal_flow_apply(self->flow, def->t0, def->t_end, self->end, &self->accuracy);
         if (status)
-            return dal__fail(self->error, status, "reference flow: %s",
-                             dal_flow_message(self->flow));
+            return dal__fail_because(self->error, status, dal_flow_error(self->flow),
+                                     "reference flow: ");
     }
     status = dal_multipliers(self->mech, def->t_end, self->end, self->end_lambda);
-    return status ? failed_mechanics(self, status) : DAL_SUCCESS;
+    return dal__fail_because(self->error, status, dal_mechanics_error(self->mech), "%s", "");
 }
 
 /* What errors are measured against: the accuracy of the reference, or so many roundings of a state.
@@ -699,10 +694,11 @@ static int place_on_D(study *self)
     memcpy(self->x0, self->def->x0, 2 * self->n * sizeof *self->x0);
     int status = dal_relative_residual(self->mech, self->def->t0, 0.0, self->x0, &residual);
     if (!status && residual > DAL_CONSISTENT)
-        return dal__fail(self->error, DAL_EOFFD, "x0 does not lie in D: |mu v| is %.3g of "
-                         "sum |mu_i v_i|, at most %g is accepted", residual, DAL_CONSISTENT);
+        return dal__fail(self->error, DAL_EOFFD, "the initial data do not lie in D: |mu v| is "
+                         "%.3g of sum |mu_i v_i|, at most %g is accepted", residual,
+                         DAL_CONSISTENT);
     if (!status) status = dal_project(self->mech, self->def->t0, 0.0, self->x0, NULL);
-    return status ? failed_mechanics(self, status) : DAL_SUCCESS;
+    return dal__fail_because(self->error, status, dal_mechanics_error(self->mech), "%s", "");
 }
 
 int dal_order_study(const dal_system *system, const dal_scheme *scheme, const dal_order_def *def,

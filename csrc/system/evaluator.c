@@ -249,8 +249,9 @@ static int require_finite(dal_error *error, const char *callback, const char *ou
     if (!x || dal__all_finite(rows * columns, x)) return DAL_SUCCESS;
     size_t i = 0;
     while (isfinite(x[i])) i++;
-    return dal__fail(error, DAL_EDOMAIN, "%s: %s[%zu,%zu] = %g is not finite, or was not written",
-                     callback, output, i / columns, i % columns, x[i]);
+    const dal__entry entry = {callback, output, i / columns, i % columns, x[i]};
+    return dal__fail_entry(error, DAL_EDOMAIN, &entry, " = %g is not finite, or was not written",
+                           x[i]);
 }
 
 bool dal__is_autonomous(const dal_system *system)

@@ -59,7 +59,7 @@ DAL_API int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
                              const dal_difference_map *constraint, dal_error *error);
 DAL_API void dal_discrete_free(dal_discrete *discrete);
 /* What the last failure was, with the numbers; "" if there was none. */
-DAL_API const char *dal_discrete_message(const dal_discrete *discrete);
+DAL_API const dal_error *dal_discrete_error(const dal_discrete *discrete);
 
 /* Errors of the functions below: DAL_EINVAL (NULL, not finite, h = 0), DAL_EUSER, DAL_EDOMAIN, and
  * what is said. */

@@ -41,7 +41,8 @@ typedef struct dal_check {
                                 of D_q: by N(q,X)Y - N(q,Y)X with N(q,w) = d(mu w)/dq; NaN unless
                                 the constraints are linear */
     int integrable;          /* 1: it vanishes here and nearby: D may be a holonomic constraint */
-    char text[508];          /* the first thing found wrong, in words; or the summary */
+    dal_error finding;       /* the first thing found wrong; or the summary, of status 0, whose
+                                output "D" are the words on whether D is integrable */
 } dal_check;
 
 /* *report <- the system examined at x[2n] and time t; what depends on v also at another velocity,
@@ -63,7 +64,7 @@ DAL_API int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *syste
                               dal_error *error);
 DAL_API void dal_mechanics_free(dal_mechanics *mechanics);
 /* What the last failure was, with the numbers; "" if there was none. */
-DAL_API const char *dal_mechanics_message(const dal_mechanics *mechanics);
+DAL_API const dal_error *dal_mechanics_error(const dal_mechanics *mechanics);
 
 /* In this section M is L_vv, and D = {phi(t, q, v) = 0}; mu is phi_v, and phi is mu v where the
  * constraints are linear; all of them at time t.  Errors of the functions below: DAL_EINVAL,
@@ -170,7 +171,7 @@ DAL_API int dal_chart_new(dal_chart **chart, const dal_system *system, dal_error
 DAL_API void dal_chart_free(dal_chart *chart);
 /* What the last failure was, with the numbers, or the last change that dal_chart_renew made; "" if
  * there was neither. */
-DAL_API const char *dal_chart_message(const dal_chart *chart);
+DAL_API const dal_error *dal_chart_error(const dal_chart *chart);
 
 /* Chooses dependent[m], in any order; NULL: by pivoting at x[2n], with the components of v in the
  * units 1/sqrt(M_ii), so that the choice does not depend on the units of q, and with exchanges
@@ -190,7 +191,7 @@ DAL_API int dal_chart_condition(dal_chart *chart, double t, const double *x, dou
 /* Keeps the choice where its condition at x is at most 10 sqrt(1 + m (n-m)), else chooses anew; a
  * choice by pivoting starts eight times below this limit, so it does not flip back.  *changed (or
  * NULL) <- whether the dependent coordinates changed, as they do when first chosen;
- * dal_chart_message then says from which to which.  For nonlinear constraints Newton starts at the
+ * dal_chart_error then says from which to which.  For nonlinear constraints Newton starts at the
  * v_dependent of x from then on. */
 DAL_API int dal_chart_renew(dal_chart *chart, double t, const double *x, int *changed);
 
@@ -280,7 +281,7 @@ typedef struct dal_flow dal_flow;
 DAL_API int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method method,
                          dal_flow_coordinates coordinates, double tolerance, dal_error *error);
 DAL_API void dal_flow_free(dal_flow *flow);
-DAL_API const char *dal_flow_message(const dal_flow *flow);
+DAL_API const dal_error *dal_flow_error(const dal_flow *flow);
 
 /* Has watch asked, with the time where the flow is, by all that computes with it; NULL: nobody. */
 DAL_API void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);

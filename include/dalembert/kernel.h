@@ -330,14 +330,15 @@ DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s,
 DAL_KERNEL_INLINE bool dal_kernel_settled(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                           const dal_arrays *at, double limit, double *worst)
 {
-    const double speed = dal_residual_speed(n, k->per_unit, at->w);
+    const double speed = dal_residual_speed(n, k->per_unit, at->w), allowed = limit * speed;
     double largest = *worst;
     bool settled = true;
     for (size_t a = 0; a < m; a++) {
         const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
-        const double scale = dal_kernel_form(k, n, has.mu, at->mu, a) * speed;
+        const double form = dal_kernel_form(k, n, has.mu, at->mu, a), scale = form * speed;
         at->r[a] = -sum;
-        if (!(limit * scale - fabs(sum) >= 0.0)) settled = false; /* nor if both are infinite */
+        /* nor if both are infinite; form * speed may overflow */
+        if (!(form * allowed - fabs(sum) >= 0.0)) settled = false;
         if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
     }
     if (settled) *worst = largest;

@@ -123,7 +123,7 @@ typedef struct dal_embedding_def {
 DAL_API int dal_embedding_new(dal_embedding **embedding, const dal_system *system,
                               const dal_embedding_def *def, dal_error *error);
 DAL_API void dal_embedding_free(dal_embedding *embedding);
-DAL_API const char *dal_embedding_message(const dal_embedding *embedding);
+DAL_API const dal_error *dal_embedding_error(const dal_embedding *embedding);
 
 /* The chart whose xi the functions below take and give: dal_chart_choose it first.  Borrowed. */
 DAL_API dal_chart *dal_embedding_chart(dal_embedding *embedding);

@@ -276,8 +276,8 @@ static int make(maker what, outputs *out, dal_error *error)
 /* These have no error record of their own; EXACT and INVARIANT no message at all. */
 static const char *message(maker what, const dal_error *error)
 {
-    if (what == CONSISTENT) return dal_mechanics_message(mechanics);
-    if (what == VELOCITY) return dal_flow_message(reference);
+    if (what == CONSISTENT) return dal_mechanics_error(mechanics)->text;
+    if (what == VELOCITY) return dal_flow_error(reference)->text;
     if (what == EXACT || what == INVARIANT) return dal_strerror(DAL_ENOMEM);
     CHECK(error->status == DAL_ENOMEM);
     return error->text;

@@ -244,7 +244,7 @@ static int careful_step(bench *b)
     CHECK(memcmp(before, state, 2 * b->n * sizeof *before) == 0);
     CHECK(dal_stepper_time(b->stepper) == t && after.steps == stats.steps);
     CHECK(all_are(MOST_FORMS, reaction, UNTOUCHED));
-    const char *const text = dal_stepper_message(b->stepper);
+    const char *const text = dal_stepper_error(b->stepper)->text;
     CHECK(strncmp(text, "step ", 5) == 0 && strstr(text, "h = 0.125") != NULL);
     return status;
 }
@@ -259,7 +259,7 @@ static int careful_start(bench *b)
     if (!status) return status;
     CHECK(memcmp(before, dal_stepper_state(b->stepper), 2 * b->n * sizeof *before) == 0);
     CHECK(dal_stepper_time(b->stepper) == t);
-    CHECK(strstr(dal_stepper_message(b->stepper),
+    CHECK(strstr(dal_stepper_error(b->stepper)->text,
                  b->f.where == CONSTRAINT ? "constraint" : "potential") != NULL);
     return status;
 }
@@ -286,7 +286,7 @@ static void disturb(bench *b, callback where, disturbance what, size_t k, bool o
             if (what == STOP) CHECK(b->f.call == k + 1);
             /* what was not finite at its first evaluation only cannot be found again */
             if (!once || what == REFUSE || what == STOP)
-                CHECK(strstr(dal_stepper_message(b->stepper),
+                CHECK(strstr(dal_stepper_error(b->stepper)->text,
                              where == CONSTRAINT ? "constraint" : "potential") != NULL);
             if (!once) CHECK(careful_step(b) == status);
             repair(&b->f);
@@ -429,7 +429,7 @@ static void test_observer(void)
             CHECK(dal_integrate(b.stepper, STEPS, 1, rows, NULL, watching, &w, &done)
                   == (sign > 0 ? DAL_STOPPED : DAL_EUSER));
             CHECK(w.call == k + 1 && done == k);
-            if (sign < 0) CHECK(strstr(dal_stepper_message(b.stepper), "returned -5") != NULL);
+            if (sign < 0) CHECK(strstr(dal_stepper_error(b.stepper)->text, "returned -5") != NULL);
             CHECK(all_are((STEPS - k) * 2 * b.n, rows + 2 * b.n * (k + 1), UNTOUCHED));
             w.stop_at = SIZE_MAX;
             CHECK(dal_integrate(b.stepper, STEPS - k, 1, rows + 2 * b.n * k, NULL, watching, &w,
@@ -459,17 +459,17 @@ static void test_refused_start(way by)
         for (size_t i = 0; i < sizeof steps / sizeof steps[0]; i++) {
             CHECK(dal_stepper_start(b.stepper, 0.0, steps[i], b.x0, DAL_CHECK, DAL_INITIAL_NONE)
                   == DAL_EINVAL);
-            CHECK(strstr(dal_stepper_message(b.stepper), "h = ") != NULL);
+            CHECK(strstr(dal_stepper_error(b.stepper)->text, "h = ") != NULL);
         }
         CHECK(dal_stepper_start(b.stepper, 0.0, h, bad, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EOFFD);
-        CHECK(has_number(dal_stepper_message(b.stepper)));
+        CHECK(has_number(dal_stepper_error(b.stepper)->text));
         for (size_t i = 0; i < 2 * b.n; i++) {
             double x[MOST];
             memcpy(x, b.x0, sizeof x);
             x[i] = i % 2 ? (double)NAN : -(double)INFINITY;
             CHECK(dal_stepper_start(b.stepper, 0.0, h, x, DAL_PROJECT, DAL_INITIAL_NONE)
                   == DAL_EINVAL);
-            CHECK(strstr(dal_stepper_message(b.stepper), i < b.n ? "q[" : "v[") != NULL);
+            CHECK(strstr(dal_stepper_error(b.stepper)->text, i < b.n ? "q[" : "v[") != NULL);
         }
         CHECK(dal_stepper_start(b.stepper, 0.0, h, b.x0, (dal_consistency)7, DAL_INITIAL_NONE)
               == DAL_EINVAL);
@@ -519,7 +519,7 @@ static void test_nothing_written(void)
         CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
         if (forgotten == V) {
             CHECK(dal_energy(mechanics, 0.0, x, &E) == DAL_EDOMAIN && E == UNTOUCHED);
-            CHECK(strstr(dal_mechanics_message(mechanics), names[V]) != NULL);
+            CHECK(strstr(dal_mechanics_error(mechanics)->text, names[V]) != NULL);
         }
         for (size_t i = 0; i < WAYS * SCHEMES && forgotten != V; i++) {
             dal_stepper *stepper = NULL;
@@ -529,7 +529,7 @@ static void test_nothing_written(void)
             const dal_initial initial = scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT
                                                                        : DAL_INITIAL_NONE;
             CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, initial) == DAL_EDOMAIN);
-            CHECK(strstr(dal_stepper_message(stepper), names[forgotten]) != NULL);
+            CHECK(strstr(dal_stepper_error(stepper)->text, names[forgotten]) != NULL);
             CHECK(dal_step(stepper, NULL) == DAL_EINVAL);
             dal_stepper_free(stepper);
         }
@@ -541,7 +541,7 @@ static void test_nothing_written(void)
             CHECK(dal_flow_new(&flow, system, method, DAL_FLOW_X, 1e-6, NULL) == 0);
             CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &E) == DAL_EDOMAIN && E == UNTOUCHED);
             CHECK(memcmp(x, before, sizeof x) == 0);
-            CHECK(strstr(dal_flow_message(flow), names[forgotten]) != NULL);
+            CHECK(strstr(dal_flow_error(flow)->text, names[forgotten]) != NULL);
             dal_flow_free(flow);
         }
         dal_mechanics_free(mechanics);
@@ -616,7 +616,7 @@ static void test_disturbed_mechanics(unsigned missing)
                     memcpy(answers, before, sizeof answers);
                     CHECK(ask(mechanics, about, answers) == status_of(what));
                     CHECK(memcmp(answers, before, sizeof answers) == 0);
-                    const char *const text = dal_mechanics_message(mechanics);
+                    const char *const text = dal_mechanics_error(mechanics)->text;
                     CHECK(has_number(text));
                     CHECK(strstr(text, where == CONSTRAINT ? "constraint" : "potential") != NULL);
                     repair(&f);
@@ -739,7 +739,7 @@ static void test_disturbed_flow(dal_flow_method method, size_t every)
                     CHECK(status == status_of(what) || (once && what != STOP && status == 0));
                     if (status) {
                         CHECK(memcmp(x, x0, sizeof x) == 0 && accuracy == UNTOUCHED);
-                        CHECK(has_number(dal_flow_message(flow)));
+                        CHECK(has_number(dal_flow_error(flow)->text));
                         if (what == STOP) CHECK(f.call == k + 1);
                     } else {
                         for (size_t i = 0; i < MOST; i++) /* a restart makes some more errors */
@@ -858,7 +858,7 @@ static void test_singular_constraints(void)
         CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
         CHECK(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-6, NULL) == 0);
         CHECK(dal_multipliers(mechanics, 0.0, x, out) == DAL_ESINGULAR);
-        CHECK(has_number(dal_mechanics_message(mechanics)));
+        CHECK(has_number(dal_mechanics_error(mechanics)->text));
         CHECK(dal_acceleration(mechanics, 0.0, x, out) == DAL_ESINGULAR);
         CHECK(dal_field(mechanics, 0.0, x, out) == DAL_ESINGULAR);
         CHECK(dal_project(mechanics, 0.0, 0.0, x, out) == DAL_ESINGULAR);
@@ -878,7 +878,7 @@ static void test_singular_constraints(void)
             const int status = dal_step(stepper, out);
             CHECK(status == DAL_ESINGULAR
                   || (i / SCHEMES == BY_MULTIROOT && status == DAL_ENOCONV));
-            CHECK(strstr(dal_stepper_message(stepper), "step 1 ") != NULL);
+            CHECK(strstr(dal_stepper_error(stepper)->text, "step 1 ") != NULL);
             CHECK(memcmp(dal_stepper_state(stepper), x0, sizeof x0) == 0);
             dal_stepper_free(stepper);
         }
@@ -930,7 +930,7 @@ static void test_singular_step(void)
             const int status = dal_step(stepper, &reaction);
             CHECK(status == DAL_ESINGULAR
                   || (by == BY_MULTIROOT && status == DAL_ENOCONV));
-            CHECK(strstr(dal_stepper_message(stepper), "h = 0.5") != NULL);
+            CHECK(strstr(dal_stepper_error(stepper)->text, "h = 0.5") != NULL);
             CHECK(memcmp(dal_stepper_state(stepper), x0, sizeof x0) == 0);
             CHECK(reaction == UNTOUCHED);
         }
@@ -961,7 +961,7 @@ static void test_divergence(way by)
         CHECK(dal__all_finite(14, dal_stepper_state(stepper)));
     }
     CHECK(status == DAL_ENOCONV);
-    CHECK(strstr(dal_stepper_message(stepper), "converge") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "converge") != NULL);
     CHECK(memcmp(before, dal_stepper_state(stepper), sizeof before) == 0);
     CHECK(reaction == UNTOUCHED);
     /* a sensible step goes on from there */
@@ -1050,7 +1050,7 @@ static void test_blow_up(way by)
                 failures++;
                 CHECK(status == DAL_EDOMAIN || status == DAL_ENOCONV || status == DAL_ESINGULAR);
                 CHECK(memcmp(before, dal_stepper_state(stepper), bytes) == 0);
-                CHECK(has_number(dal_stepper_message(stepper)));
+                CHECK(has_number(dal_stepper_error(stepper)->text));
             }
             dal_stepper_free(stepper);
         }
@@ -1358,12 +1358,12 @@ static void test_null_stepper(const dal_system *system, const double *x)
     CHECK(dal_integrate(NULL, 1, 1, NULL, NULL, NULL, NULL, &done) == DAL_EINVAL && done == 0);
     /* not started */
     CHECK(dal_step(stepper, &reaction) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_message(stepper), "not started") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "not started") != NULL);
     CHECK(dal_advance(stepper, 3, &reaction, NULL) == DAL_EINVAL);
     CHECK(dal_integrate(stepper, 1, 1, NULL, &reaction, NULL, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     CHECK(dal_integrate(stepper, 3, 2, NULL, &reaction, NULL, NULL, NULL) == DAL_EINVAL);
-    CHECK(has_number(dal_stepper_message(stepper)));
+    CHECK(has_number(dal_stepper_error(stepper)->text));
     CHECK(dal_integrate(stepper, 3, 0, NULL, &reaction, NULL, NULL, NULL) == DAL_EINVAL);
     CHECK(reaction == UNTOUCHED);
     dal_stepper_free(stepper);

@@ -727,7 +727,7 @@ static void test_negative_spring(void)
         dal_system *system = NULL;
         dal_stepper *const stepper = start_in_line(spring, &k, 0.5, 1.0, x, &system);
         CHECK(dal_step(stepper, NULL) == cases[j].status);
-        CHECK(strstr(dal_stepper_message(stepper), cases[j].words) != NULL);
+        CHECK(strstr(dal_stepper_error(stepper)->text, cases[j].words) != NULL);
         if (!cases[j].status)
             CHECK_NEAR(dal_stepper_state(stepper)[1], (0.5 * (1.0 - c) - k) / (1.0 + c), 400 * U);
         dal_stepper_free(stepper);
@@ -843,8 +843,9 @@ static void test_too_few_iterations(void)
         int made = 0;
         CHECK(dal_step(stepper, NULL) == (most < 4 ? DAL_ENOCONV : DAL_SUCCESS));
         if (most < 4) {
-            CHECK(sscanf(strstr(dal_stepper_message(stepper), "Newton"), "Newton did not converge "
-                         "in %d iterations: last change %lf of %lf", &made, &change, &scale) == 3);
+            const char *const text = strstr(dal_stepper_error(stepper)->text, "Newton");
+            CHECK(sscanf(text, "Newton did not converge in %d iterations: last change %lf of %lf",
+                         &made, &change, &scale) == 3);
             CHECK(made == most && change > 0.0);
             if (most == 1) CHECK_NEAR(change, first, 1e-2 * first);
             if (most == 1) CHECK_NEAR(scale, first + 1.5 * (s.G - s.g), 1e-2 * scale);
@@ -873,7 +874,7 @@ static void test_led_away(void)
         dal_system *system = NULL;
         dal_stepper *const stepper = start_in_line(pendulum, NULL, 0.5, h, x, &system);
         CHECK(dal_step(stepper, NULL) == DAL_ENOCONV);
-        const char *const text = strstr(dal_stepper_message(stepper), "lead away");
+        const char *const text = strstr(dal_stepper_error(stepper)->text, "lead away");
         CHECK(text && sscanf(text, "lead away from the start, %lf in all where the first was %lf, "
                              "of %lf", &far, &first, &scale) == 3);
         CHECK_NEAR(first, fabs(F / K), 1e-2 * first);
@@ -913,7 +914,7 @@ static void test_branch(void)
             dal_stepper *const stepper = open_stepper(systems[j], &scheme, NULL);
             CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
             CHECK(dal_step(stepper, NULL) == (beyond ? DAL_ENOCONV : DAL_SUCCESS));
-            CHECK(!beyond || strstr(dal_stepper_message(stepper), DAL__BRANCH_TEXT) != NULL);
+            CHECK(!beyond || strstr(dal_stepper_error(stepper)->text, DAL__BRANCH_TEXT) != NULL);
             dal_stepper_free(stepper);
         }
     dal_system_free(pushed);
@@ -1063,7 +1064,7 @@ static void test_hill(void)
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
         CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_step(stepper, NULL) == (beyond ? DAL_ENOCONV : DAL_SUCCESS));
-        CHECK(!beyond || strstr(dal_stepper_message(stepper), DAL__BRANCH_TEXT) != NULL);
+        CHECK(!beyond || strstr(dal_stepper_error(stepper)->text, DAL__BRANCH_TEXT) != NULL);
         dal_stepper_free(stepper);
         dal_system_free(system);
     }

@@ -27,7 +27,7 @@ static void flow_by(const dal_system *system, double t, double *x)
     dal_error error = {0};
     need(dal_flow_new(&flow, system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, &error), "flow",
          error.text);
-    need(dal_flow_apply(flow, 0.0, t, x, NULL), "flow", dal_flow_message(flow));
+    need(dal_flow_apply(flow, 0.0, t, x, NULL), "flow", dal_flow_error(flow)->text);
     dal_flow_free(flow);
 }
 

@@ -472,7 +472,7 @@ static void test_runs(const variety *a)
                 CHECK(dal_stepper_start(stepper, starts[k], h, x, DAL_CHECK,
                                         kept ? DAL_INITIAL_PROJECT : DAL_INITIAL_NONE) == 0);
                 for (size_t step = 0; step < STEPS; step++) {
-                    need(dal_step(stepper, NULL), names[j], dal_stepper_message(stepper));
+                    need(dal_step(stepper, NULL), names[j], dal_stepper_error(stepper)->text);
                     worst = fmax(worst, residual_at(mechanics, dal_stepper_time(stepper),
                                                     kept ? 0.5 * h : 0.0,
                                                     dal_stepper_state(stepper)));
@@ -665,9 +665,10 @@ static void test_check(const variety *a)
         CHECK(dal_system_check(system, t, x, &check, NULL) == 0);
         CHECK(check.passed == (wrong == 0 || (wrong == 2 && !a->general)));
         if (wrong == 0) CHECK(check.phi_t.checked && check.L_vt.checked == a->general);
-        if (wrong == 1) CHECK(strstr(check.text, "phi_t[0,0]") && check.phi_t.wrong);
-        if (wrong == 2 && a->general) CHECK(strstr(check.text, "L_vt[") && check.L_vt.wrong);
-        if (wrong == 3) CHECK(strstr(check.text, "declared time_dependent") != NULL);
+        if (wrong == 1) CHECK(strstr(check.finding.text, "phi_t[0,0]") && check.phi_t.wrong);
+        if (wrong == 2 && a->general)
+            CHECK(strstr(check.finding.text, "L_vt[") && check.L_vt.wrong);
+        if (wrong == 3) CHECK(strstr(check.finding.text, "declared time_dependent") != NULL);
         dal_system_free(system);
     }
 }
@@ -698,7 +699,7 @@ static void test_undeclared(void)
         need(dal_system_new(&system, &def, NULL), "undeclared", "");
         state_at(&a->s, 0.0, x);
         CHECK(dal_system_check(system, 0.0, x, &check, NULL) == 0 && check.passed == (k == 3));
-        if (k < 3) CHECK(strncmp(check.text, words[k], strlen(words[k])) == 0);
+        if (k < 3) CHECK(strncmp(check.finding.text, words[k], strlen(words[k])) == 0);
         dal_system_free(system);
     }
 }

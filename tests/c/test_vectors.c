@@ -181,11 +181,11 @@ static void make_steps(const subject *s, const run_vector *r, const char *where,
         check_in(where, "start of multiroot",
                  dal_stepper_start(stepper[BY_MULTIROOT], 0.0, r->h, x, DAL_ASSUME, r->initial)
                      == 0);
-        check_in(where, dal_stepper_message(stepper[BY_LIBRARY]),
+        check_in(where, dal_stepper_error(stepper[BY_LIBRARY])->text,
                  dal_step(stepper[BY_LIBRARY], reaction) == 0);
-        check_in(where, dal_stepper_message(stepper[BY_ANY_SIZES]),
+        check_in(where, dal_stepper_error(stepper[BY_ANY_SIZES])->text,
                  dal_step(stepper[BY_ANY_SIZES], runtime_reaction) == 0);
-        check_in(where, dal_stepper_message(stepper[BY_MULTIROOT]),
+        check_in(where, dal_stepper_error(stepper[BY_MULTIROOT])->text,
                  dal_step(stepper[BY_MULTIROOT], multiroot_reaction) == 0);
 
         const double *const runtime = dal_stepper_state(stepper[BY_ANY_SIZES]);
@@ -219,7 +219,7 @@ static void check_run(const subject *s, const run_vector *r)
     for (way by = 0; by < WAYS; by++) {
         const int status = new_stepper_by(by, &stepper[by], s->system, &scheme, &error);
         check_in(where, error.text, status == 0);
-        check_in(where, dal_stepper_message(stepper[by]),
+        check_in(where, dal_stepper_error(stepper[by])->text,
                  dal_stepper_start(stepper[by], 0.0, r->h, r->x, DAL_ASSUME, r->initial) == 0);
     }
     make_steps(s, r, where, stepper, reaction);
@@ -335,8 +335,9 @@ static void check_chart(const subject *s, const chart_vector *c)
     snprintf(where, sizeof where, "ehresmann of %s (%s)", c->system, s->kind);
     CHECK(dal_chart_new(&chart, s->system, NULL) == 0);
     memcpy(x, c->xi, n * sizeof *x);
-    check_in(where, dal_chart_message(chart), dal_chart_choose(chart, 0.0, c->dependent, x) == 0);
-    check_in(where, dal_chart_message(chart), dal_chart_lift(chart, 0.0, c->xi, x) == 0);
+    const char *const text = dal_chart_error(chart)->text;
+    check_in(where, text, dal_chart_choose(chart, 0.0, c->dependent, x) == 0);
+    check_in(where, text, dal_chart_lift(chart, 0.0, c->xi, x) == 0);
     for (size_t a = 0; a < m; a++) v_dep[a] = x[n + c->dependent[a]];
     compare(where, "v_dep", m, v_dep, c->v_dep);
     CHECK(dal_chart_connection(chart, 0.0, x, A, B) == 0);
@@ -364,7 +365,7 @@ static void check_node(const subject *s, const node_vector *p)
     CHECK(dal_discrete_new(&discrete, s->system, &map, NULL, NULL) == 0);
     memcpy(q0, p->before, sizeof q0);
     memcpy(q1, p->q, sizeof q1);
-    check_in(where, dal_discrete_message(discrete),
+    check_in(where, dal_discrete_error(discrete)->text,
              dal_discrete_step(discrete, 0.0, p->h, q0, q1, lambda) == 0);
     compare(where, "q_k", n, q0, p->q);
     compare(where, "q_(k+1)", n, q1, p->after);
@@ -404,7 +405,7 @@ static void check_reference(const subject *s, const reference_vector *r)
     check_in(where, error.text,
              dal_flow_new(&flow, s->system, DAL_FLOW_RK8PD, DAL_FLOW_X, 1e-13, &error) == 0);
     memcpy(x, r->x0, sizeof x);
-    check_in(where, dal_flow_message(flow), dal_flow_apply(flow, 0.0, r->t, x, NULL) == 0);
+    check_in(where, dal_flow_error(flow)->text, dal_flow_apply(flow, 0.0, r->t, x, NULL) == 0);
     compare_end(s, where, 1e-12 * r->t, r, x);
     dal_flow_free(flow);
 
@@ -417,7 +418,7 @@ static void check_reference(const subject *s, const reference_vector *r)
              dal_stepper_new(&stepper, s->system, &scheme, NULL, &error) == 0);
     check_in(where, "start",
              dal_stepper_start(stepper, 0.0, h, r->x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
-    check_in(where, dal_stepper_message(stepper),
+    check_in(where, dal_stepper_error(stepper)->text,
              dal_advance(stepper, (size_t)lround(r->t / h), NULL, NULL) == 0);
     compare_end(s, where, 1e-12 * r->t, r, dal_stepper_state(stepper));
     dal_stepper_free(stepper);

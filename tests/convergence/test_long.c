@@ -72,7 +72,7 @@ static void test_residual(const run *r)
     CHECK(dal_stepper_start(stepper, 0.0, r->h, x, DAL_CHECK, r->initial) == DAL_SUCCESS);
     for (int tenth = 0; tenth < TENTHS; tenth++)
         for (size_t k = 0; k < r->steps / TENTHS; k++) {
-            need(dal_step(stepper, NULL), r->system, dal_stepper_message(stepper));
+            need(dal_step(stepper, NULL), r->system, dal_stepper_error(stepper)->text);
             const double found =
                 residual_of(system, fraction * r->h, dal_stepper_state(stepper));
             step++;
@@ -112,7 +112,7 @@ static void test_energy(const char *name)
     for (int tenth = 0; tenth < TENTHS; tenth++)
         for (size_t k = 0; k < STEPS / TENTHS; k++) {
             double E = NAN;
-            need(dal_step(stepper, NULL), name, dal_stepper_message(stepper));
+            need(dal_step(stepper, NULL), name, dal_stepper_error(stepper)->text);
             need(dal_energy(mechanics, 0.0, dal_stepper_state(stepper), &E), name, "energy");
             mean[tenth] += (E - E0) / (STEPS / TENTHS);
             most[tenth] = fmax(most[tenth], fabs(E - E0));

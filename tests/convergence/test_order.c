@@ -697,7 +697,7 @@ static void test_arguments(void)
     REFUSED(NULL, DAL_EINVAL, "scheme is NULL", (void)bad);
     memcpy(off, x0, sizeof off);
     off[5] += 0.01;
-    REFUSED(&midpoint, DAL_EOFFD, "does not lie in D", bad.x0 = off);
+    REFUSED(&midpoint, DAL_EOFFD, "do not lie in D", bad.x0 = off);
     off[5] = INFINITY;
     REFUSED(&midpoint, DAL_EINVAL, "x0[5] = inf", bad.x0 = off);
     dal_system_free(system);

@@ -561,7 +561,7 @@ int main(void)
         || dal_stepper_new(&stepper, system, &scheme, NULL, &error)) return puts(error.text), 1;
     if (dal_system_state(system, x)
         || dal_stepper_start(stepper, 0.0, 0.01, x, DAL_CHECK, DAL_INITIAL_NONE)
-        || dal_advance(stepper, 1000, NULL, NULL)) return puts(dal_stepper_message(stepper)), 1;
+        || dal_advance(stepper, 1000, NULL, NULL)) return puts(dal_stepper_error(stepper)->text), 1;
     for (int i = 0; i < 6; i++) printf("%.17g\n", dal_stepper_state(stepper)[i]);
     printf("%s %s %s\n", dal_system_name(system), dal_system_coordinate(system, 2),
            dal_system_invariant_name(system, 0));

@@ -20,8 +20,8 @@ from .errors import (
     attempt,
     check,
     failure,
-    in_python,
     make,
+    words,
 )
 from .handle import (
     KINDS,

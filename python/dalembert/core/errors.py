@@ -16,7 +16,6 @@ may itself integrate, because an exception is kept only when the callback has al
 
 from __future__ import annotations
 
-import re
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -106,39 +105,31 @@ _EXCEPTIONS: dict[int, type[Exception]] = {
 }
 
 
-# What an output of a callback is called in Python, by the kind of the constraints; an index means
-# that an entry of it is meant.
-_COMMON_NAMES = (
-    (r"(?:potential: )?\bV_q\[0,(\d+)\]", r"gradient[\1]"),
-    (r"(?:potential: )?\bV_qq(?=\[)", "hessian"),
-    (r"potential: V\[0,0\]", "potential"),
-    (r"lagrangian: L\[0,0\]", "lagrangian"),
-    (r"(?:lagrangian: )?\bL_([qv])\[0,(\d+)\]", r"lagrangian_\1[\2]"),
-    (r"(?:lagrangian: )?\bL_(qq|vq|vv)(?=\[)", r"lagrangian_\1"),
-    (r"force: f\[0,(\d+)\]", r"force[\1]"),
-    (r"(?:force: )?\bf_([qv])(?=\[)", r"force_\1"),
-    (r"\bx0(?= does not lie in D)", "(q0, v0)"),
-)
-_PYTHON_NAMES = {
-    kind: [(re.compile(pattern), name) for pattern, name in (*_COMMON_NAMES, *names)]
-    for kind, names in {
-        "linear": (
-            (r"(?:constraint: )?\bphi_v(?=\[)", "forms"),
-            (r"(?:constraint: )?\bphi_q(?=\[)", "forms_velocity_derivative"),
-        ),
-        "affine": (
-            (r"constraint: phi\[0,(\d+)\]", r"(forms v + affine)[\1]"),
-            (r"(?:constraint: )?\bphi_v(?=\[)", "forms"),
-            (
-                r"(?:constraint: )?\bphi_q(?=\[)",
-                "(forms_velocity_derivative + affine_derivative)",
-            ),
-        ),
-        "nonlinear": (
-            (r"constraint: phi\[0,(\d+)\]", r"constraint[\1]"),
-            (r"(?:constraint: )?\bphi_([qv])(?=\[)", r"constraint_\1"),
-        ),
-    }.items()
+# What an output of a callback is called in Python; those of constraints, by the kind of these.
+_OUTPUTS = {
+    "V": "potential",
+    "V_q": "gradient[{column}]",
+    "V_qq": "hessian[{row},{column}]",
+    "L": "lagrangian",
+    "f": "force[{column}]",
+    **{f"L_{x}": f"lagrangian_{x}[{{column}}]" for x in "qv"},
+    **{f"L_{x}": f"lagrangian_{x}[{{row}},{{column}}]" for x in ("qq", "vq", "vv")},
+    **{f"f_{x}": f"force_{x}[{{row}},{{column}}]" for x in "qv"},
+}
+_OUTPUTS_OF_CONSTRAINTS = {
+    "linear": {
+        "phi_v": "forms[{row},{column}]",
+        "phi_q": "forms_velocity_derivative[{row},{column}]",
+    },
+    "affine": {
+        "phi": "(forms v + affine)[{column}]",
+        "phi_v": "forms[{row},{column}]",
+        "phi_q": "(forms_velocity_derivative + affine_derivative)[{row},{column}]",
+    },
+    "nonlinear": {
+        "phi": "constraint[{column}]",
+        **{f"phi_{x}": f"constraint_{x}[{{row}},{{column}}]" for x in "qv"},
+    },
 }
 
 
@@ -162,21 +153,19 @@ def attempt(function: Callable[..., int], *arguments: Any) -> int:
 
 def failure(
     status: int,
-    message: str,
+    message: str = "",
     *,
-    kind: str = "linear",
     step: int | None = None,
     t: float | None = None,
 ) -> BaseException:
     """Return the exception for a status that is not success.
 
-    It is the very exception that a callback raised, where this is why C failed.  ``kind`` is that
-    of the constraints, whose functions the message may name.
+    It is the very exception that a callback raised, where this is why C failed.
     """
     exception, raised.exception = raised.exception, None
     if exception is not None and status in (lib.DAL_EUSER, lib.DAL_EDOMAIN):
         return exception
-    message = in_python(message, kind) or string(lib.dal_strerror(status))
+    message = message or string(lib.dal_strerror(status))
     exception_type = _EXCEPTIONS.get(status, DalembertError)
     if issubclass(exception_type, DalembertError):
         return exception_type(message, status=status, step=step, t=t)
@@ -203,7 +192,7 @@ def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None
     error = ffi.new("dal_error *")
     status = attempt(new, slot, *arguments, error)
     if status < 0:
-        raise failure(status, string(error.text))
+        raise failure(status, words(error))
     free = getattr(lib, f"dal_{kind}_free")
 
     def release(handle: Any, _owner: Any = owner) -> None:
@@ -212,8 +201,14 @@ def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None
     return ffi.gc(slot[0], release)
 
 
-def in_python(message: str, kind: str = "linear") -> str:
-    """Return a message of the core with the names that users of Python gave: gradient, not V_q."""
-    for pattern, name in _PYTHON_NAMES[kind]:
-        message = pattern.sub(name, message)
-    return message
+def words(error: Any, kind: str = "linear") -> str:
+    """Return the text of a ``dal_error``, with the names that users of Python gave.
+
+    ``kind`` is that of the constraints, whose functions it may be about.
+    """
+    text = ffi.string(error.text)
+    outputs = _OUTPUTS | _OUTPUTS_OF_CONSTRAINTS[kind]
+    if (output := string(error.output)) in outputs:
+        name = outputs[output].format(row=error.row, column=error.column)
+        text = text[: error.begin] + name.encode() + text[error.end :]
+    return text.decode("utf-8", "replace")

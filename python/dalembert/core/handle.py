@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .arguments import Array, shown
-from .errors import attempt, failure, make
+from .errors import attempt, failure, make, words
 from .library import Constant, doubles, ffi, lib, pointer, string
 
 # The kinds of constraints, by their names.
@@ -45,7 +45,7 @@ class Workspaces:
     """
 
     def __init__(self, kind: str, new: Callable[[], Any], constraints: str) -> None:
-        self._message = getattr(lib, f"dal_{kind}_message")
+        self._error = getattr(lib, f"dal_{kind}_error")
         self._new, self._constraints = new, constraints
         self._free: list[Any] = []
 
@@ -64,7 +64,7 @@ class Workspaces:
     def check(self, status: int, one: Any, step: int | None = None) -> None:
         """Raise the exception of a status of one of them, unless it is success."""
         if status < 0:
-            raise failure(status, string(self._message(one)), kind=self._constraints, step=step)
+            raise failure(status, words(self._error(one), self._constraints), step=step)
 
     def call(self, function: Callable[..., int], *given: Any) -> None:
         """Call ``function(one, *given)``."""

@@ -801,5 +801,5 @@ def exact_velocity(
     v0, defect = np.empty(system.n), np.empty(system.m)
     with core.watching("flow", flow):
         status = core.attempt(lib.dal_exact_velocity, flow, t0, h, q0, q1, v0, defect)
-    core.check(status, core.string(lib.dal_flow_message(flow)))
+    core.check(status, core.words(lib.dal_flow_error(flow), system.kind))
     return v0, defect

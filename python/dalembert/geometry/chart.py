@@ -254,7 +254,7 @@ class Chart(core.Constant):
         status = core.attempt(lib.dal_chart_renew, chart, 0.0, x, changed)
         self._charts.check(status, chart)
         if changed[0]:
-            _log.info("%s", core.string(lib.dal_chart_message(chart)))
+            _log.info("%s", core.string(lib.dal_chart_error(chart).text))
         elif system.kind != "nonlinear":
             return self
         found = lib.dal_chart_dependent(chart)

@@ -114,6 +114,8 @@ class Check:
         the state, unless ``exact``.
     text : str
         The first thing found wrong, or a summary.
+    text_on_D : str
+        The end of a summary, which says whether D is integrable.
     growth : tuple of int or None
         Growth vector of D: dimensions of D, D + [D, D], ...  At q, if q was given; else at a
         general point near the initial data.
@@ -160,6 +162,7 @@ class Check:
     curvature: float
     integrable: bool
     text: str
+    text_on_D: str = ""
     growth: tuple[int, ...] | None = None
     general_growth: tuple[int, ...] | None = None
     growth_note: str = ""
@@ -177,10 +180,9 @@ class Check:
         known = dataclasses.asdict(found)
         if found.integrable is None or found.integrable == self.integrable:
             return dataclasses.replace(self, **(known | {"integrable": self.integrable}))
-        first, sign, _ = self.text.rpartition("; D is ")
-        said = "integrable" if found.integrable else "not integrable"
-        text = f"{first}{sign}{said}" if self.passed else self.text
-        return dataclasses.replace(self, **(known | {"text": text}))
+        said = f"D is {'' if found.integrable else 'not '}integrable" if self.passed else ""
+        text = self.text.removesuffix(self.text_on_D) + said
+        return dataclasses.replace(self, **(known | {"text": text, "text_on_D": said}))
 
     def __str__(self) -> str:
         curvature = f"{self.curvature:.3g}" + (", integrable" * self.integrable)
@@ -233,9 +235,12 @@ def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
     report = ffi.new("dal_check *")
     error = ffi.new("dal_error *")
     status = core.attempt(lib.dal_system_check, system._handle, 0.0, core.pointer(x), report, error)
+    finding = report.finding
     # A callback that is not finite is a finding; an exception of the user's is not.
-    if status < 0 and not (status == lib.DAL_EDOMAIN and core.string(report.text)):
-        raise core.failure(status, core.string(error.text), kind=system.kind)
+    if status < 0 and not (status == lib.DAL_EDOMAIN and core.string(finding.text)):
+        raise core.failure(status, core.words(error, system.kind))
+    is_summary = core.string(finding.output) == "D"
+    on_D = ffi.string(finding.text)[finding.begin :] if is_summary else b""
     return Check(
         passed=bool(report.passed) and status == lib.DAL_SUCCESS,
         kind=system.kind,
@@ -250,5 +255,6 @@ def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
         residual=report.residual,
         curvature=report.curvature,
         integrable=bool(report.integrable),
-        text=core.in_python(core.string(report.text), system.kind),
+        text=core.words(finding, system.kind),
+        text_on_D=on_D.decode(),
     )

@@ -255,7 +255,7 @@ def reference(
     with core.watching("flow", flow):
         status = core.attempt(lib.dal_flow_apply, flow, t0, t, x, accuracy)
     if status < 0:
-        raise core.failure(status, core.string(lib.dal_flow_message(flow)), kind=system.kind)
+        raise core.failure(status, core.words(lib.dal_flow_error(flow), system.kind))
     return Reference(x[: system.n], x[system.n :], float(accuracy[0]))
 
 

@@ -34,8 +34,8 @@ def started_stepper(
     status = core.attempt(lib.dal_stepper_start, stepper, t0, h, x0, consistency, initial)
     if status < 0:
         hint = "; consistent='project' would project v0" if status == lib.DAL_EOFFD else ""
-        message = core.string(lib.dal_stepper_message(stepper)) + hint
-        raise core.failure(status, message, kind=system.kind, step=0, t=t0)
+        message = core.words(lib.dal_stepper_error(stepper), system.kind) + hint
+        raise core.failure(status, message, step=0, t=t0)
     return stepper
 
 
@@ -98,11 +98,9 @@ class Run:
             self.status, self.error = lib.DAL_EUSER, error
             return
         if self.status < 0:
-            message = core.string(lib.dal_stepper_message(self.stepper))
-            self.error = core.failure(
-                self.status, message, kind=self.system.kind, step=int(run.done),
-                t=lib.dal_stepper_time(self.stepper),
-            )  # fmt: skip
+            message = core.words(lib.dal_stepper_error(self.stepper), self.system.kind)
+            t = lib.dal_stepper_time(self.stepper)
+            self.error = core.failure(self.status, message, step=int(run.done), t=t)
 
     def tell(self, now: float) -> None:
         """Show the progress, some times a second and at the end."""

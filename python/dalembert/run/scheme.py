@@ -141,8 +141,7 @@ class Scheme:
         status = lib.dal_scheme_find(record, name.encode(), error)
         if status < 0:
             meant = arguments.suggestion(name, [s.name for s in schemes()])
-            text = core.string(error.text).replace("; there are", f"; {meant}there are")
-            raise core.failure(status, text)
+            raise core.failure(status, f"{core.words(error)}; {meant}".rstrip("; "))
         return cls._read(record, ("find", name))
 
     @classmethod

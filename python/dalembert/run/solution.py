@@ -308,8 +308,8 @@ class Solution(Mapping[str, Any]):
                 len(these), core.pointer(these), core.pointer(part, output=True), some, ffi.NULL,
             )  # fmt: skip
             if status < 0:
-                message = core.string(lib.dal_chart_message(chart))
-                raise core.failure(status, message, kind=self.system.kind)
+                message = core.words(lib.dal_chart_error(chart), self.system.kind)
+                raise core.failure(status, message)
             changes += int(some[0])
             x[start : start + most] = part[len(before) :]
             nearest = np.rint((these - self.t0) / h).astype(int).clip(0, len(self.x) - 1)

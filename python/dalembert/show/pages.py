@@ -501,7 +501,7 @@ def c_lines(system: System) -> str:
     dal_system_state(system, x);
     if (dal_stepper_start(stepper, 0.0, {STEP!r}, x, DAL_CHECK, DAL_INITIAL_NONE)
         || dal_advance(stepper, {round(END / STEP)}, NULL, NULL))
-        return puts(dal_stepper_message(stepper)), 1;
+        return puts(dal_stepper_error(stepper)->text), 1;
     for (int i = 0; i < {size}; i++) printf("%.17g\\n", dal_stepper_state(stepper)[i]);
     dal_stepper_free(stepper);
     dal_system_free(system);

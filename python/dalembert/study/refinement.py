@@ -146,7 +146,7 @@ def convergence(
         )
         del kept
         if status < 0:
-            raise core.failure(status, core.string(error.text), kind=system.kind)
+            raise core.failure(status, core.words(error, system.kind))
         show(sum(numbers))
 
     def column(member: str) -> Any:

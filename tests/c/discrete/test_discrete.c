@@ -193,12 +193,13 @@ static void state_of(const dal_system *system, double *x)
     need(dal_system_state(system, x), "state", "");
     for (size_t i = 0; i < 2 * dal_system_n(system); i++) x[i] += 0.2 * next_number(&seed);
     dal_mechanics *const mechanics = open_mechanics(system);
-    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project", dal_mechanics_message(mechanics));
+    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project",
+         dal_mechanics_error(mechanics)->text);
     dal_mechanics_free(mechanics);
 }
 
 #define GOOD(discrete, call) \
-    check_true((call) == DAL_SUCCESS, dal_discrete_message(discrete), __FILE__, __LINE__)
+    check_true((call) == DAL_SUCCESS, dal_discrete_error(discrete)->text, __FILE__, __LINE__)
 
 static double dot(size_t n, const double *a, const double *b)
 {
@@ -248,7 +249,7 @@ static void test_by_hand(void)
     const double h = 0.2, q0[3] = {0.5, 0.3, -0.2}, q1[3] = {0.7, 0.2, 0.1}, k[3] = {1, 2, 1.5};
     double x[6], p[3], q[3], L = NAN, D1[3], D2[3], D12[9], phi = NAN, phi1[3], phi2[3];
     double expected = 0.0, residual[4], momenta[6];
-    CHECK(dal_discrete_message(d)[0] == '\0');
+    CHECK(dal_discrete_error(d)->text[0] == '\0');
     GOOD(d, dal_discrete_state(d, h, q0, q1, x));
     GOOD(d, dal_discrete_nodes(d, 0.0, h, x, p, q));
     GOOD(d, dal_discrete_lagrangian(d, 0.0, h, q0, q1, &L, D1, D2, D12));
@@ -564,7 +565,7 @@ static void test_singular(void)
     const double before[6] = {q0[0], q0[1], q0[2], q1[0], q1[1], q1[2]};
     CHECK(dal_discrete_step(d, 0.0, h, q0, q1, &lambda) == DAL_ESINGULAR && lambda == 7.0);
     CHECK(memcmp(q0, before, sizeof q0) == 0 && memcmp(q1, before + 3, sizeof q1) == 0);
-    CHECK(strstr(dal_discrete_message(d), "singular") != NULL);
+    CHECK(strstr(dal_discrete_error(d)->text, "singular") != NULL);
     memcpy(y, x, sizeof y);
     CHECK(dal_discrete_advance(d, 0.0, h, y, &lambda) == DAL_ESINGULAR);
     CHECK(memcmp(y, x, sizeof y) == 0 && lambda == 7.0);
@@ -962,7 +963,7 @@ static void test_exact(const dal_system *system, bool even)
         memcpy(end, x, sizeof end);
         CHECK(dal_flow_apply(flow, t0, t0 + h, end, NULL) == 0);
         check_true(dal_exact_velocity(flow, t0, h, x, end, v0, defect) == 0,
-                   dal_flow_message(flow), dal_system_name(system), __LINE__);
+                   dal_flow_error(flow)->text, dal_system_name(system), __LINE__);
         const double tolerance = 1e-13 * (1 + sum_of_sizes(2 * n, x)) / fabs(h);
         CHECK_NEAR(largest_difference(n, v0, x + n), 0.0, tolerance);
         CHECK_NEAR(dal__largest(m, defect), 0.0, tolerance);
@@ -1056,7 +1057,7 @@ static void test_moods(void)
                 break;
             }
             CHECK(status == cases[c].status);
-            CHECK(strstr(dal_discrete_message(d), cases[c].text) != NULL);
+            CHECK(strstr(dal_discrete_error(d)->text, cases[c].text) != NULL);
             CHECK(memcmp(x, x0, sizeof x) == 0 && lambda == 7.0);
             dal_discrete_free(d);
         }
@@ -1109,9 +1110,9 @@ static void test_errors(void)
     double out[64], nodes[12], one = 7.0;
     size_t done = 9;
     for (size_t i = 0; i < 64; i++) out[i] = 7.0;
-#define NAMED(call, text)                                                        \
+#define NAMED(call, words)                                                        \
     CHECK((call) == DAL_EINVAL);                                                 \
-    CHECK(strstr(dal_discrete_message(d), text) != NULL)
+    CHECK(strstr(dal_discrete_error(d)->text, words) != NULL)
     for (int k = 0; k < 3; k++) {
         const double h = (const double[]){0.0, NAN, INFINITY}[k];
         NAMED(dal_discrete_state(d, h, q0, q1, out), "h = ");
@@ -1170,7 +1171,7 @@ static void test_errors(void)
     memcpy(nodes + 3, q1, sizeof q1);
     nodes[6] = nodes[9] = 7.0;
     CHECK(dal_discrete_run(d, 0.0, 0.1, 2, nodes, out, &done) == DAL_EOFFD && done == 0);
-    CHECK(strstr(dal_discrete_message(d), "does not lie in D_d") != NULL);
+    CHECK(strstr(dal_discrete_error(d)->text, "does not lie in D_d") != NULL);
     CHECK(nodes[6] == 7.0 && out[0] == 7.0);
     CHECK(dal_discrete_step(d, 0.0, 0.1, q0, q1, NULL) == DAL_SUCCESS);
     CHECK(dal_discrete_constraint(d, 0.0, 0.1, q0, q1, &one, NULL, NULL) == DAL_SUCCESS);
@@ -1200,7 +1201,7 @@ static void test_errors(void)
     d = open_discrete(free_body, explicit, NULL);
     double far0[1] = {0.7e308}, far1[1] = {1.4e308};
     CHECK(dal_discrete_step(d, 0.0, 1e154, far0, far1, NULL) == DAL_EDOMAIN);
-    CHECK(strstr(dal_discrete_message(d), "is not finite") != NULL && far1[0] == 1.4e308);
+    CHECK(strstr(dal_discrete_error(d)->text, "is not finite") != NULL && far1[0] == 1.4e308);
     dal_discrete_free(d);
     dal_system_free(free_body);
 
@@ -1211,7 +1212,7 @@ static void test_errors(void)
     d = open_discrete(system, flat, NULL);
     CHECK(dal_discrete_nodes(d, 0.0, 0.1, (double[]){0, 0, 0, 1, 1, 1}, left, right)
           == DAL_ESINGULAR);
-    CHECK(strstr(dal_discrete_message(d), "has no inverse") != NULL);
+    CHECK(strstr(dal_discrete_error(d)->text, "has no inverse") != NULL);
     dal_discrete_free(d);
     size_t three = 3;
     const dal_difference_map mixed = {.map = mixed_map, .ctx = &three};
@@ -1223,12 +1224,12 @@ static void test_errors(void)
     double v0[3] = {7, 7, 7};
     CHECK(dal_exact_velocity(NULL, 0.0, 0.1, q0, q1, v0, NULL) == DAL_EINVAL);
     CHECK(dal_exact_velocity(flow, 0.0, 0.1, NULL, q1, v0, NULL) == DAL_EINVAL);
-    CHECK(strcmp(dal_flow_message(flow), "q0 is NULL") == 0);
+    CHECK(strcmp(dal_flow_error(flow)->text, "q0 is NULL") == 0);
     CHECK(dal_exact_velocity(flow, 0.0, 0.1, q0, NULL, v0, NULL) == DAL_EINVAL);
     CHECK(dal_exact_velocity(flow, 0.0, 0.1, q0, q1, NULL, NULL) == DAL_EINVAL);
-    CHECK(strcmp(dal_flow_message(flow), "v0 is NULL") == 0);
+    CHECK(strcmp(dal_flow_error(flow)->text, "v0 is NULL") == 0);
     CHECK(dal_exact_velocity(flow, 0.0, 0.0, q0, q1, v0, NULL) == DAL_EINVAL);
-    CHECK(strstr(dal_flow_message(flow), "h = 0") != NULL && v0[0] == 7.0);
+    CHECK(strstr(dal_flow_error(flow)->text, "h = 0") != NULL && v0[0] == 7.0);
     dal_flow_free(flow);
     dal_system_free(system);
 
@@ -1240,7 +1241,7 @@ static void test_errors(void)
     need(dal_system_new(&line, &def, NULL), "line", "");
     dal_flow *const long_flow = open_flow(line);
     CHECK(dal_exact_velocity(long_flow, 0.0, 3.14159265358979, a, b, v, NULL) == DAL_ENOCONV);
-    CHECK(strstr(dal_flow_message(long_flow), "too large") != NULL && v[0] == 7.0);
+    CHECK(strstr(dal_flow_error(long_flow)->text, "too large") != NULL && v[0] == 7.0);
     CHECK(dal_exact_velocity(long_flow, 0.0, 1.0, a, b, v, NULL) == DAL_SUCCESS);
     CHECK_NEAR(v[0], (b[0] - cos(1.0)) / sin(1.0), 1e-12);
     v[0] = 7.0;

@@ -315,7 +315,7 @@ static void test_power_of_force(void)
     CHECK(dal_power(mech, t, x0, NULL, &power) == 0);
     CHECK_NEAR(power, (8 * (E[3] - E[1]) - (E[4] - E[0])) / (12 * d), 1e-11);
     CHECK(dal_power(mech, NAN, x0, NULL, &power) == DAL_EINVAL);
-    CHECK(strstr(dal_mechanics_message(mech), "t[0] = nan") != NULL);
+    CHECK(strstr(dal_mechanics_error(mech)->text, "t[0] = nan") != NULL);
     CHECK(dal_power(NULL, t, x0, NULL, &power) == DAL_EINVAL);
     CHECK(dal_metric(NULL, 0.0, x0, &power) == DAL_EINVAL
           && dal_metric(mech, 0.0, x0, NULL) == DAL_EINVAL);
@@ -621,8 +621,8 @@ static void test_sabotage(void)
                     CHECK(s.stops == (what == STOPS)); /* stop means stop */
                     CHECK(reaction == 7.0 && dal_stepper_time(stepper) == 0.1);
                     CHECK(!memcmp(before, dal_stepper_state(stepper), sizeof before));
-                    check_true(strstr(dal_stepper_message(stepper), names[where]) != NULL,
-                               dal_stepper_message(stepper), names[where], __LINE__);
+                    check_true(strstr(dal_stepper_error(stepper)->text, names[where]) != NULL,
+                               dal_stepper_error(stepper)->text, names[where], __LINE__);
                     s.from = SIZE_MAX;
                     CHECK(dal_step(stepper, &reaction) == 0);
                     dal_stepper_free(stepper);
@@ -661,7 +661,7 @@ static void test_probes(void)
         const int status = dal_stepper_start(stepper, 2.0, 0.1, curved_start, DAL_PROJECT,
                                              DAL_INITIAL_NONE);
         CHECK(status == (lacking ? DAL_EDOMAIN : DAL_SUCCESS));
-        CHECK(strstr(dal_stepper_message(stepper), words[lacking]) != NULL);
+        CHECK(strstr(dal_stepper_error(stepper)->text, words[lacking]) != NULL);
         dal_stepper_free(stepper);
         dal_system_free(system);
     }
@@ -705,7 +705,7 @@ static void test_degenerate(void)
         x[0] = sign;
         CHECK(dal_metric(mech, 0.0, x, out) == DAL_ESINGULAR);
         CHECK(dal_field(mech, 0.0, x, out) == DAL_ESINGULAR);
-        CHECK(strstr(dal_mechanics_message(mech), "pivot 1") != NULL);
+        CHECK(strstr(dal_mechanics_error(mech)->text, "pivot 1") != NULL);
         CHECK(out[0] == 7.0 && out[3] == 7.0);
     }
     x[0] = 2.0;
@@ -723,7 +723,7 @@ static void test_too_long(void)
     dal_stepper *const stepper = open_stepper(system, &scheme, &few);
     CHECK(dal_stepper_start(stepper, 0.0, 2.0, curved_start, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
     CHECK(dal_step(stepper, NULL) == DAL_ENOCONV);
-    const char *const text = dal_stepper_message(stepper);
+    const char *const text = dal_stepper_error(stepper)->text;
     CHECK(strstr(text, "step 1 (t = 0, h = 2): Newton did not converge in 2 ") != NULL);
     dal_stepper_free(stepper);
     CHECK(!dal_scheme_is_explicit(&scheme, system));

@@ -83,8 +83,8 @@ static subject open_subject(dal_system *system, unsigned seed)
     s.width = 2 * s.n - s.m;
     somewhere(2 * s.n, &seed, s.x);
     const char *const name = dal_system_name(system);
-    need(dal_project(s.mech, 0.0, 0.0, s.x, NULL), name, dal_mechanics_message(s.mech));
-    need(dal_chart_choose(s.chart, 0.0, NULL, s.x), name, dal_chart_message(s.chart));
+    need(dal_project(s.mech, 0.0, 0.0, s.x, NULL), name, dal_mechanics_error(s.mech)->text);
+    need(dal_chart_choose(s.chart, 0.0, NULL, s.x), name, dal_chart_error(s.chart)->text);
     return s;
 }
 
@@ -103,7 +103,7 @@ static void test_particle(void)
     dal_chart *const chart = open_chart(system);
     const double x[6] = {0.5, 0.3, -0.2, 1.0, 0.7, 0.9}, far[6] = {0.5, 3.0, -0.2, 1.0, 0.7, 0.9};
     double A[2], B, hor[3], ver[3], xi[5], back[6], xidot[5], J[30], left[30], condition, one = 2.0;
-    CHECK(dal_chart_message(chart)[0] == '\0');
+    CHECK(dal_chart_error(chart)->text[0] == '\0');
     CHECK(dal_chart_dependent(chart) == NULL && dal_chart_independent(chart) == NULL);
     CHECK(dal_chart_choose(chart, 0.0, NULL, far) == 0);
     CHECK(dal_chart_dependent(chart)[0] == 0);
@@ -328,7 +328,7 @@ static void test_step(const subject *s)
             dal_stepper *const stepper = open_stepper(s->system, &scheme, NULL);
             double x[2 * N], xi[WIDTH], node[2 * N], lambda[M], lambda_E[M], expected[M];
             need(dal_stepper_start(stepper, t, h, s->x, DAL_CHECK, DAL_INITIAL_NONE), "start",
-                 dal_stepper_message(stepper));
+                 dal_stepper_error(stepper)->text);
             memcpy(node, dal_stepper_state(stepper), 2 * n * sizeof *node);
             CHECK(dal_chart_drop(s->chart, node, xi) == 0);
             CHECK(dal_step(stepper, lambda) == 0);
@@ -521,15 +521,15 @@ static void test_renewal(void)
         CHECK(changed == course[k].changed);
         CHECK(dal_chart_dependent(chart)[0] == course[k].dependent);
         if (k == 3)
-            CHECK(strcmp(dal_chart_message(chart), "the dependent coordinates change from z, whose "
-                         "condition is 18 here, to x") == 0);
+            CHECK(strcmp(dal_chart_error(chart)->text, "the dependent coordinates change from z, "
+                         "whose condition is 18 here, to x") == 0);
     }
     double condition = NAN;
     const double at_infinity[6] = {0.0, 0.0, 0.0, 1.0, 1.0, 0.0}, beside[6] = {0.0, 1.0};
     const size_t x_depends = 0;
     CHECK(dal_chart_choose(chart, 0.0, &x_depends, beside) == 0);
     CHECK(dal_chart_condition(chart, 0.0, at_infinity, &condition) == 0 && condition == INFINITY);
-    CHECK(strstr(dal_chart_message(chart), "singular") == NULL); /* that is no failure */
+    CHECK(strstr(dal_chart_error(chart)->text, "singular") == NULL); /* that is no failure */
     CHECK(dal_chart_renew(chart, 0.0, at_infinity, NULL) == 0
           && dal_chart_dependent(chart)[0] == 2);
     dal_chart_free(chart);
@@ -563,7 +563,7 @@ static void test_branches(void)
     CHECK_NEAR(x[5], -13.0, 32 * U);
     /* where the branches meet Newton halves v_z for ever: phi_v vanishes with v */
     CHECK(dal_chart_lift(chart, 0.0, none, start) == DAL_ENOCONV && start[0] == 7.0);
-    CHECK(strstr(dal_chart_message(chart), "in 50 iterations") != NULL);
+    CHECK(strstr(dal_chart_error(chart)->text, "in 50 iterations") != NULL);
     dal_chart_free(chart);
     dal_system_free(system);
 }
@@ -600,7 +600,7 @@ static void test_no_constraint(void)
     dal_chart *const chart = open_chart(system_of_line);
     CHECK(dal_chart_choose(chart, 0.0, NULL, fast) == 0);
     CHECK(dal_chart_step(chart, 0.0, 0.5, 1e10, fast, NULL) == DAL_EDOMAIN);
-    CHECK(fast[0] == 0.0 && strstr(dal_chart_message(chart), "overflows with h = 1e+10") != NULL);
+    CHECK(fast[0] == 0.0 && strstr(dal_chart_error(chart)->text, "overflows with h = 1e+10"));
     CHECK(dal_chart_step(chart, 0.0, 0.5, 1e5, fast, NULL) == 0 && fast[1] == 1e300);
     dal_chart_free(chart);
     dal_system_free(system_of_line);
@@ -655,7 +655,7 @@ static void test_overflow(void)
     CHECK_NEAR(x[3], -1e300, 1e300 * 4 * U);
     xi[2] = 1e10;
     CHECK(dal_chart_lift(chart, 0.0, xi, x) == DAL_EDOMAIN && x[2] == 1.0);
-    CHECK(strstr(dal_chart_message(chart), "overflow") != NULL);
+    CHECK(strstr(dal_chart_error(chart)->text, "overflow") != NULL);
     dal_chart_free(chart);
     dal_system_free(system);
 }
@@ -707,7 +707,7 @@ static void test_failures(void)
 #define FAILS(status, call, words)                                       \
     do {                                                                 \
         CHECK((call) == (status));                                       \
-        CHECK(strstr(dal_chart_message(chart), words) != NULL);          \
+        CHECK(strstr(dal_chart_error(chart)->text, words) != NULL);          \
     } while (0)
     FAILS(DAL_EINVAL, dal_chart_lift(chart, 0.0, x, out), "no dependent coordinates are chosen");
     FAILS(DAL_EINVAL, dal_chart_condition(chart, 0.0, x, &condition), "no dependent");
@@ -797,7 +797,7 @@ static void test_singular_step(void)
     CHECK(dal_chart_choose(chart, 0.0, NULL, x) == 0 && dal_chart_drop(chart, x, xi) == 0);
     memcpy(before, xi, sizeof xi);
     CHECK(dal_chart_step(chart, 0.0, 1.0, 2.0, xi, NULL) == DAL_ESINGULAR);
-    CHECK(strstr(dal_chart_message(chart), "h = 2 is too large") != NULL);
+    CHECK(strstr(dal_chart_error(chart)->text, "h = 2 is too large") != NULL);
     CHECK(memcmp(before, xi, sizeof xi) == 0);
     dal_chart_free(chart);
     dal_system_free(system);

@@ -69,7 +69,7 @@ static void test_curve_by_hand(void)
     double x[6] = {7, 7, 7, 7, 7, 7};
     const size_t z = 2;
     CHECK(dal_chart_curve(chart, 0.0, x1, x2, 0.5, x) == DAL_EINVAL && x[0] == 7.0);
-    CHECK(strstr(dal_chart_message(chart), "no dependent coordinates") != NULL);
+    CHECK(strstr(dal_chart_error(chart)->text, "no dependent coordinates") != NULL);
     CHECK(dal_chart_choose(chart, 0.0, &z, x1) == 0);
     CHECK(dal_chart_curve(chart, 0.0, x1, x2, 0.5, x) == 0);
     const double middle[6] = {2, 2, 1, 1, 2, 2}; /* v_z = y v_x */
@@ -83,7 +83,7 @@ static void test_curve_by_hand(void)
     for (size_t k = 0; k < sizeof bad / sizeof *bad; k++) {
         CHECK(dal_chart_curve(chart, 0.0, bad[k].x1, bad[k].x2, bad[k].tau, bad[k].x)
               == DAL_EINVAL);
-        CHECK(strstr(dal_chart_message(chart), bad[k].words) != NULL);
+        CHECK(strstr(dal_chart_error(chart)->text, bad[k].words) != NULL);
     }
     CHECK(dal_chart_curve(NULL, 0.0, x1, x2, 0.5, x) == DAL_EINVAL);
     CHECK(memcmp(x, middle, sizeof x) == 0);
@@ -139,9 +139,9 @@ static run make_run(const dal_system *system, const char *scheme_name, double t0
     CHECK(dal_system_state(system, x0) == 0);
     const dal_initial initial = kept ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE;
     need(dal_stepper_start(stepper, t0, step, x0, DAL_CHECK, initial), scheme_name,
-         dal_stepper_message(stepper));
+         dal_stepper_error(stepper)->text);
     need(dal_integrate(stepper, (rows - 1) * stride, stride, buffer, NULL, NULL, NULL, NULL),
-         scheme_name, dal_stepper_message(stepper));
+         scheme_name, dal_stepper_error(stepper)->text);
     dal_stepper_free(stepper);
     return r;
 }
@@ -425,7 +425,7 @@ static void test_failures(void)
     do {                                                                                         \
         CHECK(dal_chart_interpolate(chart, t0, h, shift, count_rows, x, count, t, out, &changes, \
                                     &done) == DAL_EINVAL);                                       \
-        CHECK(strstr(dal_chart_message(chart), words) != NULL && done == 0 && changes == 99);    \
+        CHECK(strstr(dal_chart_error(chart)->text, words) && done == 0 && changes == 99);          \
     } while (0)
     REFUSED(0, 0.1, 0, 3, NULL, 4, t, out, "x is NULL");
     REFUSED(0, 0.1, 0, 3, rows, 4, NULL, out, "t is NULL");
@@ -448,14 +448,14 @@ static void test_failures(void)
           == DAL_EDOMAIN);
     CHECK(done == 3 && changes == 99 && out[18] == 7.0);
     CHECK_NEAR(out[6], 0.2, 4 * U);
-    CHECK(strstr(dal_chart_message(chart), "returned 1") != NULL);
+    CHECK(strstr(dal_chart_error(chart)->text, "returned 1") != NULL);
     /* a row that is not finite is handed out at no time, its own and those beside it */
     rows[3] = NAN;
     CHECK(dal_chart_interpolate(chart, 0, 0.1, 0, 3, rows, 4, t, out, NULL, &done) == DAL_EINVAL);
     CHECK(done == 0);
     CHECK(dal_chart_interpolate(chart, 0, 0.1, 0, 3, rows, 1, t + 1, out, NULL, &done)
           == DAL_EINVAL);
-    CHECK(strstr(dal_chart_message(chart), "x[3] = nan is not finite in row 0") != NULL);
+    CHECK(strstr(dal_chart_error(chart)->text, "x[3] = nan is not finite in row 0") != NULL);
     CHECK(dal_chart_interpolate(chart, 0, 0.1, 0, 3, rows, 0, NULL, NULL, NULL, NULL) == 0);
     dal_chart_free(chart);
     dal_system_free(system);

@@ -116,6 +116,11 @@ static int examine(spoiled *s, unsigned missing, dal_check *report, dal_error *e
 
 static bool says(const char *text, const char *part) { return strstr(text, part) != NULL; }
 
+static bool finds(const dal_check *report, const char *words)
+{
+    return says(report->finding.text, words);
+}
+
 /* ---- what is right ---------------------------------------------------------------------- */
 
 /* Each distribution is non-integrable everywhere: mu wedge d mu of the single forms has no zero,
@@ -134,12 +139,12 @@ static void test_builtins(void)
         const size_t n = dal_system_n(system);
         CHECK(2 * n <= 64 && dal_system_state(system, x) == 0);
         CHECK(dal_system_check(system, 0.0, x, &report, &error) == 0);
-        if (!report.passed) fprintf(stderr, "%s: %s\n", dal_builtin_name(i), report.text);
+        if (!report.passed) fprintf(stderr, "%s: %s\n", dal_builtin_name(i), report.finding.text);
         CHECK(report.passed && error.status == 0 && error.text[0] == '\0');
         CHECK(!report.integrable);
         if (dal_system_kind(system) == DAL_LINEAR)
-            CHECK(report.curvature > 0.04 && says(report.text, "not integrable"));
-        else CHECK(isnan(report.curvature) && says(report.text, "affine in v"));
+            CHECK(report.curvature > 0.04 && finds(&report, "not integrable"));
+        else CHECK(isnan(report.curvature) && finds(&report, "affine in v"));
         CHECK(report.rank == dal_system_m(system));
         CHECK(report.phi_q.checked && report.phi_q.error < 3e-12 * 10);
         CHECK(report.L_q.error < 3e-12 * 10 && report.L_v.error < 3e-12 * 10);
@@ -273,7 +278,7 @@ static void test_no_constraints(void)
     CHECK(report.rank == 0 && report.residual == 0.0 && report.curvature == 0.0);
     CHECK_NEAR(report.mass_min, 2.0, 8 * DBL_EPSILON);
     CHECK(report.kernel_min == report.mass_min && !report.V_q.checked && !report.phi_q.checked);
-    CHECK(says(report.text, "no constraints") && !says(report.text, "disguise"));
+    CHECK(finds(&report, "no constraints") && !finds(&report, "disguise"));
 }
 
 /* ---- what is wrong ---------------------------------------------------------------------- */
@@ -302,7 +307,7 @@ static void test_signs(void)
             CHECK(d->row * 4 + d->column == entry);
             CHECK_NEAR(d->given, -d->expected, 1e-11);
             CHECK_NEAR(d->error, 2 * fabs(d->expected) / (1 + fabs(d->expected)), 1e-11);
-            CHECK(d->error > 1e-3 && strncmp(report.text, arrays[i].name, 4) == 0);
+            CHECK(d->error > 1e-3 && strncmp(report.finding.text, arrays[i].name, 4) == 0);
         }
 }
 
@@ -326,23 +331,23 @@ static void test_forms(void)
     spoiled s = {.wrong = VELOCITY};
     CHECK(examine(&s, 0, &report, NULL) == 0 && !report.passed);
     CHECK(report.linearity > 1e-3 && report.linearity < 1e-2); /* 1e-3 of a change of 1.5 or so */
-    CHECK(says(report.text, "phi_v[1,2]") && says(report.text, "depend on v"));
+    CHECK(finds(&report, "phi_v[1,2]") && finds(&report, "depend on v"));
 
     s = (spoiled){.wrong = AFFINE};
     CHECK(examine(&s, 0, &report, NULL) == 0 && !report.passed && report.linearity == 0.0);
-    CHECK(says(report.text, "phi[1]"));
+    CHECK(finds(&report, "phi[1]"));
 
     const wrong deficient[2] = {VANISHING, DOUBLE};
     for (size_t i = 0; i < 2; i++) {
         s = (spoiled){.wrong = deficient[i]};
         CHECK(examine(&s, 0, &report, NULL) == 0 && !report.passed && report.rank == 1);
-        CHECK(says(report.text, "rank 1 instead of 2") && report.condition > 1e15);
+        CHECK(finds(&report, "rank 1 instead of 2") && report.condition > 1e15);
     }
 
     /* Of full rank, but C, whose condition is the square, cannot be inverted. */
     s = (spoiled){.wrong = NEARLY_DOUBLE};
     CHECK(examine(&s, 0, &report, NULL) == 0 && !report.passed && report.rank == 2);
-    CHECK(says(report.text, "singular") && report.condition > 1e8 && report.condition < 1e11);
+    CHECK(finds(&report, "singular") && report.condition > 1e8 && report.condition < 1e11);
 }
 
 static void test_off_D(void)
@@ -359,7 +364,7 @@ static void test_off_D(void)
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     CHECK_NEAR(report.residual, residual_of(system, 0.0, x), 16 * DBL_EPSILON);
     dal_system_free(system);
-    CHECK(says(report.text, "not in D"));
+    CHECK(finds(&report, "not in D"));
 }
 
 /* ---- involutivity ----------------------------------------------------------------------- */
@@ -396,7 +401,7 @@ static void test_disguise(unsigned missing)
     /* -0.7 + 0.5 - 0.2 + 0.4 = 0 */
     CHECK(examine_def(&def, x, &report, &error) == 0 && report.passed);
     CHECK(report.integrable && report.curvature < (missing ? 1e-10 : 1e-14));
-    CHECK(says(report.text, "disguise"));
+    CHECK(finds(&report, "disguise"));
 }
 
 /* mu = (1, 0, y^2), whose curvature 2 y vanishes at y = 0 only; nothing is known for |y| > ctx. */
@@ -509,7 +514,7 @@ static void test_line(void)
     const dal_system_def def = {.n = 2, .m = 1, .mass = mass, .constraint = line};
     dal_check report;
     CHECK(examine_def(&def, x, &report, NULL) == 0 && report.passed && report.integrable);
-    CHECK(says(report.text, "always integrable") && !says(report.text, "disguise"));
+    CHECK(finds(&report, "always integrable") && !finds(&report, "disguise"));
 }
 
 /* ---- general systems -------------------------------------------------------------------- */
@@ -671,7 +676,7 @@ static void test_general(void)
         dal_error error;
         double x[6];
         CHECK(examine_general(&right, 0, &report, &error) == 0 && report.passed);
-        if (!report.passed) fprintf(stderr, "kind %d: %s\n", (int)kinds[i], report.text);
+        if (!report.passed) fprintf(stderr, "kind %d: %s\n", (int)kinds[i], report.finding.text);
         const dal_difference *const all[] = {&report.L_q, &report.L_v, &report.L_qq, &report.L_vq,
                                              &report.L_vv, &report.f_q, &report.f_v, &report.phi_q};
         for (size_t k = 0; k < sizeof all / sizeof *all; k++)
@@ -682,7 +687,7 @@ static void test_general(void)
         CHECK_NEAR(report.condition, 1.0, 8 * DBL_EPSILON);
         CHECK(isnan(report.curvature) == (kinds[i] != DAL_LINEAR) && !report.integrable);
         CHECK((report.linearity == 0.0) == (kinds[i] != DAL_NONLINEAR));
-        CHECK(says(report.text, (const char *const[]){"not integrable", "affine", "nonlinear"}[i]));
+        CHECK(finds(&report, (const char *const[]){"not integrable", "affine", "nonlinear"}[i]));
 
         general_state(kinds[i], x);
         const double a = 2 + sin(x[0]), b = cos(x[2]) / 2, c = 2 + x[1] * x[1] / 4;
@@ -713,7 +718,7 @@ static void test_general_entries(void)
                 const dal_difference *const found[] = {
                     &report.L_q, &report.L_v, &report.L_qq, &report.L_vq, &report.L_vv, &report.f_q,
                     &report.f_v, &report.phi_v, &report.phi_q};
-                CHECK(!report.passed && strncmp(report.text, arrays[i].name,
+                CHECK(!report.passed && strncmp(report.finding.text, arrays[i].name,
                                                 strlen(arrays[i].name)) == 0);
                 CHECK(found[i]->row * 3 + found[i]->column == entry);
                 CHECK_NEAR(found[i]->given - found[i]->expected, 1e-3, 3e-11);
@@ -730,17 +735,17 @@ static void test_affine(void)
     dal_check report;
     general g = {.kind = DAL_AFFINE, .turn = 1e-9};
     CHECK(examine_general(&g, 0, &report, NULL) == 0 && !report.passed);
-    CHECK(says(report.text, "phi_v[0,0]") && says(report.text, "must not depend on v"));
+    CHECK(finds(&report, "phi_v[0,0]") && finds(&report, "must not depend on v"));
     CHECK(report.phi_v.error < 1e-7 && report.linearity > 1e-9 && report.linearity < 1e-8);
 
     g = (general){.kind = DAL_AFFINE, .bend = 1e-9};
     CHECK(examine_general(&g, 0, &report, NULL) == 0 && !report.passed);
-    CHECK(says(report.text, "phi[0] - (phi_v v)[0]") && says(report.text, "not linear in v"));
+    CHECK(finds(&report, "phi[0] - (phi_v v)[0]") && finds(&report, "not linear in v"));
     CHECK(report.phi_v.error < 1e-7 && report.linearity == 0.0);
 
     g = (general){.kind = DAL_AFFINE, .output = OUT_PHI, .amount = 0.25};
     CHECK(examine_general(&g, 0, &report, NULL) == 0 && !report.passed);
-    CHECK(says(report.text, "not in D") && says(report.text, "terms of phi"));
+    CHECK(finds(&report, "not in D") && finds(&report, "terms of phi"));
     CHECK(report.residual > 0.05);
 }
 
@@ -762,10 +767,10 @@ static void test_smallest_errors(void)
         CHECK_NEAR(report.f_q.error, part * 1e-7, 3e-11);
         g = (general){.kind = DAL_LINEAR, .output = OUT_PHI, .amount = part * 1e-12 * scale};
         CHECK(examine_general(&g, 0, &report, NULL) == 0 && report.passed == !wrong);
-        if (wrong) CHECK(says(report.text, "phi_v v"));
+        if (wrong) CHECK(finds(&report, "phi_v v"));
         g = (general){.kind = DAL_LINEAR, .turn = part * 1e-12 * fabs(mu[0] / (other[1] - x[4]))};
         CHECK(examine_general(&g, 0, &report, NULL) == 0 && report.passed == !wrong);
-        if (wrong) CHECK(says(report.text, "must not depend on v"));
+        if (wrong) CHECK(finds(&report, "must not depend on v"));
     }
 }
 
@@ -822,7 +827,7 @@ static void test_rough(void)
             CHECK(examine_def(&def, x, &report, NULL) == 0 && report.passed == !wrong);
             CHECK(report.V_q.checked && !report.V_q.wrong && report.V_q.unjudged == 0);
             CHECK(report.V_qq.wrong == wrong && report.V_qq.unjudged == 0);
-            CHECK(says(report.text, wrong ? "V_qq[0,0] is given as" : "agree with differences;"));
+            CHECK(finds(&report, wrong ? "V_qq[0,0] is given as" : "agree with differences;"));
         }
 }
 
@@ -836,7 +841,7 @@ static void test_kink(void)
     dal_check report;
     CHECK(examine_def(&def, x, &report, NULL) == 0 && report.passed);
     CHECK(report.V_q.checked && !report.V_qq.checked && report.V_qq.unjudged == 1);
-    CHECK(says(report.text, "where these converge, which those for V_qq do not everywhere"));
+    CHECK(finds(&report, "where these converge, which those for V_qq do not everywhere"));
 }
 
 /* phi_q is that of phi_v v, so a wrong phi_v is not to be called a wrong phi_q. */
@@ -855,7 +860,7 @@ static void test_wrong_forms(void)
     const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = turned};
     dal_check report;
     CHECK(examine_def(&def, x, &report, NULL) == 0 && !report.passed);
-    CHECK(says(report.text, "phi[0] is given as") && says(report.text, "but phi_v v is"));
+    CHECK(finds(&report, "phi[0] is given as") && finds(&report, "but phi_v v is"));
 }
 
 /* phi = u^2 + v^2 + w^2 - 1 */
@@ -877,7 +882,7 @@ static void test_rank_at_rest(void)
     dal_check report;
     CHECK(examine_def(&def, moving, &report, NULL) == 0 && report.passed);
     CHECK(examine_def(&def, rest, &report, NULL) == 0 && !report.passed && report.rank == 0);
-    CHECK(says(report.text, "rank 0 instead of 1") && says(report.text, "at rest"));
+    CHECK(finds(&report, "rank 0 instead of 1") && finds(&report, "at rest"));
 }
 
 /* L = ctx[0] u^2/2 + ctx[1] v^2/2 */
@@ -916,7 +921,7 @@ static void test_indefinite(void)
     const dal_system_def free = {.n = 2, .lagrangian = diagonal_lagrangian, .ctx = a};
     dal_check report;
     CHECK(examine_def(&def, x, &report, NULL) == 0 && !report.passed && report.rank == 1);
-    CHECK(says(report.text, "L_vv is not positive definite") && says(report.text, "-3"));
+    CHECK(finds(&report, "L_vv is not positive definite") && finds(&report, "-3"));
     CHECK_NEAR(report.mass_min, -3.0, 64 * DBL_EPSILON);
     CHECK_NEAR(report.kernel_min, 2.0, 64 * DBL_EPSILON);
     CHECK(isnan(report.condition));
@@ -935,7 +940,7 @@ static void test_indefinite(void)
             a[1] = sizes[k];
             const int status = examine_def(&def, x, &report, NULL);
             CHECK(status == 0 || status == DAL_EDOMAIN);
-            CHECK(report.text[0] != '\0');
+            CHECK(report.finding.text[0] != '\0');
         }
 }
 
@@ -971,7 +976,7 @@ static void test_late_force(void)
     const dal_system_def def = {.n = 2, .mass = mass, .force = late_force};
     dal_check report;
     CHECK(examine_def(&def, x, &report, NULL) == 0 && !report.passed);
-    CHECK(says(report.text, "f_v[0,0]") && report.f_v.given == 0.0 && report.f_q.error == 0.0);
+    CHECK(finds(&report, "f_v[0,0]") && report.f_v.given == 0.0 && report.f_q.error == 0.0);
 }
 
 /* The second velocity lies outside the domain of L, f and a nonlinear phi: it is passed over. */
@@ -984,7 +989,7 @@ static void test_passed_over(void)
     CHECK(isnan(report.linearity));
     g = (general){.kind = DAL_NONLINEAR, .reach = 1.0};
     CHECK(examine_general(&g, 0, &report, NULL) == DAL_EDOMAIN && !report.passed);
-    CHECK(says(report.text, "outside its domain"));
+    CHECK(finds(&report, "outside its domain"));
 }
 
 static void test_general_missing(void)
@@ -1019,8 +1024,8 @@ static void test_general_unwritten(void)
             dal_error error;
             if (i == OUT_PHI && g.kind == DAL_LINEAR) continue;
             CHECK(examine_general(&g, 0, &report, &error) == DAL_EDOMAIN && !report.passed);
-            CHECK(says(report.text, names[i]) && says(report.text, "not written"));
-            CHECK(strcmp(report.text, error.text) == 0);
+            CHECK(finds(&report, names[i]) && finds(&report, "not written"));
+            CHECK(strcmp(report.finding.text, error.text) == 0);
         }
 }
 
@@ -1057,8 +1062,8 @@ static void test_unwritten(void)
         dal_check report;
         dal_error error;
         CHECK(examine(&s, 0, &report, &error) == DAL_EDOMAIN && error.status == DAL_EDOMAIN);
-        CHECK(!report.passed && strcmp(report.text, error.text) == 0);
-        CHECK(says(report.text, outputs[i].name) && says(report.text, "not written"));
+        CHECK(!report.passed && strcmp(report.finding.text, error.text) == 0);
+        CHECK(finds(&report, outputs[i].name) && finds(&report, "not written"));
         CHECK(isnan(report.curvature) && report.mass_min > 0.0);
     }
 }
@@ -1083,7 +1088,7 @@ static void test_every_call(double written, int returned, int expected)
         }
         CHECK(status == expected && error.status == expected && error.text[0] != '\0');
         if (status == DAL_EDOMAIN)
-            CHECK(!report.passed && strcmp(report.text, error.text) == 0);
+            CHECK(!report.passed && strcmp(report.finding.text, error.text) == 0);
         else
             CHECK(memcmp(&report, &untouched, sizeof report) == 0);
     }
@@ -1128,7 +1133,7 @@ static void test_extremes(void)
             dal_check report;
             const int status = examine_def(&def, x, &report, NULL);
             CHECK(status == 0 || status == DAL_EDOMAIN);
-            CHECK(report.text[0] != '\0');
+            CHECK(report.finding.text[0] != '\0');
         }
 }
 

@@ -195,7 +195,7 @@ static void test_reference(dal_flow_method method, double tolerance, double shar
         memcpy(back, x, sizeof back);
         CHECK(dal_flow_apply(flow, r->t, 0.0, back, NULL) == 0);
         CHECK_NEAR(distance(2 * n, back, x0), 0.0, 10 * share * tolerance * r->t);
-        CHECK(dal_flow_message(flow)[0] == '\0');
+        CHECK(dal_flow_error(flow)->text[0] == '\0');
 
         dal_mechanics_free(mechanics);
         dal_flow_free(flow);
@@ -366,8 +366,8 @@ static void test_failing(dal_flow_method method, dal_flow_coordinates coordinate
         memcpy(x, x0, sizeof x);
         CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &accuracy) == expected);
         CHECK(memcmp(x, x0, sizeof x) == 0 && accuracy == -1.0);
-        CHECK(strstr(dal_flow_message(flow), "potential")
-              || strstr(dal_flow_message(flow), "constraint"));
+        CHECK(strstr(dal_flow_error(flow)->text, "potential")
+              || strstr(dal_flow_error(flow)->text, "constraint"));
         if (expected == DAL_EUSER) CHECK(f.call == k + 1); /* stop means stop */
     }
     dal_flow_free(flow);
@@ -426,8 +426,8 @@ static void test_collapse(dal_flow_method method)
     memcpy(x, x0, sizeof x);
     CHECK(dal_flow_apply(flow, 0.0, 2.0, x, NULL) == DAL_ENOCONV);
     CHECK(memcmp(x, x0, sizeof x) == 0);
-    CHECK(strstr(dal_flow_message(flow), "collapsed to h = ") != NULL);
-    CHECK(strstr(dal_flow_message(flow), "at t = 1.41") != NULL);
+    CHECK(strstr(dal_flow_error(flow)->text, "collapsed to h = ") != NULL);
+    CHECK(strstr(dal_flow_error(flow)->text, "at t = 1.41") != NULL);
 
     /* Rows before the end of time are good, the others are as they were. */
     size_t done = 99;
@@ -510,7 +510,7 @@ static void test_singular(void)
         dal_flow *flow = open_flow_in((dal_flow_coordinates)in, system, DAL_FLOW_RK8PD, 1e-9);
         double x[4] = {0.0, 0.0, 0.0, 1.0};
         CHECK(dal_flow_apply(flow, 0.0, 1.0, x, NULL) == DAL_ESINGULAR);
-        CHECK(strstr(dal_flow_message(flow), "rank") != NULL);
+        CHECK(strstr(dal_flow_error(flow)->text, "rank") != NULL);
         dal_flow_free(flow);
     }
     dal_system_free(system);
@@ -610,7 +610,7 @@ static void test_friction(void)
         memcpy(x, x0, sizeof x);
         const int status = dal_flow_apply(flow, 0.0, 1.0, x, NULL);
         CHECK(exponent > 12 || status == 0); /* else rounding of v times c is no small force */
-        if (status) CHECK(memcmp(x, x0, sizeof x) == 0 && dal_flow_message(flow)[0] != '\0');
+        if (status) CHECK(memcmp(x, x0, sizeof x) == 0 && dal_flow_error(flow)->text[0] != '\0');
         const double mean = 0.5, relative = exp(-2.0 * c);
         if (!status) CHECK_NEAR(x[2], mean * (1.0 + relative), 1e-4); /* 100 tolerances */
         if (!status) CHECK_NEAR(x[0], mean * (1.0 + (1.0 - relative) / (2.0 * c)), 1e-4);
@@ -718,7 +718,7 @@ static void test_arguments(void)
     CHECK(memcmp(x, x0, sizeof x) == 0 && accuracy == -1.0);
     x[4] = NAN;
     CHECK(dal_flow_apply(flow, 0.0, 1.0, x, &accuracy) == DAL_EINVAL);
-    CHECK(strstr(dal_flow_message(flow), "x[4]") != NULL);
+    CHECK(strstr(dal_flow_error(flow)->text, "x[4]") != NULL);
     dal_flow_free(flow);
     dal_flow_free(NULL);
     dal_system_free(system);
@@ -747,7 +747,7 @@ static void test_watch(dal_flow_method method, dal_flow_coordinates coordinates)
         memcpy(x, x0, bytes);
         CHECK(dal_flow_apply(flow, 0.0, 1e7, x, NULL) == status);
         CHECK(memcmp(x, x0, bytes) == 0);
-        CHECK(strstr(dal_flow_message(flow), "watch"));
+        CHECK(strstr(dal_flow_error(flow)->text, "watch"));
         size_t done = 9;
         memcpy(rows, x0, bytes);
         CHECK(dal_flow_trajectory(flow, 0.0, 5e6, 2, rows, &done) == status);

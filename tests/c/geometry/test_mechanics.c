@@ -289,8 +289,8 @@ static void test_consistent(void)
         const int status = dal_consistent(mech, 0.0, keep, x, &distance);
         if (kept > SIZE - FORMS) {
             CHECK(status == DAL_ESINGULAR && distance == 7.0 && !memcmp(x, x0, sizeof x));
-            CHECK(strstr(dal_mechanics_message(mech), "are kept: mu restricted to") != NULL);
-            CHECK(strstr(dal_mechanics_message(mech), "rank below m = 2") != NULL);
+            CHECK(strstr(dal_mechanics_error(mech)->text, "are kept: mu restricted to") != NULL);
+            CHECK(strstr(dal_mechanics_error(mech)->text, "rank below m = 2") != NULL);
             continue;
         }
         CHECK(status == DAL_SUCCESS);
@@ -450,10 +450,10 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
     CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, NULL, NULL) == DAL_SUCCESS);
     CHECK(dal_trajectory(mech, 0, 0.1, 0, 0, NULL, E, NULL, NULL, NULL, &done) == 0 && done == 0);
     CHECK(dal_trajectory(mech, 0, 0.1, 0, 1, NULL, E, NULL, NULL, NULL, &done) == DAL_EINVAL);
-    CHECK(strcmp(dal_mechanics_message(mech), "x is NULL") == 0);
+    CHECK(strcmp(dal_mechanics_error(mech)->text, "x is NULL") == 0);
 #define NAMED(call, name)                                                       \
     CHECK((call) == DAL_EINVAL);                                                \
-    CHECK(strcmp(dal_mechanics_message(mech), name " is NULL") == 0)
+    CHECK(strcmp(dal_mechanics_error(mech)->text, name " is NULL") == 0)
     NAMED(dal_energy(mech, 0.0, x, NULL), "E");
     NAMED(dal_energy(mech, 0.0, NULL, E), "x");
     NAMED(dal_residual(mech, 0.0, 0.0, x, NULL), "residual");
@@ -468,11 +468,11 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
 #undef NAMED
     CHECK(dal_step_equations(mech, 0.0, 1.5, 0.1, x, x, x, NULL, NULL, NULL, NULL, NULL)
           == DAL_EINVAL);
-    CHECK(strstr(dal_mechanics_message(mech), "beta = 1.5") != NULL);
+    CHECK(strstr(dal_mechanics_error(mech)->text, "beta = 1.5") != NULL);
     x[3 * 2 * n + 1] = NAN;
     E[3] = relative[3] = 7.0;
     CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, E, NULL, NULL, NULL, &done) == DAL_EINVAL);
-    CHECK(done == 3 && E[3] == 7.0 && strstr(dal_mechanics_message(mech), "x[1]") != NULL);
+    CHECK(done == 3 && E[3] == 7.0 && strstr(dal_mechanics_error(mech)->text, "x[1]") != NULL);
     CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, relative, &done)
           == DAL_EINVAL);
     CHECK(done == 3 && relative[3] == 7.0);
@@ -505,11 +505,11 @@ static void test_errors(void)
     CHECK(dal_mechanics_new(&mech, NULL, &error) == DAL_EINVAL);
     CHECK(strstr(error.text, "system is NULL") != NULL);
     mech = open_mechanics(system);
-    CHECK(dal_mechanics_message(mech)[0] == '\0');
+    CHECK(dal_mechanics_error(mech)->text[0] == '\0');
     double x[6] = {0, 0, 0, 1, 2, 3}, out[6] = {7, 7, 7, 7, 7, 7}, one = 7.0;
     const double before[6] = {0, 0, 0, 1, 2, 3};
     CHECK(dal_multipliers(mech, 0, x, out) == DAL_ESINGULAR && out[0] == 7.0);
-    CHECK(strstr(dal_mechanics_message(mech), "singular") != NULL);
+    CHECK(strstr(dal_mechanics_error(mech)->text, "singular") != NULL);
     CHECK(dal_acceleration(mech, 0, x, out) == DAL_ESINGULAR && out[0] == 7.0);
     CHECK(dal_field(mech, 0, x, out) == DAL_ESINGULAR && out[0] == 7.0);
     CHECK(dal_project(mech, 0.0, 0.0, x, &one) == DAL_ESINGULAR && one == 7.0);
@@ -522,13 +522,13 @@ static void test_errors(void)
     CHECK(dal_project(mech, 0.0, 0, x, NULL) == DAL_EDOMAIN);
     x[0] = -11.0;
     CHECK(dal_gram(mech, 0.0, x, out) == DAL_EUSER);
-    CHECK(strstr(dal_mechanics_message(mech), "returned -1") != NULL);
+    CHECK(strstr(dal_mechanics_error(mech)->text, "returned -1") != NULL);
     x[0] = NAN;
     CHECK(dal_energy(mech, 0.0, x, &one) == DAL_EINVAL
           && dal_gram(mech, 0.0, x, out) == DAL_EINVAL);
     x[0] = 1.0;
     CHECK(dal_project(mech, 0.0, INFINITY, x, NULL) == DAL_EINVAL);
-    CHECK(strstr(dal_mechanics_message(mech), "shift") != NULL);
+    CHECK(strstr(dal_mechanics_error(mech)->text, "shift") != NULL);
     CHECK(dal_residual(mech, 0.0, NAN, x, out) == DAL_EINVAL);
     CHECK(dal_energy(NULL, 0.0, x, &one) == DAL_EINVAL
           && dal_energy(mech, 0.0, NULL, &one) == DAL_EINVAL);
@@ -725,9 +725,30 @@ static void test_kept_units(void)
     dal_system_free(system);
 }
 
+/* Where the product of the sizes of mu and v overflows, and the residual does not. */
+static void test_residual_of_large_numbers(void)
+{
+    dal_system *const particle = open_system("particle");
+    dal_mechanics *const mech = open_mechanics(particle);
+    const double sideways[] = {1e-100, 1e100, 1e107};
+    for (size_t i = 0; i < 3; i++) {
+        const double x[6] = {0.0, 1e200, 0.0, sideways[i], 1e200, 0.0};
+        double relative = NAN;
+        CHECK(dal_relative_residual(mech, 0.0, 0.0, x, &relative) == DAL_SUCCESS);
+        CHECK_NEAR(relative, sideways[i] / 1e200, 1e-14 * sideways[i] / 1e200);
+    }
+    double relative = NAN;
+    const double infinite[6] = {0.0, 1e200, 0.0, 1e150, 1e200, 0.0};
+    CHECK(dal_relative_residual(mech, 0.0, 0.0, infinite, &relative) == DAL_EDOMAIN);
+    CHECK(isnan(relative));
+    dal_mechanics_free(mech);
+    dal_system_free(particle);
+}
+
 int main(void)
 {
     test_particle();
+    test_residual_of_large_numbers();
     for (size_t s = 0; s < SYSTEMS; s++) {
         dal_system *const system = open_system(all_systems[s]);
         test_system(system, 1);

@@ -13,7 +13,7 @@ static dal_stepper *started(const dal_system *system, const char *scheme, double
     need(dal_system_state(system, x), "state", "");
     need(dal_stepper_start(stepper, t0, h, x, DAL_CHECK,
                            record.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE),
-         scheme, dal_stepper_message(stepper));
+         scheme, dal_stepper_error(stepper)->text);
     return stepper;
 }
 
@@ -162,7 +162,7 @@ static void test_observer(void)
     w = (watch){.from = 20, .stride = 4, .stop_at = 999, .fail_at = 24, .t0 = t0, .h = h};
     CHECK(dal_integrate(stepper, 16, 4, x, reactions, observe, &w, &done) == DAL_EUSER);
     CHECK(w.calls == 2 && done == 4 && dal_stepper_time(stepper) == t0 + 24 * h);
-    CHECK(strstr(dal_stepper_message(stepper), "observer returned -3 at step 24") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "observer returned -3 at step 24") != NULL);
 
     w = (watch){.from = 24, .stride = 4, .stop_at = 24, .fail_at = 999, .t0 = t0, .h = h};
     fill(sizeof x / sizeof *x, x); /* it sees row 0 first */
@@ -382,8 +382,8 @@ static void test_pending(void)
                    .reactions = reactions};
     for (int again = 0; again < 3; again++) { /* ten impulses of 2e307 each */
         CHECK(dal_run_go(&run, 10) == DAL_EDOMAIN && run.done == 10 && run.stored == 1);
-        check_true(strstr(dal_stepper_message(stepper), "reaction[0]") != NULL,
-                   dal_stepper_message(stepper), "reaction", __LINE__);
+        check_true(strstr(dal_stepper_error(stepper)->text, "reaction[0]") != NULL,
+                   dal_stepper_error(stepper)->text, "reaction", __LINE__);
         CHECK(x[4] == EMPTY);
     }
     run.reactions = NULL; /* then it may go on */
@@ -427,7 +427,7 @@ static void test_watch(void)
         if (watched) { /* in the middle of the first step */
             CHECK(g.calls == 1 && run.done == 0 && run.stored == 1 && x[1][N2] == EMPTY);
             CHECK(memcmp(dal_stepper_state(stepper), x[1], N2 * sizeof *x0) == 0);
-            CHECK(strstr(dal_stepper_message(stepper), "the watch returned 1") != NULL);
+            CHECK(strstr(dal_stepper_error(stepper)->text, "the watch returned 1") != NULL);
             g.answer = -1;
             run.watch_ctx = &(guard){.answer = -1, .from = g.from, .to = g.to};
             CHECK(dal_run_go(&run, 1) == DAL_EUSER && run.done == 0);
@@ -465,10 +465,10 @@ static void test_arguments(void)
     memcpy(before, dal_stepper_state(stepper), sizeof before);
     CHECK(dal_integrate(NULL, 4, 2, x, NULL, NULL, NULL, &done) == DAL_EINVAL && done == 0);
     CHECK(dal_integrate(fresh, 4, 2, x, NULL, NULL, NULL, &done) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_message(fresh), "not started") != NULL && x[0] == EMPTY);
+    CHECK(strstr(dal_stepper_error(fresh)->text, "not started") != NULL && x[0] == EMPTY);
     CHECK(dal_integrate(stepper, 5, 2, x, NULL, NULL, NULL, &done) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_message(stepper), "steps = 5") != NULL);
-    CHECK(strstr(dal_stepper_message(stepper), "stride = 2") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "steps = 5") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "stride = 2") != NULL);
     CHECK(dal_integrate(stepper, 5, 0, x, NULL, NULL, NULL, &done) == DAL_EINVAL && done == 0);
     CHECK(x[0] == EMPTY && memcmp(before, dal_stepper_state(stepper), sizeof before) == 0);
     dal_run run = {.steps = 4, .stride = 2};
@@ -517,7 +517,7 @@ static void test_failure(void)
         CHECK(done >= 4 && done < STEPS && done % 4 == 0);
         CHECK(x[done / 4 * 6] != EMPTY && x[(done / 4 + 1) * 6] == EMPTY);
         CHECK(reactions[done / 4 - 1] != EMPTY && reactions[done / 4] == EMPTY);
-        CHECK(strstr(dal_stepper_message(stepper), "constraint returned 1") != NULL);
+        CHECK(strstr(dal_stepper_error(stepper)->text, "constraint returned 1") != NULL);
 
         const size_t steps = (size_t)lround(dal_stepper_time(stepper) / 0.1);
         CHECK(steps >= done && steps < done + 4);
@@ -526,7 +526,7 @@ static void test_failure(void)
         CHECK(largest_difference(6, dal_stepper_state(other), dal_stepper_state(stepper)) == 0.0);
         char words[32];
         snprintf(words, sizeof words, "step %zu ", steps + 1);
-        CHECK(strstr(dal_stepper_message(stepper), words) != NULL);
+        CHECK(strstr(dal_stepper_error(stepper)->text, words) != NULL);
         CHECK(dal_advance(stepper, 3, &mean, &good) == DAL_EDOMAIN && good == 0 && isnan(mean));
         dal_stepper_free(stepper);
         dal_stepper_free(other);
@@ -641,7 +641,7 @@ static dal_stats climb(stairs s, const char *name, int flags, double v, size_t s
     dal_stats stats, last;
     need(dal_stepper_start(stepper, 0.0, 1.0 / JUMP_H, x, DAL_CHECK,
                            scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE),
-         name, dal_stepper_message(stepper));
+         name, dal_stepper_error(stepper)->text);
     CHECK(dal_advance(stepper, steps, NULL, NULL) == 0);
     dal_stepper_stats(stepper, &stats);
     CHECK(dal_integrate(stepper, 0, 1, NULL, NULL, NULL, NULL, NULL) == 0);

@@ -12,10 +12,10 @@
 
 enum { N2 = 8, M = 2, STEPS = 200 };
 
-static const dal_scheme *load(const char *path)
+static const dal_scheme *load(const char *path, void **module)
 {
-    void *const module = dlopen(path, RTLD_NOW);
-    const dal_scheme *const scheme = module ? dlsym(module, "heun_scheme") : NULL;
+    *module = dlopen(path, RTLD_NOW);
+    const dal_scheme *const scheme = *module ? dlsym(*module, "heun_scheme") : NULL;
     if (scheme) return scheme;
     fprintf(stderr, "%s\n", dlerror());
     exit(2);
@@ -101,7 +101,7 @@ static void test_saved(const dal_system *system, const dal_scheme *scheme)
     CHECK(dal_scheme_find(&library, "midpoint", NULL) == 0);
     CHECK(dal_stepper_new(&other, system, &library, NULL, NULL) == 0);
     CHECK(dal_stepper_restore(other, values, count) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_message(other), "another system or scheme") != NULL);
+    CHECK(strstr(dal_stepper_error(other)->text, "another system or scheme") != NULL);
     dal_stepper_free(other);
     dal_stepper_free(one);
     dal_stepper_free(two);
@@ -117,8 +117,8 @@ static void test_failure(const dal_system *system, const dal_scheme *scheme)
     x[N2 / 2 + 3] = 1e308;
     CHECK(dal_stepper_start(stepper, 0.0, 10.0, x, DAL_ASSUME, DAL_INITIAL_NONE) == 0);
     CHECK(dal_step(stepper, reaction) < 0 && reaction[0] == 7.0);
-    CHECK(strncmp(dal_stepper_message(stepper), "step 1 (t = 0, h = 10): ", 24) == 0);
-    CHECK(strlen(dal_stepper_message(stepper)) > 24);
+    CHECK(strncmp(dal_stepper_error(stepper)->text, "step 1 (t = 0, h = 10): ", 24) == 0);
+    CHECK(strlen(dal_stepper_error(stepper)->text) > 24);
     CHECK(memcmp(x, dal_stepper_state(stepper), sizeof x) == 0);
     dal_stepper_free(stepper);
 }
@@ -126,7 +126,8 @@ static void test_failure(const dal_system *system, const dal_scheme *scheme)
 int main(int count, char **words)
 {
     if (count != 2) return 2;
-    const dal_scheme *const scheme = load(words[1]);
+    void *module;
+    const dal_scheme *const scheme = load(words[1], &module);
     dal_system *system = NULL;
     CHECK(dal_system_builtin(&system, "disk", NULL, NULL, 0, NULL) == 0);
     CHECK(strcmp(dal_scheme_family(scheme), "heun") == 0);
@@ -136,5 +137,6 @@ int main(int count, char **words)
     test_saved(system, scheme);
     test_failure(system, scheme);
     dal_system_free(system);
+    dlclose(module);
     return check_done();
 }

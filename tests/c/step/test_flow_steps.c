@@ -18,7 +18,7 @@ static void start(dal_stepper *stepper, const dal_system *system, double t0, dou
     double x[MOST_2N];
     need(dal_system_state(system, x), "state", "");
     need(dal_stepper_start(stepper, t0, h, x, DAL_CHECK, DAL_INITIAL_NONE), "start",
-         dal_stepper_message(stepper));
+         dal_stepper_error(stepper)->text);
 }
 
 /* Against the exact solution, forwards and backwards: as accurate as the tolerance says, in D after
@@ -189,8 +189,8 @@ static void test_failure(void)
         CHECK(mean == 7.0 && dal_stepper_time(one) == (double)done * 0.1);
         char words[32];
         snprintf(words, sizeof words, "step %zu (", done + 1);
-        CHECK(strstr(dal_stepper_message(one), words) == dal_stepper_message(one));
-        CHECK(strstr(dal_stepper_message(one), "constraint returned 1") != NULL);
+        CHECK(strstr(dal_stepper_error(one)->text, words) == dal_stepper_error(one)->text);
+        CHECK(strstr(dal_stepper_error(one)->text, "constraint returned 1") != NULL);
         memcpy(before, dal_stepper_state(one), sizeof before);
         CHECK(dal_step(one, NULL) == DAL_EDOMAIN);
         CHECK(memcmp(before, dal_stepper_state(one), sizeof before) == 0);

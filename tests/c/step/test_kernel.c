@@ -195,7 +195,7 @@ static void test_handed_over(void)
             CHECK(dal_step(library, NULL) == status);
             CHECK(memcmp(dal_stepper_state(own), dal_stepper_state(library), sizeof state) == 0);
         }
-        CHECK(strcmp(dal_stepper_message(own), dal_stepper_message(library)) == 0);
+        CHECK(strcmp(dal_stepper_error(own)->text, dal_stepper_error(library)->text) == 0);
         dal_stepper_stats(own, &a);
         dal_stepper_stats(library, &b);
         CHECK(a.full_newtons == b.full_newtons);
@@ -310,7 +310,7 @@ static void test_overflow(void)
     CHECK(dal_stepper_start(stepper, 0.0, 8.0, x, DAL_ASSUME, DAL_INITIAL_NONE) == 0);
     size_t done = 0;
     CHECK(dal_advance(stepper, 5, NULL, &done) == DAL_EDOMAIN && done == 2);
-    CHECK(strstr(dal_stepper_message(stepper), "not finite") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "not finite") != NULL);
     CHECK(dal_stepper_state(stepper)[2] == 16e307);
     dal_stepper_free(stepper);
     dal_system_free(system);
@@ -385,7 +385,7 @@ static void test_false_declaration_of_two(void)
     CHECK(dal_system_new(&system, &def, NULL) == 0);
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_message(stepper), "declared steady, but coordinate 0") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "declared steady, but coordinate 0") != NULL);
     dal_stepper_free(stepper);
     dal_system_free(system);
 }
@@ -405,7 +405,7 @@ static void test_false_declaration(void)
     dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
     double x[6] = {0.0, 0.0, 0.3, 1.0, 0.0, 0.0};
     CHECK(dal_stepper_start(stepper, 0.0, 0.01, x, DAL_PROJECT, DAL_INITIAL_NONE) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_message(stepper), "declared steady, but coordinate 2") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "declared steady, but coordinate 2") != NULL);
     x[3] = 0.0;
     CHECK(dal_stepper_start(stepper, 0.0, 0.01, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     int status = DAL_SUCCESS;
@@ -414,7 +414,7 @@ static void test_false_declaration(void)
         CHECK(residual_of(system, 0.0, dal_stepper_state(stepper)) <= DAL_RESIDUAL_BOUND(3));
     }
     CHECK(status == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_message(stepper), "declared steady, but mu at the end") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "declared steady, but mu at the end") != NULL);
     dal_stepper_free(stepper);
     dal_system_free(system);
 }
@@ -463,7 +463,7 @@ static void test_refusals_of_callbacks(void)
         CHECK(dal_advance(own, 1000, NULL, &one) == status[j]);
         CHECK(dal_advance(library, 1000, NULL, &two) == status[j]);
         CHECK(one == two && one > 3 && one < 1000);
-        CHECK(strcmp(dal_stepper_message(own), dal_stepper_message(library)) == 0);
+        CHECK(strcmp(dal_stepper_error(own)->text, dal_stepper_error(library)->text) == 0);
         CHECK(memcmp(dal_stepper_state(own), dal_stepper_state(library), 6 * sizeof(double)) == 0);
         dal_stepper_free(own);
         dal_stepper_free(library);

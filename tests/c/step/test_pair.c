@@ -45,7 +45,7 @@ static void start(dal_stepper *stepper, const dal_system *system, double step)
     double x[MOST_2N];
     need(dal_system_state(system, x), "state", "");
     need(dal_stepper_start(stepper, t0, step, x, DAL_CHECK, DAL_INITIAL_NONE), "start",
-         dal_stepper_message(stepper));
+         dal_stepper_error(stepper)->text);
 }
 
 /* rho = (q0 + q1)/2 + b, b quadratic in q1 - q0, and rho^1/2 beside it: a map of the user's own. */
@@ -76,9 +76,10 @@ static void check_steps(const char *name, const dal_scheme *scheme, const dal_pa
     start(stepper, system, step);
     for (size_t k = 0; k < STEPS; k++) {
         memcpy(x, dal_stepper_state(stepper), 2 * n * sizeof *x);
-        check_true(dal_step(stepper, reaction) == 0, dal_stepper_message(stepper), name, __LINE__);
+        const int status = dal_step(stepper, reaction);
+        check_true(status == 0, dal_stepper_error(stepper)->text, name, __LINE__);
         check_true(dal_discrete_advance(discrete, t0 + (double)k * step, step, x, lambda) == 0,
-                   dal_discrete_message(discrete), name, __LINE__);
+                   dal_discrete_error(discrete)->text, name, __LINE__);
         const double *const y = dal_stepper_state(stepper), extent = sum_of_sizes(2 * n, x);
         check_near(largest_difference(2 * n, x, y), 0.0, roundings * U * extent, name,
                    scheme->name, (int)k);

@@ -86,7 +86,7 @@ static void state_of(const dal_system *system, double *x)
     if (dal_system_state(system, x)) /* one that is made from generic4 */
         generic4_state(x);
     for (size_t i = 0; i < n; i++) x[n + i] += 0.1 + 0.03 * (double)i;
-    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "state", dal_mechanics_message(mechanics));
+    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "state", dal_mechanics_error(mechanics)->text);
     dal_mechanics_free(mechanics);
 }
 
@@ -132,7 +132,7 @@ static outcome walk(const leg *l)
                             : dal_stepper_start(stepper, 0.5, l->h, x, DAL_CHECK,
                                                 initial_of(&scheme));
     if (!o.status) o.status = dal_advance(stepper, l->steps, o.reaction, NULL);
-    snprintf(o.message, sizeof o.message, "%s", dal_stepper_message(stepper));
+    snprintf(o.message, sizeof o.message, "%s", dal_stepper_error(stepper)->text);
     o.saved = dal_stepper_saved(stepper);
     if (o.saved > MOST_SAVED || dal_stepper_save(stepper, o.values)) exit(2);
     o.t = dal_stepper_time(stepper);
@@ -211,7 +211,7 @@ static void check_legs(size_t which_system, size_t which_scheme, double h, size_
     snprintf(where, sizeof where, "%s by %s, h = %g", dal_system_name(system), scheme.name, h);
     state_of(system, x);
     need(dal_stepper_start(stepper, 0.5, h, x, DAL_CHECK, initial_of(&scheme)), where,
-         dal_stepper_message(stepper));
+         dal_stepper_error(stepper)->text);
     const int status =
         dal_integrate(stepper, LEGS * steps, steps, rows, reactions, NULL, NULL, &done);
     leg l = {.system = which_system, .scheme = which_scheme, .h = h};
@@ -228,7 +228,8 @@ static void check_legs(size_t which_system, size_t which_scheme, double h, size_
     }
     check_true(o.status == status, "status", where, __LINE__);
     if (status == DAL_SUCCESS) { /* dal_integrate looks at the energy in the end */
-        need(dal_stepper_restore(stepper, o.values, o.saved), where, dal_stepper_message(stepper));
+        need(dal_stepper_restore(stepper, o.values, o.saved), where,
+             dal_stepper_error(stepper)->text);
         CHECK(dal_integrate(stepper, 0, 1, NULL, NULL, NULL, NULL, NULL) == 0);
         dal_stepper_stats(stepper, &o.stats);
         state_of(system, x);
@@ -240,7 +241,7 @@ static void check_legs(size_t which_system, size_t which_scheme, double h, size_
     check_true(memcmp(o.x, dal_stepper_state(stepper), N * sizeof *x) == 0, "state", where,
                __LINE__);
     check_true(o.t == dal_stepper_time(stepper), "time", where, __LINE__);
-    if (status) CHECK(strcmp(o.message, dal_stepper_message(stepper)) == 0);
+    if (status) CHECK(strcmp(o.message, dal_stepper_error(stepper)->text) == 0);
     seen.jumps += stats.jump_step > 0;
     seen.failures += status != 0;
     seen.full_newtons += stats.full_newtons;
@@ -288,7 +289,7 @@ typedef struct standing {
 static standing standing_of(dal_stepper *stepper)
 {
     standing s = {.t = dal_stepper_time(stepper)};
-    need(dal_stepper_save(stepper, s.values), "save", dal_stepper_message(stepper));
+    need(dal_stepper_save(stepper, s.values), "save", dal_stepper_error(stepper)->text);
     dal_stepper_stats(stepper, &s.stats);
     return s;
 }
@@ -304,8 +305,8 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 {
     const standing before = standing_of(stepper);
     CHECK(dal_stepper_restore(stepper, values, count) == DAL_EINVAL);
-    check_true(strstr(dal_stepper_message(stepper), words) != NULL, dal_stepper_message(stepper),
-               words, __LINE__);
+    const char *const text = dal_stepper_error(stepper)->text;
+    check_true(strstr(text, words) != NULL, text, words, __LINE__);
     const standing after = standing_of(stepper);
     CHECK(same_standing(&before, &after));
 }
@@ -362,7 +363,7 @@ static void check_spoiled(dal_stepper *home, dal_stepper *abroad, size_t N)
             const standing after = standing_of(abroad);
             if (status) { /* of the family's numbers */
                 CHECK(status == DAL_EINVAL && i >= HEAD + N);
-                CHECK(strstr(dal_stepper_message(abroad), "is not of the scheme") != NULL);
+                CHECK(strstr(dal_stepper_error(abroad)->text, "is not of the scheme") != NULL);
                 CHECK(same_standing(&before, &after));
                 continue;
             }
@@ -422,8 +423,8 @@ static dal_stepper *moving(const dal_system *system, const dal_scheme *scheme)
     double x[MOST_2N];
     state_of(system, x);
     need(dal_stepper_start(stepper, 0.0, 0.01, x, DAL_CHECK, initial_of(scheme)), scheme->name,
-         dal_stepper_message(stepper));
-    need(dal_advance(stepper, 3, NULL, NULL), scheme->name, dal_stepper_message(stepper));
+         dal_stepper_error(stepper)->text);
+    need(dal_advance(stepper, 3, NULL, NULL), scheme->name, dal_stepper_error(stepper)->text);
     return stepper;
 }
 
@@ -502,10 +503,10 @@ static void test_refusals(void)
     dal_stepper *const fresh = open_stepper(system, &scheme, NULL);
     double values[MOST_SAVED] = {7.0};
     CHECK(dal_stepper_save(fresh, values) == DAL_EINVAL && values[0] == 7.0);
-    CHECK(strstr(dal_stepper_message(fresh), "not started") != NULL);
+    CHECK(strstr(dal_stepper_error(fresh)->text, "not started") != NULL);
     CHECK(dal_stepper_save(fresh, NULL) == DAL_EINVAL);
     CHECK(dal_stepper_restore(fresh, NULL, 40) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_message(fresh), "values is NULL") != NULL);
+    CHECK(strstr(dal_stepper_error(fresh)->text, "values is NULL") != NULL);
     CHECK(dal_stepper_restore(fresh, values, 40) == DAL_EINVAL && dal_step(fresh, NULL) < 0);
     CHECK(dal_stepper_save(NULL, values) == DAL_EINVAL);
     CHECK(dal_stepper_restore(NULL, values, 40) == DAL_EINVAL);
@@ -520,8 +521,8 @@ static void test_refusals(void)
     for (int k = 0; k < 2; k++) {
         CHECK((k ? dal_stepper_restore(multistep, values, 1) : dal_stepper_save(multistep, values))
               == DAL_EUNSUPPORTED);
-        CHECK(strstr(dal_stepper_message(multistep), "\"reference\"") != NULL);
-        CHECK(strstr(dal_stepper_message(multistep), "multistep") != NULL);
+        CHECK(strstr(dal_stepper_error(multistep)->text, "\"reference\"") != NULL);
+        CHECK(strstr(dal_stepper_error(multistep)->text, "multistep") != NULL);
     }
     memcpy(y, dal_stepper_state(multistep), sizeof y);
     CHECK(memcmp(x, y, sizeof x) == 0 && values[0] == 7.0);
@@ -563,7 +564,7 @@ static void test_after_failure(void)
             bad = false;
             const standing s = standing_of(one);
             need(dal_stepper_restore(two, s.values, dal_stepper_saved(one)), names[j],
-                 dal_stepper_message(two));
+                 dal_stepper_error(two)->text);
             CHECK(dal_advance(one, 10, NULL, NULL) == 0 && dal_advance(two, 10, NULL, NULL) == 0);
             CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(two), sizeof x0) == 0);
             dal_stepper_free(one);

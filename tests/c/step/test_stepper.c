@@ -31,7 +31,8 @@ static void state_of(const dal_system *system, double *x)
     need(dal_system_state(system, x), "state", "");
     for (size_t i = 0; i < 2 * dal_system_n(system); i++) x[i] += 0.3 * next_number(&seed);
     dal_mechanics *const mechanics = open_mechanics(system);
-    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project", dal_mechanics_message(mechanics));
+    need(dal_project(mechanics, 0.0, 0.0, x, NULL), "project",
+         dal_mechanics_error(mechanics)->text);
     dal_mechanics_free(mechanics);
 }
 
@@ -43,7 +44,7 @@ static void flow_from(const dal_system *system, const dal_scheme *scheme, double
     dal_stepper *const stepper = open_stepper(system, scheme, NULL);
     int status = dal_stepper_start(stepper, 0.0, h, x0, DAL_ASSUME, initial);
     if (!status) status = dal_advance(stepper, steps, reaction, NULL);
-    check_true(status == DAL_SUCCESS, dal_stepper_message(stepper), system->def.name, __LINE__);
+    check_true(status == DAL_SUCCESS, dal_stepper_error(stepper)->text, system->def.name, __LINE__);
     memcpy(x, dal_stepper_state(stepper), 2 * dal_system_n(system) * sizeof *x);
     dal_stepper_free(stepper);
 }
@@ -587,7 +588,7 @@ static void check_starts(const dal_system *system, double h)
 
     memcpy(x, dal_stepper_state(stepper), 2 * n * sizeof *x);
     CHECK(dal_stepper_start(stepper, 0.0, h, x0, DAL_CHECK, DAL_INITIAL_D_EPS) == DAL_EOFFD);
-    CHECK(strstr(dal_stepper_message(stepper), "D_eps") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "D_eps") != NULL);
     CHECK(largest_difference(2 * n, x, dal_stepper_state(stepper)) == 0.0);
     CHECK(dal_stepper_start(stepper, 0.0, h, x0, DAL_CHECK, DAL_INITIAL_D) == DAL_SUCCESS);
     CHECK(largest_difference(n, x0, dal_stepper_state(stepper)) == 0.0);
@@ -634,8 +635,8 @@ static void check_refused(dal_stepper *stepper, double t0, double h, const doubl
     const int status = dal_stepper_start(stepper, t0, h, x, (dal_consistency)consistency,
                                          (dal_initial)initial);
     CHECK(status == expected);
-    check_true(strstr(dal_stepper_message(stepper), words) != NULL, dal_stepper_message(stepper),
-               words, __LINE__);
+    const char *const text = dal_stepper_error(stepper)->text;
+    check_true(strstr(text, words) != NULL, text, words, __LINE__);
     CHECK(memcmp(before, dal_stepper_state(stepper), sizeof before) == 0);
     dal_stepper_stats(stepper, &after);
     CHECK(dal_stepper_time(stepper) == t && after.steps == stats.steps);
@@ -653,11 +654,11 @@ static void test_starts(void)
     CHECK(dal_system_state(system, x0) == 0);
 
     CHECK(dal_step(stepper, &lambda) == DAL_EINVAL && lambda == 7.0);
-    CHECK(strstr(dal_stepper_message(stepper), "not started") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "not started") != NULL);
     CHECK(dal_advance(stepper, 3, &lambda, &done) == DAL_EINVAL && done == 0 && lambda == 7.0);
 
     CHECK(dal_stepper_start(stepper, 2.0, 0.25, x0, DAL_CHECK, DAL_INITIAL_NONE) == DAL_SUCCESS);
-    CHECK(dal_stepper_message(stepper)[0] == '\0');
+    CHECK(dal_stepper_error(stepper)->text[0] == '\0');
     CHECK(dal_advance(stepper, 3, NULL, &done) == DAL_SUCCESS && done == 3);
     CHECK(dal_stepper_time(stepper) == 2.75);
 
@@ -681,11 +682,11 @@ static void test_starts(void)
     off[4] = -INFINITY;
     check_refused(stepper, 0.0, 0.1, off, DAL_ASSUME, 0, DAL_EINVAL, "v[1] = -inf");
     CHECK(dal_stepper_start(nodes, 0.0, 0.1, x0, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
-    CHECK(strstr(dal_stepper_message(nodes), "initial") != NULL);
+    CHECK(strstr(dal_stepper_error(nodes)->text, "initial") != NULL);
     CHECK(dal_step(nodes, NULL) == DAL_EINVAL); /* still not started */
     const double fast[6] = {1.7e308, 0.3, 0.0, 1e308, 0.0, 0.3e308};
     CHECK(dal_stepper_start(nodes, 0.0, 10.0, fast, DAL_ASSUME, DAL_INITIAL_SHIFT) == DAL_EDOMAIN);
-    CHECK(strstr(dal_stepper_message(nodes), "q + 5 v overflows") != NULL);
+    CHECK(strstr(dal_stepper_error(nodes)->text, "q + 5 v overflows") != NULL);
     CHECK(dal_stepper_start(NULL, 0.0, 0.1, x0, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
     CHECK(dal_step(stepper, NULL) == DAL_SUCCESS && dal_stepper_time(stepper) == 3.0);
 
@@ -993,7 +994,7 @@ static void test_singular_step(void)
     CHECK(dal_stepper_start(stepper, 0.0, 2.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == DAL_SUCCESS);
     CHECK(dal_step(stepper, &lambda) == DAL_ESINGULAR && lambda == 7.0);
     CHECK(memcmp(dal_stepper_state(stepper), x0, sizeof x0) == 0);
-    CHECK(strstr(dal_stepper_message(stepper), "step 1 (t = 0, h = 2)") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "step 1 (t = 0, h = 2)") != NULL);
     dal_stepper_free(stepper);
     dal_system_free(system);
 }
@@ -1045,7 +1046,7 @@ static void test_looks(void)
     CHECK(dal_stepper_start(stepper, 0.0, 1.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
     w.stops = true;
     CHECK(dal_advance(stepper, 200, NULL, &done) == DAL_EUSER && done == 64);
-    CHECK(strstr(dal_stepper_message(stepper), "potential") != NULL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "potential") != NULL);
     dal_stepper_free(stepper);
     dal_system_free(system);
 }

@@ -197,7 +197,7 @@ static void test_too_large(const char *name, const char *scheme_name, double h)
     double z[WIDTH] = {0.0}, g[WIDTH] = {7.0}, y[WIDTH] = {7.0};
     dal_embedding *const embedding = open_embedding(system, &def, NULL, z);
     CHECK(dal_embedding_field(embedding, 0.55, z, g) == DAL_ENOCONV && g[0] == 7.0);
-    CHECK(strstr(dal_embedding_message(embedding), "is too large") != NULL);
+    CHECK(strstr(dal_embedding_error(embedding)->text, "is too large") != NULL);
     CHECK(dal_embedding_source(embedding, 0.55, z, y) == DAL_ENOCONV && y[0] == 7.0);
     memcpy(y, z, sizeof y);
     CHECK(dal_embedding_flow(embedding, 0.0, h, y) == DAL_ENOCONV);
@@ -297,30 +297,30 @@ static void test_failures(void)
     CHECK(dal_embedding_new(&embedding, system, NULL, NULL) == DAL_EINVAL);
     CHECK(dal_embedding_new(&embedding, system, &DEF(.scheme = &scheme, .h = 0.1), &error) == 0);
     CHECK(dal_embedding_field(embedding, 0.5, z, g) == DAL_EINVAL); /* no chart yet */
-    CHECK(strstr(dal_embedding_message(embedding), "chart") != NULL);
+    CHECK(strstr(dal_embedding_error(embedding)->text, "chart") != NULL);
     double x[6];
     CHECK(dal_system_state(system, x) == 0);
     CHECK(dal_chart_choose(dal_embedding_chart(embedding), 0.0, NULL, x) == 0);
     CHECK(dal_embedding_field(embedding, NAN, z, g) == DAL_EINVAL);
     CHECK(dal_embedding_field(embedding, 0.5, NULL, g) == DAL_EINVAL);
-    CHECK(strstr(dal_embedding_message(embedding), "z is NULL") != NULL);
+    CHECK(strstr(dal_embedding_error(embedding)->text, "z is NULL") != NULL);
     CHECK(dal_embedding_field(embedding, 0.5, z, NULL) == DAL_EINVAL);
     CHECK(dal_embedding_curve(embedding, -0.5, z, g) == DAL_EINVAL);
-    CHECK(strstr(dal_embedding_message(embedding), "tau = -0.5") != NULL);
+    CHECK(strstr(dal_embedding_error(embedding)->text, "tau = -0.5") != NULL);
     CHECK(dal_embedding_curve(embedding, 1e300, z, g) == DAL_EINVAL); /* for ever */
-    CHECK(strstr(dal_embedding_message(embedding), "tau = 1e+300") != NULL);
+    CHECK(strstr(dal_embedding_error(embedding)->text, "tau = 1e+300") != NULL);
     CHECK(dal_embedding_curve(embedding, 0.5, NULL, g) == DAL_EINVAL);
-    CHECK(strstr(dal_embedding_message(embedding), "y is NULL") != NULL);
+    CHECK(strstr(dal_embedding_error(embedding)->text, "y is NULL") != NULL);
     CHECK(dal_embedding_flow(embedding, 0.0, INFINITY, z) == DAL_EINVAL && z[0] == 0.5);
-    CHECK(strstr(dal_embedding_message(embedding), "t1 = inf") != NULL);
+    CHECK(strstr(dal_embedding_error(embedding)->text, "t1 = inf") != NULL);
     CHECK(dal_embedding_flow(embedding, NAN, 1.0, z) == DAL_EINVAL && z[0] == 0.5);
-    CHECK(strstr(dal_embedding_message(embedding), "t0 = nan") != NULL);
+    CHECK(strstr(dal_embedding_error(embedding)->text, "t0 = nan") != NULL);
     double y[5]; /* just below an integer is where the curves start */
     CHECK(dal_embedding_source(embedding, -1e-18, z, y) == 0);
     for (int i = 0; i < 5; i++) CHECK_NEAR(y[i], z[i], 4 * U);
     z[1] = NAN;
     CHECK(dal_embedding_source(embedding, 0.5, z, g) == DAL_EINVAL);
-    CHECK(strstr(dal_embedding_message(embedding), "z[1] = nan") != NULL);
+    CHECK(strstr(dal_embedding_error(embedding)->text, "z[1] = nan") != NULL);
     CHECK(dal_embedding_limit(embedding, z, g) == DAL_EINVAL && g[0] == 7.0);
     CHECK(dal_embedding_field(NULL, 0.5, z, g) == DAL_EINVAL);
     dal_embedding_free(embedding);

@@ -390,7 +390,7 @@ static void test_failures(void)
         CHECK(dal_system_deform(&system, base, failing, &answer, 0.1, DAL_NONLINEAR, 0, NULL) == 0);
         dal_mechanics *const mech = open_mechanics(system);
         CHECK(dal_field(mech, 0.0, x, out) == (k == 1 ? DAL_EUSER : DAL_EDOMAIN) && out[0] == 7.0);
-        CHECK(strstr(dal_mechanics_message(mech),
+        CHECK(strstr(dal_mechanics_error(mech)->text,
                      k < 2 ? "constraint returned" : "was not written") != NULL);
         dal_mechanics_free(mech);
         dal_system_free(system);

@@ -270,7 +270,7 @@ def test_one_text_two_compilations(name, scheme):
         assert core.lib.dal_stepper_start(stepper, *start) == 0
         reaction = np.zeros(system.m)
         done = core.lib.dal_advance(stepper, 1000, core.pointer(reaction), core.ffi.NULL)
-        assert done == 0, core.string(core.lib.dal_stepper_message(stepper))
+        assert done == 0, core.string(core.lib.dal_stepper_error(stepper).text)
         state = core.doubles(core.lib.dal_stepper_state(stepper), 2 * system.n)
         ends.append(np.concatenate([state, reaction]))
     np.testing.assert_array_equal(*ends)
