@@ -152,7 +152,6 @@ static int correct(dal_kernel *k, double t)
     const size_t n = k->n, m = k->m;
     const double shift = k->shift * k->h;
     const double before = dal_residual_speed(n, k->per_unit, at->w);
-    double *const worst = &k->stats.worst_residual;
     for (int pass = 1;; pass++) {
         for (size_t i = 0; i < n; i++) at->point[i] = at->stored[i] - shift * at->w[i];
         const int returned = dal_kernel_constraint(k, t, at->point, at->w, at->mu,
@@ -160,11 +159,11 @@ static int correct(dal_kernel *k, double t)
         k->stats.corrections++;
         if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
         if (!(dal_kernel_sum(m * n, at->mu) <= DBL_MAX)) return is_not_finite(k);
-        if (dal_kernel_settled(k, n, m, everything, at, DAL_RESIDUAL_BOUND(n) / 2.0, worst))
+        if (dal_kernel_settled(k, n, m, everything, at, DAL_KERNEL_LIMIT(n)))
             return DAL_SUCCESS;
         if (pass > MOST) /* the rounding of a large node may move mu by more */
             return k->kept && dal_kernel_is_roundoff(k, n, m, everything, at)
-                        && dal_kernel_settled(k, n, m, everything, at, DBL_MAX, worst)
+                        && dal_kernel_settled(k, n, m, everything, at, DBL_MAX)
                        ? DAL_SUCCESS
                        : dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_C);
         for (size_t a = 0; a < m; a++)

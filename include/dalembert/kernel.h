@@ -166,7 +166,20 @@ struct dal_kernel {
     } failure;
 };
 
+/* What does not change while a stage is made; constants, as far as the compilation knows them. */
+typedef struct dal_traits {
+    const dal_stage *stage;
+    double number; /* of the step, from 0 */
+    double t_end;  /* of the stage */
+    dal_pattern has;
+    bool kept, potential, steady;
+    bool ends;     /* V_q acts at the unknown q~' */
+    bool known;    /* mu(q~') needs no evaluation */
+} dal_traits;
+
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
+/* Half of the bound on the residual. */
+#define DAL_KERNEL_LIMIT(n) (2.0 * (double)(n) * DAL_KERNEL_U)
 
 /* What is left of the force equation when its iteration stops is at most 1/DAL_KERNEL_SAFETY of a
  * rounding of v': it has one sign from step to step and adds up in the energy. */
@@ -326,12 +339,12 @@ DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s,
 }
 
 /* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is at most limit
- * for every constraint, and then *worst is kept up to date; never if r is not finite. */
-DAL_KERNEL_INLINE bool dal_kernel_settled(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
-                                          const dal_arrays *at, double limit, double *worst)
+ * for every constraint, and then the statistics know it; never if r is not finite. */
+DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal_pattern has,
+                                          const dal_arrays *at, double limit)
 {
     const double speed = dal_residual_speed(n, k->per_unit, at->w), allowed = limit * speed;
-    double largest = *worst;
+    double largest = k->stats.worst_residual;
     bool settled = true;
     for (size_t a = 0; a < m; a++) {
         const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
@@ -341,7 +354,7 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(const dal_kernel *k, size_t n, size_t 
         if (!(form * allowed - fabs(sum) >= 0.0)) settled = false;
         if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
     }
-    if (settled) *worst = largest;
+    if (settled) k->stats.worst_residual = largest;
     return settled;
 }
 
@@ -449,17 +462,19 @@ static inline void dal_kernel_forget(dal_kernel *k)
 
 #define DAL_KERNEL_JOIN_(a, b) a##b
 #define DAL_KERNEL_JOIN(a, b) DAL_KERNEL_JOIN_(a, b)
-#define DAL_KERNEL_STAGE DAL_KERNEL_JOIN(DAL_KERNEL, _stage)
-#define DAL_KERNEL_COPY DAL_KERNEL_JOIN(DAL_KERNEL, _copy)
+#define DAL_KERNEL_PART(name) DAL_KERNEL_JOIN(DAL_KERNEL, _##name)
+#define DAL_KERNEL_COPY DAL_KERNEL_PART(copy)
 
 /* Arrays that no function outside sees: on the stack, for the registers, where sizes are constants.
  * SHARED: those that callbacks see, unless they are inside. */
 #ifdef DAL_N
 #define DAL_KERNEL_M (DAL_M > 0 ? DAL_M : 1)
 #define DAL_KERNEL_ARRAY(type, name, size) type name[size]
+#define DAL_KERNEL_SIZES const size_t n = DAL_N, m = DAL_M; (void)m
 #else
 #define DAL_KERNEL_M 0
 #define DAL_KERNEL_ARRAY(type, name, size) type *const name = k->at.name
+#define DAL_KERNEL_SIZES const size_t n = k->n, m = k->m; (void)m
 #endif
 #if DAL_KERNEL_INSIDE
 #define DAL_KERNEL_SHARED(name, size, offset) double name[size]
@@ -482,18 +497,200 @@ DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
     for (size_t i = 0; i < n; i++) to[i] = from[i];
 }
 
-/* Of step number, counted from 0.  plain is a constant where this is inlined: V = 0 and moved
- * nodes, so that what serves only the others costs nothing.  A time that was kept in a register
- * would be stored and loaded at every call, which costs more than to compute it there. */
-DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
-                                       const dal_stage *const s, const bool plain, double *const x,
-                                       double *const pull)
+/* ---- predict: the part of v' that is known, and the pull */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *o,
+                                               const dal_arrays *at)
 {
-#ifdef DAL_N
-    const size_t n = DAL_N, m = DAL_M;
-#else
-    const size_t n = k->n, m = k->m;
-#endif
+    const dal_stage *const s = o->stage;
+    DAL_KERNEL_SIZES;
+    const double *const x = at->x, *const pull = at->pull;
+    const double h = k->h, b = s->after * h;
+    const double before = o->kept ? 0.0 : s->before * h; /* a kept node is the state */
+    for (size_t i = 0; i < n; i++) at->node[i] = x[i] + before * x[n + i];
+    for (size_t i = 0; i < n; i++) at->base[i] = x[n + i];
+    if (o->potential) {
+        double *const force = s->node != 0.0 ? k->force1 : k->force0;
+        if (s->node != 0.0 || !k->forced) {
+            const double shift = o->kept ? k->shift * h : 0.0;
+            DAL_KERNEL_UNROLL
+            for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
+                at->point[i] = s->node != 0.0 ? at->node[i] : x[i] - shift * x[n + i];
+            const int returned = DAL_KERNEL_POTENTIAL(
+                k, dal_kernel_time(k, o->number, s->node != 0.0 ? s->t_node : s->t_start),
+                at->point, force);
+            if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+        }
+        const double weight = h * (s->node != 0.0 ? s->node : s->start);
+        dal_kernel_accelerate(k, n, o->has.inverse, force, at->step);
+        for (size_t i = 0; i < n; i++) at->base[i] -= weight * at->step[i];
+    }
+    /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
+    for (size_t i = 0; i < n; i++) {
+        const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
+        double early = at->base[i];
+        if (pulled) early += s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i];
+        at->w[i] = early;
+        at->point[i] = at->node[i] + b * early;
+        if (pulled) {
+            at->w[i] += s->ahead[0] * pull[i];
+            at->point[i] += b * s->ahead[0] * pull[i];
+        }
+    }
+    return DAL_SUCCESS;
+}
+
+/* ---- factor: S, with mu at the prediction, and then at the node: more has to wait for the first.
+ * Like iterate it returns > 0 where the stage is left to k->finish. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o,
+                                              const dal_arrays *at)
+{
+    const dal_stage *const s = o->stage;
+    DAL_KERNEL_SIZES;
+    int returned = 0;
+    if (m > 0 && !s->linear)
+        returned = DAL_KERNEL_CONSTRAINT(k, o->t_end, at->point, at->w, at->mu,
+                                         o->steady ? NULL : at->N);
+    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+    if (m > 0) {
+        const int status = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, o->number, s->t_node),
+                                                 at->node, at->x + n, at->mu_node, NULL);
+        if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
+        for (size_t a = 0; a < m; a++)
+            dal_kernel_accelerate(k, n, o->has.inverse, at->mu_node + a * n, at->Z + a * n);
+    }
+    if (s->linear) DAL_KERNEL_COPY(m * n, at->mu_node, at->mu);
+    if (s->linear || (o->steady && o->has.N)) {
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < m * n; i++) at->N[i] = 0.0;
+    }
+    if (o->ends && returned == 0)
+        returned = DAL_KERNEL_POTENTIAL(k, o->t_end, at->point, k->force1);
+    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+    return returned > 0 || dal_kernel_factor(k, n, m, o->has, s->after * k->h, at) <= 0;
+}
+
+/* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *o,
+                                               const dal_arrays *at, bool *settled)
+{
+    const dal_stage *const s = o->stage;
+    DAL_KERNEL_SIZES;
+    double last = HUGE_VAL;
+    bool passed = false; /* mu was not evaluated after the last correction */
+    bool anew = true;    /* nor after the one before, so that this one may be larger */
+    if (o->ends) DAL_KERNEL_COPY(n, at->w, at->seen);
+    for (int iteration = 1; iteration <= DAL_KERNEL_CORRECTIONS; iteration++) {
+        bool balanced = true;
+        int returned = 0;
+        k->stats.iterations++;
+        dal_kernel_newton(k, s, n, m, o->has, o->ends, iteration == 1, o->ends ? at->seen : at->w,
+                          at);
+        dal_kernel_place(k, s, n, o->kept, at);
+        if (!o->known || o->ends) {
+            double size = -0.0;
+            for (size_t i = 0; i < n; i++)
+                if (DAL_KERNEL_HAS(o->has.pull, i)) size += fabs(at->step[i]) * k->per_unit[i];
+            const double noise = 8.0 * DAL_KERNEL_U * dal_residual_extent(n, k->per_unit, at->goal);
+            if (o->ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
+            if (!(anew || size <= 0.5 * last || size <= noise)) break;
+            anew = passed && balanced;
+            passed = !balanced && size * (size / last) <= DAL_KERNEL_PASSING * noise;
+            last = size;
+        }
+        if (!o->known && !passed) {
+            returned = DAL_KERNEL_CONSTRAINT(k, o->t_end, at->point, at->w, at->mu, NULL);
+            if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
+            if (o->ends) DAL_KERNEL_COPY(n, at->w, at->seen);
+        }
+        if (!balanced && returned == 0)
+            returned = DAL_KERNEL_POTENTIAL(k, o->t_end, at->point, k->force1);
+        if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+        if (returned > 0) break;
+        if (!balanced) continue;
+        *settled = dal_kernel_settled(k, n, m, o->has, at, DAL_KERNEL_LIMIT(n));
+        if (*settled || o->known || dal_kernel_is_roundoff(k, n, m, o->has, at)) return DAL_SUCCESS;
+        if (o->steady) return dal_kernel_fail(k, DAL_EINVAL, DAL_FAILED_STEADY);
+    }
+    return 1;
+}
+
+/* ---- settle: whether what is stored has the residual that it has to have, and is finite; a kept
+ * node would give back another q~' */
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *o,
+                                               const dal_arrays *at, bool solved, bool settled)
+{
+    DAL_KERNEL_SIZES;
+    if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !o->kept)) {
+        dal_lu_solve(m, at->S, at->row, at->r, at->d);
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++)
+            at->w[i] += dal_kernel_column(n, m, o->has.Z, at->Z, i, at->d);
+        settled = dal_kernel_settled(k, n, m, o->has, at, DAL_KERNEL_LIMIT(n));
+    }
+    double total = -0.0; /* with an infinite w stored is infinite too, or NaN where b = 0 */
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) total += at->stored[i];
+    return settled && fabs(total) <= DBL_MAX;
+}
+
+/* ---- hand over what is left to k->finish */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits *o,
+                                                 const dal_arrays *at, bool solved)
+{
+    DAL_KERNEL_SIZES;
+    DAL_KERNEL_COPY(2 * n, at->x, k->at.x);
+    DAL_KERNEL_COPY(n, at->node, k->at.node);
+    DAL_KERNEL_COPY(n, at->w, k->at.w);
+    DAL_KERNEL_COPY(n, at->base, k->at.base);
+    if (o->kept) DAL_KERNEL_COPY(n, at->goal, k->at.goal);
+    DAL_KERNEL_COPY(n, at->stored, k->at.stored);
+    DAL_KERNEL_COPY(m * n, at->Z, k->at.Z);
+    DAL_KERNEL_COPY(m * n, at->mu_node, k->at.mu_node);
+    const int status = k->finish(k, o->t_end, o->stage, solved);
+    if (status) return status;
+    DAL_KERNEL_COPY(n, k->at.w, at->w);
+    DAL_KERNEL_COPY(n, k->at.stored, at->stored);
+    if (!solved) DAL_KERNEL_COPY(m, k->at.kappa, at->kappa);
+    return DAL_SUCCESS;
+}
+
+/* ---- commit */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *o,
+                                               const dal_arrays *at, bool solved)
+{
+    DAL_KERNEL_SIZES;
+    double *const x = at->x, *const pull = at->pull;
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) {
+        if (!o->steady && DAL_KERNEL_HAS(o->has.pull, i)) {
+            pull[2 * n + i] = pull[n + i];
+            pull[n + i] = pull[i];
+            pull[i] = at->w[i] - at->base[i];
+        }
+        x[i] = at->stored[i];
+        x[n + i] = at->w[i];
+    }
+    if (DAL_KERNEL_RARE(!o->steady && !k->pulled)) { /* the best guess of the past */
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) pull[n + i] = pull[2 * n + i] = pull[i];
+        k->pulled = true;
+    }
+    for (size_t a = 0; a < m; a++) k->impulse[a] += at->kappa[a];
+    if (o->ends) {
+        double *const force = k->force0;
+        k->force0 = k->force1;
+        k->force1 = force;
+    }
+    if (o->potential) k->forced = o->ends && solved; /* the full one looks before its last step */
+}
+
+/* A stage of step number, counted from 0.  plain is a constant where this is inlined: V = 0 and
+ * moved nodes, so that what serves only the others costs nothing. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double number,
+                                             const dal_stage *const s, const bool plain,
+                                             double *const x, double *const pull)
+{
+    DAL_KERNEL_SIZES;
     DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
     DAL_KERNEL_SHARED(point, DAL_N, 3 * n);
     DAL_KERNEL_SHARED(w, DAL_N, 4 * n);
@@ -514,173 +711,37 @@ DAL_KERNEL_INLINE int DAL_KERNEL_STAGE(dal_kernel *const k, const double number,
     DAL_KERNEL_ARRAY(size_t, row, DAL_KERNEL_M);
     const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
                            Z, S, sizes, r, d, kappa, row};
-    const double h = k->h, b = s->after * h;
-    const double limit = 2.0 * (double)n * DAL_KERNEL_U; /* half of the bound */
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
     const bool potential = !plain && DAL_KERNEL_PULLED;
-    const bool ends = potential && s->end != 0.0; /* V_q at the unknown q~' */
     const bool inside = DAL_KERNEL_STEADY && plain;
-    const bool steady = inside || k->steady, proved = inside || k->steady == DAL_STEADY_PROVED;
-    const bool known = m == 0 || proved || (s->linear && !kept); /* mu(q~') needs no evaluation */
+    const bool proved = inside || k->steady == DAL_STEADY_PROVED;
     dal_pattern has = DAL_KERNEL_PATTERN;
     if (inside) has.N = 0;
+    const dal_traits o = {.stage = s, .number = number, .has = has, .kept = kept,
+                          .t_end = dal_kernel_time(k, number, s->t_end), .potential = potential,
+                          .ends = potential && s->end != 0.0, .steady = inside || k->steady,
+                          .known = m == 0 || proved || (s->linear && !kept)};
 
-    /* ---- predict: the part of v' that is known, and the pull */
-    const double before = kept ? 0.0 : s->before * h; /* a kept node is the state */
-    for (size_t i = 0; i < n; i++) node[i] = x[i] + before * x[n + i];
-    for (size_t i = 0; i < n; i++) base[i] = x[n + i];
-    if (potential) {
-        double *const force = s->node != 0.0 ? k->force1 : k->force0;
-        if (s->node != 0.0 || !k->forced) {
-            const double shift = kept ? k->shift * h : 0.0;
-            DAL_KERNEL_UNROLL
-            for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
-                point[i] = s->node != 0.0 ? node[i] : x[i] - shift * x[n + i];
-            const int returned = DAL_KERNEL_POTENTIAL(
-                k, dal_kernel_time(k, number, s->node != 0.0 ? s->t_node : s->t_start), point,
-                force);
-            if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-        }
-        const double weight = h * (s->node != 0.0 ? s->node : s->start);
-        dal_kernel_accelerate(k, n, has.inverse, force, step);
-        for (size_t i = 0; i < n; i++) base[i] -= weight * step[i];
-    }
-    /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
-    for (size_t i = 0; i < n; i++) {
-        const bool pulled = !steady && DAL_KERNEL_HAS(has.pull, i);
-        double early = base[i];
-        if (pulled) early += s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i];
-        w[i] = early;
-        point[i] = node[i] + b * early;
-        if (pulled) {
-            w[i] += s->ahead[0] * pull[i];
-            point[i] += b * s->ahead[0] * pull[i];
-        }
-    }
-
-    /* ---- factor: mu at the prediction, and then at the node: more has to wait for the first */
-    int returned = 0;
-    if (m > 0 && !s->linear)
-        returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w, mu,
-                                         steady ? NULL : N);
-    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-    if (m > 0) {
-        const int status = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_node), node,
-                                                 x + n, mu_node, NULL);
-        if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
-        for (size_t a = 0; a < m; a++)
-            dal_kernel_accelerate(k, n, has.inverse, mu_node + a * n, Z + a * n);
-    }
-    if (s->linear) DAL_KERNEL_COPY(m * n, mu_node, mu);
-    if (s->linear || (steady && has.N)) {
-        DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < m * n; i++) N[i] = 0.0;
-    }
-    if (ends && returned == 0)
-        returned =
-            DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
-    if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-
-    /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
-    bool solved = false, settled = false;
+    bool settled = false;
+    int status = DAL_KERNEL_PART(predict)(k, &o, &at);
+    if (status) return status;
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
-    if (returned == 0 && dal_kernel_factor(k, n, m, has, b, &at) > 0) {
-        double last = HUGE_VAL;
-        bool passed = false; /* mu was not evaluated after the last correction */
-        bool anew = true;    /* nor after the one before, so that this one may be larger */
-        if (ends) DAL_KERNEL_COPY(n, w, seen);
-        for (int iteration = 1; iteration <= DAL_KERNEL_CORRECTIONS; iteration++) {
-            const bool first = iteration == 1;
-            bool balanced = true;
-            k->stats.iterations++;
-            dal_kernel_newton(k, s, n, m, has, ends, first, ends ? seen : w, &at);
-            dal_kernel_place(k, s, n, kept, &at);
-            if (!known || ends) {
-                double size = -0.0;
-                for (size_t i = 0; i < n; i++)
-                    if (DAL_KERNEL_HAS(has.pull, i)) size += fabs(step[i]) * k->per_unit[i];
-                const double noise =
-                    8.0 * DAL_KERNEL_U * dal_residual_extent(n, k->per_unit, goal);
-                if (ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
-                if (!(anew || size <= 0.5 * last || size <= noise)) break;
-                anew = passed && balanced;
-                passed = !balanced && size * (size / last) <= DAL_KERNEL_PASSING * noise;
-                last = size;
-            }
-            if (!known && !passed) {
-                returned = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, number, s->t_end), point, w,
-                                                 mu, NULL);
-                if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-                if (ends) DAL_KERNEL_COPY(n, w, seen);
-            }
-            if (!balanced && returned == 0)
-                returned =
-                    DAL_KERNEL_POTENTIAL(k, dal_kernel_time(k, number, s->t_end), point, k->force1);
-            if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-            if (returned > 0) break;
-            if (!balanced) continue;
-            settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
-            solved = settled || known || dal_kernel_is_roundoff(k, n, m, has, &at);
-            if (solved) break;
-            if (steady) return dal_kernel_fail(k, DAL_EINVAL, DAL_FAILED_STEADY);
-        }
-    } else {
+    status = DAL_KERNEL_PART(factor)(k, &o, &at);
+    if (status < 0) return status;
+    if (status > 0) {
         DAL_KERNEL_COPY(n, node, stored);
+        DAL_KERNEL_COPY(n, base, goal);
+    } else {
+        status = DAL_KERNEL_PART(iterate)(k, &o, &at, &settled);
+        if (status < 0) return status;
     }
-
-    /* ---- settle: the residual of D at what is stored; a kept node would give back another q~' */
-    if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !kept)) {
-        dal_lu_solve(m, S, row, r, d);
-        DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < n; i++) w[i] += dal_kernel_column(n, m, has.Z, Z, i, d);
-        settled = dal_kernel_settled(k, n, m, has, &at, limit, &k->stats.worst_residual);
-    }
-    double total = -0.0; /* with an infinite w stored is infinite too, or NaN where b = 0 */
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) total += stored[i];
-    const bool finite = fabs(total) <= DBL_MAX;
-
-    /* ---- hand over what is left to k->finish */
-    if (DAL_KERNEL_RARE(!settled || !finite)) {
-        DAL_KERNEL_COPY(2 * n, x, k->at.x);
-        DAL_KERNEL_COPY(n, node, k->at.node);
-        DAL_KERNEL_COPY(n, w, k->at.w);
-        DAL_KERNEL_COPY(n, base, k->at.base);
-        if (kept) DAL_KERNEL_COPY(n, goal, k->at.goal);
-        DAL_KERNEL_COPY(n, stored, k->at.stored);
-        DAL_KERNEL_COPY(m * n, Z, k->at.Z);
-        DAL_KERNEL_COPY(m * n, mu_node, k->at.mu_node);
-        const int status = k->finish(k, dal_kernel_time(k, number, s->t_end), s, solved);
+    const bool solved = status == 0;
+    if (DAL_KERNEL_RARE(!DAL_KERNEL_PART(settle)(k, &o, &at, solved, settled))) {
+        status = DAL_KERNEL_PART(hand_over)(k, &o, &at, solved);
         if (status) return status;
-        DAL_KERNEL_COPY(n, k->at.w, w);
-        DAL_KERNEL_COPY(n, k->at.stored, stored);
-        if (!solved) DAL_KERNEL_COPY(m, k->at.kappa, kappa);
     }
-
-    /* ---- commit */
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) {
-        if (!steady && DAL_KERNEL_HAS(has.pull, i)) {
-            pull[2 * n + i] = pull[n + i];
-            pull[n + i] = pull[i];
-            pull[i] = w[i] - base[i];
-        }
-        x[i] = stored[i];
-        x[n + i] = w[i];
-    }
-    if (DAL_KERNEL_RARE(!steady && !k->pulled)) { /* the best guess of the past */
-        DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < n; i++) pull[n + i] = pull[2 * n + i] = pull[i];
-        k->pulled = true;
-    }
-    for (size_t a = 0; a < m; a++) k->impulse[a] += kappa[a];
-    if (ends) {
-        double *const force = k->force0;
-        k->force0 = k->force1;
-        k->force1 = force;
-    }
-    if (potential) k->forced = ends && solved; /* the full one evaluates before its last step */
+    DAL_KERNEL_PART(commit)(k, &o, &at, solved);
     return DAL_SUCCESS;
 }
 
@@ -711,16 +772,16 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         }
 #if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
         do
-            status = DAL_KERNEL_STAGE(k, number, s, !DAL_KERNEL_PULLED, x, pull);
+            status = DAL_KERNEL_PART(stage)(k, number, s, !DAL_KERNEL_PULLED, x, pull);
         while (!status && ++s < end);
 #else
         if (k->plain) {
             do
-                status = DAL_KERNEL_STAGE(k, number, s, true, x, pull);
+                status = DAL_KERNEL_PART(stage)(k, number, s, true, x, pull);
             while (!status && ++s < end);
         } else {
             do
-                status = DAL_KERNEL_STAGE(k, number, s, false, x, pull);
+                status = DAL_KERNEL_PART(stage)(k, number, s, false, x, pull);
             while (!status && ++s < end);
         }
 #endif
@@ -747,10 +808,11 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_KERNEL_PULLED
 #undef DAL_KERNEL_ARRAY
 #undef DAL_KERNEL_SHARED
+#undef DAL_KERNEL_SIZES
 #undef DAL_KERNEL_UNROLL
 #undef DAL_KERNEL_M
 #undef DAL_KERNEL_COPY
-#undef DAL_KERNEL_STAGE
+#undef DAL_KERNEL_PART
 #undef DAL_KERNEL_JOIN
 #undef DAL_KERNEL_JOIN_
 #undef DAL_KERNEL_STEADY
