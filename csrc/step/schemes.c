@@ -147,7 +147,8 @@ double dal__scheme_identify(const dal_system *system, const dal_scheme *scheme)
     const char *const family = dal_scheme_family(scheme);
     const char *const name = dal_system_name(system);
     const size_t n = system->def.n;
-    const int kinds[] = {(int)scheme->nodes, (int)system->def.kind};
+    const int kinds[] = {(int)scheme->nodes, (int)system->def.kind, system->def.time_dependent,
+                         system->def.force != NULL};
     uint64_t hash = UINT64_C(0xcbf29ce484222325);
     hash = digest(hash, strlen(family) + 1, family);
     hash = digest(hash, strlen(name) + 1, name);

@@ -5,49 +5,60 @@
 #include <math.h>
 #include <string.h>
 
-/* What stands in front of x and of what the family keeps.  Counters are exact below 2^53. */
-enum { VERSION = 1, HEAD = 27 };
+/* What stands in front of x and of what the family keeps: what it is of, and the fields below.
+ * Counters are exact below 2^53. */
+enum { VERSION = 1, OF = 4, FIELDS = 23, HEAD = OF + FIELDS };
 
-static void write_head(const dal_stepper *self, double *head)
-{
-    const dal_motion *const motion = &self->motion;
-    const evaluator *const e = &self->mech.eval;
-    const dal_stats *const stats = motion->stats;
-    const double values[HEAD] = {
-        VERSION, (double)self->mech.n, (double)self->mech.m, self->identity,
-        motion->t0, motion->h, (double)motion->steps,
-        self->jump.looking, self->jump.shift, self->jump.energy, self->jump.kinetic,
-        (double)self->jump.step, self->jump.change,
-        (double)stats->iterations, (double)stats->constraint_calls, (double)stats->potential_calls,
-        (double)stats->corrections, (double)stats->full_newtons, (double)stats->halvings,
-        stats->worst_residual, stats->initial_residual, stats->initial_correction,
-        (double)e->constraint_calls, (double)e->potential_calls, (double)e->lagrangian_calls,
-        (double)e->force_calls, (double)stats->evaluations,
-    };
-    memcpy(head, values, sizeof values);
-}
+/* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
+ * flag. */
+typedef struct field {
+    double *real, *energy;
+    size_t *counter;
+    bool *flag;
+} field;
 
-static void read_head(dal_stepper *self, const double *head)
+static void list_fields(dal_stepper *self, field fields[FIELDS])
 {
     dal_motion *const motion = &self->motion;
     evaluator *const e = &self->mech.eval;
-    motion->t0 = head[4];
-    motion->h = head[5];
-    motion->steps = (size_t)head[6];
-    self->jump = (dal__jump){.looking = head[7] != 0.0, .shift = head[8], .energy = head[9],
-                             .kinetic = head[10], .step = (size_t)head[11], .change = head[12]};
-    *motion->stats = (dal_stats){
-        .steps = motion->steps,
-        .iterations = (size_t)head[13], .constraint_calls = (size_t)head[14],
-        .potential_calls = (size_t)head[15], .corrections = (size_t)head[16],
-        .full_newtons = (size_t)head[17], .halvings = (size_t)head[18],
-        .worst_residual = head[19], .initial_residual = head[20], .initial_correction = head[21],
-        .evaluations = (size_t)head[26],
+    dal_stats *const stats = motion->stats;
+    dal__jump *const jump = &self->jump;
+    const field list[FIELDS] = {
+        {.real = &motion->t0}, {.real = &motion->h}, {.counter = &motion->steps},
+        {.flag = &jump->looking}, {.real = &jump->shift}, {.energy = &jump->energy},
+        {.energy = &jump->kinetic}, {.counter = &jump->step}, {.energy = &jump->change},
+        {.counter = &stats->iterations}, {.counter = &stats->constraint_calls},
+        {.counter = &stats->potential_calls}, {.counter = &stats->corrections},
+        {.counter = &stats->full_newtons}, {.counter = &stats->halvings},
+        {.real = &stats->worst_residual}, {.real = &stats->initial_residual},
+        {.real = &stats->initial_correction}, {.counter = &e->constraint_calls},
+        {.counter = &e->potential_calls}, {.counter = &e->lagrangian_calls},
+        {.counter = &e->force_calls}, {.counter = &stats->evaluations},
     };
-    e->constraint_calls = (size_t)head[22];
-    e->potential_calls = (size_t)head[23];
-    e->lagrangian_calls = (size_t)head[24];
-    e->force_calls = (size_t)head[25];
+    memcpy(fields, list, sizeof list);
+}
+
+static double read(const field *f)
+{
+    return f->real ? *f->real : f->energy ? *f->energy
+         : f->counter ? (double)*f->counter : *f->flag;
+}
+
+static void write(const field *f, double value)
+{
+    if (f->real) *f->real = value;
+    if (f->energy) *f->energy = value;
+    if (f->counter) *f->counter = (size_t)value;
+    if (f->flag) *f->flag = value != 0.0;
+}
+
+/* What is wrong with a value of the field; NULL if nothing is. */
+static const char *fault(const field *f, double value)
+{
+    if (isnan(value) || (isinf(value) && !f->energy)) return "not finite";
+    if (f->counter && !(value >= 0.0 && value <= 0x1p53 && value == floor(value)))
+        return "no counter";
+    return f->flag && value != 0.0 && value != 1.0 ? "neither 0 nor 1" : NULL;
 }
 
 /* How many numbers the family keeps. */
@@ -74,22 +85,18 @@ static int check_resumable(dal_stepper *self, const double *values)
 int dal_stepper_save(dal_stepper *stepper, double *values)
 {
     if (!stepper) return DAL_EINVAL;
-    const size_t N = 2 * stepper->mech.n;
+    const size_t n = stepper->mech.n, N = 2 * n;
     int status = check_resumable(stepper, values);
     if (!status) status = dal__stepper_started(stepper);
     if (status) return status;
-    write_head(stepper, values);
+    field fields[FIELDS];
+    const double of[OF] = {VERSION, (double)n, (double)stepper->mech.m, stepper->identity};
+    list_fields(stepper, fields);
+    memcpy(values, of, sizeof of);
+    for (size_t i = 0; i < FIELDS; i++) values[OF + i] = read(&fields[i]);
     memcpy(values + HEAD, stepper->motion.x, N * sizeof *values);
     if (stepper->family->save) stepper->family->save(stepper->method, values + HEAD + N);
     return DAL_SUCCESS;
-}
-
-/* What stands at i of the head. */
-enum { LOOKING = 7 };
-static bool is_of_energy(size_t i) { return i >= 9 && i <= 12; }
-static bool is_counter(size_t i)
-{
-    return i == 6 || i == 11 || (i >= 13 && i <= 18) || (i >= 22 && i < HEAD);
 }
 
 static int check_saved(dal_stepper *self, const double *values, size_t count)
@@ -107,14 +114,12 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
                          values[2], n, m, self->scheme.name);
     if (count != expected)
         return dal__fail(error, DAL_EINVAL, "count = %zu: expected %zu numbers", count, expected);
-    for (size_t i = 0; i < count; i++) {
-        const double value = values[i];
-        if (isnan(value) || (isinf(value) && !is_of_energy(i))) /* what is seen of it may be */
-            return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is not finite", i, value);
-        if (is_counter(i) && !(value >= 0.0 && value <= 0x1p53 && value == floor(value)))
-            return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is no counter", i, value);
-        if (i == LOOKING && value != 0.0 && value != 1.0)
-            return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is neither 0 nor 1", i, value);
+    field fields[FIELDS];
+    list_fields(self, fields);
+    for (size_t i = OF; i < count; i++) {
+        const char *const wrong = fault(i < HEAD ? &fields[i - OF] : &(field){0}, values[i]);
+        if (wrong)
+            return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is %s", i, values[i], wrong);
     }
     const double t = values[4], h = values[5];
     const int status = dal__stepper_check_times(self, t, h);
@@ -135,12 +140,15 @@ int dal_stepper_restore(dal_stepper *stepper, const double *values, size_t count
     int status = check_resumable(stepper, values);
     if (!status) status = check_saved(stepper, values, count);
     if (status) return status;
-    read_head(stepper, values);
+    field fields[FIELDS];
+    list_fields(stepper, fields);
+    for (size_t i = 0; i < FIELDS; i++) write(&fields[i], values[OF + i]);
+    stepper->motion.stats->steps = stepper->motion.steps; /* by which the step routine counts */
     memcpy(stepper->motion.x, values + HEAD, N * sizeof *values);
     if (stepper->family->start) stepper->family->start(stepper->method, &stepper->motion);
     if (stepper->family->restore)
         stepper->family->restore(stepper->method, values + HEAD + N);
     stepper->started = true;
-    stepper->error.text[0] = '\0';
+    dal__fail(&stepper->error, DAL_SUCCESS, "%s", "");
     return DAL_SUCCESS;
 }

@@ -234,7 +234,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     *motion->stats = stats;
     self->jump = jump;
     self->started = true;
-    self->error.text[0] = '\0';
+    dal__fail(&self->error, DAL_SUCCESS, "%s", "");
     if (self->family->start) self->family->start(self->method, motion);
     return DAL_SUCCESS;
 }

@@ -36,8 +36,17 @@ static int push(double t, const double *q, const double *v, double *f, double *f
     return 0;
 }
 
+/* uneven_edge on an incline that swings. */
+static int swing(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const int returned = uneven_potential(t, q, V, V_q, V_qq, ctx);
+    if (V) *V += sin(t) * q[1];
+    if (V_q) V_q[1] += sin(t);
+    return returned;
+}
+
 /* Built-in systems by their number; then those of the fixtures. */
-enum { GENERIC4, UNEVEN, PUSHED, NONLINEAR, FIXTURES };
+enum { GENERIC4, UNEVEN, PUSHED, SWINGING, NONLINEAR, FIXTURES };
 
 /* *base is NULL, or what the system stands on. */
 static dal_system *open_numbered(size_t which, dal_system **base)
@@ -48,11 +57,13 @@ static dal_system *open_numbered(size_t which, dal_system **base)
     if (which < count) return open_system(dal_builtin_name(which));
     if (which - count == GENERIC4) return open_system("generic4");
     if (which - count == UNEVEN) return open_system("uneven_edge");
-    *base = open_system(which - count == PUSHED ? "uneven_edge" : "generic4");
+    *base = open_system(which - count == NONLINEAR ? "generic4" : "uneven_edge");
     dal_system_def def = (*base)->def;
-    def.force = push;
-    need(which - count == PUSHED ? dal_system_new(&system, &def, NULL)
-                                 : dal_system_deform_nodes(&system, *base, 0.01, NULL),
+    if (which - count == PUSHED) def.force = push;
+    else def.potential = swing;
+    def.time_dependent = def.potential == swing;
+    need(which - count == NONLINEAR ? dal_system_deform_nodes(&system, *base, 0.01, NULL)
+                                    : dal_system_new(&system, &def, NULL),
          "fixture", "");
     return system;
 }
