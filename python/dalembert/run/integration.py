@@ -145,16 +145,21 @@ def integrate(
     start = record._initial(initial)
     options = ffi.new("dal_options *")
     options.max_iterations = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
-    flow = Scheme.flow(method, tolerance)
+    flow, plain = Scheme.flow(method, tolerance), Scheme.find("reference")
+    chosen = flow if record == plain else record
+    if record.name == plain.name and chosen not in (flow, plain) and flow != Scheme.flow():
+        raise ValueError(
+            f"method = {method!r}, tolerance = {tolerance}: the scheme has a method and a "
+            "tolerance of its own"
+        )
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     _require_memory(system, steps // stride, steps, stride)
 
     arguments.function(observer, "observer", "step, t, q, v")
     watcher = None if observer is None else core.Observer(system.n, observer)
     stepper = started_stepper(
-        system, flow if record.name == flow.name else record, x0, t0=t0, h=h,
-        consistency=consistency, initial=start, options=options,
-    )  # fmt: skip
+        system, chosen, x0, t0=t0, h=h, consistency=consistency, initial=start, options=options
+    )
     with extras.progress(progress, steps, "step") as show:
         run = Run(
             system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=watcher,

@@ -200,7 +200,7 @@ class Scheme:
         except (OSError, ValueError) as error:
             raise ValueError(f"scheme = {path}:{symbol}: {error}") from None
         record = ffi.cast("dal_scheme *", address)
-        return cls._read(record, ("from_library", path, symbol), kept=library)
+        return cls._read(record, ("from_library", os.path.abspath(path), symbol), kept=library)
 
     @classmethod
     def _of_family(cls, name: str, source: tuple[Any, ...], data: Any = ffi.NULL) -> Scheme:

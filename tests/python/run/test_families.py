@@ -1,0 +1,177 @@
+"""The families of schemes beside beta: pairs of maps, the reference flow, and one of a user's."""
+
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+
+HEUN = Path(dal.__file__).resolve().parents[2] / "tests" / "family_heun.so"
+
+
+def stepped(system, maps, h, steps):
+    """The states of the velocity integrator, one `Discrete.advance` after the other."""
+    discrete = dal.Discrete(system, *maps)
+    states = [(system.q0, system.v0)]
+    for k in range(steps):
+        q, v, _ = discrete.advance(h, *states[-1], t=k * h)
+        states.append((q, v))
+    return np.array(states).reshape(steps + 1, -1)
+
+
+def bent(strength):
+    """rho^(1/2), its point moved across by the chord: of order 1, and not rho^beta of any beta."""
+    turn = strength * np.array(
+        [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, -1], [0, 0, 1, 0]], dtype=float
+    )
+    return dal.DifferenceMap(
+        map=lambda h, q0, q1: ((q0 + q1) / 2 + h * turn @ (q1 - q0), (q1 - q0) / h)
+    )
+
+
+@pytest.mark.parametrize("betas", [(0.25, 0.5), (0.5, 0.0), (1.0, 0.75), (0.5, 0.5)])
+@pytest.mark.parametrize("name", ["robot", "sleigh_contact"])
+def test_pair_makes_the_steps_of_the_discrete_mechanics(name, betas):
+    system, h = dal.systems.get(name), 0.05
+    run = dal.integrate(system, dal.Scheme.pair(*betas), h=h, steps=20)
+    again = dal.integrate(system, f"pair:{betas[0]}:{betas[1]}", h=h, steps=20)
+    expected = stepped(system, betas, h, 20)
+    np.testing.assert_allclose(run.x, expected, rtol=0, atol=1e-12 * abs(expected).max())
+    np.testing.assert_array_equal(run.x, again.x)
+    assert run.residual.max() <= 4 * system.n * 2.0**-53
+    assert not np.array_equal(run.x, dal.integrate(system, 0.3, h=h, steps=20).x)
+
+
+def test_pair_of_equal_maps_is_the_beta_scheme():
+    system = dal.systems.knife_edge()
+    run = dal.integrate(system, dal.Scheme.pair(0.5), h=0.1, steps=50)
+    beta = dal.integrate(system, "midpoint", h=0.1, steps=50)
+    np.testing.assert_allclose(run.x, beta.x, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(run.reactions, beta.reactions, rtol=0, atol=1e-10)
+    assert dal.Scheme.pair(0.5).order == 2 and dal.Scheme.pair(0.5, 0.25).order == 1
+
+
+def test_pair_of_a_map_of_the_users_own(own):
+    system, maps = own.system(), (bent(0.3), 0.5)
+    run = dal.integrate(system, dal.Scheme.pair(*maps), own.q0, own.v0(), h=0.02, steps=10)
+    discrete, x = dal.Discrete(system, *maps), run.x[0]
+    for k in range(10):
+        q, v, _ = discrete.advance(0.02, x[:4], x[4:], t=0.02 * k)
+        x = np.concatenate([q, v])
+        np.testing.assert_allclose(run.x[k + 1], x, rtol=0, atol=1e-12)
+    plain = dal.integrate(system, dal.Scheme.pair(0.5), own.q0, own.v0(), h=0.02, steps=10)
+    assert abs(run.x - plain.x).max() > 1e-6
+
+
+def test_reference_does_not_depend_on_what_is_stored():
+    system = dal.systems.sleigh()
+    every = dal.integrate(system, "reference", h=0.5, steps=20)
+    some = dal.integrate(system, "reference", h=0.5, steps=20, stride=5)
+    np.testing.assert_array_equal(some.x, every.x[::5])
+    assert every.residual.max() <= 4 * system.n * 2.0**-53
+
+
+def test_flow_has_a_method_and_a_tolerance():
+    system = dal.systems.sleigh()
+    best = dal.integrate(system, "reference", h=1.0, steps=5).x
+    rough = dal.integrate(system, dal.Scheme.flow("rk8pd", 1e-4), h=1.0, steps=5).x
+    assert 1e-13 < abs(rough - best).max() < 1e-2
+    other = dal.integrate(system, dal.Scheme.flow("msadams", 1e-12), h=1.0, steps=5).x
+    np.testing.assert_allclose(other, best, rtol=0, atol=1e-9)
+    given = dal.integrate(system, "reference", h=1.0, steps=5, tolerance=1e-4).x
+    np.testing.assert_array_equal(given, rough)
+    with pytest.raises(ValueError, match="tolerance = 1e-05: the scheme has"):
+        dal.integrate(system, dal.Scheme.flow(tolerance=1e-4), h=1.0, steps=5, tolerance=1e-5)
+    with pytest.raises(ValueError, match="method = 'euler'"):
+        dal.Scheme.flow("euler")
+    with pytest.raises(ValueError, match="tolerance = -1"):
+        dal.Scheme.flow(tolerance=-1)
+
+
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        lambda: dal.Scheme.pair(0.25, 0.5),
+        lambda: dal.Scheme.flow("rk8pd", 1e-6),
+        lambda: dal.Scheme.from_library(str(HEUN), "heun_scheme"),
+    ],
+)
+def test_schemes_pickle_with_what_they_carry(scheme):
+    system = dal.systems.disk()
+    before = dal.integrate(system, scheme(), h=0.1, steps=5).x
+    code = "import pickle, sys; sys.stdout.buffer.write(pickle.load(sys.stdin.buffer)().x.tobytes())"
+    work = pickle.dumps(Work(system, scheme()))
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    there = subprocess.run(
+        [sys.executable, "-c", code], input=work, env=env, cwd="/", capture_output=True, check=True
+    )
+    assert there.stdout == before.tobytes()
+
+
+class Work:
+    """A run that another process makes."""
+
+    def __init__(self, system, scheme):
+        self.system, self.scheme = system, scheme
+
+    def __call__(self):
+        return dal.integrate(self.system, self.scheme, h=0.1, steps=5)
+
+
+# ---- a family that a user wrote, in a shared library ---------------------------------------
+
+
+def heun(system, x, h):
+    """Heun's method on the ODE on D, and the projection of its result onto D."""
+
+    def field(y):
+        return np.concatenate([y[system.n :], system.acceleration(y[: system.n], y[system.n :])])
+
+    before = field(x)
+    y = x + h / 2 * (before + field(x + h * before))
+    return np.concatenate([y[: system.n], system.project(y[: system.n], y[system.n :])])
+
+
+def test_family_of_a_library():
+    system = dal.systems.sleigh()
+    run = dal.integrate(system, f"{HEUN}:heun_scheme", h=0.05, steps=20)
+    x = np.concatenate([system.q0, system.v0])
+    for k in range(20):
+        x = heun(system, x, 0.05)
+        np.testing.assert_allclose(run.x[k + 1], x, rtol=0, atol=1e-12 * abs(x).max())
+    assert run.residual.max() <= 4 * system.n * 2.0**-53
+    assert np.isnan(run.reactions).all()
+    assert run.scheme.family == "heun"
+
+
+def test_study_of_a_library_s_family():
+    study = dal.convergence(dal.systems.disk(), f"{HEUN}:heun_scheme", t_end=1)
+    assert study.holds and abs(study.p - 2) < 0.2
+
+
+def test_command_line_takes_a_library(tmp_path):
+    command = [sys.executable, "-m", "dalembert", "study", "disk"]
+    done = subprocess.run(
+        [*command, "--scheme", f"{HEUN}:heun_scheme"], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert "heun" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nowhere.so:heun_scheme", "nowhere.so"),
+        (f"{HEUN}:other_scheme", "other_scheme"),
+        ("pair:0.25", "there is no scheme"),
+        ("pair:0.25:1.5", "there is no scheme"),
+    ],
+)
+def test_what_is_not_there_is_named(name, words):
+    with pytest.raises(ValueError, match=words):
+        dal.integrate(dal.systems.disk(), name, h=0.1, steps=1)
