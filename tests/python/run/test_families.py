@@ -104,7 +104,7 @@ def test_flow_has_a_method_and_a_tolerance():
 def test_schemes_pickle_with_what_they_carry(scheme):
     system = dal.systems.disk()
     before = dal.integrate(system, scheme(), h=0.1, steps=5).x
-    code = "import pickle, sys; sys.stdout.buffer.write(pickle.load(sys.stdin.buffer)().x.tobytes())"
+    code = "import pickle as p, sys; sys.stdout.buffer.write(p.load(sys.stdin.buffer)().x.tobytes())"
     work = pickle.dumps(Work(system, scheme()))
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
     there = subprocess.run(
