@@ -62,9 +62,8 @@ typedef enum dal_status {
 } dal_status;
 
 /* What went wrong, in words with the numbers; text is empty on success.  Functions that make
- * objects fill the caller's, which may be NULL; an object keeps that of its last failure.  Where it
- * is about one number that a callback gives, output ("V_q"), row and column say which, and
- * text[begin] up to text[end] are the words for it. */
+ * objects fill the caller's, which may be NULL; an object keeps that of its last failure.  If it is
+ * about a number of a callback, text[begin] up to text[end] name it: output ("V_q"), row, column. */
 typedef struct dal_error {
     int status;
     char text[508];
@@ -73,10 +72,8 @@ typedef struct dal_error {
     double value;
 } dal_error;
 
-/* "major.minor.patch" of the library that is running. */
+/* "major.minor.patch" of the library that is running; a line of text for a dal_status. */
 DAL_API const char *dal_version(void);
-
-/* One line of text for a dal_status; never NULL. */
 DAL_API const char *dal_strerror(int status);
 
 /* Asked some twenty times a second by what may compute for long, with how far it is; there it is
@@ -375,8 +372,7 @@ typedef struct dal_stats {
  * by more, it may be up to that, and worst_residual says so. */
 typedef struct dal_stepper dal_stepper;
 
-/* options: or NULL for the defaults.
- * DAL_EINVAL (a record that is not valid; the text says what), DAL_ENOMEM. */
+/* options may be NULL.  DAL_EINVAL (a record that is not valid; the text says what), DAL_ENOMEM. */
 DAL_API int dal_stepper_new(dal_stepper **stepper, const dal_system *system,
                             const dal_scheme *scheme, const dal_options *options,
                             dal_error *error);
