@@ -63,7 +63,7 @@ typedef enum dal_status {
 
 /* What went wrong, in words with the numbers; text is empty on success.  Functions that make
  * objects fill the caller's, which may be NULL; an object keeps that of its last failure.  If it is
- * about a number of a callback, text[begin] up to text[end] name it: output ("V_q"), row, column. */
+ * about a number of a callback, text[begin] to text[end] name it: output ("V_q"), row, column. */
 typedef struct dal_error {
     int status;
     char text[508];
