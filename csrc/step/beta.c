@@ -242,6 +242,17 @@ static void find_not_finite(beta *self, dal_mechanics *mech)
 /* What went wrong in the step that failed, in words. */
 static void explain(beta *self, dal_mechanics *mech, int status)
 {
+    static const char *const texts[] = {
+        [DAL_FAILED_SINGULAR_S] = "the Schur complement (mu(q') + beta h d(mu v)/dq) M^-1 "
+            "mu(q_k)^T is singular: the constraints lose rank, or h is too large here",
+        [DAL_FAILED_SINGULAR_K] = "M + h^2 beta (1-beta) V_qq is singular: h is too large here",
+        [DAL_FAILED_SINGULAR_C] = "no velocity of D was found at the new position: mu M^-1 mu^T "
+            "is singular there, or, with kept nodes, h is too large",
+        [DAL_FAILED_STEADY] = "the system is declared steady, but mu at the end of the step is not "
+            "what it was before the reaction acted: a coordinate that mu depends on is pushed by a "
+            "reaction",
+        [DAL_FAILED_BRANCH] = DAL__BRANCH_TEXT,
+    };
     const dal_kernel *const k = &self->kernel;
     dal_error *const error = &mech->error;
     switch (k->failure.kind) {
@@ -255,33 +266,16 @@ static void explain(beta *self, dal_mechanics *mech, int status)
     case DAL_FAILED_FINITE:
         find_not_finite(self, mech);
         break;
-    case DAL_FAILED_SINGULAR_S:
-        dal__fail(error, status, "the Schur complement (mu(q') + beta h d(mu v)/dq) M^-1 "
-                 "mu(q_k)^T is singular: the constraints lose rank, or h is too large here");
-        break;
-    case DAL_FAILED_SINGULAR_K:
-        dal__fail(error, status, "M + h^2 beta (1-beta) V_qq is singular: h is too large here");
-        break;
-    case DAL_FAILED_SINGULAR_C:
-        dal__fail(error, status, "no velocity of D was found at the new position: mu M^-1 mu^T "
-                 "is singular there, or, with kept nodes, h is too large");
-        break;
-    case DAL_FAILED_STEADY:
-        dal__fail(error, status, "the system is declared steady, but mu at the end of the step "
-                 "is not what it was before the reaction acted: a coordinate that mu depends on is "
-                 "pushed by a reaction");
-        break;
     case DAL_FAILED_ROOT:
         dal__fail(error, status, DAL__LOST_TEXT, k->failure.travelled, k->failure.first,
                  k->failure.scale);
-        break;
-    case DAL_FAILED_BRANCH:
-        dal__fail(error, status, DAL__BRANCH_TEXT);
         break;
     case DAL_FAILED_CONVERGE:
         dal__fail(error, status, "Newton did not converge in %d iterations: last change %.3g of "
                  "%.3g; try a smaller h", k->failure.iterations, k->failure.size, k->failure.scale);
         break;
+    default:
+        dal__fail(error, status, "%s", texts[k->failure.kind]);
     }
 }
 
