@@ -362,6 +362,15 @@ static int collapsed(const ode *self, double h, dal_error *error)
                      method_name(self->method), h, self->t0 + self->elapsed, self->tolerance);
 }
 
+/* Whether the edge of the domain of the field is nearer than a rounding of the state: steps of the
+ * size to go on with would come closer and closer to it, and never to an end. */
+static bool is_at_edge(const ode *self)
+{
+    return self->fault.status
+        && fabs(self->h) * dal__largest(self->N, self->slope)
+           <= DBL_EPSILON * dal__largest(self->N, self->state);
+}
+
 /* One attempt at a step towards elapsed time end, which lies ahead. */
 static int attempt_towards(ode *self, double end, bool *accepted, dal_error *error)
 {
@@ -374,8 +383,8 @@ static int attempt_towards(ode *self, double end, bool *accepted, dal_error *err
     if (*accepted) {
         if (self->elapsed + h == self->elapsed) return collapsed(self, h, error);
         self->elapsed = last ? end : self->elapsed + h;
-    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED ||
-               !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
+    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED
+               || is_at_edge(self) || !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
         return collapsed(self, self->h, error);
     }
     return DAL_SUCCESS;

@@ -207,6 +207,35 @@ static void test_failure(void)
     }
 }
 
+/* However short the steps are, the edge of a domain is reached after so many halvings as a double
+ * has bits, and not after so many steps as it has numbers. */
+static void test_edge(void)
+{
+    for (size_t j = 0; j < DAL_LENGTH(methods); j++) {
+        const dal_flow_scheme data = {methods[j], 1e-9};
+        const dal_scheme scheme = reference(&data);
+        dal_system *const edge = open_system("uneven_edge");
+        dal_system_def def = edge->def;
+        dal_system *system = NULL;
+        dal_stats stats;
+        double wall = 0.01;
+        def.constraint = walled;
+        def.ctx = &wall;
+        need(dal_system_new(&system, &def, NULL), "walled", "");
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        start(stepper, system, 0.0, 1e-4);
+        CHECK(dal_advance(stepper, 100000, NULL, NULL) == DAL_EDOMAIN);
+        const dal_error *const error = dal_stepper_error(stepper);
+        CHECK(strstr(error->text, "constraint returned 1") != NULL);
+        CHECK(fabs(dal_stepper_state(stepper)[0] - wall) < 1e-3);
+        dal_stepper_stats(stepper, &stats);
+        CHECK(stats.evaluations < 40 * stats.steps + 20000);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+        dal_system_free(edge);
+    }
+}
+
 static void refused(const dal_scheme *scheme, const char *words)
 {
     dal_system *const system = open_system("particle");
@@ -239,6 +268,7 @@ int main(void)
     test_time();
     test_calls();
     test_failure();
+    test_edge();
     test_records();
     return check_done();
 }
