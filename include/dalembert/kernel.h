@@ -187,8 +187,7 @@ typedef struct dal_traits {
 /* While V_q is not balanced yet, mu is not evaluated where the next correction is expected to be
  * less than this many roundings, 2^-31 of v': what is linear in mu is off by its square. */
 #define DAL_KERNEL_PASSING 0x1p20
-/* Corrections of the modified Newton iteration, which halve at least; then the full one is better.
- */
+/* So many corrections, each at most half of the one before, and then the full Newton iteration. */
 enum { DAL_KERNEL_CORRECTIONS = 16 };
 
 #if defined(__GNUC__)
@@ -465,17 +464,13 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_PART(name) DAL_KERNEL_JOIN(DAL_KERNEL, _##name)
 #define DAL_KERNEL_COPY DAL_KERNEL_PART(copy)
 
-/* Arrays that no function outside sees: on the stack, for the registers, where sizes are constants.
- * SHARED: those that callbacks see, unless they are inside. */
 #ifdef DAL_N
 #define DAL_KERNEL_M (DAL_M > 0 ? DAL_M : 1)
-#define DAL_KERNEL_ARRAY(type, name, size) type name[size]
 #define DAL_KERNEL_SIZES const size_t n = DAL_N, m = DAL_M; (void)m
 #else
-#define DAL_KERNEL_M 0
-#define DAL_KERNEL_ARRAY(type, name, size) type *const name = k->at.name
 #define DAL_KERNEL_SIZES const size_t n = k->n, m = k->m; (void)m
 #endif
+/* An array that callbacks see, unless they are inside. */
 #if DAL_KERNEL_INSIDE
 #define DAL_KERNEL_SHARED(name, size, offset) double name[size]
 #else
@@ -691,26 +686,23 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
                                              double *const x, double *const pull)
 {
     DAL_KERNEL_SIZES;
+#ifdef DAL_N
     DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
     DAL_KERNEL_SHARED(point, DAL_N, 3 * n);
     DAL_KERNEL_SHARED(w, DAL_N, 4 * n);
     DAL_KERNEL_SHARED(mu_node, DAL_KERNEL_M * DAL_N, 8 * n);
     DAL_KERNEL_SHARED(mu, DAL_KERNEL_M * DAL_N, 8 * n + m * n);
     DAL_KERNEL_SHARED(N, DAL_KERNEL_M * DAL_N, 8 * n + 2 * m * n);
-    DAL_KERNEL_ARRAY(double, base, DAL_N);
-    DAL_KERNEL_ARRAY(double, goal, DAL_N);
-    DAL_KERNEL_ARRAY(double, step, DAL_N);
-    DAL_KERNEL_ARRAY(double, seen, DAL_N);
-    DAL_KERNEL_ARRAY(double, stored, DAL_N);
-    DAL_KERNEL_ARRAY(double, Z, DAL_KERNEL_M * DAL_N);
-    DAL_KERNEL_ARRAY(double, S, DAL_KERNEL_M * DAL_KERNEL_M);
-    DAL_KERNEL_ARRAY(double, sizes, 5 * DAL_KERNEL_M);
-    DAL_KERNEL_ARRAY(double, r, DAL_KERNEL_M);
-    DAL_KERNEL_ARRAY(double, d, DAL_KERNEL_M);
-    DAL_KERNEL_ARRAY(double, kappa, DAL_KERNEL_M);
-    DAL_KERNEL_ARRAY(size_t, row, DAL_KERNEL_M);
+    /* what no function outside sees: on the stack, for the registers */
+    double base[DAL_N], goal[DAL_N], step[DAL_N], seen[DAL_N], stored[DAL_N];
+    double Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
+    double r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
+    size_t row[DAL_KERNEL_M];
     const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
                            Z, S, sizes, r, d, kappa, row};
+#else
+    const dal_arrays at = k->at;
+#endif
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
     const bool potential = !plain && DAL_KERNEL_PULLED;
     const bool inside = DAL_KERNEL_STEADY && plain;
@@ -726,12 +718,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     int status = DAL_KERNEL_PART(predict)(k, &o, &at);
     if (status) return status;
     DAL_KERNEL_UNROLL
-    for (size_t a = 0; a < m; a++) kappa[a] = 0.0;
+    for (size_t a = 0; a < m; a++) at.kappa[a] = 0.0;
     status = DAL_KERNEL_PART(factor)(k, &o, &at);
     if (status < 0) return status;
     if (status > 0) {
-        DAL_KERNEL_COPY(n, node, stored);
-        DAL_KERNEL_COPY(n, base, goal);
+        DAL_KERNEL_COPY(n, at.node, at.stored);
+        DAL_KERNEL_COPY(n, at.base, at.goal);
     } else {
         status = DAL_KERNEL_PART(iterate)(k, &o, &at, &settled);
         if (status < 0) return status;
@@ -806,7 +798,6 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 
 #undef DAL_KERNEL_INSIDE
 #undef DAL_KERNEL_PULLED
-#undef DAL_KERNEL_ARRAY
 #undef DAL_KERNEL_SHARED
 #undef DAL_KERNEL_SIZES
 #undef DAL_KERNEL_UNROLL
