@@ -17,9 +17,13 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     if (options->max_iterations < 0)
         return dal__fail(error, DAL_EINVAL, "options.max_iterations = %d is negative",
                          options->max_iterations);
+    const dal_family *const family = dal__scheme_family(scheme);
+    if (!family->name || !family->advance)
+        return dal__fail(error, DAL_EINVAL, "scheme.family->%s is NULL",
+                         family->name ? "advance" : "name");
 
     const size_t n = system->def.n, m = system->def.m;
-    dal_stepper shape = {.family = dal__scheme_family(scheme), .scheme = *scheme}, *self;
+    dal_stepper shape = {.family = family, .scheme = *scheme}, *self;
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
@@ -39,7 +43,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     motion->max_iterations = options->max_iterations ? options->max_iterations : 50;
     motion->stats = &self->stats;
     motion->error = &self->mech.error;
-    status = self->family->make(&self->method, motion, error);
+    if (family->make) status = family->make(&self->method, motion, error);
     motion->scheme = &self->scheme; /* what it points to need not live any longer */
     if (status) {
         dal_stepper_free(self);
@@ -263,10 +267,13 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
     for (*made = 0; *made < steps;) {
         const size_t left = steps - *made, next = BETWEEN_LOOKS - motion->steps % BETWEEN_LOOKS;
         size_t done = 0;
+        motion->error->text[0] = '\0';
         const int status =
             self->family->advance(self->method, motion, next < left ? next : left, &done);
         motion->steps += done;
         *made += done;
+        if (status && !motion->error->text[0]) /* a family of the user's that says nothing */
+            dal__fail(motion->error, status, "%s", dal_strerror(status));
         if (status)
             return dal__fail_because(&self->error, status, motion->error,
                                      "step %zu (t = %g, h = %g): ", motion->steps + 1,

@@ -26,7 +26,7 @@ typedef struct dal_motion {
                                   mechanics says of itself is there */
 } dal_motion;
 
-/* A function that is NULL has nothing to do.  method is what make made. */
+/* A function that is NULL has nothing to do; advance is needed.  method is what make made. */
 typedef struct dal_family {
     const char *name;
     const dal_scheme *schemes; /* [count] those with a name */

@@ -123,6 +123,55 @@ static void test_failure(const dal_system *system, const dal_scheme *scheme)
     dal_stepper_free(stepper);
 }
 
+/* One that leaves everything where it is: nothing but advance is needed. */
+static int stay(void *method, dal_motion *motion, size_t steps, size_t *done)
+{
+    CHECK(!method && motion->x);
+    *done = steps;
+    return DAL_SUCCESS;
+}
+
+static int refuse(void *method, dal_motion *motion, size_t steps, size_t *done)
+{
+    CHECK(!method && motion->x && steps > 0);
+    *done = 0;
+    return DAL_ENOCONV;
+}
+
+static void test_parts(const dal_system *system)
+{
+    const dal_family still = {.name = "still", .advance = stay}, without_name = {.advance = stay};
+    const dal_family without_advance = {.name = "still"};
+    const dal_family silent = {.name = "silent", .advance = refuse};
+    const dal_scheme scheme = {.name = "own", .family = &still};
+    const dal_scheme refusing = {.name = "own", .family = &silent};
+    dal_stepper *stepper = NULL;
+    dal_error error;
+    double x[2 * N2];
+    size_t done = 0;
+    CHECK(dal_stepper_new(&stepper, system, &(dal_scheme){.name = "a", .family = &without_name},
+                          NULL, &error) == DAL_EINVAL);
+    CHECK(strstr(error.text, "family->name is NULL") != NULL);
+    CHECK(dal_stepper_new(&stepper, system, &(dal_scheme){.name = "a", .family = &without_advance},
+                          NULL, &error) == DAL_EINVAL);
+    CHECK(strstr(error.text, "family->advance is NULL") != NULL && !stepper);
+    CHECK(dal_stepper_new(&stepper, system, &scheme, NULL, &error) == 0);
+    CHECK(dal_system_state(system, x) == 0);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_advance(stepper, 10, NULL, &done) == 0 && done == 10);
+    CHECK(dal_stepper_time(stepper) == 10 * 0.1);
+    dal_stepper_free(stepper);
+    CHECK(dal_stepper_new(&stepper, system, &refusing, NULL, &error) == 0);
+    x[0] = (double)NAN;
+    CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
+    CHECK(dal_system_state(system, x) == 0);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_step(stepper, NULL) == DAL_ENOCONV);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "step 1 (t = 0, h = 0.1): an iteration did not "
+                 "converge") != NULL);
+    dal_stepper_free(stepper);
+}
+
 int main(int count, char **words)
 {
     if (count != 2) return 2;
@@ -136,6 +185,7 @@ int main(int count, char **words)
     test_order(system, scheme);
     test_saved(system, scheme);
     test_failure(system, scheme);
+    test_parts(system);
     dal_system_free(system);
     dlclose(module);
     return check_done();
