@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
+from ..geometry.mechanics import halves, vectors
 
 
 class DifferenceMap:
@@ -209,26 +210,23 @@ class Discrete(core.Constant):
         ]
         handle, records = system._handle, [record for record, _ in definitions]
         self._discretes = Workspaces(
-            "discrete",
             lambda: core.make("discrete", handle, *records, owner=(handle, definitions)),
             system.kind,
         )
         with self._discretes.lend():
             pass
 
-    def _call(self, function: Callable[..., int], *outputs: Any, **given: Any) -> None:
-        """Call a C function of numbers t and h and of nodes, which are given by their names."""
-        n = self.system.n
-        self._discretes.call(
-            function,
-            *(
-                arguments.number(x, name)
-                if name in ("t", "h")
-                else arguments.array(x, name, (n,))
-                for name, x in given.items()
-            ),
-            *outputs,
+    def _call(self, function: Callable[..., int], *outputs: Any, **given: Any) -> Any:
+        """Call a C function of numbers t and h and of nodes, which are given by their names.
+
+        Return its outputs, which are given by their shapes.
+        """
+        shape = (self.system.n,)
+        checked = (
+            arguments.number(x, name) if name in ("t", "h") else arguments.array(x, name, shape)
+            for name, x in given.items()
         )
+        return self._discretes.call(function, *checked, *outputs)
 
     def __repr__(self) -> str:
         lagrangian, constraint = self.maps
@@ -265,9 +263,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle(), 0.5).state(0.5, [0, 1, 0], [1, 1, 1])
         (array([0.5, 1. , 0.5]), array([2., 0., 2.]))
         """
-        x = np.empty((2, self.system.n))
-        self._call(lib.dal_discrete_state, x, h=h, q0=q0, q1=q1)
-        return x[0], x[1]
+        q, v = self._call(lib.dal_discrete_state, (2, self.system.n), h=h, q0=q0, q1=q1)
+        return q, v
 
     def nodes(self, h: float, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
         """Return the pair of nodes of a state, by the inverse of the map of D_d.
@@ -297,11 +294,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle(), 0.0).nodes(0.5, [0, 1, 0], [1, 1, 1])
         (array([0., 1., 0.]), array([0.5, 1.5, 0.5]))
         """
-        n = self.system.n
-        x = np.concatenate(_pair(self.system, q=q, v=v))
-        q0, q1 = np.empty((2, n))
-        self._call(lib.dal_discrete_nodes, x, q0, q1, t=0.0, h=h)
-        return q0, q1
+        x, shape = np.concatenate(vectors(self.system, q=q, v=v)), (self.system.n,)
+        return self._call(lib.dal_discrete_nodes, x, shape, shape, t=0.0, h=h)
 
     # ---- the discrete Lagrangian and constraint ----------------------------------------------
 
@@ -329,9 +323,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle()).lagrangian(0.5, [0, 1, 0], [1, 1, 1])
         2.0
         """
-        value = np.empty(1)
-        self._call(lib.dal_discrete_lagrangian, value, *[ffi.NULL] * 3, t=0.0, h=h, q0=q0, q1=q1)
-        return float(value[0])
+        outputs = ((), ffi.NULL, ffi.NULL, ffi.NULL)
+        return self._call(lib.dal_discrete_lagrangian, *outputs, t=0.0, h=h, q0=q0, q1=q1)
 
     def lagrangian_derivatives(
         self, h: float, q0: ArrayLike, q1: ArrayLike
@@ -363,10 +356,8 @@ class Discrete(core.Constant):
         array([2., 0., 2.])
         """
         n = self.system.n
-        D1, D2 = np.empty((2, n))
-        D12 = np.empty((n, n))
-        self._call(lib.dal_discrete_lagrangian, ffi.NULL, D1, D2, D12, t=0.0, h=h, q0=q0, q1=q1)
-        return D1, D2, D12
+        outputs = (ffi.NULL, (n,), (n,), (n, n))
+        return self._call(lib.dal_discrete_lagrangian, *outputs, t=0.0, h=h, q0=q0, q1=q1)
 
     def constraint(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return phi_d(q0, q1), which is zero for a pair of D_d (DiscNHSet).
@@ -392,9 +383,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle()).constraint(0.5, [0, 1, 0], [1, 1, 2])
         array([2.])
         """
-        phi = np.empty(self.system.m)
-        self._call(lib.dal_discrete_constraint, phi, ffi.NULL, ffi.NULL, t=0.0, h=h, q0=q0, q1=q1)
-        return phi
+        outputs = ((self.system.m,), ffi.NULL, ffi.NULL)
+        return self._call(lib.dal_discrete_constraint, *outputs, t=0.0, h=h, q0=q0, q1=q1)
 
     def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
         """Return D_1 phi_d and D_2 phi_d.
@@ -421,9 +411,8 @@ class Discrete(core.Constant):
         >>> discrete.constraint_derivatives(0.5, [0, 1, 0], [1, 1, 2])[1]
         array([[-2., -1.,  2.]])
         """
-        D1, D2 = np.empty((2, self.system.m, self.system.n))
-        self._call(lib.dal_discrete_constraint, ffi.NULL, D1, D2, t=0.0, h=h, q0=q0, q1=q1)
-        return D1, D2
+        outputs = (ffi.NULL, *[(self.system.m, self.system.n)] * 2)
+        return self._call(lib.dal_discrete_constraint, *outputs, t=0.0, h=h, q0=q0, q1=q1)
 
     def momenta(
         self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0
@@ -456,9 +445,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle()).momenta(0.5, [0, 1, 0], [1, 1, 1])
         (array([2., 0., 2.]), array([2., 0., 2.]))
         """
-        minus, plus = np.empty((2, self.system.n))
-        self._call(lib.dal_discrete_momenta, minus, plus, t=t, h=h, q0=q0, q1=q1)
-        return minus, plus
+        shape = (self.system.n,)
+        return self._call(lib.dal_discrete_momenta, shape, shape, t=t, h=h, q0=q0, q1=q1)
 
     def momentum(
         self,
@@ -501,10 +489,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(particle).momentum(0.5, [0, 1, 0], [1, 2, 1], y, y)
         (2.0, 2.0)
         """
-        minus, plus = np.empty((2, 1))
         nodes = {"q0": q0, "q1": q1, "xi0": xi0, "xi1": xi1}
-        self._call(lib.dal_discrete_momentum, minus, plus, t=t, h=h, **nodes)
-        return float(minus[0]), float(plus[0])
+        return self._call(lib.dal_discrete_momentum, (), (), t=t, h=h, **nodes)
 
     # ---- the discrete equations --------------------------------------------------------------
 
@@ -548,10 +534,9 @@ class Discrete(core.Constant):
         array([-0.125,  0.   ,  0.125,  0.   ])
         """
         forces = arguments.array(multipliers, "multipliers", (self.system.m,))
-        residual = np.empty(self.system.n + self.system.m)
+        shape = (self.system.n + self.system.m,)
         nodes = {"q_before": q_before, "q": q, "q_after": q_after}
-        self._call(lib.dal_discrete_residual, forces, residual, t=t, h=h, **nodes)
-        return residual
+        return self._call(lib.dal_discrete_residual, forces, shape, t=t, h=h, **nodes)
 
     def regularity(self, h: float, q: ArrayLike, q_after: ArrayLike, t: float = 0.0) -> Regularity:
         """Return the matrix that has to be invertible where q_after is to be found.
@@ -585,13 +570,11 @@ class Discrete(core.Constant):
         >>> discrete.regularity(0.5, [0, -1, 0], [1, 1, 0]).sign
         0
         """
-        size = self.system.n + self.system.m
-        matrix = np.empty((size, size))
-        sign = ffi.new("int *")
-        logarithm, condition = np.empty((2, 1))
-        outputs = (matrix, sign, logarithm, condition)
-        self._call(lib.dal_discrete_regularity, *outputs, t=t, h=h, q=q, q_after=q_after)
-        return Regularity(matrix, int(sign[0]), float(logarithm[0]), float(condition[0]))
+        size, sign = self.system.n + self.system.m, ffi.new("int *")
+        matrix, *logarithm_and_condition = self._call(
+            lib.dal_discrete_regularity, (size, size), sign, (), (), t=t, h=h, q=q, q_after=q_after
+        )
+        return Regularity(matrix, int(sign[0]), *logarithm_and_condition)
 
     def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> tuple[Array, Array]:
         """Return the node after the pair (q0, q1), and the multipliers (NHFlow).
@@ -628,10 +611,9 @@ class Discrete(core.Constant):
         >>> q2
         array([2., 1., 2.])
         """
-        pair = np.array(_pair(self.system, q0=q0, q1=q1))
-        multipliers = np.empty(self.system.m)
-        self._call(lib.dal_discrete_step, pair[0], pair[1], multipliers, t=t, h=h)
-        return pair[1], multipliers
+        before, after = np.array(vectors(self.system, q0=q0, q1=q1))
+        multipliers = (self.system.m,)
+        return after, self._call(lib.dal_discrete_step, before, after, multipliers, t=t, h=h)
 
     def run(
         self, h: float, q0: ArrayLike, q1: ArrayLike, *, steps: int, t0: float = 0.0
@@ -673,7 +655,7 @@ class Discrete(core.Constant):
         h = arguments.step_size(h, t0)
         steps = arguments.integer(steps, "steps", 0)
         nodes = np.empty((steps + 2, self.system.n))
-        nodes[:2] = _pair(self.system, q0=q0, q1=q1)
+        nodes[:2] = vectors(self.system, q0=q0, q1=q1)
         multipliers = np.empty((steps, self.system.m))
         done = ffi.new("size_t *")
         most = geometry.most_in_a_call(self.system)
@@ -721,11 +703,9 @@ class Discrete(core.Constant):
         >>> q
         array([1., 1., 1.])
         """
-        n = self.system.n
-        x = np.concatenate(_pair(self.system, q=q, v=v))
-        multipliers = np.empty(self.system.m)
-        self._call(lib.dal_discrete_advance, x, multipliers, t=t, h=h)
-        return x[:n].copy(), x[n:].copy(), multipliers
+        x = np.concatenate(vectors(self.system, q=q, v=v))
+        multipliers = self._call(lib.dal_discrete_advance, x, (self.system.m,), t=t, h=h)
+        return *halves(x), multipliers
 
 
 def _difference_map(value: Any, name: str) -> DifferenceMap:
@@ -737,10 +717,6 @@ def _difference_map(value: Any, name: str) -> DifferenceMap:
         raise ValueError(
             f"{name} = {arguments.shown(value)}: expected a DifferenceMap or beta in [0, 1]"
         ) from None
-
-
-def _pair(system: Handle, **given: ArrayLike) -> list[Array]:
-    return [arguments.array(x, name, (system.n,)) for name, x in given.items()]
 
 
 def exact_velocity(
@@ -796,10 +772,9 @@ def exact_velocity(
     require_system(system)
     h, t0 = arguments.number(h, "h"), arguments.number(t0, "t0")
     tolerance = arguments.tolerance(tolerance)
-    q0, q1 = _pair(system, q0=q0, q1=q1)
+    q0, q1 = vectors(system, q0=q0, q1=q1)
     flow = system._c("flow", lib.DAL_FLOW_RK8PD, lib.DAL_FLOW_X, tolerance)
     v0, defect = np.empty(system.n), np.empty(system.m)
-    with core.watching("flow", flow):
-        status = core.attempt(lib.dal_exact_velocity, flow, t0, h, q0, q1, v0, defect)
-    core.check(status, core.words(lib.dal_flow_error(flow), system.kind))
+    with core.watching(flow):
+        core.call(system.kind, lib.dal_exact_velocity, flow, t0, h, q0, q1, v0, defect)
     return v0, defect

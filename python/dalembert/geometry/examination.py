@@ -18,6 +18,9 @@ DERIVATIVES = (
 )  # fmt: skip
 
 
+NUMBERS = ("linearity", "rank", "condition", "mass_min", "kernel_min", "residual", "curvature")
+
+
 @dataclass(frozen=True)
 class Difference:
     """A derivative compared with central differences.
@@ -51,16 +54,8 @@ class Difference:
     @classmethod
     def read(cls, found: Any) -> Difference:
         """Return the comparison of a ``dal_difference``."""
-        return cls(
-            error=found.error,
-            given=found.given,
-            expected=found.expected,
-            row=int(found.row),
-            column=int(found.column),
-            checked=bool(found.checked),
-            wrong=bool(found.wrong),
-            unjudged=int(found.unjudged),
-        )
+        truth = {name: bool(getattr(found, name)) for name in ("checked", "wrong")}
+        return cls(**core.members(found) | truth)
 
     def __str__(self) -> str:
         left = f"{self.unjudged} not judged: differences do not converge" if self.unjudged else ""
@@ -232,13 +227,12 @@ class Check:
 def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
     """Return what the core finds at a state; see `System.check`."""
     x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
-    report = ffi.new("dal_check *")
-    error = ffi.new("dal_error *")
-    status = core.attempt(lib.dal_system_check, system._handle, 0.0, core.pointer(x), report, error)
-    finding = report.finding
+    report, error = ffi.new("dal_check *"), ffi.new("dal_error *")
+    status = core.attempt(lib.dal_system_check, system._handle, 0.0, x, report, error)
+    finding = ffi.addressof(report, "finding")
     # A callback that is not finite is a finding; an exception of the user's is not.
     if status < 0 and not (status == lib.DAL_EDOMAIN and core.string(finding.text)):
-        raise core.failure(status, core.words(error, system.kind))
+        core.verify(status, error, system.kind)
     is_summary = core.string(finding.output) == "D"
     on_D = ffi.string(finding.text)[finding.begin :] if is_summary else b""
     return Check(
@@ -246,14 +240,8 @@ def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
         kind=system.kind,
         general=system.mass is None,
         forced=system.is_forced,
-        **{name: Difference.read(getattr(report, name)) for name in DERIVATIVES},
-        linearity=report.linearity,
-        rank=int(report.rank),
-        condition=report.condition,
-        mass_min=report.mass_min,
-        kernel_min=report.kernel_min,
-        residual=report.residual,
-        curvature=report.curvature,
+        **{name: Difference.read(ffi.addressof(report, name)) for name in DERIVATIVES},
+        **{name: getattr(report, name) for name in NUMBERS},
         integrable=bool(report.integrable),
         text=core.words(finding, system.kind),
         text_on_D=on_D.decode(),

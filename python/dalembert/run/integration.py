@@ -150,7 +150,7 @@ def integrate(
     _require_memory(system, steps // stride, steps, stride)
 
     arguments.function(observer, "observer", "step, t, q, v")
-    watcher = None if observer is None else core.Observer(system.n, observer)
+    watcher = None if observer is None else core.Callables(system.n, system.m, observer=observer)
     stepper = started_stepper(
         system, flow if record.name == flow.name else record, x0, t0=t0, h=h,
         consistency=consistency, initial=start, options=options,
@@ -252,10 +252,8 @@ def reference(
     flow = system._c("flow", flow_method, coordinate, tolerance)
     x = consistent_state(system, x0, t0, consistency)
     accuracy = np.empty(1)
-    with core.watching("flow", flow):
-        status = core.attempt(lib.dal_flow_apply, flow, t0, t, x, accuracy)
-    if status < 0:
-        raise core.failure(status, core.words(lib.dal_flow_error(flow), system.kind))
+    with core.watching(flow):
+        core.call(system.kind, lib.dal_flow_apply, flow, t0, t, x, accuracy)
     return Reference(x[: system.n], x[system.n :], float(accuracy[0]))
 
 

@@ -32,10 +32,8 @@ def started_stepper(
     record, kept = scheme._record_of(system)
     stepper = core.make("stepper", system._handle, record, options, owner=(system._handle, kept))
     status = core.attempt(lib.dal_stepper_start, stepper, t0, h, x0, consistency, initial)
-    if status < 0:
-        hint = "; consistent='project' would project v0" if status == lib.DAL_EOFFD else ""
-        message = core.words(lib.dal_stepper_error(stepper), system.kind) + hint
-        raise core.failure(status, message, step=0, t=t0)
+    hint = "; consistent='project' would project v0" if status == lib.DAL_EOFFD else ""
+    core.verify(status, stepper, system.kind, hint=hint, step=0, t=t0)
     return stepper
 
 
@@ -59,7 +57,7 @@ class Run:
         h: float,
         steps: int,
         stride: int,
-        observer: core.Observer | None,
+        observer: core.Callables | None,
         show: Callable[[int], Any],
     ) -> None:
         rows = steps // stride
@@ -98,7 +96,7 @@ class Run:
             self.status, self.error = lib.DAL_EUSER, error
             return
         if self.status < 0:
-            message = core.words(lib.dal_stepper_error(self.stepper), self.system.kind)
+            message = core.words(self.stepper, self.system.kind)
             t = lib.dal_stepper_time(self.stepper)
             self.error = core.failure(self.status, message, step=int(run.done), t=t)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry
-from ..core import Array, arguments, differenced, extras, ffi, lib, require_system
+from ..core import Array, arguments, extras, ffi, functions, lib, require_system
 from ..system import System
 from .scheme import Scheme
 
@@ -72,8 +72,8 @@ class Statistics:
     def _read(cls, stepper: Any, kind: str) -> Statistics:
         stats = ffi.new("dal_stats *")
         lib.dal_stepper_stats(stepper, stats)
-        values = {name: getattr(stats, name) for name, _ in ffi.typeof("dal_stats").fields}
-        return cls(**{**values, "differenced": differenced(stats.differenced, kind)})
+        names = functions.differenced(stats.differenced, kind)
+        return cls(**core.members(stats) | {"differenced": names})
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,14 +302,11 @@ class Solution(Mapping[str, Any]):
         for start in range(0, flat.size, most):
             these = np.concatenate([before, flat[start : start + most]])
             part = np.empty((len(these), 2 * n))
-            status = core.attempt(
-                lib.dal_chart_interpolate, chart, self.t0, h, self.shift,
+            core.call(
+                self.system.kind, lib.dal_chart_interpolate, chart, self.t0, h, self.shift,
                 len(self.x), core.pointer(self.x, 0, len(self.x) * 2 * n),
                 len(these), core.pointer(these), core.pointer(part, output=True), some, ffi.NULL,
             )  # fmt: skip
-            if status < 0:
-                message = core.words(lib.dal_chart_error(chart), self.system.kind)
-                raise core.failure(status, message)
             changes += int(some[0])
             x[start : start + most] = part[len(before) :]
             nearest = np.rint((these - self.t0) / h).astype(int).clip(0, len(self.x) - 1)

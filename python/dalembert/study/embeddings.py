@@ -109,7 +109,7 @@ class Embedding(core.Constant):
                 "numerical": int(numerical),
             },
         )
-        self._embeddings = Workspaces("embedding", self._new, chart.system.kind)
+        self._embeddings = Workspaces(self._new, chart.system.kind)
         with self._embeddings.lend() as embedding:
             self.order = int(lib.dal_embedding_order(embedding))
             self._noise = float(lib.dal_embedding_noise(embedding))
@@ -129,9 +129,8 @@ class Embedding(core.Constant):
         show: Callable[[float], Any] = lambda made: None,
     ) -> None:
         """Call ``function(embedding, *given)``; ``show`` is told how many steps are made."""
-        with self._embeddings.lend() as embedding, core.watching("embedding", embedding, show):
-            status = core.attempt(function, embedding, *given)
-            self._embeddings.check(status, embedding, row)
+        with self._embeddings.lend() as embedding, core.watching(embedding, show):
+            core.call(self.system.kind, function, embedding, *given, step=row)
 
     def _point(self, z: ArrayLike | None, name: str, *shapes: tuple[int | None, ...]) -> Array:
         return self.start if z is None else arguments.array(z, name, self.start.shape, *shapes)

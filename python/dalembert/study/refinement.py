@@ -145,8 +145,7 @@ def convergence(
             lib.dal_order_study, system._handle, scheme, definition, points, order, error
         )
         del kept
-        if status < 0:
-            raise core.failure(status, core.words(error, system.kind))
+        core.verify(status, error, system.kind)
         show(sum(numbers))
 
     def column(member: str) -> Any:

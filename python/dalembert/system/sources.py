@@ -13,10 +13,7 @@ from numpy.typing import ArrayLike
 
 from .. import core
 from ..core import (
-    FUNCTIONS,
     KINDS,
-    MISSING,
-    MISSING_PHI_Q,
     Array,
     Handle,
     arguments,
@@ -28,31 +25,7 @@ from ..symbolic import evaluation, given
 
 Function = Callable[..., Any]
 
-_CONSTRAINTS = {
-    "linear": lib.dal_py_linear,
-    "affine": lib.dal_py_affine,
-    "nonlinear": lib.dal_py_nonlinear,
-}
-
 _MOST_COORDINATES = 10_000  # of dense matrices: n^2 numbers each, n^3 operations in a step
-
-_OUTPUTS = {
-    "V_q": lib.DAL_MISSING_V_Q,
-    "V_qq": lib.DAL_MISSING_V_QQ,
-    "phi_q": lib.DAL_MISSING_PHI_Q,
-    "L_qq": lib.DAL_MISSING_L_QQ,
-    "L_vq": lib.DAL_MISSING_L_VQ,
-    "L_vv": lib.DAL_MISSING_L_VV,
-    "f_q": lib.DAL_MISSING_F_Q,
-    "f_v": lib.DAL_MISSING_F_V,
-}
-
-_TAKEN = {  # by the functions that do not take (q, v)
-    **dict.fromkeys(
-        ("potential", "gradient", "hessian", "forms", "affine", "affine_derivative"), "q"
-    ),
-    **dict.fromkeys(("force", "force_q", "force_v", "exact"), "t, q, v"),
-}
 
 # What each function makes no sense without.
 _NEEDS = {
@@ -193,10 +166,10 @@ class PythonFunctions(Functions):
             if given[key] is not None
         }
         if self.m > 0:
-            callbacks["constraint"] = _CONSTRAINTS[kind]
+            callbacks["constraint"] = getattr(lib, f"dal_py_{kind}")
         handle = self.define(
-            callbacks, KINDS[kind], _missing(given, self.m, kind), ffi.new_handle(callables),
-            callables,
+            callbacks, KINDS[kind], core.functions.missing(given, self.m, kind),
+            ffi.new_handle(callables), callables,
         )  # fmt: skip
         return Made(handle, None, self.invariants, given["exact"] is not None)
 
@@ -212,7 +185,8 @@ class CFunctions(Functions):
     def make(self) -> Made:
         compiled = _compiled(self.given)
         kind = arguments.choice("linear" if self.kind is None else self.kind, "kind", KINDS)
-        missing = sum({arguments.choice(x, "missing", _OUTPUTS) for x in self.missing or ()})
+        outputs = core.functions.MISSING
+        missing = sum({arguments.choice(x, "missing", outputs) for x in self.missing or ()})
         context, kept = pointers.context(self.ctx, compiled)
         callbacks = {key: ffi.cast(f"dal_{key}_fn", x.address) for key, x in compiled.items()}
         handle = self.define(callbacks, kind, missing, context, kept)
@@ -245,7 +219,7 @@ def functions(
     compiled = _compiled(given)
     for key, function in {**given, **(invariants or {})}.items():
         if key not in compiled:
-            arguments.function(function, key, _TAKEN.get(key, "q, v"))
+            arguments.function(function, key, core.functions.FUNCTIONS.get(key, "q, v"))
     if compiled:
         _require_compiled(given, compiled, mass, m)
     else:
@@ -350,7 +324,7 @@ class Expressions(Source):
             exact = numbers.bound(exact)
         if library is None:
             numbers.warn(self.about["name"])
-            found = dict.fromkeys(FUNCTIONS) | numbers.in_python()
+            found = dict.fromkeys(core.functions.FUNCTIONS) | numbers.in_python()
             names = list(model.coordinates)
             made = PythonFunctions(
                 found, mass, n, model.m, self.about, names, state, invariants, False
@@ -434,7 +408,7 @@ def _require_parts(functions: dict[str, Callable[..., Any] | None], mass: Any) -
     ):
         if one in given and other in given:
             raise ValueError(f"{one} and {other}: expected one of the two")
-    for key in FUNCTIONS:
+    for key in core.functions.FUNCTIONS:
         needed = _NEEDS.get(key, "")
         names = [part.split("(")[0] for part in needed.split(" and ")] if needed else []
         if key in given and not given.issuperset(names):
@@ -469,19 +443,6 @@ def _require_compiled(
         raise ValueError("potential and lagrangian: expected one of the two")
     if ("constraint" in compiled) != bool(m):
         raise ValueError(f"m = {m}: expected the number of constraints, with a constraint only")
-
-
-def _missing(functions: dict[str, Callable[..., Any] | None], m: int, kind: str) -> int:
-    """Return the sum of ``dal_missing`` for the derivatives that are not given."""
-    owners = {"gradient": "potential", "hessian": "potential"}
-    bits = 0
-    for bit, name in MISSING.items():
-        owner = owners.get(name, name.split("_")[0])
-        if functions[owner] is not None and functions[name] is None:
-            bits |= bit
-    if m > 0 and any(functions[name] is None for name in MISSING_PHI_Q[kind]):
-        bits |= lib.DAL_MISSING_PHI_Q
-    return bits
 
 
 def _number_of_coordinates(
