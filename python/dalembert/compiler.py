@@ -372,14 +372,3 @@ def _load_or_compile(
         )
         return Library(_store(Path(_private_folder().name), key, source, content))
 
-
-def origin_of(made: Any, shown: Callable[[Any], Any]) -> Callable[[int], str]:
-    """Return the function that says what a line of a program computes."""
-
-    def origin(line: int) -> str:
-        if line not in made.origins:
-            return ""
-        what, expression = made.origins[line]
-        return f"{what} = {shown(expression.together())}"
-
-    return origin

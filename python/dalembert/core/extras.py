@@ -11,6 +11,10 @@ from typing import Any
 from . import arguments
 
 
+# Whether a bar is wanted, or a function of what is done and of all.
+Progress = bool | Callable[[int, int], Any]
+
+
 def require(module: str, purpose: str) -> Any:
     """Import a module of an extra.
 
@@ -52,7 +56,7 @@ def is_there(package: str) -> bool:
 
 @contextlib.contextmanager
 def progress(
-    wanted: bool | Callable[[int, int], Any], total: int, unit: str
+    wanted: Progress, total: int, unit: str
 ) -> Iterator[Callable[[int], Any]]:
     """Give a function of how much is done that shows it: by a bar, to a function, or not at all.
 

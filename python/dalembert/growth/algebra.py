@@ -145,13 +145,11 @@ class _Forms:
     """mu as expressions, and as a function with as many digits as mpmath works with."""
 
     def __init__(self, model: Model, values: Mapping[str, float]) -> None:
-        constraint = model.derived.function("constraint")
-        assert constraint is not None
         numbers = {p: sympy.Rational(x) for p, x in zip(model.p, values.values())}
-        entries = dict(constraint.outputs)["phi_v"]
         self.n, self.m = model.n, model.m
         self.q, self.shown = model.q, model.shown
-        self.mu = [constraint.engine.give(e).xreplace(numbers) for e in entries]
+        forms = model.derived.expressions("constraint", "phi_v")
+        self.mu = [e.xreplace(numbers) for e in forms]
         self._edges = _edges(self.mu)
         self.in_pieces = any(e.has(*_PIECES) for e in self.mu)
         printed = [_for_mpmath(e) for e in (*self.mu, *self._edges)]

@@ -24,6 +24,7 @@ from ..core import (
     lib,
     require_system,
 )
+from ..core.extras import Progress
 from ..system import System
 from .runs import Run, consistent_state, started_stepper
 from .scheme import METHODS, Scheme
@@ -47,7 +48,7 @@ def integrate(
     consistent: str = "check",
     initial: str | None = None,
     observer: Callable[[int, float, Array, Array], Any] | None = None,
-    progress: bool | Callable[[int, int], Any] = False,
+    progress: Progress = False,
     throw: bool = True,
     max_iterations: int = 50,
     method: str = "rk8pd",

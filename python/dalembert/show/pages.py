@@ -17,6 +17,7 @@ import numpy as np
 
 from .. import core, growth, systems
 from ..core import extras, files, require_system
+from ..core.extras import Progress
 from ..geometry import Check
 from ..run import Solution, integrate
 from ..symbolic import formula
@@ -37,7 +38,7 @@ def write(
     folder: str | Path = "catalogue",
     chosen: str | System | Iterable[str | System] | None = None,
     *,
-    progress: bool | Callable[[int, int], Any] = False,
+    progress: Progress = False,
 ) -> list[Path]:
     """Write a page for each system, and an index of them.
 
@@ -415,7 +416,7 @@ def _picture(system: System, run: Solution) -> web.HTML:
     residual.set(ylim=(plot.ZERO / 4, top), ylabel="residual of $D$", xlabel="$t$")
     energy.plot(run.t, run.energy - run.energy[0])
     energy.set(ylabel="$E - E_0$", xlabel="$t$")
-    energy.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
+    plot.scientific(energy)
     about = f"A run of {system.name}."
     return web.svg(figure, f"run-{_slug(system)}", about, _caption(system, run))
 

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import Array, Workspaces, arguments, extras, ffi, lib, require_system
+from ..core.extras import Progress
 from ..geometry import Chart
 from ..run.integration import CONSISTENCY
 from ..run.runs import consistent_state
@@ -141,7 +142,7 @@ class Embedding(core.Constant):
         tau: ArrayLike,
         z: ArrayLike | None,
         name: str = "z",
-        progress: bool | Callable[[int, int], Any] = False,
+        progress: Progress = False,
     ) -> Array:
         """Return the values of a function of (tau, z), with one row for each of them."""
         taus = arguments.array(tau, "tau", (), (None,))
@@ -321,7 +322,7 @@ class Embedding(core.Constant):
         tau: ArrayLike,
         y: ArrayLike | None = None,
         *,
-        progress: bool | Callable[[int, int], Any] = False,
+        progress: Progress = False,
     ) -> Array:
         """Return the solution G~(tau, y) that starts in y (Gdef, Gtilde, period0).
 
@@ -390,7 +391,7 @@ class Embedding(core.Constant):
         t1: float,
         z: ArrayLike | None = None,
         *,
-        progress: bool | Callable[[int, int], Any] = False,
+        progress: Progress = False,
     ) -> Array:
         """Return the state at t1 of the perturbed ODE that is in z at t0, to about 1e-12.
 

@@ -31,6 +31,18 @@ def _listing(names: list[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
+# The arrays of a study, and what they are in a dal_order_point.
+COLUMNS = {
+    "h": "h",
+    **{f"{x}_error": x for x in ("q", "v", "energy")},
+    "multiplier_error": "multipliers",
+    "local_error": "local_state",
+    "local_multiplier_error": "local_multipliers",
+    **{f"{x}_error": x for x in ("local_reaction", "local_midpoint")},
+    **{x: x for x in ("residual", "residual_eps", "failed")},
+}
+
+
 @dataclass(frozen=True)
 class Fit:
     """A fitted order: errors proportional to ``h**slope`` over the points that count.

@@ -7,8 +7,10 @@ needs only if that output is wanted.
 
 from __future__ import annotations
 
+import functools
+import itertools
 import keyword
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -39,7 +41,6 @@ _SIGNATURES = {
     "mass": "double *M",
     "state": "double *x",
 }
-_KINDS = {"linear": "DAL_LINEAR", "affine": "DAL_AFFINE", "nonlinear": "DAL_NONLINEAR"}
 
 
 @dataclass
@@ -49,8 +50,8 @@ class Program:
     Attributes
     ----------
     lines : list of str
-    origins : dict of int to (str, expression)
-        For the number of a line, from 1: what it computes, and from which expression.
+    origins : dict of int to (str, callable)
+        For the number of a line, from 1: what it computes, and a function of the expression.
     """
 
     lines: list[str] = field(default_factory=list)
@@ -65,10 +66,15 @@ class Program:
         """Add lines that come from no expression."""
         self.lines.extend(text.split("\n"))
 
-    def compute(self, line: str, what: str, expression: Any) -> None:
-        """Add a line that computes something."""
+    def compute(self, line: str, what: str, whole: Callable[[], Any]) -> None:
+        """Add a line that computes something; the whole of it is called for by who reads it."""
         self.lines.append(line)
-        self.origins[len(self.lines)] = (what, expression)
+        self.origins[len(self.lines)] = what, whole
+
+    def origin(self, line: int, shown: Callable[[Any], Any]) -> str:
+        """Return what a line computes, if anything, in the names that are shown."""
+        what, whole = self.origins.get(line, ("", None))
+        return f"{what} = {shown(whole())}" if whole else ""
 
 
 def program(model: Model, name: str | None = None, system: Any = None) -> Program:
@@ -143,59 +149,69 @@ def _function(
     made: Program, model: Model, function: Function, fast: bool, powers: set[int]
 ) -> None:
     """Write a callback: what is common to its outputs, then each output that is wanted."""
-    flat = [e for _, expressions in function.outputs for e in expressions]
-    temporaries, reduced = function.engine.cse(flat)
     give = function.engine.give
+    temporaries, reduced = function.engine.cse([*itertools.chain(*function.outputs.values())])
     temporaries = [(give(s), give(e)) for s, e in temporaries]
-    reduced = [give(e) for e in reduced]
-    values, start = {}, 0
-    for output, expressions in function.outputs:
-        values[output] = reduced[start : start + len(expressions)]
-        start += len(expressions)
+    left = map(give, reduced)
+    values = {
+        output: [*itertools.islice(left, len(expressions))]
+        for output, expressions in function.outputs.items()
+    }
+    computed = [*itertools.chain(*values.values()), *(e for _, e in temporaries)]
+    inline = fast and function.name in ("constraint", "potential") and _are_few(computed)
+    used = {s.name for e in computed for s in e.free_symbols}
 
-    users = _users(temporaries, values)
-    inline = fast and function.name in ("constraint", "potential")
-    inline = inline and _are_few([*reduced, *(e for _, e in temporaries)])
-    used = {s.name for e in [*reduced, *(e for _, e in temporaries)] for s in e.free_symbols}
-
+    signature = _SIGNATURES[function.name]
     made.add("DAL_KERNEL_INLINE int" if inline else "static int")
-    made.add(f"model_{function.name}({_SIGNATURES[function.name]}, const double *p)\n{{")
-    arrays = _SIGNATURES[function.name]
+    made.add(f"model_{function.name}({signature}, const double *p)\n{{")
     for letter, symbols in (("q", model.q), ("v", model.v), ("p", model.p)):
         for i, symbol in enumerate(symbols):
             if symbol.name in used:
-                place = _element(letter, i, arrays, model.n)
+                place = _element(letter, i, signature, model.n)
                 made.add(f"    const double {symbol.name} = {place};")
-    inputs = [i for i in _names(arrays) if i in ("t", "q", "v", "start", "phi_t", "L_vt")]
+    inputs = [i for i in _names(signature) if i in ("t", "q", "v", "start", "phi_t", "L_vt")]
     made.add("    " + ", ".join(f"(void){name}" for name in [*inputs, "p"]) + ";")
-    print_c = Printer(powers)
+    _outputs(made, model, function.name, temporaries, values, Printer(powers))
+    made.add("    return 0;\n}\n")
+    if function.name not in ("mass", "state"):
+        names = ", ".join(_names(signature))
+        made.add(f"static int model_call_{function.name}({signature}, void *ctx)\n{{")
+        made.add(f"    return model_{function.name}({names}, ctx);\n}}\n")
+
+
+def _outputs(
+    made: Program,
+    model: Model,
+    name: str,
+    temporaries: Sequence[tuple[Any, Any]],
+    values: dict[str, list[Any]],
+    print_c: Printer,
+) -> None:
+    """Write what computes the outputs; what several need stands before them."""
+    users = _users(temporaries, values)
 
     def compute(left: str, expression: Any, what: str) -> None:
         try:
-            made.compute(f"{left} = {print_c(expression)};", what, _whole(expression, temporaries))
+            line = f"{left} = {print_c(expression)};"
         except ValueError as error:
-            raise ValueError(f"{what} of the {function.name}: {error}") from None
+            raise ValueError(f"{what} of the {name}: {error}") from None
+        made.compute(line, what, functools.partial(_whole, expression, temporaries))
 
-    def temporary(symbol: Any, expression: Any, indent: str) -> None:
-        what = f"a part of {' and '.join(sorted(users[symbol]))}"
-        compute(f"{indent}const double {symbol.name}", expression, what)
-
-    for symbol, expression in temporaries:
-        if len(users[symbol]) > 1:
-            temporary(symbol, expression, "    ")
-    for output, expressions in function.outputs:
-        made.add(f"    if ({output}) {{")
+    def parts(are_here: Callable[[set[str]], bool], indent: str) -> None:
         for symbol, expression in temporaries:
-            if users[symbol] == {output}:
-                temporary(symbol, expression, "        ")
+            if are_here(users[symbol]):
+                what = f"a part of {' and '.join(sorted(users[symbol]))}"
+                compute(f"{indent}const double {symbol.name}", expression, what)
+
+    parts(lambda by: len(by) > 1, "    ")
+    for output, expressions in values.items():
+        made.add(f"    if ({output}) {{")
+        parts(lambda by, output=output: by == {output}, "        ")
         columns = model.n if len(expressions) > max(model.n, model.m) else len(expressions)
-        for k, expression in enumerate(values[output]):
+        for k, expression in enumerate(expressions):
             index = f"{k // columns}, {k % columns}" if columns < len(expressions) else f"{k}"
             compute(f"        {output}[{k}]", expression, f"{output}[{index}]")
         made.add("    }")
-    made.add("    return 0;\n}\n")
-    if function.name not in ("mass", "state"):
-        _wrapper(made, function.name)
 
 
 def _are_few(expressions: Sequence[Any]) -> bool:
@@ -216,14 +232,6 @@ def _element(letter: str, i: int, signature: str, n: int) -> str:
     return f"{letter}[{i}]"
 
 
-def _wrapper(made: Program, name: str) -> None:
-    """Write the callback as the library calls it, with the parameters as ctx."""
-    signature = _SIGNATURES[name]
-    names = ", ".join(_names(signature))
-    made.add(f"static int model_call_{name}({signature}, void *ctx)\n{{")
-    made.add(f"    return model_{name}({names}, ctx);\n}}\n")
-
-
 def _users(
     temporaries: Sequence[tuple[Any, Any]], values: dict[str, list[Any]]
 ) -> dict[Any, set[str]]:
@@ -239,18 +247,12 @@ def _users(
     return users
 
 
-class _whole:
-    """An expression with its temporaries; put together only if somebody has to read it."""
-
-    def __init__(self, expression: Any, temporaries: Sequence[tuple[Any, Any]]) -> None:
-        self.expression, self.temporaries = expression, temporaries
-
-    def together(self) -> Any:
-        """Return it without temporaries."""
-        known: dict[Any, Any] = {}
-        for symbol, expression in self.temporaries:
-            known[symbol] = expression.xreplace(known)
-        return self.expression.xreplace(known)
+def _whole(expression: Any, temporaries: Sequence[tuple[Any, Any]]) -> Any:
+    """Return an expression without temporaries."""
+    known: dict[Any, Any] = {}
+    for symbol, part in temporaries:
+        known[symbol] = part.xreplace(known)
+    return expression.xreplace(known)
 
 
 # ---- the step routine --------------------------------------------------------------------------
@@ -301,17 +303,14 @@ _INSIDE_POTENTIAL = """DAL_KERNEL_INLINE int model_inside_potential(dal_kernel *
 
 def _definition(model: Model, fast: bool) -> list[str]:
     """Return the initializers of a dal_system_def that do not depend on parameters."""
-    names = {
-        "lagrangian": "lagrangian", "potential": "potential", "constraint": "constraint",
-        "force": "force", "exact": "exact", "invariant": "invariant",
-    }  # fmt: skip
-    found = [f".n = {model.n}", f".m = {model.m}", f".kind = {_KINDS[model.derived.kind]}"]
-    for name, member in names.items():
-        if model.derived.function(name) is not None:
-            found.append(f".{member} = model_call_{name}")
+    derived = model.derived
+    found = [f".n = {model.n}", f".m = {model.m}", f".kind = DAL_{derived.kind.upper()}"]
+    for name in ("lagrangian", "potential", "constraint", "force", "exact", "invariant"):
+        if derived.function(name) is not None:
+            found.append(f".{name} = model_call_{name}")
     if fast:
-        found += [".compiled = &model_compiled"]
-    if model.derived.mass is not None and model.derived.kind == "linear":
+        found.append(".compiled = &model_compiled")
+    if derived.mass is not None and derived.kind == "linear":
         found.append(f".steady = {2 * int(pattern(model).steady)}")
     return found
 
@@ -319,12 +318,10 @@ def _definition(model: Model, fast: bool) -> list[str]:
 def _for_the_package(made: Program, model: Model, fast: bool) -> None:
     made.add("/* What the package finds by name. */")
     made.add(f"DAL_API const dal_system_def dal_model = {{{', '.join(_definition(model, fast))}}};")
-    for name in ("mass", "state"):
+    for name, out in (("mass", "M"), ("state", "x")):
         if model.derived.function(name) is not None:
-            out = "M" if name == "mass" else "x"
-            made.add(f"DAL_API void dal_model_{name}(double *{out}, const double *p);")
-            made.add(f"void dal_model_{name}(double *{out}, const double *p)\n{{")
-            made.add(f"    model_{name}({out}, p);\n}}")
+            head = f"void dal_model_{name}(double *{out}, const double *p)"
+            made.add(f"DAL_API {head};\n{head}\n{{\n    model_{name}({out}, p);\n}}")
 
 
 def c_string(text: str) -> str:
@@ -336,42 +333,51 @@ def c_string(text: str) -> str:
 def _constructor(made: Program, model: Model, fast: bool, name: str, system: Any) -> None:
     """Write the function with which a C program makes the system."""
     count, n = len(model.parameters), model.n
-    arguments = "".join(f"double p{i}, " for i in range(count))
     for i, (key, value) in enumerate(system.parameters.items()):
-        made.add(f"/* p{i} is " + "".join(c if c.isascii() and c.isalnum() else "_" for c in key)
-                 + f", {value!r} where this was generated. */")  # fmt: skip
+        plain = _plain(key)
+        made.add(f"/* p{i} is {plain}, {value!r} where this was generated. */")
+    arguments = "".join(f"double p{i}, " for i in range(count))
+    head = f"int {name}_system(dal_system **system, {arguments}dal_error *error)"
     made.add("/* *system <- the system; as dal_system_new, which returns the status. */")
-    made.add(f"int {name}_system(dal_system **system, {arguments}dal_error *error);\n")
-    made.add(f"int {name}_system(dal_system **system, {arguments}dal_error *error)\n{{")
-    made.add(f"    static const char *const coordinates[] = "
-             f"{{{', '.join(map(c_string, model.coordinates))}}};")  # fmt: skip
+    made.add(f"{head};\n\n{head}\n{{")
+
+    def strings(what: str, texts: Sequence[str]) -> None:
+        made.add(f"    static const char *const {what}[] = {{{', '.join(map(c_string, texts))}}};")
+
+    strings("coordinates", model.coordinates)
     values = ", ".join(f"p{i}" for i in range(count))
     made.add(f"    double p[{max(count, 1)}] = {{{values or '0.0'}}};")
-    members = [*_definition(model, fast), f".name = {c_string(system.name)}"]
-    texts = {"help": system.help, "description": system.description, "source": system.source}
+    texts = {key: getattr(system, key) for key in ("name", "help", "description", "source")}
     texts["formulas"] = "\n".join(system.formulas)
-    members += [f".{key} = {c_string(text)}" for key, text in texts.items()]
-    members += [".coordinates = coordinates", ".ctx = p"]
-    members += [".ctx_size = sizeof p"]
-    if model.derived.mass is not None:
-        made.add(f"    double mass[{n * n}];\n    model_mass(mass, p);")
-        members.append(".mass = mass")
-    if model.state is not None:
-        made.add(f"    double state[{2 * n}];\n    model_state(state, p);")
-        members.append(".state = state")
-    elif system.q0 is not None:
-        made.add("    static const double state[] = {"
-                 + ", ".join(repr(float(x)) for x in [*system.q0, *system.v0]) + "};")  # fmt: skip
+    members = [*_definition(model, fast), *(f".{key} = {c_string(x)}" for key, x in texts.items())]
+    members += [".coordinates = coordinates", ".ctx = p", ".ctx_size = sizeof p"]
+    for what, size in (("mass", n * n), ("state", 2 * n)):
+        if model.derived.function(what) is not None:
+            made.add(f"    double {what}[{size}];\n    model_{what}({what}, p);")
+            members.append(f".{what} = {what}")
+    if model.state is None and system.q0 is not None:
+        numbers = ", ".join(repr(float(x)) for x in [*system.q0, *system.v0])
+        made.add(f"    static const double state[] = {{{numbers}}};")
         members.append(".state = state")
     if model.invariants:
-        invariants = ", ".join(map(c_string, system.invariants))
-        made.add(f"    static const char *const invariants[] = {{{invariants}}};")
+        strings("invariants", system.invariants)
         members += [f".invariants = {len(model.invariants)}", ".invariant_names = invariants"]
     made.add(f"    const dal_system_def def = {{{', '.join(members)}}};")
     made.add("    return dal_system_new(system, &def, error);\n}")
 
 
+def _plain(text: str) -> str:
+    """Return a text with nothing but letters and digits, and _ for the rest."""
+    return "".join(c if c.isascii() and c.isalnum() else "_" for c in text)
+
+
 # ---- expressions -------------------------------------------------------------------------------
+
+
+# Functions that the math library of C has not: those of _HELPERS, and 1 over one that it has.
+_OWN = {sympy.sign: "model_sign", sympy.Heaviside: "model_step"}
+_OF_TWO = {sympy.Max: "model_larger", sympy.Min: "model_smaller"}
+_INVERSE = {sympy.sec: "cos", sympy.csc: "sin", sympy.cot: "tan"}
 
 
 class Printer:
@@ -444,22 +450,13 @@ class Printer:
         return f"({text})" if text.startswith("-") else text
 
     def _function(self, e: Any) -> str:
-        name = FUNCTIONS.get(e.func)
-        if name is not None:
-            return f"{name}({', '.join(map(self, e.args))})"
-        if isinstance(e, sympy.sec | sympy.csc | sympy.cot):
-            inverse = {sympy.sec: "cos", sympy.csc: "sin", sympy.cot: "tan"}[e.func]
-            return f"(1.0 / {inverse}({self(e.args[0])}))"
-        if isinstance(e, sympy.sign):
-            return f"model_sign({self(e.args[0])})"
-        if isinstance(e, sympy.Heaviside):
-            return f"model_step({', '.join(map(self, e.args))})"
-        if isinstance(e, sympy.Max | sympy.Min):
-            name = "model_larger" if isinstance(e, sympy.Max) else "model_smaller"
-            text = self(e.args[0])
-            for argument in e.args[1:]:
-                text = f"{name}({text}, {self(argument)})"
-            return text
+        parts = map(self, e.args)
+        if name := FUNCTIONS.get(e.func) or _OWN.get(e.func):
+            return f"{name}({', '.join(parts)})"
+        if name := _OF_TWO.get(e.func):
+            return functools.reduce(lambda one, other: f"{name}({one}, {other})", parts)
+        if name := _INVERSE.get(e.func):
+            return f"(1.0 / {name}({next(parts)}))"
         if isinstance(e, sympy.Piecewise):
             text = "NAN"
             for value, condition in reversed(e.args):
@@ -490,7 +487,7 @@ def _is_short(e: Any) -> bool:
 def c_identifier(name: str | None, default: str) -> str:
     """Return a name for C; ValueError if the one given is none."""
     if name is None:
-        plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in default)
+        plain = _plain(default)
         return plain if plain[:1].isalpha() else f"model_{plain}"
     if not isinstance(name, str) or not name.isascii() or not name.isidentifier():
         raise ValueError(f"name = {name!r}: expected a C identifier")

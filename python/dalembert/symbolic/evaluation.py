@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import compiler
 from ..compiler import Library
-from ..core import Array, DalembertWarning, arguments
+from ..core import Array, DalembertWarning, arguments, functions
 from . import codegen
 from .model import Model, default_engine
 
@@ -40,7 +40,7 @@ def library(model: Model) -> Library | None:
 
     def program() -> tuple[str, Callable[[int], str]]:
         made = codegen.program(model)
-        return made.source, compiler.origin_of(made, model.shown)
+        return made.source, lambda line: made.origin(line, model.shown)
 
     return compiler.library(model.key, f"{default_engine()}, {_generator()}", program)
 
@@ -77,53 +77,28 @@ class Evaluation:
 
     def in_python(self) -> dict[str, Any]:
         """Return the arguments of System that make it from Python functions."""
-        derived, n, m = self.model.derived, self.model.n, self.model.m
-        p = self.parameters
-        found: dict[str, Any] = {}
+        model, p = self.model, self.parameters
+        n, m, kind = model.n, model.m, model.derived.kind
+        names = functions.outputs("nonlinear" if kind == "nonlinear" else "linear")
+        made = {
+            output: function
+            for callback in ("potential", "lagrangian", "constraint", "force")
+            for output, function in model.callables(callback).items()
+        }
 
-        def two(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
-            return lambda q, v: np.reshape(function(q, v, p), shape)
+        def called(name: str, output: str) -> Callable[..., Any]:
+            return _callable(made[output], name, functions.shape(output, n, m), n, p)
 
-        def one(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
-            zero = np.zeros(n)
-            return lambda q: np.reshape(function(q, zero, p), shape)
-
-        potential = self.model.callables("potential")
-        if potential:
-            found["potential"] = lambda q: float(potential["V"](q, q, p)[0])
-            found["gradient"] = one(potential["V_q"], n)
-            found["hessian"] = one(potential["V_qq"], n, n)
-        lagrangian = self.model.callables("lagrangian")
-        if lagrangian:
-            found["lagrangian"] = lambda q, v: float(lagrangian["L"](q, v, p)[0])
-            for key, shape in (("q", (n,)), ("v", (n,)), ("qq", (n, n)), ("vq", (n, n)),
-                               ("vv", (n, n))):  # fmt: skip
-                found[f"lagrangian_{key}"] = two(lagrangian[f"L_{key}"], *shape)
-        constraint = self.model.callables("constraint")
-        if constraint and derived.kind == "nonlinear":
-            found["constraint"] = two(constraint["phi"], m)
-            found["constraint_v"] = two(constraint["phi_v"], m, n)
-            found["constraint_q"] = two(constraint["phi_q"], m, n)
-        elif constraint:
-            found["forms"] = one(constraint["phi_v"], m, n)
-            slope = constraint["phi_q"]
-            found["forms_velocity_derivative"] = two(slope, m, n)
-            if derived.kind == "affine":
-                found["affine"] = one(constraint["phi"], m)
-                found["affine_derivative"] = one(slope, m, n)
-                found["forms_velocity_derivative"] = lambda q, v: np.reshape(
-                    np.subtract(slope(q, v, p), slope(q, np.zeros(n), p)), (m, n)
-                )
-        force = self.model.callables("force")
-        for key, function in force.items():
-            shape = (n,) if key == "f" else (n, n)
-            found[key.replace("f", "force", 1)] = (
-                lambda t, q, v, function=function, shape=shape: np.reshape(
-                    function(t, q, v, p), shape
-                )
+        found = {name: called(name, output) for output, name in names.items() if output in made}
+        if kind == "affine":
+            slope = made["phi_q"]
+            found["affine"] = called("affine", "phi")
+            found["affine_derivative"] = called("affine_derivative", "phi_q")
+            found["forms_velocity_derivative"] = lambda q, v: np.reshape(
+                np.subtract(slope(q, v, p), slope(q, np.zeros(n), p)), (m, n)
             )
-        if self.model.exact is not None:
-            exact = self.model.callables("exact")["x"]
+        if model.exact is not None:
+            exact = model.callables("exact")["x"]
             found["exact"] = lambda t, q, v: np.split(np.array(exact(t, q, v, p)), 2)
         return found
 
@@ -148,6 +123,16 @@ class Evaluation:
         where = f"CC = {os.environ['CC']}" if os.environ.get("CC") else "cc, gcc, clang"
         text = _WITHOUT_COMPILER.format(where=where, name=name)
         warnings.warn(text, DalembertWarning, stacklevel=2 + _depth())
+
+
+def _callable(
+    function: Callable[..., Any], name: str, shape: tuple[int, ...], n: int, p: Array
+) -> Callable[..., Any]:
+    """Return a function with its parameters put in, which takes what System asks of the name."""
+    zero = (np.zeros(n),) if functions.FUNCTIONS[name] == "q" else ()
+    if shape:
+        return lambda *given: np.reshape(function(*given, *zero, p), shape)
+    return lambda *given: float(function(*given, *zero, p)[0])
 
 
 def _depth() -> int:

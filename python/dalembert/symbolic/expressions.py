@@ -72,11 +72,8 @@ class _Formulas:
         coordinates = [
             (sympy.Symbol(name), sympy.Symbol(f"v_{name}")) for name in self.system.coordinates
         ]
-        made, _ = given.make_model(
-            self.whole(L), constraints, coordinates, self.system.parameters,
-            None, None, None, None,
-        )  # fmt: skip
-        return made
+        L = self.whole(L)
+        return given.make_model(L, constraints, coordinates, self.system.parameters)[0]
 
     def whole(self, found: Expr, i: int | None = None) -> Expr:
         """Return an expression in coordinates, velocities and parameters alone."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry, growth, symbolic
 from ..core import KINDS, Array, Handle, arguments, extras, lib
+from ..core.extras import Progress
 from ..geometry import Check, examine
 from . import sources
 from .sources import Source
@@ -318,8 +319,9 @@ class System(Handle):
         arguments.mapping(force, "force")
         sources.require_named(invariants)
         taken = symbolic.given.take(
-            L, constraints, coordinates, parameters, force, q0, v0, exact, invariants
-        )
+            L, constraints, coordinates, parameters,
+            force=force, q0=q0, v0=v0, exact=exact, invariants=invariants,
+        )  # fmt: skip
         about = {"name": name, "help": help, "description": description, "source": source}
         return cls._of(sources.Expressions(about=about, **taken))
 
@@ -509,7 +511,7 @@ class System(Handle):
         q: ArrayLike | None = None,
         v: ArrayLike | None = None,
         *,
-        progress: bool | Callable[[int, int], Any] = False,
+        progress: Progress = False,
     ) -> Check:
         """Examine the system at a state: derivatives, rank, definiteness, integrability, growth.
 
