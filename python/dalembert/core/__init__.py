@@ -1,7 +1,7 @@
 """What all packages stand on: the C library, arguments, errors, callbacks, optional packages."""
 
 from . import arguments, extras, files, functions, pointers
-from .arguments import Array
+from .arguments import Array, Pair
 from .callbacks import (
     Callables,
     ignore,

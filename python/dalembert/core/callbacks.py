@@ -9,27 +9,30 @@ from typing import Any
 
 import numpy as np
 
-from .arguments import Array, returned, shown
+from .arguments import Array, Pair, returned, shown
 from .errors import DomainError, name_of, raised
-from .functions import FUNCTIONS, OUTPUTS
+from .functions import FUNCTIONS, OUTPUTS, Function
 from .functions import shape as shape_of
 from .library import ffi, lib
 
 _from_handle, _buffer, _memmove = ffi.from_handle, ffi.buffer, ffi.memmove
 _frombuffer, _ndarray, _double = np.frombuffer, np.ndarray, np.dtype(np.float64)
 
-# The callbacks whose outputs are functions of the user, all of the same arguments.
-_PLAIN = ("potential", "lagrangian", "force", "nonlinear", "deformation")
+# The callbacks whose outputs are functions of the user, all of (q, v) or of (t, q, v).
+_PLAIN = ("lagrangian", "force", "nonlinear", "deformation")
 
 
 class Callables:
     """A user's functions, and the shapes of what they return, of n coordinates, m constraints."""
 
-    def __init__(self, n: int, m: int, **functions: Callable[..., Any] | None) -> None:
+    def __init__(self, n: int, m: int, **functions: Function | None) -> None:
         self.__dict__.update(functions)
         self.bytes = 8 * n
         self.vector, self.multipliers, self.matrix, self.square = (n,), (m,), (m, n), (n, n)
-        self.shapes = {x: shape_of(x, n, m) for callback in _PLAIN for x in OUTPUTS[callback]}
+        self.plain = {
+            callback: [(name, shape_of(x, n, m)) for x, name in OUTPUTS[callback].items()]
+            for callback in _PLAIN
+        }
 
 
 def _doubles(value: Any, shape: tuple[int, ...], name: str) -> Array:
@@ -64,20 +67,32 @@ _trampoline = functools.partial(ffi.def_extern, error=lib.DAL_EUSER, onerror=_re
 # bytes object: that is as fast as a view of C's memory, cannot be written to, and may be kept.
 
 
+@_trampoline()
+def dal_py_potential(t: float, q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    point = _frombuffer(_buffer(q, call.bytes)[:])
+    if V:
+        _write(V, call.potential(point), (), "potential")
+    if V_q:
+        _write(V_q, call.gradient(point), call.vector, "gradient")
+    if V_qq:
+        _write(V_qq, call.hessian(point), call.square, "hessian")
+    return 0
+
+
 def _define(callback: str) -> None:
     """Define the trampoline of a plain callback: (t, q, v, an address for each output, context)."""
-    outputs = OUTPUTS[callback].items()
-    taken = FUNCTIONS.get(callback, "q, v")
-    is_timed, end = "t" in taken, 3 if "v" in taken else 2
+    is_timed = FUNCTIONS.get(callback) == "t, q, v"
 
-    def answer(*given: Any) -> int:
-        call = _from_handle(given[-1])
-        state = [_frombuffer(_buffer(x, call.bytes)[:]) for x in given[1:end]]
+    def answer(t: float, q: Any, v: Any, *targets: Any) -> int:
+        call = _from_handle(targets[-1])
+        size = call.bytes
+        state = _frombuffer(_buffer(q, size)[:]), _frombuffer(_buffer(v, size)[:])
         if is_timed:
-            state.insert(0, given[0])
-        for (output, name), target in zip(outputs, given[end:]):
+            state = t, *state
+        for (name, shape), target in zip(call.plain[callback], targets):
             if target:
-                _write(target, getattr(call, name)(*state), call.shapes[output], name)
+                _write(target, getattr(call, name)(*state), shape, name)
         return 0
 
     _trampoline(f"dal_py_{callback}")(answer)
@@ -129,7 +144,7 @@ def dal_py_affine(
     return 0
 
 
-def _halves(call: Callables, x: Any) -> tuple[Array, Array]:
+def _halves(call: Callables, x: Any) -> Pair:
     """Return q and v of a state."""
     state = _buffer(x, 2 * call.bytes)[:]
     return _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :])

@@ -99,10 +99,7 @@ _EXCEPTIONS: dict[int, type[Exception]] = {
     lib.DAL_EINVAL: ValueError,
     lib.DAL_ENOMEM: MemoryError,
     lib.DAL_EUNSUPPORTED: NotImplementedError,
-    lib.DAL_EDOMAIN: DomainError,
-    lib.DAL_ESINGULAR: SingularError,
-    lib.DAL_ENOCONV: ConvergenceError,
-    lib.DAL_EOFFD: NotOnConstraintError,
+    **{x.status: x for x in (DomainError, SingularError, ConvergenceError, NotOnConstraintError)},
 }
 
 
@@ -188,7 +185,8 @@ def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None
 
 def name_of(one: Any) -> str:
     """Return what a C object is: ``chart`` for a ``dal_chart *``."""
-    return ffi.typeof(one).item.cname.split()[-1].removeprefix("dal_")  # type: ignore[no-any-return]
+    name: str = ffi.typeof(one).item.cname
+    return name.split()[-1].removeprefix("dal_")
 
 
 def words(source: Any, kind: str = "linear") -> str:

@@ -13,6 +13,7 @@ from . import arguments
 
 # Whether a bar is wanted, or a function of what is done and of all.
 Progress = bool | Callable[[int, int], Any]
+Show = Callable[[int], Any]
 
 
 def require(module: str, purpose: str) -> Any:
@@ -57,7 +58,7 @@ def is_there(package: str) -> bool:
 @contextlib.contextmanager
 def progress(
     wanted: Progress, total: int, unit: str
-) -> Iterator[Callable[[int], Any]]:
+) -> Iterator[Show]:
     """Give a function of how much is done that shows it: by a bar, to a function, or not at all.
 
     Raises

@@ -6,10 +6,20 @@ An output is called as in C: V_q is the derivative of V by q, of n numbers.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from numpy.typing import ArrayLike
+
+from .arguments import Array
 from .library import lib
+
+# Functions of users: any, of q, of (q, v), of (t, q, v); and what returns two arrays, a state.
+Function = Callable[..., Any]
+OfPoint = Callable[[Array], ArrayLike]
+OfState = Callable[[Array, Array], ArrayLike]
+OfTime = Callable[[float, Array, Array], ArrayLike]
+OfTimeTwo = Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]]
 
 # By the callback, or by the kind of the constraints: what each output of C is called in Python.
 OUTPUTS = {

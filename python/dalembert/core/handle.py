@@ -49,7 +49,7 @@ class Workspaces:
         verify(status, one, self._kind, step=step)
 
     def call(self, function: Callable[..., int], *given: Any) -> Any:
-        """Call ``function(one, *given)``; a tuple stands for an array of this shape, as in `rows`."""
+        """Call ``function(one, *given)``; a tuple stands for an array of this shape, see `rows`."""
         arrays = _arrays(given, 1)
         with self.lend() as one:
             call(self._kind, function, one, *arrays)

@@ -14,16 +14,19 @@ equations.  A pair (q_{k-1}, q_k) belongs to the state (q, v) = rho(q_{k-1}, q_k
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry
-from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
+from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
+from ..core.functions import OfTimeTwo
 from ..geometry.mechanics import halves, vectors
 
 
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
 class DifferenceMap:
     """A finite difference map rho(q0, q1) = (g, f) for a step h (FDM).
 
@@ -58,65 +61,36 @@ class DifferenceMap:
     array([1.000417, 0.      , 0.      ])
     """
 
-    __slots__ = ("_beta", "_derivatives", "_map")
+    beta: float = 0.5
+    map: OfTimeTwo | None = field(default=None, kw_only=True)
+    derivatives: Callable[[float, Array, Array], tuple[ArrayLike, ...]] | None = field(
+        default=None, kw_only=True
+    )
 
-    def __init__(
-        self,
-        beta: float = 0.5,
-        *,
-        map: Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None = None,
-        derivatives: Callable[[float, Array, Array], tuple[ArrayLike, ...]] | None = None,
-    ) -> None:
-        arguments.function(map, "map")
-        arguments.function(derivatives, "derivatives")
-        if derivatives is not None and map is None:
+    def __post_init__(self) -> None:
+        arguments.function(self.map, "map")
+        arguments.function(self.derivatives, "derivatives")
+        if self.derivatives is not None and self.map is None:
             raise ValueError("derivatives without map(h, q0, q1) -> (g, f)")
-        beta = arguments.number(beta, "beta")
+        beta = arguments.number(self.beta, "beta")
         if not 0 <= beta <= 1:
             raise ValueError(f"beta = {beta}: expected a number in [0, 1]")
-        self._beta, self._map, self._derivatives = beta, map, derivatives
-
-    @property
-    def beta(self) -> float:
-        """Where between the nodes g lies."""
-        return self._beta
-
-    @property
-    def map(self) -> Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None:
-        """The map of the user's own; None for rho^beta."""
-        return self._map
-
-    @property
-    def derivatives(self) -> Callable[[float, Array, Array], tuple[ArrayLike, ...]] | None:
-        """The derivatives of `map`; None where they are differenced."""
-        return self._derivatives
+        object.__setattr__(self, "beta", beta)
 
     def __repr__(self) -> str:
-        name = getattr(self._map, "__name__", self._map)
-        own = "" if self._map is None else f", map = {name}"
-        return f"<DifferenceMap beta = {self._beta:g}{own}>"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _restore_map, (self._beta, self._map, self._derivatives)
+        name = getattr(self.map, "__name__", self.map)
+        own = "" if self.map is None else f", map = {name}"
+        return f"<DifferenceMap beta = {self.beta:g}{own}>"
 
     def _definition(self, n: int) -> tuple[Any, Any]:
         """Return a ``dal_difference_map *`` for n coordinates, and what it needs to stay alive."""
-        if self._map is None:
-            return ffi.new("dal_difference_map *", {"beta": self._beta}), None
-        callables = core.Callables(n, 0, map=self._map, derivatives=self._derivatives)
-        context = ffi.new_handle(callables)
-        definition = {
-            "beta": self._beta,
-            "map": lib.dal_py_map,
-            "differenced": int(self._derivatives is None),
-            "ctx": context,
-        }
-        return ffi.new("dal_difference_map *", definition), (callables, context)
-
-
-def _restore_map(beta: float, map: Any, derivatives: Any) -> DifferenceMap:
-    """Make a map again from its parts."""
-    return DifferenceMap(beta, map=map, derivatives=derivatives)
+        definition = ffi.new("dal_difference_map *", {"beta": self.beta})
+        if self.map is None:
+            return definition, None
+        callables = core.Callables(n, 0, map=self.map, derivatives=self.derivatives)
+        definition.map, definition.differenced = lib.dal_py_map, self.derivatives is None
+        definition.ctx = context = ffi.new_handle(callables)
+        return definition, (callables, context)
 
 
 class Regularity(NamedTuple):
@@ -239,7 +213,7 @@ class Discrete(core.Constant):
 
     # ---- nodes and states ------------------------------------------------------------------
 
-    def state(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
+    def state(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Pair:
         """Return the state (q, v) of a pair of nodes by the map of D_d (roloc).
 
         Parameters
@@ -266,7 +240,7 @@ class Discrete(core.Constant):
         q, v = self._call(lib.dal_discrete_state, (2, self.system.n), h=h, q0=q0, q1=q1)
         return q, v
 
-    def nodes(self, h: float, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    def nodes(self, h: float, q: ArrayLike, v: ArrayLike) -> Pair:
         """Return the pair of nodes of a state, by the inverse of the map of D_d.
 
         A state in D gives a pair of D_d.
@@ -386,7 +360,7 @@ class Discrete(core.Constant):
         outputs = ((self.system.m,), ffi.NULL, ffi.NULL)
         return self._call(lib.dal_discrete_constraint, *outputs, t=0.0, h=h, q0=q0, q1=q1)
 
-    def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
+    def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Pair:
         """Return D_1 phi_d and D_2 phi_d.
 
         Parameters
@@ -416,7 +390,7 @@ class Discrete(core.Constant):
 
     def momenta(
         self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0
-    ) -> tuple[Array, Array]:
+    ) -> Pair:
         """Return the discrete Legendre transforms p^- = -D_1 L_d and p^+ = D_2 L_d.
 
         Along an orbit p^-(q_k, q_{k+1}) - p^+(q_{k-1}, q_k) = h mu(q_k)^T lambda_{k+1}.
@@ -576,7 +550,7 @@ class Discrete(core.Constant):
         )
         return Regularity(matrix, int(sign[0]), *logarithm_and_condition)
 
-    def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> tuple[Array, Array]:
+    def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> Pair:
         """Return the node after the pair (q0, q1), and the multipliers (NHFlow).
 
         The pair need not lie in D_d; the new one does.
@@ -727,7 +701,7 @@ def exact_velocity(
     *,
     t0: float = 0.0,
     tolerance: float = 1e-13,
-) -> tuple[Array, Array]:
+) -> Pair:
     """Return the velocity that leads from q0 to q1 in time h, and how far it misses across D.
 
     The exact discrete constraint D_d^E consists of the pairs (q0, q(h)) of solutions in D.  For

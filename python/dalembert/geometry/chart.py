@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
+from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
 from . import mechanics
 
 __all__ = ["Chart", "cutoff"]
@@ -253,7 +253,7 @@ class Chart(core.Constant):
         found = lib.dal_chart_dependent(chart)
         return Chart(system, q, v, [system.coordinates[found[a]] for a in range(system.m)])
 
-    def split(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    def split(self, q: ArrayLike, v: ArrayLike) -> Pair:
         """Return v = hor + ver: hor is in D, and ver is zero in the independent components.
 
         Parameters
@@ -280,7 +280,7 @@ class Chart(core.Constant):
 
     # ---- psi -----------------------------------------------------------------------------
 
-    def lift(self, xi: ArrayLike) -> tuple[Array, Array]:
+    def lift(self, xi: ArrayLike) -> Pair:
         """Return the state psi(xi), which lies in D to roundoff (Embedd).
 
         Parameters
@@ -460,7 +460,7 @@ class Chart(core.Constant):
 
     def step(
         self, xi: ArrayLike, h: float, beta: float = 0.5, t: float = 0.0
-    ) -> tuple[Array, Array]:
+    ) -> Pair:
         """Return xi after one step of the beta-scheme with moved nodes, and its multiplier.
 
         The multiplier is eliminated from the equations, as in the decompositions that follow
@@ -501,7 +501,7 @@ class Chart(core.Constant):
 
     def curve(
         self, q1: ArrayLike, v1: ArrayLike, q2: ArrayLike, v2: ArrayLike, tau: ArrayLike
-    ) -> tuple[Array, Array]:
+    ) -> Pair:
         """Return psi(chi_0(tau) xi1 + chi_1(tau) xi2), a curve in D (yD, InterpolationD).
 
         It goes from (q1, v1) for tau <= 0 to (q2, v2) for tau >= 1, with all derivatives zero at

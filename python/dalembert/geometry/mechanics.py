@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import Array, Handle, arguments, ffi, lib
+from ..core import Array, Handle, Pair, arguments, ffi, lib
 
 
 def most_in_a_call(system: Handle) -> int:
@@ -65,7 +65,7 @@ def beside(x: Array, single: bool, value: ArrayLike, name: str, width: int) -> A
     return np.atleast_2d(arguments.array(value, name, shape))
 
 
-def halves(x: Array) -> tuple[Array, Array]:
+def halves(x: Array) -> Pair:
     """Return q and v of states, each an array of its own."""
     q, v = np.split(x, 2, axis=-1)
     return q.copy(), v.copy()
@@ -73,7 +73,7 @@ def halves(x: Array) -> tuple[Array, Array]:
 
 def initial(
     system: Handle, q0: ArrayLike | None, v0: ArrayLike | None, *names: str
-) -> tuple[Array, Array]:
+) -> Pair:
     """Return initial data, those of the system where none are given; ValueError for half of them.
 
     ``names`` are those of the two arguments, by default q0 and v0.
@@ -425,7 +425,7 @@ def perturbed(
     ghat: ArrayLike,
     weight: float = 1.0,
     t: float = 0.0,
-) -> tuple[Array, Array]:
+) -> Pair:
     """Return the field and the multipliers of the perturbed equations of motion (PerturbedDAE).
 
     They are qdot = v + weight ghat_q, vdot = f_v + M^-1 mu^T lambda + weight ghat_v with

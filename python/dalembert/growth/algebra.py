@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mpmath
 import numpy as np
 import sympy
 
-from ..core import Array
+from ..core import Array, Pair
+from ..core.extras import Show
 from ..symbolic.model import Model
 from ..symbolic.zeros import is_zero
 from . import search as growth
-from .search import Brackets, Distribution, Word
+from .search import Brackets, Distribution, Growth, Word, Words
 
 Expr = Any
 
@@ -37,7 +38,7 @@ def examine(
     values: Mapping[str, float],
     near: Array,
     q: Array | None = None,
-    show: Callable[[int], Any] = lambda found: None,
+    show: Show = lambda found: None,
 ) -> Distribution:
     """Return what `growth.examine` does, for values of the parameters of a model."""
     n, m, forms = model.n, model.m, _Forms(model, values)
@@ -77,10 +78,10 @@ def examine(
 def _at(
     forms: _Forms,
     q: Array,
-    general: tuple[int, ...],
-    words: list[list[Word]],
-    show: Callable[[int], Any],
-) -> tuple[tuple[int, ...] | None, str]:
+    general: Growth,
+    words: Words,
+    show: Show,
+) -> tuple[Growth | None, str]:
     """Return the growth vector at a point that is known to double precision, and what it lacks."""
     n = forms.n
     try:
@@ -123,11 +124,7 @@ def _points(forms: _Forms, near: Array) -> tuple[list[_Point], str]:
     Where there are none, also what the last one lacks.
     """
     source, found, lack = random.Random(1), [], ""
-    places = [
-        near + size * (1 + abs(near)) * np.cos(k * np.arange(1, len(near) + 1))
-        for size in growth.NEARBY
-        for k in range(1, 5)
-    ]
+    places = [growth.nearby(near, size, k) for size in growth.NEARBY for k in range(1, 5)]
     places[4:4] = [places[-1], *(np.array([source.uniform(0.5, 1) for _ in near]) for _ in "12")]
     makers = [lambda q=q: _Point(forms, list(map(mpmath.mpf, q))) for q in places]
     makers.insert(7, lambda: _given(forms, near))
@@ -252,7 +249,7 @@ class _Point:
         self._units = np.array([x if x > _ZERO**2 else 1 for x in size], dtype=object)
         self._digits = 0
 
-    def pair(self, word: Word) -> tuple[Array, Array]:
+    def pair(self, word: Word) -> Pair:
         """Return the dependent components of a bracket, here and at the other point."""
         digits = _BITS * (-(-len(word) // 4) * 4 + 1)  # each difference loses _BITS
         if digits > self._digits:

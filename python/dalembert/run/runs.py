@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from .. import core
 from ..core import Array, ffi, lib
+from ..core.extras import Show
 from ..system import System
 from .scheme import Scheme
 from .solution import Solution, Statistics
@@ -58,7 +58,7 @@ class Run:
         steps: int,
         stride: int,
         observer: core.Callables | None,
-        show: Callable[[int], Any],
+        show: Show,
     ) -> None:
         rows = steps // stride
         self.system, self.scheme, self.stepper = system, scheme, stepper
@@ -115,15 +115,9 @@ class Run:
             lib.DAL_STOPPED: f"an observer stopped the run at t = {t:g}",
         }
         return Solution(
-            system=self.system,
-            scheme=self.scheme,
-            x=self.x[: rows + 1],
-            reactions=self.reactions[:rows],
-            t0=self.t0,
-            h=self.h,
-            stride=int(run.stride),
+            system=self.system, scheme=self.scheme, t0=self.t0, h=self.h, stride=int(run.stride),
+            x=self.x[: rows + 1], reactions=self.reactions[:rows], status=self.status,
             stats=Statistics._read(self.stepper, self.system.kind),
-            status=self.status,
             message=messages.get(self.status, f"{type(self.error).__name__}: {self.error}"),
-        )
+        )  # fmt: skip
 

@@ -311,9 +311,8 @@ class Solution(Mapping[str, Any]):
             x[start : start + most] = part[len(before) :]
             nearest = np.rint((these - self.t0) / h).astype(int).clip(0, len(self.x) - 1)
             before = these[(part != self.x[nearest]).any(axis=1)][-1:]
-        if times.ndim == 0:
-            return States(float(times), x[0, :n], x[0, n:], changes)
-        return States(times, x[:, :n], x[:, n:], changes)
+        x = x.reshape(*times.shape, 2 * n)
+        return States(times if times.ndim else float(times), x[..., :n], x[..., n:], changes)
 
     def to_xarray(self) -> Any:
         """Return the run as an ``xarray.Dataset``.
@@ -335,16 +334,12 @@ class Solution(Mapping[str, Any]):
         """
         xarray = extras.require("xarray", "to_xarray")
         along = ("time", "coordinate")
+        axes = {
+            "q": along, "v": along, "multipliers": ("time", "form"), "energy": "time",
+            "constraint": ("time", "form"), "residual": "time", "reactions": ("interval", "form"),
+        }  # fmt: skip
         return xarray.Dataset(
-            {
-                "q": (along, self.q),
-                "v": (along, self.v),
-                "multipliers": (("time", "form"), self.multipliers),
-                "energy": ("time", self.energy),
-                "constraint": (("time", "form"), self.constraint),
-                "residual": ("time", self.residual),
-                "reactions": (("interval", "form"), self.reactions),
-            },
+            {name: (of, getattr(self, name)) for name, of in axes.items()},
             coords={
                 "time": self.t,
                 "coordinate": list(self.system.coordinates),
@@ -354,11 +349,7 @@ class Solution(Mapping[str, Any]):
                 "system": self.system.name,
                 **{f"parameter_{key}": x for key, x in self.system.parameters.items()},
                 "scheme": self.scheme.name,
-                "nodes": self.nodes,
-                "h": self.h,
-                "stride": self.stride,
-                "status": self.status,
-                "message": self.message,
+                **{x: getattr(self, x) for x in ("nodes", "h", "stride", "status", "message")},
                 "dalembert": core.version(),
             },
         )

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import geometry
-from ..core import ROUNDOFF, Array, extras, residual_bound
+from ..core import ROUNDOFF, Array, Pair, extras, residual_bound
 from ..run import Solution
 from ..study import Embedding, Studies, Study
 
@@ -38,7 +38,9 @@ QUANTITIES = {
     "state": ("state_error", "global_state", 0, "error of (q, v) at t = {t_end:g}"),
     "q": ("q_error", "global_q", 0, "error of q at t = {t_end:g}"),
     "v": ("v_error", "global_v", 0, "error of v at t = {t_end:g}"),
-    "multipliers": ("multiplier_error", "global_multipliers", 0, "error of lambda at t = {t_end:g}"),
+    "multipliers": (
+        "multiplier_error", "global_multipliers", 0, "error of lambda at t = {t_end:g}"
+    ),
     "local": ("local_error", "state", 1, "error of (q, v) after one step"),
     "reactions": (
         "local_reaction_error", "reaction", 1, "error of the scheme's multiplier after one step"
@@ -187,7 +189,7 @@ def drift(
     """
     solutions = _several(solution, "solution", Solution)
     if ax is None:
-        _, ax = _pyplot().subplots(1, 2, sharey=True, layout="constrained", figsize=(9, 3.8))
+        ax = _subplots(1, 2, sharey=True, figsize=(9, 3.8))
     axes = np.asarray(ax, dtype=object).ravel()
     if len(axes) != 2:
         raise ValueError(f"ax has {len(axes)} axes; expected two, for D and for D_eps")
@@ -423,7 +425,7 @@ def _residuals(run: Solution) -> tuple[Array, Array | None]:
     return in_D, geometry.relative_residual(run.system, run.q, run.v, run.scheme.shift(run.h))
 
 
-def _stretches(t: Array, residual: Array) -> tuple[Array, Array]:
+def _stretches(t: Array, residual: Array) -> Pair:
     """The largest residual in each stretch of a run, at the time where the stretch begins."""
     starts = np.unique(np.linspace(0, len(t), min(len(t), STRETCHES), endpoint=False, dtype=int))
     return t[starts], np.maximum(np.maximum.reduceat(residual, starts), ZERO)
@@ -477,18 +479,13 @@ def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None)
 
 def _axes(ax: Axes | None) -> Axes:
     if ax is None:
-        _, ax = _pyplot().subplots(layout="constrained")
+        ax = _subplots()
     _require(ax, "ax", extras.require("matplotlib.axes", "a picture").Axes)
     return ax
 
 
-def _pyplot() -> Any:
-    require_matplotlib()
-    from matplotlib import pyplot
-
-    return pyplot
-
-
-def require_matplotlib() -> None:
-    """Raise an ImportError with the line to type if matplotlib is not installed."""
-    extras.require("matplotlib", "a picture")
+def _subplots(*shape: int, **options: Any) -> Any:
+    """Return axes of a new figure."""
+    for module in ("matplotlib", "matplotlib.pyplot"):
+        found = extras.require(module, "a picture")
+    return found.subplots(*shape, layout="constrained", **options)[1]

@@ -100,16 +100,8 @@ class Embedding(core.Constant):
         self.tolerance = tolerance
         self.numerical = numerical or not chart.system.has_exact
         record, self._kept = scheme._record_of(chart.system)
-        self._definition = ffi.new(
-            "dal_embedding_def *",
-            {
-                "scheme": record,
-                "h": h,
-                "order": order or 0,
-                "tolerance": tolerance,
-                "numerical": int(numerical),
-            },
-        )
+        given = {"scheme": record, "h": h, "order": order or 0, "tolerance": tolerance}
+        self._definition = ffi.new("dal_embedding_def *", given | {"numerical": int(numerical)})
         self._embeddings = Workspaces(self._new, chart.system.kind)
         with self._embeddings.lend() as embedding:
             self.order = int(lib.dal_embedding_order(embedding))
@@ -205,10 +197,8 @@ class Embedding(core.Constant):
         >>> midpoint.with_step(0.05).h
         0.05
         """
-        h = arguments.number(h, "h")
-        return Embedding(
-            self.chart, self.scheme, h, self.order, self.start, self.tolerance, self.numerical
-        )
+        make, (chart, scheme, _, *rest) = self.__reduce__()
+        return make(chart, scheme, arguments.number(h, "h"), *rest)
 
     def __repr__(self) -> str:
         flow = "reference flow" if self.numerical else "exact flow"
@@ -311,7 +301,7 @@ class Embedding(core.Constant):
         array([ 0.1 ,  0.  , -0.32, -0.21,  0.  ])
         """
         point = self._point(z, "z")
-        values = np.empty(point.size)
+        values = np.empty_like(point)
         self._call(lib.dal_embedding_limit, point, values, row=0)
         return values
 

@@ -137,8 +137,9 @@ def _measure(
         del kept
         core.verify(status, error, system.kind)
         show(total)
+    columns = {x: np.array([getattr(point, y) for point in points]) for x, y in COLUMNS.items()}
     return {
-        **{name: np.array([getattr(x, column) for x in points]) for name, column in COLUMNS.items()},
+        **columns,
         "fits": {
             name: Fit.read(getattr(order, name), [bool(x.counted >> k & 1) for x in points])
             for k, name in enumerate(FITS)

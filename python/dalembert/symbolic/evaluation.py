@@ -8,7 +8,6 @@ import importlib.resources
 import os
 import sys
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from .. import compiler
 from ..compiler import Library
 from ..core import Array, DalembertWarning, arguments, functions
+from ..core.functions import Function
 from . import codegen
 from .model import Model, default_engine
 
@@ -38,7 +38,7 @@ def _generator() -> str:
 def library(model: Model) -> Library | None:
     """Return the compiled model; None if there is no compiler."""
 
-    def program() -> tuple[str, Callable[[int], str]]:
+    def program() -> tuple[str, compiler.Origin]:
         made = codegen.program(model)
         return made.source, lambda line: made.origin(line, model.shown)
 
@@ -53,7 +53,7 @@ class Evaluation:
         self.values = values
         self.parameters = np.array(list(values.values()), dtype=float)
 
-    def bound(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def bound(self, function: Function) -> Function:
         """Return a function of the user with the values of the parameters as keywords."""
         return functools.partial(function, **self.values)
 
@@ -86,7 +86,7 @@ class Evaluation:
             for output, function in model.callables(callback).items()
         }
 
-        def called(name: str, output: str) -> Callable[..., Any]:
+        def called(name: str, output: str) -> Function:
             return _callable(made[output], name, functions.shape(output, n, m), n, p)
 
         found = {name: called(name, output) for output, name in names.items() if output in made}
@@ -103,11 +103,11 @@ class Evaluation:
         return found
 
     def invariants(
-        self, given: dict[str, Callable[..., Any] | None]
-    ) -> dict[str, Callable[..., Any]]:
+        self, given: dict[str, Function | None]
+    ) -> dict[str, Function]:
         """Return all first integrals as Python functions of (q, v); None: the next expression."""
         values = self.model.callables("invariant").get("values")
-        found: dict[str, Callable[..., Any]] = {}
+        found: dict[str, Function] = {}
         i = 0
         for name, function in given.items():
             arguments.function(function, name)
@@ -126,8 +126,8 @@ class Evaluation:
 
 
 def _callable(
-    function: Callable[..., Any], name: str, shape: tuple[int, ...], n: int, p: Array
-) -> Callable[..., Any]:
+    function: Function, name: str, shape: tuple[int, ...], n: int, p: Array
+) -> Function:
     """Return a function with its parameters put in, which takes what System asks of the name."""
     zero = (np.zeros(n),) if functions.FUNCTIONS[name] == "q" else ()
     if shape:

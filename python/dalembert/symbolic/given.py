@@ -12,7 +12,7 @@ from sympy.core.function import AppliedUndef
 
 from ..core import arguments
 from . import model as models
-from .model import Coordinate, Model, Velocity, in_order
+from .model import Coordinate, Model, Rule, Velocity, in_order
 
 Expr = Any
 
@@ -186,7 +186,7 @@ class _Translation:
             raise ValueError(f"{where}: expected {n} coefficients, got {len(given)}")
         return sympy.Add(*(self(c, where) * v for c, v in zip(given, self.v)))
 
-    def force(self, given: dict[Expr, Expr]) -> tuple[Expr, ...]:
+    def force(self, given: Rule) -> tuple[Expr, ...]:
         """Return the n components of a force."""
         components = dict.fromkeys(self.q, sympy.Integer(0))
         for key, expression in given.items():
@@ -283,7 +283,7 @@ def _flat(given: Iterable[Any]) -> list[Expr]:
     return [e for one in given for e in (one if isinstance(one, list) else [one])]
 
 
-def _force(given: Any) -> dict[Expr, Expr]:
+def _force(given: Any) -> Rule:
     """Return the components of a force that are given, by the coordinate."""
     found = {}
     for key, value in arguments.mapping(given, "force").items():
@@ -346,7 +346,7 @@ def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list
     return values, symbols
 
 
-def _matching(expression: Expr, rule: dict[Expr, Expr]) -> dict[Expr, Expr]:
+def _matching(expression: Expr, rule: Rule) -> Rule:
     """Return the rule for the symbols of an expression: equal names, whatever the assumptions."""
     by_name = {symbol.name: canonical for symbol, canonical in rule.items()}
     return {
@@ -459,9 +459,9 @@ def _generalized(
     loads: Iterable[Any],
     frame: Any,
     q: list[Expr],
-    rule: dict[Expr, Expr],
+    rule: Rule,
     velocities: list[Expr] | None = None,
-) -> dict[Expr, Expr] | None:
+) -> Rule | None:
     """Return the generalized force of forces on points and torques on frames; None without any."""
     from sympy.physics.mechanics import Point, dynamicsymbols
 

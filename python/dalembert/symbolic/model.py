@@ -31,6 +31,7 @@ except ImportError:
 from .zeros import is_zero
 
 Expr = Any  # sympy has no types
+Rule = dict[Expr, Expr]
 
 
 # ---- symbols ---------------------------------------------------------------------------------
@@ -264,7 +265,7 @@ class _SymPy:
         found, reduced = sympy.cse(
             expressions, sympy.numbered_symbols("x"), order="none", list=False
         )
-        conditions: dict[Expr, Expr] = {}  # what is no number stays where it is
+        conditions: Rule = {}  # what is no number stays where it is
         temporaries = []
         for symbol, e in found:
             e = e.xreplace(conditions)
@@ -441,7 +442,7 @@ class Model:
         return expression.xreplace(self._names)
 
     @functools.cached_property
-    def _names(self) -> dict[Expr, Expr]:
+    def _names(self) -> Rule:
         found = dict(zip(self.p, map(sympy.Symbol, self.parameters)))
         for q, v, name in zip(self.q, self.v, self.coordinates):
             coordinate = Coordinate(name)
@@ -634,7 +635,7 @@ def _symmetric(
     return [upper[min(i, j), max(i, j)] for i in range(len(x)) for j in range(len(x))]
 
 
-def _without(engine: Any, expression: Expr, values: dict[Expr, Expr]) -> Expr:
+def _without(engine: Any, expression: Expr, values: Rule) -> Expr:
     """Return an expression with some symbols replaced by numbers."""
     if engine is _SymPy:
         return expression.xreplace(values)

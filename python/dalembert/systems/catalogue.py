@@ -57,7 +57,7 @@ def _system(coordinates: str, positive: str = "") -> Callable[..., Callable[...,
     def decorate(describe: Callable[..., dict[str, Any]]) -> Callable[..., System]:
         name, call = describe.__name__, tuple(coordinates.split())
         _, _, *parameters = inspect.signature(describe).parameters.values()
-        signature = inspect.Signature(parameters, return_annotation=System)
+        signature = inspect.Signature(parameters, return_annotation="System")
 
         @functools.wraps(describe)
         def make(*args: float, **given: float) -> System:
