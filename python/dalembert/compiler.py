@@ -227,16 +227,11 @@ def entries() -> list[Path]:
 
 def clear() -> int:
     """Remove all compiled models, and return how many there were."""
-    count = 0
-    for path in entries():
+    found = entries()
+    left = folder().glob("*.new")  # of a process that was killed
+    for path in (*found, *(path.with_suffix(".c") for path in found), *left):
         path.unlink(missing_ok=True)
-        path.with_suffix(".c").unlink(missing_ok=True)
-        count += 1
-    with_rest = folder()
-    if with_rest.is_dir():
-        for path in with_rest.glob("*.new"):  # of a process that was killed
-            path.unlink(missing_ok=True)
-    return count
+    return len(found)
 
 
 def _sealed(content: bytes, key: str) -> bytes:

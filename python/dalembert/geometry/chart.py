@@ -586,16 +586,10 @@ def _indices(system: Handle, dependent: str | Iterable[str]) -> list[int]:
     """Return the places of m names of coordinates."""
     names = [dependent] if isinstance(dependent, str) else dependent
     names = arguments.names(names, "dependent", f"m = {system.m} names of coordinates")
-    unknown = [name for name in names if name not in system.coordinates]
-    if unknown:
-        raise ValueError(
-            f"dependent: there is no coordinate {arguments.shown(unknown[0])}; "
-            f"{arguments.suggestion(unknown[0], system.coordinates)}there are "
-            f"{', '.join(system.coordinates)}"
-        )
+    places = [mechanics.place(system, name, "dependent") for name in names]
     if len(names) != system.m:
         raise ValueError(
             f"dependent = {names!r}: expected m = {system.m} names of coordinates, one for each "
             "constraint"
         )
-    return [system.coordinates.index(name) for name in names]
+    return places

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import Handle, ffi, lib
+from ..core import Handle, ffi, functions, lib
 from . import mechanics
 
 DERIVATIVES = (
@@ -207,21 +207,12 @@ class Check:
 
     def _derivatives(self) -> list[tuple[str, Difference]]:
         """Return the derivatives that a system of this kind may have."""
-        found = [("gradient (V_q)", self.V_q), ("hessian (V_qq)", self.V_qq)]
-        if self.general:
-            names = ("L_q", "L_v", "L_qq", "L_vq", "L_vv")
-            found = [(f"lagrangian{name[1:]} ({name})", getattr(self, name)) for name in names]
-        if self.forced:
-            found += [("force_q (f_q)", self.f_q), ("force_v (f_v)", self.f_v)]
-        if self.kind == "nonlinear":
-            return [
-                *found,
-                ("constraint_v (phi_v)", self.phi_v),
-                ("constraint_q (phi_q)", self.phi_q),
-            ]
-        if self.kind == "affine":
-            found.append(("forms (phi_v)", self.phi_v))
-        return [*found, ("d(mu v)/dq (phi_q)" if self.kind == "linear" else "phi_q", self.phi_q)]
+        wanted = ["L_q", "L_v", "L_qq", "L_vq", "L_vv"] if self.general else ["V_q", "V_qq"]
+        wanted += ["f_q", "f_v"] * self.forced + ["phi_v"] * (self.kind != "linear")
+        names = functions.outputs(self.kind)
+        found = [(f"{names[output]} ({output})", getattr(self, output)) for output in wanted]
+        last = {"linear": "d(mu v)/dq (phi_q)", "affine": "phi_q"}
+        return [*found, (last.get(self.kind, "constraint_q (phi_q)"), self.phi_q)]
 
 
 def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:

@@ -556,7 +556,7 @@ def consistent(
 
 def _mask(system: Handle, keep: Any) -> list[int]:
     """Return n zeros and ones for names or places of coordinates, or for n truth values."""
-    n, names = system.n, system.coordinates
+    n = system.n
     try:
         given = [keep] if isinstance(keep, str | bytes) else list(keep)
     except TypeError:
@@ -567,13 +567,8 @@ def _mask(system: Handle, keep: Any) -> list[int]:
         return [int(k) for k in given]
     places = []
     for k in given:
-        if isinstance(k, str) and k in names:
-            places.append(names.index(k))
-        elif isinstance(k, str):
-            raise ValueError(
-                f"keep: there is no coordinate {arguments.shown(k)}; "
-                f"{arguments.suggestion(k, names)}there are {', '.join(names)}"
-            )
+        if isinstance(k, str):
+            places.append(place(system, k, "keep"))
         elif isinstance(k, int | np.integer) and not isinstance(k, bool):
             places.append(arguments.integer(k, "keep", 0, n - 1))
             if places.count(k) > 1:
@@ -586,3 +581,14 @@ def _mask(system: Handle, keep: Any) -> list[int]:
                 "truth values"
             )
     return [int(i in places) for i in range(n)]
+
+
+def place(system: Handle, name: str, argument: str) -> int:
+    """Return which coordinate has a name; ValueError, about an argument, if none has."""
+    names = system.coordinates
+    if name not in names:
+        raise ValueError(
+            f"{argument}: there is no coordinate {arguments.shown(name)}; "
+            f"{arguments.suggestion(name, names)}there are {', '.join(names)}"
+        )
+    return names.index(name)

@@ -18,8 +18,8 @@ import sympy
 
 from ..core import Array, Pair
 from ..core.extras import Show
-from ..symbolic.model import Model
-from ..symbolic.zeros import is_zero
+from ..symbolic.model import Model, with_default
+from ..symbolic.zeros import is_zero, of_sympy
 from . import search as growth
 from .search import Brackets, Distribution, Growth, Word, Words
 
@@ -149,7 +149,10 @@ class _Forms:
         self.mu = [e.xreplace(numbers) for e in forms]
         self._edges = _edges(self.mu)
         self.in_pieces = any(e.has(*_PIECES) for e in self.mu)
-        printed = [_for_mpmath(e) for e in (*self.mu, *self._edges)]
+        printed = [
+            with_default(e.replace(sympy.Heaviside, lambda x, _: (1 + sympy.sign(x)) / 2))
+            for e in (*self.mu, *self._edges)
+        ]
         self._values = sympy.lambdify([self.q], printed, "mpmath", cse=True)
 
     def at(self, q: Sequence[Any]) -> tuple[Array, list[Any]]:
@@ -195,17 +198,7 @@ class _Forms:
 
 
 # Functions that are not analytic: what they are somewhere says nothing of elsewhere.
-_PIECES = (
-    sympy.Abs, sympy.sign, sympy.Heaviside, sympy.Max, sympy.Min, sympy.Piecewise, sympy.Rel,
-)  # fmt: skip
-
-
-def _for_mpmath(e: Expr) -> Expr:
-    """Return an expression as `lambdify` takes it; a Piecewise without a default is NaN there."""
-    return e.replace(sympy.Heaviside, lambda x, _: (1 + sympy.sign(x)) / 2).replace(
-        lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != sympy.true,
-        lambda part: part.func(*part.args, (sympy.nan, True)),
-    )
+_PIECES = of_sympy("Abs sign Heaviside Max Min Piecewise Rel")
 
 
 def _edges(expressions: Sequence[Expr]) -> list[Expr]:

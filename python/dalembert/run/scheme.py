@@ -325,16 +325,12 @@ class Scheme:
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self._source:
-            return _again, self._source
+            constructor, *given = self._source
+            return getattr(Scheme, constructor), tuple(given)
         return Scheme, (
             self.substeps, self.nodes, self.name, self.help, self.reference, self.order,
             self.multiplier_order, self.symmetric,
         )  # fmt: skip
-
-
-def _again(constructor: str, *given: Any) -> Scheme:
-    """Return a scheme from what it was made of."""
-    return getattr(Scheme, constructor)(*given)
 
 
 @functools.cache

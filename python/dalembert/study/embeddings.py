@@ -119,7 +119,7 @@ class Embedding(core.Constant):
         function: Callable[..., int],
         *given: Any,
         row: int | None = None,
-        show: Callable[[float], Any] = lambda made: None,
+        show: Callable[[float], Any] = core.ignore,
     ) -> None:
         """Call ``function(embedding, *given)``; ``show`` is told how many steps are made."""
         with self._embeddings.lend() as embedding, core.watching(embedding, show):

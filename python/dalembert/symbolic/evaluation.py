@@ -31,7 +31,7 @@ _WITHOUT_COMPILER = (
 def _generator() -> str:
     """Return a digest of all that turns a model into C."""
     here = importlib.resources.files(__package__)
-    names = ("model.py", "zeros.py", "pattern.py", "codegen.py")
+    names = ("formula.py", "model.py", "zeros.py", "pattern.py", "codegen.py")
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 
 
@@ -138,10 +138,8 @@ def _callable(
 def _depth() -> int:
     """Return how many calls of this package lie between its caller and the user."""
     frame, depth = sys._getframe(1), 0
-    while frame.f_back is not None and _is_ours(frame):
+    while frame.f_back is not None and (
+        str(frame.f_globals.get("__package__")).partition(".")[0] == _PACKAGE
+    ):
         frame, depth = frame.f_back, depth + 1
     return depth - 1
-
-
-def _is_ours(frame: Any) -> bool:
-    return str(frame.f_globals.get("__package__")).partition(".")[0] == _PACKAGE

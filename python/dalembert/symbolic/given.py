@@ -126,7 +126,7 @@ class _Translation:
         self.names, positions, velocities = map(list, zip(*pairs))
         self.values = values
         self.q, self.v = models.canonical("q", n), models.canonical("v", n)
-        self.rule = dict(zip(symbols, models.canonical("p", len(symbols))))
+        self.rule = dict(zip(values, models.canonical("p", len(values))))
         self.used = {symbol.name: {symbol} for symbol in symbols}  # of each parameter
         self.velocities = velocities
         self.states = dict(zip([*positions, *velocities], [*self.q, *self.v]))
@@ -147,7 +147,9 @@ class _Translation:
         unknown = {d for d in found.atoms(sympy.Derivative) if d not in self.velocities}
         if unknown:
             raise ValueError(f"{where}: {unknown.pop()} is no velocity of a coordinate")
-        matching = _matching(found, self.rule)
+        # equal names, whatever the assumptions
+        plain = {s: s.name for s in found.free_symbols if not isinstance(s, Coordinate | Velocity)}
+        matching = {s: self.rule[name] for s, name in plain.items() if name in self.rule}
         for symbol in matching:
             self.used[symbol.name].add(symbol)
         found = found.xreplace(self.states | matching)
@@ -344,16 +346,6 @@ def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list
         values[arguments.text(symbol.name, "parameters")] = arguments.parameter(value, symbol.name)
         symbols.append(symbol)
     return values, symbols
-
-
-def _matching(expression: Expr, rule: Rule) -> Rule:
-    """Return the rule for the symbols of an expression: equal names, whatever the assumptions."""
-    by_name = {symbol.name: canonical for symbol, canonical in rule.items()}
-    return {
-        symbol: by_name[symbol.name]
-        for symbol in expression.free_symbols
-        if symbol.name in by_name and not isinstance(symbol, Coordinate | Velocity)
-    }
 
 
 # What SymPy uses of a symbol when it simplifies, and so has to hold of its value; the first that

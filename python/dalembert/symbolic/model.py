@@ -28,7 +28,8 @@ try:
 except ImportError:
     symengine = None
 
-from .zeros import is_zero
+from . import formula
+from .zeros import is_zero, of_sympy
 
 Expr = Any  # sympy has no types
 Rule = dict[Expr, Expr]
@@ -215,7 +216,7 @@ def _zero_with(e: Expr) -> list[Expr]:
 
 
 # Real functions that are 0 at 0 alone.
-_ONE_ZERO = (sympy.Abs, sympy.sinh, sympy.tanh, sympy.asinh, sympy.asin, sympy.atan, sympy.erf)
+_ONE_ZERO = of_sympy("Abs sinh tanh asinh asin atan erf")
 
 
 def _is_constant(e: Expr) -> bool:
@@ -241,11 +242,9 @@ def _naming(model: Model, where: str) -> Iterator[None]:
 
 
 # What SymEngine differentiates as SymPy does; for the rest it lacks assumptions or rules.
-_SMOOTH = (
-    sympy.Add, sympy.Mul, sympy.Pow, sympy.Symbol, sympy.Number, sympy.NumberSymbol,
-    sympy.exp, sympy.log, sympy.sin, sympy.cos, sympy.tan, sympy.asin, sympy.acos, sympy.atan,
-    sympy.sinh, sympy.cosh, sympy.tanh,
-)  # fmt: skip
+_SMOOTH = of_sympy(
+    "Add Mul Pow Symbol Number NumberSymbol exp log sin cos tan asin acos atan sinh cosh tanh"
+)
 
 
 class _SymPy:
@@ -459,7 +458,9 @@ class Model:
             arguments.insert(0, TIME)
         return {
             output: sympy.lambdify(
-                arguments, [_for_python(function.engine.give(e)) for e in expressions], "math",
+                arguments,
+                [with_default(in_doubles(function.engine.give(e), 17)) for e in expressions],
+                "math",
                 cse=True,
             )
             for output, expressions in (function.outputs.items() if function else ())
@@ -586,13 +587,12 @@ def _exact(e: Expr) -> Expr:
     e = e.xreplace({x: sympy.Rational(x) for x in e.atoms(sympy.Float)})
     unsure = {x for x in e.atoms(sympy.Abs, sympy.sign) if not x.args[0].is_extended_real}
     if unsure:
-        e = e.replace(lambda x: x in unsure and x.func == sympy.Abs, _larger)
+        e = e.replace(
+            lambda x: x in unsure and x.func == sympy.Abs,
+            lambda x: sympy.Max(x.args[0], -x.args[0]),
+        )
         e = e.replace(lambda x: x in unsure, lambda x: 2 * sympy.Heaviside(x.args[0]) - 1)
     return e
-
-
-def _larger(absolute: Expr) -> Expr:
-    return sympy.Max(absolute.args[0], -absolute.args[0])
 
 
 def in_doubles(e: Expr, digits: int = 15) -> Expr:
@@ -615,9 +615,9 @@ def nearest(x: Expr, where: str = "") -> float:
     return found
 
 
-def _for_python(e: Expr) -> Expr:
+def with_default(e: Expr) -> Expr:
     """Return an expression as `lambdify` takes it: a Piecewise without a default is NaN there."""
-    return in_doubles(e, 17).replace(
+    return e.replace(
         lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != sympy.true,
         lambda part: part.func(*part.args, (sympy.nan, True)),
     )
@@ -750,21 +750,17 @@ def _matrix(model: Model, name: str, output: str, rows: int) -> Expr:
 
 
 # Functions that both C and the math module have, or that are printed by their definition.
-FUNCTIONS = {
-    sympy.sin: "sin", sympy.cos: "cos", sympy.tan: "tan",
-    sympy.asin: "asin", sympy.acos: "acos", sympy.atan: "atan", sympy.atan2: "atan2",
-    sympy.sinh: "sinh", sympy.cosh: "cosh", sympy.tanh: "tanh",
-    sympy.asinh: "asinh", sympy.acosh: "acosh", sympy.atanh: "atanh",
-    sympy.exp: "exp", sympy.log: "log", sympy.Abs: "fabs",
-    sympy.erf: "erf", sympy.erfc: "erfc",
-}  # fmt: skip
+FUNCTIONS = {getattr(sympy, x): x for x in formula.FUNCTIONS if x not in ("Abs", "sqrt")}
+FUNCTIONS[sympy.Abs] = "fabs"
+
 _STRUCTURE = (
-    sympy.Add, sympy.Mul, sympy.Pow, sympy.Symbol, sympy.Rational, sympy.Float,
-    sympy.NumberSymbol, sympy.sec, sympy.csc, sympy.cot, sympy.sign, sympy.Heaviside,
-    sympy.Max, sympy.Min, sympy.Piecewise, sympy.functions.elementary.piecewise.ExprCondPair,
-    sympy.core.relational.Relational, sympy.logic.boolalg.BooleanAtom,
-    sympy.And, sympy.Or, sympy.Not,
-)  # fmt: skip
+    *of_sympy(
+        "Add Mul Pow Symbol Rational Float NumberSymbol sec csc cot sign Heaviside Max Min "
+        "Piecewise Rel And Or Not"
+    ),
+    sympy.functions.elementary.piecewise.ExprCondPair,
+    sympy.logic.boolalg.BooleanAtom,
+)
 
 
 def require_known(

@@ -35,6 +35,11 @@ _LARGEST = 16
 _PATIENCE = 20_000
 
 
+def of_sympy(names: str) -> tuple[Any, ...]:
+    """Return what SymPy has by these names."""
+    return tuple(getattr(sympy, name) for name in names.split())
+
+
 class _Undecided(Exception):
     """It takes too long, or something that may be zero stands in a denominator."""
 
@@ -201,8 +206,8 @@ class _Form:
         return a
 
 
-_PERIODIC = (sympy.sin, sympy.cos, sympy.tan, sympy.cot, sympy.sec, sympy.csc)
-_EXPONENTIAL = (sympy.exp, sympy.sinh, sympy.cosh, sympy.tanh)
+_PERIODIC = of_sympy("sin cos tan cot sec csc")
+_EXPONENTIAL = of_sympy("exp sinh cosh tanh")
 
 
 def _collected(terms: Iterable[tuple[Any, Any]]) -> dict[Any, Any]:
