@@ -370,4 +370,3 @@ def _load_or_compile(
             stacklevel=2,
         )
         return Library(_store(Path(_private_folder().name), key, source, content))
-

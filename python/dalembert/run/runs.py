@@ -120,4 +120,3 @@ class Run:
             stats=Statistics._read(self.stepper, self.system.kind),
             message=messages.get(self.status, f"{type(self.error).__name__}: {self.error}"),
         )  # fmt: skip
-

@@ -272,6 +272,7 @@ class BuiltIn(Source):
         del kept
         return Made(handle)
 
+
 @dataclass
 class Expressions(Source):
     """A system of expressions: a model, and values of its parameters.

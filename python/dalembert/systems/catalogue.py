@@ -47,6 +47,7 @@ def about(name: str) -> dict[str, str]:
         "source": " ".join(named.get("References", "").split()),
     }
 
+
 def _system(coordinates: str, positive: str = "") -> Callable[..., Callable[..., System]]:
     """Make a system of what a function says: L, constraints, a state, invariants.
 
