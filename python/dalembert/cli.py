@@ -107,7 +107,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"dalembert {core.version()}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-
     study = commands.add_parser(
         "study",
         help="step-size refinement of schemes on a system, with a verdict",
@@ -115,67 +114,7 @@ def _parser() -> argparse.ArgumentParser:
         "orders and what is kept, and write a report.  Exit status 1 if a scheme does "
         "not deliver what it promises.",
     )
-    study.add_argument("system", metavar="SYSTEM", help="see `dalembert systems`")
-    study.add_argument(
-        "--scheme",
-        action="append",
-        metavar="NAME",
-        help="a name of `dalembert schemes`, or beta; again for more (default: all)",
-    )
-    study.add_argument(
-        "--parameter",
-        action="append",
-        default=[],
-        type=_parameter,
-        metavar="NAME=VALUE",
-        help="of the system; again for more",
-    )
-    study.add_argument("--q0", type=_numbers, metavar="X,Y,...", help="positions at t = 0")
-    study.add_argument(
-        "--v0",
-        type=_numbers,
-        metavar="X,Y,...",
-        help="velocities at t = 0, in D (write --v0=-1,... for a minus)",
-    )
-    study.add_argument(
-        "--t-end",
-        type=float,
-        metavar="T",
-        help="default: 1, or longer where errors would drown in roundoff",
-    )
-    study.add_argument(
-        "--steps",
-        type=_counts,
-        metavar="N,N,...",
-        help="numbers of steps up to T (default: by the order of the scheme)",
-    )
-    study.add_argument(
-        "--max-steps",
-        type=_count,
-        default=MOST_STEPS,
-        metavar="N",
-        help="more steps than these in all are refused at once (default: 1e9)",
-    )
-    study.add_argument(
-        "--initial",
-        choices=list(INITIAL),
-        help="how schemes with kept nodes start (default: D_eps)",
-    )
-    written = study.add_mutually_exclusive_group()
-    written.add_argument(
-        "--output", type=Path, metavar="FILE", help="the report (default: report.html)"
-    )
-    written.add_argument("--no-report", action="store_true", help="write no report")
-    study.add_argument(
-        "--json",
-        nargs="?",
-        const="-",
-        metavar="FILE",
-        help="the numbers as JSON, to FILE or to standard output; in the latter "
-        "case the tables go to standard error",
-    )
-    study.set_defaults(run=_study)
-
+    _add_study_options(study)
     book = commands.add_parser(
         "catalogue",
         help="a page for each system, with its formulas and a run, and an index",
@@ -190,67 +129,87 @@ def _parser() -> argparse.ArgumentParser:
         help="where to, made if it is not there (default: catalogue)",
     )  # fmt: skip
     book.add_argument(
-        "--system",
-        action="append",
-        metavar="NAME",
+        "--system", action="append", metavar="NAME",
         help="see `dalembert systems`; again for more (default: all)",
-    )
-    book.set_defaults(run=_catalogue)
-
-    commands.add_parser("systems", help="list the built-in systems").set_defaults(run=_systems)
-    commands.add_parser("schemes", help="list the named schemes").set_defaults(run=_schemes)
+    )  # fmt: skip
+    listed = commands.add_parser("systems", help="list the built-in systems")
+    schemes = commands.add_parser("schemes", help="list the named schemes")
     cache = commands.add_parser(
         "cache", help="show or empty the cache of compiled models",
         description="Show where compiled models are kept, and what there is.",
     )  # fmt: skip
     cache.add_argument("--clear", action="store_true", help="remove them")
-    cache.set_defaults(run=_cache)
+    runs = {study: _study, book: _catalogue, listed: _systems, schemes: _schemes, cache: _cache}
+    for command, run in runs.items():
+        command.set_defaults(run=run)
     return parser
 
 
+def _add_study_options(study: argparse.ArgumentParser) -> None:
+    numbers = _read("numbers and commas", _list_of(float))
+    counts = _read("whole numbers and commas", _list_of(int))
+    add, written = study.add_argument, study.add_mutually_exclusive_group()
+    add("system", metavar="SYSTEM", help="see `dalembert systems`")
+    add("--scheme", action="append", metavar="NAME",
+        help="a name of `dalembert schemes`, or beta; again for more (default: all)")
+    add("--parameter", action="append", default=[], type=_read("NAME=NUMBER", _parameter),
+        metavar="NAME=VALUE", help="of the system; again for more")
+    add("--q0", type=numbers, metavar="X,Y,...", help="positions at t = 0")
+    add("--v0", type=numbers, metavar="X,Y,...",
+        help="velocities at t = 0, in D (write --v0=-1,... for a minus)")
+    add("--t-end", type=float, metavar="T",
+        help="default: 1, or longer where errors would drown in roundoff")
+    add("--steps", type=counts, metavar="N,N,...",
+        help="numbers of steps up to T (default: by the order of the scheme)")
+    add("--max-steps", type=_read("a whole number", _count), default=MOST_STEPS, metavar="N",
+        help="more steps than these in all are refused at once (default: 1e9)")
+    add("--initial", choices=list(INITIAL),
+        help="how schemes with kept nodes start (default: D_eps)")
+    written.add_argument("--output", type=Path, metavar="FILE",
+                         help="the report (default: report.html)")
+    written.add_argument("--no-report", action="store_true", help="write no report")
+    add("--json", nargs="?", const="-", metavar="FILE",
+        help="the numbers as JSON, to FILE or to standard output; in the latter case the tables go "
+        "to standard error")  # fmt: skip
+
+
+def _read(expected: str, read: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Return the type of an argument, which says what was expected where it cannot be read."""
+
+    def convert(text: str) -> Any:
+        try:
+            return read(text)
+        except (ValueError, OverflowError):
+            raise argparse.ArgumentTypeError(f"{text!r}; expected {expected}") from None
+
+    return convert
+
+
+def _list_of(kind: type) -> Callable[[str], list[Any]]:
+    return lambda text: [kind(word) for word in text.split(",")]
+
+
 def _study(given: argparse.Namespace) -> int:
-    for name in (parameters := dict(given.parameter)):
+    parameters = dict(given.parameter)
+    for name in parameters:
         if sum(name == other for other, _ in given.parameter) > 1:
             raise ValueError(f"--parameter {name}: expected once, it is there more often")
     system = systems.get(given.system, **parameters)
-    output = None if given.no_report else given.output or Path("report.html")
-    if output is not None:
-        try:
-            web.require()
-        except ImportError as error:
-            if given.output:
-                raise
-            _say(given, f"no report: {error}")
-            output = None
-    for path in (output, None if given.json in (None, "-") else given.json):
-        if path is not None:
-            _require(files.require_writable, path)
-    if output is not None and given.json and Path(given.json).resolve() == output.resolve():
-        raise ValueError(f"{output}: expected one file for the report, another for the numbers")
-
+    output = _output(given)
     if sys.stderr.isatty() and (missing := [x for x in ("rich", "tqdm") if not extras.is_there(x)]):
         _say(given, f"for colours and a progress bar: pip install {' '.join(missing)}")
-
-    shown = sys.stderr if given.json == "-" else sys.stdout
     interrupt = None
     try:
         found = studies(
-            system,
-            given.scheme,
-            given.q0,
-            given.v0,
-            t_end=given.t_end,
-            steps=given.steps,
-            initial=given.initial,
-            max_steps=given.max_steps,
+            system, given.scheme, given.q0, given.v0, t_end=given.t_end, steps=given.steps,
+            initial=given.initial, max_steps=given.max_steps,
             progress=sys.stderr.isatty() and extras.is_there("tqdm"),
-        )
+        )  # fmt: skip
     except KeyboardInterrupt as stop:
         interrupt, found = stop, getattr(stop, "partial", ())
         if not found:
             raise
-
-    found.show(shown)
+    found.show(sys.stderr if given.json == "-" else sys.stdout)
     if interrupt:
         wanted = given.scheme or [scheme for scheme in named_schemes() if scheme.order > 0]
         _say(given, f"interrupted: {len(found)} of {len(wanted)} schemes were studied")
@@ -266,6 +225,25 @@ def _study(given: argparse.Namespace) -> int:
     if interrupt:
         raise interrupt
     return 1 if found.holds is False else 0
+
+
+def _output(given: argparse.Namespace) -> Path | None:
+    """Return where the report goes, if there is one; ValueError if a file cannot be written."""
+    output = None if given.no_report else given.output or Path("report.html")
+    if output is not None:
+        try:
+            web.require()
+        except ImportError as error:
+            if given.output:
+                raise
+            _say(given, f"no report: {error}")
+            output = None
+    for path in (output, None if given.json in (None, "-") else given.json):
+        if path is not None:
+            _require(files.require_writable, path)
+    if output is not None and given.json and Path(given.json).resolve() == output.resolve():
+        raise ValueError(f"{output}: expected one file for the report, another for the numbers")
+    return output
 
 
 def _require(check: Callable[[Path], None], path: str | Path) -> None:
@@ -332,31 +310,11 @@ def _list(items: Any) -> None:
 
 def _parameter(text: str) -> tuple[str, float]:
     name, sign, value = text.partition("=")
-    try:
-        if not sign or not name:
-            raise ValueError
-        return name, float(value)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}; expected NAME=NUMBER") from None
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(word) for word in text.split(",")]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}; expected numbers and commas") from None
-
-
-def _counts(text: str) -> list[int]:
-    try:
-        return [int(word) for word in text.split(",")]
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}; expected whole numbers and commas") from None
+    if not sign or not name:
+        raise ValueError
+    return name, float(value)
 
 
 def _count(text: str) -> int:
     """Read a whole number, also as 2e12."""
-    try:
-        return int(text) if text.strip().isdigit() else int(float(text))
-    except (ValueError, OverflowError):
-        raise argparse.ArgumentTypeError(f"{text!r}; expected a whole number") from None
+    return int(text) if text.strip().isdigit() else int(float(text))

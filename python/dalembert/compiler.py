@@ -31,7 +31,6 @@ import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from . import core
 from .core import DalembertError, DalembertWarning
@@ -52,6 +51,11 @@ LIMIT = 600.0
 _PLACE = "dalembert-compiles-"  # begins the names of the directories in which compilers run
 
 _MARK = b"dalembert compiled this"
+
+
+# Gives a source, and a function of what each of its lines, by number, was generated from.
+Origin = Callable[[int], str]
+Program = Callable[[], tuple[str, Origin]]
 
 
 class CompilerError(DalembertError):
@@ -97,7 +101,7 @@ def find() -> Compiler | None:
     return None
 
 
-def compile_program(compiler: Compiler, source: str, origin: Callable[[int], str]) -> bytes:
+def compile_program(compiler: Compiler, source: str, origin: Origin) -> bytes:
     """Return the shared library made from a source.
 
     Raises
@@ -155,7 +159,7 @@ def _remove_left() -> None:
                 shutil.rmtree(path)
 
 
-def _explain(command: list[str], source: str, printed: str, origin: Callable[[int], str]) -> str:
+def _explain(command: list[str], source: str, printed: str, origin: Origin) -> str:
     """Return what a compiler complained about, in words about the model."""
     lines = [f"the C compiler refused a generated program: {shlex.join(command)}"]
     found = re.search(r"^model\.c:(\d+):.*error:\s*(.*)$", printed, flags=re.M)
@@ -223,16 +227,11 @@ def entries() -> list[Path]:
 
 def clear() -> int:
     """Remove all compiled models, and return how many there were."""
-    count = 0
-    for path in entries():
+    found = entries()
+    left = folder().glob("*.new")  # of a process that was killed
+    for path in (*found, *(path.with_suffix(".c") for path in found), *left):
         path.unlink(missing_ok=True)
-        path.with_suffix(".c").unlink(missing_ok=True)
-        count += 1
-    with_rest = folder()
-    if with_rest.is_dir():
-        for path in with_rest.glob("*.new"):  # of a process that was killed
-            path.unlink(missing_ok=True)
-    return count
+    return len(found)
 
 
 def _sealed(content: bytes, key: str) -> bytes:
@@ -316,7 +315,7 @@ _lock = threading.Lock()
 
 
 def library(
-    key: str, versions: str, program: Callable[[], tuple[str, Callable[[int], str]]]
+    key: str, versions: str, program: Program
 ) -> Library | None:
     """Return the library of a model, compiled now or before; None without a compiler.
 
@@ -349,7 +348,7 @@ def library(
 
 
 def _load_or_compile(
-    compiler: Compiler, key: str, program: Callable[[], tuple[str, Callable[[int], str]]]
+    compiler: Compiler, key: str, program: Program
 ) -> Library:
     """Load a library from the cache, or make it and put it there."""
     path = folder() / f"{key}.so"
@@ -371,15 +370,3 @@ def _load_or_compile(
             stacklevel=2,
         )
         return Library(_store(Path(_private_folder().name), key, source, content))
-
-
-def origin_of(made: Any, shown: Callable[[Any], Any]) -> Callable[[int], str]:
-    """Return the function that says what a line of a program computes."""
-
-    def origin(line: int) -> str:
-        if line not in made.origins:
-            return ""
-        what, expression = made.origins[line]
-        return f"{what} = {shown(expression.together())}"
-
-    return origin

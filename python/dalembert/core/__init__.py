@@ -1,11 +1,9 @@
 """What all packages stand on: the C library, arguments, errors, callbacks, optional packages."""
 
-from . import arguments, extras, files, pointers
-from .arguments import Array
+from . import arguments, extras, files, functions, pointers
+from .arguments import Array, Pair
 from .callbacks import (
-    FUNCTIONS,
     Callables,
-    Observer,
     ignore,
     watching,
 )
@@ -18,18 +16,18 @@ from .errors import (
     SingularError,
     adopt,
     attempt,
+    call,
     check,
     failure,
     make,
+    verify,
     words,
 )
 from .handle import (
     KINDS,
-    MISSING,
-    MISSING_PHI_Q,
     Handle,
     Workspaces,
-    differenced,
+    first,
     require_system,
 )
 from .library import (
@@ -38,6 +36,7 @@ from .library import (
     doubles,
     ffi,
     lib,
+    members,
     pointer,
     residual_bound,
     string,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Pair = tuple[Array, Array]
 
 
 def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array:

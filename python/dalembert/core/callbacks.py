@@ -3,36 +3,36 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
-from .arguments import Array, returned, shown
-from .errors import DomainError, raised
+from .arguments import Array, Pair, returned, shown
+from .errors import DomainError, name_of, raised
+from .functions import FUNCTIONS, OUTPUTS, Function
+from .functions import shape as shape_of
 from .library import ffi, lib
 
 _from_handle, _buffer, _memmove = ffi.from_handle, ffi.buffer, ffi.memmove
 _frombuffer, _ndarray, _double = np.frombuffer, np.ndarray, np.dtype(np.float64)
 
-
-FUNCTIONS = (
-    "forms", "forms_velocity_derivative", "affine", "affine_derivative",
-    "constraint", "constraint_v", "constraint_q",
-    "potential", "gradient", "hessian",
-    "lagrangian", "lagrangian_q", "lagrangian_v", "lagrangian_qq", "lagrangian_vq", "lagrangian_vv",
-    "force", "force_q", "force_v",
-    "exact",
-)  # fmt: skip
+# The callbacks whose outputs are functions of the user, all of (q, v) or of (t, q, v).
+_PLAIN = ("lagrangian", "force", "nonlinear", "deformation")
 
 
 class Callables:
     """A user's functions, and the shapes of what they return, of n coordinates, m constraints."""
 
-    def __init__(self, n: int, m: int, **functions: Callable[..., Any] | None) -> None:
+    def __init__(self, n: int, m: int, **functions: Function | None) -> None:
         self.__dict__.update(functions)
         self.bytes = 8 * n
         self.vector, self.multipliers, self.matrix, self.square = (n,), (m,), (m, n), (n, n)
+        self.plain = {
+            callback: [(name, shape_of(x, n, m)) for x, name in OUTPUTS[callback].items()]
+            for callback in _PLAIN
+        }
 
 
 def _doubles(value: Any, shape: tuple[int, ...], name: str) -> Array:
@@ -44,6 +44,9 @@ def _doubles(value: Any, shape: tuple[int, ...], name: str) -> Array:
 
 def _write(target: Any, value: Any, shape: tuple[int, ...], name: str) -> None:
     """Copy what a callback returned to ``target``."""
+    if not shape and isinstance(value, float):
+        target[0] = value
+        return
     value = _doubles(value, shape, name)
     _memmove(target, value, value.nbytes)
 
@@ -54,20 +57,22 @@ def _remember(kind: type[BaseException], value: BaseException, traceback: Any) -
     return 1 if isinstance(value, DomainError) else lib.DAL_EUSER
 
 
+_trampoline = functools.partial(ffi.def_extern, error=lib.DAL_EUSER, onerror=_remember)
+
+
 # Time goes to forces and exact solutions alone: what C asks for phi_t or L_vt is declared to depend
 # on time, and no system of Python's functions is.
-
+#
 # The arrays that a user's function gets are copies, of the 24 bytes of a particle say, made as a
 # bytes object: that is as fast as a view of C's memory, cannot be written to, and may be kept.
 
 
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+@_trampoline()
 def dal_py_potential(t: float, q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     point = _frombuffer(_buffer(q, call.bytes)[:])
     if V:
-        value = call.potential(point)
-        V[0] = value if isinstance(value, float) else returned(value, (), "potential")
+        _write(V, call.potential(point), (), "potential")
     if V_q:
         _write(V_q, call.gradient(point), call.vector, "gradient")
     if V_qq:
@@ -75,45 +80,30 @@ def dal_py_potential(t: float, q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) ->
     return 0
 
 
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_lagrangian(
-    t: float, q: Any, v: Any, L: Any, L_q: Any, L_v: Any, L_qq: Any, L_vq: Any, L_vv: Any,
-    L_vt: Any, ctx: Any,
-) -> int:
-    call = _from_handle(ctx)
-    point = _frombuffer(_buffer(q, call.bytes)[:])
-    velocity = _frombuffer(_buffer(v, call.bytes)[:])
-    if L:
-        value = call.lagrangian(point, velocity)
-        L[0] = value if isinstance(value, float) else returned(value, (), "lagrangian")
-    vector, square = call.vector, call.square
-    outputs = (
-        ("q", L_q, vector), ("v", L_v, vector), ("qq", L_qq, square), ("vq", L_vq, square),
-        ("vv", L_vv, square),
-    )  # fmt: skip
-    for key, target, shape in outputs:
-        if target:
-            name = f"lagrangian_{key}"
-            _write(target, getattr(call, name)(point, velocity), shape, name)
-    return 0
+def _define(callback: str) -> None:
+    """Define the trampoline of a plain callback: (t, q, v, an address for each output, context)."""
+    is_timed = FUNCTIONS.get(callback) == "t, q, v"
+
+    def answer(t: float, q: Any, v: Any, *targets: Any) -> int:
+        call = _from_handle(targets[-1])
+        size = call.bytes
+        state = _frombuffer(_buffer(q, size)[:]), _frombuffer(_buffer(v, size)[:])
+        if is_timed:
+            state = t, *state
+        for (name, shape), target in zip(call.plain[callback], targets):
+            if target:
+                _write(target, getattr(call, name)(*state), shape, name)
+        return 0
+
+    _trampoline(f"dal_py_{callback}")(answer)
 
 
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_force(t: float, q: Any, v: Any, f: Any, f_q: Any, f_v: Any, ctx: Any) -> int:
-    call = _from_handle(ctx)
-    point = _frombuffer(_buffer(q, call.bytes)[:])
-    velocity = _frombuffer(_buffer(v, call.bytes)[:])
-    if f:
-        _write(f, call.force(t, point, velocity), call.vector, "force")
-    if f_q:
-        _write(f_q, call.force_q(t, point, velocity), call.square, "force_q")
-    if f_v:
-        _write(f_v, call.force_v(t, point, velocity), call.square, "force_v")
-    return 0
+for _callback in _PLAIN:
+    _define(_callback)
 
 
 # The core asks linear constraints for mu alone, and never for phi = mu v.
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+@_trampoline()
 def dal_py_linear(
     t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
 ) -> int:
@@ -132,7 +122,7 @@ def dal_py_linear(
     return 0
 
 
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+@_trampoline()
 def dal_py_affine(
     t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
 ) -> int:
@@ -154,40 +144,18 @@ def dal_py_affine(
     return 0
 
 
-def _constrain(call: Any, q: Any, v: Any, outputs: dict[str, Any]) -> int:
-    """Answer for m functions of (q, v), their derivatives by v and by q: names and targets."""
-    point = _frombuffer(_buffer(q, call.bytes)[:])
-    velocity = _frombuffer(_buffer(v, call.bytes)[:])
-    shapes = (call.multipliers, call.matrix, call.matrix)
-    for (name, target), shape in zip(outputs.items(), shapes, strict=True):
-        if target:
-            _write(target, getattr(call, name)(point, velocity), shape, name)
-    return 0
+def _halves(call: Callables, x: Any) -> Pair:
+    """Return q and v of a state."""
+    state = _buffer(x, 2 * call.bytes)[:]
+    return _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :])
 
 
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_nonlinear(
-    t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
-) -> int:
-    call = _from_handle(ctx)
-    return _constrain(call, q, v, {"constraint": phi, "constraint_v": phi_v, "constraint_q": phi_q})
-
-
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+@_trampoline()
 def dal_py_exact(t: float, x0: Any, x: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
-    state = _buffer(x0, 2 * call.bytes)[:]
-    values = call.exact(t, _frombuffer(state[: call.bytes]), _frombuffer(state[call.bytes :]))
+    values = call.exact(t, *_halves(call, x0))
     _write_several((x, x + call.vector[0]), values, call.vector, ("exact (q)", "exact (v)"))
     return 0
-
-
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
-def dal_py_deformation(
-    t: float, q: Any, v: Any, g: Any, g_v: Any, g_q: Any, g_t: Any, ctx: Any
-) -> int:
-    call = _from_handle(ctx)
-    return _constrain(call, q, v, {"g": g, "g_v": g_v, "g_q": g_q})
 
 
 _OF_MAP = ("map (g)", "map (f)")
@@ -211,7 +179,7 @@ def _write_several(
         _write(target, value, shape, what)
 
 
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+@_trampoline()
 def dal_py_map(
     h: float, q0: Any, q1: Any, g: Any, f: Any, g_0: Any, g_1: Any, f_0: Any, f_1: Any, ctx: Any
 ) -> int:
@@ -224,7 +192,7 @@ def dal_py_map(
     return 0
 
 
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+@_trampoline()
 def dal_py_watch(t: float, ctx: Any) -> int:
     _from_handle(ctx)(t)
     return 0
@@ -235,12 +203,12 @@ def ignore(t: float) -> None:
 
 
 @contextlib.contextmanager
-def watching(kind: str, one: Any, show: Callable[[float], Any] = ignore) -> Iterator[None]:
-    """Let Ctrl-C end what a ``dal_<kind>`` computes.
+def watching(one: Any, show: Callable[[float], Any] = ignore) -> Iterator[None]:
+    """Let Ctrl-C end what a C object computes.
 
     ``show(t)`` is called some times a second with the time where it is, or its steps.
     """
-    watch, context = getattr(lib, f"dal_{kind}_watch"), ffi.new_handle(show)
+    watch, context = getattr(lib, f"dal_{name_of(one)}_watch"), ffi.new_handle(show)
     watch(one, lib.dal_py_watch, context)
     try:
         yield
@@ -248,28 +216,13 @@ def watching(kind: str, one: Any, show: Callable[[float], Any] = ignore) -> Iter
         watch(one, ffi.NULL, ffi.NULL)
 
 
-class Observer:
-    """A user's observer of a run."""
-
-    __slots__ = ("bytes", "function")
-
-    def __init__(self, n: int, function: Callable[[int, float, Array, Array], Any]) -> None:
-        self.bytes, self.function = 8 * n, function
-
-    def see(self, step: int, t: float, q: Array, v: Array) -> bool:
-        """Show a state; return whether to stop."""
-        answer = self.function(step, t, q, v)
-        try:
-            return bool(answer)
-        except (TypeError, ValueError) as error:
-            raise ValueError(
-                f"observer has to return whether to stop, it returned {shown(answer)}"
-            ) from error
-
-
-@ffi.def_extern(error=lib.DAL_EUSER, onerror=_remember)
+@_trampoline()
 def dal_py_observer(step: int, t: float, x: Any, ctx: Any) -> int:
-    observer = _from_handle(ctx)
-    state = _buffer(x, 2 * observer.bytes)[:]
-    half = observer.bytes
-    return int(observer.see(step, t, _frombuffer(state[:half]), _frombuffer(state[half:])))
+    call = _from_handle(ctx)
+    answer = call.observer(step, t, *_halves(call, x))
+    try:
+        return bool(answer)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"observer has to return whether to stop, it returned {shown(answer)}"
+        ) from error

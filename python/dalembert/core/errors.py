@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from . import functions
 from .library import ffi, lib, pointer, string
 
 # ---- exceptions ----------------------------------------------------------------------------
@@ -98,38 +99,7 @@ _EXCEPTIONS: dict[int, type[Exception]] = {
     lib.DAL_EINVAL: ValueError,
     lib.DAL_ENOMEM: MemoryError,
     lib.DAL_EUNSUPPORTED: NotImplementedError,
-    lib.DAL_EDOMAIN: DomainError,
-    lib.DAL_ESINGULAR: SingularError,
-    lib.DAL_ENOCONV: ConvergenceError,
-    lib.DAL_EOFFD: NotOnConstraintError,
-}
-
-
-# What an output of a callback is called in Python; those of constraints, by the kind of these.
-_OUTPUTS = {
-    "V": "potential",
-    "V_q": "gradient[{column}]",
-    "V_qq": "hessian[{row},{column}]",
-    "L": "lagrangian",
-    "f": "force[{column}]",
-    **{f"L_{x}": f"lagrangian_{x}[{{column}}]" for x in "qv"},
-    **{f"L_{x}": f"lagrangian_{x}[{{row}},{{column}}]" for x in ("qq", "vq", "vv")},
-    **{f"f_{x}": f"force_{x}[{{row}},{{column}}]" for x in "qv"},
-}
-_OUTPUTS_OF_CONSTRAINTS = {
-    "linear": {
-        "phi_v": "forms[{row},{column}]",
-        "phi_q": "forms_velocity_derivative[{row},{column}]",
-    },
-    "affine": {
-        "phi": "(forms v + affine)[{column}]",
-        "phi_v": "forms[{row},{column}]",
-        "phi_q": "(forms_velocity_derivative + affine_derivative)[{row},{column}]",
-    },
-    "nonlinear": {
-        "phi": "constraint[{column}]",
-        **{f"phi_{x}": f"constraint_{x}[{{row}},{{column}}]" for x in "qv"},
-    },
+    **{x.status: x for x in (DomainError, SingularError, ConvergenceError, NotOnConstraintError)},
 }
 
 
@@ -178,6 +148,21 @@ def check(status: int, message: str = "", *, step: int | None = None) -> None:
         raise failure(status, message, step=step)
 
 
+def verify(
+    status: int, source: Any, kind: str = "linear", *, hint: str = "", **where: Any
+) -> None:
+    """As :func:`check`, with the words of a C object, see :func:`words`; step and t say where."""
+    if status < 0:
+        raise failure(status, words(source, kind) + hint, **where)
+
+
+def call(
+    kind: str, function: Callable[..., int], one: Any, *arguments: Any, step: int | None = None
+) -> None:
+    """Call a function of a C object, on a system with constraints of a kind."""
+    verify(attempt(function, one, *arguments), one, kind, step=step)
+
+
 def make(kind: str, *arguments: Any, owner: Any = None) -> Any:
     """Return a C object ``dal_<kind>`` from ``dal_<kind>_new(&object, *arguments, &error)``.
 
@@ -188,11 +173,8 @@ def make(kind: str, *arguments: Any, owner: Any = None) -> Any:
 
 def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None) -> Any:
     """As :func:`make`, for a constructor of another name."""
-    slot = ffi.new(f"dal_{kind} **")
-    error = ffi.new("dal_error *")
-    status = attempt(new, slot, *arguments, error)
-    if status < 0:
-        raise failure(status, words(error))
+    slot, error = ffi.new(f"dal_{kind} **"), ffi.new("dal_error *")
+    verify(attempt(new, slot, *arguments, error), error)
     free = getattr(lib, f"dal_{kind}_free")
 
     def release(handle: Any, _owner: Any = owner) -> None:
@@ -201,14 +183,23 @@ def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None
     return ffi.gc(slot[0], release)
 
 
-def words(error: Any, kind: str = "linear") -> str:
+def name_of(one: Any) -> str:
+    """Return what a C object is: ``chart`` for a ``dal_chart *``."""
+    name: str = ffi.typeof(one).item.cname
+    return name.split()[-1].removeprefix("dal_")
+
+
+def words(source: Any, kind: str = "linear") -> str:
     """Return the text of a ``dal_error``, with the names that users of Python gave.
 
-    ``kind`` is that of the constraints, whose functions it may be about.
+    The ``source`` is the record, or the C object that keeps it; ``kind`` is that of the
+    constraints, whose functions it may be about.
     """
-    text = ffi.string(error.text)
-    outputs = _OUTPUTS | _OUTPUTS_OF_CONSTRAINTS[kind]
-    if (output := string(error.output)) in outputs:
-        name = outputs[output].format(row=error.row, column=error.column)
-        text = text[: error.begin] + name.encode() + text[error.end :]
+    name = name_of(source)
+    error = source if name == "error" else getattr(lib, f"dal_{name}_error")(source)
+    text, names = ffi.string(error.text), functions.outputs(kind)
+    if (output := string(error.output)) in names:
+        index = ("", "[{column}]", "[{row},{column}]")[len(functions.shape(output, 1, 1))]
+        entry = names[output] + index.format(row=error.row, column=error.column)
+        text = text[: error.begin] + entry.encode() + text[error.end :]
     return text.decode("utf-8", "replace")

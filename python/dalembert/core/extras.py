@@ -11,6 +11,11 @@ from typing import Any
 from . import arguments
 
 
+# Whether a bar is wanted, or a function of what is done and of all.
+Progress = bool | Callable[[int, int], Any]
+Show = Callable[[int], Any]
+
+
 def require(module: str, purpose: str) -> Any:
     """Import a module of an extra.
 
@@ -52,8 +57,8 @@ def is_there(package: str) -> bool:
 
 @contextlib.contextmanager
 def progress(
-    wanted: bool | Callable[[int, int], Any], total: int, unit: str
-) -> Iterator[Callable[[int], Any]]:
+    wanted: Progress, total: int, unit: str
+) -> Iterator[Show]:
     """Give a function of how much is done that shows it: by a bar, to a function, or not at all.
 
     Raises

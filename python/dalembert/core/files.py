@@ -8,6 +8,7 @@ import os
 import secrets
 import shutil
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 
@@ -20,10 +21,17 @@ def require_writable(path: str | Path) -> None:
         return
     if not target.parent.is_dir():
         raise OSError(errno.ENOENT, f"there is no folder {target.parent}", str(target))
-    try:
+    with _naming(target):
         tempfile.TemporaryFile(dir=target.resolve().parent).close()
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let an OSError name this file."""
+    try:
+        yield
     except OSError as error:
-        raise OSError(error.errno, error.strerror, str(target)) from error
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def require_folder(path: str | Path) -> None:
@@ -31,10 +39,8 @@ def require_folder(path: str | Path) -> None:
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
         raise OSError(errno.ENOTDIR, "this is a file, expected the name of a folder", str(folder))
-    try:
+    with _naming(folder):
         require_writable((folder if folder.is_dir() else folder.parent) / "index.html")
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(folder)) from error
 
 
 def write(path: str | Path, text: str) -> None:
@@ -47,13 +53,11 @@ def write(path: str | Path, text: str) -> None:
     """
     target = Path(path)
     require_writable(target)
-    try:
+    with _naming(target):
         if _is_device(target):
             target.write_text(text, encoding="utf-8")
         else:
             _replace(target.resolve(), text)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(target)) from error
 
 
 def _replace(target: Path, text: str) -> None:

@@ -3,50 +3,33 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from .arguments import Array, shown
-from .errors import attempt, failure, make, words
+from .errors import call, make, verify
+from .functions import differenced
 from .library import Constant, doubles, ffi, lib, pointer, string
 
 # The kinds of constraints, by their names.
 KINDS = {"linear": lib.DAL_LINEAR, "affine": lib.DAL_AFFINE, "nonlinear": lib.DAL_NONLINEAR}
 
-# What each bit of dal_missing is called in Python; that of phi_q depends on the constraints.
-MISSING = {
-    lib.DAL_MISSING_V_Q: "gradient",
-    lib.DAL_MISSING_V_QQ: "hessian",
-    lib.DAL_MISSING_L_QQ: "lagrangian_qq",
-    lib.DAL_MISSING_L_VQ: "lagrangian_vq",
-    lib.DAL_MISSING_L_VV: "lagrangian_vv",
-    lib.DAL_MISSING_F_Q: "force_q",
-    lib.DAL_MISSING_F_V: "force_v",
-}
-MISSING_PHI_Q = {
-    "linear": ("forms_velocity_derivative",),
-    "affine": ("forms_velocity_derivative", "affine_derivative"),
-    "nonlinear": ("constraint_q",),
-}
 
-
-def differenced(bits: int, kind: str) -> tuple[str, ...]:
-    """Return the names of the derivatives in a sum of ``dal_missing``; kind of the constraints."""
-    names = tuple(name for bit, name in MISSING.items() if bits & bit)
-    return names + (MISSING_PHI_Q[kind] if bits & lib.DAL_MISSING_PHI_Q else ())
+def first(values: Array, single: bool) -> Any:
+    """Return rows, or of a single one the row itself, which may be a number."""
+    return values if not single else values[0] if values.ndim > 1 else float(values[0])
 
 
 class Workspaces:
-    """C objects ``dal_<kind>`` that belong to one call at a time.
+    """C objects that belong to one call at a time, of a system with constraints of a kind.
 
     Threads, and callbacks that come back, each get one of their own, so nobody waits.
     """
 
-    def __init__(self, kind: str, new: Callable[[], Any], constraints: str) -> None:
-        self._error = getattr(lib, f"dal_{kind}_error")
-        self._new, self._constraints = new, constraints
+    def __init__(self, new: Callable[[], Any], kind: str) -> None:
+        self._new, self._kind = new, kind
         self._free: list[Any] = []
 
     @contextlib.contextmanager
@@ -63,21 +46,39 @@ class Workspaces:
 
     def check(self, status: int, one: Any, step: int | None = None) -> None:
         """Raise the exception of a status of one of them, unless it is success."""
-        if status < 0:
-            raise failure(status, words(self._error(one), self._constraints), step=step)
+        verify(status, one, self._kind, step=step)
 
-    def call(self, function: Callable[..., int], *given: Any) -> None:
-        """Call ``function(one, *given)``."""
+    def call(self, function: Callable[..., int], *given: Any) -> Any:
+        """Call ``function(one, *given)``; a tuple stands for an array of this shape, see `rows`."""
+        arrays = _arrays(given, 1)
         with self.lend() as one:
-            self.check(attempt(function, one, *given), one)
+            call(self._kind, function, one, *arrays)
+        return _outputs(given, arrays, True)
 
-    def rows(self, function: Callable[..., int], *given: Any) -> None:
-        """Call ``function(one, *given)`` for each row of the arrays among what is given."""
+    def rows(self, function: Callable[..., int], single: bool, *given: Any) -> Any:
+        """Call ``function(one, *given)`` for each row of the arrays among what is given.
+
+        A tuple stands for an array that the function writes, with rows of this shape.  Returned
+        are these arrays, or the one that there is; without rows if there is a ``single`` one.
+        """
         count = next(len(x) for x in given if isinstance(x, np.ndarray))
+        arrays = _arrays(given, count)
         with self.lend() as one:
             for k in range(count):
-                row = (pointer(x, k) if isinstance(x, np.ndarray) else x for x in given)
-                self.check(attempt(function, one, *row), one, k)
+                row = (pointer(x, k) if isinstance(x, np.ndarray) else x for x in arrays)
+                call(self._kind, function, one, *row, step=k)
+        return _outputs(given, arrays, single)
+
+
+def _arrays(given: Sequence[Any], count: int) -> list[Any]:
+    """Return what is given, with arrays of so many rows for shapes."""
+    return [np.empty((count, *x)) if isinstance(x, tuple) else x for x in given]
+
+
+def _outputs(given: Sequence[Any], arrays: Sequence[Any], single: bool) -> Any:
+    """Return the arrays that stand for shapes, or the one that there is."""
+    made = [first(array, single) for x, array in zip(given, arrays) if isinstance(x, tuple)]
+    return made[0] if len(made) == 1 else tuple(made)
 
 
 class Handle(Constant):
@@ -125,7 +126,7 @@ class Handle(Constant):
             if array is not None:
                 array.flags.writeable = False
         self._mechanics = Workspaces(
-            "mechanics", lambda: make("mechanics", handle, owner=handle), self.kind
+            lambda: make("mechanics", handle, owner=handle), self.kind
         )
 
     @property

@@ -56,6 +56,11 @@ def doubles(address: Any, count: int) -> Array:
     return np.frombuffer(ffi.buffer(address, 8 * count)[:]).copy()
 
 
+def members(record: Any) -> dict[str, Any]:
+    """Return the members of a C record, which is given by its address."""
+    return {name: getattr(record, name) for name, _ in ffi.typeof(record).item.fields}
+
+
 def residual_bound(n: int) -> float:
     """Return 4 n u: a relative residual up to this is roundoff of n coordinates."""
     return 4 * n * ROUNDOFF

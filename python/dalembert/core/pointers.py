@@ -72,17 +72,17 @@ def _find(value: Any) -> tuple[Pointer, int | None] | None:
         return Pointer(address, value), None if told is None else len(told)
     if isinstance(value, _CData):
         kind = ffi.typeof(value) if _is_ours(value) else None
-        address = int(ffi.cast("uintptr_t", value))
         told = None if kind is None or kind.kind != "function" else kind.args
-        return Pointer(address, value), None if told is None else len(told)
+        return Pointer(_address(value), value), None if told is None else len(told)
     if type(value).__name__ == "CFunc" and isinstance(getattr(value, "address", None), int):
         return Pointer(value.address, value), len(value._sig.args)  # numba.cfunc
     if type(value).__name__ == "LowLevelCallable" and isinstance(value, tuple):
-        inner = _capsule(value) if _is_capsule(value.function) else _find(value.function)
-        if inner is None:
-            return None
-        pointer, arguments = inner
-        return Pointer(pointer.address, value, value.user_data), arguments
+        if _is_capsule(value.function):
+            name = value.signature.encode() if value.signature else None
+            return Pointer(_in_capsule(value.function, name), value, value.user_data), None
+        if inner := _find(value.function):
+            pointer, arguments = inner
+            return Pointer(pointer.address, value, value.user_data), arguments
     return None
 
 
@@ -102,12 +102,11 @@ def _is_capsule(value: Any) -> bool:
     return type(value).__name__ == "PyCapsule"
 
 
-def _capsule(value: Any) -> tuple[Pointer, None]:
-    """Return the C function of a LowLevelCallable that was made from a PyCapsule."""
+def _in_capsule(value: Any, name: bytes | None) -> int:
+    """Return the address in a PyCapsule."""
     pointer = ctypes.pythonapi.PyCapsule_GetPointer
     pointer.restype, pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-    signature = value.signature.encode() if value.signature else None
-    return Pointer(pointer(value.function, signature) or 0, value), None
+    return int(pointer(value, name) or 0)
 
 
 def numba_wanted() -> Any:
@@ -167,7 +166,5 @@ def _address(value: Any) -> int:
     if isinstance(value, ctypes._SimpleCData | ctypes._Pointer):
         return ctypes.cast(value, ctypes.c_void_p).value or 0
     if _is_capsule(value):
-        pointer = ctypes.pythonapi.PyCapsule_GetPointer
-        pointer.restype, pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-        return int(pointer(value, None) or 0)
+        return _in_capsule(value, None)
     raise ValueError(f"ctx = {value!r}: expected an array, an address, or a pointer")

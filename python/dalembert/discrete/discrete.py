@@ -14,15 +14,19 @@ equations.  A pair (q_{k-1}, q_k) belongs to the state (q, v) = rho(q_{k-1}, q_k
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry
-from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
+from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
+from ..core.functions import OfTimeTwo
+from ..geometry.mechanics import halves, vectors
 
 
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
 class DifferenceMap:
     """A finite difference map rho(q0, q1) = (g, f) for a step h (FDM).
 
@@ -57,65 +61,36 @@ class DifferenceMap:
     array([1.000417, 0.      , 0.      ])
     """
 
-    __slots__ = ("_beta", "_derivatives", "_map")
+    beta: float = 0.5
+    map: OfTimeTwo | None = field(default=None, kw_only=True)
+    derivatives: Callable[[float, Array, Array], tuple[ArrayLike, ...]] | None = field(
+        default=None, kw_only=True
+    )
 
-    def __init__(
-        self,
-        beta: float = 0.5,
-        *,
-        map: Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None = None,
-        derivatives: Callable[[float, Array, Array], tuple[ArrayLike, ...]] | None = None,
-    ) -> None:
-        arguments.function(map, "map")
-        arguments.function(derivatives, "derivatives")
-        if derivatives is not None and map is None:
+    def __post_init__(self) -> None:
+        arguments.function(self.map, "map")
+        arguments.function(self.derivatives, "derivatives")
+        if self.derivatives is not None and self.map is None:
             raise ValueError("derivatives without map(h, q0, q1) -> (g, f)")
-        beta = arguments.number(beta, "beta")
+        beta = arguments.number(self.beta, "beta")
         if not 0 <= beta <= 1:
             raise ValueError(f"beta = {beta}: expected a number in [0, 1]")
-        self._beta, self._map, self._derivatives = beta, map, derivatives
-
-    @property
-    def beta(self) -> float:
-        """Where between the nodes g lies."""
-        return self._beta
-
-    @property
-    def map(self) -> Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None:
-        """The map of the user's own; None for rho^beta."""
-        return self._map
-
-    @property
-    def derivatives(self) -> Callable[[float, Array, Array], tuple[ArrayLike, ...]] | None:
-        """The derivatives of `map`; None where they are differenced."""
-        return self._derivatives
+        object.__setattr__(self, "beta", beta)
 
     def __repr__(self) -> str:
-        name = getattr(self._map, "__name__", self._map)
-        own = "" if self._map is None else f", map = {name}"
-        return f"<DifferenceMap beta = {self._beta:g}{own}>"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _restore_map, (self._beta, self._map, self._derivatives)
+        name = getattr(self.map, "__name__", self.map)
+        own = "" if self.map is None else f", map = {name}"
+        return f"<DifferenceMap beta = {self.beta:g}{own}>"
 
     def _definition(self, n: int) -> tuple[Any, Any]:
         """Return a ``dal_difference_map *`` for n coordinates, and what it needs to stay alive."""
-        if self._map is None:
-            return ffi.new("dal_difference_map *", {"beta": self._beta}), None
-        callables = core.Callables(n, 0, map=self._map, derivatives=self._derivatives)
-        context = ffi.new_handle(callables)
-        definition = {
-            "beta": self._beta,
-            "map": lib.dal_py_map,
-            "differenced": int(self._derivatives is None),
-            "ctx": context,
-        }
-        return ffi.new("dal_difference_map *", definition), (callables, context)
-
-
-def _restore_map(beta: float, map: Any, derivatives: Any) -> DifferenceMap:
-    """Make a map again from its parts."""
-    return DifferenceMap(beta, map=map, derivatives=derivatives)
+        definition = ffi.new("dal_difference_map *", {"beta": self.beta})
+        if self.map is None:
+            return definition, None
+        callables = core.Callables(n, 0, map=self.map, derivatives=self.derivatives)
+        definition.map, definition.differenced = lib.dal_py_map, self.derivatives is None
+        definition.ctx = context = ffi.new_handle(callables)
+        return definition, (callables, context)
 
 
 class Regularity(NamedTuple):
@@ -209,26 +184,23 @@ class Discrete(core.Constant):
         ]
         handle, records = system._handle, [record for record, _ in definitions]
         self._discretes = Workspaces(
-            "discrete",
             lambda: core.make("discrete", handle, *records, owner=(handle, definitions)),
             system.kind,
         )
         with self._discretes.lend():
             pass
 
-    def _call(self, function: Callable[..., int], *outputs: Any, **given: Any) -> None:
-        """Call a C function of numbers t and h and of nodes, which are given by their names."""
-        n = self.system.n
-        self._discretes.call(
-            function,
-            *(
-                arguments.number(x, name)
-                if name in ("t", "h")
-                else arguments.array(x, name, (n,))
-                for name, x in given.items()
-            ),
-            *outputs,
+    def _call(self, function: Callable[..., int], *outputs: Any, **given: Any) -> Any:
+        """Call a C function of numbers t and h and of nodes, which are given by their names.
+
+        Return its outputs, which are given by their shapes.
+        """
+        shape = (self.system.n,)
+        checked = (
+            arguments.number(x, name) if name in ("t", "h") else arguments.array(x, name, shape)
+            for name, x in given.items()
         )
+        return self._discretes.call(function, *checked, *outputs)
 
     def __repr__(self) -> str:
         lagrangian, constraint = self.maps
@@ -241,7 +213,7 @@ class Discrete(core.Constant):
 
     # ---- nodes and states ------------------------------------------------------------------
 
-    def state(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
+    def state(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Pair:
         """Return the state (q, v) of a pair of nodes by the map of D_d (roloc).
 
         Parameters
@@ -265,11 +237,10 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle(), 0.5).state(0.5, [0, 1, 0], [1, 1, 1])
         (array([0.5, 1. , 0.5]), array([2., 0., 2.]))
         """
-        x = np.empty((2, self.system.n))
-        self._call(lib.dal_discrete_state, x, h=h, q0=q0, q1=q1)
-        return x[0], x[1]
+        q, v = self._call(lib.dal_discrete_state, (2, self.system.n), h=h, q0=q0, q1=q1)
+        return q, v
 
-    def nodes(self, h: float, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    def nodes(self, h: float, q: ArrayLike, v: ArrayLike) -> Pair:
         """Return the pair of nodes of a state, by the inverse of the map of D_d.
 
         A state in D gives a pair of D_d.
@@ -297,11 +268,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle(), 0.0).nodes(0.5, [0, 1, 0], [1, 1, 1])
         (array([0., 1., 0.]), array([0.5, 1.5, 0.5]))
         """
-        n = self.system.n
-        x = np.concatenate(_pair(self.system, q=q, v=v))
-        q0, q1 = np.empty((2, n))
-        self._call(lib.dal_discrete_nodes, x, q0, q1, t=0.0, h=h)
-        return q0, q1
+        x, shape = np.concatenate(vectors(self.system, q=q, v=v)), (self.system.n,)
+        return self._call(lib.dal_discrete_nodes, x, shape, shape, t=0.0, h=h)
 
     # ---- the discrete Lagrangian and constraint ----------------------------------------------
 
@@ -329,9 +297,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle()).lagrangian(0.5, [0, 1, 0], [1, 1, 1])
         2.0
         """
-        value = np.empty(1)
-        self._call(lib.dal_discrete_lagrangian, value, *[ffi.NULL] * 3, t=0.0, h=h, q0=q0, q1=q1)
-        return float(value[0])
+        outputs = ((), ffi.NULL, ffi.NULL, ffi.NULL)
+        return self._call(lib.dal_discrete_lagrangian, *outputs, t=0.0, h=h, q0=q0, q1=q1)
 
     def lagrangian_derivatives(
         self, h: float, q0: ArrayLike, q1: ArrayLike
@@ -363,10 +330,8 @@ class Discrete(core.Constant):
         array([2., 0., 2.])
         """
         n = self.system.n
-        D1, D2 = np.empty((2, n))
-        D12 = np.empty((n, n))
-        self._call(lib.dal_discrete_lagrangian, ffi.NULL, D1, D2, D12, t=0.0, h=h, q0=q0, q1=q1)
-        return D1, D2, D12
+        outputs = (ffi.NULL, (n,), (n,), (n, n))
+        return self._call(lib.dal_discrete_lagrangian, *outputs, t=0.0, h=h, q0=q0, q1=q1)
 
     def constraint(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Array:
         """Return phi_d(q0, q1), which is zero for a pair of D_d (DiscNHSet).
@@ -392,11 +357,10 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle()).constraint(0.5, [0, 1, 0], [1, 1, 2])
         array([2.])
         """
-        phi = np.empty(self.system.m)
-        self._call(lib.dal_discrete_constraint, phi, ffi.NULL, ffi.NULL, t=0.0, h=h, q0=q0, q1=q1)
-        return phi
+        outputs = ((self.system.m,), ffi.NULL, ffi.NULL)
+        return self._call(lib.dal_discrete_constraint, *outputs, t=0.0, h=h, q0=q0, q1=q1)
 
-    def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> tuple[Array, Array]:
+    def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Pair:
         """Return D_1 phi_d and D_2 phi_d.
 
         Parameters
@@ -421,13 +385,12 @@ class Discrete(core.Constant):
         >>> discrete.constraint_derivatives(0.5, [0, 1, 0], [1, 1, 2])[1]
         array([[-2., -1.,  2.]])
         """
-        D1, D2 = np.empty((2, self.system.m, self.system.n))
-        self._call(lib.dal_discrete_constraint, ffi.NULL, D1, D2, t=0.0, h=h, q0=q0, q1=q1)
-        return D1, D2
+        outputs = (ffi.NULL, *[(self.system.m, self.system.n)] * 2)
+        return self._call(lib.dal_discrete_constraint, *outputs, t=0.0, h=h, q0=q0, q1=q1)
 
     def momenta(
         self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0
-    ) -> tuple[Array, Array]:
+    ) -> Pair:
         """Return the discrete Legendre transforms p^- = -D_1 L_d and p^+ = D_2 L_d.
 
         Along an orbit p^-(q_k, q_{k+1}) - p^+(q_{k-1}, q_k) = h mu(q_k)^T lambda_{k+1}.
@@ -456,9 +419,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(dal.systems.particle()).momenta(0.5, [0, 1, 0], [1, 1, 1])
         (array([2., 0., 2.]), array([2., 0., 2.]))
         """
-        minus, plus = np.empty((2, self.system.n))
-        self._call(lib.dal_discrete_momenta, minus, plus, t=t, h=h, q0=q0, q1=q1)
-        return minus, plus
+        shape = (self.system.n,)
+        return self._call(lib.dal_discrete_momenta, shape, shape, t=t, h=h, q0=q0, q1=q1)
 
     def momentum(
         self,
@@ -501,10 +463,8 @@ class Discrete(core.Constant):
         >>> dal.Discrete(particle).momentum(0.5, [0, 1, 0], [1, 2, 1], y, y)
         (2.0, 2.0)
         """
-        minus, plus = np.empty((2, 1))
         nodes = {"q0": q0, "q1": q1, "xi0": xi0, "xi1": xi1}
-        self._call(lib.dal_discrete_momentum, minus, plus, t=t, h=h, **nodes)
-        return float(minus[0]), float(plus[0])
+        return self._call(lib.dal_discrete_momentum, (), (), t=t, h=h, **nodes)
 
     # ---- the discrete equations --------------------------------------------------------------
 
@@ -548,10 +508,9 @@ class Discrete(core.Constant):
         array([-0.125,  0.   ,  0.125,  0.   ])
         """
         forces = arguments.array(multipliers, "multipliers", (self.system.m,))
-        residual = np.empty(self.system.n + self.system.m)
+        shape = (self.system.n + self.system.m,)
         nodes = {"q_before": q_before, "q": q, "q_after": q_after}
-        self._call(lib.dal_discrete_residual, forces, residual, t=t, h=h, **nodes)
-        return residual
+        return self._call(lib.dal_discrete_residual, forces, shape, t=t, h=h, **nodes)
 
     def regularity(self, h: float, q: ArrayLike, q_after: ArrayLike, t: float = 0.0) -> Regularity:
         """Return the matrix that has to be invertible where q_after is to be found.
@@ -585,15 +544,13 @@ class Discrete(core.Constant):
         >>> discrete.regularity(0.5, [0, -1, 0], [1, 1, 0]).sign
         0
         """
-        size = self.system.n + self.system.m
-        matrix = np.empty((size, size))
-        sign = ffi.new("int *")
-        logarithm, condition = np.empty((2, 1))
-        outputs = (matrix, sign, logarithm, condition)
-        self._call(lib.dal_discrete_regularity, *outputs, t=t, h=h, q=q, q_after=q_after)
-        return Regularity(matrix, int(sign[0]), float(logarithm[0]), float(condition[0]))
+        size, sign = self.system.n + self.system.m, ffi.new("int *")
+        matrix, *logarithm_and_condition = self._call(
+            lib.dal_discrete_regularity, (size, size), sign, (), (), t=t, h=h, q=q, q_after=q_after
+        )
+        return Regularity(matrix, int(sign[0]), *logarithm_and_condition)
 
-    def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> tuple[Array, Array]:
+    def step(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> Pair:
         """Return the node after the pair (q0, q1), and the multipliers (NHFlow).
 
         The pair need not lie in D_d; the new one does.
@@ -628,10 +585,9 @@ class Discrete(core.Constant):
         >>> q2
         array([2., 1., 2.])
         """
-        pair = np.array(_pair(self.system, q0=q0, q1=q1))
-        multipliers = np.empty(self.system.m)
-        self._call(lib.dal_discrete_step, pair[0], pair[1], multipliers, t=t, h=h)
-        return pair[1], multipliers
+        before, after = np.array(vectors(self.system, q0=q0, q1=q1))
+        multipliers = (self.system.m,)
+        return after, self._call(lib.dal_discrete_step, before, after, multipliers, t=t, h=h)
 
     def run(
         self, h: float, q0: ArrayLike, q1: ArrayLike, *, steps: int, t0: float = 0.0
@@ -673,7 +629,7 @@ class Discrete(core.Constant):
         h = arguments.step_size(h, t0)
         steps = arguments.integer(steps, "steps", 0)
         nodes = np.empty((steps + 2, self.system.n))
-        nodes[:2] = _pair(self.system, q0=q0, q1=q1)
+        nodes[:2] = vectors(self.system, q0=q0, q1=q1)
         multipliers = np.empty((steps, self.system.m))
         done = ffi.new("size_t *")
         most = geometry.most_in_a_call(self.system)
@@ -721,11 +677,9 @@ class Discrete(core.Constant):
         >>> q
         array([1., 1., 1.])
         """
-        n = self.system.n
-        x = np.concatenate(_pair(self.system, q=q, v=v))
-        multipliers = np.empty(self.system.m)
-        self._call(lib.dal_discrete_advance, x, multipliers, t=t, h=h)
-        return x[:n].copy(), x[n:].copy(), multipliers
+        x = np.concatenate(vectors(self.system, q=q, v=v))
+        multipliers = self._call(lib.dal_discrete_advance, x, (self.system.m,), t=t, h=h)
+        return *halves(x), multipliers
 
 
 def _difference_map(value: Any, name: str) -> DifferenceMap:
@@ -739,10 +693,6 @@ def _difference_map(value: Any, name: str) -> DifferenceMap:
         ) from None
 
 
-def _pair(system: Handle, **given: ArrayLike) -> list[Array]:
-    return [arguments.array(x, name, (system.n,)) for name, x in given.items()]
-
-
 def exact_velocity(
     system: Handle,
     h: float,
@@ -751,7 +701,7 @@ def exact_velocity(
     *,
     t0: float = 0.0,
     tolerance: float = 1e-13,
-) -> tuple[Array, Array]:
+) -> Pair:
     """Return the velocity that leads from q0 to q1 in time h, and how far it misses across D.
 
     The exact discrete constraint D_d^E consists of the pairs (q0, q(h)) of solutions in D.  For
@@ -796,10 +746,9 @@ def exact_velocity(
     require_system(system)
     h, t0 = arguments.number(h, "h"), arguments.number(t0, "t0")
     tolerance = arguments.tolerance(tolerance)
-    q0, q1 = _pair(system, q0=q0, q1=q1)
+    q0, q1 = vectors(system, q0=q0, q1=q1)
     flow = system._c("flow", lib.DAL_FLOW_RK8PD, lib.DAL_FLOW_X, tolerance)
     v0, defect = np.empty(system.n), np.empty(system.m)
-    with core.watching("flow", flow):
-        status = core.attempt(lib.dal_exact_velocity, flow, t0, h, q0, q1, v0, defect)
-    core.check(status, core.words(lib.dal_flow_error(flow), system.kind))
+    with core.watching(flow):
+        core.call(system.kind, lib.dal_exact_velocity, flow, t0, h, q0, q1, v0, defect)
     return v0, defect

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import Array, Handle, Workspaces, arguments, ffi, lib, require_system
+from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
 from . import mechanics
 
 __all__ = ["Chart", "cutoff"]
@@ -84,7 +84,7 @@ class Chart(core.Constant):
         self.system = system
         self._x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
         self._width = 2 * system.n - system.m
-        self._charts = Workspaces("chart", self._new, system.kind)
+        self._charts = Workspaces(self._new, system.kind)
         self._place = ffi.NULL
         if dependent is not None:
             self._place = ffi.new("size_t[]", _indices(system, dependent))
@@ -104,21 +104,26 @@ class Chart(core.Constant):
 
     def _choose(self, chart: Any) -> None:
         """Make the choice of this chart that of a ``dal_chart``."""
-        status = core.attempt(lib.dal_chart_choose, chart, 0.0, self._place, self._x)
-        self._charts.check(status, chart)
-
-    def _states(self, q: ArrayLike, v: ArrayLike | None) -> tuple[Array, bool]:
-        return mechanics.states(self.system, q, np.zeros(np.shape(q)) if v is None else v)
+        core.call(self.system.kind, lib.dal_chart_choose, chart, 0.0, self._place, self._x)
 
     def _coordinates(self, xi: ArrayLike) -> tuple[Array, bool]:
         """Return the rows xi, shape (N, 2n-m), always a copy, and whether it was a single one."""
         given = arguments.array(xi, "xi", (self._width,), (None, self._width))
         return np.atleast_2d(given).copy(), given.ndim == 1
 
-    def _halves(self, x: Array, single: bool) -> tuple[Array, Array]:
-        n = self.system.n
-        q, v = x[:, :n].copy(), x[:, n:].copy()
-        return (q[0], v[0]) if single else (q, v)
+    def _of_states(
+        self, function: Callable[..., int], q: ArrayLike, v: ArrayLike | None, *outputs: Any
+    ) -> Any:
+        """Return what a function writes for each state, see `Workspaces.rows`."""
+        x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
+        return self._charts.rows(function, single, 0.0, x, *outputs)
+
+    def _of_coordinates(
+        self, function: Callable[..., int], xi: ArrayLike, *outputs: Any, t: float = 0.0
+    ) -> Any:
+        """Return what a function writes for each row of coordinates."""
+        rows, single = self._coordinates(xi)
+        return self._charts.rows(function, single, arguments.number(t, "t"), rows, *outputs)
 
     # ---- the connection ------------------------------------------------------------------
 
@@ -146,7 +151,8 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").A([0, 3, 0])
         array([[-3.,  0.]])
         """
-        return self._connection(q, v, 0, self.system.n - self.system.m)
+        n, m = self.system.n, self.system.m
+        return self._of_states(lib.dal_chart_connection, q, v, (m, n - m), ffi.NULL)
 
     def B(self, q: ArrayLike, v: ArrayLike | None = None) -> Array:
         """Return B = mu[:, dependent].
@@ -172,15 +178,8 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), [0, 3, 0], dependent="x").B([0, 3, 0])
         array([[-3.]])
         """
-        return self._connection(q, v, 1, self.system.m)
-
-    def _connection(self, q: ArrayLike, v: ArrayLike | None, which: int, columns: int) -> Array:
-        x, single = self._states(q, v)
-        values = np.empty((len(x), self.system.m * columns))
-        outputs = (values, ffi.NULL) if which == 0 else (ffi.NULL, values)
-        self._charts.rows(lib.dal_chart_connection, 0.0, x, *outputs)
-        matrices = values.reshape(len(x), self.system.m, columns)
-        return matrices[0] if single else matrices
+        m = self.system.m
+        return self._of_states(lib.dal_chart_connection, q, v, ffi.NULL, (m, m))
 
     def condition(self, q: ArrayLike, v: ArrayLike | None = None) -> Any:
         """Return how much larger v can be than v_independent, in the units 1/sqrt(M_ii).
@@ -209,10 +208,7 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").condition([0, 0.75, 0])
         1.25
         """
-        x, single = self._states(q, v)
-        values = np.empty(len(x))
-        self._charts.rows(lib.dal_chart_condition, 0.0, x, values)
-        return float(values[0]) if single else values
+        return self._of_states(lib.dal_chart_condition, q, v, ())
 
     def renewed(self, q: ArrayLike, v: ArrayLike | None = None) -> Chart:
         """Return a chart that is well conditioned at (q, v): this one where it is.
@@ -246,13 +242,10 @@ class Chart(core.Constant):
         ('x',)
         """
         system = self.system
-        q = arguments.array(q, "q", (system.n,))
-        v = np.zeros(system.n) if v is None else arguments.array(v, "v", (system.n,))
+        q, v = mechanics.vectors(system, q=q, v=np.zeros(system.n) if v is None else v)
+        changed, chart = ffi.new("int *"), self._new()
         x = np.concatenate([q, v])
-        changed = ffi.new("int *")
-        chart = self._new()
-        status = core.attempt(lib.dal_chart_renew, chart, 0.0, x, changed)
-        self._charts.check(status, chart)
+        core.call(system.kind, lib.dal_chart_renew, chart, 0.0, x, changed)
         if changed[0]:
             _log.info("%s", core.string(lib.dal_chart_error(chart).text))
         elif system.kind != "nonlinear":
@@ -260,7 +253,7 @@ class Chart(core.Constant):
         found = lib.dal_chart_dependent(chart)
         return Chart(system, q, v, [system.coordinates[found[a]] for a in range(system.m)])
 
-    def split(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    def split(self, q: ArrayLike, v: ArrayLike) -> Pair:
         """Return v = hor + ver: hor is in D, and ver is zero in the independent components.
 
         Parameters
@@ -282,14 +275,12 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").split([0, 1, 0], [2, 1, 5])
         (array([2., 1., 2.]), array([0., 0., 3.]))
         """
-        x, single = self._states(q, v)
-        hor, ver = np.empty((2, len(x), self.system.n))
-        self._charts.rows(lib.dal_chart_split, 0.0, x, hor, ver)
-        return (hor[0], ver[0]) if single else (hor, ver)
+        n = self.system.n
+        return self._of_states(lib.dal_chart_split, q, v, (n,), (n,))
 
     # ---- psi -----------------------------------------------------------------------------
 
-    def lift(self, xi: ArrayLike) -> tuple[Array, Array]:
+    def lift(self, xi: ArrayLike) -> Pair:
         """Return the state psi(xi), which lies in D to roundoff (Embedd).
 
         Parameters
@@ -311,10 +302,8 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").lift([0, 2, 0, 1, 1])
         (array([0., 2., 0.]), array([1., 1., 2.]))
         """
-        xi, single = self._coordinates(xi)
-        x = np.empty((len(xi), 2 * self.system.n))
-        self._charts.rows(lib.dal_chart_lift, 0.0, xi, x)
-        return self._halves(x, single)
+        x = self._of_coordinates(lib.dal_chart_lift, xi, (2 * self.system.n,))
+        return mechanics.halves(x)
 
     def drop(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return xi = (q, v_independent).
@@ -338,10 +327,8 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").drop([0, 2, 0], [1, 1, 2])
         array([0., 2., 0., 1., 1.])
         """
-        x, single = self._states(q, v)
-        xi = np.empty((len(x), self._width))
-        self._charts.rows(lib.dal_chart_drop, x, xi)
-        return xi[0] if single else xi
+        x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
+        return self._charts.rows(lib.dal_chart_drop, single, x, (self._width,))
 
     def jacobian(self, xi: ArrayLike) -> Array:
         """Return d(q, v)/dxi of `lift` (EhresJota).
@@ -365,11 +352,8 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").jacobian([0, 2, 0, 3, 1])[5]
         array([0., 3., 0., 2., 0.])
         """
-        xi, single = self._coordinates(xi)
-        values = np.empty((len(xi), 2 * self.system.n * self._width))
-        self._charts.rows(lib.dal_chart_jacobian, 0.0, xi, values, ffi.NULL)
-        matrices = values.reshape(len(xi), 2 * self.system.n, self._width)
-        return matrices[0] if single else matrices
+        shape = (2 * self.system.n, self._width)
+        return self._of_coordinates(lib.dal_chart_jacobian, xi, shape, ffi.NULL)
 
     @property
     def left_inverse(self) -> Array:
@@ -403,11 +387,7 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").field([0, 1, 0, 1, 1])
         array([ 1. ,  1. ,  1. , -0.5,  0. ])
         """
-        xi, single = self._coordinates(xi)
-        t = arguments.number(t, "t")
-        values = np.empty_like(xi)
-        self._charts.rows(lib.dal_chart_field, t, xi, values)
-        return values[0] if single else values
+        return self._of_coordinates(lib.dal_chart_field, xi, (self._width,), t=t)
 
     def multipliers(
         self, q: ArrayLike, v: ArrayLike, multipliers: ArrayLike | None = None, t: float = 0.0
@@ -473,16 +453,14 @@ class Chart(core.Constant):
     def _frame(
         self, function: Callable[..., int], q: ArrayLike, v: ArrayLike, multipliers: ArrayLike
     ) -> Array:
-        x, single = self._states(q, v)
-        shape = (self.system.m,) if single else (len(x), self.system.m)
-        given = np.atleast_2d(arguments.array(multipliers, "multipliers", shape))
-        values = np.empty_like(given)
-        self._charts.rows(function, 0.0, x, given, values)
-        return values[0] if single else values
+        m = self.system.m
+        x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
+        given = mechanics.beside(x, single, multipliers, "multipliers", m)
+        return self._charts.rows(function, single, 0.0, x, given, (m,))
 
     def step(
         self, xi: ArrayLike, h: float, beta: float = 0.5, t: float = 0.0
-    ) -> tuple[Array, Array]:
+    ) -> Pair:
         """Return xi after one step of the beta-scheme with moved nodes, and its multiplier.
 
         The multiplier is eliminated from the equations, as in the decompositions that follow
@@ -518,13 +496,12 @@ class Chart(core.Constant):
         """
         xi, single = self._coordinates(xi)
         h, beta, t = (arguments.number(*pair) for pair in ((h, "h"), (beta, "beta"), (t, "t")))
-        values = np.empty((len(xi), self.system.m))
-        self._charts.rows(lib.dal_chart_step, t, beta, h, xi, values)
-        return (xi[0], values[0]) if single else (xi, values)
+        made = self._charts.rows(lib.dal_chart_step, single, t, beta, h, xi, (self.system.m,))
+        return core.first(xi, single), made
 
     def curve(
         self, q1: ArrayLike, v1: ArrayLike, q2: ArrayLike, v2: ArrayLike, tau: ArrayLike
-    ) -> tuple[Array, Array]:
+    ) -> Pair:
         """Return psi(chi_0(tau) xi1 + chi_1(tau) xi2), a curve in D (yD, InterpolationD).
 
         It goes from (q1, v1) for tau <= 0 to (q2, v2) for tau >= 1, with all derivatives zero at
@@ -553,19 +530,17 @@ class Chart(core.Constant):
         (array([2., 2., 1.]), array([1., 2., 2.]))
         """
         n = self.system.n
-        given = ((q1, "q1"), (v1, "v1"), (q2, "q2"), (v2, "v2"))
-        ends = np.concatenate([arguments.array(value, name, (n,)) for value, name in given])
+        ends = np.concatenate(mechanics.vectors(self.system, q1=q1, v1=v1, q2=q2, v2=v2))
         times = arguments.array(tau, "tau", (), (None,))
-        x = np.empty((times.size, 2 * n))
+        x = np.empty((*times.shape, 2 * n))
         first, second = core.pointer(ends), core.pointer(ends) + 2 * n
         with self._charts.lend() as chart:
-            for k, each in enumerate(times.flat):
-                row = core.pointer(x, k)
-                status = core.attempt(
-                    lib.dal_chart_curve, chart, 0.0, first, second, float(each), row
-                )
-                self._charts.check(status, chart, k)
-        return self._halves(x, times.ndim == 0)
+            for k, (each, row) in enumerate(zip(times.flat, x.reshape(-1, 2 * n))):
+                core.call(
+                    self.system.kind, lib.dal_chart_curve, chart, 0.0, first, second, float(each),
+                    row, step=k,
+                )  # fmt: skip
+        return mechanics.halves(x)
 
     def __reduce__(self) -> tuple[Any, ...]:
         n = self.system.n
@@ -611,16 +586,10 @@ def _indices(system: Handle, dependent: str | Iterable[str]) -> list[int]:
     """Return the places of m names of coordinates."""
     names = [dependent] if isinstance(dependent, str) else dependent
     names = arguments.names(names, "dependent", f"m = {system.m} names of coordinates")
-    unknown = [name for name in names if name not in system.coordinates]
-    if unknown:
-        raise ValueError(
-            f"dependent: there is no coordinate {arguments.shown(unknown[0])}; "
-            f"{arguments.suggestion(unknown[0], system.coordinates)}there are "
-            f"{', '.join(system.coordinates)}"
-        )
+    places = [mechanics.place(system, name, "dependent") for name in names]
     if len(names) != system.m:
         raise ValueError(
             f"dependent = {names!r}: expected m = {system.m} names of coordinates, one for each "
             "constraint"
         )
-    return [system.coordinates.index(name) for name in names]
+    return places

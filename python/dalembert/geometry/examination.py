@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import Handle, ffi, lib
+from ..core import Handle, ffi, functions, lib
 from . import mechanics
 
 DERIVATIVES = (
     "V_q", "V_qq", "L_q", "L_v", "L_qq", "L_vq", "L_vv", "f_q", "f_v", "phi_v", "phi_q",
 )  # fmt: skip
+
+
+NUMBERS = ("linearity", "rank", "condition", "mass_min", "kernel_min", "residual", "curvature")
 
 
 @dataclass(frozen=True)
@@ -51,16 +54,8 @@ class Difference:
     @classmethod
     def read(cls, found: Any) -> Difference:
         """Return the comparison of a ``dal_difference``."""
-        return cls(
-            error=found.error,
-            given=found.given,
-            expected=found.expected,
-            row=int(found.row),
-            column=int(found.column),
-            checked=bool(found.checked),
-            wrong=bool(found.wrong),
-            unjudged=int(found.unjudged),
-        )
+        truth = {name: bool(getattr(found, name)) for name in ("checked", "wrong")}
+        return cls(**core.members(found) | truth)
 
     def __str__(self) -> str:
         left = f"{self.unjudged} not judged: differences do not converge" if self.unjudged else ""
@@ -212,33 +207,23 @@ class Check:
 
     def _derivatives(self) -> list[tuple[str, Difference]]:
         """Return the derivatives that a system of this kind may have."""
-        found = [("gradient (V_q)", self.V_q), ("hessian (V_qq)", self.V_qq)]
-        if self.general:
-            names = ("L_q", "L_v", "L_qq", "L_vq", "L_vv")
-            found = [(f"lagrangian{name[1:]} ({name})", getattr(self, name)) for name in names]
-        if self.forced:
-            found += [("force_q (f_q)", self.f_q), ("force_v (f_v)", self.f_v)]
-        if self.kind == "nonlinear":
-            return [
-                *found,
-                ("constraint_v (phi_v)", self.phi_v),
-                ("constraint_q (phi_q)", self.phi_q),
-            ]
-        if self.kind == "affine":
-            found.append(("forms (phi_v)", self.phi_v))
-        return [*found, ("d(mu v)/dq (phi_q)" if self.kind == "linear" else "phi_q", self.phi_q)]
+        wanted = ["L_q", "L_v", "L_qq", "L_vq", "L_vv"] if self.general else ["V_q", "V_qq"]
+        wanted += ["f_q", "f_v"] * self.forced + ["phi_v"] * (self.kind != "linear")
+        names = functions.outputs(self.kind)
+        found = [(f"{names[output]} ({output})", getattr(self, output)) for output in wanted]
+        last = {"linear": "d(mu v)/dq (phi_q)", "affine": "phi_q"}
+        return [*found, (last.get(self.kind, "constraint_q (phi_q)"), self.phi_q)]
 
 
 def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
     """Return what the core finds at a state; see `System.check`."""
     x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
-    report = ffi.new("dal_check *")
-    error = ffi.new("dal_error *")
-    status = core.attempt(lib.dal_system_check, system._handle, 0.0, core.pointer(x), report, error)
-    finding = report.finding
+    report, error = ffi.new("dal_check *"), ffi.new("dal_error *")
+    status = core.attempt(lib.dal_system_check, system._handle, 0.0, x, report, error)
+    finding = ffi.addressof(report, "finding")
     # A callback that is not finite is a finding; an exception of the user's is not.
     if status < 0 and not (status == lib.DAL_EDOMAIN and core.string(finding.text)):
-        raise core.failure(status, core.words(error, system.kind))
+        core.verify(status, error, system.kind)
     is_summary = core.string(finding.output) == "D"
     on_D = ffi.string(finding.text)[finding.begin :] if is_summary else b""
     return Check(
@@ -246,14 +231,8 @@ def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
         kind=system.kind,
         general=system.mass is None,
         forced=system.is_forced,
-        **{name: Difference.read(getattr(report, name)) for name in DERIVATIVES},
-        linearity=report.linearity,
-        rank=int(report.rank),
-        condition=report.condition,
-        mass_min=report.mass_min,
-        kernel_min=report.kernel_min,
-        residual=report.residual,
-        curvature=report.curvature,
+        **{name: Difference.read(ffi.addressof(report, name)) for name in DERIVATIVES},
+        **{name: getattr(report, name) for name in NUMBERS},
         integrable=bool(report.integrable),
         text=core.words(finding, system.kind),
         text_on_D=on_D.decode(),

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import Array, Handle, arguments, ffi, lib
+from ..core import Array, Handle, Pair, arguments, ffi, lib
 
 
 def most_in_a_call(system: Handle) -> int:
@@ -49,9 +49,31 @@ def states(
     return np.concatenate([np.atleast_2d(q), np.atleast_2d(v)], axis=1), q.ndim == 1
 
 
+def or_zero(v: ArrayLike | None, q: ArrayLike) -> ArrayLike:
+    """Return velocities, zero where none are given."""
+    return np.zeros(np.shape(q)) if v is None else v
+
+
+def vectors(system: Handle, **given: ArrayLike) -> list[Array]:
+    """Return vectors of n numbers, which are given by their names."""
+    return [arguments.array(x, name, (system.n,)) for name, x in given.items()]
+
+
+def beside(x: Array, single: bool, value: ArrayLike, name: str, width: int) -> Array:
+    """Return what is given together with states: so many numbers for each."""
+    shape = (width,) if single else (len(x), width)
+    return np.atleast_2d(arguments.array(value, name, shape))
+
+
+def halves(x: Array) -> Pair:
+    """Return q and v of states, each an array of its own."""
+    q, v = np.split(x, 2, axis=-1)
+    return q.copy(), v.copy()
+
+
 def initial(
     system: Handle, q0: ArrayLike | None, v0: ArrayLike | None, *names: str
-) -> tuple[Array, Array]:
+) -> Pair:
     """Return initial data, those of the system where none are given; ValueError for half of them.
 
     ``names`` are those of the two arguments, by default q0 and v0.
@@ -101,8 +123,20 @@ def _quantity(
 ) -> Any:
     """Evaluate one output of ``dal_trajectory`` on states as they are given."""
     x, single = states(system, q, v)
-    values = trajectory(system, x, output, **numbers)
-    return values if not single else values[0] if values.ndim > 1 else float(values[0])
+    return core.first(trajectory(system, x, output, **numbers), single)
+
+
+def _rows(
+    system: Handle,
+    function: Callable[..., int],
+    q: ArrayLike,
+    v: ArrayLike,
+    *outputs: tuple[int, ...],
+    t: float = 0.0,
+) -> Any:
+    """Return what a function writes for each state, arrays of these shapes."""
+    x, single = states(system, q, v)
+    return system._mechanics.rows(function, single, arguments.number(t, "t"), x, *outputs)
 
 
 # ---- functions -----------------------------------------------------------------------------
@@ -266,7 +300,7 @@ def metric(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     array([[1., 0.],
            [0., 9.]])
     """
-    return _matrices(system, lib.dal_metric, system.n, q, v)
+    return _rows(system, lib.dal_metric, q, or_zero(v, q), (system.n, system.n))
 
 
 def power(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> tuple[Any, Any]:
@@ -297,11 +331,7 @@ def power(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> tuple[A
     >>> damped.power([0, 0], [2, 0])
     (0.0, -2.0)
     """
-    x, single = states(system, q, v)
-    t = arguments.number(t, "t")
-    constraint, force = np.empty((2, len(x)))
-    system._mechanics.rows(lib.dal_power, t, x, constraint, force)
-    return (float(constraint[0]), float(force[0])) if single else (constraint, force)
+    return _rows(system, lib.dal_power, q, v, (), (), t=t)
 
 
 def gram(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
@@ -329,17 +359,7 @@ def gram(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     >>> dal.systems.particle().gram([0, 1, 0])
     array([[2.]])
     """
-    return _matrices(system, lib.dal_gram, system.m, q, v)
-
-
-def _matrices(
-    system: Handle, function: Callable[..., int], size: int, q: ArrayLike, v: ArrayLike | None
-) -> Array:
-    x, single = states(system, q, np.zeros(np.shape(q)) if v is None else v)
-    values = np.empty((len(x), size**2))
-    system._mechanics.rows(function, 0.0, x, values)
-    matrices = values.reshape(len(x), size, size)
-    return matrices[0] if single else matrices
+    return _rows(system, lib.dal_gram, q, or_zero(v, q), (system.m, system.m))
 
 
 def acceleration(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
@@ -367,7 +387,7 @@ def acceleration(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> 
     >>> dal.systems.particle().acceleration([0, 1, 0], [1, 1, 1])
     array([-0.5,  0. ,  0.5])
     """
-    return _vectors(system, lib.dal_acceleration, system.n, q, v, t)
+    return _rows(system, lib.dal_acceleration, q, v, (system.n,), t=t)
 
 
 def field(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
@@ -395,17 +415,7 @@ def field(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
     >>> dal.systems.particle().field([0, 1, 0], [1, 1, 1])
     array([ 1. ,  1. ,  1. , -0.5,  0. ,  0.5])
     """
-    return _vectors(system, lib.dal_field, 2 * system.n, q, v, t)
-
-
-def _vectors(
-    system: Handle, function: Callable[..., int], width: int, q: ArrayLike, v: ArrayLike, t: float
-) -> Array:
-    x, single = states(system, q, v)
-    t = arguments.number(t, "t")
-    values = np.empty((len(x), width))
-    system._mechanics.rows(function, t, x, values)
-    return values[0] if single else values
+    return _rows(system, lib.dal_field, q, v, (2 * system.n,), t=t)
 
 
 def perturbed(
@@ -415,7 +425,7 @@ def perturbed(
     ghat: ArrayLike,
     weight: float = 1.0,
     t: float = 0.0,
-) -> tuple[Array, Array]:
+) -> Pair:
     """Return the field and the multipliers of the perturbed equations of motion (PerturbedDAE).
 
     They are qdot = v + weight ghat_q, vdot = f_v + M^-1 mu^T lambda + weight ghat_v with
@@ -455,12 +465,10 @@ def perturbed(
     (array([0., 0., 0., 1., 0., 1.]), array([-1.]))
     """
     x, single = states(system, q, v)
-    shape = (2 * system.n,) if single else (len(x), 2 * system.n)
-    push = np.atleast_2d(arguments.array(ghat, "ghat", shape))
+    push = beside(x, single, ghat, "ghat", 2 * system.n)
     weight, t = arguments.number(weight, "weight"), arguments.number(t, "t")
-    values, forces = np.empty_like(x), np.empty((len(x), system.m))
-    system._mechanics.rows(lib.dal_perturbed, t, weight, x, push, values, forces)
-    return (values[0], forces[0]) if single else (values, forces)
+    outputs = (2 * system.n,), (system.m,)
+    return system._mechanics.rows(lib.dal_perturbed, single, t, weight, x, push, *outputs)
 
 
 def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:
@@ -495,15 +503,12 @@ def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> A
     """
     x, single = states(system, q, v)
     projection(system, x, arguments.number(shift, "shift"))
-    v = x[:, system.n :].copy()
-    return v[0] if single else v
+    return core.first(halves(x)[1], single)
 
 
 def projection(system: Handle, x: Array, shift: float = 0.0) -> Array:
     """Project the rows of ``x`` in place; return how far, in the mass metric, shape (N,)."""
-    distances = np.empty(len(x))
-    system._mechanics.rows(lib.dal_project, 0.0, shift, x, distances)
-    return distances
+    return system._mechanics.rows(lib.dal_project, False, 0.0, shift, x, ())
 
 
 def consistent(
@@ -545,14 +550,13 @@ def consistent(
     """
     x, single = states(system, q0, v0, ("q0", "v0"))
     mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
-    system._mechanics.rows(lib.dal_consistent, 0.0, mask, x, np.empty(len(x)))
-    v = x[:, system.n :].copy()
-    return v[0] if single else v
+    system._mechanics.rows(lib.dal_consistent, single, 0.0, mask, x, ())
+    return core.first(halves(x)[1], single)
 
 
 def _mask(system: Handle, keep: Any) -> list[int]:
     """Return n zeros and ones for names or places of coordinates, or for n truth values."""
-    n, names = system.n, system.coordinates
+    n = system.n
     try:
         given = [keep] if isinstance(keep, str | bytes) else list(keep)
     except TypeError:
@@ -563,13 +567,8 @@ def _mask(system: Handle, keep: Any) -> list[int]:
         return [int(k) for k in given]
     places = []
     for k in given:
-        if isinstance(k, str) and k in names:
-            places.append(names.index(k))
-        elif isinstance(k, str):
-            raise ValueError(
-                f"keep: there is no coordinate {arguments.shown(k)}; "
-                f"{arguments.suggestion(k, names)}there are {', '.join(names)}"
-            )
+        if isinstance(k, str):
+            places.append(place(system, k, "keep"))
         elif isinstance(k, int | np.integer) and not isinstance(k, bool):
             places.append(arguments.integer(k, "keep", 0, n - 1))
             if places.count(k) > 1:
@@ -582,3 +581,14 @@ def _mask(system: Handle, keep: Any) -> list[int]:
                 "truth values"
             )
     return [int(i in places) for i in range(n)]
+
+
+def place(system: Handle, name: str, argument: str) -> int:
+    """Return which coordinate has a name; ValueError, about an argument, if none has."""
+    names = system.coordinates
+    if name not in names:
+        raise ValueError(
+            f"{argument}: there is no coordinate {arguments.shown(name)}; "
+            f"{arguments.suggestion(name, names)}there are {', '.join(names)}"
+        )
+    return names.index(name)

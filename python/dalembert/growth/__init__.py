@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from ..core import Array, DalembertError, Handle, extras
+from ..core.extras import Show
 from ..geometry import residual
 from ..symbolic import expressions
 from . import functions
-from .search import Distribution, is_settled
+from .search import Distribution, is_settled, nearby
 
 algebra = extras.Later(__name__, "algebra")
 
@@ -28,7 +29,7 @@ def examine(
     system: Handle,
     near: Array,
     q: Array | None = None,
-    show: Callable[[int], Any] = lambda found: None,
+    show: Show = lambda found: None,
 ) -> Distribution:
     """Return what can be said of D.
 
@@ -92,7 +93,7 @@ def agree(found: Any, system: Handle, q: Array) -> bool:
     n, p = system.n, list(system.parameters.values())
     forms = found.callables("constraint")["phi_v"]
     for size in (0.0, 0.01, 0.1):
-        place = q + size * (1 + abs(q)) * np.cos(np.arange(1, n + 1))
+        place = nearby(q, size)
         try:
             one = np.reshape(forms(place, np.zeros(n), p), (-1, n))
             other = residual(system, np.tile(place, (n, 1)), np.eye(n)).T

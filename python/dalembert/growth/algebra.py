@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mpmath
 import numpy as np
 import sympy
 
-from ..core import Array
-from ..symbolic.model import Model
-from ..symbolic.zeros import is_zero
+from ..core import Array, Pair
+from ..core.extras import Show
+from ..symbolic.model import Model, with_default
+from ..symbolic.zeros import is_zero, of_sympy
 from . import search as growth
-from .search import Brackets, Distribution, Word
+from .search import Brackets, Distribution, Growth, Word, Words
 
 Expr = Any
 
@@ -37,7 +38,7 @@ def examine(
     values: Mapping[str, float],
     near: Array,
     q: Array | None = None,
-    show: Callable[[int], Any] = lambda found: None,
+    show: Show = lambda found: None,
 ) -> Distribution:
     """Return what `growth.examine` does, for values of the parameters of a model."""
     n, m, forms = model.n, model.m, _Forms(model, values)
@@ -77,10 +78,10 @@ def examine(
 def _at(
     forms: _Forms,
     q: Array,
-    general: tuple[int, ...],
-    words: list[list[Word]],
-    show: Callable[[int], Any],
-) -> tuple[tuple[int, ...] | None, str]:
+    general: Growth,
+    words: Words,
+    show: Show,
+) -> tuple[Growth | None, str]:
     """Return the growth vector at a point that is known to double precision, and what it lacks."""
     n = forms.n
     try:
@@ -123,11 +124,7 @@ def _points(forms: _Forms, near: Array) -> tuple[list[_Point], str]:
     Where there are none, also what the last one lacks.
     """
     source, found, lack = random.Random(1), [], ""
-    places = [
-        near + size * (1 + abs(near)) * np.cos(k * np.arange(1, len(near) + 1))
-        for size in growth.NEARBY
-        for k in range(1, 5)
-    ]
+    places = [growth.nearby(near, size, k) for size in growth.NEARBY for k in range(1, 5)]
     places[4:4] = [places[-1], *(np.array([source.uniform(0.5, 1) for _ in near]) for _ in "12")]
     makers = [lambda q=q: _Point(forms, list(map(mpmath.mpf, q))) for q in places]
     makers.insert(7, lambda: _given(forms, near))
@@ -145,16 +142,17 @@ class _Forms:
     """mu as expressions, and as a function with as many digits as mpmath works with."""
 
     def __init__(self, model: Model, values: Mapping[str, float]) -> None:
-        constraint = model.derived.function("constraint")
-        assert constraint is not None
         numbers = {p: sympy.Rational(x) for p, x in zip(model.p, values.values())}
-        entries = dict(constraint.outputs)["phi_v"]
         self.n, self.m = model.n, model.m
         self.q, self.shown = model.q, model.shown
-        self.mu = [constraint.engine.give(e).xreplace(numbers) for e in entries]
+        forms = model.derived.expressions("constraint", "phi_v")
+        self.mu = [e.xreplace(numbers) for e in forms]
         self._edges = _edges(self.mu)
         self.in_pieces = any(e.has(*_PIECES) for e in self.mu)
-        printed = [_for_mpmath(e) for e in (*self.mu, *self._edges)]
+        printed = [
+            with_default(e.replace(sympy.Heaviside, lambda x, _: (1 + sympy.sign(x)) / 2))
+            for e in (*self.mu, *self._edges)
+        ]
         self._values = sympy.lambdify([self.q], printed, "mpmath", cse=True)
 
     def at(self, q: Sequence[Any]) -> tuple[Array, list[Any]]:
@@ -200,17 +198,7 @@ class _Forms:
 
 
 # Functions that are not analytic: what they are somewhere says nothing of elsewhere.
-_PIECES = (
-    sympy.Abs, sympy.sign, sympy.Heaviside, sympy.Max, sympy.Min, sympy.Piecewise, sympy.Rel,
-)  # fmt: skip
-
-
-def _for_mpmath(e: Expr) -> Expr:
-    """Return an expression as `lambdify` takes it; a Piecewise without a default is NaN there."""
-    return e.replace(sympy.Heaviside, lambda x, _: (1 + sympy.sign(x)) / 2).replace(
-        lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != sympy.true,
-        lambda part: part.func(*part.args, (sympy.nan, True)),
-    )
+_PIECES = of_sympy("Abs sign Heaviside Max Min Piecewise Rel")
 
 
 def _edges(expressions: Sequence[Expr]) -> list[Expr]:
@@ -254,7 +242,7 @@ class _Point:
         self._units = np.array([x if x > _ZERO**2 else 1 for x in size], dtype=object)
         self._digits = 0
 
-    def pair(self, word: Word) -> tuple[Array, Array]:
+    def pair(self, word: Word) -> Pair:
         """Return the dependent components of a bracket, here and at the other point."""
         digits = _BITS * (-(-len(word) // 4) * 4 + 1)  # each difference loses _BITS
         if digits > self._digits:

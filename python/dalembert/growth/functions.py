@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+
 
 import numpy as np
 
 from .. import core
-from ..core import Array, Handle
+from ..core import Array, Handle, Pair
+from ..core.extras import Show
 from ..geometry import Chart
 from .search import (
-    NEARBY, Brackets, Distribution, Word, at_random, is_larger, is_settled, no_more, of_new_ones,
-    rising, search, shortened,
+    NEARBY, Brackets, Distribution, Growth, Word, at_general_point, at_random, is_larger, nearby,
+    no_more, rising, search, shortened,
 )  # fmt: skip
 
 # What functions raise for states that they were not made for, and what the core does.
@@ -47,7 +48,7 @@ class _Functions:
         # a bracket of one more field takes 7 times as many points
         self.most = int(np.log(_POINTS) / np.log(7))
 
-    def pair(self, word: Word) -> tuple[Array, Array]:
+    def pair(self, word: Word) -> Pair:
         """Return the dependent components of a bracket, and the same by other differences."""
         while self._h >= _LEAST:
             with contextlib.suppress(*_OUTSIDE):
@@ -67,7 +68,7 @@ def examine(
     system: Handle,
     near: Array,
     q: Array | None = None,
-    show: Callable[[int], Any] = lambda found: None,
+    show: Show = lambda found: None,
 ) -> Distribution:
     """Return what `growth.examine` does; the general point is one near ``near``."""
     n, m = system.n, system.m
@@ -91,38 +92,29 @@ def examine(
     return Distribution(here, general, lacks, _is_integrable(general), _DIGITS)
 
 
-def _is_integrable(general: tuple[int, ...] | None) -> bool | None:
+def _is_integrable(general: Growth | None) -> bool | None:
     """Return what a growth vector tells of that, if it does."""
     return general[0] == general[1] if general is not None and len(general) > 1 else None
 
 
-def _near(
-    system: Handle, q: Array, show: Callable[[int], Any]
-) -> tuple[tuple[int, ...] | None, str]:
+def _near(system: Handle, q: Array, show: Show) -> tuple[Growth | None, str]:
     """Return the growth vector at a general point near q, and what is not known of it.
 
     The largest of some, for functions may be given in pieces.
     """
-    n = system.n
     best, note = None, ""
     for size in (*NEARBY, 0.0):
         for k in range(1, 5 if size else 2):
-            place = q + size * (1 + abs(q)) * np.cos(k * np.arange(1, n + 1))
             try:
-                point = _Functions(system, place)
-                found, _, told = search(
-                    point, of_new_ones(n - system.m), min(system.m, point.most),
-                    lambda dimensions: is_settled(dimensions, n), show,
-                )  # fmt: skip
+                point = _Functions(system, nearby(q, size, k))
+                grown, _, told, settled = at_general_point(point, min(system.m, point.most), show)
             except _OUTSIDE as error:
                 note = note or str(error)
                 continue
-            settled = is_settled(found, n)
-            grown = shortened(found, n) if settled else tuple(found)
             if best is None or is_larger(grown, best):
                 best = grown
-                note = "" if settled else no_more(found) if told else _lost(found)
-            if grown[-1] == n or not settled:
+                note = "" if settled else no_more(grown) if told else _lost(grown)
+            if grown[-1] == system.n or not settled:
                 return best, note
         if best is not None:
             break

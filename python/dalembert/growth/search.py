@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from ..core import Array
+from ..core.extras import Show
 
 # An entry counts if it is this many times the difference to its twin.
 _TRUST = 30
@@ -36,16 +37,20 @@ _GAP = 1e-4
 # General points are sought at such distances from a state, as the curvature is by the core.
 NEARBY = (0.1, 0.01, 0.001)
 
-# Independent velocities of the fields of a bracket, the outermost first.
+# Independent velocities of the fields of a bracket, the outermost first; brackets by their order.
 Word = tuple[tuple[float, ...], ...]
+Words = list[list[Word]]
+
+# The dimensions of D^1, D^2, ...
+Growth = tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class Distribution:
     """What is found of D; see `dalembert.Check`."""
 
-    growth: tuple[int, ...] | None
-    general_growth: tuple[int, ...] | None
+    growth: Growth | None
+    general_growth: Growth | None
     growth_note: str
     integrable: bool | None  # None: not known
     digits: int
@@ -146,8 +151,8 @@ def search(
     candidates: Candidates,
     limit: int,
     enough: Callable[[list[int]], bool],
-    show: Callable[[int], Any],
-) -> tuple[list[int], list[list[Word]], bool]:
+    show: Show,
+) -> tuple[list[int], Words, bool]:
     """Return the dimensions of D^1, D^2, ...
 
     ``source`` has the sizes n and m, the ``rounding`` of numbers of size 1, and ``pair(word)``: the
@@ -159,7 +164,7 @@ def search(
     Also the brackets that were found to be independent, of 2 fields, of 3, ..., and False if
     further ones cannot be told from those found.
     """
-    span, dimensions, words = _Span(), [source.n - source.m], list[list[Word]]()
+    span, dimensions, words = _Span(), [source.n - source.m], Words()
     for k in range(1, limit + 1):
         found = list[Word]()
         for word in candidates(k, words[-1] if words else (), found):
@@ -178,27 +183,42 @@ def search(
     return dimensions, words, True
 
 
+def at_general_point(
+    point: Any, limit: int, show: Show
+) -> tuple[Growth, Words, bool, bool]:
+    """Return the growth vector at a general point, as far as it is found, and its brackets.
+
+    Also whether further ones could be told from them, and whether it is settled.
+    """
+    n = point.n
+    found, words, told = search(
+        point, of_new_ones(n - point.m), limit, lambda found: is_settled(found, n), show
+    )
+    settled = is_settled(found, n)
+    return shortened(found, n) if settled else tuple(found), words, told, settled
+
+
 def largest(
-    points: Iterable[Any], limit: int, show: Callable[[int], Any]
-) -> tuple[tuple[int, ...], list[list[Word]], bool, bool]:
-    """Return the largest growth vector of several general points, and what it is made of.
+    points: Iterable[Any], limit: int, show: Show
+) -> tuple[Growth, Words, bool, bool]:
+    """Return the largest growth vector of several general points, see `at_general_point`.
 
     Of functions that vanish nearly everywhere, or are given in pieces, one point does not tell.
-    Also the brackets, whether further ones could be told from them, and whether it is settled.
     """
     best = None
     for point in points:
-        n = point.n
-        found, words, told = search(
-            point, of_new_ones(n - point.m), limit, lambda found: is_settled(found, n), show
-        )
-        grown = shortened(found, n) if told and is_settled(found, n) else tuple(found)
-        if best is None or is_larger(grown, best[0]):
-            best = grown, words, told, told and is_settled(found, n)
-        if grown[-1] == n:
+        found = at_general_point(point, limit, show)
+        if best is None or is_larger(found[0], best[0]):
+            best = found
+        if found[0][-1] == point.n:
             break
     assert best is not None
     return best
+
+
+def nearby(q: Array, size: float, k: int = 1) -> Array:
+    """Return the k-th of some points at a distance from q."""
+    return q + size * (1 + abs(q)) * np.cos(k * np.arange(1, len(q) + 1))
 
 
 def is_larger(one: Sequence[int], other: Sequence[int]) -> bool:
@@ -206,7 +226,7 @@ def is_larger(one: Sequence[int], other: Sequence[int]) -> bool:
     return (one[-1], *one) > (other[-1], *other)
 
 
-def rising(show: Callable[[int], Any]) -> Callable[[int], Any]:
+def rising(show: Show) -> Show:
     """Return the function that shows what is more than it was told before."""
     most = 0
 
@@ -224,7 +244,7 @@ def is_settled(dimensions: Sequence[int], n: int) -> bool:
     return dimensions[-1] == n or (len(dimensions) > 1 and dimensions[-1] == dimensions[-2])
 
 
-def shortened(dimensions: Sequence[int], n: int) -> tuple[int, ...]:
+def shortened(dimensions: Sequence[int], n: int) -> Growth:
     """Return dimensions up to the first that is as the last one, and once more if that is not n."""
     last = dimensions[-1]
     return (*dimensions[: list(dimensions).index(last) + 1], *([last] if last < n else []))

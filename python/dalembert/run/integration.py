@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from ..core import (
     lib,
     require_system,
 )
+from ..core.extras import Progress
 from ..system import System
 from .runs import Run, consistent_state, started_stepper
 from .scheme import METHODS, Scheme
@@ -47,7 +48,7 @@ def integrate(
     consistent: str = "check",
     initial: str | None = None,
     observer: Callable[[int, float, Array, Array], Any] | None = None,
-    progress: bool | Callable[[int, int], Any] = False,
+    progress: Progress = False,
     throw: bool = True,
     max_iterations: int = 50,
     method: str = "rk8pd",
@@ -156,7 +157,7 @@ def integrate(
     _require_memory(system, steps // stride, steps, stride)
 
     arguments.function(observer, "observer", "step, t, q, v")
-    watcher = None if observer is None else core.Observer(system.n, observer)
+    watcher = None if observer is None else core.Callables(system.n, system.m, observer=observer)
     stepper = started_stepper(
         system, chosen, x0, t0=t0, h=h, consistency=consistency, initial=start, options=options
     )
@@ -166,8 +167,7 @@ def integrate(
             show=show,
         )  # fmt: skip
         run.make()
-    solution = run.solution()
-    error = run.error
+    solution, error = run.solution(), run.error
     if error is None:
         _warn(solution)
     elif throw or not isinstance(error, DalembertError):
@@ -257,10 +257,8 @@ def reference(
     flow = system._c("flow", flow_method, coordinate, tolerance)
     x = consistent_state(system, x0, t0, consistency)
     accuracy = np.empty(1)
-    with core.watching("flow", flow):
-        status = core.attempt(lib.dal_flow_apply, flow, t0, t, x, accuracy)
-    if status < 0:
-        raise core.failure(status, core.words(lib.dal_flow_error(flow), system.kind))
+    with core.watching(flow):
+        core.call(system.kind, lib.dal_flow_apply, flow, t0, t, x, accuracy)
     return Reference(x[: system.n], x[system.n :], float(accuracy[0]))
 
 
@@ -319,29 +317,28 @@ def _available_memory() -> int:
 
 def _warn(solution: Solution) -> None:
     """Warn where a run that went through is doubtful."""
-    system, stats = solution.system, solution.stats
+    for doubt in _doubts(solution):
+        warnings.warn(doubt, DalembertWarning, stacklevel=3)
+
+
+def _doubts(solution: Solution) -> Iterator[str]:
+    system, stats, h = solution.system, solution.stats, solution.h
     bound = core.residual_bound(system.n)
     if stats.worst_residual > bound:
-        warnings.warn(
+        yield (
             f"the constraint is kept to {stats.worst_residual:.1e} only, not to {bound:.1e}: the "
-            "kept nodes lie so far out that their rounding moves it by more",
-            DalembertWarning,
-            stacklevel=3,
+            "kept nodes lie so far out that their rounding moves it by more"
         )
     if stats.jump_step:
-        warnings.warn(
+        yield (
             f"the energy has changed by {stats.jump:.3g} at step {stats.jump_step} (t = "
-            f"{solution.t0 + stats.jump_step * solution.h:g}, h = {solution.h:g}), where the "
+            f"{solution.t0 + stats.jump_step * h:g}, h = {h:g}), where the "
             f"largest kinetic energy is {stats.largest_kinetic:.3g}: nothing does work on this "
-            "system, so h is too large, or gradient is not that of potential: see check()",
-            DalembertWarning,
-            stacklevel=3,
+            "system, so h is too large, or gradient is not that of potential: see check()"
         )
     simple = system.mass is not None and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:
-        warnings.warn(
+        yield (
             f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
-            f"as the simpler one did not converge: h = {solution.h:g} is large for this system",
-            DalembertWarning,
-            stacklevel=3,
+            f"as the simpler one did not converge: h = {h:g} is large for this system"
         )

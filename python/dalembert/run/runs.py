@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from .. import core
 from ..core import Array, ffi, lib
+from ..core.extras import Show
 from ..system import System
 from .scheme import Scheme
 from .solution import Solution, Statistics
@@ -32,10 +32,8 @@ def started_stepper(
     record, kept = scheme._record_of(system)
     stepper = core.make("stepper", system._handle, record, options, owner=(system._handle, kept))
     status = core.attempt(lib.dal_stepper_start, stepper, t0, h, x0, consistency, initial)
-    if status < 0:
-        hint = "; consistent='project' would project v0" if status == lib.DAL_EOFFD else ""
-        message = core.words(lib.dal_stepper_error(stepper), system.kind) + hint
-        raise core.failure(status, message, step=0, t=t0)
+    hint = "; consistent='project' would project v0" if status == lib.DAL_EOFFD else ""
+    core.verify(status, stepper, system.kind, hint=hint, step=0, t=t0)
     return stepper
 
 
@@ -59,8 +57,8 @@ class Run:
         h: float,
         steps: int,
         stride: int,
-        observer: core.Observer | None,
-        show: Callable[[int], Any],
+        observer: core.Callables | None,
+        show: Show,
     ) -> None:
         rows = steps // stride
         self.system, self.scheme, self.stepper = system, scheme, stepper
@@ -98,7 +96,7 @@ class Run:
             self.status, self.error = lib.DAL_EUSER, error
             return
         if self.status < 0:
-            message = core.words(lib.dal_stepper_error(self.stepper), self.system.kind)
+            message = core.words(self.stepper, self.system.kind)
             t = lib.dal_stepper_time(self.stepper)
             self.error = core.failure(self.status, message, step=int(run.done), t=t)
 
@@ -117,15 +115,8 @@ class Run:
             lib.DAL_STOPPED: f"an observer stopped the run at t = {t:g}",
         }
         return Solution(
-            system=self.system,
-            scheme=self.scheme,
-            x=self.x[: rows + 1],
-            reactions=self.reactions[:rows],
-            t0=self.t0,
-            h=self.h,
-            stride=int(run.stride),
+            system=self.system, scheme=self.scheme, t0=self.t0, h=self.h, stride=int(run.stride),
+            x=self.x[: rows + 1], reactions=self.reactions[:rows], status=self.status,
             stats=Statistics._read(self.stepper, self.system.kind),
-            status=self.status,
             message=messages.get(self.status, f"{type(self.error).__name__}: {self.error}"),
-        )
-
+        )  # fmt: skip

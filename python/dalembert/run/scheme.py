@@ -86,7 +86,7 @@ class Scheme:
         if isinstance(self.substeps, (list, tuple)) and len(self.substeps) == 0:
             raise ValueError("substeps is empty: expected at least one (beta, fraction)")
         pairs = arguments.array(self.substeps, "substeps", (None, 2))
-        object.__setattr__(self, "substeps", tuple((float(b), float(f)) for b, f in pairs))
+        self._set(substeps=tuple((float(b), float(f)) for b, f in pairs))
         kept = (
             ffi.new("dal_substep[]", list(self.substeps)),
             ffi.new("char[]", arguments.text(self.help, "help").encode()),
@@ -105,8 +105,7 @@ class Scheme:
             self.multiplier_order, "multiplier_order", -(2**31), 2**31 - 1
         )
         record.symmetric = bool(self.symmetric)
-        object.__setattr__(self, "_record", record)
-        object.__setattr__(self, "_kept", kept)
+        self._set(_record=record, _kept=kept)
         _validator()._c("stepper", record, ffi.NULL)
 
     @classmethod
@@ -167,20 +166,16 @@ class Scheme:
         ]
         name = f"pair:{maps[0].beta!r}:{maps[1].beta!r}"
         self = cls._of_family(name, ("pair", *maps))
-        object.__setattr__(self, "_maps", maps if any(one.map for one in maps) else None)
+        self._set(_maps=maps if any(one.map for one in maps) else None)
         return self
 
     @classmethod
     def flow(cls, method: str = "rk8pd", tolerance: float = 1e-13) -> Scheme:
         """Return the scheme "reference" with a method and a tolerance, as of `integrate`."""
-        data = ffi.new(
-            "dal_flow_scheme *",
-            {
-                "method": arguments.choice(method, "method", METHODS),
-                "tolerance": arguments.tolerance(tolerance),
-            },
-        )
-        return cls._of_family("reference", ("flow", method, float(tolerance)), data)
+        number = arguments.choice(method, "method", METHODS)
+        tolerance = arguments.tolerance(tolerance)
+        data = ffi.new("dal_flow_scheme *", {"method": number, "tolerance": tolerance})
+        return cls._of_family("reference", ("flow", method, tolerance), data)
 
     @classmethod
     def from_library(cls, path: str, symbol: str) -> Scheme:
@@ -238,26 +233,24 @@ class Scheme:
     @classmethod
     def _read(cls, record: Any, source: tuple[Any, ...], kept: Any = None) -> Scheme:
         """Return the scheme of a ``dal_scheme``, which ``source`` would give again."""
-        count = int(record.count)
         given = {
             "nodes": "kept" if record.nodes == lib.DAL_KEPT_NODES else "moved",
-            "name": core.string(record.name),
-            "help": core.string(record.help),
-            "reference": core.string(record.reference),
-            "order": int(record.order),
-            "multiplier_order": int(record.multiplier_order),
+            **{key: core.string(getattr(record, key)) for key in ("name", "help", "reference")},
+            **{key: getattr(record, key) for key in ("order", "multiplier_order")},
             "symmetric": bool(record.symmetric),
         }
         if record.family == ffi.NULL:
-            pairs = tuple((s.beta, s.fraction) for s in record.substeps[0:count])
+            pairs = tuple((s.beta, s.fraction) for s in record.substeps[0 : record.count])
             return cls(substeps=pairs or ((record.beta, 1.0),), **given)
-        self = cls.__new__(cls)
         own = ffi.new("dal_scheme *", record[0])
-        for key, value in {
-            **given, "substeps": (), "_record": own, "_kept": (kept, record), "_source": source,
-        }.items():  # fmt: skip
-            object.__setattr__(self, key, value)
+        self = cls.__new__(cls)
+        self._set(**given, substeps=(), _record=own, _kept=(kept, record), _source=source)
         return self
+
+    def _set(self, **values: Any) -> None:
+        """Set what does not change, once."""
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
 
     @property
     def family(self) -> str:
@@ -332,16 +325,12 @@ class Scheme:
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self._source:
-            return _again, self._source
+            constructor, *given = self._source
+            return getattr(Scheme, constructor), tuple(given)
         return Scheme, (
             self.substeps, self.nodes, self.name, self.help, self.reference, self.order,
             self.multiplier_order, self.symmetric,
         )  # fmt: skip
-
-
-def _again(constructor: str, *given: Any) -> Scheme:
-    """Return a scheme from what it was made of."""
-    return getattr(Scheme, constructor)(*given)
 
 
 @functools.cache

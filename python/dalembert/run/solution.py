@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry
-from ..core import Array, arguments, differenced, extras, ffi, lib, require_system
+from ..core import Array, arguments, extras, ffi, functions, lib, require_system
 from ..system import System
 from .scheme import Scheme
 
@@ -72,8 +72,8 @@ class Statistics:
     def _read(cls, stepper: Any, kind: str) -> Statistics:
         stats = ffi.new("dal_stats *")
         lib.dal_stepper_stats(stepper, stats)
-        values = {name: getattr(stats, name) for name, _ in ffi.typeof("dal_stats").fields}
-        return cls(**{**values, "differenced": differenced(stats.differenced, kind)})
+        names = functions.differenced(stats.differenced, kind)
+        return cls(**core.members(stats) | {"differenced": names})
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,21 +302,17 @@ class Solution(Mapping[str, Any]):
         for start in range(0, flat.size, most):
             these = np.concatenate([before, flat[start : start + most]])
             part = np.empty((len(these), 2 * n))
-            status = core.attempt(
-                lib.dal_chart_interpolate, chart, self.t0, h, self.shift,
+            core.call(
+                self.system.kind, lib.dal_chart_interpolate, chart, self.t0, h, self.shift,
                 len(self.x), core.pointer(self.x, 0, len(self.x) * 2 * n),
                 len(these), core.pointer(these), core.pointer(part, output=True), some, ffi.NULL,
             )  # fmt: skip
-            if status < 0:
-                message = core.words(lib.dal_chart_error(chart), self.system.kind)
-                raise core.failure(status, message)
             changes += int(some[0])
             x[start : start + most] = part[len(before) :]
             nearest = np.rint((these - self.t0) / h).astype(int).clip(0, len(self.x) - 1)
             before = these[(part != self.x[nearest]).any(axis=1)][-1:]
-        if times.ndim == 0:
-            return States(float(times), x[0, :n], x[0, n:], changes)
-        return States(times, x[:, :n], x[:, n:], changes)
+        x = x.reshape(*times.shape, 2 * n)
+        return States(times if times.ndim else float(times), x[..., :n], x[..., n:], changes)
 
     def to_xarray(self) -> Any:
         """Return the run as an ``xarray.Dataset``.
@@ -338,16 +334,12 @@ class Solution(Mapping[str, Any]):
         """
         xarray = extras.require("xarray", "to_xarray")
         along = ("time", "coordinate")
+        axes = {
+            "q": along, "v": along, "multipliers": ("time", "form"), "energy": "time",
+            "constraint": ("time", "form"), "residual": "time", "reactions": ("interval", "form"),
+        }  # fmt: skip
         return xarray.Dataset(
-            {
-                "q": (along, self.q),
-                "v": (along, self.v),
-                "multipliers": (("time", "form"), self.multipliers),
-                "energy": ("time", self.energy),
-                "constraint": (("time", "form"), self.constraint),
-                "residual": ("time", self.residual),
-                "reactions": (("interval", "form"), self.reactions),
-            },
+            {name: (of, getattr(self, name)) for name, of in axes.items()},
             coords={
                 "time": self.t,
                 "coordinate": list(self.system.coordinates),
@@ -357,11 +349,7 @@ class Solution(Mapping[str, Any]):
                 "system": self.system.name,
                 **{f"parameter_{key}": x for key, x in self.system.parameters.items()},
                 "scheme": self.scheme.name,
-                "nodes": self.nodes,
-                "h": self.h,
-                "stride": self.stride,
-                "status": self.status,
-                "message": self.message,
+                **{x: getattr(self, x) for x in ("nodes", "h", "stride", "status", "message")},
                 "dalembert": core.version(),
             },
         )

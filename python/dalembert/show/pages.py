@@ -8,7 +8,6 @@ from __future__ import annotations
 import collections
 import contextlib
 import re
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,8 +16,9 @@ import numpy as np
 
 from .. import core, growth, systems
 from ..core import extras, files, require_system
+from ..core.extras import Progress
 from ..geometry import Check
-from ..run import Solution, integrate
+from ..run import Solution
 from ..symbolic import formula
 from ..system import System
 from . import plot, web
@@ -37,7 +37,7 @@ def write(
     folder: str | Path = "catalogue",
     chosen: str | System | Iterable[str | System] | None = None,
     *,
-    progress: bool | Callable[[int, int], Any] = False,
+    progress: Progress = False,
 ) -> list[Path]:
     """Write a page for each system, and an index of them.
 
@@ -104,7 +104,7 @@ def write(
         for k, (x, name) in enumerate(zip(found, names)):
             show(k)
             system = x if isinstance(x, System) else systems.get(x)
-            run = _run(system, SCHEME, STEP)
+            run = web.run(system, SCHEME, h=STEP, t_end=END)
             paths.append(place / f"{name}.html")
             files.write(paths[-1], _page(system, run, names))
             cards.append((name, system, _small(system, run)))
@@ -151,7 +151,7 @@ def page(system: System) -> str:
     web.require()
     require_system(system)
     _require_start(system)
-    return _page(system, _run(system, SCHEME, STEP), ())
+    return _page(system, web.run(system, SCHEME, h=STEP, t_end=END), ())
 
 
 def _require_start(system: System) -> None:
@@ -162,13 +162,6 @@ def _require_start(system: System) -> None:
 def _slug(system: System) -> str:
     """Return the name of a system as that of a file."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", system.name)
-
-
-def _run(system: System, scheme: str, h: float) -> Solution:
-    """Return a run, or as much of it as there is."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", core.DalembertWarning)  # the page shows what it would say
-        return integrate(system, scheme, h=h, t_end=END, throw=False)
 
 
 def _index(cards: Sequence[tuple[str, System, web.HTML]]) -> str:
@@ -200,7 +193,7 @@ def _page(system: System, run: Solution, names: Sequence[str]) -> str:
 
 
 def _sections(system: System, run: Solution) -> Iterator[web.Section]:
-    runs = (run, _run(system, FINE, FINE_STEP))
+    runs = (run, web.run(system, FINE, h=FINE_STEP, t_end=END))
     yield "", web.sentence(system.help), ""
     yield "", system.description, ""
     yield "", f"Source: {web.sentence(system.source)}" if system.source else "", ""
@@ -415,7 +408,7 @@ def _picture(system: System, run: Solution) -> web.HTML:
     residual.set(ylim=(plot.ZERO / 4, top), ylabel="residual of $D$", xlabel="$t$")
     energy.plot(run.t, run.energy - run.energy[0])
     energy.set(ylabel="$E - E_0$", xlabel="$t$")
-    energy.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
+    plot.scientific(energy)
     about = f"A run of {system.name}."
     return web.svg(figure, f"run-{_slug(system)}", about, _caption(system, run))
 

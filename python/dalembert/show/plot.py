@@ -13,10 +13,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import geometry
-from ..core import ROUNDOFF, extras, residual_bound
+from ..core import ROUNDOFF, Array, Pair, extras, residual_bound
 from ..run import Solution
 from ..study import Embedding, Studies, Study
 
@@ -35,23 +35,17 @@ NOT_ROUNDOFF = 1e-8  # the axis of residuals reaches here, so that roundoff look
 STRETCHES = 50  # of a run, for the drift: roundoff of every step would hide what is beneath it
 
 QUANTITIES = {
-    "state": ("state_error", "global_state", 0, "error of (q, v) at t = {t_end:g} (user's units)"),
-    "q": ("q_error", "global_q", 0, "error of q at t = {t_end:g} (user's units)"),
-    "v": ("v_error", "global_v", 0, "error of v at t = {t_end:g} (user's units)"),
+    "state": ("state_error", "global_state", 0, "error of (q, v) at t = {t_end:g}"),
+    "q": ("q_error", "global_q", 0, "error of q at t = {t_end:g}"),
+    "v": ("v_error", "global_v", 0, "error of v at t = {t_end:g}"),
     "multipliers": (
-        "multiplier_error",
-        "global_multipliers",
-        0,
-        "error of lambda at t = {t_end:g} (user's units)",
+        "multiplier_error", "global_multipliers", 0, "error of lambda at t = {t_end:g}"
     ),
-    "local": ("local_error", "state", 1, "error of (q, v) after one step (user's units)"),
+    "local": ("local_error", "state", 1, "error of (q, v) after one step"),
     "reactions": (
-        "local_reaction_error",
-        "reaction",
-        1,
-        "error of the scheme's multiplier after one step (user's units)",
+        "local_reaction_error", "reaction", 1, "error of the scheme's multiplier after one step"
     ),
-}
+}  # fmt: skip
 
 
 def styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -124,44 +118,35 @@ def convergence(
     """
     if quantity not in QUANTITIES:
         raise ValueError(f"quantity is {quantity!r}; expected one of {', '.join(QUANTITIES)}")
-    name, key, loss, label = QUANTITIES[quantity]
+    name, key, loss, words = QUANTITIES[quantity]
     studies = _several(study, "study", Study)
     ax = _axes(ax)
     from matplotlib.ticker import LogLocator, NullFormatter
 
     styles = _styles(studies, styles)
-    triangles: dict[int, tuple[float, NDArray[np.float64], NDArray[np.float64]]] = {}
+    triangles: dict[int, tuple[float, Array, Array]] = {}
     for item in studies:
         fit, error = item.fits[key], getattr(item, name)
         drawn = np.isfinite(error)
         h, error = np.abs(item.h[drawn]), np.maximum(error[drawn], ZERO)
         clear = np.array(fit.counted)[drawn]
-        style = dict(styles[item.scheme.name])
-        (line,) = ax.loglog(
-            h[clear], error[clear], label=plain(f"{item.scheme.name}: {fit.order(loss)}"), **style
-        )
-        ax.plot(
-            h[~clear],
-            error[~clear],
-            linestyle="none",
-            marker=style.get("marker"),
-            markersize=style.get("markersize"),
-            color=line.get_color(),
-            markerfacecolor="white",
-        )
+        label = plain(f"{item.scheme.name}: {fit.order(loss)}")
+        (line,) = ax.loglog(h[clear], error[clear], label=label, **styles[item.scheme.name])
+        _hollow(ax, h[~clear], error[~clear], line, markersize=line.get_markersize())
         if not math.isnan(fit.slope) and not fit.exact and round(fit.slope) > 0:
             _lowest(triangles, round(fit.slope), h[clear], error[clear])
     for slope, (_, h, error) in sorted(triangles.items()):
         _triangle(ax, slope, h, error)
-    ax.set_xlabel("step h (user's units of time)")
     shortest, longest = ax.get_xlim()
     ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if longest < 100 * shortest else (1,)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.set_ylabel(label.format(t_end=studies[0].t_end))
-    ax.set_title(f"{_systems(studies)}: convergence")
-    _legend(ax, "scheme: fitted order")
-    return ax
+    ax.set(
+        xlabel="step h (user's units of time)",
+        ylabel=f"{words.format(t_end=studies[0].t_end)} (user's units)",
+        title=f"{_systems(studies)}: convergence",
+    )
+    return _legend(ax, "scheme: fitted order")
 
 
 def drift(
@@ -169,7 +154,7 @@ def drift(
     ax: Sequence[Axes] | None = None,
     *,
     styles: Mapping[str, Style] | None = None,
-) -> NDArray[Any]:
+) -> Array:
     """Draw the relative residual of D and that of D_eps over time, side by side.
 
     Exact zeros are drawn at 1e-17; the dashed line is the unit roundoff u.  Schemes with several
@@ -204,7 +189,7 @@ def drift(
     """
     solutions = _several(solution, "solution", Solution)
     if ax is None:
-        _, ax = _pyplot().subplots(1, 2, sharey=True, layout="constrained", figsize=(9, 3.8))
+        ax = _subplots(1, 2, sharey=True, figsize=(9, 3.8))
     axes = np.asarray(ax, dtype=object).ravel()
     if len(axes) != 2:
         raise ValueError(f"ax has {len(axes)} axes; expected two, for D and for D_eps")
@@ -219,29 +204,13 @@ def drift(
         # Kept nodes may start in D and jump to D_eps in the first step: that start is a point.
         jump = int(run.nodes == "kept" and in_D_eps[0] > residual_bound(run.system.n))
         (line,) = axes[1].plot(*_stretches(run.t[jump:], in_D_eps[jump:]), **style)
-        axes[1].plot(
-            run.t[:jump],
-            in_D_eps[:jump],
-            linestyle="none",
-            marker=style.get("marker"),
-            color=line.get_color(),
-            markerfacecolor="white",
-        )
+        _hollow(axes[1], run.t[:jump], in_D_eps[:jump], line)
     for axis, title in zip(
         axes, (r"$D$:  $\mu(q)\,v = 0$", r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$")
     ):
-        axis.set_yscale("log")
         axis.axhline(ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)), zorder=1)
-        axis.annotate(
-            "u",
-            (1, ROUNDOFF),
-            xycoords=("axes fraction", "data"),
-            xytext=(3, 0),
-            textcoords="offset points",
-            va="center",
-        )
-        axis.set_title(title)
-        axis.set_xlabel("time t (user's units)")
+        _beside(axis, "u", (1, ROUNDOFF), xycoords=("axes fraction", "data"))
+        axis.set(yscale="log", title=title, xlabel="time t (user's units)")
     for axis in axes:
         lowest, highest = axis.get_ylim()
         axis.set_ylim(min(lowest, ZERO / 4), max(highest, NOT_ROUNDOFF))
@@ -283,19 +252,16 @@ def energy(
     styles = _styles(solutions, styles)
     for run in solutions:
         scale = max(abs(run.energy[0]), 1.0)
-        ax.plot(
-            run.t,
-            (run.energy - run.energy[0]) / scale,
-            label=plain(run.scheme.name),
-            **_over_time(styles[run.scheme.name], len(run.t)),
-        )
+        error, style = (run.energy - run.energy[0]) / scale, styles[run.scheme.name]
+        ax.plot(run.t, error, label=plain(run.scheme.name), **_over_time(style, len(run.t)))
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
-    ax.set_xlabel("time t (user's units)")
-    ax.set_ylabel(r"energy error  $(E - E_0) / \max(|E_0|, 1)$")
-    ax.set_title(f"{_systems(solutions)}: energy")
-    ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
-    _legend(ax, None)
-    return ax
+    ax.set(
+        xlabel="time t (user's units)",
+        ylabel=r"energy error  $(E - E_0) / \max(|E_0|, 1)$",
+        title=f"{_systems(solutions)}: energy",
+    )
+    scientific(ax)
+    return _legend(ax, None)
 
 
 def path(
@@ -339,11 +305,9 @@ def path(
     ax.plot(first, second, color=COLOURS[0])
     ax.plot(first[:1], second[:1], color=COLOURS[1], marker="o", linestyle="none", label="start")
     ax.set_aspect("equal", adjustable="datalim")
-    names = solution.system.coordinates
-    ax.set_xlabel(f"{plain(names[i])} (user's units)")
-    ax.set_ylabel(f"{plain(names[j])} (user's units)")
+    x, y = (f"{plain(solution.system.coordinates[k])} (user's units)" for k in (i, j))
     title = f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}"
-    ax.set_title(plain(title))
+    ax.set(xlabel=x, ylabel=y, title=plain(title))
     ax.legend(frameon=False)
     return ax
 
@@ -396,12 +360,13 @@ def perturbation(
         line = {"color": style["color"], "linestyle": style["linestyle"]}
         ax.plot(taus, size, label=f"{one.h:g}, noise {one.noise:.0e}", **line)
         ax.axhline(one.noise, linewidth=0.8, zorder=1, **line)
-    ax.set_xlabel("time in units of the period, tau = t/h")
-    ax.set_ylabel("largest component of |g| (user's units)")
     title = f"{embedding.system.name}: {embedding.scheme.name} with p = {embedding.order}"
-    ax.set_title(plain(title))
-    _legend(ax, "step h")
-    return ax
+    ax.set(
+        xlabel="time in units of the period, tau = t/h",
+        ylabel="largest component of |g| (user's units)",
+        title=plain(title),
+    )
+    return _legend(ax, "step h")
 
 
 def embedded(
@@ -414,7 +379,7 @@ def embedded(
     return perturbation(self, ax, hs=hs, z=z)
 
 
-def _lowest(triangles: dict[int, Any], slope: int, h: NDArray[Any], error: NDArray[Any]) -> None:
+def _lowest(triangles: dict[int, Any], slope: int, h: Array, error: Array) -> None:
     """Keep for each slope the curve that lies lowest, where a triangle has room below it."""
     if len(h) < 2:
         return
@@ -423,7 +388,7 @@ def _lowest(triangles: dict[int, Any], slope: int, h: NDArray[Any], error: NDArr
         triangles[slope] = (height, h, error)
 
 
-def _triangle(ax: Axes, slope: int, h: NDArray[Any], error: NDArray[Any]) -> None:
+def _triangle(ax: Axes, slope: int, h: Array, error: Array) -> None:
     """A triangle of this slope below the middle of a curve."""
     order = np.argsort(h)
     h, error = h[order], error[order]
@@ -431,25 +396,28 @@ def _triangle(ax: Axes, slope: int, h: NDArray[Any], error: NDArray[Any]) -> Non
     left, right = middle / 1.2, middle * 1.2
     top = math.exp(np.interp(math.log(right), np.log(h), np.log(error))) / 2.0
     bottom = top * (left / right) ** slope
-    ax.fill(
-        [left, right, right],
-        [bottom, bottom, top],
-        facecolor="0.85",
-        edgecolor="0.3",
-        linewidth=0.8,
-        zorder=1,
-    )
-    ax.annotate(
-        str(slope),
-        (right, math.sqrt(top * bottom)),
-        xytext=(3, 0),
-        textcoords="offset points",
-        va="center",
-        fontsize="small",
-    )
+    grey = {"facecolor": "0.85", "edgecolor": "0.3"}
+    ax.fill([left, right, right], [bottom, bottom, top], **grey, linewidth=0.8, zorder=1)
+    _beside(ax, str(slope), (right, math.sqrt(top * bottom)), fontsize="small")
 
 
-def _residuals(run: Solution) -> tuple[NDArray[Any], NDArray[Any] | None]:
+def _beside(ax: Axes, text: str, place: tuple[float, float], **more: Any) -> None:
+    """Write a text to the right of a place."""
+    ax.annotate(text, place, xytext=(3, 0), textcoords="offset points", va="center", **more)
+
+
+def _hollow(ax: Axes, x: Array, y: Array, line: Any, **more: Any) -> None:
+    """Draw points with the marker and the colour of a line, but hollow."""
+    marker, color = line.get_marker(), line.get_color()
+    ax.plot(x, y, linestyle="none", marker=marker, color=color, markerfacecolor="white", **more)
+
+
+def scientific(ax: Axes) -> None:
+    """Write the numbers of a vertical axis with powers of 10 where they are large or small."""
+    ax.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3), useMathText=True)
+
+
+def _residuals(run: Solution) -> tuple[Array, Array | None]:
     """Relative residuals of D and of D_eps; None where the scheme has no D_eps."""
     in_D = geometry.relative_residual(run.system, run.q, run.v)
     if len(run.scheme.substeps) != 1:
@@ -457,7 +425,7 @@ def _residuals(run: Solution) -> tuple[NDArray[Any], NDArray[Any] | None]:
     return in_D, geometry.relative_residual(run.system, run.q, run.v, run.scheme.shift(run.h))
 
 
-def _stretches(t: NDArray[Any], residual: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _stretches(t: Array, residual: Array) -> Pair:
     """The largest residual in each stretch of a run, at the time where the stretch begins."""
     starts = np.unique(np.linspace(0, len(t), min(len(t), STRETCHES), endpoint=False, dtype=int))
     return t[starts], np.maximum(np.maximum.reduceat(residual, starts), ZERO)
@@ -499,29 +467,25 @@ def _require(item: Any, what: str, kind: type, more: str = "") -> None:
         )
 
 
-def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None) -> None:
+def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None) -> Axes:
     """Inside for a few curves, beside the picture for many."""
     handles, labels = entries or ax.get_legend_handles_labels()
     where: dict[str, Any] = {}
     if len(handles) > 4:
         where = {"loc": "upper left", "bbox_to_anchor": (1.05, 1)}
     ax.legend(handles, labels, title=title, frameon=False, fontsize="small", **where)
+    return ax
 
 
 def _axes(ax: Axes | None) -> Axes:
     if ax is None:
-        _, ax = _pyplot().subplots(layout="constrained")
+        ax = _subplots()
     _require(ax, "ax", extras.require("matplotlib.axes", "a picture").Axes)
     return ax
 
 
-def _pyplot() -> Any:
-    require_matplotlib()
-    from matplotlib import pyplot
-
-    return pyplot
-
-
-def require_matplotlib() -> None:
-    """Raise an ImportError with the line to type if matplotlib is not installed."""
-    extras.require("matplotlib", "a picture")
+def _subplots(*shape: int, **options: Any) -> Any:
+    """Return axes of a new figure."""
+    for module in ("matplotlib", "matplotlib.pyplot"):
+        found = extras.require(module, "a picture")
+    return found.subplots(*shape, layout="constrained", **options)[1]

@@ -6,7 +6,6 @@ import hashlib
 import json
 import platform
 import shlex
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 
 from .. import core
 from ..core import files
-from ..run import Solution, integrate
+from ..run import Solution
 from ..study import Studies, Study
 from . import plot, web
 from .table import Table, of_study, overview
@@ -166,20 +165,11 @@ def _by_order(items: Sequence[Any], draw: Callable[..., Any], styles: dict[str, 
 
 def _run(study: Study) -> Solution:
     """One longer run of the scheme of a study, for the drift and the energy; or what there is."""
-    with warnings.catch_warnings():
-        # The pictures show what the warning would say.
-        warnings.simplefilter("ignore", core.DalembertWarning)
-        return integrate(
-            study.system,
-            study.scheme,
-            study.q0,
-            study.v0,
-            t0=study.t0,
-            h=(study.t_end - study.t0) / 20,
-            steps=400,
-            initial="project" if study.initial == "D_eps" else study.initial,
-            throw=False,
-        )
+    return web.run(
+        study.system, study.scheme, q0=study.q0, v0=study.v0, t0=study.t0,
+        h=(study.t_end - study.t0) / 20, steps=400,
+        initial="project" if study.initial == "D_eps" else study.initial,
+    )  # fmt: skip
 
 
 def description(studies: Studies) -> dict[str, Any]:

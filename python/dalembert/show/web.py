@@ -6,11 +6,14 @@ import functools
 import html
 import io
 import re
+import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from ..core import extras
+from ..core import DalembertWarning, extras
+from ..run import Scheme, Solution, integrate
 from ..symbolic import formula
+from ..system import System
 
 HTML = Any  # markupsafe.Markup: text that is not escaped again
 # Its title, prose, and what is below it: a table, a picture, or a program; "" is left out.
@@ -68,6 +71,13 @@ def _prose(context: Mapping[str, Any], words: str) -> HTML:
         elif k % 2 and part not in links:
             parts[k] = _mark(formula.mathml(part, context.get("coordinates", ())))
     return _mark("").join(parts)
+
+
+def run(system: System, scheme: Scheme | str, **options: Any) -> Solution:
+    """Return a run, or as much of it as there is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DalembertWarning)  # the page shows what it would say
+        return integrate(system, scheme, throw=False, **options)
 
 
 def sentence(words: str) -> str:

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import Array, Workspaces, arguments, extras, ffi, lib, require_system
+from ..core.extras import Progress
 from ..geometry import Chart
 from ..run.integration import CONSISTENCY
 from ..run.runs import consistent_state
@@ -99,17 +100,9 @@ class Embedding(core.Constant):
         self.tolerance = tolerance
         self.numerical = numerical or not chart.system.has_exact
         record, self._kept = scheme._record_of(chart.system)
-        self._definition = ffi.new(
-            "dal_embedding_def *",
-            {
-                "scheme": record,
-                "h": h,
-                "order": order or 0,
-                "tolerance": tolerance,
-                "numerical": int(numerical),
-            },
-        )
-        self._embeddings = Workspaces("embedding", self._new, chart.system.kind)
+        given = {"scheme": record, "h": h, "order": order or 0, "tolerance": tolerance}
+        self._definition = ffi.new("dal_embedding_def *", given | {"numerical": int(numerical)})
+        self._embeddings = Workspaces(self._new, chart.system.kind)
         with self._embeddings.lend() as embedding:
             self.order = int(lib.dal_embedding_order(embedding))
             self._noise = float(lib.dal_embedding_noise(embedding))
@@ -126,12 +119,11 @@ class Embedding(core.Constant):
         function: Callable[..., int],
         *given: Any,
         row: int | None = None,
-        show: Callable[[float], Any] = lambda made: None,
+        show: Callable[[float], Any] = core.ignore,
     ) -> None:
         """Call ``function(embedding, *given)``; ``show`` is told how many steps are made."""
-        with self._embeddings.lend() as embedding, core.watching("embedding", embedding, show):
-            status = core.attempt(function, embedding, *given)
-            self._embeddings.check(status, embedding, row)
+        with self._embeddings.lend() as embedding, core.watching(embedding, show):
+            core.call(self.system.kind, function, embedding, *given, step=row)
 
     def _point(self, z: ArrayLike | None, name: str, *shapes: tuple[int | None, ...]) -> Array:
         return self.start if z is None else arguments.array(z, name, self.start.shape, *shapes)
@@ -142,7 +134,7 @@ class Embedding(core.Constant):
         tau: ArrayLike,
         z: ArrayLike | None,
         name: str = "z",
-        progress: bool | Callable[[int, int], Any] = False,
+        progress: Progress = False,
     ) -> Array:
         """Return the values of a function of (tau, z), with one row for each of them."""
         taus = arguments.array(tau, "tau", (), (None,))
@@ -205,10 +197,8 @@ class Embedding(core.Constant):
         >>> midpoint.with_step(0.05).h
         0.05
         """
-        h = arguments.number(h, "h")
-        return Embedding(
-            self.chart, self.scheme, h, self.order, self.start, self.tolerance, self.numerical
-        )
+        make, (chart, scheme, _, *rest) = self.__reduce__()
+        return make(chart, scheme, arguments.number(h, "h"), *rest)
 
     def __repr__(self) -> str:
         flow = "reference flow" if self.numerical else "exact flow"
@@ -311,7 +301,7 @@ class Embedding(core.Constant):
         array([ 0.1 ,  0.  , -0.32, -0.21,  0.  ])
         """
         point = self._point(z, "z")
-        values = np.empty(point.size)
+        values = np.empty_like(point)
         self._call(lib.dal_embedding_limit, point, values, row=0)
         return values
 
@@ -322,7 +312,7 @@ class Embedding(core.Constant):
         tau: ArrayLike,
         y: ArrayLike | None = None,
         *,
-        progress: bool | Callable[[int, int], Any] = False,
+        progress: Progress = False,
     ) -> Array:
         """Return the solution G~(tau, y) that starts in y (Gdef, Gtilde, period0).
 
@@ -391,7 +381,7 @@ class Embedding(core.Constant):
         t1: float,
         z: ArrayLike | None = None,
         *,
-        progress: bool | Callable[[int, int], Any] = False,
+        progress: Progress = False,
     ) -> Array:
         """Return the state at t1 of the perturbed ODE that is in z at t0, to about 1e-12.
 

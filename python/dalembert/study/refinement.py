@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from .. import core, geometry
 from ..core import arguments, extras, ffi, lib, require_system
+from ..core.extras import Progress
 from ..run import Scheme
 from ..run import schemes as named_schemes
 from ..system import System
-from .study import Fit, Studies, Study
+from .study import COLUMNS, Fit, Studies, Study
 
 # Numbers of steps over one unit of time: what tells the order of the reactions, and low orders,
 # and the candidates for high orders; COARSE is also how many units a longer step may take.
@@ -25,15 +26,9 @@ LONGEST = 16  # of the default intervals
 MOST_STEPS = 10**9  # of all runs together, unless the caller says that more are meant
 
 FITS = (  # in the order of dal_order_fit
-    "state",
-    "multipliers",
-    "reaction",
-    "midpoint",
-    "global_q",
-    "global_v",
-    "global_multipliers",
-    "global_state",
-)
+    "state", "multipliers", "reaction", "midpoint",
+    "global_q", "global_v", "global_multipliers", "global_state",
+)  # fmt: skip
 
 
 def convergence(
@@ -48,7 +43,7 @@ def convergence(
     initial: str | None = None,
     tolerance: float = 1e-14,
     max_steps: int = MOST_STEPS,
-    progress: bool | Callable[[int, int], Any] = False,
+    progress: Progress = False,
 ) -> Study:
     """Measure the order of a scheme by refining the step size.
 
@@ -99,20 +94,10 @@ def convergence(
     start = record._initial(initial)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     max_steps = arguments.integer(max_steps, "max_steps", 1)
+    options = {"t0": t0, "initial": initial, "tolerance": tolerance, "max_steps": max_steps}
 
-    def probe(duration: float, candidates: Sequence[int]) -> Study:
-        return convergence(
-            system,
-            record,
-            q0,
-            v0,
-            t0=t0,
-            steps=candidates,
-            initial=initial,
-            t_end=t0 + duration,
-            tolerance=tolerance,
-            max_steps=max_steps,
-        )
+    def probe(duration: float, tried: Sequence[int]) -> Study:
+        return convergence(system, record, q0, v0, t_end=t0 + duration, steps=tried, **options)
 
     if t_end is None:
         t_end = t0 + (_default_duration(record.order, probe) if steps is None else 1.0)
@@ -123,21 +108,26 @@ def convergence(
     numbers = _counts(steps)
     _require_few(sum(numbers), max_steps)
     c_numbers = ffi.new("size_t[]", numbers)
-    definition = ffi.new(
-        "dal_order_def *",
-        {
-            "t0": t0,
-            "t_end": t_end,
-            "x0": core.pointer(x0),
-            "steps": c_numbers,
-            "count": len(numbers),
-            "initial": start,
-            "tolerance": arguments.tolerance(tolerance),
-        },
-    )
-    points = ffi.new("dal_order_point[]", len(numbers))
+    definition = {
+        "t0": t0, "t_end": t_end, "x0": core.pointer(x0), "initial": start,
+        "steps": c_numbers, "count": len(numbers), "tolerance": arguments.tolerance(tolerance),
+    }  # fmt: skip
+    measured = _measure(system, record, definition, sum(numbers), progress)
+    q, v = np.split(x0, 2)
+    return Study(
+        system=system, scheme=record, q0=q, v0=v, t0=t0, t_end=t_end, initial=initial,
+        steps=np.array(numbers), **measured,
+    )  # fmt: skip
+
+
+def _measure(
+    system: System, record: Scheme, given: dict[str, Any], total: int, progress: Progress
+) -> dict[str, Any]:
+    """Return what C measures with a ``dal_order_def``, by the names of a `Study`."""
+    definition = ffi.new("dal_order_def *", given)
+    points = ffi.new("dal_order_point[]", given["count"])
     order, error = ffi.new("dal_order *"), ffi.new("dal_error *")
-    with extras.progress(progress, sum(numbers), "step") as show:
+    with extras.progress(progress, total, "step") as show:
         context = ffi.new_handle(lambda made: show(int(made)))
         definition.watch, definition.watch_ctx = lib.dal_py_watch, context
         scheme, kept = record._record_of(system)
@@ -145,49 +135,20 @@ def convergence(
             lib.dal_order_study, system._handle, scheme, definition, points, order, error
         )
         del kept
-        if status < 0:
-            raise core.failure(status, core.words(error, system.kind))
-        show(sum(numbers))
-
-    def column(member: str) -> Any:
-        return np.array([getattr(point, member) for point in points])
-
-    fits = {
-        name: Fit.read(getattr(order, name), [bool(x.counted >> k & 1) for x in points])
-        for k, name in enumerate(FITS)
+        core.verify(status, error, system.kind)
+        show(total)
+    columns = {x: np.array([getattr(point, y) for point in points]) for x, y in COLUMNS.items()}
+    return {
+        **columns,
+        "fits": {
+            name: Fit.read(getattr(order, name), [bool(x.counted >> k & 1) for x in points])
+            for k, name in enumerate(FITS)
+        },
+        **{name: getattr(order, name) for name in ("p", "s", "floor", "reference")},
+        **{name: bool(getattr(order, name)) for name in ("keeps_D", "keeps_D_eps")},
+        "holds": {1: True, 0: False}.get(order.holds),
+        "text": core.string(order.text),
     }
-
-    return Study(
-        system=system,
-        scheme=record,
-        q0=x0[: system.n],
-        v0=x0[system.n :],
-        t0=t0,
-        t_end=t_end,
-        initial=initial,
-        steps=np.array(numbers),
-        h=column("h"),
-        q_error=column("q"),
-        v_error=column("v"),
-        multiplier_error=column("multipliers"),
-        local_error=column("local_state"),
-        local_multiplier_error=column("local_multipliers"),
-        local_reaction_error=column("local_reaction"),
-        local_midpoint_error=column("local_midpoint"),
-        residual=column("residual"),
-        residual_eps=column("residual_eps"),
-        energy_error=column("energy"),
-        failed=column("failed"),
-        fits=fits,
-        p=order.p,
-        s=order.s,
-        floor=order.floor,
-        reference=order.reference,
-        keeps_D=bool(order.keeps_D),
-        keeps_D_eps=bool(order.keeps_D_eps),
-        holds={1: True, 0: False}.get(order.holds),
-        text=core.string(order.text),
-    )
 
 
 def studies(
@@ -254,21 +215,14 @@ def studies(
     elif t_end is not None:
         duration = arguments.number(t_end, "t_end") - arguments.number(t0, "t0")
         _require_few(sum(_default_total(record.order, duration) for record in records), max_steps)
+    options = {"t0": t0, "steps": steps, "tolerance": tolerance, "max_steps": max_steps}
     with _kept(found), extras.progress(progress, len(records), "scheme") as show:
         for i in places:
+            start = (initial or "D_eps") if records[i].nodes == "kept" else None
             found[i] = convergence(
-                system,
-                records[i],
-                q0,
-                v0,
-                t_end=t_end,
-                t0=t0,
-                steps=steps,
-                initial=(initial or "D_eps") if records[i].nodes == "kept" else None,
-                tolerance=tolerance,
-                max_steps=max_steps,
+                system, records[i], q0, v0, t_end=t_end, initial=start, **options,
                 progress=lambda made, total: show(len(found) + made / total),
-            )
+            )  # fmt: skip
             t_end = found[i].t_end
     return Studies(found[i] for i in range(len(records)))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -29,6 +29,18 @@ def worst(values: Array) -> float:
 
 def _listing(names: list[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+
+
+# The arrays of a study, and what they are in a dal_order_point.
+COLUMNS = {
+    "h": "h",
+    **{f"{x}_error": x for x in ("q", "v", "energy")},
+    "multiplier_error": "multipliers",
+    "local_error": "local_state",
+    "local_multiplier_error": "local_multipliers",
+    **{f"{x}_error": x for x in ("local_reaction", "local_midpoint")},
+    **{x: x for x in ("residual", "residual_eps", "failed")},
+}
 
 
 @dataclass(frozen=True)

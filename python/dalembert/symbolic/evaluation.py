@@ -8,14 +8,14 @@ import importlib.resources
 import os
 import sys
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from .. import compiler
 from ..compiler import Library
-from ..core import Array, DalembertWarning, arguments
+from ..core import Array, DalembertWarning, arguments, functions
+from ..core.functions import Function
 from . import codegen
 from .model import Model, default_engine
 
@@ -31,16 +31,16 @@ _WITHOUT_COMPILER = (
 def _generator() -> str:
     """Return a digest of all that turns a model into C."""
     here = importlib.resources.files(__package__)
-    names = ("model.py", "zeros.py", "pattern.py", "codegen.py")
+    names = ("formula.py", "model.py", "zeros.py", "pattern.py", "codegen.py")
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 
 
 def library(model: Model) -> Library | None:
     """Return the compiled model; None if there is no compiler."""
 
-    def program() -> tuple[str, Callable[[int], str]]:
+    def program() -> tuple[str, compiler.Origin]:
         made = codegen.program(model)
-        return made.source, compiler.origin_of(made, model.shown)
+        return made.source, lambda line: made.origin(line, model.shown)
 
     return compiler.library(model.key, f"{default_engine()}, {_generator()}", program)
 
@@ -53,7 +53,7 @@ class Evaluation:
         self.values = values
         self.parameters = np.array(list(values.values()), dtype=float)
 
-    def bound(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def bound(self, function: Function) -> Function:
         """Return a function of the user with the values of the parameters as keywords."""
         return functools.partial(function, **self.values)
 
@@ -77,62 +77,37 @@ class Evaluation:
 
     def in_python(self) -> dict[str, Any]:
         """Return the arguments of System that make it from Python functions."""
-        derived, n, m = self.model.derived, self.model.n, self.model.m
-        p = self.parameters
-        found: dict[str, Any] = {}
+        model, p = self.model, self.parameters
+        n, m, kind = model.n, model.m, model.derived.kind
+        names = functions.outputs("nonlinear" if kind == "nonlinear" else "linear")
+        made = {
+            output: function
+            for callback in ("potential", "lagrangian", "constraint", "force")
+            for output, function in model.callables(callback).items()
+        }
 
-        def two(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
-            return lambda q, v: np.reshape(function(q, v, p), shape)
+        def called(name: str, output: str) -> Function:
+            return _callable(made[output], name, functions.shape(output, n, m), n, p)
 
-        def one(function: Callable[..., Any], *shape: int) -> Callable[..., Any]:
-            zero = np.zeros(n)
-            return lambda q: np.reshape(function(q, zero, p), shape)
-
-        potential = self.model.callables("potential")
-        if potential:
-            found["potential"] = lambda q: float(potential["V"](q, q, p)[0])
-            found["gradient"] = one(potential["V_q"], n)
-            found["hessian"] = one(potential["V_qq"], n, n)
-        lagrangian = self.model.callables("lagrangian")
-        if lagrangian:
-            found["lagrangian"] = lambda q, v: float(lagrangian["L"](q, v, p)[0])
-            for key, shape in (("q", (n,)), ("v", (n,)), ("qq", (n, n)), ("vq", (n, n)),
-                               ("vv", (n, n))):  # fmt: skip
-                found[f"lagrangian_{key}"] = two(lagrangian[f"L_{key}"], *shape)
-        constraint = self.model.callables("constraint")
-        if constraint and derived.kind == "nonlinear":
-            found["constraint"] = two(constraint["phi"], m)
-            found["constraint_v"] = two(constraint["phi_v"], m, n)
-            found["constraint_q"] = two(constraint["phi_q"], m, n)
-        elif constraint:
-            found["forms"] = one(constraint["phi_v"], m, n)
-            slope = constraint["phi_q"]
-            found["forms_velocity_derivative"] = two(slope, m, n)
-            if derived.kind == "affine":
-                found["affine"] = one(constraint["phi"], m)
-                found["affine_derivative"] = one(slope, m, n)
-                found["forms_velocity_derivative"] = lambda q, v: np.reshape(
-                    np.subtract(slope(q, v, p), slope(q, np.zeros(n), p)), (m, n)
-                )
-        force = self.model.callables("force")
-        for key, function in force.items():
-            shape = (n,) if key == "f" else (n, n)
-            found[key.replace("f", "force", 1)] = (
-                lambda t, q, v, function=function, shape=shape: np.reshape(
-                    function(t, q, v, p), shape
-                )
+        found = {name: called(name, output) for output, name in names.items() if output in made}
+        if kind == "affine":
+            slope = made["phi_q"]
+            found["affine"] = called("affine", "phi")
+            found["affine_derivative"] = called("affine_derivative", "phi_q")
+            found["forms_velocity_derivative"] = lambda q, v: np.reshape(
+                np.subtract(slope(q, v, p), slope(q, np.zeros(n), p)), (m, n)
             )
-        if self.model.exact is not None:
-            exact = self.model.callables("exact")["x"]
+        if model.exact is not None:
+            exact = model.callables("exact")["x"]
             found["exact"] = lambda t, q, v: np.split(np.array(exact(t, q, v, p)), 2)
         return found
 
     def invariants(
-        self, given: dict[str, Callable[..., Any] | None]
-    ) -> dict[str, Callable[..., Any]]:
+        self, given: dict[str, Function | None]
+    ) -> dict[str, Function]:
         """Return all first integrals as Python functions of (q, v); None: the next expression."""
         values = self.model.callables("invariant").get("values")
-        found: dict[str, Callable[..., Any]] = {}
+        found: dict[str, Function] = {}
         i = 0
         for name, function in given.items():
             arguments.function(function, name)
@@ -150,13 +125,21 @@ class Evaluation:
         warnings.warn(text, DalembertWarning, stacklevel=2 + _depth())
 
 
+def _callable(
+    function: Function, name: str, shape: tuple[int, ...], n: int, p: Array
+) -> Function:
+    """Return a function with its parameters put in, which takes what System asks of the name."""
+    zero = (np.zeros(n),) if functions.FUNCTIONS[name] == "q" else ()
+    if shape:
+        return lambda *given: np.reshape(function(*given, *zero, p), shape)
+    return lambda *given: float(function(*given, *zero, p)[0])
+
+
 def _depth() -> int:
     """Return how many calls of this package lie between its caller and the user."""
     frame, depth = sys._getframe(1), 0
-    while frame.f_back is not None and _is_ours(frame):
+    while frame.f_back is not None and (
+        str(frame.f_globals.get("__package__")).partition(".")[0] == _PACKAGE
+    ):
         frame, depth = frame.f_back, depth + 1
     return depth - 1
-
-
-def _is_ours(frame: Any) -> bool:
-    return str(frame.f_globals.get("__package__")).partition(".")[0] == _PACKAGE

@@ -11,7 +11,7 @@ from sympy.core.function import AppliedUndef
 from ..core import Handle
 from . import given
 from .formula import read
-from .model import Model
+from .model import Model, Rule
 
 Expr = Any
 
@@ -47,7 +47,7 @@ class _Formulas:
         # What an index runs over: the numbers at the ends of coordinates.
         ends = (re.search(r"(\d+)$", name) for name in system.coordinates)
         self.indices = sorted({int(match[1]) for match in ends if match})
-        self.defined: dict[Expr, Expr] = {}
+        self.defined: Rule = {}
         for line in system.formulas:
             if line.startswith("where "):
                 self.define(line.removeprefix("where "))
@@ -72,11 +72,8 @@ class _Formulas:
         coordinates = [
             (sympy.Symbol(name), sympy.Symbol(f"v_{name}")) for name in self.system.coordinates
         ]
-        made, _ = given.make_model(
-            self.whole(L), constraints, coordinates, self.system.parameters,
-            None, None, None, None,
-        )  # fmt: skip
-        return made
+        L = self.whole(L)
+        return given.make_model(L, constraints, coordinates, self.system.parameters)[0]
 
     def whole(self, found: Expr, i: int | None = None) -> Expr:
         """Return an expression in coordinates, velocities and parameters alone."""

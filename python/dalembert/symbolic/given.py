@@ -12,7 +12,7 @@ from sympy.core.function import AppliedUndef
 
 from ..core import arguments
 from . import model as models
-from .model import Coordinate, Model, Velocity, in_order
+from .model import Coordinate, Model, Rule, Velocity, in_order
 
 Expr = Any
 
@@ -37,15 +37,7 @@ def named(names: str | Sequence[str]) -> tuple[Any, ...]:
 
 
 def take(
-    L: Expr,
-    constraints: Any,
-    coordinates: Iterable[Any] | None,
-    parameters: Mapping[Any, Any] | None,
-    force: Any,
-    q0: Any,
-    v0: Any,
-    exact: Any,
-    invariants: Mapping[str, Any] | None,
+    *given: Any, force: Any, q0: Any, v0: Any, exact: Any, invariants: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Return the model, the values of its parameters, and what was given by numbers and functions.
 
@@ -56,10 +48,7 @@ def take(
     named = arguments.mapping(invariants, "invariants")
     by_expressions = is_expressions(exact)
     model, values = make_model(
-        L,
-        constraints,
-        coordinates,
-        parameters,
+        *given,
         force,
         state if in_model else None,
         exact if by_expressions else None,
@@ -79,10 +68,10 @@ def make_model(
     constraints: Any,
     coordinates: Iterable[Any] | None,
     parameters: Mapping[Any, Any] | None,
-    force: Any,
-    state: Sequence[Any] | None,
-    exact: Any,
-    invariants: Mapping[str, Any] | None,
+    force: Any = None,
+    state: Sequence[Any] | None = None,
+    exact: Any = None,
+    invariants: Mapping[str, Any] | None = None,
 ) -> tuple[Model, dict[str, float]]:
     """Return the model, and the values of its parameters; ValueError if something is left over."""
     L = _expression(L, "L")
@@ -98,105 +87,123 @@ def make_model(
     values, symbols = _parameters(parameters)
     if both := sorted(values.keys() & set(names)):
         raise ValueError(f"parameters: {both[0]} is a coordinate; expected another name")
+    translate = _Translation(pairs, values, symbols)
+    phi = [translate.constraint(a, constraint) for a, constraint in enumerate(given)]
+    if len(phi) >= n:
+        raise ValueError(f"constraints: {len(phi)} on {n} coordinates; expected fewer")
+    components = None if forces is None else translate.force(forces)
+    start = None if state is None else translate.several(state, "(q0, v0)")
+    for e in start or ():
+        if e.free_symbols - set(translate.rule.values()):
+            raise ValueError(f"(q0, v0): {e}: expected numbers, or expressions of parameters")
+    model = Model(
+        coordinates=tuple(names),
+        parameters=tuple(values),
+        L=translate(L, "L"),
+        constraints=tuple(phi),
+        force=components,
+        state=start,
+        exact=None if exact is None else translate.several(exact, "exact", True),
+        invariants=tuple(
+            translate(_expression(e, key), f"invariants[{key!r}]")
+            for key, e in (invariants or {}).items()
+        ),
+        assumptions=tuple(_assumed(translate.used[name]) for name in values),
+    )
+    return model, values
 
-    q, v = models.canonical("q", n), models.canonical("v", n)
-    rule = dict(zip(symbols, models.canonical("p", len(symbols))))
-    used = {symbol.name: {symbol} for symbol in symbols}
-    velocities = {velocity: v[i] for i, (_, _, velocity) in enumerate(pairs)}
-    positions = {position: q[i] for i, (_, position, _) in enumerate(pairs)}
-    times = [q.args[0] for _, q, _ in pairs if not q.is_Symbol]
-    time = times[0] if times else sympy.Symbol("t")
 
-    # symbols of the same name, of other calls of dalembert.coordinates
-    called = Coordinate | Velocity
-    pairing = {**positions, **velocities}.items()
-    same = {_kind_and_name(s): c for s, c in pairing if isinstance(s, called)}
+class _Translation:
+    """From the user's symbols of coordinates, velocities and parameters to the canonical ones."""
 
-    def translate(expression: Expr, where: str, with_time: bool = False) -> Expr:
+    def __init__(
+        self,
+        pairs: list[tuple[str, Expr, Expr]],
+        values: dict[str, float],
+        symbols: list[Expr],
+    ) -> None:
+        n = len(pairs)
+        self.names, positions, velocities = map(list, zip(*pairs))
+        self.values = values
+        self.q, self.v = models.canonical("q", n), models.canonical("v", n)
+        self.rule = dict(zip(values, models.canonical("p", len(values))))
+        self.used = {symbol.name: {symbol} for symbol in symbols}  # of each parameter
+        self.velocities = velocities
+        self.states = dict(zip([*positions, *velocities], [*self.q, *self.v]))
+        times = [q.args[0] for q in positions if not q.is_Symbol]
+        self.time = times[0] if times else sympy.Symbol("t")
+        # symbols of the same name, of other calls of dalembert.coordinates
+        called = Coordinate | Velocity
+        self.same = {_kind_and_name(s): c for s, c in self.states.items() if isinstance(s, called)}
+
+    def __call__(self, expression: Expr, where: str, with_time: bool = False) -> Expr:
+        """Return an expression in canonical symbols; ValueError if something is left over."""
         if expression.has(sympy.Derivative):
             _refuse_rates(expression, where)
-        made = expression.atoms(Coordinate, Velocity)
-        found = expression.xreplace({s: same[k] for s in made if (k := _kind_and_name(s)) in same})
+        named = {s: _kind_and_name(s) for s in expression.atoms(Coordinate, Velocity)}
+        found = expression.xreplace({s: self.same[k] for s, k in named.items() if k in self.same})
         if found.has(sympy.Derivative):
             found = found.doit()
-        unknown = {d for d in found.atoms(sympy.Derivative) if d not in velocities}
+        unknown = {d for d in found.atoms(sympy.Derivative) if d not in self.velocities}
         if unknown:
             raise ValueError(f"{where}: {unknown.pop()} is no velocity of a coordinate")
-        matching = _matching(found, rule)
+        # equal names, whatever the assumptions
+        plain = {s: s.name for s in found.free_symbols if not isinstance(s, Coordinate | Velocity)}
+        matching = {s: self.rule[name] for s, name in plain.items() if name in self.rule}
         for symbol in matching:
-            used[symbol.name].add(symbol)
-        found = found.xreplace({**positions, **velocities, **matching})
-        allowed = {*q, *v, *rule.values()}
+            self.used[symbol.name].add(symbol)
+        found = found.xreplace(self.states | matching)
+        allowed = {*self.q, *self.v, *self.rule.values()}
         if with_time:
-            found = found.xreplace({time: models.TIME})
+            found = found.xreplace({self.time: models.TIME})
             allowed.add(models.TIME)
-        names_of = {c: s for s, c in (positions | velocities | matching).items()}
+        names_of = {c: s for s, c in (self.states | matching).items()}
         models.require_known(found, where, lambda e: e.xreplace(names_of))
-        left = sorted(str(s) for s in found.free_symbols - allowed)
-        if str(time) in left:
+        self.require_none(sorted(str(s) for s in found.free_symbols - allowed), where)
+        return found
+
+    def require_none(self, left: list[str], where: str) -> None:
+        """Raise ValueError for symbols that are left over."""
+        if str(self.time) in left:
             raise ValueError(
-                f"{where}: the time {time} is left over; only a force may depend on it"
+                f"{where}: the time {self.time} is left over; only a force may depend on it"
             )
-        if twins := [name for name in left if name.removesuffix(".d") in names]:
+        if twins := [name for name in left if name.removesuffix(".d") in self.names]:
             raise ValueError(
                 f"{where}: this {twins[0]} is another symbol than that of the coordinates; "
                 "expected the very one of dalembert.coordinates, or that given in coordinates="
             )
         if left:
             raise ValueError(
-                f"{where}: {', '.join(left)} is neither a coordinate ({', '.join(names)}) nor a "
-                f"parameter ({', '.join(values) or 'there are none'})"
+                f"{where}: {', '.join(left)} is neither a coordinate ({', '.join(self.names)}) nor "
+                f"a parameter ({', '.join(self.values) or 'there are none'})"
             )
-        return found
 
-    phi = []
-    for a, constraint in enumerate(given):
-        where = f"constraints[{a}]"
-        if isinstance(constraint, list):
-            if len(constraint) != n:
-                raise ValueError(f"{where}: expected {n} coefficients, got {len(constraint)}")
-            phi.append(sympy.Add(*(translate(c, where) * v[i] for i, c in enumerate(constraint))))
-        else:
-            phi.append(translate(constraint, where))
-    if len(phi) >= n:
-        raise ValueError(f"constraints: {len(phi)} on {n} coordinates; expected fewer")
-    components = None
-    if forces is not None:
-        components = [sympy.Integer(0)] * n
-        for key, expression in forces.items():
-            position = positions.get(key, same.get(_kind_and_name(key)))
-            if position not in q:
-                raise ValueError(f"force: {key} is no coordinate ({', '.join(names)})")
-            components[q.index(position)] += translate(expression, f"force[{key}]", True)
+    def constraint(self, a: int, given: Any) -> Expr:
+        """Return what vanishes: an expression, or a form of n coefficients times the velocity."""
+        where, n = f"constraints[{a}]", len(self.q)
+        if not isinstance(given, list):
+            return self(given, where)
+        if len(given) != n:
+            raise ValueError(f"{where}: expected {n} coefficients, got {len(given)}")
+        return sympy.Add(*(self(c, where) * v for c, v in zip(given, self.v)))
 
-    def several(given: Any, name: str, count: int, with_time: bool = False) -> Any:
-        found = [_expression(e, name) for e in _several(given, name)]
+    def force(self, given: Rule) -> tuple[Expr, ...]:
+        """Return the n components of a force."""
+        components = dict.fromkeys(self.q, sympy.Integer(0))
+        for key, expression in given.items():
+            position = self.states.get(key, self.same.get(_kind_and_name(key)))
+            if position not in components:
+                raise ValueError(f"force: {key} is no coordinate ({', '.join(self.names)})")
+            components[position] += self(expression, f"force[{key}]", True)
+        return tuple(components.values())
+
+    def several(self, given: Any, name: str, with_time: bool = False) -> tuple[Expr, ...]:
+        """Return the 2n components of a state."""
+        found, count = [_expression(e, name) for e in _several(given, name)], 2 * len(self.q)
         if len(found) != count:
             raise ValueError(f"{name}: expected {count} expressions, got {len(found)}")
-        return tuple(translate(e, f"{name}[{i}]", with_time) for i, e in enumerate(found))
-
-    found_state = None if state is None else several(state, "(q0, v0)", 2 * n)
-    if found_state is not None:
-        for e in found_state:
-            if e.free_symbols - set(rule.values()):
-                raise ValueError(f"(q0, v0): {e}: expected numbers, or expressions of parameters")
-    return (
-        Model(
-            coordinates=tuple(names),
-            parameters=tuple(values),
-            L=translate(L, "L"),
-            constraints=tuple(phi),
-            force=None if components is None else tuple(components),
-            state=found_state,
-            exact=None if exact is None else several(exact, "exact", 2 * n, True),
-            invariants=tuple(
-                translate(_expression(e, key), f"invariants[{key!r}]")
-                for key, e in (invariants or {}).items()
-            ),
-            assumptions=tuple(_assumed(used[name]) for name in values),
-        ),
-        values,
-    )
+        return tuple(self(e, f"{name}[{i}]", with_time) for i, e in enumerate(found))
 
 
 def _kind_and_name(symbol: Expr) -> tuple[type, str]:
@@ -278,7 +285,7 @@ def _flat(given: Iterable[Any]) -> list[Expr]:
     return [e for one in given for e in (one if isinstance(one, list) else [one])]
 
 
-def _force(given: Any) -> dict[Expr, Expr]:
+def _force(given: Any) -> Rule:
     """Return the components of a force that are given, by the coordinate."""
     found = {}
     for key, value in arguments.mapping(given, "force").items():
@@ -339,16 +346,6 @@ def _parameters(given: Mapping[Any, Any] | None) -> tuple[dict[str, float], list
         values[arguments.text(symbol.name, "parameters")] = arguments.parameter(value, symbol.name)
         symbols.append(symbol)
     return values, symbols
-
-
-def _matching(expression: Expr, rule: dict[Expr, Expr]) -> dict[Expr, Expr]:
-    """Return the rule for the symbols of an expression: equal names, whatever the assumptions."""
-    by_name = {symbol.name: canonical for symbol, canonical in rule.items()}
-    return {
-        symbol: by_name[symbol.name]
-        for symbol in expression.free_symbols
-        if symbol.name in by_name and not isinstance(symbol, Coordinate | Velocity)
-    }
 
 
 # What SymPy uses of a symbol when it simplifies, and so has to hold of its value; the first that
@@ -454,9 +451,9 @@ def _generalized(
     loads: Iterable[Any],
     frame: Any,
     q: list[Expr],
-    rule: dict[Expr, Expr],
+    rule: Rule,
     velocities: list[Expr] | None = None,
-) -> dict[Expr, Expr] | None:
+) -> Rule | None:
     """Return the generalized force of forces on points and torques on frames; None without any."""
     from sympy.physics.mechanics import Point, dynamicsymbols
 

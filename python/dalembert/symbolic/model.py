@@ -28,9 +28,11 @@ try:
 except ImportError:
     symengine = None
 
-from .zeros import is_zero
+from . import formula
+from .zeros import is_zero, of_sympy
 
 Expr = Any  # sympy has no types
+Rule = dict[Expr, Expr]
 
 
 # ---- symbols ---------------------------------------------------------------------------------
@@ -214,7 +216,7 @@ def _zero_with(e: Expr) -> list[Expr]:
 
 
 # Real functions that are 0 at 0 alone.
-_ONE_ZERO = (sympy.Abs, sympy.sinh, sympy.tanh, sympy.asinh, sympy.asin, sympy.atan, sympy.erf)
+_ONE_ZERO = of_sympy("Abs sinh tanh asinh asin atan erf")
 
 
 def _is_constant(e: Expr) -> bool:
@@ -240,11 +242,9 @@ def _naming(model: Model, where: str) -> Iterator[None]:
 
 
 # What SymEngine differentiates as SymPy does; for the rest it lacks assumptions or rules.
-_SMOOTH = (
-    sympy.Add, sympy.Mul, sympy.Pow, sympy.Symbol, sympy.Number, sympy.NumberSymbol,
-    sympy.exp, sympy.log, sympy.sin, sympy.cos, sympy.tan, sympy.asin, sympy.acos, sympy.atan,
-    sympy.sinh, sympy.cosh, sympy.tanh,
-)  # fmt: skip
+_SMOOTH = of_sympy(
+    "Add Mul Pow Symbol Number NumberSymbol exp log sin cos tan asin acos atan sinh cosh tanh"
+)
 
 
 class _SymPy:
@@ -256,6 +256,7 @@ class _SymPy:
     def take(expression: Expr) -> Expr:
         return expression
 
+    give = take
     diff = staticmethod(_diff)
 
     @staticmethod
@@ -263,7 +264,7 @@ class _SymPy:
         found, reduced = sympy.cse(
             expressions, sympy.numbered_symbols("x"), order="none", list=False
         )
-        conditions: dict[Expr, Expr] = {}  # what is no number stays where it is
+        conditions: Rule = {}  # what is no number stays where it is
         temporaries = []
         for symbol, e in found:
             e = e.xreplace(conditions)
@@ -272,10 +273,6 @@ class _SymPy:
             else:
                 temporaries.append((symbol, e))
         return temporaries, [e.xreplace(conditions) for e in reduced]
-
-    @staticmethod
-    def give(expression: Expr) -> Expr:
-        return expression
 
 
 class _SymEngine:
@@ -334,7 +331,7 @@ class Function:
     """A function of the generated program: its outputs, in order, each with its expressions."""
 
     name: str
-    outputs: tuple[tuple[str, tuple[Expr, ...]], ...]
+    outputs: dict[str, Sequence[Expr]]
     engine: Any
 
 
@@ -359,6 +356,11 @@ class Derived:
     def function(self, name: str) -> Function | None:
         """Return the function of this name, None if the model has none."""
         return next((f for f in self.functions if f.name == name), None)
+
+    def expressions(self, name: str, output: str) -> list[Expr]:
+        """Return an output of a function as SymPy has it; nothing if the model has no such one."""
+        function = self.function(name)
+        return [] if function is None else [*map(function.engine.give, function.outputs[output])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -439,7 +441,7 @@ class Model:
         return expression.xreplace(self._names)
 
     @functools.cached_property
-    def _names(self) -> dict[Expr, Expr]:
+    def _names(self) -> Rule:
         found = dict(zip(self.p, map(sympy.Symbol, self.parameters)))
         for q, v, name in zip(self.q, self.v, self.coordinates):
             coordinate = Coordinate(name)
@@ -456,10 +458,12 @@ class Model:
             arguments.insert(0, TIME)
         return {
             output: sympy.lambdify(
-                arguments, [_for_python(function.engine.give(e)) for e in expressions], "math",
+                arguments,
+                [with_default(in_doubles(function.engine.give(e), 17)) for e in expressions],
+                "math",
                 cse=True,
             )
-            for output, expressions in (function.outputs if function else ())
+            for output, expressions in (function.outputs.items() if function else ())
         }
 
     # ---- for people ------------------------------------------------------------------------
@@ -509,49 +513,49 @@ def _derive(model: Model) -> Derived:
     q, v = model.q, model.v
     lagrangian, constraints = _exact(model.L), [_exact(e) for e in model.constraints]
     engine = engine_for([lagrangian, *constraints])
-    functions = []
     with _naming(model, "L"):
-        mass, function = _energy(model, engine, lagrangian)
-        functions += [] if function is None else [function]
-    if mass is not None:
-        functions.append(Function("mass", (("M", mass),), _SymPy))
+        mass, functions = _energy(model, engine, lagrangian)
     kind = "linear"
     phi_v, phi_q = [], []
     for a, e in enumerate(constraints):
         with _naming(model, f"constraints[{a}]"):
-            phi = engine.take(e)
-            phi_v += [engine.diff(phi, engine.take(x)) for x in v]
-            phi_q += [engine.diff(phi, engine.take(x)) for x in q]
-    if model.m > 0:
+            phi = [engine.take(e)]
+            phi_v += _slopes(engine, phi, v)
+            phi_q += _slopes(engine, phi, q)
+    if constraints:
         kind, phi_v = _kind(model, engine, constraints, phi_v)
-        outputs = {
-            "phi": [engine.take(e) for e in constraints], "phi_v": phi_v, "phi_q": phi_q
-        }  # fmt: skip
-        functions.append(_function("constraint", outputs, engine))
+        phi = [*map(engine.take, constraints)]
+        outputs = {"phi": phi, "phi_v": phi_v, "phi_q": phi_q}
+        functions.append(Function("constraint", outputs, engine))
     if model.force is not None:
         engine = engine_for(model.force)
         f = [engine.take(_exact(e)) for e in model.force]
-        outputs = {"f": f}
-        for key, symbols in (("f_q", q), ("f_v", v)):
-            outputs[key] = [engine.diff(e, engine.take(x), almost=True) for e in f for x in symbols]
-        functions.append(_function("force", outputs, engine))
+        f_q, f_v = (_slopes(engine, f, symbols, almost=True) for symbols in (q, v))
+        functions.append(Function("force", {"f": f, "f_q": f_q, "f_v": f_v}, engine))
     for name, output, expressions in (
         ("state", "x", model.state),
         ("exact", "x", model.exact),
         ("invariant", "values", model.invariants),
     ):
         if expressions:
-            functions.append(Function(name, ((output, tuple(expressions)),), _SymPy))
+            functions.append(Function(name, {output: expressions}, _SymPy))
     return Derived(kind, mass, tuple(functions))
+
+
+def _slopes(
+    engine: Any, expressions: Iterable[Expr], symbols: Iterable[Expr], almost: bool = False
+) -> list[Expr]:
+    """Return the derivatives of expressions by symbols, row by row; see `_diff`."""
+    return [engine.diff(e, engine.take(x), almost) for e in expressions for x in symbols]
 
 
 def _energy(
     model: Model, engine: Any, lagrangian: Expr
-) -> tuple[tuple[Expr, ...] | None, Function | None]:
-    """Return M and the potential if M is constant; else None and the Lagrangian."""
+) -> tuple[tuple[Expr, ...] | None, list[Function]]:
+    """Return M and the functions of it and of the potential; or None and the Lagrangian."""
     q, v = model.q, model.v
-    L = engine.take(lagrangian)
-    L_v = [engine.diff(L, engine.take(x)) for x in v]
+    L = [engine.take(lagrangian)]
+    L_v = _slopes(engine, L, v)
     L_vv = _symmetric(engine, L_v, v)
     for i, name in enumerate(model.coordinates):
         if all(e == 0 for e in L_vv[i * model.n : (i + 1) * model.n]):
@@ -559,22 +563,19 @@ def _energy(
                 f"L: {model.shown(v[i])} is not in it, or only linearly, so that {name} has no "
                 f"mass; expected a kinetic energy of {name}, such as m*{model.shown(v[i])}**2/2"
             )
-    mass, V = _constant_mass(model, engine, lagrangian, L_vv)
-    if mass is not None:
-        if is_zero(V):
-            return mass, None
-        V = engine.take(V)
-        V_q = [engine.diff(V, engine.take(x)) for x in q]
-        outputs = {"V": [V], "V_q": V_q, "V_qq": _symmetric(engine, V_q, q, almost=True)}
-        return mass, _function("potential", outputs, engine)
-    L_q = [engine.diff(L, engine.take(x)) for x in q]
-    outputs = {
-        "L": [L], "L_q": L_q, "L_v": L_v,
-        "L_qq": _symmetric(engine, L_q, q, almost=True),
-        "L_vq": [engine.diff(e, engine.take(x)) for e in L_v for x in q],
-        "L_vv": L_vv,
-    }  # fmt: skip
-    return None, _function("lagrangian", outputs, engine)
+    mass, potential = _constant_mass(model, engine, lagrangian, L_vv)
+    if mass is None:
+        L_q = _slopes(engine, L, q)
+        L_qq, L_vq = _symmetric(engine, L_q, q, almost=True), _slopes(engine, L_v, q)
+        outputs = {"L": L, "L_q": L_q, "L_v": L_v, "L_qq": L_qq, "L_vq": L_vq, "L_vv": L_vv}
+        return None, [Function("lagrangian", outputs, engine)]
+    functions = [Function("mass", {"M": mass}, _SymPy)]
+    if not is_zero(potential):
+        V = [engine.take(potential)]
+        V_q = _slopes(engine, V, q)
+        outputs = {"V": V, "V_q": V_q, "V_qq": _symmetric(engine, V_q, q, almost=True)}
+        functions.insert(0, Function("potential", outputs, engine))
+    return mass, functions
 
 
 def _exact(e: Expr) -> Expr:
@@ -586,13 +587,12 @@ def _exact(e: Expr) -> Expr:
     e = e.xreplace({x: sympy.Rational(x) for x in e.atoms(sympy.Float)})
     unsure = {x for x in e.atoms(sympy.Abs, sympy.sign) if not x.args[0].is_extended_real}
     if unsure:
-        e = e.replace(lambda x: x in unsure and x.func == sympy.Abs, _larger)
+        e = e.replace(
+            lambda x: x in unsure and x.func == sympy.Abs,
+            lambda x: sympy.Max(x.args[0], -x.args[0]),
+        )
         e = e.replace(lambda x: x in unsure, lambda x: 2 * sympy.Heaviside(x.args[0]) - 1)
     return e
-
-
-def _larger(absolute: Expr) -> Expr:
-    return sympy.Max(absolute.args[0], -absolute.args[0])
 
 
 def in_doubles(e: Expr, digits: int = 15) -> Expr:
@@ -615,16 +615,12 @@ def nearest(x: Expr, where: str = "") -> float:
     return found
 
 
-def _for_python(e: Expr) -> Expr:
+def with_default(e: Expr) -> Expr:
     """Return an expression as `lambdify` takes it: a Piecewise without a default is NaN there."""
-    return in_doubles(e, 17).replace(
+    return e.replace(
         lambda part: isinstance(part, sympy.Piecewise) and part.args[-1].cond != sympy.true,
         lambda part: part.func(*part.args, (sympy.nan, True)),
     )
-
-
-def _function(name: str, outputs: dict[str, Sequence[Expr]], engine: Any) -> Function:
-    return Function(name, tuple((key, tuple(e)) for key, e in outputs.items()), engine)
 
 
 def _symmetric(
@@ -639,7 +635,7 @@ def _symmetric(
     return [upper[min(i, j), max(i, j)] for i in range(len(x)) for j in range(len(x))]
 
 
-def _without(engine: Any, expression: Expr, values: dict[Expr, Expr]) -> Expr:
+def _without(engine: Any, expression: Expr, values: Rule) -> Expr:
     """Return an expression with some symbols replaced by numbers."""
     if engine is _SymPy:
         return expression.xreplace(values)
@@ -708,86 +704,63 @@ def _latex(model: Model) -> str:
     names: dict[Expr, str] = dict(zip(model.p, map(_latex_symbol, model.parameters)))
     for q, v, name in zip(model.q, model.v, model.coordinates):
         names |= {q: _latex_symbol(name), v: rf"\dot{{{_latex_symbol(name)}}}"}
-    derived = model.derived
 
     def tex(expression: Expr) -> str:
         return str(sympy.latex(expression, symbol_names=names))
 
-    def outputs(name: str, output: str, rows: int) -> str:
-        function = derived.function(name)
-        assert function is not None
-        entries = [in_doubles(function.engine.give(e)) for e in dict(function.outputs)[output]]
-        return tex(sympy.Matrix(rows, len(entries) // rows, entries))
-
-    n, m = model.n, model.m
+    derived, n, m = model.derived, model.n, model.m
+    form = r"\mu" if derived.kind == "linear" else r"\varphi_v"
     lines = [f"L &= {tex(model.L)}"]
     if m > 0 and derived.kind == "linear":
-        lines.append(rf"\mu &= {outputs('constraint', 'phi_v', m)}, \quad \mu \dot q = 0")
+        mu = _matrix(model, "constraint", "phi_v", m)
+        lines.append(rf"\mu &= {tex(mu)}, \quad \mu \dot q = 0")
     elif m > 0:
-        lines.append(rf"\varphi &= {outputs('constraint', 'phi', m)} = 0")
-    form = r"\mu" if derived.kind == "linear" else r"\varphi_v"
-    react = rf" + {form}^T \lambda" if m > 0 else ""
-    force = " + f" if model.force is not None else ""
+        lines.append(rf"\varphi &= {tex(_matrix(model, 'constraint', 'phi', m))} = 0")
     if derived.mass is not None:
-        V_q = "" if derived.function("potential") is None else "-V_q"
-        left, right = r"M \ddot q", f"{V_q}{force}{react}".removeprefix(" + ") or "0"
-        lines.append(rf"M &= {tex(sympy.Matrix(n, n, list(map(in_doubles, derived.mass))))}")
-        if V_q:
-            lines.append(rf"V_q &= {outputs('potential', 'V_q', n)}")
-        inverse, pull = "M^{-1}", f"{V_q}{force}".removeprefix(" + ") or "0"
+        mass, pull = "M", "-V_q" * (derived.function("potential") is not None)
+        lines.append(rf"M &= {tex(_matrix(model, 'mass', 'M', n))}")
+        if pull:
+            lines.append(rf"V_q &= {tex(_matrix(model, 'potential', 'V_q', n))}")
     else:
-        left, right = r"L_{vv} \ddot q", rf"L_q - L_{{vq}} \dot q{force}{react}"
-        lines.append(rf"L_{{vv}} &= {outputs('lagrangian', 'L_vv', n)}")
-        lines.append(rf"L_q - L_{{vq}} \dot q &= {_latex_pull(model, tex)}")
-        inverse, pull = "L_{vv}^{-1}", rf"L_q - L_{{vq}} \dot q{force}"
+        mass, pull = "L_{vv}", r"L_q - L_{vq} \dot q"
+        L_q, L_vq, L_vv = (_matrix(model, "lagrangian", x, n) for x in ("L_q", "L_vq", "L_vv"))
+        lines.append(rf"L_{{vv}} &= {tex(L_vv)}")
+        lines.append(rf"{pull} &= {tex(L_q - L_vq * sympy.Matrix(model.v))}")
     if model.force is not None:
+        pull = f"{pull} + f".removeprefix(" + ")
         lines.append(rf"f &= {tex(sympy.Matrix(n, 1, list(model.force)))}")
-    lines.append(rf"{left} &= {right}")
+    react = rf" + {form}^T \lambda" if m > 0 else ""
+    lines.append(rf"{mass} \ddot q &= {f'{pull}{react}'.removeprefix(' + ') or '0'}")
     if m > 0:
-        turn = r"\varphi_q \dot q"
-        lines.append(
-            rf"\lambda &= -({form} {inverse} {form}^T)^{{-1}} \left({turn}"
-            + ("" if pull == "0" else rf" + {form} {inverse} ({pull})")
-            + r"\right)"
-        )
-        slope = derived.function("constraint")
-        assert slope is not None
-        phi_q = [in_doubles(slope.engine.give(e)) for e in dict(slope.outputs)["phi_q"]]
-        turned = sympy.Matrix(m, n, phi_q) * sympy.Matrix(n, 1, list(model.v))
+        inverse, turn = f"{mass}^{{-1}}", r"\varphi_q \dot q"
+        turned = _matrix(model, "constraint", "phi_q", m) * sympy.Matrix(model.v)
+        pulled = rf" + {form} {inverse} ({pull})" if pull else ""
+        lines.append(rf"\lambda &= -({form} {inverse} {form}^T)^{{-1}} \left({turn}{pulled}\right)")
         lines.append(rf"{turn} &= {tex(turned)}")
     return r"\begin{aligned}" + r" \\ ".join(lines) + r"\end{aligned}"
 
 
-def _latex_pull(model: Model, tex: Callable[[Expr], str]) -> str:
-    function = model.derived.function("lagrangian")
-    assert function is not None
-    outputs = {
-        key: [in_doubles(function.engine.give(e)) for e in expressions]
-        for key, expressions in function.outputs
-    }
-    L_vq = sympy.Matrix(model.n, model.n, outputs["L_vq"])
-    return tex(sympy.Matrix(model.n, 1, outputs["L_q"]) - L_vq * sympy.Matrix(model.v))
+def _matrix(model: Model, name: str, output: str, rows: int) -> Expr:
+    """Return an output of a function as a matrix of so many rows."""
+    entries = [*map(in_doubles, model.derived.expressions(name, output))]
+    return sympy.Matrix(rows, len(entries) // rows, entries)
 
 
 # ---- what may occur in a model ---------------------------------------------------------------
 
 
 # Functions that both C and the math module have, or that are printed by their definition.
-FUNCTIONS = {
-    sympy.sin: "sin", sympy.cos: "cos", sympy.tan: "tan",
-    sympy.asin: "asin", sympy.acos: "acos", sympy.atan: "atan", sympy.atan2: "atan2",
-    sympy.sinh: "sinh", sympy.cosh: "cosh", sympy.tanh: "tanh",
-    sympy.asinh: "asinh", sympy.acosh: "acosh", sympy.atanh: "atanh",
-    sympy.exp: "exp", sympy.log: "log", sympy.Abs: "fabs",
-    sympy.erf: "erf", sympy.erfc: "erfc",
-}  # fmt: skip
+FUNCTIONS = {getattr(sympy, x): x for x in formula.FUNCTIONS if x not in ("Abs", "sqrt")}
+FUNCTIONS[sympy.Abs] = "fabs"
+
 _STRUCTURE = (
-    sympy.Add, sympy.Mul, sympy.Pow, sympy.Symbol, sympy.Rational, sympy.Float,
-    sympy.NumberSymbol, sympy.sec, sympy.csc, sympy.cot, sympy.sign, sympy.Heaviside,
-    sympy.Max, sympy.Min, sympy.Piecewise, sympy.functions.elementary.piecewise.ExprCondPair,
-    sympy.core.relational.Relational, sympy.logic.boolalg.BooleanAtom,
-    sympy.And, sympy.Or, sympy.Not,
-)  # fmt: skip
+    *of_sympy(
+        "Add Mul Pow Symbol Rational Float NumberSymbol sec csc cot sign Heaviside Max Min "
+        "Piecewise Rel And Or Not"
+    ),
+    sympy.functions.elementary.piecewise.ExprCondPair,
+    sympy.logic.boolalg.BooleanAtom,
+)
 
 
 def require_known(

@@ -63,34 +63,23 @@ def pattern(model: Model) -> Pattern:
     >>> found.mu, found.pull, found.steady
     ([[True, False, True]], [[True, False, True]], True)
     """
-    n, m = model.n, model.m
-    mass = model.derived.mass
-    assert mass is not None
-    inverse = _inverse(_rows(mass, n))
-    mu, N = _outputs(model, "constraint", "phi_v", m), _outputs(model, "constraint", "phi_q", m)
-    forces = _outputs(model, "potential", "V_q", 1)
-    Z, fall = _times(mu, inverse), _times(forces, inverse)
+    n, derived = model.n, model.derived
+    assert derived.mass is not None
+
+    def rows(entries: Sequence[Any]) -> Rows:
+        return [[e != 0 for e in entries[k : k + n]] for k in range(0, len(entries), n)]
+
+    forms = derived.expressions("constraint", "phi_v")
+    mu, N = rows(forms), rows(derived.expressions("constraint", "phi_q"))
+    inverse = _inverse(rows(derived.mass))
+    Z = _times(mu, inverse)
+    fall = _times(rows(derived.expressions("potential", "V_q")), inverse)
     pushed = [any(row[i] for row in Z) for i in range(n)]
     pull = [pushed[i] or any(row[i] for row in fall) for i in range(n)]
-    steady = m > 0 and not any(pushed[i] for i in range(n) if model.q[i].name in _bending(model))
+    # what mu depends on: not only where it has a derivative
+    bending = {s.name for e in forms for s in e.free_symbols}
+    steady = model.m > 0 and not any(pushed[i] for i in range(n) if model.q[i].name in bending)
     return Pattern(inverse, mu, Z, N, [pull], steady)
-
-
-def _bending(model: Model) -> set[str]:
-    """Return the names of what mu depends on: not only where it has a derivative."""
-    function = model.derived.function("constraint")
-    assert function is not None
-    return {str(s) for e in dict(function.outputs)["phi_v"] for s in e.free_symbols}
-
-
-def _rows(entries: Sequence[Any], n: int) -> Rows:
-    return [[e != 0 for e in entries[k : k + n]] for k in range(0, len(entries), n)]
-
-
-def _outputs(model: Model, name: str, output: str, rows: int) -> Rows:
-    """Return the pattern of an output of a function; of no rows if the model has none."""
-    function = model.derived.function(name)
-    return [] if function is None or rows == 0 else _rows(dict(function.outputs)[output], model.n)
 
 
 def _times(A: Rows, B: Rows) -> Rows:

@@ -11,8 +11,9 @@ nothing is known.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from typing import Any
 
 import sympy
@@ -25,12 +26,18 @@ Monomial = tuple[tuple[int, int], ...]
 Polynomial = dict[Monomial, Any]
 
 _ONE: Monomial = ()
+_UNIT: Polynomial = {_ONE: QQ(1)}
 
 # A larger multiple of an angle, or power of a sum, is a letter of its own.
 _LARGEST = 16
 
 # Products of terms after which the question is left open: about a tenth of a second.
 _PATIENCE = 20_000
+
+
+def of_sympy(names: str) -> tuple[Any, ...]:
+    """Return what SymPy has by these names."""
+    return tuple(getattr(sympy, name) for name in names.split())
 
 
 class _Undecided(Exception):
@@ -84,12 +91,8 @@ class _Form:
         self.left -= len(a) * len(b)
         if self.left < 0:
             raise _Undecided
-        found: Polynomial = {}
-        for one, x in a.items():
-            for other, y in b.items():
-                term = _product(one, other)
-                found[term] = found.get(term, 0) + x * y
-        return {term: x for term, x in found.items() if x}
+        pairs = itertools.product(a.items(), b.items())
+        return _collected((_product(one, other), x * y) for (one, x), (other, y) in pairs)
 
     def power(self, a: Polynomial, exponent: int) -> Polynomial:
         """Return a^exponent; a sum below a fraction line becomes a letter."""
@@ -98,10 +101,7 @@ class _Form:
             return {tuple((g, k * exponent) for g, k in term): x**exponent}
         if exponent < 0:
             return self.root(a, 1, exponent)
-        found: Polynomial = {_ONE: QQ(1)}
-        for _ in range(exponent):
-            found = self.times(found, a)
-        return found
+        return functools.reduce(self.times, [a] * exponent, _UNIT)
 
     def root(self, a: Polynomial, degree: int, exponent: int) -> Polynomial:
         """Return the letter g^exponent, where g^degree = a."""
@@ -124,11 +124,7 @@ class _Form:
             value = sympy.Rational(e)
             return {_ONE: QQ(value.p, value.q)} if value else {}
         if e.is_Add:
-            found: Polynomial = {}
-            for part in e.args:
-                for term, x in self.of(part).items():
-                    found[term] = found.get(term, 0) + x
-            return {term: x for term, x in found.items() if x}
+            return _collected(pair for part in e.args for pair in self.of(part).items())
         if e.is_Mul:
             return functools.reduce(self.times, map(self.of, e.args))
         if e.is_Pow and e.exp.is_Rational and max(abs(e.exp.p), e.exp.q) <= _LARGEST:
@@ -154,15 +150,13 @@ class _Form:
         multiples = self.multiples(e)
         if multiples is None:
             return self.letter(e)
-        cosine: Polynomial = {_ONE: QQ(1)}
-        sine: Polynomial = {}
+        cosine, sine = _UNIT, _collected(())
         for term, count in multiples:
-            c = self.letter(("cos", term))
-            s = self.letter(("sin", term))
+            c, s = (self.letter((name, term)) for name in ("cos", "sin"))
             ((letters, _),) = s.items()
-            self.relations[letters[0][0]] = 2, _sum({_ONE: QQ(1)}, self.times(c, c), -1)
+            self.relations[letters[0][0]] = 2, _sum(_UNIT, self.times(c, c), -1)
+            sign = 1 if count > 0 else -1
             for _ in range(abs(count)):
-                sign = 1 if count > 0 else -1
                 cosine, sine = (
                     _sum(self.times(cosine, c), self.times(sine, s), -sign),
                     _sum(self.times(sine, c), self.times(cosine, s), sign),
@@ -171,7 +165,7 @@ class _Form:
             sympy.sin: (sine, None), sympy.cos: (cosine, None), sympy.tan: (sine, cosine),
             sympy.cot: (cosine, sine), sympy.sec: (None, cosine), sympy.csc: (None, sine),
         }[e.func]  # fmt: skip
-        found = {_ONE: QQ(1)} if above is None else above
+        found = _UNIT if above is None else above
         return found if below is None else self.times(found, self.power(below, -1))
 
     def exponential(self, e: Expr) -> Polynomial:
@@ -179,7 +173,7 @@ class _Form:
         multiples = self.multiples(e)
         if multiples is None:
             return self.letter(e)
-        up: Polynomial = {_ONE: QQ(1)}
+        up = _UNIT
         for term, count in multiples:
             up = self.times(up, self.letter(("exp", term), count))
         down = self.power(up, -1)
@@ -212,22 +206,24 @@ class _Form:
         return a
 
 
-_PERIODIC = (sympy.sin, sympy.cos, sympy.tan, sympy.cot, sympy.sec, sympy.csc)
-_EXPONENTIAL = (sympy.exp, sympy.sinh, sympy.cosh, sympy.tanh)
+_PERIODIC = of_sympy("sin cos tan cot sec csc")
+_EXPONENTIAL = of_sympy("exp sinh cosh tanh")
+
+
+def _collected(terms: Iterable[tuple[Any, Any]]) -> dict[Any, Any]:
+    """Return a sum: what belongs to each key together, but nothing that is 0."""
+    found: dict[Any, Any] = {}
+    for key, x in terms:
+        found[key] = found.get(key, 0) + x
+    return {key: x for key, x in found.items() if x}
 
 
 def _product(one: Monomial, other: Monomial) -> Monomial:
     if not one or not other:
         return one or other
-    found = dict(one)
-    for g, k in other:
-        found[g] = found.get(g, 0) + k
-    return tuple(sorted((g, k) for g, k in found.items() if k))
+    return tuple(sorted(_collected((*one, *other)).items()))
 
 
 def _sum(a: Polynomial, b: Polynomial, sign: int) -> Polynomial:
     """Return a + sign b."""
-    found = dict(a)
-    for term, x in b.items():
-        found[term] = found.get(term, 0) + sign * x
-    return {term: x for term, x in found.items() if x}
+    return _collected((*a.items(), *((term, sign * x) for term, x in b.items())))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,10 +13,7 @@ from numpy.typing import ArrayLike
 
 from .. import core
 from ..core import (
-    FUNCTIONS,
     KINDS,
-    MISSING,
-    MISSING_PHI_Q,
     Array,
     Handle,
     arguments,
@@ -24,35 +21,10 @@ from ..core import (
     lib,
     pointers,
 )
+from ..core.functions import Function, OfPoint, OfState
 from ..symbolic import evaluation, given
 
-Function = Callable[..., Any]
-
-_CONSTRAINTS = {
-    "linear": lib.dal_py_linear,
-    "affine": lib.dal_py_affine,
-    "nonlinear": lib.dal_py_nonlinear,
-}
-
 _MOST_COORDINATES = 10_000  # of dense matrices: n^2 numbers each, n^3 operations in a step
-
-_OUTPUTS = {
-    "V_q": lib.DAL_MISSING_V_Q,
-    "V_qq": lib.DAL_MISSING_V_QQ,
-    "phi_q": lib.DAL_MISSING_PHI_Q,
-    "L_qq": lib.DAL_MISSING_L_QQ,
-    "L_vq": lib.DAL_MISSING_L_VQ,
-    "L_vv": lib.DAL_MISSING_L_VV,
-    "f_q": lib.DAL_MISSING_F_Q,
-    "f_v": lib.DAL_MISSING_F_V,
-}
-
-_TAKEN = {  # by the functions that do not take (q, v)
-    **dict.fromkeys(
-        ("potential", "gradient", "hessian", "forms", "affine", "affine_derivative"), "q"
-    ),
-    **dict.fromkeys(("force", "force_q", "force_v", "exact"), "t, q, v"),
-}
 
 # What each function makes no sense without.
 _NEEDS = {
@@ -107,17 +79,17 @@ class Source:
         """Make the system."""
         raise NotImplementedError
 
-    def functions(self) -> dict[str, Any]:
-        """Return the user's functions by name."""
+    def named(self) -> dict[str, Function | None]:
+        """Return what it has in functions of the user, by name; None for what is not given."""
         return {}
 
     def with_values(self, values: dict[str, float]) -> Source:
         """Return the source with other values of the parameters, itself if it has none."""
-        return self
+        return dataclasses.replace(self, values=values) if hasattr(self, "values") else self
 
     def require_picklable(self, name: str) -> None:
         """Raise PicklingError, with the line to change, for a function that does not pickle."""
-        for key, function in self.functions().items():
+        for key, function in self.named().items():
             try:
                 pickle.dumps(function)
             except Exception as error:
@@ -165,8 +137,8 @@ class Functions(Source):
     invariants: dict[str, Function]
     steady: bool
 
-    def functions(self) -> dict[str, Any]:
-        return {k: f for k, f in (self.given | self.invariants).items() if f is not None}
+    def named(self) -> dict[str, Function | None]:
+        return self.given | self.invariants
 
     def define(
         self, callbacks: dict[str, Any], kind: int, missing: int, ctx: Any, kept: Any
@@ -193,10 +165,10 @@ class PythonFunctions(Functions):
             if given[key] is not None
         }
         if self.m > 0:
-            callbacks["constraint"] = _CONSTRAINTS[kind]
+            callbacks["constraint"] = getattr(lib, f"dal_py_{kind}")
         handle = self.define(
-            callbacks, KINDS[kind], _missing(given, self.m, kind), ffi.new_handle(callables),
-            callables,
+            callbacks, KINDS[kind], core.functions.missing(given, self.m, kind),
+            ffi.new_handle(callables), callables,
         )  # fmt: skip
         return Made(handle, None, self.invariants, given["exact"] is not None)
 
@@ -212,7 +184,8 @@ class CFunctions(Functions):
     def make(self) -> Made:
         compiled = _compiled(self.given)
         kind = arguments.choice("linear" if self.kind is None else self.kind, "kind", KINDS)
-        missing = sum({arguments.choice(x, "missing", _OUTPUTS) for x in self.missing or ()})
+        outputs = core.functions.MISSING
+        missing = sum({arguments.choice(x, "missing", outputs) for x in self.missing or ()})
         context, kept = pointers.context(self.ctx, compiled)
         callbacks = {key: ffi.cast(f"dal_{key}_fn", x.address) for key, x in compiled.items()}
         handle = self.define(callbacks, kind, missing, context, kept)
@@ -220,40 +193,45 @@ class CFunctions(Functions):
         return Made(handle, exact, self.invariants, exact is not None)
 
 
-def functions(
-    *,
-    mass: ArrayLike | None,
-    n: int | None,
-    m: int | None,
-    name: str,
-    help: str,
-    description: str,
-    source: str,
-    formulas: Sequence[str],
-    coordinates: Sequence[str] | None,
-    q0: ArrayLike | None,
-    v0: ArrayLike | None,
-    invariants: Mapping[str, Function] | None,
-    steady: bool,
-    kind: str | None,
-    missing: Sequence[str] | None,
-    ctx: Any,
-    **given: Function | None,
-) -> Functions:
+def functions(given: dict[str, Any]) -> Functions:
     """Return the source of a system of functions, see `dalembert.System`; ValueError if wrong."""
+    invariants, mass, n, m = (given[key] for key in ("invariants", "mass", "n", "m"))
+    by_name = {key: given[key] for key in core.functions.FUNCTIONS}
     require_named(invariants)
-    compiled = _compiled(given)
-    for key, function in {**given, **(invariants or {})}.items():
+    compiled = _compiled(by_name)
+    for key, function in {**by_name, **(invariants or {})}.items():
         if key not in compiled:
-            arguments.function(function, key, _TAKEN.get(key, "q, v"))
+            arguments.function(function, key, core.functions.FUNCTIONS.get(key, "q, v"))
+    for_c = {key: given[key] for key in ("kind", "missing", "ctx")}
     if compiled:
-        _require_compiled(given, compiled, mass, m)
+        _require_compiled(by_name, compiled, mass, m)
     else:
-        _require_parts(given, mass)
-        for key, value in (("kind", kind), ("missing", missing), ("ctx", ctx)):
+        _require_parts(by_name, mass)
+        for key, value in for_c.items():
             if value is not None:
                 raise ValueError(f"{key} = {arguments.shown(value)}: only C functions take it")
-    arguments.pair(q0, v0, ("q0", "v0"))
+    arguments.pair(given["q0"], given["v0"], ("q0", "v0"))
+    matrix, names = _mass_and_names(mass, n, given["coordinates"], given["q0"])
+    size, state = len(names), None
+    if given["q0"] is not None:
+        both = (arguments.array(given[key], key, (size,)) for key in ("q0", "v0"))
+        state = np.concatenate([*both])
+    if compiled:
+        m = arguments.integer(0 if m is None else m, "m", 0)
+    else:
+        m = _number_of_constraints(by_name["forms"], by_name["constraint"], m, size, state)
+    about = {key: given[key] for key in ("name", "help", "description", "source")}
+    lines = arguments.names(given["formulas"], "formulas", "several lines")
+    about["formulas"] = "\n".join(lines)
+    own = dict(invariants or {})
+    common = (by_name, matrix, size, m, about, names, state, own, given["steady"])
+    return CFunctions(*common, **for_c) if compiled else PythonFunctions(*common)
+
+
+def _mass_and_names(
+    mass: ArrayLike | None, n: int | None, coordinates: Sequence[str] | None, q0: ArrayLike | None
+) -> tuple[Array | None, list[str]]:
+    """Return M, if it is given, and the names of the coordinates, which agree in their number."""
     if coordinates is not None:
         coordinates = arguments.names(coordinates, "coordinates", "several names, as ['x', 'y']")
     told = _number_of_coordinates(n, coordinates, q0)
@@ -261,22 +239,10 @@ def functions(
     size = told if matrix is None else len(matrix)
     if size is None:
         raise ValueError("n: needed, because neither coordinates nor q0 tell it")
-    names = [f"q{i}" for i in range(size)] if coordinates is None else list(coordinates)
+    names = [f"q{i}" for i in range(size)] if coordinates is None else coordinates
     if len(names) != size or len(set(names)) != size:
         raise ValueError(f"coordinates = {coordinates!r}: expected {size} different names")
-    state = None
-    if q0 is not None and v0 is not None:
-        state = np.concatenate(
-            [arguments.array(q0, "q0", (size,)), arguments.array(v0, "v0", (size,))]
-        )
-    if compiled:
-        m = arguments.integer(0 if m is None else m, "m", 0)
-    else:
-        m = _number_of_constraints(given["forms"], given["constraint"], m, size, state)
-    about = {"name": name, "help": help, "description": description, "source": source}
-    about["formulas"] = "\n".join(arguments.names(formulas, "formulas", "several lines"))
-    common = (given, matrix, size, m, about, names, state, dict(invariants or {}), steady)
-    return CFunctions(*common, kind, missing, ctx) if compiled else PythonFunctions(*common)
+    return matrix, names
 
 
 def _compiled(given: Mapping[str, Any]) -> dict[str, pointers.Pointer]:
@@ -306,9 +272,6 @@ class BuiltIn(Source):
         del kept
         return Made(handle)
 
-    def with_values(self, values: dict[str, float]) -> Source:
-        return dataclasses.replace(self, values=values)
-
 
 @dataclass
 class Expressions(Source):
@@ -325,12 +288,8 @@ class Expressions(Source):
     invariants: dict[str, Function | None]
     of_library: bool = False
 
-    def functions(self) -> dict[str, Any]:
-        named = {"exact": self.exact, **self.invariants}
-        return {key: function for key, function in named.items() if function is not None}
-
-    def with_values(self, values: dict[str, float]) -> Source:
-        return dataclasses.replace(self, values=values)
+    def named(self) -> dict[str, Function | None]:
+        return {"exact": self.exact, **self.invariants}
 
     def make(self) -> Made:
         model, state, n = self.model, self.state, self.model.n
@@ -344,19 +303,26 @@ class Expressions(Source):
         mass = numbers.matrix(library, "mass", (n, n))
         in_c = library is not None and not any(self.invariants.values())
         invariants = {} if in_c else numbers.invariants(self.invariants)
-        exact = self.exact
-        if exact is not None:
-            arguments.function(exact, "exact")
-            exact = numbers.bound(exact)
+        arguments.function(self.exact, "exact")
+        exact = None if self.exact is None else numbers.bound(self.exact)
         if library is None:
             numbers.warn(self.about["name"])
-            found = dict.fromkeys(FUNCTIONS) | numbers.in_python()
+            found = dict.fromkeys(core.functions.FUNCTIONS) | numbers.in_python()
             names = list(model.coordinates)
             made = PythonFunctions(
                 found, mass, n, model.m, self.about, names, state, invariants, False
             ).make()
-            made = made._replace(model=model)
-            return made if exact is None else made._replace(exact=exact, has_exact=True)
+        else:
+            handle = self._from_library(library, numbers, mass, state, in_c)
+            made = Made(handle, None, invariants, None)
+        if exact is not None:
+            made = made._replace(exact=exact, has_exact=True)
+        return made._replace(model=model)
+
+    def _from_library(
+        self, library: Any, numbers: Any, mass: Array | None, state: Array | None, in_c: bool
+    ) -> Any:
+        """Return the C system of a compiled model; in_c: its invariants are functions of C."""
         definition = ffi.new("dal_system_def *", library.definition[0])
         c_invariants, kept = core.strings(list(self.invariants))
         if self.values:
@@ -365,9 +331,9 @@ class Expressions(Source):
         if definition.invariant != ffi.NULL and in_c:
             definition.invariants = len(self.invariants)
             definition.invariant_names = c_invariants
-        handle = _new(definition, model.coordinates, self.about, mass, state, library)
+        handle = _new(definition, self.model.coordinates, self.about, mass, state, library)
         del kept
-        return Made(handle, exact, invariants, True if exact else None, model)
+        return handle
 
 
 @dataclass
@@ -381,13 +347,12 @@ class Deformed(Source):
     g_q: Function | None
     kind: str
 
-    def functions(self) -> dict[str, Any]:
-        named = {"g": self.g, "g_v": self.g_v, "g_q": self.g_q}
-        return {key: function for key, function in named.items() if function is not None}
+    def named(self) -> dict[str, Function | None]:
+        return {"g": self.g, "g_v": self.g_v, "g_q": self.g_q}
 
     def make(self) -> Made:
         base = self.base
-        callables = core.Callables(base.n, base.m, g=self.g, g_v=self.g_v, g_q=self.g_q)
+        callables = core.Callables(base.n, base.m, **self.named())
         context = ffi.new_handle(callables)
         missing = lib.DAL_MISSING_PHI_Q if self.g_q is None else 0
         return Made(
@@ -422,7 +387,7 @@ def require_named(invariants: Any) -> None:
             raise ValueError(f"invariants[{name!r}] = None: expected a function or an expression")
 
 
-def _require_parts(functions: dict[str, Callable[..., Any] | None], mass: Any) -> None:
+def _require_parts(functions: dict[str, Function | None], mass: Any) -> None:
     """Raise ValueError if functions are given that do not go together, or not all that do."""
     given = {key for key, function in functions.items() if function is not None}
     if mass is not None:
@@ -434,7 +399,7 @@ def _require_parts(functions: dict[str, Callable[..., Any] | None], mass: Any) -
     ):
         if one in given and other in given:
             raise ValueError(f"{one} and {other}: expected one of the two")
-    for key in FUNCTIONS:
+    for key in core.functions.FUNCTIONS:
         needed = _NEEDS.get(key, "")
         names = [part.split("(")[0] for part in needed.split(" and ")] if needed else []
         if key in given and not given.issuperset(names):
@@ -450,7 +415,7 @@ def _require_parts(functions: dict[str, Callable[..., Any] | None], mass: Any) -
 
 
 def _require_compiled(
-    functions: dict[str, Callable[..., Any] | None],
+    functions: dict[str, Function | None],
     compiled: Mapping[str, pointers.Pointer],
     mass: Any,
     m: int | None,
@@ -469,19 +434,6 @@ def _require_compiled(
         raise ValueError("potential and lagrangian: expected one of the two")
     if ("constraint" in compiled) != bool(m):
         raise ValueError(f"m = {m}: expected the number of constraints, with a constraint only")
-
-
-def _missing(functions: dict[str, Callable[..., Any] | None], m: int, kind: str) -> int:
-    """Return the sum of ``dal_missing`` for the derivatives that are not given."""
-    owners = {"gradient": "potential", "hessian": "potential"}
-    bits = 0
-    for bit, name in MISSING.items():
-        owner = owners.get(name, name.split("_")[0])
-        if functions[owner] is not None and functions[name] is None:
-            bits |= bit
-    if m > 0 and any(functions[name] is None for name in MISSING_PHI_Q[kind]):
-        bits |= lib.DAL_MISSING_PHI_Q
-    return bits
 
 
 def _number_of_coordinates(
@@ -512,8 +464,8 @@ def _mass_matrix(mass: ArrayLike, n: int | None, told: int | None) -> Array:
 
 
 def _number_of_constraints(
-    forms: Callable[[Array], ArrayLike] | None,
-    constraint: Callable[[Array, Array], ArrayLike] | None,
+    forms: OfPoint | None,
+    constraint: OfState | None,
     m: int | None,
     n: int,
     state: Array | None,

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry, growth, symbolic
-from ..core import KINDS, Array, Handle, arguments, extras, lib
+from ..core import KINDS, Array, Handle, Pair, arguments, extras, lib
+from ..core.functions import OfPoint, OfState, OfTime, OfTimeTwo
+from ..core.extras import Progress
 from ..geometry import Check, examine
 from . import sources
 from .sources import Source
@@ -164,25 +166,25 @@ class System(Handle):
         self,
         *,
         mass: ArrayLike | None = None,
-        forms: Callable[[Array], ArrayLike] | None = None,
-        forms_velocity_derivative: Callable[[Array, Array], ArrayLike] | None = None,
-        affine: Callable[[Array], ArrayLike] | None = None,
-        affine_derivative: Callable[[Array], ArrayLike] | None = None,
-        constraint: Callable[[Array, Array], ArrayLike] | None = None,
-        constraint_v: Callable[[Array, Array], ArrayLike] | None = None,
-        constraint_q: Callable[[Array, Array], ArrayLike] | None = None,
+        forms: OfPoint | None = None,
+        forms_velocity_derivative: OfState | None = None,
+        affine: OfPoint | None = None,
+        affine_derivative: OfPoint | None = None,
+        constraint: OfState | None = None,
+        constraint_v: OfState | None = None,
+        constraint_q: OfState | None = None,
         potential: Callable[[Array], float] | None = None,
-        gradient: Callable[[Array], ArrayLike] | None = None,
-        hessian: Callable[[Array], ArrayLike] | None = None,
+        gradient: OfPoint | None = None,
+        hessian: OfPoint | None = None,
         lagrangian: Callable[[Array, Array], float] | None = None,
-        lagrangian_q: Callable[[Array, Array], ArrayLike] | None = None,
-        lagrangian_v: Callable[[Array, Array], ArrayLike] | None = None,
-        lagrangian_qq: Callable[[Array, Array], ArrayLike] | None = None,
-        lagrangian_vq: Callable[[Array, Array], ArrayLike] | None = None,
-        lagrangian_vv: Callable[[Array, Array], ArrayLike] | None = None,
-        force: Callable[[float, Array, Array], ArrayLike] | None = None,
-        force_q: Callable[[float, Array, Array], ArrayLike] | None = None,
-        force_v: Callable[[float, Array, Array], ArrayLike] | None = None,
+        lagrangian_q: OfState | None = None,
+        lagrangian_v: OfState | None = None,
+        lagrangian_qq: OfState | None = None,
+        lagrangian_vq: OfState | None = None,
+        lagrangian_vv: OfState | None = None,
+        force: OfTime | None = None,
+        force_q: OfTime | None = None,
+        force_v: OfTime | None = None,
         n: int | None = None,
         m: int | None = None,
         name: str = "system",
@@ -193,7 +195,7 @@ class System(Handle):
         coordinates: Sequence[str] | None = None,
         q0: ArrayLike | None = None,
         v0: ArrayLike | None = None,
-        exact: Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]] | None = None,
+        exact: OfTimeTwo | None = None,
         invariants: Mapping[str, Callable[[Array, Array], float]] | None = None,
         steady: bool = False,
         kind: str | None = None,
@@ -204,7 +206,7 @@ class System(Handle):
             raise TypeError("a System does not change: __init__ is called once")
         given = locals()
         del given["self"]
-        self._take(sources.functions(**given))
+        self._take(sources.functions(given))
 
     @classmethod
     def _of(cls, source: Source) -> System:
@@ -318,8 +320,9 @@ class System(Handle):
         arguments.mapping(force, "force")
         sources.require_named(invariants)
         taken = symbolic.given.take(
-            L, constraints, coordinates, parameters, force, q0, v0, exact, invariants
-        )
+            L, constraints, coordinates, parameters,
+            force=force, q0=q0, v0=v0, exact=exact, invariants=invariants,
+        )  # fmt: skip
         about = {"name": name, "help": help, "description": description, "source": source}
         return cls._of(sources.Expressions(about=about, **taken))
 
@@ -431,15 +434,11 @@ class System(Handle):
                     for name, f in self._invariants.items()
                 ]
             elif names:
+                output = values[k]
                 core.check(
-                    lib.dal_system_invariant(
-                        self._handle, 0.0, core.pointer(x, k), core.pointer(values, k)
-                    ),
-                    step=k,
+                    core.attempt(lib.dal_system_invariant, self._handle, 0.0, row, output), step=k
                 )
-        if single:
-            return {name: float(values[0, i]) for i, name in enumerate(names)}
-        return {name: values[:, i] for i, name in enumerate(names)}
+        return {name: core.first(values[:, i], single) for i, name in enumerate(names)}
 
     @property
     def has_exact(self) -> bool:
@@ -448,12 +447,12 @@ class System(Handle):
             return self._has_exact
         x = np.zeros(2 * self.n) if self.q0 is None else np.concatenate([self.q0, self.v0])
         y = np.empty_like(x)
-        status = lib.dal_system_exact(self._handle, 0.0, core.pointer(x), core.pointer(y))
+        status = core.attempt(lib.dal_system_exact, self._handle, 0.0, x, y)
         return bool(status != lib.DAL_EUNSUPPORTED)
 
     def exact(
         self, t: ArrayLike, q0: ArrayLike | None = None, v0: ArrayLike | None = None
-    ) -> tuple[Array, Array]:
+    ) -> Pair:
         """Return the exact state a time t after (q0, v0).
 
         Parameters
@@ -491,17 +490,11 @@ class System(Handle):
                 x[k, :n] = arguments.returned(found[0], (n,), "exact (q)")
                 x[k, n:] = arguments.returned(found[1], (n,), "exact (v)")
                 continue
-            status = core.attempt(
-                lib.dal_system_exact,
-                self._handle,
-                float(time),
-                core.pointer(x0),
-                core.pointer(x, k),
-            )
+            status = core.attempt(lib.dal_system_exact, self._handle, float(time), x0, x[k])
             if status == lib.DAL_EUNSUPPORTED:
                 raise NotImplementedError(f"the system {self.name!r} carries no exact solution")
             core.check(status, step=k)
-        x = x[0] if times.ndim == 0 else x
+        x = core.first(x, times.ndim == 0)
         return x[..., :n], x[..., n:]
 
     def check(
@@ -509,7 +502,7 @@ class System(Handle):
         q: ArrayLike | None = None,
         v: ArrayLike | None = None,
         *,
-        progress: bool | Callable[[int, int], Any] = False,
+        progress: Progress = False,
     ) -> Check:
         """Examine the system at a state: derivatives, rank, definiteness, integrability, growth.
 
@@ -574,7 +567,7 @@ class System(Handle):
             show(total)
         return found.with_distribution(distribution)
 
-    def _general_state(self) -> tuple[Array, Array]:
+    def _general_state(self) -> Pair:
         """Return some state in D, in no special position."""
         source, first = np.random.default_rng(1), None
         for size in np.repeat((1.0, -1.0, 10.0, -10.0, 100.0, -100.0), 4):  # where it is defined
@@ -669,11 +662,11 @@ class System(Handle):
 
     def deformed(
         self,
-        g: Callable[[Array, Array], ArrayLike],
+        g: OfState,
         delta: float,
         *,
-        g_v: Callable[[Array, Array], ArrayLike],
-        g_q: Callable[[Array, Array], ArrayLike] | None = None,
+        g_v: OfState,
+        g_q: OfState | None = None,
         kind: str = "nonlinear",
     ) -> System:
         """Return the system with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE).

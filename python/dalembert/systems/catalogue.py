@@ -14,6 +14,7 @@ is the one place for what it says about itself: help, description and source of 
 
 from __future__ import annotations
 
+import functools
 import inspect
 import re
 from collections.abc import Callable
@@ -33,7 +34,60 @@ __all__ = [
 ]
 
 
-def steered_car(*, m: float = 1.0, J: float = 0.2, K: float = 0.1, l: float = 0.5) -> System:
+def about(name: str) -> dict[str, str]:
+    """Return what a system says about itself: help, description and source; without SymPy."""
+    summary, _, rest = (inspect.getdoc(globals()[name]) or "").partition("\n\n")
+    extended, *sections = re.split(r"\n\n(\w+)\n-+\n", f"\n\n{rest}")
+    named = dict(zip(sections[::2], sections[1::2]))
+    paragraphs = [x for x in extended.strip().split("\n\n") if not x.startswith(" ")]
+    prose = " ".join(" ".join(paragraphs).replace("::", ".").split())
+    return {
+        "help": summary,
+        "description": prose,
+        "source": " ".join(named.get("References", "").split()),
+    }
+
+
+def _system(coordinates: str, positive: str = "") -> Callable[..., Callable[..., System]]:
+    """Make a system of what a function says: L, constraints, a state, invariants.
+
+    The function gets SymPy, the coordinates, and a symbol for each parameter; what it makes takes
+    numbers for them.
+    """
+
+    def decorate(describe: Callable[..., dict[str, Any]]) -> Callable[..., System]:
+        name, call = describe.__name__, tuple(coordinates.split())
+        _, _, *parameters = inspect.signature(describe).parameters.values()
+        signature = inspect.Signature(parameters, return_annotation="System")
+
+        @functools.wraps(describe)
+        def make(*args: float, **given: float) -> System:
+            values = signature.bind(*args, **given)
+            values.apply_defaults()
+            numbers = values.kwargs
+            for key, value in numbers.items():
+                arguments.number(value, key)
+            if not extras.is_there("sympy"):
+                raise ImportError(f"the system {name} needs SymPy: pip install sympy")
+            sympy = extras.require("sympy", f"the system {name}")
+            assumed = dict.fromkeys(positive.split(), True)
+            symbols = {x: sympy.Symbol(x, positive=assumed.get(x)) for x in numbers}
+            q = [model.Coordinate(x, call) for x in call]
+            said = describe(sympy, q, **symbols) | about(name)
+            made = System.from_sympy(coordinates=q, parameters=numbers, name=name, **said)
+            made._source.of_library = True
+            return made
+
+        make.__signature__ = signature  # type: ignore[attr-defined]
+        return make
+
+    return decorate
+
+
+@_system("x y theta phi", positive="m J K l")
+def steered_car(
+    sympy: Any, q: Any, *, m: float = 1.0, J: float = 0.2, K: float = 0.1, l: float = 0.5
+) -> dict[str, Any]:
     """Car with rear axle at (x, y), front axle (inertia K) at distance l, steered by phi.
 
     Coordinates x, y, theta, phi: middle of the rear axle, where the centre of mass is, heading, and
@@ -63,32 +117,35 @@ def steered_car(*, m: float = 1.0, J: float = 0.2, K: float = 0.1, l: float = 0.
     M. Kobilarov, J. E. Marsden, G. S. Sukhatme: Geometric discretization of nonholonomic
     systems with symmetries, Discrete Contin. Dyn. Syst. Ser. S 3 (2010) 61-84
     """
-    given = {"m": m, "J": J, "K": K, "l": l}
-    sympy, (x, y, theta, phi), symbols = _start(steered_car, "x y theta phi", given, "m J K l")
-    m_, J_, K_, l_ = symbols
+    x, y, theta, phi = q
     cos, sin = sympy.cos, sympy.sin
     heading, steering = sympy.Rational(1, 5), sympy.Rational(3, 10)
-    return _make(
-        steered_car,
-        given,
-        (m_ * (x.d**2 + y.d**2) + J_ * theta.d**2 + K_ * (theta.d + phi.d) ** 2) / 2,
-        [
+    return {
+        "L": (m * (x.d**2 + y.d**2) + J * theta.d**2 + K * (theta.d + phi.d) ** 2) / 2,
+        "constraints": [
             -sin(theta) * x.d + cos(theta) * y.d,
-            -sin(theta + phi) * x.d + cos(theta + phi) * y.d + l_ * cos(phi) * theta.d,
+            -sin(theta + phi) * x.d + cos(theta + phi) * y.d + l * cos(phi) * theta.d,
         ],
-        [x, y, theta, phi],
-        q0=[0, 0, heading, steering],
-        v0=[cos(heading), sin(heading), sympy.tan(steering) / l_, 0.5],
-        invariants={
+        "q0": [0, 0, heading, steering],
+        "v0": [cos(heading), sin(heading), sympy.tan(steering) / l, 0.5],
+        "invariants": {
             "v_theta + v_phi": theta.d + phi.d,
-            "m (v_x^2 + v_y^2) + J v_theta^2": m_ * (x.d**2 + y.d**2) + J_ * theta.d**2,
+            "m (v_x^2 + v_y^2) + J v_theta^2": m * (x.d**2 + y.d**2) + J * theta.d**2,
         },
-    )
+    }
 
 
+@_system("x y theta phi", positive="m J K d1 d2")
 def roller_racer(
-    *, m: float = 1.0, J: float = 0.2, K: float = 0.05, d1: float = 0.5, d2: float = 0.2
-) -> System:
+    sympy: Any,
+    q: Any,
+    *,
+    m: float = 1.0,
+    J: float = 0.2,
+    K: float = 0.05,
+    d1: float = 0.5,
+    d2: float = 0.2,
+) -> dict[str, Any]:
     """Roller racer: two bodies in a hinge, each on an axle; it drives by swinging the handle.
 
     Coordinates x, y, theta, phi: middle of the rear axle, where the body (m, J) has its centre of
@@ -126,30 +183,27 @@ def roller_racer(
     P. S. Krishnaprasad, D. P. Tsakiris: Oscillations, SE(2)-snakes and motion control: a
     study of the roller racer, Dyn. Syst. 16 (2001) 347-397
     """
-    given = {"m": m, "J": J, "K": K, "d1": d1, "d2": d2}
-    names = "x y theta phi"
-    sympy, (x, y, theta, phi), symbols = _start(roller_racer, names, given, "m J K d1 d2")
-    m_, J_, K_, d1_, d2_ = symbols
+    x, y, theta, phi = q
     cos, sin = sympy.cos, sympy.sin
     bend, turn = sympy.Rational(2, 5), sympy.Rational(1, 2)
-    return _make(
-        roller_racer,
-        given,
-        (m_ * (x.d**2 + y.d**2) + J_ * theta.d**2 + K_ * (theta.d + phi.d) ** 2) / 2,
-        [
+    return {
+        "L": (m * (x.d**2 + y.d**2) + J * theta.d**2 + K * (theta.d + phi.d) ** 2) / 2,
+        "constraints": [
             -sin(theta) * x.d + cos(theta) * y.d,
             -sin(theta + phi) * x.d
             + cos(theta + phi) * y.d
-            + (d1_ * cos(phi) + d2_) * theta.d
-            + d2_ * phi.d,
+            + (d1 * cos(phi) + d2) * theta.d
+            + d2 * phi.d,
         ],
-        [x, y, theta, phi],
-        q0=[0, 0, 0, bend],
-        v0=[1, 0, turn, (sin(bend) - (d1_ * cos(bend) + d2_) * turn) / d2_],
-    )
+        "q0": [0, 0, 0, bend],
+        "v0": [1, 0, turn, (sin(bend) - (d1 * cos(bend) + d2) * turn) / d2],
+    }
 
 
+@_system("x y theta right left", positive="m J I b r")
 def two_wheeled_robot(
+    sympy: Any,
+    q: Any,
     *,
     m: float = 2.0,
     J: float = 0.3,
@@ -157,7 +211,7 @@ def two_wheeled_robot(
     a: float = 0.2,
     b: float = 0.3,
     r: float = 0.1,
-) -> System:
+) -> dict[str, Any]:
     """Robot on two wheels (inertia I, radius r) at distance b either side, centre of mass a ahead.
 
     Coordinates x, y, theta, right, left: middle of the axle, heading, angles of the wheels; the
@@ -190,37 +244,31 @@ def two_wheeled_robot(
     kinematic and dynamic models of wheeled mobile robots, IEEE Trans. Robot. Autom. 12 (1996)
     47-62
     """
-    given = {"m": m, "J": J, "I": I, "a": a, "b": b, "r": r}
-    names = "x y theta right left"
-    sympy, q, symbols = _start(two_wheeled_robot, names, given, "m J I b r")
     x, y, theta, right, left = q
-    m_, J_, I_, a_, b_, r_ = symbols
     cos, sin = sympy.cos, sympy.sin
     u = cos(theta) * x.d + sin(theta) * y.d
     across = -sin(theta) * x.d + cos(theta) * y.d
-    A, B = m_ + 2 * I_ / r_**2, J_ + m_ * a_**2 + 2 * I_ * b_**2 / r_**2
+    A, B = m + 2 * I / r**2, J + m * a**2 + 2 * I * b**2 / r**2
     heading, speed = sympy.Rational(3, 10), sympy.Rational(1, 5)
     # (u, w + a theta') has the length of (x', y') + a theta' (-sin(theta), cos(theta)).
-    T = m_ * (x.d**2 + y.d**2 + 2 * a_ * theta.d * across + (a_ * theta.d) ** 2)
-    return _make(
-        two_wheeled_robot,
-        given,
-        (T + J_ * theta.d**2 + I_ * (right.d**2 + left.d**2)) / 2,
-        [across, u + b_ * theta.d - r_ * right.d, u - b_ * theta.d - r_ * left.d],
-        q,
-        q0=[0, 0, heading, 0, 0],
-        v0=[
-            speed * cos(heading), speed * sin(heading), 1, (speed + b_) / r_, (speed - b_) / r_,
+    T = m * (x.d**2 + y.d**2 + 2 * a * theta.d * across + (a * theta.d) ** 2)
+    return {
+        "L": (T + J * theta.d**2 + I * (right.d**2 + left.d**2)) / 2,
+        "constraints": [across, u + b * theta.d - r * right.d, u - b * theta.d - r * left.d],
+        "q0": [0, 0, heading, 0, 0],
+        "v0": [
+            speed * cos(heading), speed * sin(heading), 1, (speed + b) / r, (speed - b) / r,
         ],
-        invariants={
-            "r (right - left) - 2 b theta": r_ * (right - left) - 2 * b_ * theta,
-            "m a theta/sqrt(A B) - atan(sqrt(A/B) u/v_theta)": m_ * a_ * theta / sympy.sqrt(A * B)
+        "invariants": {
+            "r (right - left) - 2 b theta": r * (right - left) - 2 * b * theta,
+            "m a theta/sqrt(A B) - atan(sqrt(A/B) u/v_theta)": m * a * theta / sympy.sqrt(A * B)
             - sympy.atan(sympy.sqrt(A / B) * u / theta.d),
         },
-    )  # fmt: skip
+    }  # fmt: skip
 
 
-def cvt(*, c: float = 0.2) -> System:
+@_system("x y z")
+def cvt(sympy: Any, q: Any, *, c: float = 0.2) -> dict[str, Any]:
     """Gearbox (CVT) between oscillators x and z, whose ratio y swings in V = y^2/2 + c y^3.
 
     Coordinates x, y, z: the two oscillators, with y, the driver, between them::
@@ -247,27 +295,31 @@ def cvt(*, c: float = 0.2) -> System:
     K. Modin, O. Verdier: What makes nonholonomic integrators work?, Numer. Math. 145 (2020)
     405-435
     """
-    given = {"c": c}
-    _, (x, y, z), (c_,) = _start(cvt, "x y z", given)
-    V = y**2 / 2 + c_ * y**3
-    return _make(
-        cvt,
-        given,
-        (x.d**2 + y.d**2 + z.d**2) / 2 - (x**2 + z**2) / 2 - V,
-        [x.d + y * z.d],
-        [x, y, z],
-        q0=[1, 0.5, 0],
-        v0=[0, 0, 0],
-        invariants={
+    x, y, z = q
+    V = y**2 / 2 + c * y**3
+    return {
+        "L": (x.d**2 + y.d**2 + z.d**2) / 2 - (x**2 + z**2) / 2 - V,
+        "constraints": [x.d + y * z.d],
+        "q0": [1, 0.5, 0],
+        "v0": [0, 0, 0],
+        "invariants": {
             "v_y^2/2 + y^2/2 + c y^3": y.d**2 / 2 + V,
             "(x^2 + z^2 + (1 + y^2) v_z^2)/2": (x**2 + z**2 + (1 + y**2) * z.d**2) / 2,
         },
-    )
+    }
 
 
+@_system("x y theta psi", positive="m J K")
 def sleigh_with_rotor(
-    *, m: float = 1.5, J: float = 0.8, a: float = 0.4, K: float = 0.3, k: float = 0.5
-) -> System:
+    sympy: Any,
+    q: Any,
+    *,
+    m: float = 1.5,
+    J: float = 0.8,
+    a: float = 0.4,
+    K: float = 0.3,
+    k: float = 0.5,
+) -> dict[str, Any]:
     """Chaplygin sleigh (m, J, a) with a rotor of inertia K on a torsion spring k.
 
     Coordinates x, y, theta, psi: centre of mass, where the rotor turns, heading, and angle of the
@@ -301,30 +353,25 @@ def sleigh_with_rotor(
     excitation: chaotic dynamics and nonholonomic acceleration, Regul. Chaotic Dyn. 22 (2017)
     955-975, where the motion inside the sleigh is given instead
     """
-    given = {"m": m, "J": J, "a": a, "K": K, "k": k}
-    names = "x y theta psi"
-    sympy, (x, y, theta, psi), symbols = _start(sleigh_with_rotor, names, given, "m J K")
-    m_, J_, a_, K_, k_ = symbols
+    x, y, theta, psi = q
     cos, sin = sympy.cos, sympy.sin
     heading, speed = sympy.Rational(3, 10), sympy.Rational(1, 5)
-    T = m_ * (x.d**2 + y.d**2) + J_ * theta.d**2 + K_ * (theta.d + psi.d) ** 2
-    return _make(
-        sleigh_with_rotor,
-        given,
-        T / 2 - k_ * psi**2 / 2,
-        [-sin(theta) * x.d + cos(theta) * y.d - a_ * theta.d],
-        [x, y, theta, psi],
-        q0=[0, 0, heading, 0.6],
-        v0=[
-            speed * cos(heading) - a_ * sin(heading),
-            speed * sin(heading) + a_ * cos(heading),
+    T = m * (x.d**2 + y.d**2) + J * theta.d**2 + K * (theta.d + psi.d) ** 2
+    return {
+        "L": T / 2 - k * psi**2 / 2,
+        "constraints": [-sin(theta) * x.d + cos(theta) * y.d - a * theta.d],
+        "q0": [0, 0, heading, 0.6],
+        "v0": [
+            speed * cos(heading) - a * sin(heading),
+            speed * sin(heading) + a * cos(heading),
             1,
             -0.5,
         ],
-    )
+    }
 
 
-def disguised() -> System:
+@_system("x y1 y2 y3 z1 z2 z3")
+def disguised(sympy: Any, q: Any) -> dict[str, Any]:
     """Quartic oscillators with v_x = -sum z_i v_zi, a holonomic constraint in disguise.
 
     Coordinates x, y1, y2, y3, z1, z2, z3; the Lagrangian and the start of `chaotic`::
@@ -350,70 +397,14 @@ def disguised() -> System:
     >>> dal.systems.disguised().check().growth
     (6, 6)
     """
-    sympy, q, _ = _start(disguised, "x y1 y2 y3 z1 z2 z3", {})
     x, y, z = q[0], q[1:4], q[4:]
     V = sum(c**2 for c in q) + (z[0] * z[1]) ** 2 + sum((b * c) ** 2 for b, c in zip(y, z))
     angle = sympy.pi / 9
     start = [sympy.cos(angle), 0.6, 0.4, 0.2, 1, 1, 1]
-    return _make(
-        disguised,
-        {},
-        sum(c.d**2 for c in q) / 2 - V / 2,
-        [x.d + sum(c * c.d for c in z)],
-        q,
-        q0=start,
-        v0=[0, sympy.sin(angle), 0, 0, 0, 0, 0],
-        invariants={"x + (z1^2 + z2^2 + z3^2)/2": x + sum(c**2 for c in z) / 2},
-    )
-
-
-# ---- what they share ---------------------------------------------------------------------------
-
-
-def about(name: str) -> dict[str, str]:
-    """Return what a system says about itself: help, description and source; without SymPy."""
-    summary, _, rest = (inspect.getdoc(globals()[name]) or "").partition("\n\n")
-    extended, *sections = re.split(r"\n\n(\w+)\n-+\n", f"\n\n{rest}")
-    named = dict(zip(sections[::2], sections[1::2]))
-    paragraphs = [x for x in extended.strip().split("\n\n") if not x.startswith(" ")]
-    prose = " ".join(" ".join(paragraphs).replace("::", ".").split())
     return {
-        "help": summary,
-        "description": prose,
-        "source": " ".join(named.get("References", "").split()),
+        "L": sum(c.d**2 for c in q) / 2 - V / 2,
+        "constraints": [x.d + sum(c * c.d for c in z)],
+        "q0": start,
+        "v0": [0, sympy.sin(angle), 0, 0, 0, 0, 0],
+        "invariants": {"x + (z1^2 + z2^2 + z3^2)/2": x + sum(c**2 for c in z) / 2},
     }
-
-
-def _start(
-    system: Callable[..., System],
-    coordinates: str,
-    parameters: dict[str, float],
-    positive: str = "",
-) -> tuple[Any, tuple[Any, ...], list[Any]]:
-    """Return SymPy, the coordinates, and a symbol for each parameter."""
-    for key, value in parameters.items():
-        arguments.number(value, key)
-    if not extras.is_there("sympy"):
-        raise ImportError(f"the system {system.__name__} needs SymPy: pip install sympy")
-    sympy = extras.require("sympy", f"the system {system.__name__}")
-    symbols = [
-        sympy.Symbol(key, positive=True if key in positive.split() else None) for key in parameters
-    ]
-    call = tuple(coordinates.split())
-    return sympy, tuple(model.Coordinate(name, call) for name in call), symbols
-
-
-def _make(
-    system: Callable[..., System],
-    parameters: dict[str, float],
-    L: Any,
-    constraints: list[Any],
-    coordinates: Any,
-    **more: Any,
-) -> System:
-    name = system.__name__
-    made = System.from_sympy(
-        L, constraints, coordinates, parameters, name=name, **about(name), **more
-    )
-    made._source.of_library = True
-    return made
