@@ -126,11 +126,11 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
     double *const sizes = chart->B.sizes;
     for (size_t a = 0; a < m; a++) {
         sizes[a] = 0.0;
-        sizes[m + a] = chart->mech.per_unit[chart->place[a]];
+        sizes[m + a] = chart->mech.metric.per_unit[chart->place[a]];
         for (size_t b = 0; b < m; b++) {
             const double entry = mu[a * n + chart->place[b]];
             chart->B.A[a * m + b] = entry;
-            sizes[a] += fabs(entry) * chart->mech.unit[chart->place[b]];
+            sizes[a] += fabs(entry) * chart->mech.metric.unit[chart->place[b]];
         }
     }
     if (dal__linear_factor(&chart->B)) return DAL_SUCCESS;
@@ -141,10 +141,10 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
 }
 
 /* phi, mu, the metric, and phi_q if wanted at x[2n], and B factored. */
-static int form_B(dal_chart *chart, double t, const double *x, double *phi_q)
+static int form_B(dal_chart *chart, double t, const double *x, bool slopes)
 {
-    const int status = dal__forms_at(&chart->mech, t, 0.0, x, phi_q);
-    return status ? status : dal__chart_factor(chart, chart->mech.mu);
+    const int status = dal__forms_at(&chart->mech, t, 0.0, x, slopes);
+    return status ? status : dal__chart_factor(chart, chart->mech.forms.mu);
 }
 
 /* result[a*stride] <- B^-1 times the column of forms[m*n]. */
@@ -161,7 +161,7 @@ static void form_A(dal_chart *chart)
 {
     const size_t free = chart->n - chart->m;
     for (size_t j = 0; j < free; j++)
-        solve_column(chart, chart->mech.mu, chart->place[chart->m + j], chart->A + j, free);
+        solve_column(chart, chart->mech.forms.mu, chart->place[chart->m + j], chart->A + j, free);
 }
 
 int dal_chart_connection(dal_chart *chart, double t, const double *x, double *A, double *B)
@@ -169,12 +169,12 @@ int dal_chart_connection(dal_chart *chart, double t, const double *x, double *A,
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, t, x);
-    if (!status) status = form_B(chart, t, x, NULL);
+    if (!status) status = form_B(chart, t, x, false);
     if (status) return status;
     form_A(chart);
     status = DAL__DELIVER(&chart->mech.error, {"A", m * (n - m), chart->A, A});
     for (size_t a = 0; !status && B && a < m; a++)
-        for (size_t b = 0; b < m; b++) B[a * m + b] = chart->mech.mu[a * n + chart->place[b]];
+        for (size_t b = 0; b < m; b++) B[a * m + b] = chart->mech.forms.mu[a * n + chart->place[b]];
     return status;
 }
 
@@ -223,7 +223,7 @@ static int pivot_columns(dal_chart *chart)
     for (size_t b = 0; b < m; b++) { /* the size of a form means nothing */
         double most = 0.0;
         for (size_t k = 0; k < n; k++) {
-            T[b * n + k] = chart->mech.mu[b * n + k] / sqrt(chart->mech.metric[k * n + k]);
+            T[b * n + k] = chart->mech.forms.mu[b * n + k] / sqrt(chart->mech.metric.M[k * n + k]);
             most = fmax(most, fabs(T[b * n + k]));
         }
         for (size_t k = 0; most > 0.0 && k < n; k++) T[b * n + k] /= most;
@@ -284,13 +284,13 @@ int dal_chart_choose(dal_chart *chart, double t, const size_t *dependent, const 
     int status = dal__require_finite(&chart->mech, "t", 1, &t);
     if (!status) status = dal__require_finite(&chart->mech, "x", 2 * n, x);
     if (!status && dependent) status = check_dependent(chart, dependent);
-    if (!status) status = dal__forms_at(&chart->mech, t, 0.0, x, NULL);
+    if (!status) status = dal__forms_at(&chart->mech, t, 0.0, x, false);
     if (!status && !dependent) status = pivot_columns(chart);
     if (status) return status;
     if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
     memcpy(chart->former, chart->place, n * sizeof *chart->place);
     arrange(chart);
-    status = dal__chart_factor(chart, chart->mech.mu);
+    status = dal__chart_factor(chart, chart->mech.forms.mu);
     if (status) {
         memcpy(chart->place, chart->former, n * sizeof *chart->place);
         return status;
@@ -304,11 +304,11 @@ int dal_chart_choose(dal_chart *chart, double t, const size_t *dependent, const 
 static int evaluate_condition(dal_chart *chart, double t, const double *x, double *condition)
 {
     const size_t n = chart->n, m = chart->m, free = n - m;
-    const int status = dal__forms_at(&chart->mech, t, 0.0, x, NULL);
+    const int status = dal__forms_at(&chart->mech, t, 0.0, x, false);
     if (status) return status;
     *condition = (double)INFINITY;
     const dal_error before = chart->mech.error;
-    if (dal__chart_factor(chart, chart->mech.mu)) { /* an answer, not a failure */
+    if (dal__chart_factor(chart, chart->mech.forms.mu)) { /* an answer, not a failure */
         chart->mech.error = before;
         return DAL_SUCCESS;
     }
@@ -316,8 +316,8 @@ static int evaluate_condition(dal_chart *chart, double t, const double *x, doubl
     for (size_t a = 0; a < m; a++)
         for (size_t j = 0; j < free; j++) {
             const size_t d = chart->place[a], i = chart->place[m + j];
-            chart->A[a * free + j] *= sqrt(chart->mech.metric[d * n + d]
-                                           / chart->mech.metric[i * n + i]);
+            chart->A[a * free + j] *= sqrt(chart->mech.metric.M[d * n + d]
+                                           / chart->mech.metric.M[i * n + i]);
         }
     const double unit = dal__singular_values(m, free, chart->A, chart->right);
     *condition = hypot(1.0, unit * sqrt(dal__largest(m, chart->right)));
@@ -386,13 +386,13 @@ void dal__chart_drop(const dal_chart *chart, const double *x, double *xi)
 static bool is_in_D(const dal_chart *chart)
 {
     const dal_mechanics *const mech = &chart->mech;
-    return dal__relative_residual(mech, mech->mu, mech->phi, chart->x + chart->n)
+    return dal__relative_residual(mech, mech->forms.mu, mech->forms.phi, chart->x + chart->n)
         <= 2.0 * (double)chart->n * DAL_ROUNDOFF;
 }
 
 static void move_dependent(dal_chart *chart)
 {
-    dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
+    dal__linear_solve(&chart->B, chart->mech.forms.phi, chart->solution);
     for (size_t a = 0; a < chart->m; a++)
         chart->x[chart->n + chart->place[a]] -= chart->solution[a];
 }
@@ -404,9 +404,9 @@ int dal__chart_mend(dal_chart *chart, double t, double shift)
     for (int pass = 1;; pass++) {
         int status = DAL_SUCCESS;
         if (shift == 0.0 && kind(chart) == DAL_LINEAR) /* mu stands still */
-            dal__apply(chart->m, chart->n, mech->mu, chart->x + chart->n, mech->phi);
+            dal__apply(chart->m, chart->n, mech->forms.mu, chart->x + chart->n, mech->forms.phi);
         else
-            status = dal__forms_at(mech, t, shift, chart->x, NULL);
+            status = dal__forms_at(mech, t, shift, chart->x, false);
         if (status) return status;
         if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
         move_dependent(chart);
@@ -424,13 +424,13 @@ static int find_step(dal__newton *equations)
 {
     const lift *const l = equations->ctx;
     dal_chart *const chart = l->chart;
-    int status = dal__forms_at(&chart->mech, l->t, 0.0, chart->x, NULL);
+    int status = dal__forms_at(&chart->mech, l->t, 0.0, chart->x, false);
     if (status) return status;
     memset(equations->step, 0, chart->n * sizeof *equations->step);
     if (is_in_D(chart)) return DAL_SUCCESS;
-    status = dal__chart_factor(chart, chart->mech.mu);
+    status = dal__chart_factor(chart, chart->mech.forms.mu);
     if (status) return status;
-    dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
+    dal__linear_solve(&chart->B, chart->mech.forms.phi, chart->solution);
     for (size_t a = 0; a < chart->m; a++)
         equations->step[chart->place[a]] = -chart->solution[a];
     return DAL_SUCCESS;
@@ -447,13 +447,13 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
     if (kind(chart) == DAL_NONLINEAR) {
         lift l = {chart, t};
         dal__newton equations = {.find_step = find_step, .ctx = &l, .size = n, .measured = n,
-                                 .n = n, .per_unit = chart->mech.per_unit, .z = v,
+                                 .n = n, .per_unit = chart->mech.metric.per_unit, .z = v,
                                  .step = chart->step, .lagging = true,
                                  .advice = "there may be no such dependent velocities"};
         status = dal__newton_run(&equations, &chart->mech.error);
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
-        status = form_B(chart, t, x, NULL);
+        status = form_B(chart, t, x, false);
         if (!status) move_dependent(chart);
         if (!status) status = dal__chart_mend(chart, t, 0.0);
     }
@@ -511,12 +511,12 @@ int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J, 
     const size_t n = chart->n, m = chart->m, width = chart->width;
     const size_t *const place = chart->place;
     int status = dal__chart_state(chart, t, xi);
-    if (!status) status = form_B(chart, t, chart->x, chart->mech.dmu);
+    if (!status) status = form_B(chart, t, chart->x, true);
     if (status) return status;
     if (J) {
         form_A(chart);
         for (size_t k = 0; k < n; k++)
-            solve_column(chart, chart->mech.dmu, k, chart->tableau + k, n);
+            solve_column(chart, chart->mech.forms.dmu, k, chart->tableau + k, n);
         status = dal__require_output(&chart->mech.error, "J", m * n, chart->tableau);
         if (!status)
             status = dal__require_output(&chart->mech.error, "J", m * (n - m), chart->A);
@@ -557,12 +557,12 @@ int dal_chart_multipliers(dal_chart *chart, double t, const double *x, const dou
     const size_t n = chart->n, m = chart->m;
     int status = require_state(chart, t, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
-    if (!status) status = form_B(chart, t, x, NULL);
+    if (!status) status = form_B(chart, t, x, false);
     if (status) return status;
     for (size_t b = 0; b < m; b++) {
         chart->solution[b] = 0.0;
         for (size_t a = 0; a < m; a++)
-            chart->solution[b] += chart->mech.mu[a * n + chart->place[b]] * lambda[a];
+            chart->solution[b] += chart->mech.forms.mu[a * n + chart->place[b]] * lambda[a];
     }
     return DAL__DELIVER(&chart->mech.error, {"lambda_E", m, chart->solution, lambda_E});
 }
@@ -575,7 +575,7 @@ int dal_chart_multipliers_back(dal_chart *chart, double t, const double *x,
     const size_t m = chart->m;
     int status = require_state(chart, t, x);
     if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
-    if (!status) status = form_B(chart, t, x, NULL);
+    if (!status) status = form_B(chart, t, x, false);
     if (status) return status;
     if (m > 0) memcpy(chart->right, lambda_E, m * sizeof *lambda_E);
     dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);

@@ -355,16 +355,16 @@ static int compare_constraint(examination *ex)
     dal_mechanics *const mech = &ex->mech;
     const bool linear = ex->system->def.kind == DAL_LINEAR;
     const unsigned missing = ex->system->def.missing;
-    double *const phi_q = missing & DAL_MISSING_PHI_Q ? NULL : mech->dmu;
-    double *const phi_t = missing & DAL_MISSING_PHI_T ? NULL : mech->phi_t;
-    int status = dal__constraint(&mech->eval, ex->time, ex->q, ex->velocity, ex->phi, mech->mu,
+    double *const phi_q = missing & DAL_MISSING_PHI_Q ? NULL : mech->forms.dmu;
+    double *const phi_t = missing & DAL_MISSING_PHI_T ? NULL : mech->forms.phi_t;
+    int status = dal__constraint(&mech->eval, ex->time, ex->q, ex->velocity, ex->phi, mech->forms.mu,
                                  phi_q, phi_t, &mech->error);
     if (status) return status;
-    double size = dal__largest(ex->n, ex->velocity) * dal__largest(ex->m * ex->n, mech->mu);
+    double size = dal__largest(ex->n, ex->velocity) * dal__largest(ex->m * ex->n, mech->forms.mu);
     if (!linear) size = fmax(size, dal__largest(ex->m, ex->phi));
     if (phi_q) status = compare(ex, value_phi, MOVES_Q, ex->m, phi_q, size, &ex->found.phi_q);
     if (!status && !linear)
-        status = compare(ex, value_phi, MOVES_V, ex->m, mech->mu, size, &ex->found.phi_v);
+        status = compare(ex, value_phi, MOVES_V, ex->m, mech->forms.mu, size, &ex->found.phi_v);
     if (!status && phi_t && ex->system->def.time_dependent)
         status = compare(ex, value_phi, MOVES_T, ex->m, phi_t, size, &ex->found.phi_t);
     return status;
@@ -403,8 +403,8 @@ static int examine_time(examination *ex)
     const size_t n = ex->n, m = ex->m;
     for (int k = 0; k < VELOCITIES && !ex->system->def.time_dependent; k++) {
         double L[2], *const L_q[2] = {ex->gradient, ex->expected};
-        double *const L_v[2] = {mech->momentum, ex->slope}, *const phi[2] = {ex->phi, mech->phi};
-        double *const phi_v[2] = {mech->mu, ex->forms};
+        double *const L_v[2] = {mech->momentum, ex->slope}, *const phi[2] = {ex->phi, mech->forms.phi};
+        double *const phi_v[2] = {mech->forms.mu, ex->forms};
         int status = DAL_SUCCESS;
         stand_at(ex, k);
         for (int i = 0; !status && i < 2; i++) {
@@ -433,13 +433,13 @@ static int examine_time(examination *ex)
 /* ---- linearity --------------------------------------------------------------------------- */
 
 /* The change of mu from one velocity to the other, which must vanish unless the constraints are
- * nonlinear.  Leaves mu in mech.mu. */
+ * nonlinear.  Leaves mu in mech.forms.mu. */
 static int compare_forms(examination *ex)
 {
     dal_mechanics *const mech = &ex->mech;
     const size_t n = ex->n, m = ex->m;
     const bool nonlinear = ex->system->def.kind == DAL_NONLINEAR;
-    int status = dal__constraint(&mech->eval, ex->t, ex->q, ex->v, NULL, mech->mu, NULL, NULL,
+    int status = dal__constraint(&mech->eval, ex->t, ex->q, ex->v, NULL, mech->forms.mu, NULL, NULL,
                                  &mech->error);
     if (status) return status;
     status = dal__constraint(&mech->eval, ex->t, ex->q, ex->other, NULL, ex->forms, NULL, NULL,
@@ -448,11 +448,11 @@ static int compare_forms(examination *ex)
     if (status) return status;
     ex->found.linearity = 0.0;
     for (size_t k = 0; k < m * n; k++) {
-        const double change = fabs(ex->forms[k] - mech->mu[k]);
-        const dal__entry entry = {NULL, "phi_v", k / n, k % n, mech->mu[k]};
-        if (!nonlinear && change > sum_tolerance * fabs(mech->mu[k]))
+        const double change = fabs(ex->forms[k] - mech->forms.mu[k]);
+        const dal__entry entry = {NULL, "phi_v", k / n, k % n, mech->forms.mu[k]};
+        if (!nonlinear && change > sum_tolerance * fabs(mech->forms.mu[k]))
             dal__fail_entry(open_finding(ex), DAL_EINVAL, &entry, " is %.10g at v and %.10g at "
-                            "another velocity: mu must not depend on v", mech->mu[k],
+                            "another velocity: mu must not depend on v", mech->forms.mu[k],
                             ex->forms[k]);
         ex->found.linearity = fmax(ex->found.linearity, change);
     }
@@ -464,7 +464,7 @@ static void weigh(const examination *ex, size_t a, const double *v, double *sum,
 {
     *sum = *scale = 0.0;
     for (size_t i = 0; i < ex->n; i++) {
-        const double term = ex->mech.mu[a * ex->n + i] * v[i];
+        const double term = ex->mech.forms.mu[a * ex->n + i] * v[i];
         *sum += term;
         *scale += fabs(term);
     }
@@ -627,13 +627,13 @@ static double kernel_min(examination *ex)
     return smallest_eigenvalue(ex, count, ex->rows) - ex->lift;
 }
 
-/* mu in mech.mu.  Also asks for lambda: C, which all schemes invert, squares the condition. */
+/* mu in mech.forms.mu.  Also asks for lambda: C, which all schemes invert, squares the condition. */
 static int examine_rank(examination *ex)
 {
     dal_mechanics *const mech = &ex->mech;
     dal_check *const found = &ex->found;
-    found->rank = rank_of(ex, mech->mu);
-    if (ex->lift == 0.0) found->condition = condition_of(ex, mech->mu);
+    found->rank = rank_of(ex, mech->forms.mu);
+    if (ex->lift == 0.0) found->condition = condition_of(ex, mech->forms.mu);
     if (found->rank < ex->m) {
         dal__fail(open_finding(ex), DAL_EINVAL, ex->system->def.kind == DAL_NONLINEAR
                   ? "phi_v has rank %zu instead of %zu at this velocity: a constraint that is "
@@ -642,7 +642,7 @@ static int examine_rank(examination *ex)
                    "others", found->rank, ex->m);
         return DAL_SUCCESS;
     }
-    split(ex, mech->mu);
+    split(ex, mech->forms.mu);
     found->kernel_min = kernel_min(ex);
     if (!(found->mass_min > 0.0 && found->kernel_min > 0.0))
         dal__fail(open_finding(ex), DAL_EINVAL, "M is not positive definite on ker mu: its "
@@ -677,10 +677,10 @@ static int examine_curvature(examination *ex, const double *q, double *curvature
 {
     dal_mechanics *const mech = &ex->mech;
     const size_t n = ex->n, m = ex->m, count = n - m;
-    int status = dal__constraint(&mech->eval, ex->t, q, ex->v, NULL, mech->mu, NULL, NULL,
+    int status = dal__constraint(&mech->eval, ex->t, q, ex->v, NULL, mech->forms.mu, NULL, NULL,
                                  &mech->error);
     if (status) return status;
-    split(ex, mech->mu);
+    split(ex, mech->forms.mu);
     for (size_t k = 0; k < count && !status; k++)
         status = dal__constraint(&mech->eval, ex->t, q, ex->X + k * n, NULL, NULL,
                                  ex->N + k * m * n, NULL, &mech->error);

@@ -252,7 +252,7 @@ static double largest_pull(dal_mechanics *mech)
     for (size_t i = 0; i < mech->n; i++) {
         double sum = fabs(mech->w[i]);
         for (size_t a = 0; a < mech->m; a++)
-            sum += fabs(mech->Z[a * mech->n + i] * mech->lambda[a]);
+            sum += fabs(mech->gram.Z[a * mech->n + i] * mech->lambda[a]);
         largest = fmax(largest, sum);
     }
     return largest;
@@ -270,7 +270,7 @@ static int roundoff(dal_flow *flow, double t0, double t1, double *error)
     if (status) return pass_on(flow, &mech->error, status);
     double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal */
     for (size_t a = 0; a < m; a++)
-        inverse += mech->C.sizes[a] * dal__dot(a + 1, mech->C.A + a * m, mech->C.A + a * m);
+        inverse += mech->gram.C.sizes[a] * dal__dot(a + 1, mech->gram.C.A + a * m, mech->gram.C.A + a * m);
     const double drift =
         (dal__largest(n, flow->result + n) + 0.5 * span * largest_pull(mech)) * span;
     *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result)
