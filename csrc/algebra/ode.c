@@ -200,16 +200,13 @@ static int rosenbrock(ode *self, double h)
 static void plan(ode *shape, arena *memory)
 {
     const size_t N = shape->N, N2 = dal__times(N, N);
-    double **const vectors[] = {&shape->state, &shape->before, &shape->slope, &shape->slope_after,
-                                &shape->step_error};
-    double **const scratch[] = {&shape->point, &shape->right, &shape->left, &shape->rate};
-    double **const matrices[] = {&shape->jacobian, &shape->scale};
-    dal__reserve_doubles(memory, DAL_LENGTH(vectors), vectors, N);
+    DAL__RESERVE(memory, N, &shape->state, &shape->before, &shape->slope, &shape->slope_after,
+                 &shape->step_error);
     if (shape->method != DAL_FLOW_RODAS) return;
-    dal__reserve_doubles(memory, DAL_LENGTH(scratch), scratch, N);
-    dal__reserve_doubles(memory, DAL_LENGTH(matrices), matrices, N2);
+    DAL__RESERVE(memory, N, &shape->point, &shape->right, &shape->left, &shape->rate);
+    DAL__RESERVE(memory, N2, &shape->jacobian, &shape->scale);
+    DAL__RESERVE(memory, dal__times(STAGES, N), &shape->stage);
     dal__linear_reserve(&shape->matrix, N, memory);
-    dal__reserve(memory, &shape->stage, dal__times(STAGES, N), sizeof(double));
 }
 
 int dal__check_tolerance(double tolerance, dal_error *error)
@@ -227,16 +224,14 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
     int status = dal__check_tolerance(tolerance, error);
     if (status) return status;
 
-    arena memory = {0};
     ode shape = {.N = N, .method = method, .tolerance = tolerance, .field = field, .ctx = ctx};
     ode *self;
-    dal__reserve(&memory, &self, 1, sizeof *self);
-    plan(&shape, &memory);
-    status = dal__allocate(&memory, error);
+    dal__reserve(&shape.arena, &self, 1, sizeof *self);
+    plan(&shape, &shape.arena);
+    status = dal__allocate(&shape.arena, error);
     if (status) return status;
 
     *self = shape;
-    self->arena = memory;
     *integrator = self;
     if (method == DAL_FLOW_RODAS) return DAL_SUCCESS;
     self->system = (gsl_odeiv2_system){evaluate, NULL, N, self};
@@ -245,7 +240,7 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
     self->step = gsl_odeiv2_step_alloc(method == DAL_FLOW_RK8PD ? gsl_odeiv2_step_rk8pd
                                                                 : gsl_odeiv2_step_msadams, N);
     if (!self->step) {
-        dal__release(&memory);
+        dal__release(&self->arena);
         *integrator = NULL;
         return dal__fail(error, DAL_ENOMEM, "out of memory for the workspace of %s",
                          method_name(method));
@@ -258,8 +253,7 @@ void dal__ode_free(ode *self)
 {
     if (!self) return;
     gsl_odeiv2_step_free(self->step);
-    arena memory = self->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&self->arena);
 }
 
 double *dal__ode_state(ode *self) { return self->state; }

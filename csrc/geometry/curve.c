@@ -34,15 +34,11 @@ int dal_chart_curve(dal_chart *chart, double t, const double *x1, const double *
                     double *x)
 {
     if (!chart) return DAL_EINVAL;
-    dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n;
     double chi0, chi1;
-    if (!x) return dal__null_argument(mech, "x");
-    int status = dal__chart_ready(chart);
-    if (!status) status = dal__require_finite(mech, "t", 1, &t);
-    if (!status) status = dal__require_finite(mech, "x1", 2 * n, x1);
-    if (!status) status = dal__require_finite(mech, "x2", 2 * n, x2);
-    if (!status) status = dal__require_finite(mech, "tau", 1, &tau);
+    int status = DAL__REQUIRE(&chart->mech.error, {"x", 0, x}, {"t", 1, &t}, {"x1", 2 * n, x1},
+                              {"x2", 2 * n, x2}, {"tau", 1, &tau});
+    if (!status) status = dal__chart_ready(chart);
     if (status) return status;
     dal_cutoff(tau, &chi0, &chi1, NULL);
     for (size_t i = 0; i < 2 * n; i++) chart->x[i] = chi0 * x1[i] + chi1 * x2[i];
@@ -204,20 +200,19 @@ int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, s
 {
     if (done) *done = 0;
     if (!chart) return DAL_EINVAL;
-    dal_mechanics *const mech = &chart->mech;
+    dal_error *const error = &chart->mech.error;
     const size_t n = chart->n, m = chart->m;
     const rows r = {t0, h, shift, rows_count, x};
     size_t changed = 0, made = 0;
-    if (!x) return dal__null_argument(mech, "x");
-    if (!t && count > 0) return dal__null_argument(mech, "t");
-    if (!out && count > 0) return dal__null_argument(mech, "out");
-    if (rows_count == 0) return dal__fail(&mech->error, DAL_EINVAL, "rows = 0: expected a row");
+    /* where no time is asked for, t and out may be NULL */
+    int status = DAL__REQUIRE(error, {"x", 0, x}, {"t", 0, count > 0 ? t : x},
+                              {"out", 0, count > 0 ? out : x}, {"t0", 1, &t0},
+                              {"shift", 1, &shift});
+    if (status) return status;
+    if (rows_count == 0) return dal__fail(error, DAL_EINVAL, "rows = 0: expected a row");
     if (!(fabs(h) > 0.0 && isfinite(h)))
-        return dal__fail(&mech->error, DAL_EINVAL, "h = %g: expected a finite step other than 0",
-                         h);
-    int status = dal__require_finite(mech, "t0", 1, &t0);
-    if (!status) status = dal__require_finite(mech, "shift", 1, &shift);
-    if (!status) status = check_times(chart, &r, count, t);
+        return dal__fail(error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
+    status = check_times(chart, &r, count, t);
     if (status) return status;
     const bool chosen = chart->chosen;
     memcpy(chart->kept_place, chart->place, n * sizeof *chart->place);

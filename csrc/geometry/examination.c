@@ -760,12 +760,10 @@ int dal_system_check(const dal_system *system, double t, const double *x, dal_ch
                      dal_error *error)
 {
     dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!system || !x || !report)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL",
-                         !system ? "system" : !x ? "x" : "report");
+    if (!system || !report)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "report" : "system");
     const size_t n = system->def.n;
-    int status = dal__require_argument(error, "t", 1, &t);
-    if (!status) status = dal__require_argument(error, "x", 2 * n, x);
+    int status = DAL__REQUIRE(error, {"x", 2 * n, x}, {"t", 1, &t});
     if (status) return status;
     examination ex = {.system = system, .t = t, .x = x, .q = x, .v = x + n, .n = n,
                       .m = system->def.m};

@@ -70,7 +70,7 @@ void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
 
 /* The helpers of mechanics.c leave the text of their failure in mech->error. */
 
-/* dal__require_argument. */
+/* DAL_EINVAL unless the argument of this name is there and finite. */
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
 int dal__null_argument(dal_mechanics *mech, const char *name);
 /* M at (t, q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
@@ -124,7 +124,7 @@ struct dal_chart {
     double *A;               /* [m*(n-m)] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
-    double *tableau;         /* [m*n] */
+    double *tableau;         /* [m*width] */
     size_t *former, *owner;  /* [n], [m] */
     /* of dal_chart_step */
     double *w, *R1, *step;   /* [n] */

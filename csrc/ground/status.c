@@ -86,12 +86,15 @@ int dal__require_new(dal_error *error, const char *name, const void *object, con
     return dal__fail(error, DAL_SUCCESS, "%s", "");
 }
 
-int dal__require_argument(dal_error *error, const char *name, size_t count, const double *x)
+int dal__require(dal_error *error, size_t count, const dal__argument *arguments)
 {
-    if (!x) return dal__fail(error, DAL_EINVAL, "%s is NULL", name);
-    for (size_t i = 0; i < count; i++)
-        if (!isfinite(x[i]))
-            return dal__fail(error, DAL_EINVAL, "%s[%zu] = %g is not finite", name, i, x[i]);
+    for (const dal__argument *a = arguments; a < arguments + count; a++) {
+        if (!a->x) return dal__fail(error, DAL_EINVAL, "%s is NULL", a->name);
+        for (size_t i = 0; i < a->count; i++)
+            if (!isfinite(a->x[i]))
+                return dal__fail(error, DAL_EINVAL, "%s[%zu] = %g is not finite", a->name, i,
+                                 a->x[i]);
+    }
     return DAL_SUCCESS;
 }
 
