@@ -9,6 +9,12 @@ double dal__dot(size_t n, const double *a, const double *b);
 double dal__largest(size_t n, const double *x);
 double dal__sum_of_sizes(size_t n, const double *x);
 
+/* y[n] <- x[n], which may overlap; y[n] <- 0. */
+void dal__copy(size_t n, const double *x, double *y);
+void dal__clear(size_t n, double *y);
+/* y[n] <- y + c x. */
+void dal__add(size_t n, double c, const double *x, double *y);
+
 /* x, which may be NULL, becomes NaN: so an output that is never written is found as not finite. */
 void dal__forget(size_t count, double *x);
 

@@ -65,7 +65,7 @@ int dal__newton_run(dal__newton *self, dal_error *error)
         } while (dal__newton_halve(p, status, self->size, self->z, self->step));
         if (status) return status;
         p->iteration++;
-        for (size_t i = 0; i < self->size; i++) self->z[i] += self->step[i];
+        dal__add(self->size, 1.0, self->step, self->z);
         p->scale = extent(self, self->z) + self->base;
         p->moves = self->moves;
         verdict = dal__newton_judge(p, extent(self, self->step));

@@ -18,12 +18,12 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m, twice = dal__times(2, n);
     const size_t thrice = dal__times(3, n), nn = dal__times(n, n), mn = dal__times(m, n);
-    size_t **const places[] = {&chart->kept_place, &chart->last_place, &chart->place,
+    size_t **const places[] = {&chart->other_place, &chart->last_place, &chart->place,
                                &chart->former, &chart->owner};
     dal__mechanics_reserve(&chart->mech, system, a);
     DAL__RESERVE(a, n, &chart->w, &chart->R1, &chart->step);
     DAL__RESERVE(a, m, &chart->branch, &chart->right, &chart->solution, &chart->R2, &chart->kappa,
-                 &chart->kept_branch);
+                 &chart->other_branch);
     DAL__RESERVE(a, nn, &chart->K);
     DAL__RESERVE(a, mn, &chart->A, &chart->slope);
     DAL__RESERVE(a, dal__times(m, twice), &chart->tableau);
@@ -194,10 +194,8 @@ static void exchange(dal_chart *chart, size_t a, size_t j)
     double *const T = chart->tableau;
     const double pivot = T[a * n + j];
     for (size_t k = 0; k < n; k++) T[a * n + k] /= pivot;
-    for (size_t b = 0; b < chart->m; b++) {
-        const double factor = T[b * n + j];
-        for (size_t k = 0; b != a && k < n; k++) T[b * n + k] -= factor * T[a * n + k];
-    }
+    for (size_t b = 0; b < chart->m; b++)
+        if (b != a) dal__add(n, -T[b * n + j], T + a * n, T + b * n);
     chart->owner[a] = j;
 }
 
@@ -378,9 +376,9 @@ int dal_chart_renew(dal_chart *chart, double t, const double *x, int *changed)
 void dal__chart_drop(const dal_chart *chart, const double *x, double *xi)
 {
     const size_t n = chart->n, m = chart->m;
-    memmove(xi, x, n * sizeof *xi);
+    dal__copy(n, x, xi);
     for (size_t j = m; j < n; j++) chart->step[j] = x[n + chart->place[j]];
-    memcpy(xi + n, chart->step + m, (n - m) * sizeof *xi);
+    dal__copy(n - m, chart->step + m, xi + n);
 }
 
 /* Not more than 2 n u: steps have twice that. */
@@ -427,7 +425,7 @@ static int find_step(dal__newton *equations)
     dal_chart *const chart = l->chart;
     int status = dal__forms_at(&chart->mech, l->t, 0.0, chart->x, false);
     if (status) return status;
-    memset(equations->step, 0, chart->n * sizeof *equations->step);
+    dal__clear(chart->n, equations->step);
     if (is_in_D(chart)) return DAL_SUCCESS;
     status = dal__chart_factor(chart, chart->mech.forms.mu);
     if (status) return status;
@@ -443,7 +441,7 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
     const size_t n = chart->n, m = chart->m;
     double *const x = chart->x, *const v = x + n;
     int status;
-    memmove(x, xi, n * sizeof *x);
+    dal__copy(n, xi, x);
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
     if (kind(chart) == DAL_NONLINEAR) {
         lift l = {chart, t};
@@ -475,7 +473,7 @@ int dal__chart_state(dal_chart *chart, double t, const double *xi)
 int dal_chart_lift(dal_chart *chart, double t, const double *xi, double *x)
 {
     const int status = require_xi(chart, "x", x, t, xi);
-    if (!status) memcpy(x, chart->x, 2 * chart->n * sizeof *x);
+    if (!status) dal__copy(2 * chart->n, chart->x, x);
     return status;
 }
 
@@ -491,7 +489,7 @@ int dal_chart_split(dal_chart *chart, double t, const double *x, double *hor, do
     int status = require_state(chart, "x", x, t, x);
     if (status) return status;
     const size_t n = chart->n;
-    memcpy(chart->x, x, 2 * n * sizeof *x);
+    dal__copy(2 * n, x, chart->x);
     dal__chart_drop(chart, x, chart->y);
     status = dal__chart_lift(chart, t, chart->y);
     if (status) return status;
@@ -514,7 +512,7 @@ int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J, 
     status = dal__require_output(&chart->mech.error, "J", J ? m * width : 0, chart->tableau);
     if (status) return status;
     if (J) {
-        memset(J, 0, 2 * n * width * sizeof *J);
+        dal__clear(2 * n * width, J);
         for (size_t i = 0; i < n; i++) J[i * width + i] = 1.0;
         for (size_t j = m; j < n; j++) J[(n + place[j]) * width + n + j - m] = 1.0;
         for (size_t a = 0; a < m; a++)
@@ -522,7 +520,7 @@ int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J, 
                 J[(n + place[a]) * width + k] = 0.0 - chart->tableau[a * width + k];
     }
     if (left) {
-        memset(left, 0, 2 * n * width * sizeof *left);
+        dal__clear(2 * n * width, left);
         for (size_t i = 0; i < n; i++) left[i * 2 * n + i] = 1.0;
         for (size_t j = m; j < n; j++) left[(n + j - m) * 2 * n + n + place[j]] = 1.0;
     }
@@ -556,7 +554,7 @@ static int transform(dal_chart *chart, double t, const double *x, bool back, con
             chart->solution[b] += chart->mech.forms.mu[a * n + chart->place[b]] * given[a];
     }
     if (back && m > 0) {
-        memcpy(chart->right, given, m * sizeof *given);
+        dal__copy(m, given, chart->right);
         dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
     }
     return DAL__DELIVER(&chart->mech.error, {names[!back], m, chart->solution, result});

@@ -44,7 +44,7 @@ int dal_chart_curve(dal_chart *chart, double t, const double *x1, const double *
     for (size_t i = 0; i < 2 * n; i++) chart->x[i] = chi0 * x1[i] + chi1 * x2[i];
     dal__chart_drop(chart, chart->x, chart->y);
     status = dal__chart_lift(chart, t, chart->y);
-    if (!status) memcpy(x, chart->x, 2 * n * sizeof *x);
+    if (!status) dal__copy(2 * n, chart->x, x);
     return status;
 }
 
@@ -85,8 +85,8 @@ static int load_end(dal_chart *chart, const rows *r, size_t k, double *end)
     const double *const row = r->x + k * 2 * n;
     const int status = require_row(chart, r, k);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) end[i] = row[i] - r->shift * row[n + i];
-    memcpy(end + n, row + n, n * sizeof *end);
+    dal__copy(2 * n, row, end);
+    dal__add(n, -r->shift, row + n, end);
     return dal_acceleration(&chart->mech, time_of(r, k), end, end + 2 * n);
 }
 
@@ -137,8 +137,7 @@ static int interpolate(dal_chart *chart, double t, double h, double s, bool *piv
  * residual at q - shift v is mended. */
 static int move_to_node(dal_chart *chart, double t, double shift)
 {
-    double *const q = chart->x, *const v = q + chart->n;
-    for (size_t i = 0; i < chart->n; i++) q[i] += shift * v[i];
+    dal__add(chart->n, shift, chart->x + chart->n, chart->x);
     return shift != 0.0 ? dal__chart_mend(chart, t, shift) : DAL_SUCCESS;
 }
 
@@ -169,7 +168,7 @@ static int follow(dal_chart *chart, const rows *r, size_t count, const double *t
         if (last == 0 || is_time_of(r, nearest, now)) {
             const int status = require_row(chart, r, nearest);
             if (status) return status;
-            memcpy(out, r->x + nearest * 2 * n, 2 * n * sizeof *out);
+            dal__copy(2 * n, r->x + nearest * 2 * n, out);
             continue;
         }
         size_t here = (size_t)place;
@@ -186,7 +185,7 @@ static int follow(dal_chart *chart, const rows *r, size_t count, const double *t
         if (!status) status = move_to_node(chart, now, r->shift);
         if (!status) status = dal__require_output(&mech->error, "the state", 2 * n, chart->x);
         if (status) return status;
-        memcpy(out, chart->x, 2 * n * sizeof *out);
+        dal__copy(2 * n, chart->x, out);
         if (any && memcmp(chart->last_place, chart->place, n * sizeof *chart->place)) ++*changes;
         memcpy(chart->last_place, chart->place, n * sizeof *chart->place);
         any = true;
@@ -201,7 +200,6 @@ int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, s
     if (done) *done = 0;
     if (!chart) return DAL_EINVAL;
     dal_error *const error = &chart->mech.error;
-    const size_t n = chart->n, m = chart->m;
     const rows r = {t0, h, shift, rows_count, x};
     size_t changed = 0, made = 0;
     /* where no time is asked for, t and out may be NULL */
@@ -215,11 +213,13 @@ int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, s
     status = check_times(chart, &r, count, t);
     if (status) return status;
     const bool chosen = chart->chosen;
-    memcpy(chart->kept_place, chart->place, n * sizeof *chart->place);
-    memcpy(chart->kept_branch, chart->branch, m * sizeof *chart->branch);
+    size_t *const place = chart->place;
+    double *const branch = chart->branch;
+    chart->place = chart->other_place;
+    chart->branch = chart->other_branch;
     status = follow(chart, &r, count, t, out, &changed, &made);
-    memcpy(chart->place, chart->kept_place, n * sizeof *chart->place);
-    memcpy(chart->branch, chart->kept_branch, m * sizeof *chart->branch);
+    chart->place = place;
+    chart->branch = branch;
     chart->chosen = chosen;
     if (done) *done = made;
     if (!status && changes) *changes = changed;

@@ -24,37 +24,40 @@ static const double sum_tolerance = 1e-12;
  * 1/length. */
 static const double curvature_tolerance = 1e-8, curvature_floor = 1e-10;
 
-/* The derivatives that callbacks may give, in the order in which findings are reported. */
-enum { V_Q, V_QQ, L_Q, L_V, L_QQ, L_VQ, L_VV, L_VT, F_Q, F_V, PHI_V, PHI_Q, PHI_T, DERIVATIVES };
-
 typedef enum callback { POTENTIAL, LAGRANGIAN, FORCE, CONSTRAINT } callback;
 
-/* What they are derivatives of.  Phi is mu v where the constraints are linear. */
-typedef enum function { OF_V, OF_V_Q, OF_L, OF_L_Q, OF_L_V, OF_F, OF_PHI, FUNCTIONS } function;
+/* What callbacks give: values, and derivatives in the order in which findings are reported.  Phi is
+ * mu v where the constraints are linear. */
+enum { V, L, F, PHI, V_Q, V_QQ, L_Q, L_V, L_QQ, L_VQ, L_VV, L_VT, F_Q, F_V, PHI_V, PHI_Q, PHI_T,
+       OUTPUTS };
 
-typedef struct derivative {
+typedef struct output {
     const char *name;
     callback callback;
-    function function;
-    dal__moves moves; /* by what it is the derivative */
+    size_t of;        /* of a derivative: what it is the derivative of, and by what */
+    dal__moves moves;
     unsigned missing; /* the flag of a definition that it is not given */
-    size_t found;     /* where in a dal_check its dal_difference stands */
-} derivative;
+    size_t found;     /* where in a dal_check its dal_difference stands; 0: it is a value */
+} output;
 
-static const derivative derivatives[DERIVATIVES] = {
-    [V_Q] = {"V_q", POTENTIAL, OF_V, MOVES_Q, DAL_MISSING_V_Q, offsetof(dal_check, V_q)},
-    [V_QQ] = {"V_qq", POTENTIAL, OF_V_Q, MOVES_Q, DAL_MISSING_V_QQ, offsetof(dal_check, V_qq)},
-    [L_Q] = {"L_q", LAGRANGIAN, OF_L, MOVES_Q, 0, offsetof(dal_check, L_q)},
-    [L_V] = {"L_v", LAGRANGIAN, OF_L, MOVES_V, 0, offsetof(dal_check, L_v)},
-    [L_QQ] = {"L_qq", LAGRANGIAN, OF_L_Q, MOVES_Q, DAL_MISSING_L_QQ, offsetof(dal_check, L_qq)},
-    [L_VQ] = {"L_vq", LAGRANGIAN, OF_L_V, MOVES_Q, DAL_MISSING_L_VQ, offsetof(dal_check, L_vq)},
-    [L_VV] = {"L_vv", LAGRANGIAN, OF_L_V, MOVES_V, DAL_MISSING_L_VV, offsetof(dal_check, L_vv)},
-    [L_VT] = {"L_vt", LAGRANGIAN, OF_L_V, MOVES_T, DAL_MISSING_L_VT, offsetof(dal_check, L_vt)},
-    [F_Q] = {"f_q", FORCE, OF_F, MOVES_Q, DAL_MISSING_F_Q, offsetof(dal_check, f_q)},
-    [F_V] = {"f_v", FORCE, OF_F, MOVES_V, DAL_MISSING_F_V, offsetof(dal_check, f_v)},
-    [PHI_V] = {"phi_v", CONSTRAINT, OF_PHI, MOVES_V, 0, offsetof(dal_check, phi_v)},
-    [PHI_Q] = {"phi_q", CONSTRAINT, OF_PHI, MOVES_Q, DAL_MISSING_PHI_Q, offsetof(dal_check, phi_q)},
-    [PHI_T] = {"phi_t", CONSTRAINT, OF_PHI, MOVES_T, DAL_MISSING_PHI_T, offsetof(dal_check, phi_t)},
+static const output outputs[OUTPUTS] = {
+    [V] = {.name = "V", .callback = POTENTIAL},
+    [L] = {.name = "L", .callback = LAGRANGIAN},
+    [F] = {.name = "f", .callback = FORCE},
+    [PHI] = {.name = "phi", .callback = CONSTRAINT},
+    [V_Q] = {"V_q", POTENTIAL, V, MOVES_Q, DAL_MISSING_V_Q, offsetof(dal_check, V_q)},
+    [V_QQ] = {"V_qq", POTENTIAL, V_Q, MOVES_Q, DAL_MISSING_V_QQ, offsetof(dal_check, V_qq)},
+    [L_Q] = {"L_q", LAGRANGIAN, L, MOVES_Q, 0, offsetof(dal_check, L_q)},
+    [L_V] = {"L_v", LAGRANGIAN, L, MOVES_V, 0, offsetof(dal_check, L_v)},
+    [L_QQ] = {"L_qq", LAGRANGIAN, L_Q, MOVES_Q, DAL_MISSING_L_QQ, offsetof(dal_check, L_qq)},
+    [L_VQ] = {"L_vq", LAGRANGIAN, L_V, MOVES_Q, DAL_MISSING_L_VQ, offsetof(dal_check, L_vq)},
+    [L_VV] = {"L_vv", LAGRANGIAN, L_V, MOVES_V, DAL_MISSING_L_VV, offsetof(dal_check, L_vv)},
+    [L_VT] = {"L_vt", LAGRANGIAN, L_V, MOVES_T, DAL_MISSING_L_VT, offsetof(dal_check, L_vt)},
+    [F_Q] = {"f_q", FORCE, F, MOVES_Q, DAL_MISSING_F_Q, offsetof(dal_check, f_q)},
+    [F_V] = {"f_v", FORCE, F, MOVES_V, DAL_MISSING_F_V, offsetof(dal_check, f_v)},
+    [PHI_V] = {"phi_v", CONSTRAINT, PHI, MOVES_V, 0, offsetof(dal_check, phi_v)},
+    [PHI_Q] = {"phi_q", CONSTRAINT, PHI, MOVES_Q, DAL_MISSING_PHI_Q, offsetof(dal_check, phi_q)},
+    [PHI_T] = {"phi_t", CONSTRAINT, PHI, MOVES_T, DAL_MISSING_PHI_T, offsetof(dal_check, phi_t)},
 };
 
 typedef struct examination {
@@ -66,14 +69,13 @@ typedef struct examination {
     double *point, *other;        /* [n]: a moved q, and a velocity that is not in D */
     const double *velocity;       /* [n], and the time: where what is differenced stands */
     double t, time;               /* the time of the state comes first */
-    const derivative *judged;     /* what is differenced, and by what */
-    double *given[DERIVATIVES];   /* as the callbacks give them */
-    double size[FUNCTIONS];       /* of the values that are differenced */
+    const output *judged;         /* the derivative that is compared with differences */
+    double *given[OUTPUTS];       /* as the callbacks give them */
     double *value, *slope;        /* [n] scratch of the differences */
     double *bend, *height;        /* [n] how far slopes on both sides differ; the largest values */
     double *expected;             /* [n] */
     const char *unjudged;         /* a derivative that differences do not tell, or NULL */
-    double *outputs;              /* [2*(1+2n+m+m*n)] of the callbacks, at two times */
+    double *later[OUTPUTS];       /* and at another time; only some are there */
     double *forms;                /* [m*n] */
     double *phi;                  /* [m] */
     double *factor, lift;         /* [n*n] L of M + lift times the identity */
@@ -91,33 +93,36 @@ static dal_error *open_finding(examination *ex)
 
 /* ---- derivatives ------------------------------------------------------------------------- */
 
-/* What is differenced, with the one of t, q and v that moves. */
-static int evaluate_moved(const double *moved, double *y, void *ctx)
+/* y <- the outputs of a callback that are not NULL there. */
+static int call(examination *ex, callback callback, double t, const double *q, const double *v,
+                double *const y[OUTPUTS])
 {
-    examination *const ex = ctx;
     evaluator *const e = &ex->mech.eval;
     dal_error *const error = &ex->mech.error;
-    const dal__moves moves = ex->judged->moves;
-    const double t = moves == MOVES_T ? *moved : ex->time;
-    const double *const q = moves == MOVES_Q ? moved : ex->q;
-    const double *const v = moves == MOVES_V ? moved : ex->velocity;
-    dal__jet jet = {0};
-    switch (ex->judged->function) {
-    case OF_V: return dal__potential(e, t, q, y, NULL, NULL, error);
-    case OF_V_Q: return dal__potential(e, t, q, NULL, y, NULL, error);
-    case OF_F: return dal__force(e, t, q, v, y, NULL, NULL, error);
-    case OF_PHI: return dal__constraint(e, t, q, v, y, NULL, NULL, NULL, error);
-    case OF_L: jet.L = y; break;
-    case OF_L_Q: jet.L_q = y; break;
-    default: jet.L_v = y;
+    const dal__jet jet = {y[L], y[L_Q], y[L_V], y[L_QQ], y[L_VQ], y[L_VV], y[L_VT]};
+    switch (callback) {
+    case POTENTIAL: return dal__potential(e, t, q, y[V], y[V_Q], y[V_QQ], error);
+    case LAGRANGIAN: return dal__lagrangian(e, t, q, v, &jet, error);
+    case FORCE: return dal__force(e, t, q, v, y[F], y[F_Q], y[F_V], error);
+    default: return dal__constraint(e, t, q, v, y[PHI], y[PHI_V], y[PHI_Q], y[PHI_T], error);
     }
-    return dal__lagrangian(e, t, q, v, &jet, error);
 }
 
-static size_t rows_of(const examination *ex, const derivative *d)
+/* What is differenced, with the one of t, q and v that moves. */
+static int call_moved(const double *moved, double *value, void *ctx)
 {
-    if (d->function == OF_V || d->function == OF_L) return 1;
-    return d->function == OF_PHI ? ex->m : ex->n;
+    examination *const ex = ctx;
+    const output *const d = ex->judged;
+    double *y[OUTPUTS] = {0};
+    y[d->of] = value;
+    return call(ex, d->callback, d->moves == MOVES_T ? *moved : ex->time,
+                d->moves == MOVES_Q ? moved : ex->q, d->moves == MOVES_V ? moved : ex->velocity, y);
+}
+
+/* How many numbers an output is, or rows of a derivative of it. */
+static size_t rows_of(const examination *ex, size_t output)
+{
+    return output == V || output == L ? 1 : output == PHI ? ex->m : ex->n;
 }
 
 /* slope <- differences by component j of the point, of order 4, over a distance d; bend <- the
@@ -133,7 +138,7 @@ static int difference(examination *ex, size_t j, size_t rows, double d)
     for (int k = 0; k < 5 && !status; k++) {
         ex->point[j] = centre + offsets[k] * d;
         dal__forget(rows, ex->value);
-        status = evaluate_moved(ex->point, ex->value, ex);
+        status = call_moved(ex->point, ex->value, ex);
         for (size_t i = 0; i < rows && !status; i++) {
             if (!isfinite(ex->value[i])) status = DAL_EDOMAIN;
             ex->slope[i] += weights[k] * ex->value[i] / (12.0 * d);
@@ -201,26 +206,38 @@ static int descend(examination *ex, size_t rows, dal_difference *found)
     return DAL_SUCCESS;
 }
 
-static dal_difference *difference_of(examination *ex, const derivative *d)
+static dal_difference *difference_of(examination *ex, const output *d)
 {
     return (dal_difference *)((char *)&ex->found + d->found);
 }
 
+/* Of the values that are differenced. */
+static double size_of_values(const examination *ex, const output *d)
+{
+    const double size = dal__largest(rows_of(ex, d->of), ex->given[d->of]);
+    const double speed = dal__largest(ex->n, ex->velocity);
+    /* a differenced gradient has lost the spacing's worth of digits before */
+    if (d->of == V_Q && ex->system->def.missing & DAL_MISSING_V_Q)
+        return size + 0x1p12 * fabs(*ex->given[V]);
+    if (d->of != PHI) return size;
+    return fmax(ex->system->def.kind == DAL_LINEAR ? 0.0 : size,
+                speed * dal__largest(ex->m * ex->n, ex->given[PHI_V]));
+}
+
 /* The matrix given[rows*n], or [rows] in time, against differences.  Their roundoff is that of the
  * values, a few u, divided by their spacing 2^-12. */
-static int compare(examination *ex, const derivative *d, const double *given)
+static int compare(examination *ex, const output *d, const double *given)
 {
     const double *const centre = d->moves == MOVES_T ? &ex->time
                                : d->moves == MOVES_V ? ex->velocity : ex->q;
-    const size_t columns = d->moves == MOVES_T ? 1 : ex->n, rows = rows_of(ex, d);
+    const size_t columns = d->moves == MOVES_T ? 1 : ex->n, rows = rows_of(ex, d->of);
     const double tolerance =
-        derivative_tolerance + 32.0 * DAL_ROUNDOFF * 0x1p12 * ex->size[d->function];
+        derivative_tolerance + 32.0 * DAL_ROUNDOFF * 0x1p12 * size_of_values(ex, d);
     dal_difference *const worst = difference_of(ex, d);
     ex->judged = d;
-    memcpy(ex->point, centre, columns * sizeof *ex->point);
+    dal__copy(columns, centre, ex->point);
     for (size_t j = 0; j < columns; j++) {
-        int status = dal__difference(evaluate_moved, ex, ex->point, j, rows, ex->value,
-                                     ex->expected, 1);
+        int status = dal__difference(call_moved, ex, ex->point, j, rows, ex->value, ex->expected, 1);
         ex->point[j] = centre[j];
         if (status && status != DAL_EDOMAIN) return status;
         const bool outside = status == DAL_EDOMAIN;
@@ -237,68 +254,26 @@ static int compare(examination *ex, const derivative *d, const double *given)
     return DAL_SUCCESS;
 }
 
-static void judge(examination *ex, const derivative *d)
+static void judge(examination *ex, const output *d)
 {
-    static const char *const names[FUNCTIONS] = {"V", "V_q", "L", "L_q", "L_v", "f", "phi"};
     static const char *const by[] = {[MOVES_Q] = "q", [MOVES_V] = "v", [MOVES_T] = "t"};
     const dal_difference *const worst = difference_of(ex, d);
-    const bool is_product = d->function == OF_PHI && ex->system->def.kind == DAL_LINEAR;
+    const bool is_product = d->of == PHI && ex->system->def.kind == DAL_LINEAR;
     if (worst->unjudged && !ex->unjudged) ex->unjudged = d->name;
     if (!worst->wrong) return;
     const dal__entry entry = {NULL, d->name, worst->row, worst->column, worst->given};
     dal__fail_entry(open_finding(ex), DAL_EINVAL, &entry, " is given as %.10g, but differences of "
                     "%s in %s are %.10g (error %.1e)", worst->given,
-                    is_product ? "phi_v v" : names[d->function], by[d->moves], worst->expected,
+                    is_product ? "phi_v v" : outputs[d->of].name, by[d->moves], worst->expected,
                     worst->error);
 }
 
-/* given <- the derivatives that a callback gives, where what is differenced stands; size <- that of
- * its values.  What is missing is left alone, but for V_q, which is differenced. */
-static int evaluate(examination *ex, callback of)
-{
-    evaluator *const e = &ex->mech.eval;
-    dal_error *const error = &ex->mech.error;
-    const size_t n = ex->n, m = ex->m;
-    const double t = ex->time, *const q = ex->q, *const v = ex->velocity;
-    const unsigned missing = ex->system->def.missing;
-    double V = 0.0, L = 0.0, *y[DERIVATIVES], *const size = ex->size;
-    int status;
-    for (size_t k = 0; k < DERIVATIVES; k++)
-        y[k] = k != V_Q && missing & derivatives[k].missing ? NULL : ex->given[k];
-    const dal__jet jet = {&L, y[L_Q], y[L_V], y[L_QQ], y[L_VQ], y[L_VV], y[L_VT]};
-    switch (of) {
-    case POTENTIAL:
-        status = dal__potential(e, t, q, &V, y[V_Q], y[V_QQ], error);
-        size[OF_V] = fabs(V);
-        /* a differenced gradient has lost the spacing's worth of digits before */
-        size[OF_V_Q] = dal__largest(n, y[V_Q])
-                     + (missing & DAL_MISSING_V_Q ? 0x1p12 * fabs(V) : 0.0);
-        return status;
-    case LAGRANGIAN:
-        status = dal__lagrangian(e, t, q, v, &jet, error);
-        size[OF_L] = fabs(L);
-        size[OF_L_Q] = dal__largest(n, y[L_Q]);
-        size[OF_L_V] = dal__largest(n, y[L_V]);
-        return status;
-    case FORCE:
-        status = dal__force(e, t, q, v, ex->value, y[F_Q], y[F_V], error);
-        size[OF_F] = dal__largest(n, ex->value);
-        return status;
-    default:
-        status = dal__constraint(e, t, q, v, ex->phi, y[PHI_V], y[PHI_Q], y[PHI_T], error);
-        size[OF_PHI] = dal__largest(n, v) * dal__largest(m * n, y[PHI_V]);
-        if (ex->system->def.kind != DAL_LINEAR)
-            size[OF_PHI] = fmax(size[OF_PHI], dal__largest(m, ex->phi));
-        return status;
-    }
-}
-
 /* phi_v of linear constraints is what there is: nothing to compare it with. */
-static bool is_compared(const examination *ex, const derivative *d)
+static bool is_compared(const examination *ex, const output *d)
 {
     const dal_system_def *const def = &ex->system->def;
-    return !(def->missing & d->missing) && (d->moves != MOVES_T || def->time_dependent)
-        && (d != &derivatives[PHI_V] || def->kind != DAL_LINEAR);
+    return d->found && !(def->missing & d->missing) && (d->moves != MOVES_T || def->time_dependent)
+        && (d != &outputs[PHI_V] || def->kind != DAL_LINEAR);
 }
 
 /* What depends on v is examined at two velocities, because at the given one, which may be 0, it may
@@ -317,18 +292,21 @@ static bool passed_over(int k, int status) { return k > 0 && status == DAL_EDOMA
 /* All derivatives that a callback gives.  Linear and affine constraints are defined for every v. */
 static int examine_derivatives(examination *ex, callback of)
 {
-    const derivative *const end = derivatives + DERIVATIVES;
     const bool partial = of != CONSTRAINT || ex->system->def.kind == DAL_NONLINEAR;
+    double *y[OUTPUTS];
+    for (size_t k = 0; k < OUTPUTS; k++) /* what is missing is not asked for, */
+        y[k] = ex->system->def.missing & outputs[k].missing ? NULL : ex->given[k];
+    y[V_Q] = ex->given[V_Q]; /* but for the values that V_qq is compared with */
     for (int k = 0; k < (of == POTENTIAL ? 1 : VELOCITIES); k++) {
         stand_at(ex, k);
-        int status = evaluate(ex, of);
-        for (const derivative *d = derivatives; !status && d < end; d++)
-            if (d->callback == of && is_compared(ex, d))
-                status = compare(ex, d, ex->given[d - derivatives]);
+        int status = call(ex, of, ex->time, ex->q, ex->velocity, y);
+        for (size_t i = 0; !status && i < OUTPUTS; i++)
+            if (outputs[i].callback == of && is_compared(ex, &outputs[i]))
+                status = compare(ex, &outputs[i], y[i]);
         if (status && !(partial && passed_over(k, status))) return status;
     }
-    for (const derivative *d = derivatives; d < end; d++)
-        if (d->callback == of) judge(ex, d);
+    for (size_t i = 0; i < OUTPUTS; i++)
+        if (outputs[i].callback == of && outputs[i].found) judge(ex, &outputs[i]);
     return DAL_SUCCESS;
 }
 
@@ -341,46 +319,48 @@ static bool differ(size_t count, const double *x, const double *y)
     return false;
 }
 
-/* phi[m] and mu[m*n] at (t, q, v); either may be NULL. */
-static int constraint_at(examination *ex, double t, const double *q, const double *v, double *phi,
-                         double *mu)
+/* L and phi with what y asks for, at the velocity where the examination stands. */
+static int call_both(examination *ex, double t, double *const y[OUTPUTS])
 {
-    return dal__constraint(&ex->mech.eval, t, q, v, phi, mu, NULL, NULL, &ex->mech.error);
+    const int status = call(ex, LAGRANGIAN, t, ex->q, ex->velocity, y);
+    return status ? status : call(ex, CONSTRAINT, t, ex->q, ex->velocity, y);
 }
 
 /* What does not depend on time gives the same bits at another one, which is the period of nothing.
  * What is not defined there is passed over; second derivatives follow the first. */
 static int examine_time(examination *ex)
 {
-    static const double later = 0.6180339887498949;
-    const size_t n = ex->n, m = ex->m, of_L = 1 + 2 * n, of_phi = m + m * n;
-    double *const first = ex->outputs, *const second = first + of_L + of_phi;
+    static const double after = 0.6180339887498949;
+    static const size_t told[] = {PHI, PHI_V, L, L_Q, L_V};
+    const size_t n = ex->n, m = ex->m, counts[] = {m, m * n, 1, n, n};
+    double *now[OUTPUTS] = {0};
+    for (size_t i = 0; i < DAL_LENGTH(told); i++) now[told[i]] = ex->given[told[i]];
     for (int k = 0; k < VELOCITIES && !ex->system->def.time_dependent; k++) {
-        int status = DAL_SUCCESS;
+        const char *which = NULL;
         stand_at(ex, k);
-        for (int i = 0; !status && i < 2; i++) {
-            const double t = ex->time + i * later;
-            double *const y = i == 0 ? first : second;
-            const dal__jet jet = {.L = y, .L_q = y + 1, .L_v = y + 1 + n};
-            status = dal__lagrangian(&ex->mech.eval, t, ex->q, ex->velocity, &jet,
-                                     &ex->mech.error);
-            if (!status)
-                status = constraint_at(ex, t, ex->q, ex->velocity, y + of_L, y + of_L + m);
-        }
+        int status = call_both(ex, ex->time, now);
+        if (!status) status = call_both(ex, ex->time + after, ex->later);
         if (status == DAL_EDOMAIN) continue;
         if (status) return status;
-        const char *const which = differ(of_L, first, second)
-                                ? ex->system->mass ? "potential" : "lagrangian"
-                                : differ(of_phi, first + of_L, second + of_L) ? "constraint" : NULL;
+        for (size_t i = 0; i < DAL_LENGTH(told); i++)
+            if (differ(counts[i], now[told[i]], ex->later[told[i]]))
+                which = outputs[told[i]].callback == CONSTRAINT ? "constraint"
+                      : ex->system->mass ? "potential" : "lagrangian";
         if (which)
             dal__fail(open_finding(ex), DAL_EINVAL, "%s gives other numbers at t = %g than at t = "
                       "%g: a system that depends on time has to be declared time_dependent",
-                      which, ex->time + later, ex->time);
+                      which, ex->time + after, ex->time);
     }
     return DAL_SUCCESS;
 }
 
 /* ---- linearity --------------------------------------------------------------------------- */
+
+/* phi[m] and mu[m*n] at q and v; either may be NULL. */
+static int constraint_at(examination *ex, const double *q, const double *v, double *phi, double *mu)
+{
+    return dal__constraint(&ex->mech.eval, ex->t, q, v, phi, mu, NULL, NULL, &ex->mech.error);
+}
 
 /* The change of mu from one velocity to the other, which must vanish unless the constraints are
  * nonlinear.  Leaves mu in the forms of mech. */
@@ -389,9 +369,9 @@ static int compare_forms(examination *ex)
     const size_t n = ex->n, m = ex->m;
     const double *const mu = ex->mech.forms.mu;
     const bool nonlinear = ex->system->def.kind == DAL_NONLINEAR;
-    int status = constraint_at(ex, ex->t, ex->q, ex->v, NULL, ex->mech.forms.mu);
+    int status = constraint_at(ex, ex->q, ex->v, NULL, ex->mech.forms.mu);
     if (status) return status;
-    status = constraint_at(ex, ex->t, ex->q, ex->other, NULL, ex->forms);
+    status = constraint_at(ex, ex->q, ex->other, NULL, ex->forms);
     if (nonlinear && passed_over(1, status)) return DAL_SUCCESS;
     if (status) return status;
     ex->found.linearity = 0.0;
@@ -440,8 +420,8 @@ static int examine_linear(examination *ex)
 /* a = phi - mu v of affine constraints is the same at both velocities. */
 static int examine_affine(examination *ex)
 {
-    int status = constraint_at(ex, ex->t, ex->q, ex->v, ex->phi, NULL);
-    if (!status) status = constraint_at(ex, ex->t, ex->q, ex->other, ex->value, NULL);
+    int status = constraint_at(ex, ex->q, ex->v, ex->phi, NULL);
+    if (!status) status = constraint_at(ex, ex->q, ex->other, ex->value, NULL);
     for (size_t a = 0; !status && a < ex->m; a++) {
         double here, there, scale_here, scale_there;
         weigh(ex, a, ex->v, &here, &scale_here);
@@ -484,21 +464,19 @@ static double smallest_eigenvalue(examination *ex, size_t count, double *A)
 static int examine_mass(examination *ex)
 {
     const size_t n = ex->n;
-    double *const L = ex->factor, *const M = ex->given[L_VV];
-    const dal__jet wanted = {.L_vv = M};
-    const int status = dal__lagrangian(&ex->mech.eval, ex->t, ex->q, ex->v, &wanted,
-                                       &ex->mech.error);
+    double *const factor = ex->factor, *const M = ex->given[L_VV], *y[OUTPUTS] = {[L_VV] = M};
+    const int status = call(ex, LAGRANGIAN, ex->t, ex->q, ex->v, y);
     if (status) return status;
-    memcpy(L, M, n * n * sizeof *L);
+    dal__copy(n * n, M, factor);
     /* always, of constant mass */
-    const bool definite = dal__cholesky(n, L, ex->squares, NULL, NULL);
+    const bool definite = dal__cholesky(n, factor, ex->squares, NULL, NULL);
     if (!definite) { /* no eigenvalue is larger than n times the largest entry */
         ex->lift = 2.0 * (double)n * fmax(dal__largest(n * n, M), DBL_MIN);
-        memcpy(L, M, n * n * sizeof *L);
-        for (size_t i = 0; i < n; i++) L[i * n + i] += ex->lift;
-        dal__cholesky(n, L, ex->squares, NULL, NULL);
+        dal__copy(n * n, M, factor);
+        for (size_t i = 0; i < n; i++) factor[i * n + i] += ex->lift;
+        dal__cholesky(n, factor, ex->squares, NULL, NULL);
     }
-    memcpy(ex->rows, L, n * n * sizeof *ex->rows);
+    dal__copy(n * n, factor, ex->rows);
     ex->found.mass_min = smallest_eigenvalue(ex, n, ex->rows) - ex->lift;
     if (!definite)
         dal__fail(open_finding(ex), DAL_EINVAL, "L_vv is not positive definite: its smallest "
@@ -548,7 +526,7 @@ static void split(examination *ex, const double *mu)
     gsl_matrix_view QR = gsl_matrix_view_array(ex->QR, n, m);
     gsl_vector_view tau = gsl_vector_view_array(ex->tau, m);
     gsl_linalg_QR_decomp(&QR.matrix, &tau.vector);
-    memset(ex->X, 0, (n - m) * n * sizeof *ex->X);
+    dal__clear((n - m) * n, ex->X);
     for (size_t k = 0; k < n - m; k++) {
         double *const x = ex->X + k * n;
         gsl_vector_view column = gsl_vector_view_array(x, n);
@@ -621,7 +599,7 @@ static int examine_curvature(examination *ex, const double *q, double *curvature
 {
     dal_mechanics *const mech = &ex->mech;
     const size_t n = ex->n, m = ex->m, count = n - m;
-    int status = constraint_at(ex, ex->t, q, ex->v, NULL, mech->forms.mu);
+    int status = constraint_at(ex, q, ex->v, NULL, mech->forms.mu);
     if (status) return status;
     split(ex, mech->forms.mu);
     for (size_t k = 0; k < count && !status; k++)
@@ -736,14 +714,16 @@ static void reserve(examination *ex, arena *a)
 {
     const size_t n = ex->n, m = ex->m, nn = dal__times(n, n), mn = dal__times(m, n);
     dal__mechanics_reserve(&ex->mech, ex->system, a);
-    for (size_t k = 0; k < DERIVATIVES; k++)
-        DAL__RESERVE(a, dal__times(rows_of(ex, &derivatives[k]), n), &ex->given[k]);
+    for (size_t k = 0; k < OUTPUTS; k++)
+        DAL__RESERVE(a, outputs[k].found ? dal__times(rows_of(ex, outputs[k].of), n)
+                                         : rows_of(ex, k), &ex->given[k]);
+    DAL__RESERVE(a, n, &ex->later[L], &ex->later[L_Q], &ex->later[L_V], &ex->later[PHI]);
+    DAL__RESERVE(a, mn, &ex->later[PHI_V]);
     DAL__RESERVE(a, n, &ex->point, &ex->other, &ex->value, &ex->slope, &ex->bend, &ex->height,
                  &ex->expected, &ex->squares);
     DAL__RESERVE(a, m, &ex->phi, &ex->tau);
     DAL__RESERVE(a, mn, &ex->forms, &ex->QR);
     DAL__RESERVE(a, nn, &ex->factor, &ex->rows);
-    DAL__RESERVE(a, dal__times(2, 1 + 2 * n + m + mn), &ex->outputs);
     DAL__RESERVE(a, dal__times(n - m, n), &ex->X);
     DAL__RESERVE(a, dal__times(n - m, mn), &ex->N);
 }

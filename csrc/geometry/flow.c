@@ -3,7 +3,6 @@
 #include "geometry/geometry.h"
 
 #include <math.h>
-#include <string.h>
 
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
@@ -43,11 +42,6 @@ dal_mechanics *dal__flow_mechanics(dal_flow *flow) { return &flow->chart.mech; }
 dal_error *dal__flow_error(dal_flow *flow) { return &flow->chart.mech.error; }
 
 static size_t dimension(const dal_flow *flow) { return 2 * flow->chart.mech.n; }
-
-static void copy(const dal_flow *flow, double *to, const double *from)
-{
-    memcpy(to, from, dimension(flow) * sizeof *to);
-}
 
 /* Whether to go on at time t. */
 static int ask(dal_flow *flow, double t, dal_error *error)
@@ -164,7 +158,7 @@ static int reach(dal_flow *flow, double end, double t1)
     int status = DAL_SUCCESS;
     if (!flow->in_xi) {
         status = dal__ode_reach(integrator, end, error);
-        if (!status) copy(flow, flow->state, dal__ode_state(integrator));
+        if (!status) dal__copy(dimension(flow), dal__ode_state(integrator), flow->state);
         return status;
     }
     for (size_t steps = 0; !status && dal__ode_elapsed(integrator) != end; steps++) {
@@ -202,7 +196,7 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
 {
     if (span == 0.0) return DAL_SUCCESS;
     const int status = integrate(flow, t0, span, t0 + span, x, 1.0, project);
-    if (!status) copy(flow, x, flow->state);
+    if (!status) dal__copy(dimension(flow), flow->state, x);
     return status;
 }
 
@@ -253,13 +247,13 @@ int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accu
     if (t1 != t0) {
         status = integrate(flow, t0, t1 - t0, t1, x, 1.0, true);
         if (status) return status;
-        copy(flow, flow->result, flow->state);
+        dal__copy(dimension(flow), flow->state, flow->result);
         if (accuracy) status = integrate(flow, t0, t1 - t0, t1, x, LOOSER, true);
         for (size_t i = 0; accuracy && i < dimension(flow); i++)
             difference = fmax(difference, fabs(flow->result[i] - flow->state[i]));
         if (!status && accuracy) status = roundoff(flow, t0, t1, &least);
         if (status) return status;
-        copy(flow, x, flow->result);
+        dal__copy(dimension(flow), flow->result, x);
     }
     if (accuracy) *accuracy = fmax(difference, least);
     return DAL_SUCCESS;
@@ -279,10 +273,10 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
         /* The rows are projected, the integration goes on without: it need not start anew. */
         status = reach(flow, (double)k * h, t);
         if (status) break;
-        copy(flow, flow->result, flow->state);
+        dal__copy(dimension(flow), flow->state, flow->result);
         if (!flow->in_xi) status = dal_project(&flow->chart.mech, t, 0.0, flow->result, NULL);
         if (status) return status;
-        copy(flow, x + k * N, flow->result);
+        dal__copy(dimension(flow), flow->result, x + k * N);
         if (done) *done = k;
     }
     return status;
@@ -315,13 +309,13 @@ int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, dou
     flow->steps.going = false;
     if (!status) status = reach(flow, (double)(k + 1 - flow->steps.first) * h, t1);
     if (status) return status;
-    copy(flow, flow->result, flow->state);
+    dal__copy(dimension(flow), flow->state, flow->result);
     double residual = 0.0;
     status = dal_project(mech, t1, 0.0, flow->result, NULL);
     if (!status) status = dal_relative_residual(mech, t1, 0.0, flow->result, &residual);
     if (status) return status;
     *worst = fmax(*worst, residual);
-    copy(flow, x, flow->result);
+    dal__copy(dimension(flow), flow->result, x);
     flow->steps.inner = dal__ode_suggested(flow->integrator);
     flow->steps.going = true;
     return DAL_SUCCESS;

@@ -133,8 +133,8 @@ struct dal_chart {
     dal__linear G;
     /* of dal_chart_interpolate */
     double *first, *second;  /* [3n] (q, v, vdot) at the ends of an interval */
-    size_t *kept_place;      /* [n] the caller's choice */
-    double *kept_branch;     /* [m] */
+    size_t *other_place;     /* [n] the choice, beside that of the caller */
+    double *other_branch;    /* [m] */
     size_t *last_place;      /* [n] that of the state before */
     arena arena;             /* used only by dal_chart_new */
 };

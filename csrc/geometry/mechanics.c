@@ -93,7 +93,7 @@ static int factor_metric(dal_mechanics *mech, double t, const double *q, const d
     size_t row = 0;
     double pivot = 0.0;
     metric->formed = false;
-    memcpy(metric->factor, metric->M, n * n * sizeof *metric->factor);
+    dal__copy(n * n, metric->M, metric->factor);
     if (!dal__cholesky(n, metric->factor, metric->unit, &row, &pivot)) {
         const double value = metric->M[row * n + row];
         const dal__entry entry = {NULL, "L_vv", row, row, value};
@@ -105,8 +105,8 @@ static int factor_metric(dal_mechanics *mech, double t, const double *q, const d
         metric->unit[i] = sqrt(metric->unit[i]);
         metric->per_unit[i] = 1.0 / metric->unit[i];
     }
-    memcpy(metric->formed_at, q, n * sizeof *q);
-    memcpy(metric->formed_at + n, v, n * sizeof *v);
+    dal__copy(n, q, metric->formed_at);
+    dal__copy(n, v, metric->formed_at + n);
     metric->formed_at[2 * n] = t;
     metric->formed = true;
     return DAL_SUCCESS;
@@ -140,7 +140,7 @@ void dal__accelerate(const dal_mechanics *mech, const double *f, double *y)
         dal__apply(mech->n, mech->n, mech->eval.system->mass_inverse, f, y);
         return;
     }
-    memcpy(y, f, mech->n * sizeof *y);
+    dal__copy(mech->n, f, y);
     dal__cholesky_solve(mech->n, mech->metric.factor, y);
 }
 
@@ -202,7 +202,7 @@ int dal_metric(dal_mechanics *mech, double t, const double *x, double *M)
 {
     int status = require(mech, "M", M, 0.0, t, x);
     if (!status) status = dal__form_metric(mech, t, x, x + mech->n);
-    if (!status) memcpy(M, mech->metric.M, mech->n * mech->n * sizeof *M);
+    if (!status) dal__copy(mech->n * mech->n, mech->metric.M, M);
     return status;
 }
 
@@ -251,7 +251,8 @@ int dal_energy(dal_mechanics *mech, double t, const double *x, double *E)
 static void move_node(dal_mechanics *mech, double shift, const double *x)
 {
     const size_t n = mech->n;
-    for (size_t i = 0; i < n; i++) mech->forms.q[i] = x[i] - shift * x[n + i];
+    dal__copy(n, x, mech->forms.q);
+    dal__add(n, -shift, x + n, mech->forms.q);
 }
 
 /* phi and mu of the forms at (q, v), which stand there, and phi_q if slopes. */
@@ -275,7 +276,7 @@ int dal_residual(dal_mechanics *mech, double t, double shift, const double *x, d
 {
     int status = require(mech, "residual", residual, shift, t, x);
     if (!status) status = dal__forms_at(mech, t, shift, x, false);
-    if (!status) memcpy(residual, mech->forms.phi, mech->m * sizeof *residual);
+    if (!status) dal__copy(mech->m, mech->forms.phi, residual);
     return status;
 }
 
@@ -376,11 +377,11 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
         status = factor_product(mech);
         if (status) return status;
         find_change(mech, mech->step);
-        for (size_t i = 0; i < n; i++) v[i] += mech->step[i];
+        dal__add(n, 1.0, mech->step, v);
         /* A velocity across D, of which each pass leaves its own roundoff, is zero. */
         const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
         if (pass == MOST && speed <= DAL_RESIDUAL_BOUND(n) * before)
-            memset(v, 0, n * sizeof *v);
+            dal__clear(n, v);
         for (size_t i = 0; shift != 0.0 && i < n; i++) x[i] = at->q[i] + shift * v[i];
     }
 }
@@ -429,7 +430,7 @@ static int form_force(dal_mechanics *mech, double t, const double *x)
         mech->force[i] = mech->force[i] - dal__dot(n, mech->L_vq + i * n, v) - mech->L_vt[i];
     if (!mech->eval.system->def.force) return DAL_SUCCESS;
     status = dal__force(&mech->eval, t, x, v, mech->step, NULL, NULL, &mech->error);
-    for (size_t i = 0; !status && i < n; i++) mech->force[i] += mech->step[i];
+    if (!status) dal__add(n, 1.0, mech->step, mech->force);
     return status;
 }
 
@@ -443,7 +444,7 @@ static int solve_multipliers(dal_mechanics *mech, const char *name, const double
     const size_t n = mech->n, m = mech->m;
     const dal__forms *const at = &mech->forms;
     const double *const v = x + n;
-    memcpy(at->q, x, n * sizeof *x);
+    dal__copy(n, x, at->q);
     status = form_force(mech, t, x);
     if (!status)
         status = dal__constraint(&mech->eval, t, x, v, NULL, at->mu, at->dmu, at->phi_t,
@@ -462,18 +463,16 @@ static int solve_multipliers(dal_mechanics *mech, const char *name, const double
 static void form_acceleration(dal_mechanics *mech)
 {
     const size_t n = mech->n;
-    for (size_t i = 0; i < n; i++) {
-        double sum = mech->force[i];
-        for (size_t a = 0; a < mech->m; a++) sum += mech->forms.mu[a * n + i] * mech->lambda[a];
-        mech->step[i] = sum;
-    }
+    dal__copy(n, mech->force, mech->step);
+    for (size_t a = 0; a < mech->m; a++)
+        dal__add(n, mech->lambda[a], mech->forms.mu + a * n, mech->step);
     dal__accelerate(mech, mech->step, mech->w);
 }
 
 int dal_multipliers(dal_mechanics *mech, double t, const double *x, double *lambda)
 {
     const int status = solve_multipliers(mech, "lambda", lambda, t, x);
-    if (!status) memcpy(lambda, mech->lambda, mech->m * sizeof *lambda);
+    if (!status) dal__copy(mech->m, mech->lambda, lambda);
     return status;
 }
 
@@ -493,8 +492,8 @@ int dal_field(dal_mechanics *mech, double t, const double *x, double *xdot)
     form_acceleration(mech);
     status = dal__require_output(&mech->error, "vdot", n, mech->w);
     if (status) return status;
-    memmove(xdot, x + n, n * sizeof *xdot);
-    memcpy(xdot + n, mech->w, n * sizeof *xdot);
+    dal__copy(n, x + n, xdot);
+    dal__copy(n, mech->w, xdot + n);
     return DAL_SUCCESS;
 }
 
@@ -511,12 +510,11 @@ int dal_perturbed(dal_mechanics *mech, double t, double weight, const double *x,
         at->phi[a] = -weight * (dal__dot(n, at->dmu + a * n, ghat)
                                 + dal__dot(n, at->mu + a * n, ghat + n));
     dal__solve_gram(mech, at->phi);
-    for (size_t a = 0; a < m; a++) mech->lambda[a] += at->phi[a];
+    dal__add(m, 1.0, at->phi, mech->lambda);
     form_acceleration(mech);
-    for (size_t i = 0; xdot && i < n; i++) {
-        mech->point[i] = x[n + i] + weight * ghat[i]; /* xdot may be x, or ghat */
-        mech->point[n + i] = mech->w[i] + weight * ghat[n + i];
-    }
+    dal__copy(n, x + n, mech->point); /* xdot may be x, or ghat */
+    dal__copy(n, mech->w, mech->point + n);
+    dal__add(2 * n, weight, ghat, mech->point);
     return DAL__DELIVER(&mech->error, {"lambda", m, mech->lambda, lambda},
                         {"xdot", 2 * n, mech->point, xdot});
 }
@@ -548,17 +546,6 @@ static double mass_norm(dal_mechanics *mech, double *d)
     return largest * sqrt(fmax(0.0, dal__dot(mech->n, d, mech->step)));
 }
 
-/* x takes the velocity of mech->point, unless that overflowed. */
-static int accept(dal_mechanics *mech, double *x, double *distance)
-{
-    const size_t n = mech->n;
-    const double *const v = mech->point + n;
-    for (size_t i = 0; i < n; i++) mech->w[i] = v[i] - x[n + i];
-    const double moved = mass_norm(mech, mech->w);
-    return DAL__DELIVER(&mech->error, {"consistent velocity", n, v, x + n},
-                        {"distance", 1, &moved, distance});
-}
-
 typedef struct shifted {
     dal_mechanics *mech;
     double t, shift;
@@ -573,9 +560,10 @@ static int find_step(dal__newton *equations)
     move_node(mech, s->shift, mech->point);
     int status = evaluate_forms(mech, s->t, mech->point + mech->n, s->shift != 0.0);
     if (status) return status;
-    if (s->shift != 0.0) equations->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
-    for (size_t k = 0; s->shift != 0.0 && k < mech->m * mech->n; k++)
-        at->mu[k] -= s->shift * at->dmu[k];
+    if (s->shift != 0.0) {
+        equations->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
+        dal__add(mech->m * mech->n, -s->shift, at->dmu, at->mu);
+    }
     status = factor_product(mech);
     if (!status) find_change(mech, equations->step);
     return status;
@@ -588,6 +576,7 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
     const double *const per_unit = mech->metric.per_unit;
     double relative, *const v = mech->point + n;
     int status = DAL_SUCCESS;
+    if (mech->m == 0) return DAL_SUCCESS;
     if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR) {
         shifted s = {mech, t, shift};
         dal__newton equations = {.find_step = find_step, .ctx = &s, .size = n, .measured = n,
@@ -601,15 +590,27 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
     return status ? status : factor_product(mech); /* without full rank it is refused for any v */
 }
 
+/* The velocity of x[2n] moves along Z, unless it would overflow. */
+static int move_velocity(dal_mechanics *mech, double t, double shift, double *x, double *distance)
+{
+    const size_t n = mech->n;
+    const double *const v = mech->point + n;
+    dal__copy(2 * n, x, mech->point);
+    const int status = find_velocity(mech, t, shift);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) mech->w[i] = v[i] - x[n + i];
+    const double moved = mass_norm(mech, mech->w);
+    return DAL__DELIVER(&mech->error, {"consistent velocity", n, v, x + n},
+                        {"distance", 1, &moved, distance});
+}
+
 int dal_project(dal_mechanics *mech, double t, double shift, double *x, double *distance)
 {
     int status = require(mech, "x", x, shift, t, x);
     if (!status) status = dal__forms_at(mech, t, 0.0, x, false);
     if (status) return status;
     dal__form_Z(mech, mech->forms.mu);
-    memcpy(mech->point, x, 2 * mech->n * sizeof *x);
-    if (mech->m > 0) status = find_velocity(mech, t, shift);
-    return status ? status : accept(mech, x, distance);
+    return move_velocity(mech, t, shift, x, distance);
 }
 
 /* Z <- the directions in which the free components alone may move, [M_ff^-1 mu_f^T, 0]: those of
@@ -633,7 +634,7 @@ static int form_free_Z(dal_mechanics *mech, const unsigned char *keep, size_t *f
             factor[k * count + l] = mech->metric.M[place[k] * n + place[l]];
     /* a principal part of M is definite, as M is */
     dal__cholesky(count, factor, column, NULL, NULL);
-    memset(mech->gram.Z, 0, m * n * sizeof *mech->gram.Z);
+    dal__clear(m * n, mech->gram.Z);
     for (size_t a = 0; a < m; a++) {
         for (size_t k = 0; k < count; k++) column[k] = mech->forms.mu[a * n + place[k]];
         dal__cholesky_solve(count, factor, column);
@@ -651,20 +652,18 @@ int dal_consistent(dal_mechanics *mech, double t, const unsigned char *keep, dou
     size_t free_count = 0;
     int status = require(mech, "x", x, 0.0, t, x);
     if (!status) status = dal__forms_at(mech, t, 0.0, x, false);
+    if (!status) status = form_free_Z(mech, keep, &free_count);
     if (status) return status;
-    const size_t n = mech->n, m = mech->m;
-    if (m > 0) status = form_free_Z(mech, keep, &free_count);
-    if (status) return status;
-    memcpy(mech->point, x, 2 * n * sizeof *x);
-    if (m > 0) status = find_velocity(mech, t, 0.0);
+    const size_t n = mech->n;
+    status = move_velocity(mech, t, 0.0, x, distance);
     if (status == DAL_ESINGULAR)
         return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu "
                          "restricted to the other %zu has rank below m = %zu", n - free_count, n,
-                         free_count, m);
+                         free_count, mech->m);
     if (status == DAL_ENOCONV && free_count < n)
         return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of D was found with %zu of %zu "
                          "components kept: there may be none", n - free_count, n);
-    return status ? status : accept(mech, x, distance);
+    return status;
 }
 
 /* ---- many states ------------------------------------------------------------------------- */
@@ -687,8 +686,8 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
         if (status) return status;
         /* nothing of a row is written before all of it is known */
         if (energy) energy[k] = E;
-        if (multipliers) memcpy(multipliers + k * m, mech->lambda, m * sizeof *multipliers);
-        if (residual) memcpy(residual + k * m, mech->forms.phi, m * sizeof *residual);
+        if (multipliers) dal__copy(m, mech->lambda, multipliers + k * m);
+        if (residual) dal__copy(m, mech->forms.phi, residual + k * m);
         if (relative) relative[k] = worst;
         if (done) *done = k + 1;
     }
