@@ -303,8 +303,7 @@ int dal_chart_choose(dal_chart *chart, double t, const size_t *dependent, const 
     return DAL_SUCCESS;
 }
 
-/* INFINITY where B is singular. */
-static int evaluate_condition(dal_chart *chart, double t, const double *x, double *condition)
+int dal__chart_condition(dal_chart *chart, double t, const double *x, double *condition)
 {
     const size_t n = chart->n, m = chart->m, free = n - m;
     const int status = dal__forms_at(&chart->mech, t, 0.0, x, false);
@@ -329,31 +328,25 @@ static int evaluate_condition(dal_chart *chart, double t, const double *x, doubl
 
 int dal_chart_condition(dal_chart *chart, double t, const double *x, double *condition)
 {
-    double value = 0.0;
-    int status = require_state(chart, "condition", condition, t, x);
-    if (!status) status = evaluate_condition(chart, t, x, &value);
-    if (!status) *condition = value;
-    return status;
+    const int status = require_state(chart, "condition", condition, t, x);
+    return status ? status : dal__chart_condition(chart, t, x, condition);
 }
 
-int dal__chart_keeps(dal_chart *chart, double t, const double *x, double *condition, bool *keeps)
+bool dal__chart_keeps(const dal_chart *chart, double condition)
 {
     const double m = (double)chart->m, free = (double)(chart->n - chart->m);
-    const int status = evaluate_condition(chart, t, x, condition);
-    *keeps = *condition <= LIMIT * sqrt(1.0 + m * free);
-    return status;
+    return condition <= LIMIT * sqrt(1.0 + m * free);
 }
 
 int dal_chart_renew(dal_chart *chart, double t, const double *x, int *changed)
 {
     char from[128] = "", to[128];
     double condition = (double)INFINITY;
-    bool keeps = false;
     int status = require_point(chart, t, x);
-    if (!status && chart->chosen) status = dal__chart_keeps(chart, t, x, &condition, &keeps);
+    if (!status && chart->chosen) status = dal__chart_condition(chart, t, x, &condition);
     if (status) return status;
     const size_t n = chart->n, m = chart->m;
-    if (keeps) {
+    if (dal__chart_keeps(chart, condition)) {
         start_branch(chart, x);
         if (changed) *changed = 0;
         return DAL_SUCCESS;

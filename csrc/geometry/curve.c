@@ -9,25 +9,15 @@
 void dal_cutoff(double tau, double *chi0, double *chi1, double *slope)
 {
     static const double pi = 3.14159265358979323846;
-    double first = 1.0, second = 0.0, change = 0.0;
-    if (tau > 0.0 && tau < 1.0) {
-        /* w = |cot(pi tau)|; s and 1/2 - s are exact where their form is used */
-        const double s = tau <= 0.5 ? tau : 1.0 - tau;
-        const double w = s < 0.25 ? 1.0 / tan(pi * s) : tan(pi * (0.5 - s));
-        const double e = w > 370.0 ? 0.0 : exp(-2.0 * w);
-        const double large = 1.0 / (1.0 + e), small = e / (1.0 + e);
-        first = tau <= 0.5 ? large : small;
-        second = tau <= 0.5 ? small : large;
-        change = e > 0.0 ? -2.0 * pi * (1.0 + w * w) * large * small : 0.0;
-    } else if (tau >= 1.0) {
-        first = 0.0;
-        second = 1.0;
-    } else if (isnan(tau)) {
-        first = second = change = tau;
-    }
-    if (chi0) *chi0 = first;
-    if (chi1) *chi1 = second;
-    if (slope) *slope = change;
+    /* w = |cot(pi tau)|; s and 1/2 - s are exact where their form is used */
+    const double s = tau <= 0.5 ? tau : 1.0 - tau;
+    const double w = s < 0.25 ? 1.0 / tan(pi * s) : tan(pi * (0.5 - s));
+    const bool inside = tau > 0.0 && tau < 1.0 && w <= 370.0;
+    const double e = isnan(tau) ? tau : inside ? exp(-2.0 * w) : 0.0;
+    const double large = 1.0 / (1.0 + e), small = e / (1.0 + e);
+    if (chi0) *chi0 = tau <= 0.5 ? large : small;
+    if (chi1) *chi1 = tau <= 0.5 ? small : large;
+    if (slope) *slope = e == 0.0 ? 0.0 : -2.0 * pi * (1.0 + w * w) * large * small;
 }
 
 int dal_chart_curve(dal_chart *chart, double t, const double *x1, const double *x2, double tau,
@@ -114,7 +104,6 @@ static void evaluate_polynomials(dal_chart *chart, double h, double s)
 static int interpolate(dal_chart *chart, double t, double h, double s, bool *pivoted)
 {
     double condition = 0.0;
-    bool keeps = false;
     int status = DAL_SUCCESS;
     if (!*pivoted) {
         evaluate_polynomials(chart, h, 0.5);
@@ -123,8 +112,8 @@ static int interpolate(dal_chart *chart, double t, double h, double s, bool *piv
         *pivoted = true;
     }
     evaluate_polynomials(chart, h, s);
-    status = dal__chart_keeps(chart, t, chart->x, &condition, &keeps);
-    if (!status && !keeps) {
+    status = dal__chart_condition(chart, t, chart->x, &condition);
+    if (!status && !dal__chart_keeps(chart, condition)) {
         *pivoted = false;
         status = dal_chart_choose(chart, t, NULL, chart->x);
     }

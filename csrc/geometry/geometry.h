@@ -157,8 +157,10 @@ int dal__chart_state(dal_chart *chart, double t, const double *xi);
 int dal__chart_factor(dal_chart *chart, const double *mu);
 /* DAL_EINVAL unless there is a choice. */
 int dal__chart_ready(dal_chart *chart);
-/* Whether dal_chart_renew would keep the choice at (t, x), and its condition. */
-int dal__chart_keeps(dal_chart *chart, double t, const double *x, double *condition, bool *keeps);
+/* dal_chart_condition, without checking the arguments; and whether dal_chart_renew keeps a choice
+ * of this condition. */
+int dal__chart_condition(dal_chart *chart, double t, const double *x, double *condition);
+bool dal__chart_keeps(const dal_chart *chart, double condition);
 
 /* The tolerance where none is given. */
 #define DAL_FLOW_TOLERANCE 1e-13
