@@ -3,7 +3,6 @@
 #include "dalembert/lu.h"
 
 #include <math.h>
-#include <string.h>
 
 double dal__dot(size_t n, const double *a, const double *b)
 {
@@ -24,21 +23,6 @@ double dal__sum_of_sizes(size_t n, const double *x)
     double sum = 0.0;
     for (size_t i = 0; i < n; i++) sum += fabs(x[i]);
     return sum;
-}
-
-void dal__copy(size_t n, const double *x, double *y)
-{
-    if (n > 0) memmove(y, x, n * sizeof *y); /* without any there may be no array */
-}
-
-void dal__clear(size_t n, double *y)
-{
-    for (size_t i = 0; i < n; i++) y[i] = 0.0;
-}
-
-void dal__add(size_t n, double c, const double *x, double *y)
-{
-    for (size_t i = 0; i < n; i++) y[i] += c * x[i];
 }
 
 void dal__forget(size_t count, double *x)

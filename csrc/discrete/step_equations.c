@@ -150,12 +150,13 @@ static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
     const double b = (1.0 - mech->start.alpha) * mech->start.h;
     const double *const place = mech->start.alpha == mech->start.beta ? mech->forms.q : mech->place;
     const bool general = !mech->eval.constant_mass, forced = mech->eval.system->def.force != NULL;
+    const double *const L_vv = general ? mech->L_vv : mech->metric.M;
     mech->start.moves = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q);
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) {
             const size_t ij = i * n + j, ji = j * n + i;
             const double terms[] = {
-                general ? mech->L_vv[ij] : mech->metric.M[ij],
+                L_vv[ij],
                 general ? a * mech->L_vq[ij] : 0.0,
                 general ? -b * mech->L_vq[ji] : 0.0,
                 a * b != 0.0 ? -b * a * mech->hessian[ij] : 0.0,
