@@ -237,7 +237,8 @@ static int compare(examination *ex, const output *d, const double *given)
     ex->judged = d;
     dal__copy(columns, centre, ex->point);
     for (size_t j = 0; j < columns; j++) {
-        int status = dal__difference(call_moved, ex, ex->point, j, rows, ex->value, ex->expected, 1);
+        int status = dal__difference(call_moved, ex, ex->point, j, rows, ex->value, ex->expected,
+                                     1);
         ex->point[j] = centre[j];
         if (status && status != DAL_EDOMAIN) return status;
         const bool outside = status == DAL_EDOMAIN;

@@ -5,8 +5,9 @@
 #include "dalembert/geometry.h"
 #include "system/system.h"
 
-/* M at one (t, q, v), and what solving with it needs.  That of constant mass is the system's, and
- * stands for ever.  Else dal__form_metric writes it, and whatever says that it forms the metric. */
+/* M at one (t, q, v), and what solving with it needs.  That of constant mass is the system's: it
+ * stands for ever, and nobody writes it.  Else it is that of the last function which says that it
+ * forms the metric, and of no use after one of these has failed. */
 typedef struct dal__metric {
     double *M;                    /* [n*n] */
     double *unit, *per_unit;      /* [n] d_i and 1/d_i of residual.h */
@@ -15,33 +16,34 @@ typedef struct dal__metric {
     bool formed;                  /* if there are any */
 } dal__metric;
 
-/* phi and its derivatives at the node q: of the last dal__forms_at or dal__step_at, or of the
- * multipliers.  Those that were not asked for then are of no use. */
+/* phi and its derivatives at the node q, of the last dal__forms_at or dal__step_at, or where
+ * multipliers were asked for; those that were not wanted then are of no use.  dal__step_begin moves
+ * q away from them. */
 typedef struct dal__forms {
     double *q;                    /* [n] */
     double *phi, *phi_t;          /* [m] */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
 } dal__forms;
 
-/* Row a of Z[m*n] is M^-1 mu^a, of the last dal__form_Z, or another direction that v may move in.  C
- * is mu M^-1 mu^T, then its factor of Cholesky with (C^-1)_aa in sizes: from dal__factor_gram to the
- * next dal__form_Z or dal__mend.  dal__mend and dal_project leave the factors of LU of mu Z^T. */
+/* Row a of Z[m*n] is M^-1 mu^a, as dal__form_Z left it, or another direction in which v may move.
+ * C is mu Z^T and then its factors: those of Cholesky, with (C^-1)_aa in sizes, from
+ * dal__factor_gram until the next dal__mend or projection, which leave those of LU. */
 typedef struct dal__gram {
     double *Z;
     dal__linear C;
 } dal__gram;
 
-/* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation. */
+/* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation.
+ * First the values that belong together, then what any function here may overwrite. */
 struct dal_mechanics {
     evaluator eval;
     size_t n, m;
     dal__metric metric;
     dal__forms forms;
     dal__gram gram;
-    /* L_q - L_vq v - L_vt + f and lambda at the last state whose multipliers were asked for, with
-     * the three above; scratch of others. */
+    /* L_q - L_vq v - L_vt + f and lambda: after dal_field and all that ask for multipliers, where
+     * the three values above are those of the same state. */
     double *force, *lambda;       /* [n], [m] */
-    /* Scratch: every function may write it, and it says nothing after a call. */
     double *w, *step;             /* [n] */
     double *point;                /* [2n] the state that is projected; of jump.c too */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
