@@ -199,6 +199,14 @@ static void exchange(dal_chart *chart, size_t a, size_t j)
     chart->owner[a] = j;
 }
 
+/* Whether coordinate k belongs to one of the first rows. */
+static bool is_owned(const dal_chart *chart, size_t rows, size_t k)
+{
+    for (size_t a = 0; a < rows; a++)
+        if (chart->owner[a] == k) return true;
+    return false;
+}
+
 /* The largest entry of the tableau outside the columns that have an owner, in the rows from first
  * on; it is in row *a and column *j. */
 static double largest_entry(const dal_chart *chart, size_t owned, size_t first, size_t *a,
@@ -206,9 +214,8 @@ static double largest_entry(const dal_chart *chart, size_t owned, size_t first, 
 {
     double most = 0.0;
     for (size_t k = 0; k < chart->n; k++) {
-        bool taken = false;
-        for (size_t b = 0; b < owned; b++) taken |= chart->owner[b] == k;
-        for (size_t b = first; !taken && b < chart->m; b++)
+        if (is_owned(chart, owned, k)) continue;
+        for (size_t b = first; b < chart->m; b++)
             if (fabs(chart->tableau[b * chart->n + k]) > most) {
                 most = fabs(chart->tableau[b * chart->n + k]);
                 *a = b;
@@ -257,8 +264,7 @@ static void arrange(dal_chart *chart)
 {
     size_t dependent = 0, independent = chart->m;
     for (size_t k = 0; k < chart->n; k++) {
-        bool owned = false;
-        for (size_t a = 0; a < chart->m; a++) owned |= chart->owner[a] == k;
+        const bool owned = is_owned(chart, chart->m, k);
         chart->place[owned ? dependent++ : independent++] = k;
     }
 }
