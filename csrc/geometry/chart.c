@@ -89,7 +89,7 @@ int dal__chart_ready(dal_chart *chart)
 static int require_point(dal_chart *chart, double t, const double *x)
 {
     if (!chart) return DAL_EINVAL;
-    return DAL__REQUIRE(&chart->mech.error, {"t", 1, &t}, {"x", 2 * chart->n, x});
+    return DAL__REQUIRE_FINITE(&chart->mech.error, {"t", 1, &t}, {"x", 2 * chart->n, x});
 }
 
 /* or somewhere for the output of this name to go, a choice, and these; */
@@ -463,7 +463,7 @@ int dal__chart_state(dal_chart *chart, double t, const double *xi)
 {
     int status = dal__chart_ready(chart);
     if (!status)
-        status = DAL__REQUIRE(&chart->mech.error, {"t", 1, &t}, {"xi", chart->width, xi});
+        status = DAL__REQUIRE_FINITE(&chart->mech.error, {"t", 1, &t}, {"xi", chart->width, xi});
     if (status) return status;
     for (size_t a = 0; a < chart->m; a++) chart->x[chart->n + chart->place[a]] = chart->branch[a];
     return dal__chart_lift(chart, t, xi);

@@ -26,8 +26,8 @@ int dal_chart_curve(dal_chart *chart, double t, const double *x1, const double *
     if (!chart) return DAL_EINVAL;
     const size_t n = chart->n;
     double chi0, chi1;
-    int status = DAL__REQUIRE(&chart->mech.error, {"x", 0, x}, {"t", 1, &t}, {"x1", 2 * n, x1},
-                              {"x2", 2 * n, x2}, {"tau", 1, &tau});
+    int status = DAL__REQUIRE_FINITE(&chart->mech.error, {"x", 0, x}, {"t", 1, &t},
+                                     {"x1", 2 * n, x1}, {"x2", 2 * n, x2}, {"tau", 1, &tau});
     if (!status) status = dal__chart_ready(chart);
     if (status) return status;
     dal_cutoff(tau, &chi0, &chi1, NULL);
@@ -192,9 +192,9 @@ int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, s
     const rows r = {t0, h, shift, rows_count, x};
     size_t changed = 0, made = 0;
     /* where no time is asked for, t and out may be NULL */
-    int status = DAL__REQUIRE(error, {"x", 0, x}, {"t", 0, count > 0 ? t : x},
-                              {"out", 0, count > 0 ? out : x}, {"t0", 1, &t0},
-                              {"shift", 1, &shift});
+    int status = DAL__REQUIRE_FINITE(error, {"x", 0, x}, {"t", 0, count > 0 ? t : x},
+                                     {"out", 0, count > 0 ? out : x}, {"t0", 1, &t0},
+                                     {"shift", 1, &shift});
     if (status) return status;
     if (rows_count == 0) return dal__fail(error, DAL_EINVAL, "rows = 0: expected a row");
     if (!(fabs(h) > 0.0 && isfinite(h)))

@@ -744,7 +744,7 @@ int dal_system_check(const dal_system *system, double t, const double *x, dal_ch
     if (!system || !report)
         return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "report" : "system");
     const size_t n = system->def.n;
-    int status = DAL__REQUIRE(error, {"x", 2 * n, x}, {"t", 1, &t});
+    int status = DAL__REQUIRE_FINITE(error, {"x", 2 * n, x}, {"t", 1, &t});
     if (status) return status;
     examination ex = {.system = system, .t = t, .x = x, .q = x, .v = x + n, .n = n,
                       .m = system->def.m};

@@ -189,7 +189,7 @@ static int require_interval(dal_flow *flow, double t0, double t1, const double *
     if (!isfinite(t0) || !isfinite(t1) || !isfinite(t1 - t0))
         return dal__fail(error, DAL_EINVAL, "from t0 = %g to t1 = %g is not a finite interval", t0,
                          t1);
-    return DAL__REQUIRE(error, {"x", dimension(flow), x});
+    return DAL__REQUIRE_FINITE(error, {"x", dimension(flow), x});
 }
 
 int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project)

@@ -70,7 +70,7 @@ int dal__null_argument(dal_mechanics *mech, const char *name)
 
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x)
 {
-    return DAL__REQUIRE(&mech->error, {name, count, x});
+    return DAL__REQUIRE_FINITE(&mech->error, {name, count, x});
 }
 
 /* What public functions ask for first: somewhere for the output of this name to go, and finite
@@ -79,8 +79,8 @@ static int require(dal_mechanics *mech, const char *name, const double *output, 
                    double t, const double *x)
 {
     if (!mech) return DAL_EINVAL;
-    return DAL__REQUIRE(&mech->error, {name, 0, output}, {"shift", 1, &shift}, {"t", 1, &t},
-                        {"x", 2 * mech->n, x});
+    return DAL__REQUIRE_FINITE(&mech->error, {name, 0, output}, {"shift", 1, &shift}, {"t", 1, &t},
+                               {"x", 2 * mech->n, x});
 }
 
 /* ---- M and C ----------------------------------------------------------------------------- */
@@ -503,7 +503,7 @@ int dal_perturbed(dal_mechanics *mech, double t, double weight, const double *x,
     if (!mech) return DAL_EINVAL;
     const size_t n = mech->n, m = mech->m;
     const dal__forms *const at = &mech->forms;
-    int status = DAL__REQUIRE(&mech->error, {"weight", 1, &weight}, {"ghat", 2 * n, ghat});
+    int status = DAL__REQUIRE_FINITE(&mech->error, {"weight", 1, &weight}, {"ghat", 2 * n, ghat});
     if (!status) status = solve_multipliers(mech, "x", x, t, x);
     if (status) return status;
     for (size_t a = 0; a < m; a++) /* hatLambday: C is still factored */

@@ -50,17 +50,17 @@ int dal__fail_because(dal_error *error, int status, const dal_error *cause, cons
 int dal__require_new(dal_error *error, const char *name, const void *object, const void *system);
 
 /* An argument of this name, which has to be there, and its x[count] finite. */
-typedef struct dal__argument {
+typedef struct dal__numbers {
     const char *name;
     size_t count;
     const double *x;
-} dal__argument;
+} dal__numbers;
 
-/* DAL_EINVAL names the first that is not as it has to be. */
-int dal__require(dal_error *error, size_t count, const dal__argument *arguments);
-#define DAL__REQUIRE(error, ...) \
-    dal__require(error, DAL_LENGTH(((dal__argument[]){__VA_ARGS__})), \
-                 (dal__argument[]){__VA_ARGS__})
+/* DAL_EINVAL, and the text names the first that is not as it has to be. */
+int dal__require_numbers(dal_error *error, size_t count, const dal__numbers *arguments);
+#define DAL__REQUIRE_FINITE(error, ...) \
+    dal__require_numbers(error, DAL_LENGTH(((dal__numbers[]){__VA_ARGS__})), \
+                        (dal__numbers[]){__VA_ARGS__})
 
 /* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);

@@ -86,9 +86,9 @@ int dal__require_new(dal_error *error, const char *name, const void *object, con
     return dal__fail(error, DAL_SUCCESS, "%s", "");
 }
 
-int dal__require(dal_error *error, size_t count, const dal__argument *arguments)
+int dal__require_numbers(dal_error *error, size_t count, const dal__numbers *arguments)
 {
-    for (const dal__argument *a = arguments; a < arguments + count; a++) {
+    for (const dal__numbers *a = arguments; a < arguments + count; a++) {
         if (!a->x) return dal__fail(error, DAL_EINVAL, "%s is NULL", a->name);
         for (size_t i = 0; i < a->count; i++)
             if (!isfinite(a->x[i]))
