@@ -4,10 +4,29 @@
 
 #include "ground/ground.h"
 
+#include <string.h>
+
 double dal__dot(size_t n, const double *a, const double *b);
 /* max |x_i|, 0 for n = 0; sum |x_i|. */
 double dal__largest(size_t n, const double *x);
 double dal__sum_of_sizes(size_t n, const double *x);
+
+/* y[n] <- x, which may overlap; y[n] <- 0; y[n] <- y + c x.  Without numbers there need be no
+ * arrays. */
+static inline void dal__copy(size_t n, const double *x, double *y)
+{
+    if (n > 0) memmove(y, x, n * sizeof *y);
+}
+
+static inline void dal__clear(size_t n, double *y)
+{
+    if (n > 0) memset(y, 0, n * sizeof *y);
+}
+
+static inline void dal__add(size_t n, double c, const double *x, double *y)
+{
+    for (size_t i = 0; i < n; i++) y[i] += c * x[i];
+}
 
 /* x, which may be NULL, becomes NaN: so an output that is never written is found as not finite. */
 void dal__forget(size_t count, double *x);

@@ -7,8 +7,8 @@
 void dal__linear_reserve(dal__linear *self, size_t size, arena *a)
 {
     self->size = size;
-    dal__reserve(a, &self->A, dal__times(size, size), sizeof(double));
-    dal__reserve(a, &self->sizes, dal__times(5, size), sizeof(double));
+    DAL__RESERVE(a, dal__times(size, size), &self->A);
+    DAL__RESERVE(a, dal__times(5, size), &self->sizes);
     dal__reserve(a, &self->row, size, sizeof(size_t));
 }
 

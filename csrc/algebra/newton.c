@@ -65,7 +65,7 @@ int dal__newton_run(dal__newton *self, dal_error *error)
         } while (dal__newton_halve(p, status, self->size, self->z, self->step));
         if (status) return status;
         p->iteration++;
-        for (size_t i = 0; i < self->size; i++) self->z[i] += self->step[i];
+        dal__add(self->size, 1.0, self->step, self->z);
         p->scale = extent(self, self->z) + self->base;
         p->moves = self->moves;
         verdict = dal__newton_judge(p, extent(self, self->step));
@@ -83,9 +83,8 @@ int dal__newton_run(dal__newton *self, dal_error *error)
 
 void dal__root_reserve(dal__root *root, size_t most, arena *a)
 {
-    double **const vectors[] = {&root->z, &root->residual, &root->step};
-    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, most);
-    dal__reserve(a, &root->scale, dal__times(most, most), sizeof(double));
+    DAL__RESERVE(a, most, &root->z, &root->residual, &root->step);
+    DAL__RESERVE(a, dal__times(most, most), &root->scale);
     dal__linear_reserve(&root->J, most, a);
 }
 

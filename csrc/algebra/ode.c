@@ -13,7 +13,6 @@
 #include <gsl/gsl_odeiv2.h>
 
 #include <math.h>
-#include <string.h>
 
 /* Accepted and refused steps of one integration; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
@@ -76,11 +75,6 @@ struct ode {
     arena arena;
 };
 
-static void copy(const ode *self, double *to, const double *from)
-{
-    memcpy(to, from, self->N * sizeof *to);
-}
-
 static const char *method_name(dal_flow_method method)
 {
     switch (method) {
@@ -125,7 +119,7 @@ static int difference(ode *self)
 {
     const size_t N = self->N;
     const double *const y = self->state;
-    copy(self, self->point, y);
+    dal__copy(self->N, y, self->point);
     for (size_t j = 0; j < N; j++) {
         const double d = cbrt(DBL_EPSILON) * (1.0 + fabs(y[j]));
         const double above = y[j] + d, below = y[j] - d;
@@ -177,21 +171,20 @@ static int rosenbrock(ode *self, double h)
     if (!status) status = differ_in_time(self, h);
     if (!status && !factor(self, h)) status = GSL_ESING;
     for (size_t s = 0; !status && s < STAGES; s++) {
-        copy(self, self->point, self->state);
+        dal__copy(self->N, self->state, self->point);
         for (size_t r = 0; r < s; r++)
-            for (size_t i = 0; i < N; i++)
-                self->point[i] += stages[s].a[r] * self->stage[r * N + i];
+            dal__add(N, stages[s].a[r], self->stage + r * N, self->point);
         status = evaluate(self->elapsed + stages[s].at * h, self->point, self->right, self);
-        for (size_t i = 0; !status && i < N; i++) {
-            self->right[i] += h * stages[s].f_t * self->rate[i];
-            for (size_t r = 0; r < s; r++)
-                self->right[i] += stages[s].c[r] / h * self->stage[r * N + i];
-        }
-        if (!status) dal__linear_solve(&self->matrix, self->right, self->stage + s * N);
+        if (status) return status;
+        dal__add(N, h * stages[s].f_t, self->rate, self->right);
+        for (size_t r = 0; r < s; r++)
+            dal__add(N, stages[s].c[r] / h, self->stage + r * N, self->right);
+        dal__linear_solve(&self->matrix, self->right, self->stage + s * N);
     }
     if (status) return status;
-    copy(self, self->step_error, self->stage + (STAGES - 1) * N);
-    for (size_t i = 0; i < N; i++) self->state[i] = self->point[i] + self->step_error[i];
+    dal__copy(self->N, self->stage + (STAGES - 1) * N, self->step_error);
+    dal__copy(N, self->point, self->state);
+    dal__add(N, 1.0, self->step_error, self->state);
     return evaluate(self->elapsed + h, self->state, self->slope_after, self);
 }
 
@@ -200,16 +193,13 @@ static int rosenbrock(ode *self, double h)
 static void plan(ode *shape, arena *memory)
 {
     const size_t N = shape->N, N2 = dal__times(N, N);
-    double **const vectors[] = {&shape->state, &shape->before, &shape->slope, &shape->slope_after,
-                                &shape->step_error};
-    double **const scratch[] = {&shape->point, &shape->right, &shape->left, &shape->rate};
-    double **const matrices[] = {&shape->jacobian, &shape->scale};
-    dal__reserve_doubles(memory, DAL_LENGTH(vectors), vectors, N);
+    DAL__RESERVE(memory, N, &shape->state, &shape->before, &shape->slope, &shape->slope_after,
+                 &shape->step_error);
     if (shape->method != DAL_FLOW_RODAS) return;
-    dal__reserve_doubles(memory, DAL_LENGTH(scratch), scratch, N);
-    dal__reserve_doubles(memory, DAL_LENGTH(matrices), matrices, N2);
+    DAL__RESERVE(memory, N, &shape->point, &shape->right, &shape->left, &shape->rate);
+    DAL__RESERVE(memory, N2, &shape->jacobian, &shape->scale);
+    DAL__RESERVE(memory, dal__times(STAGES, N), &shape->stage);
     dal__linear_reserve(&shape->matrix, N, memory);
-    dal__reserve(memory, &shape->stage, dal__times(STAGES, N), sizeof(double));
 }
 
 int dal__check_tolerance(double tolerance, dal_error *error)
@@ -227,16 +217,14 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
     int status = dal__check_tolerance(tolerance, error);
     if (status) return status;
 
-    arena memory = {0};
     ode shape = {.N = N, .method = method, .tolerance = tolerance, .field = field, .ctx = ctx};
     ode *self;
-    dal__reserve(&memory, &self, 1, sizeof *self);
-    plan(&shape, &memory);
-    status = dal__allocate(&memory, error);
+    dal__reserve(&shape.arena, &self, 1, sizeof *self);
+    plan(&shape, &shape.arena);
+    status = dal__allocate(&shape.arena, error);
     if (status) return status;
 
     *self = shape;
-    self->arena = memory;
     *integrator = self;
     if (method == DAL_FLOW_RODAS) return DAL_SUCCESS;
     self->system = (gsl_odeiv2_system){evaluate, NULL, N, self};
@@ -245,7 +233,7 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
     self->step = gsl_odeiv2_step_alloc(method == DAL_FLOW_RK8PD ? gsl_odeiv2_step_rk8pd
                                                                 : gsl_odeiv2_step_msadams, N);
     if (!self->step) {
-        dal__release(&memory);
+        dal__release(&self->arena);
         *integrator = NULL;
         return dal__fail(error, DAL_ENOMEM, "out of memory for the workspace of %s",
                          method_name(method));
@@ -258,8 +246,7 @@ void dal__ode_free(ode *self)
 {
     if (!self) return;
     gsl_odeiv2_step_free(self->step);
-    arena memory = self->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&self->arena);
 }
 
 double *dal__ode_state(ode *self) { return self->state; }
@@ -297,7 +284,7 @@ int dal__ode_begin(ode *self, double t0, double span, const double *y, double fa
     self->t0 = t0;
     self->elapsed = 0.0;
     self->longest = HUGE_VAL;
-    memmove(self->state, y, self->N * sizeof *y); /* y may be the state */
+    dal__copy(self->N, y, self->state); /* y may be the state */
     return dal__ode_restart(self, span, error);
 }
 
@@ -336,18 +323,18 @@ static bool attempt(ode *self, double h)
 {
     gsl_odeiv2_step *const step = self->step;
     self->fault.status = DAL_SUCCESS;
-    copy(self, self->before, self->state);
+    dal__copy(self->N, self->state, self->before);
     const int status = step ? gsl_odeiv2_step_apply(step, self->elapsed, h, self->state,
                                                     self->step_error, self->slope,
                                                     self->slope_after, &self->system)
                             : rosenbrock(self, h);
     const unsigned order = step ? gsl_odeiv2_step_order(step) : RODAS_ORDER;
     if (status == GSL_SUCCESS && accurate(self, h, order)) {
-        copy(self, self->slope, self->slope_after);
+        dal__copy(self->N, self->slope_after, self->slope);
         self->current = false;
         return true;
     }
-    copy(self, self->state, self->before);
+    dal__copy(self->N, self->before, self->state);
     if (status != GSL_SUCCESS) self->h = 0.5 * h;
     /* A multistep method is interrupted halfway by a field that fails. */
     if (step && self->fault.status) gsl_odeiv2_step_reset(step);

@@ -40,10 +40,10 @@ static int find_step(dal__newton *equations)
         }
         for (size_t a = 0; a < m; a++) chart->G.A[(free + a) * n + k] = chart->slope[a * n + k];
     }
-    for (size_t j = 0; j < free; j++) chart->G.sizes[j] = mech->per_unit[place[j]];
+    for (size_t j = 0; j < free; j++) chart->G.sizes[j] = mech->metric.per_unit[place[j]];
     for (size_t a = 0; a < m; a++)
-        chart->G.sizes[free + a] = dal_residual_form(n, mech->unit, chart->slope + a * n);
-    memcpy(chart->G.sizes + n, mech->per_unit, n * sizeof *chart->G.sizes);
+        chart->G.sizes[free + a] = dal_residual_form(n, mech->metric.unit, chart->slope + a * n);
+    memcpy(chart->G.sizes + n, mech->metric.per_unit, n * sizeof *chart->G.sizes);
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
     if (!dal__linear_factor(&chart->G))
@@ -61,7 +61,7 @@ static int solve_step(dal_chart *chart)
     dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n;
     dal__newton equations = {.find_step = find_step, .ctx = chart, .size = n, .measured = n, .n = n,
-                             .per_unit = mech->per_unit, .z = chart->w, .step = chart->step,
+                             .per_unit = mech->metric.per_unit, .z = chart->w, .step = chart->step,
                              .lagging = true}; /* kappa */
     memcpy(chart->w, mech->start.v, n * sizeof *chart->w);
     memset(chart->kappa, 0, chart->m * sizeof *chart->kappa);

@@ -34,15 +34,15 @@ static int shoot(search *s)
     if (status) return status;
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
     if (m == 0) return DAL_SUCCESS;
-    status = dal__forms_at(mech, s->t0, 0.0, s->x, NULL);
+    status = dal__forms_at(mech, s->t0, 0.0, s->x, false);
     if (status) return pass_on(s, status);
     status = dal__factor_gram(mech);
     if (status) return pass_on(s, status);
-    dal__apply(m, n, mech->mu, s->miss, s->defect);
+    dal__apply(m, n, mech->forms.mu, s->miss, s->defect);
     memcpy(mech->lambda, s->defect, m * sizeof *s->defect);
     dal__solve_gram(mech, mech->lambda);
     for (size_t a = 0; a < m; a++)
-        for (size_t i = 0; i < n; i++) s->end[i] -= mech->Z[a * n + i] * mech->lambda[a];
+        for (size_t i = 0; i < n; i++) s->end[i] -= mech->gram.Z[a * n + i] * mech->lambda[a];
     return DAL_SUCCESS;
 }
 

@@ -107,11 +107,11 @@ static void assemble(dal_discrete *d)
 static double base_of_equations(const dal_discrete *d, const double *kappa)
 {
     const size_t n = d->n;
-    double base = dal_residual_extent(n, d->mech.per_unit, d->velocity);
+    double base = dal_residual_extent(n, d->mech.metric.per_unit, d->velocity);
     for (size_t i = 0; i < n; i++) {
         double sum = fabs(d->minus[i]) + fabs(d->momentum[i]);
         for (size_t a = 0; a < d->m; a++) sum += fabs(d->muk[a * n + i] * kappa[a]);
-        base += sum * d->mech.unit[i];
+        base += sum * d->mech.metric.unit[i];
     }
     return base;
 }
@@ -142,7 +142,7 @@ static int find_step(dal__newton *equations)
     equations->moves = dal__forms_move(&d->mech, d->phi_v, d->phi_q, d->constraint.g);
     for (size_t k = 0; k < n * n; k++)
         equations->moves += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
-                          * fabs(d->lagrangian.g[k % n]) * d->mech.unit[k / n];
+                          * fabs(d->lagrangian.g[k % n]) * d->mech.metric.unit[k / n];
     assemble(d);
     return dal__root_step(&d->root, "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is singular: "
                           "the constraints lose rank, or h is too large here", &d->mech.error);
@@ -153,7 +153,8 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
 {
     const size_t n = d->n, m = d->m;
     dal__newton equations = {.find_step = find_step, .ctx = d, .size = n + m, .measured = n, .n = n,
-                             .per_unit = d->mech.per_unit, .z = d->root.z, .step = d->root.step};
+                             .per_unit = d->mech.metric.per_unit, .z = d->root.z,
+                             .step = d->root.step};
     int status = begin(d, t, pair);
     if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->velocity);
     if (status) return status;

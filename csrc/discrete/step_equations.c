@@ -9,7 +9,7 @@
 /* Where L acts, a step before q_k + alpha h w, or there. */
 static const double *place_of_L(dal_mechanics *mech, double reach, const double *velocity)
 {
-    if (mech->start.alpha == mech->start.beta) return mech->q;
+    if (mech->start.alpha == mech->start.beta) return mech->forms.q;
     for (size_t i = 0; i < mech->n; i++) mech->place[i] = mech->node[i] + reach * velocity[i];
     return mech->place;
 }
@@ -32,7 +32,7 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     mech->start.base = 0.0;
     for (size_t i = 0; i < n; i++) {
         mech->node[i] = kept ? x[i] : x[i] + before * v[i];
-        mech->q[i] = kept ? x[i] - before * v[i] : x[i];
+        mech->forms.q[i] = kept ? x[i] - before * v[i] : x[i];
     }
     if (mech->eval.system->def.kind != DAL_NONLINEAR)
         status = dal__constraint(&mech->eval, mech->start.middle, mech->node, v, NULL, mech->muk,
@@ -43,7 +43,7 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
                              .L_v = mech->eval.constant_mass ? NULL : mech->momentum};
     if (!status) status = dal__lagrangian(&mech->eval, t + later, place, v, &wanted, &mech->error);
     /* a step depends on its start alone, and not on where its stepper was before */
-    if (!status) status = dal__renew_metric(mech, t, mech->q, v);
+    if (!status) status = dal__renew_metric(mech, t, mech->forms.q, v);
     if (!status && alpha != 0.0 && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t + later, place, v, mech->step, NULL, NULL,
                             &mech->error);
@@ -106,7 +106,7 @@ static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
         for (size_t i = 0; i < n; i++) mech->w[i] -= mech->momentum[i];
     } else {
         for (size_t i = 0; i < n; i++) mech->step[i] = w[i] - mech->start.v[i];
-        dal__apply(n, n, mech->metric, mech->step, mech->w);
+        dal__apply(n, n, mech->metric.M, mech->step, mech->w);
     }
     return DAL_SUCCESS;
 }
@@ -130,13 +130,13 @@ static double base_of_R1(const dal_mechanics *mech, const double *kappa)
 {
     const size_t n = mech->n;
     const double weight = fabs(mech->start.h * (1.0 - mech->start.alpha));
-    double base = dal_residual_extent(n, mech->per_unit, mech->start.v);
+    double base = dal_residual_extent(n, mech->metric.per_unit, mech->start.v);
     for (size_t i = 0; i < n; i++) {
         double sum = fabs(mech->w[i]) + fabs(mech->reach[i]);
         if (!mech->eval.constant_mass) sum += fabs(mech->momentum[i]);
         if (weight != 0.0) sum += weight * fabs(mech->force[i]);
         for (size_t a = 0; a < mech->m; a++) sum += fabs(mech->muk[a * n + i] * kappa[a]);
-        base += sum * mech->unit[i]; /* as M^-1 does, in the units of the velocity */
+        base += sum * mech->metric.unit[i]; /* as M^-1 does, in the units of the velocity */
     }
     return base;
 }
@@ -148,14 +148,15 @@ static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
     const size_t n = mech->n;
     const double a = mech->start.alpha * mech->start.h;
     const double b = (1.0 - mech->start.alpha) * mech->start.h;
-    const double *const place = mech->start.alpha == mech->start.beta ? mech->q : mech->place;
+    const double *const place = mech->start.alpha == mech->start.beta ? mech->forms.q : mech->place;
     const bool general = !mech->eval.constant_mass, forced = mech->eval.system->def.force != NULL;
-    mech->start.moves = dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
+    const double *const L_vv = general ? mech->L_vv : mech->metric.M;
+    mech->start.moves = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q);
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) {
             const size_t ij = i * n + j, ji = j * n + i;
             const double terms[] = {
-                mech->metric[ij],
+                L_vv[ij],
                 general ? a * mech->L_vq[ij] : 0.0,
                 general ? -b * mech->L_vq[ji] : 0.0,
                 a * b != 0.0 ? -b * a * mech->hessian[ij] : 0.0,
@@ -171,7 +172,7 @@ static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
             K[ij] = sum;
             if (K_sizes && i == j) K_sizes[i] = K_sizes[n + i] = sqrt(scale);
             mech->start.moves += (fabs(terms[1]) + fabs(terms[3]) + fabs(terms[5]))
-                               * fabs(place[j]) / fmax(fabs(a), DBL_MIN) * mech->unit[i];
+                               * fabs(place[j]) / fmax(fabs(a), DBL_MIN) * mech->metric.unit[i];
         }
 }
 
@@ -182,10 +183,10 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     const double a = mech->start.beta * mech->start.h;
     const bool nonlinear = mech->eval.system->def.kind == DAL_NONLINEAR;
     int status = DAL_SUCCESS;
-    for (size_t i = 0; i < n; i++) mech->q[i] = mech->node[i] + a * w[i];
+    for (size_t i = 0; i < n; i++) mech->forms.q[i] = mech->node[i] + a * w[i];
     if (R2 || B)
-        status = dal__constraint(&mech->eval, mech->start.end, mech->q, w, mech->phi, mech->mu,
-                                 B ? mech->dmu : NULL, NULL, &mech->error);
+        status = dal__constraint(&mech->eval, mech->start.end, mech->forms.q, w, mech->forms.phi,
+                                 mech->forms.mu, B ? mech->forms.dmu : NULL, NULL, &mech->error);
     if (!status && nonlinear) status = chetaev_forms(mech, w, mech->muk);
     if (!status && K && nonlinear) status = evaluate_bend(mech, w, kappa);
     if (!status && (R1 || K)) status = evaluate(mech, w, R1 != NULL, K != NULL);
@@ -193,9 +194,9 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     /* nothing is written before all of it is known */
     if (R1) form_R1(mech, kappa, R1);
     if (R1 && K) mech->start.base = base_of_R1(mech, kappa);
-    if (R2) memcpy(R2, mech->phi, m * sizeof *R2);
+    if (R2) memcpy(R2, mech->forms.phi, m * sizeof *R2);
     if (K) form_K(mech, K, K_sizes);
-    for (size_t k = 0; B && k < m * n; k++) B[k] = mech->mu[k] + a * mech->dmu[k];
+    for (size_t k = 0; B && k < m * n; k++) B[k] = mech->forms.mu[k] + a * mech->forms.dmu[k];
     return DAL_SUCCESS;
 }
 

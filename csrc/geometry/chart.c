@@ -16,28 +16,22 @@ static const double EXCHANGE = 1.25, LIMIT = 10.0;
 
 void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
 {
-    const size_t n = system->def.n, m = system->def.m;
-    const size_t nn = dal__times(n, n), mn = dal__times(m, n);
-    double **const vectors[] = {&chart->w, &chart->R1, &chart->step};
-    double **const multipliers[] = {&chart->branch, &chart->right, &chart->solution, &chart->R2,
-                                    &chart->kappa, &chart->kept_branch};
-    double **const forms[] = {&chart->A, &chart->tableau, &chart->slope};
+    const size_t n = system->def.n, m = system->def.m, twice = dal__times(2, n);
+    const size_t thrice = dal__times(3, n), nn = dal__times(n, n), mn = dal__times(m, n);
+    size_t **const places[] = {&chart->other_place, &chart->last_place, &chart->place,
+                               &chart->former, &chart->owner};
     dal__mechanics_reserve(&chart->mech, system, a);
-    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
-    dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
-    dal__reserve(a, &chart->K, nn, sizeof(double));
-    dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
+    DAL__RESERVE(a, n, &chart->w, &chart->R1, &chart->step);
+    DAL__RESERVE(a, m, &chart->branch, &chart->right, &chart->solution, &chart->R2, &chart->kappa,
+                 &chart->other_branch);
+    DAL__RESERVE(a, nn, &chart->K);
+    DAL__RESERVE(a, mn, &chart->A, &chart->slope);
+    DAL__RESERVE(a, dal__times(m, twice), &chart->tableau);
+    DAL__RESERVE(a, twice, &chart->x, &chart->y);
+    DAL__RESERVE(a, thrice, &chart->first, &chart->second);
     dal__linear_reserve(&chart->B, m, a);
     dal__linear_reserve(&chart->G, n, a);
-    dal__reserve(a, &chart->x, dal__times(2, n), sizeof(double));
-    dal__reserve(a, &chart->y, dal__times(2, n), sizeof(double));
-    dal__reserve(a, &chart->first, dal__times(3, n), sizeof(double));
-    dal__reserve(a, &chart->second, dal__times(3, n), sizeof(double));
-    dal__reserve(a, &chart->kept_place, n, sizeof(size_t));
-    dal__reserve(a, &chart->last_place, n, sizeof(size_t));
-    dal__reserve(a, &chart->place, n, sizeof(size_t));
-    dal__reserve(a, &chart->former, n, sizeof(size_t));
-    dal__reserve(a, &chart->owner, m, sizeof(size_t));
+    for (size_t k = 0; k < DAL_LENGTH(places); k++) dal__reserve(a, places[k], n, sizeof(size_t));
 }
 
 void dal__chart_bind(dal_chart *chart, const dal_system *system)
@@ -50,17 +44,14 @@ void dal__chart_bind(dal_chart *chart, const dal_system *system)
 
 int dal_chart_new(dal_chart **chart, const dal_system *system, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!chart || !system)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", chart ? "system" : "chart");
-    arena memory = {0};
     dal_chart shape = {0}, *self;
-    dal__reserve(&memory, &self, 1, sizeof *self);
-    dal__chart_reserve(&shape, system, &memory);
-    const int status = dal__allocate(&memory, error);
+    int status = dal__require_new(error, "chart", chart, system);
+    if (status) return status;
+    dal__reserve(&shape.arena, &self, 1, sizeof *self);
+    dal__chart_reserve(&shape, system, &shape.arena);
+    status = dal__allocate(&shape.arena, error);
     if (status) return status;
     *self = shape;
-    self->arena = memory;
     dal__chart_bind(self, system);
     *chart = self;
     return DAL_SUCCESS;
@@ -68,9 +59,7 @@ int dal_chart_new(dal_chart **chart, const dal_system *system, dal_error *error)
 
 void dal_chart_free(dal_chart *chart)
 {
-    if (!chart) return;
-    arena memory = chart->arena; /* the object lies inside it */
-    dal__release(&memory);
+    if (chart) dal__release(&chart->arena);
 }
 
 const dal_error *dal_chart_error(const dal_chart *chart) { return &chart->mech.error; }
@@ -96,12 +85,30 @@ int dal__chart_ready(dal_chart *chart)
     return dal__fail(&chart->mech.error, DAL_EINVAL, "no dependent coordinates are chosen yet");
 }
 
-/* A choice, and finite t and x[2n]. */
-static int require_state(dal_chart *chart, double t, const double *x)
+/* What public functions ask for first: finite t and x[2n]; */
+static int require_point(dal_chart *chart, double t, const double *x)
 {
-    int status = dal__chart_ready(chart);
-    if (!status) status = dal__require_finite(&chart->mech, "t", 1, &t);
-    return status ? status : dal__require_finite(&chart->mech, "x", 2 * chart->n, x);
+    if (!chart) return DAL_EINVAL;
+    return DAL__REQUIRE_FINITE(&chart->mech.error, {"t", 1, &t}, {"x", 2 * chart->n, x});
+}
+
+/* or somewhere for the output of this name to go, a choice, and these; */
+static int require_state(dal_chart *chart, const char *name, const double *output, double t,
+                         const double *x)
+{
+    if (!chart) return DAL_EINVAL;
+    int status = dal__require_finite(&chart->mech, name, 0, output);
+    if (!status) status = dal__chart_ready(chart);
+    return status ? status : require_point(chart, t, x);
+}
+
+/* or the output, and what dal__chart_state asks for, which is done then. */
+static int require_xi(dal_chart *chart, const char *name, const double *output, double t,
+                      const double *xi)
+{
+    if (!chart) return DAL_EINVAL;
+    const int status = dal__require_finite(&chart->mech, name, 0, output);
+    return status ? status : dal__chart_state(chart, t, xi);
 }
 
 /* The names of count coordinates with commas between them, cut off where text[size] ends. */
@@ -126,11 +133,11 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
     double *const sizes = chart->B.sizes;
     for (size_t a = 0; a < m; a++) {
         sizes[a] = 0.0;
-        sizes[m + a] = chart->mech.per_unit[chart->place[a]];
+        sizes[m + a] = chart->mech.metric.per_unit[chart->place[a]];
         for (size_t b = 0; b < m; b++) {
             const double entry = mu[a * n + chart->place[b]];
             chart->B.A[a * m + b] = entry;
-            sizes[a] += fabs(entry) * chart->mech.unit[chart->place[b]];
+            sizes[a] += fabs(entry) * chart->mech.metric.unit[chart->place[b]];
         }
     }
     if (dal__linear_factor(&chart->B)) return DAL_SUCCESS;
@@ -141,10 +148,10 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
 }
 
 /* phi, mu, the metric, and phi_q if wanted at x[2n], and B factored. */
-static int form_B(dal_chart *chart, double t, const double *x, double *phi_q)
+static int form_B(dal_chart *chart, double t, const double *x, bool slopes)
 {
-    const int status = dal__forms_at(&chart->mech, t, 0.0, x, phi_q);
-    return status ? status : dal__chart_factor(chart, chart->mech.mu);
+    const int status = dal__forms_at(&chart->mech, t, 0.0, x, slopes);
+    return status ? status : dal__chart_factor(chart, chart->mech.forms.mu);
 }
 
 /* result[a*stride] <- B^-1 times the column of forms[m*n]. */
@@ -161,20 +168,20 @@ static void form_A(dal_chart *chart)
 {
     const size_t free = chart->n - chart->m;
     for (size_t j = 0; j < free; j++)
-        solve_column(chart, chart->mech.mu, chart->place[chart->m + j], chart->A + j, free);
+        solve_column(chart, chart->mech.forms.mu, chart->place[chart->m + j], chart->A + j, free);
 }
 
 int dal_chart_connection(dal_chart *chart, double t, const double *x, double *A, double *B)
 {
-    if (!chart) return DAL_EINVAL;
-    const size_t n = chart->n, m = chart->m;
-    int status = require_state(chart, t, x);
-    if (!status) status = form_B(chart, t, x, NULL);
+    int status = require_state(chart, "x", x, t, x);
+    if (!status) status = form_B(chart, t, x, false);
     if (status) return status;
+    const size_t n = chart->n, m = chart->m;
     form_A(chart);
     status = DAL__DELIVER(&chart->mech.error, {"A", m * (n - m), chart->A, A});
     for (size_t a = 0; !status && B && a < m; a++)
-        for (size_t b = 0; b < m; b++) B[a * m + b] = chart->mech.mu[a * n + chart->place[b]];
+        for (size_t b = 0; b < m; b++)
+            B[a * m + b] = chart->mech.forms.mu[a * n + chart->place[b]];
     return status;
 }
 
@@ -187,11 +194,17 @@ static void exchange(dal_chart *chart, size_t a, size_t j)
     double *const T = chart->tableau;
     const double pivot = T[a * n + j];
     for (size_t k = 0; k < n; k++) T[a * n + k] /= pivot;
-    for (size_t b = 0; b < chart->m; b++) {
-        const double factor = T[b * n + j];
-        for (size_t k = 0; b != a && k < n; k++) T[b * n + k] -= factor * T[a * n + k];
-    }
+    for (size_t b = 0; b < chart->m; b++)
+        if (b != a) dal__add(n, -T[b * n + j], T + a * n, T + b * n);
     chart->owner[a] = j;
+}
+
+/* Whether coordinate k belongs to one of the first rows. */
+static bool is_owned(const dal_chart *chart, size_t rows, size_t k)
+{
+    for (size_t a = 0; a < rows; a++)
+        if (chart->owner[a] == k) return true;
+    return false;
 }
 
 /* The largest entry of the tableau outside the columns that have an owner, in the rows from first
@@ -201,9 +214,8 @@ static double largest_entry(const dal_chart *chart, size_t owned, size_t first, 
 {
     double most = 0.0;
     for (size_t k = 0; k < chart->n; k++) {
-        bool taken = false;
-        for (size_t b = 0; b < owned; b++) taken |= chart->owner[b] == k;
-        for (size_t b = first; !taken && b < chart->m; b++)
+        if (is_owned(chart, owned, k)) continue;
+        for (size_t b = first; b < chart->m; b++)
             if (fabs(chart->tableau[b * chart->n + k]) > most) {
                 most = fabs(chart->tableau[b * chart->n + k]);
                 *a = b;
@@ -223,7 +235,7 @@ static int pivot_columns(dal_chart *chart)
     for (size_t b = 0; b < m; b++) { /* the size of a form means nothing */
         double most = 0.0;
         for (size_t k = 0; k < n; k++) {
-            T[b * n + k] = chart->mech.mu[b * n + k] / sqrt(chart->mech.metric[k * n + k]);
+            T[b * n + k] = chart->mech.forms.mu[b * n + k] / sqrt(chart->mech.metric.M[k * n + k]);
             most = fmax(most, fabs(T[b * n + k]));
         }
         for (size_t k = 0; most > 0.0 && k < n; k++) T[b * n + k] /= most;
@@ -252,8 +264,7 @@ static void arrange(dal_chart *chart)
 {
     size_t dependent = 0, independent = chart->m;
     for (size_t k = 0; k < chart->n; k++) {
-        bool owned = false;
-        for (size_t a = 0; a < chart->m; a++) owned |= chart->owner[a] == k;
+        const bool owned = is_owned(chart, chart->m, k);
         chart->place[owned ? dependent++ : independent++] = k;
     }
 }
@@ -279,18 +290,16 @@ static void start_branch(dal_chart *chart, const double *x)
 
 int dal_chart_choose(dal_chart *chart, double t, const size_t *dependent, const double *x)
 {
-    if (!chart) return DAL_EINVAL;
-    const size_t n = chart->n, m = chart->m;
-    int status = dal__require_finite(&chart->mech, "t", 1, &t);
-    if (!status) status = dal__require_finite(&chart->mech, "x", 2 * n, x);
+    int status = require_point(chart, t, x);
     if (!status && dependent) status = check_dependent(chart, dependent);
-    if (!status) status = dal__forms_at(&chart->mech, t, 0.0, x, NULL);
+    if (!status) status = dal__forms_at(&chart->mech, t, 0.0, x, false);
     if (!status && !dependent) status = pivot_columns(chart);
     if (status) return status;
+    const size_t n = chart->n, m = chart->m;
     if (dependent && m > 0) memcpy(chart->owner, dependent, m * sizeof *dependent);
     memcpy(chart->former, chart->place, n * sizeof *chart->place);
     arrange(chart);
-    status = dal__chart_factor(chart, chart->mech.mu);
+    status = dal__chart_factor(chart, chart->mech.forms.mu);
     if (status) {
         memcpy(chart->place, chart->former, n * sizeof *chart->place);
         return status;
@@ -300,15 +309,14 @@ int dal_chart_choose(dal_chart *chart, double t, const size_t *dependent, const 
     return DAL_SUCCESS;
 }
 
-/* INFINITY where B is singular. */
-static int evaluate_condition(dal_chart *chart, double t, const double *x, double *condition)
+int dal__chart_condition(dal_chart *chart, double t, const double *x, double *condition)
 {
     const size_t n = chart->n, m = chart->m, free = n - m;
-    const int status = dal__forms_at(&chart->mech, t, 0.0, x, NULL);
+    const int status = dal__forms_at(&chart->mech, t, 0.0, x, false);
     if (status) return status;
     *condition = (double)INFINITY;
     const dal_error before = chart->mech.error;
-    if (dal__chart_factor(chart, chart->mech.mu)) { /* an answer, not a failure */
+    if (dal__chart_factor(chart, chart->mech.forms.mu)) { /* an answer, not a failure */
         chart->mech.error = before;
         return DAL_SUCCESS;
     }
@@ -316,8 +324,8 @@ static int evaluate_condition(dal_chart *chart, double t, const double *x, doubl
     for (size_t a = 0; a < m; a++)
         for (size_t j = 0; j < free; j++) {
             const size_t d = chart->place[a], i = chart->place[m + j];
-            chart->A[a * free + j] *= sqrt(chart->mech.metric[d * n + d]
-                                           / chart->mech.metric[i * n + i]);
+            chart->A[a * free + j] *= sqrt(chart->mech.metric.M[d * n + d]
+                                           / chart->mech.metric.M[i * n + i]);
         }
     const double unit = dal__singular_values(m, free, chart->A, chart->right);
     *condition = hypot(1.0, unit * sqrt(dal__largest(m, chart->right)));
@@ -326,35 +334,25 @@ static int evaluate_condition(dal_chart *chart, double t, const double *x, doubl
 
 int dal_chart_condition(dal_chart *chart, double t, const double *x, double *condition)
 {
-    if (!chart) return DAL_EINVAL;
-    if (!condition) return dal__null_argument(&chart->mech, "condition");
-    double value = 0.0;
-    int status = require_state(chart, t, x);
-    if (!status) status = evaluate_condition(chart, t, x, &value);
-    if (!status) *condition = value;
-    return status;
+    const int status = require_state(chart, "condition", condition, t, x);
+    return status ? status : dal__chart_condition(chart, t, x, condition);
 }
 
-int dal__chart_keeps(dal_chart *chart, double t, const double *x, double *condition, bool *keeps)
+bool dal__chart_keeps(const dal_chart *chart, double condition)
 {
     const double m = (double)chart->m, free = (double)(chart->n - chart->m);
-    const int status = evaluate_condition(chart, t, x, condition);
-    *keeps = *condition <= LIMIT * sqrt(1.0 + m * free);
-    return status;
+    return condition <= LIMIT * sqrt(1.0 + m * free);
 }
 
 int dal_chart_renew(dal_chart *chart, double t, const double *x, int *changed)
 {
-    if (!chart) return DAL_EINVAL;
-    const size_t n = chart->n, m = chart->m;
     char from[128] = "", to[128];
     double condition = (double)INFINITY;
-    bool keeps = false;
-    int status = dal__require_finite(&chart->mech, "t", 1, &t);
-    if (!status) status = dal__require_finite(&chart->mech, "x", 2 * n, x);
-    if (!status && chart->chosen) status = dal__chart_keeps(chart, t, x, &condition, &keeps);
+    int status = require_point(chart, t, x);
+    if (!status && chart->chosen) status = dal__chart_condition(chart, t, x, &condition);
     if (status) return status;
-    if (keeps) {
+    const size_t n = chart->n, m = chart->m;
+    if (dal__chart_keeps(chart, condition)) {
         start_branch(chart, x);
         if (changed) *changed = 0;
         return DAL_SUCCESS;
@@ -377,22 +375,22 @@ int dal_chart_renew(dal_chart *chart, double t, const double *x, int *changed)
 void dal__chart_drop(const dal_chart *chart, const double *x, double *xi)
 {
     const size_t n = chart->n, m = chart->m;
-    memmove(xi, x, n * sizeof *xi);
+    dal__copy(n, x, xi);
     for (size_t j = m; j < n; j++) chart->step[j] = x[n + chart->place[j]];
-    memcpy(xi + n, chart->step + m, (n - m) * sizeof *xi);
+    dal__copy(n - m, chart->step + m, xi + n);
 }
 
 /* Not more than 2 n u: steps have twice that. */
 static bool is_in_D(const dal_chart *chart)
 {
     const dal_mechanics *const mech = &chart->mech;
-    return dal__relative_residual(mech, mech->mu, mech->phi, chart->x + chart->n)
+    return dal__relative_residual(mech, mech->forms.mu, mech->forms.phi, chart->x + chart->n)
         <= 2.0 * (double)chart->n * DAL_ROUNDOFF;
 }
 
 static void move_dependent(dal_chart *chart)
 {
-    dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
+    dal__linear_solve(&chart->B, chart->mech.forms.phi, chart->solution);
     for (size_t a = 0; a < chart->m; a++)
         chart->x[chart->n + chart->place[a]] -= chart->solution[a];
 }
@@ -404,9 +402,9 @@ int dal__chart_mend(dal_chart *chart, double t, double shift)
     for (int pass = 1;; pass++) {
         int status = DAL_SUCCESS;
         if (shift == 0.0 && kind(chart) == DAL_LINEAR) /* mu stands still */
-            dal__apply(chart->m, chart->n, mech->mu, chart->x + chart->n, mech->phi);
+            dal__apply(chart->m, chart->n, mech->forms.mu, chart->x + chart->n, mech->forms.phi);
         else
-            status = dal__forms_at(mech, t, shift, chart->x, NULL);
+            status = dal__forms_at(mech, t, shift, chart->x, false);
         if (status) return status;
         if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
         move_dependent(chart);
@@ -424,13 +422,13 @@ static int find_step(dal__newton *equations)
 {
     const lift *const l = equations->ctx;
     dal_chart *const chart = l->chart;
-    int status = dal__forms_at(&chart->mech, l->t, 0.0, chart->x, NULL);
+    int status = dal__forms_at(&chart->mech, l->t, 0.0, chart->x, false);
     if (status) return status;
-    memset(equations->step, 0, chart->n * sizeof *equations->step);
+    dal__clear(chart->n, equations->step);
     if (is_in_D(chart)) return DAL_SUCCESS;
-    status = dal__chart_factor(chart, chart->mech.mu);
+    status = dal__chart_factor(chart, chart->mech.forms.mu);
     if (status) return status;
-    dal__linear_solve(&chart->B, chart->mech.phi, chart->solution);
+    dal__linear_solve(&chart->B, chart->mech.forms.phi, chart->solution);
     for (size_t a = 0; a < chart->m; a++)
         equations->step[chart->place[a]] = -chart->solution[a];
     return DAL_SUCCESS;
@@ -442,18 +440,18 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
     const size_t n = chart->n, m = chart->m;
     double *const x = chart->x, *const v = x + n;
     int status;
-    memmove(x, xi, n * sizeof *x);
+    dal__copy(n, xi, x);
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
     if (kind(chart) == DAL_NONLINEAR) {
         lift l = {chart, t};
         dal__newton equations = {.find_step = find_step, .ctx = &l, .size = n, .measured = n,
-                                 .n = n, .per_unit = chart->mech.per_unit, .z = v,
+                                 .n = n, .per_unit = chart->mech.metric.per_unit, .z = v,
                                  .step = chart->step, .lagging = true,
                                  .advice = "there may be no such dependent velocities"};
         status = dal__newton_run(&equations, &chart->mech.error);
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
-        status = form_B(chart, t, x, NULL);
+        status = form_B(chart, t, x, false);
         if (!status) move_dependent(chart);
         if (!status) status = dal__chart_mend(chart, t, 0.0);
     }
@@ -464,8 +462,8 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
 int dal__chart_state(dal_chart *chart, double t, const double *xi)
 {
     int status = dal__chart_ready(chart);
-    if (!status) status = dal__require_finite(&chart->mech, "t", 1, &t);
-    if (!status) status = dal__require_finite(&chart->mech, "xi", chart->width, xi);
+    if (!status)
+        status = DAL__REQUIRE_FINITE(&chart->mech.error, {"t", 1, &t}, {"xi", chart->width, xi});
     if (status) return status;
     for (size_t a = 0; a < chart->m; a++) chart->x[chart->n + chart->place[a]] = chart->branch[a];
     return dal__chart_lift(chart, t, xi);
@@ -473,30 +471,24 @@ int dal__chart_state(dal_chart *chart, double t, const double *xi)
 
 int dal_chart_lift(dal_chart *chart, double t, const double *xi, double *x)
 {
-    if (!chart) return DAL_EINVAL;
-    if (!x) return dal__null_argument(&chart->mech, "x");
-    const int status = dal__chart_state(chart, t, xi);
-    if (!status) memcpy(x, chart->x, 2 * chart->n * sizeof *x);
+    const int status = require_xi(chart, "x", x, t, xi);
+    if (!status) dal__copy(2 * chart->n, chart->x, x);
     return status;
 }
 
 int dal_chart_drop(dal_chart *chart, const double *x, double *xi)
 {
-    if (!chart) return DAL_EINVAL;
-    if (!xi) return dal__null_argument(&chart->mech, "xi");
-    int status = dal__chart_ready(chart);
-    if (!status) status = dal__require_finite(&chart->mech, "x", 2 * chart->n, x);
+    const int status = require_state(chart, "xi", xi, 0.0, x);
     if (!status) dal__chart_drop(chart, x, xi);
     return status;
 }
 
 int dal_chart_split(dal_chart *chart, double t, const double *x, double *hor, double *ver)
 {
-    if (!chart) return DAL_EINVAL;
-    const size_t n = chart->n;
-    int status = require_state(chart, t, x);
+    int status = require_state(chart, "x", x, t, x);
     if (status) return status;
-    memcpy(chart->x, x, 2 * n * sizeof *x);
+    const size_t n = chart->n;
+    dal__copy(2 * n, x, chart->x);
     dal__chart_drop(chart, x, chart->y);
     status = dal__chart_lift(chart, t, chart->y);
     if (status) return status;
@@ -507,30 +499,27 @@ int dal_chart_split(dal_chart *chart, double t, const double *x, double *hor, do
 
 int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J, double *left)
 {
-    if (!chart) return DAL_EINVAL;
+    int status = require_xi(chart, "xi", xi, t, xi);
+    if (!status) status = form_B(chart, t, chart->x, true);
+    if (status) return status;
     const size_t n = chart->n, m = chart->m, width = chart->width;
     const size_t *const place = chart->place;
-    int status = dal__chart_state(chart, t, xi);
-    if (!status) status = form_B(chart, t, chart->x, chart->mech.dmu);
+    const dal__forms *const at = &chart->mech.forms;
+    for (size_t k = 0; J && k < width; k++) /* B^-1 [phi_q, phi_v of the independent ones] */
+        solve_column(chart, k < n ? at->dmu : at->mu, k < n ? k : place[m + k - n],
+                     chart->tableau + k, width);
+    status = dal__require_output(&chart->mech.error, "J", J ? m * width : 0, chart->tableau);
     if (status) return status;
     if (J) {
-        form_A(chart);
-        for (size_t k = 0; k < n; k++)
-            solve_column(chart, chart->mech.dmu, k, chart->tableau + k, n);
-        status = dal__require_output(&chart->mech.error, "J", m * n, chart->tableau);
-        if (!status)
-            status = dal__require_output(&chart->mech.error, "J", m * (n - m), chart->A);
-        if (status) return status;
-        memset(J, 0, 2 * n * width * sizeof *J);
+        dal__clear(2 * n * width, J);
         for (size_t i = 0; i < n; i++) J[i * width + i] = 1.0;
         for (size_t j = m; j < n; j++) J[(n + place[j]) * width + n + j - m] = 1.0;
         for (size_t a = 0; a < m; a++)
             for (size_t k = 0; k < width; k++) /* 0, and not -0 */
-                J[(n + place[a]) * width + k] = 0.0 - (k < n ? chart->tableau[a * n + k]
-                                                             : chart->A[a * (n - m) + k - n]);
+                J[(n + place[a]) * width + k] = 0.0 - chart->tableau[a * width + k];
     }
     if (left) {
-        memset(left, 0, 2 * n * width * sizeof *left);
+        dal__clear(2 * n * width, left);
         for (size_t i = 0; i < n; i++) left[i * 2 * n + i] = 1.0;
         for (size_t j = m; j < n; j++) left[(n + j - m) * 2 * n + n + place[j]] = 1.0;
     }
@@ -539,9 +528,7 @@ int dal_chart_jacobian(dal_chart *chart, double t, const double *xi, double *J, 
 
 int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot)
 {
-    if (!chart) return DAL_EINVAL;
-    if (!xidot) return dal__null_argument(&chart->mech, "xidot");
-    int status = dal__chart_state(chart, t, xi);
+    int status = require_xi(chart, "xidot", xidot, t, xi);
     if (!status) status = dal_field(&chart->mech, t, chart->x, chart->y);
     if (!status) dal__chart_drop(chart, chart->y, xidot);
     return status;
@@ -549,35 +536,37 @@ int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot)
 
 /* ---- multipliers ------------------------------------------------------------------------- */
 
+/* result[m] <- B^T given[m], the multipliers of [A, I] from those of mu; or back, B^-T given. */
+static int transform(dal_chart *chart, double t, const double *x, bool back, const double *given,
+                     double *result)
+{
+    static const char *const names[] = {"lambda", "lambda_E"};
+    int status = require_state(chart, names[!back], result, t, x);
+    if (status) return status;
+    const size_t n = chart->n, m = chart->m;
+    if (m > 0) status = dal__require_finite(&chart->mech, names[back], m, given);
+    if (!status) status = form_B(chart, t, x, false);
+    if (status) return status;
+    for (size_t b = 0; !back && b < m; b++) {
+        chart->solution[b] = 0.0;
+        for (size_t a = 0; a < m; a++)
+            chart->solution[b] += chart->mech.forms.mu[a * n + chart->place[b]] * given[a];
+    }
+    if (back && m > 0) {
+        dal__copy(m, given, chart->right);
+        dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
+    }
+    return DAL__DELIVER(&chart->mech.error, {names[!back], m, chart->solution, result});
+}
+
 int dal_chart_multipliers(dal_chart *chart, double t, const double *x, const double *lambda,
                           double *lambda_E)
 {
-    if (!chart) return DAL_EINVAL;
-    if (!lambda_E) return dal__null_argument(&chart->mech, "lambda_E");
-    const size_t n = chart->n, m = chart->m;
-    int status = require_state(chart, t, x);
-    if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda", m, lambda);
-    if (!status) status = form_B(chart, t, x, NULL);
-    if (status) return status;
-    for (size_t b = 0; b < m; b++) {
-        chart->solution[b] = 0.0;
-        for (size_t a = 0; a < m; a++)
-            chart->solution[b] += chart->mech.mu[a * n + chart->place[b]] * lambda[a];
-    }
-    return DAL__DELIVER(&chart->mech.error, {"lambda_E", m, chart->solution, lambda_E});
+    return transform(chart, t, x, false, lambda, lambda_E);
 }
 
 int dal_chart_multipliers_back(dal_chart *chart, double t, const double *x,
                                const double *lambda_E, double *lambda)
 {
-    if (!chart) return DAL_EINVAL;
-    if (!lambda) return dal__null_argument(&chart->mech, "lambda");
-    const size_t m = chart->m;
-    int status = require_state(chart, t, x);
-    if (!status && m > 0) status = dal__require_finite(&chart->mech, "lambda_E", m, lambda_E);
-    if (!status) status = form_B(chart, t, x, NULL);
-    if (status) return status;
-    if (m > 0) memcpy(chart->right, lambda_E, m * sizeof *lambda_E);
-    dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
-    return DAL__DELIVER(&chart->mech.error, {"lambda", m, chart->solution, lambda});
+    return transform(chart, t, x, true, lambda_E, lambda);
 }

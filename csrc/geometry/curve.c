@@ -9,46 +9,32 @@
 void dal_cutoff(double tau, double *chi0, double *chi1, double *slope)
 {
     static const double pi = 3.14159265358979323846;
-    double first = 1.0, second = 0.0, change = 0.0;
-    if (tau > 0.0 && tau < 1.0) {
-        /* w = |cot(pi tau)|; s and 1/2 - s are exact where their form is used */
-        const double s = tau <= 0.5 ? tau : 1.0 - tau;
-        const double w = s < 0.25 ? 1.0 / tan(pi * s) : tan(pi * (0.5 - s));
-        const double e = w > 370.0 ? 0.0 : exp(-2.0 * w);
-        const double large = 1.0 / (1.0 + e), small = e / (1.0 + e);
-        first = tau <= 0.5 ? large : small;
-        second = tau <= 0.5 ? small : large;
-        change = e > 0.0 ? -2.0 * pi * (1.0 + w * w) * large * small : 0.0;
-    } else if (tau >= 1.0) {
-        first = 0.0;
-        second = 1.0;
-    } else if (isnan(tau)) {
-        first = second = change = tau;
-    }
-    if (chi0) *chi0 = first;
-    if (chi1) *chi1 = second;
-    if (slope) *slope = change;
+    /* w = |cot(pi tau)|; s and 1/2 - s are exact where their form is used */
+    const double s = tau <= 0.5 ? tau : 1.0 - tau;
+    const double w = s < 0.25 ? 1.0 / tan(pi * s) : tan(pi * (0.5 - s));
+    const bool inside = tau > 0.0 && tau < 1.0 && w <= 370.0;
+    const double e = isnan(tau) ? tau : inside ? exp(-2.0 * w) : 0.0;
+    const double large = 1.0 / (1.0 + e), small = e / (1.0 + e);
+    if (chi0) *chi0 = tau <= 0.5 ? large : small;
+    if (chi1) *chi1 = tau <= 0.5 ? small : large;
+    if (slope) *slope = e == 0.0 ? 0.0 : -2.0 * pi * (1.0 + w * w) * large * small;
 }
 
 int dal_chart_curve(dal_chart *chart, double t, const double *x1, const double *x2, double tau,
                     double *x)
 {
     if (!chart) return DAL_EINVAL;
-    dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n;
     double chi0, chi1;
-    if (!x) return dal__null_argument(mech, "x");
-    int status = dal__chart_ready(chart);
-    if (!status) status = dal__require_finite(mech, "t", 1, &t);
-    if (!status) status = dal__require_finite(mech, "x1", 2 * n, x1);
-    if (!status) status = dal__require_finite(mech, "x2", 2 * n, x2);
-    if (!status) status = dal__require_finite(mech, "tau", 1, &tau);
+    int status = DAL__REQUIRE_FINITE(&chart->mech.error, {"x", 0, x}, {"t", 1, &t},
+                                     {"x1", 2 * n, x1}, {"x2", 2 * n, x2}, {"tau", 1, &tau});
+    if (!status) status = dal__chart_ready(chart);
     if (status) return status;
     dal_cutoff(tau, &chi0, &chi1, NULL);
     for (size_t i = 0; i < 2 * n; i++) chart->x[i] = chi0 * x1[i] + chi1 * x2[i];
     dal__chart_drop(chart, chart->x, chart->y);
     status = dal__chart_lift(chart, t, chart->y);
-    if (!status) memcpy(x, chart->x, 2 * n * sizeof *x);
+    if (!status) dal__copy(2 * n, chart->x, x);
     return status;
 }
 
@@ -89,8 +75,8 @@ static int load_end(dal_chart *chart, const rows *r, size_t k, double *end)
     const double *const row = r->x + k * 2 * n;
     const int status = require_row(chart, r, k);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) end[i] = row[i] - r->shift * row[n + i];
-    memcpy(end + n, row + n, n * sizeof *end);
+    dal__copy(2 * n, row, end);
+    dal__add(n, -r->shift, row + n, end);
     return dal_acceleration(&chart->mech, time_of(r, k), end, end + 2 * n);
 }
 
@@ -118,7 +104,6 @@ static void evaluate_polynomials(dal_chart *chart, double h, double s)
 static int interpolate(dal_chart *chart, double t, double h, double s, bool *pivoted)
 {
     double condition = 0.0;
-    bool keeps = false;
     int status = DAL_SUCCESS;
     if (!*pivoted) {
         evaluate_polynomials(chart, h, 0.5);
@@ -127,8 +112,8 @@ static int interpolate(dal_chart *chart, double t, double h, double s, bool *piv
         *pivoted = true;
     }
     evaluate_polynomials(chart, h, s);
-    status = dal__chart_keeps(chart, t, chart->x, &condition, &keeps);
-    if (!status && !keeps) {
+    status = dal__chart_condition(chart, t, chart->x, &condition);
+    if (!status && !dal__chart_keeps(chart, condition)) {
         *pivoted = false;
         status = dal_chart_choose(chart, t, NULL, chart->x);
     }
@@ -141,8 +126,7 @@ static int interpolate(dal_chart *chart, double t, double h, double s, bool *piv
  * residual at q - shift v is mended. */
 static int move_to_node(dal_chart *chart, double t, double shift)
 {
-    double *const q = chart->x, *const v = q + chart->n;
-    for (size_t i = 0; i < chart->n; i++) q[i] += shift * v[i];
+    dal__add(chart->n, shift, chart->x + chart->n, chart->x);
     return shift != 0.0 ? dal__chart_mend(chart, t, shift) : DAL_SUCCESS;
 }
 
@@ -173,7 +157,7 @@ static int follow(dal_chart *chart, const rows *r, size_t count, const double *t
         if (last == 0 || is_time_of(r, nearest, now)) {
             const int status = require_row(chart, r, nearest);
             if (status) return status;
-            memcpy(out, r->x + nearest * 2 * n, 2 * n * sizeof *out);
+            dal__copy(2 * n, r->x + nearest * 2 * n, out);
             continue;
         }
         size_t here = (size_t)place;
@@ -190,7 +174,7 @@ static int follow(dal_chart *chart, const rows *r, size_t count, const double *t
         if (!status) status = move_to_node(chart, now, r->shift);
         if (!status) status = dal__require_output(&mech->error, "the state", 2 * n, chart->x);
         if (status) return status;
-        memcpy(out, chart->x, 2 * n * sizeof *out);
+        dal__copy(2 * n, chart->x, out);
         if (any && memcmp(chart->last_place, chart->place, n * sizeof *chart->place)) ++*changes;
         memcpy(chart->last_place, chart->place, n * sizeof *chart->place);
         any = true;
@@ -204,27 +188,27 @@ int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, s
 {
     if (done) *done = 0;
     if (!chart) return DAL_EINVAL;
-    dal_mechanics *const mech = &chart->mech;
-    const size_t n = chart->n, m = chart->m;
+    dal_error *const error = &chart->mech.error;
     const rows r = {t0, h, shift, rows_count, x};
     size_t changed = 0, made = 0;
-    if (!x) return dal__null_argument(mech, "x");
-    if (!t && count > 0) return dal__null_argument(mech, "t");
-    if (!out && count > 0) return dal__null_argument(mech, "out");
-    if (rows_count == 0) return dal__fail(&mech->error, DAL_EINVAL, "rows = 0: expected a row");
+    /* where no time is asked for, t and out may be NULL */
+    int status = DAL__REQUIRE_FINITE(error, {"x", 0, x}, {"t", 0, count > 0 ? t : x},
+                                     {"out", 0, count > 0 ? out : x}, {"t0", 1, &t0},
+                                     {"shift", 1, &shift});
+    if (status) return status;
+    if (rows_count == 0) return dal__fail(error, DAL_EINVAL, "rows = 0: expected a row");
     if (!(fabs(h) > 0.0 && isfinite(h)))
-        return dal__fail(&mech->error, DAL_EINVAL, "h = %g: expected a finite step other than 0",
-                         h);
-    int status = dal__require_finite(mech, "t0", 1, &t0);
-    if (!status) status = dal__require_finite(mech, "shift", 1, &shift);
-    if (!status) status = check_times(chart, &r, count, t);
+        return dal__fail(error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
+    status = check_times(chart, &r, count, t);
     if (status) return status;
     const bool chosen = chart->chosen;
-    memcpy(chart->kept_place, chart->place, n * sizeof *chart->place);
-    memcpy(chart->kept_branch, chart->branch, m * sizeof *chart->branch);
+    size_t *const place = chart->place;
+    double *const branch = chart->branch;
+    chart->place = chart->other_place;
+    chart->branch = chart->other_branch;
     status = follow(chart, &r, count, t, out, &changed, &made);
-    memcpy(chart->place, chart->kept_place, n * sizeof *chart->place);
-    memcpy(chart->branch, chart->kept_branch, m * sizeof *chart->branch);
+    chart->place = place;
+    chart->branch = branch;
     chart->chosen = chosen;
     if (done) *done = made;
     if (!status && changes) *changes = changed;

@@ -24,6 +24,42 @@ static const double sum_tolerance = 1e-12;
  * 1/length. */
 static const double curvature_tolerance = 1e-8, curvature_floor = 1e-10;
 
+typedef enum callback { POTENTIAL, LAGRANGIAN, FORCE, CONSTRAINT } callback;
+
+/* What callbacks give: values, and derivatives in the order in which findings are reported.  Phi is
+ * mu v where the constraints are linear. */
+enum { V, L, F, PHI, V_Q, V_QQ, L_Q, L_V, L_QQ, L_VQ, L_VV, L_VT, F_Q, F_V, PHI_V, PHI_Q, PHI_T,
+       OUTPUTS };
+
+typedef struct output {
+    const char *name;
+    callback callback;
+    size_t of;        /* of a derivative: what it is the derivative of, and by what */
+    dal__moves moves;
+    unsigned missing; /* the flag of a definition that it is not given */
+    size_t found;     /* where in a dal_check its dal_difference stands; 0: it is a value */
+} output;
+
+static const output outputs[OUTPUTS] = {
+    [V] = {.name = "V", .callback = POTENTIAL},
+    [L] = {.name = "L", .callback = LAGRANGIAN},
+    [F] = {.name = "f", .callback = FORCE},
+    [PHI] = {.name = "phi", .callback = CONSTRAINT},
+    [V_Q] = {"V_q", POTENTIAL, V, MOVES_Q, DAL_MISSING_V_Q, offsetof(dal_check, V_q)},
+    [V_QQ] = {"V_qq", POTENTIAL, V_Q, MOVES_Q, DAL_MISSING_V_QQ, offsetof(dal_check, V_qq)},
+    [L_Q] = {"L_q", LAGRANGIAN, L, MOVES_Q, 0, offsetof(dal_check, L_q)},
+    [L_V] = {"L_v", LAGRANGIAN, L, MOVES_V, 0, offsetof(dal_check, L_v)},
+    [L_QQ] = {"L_qq", LAGRANGIAN, L_Q, MOVES_Q, DAL_MISSING_L_QQ, offsetof(dal_check, L_qq)},
+    [L_VQ] = {"L_vq", LAGRANGIAN, L_V, MOVES_Q, DAL_MISSING_L_VQ, offsetof(dal_check, L_vq)},
+    [L_VV] = {"L_vv", LAGRANGIAN, L_V, MOVES_V, DAL_MISSING_L_VV, offsetof(dal_check, L_vv)},
+    [L_VT] = {"L_vt", LAGRANGIAN, L_V, MOVES_T, DAL_MISSING_L_VT, offsetof(dal_check, L_vt)},
+    [F_Q] = {"f_q", FORCE, F, MOVES_Q, DAL_MISSING_F_Q, offsetof(dal_check, f_q)},
+    [F_V] = {"f_v", FORCE, F, MOVES_V, DAL_MISSING_F_V, offsetof(dal_check, f_v)},
+    [PHI_V] = {"phi_v", CONSTRAINT, PHI, MOVES_V, 0, offsetof(dal_check, phi_v)},
+    [PHI_Q] = {"phi_q", CONSTRAINT, PHI, MOVES_Q, DAL_MISSING_PHI_Q, offsetof(dal_check, phi_q)},
+    [PHI_T] = {"phi_t", CONSTRAINT, PHI, MOVES_T, DAL_MISSING_PHI_T, offsetof(dal_check, phi_t)},
+};
+
 typedef struct examination {
     dal_mechanics mech;
     const dal_system *system;
@@ -33,12 +69,13 @@ typedef struct examination {
     double *point, *other;        /* [n]: a moved q, and a velocity that is not in D */
     const double *velocity;       /* [n], and the time: where what is differenced stands */
     double t, time;               /* the time of the state comes first */
-    dal__moves moves;             /* in what it is differenced */
+    const output *judged;         /* the derivative that is compared with differences */
+    double *given[OUTPUTS];       /* as the callbacks give them */
     double *value, *slope;        /* [n] scratch of the differences */
     double *bend, *height;        /* [n] how far slopes on both sides differ; the largest values */
     double *expected;             /* [n] */
     const char *unjudged;         /* a derivative that differences do not tell, or NULL */
-    double *gradient, *hessian;   /* [n], [n*n] */
+    double *later[OUTPUTS];       /* and at another time; only some are there */
     double *forms;                /* [m*n] */
     double *phi;                  /* [m] */
     double *factor, lift;         /* [n*n] L of M + lift times the identity */
@@ -56,72 +93,41 @@ static dal_error *open_finding(examination *ex)
 
 /* ---- derivatives ------------------------------------------------------------------------- */
 
-static double time_of(const examination *ex, const double *moved)
+/* y <- the outputs of a callback that are not NULL there. */
+static int call(examination *ex, callback callback, double t, const double *q, const double *v,
+                double *const y[OUTPUTS])
 {
-    return ex->moves == MOVES_T ? *moved : ex->time;
+    evaluator *const e = &ex->mech.eval;
+    dal_error *const error = &ex->mech.error;
+    const dal__jet jet = {y[L], y[L_Q], y[L_V], y[L_QQ], y[L_VQ], y[L_VV], y[L_VT]};
+    switch (callback) {
+    case POTENTIAL: return dal__potential(e, t, q, y[V], y[V_Q], y[V_QQ], error);
+    case LAGRANGIAN: return dal__lagrangian(e, t, q, v, &jet, error);
+    case FORCE: return dal__force(e, t, q, v, y[F], y[F_Q], y[F_V], error);
+    default: return dal__constraint(e, t, q, v, y[PHI], y[PHI_V], y[PHI_Q], y[PHI_T], error);
+    }
 }
 
-static const double *position(const examination *ex, const double *moved)
-{
-    return ex->moves == MOVES_Q ? moved : ex->q;
-}
-
-static const double *velocity(const examination *ex, const double *moved)
-{
-    return ex->moves == MOVES_V ? moved : ex->velocity;
-}
-
-static int value_V(const double *moved, double *V, void *ctx)
-{
-    examination *const ex = ctx;
-    return dal__potential(&ex->mech.eval, ex->time, moved, V, NULL, NULL, &ex->mech.error);
-}
-
-static int value_V_q(const double *moved, double *V_q, void *ctx)
+/* What is differenced, with the one of t, q and v that moves. */
+static int call_moved(const double *moved, double *value, void *ctx)
 {
     examination *const ex = ctx;
-    return dal__potential(&ex->mech.eval, ex->time, moved, NULL, V_q, NULL, &ex->mech.error);
+    const output *const d = ex->judged;
+    double *y[OUTPUTS] = {0};
+    y[d->of] = value;
+    return call(ex, d->callback, d->moves == MOVES_T ? *moved : ex->time,
+                d->moves == MOVES_Q ? moved : ex->q, d->moves == MOVES_V ? moved : ex->velocity, y);
 }
 
-static int value_jet(examination *ex, const double *moved, const dal__jet *wanted)
+/* How many numbers an output is, or rows of a derivative of it. */
+static size_t rows_of(const examination *ex, size_t output)
 {
-    return dal__lagrangian(&ex->mech.eval, time_of(ex, moved), position(ex, moved),
-                           velocity(ex, moved), wanted, &ex->mech.error);
+    return output == V || output == L ? 1 : output == PHI ? ex->m : ex->n;
 }
 
-static int value_L(const double *moved, double *L, void *ctx)
-{
-    return value_jet(ctx, moved, &(dal__jet){.L = L});
-}
-
-static int value_L_q(const double *moved, double *L_q, void *ctx)
-{
-    return value_jet(ctx, moved, &(dal__jet){.L_q = L_q});
-}
-
-static int value_L_v(const double *moved, double *L_v, void *ctx)
-{
-    return value_jet(ctx, moved, &(dal__jet){.L_v = L_v});
-}
-
-static int value_f(const double *moved, double *f, void *ctx)
-{
-    examination *const ex = ctx;
-    return dal__force(&ex->mech.eval, time_of(ex, moved), position(ex, moved), velocity(ex, moved),
-                      f, NULL, NULL, &ex->mech.error);
-}
-
-/* mu v where the constraints are linear. */
-static int value_phi(const double *moved, double *phi, void *ctx)
-{
-    examination *const ex = ctx;
-    return dal__constraint(&ex->mech.eval, time_of(ex, moved), position(ex, moved),
-                           velocity(ex, moved), phi, NULL, NULL, NULL, &ex->mech.error);
-}
-
-/* slope <- differences of f by component j of the point, of order 4, over a distance d; bend <- the
+/* slope <- differences by component j of the point, of order 4, over a distance d; bend <- the
  * slope ahead minus that behind, of order 1; height <- the largest of the values. */
-static int difference(examination *ex, dal__function f, size_t j, size_t rows, double d)
+static int difference(examination *ex, size_t j, size_t rows, double d)
 {
     static const int offsets[5] = {0, 1, -1, 2, -2};
     static const double weights[5] = {0.0, 8.0, -8.0, -1.0, 1.0};
@@ -132,7 +138,7 @@ static int difference(examination *ex, dal__function f, size_t j, size_t rows, d
     for (int k = 0; k < 5 && !status; k++) {
         ex->point[j] = centre + offsets[k] * d;
         dal__forget(rows, ex->value);
-        status = f(ex->point, ex->value, ex);
+        status = call_moved(ex->point, ex->value, ex);
         for (size_t i = 0; i < rows && !status; i++) {
             if (!isfinite(ex->value[i])) status = DAL_EDOMAIN;
             ex->slope[i] += weights[k] * ex->value[i] / (12.0 * d);
@@ -164,7 +170,7 @@ static void keep_worst(dal_difference *worst, const dal_difference *found)
  * agree far better with each other than with it.  At a kink, where the slopes on both sides do not
  * get closer with d, it may be either of these.  Where differences do not converge, or leave the
  * domain, there is nothing to judge by. */
-static int descend(examination *ex, dal__function f, size_t rows, dal_difference *found)
+static int descend(examination *ex, size_t rows, dal_difference *found)
 {
     enum { DISTANCES = 14 };
     const size_t i = found->row, j = found->column;
@@ -174,7 +180,7 @@ static int descend(examination *ex, dal__function f, size_t rows, dal_difference
     found->unjudged = 1;
     for (int k = 0; k < DISTANCES; k++, d /= 8.0) {
         if (d <= 16.0 * DAL_ROUNDOFF * fabs(ex->point[j])) break;
-        const int status = difference(ex, f, j, rows, d);
+        const int status = difference(ex, j, rows, d);
         if (status == DAL_EDOMAIN) continue;
         if (status) return status;
         const double here = ex->slope[i], gap = fabs(ex->bend[i]);
@@ -200,20 +206,39 @@ static int descend(examination *ex, dal__function f, size_t rows, dal_difference
     return DAL_SUCCESS;
 }
 
-/* The matrix of derivatives given[rows*n], or [rows] in time, against differences of f.  size: of
- * the values that are differenced, whose roundoff (a few u) is divided by the spacing 2^-12 of the
- * differences. */
-static int compare(examination *ex, dal__function f, dal__moves moves, size_t rows,
-                   const double *given, double size, dal_difference *worst)
+static dal_difference *difference_of(examination *ex, const output *d)
 {
-    const double *const centre = moves == MOVES_T ? &ex->time
-                               : moves == MOVES_V ? ex->velocity : ex->q;
-    const size_t columns = moves == MOVES_T ? 1 : ex->n;
-    const double tolerance = derivative_tolerance + 32.0 * DAL_ROUNDOFF * 0x1p12 * size;
-    ex->moves = moves;
-    memcpy(ex->point, centre, columns * sizeof *ex->point);
+    return (dal_difference *)((char *)&ex->found + d->found);
+}
+
+/* Of the values that are differenced. */
+static double size_of_values(const examination *ex, const output *d)
+{
+    const double size = dal__largest(rows_of(ex, d->of), ex->given[d->of]);
+    const double speed = dal__largest(ex->n, ex->velocity);
+    /* a differenced gradient has lost the spacing's worth of digits before */
+    if (d->of == V_Q && ex->system->def.missing & DAL_MISSING_V_Q)
+        return size + 0x1p12 * fabs(*ex->given[V]);
+    if (d->of != PHI) return size;
+    return fmax(ex->system->def.kind == DAL_LINEAR ? 0.0 : size,
+                speed * dal__largest(ex->m * ex->n, ex->given[PHI_V]));
+}
+
+/* The matrix given[rows*n], or [rows] in time, against differences.  Their roundoff is that of the
+ * values, a few u, divided by their spacing 2^-12. */
+static int compare(examination *ex, const output *d, const double *given)
+{
+    const double *const centre = d->moves == MOVES_T ? &ex->time
+                               : d->moves == MOVES_V ? ex->velocity : ex->q;
+    const size_t columns = d->moves == MOVES_T ? 1 : ex->n, rows = rows_of(ex, d->of);
+    const double tolerance =
+        derivative_tolerance + 32.0 * DAL_ROUNDOFF * 0x1p12 * size_of_values(ex, d);
+    dal_difference *const worst = difference_of(ex, d);
+    ex->judged = d;
+    dal__copy(columns, centre, ex->point);
     for (size_t j = 0; j < columns; j++) {
-        int status = dal__difference(f, ex, ex->point, j, rows, ex->value, ex->expected, 1);
+        int status = dal__difference(call_moved, ex, ex->point, j, rows, ex->value, ex->expected,
+                                     1);
         ex->point[j] = centre[j];
         if (status && status != DAL_EDOMAIN) return status;
         const bool outside = status == DAL_EDOMAIN;
@@ -221,7 +246,7 @@ static int compare(examination *ex, dal__function f, dal__moves moves, size_t ro
             const double number = given[i * columns + j], expected = ex->expected[i];
             dal_difference found = {.error = off(number, expected), .given = number,
                                     .expected = expected, .row = i, .column = j, .checked = 1};
-            if (outside || !(found.error <= tolerance)) status = descend(ex, f, rows, &found);
+            if (outside || !(found.error <= tolerance)) status = descend(ex, rows, &found);
             if (status && status != DAL_EDOMAIN) return status;
             if (found.unjudged) worst->unjudged++;
             else keep_worst(worst, &found);
@@ -230,37 +255,26 @@ static int compare(examination *ex, dal__function f, dal__moves moves, size_t ro
     return DAL_SUCCESS;
 }
 
-static void judge(examination *ex, const char *name, const char *function,
-                  const dal_difference *worst)
+static void judge(examination *ex, const output *d)
 {
-    if (worst->unjudged && !ex->unjudged) ex->unjudged = name;
+    static const char *const by[] = {[MOVES_Q] = "q", [MOVES_V] = "v", [MOVES_T] = "t"};
+    const dal_difference *const worst = difference_of(ex, d);
+    const bool is_product = d->of == PHI && ex->system->def.kind == DAL_LINEAR;
+    if (worst->unjudged && !ex->unjudged) ex->unjudged = d->name;
     if (!worst->wrong) return;
-    const dal__entry entry = {NULL, name, worst->row, worst->column, worst->given};
+    const dal__entry entry = {NULL, d->name, worst->row, worst->column, worst->given};
     dal__fail_entry(open_finding(ex), DAL_EINVAL, &entry, " is given as %.10g, but differences of "
-                    "%s are %.10g (error %.1e)", worst->given, function, worst->expected,
+                    "%s in %s are %.10g (error %.1e)", worst->given,
+                    is_product ? "phi_v v" : outputs[d->of].name, by[d->moves], worst->expected,
                     worst->error);
 }
 
-static int examine_potential(examination *ex)
+/* phi_v of linear constraints is what there is: nothing to compare it with. */
+static bool is_compared(const examination *ex, const output *d)
 {
-    dal_mechanics *const mech = &ex->mech;
-    const unsigned missing = ex->system->def.missing;
-    const bool has_V_q = !(missing & DAL_MISSING_V_Q), has_V_qq = !(missing & DAL_MISSING_V_QQ);
-    if (!ex->system->def.potential) return DAL_SUCCESS;
-    double V;
-    int status = dal__potential(&mech->eval, ex->time, ex->q, &V, ex->gradient,
-                                has_V_qq ? ex->hessian : NULL, &mech->error);
-    if (status) return status;
-    /* a differenced gradient has lost the spacing's worth of digits before */
-    const double size = dal__largest(ex->n, ex->gradient) + (has_V_q ? 0.0 : 0x1p12 * fabs(V));
-    if (has_V_q)
-        status = compare(ex, value_V, MOVES_Q, 1, ex->gradient, fabs(V), &ex->found.V_q);
-    if (!status && has_V_qq)
-        status = compare(ex, value_V_q, MOVES_Q, ex->n, ex->hessian, size, &ex->found.V_qq);
-    if (status) return status;
-    judge(ex, "V_q", "V", &ex->found.V_q);
-    judge(ex, "V_qq", "V_q", &ex->found.V_qq);
-    return DAL_SUCCESS;
+    const dal_system_def *const def = &ex->system->def;
+    return d->found && !(def->missing & d->missing) && (d->moves != MOVES_T || def->time_dependent)
+        && (d != &outputs[PHI_V] || def->kind != DAL_LINEAR);
 }
 
 /* What depends on v is examined at two velocities, because at the given one, which may be 0, it may
@@ -276,112 +290,24 @@ static void stand_at(examination *ex, int k)
 
 static bool passed_over(int k, int status) { return k > 0 && status == DAL_EDOMAIN; }
 
-static int compare_lagrangian(examination *ex)
+/* All derivatives that a callback gives.  Linear and affine constraints are defined for every v. */
+static int examine_derivatives(examination *ex, callback of)
 {
-    dal_mechanics *const mech = &ex->mech;
-    dal_check *const found = &ex->found;
-    const unsigned missing = ex->system->def.missing;
-    double L;
-    const dal__jet given = {
-        .L = &L, .L_q = ex->gradient, .L_v = mech->momentum,
-        .L_qq = missing & DAL_MISSING_L_QQ ? NULL : ex->hessian,
-        .L_vq = missing & DAL_MISSING_L_VQ ? NULL : mech->L_vq,
-        .L_vv = missing & DAL_MISSING_L_VV ? NULL : mech->L_vv,
-        .L_vt = missing & DAL_MISSING_L_VT ? NULL : mech->L_vt,
-    };
-    int status = dal__lagrangian(&mech->eval, ex->time, ex->q, ex->velocity, &given, &mech->error);
-    if (status) return status;
-    const double size = fabs(L), size_q = dal__largest(ex->n, given.L_q);
-    const double size_v = dal__largest(ex->n, given.L_v);
-    status = compare(ex, value_L, MOVES_Q, 1, given.L_q, size, &found->L_q);
-    if (!status) status = compare(ex, value_L, MOVES_V, 1, given.L_v, size, &found->L_v);
-    if (!status && given.L_qq)
-        status = compare(ex, value_L_q, MOVES_Q, ex->n, given.L_qq, size_q, &found->L_qq);
-    if (!status && given.L_vq)
-        status = compare(ex, value_L_v, MOVES_Q, ex->n, given.L_vq, size_v, &found->L_vq);
-    if (!status && given.L_vv)
-        status = compare(ex, value_L_v, MOVES_V, ex->n, given.L_vv, size_v, &found->L_vv);
-    if (!status && given.L_vt && ex->system->def.time_dependent)
-        status = compare(ex, value_L_v, MOVES_T, ex->n, given.L_vt, size_v, &found->L_vt);
-    return status;
-}
-
-static int examine_lagrangian(examination *ex)
-{
-    for (int k = 0; k < VELOCITIES; k++) {
+    const bool partial = of != CONSTRAINT || ex->system->def.kind == DAL_NONLINEAR;
+    double *y[OUTPUTS];
+    for (size_t k = 0; k < OUTPUTS; k++) /* what is missing is not asked for, */
+        y[k] = ex->system->def.missing & outputs[k].missing ? NULL : ex->given[k];
+    y[V_Q] = ex->given[V_Q]; /* but for the values that V_qq is compared with */
+    for (int k = 0; k < (of == POTENTIAL ? 1 : VELOCITIES); k++) {
         stand_at(ex, k);
-        const int status = compare_lagrangian(ex);
-        if (status && !passed_over(k, status)) return status;
+        int status = call(ex, of, ex->time, ex->q, ex->velocity, y);
+        for (size_t i = 0; !status && i < OUTPUTS; i++)
+            if (outputs[i].callback == of && is_compared(ex, &outputs[i]))
+                status = compare(ex, &outputs[i], y[i]);
+        if (status && !(partial && passed_over(k, status))) return status;
     }
-    judge(ex, "L_q", "L in q", &ex->found.L_q);
-    judge(ex, "L_v", "L in v", &ex->found.L_v);
-    judge(ex, "L_qq", "L_q in q", &ex->found.L_qq);
-    judge(ex, "L_vq", "L_v in q", &ex->found.L_vq);
-    judge(ex, "L_vv", "L_v in v", &ex->found.L_vv);
-    judge(ex, "L_vt", "L_v in t", &ex->found.L_vt);
-    return DAL_SUCCESS;
-}
-
-static int compare_force(examination *ex)
-{
-    dal_mechanics *const mech = &ex->mech;
-    const unsigned missing = ex->system->def.missing;
-    double *const f_q = missing & DAL_MISSING_F_Q ? NULL : mech->f_q;
-    double *const f_v = missing & DAL_MISSING_F_V ? NULL : mech->f_v;
-    int status = dal__force(&mech->eval, ex->time, ex->q, ex->velocity, mech->force, f_q, f_v,
-                            &mech->error);
-    if (status) return status;
-    const double size = dal__largest(ex->n, mech->force);
-    if (f_q) status = compare(ex, value_f, MOVES_Q, ex->n, f_q, size, &ex->found.f_q);
-    if (!status && f_v) status = compare(ex, value_f, MOVES_V, ex->n, f_v, size, &ex->found.f_v);
-    return status;
-}
-
-static int examine_force(examination *ex)
-{
-    if (!ex->system->def.force) return DAL_SUCCESS;
-    for (int k = 0; k < VELOCITIES; k++) {
-        stand_at(ex, k);
-        const int status = compare_force(ex);
-        if (status && !passed_over(k, status)) return status;
-    }
-    judge(ex, "f_q", "f in q", &ex->found.f_q);
-    judge(ex, "f_v", "f in v", &ex->found.f_v);
-    return DAL_SUCCESS;
-}
-
-static int compare_constraint(examination *ex)
-{
-    dal_mechanics *const mech = &ex->mech;
-    const bool linear = ex->system->def.kind == DAL_LINEAR;
-    const unsigned missing = ex->system->def.missing;
-    double *const phi_q = missing & DAL_MISSING_PHI_Q ? NULL : mech->dmu;
-    double *const phi_t = missing & DAL_MISSING_PHI_T ? NULL : mech->phi_t;
-    int status = dal__constraint(&mech->eval, ex->time, ex->q, ex->velocity, ex->phi, mech->mu,
-                                 phi_q, phi_t, &mech->error);
-    if (status) return status;
-    double size = dal__largest(ex->n, ex->velocity) * dal__largest(ex->m * ex->n, mech->mu);
-    if (!linear) size = fmax(size, dal__largest(ex->m, ex->phi));
-    if (phi_q) status = compare(ex, value_phi, MOVES_Q, ex->m, phi_q, size, &ex->found.phi_q);
-    if (!status && !linear)
-        status = compare(ex, value_phi, MOVES_V, ex->m, mech->mu, size, &ex->found.phi_v);
-    if (!status && phi_t && ex->system->def.time_dependent)
-        status = compare(ex, value_phi, MOVES_T, ex->m, phi_t, size, &ex->found.phi_t);
-    return status;
-}
-
-/* phi_v of linear constraints is what there is: nothing to compare it with. */
-static int examine_phi(examination *ex)
-{
-    const dal_constraint_kind kind = ex->system->def.kind;
-    for (int k = 0; k < VELOCITIES; k++) {
-        stand_at(ex, k);
-        const int status = compare_constraint(ex);
-        if (status && !(kind == DAL_NONLINEAR && passed_over(k, status))) return status;
-    }
-    judge(ex, "phi_v", "phi in v", &ex->found.phi_v);
-    judge(ex, "phi_q", kind == DAL_LINEAR ? "phi_v v" : "phi in q", &ex->found.phi_q);
-    judge(ex, "phi_t", kind == DAL_LINEAR ? "phi_v v in t" : "phi in t", &ex->found.phi_t);
+    for (size_t i = 0; i < OUTPUTS; i++)
+        if (outputs[i].callback == of && outputs[i].found) judge(ex, &outputs[i]);
     return DAL_SUCCESS;
 }
 
@@ -394,66 +320,68 @@ static bool differ(size_t count, const double *x, const double *y)
     return false;
 }
 
+/* L and phi with what y asks for, at the velocity where the examination stands. */
+static int call_both(examination *ex, double t, double *const y[OUTPUTS])
+{
+    const int status = call(ex, LAGRANGIAN, t, ex->q, ex->velocity, y);
+    return status ? status : call(ex, CONSTRAINT, t, ex->q, ex->velocity, y);
+}
+
 /* What does not depend on time gives the same bits at another one, which is the period of nothing.
  * What is not defined there is passed over; second derivatives follow the first. */
 static int examine_time(examination *ex)
 {
-    static const double later = 0.6180339887498949;
-    dal_mechanics *const mech = &ex->mech;
-    const size_t n = ex->n, m = ex->m;
+    static const double after = 0.6180339887498949;
+    static const size_t told[] = {PHI, PHI_V, L, L_Q, L_V};
+    const size_t n = ex->n, m = ex->m, counts[] = {m, m * n, 1, n, n};
+    double *now[OUTPUTS] = {0};
+    for (size_t i = 0; i < DAL_LENGTH(told); i++) now[told[i]] = ex->given[told[i]];
     for (int k = 0; k < VELOCITIES && !ex->system->def.time_dependent; k++) {
-        double L[2], *const L_q[2] = {ex->gradient, ex->expected};
-        double *const L_v[2] = {mech->momentum, ex->slope}, *const phi[2] = {ex->phi, mech->phi};
-        double *const phi_v[2] = {mech->mu, ex->forms};
-        int status = DAL_SUCCESS;
+        const char *which = NULL;
         stand_at(ex, k);
-        for (int i = 0; !status && i < 2; i++) {
-            const double t = ex->time + i * later;
-            const dal__jet jet = {.L = &L[i], .L_q = L_q[i], .L_v = L_v[i]};
-            status = dal__lagrangian(&mech->eval, t, ex->q, ex->velocity, &jet, &mech->error);
-            if (!status)
-                status = dal__constraint(&mech->eval, t, ex->q, ex->velocity, phi[i], phi_v[i],
-                                         NULL, NULL, &mech->error);
-        }
+        int status = call_both(ex, ex->time, now);
+        if (!status) status = call_both(ex, ex->time + after, ex->later);
         if (status == DAL_EDOMAIN) continue;
         if (status) return status;
-        const char *const which = differ(1, &L[0], &L[1]) || differ(n, L_q[0], L_q[1])
-                                      || differ(n, L_v[0], L_v[1])
-                                ? ex->system->mass ? "potential" : "lagrangian"
-                                : differ(m, phi[0], phi[1]) || differ(m * n, phi_v[0], phi_v[1])
-                                ? "constraint" : NULL;
+        for (size_t i = 0; i < DAL_LENGTH(told); i++)
+            if (differ(counts[i], now[told[i]], ex->later[told[i]]))
+                which = outputs[told[i]].callback == CONSTRAINT ? "constraint"
+                      : ex->system->mass ? "potential" : "lagrangian";
         if (which)
             dal__fail(open_finding(ex), DAL_EINVAL, "%s gives other numbers at t = %g than at t = "
                       "%g: a system that depends on time has to be declared time_dependent",
-                      which, ex->time + later, ex->time);
+                      which, ex->time + after, ex->time);
     }
     return DAL_SUCCESS;
 }
 
 /* ---- linearity --------------------------------------------------------------------------- */
 
+/* phi[m] and mu[m*n] at q and v; either may be NULL. */
+static int constraint_at(examination *ex, const double *q, const double *v, double *phi, double *mu)
+{
+    return dal__constraint(&ex->mech.eval, ex->t, q, v, phi, mu, NULL, NULL, &ex->mech.error);
+}
+
 /* The change of mu from one velocity to the other, which must vanish unless the constraints are
- * nonlinear.  Leaves mu in mech.mu. */
+ * nonlinear.  Leaves mu in the forms of mech. */
 static int compare_forms(examination *ex)
 {
-    dal_mechanics *const mech = &ex->mech;
     const size_t n = ex->n, m = ex->m;
+    const double *const mu = ex->mech.forms.mu;
     const bool nonlinear = ex->system->def.kind == DAL_NONLINEAR;
-    int status = dal__constraint(&mech->eval, ex->t, ex->q, ex->v, NULL, mech->mu, NULL, NULL,
-                                 &mech->error);
+    int status = constraint_at(ex, ex->q, ex->v, NULL, ex->mech.forms.mu);
     if (status) return status;
-    status = dal__constraint(&mech->eval, ex->t, ex->q, ex->other, NULL, ex->forms, NULL, NULL,
-                             &mech->error);
+    status = constraint_at(ex, ex->q, ex->other, NULL, ex->forms);
     if (nonlinear && passed_over(1, status)) return DAL_SUCCESS;
     if (status) return status;
     ex->found.linearity = 0.0;
     for (size_t k = 0; k < m * n; k++) {
-        const double change = fabs(ex->forms[k] - mech->mu[k]);
-        const dal__entry entry = {NULL, "phi_v", k / n, k % n, mech->mu[k]};
-        if (!nonlinear && change > sum_tolerance * fabs(mech->mu[k]))
+        const double change = fabs(ex->forms[k] - mu[k]);
+        const dal__entry entry = {NULL, "phi_v", k / n, k % n, mu[k]};
+        if (!nonlinear && change > sum_tolerance * fabs(mu[k]))
             dal__fail_entry(open_finding(ex), DAL_EINVAL, &entry, " is %.10g at v and %.10g at "
-                            "another velocity: mu must not depend on v", mech->mu[k],
-                            ex->forms[k]);
+                            "another velocity: mu must not depend on v", mu[k], ex->forms[k]);
         ex->found.linearity = fmax(ex->found.linearity, change);
     }
     return DAL_SUCCESS;
@@ -464,7 +392,7 @@ static void weigh(const examination *ex, size_t a, const double *v, double *sum,
 {
     *sum = *scale = 0.0;
     for (size_t i = 0; i < ex->n; i++) {
-        const double term = ex->mech.mu[a * ex->n + i] * v[i];
+        const double term = ex->mech.forms.mu[a * ex->n + i] * v[i];
         *sum += term;
         *scale += fabs(term);
     }
@@ -493,12 +421,8 @@ static int examine_linear(examination *ex)
 /* a = phi - mu v of affine constraints is the same at both velocities. */
 static int examine_affine(examination *ex)
 {
-    dal_mechanics *const mech = &ex->mech;
-    int status = dal__constraint(&mech->eval, ex->t, ex->q, ex->v, ex->phi, NULL, NULL, NULL,
-                                 &mech->error);
-    if (!status)
-        status = dal__constraint(&mech->eval, ex->t, ex->q, ex->other, ex->value, NULL, NULL, NULL,
-                                 &mech->error);
+    int status = constraint_at(ex, ex->q, ex->v, ex->phi, NULL);
+    if (!status) status = constraint_at(ex, ex->q, ex->other, ex->value, NULL);
     for (size_t a = 0; !status && a < ex->m; a++) {
         double here, there, scale_here, scale_there;
         weigh(ex, a, ex->v, &here, &scale_here);
@@ -541,21 +465,19 @@ static double smallest_eigenvalue(examination *ex, size_t count, double *A)
 static int examine_mass(examination *ex)
 {
     const size_t n = ex->n;
-    double *const L = ex->factor;
-    const dal__jet wanted = {.L_vv = ex->hessian};
-    const int status = dal__lagrangian(&ex->mech.eval, ex->t, ex->q, ex->v, &wanted,
-                                       &ex->mech.error);
+    double *const factor = ex->factor, *const M = ex->given[L_VV], *y[OUTPUTS] = {[L_VV] = M};
+    const int status = call(ex, LAGRANGIAN, ex->t, ex->q, ex->v, y);
     if (status) return status;
-    memcpy(L, ex->hessian, n * n * sizeof *L);
+    dal__copy(n * n, M, factor);
     /* always, of constant mass */
-    const bool definite = dal__cholesky(n, L, ex->squares, NULL, NULL);
+    const bool definite = dal__cholesky(n, factor, ex->squares, NULL, NULL);
     if (!definite) { /* no eigenvalue is larger than n times the largest entry */
-        ex->lift = 2.0 * (double)n * fmax(dal__largest(n * n, ex->hessian), DBL_MIN);
-        memcpy(L, ex->hessian, n * n * sizeof *L);
-        for (size_t i = 0; i < n; i++) L[i * n + i] += ex->lift;
-        dal__cholesky(n, L, ex->squares, NULL, NULL);
+        ex->lift = 2.0 * (double)n * fmax(dal__largest(n * n, M), DBL_MIN);
+        dal__copy(n * n, M, factor);
+        for (size_t i = 0; i < n; i++) factor[i * n + i] += ex->lift;
+        dal__cholesky(n, factor, ex->squares, NULL, NULL);
     }
-    memcpy(ex->rows, L, n * n * sizeof *ex->rows);
+    dal__copy(n * n, factor, ex->rows);
     ex->found.mass_min = smallest_eigenvalue(ex, n, ex->rows) - ex->lift;
     if (!definite)
         dal__fail(open_finding(ex), DAL_EINVAL, "L_vv is not positive definite: its smallest "
@@ -605,7 +527,7 @@ static void split(examination *ex, const double *mu)
     gsl_matrix_view QR = gsl_matrix_view_array(ex->QR, n, m);
     gsl_vector_view tau = gsl_vector_view_array(ex->tau, m);
     gsl_linalg_QR_decomp(&QR.matrix, &tau.vector);
-    memset(ex->X, 0, (n - m) * n * sizeof *ex->X);
+    dal__clear((n - m) * n, ex->X);
     for (size_t k = 0; k < n - m; k++) {
         double *const x = ex->X + k * n;
         gsl_vector_view column = gsl_vector_view_array(x, n);
@@ -627,13 +549,14 @@ static double kernel_min(examination *ex)
     return smallest_eigenvalue(ex, count, ex->rows) - ex->lift;
 }
 
-/* mu in mech.mu.  Also asks for lambda: C, which all schemes invert, squares the condition. */
+/* Of the forms of mech.  Also asks for lambda: C, which all schemes invert, squares the condition
+ * of mu. */
 static int examine_rank(examination *ex)
 {
     dal_mechanics *const mech = &ex->mech;
     dal_check *const found = &ex->found;
-    found->rank = rank_of(ex, mech->mu);
-    if (ex->lift == 0.0) found->condition = condition_of(ex, mech->mu);
+    found->rank = rank_of(ex, mech->forms.mu);
+    if (ex->lift == 0.0) found->condition = condition_of(ex, mech->forms.mu);
     if (found->rank < ex->m) {
         dal__fail(open_finding(ex), DAL_EINVAL, ex->system->def.kind == DAL_NONLINEAR
                   ? "phi_v has rank %zu instead of %zu at this velocity: a constraint that is "
@@ -642,7 +565,7 @@ static int examine_rank(examination *ex)
                    "others", found->rank, ex->m);
         return DAL_SUCCESS;
     }
-    split(ex, mech->mu);
+    split(ex, mech->forms.mu);
     found->kernel_min = kernel_min(ex);
     if (!(found->mass_min > 0.0 && found->kernel_min > 0.0))
         dal__fail(open_finding(ex), DAL_EINVAL, "M is not positive definite on ker mu: its "
@@ -677,10 +600,9 @@ static int examine_curvature(examination *ex, const double *q, double *curvature
 {
     dal_mechanics *const mech = &ex->mech;
     const size_t n = ex->n, m = ex->m, count = n - m;
-    int status = dal__constraint(&mech->eval, ex->t, q, ex->v, NULL, mech->mu, NULL, NULL,
-                                 &mech->error);
+    int status = constraint_at(ex, q, ex->v, NULL, mech->forms.mu);
     if (status) return status;
-    split(ex, mech->mu);
+    split(ex, mech->forms.mu);
     for (size_t k = 0; k < count && !status; k++)
         status = dal__constraint(&mech->eval, ex->t, q, ex->X + k * n, NULL, NULL,
                                  ex->N + k * m * n, NULL, &mech->error);
@@ -737,8 +659,8 @@ static int examine_constraint(examination *ex)
     dal_check *const found = &ex->found;
     const bool linear = ex->system->def.kind == DAL_LINEAR;
     /* phi_q of linear constraints is that of phi_v v, so phi_v comes first */
-    int status = linear ? examine_linearity(ex) : examine_phi(ex);
-    if (!status) status = linear ? examine_phi(ex) : examine_linearity(ex);
+    int status = linear ? examine_linearity(ex) : examine_derivatives(ex, CONSTRAINT);
+    if (!status) status = linear ? examine_derivatives(ex, CONSTRAINT) : examine_linearity(ex);
     if (!status) status = examine_rank(ex);
     bool consistent = true;
     if (!status && found->mass_min > 0.0) /* else there is no metric to measure in */
@@ -793,24 +715,18 @@ static void reserve(examination *ex, arena *a)
 {
     const size_t n = ex->n, m = ex->m, nn = dal__times(n, n), mn = dal__times(m, n);
     dal__mechanics_reserve(&ex->mech, ex->system, a);
-    dal__reserve(a, &ex->point, n, sizeof(double));
-    dal__reserve(a, &ex->other, n, sizeof(double));
-    dal__reserve(a, &ex->value, n, sizeof(double));
-    dal__reserve(a, &ex->slope, n, sizeof(double));
-    dal__reserve(a, &ex->bend, n, sizeof(double));
-    dal__reserve(a, &ex->height, n, sizeof(double));
-    dal__reserve(a, &ex->expected, n, sizeof(double));
-    dal__reserve(a, &ex->gradient, n, sizeof(double));
-    dal__reserve(a, &ex->hessian, nn, sizeof(double));
-    dal__reserve(a, &ex->forms, mn, sizeof(double));
-    dal__reserve(a, &ex->phi, m, sizeof(double));
-    dal__reserve(a, &ex->factor, nn, sizeof(double));
-    dal__reserve(a, &ex->rows, nn, sizeof(double));
-    dal__reserve(a, &ex->squares, n, sizeof(double));
-    dal__reserve(a, &ex->QR, mn, sizeof(double));
-    dal__reserve(a, &ex->tau, m, sizeof(double));
-    dal__reserve(a, &ex->X, dal__times(n - m, n), sizeof(double));
-    dal__reserve(a, &ex->N, dal__times(n - m, mn), sizeof(double));
+    for (size_t k = 0; k < OUTPUTS; k++)
+        DAL__RESERVE(a, outputs[k].found ? dal__times(rows_of(ex, outputs[k].of), n)
+                                         : rows_of(ex, k), &ex->given[k]);
+    DAL__RESERVE(a, n, &ex->later[L], &ex->later[L_Q], &ex->later[L_V], &ex->later[PHI]);
+    DAL__RESERVE(a, mn, &ex->later[PHI_V]);
+    DAL__RESERVE(a, n, &ex->point, &ex->other, &ex->value, &ex->slope, &ex->bend, &ex->height,
+                 &ex->expected, &ex->squares);
+    DAL__RESERVE(a, m, &ex->phi, &ex->tau);
+    DAL__RESERVE(a, mn, &ex->forms, &ex->QR);
+    DAL__RESERVE(a, nn, &ex->factor, &ex->rows);
+    DAL__RESERVE(a, dal__times(n - m, n), &ex->X);
+    DAL__RESERVE(a, dal__times(n - m, mn), &ex->N);
 }
 
 /* A velocity in general position, of the size of v. */
@@ -825,21 +741,17 @@ int dal_system_check(const dal_system *system, double t, const double *x, dal_ch
                      dal_error *error)
 {
     dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!system || !x || !report)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL",
-                         !system ? "system" : !x ? "x" : "report");
+    if (!system || !report)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "report" : "system");
     const size_t n = system->def.n;
-    if (!isfinite(t)) return dal__fail(error, DAL_EINVAL, "t = %g is not finite", t);
-    for (size_t i = 0; i < 2 * n; i++)
-        if (!isfinite(x[i]))
-            return dal__fail(error, DAL_EINVAL, "x[%zu] = %g is not finite", i, x[i]);
-
+    int status = DAL__REQUIRE_FINITE(error, {"x", 2 * n, x}, {"t", 1, &t});
+    if (status) return status;
     examination ex = {.system = system, .t = t, .x = x, .q = x, .v = x + n, .n = n,
                       .m = system->def.m};
     dal_check *const found = &ex.found;
     arena memory = {0};
     reserve(&ex, &memory);
-    int status = dal__allocate(&memory, error);
+    status = dal__allocate(&memory, error);
     if (status) return status;
     dal__mechanics_bind(&ex.mech, system);
     choose_other(&ex);
@@ -848,10 +760,10 @@ int dal_system_check(const dal_system *system, double t, const double *x, dal_ch
     found->linearity = found->condition = found->mass_min = found->kernel_min = unknown;
     found->residual = found->curvature = unknown;
     status = examine_time(&ex);
-    ex.time = t;
-    if (!status) status = system->mass ? examine_mass(&ex) : examine_lagrangian(&ex);
-    if (!status) status = system->mass ? examine_potential(&ex) : examine_mass(&ex);
-    if (!status) status = examine_force(&ex);
+    if (!status && !system->mass) status = examine_derivatives(&ex, LAGRANGIAN);
+    if (!status) status = examine_mass(&ex);
+    if (!status && system->def.potential) status = examine_derivatives(&ex, POTENTIAL);
+    if (!status && system->def.force) status = examine_derivatives(&ex, FORCE);
     if (!status && ex.m == 0) examine_no_constraint(&ex);
     if (!status && ex.m > 0) status = examine_constraint(&ex);
     dal__fail_because(error, status, &ex.mech.error, "%s", "");

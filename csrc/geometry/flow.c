@@ -3,7 +3,6 @@
 #include "geometry/geometry.h"
 
 #include <math.h>
-#include <string.h>
 
 /* How much looser the second integration is that the accuracy is estimated from. */
 static const double LOOSER = 10.0;
@@ -20,9 +19,8 @@ enum { PER_LOOK = 128 };
 enum { MOST_STEPS = 10000000 };
 
 struct dal_flow {
-    dal_mechanics mech;
     bool in_xi;
-    dal_chart chart;         /* in xi only */
+    dal_chart chart;         /* but for its mechanics in xi only */
     size_t chart_changes;
     double t0;               /* where the integration began */
     ode *integrator;
@@ -36,16 +34,14 @@ struct dal_flow {
     } steps;
     dal__watch watch;
     size_t unwatched;        /* numbers of the field since the clock was read */
-    dal_error error;
     arena arena;
 };
 
-static size_t dimension(const dal_flow *flow) { return 2 * flow->mech.n; }
+dal_mechanics *dal__flow_mechanics(dal_flow *flow) { return &flow->chart.mech; }
 
-static void copy(const dal_flow *flow, double *to, const double *from)
-{
-    memcpy(to, from, dimension(flow) * sizeof *to);
-}
+dal_error *dal__flow_error(dal_flow *flow) { return &flow->chart.mech.error; }
+
+static size_t dimension(const dal_flow *flow) { return 2 * flow->chart.mech.n; }
 
 /* Whether to go on at time t. */
 static int ask(dal_flow *flow, double t, dal_error *error)
@@ -56,27 +52,15 @@ static int ask(dal_flow *flow, double t, dal_error *error)
     return dal__ask(&flow->watch, t, error);
 }
 
-/* dxdt[2n] <- the field on D at x[2n], of the flow ctx. */
-static int field(double t, const double *x, double *dxdt, void *ctx, dal_error *error)
+/* dydt <- the field on D at y, which is x[2n] or xi[2n-m], of the flow ctx. */
+static int field(double t, const double *y, double *dydt, void *ctx, dal_error *error)
 {
     dal_flow *const flow = ctx;
-    dal_mechanics *const mech = &flow->mech;
     int status = ask(flow, t, error);
     if (status) return status;
-    status = dal_field(mech, t, x, dxdt);
-    if (status) *error = mech->error;
-    return status;
-}
-
-/* The same in xi[2n-m]. */
-static int field_in_xi(double t, const double *xi, double *dxidt, void *ctx, dal_error *error)
-{
-    dal_flow *const flow = ctx;
-    dal_chart *const chart = &flow->chart;
-    int status = ask(flow, t, error);
-    if (status) return status;
-    status = dal_chart_field(chart, t, xi, dxidt);
-    if (status) *error = chart->mech.error;
+    status = flow->in_xi ? dal_chart_field(&flow->chart, t, y, dydt)
+                         : dal_field(&flow->chart.mech, t, y, dydt);
+    if (status) *error = *dal__flow_error(flow);
     return status;
 }
 
@@ -85,30 +69,25 @@ static int field_in_xi(double t, const double *xi, double *dxidt, void *ctx, dal
 int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method method,
                  dal_flow_coordinates coordinates, double tolerance, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!flow || !system)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", flow ? "system" : "flow");
+    int status = dal__require_new(error, "flow", flow, system);
+    if (status) return status;
     if (coordinates != DAL_FLOW_X && coordinates != DAL_FLOW_XI)
         return dal__fail(error, DAL_EINVAL, "coordinates = %d is not a dal_flow_coordinates",
                          (int)coordinates);
 
-    arena memory = {0};
     dal_flow shape = {.in_xi = coordinates == DAL_FLOW_XI, .tolerance = tolerance,
                       .method = method}, *self;
-    const size_t n = dal_system_n(system), m = dal_system_m(system);
-    dal__reserve(&memory, &self, 1, sizeof *self);
-    dal__mechanics_reserve(&shape.mech, system, &memory);
-    if (shape.in_xi) dal__chart_reserve(&shape.chart, system, &memory);
-    dal__reserve(&memory, &shape.result, 2 * n, sizeof(double));
-    dal__reserve(&memory, &shape.state, 2 * n, sizeof(double));
-    int status = dal__allocate(&memory, error);
+    const size_t n = system->def.n, N = shape.in_xi ? 2 * n - system->def.m : 2 * n;
+    dal__reserve(&shape.arena, &self, 1, sizeof *self);
+    if (shape.in_xi) dal__chart_reserve(&shape.chart, system, &shape.arena);
+    else dal__mechanics_reserve(&shape.chart.mech, system, &shape.arena);
+    DAL__RESERVE(&shape.arena, 2 * n, &shape.result, &shape.state);
+    status = dal__allocate(&shape.arena, error);
     if (status) return status;
     *self = shape;
-    self->arena = memory;
-    dal__mechanics_bind(&self->mech, system);
     if (self->in_xi) dal__chart_bind(&self->chart, system);
-    status = dal__ode_new(&self->integrator, self->in_xi ? 2 * n - m : 2 * n, method, tolerance,
-                          self->in_xi ? field_in_xi : field, self, error);
+    else dal__mechanics_bind(&self->chart.mech, system);
+    status = dal__ode_new(&self->integrator, N, method, tolerance, field, self, error);
     if (status) dal_flow_free(self);
     else *flow = self;
     return status;
@@ -118,8 +97,7 @@ void dal_flow_free(dal_flow *flow)
 {
     if (!flow) return;
     dal__ode_free(flow->integrator);
-    arena memory = flow->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&flow->arena);
 }
 
 void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
@@ -134,7 +112,7 @@ void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
     if (flow->watch.function != watch || flow->watch.ctx != ctx) dal_flow_watch(flow, watch, ctx);
 }
 
-const dal_error *dal_flow_error(const dal_flow *flow) { return &flow->error; }
+const dal_error *dal_flow_error(const dal_flow *flow) { return &flow->chart.mech.error; }
 
 size_t dal_flow_chart_changes(const dal_flow *flow) { return flow->chart_changes; }
 
@@ -143,38 +121,21 @@ size_t dal_flow_evaluations(const dal_flow *flow)
     return dal__ode_evaluations(flow->integrator);
 }
 
-dal_mechanics *dal__flow_mechanics(dal_flow *flow) { return &flow->mech; }
-
 double dal__flow_tolerance(const dal_flow *flow) { return flow->tolerance; }
 
 dal_flow_method dal__flow_method(const dal_flow *flow) { return flow->method; }
 
-dal_error *dal__flow_error(dal_flow *flow) { return &flow->error; }
-
-/* Integration. */
-
-/* The failure of a part is the failure of the flow. */
-static int pass_on(dal_flow *flow, const dal_error *error, int status)
-{
-    flow->error = *error;
-    return status;
-}
-
-static int failed_chart(dal_flow *flow, int status)
-{
-    return pass_on(flow, &flow->chart.mech.error, status);
-}
+/* Integration.  The failure of the chart, or its mechanics, is that of the flow. */
 
 /* Ready to integrate from x[2n] at t0 over about span. */
 static int begin(dal_flow *flow, double t0, double span, const double *x, double factor)
 {
+    const int status = flow->in_xi ? dal_chart_choose(&flow->chart, t0, NULL, x) : DAL_SUCCESS;
+    if (status) return status;
+    if (flow->in_xi) dal__chart_drop(&flow->chart, x, flow->chart.y);
     flow->t0 = t0;
-    if (!flow->in_xi)
-        return dal__ode_begin(flow->integrator, t0, span, x, factor, &flow->error);
-    const int status = dal_chart_choose(&flow->chart, t0, NULL, x);
-    if (status) return failed_chart(flow, status);
-    dal__chart_drop(&flow->chart, x, flow->chart.y);
-    return dal__ode_begin(flow->integrator, t0, span, flow->chart.y, factor, &flow->error);
+    return dal__ode_begin(flow->integrator, t0, span, flow->in_xi ? flow->chart.y : x, factor,
+                          dal__flow_error(flow));
 }
 
 /* flow->state <- psi(xi) of the integrator at time t, in a chart that is well conditioned there. */
@@ -183,28 +144,28 @@ static int renew_chart(dal_flow *flow, double t, double end)
     double *const xi = dal__ode_state(flow->integrator);
     int changed = 0, status = dal_chart_lift(&flow->chart, t, xi, flow->state);
     if (!status) status = dal_chart_renew(&flow->chart, t, flow->state, &changed);
-    if (status) return failed_chart(flow, status);
-    if (!changed) return DAL_SUCCESS;
+    if (status || !changed) return status;
     flow->chart_changes++;
     dal__chart_drop(&flow->chart, flow->state, xi);
-    return dal__ode_restart(flow->integrator, end, &flow->error);
+    return dal__ode_restart(flow->integrator, end, dal__flow_error(flow));
 }
 
 /* flow->state <- the state at elapsed time end, which is the time t1. */
 static int reach(dal_flow *flow, double end, double t1)
 {
     ode *const integrator = flow->integrator;
+    dal_error *const error = dal__flow_error(flow);
     int status = DAL_SUCCESS;
     if (!flow->in_xi) {
-        status = dal__ode_reach(integrator, end, &flow->error);
-        if (!status) copy(flow, flow->state, dal__ode_state(integrator));
+        status = dal__ode_reach(integrator, end, error);
+        if (!status) dal__copy(dimension(flow), dal__ode_state(integrator), flow->state);
         return status;
     }
     for (size_t steps = 0; !status && dal__ode_elapsed(integrator) != end; steps++) {
         if (steps == MOST_STEPS)
-            return dal__fail(&flow->error, DAL_ENOCONV, "%d steps in xi did not lead to the end of "
-                             "the interval", MOST_STEPS);
-        status = dal__ode_step(integrator, end, &flow->error);
+            return dal__fail(error, DAL_ENOCONV, "%d steps in xi did not lead to the end of the "
+                             "interval", MOST_STEPS);
+        status = dal__ode_step(integrator, end, error);
         const double elapsed = dal__ode_elapsed(integrator);
         if (!status) status = renew_chart(flow, elapsed == end ? t1 : flow->t0 + elapsed, end);
     }
@@ -219,27 +180,23 @@ static int integrate(dal_flow *flow, double t0, double span, double t1, const do
     if (!status && factor > 1.0) dal__ode_shorten(flow->integrator, LONGEST * fabs(span));
     if (!status) status = reach(flow, span, t1);
     if (status || !project || flow->in_xi) return status; /* psi(xi) lies in D */
-    status = dal_project(&flow->mech, t1, 0.0, flow->state, NULL);
-    return status ? pass_on(flow, &flow->mech.error, status) : DAL_SUCCESS;
+    return dal_project(&flow->chart.mech, t1, 0.0, flow->state, NULL);
 }
 
 static int require_interval(dal_flow *flow, double t0, double t1, const double *x)
 {
-    if (!x) return dal__fail(&flow->error, DAL_EINVAL, "x is NULL");
+    dal_error *const error = dal__flow_error(flow);
     if (!isfinite(t0) || !isfinite(t1) || !isfinite(t1 - t0))
-        return dal__fail(&flow->error, DAL_EINVAL, "from t0 = %g to t1 = %g is not a finite "
-                         "interval", t0, t1);
-    for (size_t i = 0; i < dimension(flow); i++)
-        if (!isfinite(x[i]))
-            return dal__fail(&flow->error, DAL_EINVAL, "x[%zu] = %g is not finite", i, x[i]);
-    return DAL_SUCCESS;
+        return dal__fail(error, DAL_EINVAL, "from t0 = %g to t1 = %g is not a finite interval", t0,
+                         t1);
+    return DAL__REQUIRE_FINITE(error, {"x", dimension(flow), x});
 }
 
 int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool project)
 {
     if (span == 0.0) return DAL_SUCCESS;
     const int status = integrate(flow, t0, span, t0 + span, x, 1.0, project);
-    if (!status) copy(flow, x, flow->state);
+    if (!status) dal__copy(dimension(flow), flow->state, x);
     return status;
 }
 
@@ -252,7 +209,7 @@ static double largest_pull(dal_mechanics *mech)
     for (size_t i = 0; i < mech->n; i++) {
         double sum = fabs(mech->w[i]);
         for (size_t a = 0; a < mech->m; a++)
-            sum += fabs(mech->Z[a * mech->n + i] * mech->lambda[a]);
+            sum += fabs(mech->gram.Z[a * mech->n + i] * mech->lambda[a]);
         largest = fmax(largest, sum);
     }
     return largest;
@@ -263,14 +220,15 @@ static double largest_pull(dal_mechanics *mech)
  * on. */
 static int roundoff(dal_flow *flow, double t0, double t1, double *error)
 {
-    dal_mechanics *const mech = &flow->mech;
+    dal_mechanics *const mech = &flow->chart.mech;
+    const dal__linear *const C = &mech->gram.C;
     const size_t N = dimension(flow), n = mech->n, m = mech->m;
     const double span = fabs(t1 - t0);
     const int status = dal_field(mech, t1, flow->result, flow->state);
-    if (status) return pass_on(flow, &mech->error, status);
+    if (status) return status;
     double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal */
     for (size_t a = 0; a < m; a++)
-        inverse += mech->C.sizes[a] * dal__dot(a + 1, mech->C.A + a * m, mech->C.A + a * m);
+        inverse += C->sizes[a] * dal__dot(a + 1, C->A + a * m, C->A + a * m);
     const double drift =
         (dal__largest(n, flow->result + n) + 0.5 * span * largest_pull(mech)) * span;
     *error = 4.0 * DAL_ROUNDOFF * dal__largest(N, flow->result)
@@ -289,13 +247,13 @@ int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accu
     if (t1 != t0) {
         status = integrate(flow, t0, t1 - t0, t1, x, 1.0, true);
         if (status) return status;
-        copy(flow, flow->result, flow->state);
+        dal__copy(dimension(flow), flow->state, flow->result);
         if (accuracy) status = integrate(flow, t0, t1 - t0, t1, x, LOOSER, true);
         for (size_t i = 0; accuracy && i < dimension(flow); i++)
             difference = fmax(difference, fabs(flow->result[i] - flow->state[i]));
         if (!status && accuracy) status = roundoff(flow, t0, t1, &least);
         if (status) return status;
-        copy(flow, x, flow->result);
+        dal__copy(dimension(flow), flow->result, x);
     }
     if (accuracy) *accuracy = fmax(difference, least);
     return DAL_SUCCESS;
@@ -307,7 +265,7 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
     if (!flow) return DAL_EINVAL;
     const size_t N = dimension(flow);
     int status = require_interval(flow, t0, t0 + (double)steps * h, x);
-    if (!status && h == 0.0) status = dal__fail(&flow->error, DAL_EINVAL, "h = 0");
+    if (!status && h == 0.0) status = dal__fail(dal__flow_error(flow), DAL_EINVAL, "h = 0");
     if (status || steps == 0) return status;
     status = begin(flow, t0, h, x, 1.0);
     for (size_t k = 1; !status && k <= steps; k++) {
@@ -315,10 +273,10 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
         /* The rows are projected, the integration goes on without: it need not start anew. */
         status = reach(flow, (double)k * h, t);
         if (status) break;
-        copy(flow, flow->result, flow->state);
-        if (!flow->in_xi) status = dal_project(&flow->mech, t, 0.0, flow->result, NULL);
-        if (status) return pass_on(flow, &flow->mech.error, status);
-        copy(flow, x + k * N, flow->result);
+        dal__copy(dimension(flow), flow->state, flow->result);
+        if (!flow->in_xi) status = dal_project(&flow->chart.mech, t, 0.0, flow->result, NULL);
+        if (status) return status;
+        dal__copy(dimension(flow), flow->result, x + k * N);
         if (done) *done = k;
     }
     return status;
@@ -340,6 +298,7 @@ double *dal__flow_inner(dal_flow *flow) { return is_multistep(flow) ? NULL : &fl
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst)
 {
     const double t1 = t0 + ((double)k + 1.0) * h;
+    dal_mechanics *const mech = &flow->chart.mech;
     int status = DAL_SUCCESS;
     if (!is_multistep(flow) || !flow->steps.going) {
         flow->steps.first = k;
@@ -350,13 +309,13 @@ int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, dou
     flow->steps.going = false;
     if (!status) status = reach(flow, (double)(k + 1 - flow->steps.first) * h, t1);
     if (status) return status;
-    copy(flow, flow->result, flow->state);
+    dal__copy(dimension(flow), flow->state, flow->result);
     double residual = 0.0;
-    status = dal_project(&flow->mech, t1, 0.0, flow->result, NULL);
-    if (!status) status = dal_relative_residual(&flow->mech, t1, 0.0, flow->result, &residual);
-    if (status) return pass_on(flow, &flow->mech.error, status);
+    status = dal_project(mech, t1, 0.0, flow->result, NULL);
+    if (!status) status = dal_relative_residual(mech, t1, 0.0, flow->result, &residual);
+    if (status) return status;
     *worst = fmax(*worst, residual);
-    copy(flow, x, flow->result);
+    dal__copy(dimension(flow), flow->result, x);
     flow->steps.inner = dal__ode_suggested(flow->integrator);
     flow->steps.going = true;
     return DAL_SUCCESS;

@@ -5,27 +5,51 @@
 #include "dalembert/geometry.h"
 #include "system/system.h"
 
-/* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation. */
+/* M at one (t, q, v), and what solving with it needs.  That of constant mass is the system's: it
+ * stands for ever, and nobody writes it.  Else it is that of the last function which says that it
+ * forms the metric, and of no use after one of these has failed. */
+typedef struct dal__metric {
+    double *M;                    /* [n*n] */
+    double *unit, *per_unit;      /* [n] d_i and 1/d_i of residual.h */
+    double *factor;               /* [n*n] of Cholesky; NULL for constant mass, as the next */
+    double *formed_at;            /* [2n+1] (q, v) and t, */
+    bool formed;                  /* if there are any */
+} dal__metric;
+
+/* phi and its derivatives at the node q, of the last dal__forms_at or dal__step_at, or where
+ * multipliers were asked for; those that were not wanted then are of no use.  dal__step_begin moves
+ * q away from them. */
+typedef struct dal__forms {
+    double *q;                    /* [n] */
+    double *phi, *phi_t;          /* [m] */
+    double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
+} dal__forms;
+
+/* Row a of Z[m*n] is M^-1 mu^a, as dal__form_Z left it, or another direction in which v may move.
+ * C is mu Z^T and then its factors: those of Cholesky, with (C^-1)_aa in sizes, from
+ * dal__factor_gram until the next dal__mend or projection, which leave those of LU. */
+typedef struct dal__gram {
+    double *Z;
+    dal__linear C;
+} dal__gram;
+
+/* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation.
+ * First the values that belong together, then what any function here may overwrite. */
 struct dal_mechanics {
     evaluator eval;
     size_t n, m;
-    double *phi, *phi_t;          /* [m] */
-    double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
-    double *Z;                    /* [m*n]: row a is M^-1 mu^a */
-    dal__linear C;                /* mu M^-1 mu^T, or the factors of mu Z^T: of Cholesky, with
-                                     (C^-1)_aa in sizes, or where Z is not that of mu those of LU */
-    double *force, *q, *w, *step; /* [n] */
-    double *lambda, *residual;    /* [m] */
+    dal__metric metric;
+    dal__forms forms;
+    dal__gram gram;
+    /* L_q - L_vq v - L_vt + f and lambda: after dal_field and all that ask for multipliers, where
+     * the three values above are those of the same state. */
+    double *force, *lambda;       /* [n], [m] */
+    double *w, *step;             /* [n] */
     double *point;                /* [2n] the state that is projected; of jump.c too */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
     double *L_vt;                 /* [n], and */
-    double *L_vq, *f_q, *f_v;     /* [n*n]; NULL where nothing needs them */
-    double *L_vv, *factor;        /* [n*n]: M where it is not constant, and its Cholesky factor */
-    double *units, *per_units;    /* [n]: where M is not constant, what the next two point to, */
-    double *formed_at;            /* [2n+1] (q, v) and t of these, */
-    bool formed;                  /* if there are any */
-    const double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h, */
-    const double *metric;         /* [n*n] and M at the last point where it was asked for */
+    double *L_vq, *L_vv;          /* [n*n]; NULL for constant mass */
+    double *f_q, *f_v;            /* [n*n]; NULL without a force */
     /* of the equations of a step */
     double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
     double *node, *muk;           /* [n], [m*n] q_k, mu_k */
@@ -48,7 +72,7 @@ void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
 
 /* The helpers of mechanics.c leave the text of their failure in mech->error. */
 
-/* DAL_EINVAL unless x[count] is there and finite; name is that of the argument. */
+/* DAL_EINVAL unless the argument of this name is there and finite. */
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
 int dal__null_argument(dal_mechanics *mech, const char *name);
 /* M at (t, q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
@@ -57,11 +81,11 @@ int dal__form_metric(dal_mechanics *mech, double t, const double *q, const doubl
 int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v);
 /* y[n] <- M^-1 f[n], M that of the last dal__form_metric; y and f may not overlap. */
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
-/* Z <- the rows M^-1 mu^a. */
+/* gram.Z <- the rows M^-1 mu^a. */
 void dal__form_Z(dal_mechanics *mech, const double *mu);
-/* Z, and the Cholesky factor of C = mu Z^T, of mech->mu. */
+/* The gram of the forms and the metric.  DAL_ESINGULAR. */
 int dal__factor_gram(dal_mechanics *mech);
-/* y[m] <- C^-1 y. */
+/* y[m] <- C^-1 y, of the last dal__factor_gram. */
 void dal__solve_gram(const dal_mechanics *mech, double *y);
 /* The residual of residual.h, the largest of all a, in the units of the last dal__form_metric. */
 double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
@@ -79,8 +103,8 @@ double dal__forms_move(const dal_mechanics *mech, const double *mu, const double
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x, double *relative,
                    bool *consistent);
-/* phi, mu, and phi_q if dmu, at q - shift v of x[2n], which stands in q then; and the metric. */
-int dal__forms_at(dal_mechanics *mech, double t, double shift, const double *x, double *dmu);
+/* The forms at q - shift v of x[2n], with phi_q if slopes, but without phi_t; and the metric. */
+int dal__forms_at(dal_mechanics *mech, double t, double shift, const double *x, bool slopes);
 /* v of x[2n] moves into the D or D_eps of shift, along Z as it is or that of mu, and q with it so
  * that q - shift v is the same but for a rounding; *relative <- what is left of the residual,
  * within its bound.  DAL_ESINGULAR. */
@@ -102,7 +126,7 @@ struct dal_chart {
     double *A;               /* [m*(n-m)] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
-    double *tableau;         /* [m*n] */
+    double *tableau;         /* [m*width] */
     size_t *former, *owner;  /* [n], [m] */
     /* of dal_chart_step */
     double *w, *R1, *step;   /* [n] */
@@ -111,8 +135,8 @@ struct dal_chart {
     dal__linear G;
     /* of dal_chart_interpolate */
     double *first, *second;  /* [3n] (q, v, vdot) at the ends of an interval */
-    size_t *kept_place;      /* [n] the caller's choice */
-    double *kept_branch;     /* [m] */
+    size_t *other_place;     /* [n] the choice, beside that of the caller */
+    double *other_branch;    /* [m] */
     size_t *last_place;      /* [n] that of the state before */
     arena arena;             /* used only by dal_chart_new */
 };
@@ -135,8 +159,10 @@ int dal__chart_state(dal_chart *chart, double t, const double *xi);
 int dal__chart_factor(dal_chart *chart, const double *mu);
 /* DAL_EINVAL unless there is a choice. */
 int dal__chart_ready(dal_chart *chart);
-/* Whether dal_chart_renew would keep the choice at (t, x), and its condition. */
-int dal__chart_keeps(dal_chart *chart, double t, const double *x, double *condition, bool *keeps);
+/* dal_chart_condition, without checking the arguments; and whether dal_chart_renew keeps a choice
+ * of this condition. */
+int dal__chart_condition(dal_chart *chart, double t, const double *x, double *condition);
+bool dal__chart_keeps(const dal_chart *chart, double condition);
 
 /* The tolerance where none is given. */
 #define DAL_FLOW_TOLERANCE 1e-13

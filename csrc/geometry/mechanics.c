@@ -10,55 +10,47 @@
 void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m;
-    const size_t mn = dal__times(m, n), nn = dal__times(n, n);
-    const size_t general = system->mass ? 0 : nn, forced = system->def.force ? nn : 0;
+    const size_t mn = dal__times(m, n), nn = dal__times(n, n), twice = dal__times(2, n);
     const bool nonlinear = system->def.kind == DAL_NONLINEAR;
-    double **const vectors[] = {&mech->force, &mech->q, &mech->w, &mech->step, &mech->momentum,
-                                &mech->reach, &mech->node, &mech->trial, &mech->place};
-    double **const forms[] = {&mech->mu, &mech->dmu, &mech->Z, &mech->muk};
-    double **const multipliers[] = {&mech->phi, &mech->phi_t, &mech->lambda, &mech->residual};
-    double **const matrices[] = {&mech->L_vq, &mech->L_vv, &mech->factor};
     dal__evaluator_reserve(&mech->eval, system, a);
-    dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
-    dal__reserve_doubles(a, DAL_LENGTH(forms), forms, mn);
-    dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
-    dal__reserve_doubles(a, DAL_LENGTH(matrices), matrices, general);
-    dal__reserve(a, &mech->L_vt, system->mass ? 0 : n, sizeof(double));
-    dal__reserve(a, &mech->f_q, forced, sizeof(double));
-    dal__reserve(a, &mech->f_v, forced, sizeof(double));
-    dal__reserve(a, &mech->chetaev, nonlinear ? mn : 0, sizeof(double));
-    dal__reserve(a, &mech->bend, nonlinear ? nn : 0, sizeof(double));
-    dal__reserve(a, &mech->point, dal__times(2, n), sizeof(double));
-    dal__linear_reserve(&mech->C, m, a);
-    dal__reserve(a, &mech->units, system->mass ? 0 : n, sizeof(double));
-    dal__reserve(a, &mech->per_units, system->mass ? 0 : n, sizeof(double));
-    dal__reserve(a, &mech->formed_at, system->mass ? 0 : dal__times(2, n) + 1, sizeof(double));
-    dal__reserve(a, &mech->hessian, nn, sizeof(double));
+    DAL__RESERVE(a, n, &mech->forms.q, &mech->force, &mech->w, &mech->step, &mech->momentum,
+                 &mech->reach, &mech->node, &mech->trial, &mech->place);
+    DAL__RESERVE(a, m, &mech->forms.phi, &mech->forms.phi_t, &mech->lambda);
+    DAL__RESERVE(a, mn, &mech->forms.mu, &mech->forms.dmu, &mech->gram.Z, &mech->muk);
+    DAL__RESERVE(a, nn, &mech->hessian);
+    DAL__RESERVE(a, twice, &mech->point);
+    dal__linear_reserve(&mech->gram.C, m, a);
+    if (!system->mass) {
+        dal__metric *const metric = &mech->metric;
+        DAL__RESERVE(a, n, &metric->unit, &metric->per_unit, &mech->L_vt);
+        DAL__RESERVE(a, nn, &metric->M, &metric->factor, &mech->L_vq, &mech->L_vv);
+        DAL__RESERVE(a, twice + 1, &metric->formed_at);
+    }
+    if (system->def.force) DAL__RESERVE(a, nn, &mech->f_q, &mech->f_v);
+    if (nonlinear) DAL__RESERVE(a, mn, &mech->chetaev);
+    if (nonlinear) DAL__RESERVE(a, nn, &mech->bend);
 }
 
 void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system)
 {
     mech->n = system->def.n;
     mech->m = system->def.m;
-    mech->metric = system->mass ? system->mass : mech->L_vv;
-    mech->unit = system->mass ? system->unit : mech->units;
-    mech->per_unit = system->mass ? system->per_unit : mech->per_units;
+    if (system->mass)
+        mech->metric = (dal__metric){.M = system->mass, .unit = system->unit,
+                                     .per_unit = system->per_unit};
     dal__evaluator_bind(&mech->eval, system);
 }
 
 int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *system, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!mechanics || !system)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", mechanics ? "system" : "mechanics");
-    arena memory = {0};
     dal_mechanics shape = {0}, *self;
-    dal__reserve(&memory, &self, 1, sizeof *self);
-    dal__mechanics_reserve(&shape, system, &memory);
-    const int status = dal__allocate(&memory, error);
+    int status = dal__require_new(error, "mechanics", mechanics, system);
+    if (status) return status;
+    dal__reserve(&shape.arena, &self, 1, sizeof *self);
+    dal__mechanics_reserve(&shape, system, &shape.arena);
+    status = dal__allocate(&shape.arena, error);
     if (status) return status;
     *self = shape;
-    self->arena = memory;
     dal__mechanics_bind(self, system);
     *mechanics = self;
     return DAL_SUCCESS;
@@ -66,71 +58,65 @@ int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *system, dal_e
 
 void dal_mechanics_free(dal_mechanics *mechanics)
 {
-    if (!mechanics) return;
-    arena memory = mechanics->arena; /* the object lies inside it */
-    dal__release(&memory);
+    if (mechanics) dal__release(&mechanics->arena);
 }
 
 const dal_error *dal_mechanics_error(const dal_mechanics *mechanics) { return &mechanics->error; }
 
-static const double *velocity(const dal_mechanics *mech, const double *x) { return x + mech->n; }
-
 int dal__null_argument(dal_mechanics *mech, const char *name)
 {
-    return dal__fail(&mech->error, DAL_EINVAL, "%s is NULL", name);
+    return dal__require_finite(mech, name, 0, NULL);
 }
 
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x)
 {
-    if (!x) return dal__null_argument(mech, name);
-    for (size_t i = 0; i < count; i++)
-        if (!isfinite(x[i]))
-            return dal__fail(&mech->error, DAL_EINVAL, "%s[%zu] = %g is not finite", name, i, x[i]);
-    return DAL_SUCCESS;
+    return DAL__REQUIRE_FINITE(&mech->error, {name, count, x});
 }
 
-static int require_state(dal_mechanics *mech, double t, const double *x)
+/* What public functions ask for first: somewhere for the output of this name to go, and finite
+ * shift, t and x[2n]. */
+static int require(dal_mechanics *mech, const char *name, const double *output, double shift,
+                   double t, const double *x)
 {
-    const int status = dal__require_finite(mech, "t", 1, &t);
-    return status ? status : dal__require_finite(mech, "x", 2 * mech->n, x);
+    if (!mech) return DAL_EINVAL;
+    return DAL__REQUIRE_FINITE(&mech->error, {name, 0, output}, {"shift", 1, &shift}, {"t", 1, &t},
+                               {"x", 2 * mech->n, x});
 }
 
 /* ---- M and C ----------------------------------------------------------------------------- */
 
-static int singular_metric(dal_mechanics *mech, size_t row, double pivot)
-{
-    const double value = mech->L_vv[row * mech->n + row];
-    const dal__entry entry = {NULL, "L_vv", row, row, value};
-    return dal__fail_entry(&mech->error, DAL_ESINGULAR, &entry, " = %g: L_vv is not positive "
-                           "definite to working precision, pivot %zu of its Cholesky factor is %g",
-                           value, row, pivot);
-}
-
-/* The factor of the metric in mech->L_vv, which is that at (t, q, v), and its units. */
+/* The factor of metric.M, which is that at (t, q, v), and its units. */
 static int factor_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
     const size_t n = mech->n;
+    dal__metric *const metric = &mech->metric;
     size_t row = 0;
     double pivot = 0.0;
-    mech->formed = false;
-    memcpy(mech->factor, mech->L_vv, n * n * sizeof *mech->factor);
-    if (!dal__cholesky(n, mech->factor, mech->units, &row, &pivot))
-        return singular_metric(mech, row, pivot);
-    for (size_t i = 0; i < n; i++) {
-        mech->units[i] = sqrt(mech->units[i]);
-        mech->per_units[i] = 1.0 / mech->units[i];
+    metric->formed = false;
+    dal__copy(n * n, metric->M, metric->factor);
+    if (!dal__cholesky(n, metric->factor, metric->unit, &row, &pivot)) {
+        const double value = metric->M[row * n + row];
+        const dal__entry entry = {NULL, "L_vv", row, row, value};
+        return dal__fail_entry(&mech->error, DAL_ESINGULAR, &entry, " = %g: L_vv is not positive "
+                               "definite to working precision, pivot %zu of its Cholesky factor "
+                               "is %g", value, row, pivot);
     }
-    memcpy(mech->formed_at, q, n * sizeof *q);
-    memcpy(mech->formed_at + n, v, n * sizeof *v);
-    mech->formed_at[2 * n] = t;
-    mech->formed = true;
+    for (size_t i = 0; i < n; i++) {
+        metric->unit[i] = sqrt(metric->unit[i]);
+        metric->per_unit[i] = 1.0 / metric->unit[i];
+    }
+    dal__copy(n, q, metric->formed_at);
+    dal__copy(n, v, metric->formed_at + n);
+    metric->formed_at[2 * n] = t;
+    metric->formed = true;
     return DAL_SUCCESS;
 }
 
 int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
     if (mech->eval.constant_mass) return DAL_SUCCESS;
-    const dal__jet wanted = {.L_vv = mech->L_vv};
+    const dal__jet wanted = {.L_vv = mech->metric.M};
+    mech->metric.formed = false;
     const int status = dal__lagrangian(&mech->eval, t, q, v, &wanted, &mech->error);
     return status ? status : factor_metric(mech, t, q, v);
 }
@@ -138,9 +124,10 @@ int dal__form_metric(dal_mechanics *mech, double t, const double *q, const doubl
 int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
     const size_t n = mech->n, calls = mech->eval.lagrangian_calls;
+    const double *const at = mech->metric.formed_at;
     if (mech->eval.constant_mass) return DAL_SUCCESS;
-    if (mech->formed && memcmp(mech->formed_at, q, n * sizeof *q) == 0
-        && memcmp(mech->formed_at + n, v, n * sizeof *v) == 0 && mech->formed_at[2 * n] == t)
+    if (mech->metric.formed && memcmp(at, q, n * sizeof *q) == 0
+        && memcmp(at + n, v, n * sizeof *v) == 0 && at[2 * n] == t)
         return DAL_SUCCESS;
     const int status = dal__form_metric(mech, t, q, v);
     mech->eval.lagrangian_calls = calls;
@@ -153,81 +140,80 @@ void dal__accelerate(const dal_mechanics *mech, const double *f, double *y)
         dal__apply(mech->n, mech->n, mech->eval.system->mass_inverse, f, y);
         return;
     }
-    memcpy(y, f, mech->n * sizeof *y);
-    dal__cholesky_solve(mech->n, mech->factor, y);
+    dal__copy(mech->n, f, y);
+    dal__cholesky_solve(mech->n, mech->metric.factor, y);
 }
 
 void dal__form_Z(dal_mechanics *mech, const double *mu)
 {
     for (size_t a = 0; a < mech->m; a++)
-        dal__accelerate(mech, mu + a * mech->n, mech->Z + a * mech->n);
+        dal__accelerate(mech, mu + a * mech->n, mech->gram.Z + a * mech->n);
 }
 
+/* C <- mu Z^T of the forms. */
 static void form_gram(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
     for (size_t a = 0; a < m; a++)
         for (size_t b = 0; b < m; b++)
-            mech->C.A[a * m + b] = dal__dot(n, mech->mu + a * n, mech->Z + b * n);
+            mech->gram.C.A[a * m + b] =
+                dal__dot(n, mech->forms.mu + a * n, mech->gram.Z + b * n);
 }
 
 int dal__factor_gram(dal_mechanics *mech)
 {
+    dal__linear *const C = &mech->gram.C;
     size_t row = 0;
-    dal__form_Z(mech, mech->mu);
+    dal__form_Z(mech, mech->forms.mu);
     form_gram(mech);
-    if (dal__cholesky(mech->m, mech->C.A, mech->C.sizes, &row, NULL)) return DAL_SUCCESS;
+    if (dal__cholesky(mech->m, C->A, C->sizes, &row, NULL)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide (pivot %zu of %zu)", row, mech->m);
 }
 
 void dal__solve_gram(const dal_mechanics *mech, double *y)
 {
-    dal__cholesky_solve(mech->m, mech->C.A, y);
+    dal__cholesky_solve(mech->m, mech->gram.C.A, y);
 }
 
 /* The LU factors of mu Z^T, where Z need not be that of mu, and may leave coordinates out. */
 static int factor_product(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
+    const double *const Z = mech->gram.Z, *const mu = mech->forms.mu;
+    double *const sizes = mech->gram.C.sizes;
     form_gram(mech);
     for (size_t a = 0; a < m; a++) {
-        mech->C.sizes[a] = 0.0;
-        mech->C.sizes[m + a] = dal_residual_speed(n, mech->per_unit, mech->Z + a * n);
+        sizes[a] = 0.0;
+        sizes[m + a] = dal_residual_speed(n, mech->metric.per_unit, Z + a * n);
     }
     for (size_t i = 0; i < n; i++) {
         bool moves = false;
-        for (size_t a = 0; a < m; a++) moves = moves || mech->Z[a * n + i] != 0.0;
+        for (size_t a = 0; a < m; a++) moves = moves || Z[a * n + i] != 0.0;
         for (size_t a = 0; moves && a < m; a++)
-            mech->C.sizes[a] += fabs(mech->mu[a * n + i]) * mech->unit[i];
+            sizes[a] += fabs(mu[a * n + i]) * mech->metric.unit[i];
     }
-    if (dal__linear_factor(&mech->C)) return DAL_SUCCESS;
+    if (dal__linear_factor(&mech->gram.C)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide");
 }
 
-int dal_metric(dal_mechanics *mechanics, double t, const double *x, double *M)
+int dal_metric(dal_mechanics *mech, double t, const double *x, double *M)
 {
-    if (!mechanics) return DAL_EINVAL;
-    if (!M) return dal__null_argument(mechanics, "M");
-    dal_mechanics *const mech = mechanics;
-    int status = require_state(mech, t, x);
-    if (!status) status = dal__form_metric(mech, t, x, velocity(mech, x));
-    if (!status) memcpy(M, mech->metric, mech->n * mech->n * sizeof *M);
+    int status = require(mech, "M", M, 0.0, t, x);
+    if (!status) status = dal__form_metric(mech, t, x, x + mech->n);
+    if (!status) dal__copy(mech->n * mech->n, mech->metric.M, M);
     return status;
 }
 
-int dal_gram(dal_mechanics *mechanics, double t, const double *x, double *C)
+int dal_gram(dal_mechanics *mech, double t, const double *x, double *C)
 {
-    if (!mechanics) return DAL_EINVAL;
-    if (!C) return dal__null_argument(mechanics, "C");
-    dal_mechanics *const mech = mechanics;
-    int status = require_state(mech, t, x);
-    if (!status) status = dal__forms_at(mech, t, 0.0, x, NULL);
+    int status = require(mech, "C", C, 0.0, t, x);
+    if (!status) status = dal__forms_at(mech, t, 0.0, x, false);
     if (status) return status;
-    dal__form_Z(mech, mech->mu);
+    dal__form_Z(mech, mech->forms.mu);
     form_gram(mech);
-    return DAL__DELIVER(&mech->error, {"C", mech->m * mech->m, mech->C.A, C});
+    return DAL__DELIVER(&mech->error, {"C", mech->m * mech->m, mech->gram.C.A, C});
 }
 
 /* ---- energy and power -------------------------------------------------------------------- */
@@ -235,13 +221,13 @@ int dal_gram(dal_mechanics *mechanics, double t, const double *x, double *C)
 int dal__energy(dal_mechanics *mech, double t, const double *x, double *E)
 {
     const size_t n = mech->n;
-    const double *const v = velocity(mech, x);
+    const double *const v = x + n;
     double V = 0.0, L = 0.0;
     int status;
     if (mech->eval.constant_mass) {
         status = dal__potential(&mech->eval, t, x, &V, NULL, NULL, &mech->error);
         if (status) return status;
-        dal__apply(n, n, mech->metric, v, mech->step);
+        dal__apply(n, n, mech->metric.M, v, mech->step);
         *E = 0.5 * dal__dot(n, v, mech->step) + V;
         return DAL_SUCCESS;
     }
@@ -251,40 +237,46 @@ int dal__energy(dal_mechanics *mech, double t, const double *x, double *E)
     return status;
 }
 
-int dal_energy(dal_mechanics *mechanics, double t, const double *x, double *E)
+int dal_energy(dal_mechanics *mech, double t, const double *x, double *E)
 {
-    if (!mechanics) return DAL_EINVAL;
-    if (!E) return dal__null_argument(mechanics, "E");
     double value = 0.0;
-    int status = require_state(mechanics, t, x);
-    if (!status) status = dal__energy(mechanics, t, x, &value);
-    return status ? status : DAL__DELIVER(&mechanics->error, {"E", 1, &value, E});
+    int status = require(mech, "E", E, 0.0, t, x);
+    if (!status) status = dal__energy(mech, t, x, &value);
+    return status ? status : DAL__DELIVER(&mech->error, {"E", 1, &value, E});
 }
 
 /* ---- residuals --------------------------------------------------------------------------- */
 
-int dal__forms_at(dal_mechanics *mech, double t, double shift, const double *x, double *dmu)
+/* forms.q <- q - shift v of x[2n]. */
+static void move_node(dal_mechanics *mech, double shift, const double *x)
 {
     const size_t n = mech->n;
-    const double *const v = velocity(mech, x);
-    for (size_t i = 0; i < n; i++) mech->q[i] = x[i] - shift * v[i];
-    int status = dal__form_metric(mech, t, mech->q, v);
-    if (!status)
-        status = dal__constraint(&mech->eval, t, mech->q, v, mech->phi, mech->mu, dmu, NULL,
-                                 &mech->error);
-    return status ? status : dal__require_output(&mech->error, "phi", mech->m, mech->phi);
+    dal__copy(n, x, mech->forms.q);
+    dal__add(n, -shift, x + n, mech->forms.q);
 }
 
-int dal_residual(dal_mechanics *mechanics, double t, double shift, const double *x,
-                 double *residual)
+/* phi and mu of the forms at (q, v), which stand there, and phi_q if slopes. */
+static int evaluate_forms(dal_mechanics *mech, double t, const double *v, bool slopes)
 {
-    if (!mechanics) return DAL_EINVAL;
-    if (!residual) return dal__null_argument(mechanics, "residual");
-    dal_mechanics *const mech = mechanics;
-    int status = dal__require_finite(mech, "shift", 1, &shift);
-    if (!status) status = require_state(mech, t, x);
-    if (!status) status = dal__forms_at(mech, t, shift, x, NULL);
-    if (!status) memcpy(residual, mech->phi, mech->m * sizeof *residual);
+    dal__forms *const at = &mech->forms;
+    return dal__constraint(&mech->eval, t, at->q, v, at->phi, at->mu, slopes ? at->dmu : NULL, NULL,
+                           &mech->error);
+}
+
+int dal__forms_at(dal_mechanics *mech, double t, double shift, const double *x, bool slopes)
+{
+    const double *const v = x + mech->n;
+    move_node(mech, shift, x);
+    int status = dal__form_metric(mech, t, mech->forms.q, v);
+    if (!status) status = evaluate_forms(mech, t, v, slopes);
+    return status ? status : dal__require_output(&mech->error, "phi", mech->m, mech->forms.phi);
+}
+
+int dal_residual(dal_mechanics *mech, double t, double shift, const double *x, double *residual)
+{
+    int status = require(mech, "residual", residual, shift, t, x);
+    if (!status) status = dal__forms_at(mech, t, shift, x, false);
+    if (!status) dal__copy(mech->m, mech->forms.phi, residual);
     return status;
 }
 
@@ -292,10 +284,10 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
                               const double *v)
 {
     const size_t n = mech->n;
-    const double speed = dal_residual_speed(n, mech->per_unit, v);
+    const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
     double worst = 0.0;
     for (size_t a = 0; a < mech->m; a++) {
-        const double form = dal_residual_form(n, mech->unit, mu + a * n);
+        const double form = dal_residual_form(n, mech->metric.unit, mu + a * n);
         const double unit = form * speed <= DBL_MAX ? 1.0 : DBL_MIN, size = unit * fabs(phi[a]);
         const double scale = unit * form * speed
                            + unit * fabs(phi[a] - dal__dot(n, mu + a * n, v));
@@ -313,7 +305,7 @@ double dal__forms_move(const dal_mechanics *mech, const double *mu, const double
     for (size_t a = 0; a < mech->m; a++) { /* as phi is a residual: by the size of its form */
         double moved = 0.0;
         for (size_t i = 0; i < n; i++) moved += fabs(slope[a * n + i] * q[i]);
-        moves += moved / dal_residual_form(n, mech->unit, mu + a * n);
+        moves += moved / dal_residual_form(n, mech->metric.unit, mu + a * n);
     }
     return moves;
 }
@@ -322,13 +314,13 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
                         const double *v)
 {
     const size_t n = mech->n;
-    const double speed = dal_residual_speed(n, mech->per_unit, v);
+    const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
     for (size_t a = 0; a < mech->m; a++) {
         const double *const form = mu + a * n;
         double terms = fabs(phi[a] - dal__dot(n, form, v));
         for (size_t i = 0; i < n; i++) terms += fabs(form[i] * v[i]);
         if (!(fabs(phi[a]) <= DAL_CONSISTENT * terms
-              + DAL_RESIDUAL_BOUND(n) * dal_residual_form(n, mech->unit, form) * speed))
+              + DAL_RESIDUAL_BOUND(n) * dal_residual_form(n, mech->metric.unit, form) * speed))
             return false;
     }
     return true;
@@ -338,15 +330,15 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
 static bool is_rounding_of_node(dal_mechanics *mech, double t, double shift, const double *x)
 {
     const size_t n = mech->n;
-    const double speed = dal_residual_speed(n, mech->per_unit, velocity(mech, x));
-    if (dal__forms_at(mech, t, shift, x, mech->dmu)) return false;
+    const dal__forms *const at = &mech->forms;
+    const double speed = dal_residual_speed(n, mech->metric.per_unit, x + n);
+    if (dal__forms_at(mech, t, shift, x, true)) return false;
     for (size_t a = 0; a < mech->m; a++) {
         double bound = DAL_RESIDUAL_BOUND(n) * speed
-                     * dal_residual_form(n, mech->unit, mech->mu + a * n);
+                     * dal_residual_form(n, mech->metric.unit, at->mu + a * n);
         for (size_t i = 0; i < n; i++)
-            bound += 2.0 * DAL_ROUNDOFF * fabs(mech->dmu[a * n + i])
-                   * (fabs(mech->q[i]) + fabs(x[i]));
-        if (!(fabs(mech->phi[a]) <= bound)) return false;
+            bound += 2.0 * DAL_ROUNDOFF * fabs(at->dmu[a * n + i]) * (fabs(at->q[i]) + fabs(x[i]));
+        if (!(fabs(at->phi[a]) <= bound)) return false;
     }
     return true;
 }
@@ -354,10 +346,11 @@ static bool is_rounding_of_node(dal_mechanics *mech, double t, double shift, con
 /* The velocity of x, or w, moves by -Z^T (mu Z^T)^-1 phi with the factors in C. */
 static void find_change(dal_mechanics *mech, double *change)
 {
-    dal__linear_solve(&mech->C, mech->phi, mech->lambda);
+    dal__linear_solve(&mech->gram.C, mech->forms.phi, mech->lambda);
     for (size_t i = 0; i < mech->n; i++) {
         double sum = 0.0;
-        for (size_t a = 0; a < mech->m; a++) sum += mech->Z[a * mech->n + i] * mech->lambda[a];
+        for (size_t a = 0; a < mech->m; a++)
+            sum += mech->gram.Z[a * mech->n + i] * mech->lambda[a];
         change[i] = -sum; /* where it is 0 a velocity of -0.0 stays one */
     }
 }
@@ -368,52 +361,48 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
     enum { MOST = 8 }; /* a pass leaves of the residual as much as the condition times u */
     const size_t n = mech->n;
     double *const v = x + n;
-    const double before = dal_residual_speed(n, mech->per_unit, v);
+    const dal__forms *const at = &mech->forms;
+    const double before = dal_residual_speed(n, mech->metric.per_unit, v);
     for (int pass = 1;; pass++) {
-        int status = dal__forms_at(mech, t, shift, x, NULL);
+        int status = dal__forms_at(mech, t, shift, x, false);
         if (status) return status;
-        *relative = dal__relative_residual(mech, mech->mu, mech->phi, v);
+        *relative = dal__relative_residual(mech, at->mu, at->phi, v);
         if (*relative <= DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
         if (pass > MOST && shift != 0.0 && is_rounding_of_node(mech, t, shift, x))
             return DAL_SUCCESS;
         if (pass > MOST)
             return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular to working "
                              "precision: the residual of D stays at %.3g", *relative);
-        if (!along_Z) dal__form_Z(mech, mech->mu);
+        if (!along_Z) dal__form_Z(mech, at->mu);
         status = factor_product(mech);
         if (status) return status;
         find_change(mech, mech->step);
-        for (size_t i = 0; i < n; i++) v[i] += mech->step[i];
+        dal__add(n, 1.0, mech->step, v);
         /* A velocity across D, of which each pass leaves its own roundoff, is zero. */
-        const double speed = dal_residual_speed(n, mech->per_unit, v);
+        const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
         if (pass == MOST && speed <= DAL_RESIDUAL_BOUND(n) * before)
-            memset(v, 0, n * sizeof *v);
-        for (size_t i = 0; shift != 0.0 && i < n; i++) x[i] = mech->q[i] + shift * v[i];
+            dal__clear(n, v);
+        for (size_t i = 0; shift != 0.0 && i < n; i++) x[i] = at->q[i] + shift * v[i];
     }
 }
 
 int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x, double *relative,
                    bool *consistent)
 {
-    int status = dal__forms_at(mech, t, shift, x, NULL);
+    const dal__forms *const at = &mech->forms;
+    int status = dal__forms_at(mech, t, shift, x, false);
     if (status) return status;
-    *relative = dal__relative_residual(mech, mech->mu, mech->phi, velocity(mech, x));
-    status = dal__require_output(&mech->error, "residual", 1, relative);
-    if (status) return status;
-    *consistent = dal__is_consistent(mech, mech->mu, mech->phi, velocity(mech, x));
-    return DAL_SUCCESS;
+    *relative = dal__relative_residual(mech, at->mu, at->phi, x + mech->n);
+    *consistent = dal__is_consistent(mech, at->mu, at->phi, x + mech->n);
+    return dal__require_output(&mech->error, "residual", 1, relative);
 }
 
-int dal_relative_residual(dal_mechanics *mechanics, double t, double shift, const double *x,
+int dal_relative_residual(dal_mechanics *mech, double t, double shift, const double *x,
                           double *worst)
 {
-    if (!mechanics) return DAL_EINVAL;
-    if (!worst) return dal__null_argument(mechanics, "worst");
-    dal_mechanics *const mech = mechanics;
     double relative;
     bool consistent;
-    int status = dal__require_finite(mech, "shift", 1, &shift);
-    if (!status) status = require_state(mech, t, x);
+    int status = require(mech, "worst", worst, shift, t, x);
     if (!status) status = dal__lies_in_D(mech, t, shift, x, &relative, &consistent);
     if (!status) *worst = relative;
     return status;
@@ -421,15 +410,19 @@ int dal_relative_residual(dal_mechanics *mechanics, double t, double shift, cons
 
 /* ---- the ODE on D ------------------------------------------------------------------------ */
 
-/* mech->force <- L_q - L_vq v - L_vt + f; M is that at x afterwards. */
+/* force <- L_q - L_vq v - L_vt + f; the metric is that at x afterwards. */
 static int form_force(dal_mechanics *mech, double t, const double *x)
 {
     const size_t n = mech->n;
-    const double *const v = velocity(mech, x);
+    const double *const v = x + n;
+    dal__jet wanted = {.L_q = mech->force};
     const bool general = !mech->eval.constant_mass;
-    const dal__jet wanted = {.L_q = mech->force, .L_vq = general ? mech->L_vq : NULL,
-                             .L_vv = general ? mech->L_vv : NULL,
-                             .L_vt = general ? mech->L_vt : NULL};
+    if (general) {
+        mech->metric.formed = false;
+        wanted.L_vq = mech->L_vq;
+        wanted.L_vv = mech->metric.M;
+        wanted.L_vt = mech->L_vt;
+    }
     int status = dal__lagrangian(&mech->eval, t, x, v, &wanted, &mech->error);
     if (!status && general) status = factor_metric(mech, t, x, v);
     if (status) return status;
@@ -437,111 +430,104 @@ static int form_force(dal_mechanics *mech, double t, const double *x)
         mech->force[i] = mech->force[i] - dal__dot(n, mech->L_vq + i * n, v) - mech->L_vt[i];
     if (!mech->eval.system->def.force) return DAL_SUCCESS;
     status = dal__force(&mech->eval, t, x, v, mech->step, NULL, NULL, &mech->error);
-    for (size_t i = 0; !status && i < n; i++) mech->force[i] += mech->step[i];
+    if (!status) dal__add(n, 1.0, mech->step, mech->force);
     return status;
 }
 
-/* lambda in mech->lambda, L_q - L_vq v - L_vt + f in mech->force, mu in mech->mu. */
-static int solve_multipliers(dal_mechanics *mech, double t, const double *x)
+/* force and lambda at x[2n], with the metric, the forms but for phi, and the gram; the arguments
+ * are checked, as require does. */
+static int solve_multipliers(dal_mechanics *mech, const char *name, const double *output, double t,
+                             const double *x)
 {
-    const size_t n = mech->n, m = mech->m;
-    int status = require_state(mech, t, x);
+    int status = require(mech, name, output, 0.0, t, x);
     if (status) return status;
-    const double *const v = velocity(mech, x);
+    const size_t n = mech->n, m = mech->m;
+    const dal__forms *const at = &mech->forms;
+    const double *const v = x + n;
+    dal__copy(n, x, at->q);
     status = form_force(mech, t, x);
     if (!status)
-        status = dal__constraint(&mech->eval, t, x, v, NULL, mech->mu, mech->dmu, mech->phi_t,
+        status = dal__constraint(&mech->eval, t, x, v, NULL, at->mu, at->dmu, at->phi_t,
                                  &mech->error);
     if (status || m == 0) return status;
     status = dal__factor_gram(mech);
     if (status) return status;
     for (size_t a = 0; a < m; a++)
-        mech->lambda[a] = -dal__dot(n, mech->Z + a * n, mech->force)
-                        - dal__dot(n, mech->dmu + a * n, v) - mech->phi_t[a];
+        mech->lambda[a] = -dal__dot(n, mech->gram.Z + a * n, mech->force)
+                        - dal__dot(n, at->dmu + a * n, v) - at->phi_t[a];
     dal__solve_gram(mech, mech->lambda);
     return dal__require_output(&mech->error, "lambda", m, mech->lambda);
 }
 
-int dal_multipliers(dal_mechanics *mechanics, double t, const double *x, double *lambda)
+/* w <- M^-1 (force + mu^T lambda). */
+static void form_acceleration(dal_mechanics *mech)
 {
-    if (!mechanics) return DAL_EINVAL;
-    if (!lambda) return dal__null_argument(mechanics, "lambda");
-    const int status = solve_multipliers(mechanics, t, x);
-    if (status) return status;
-    memcpy(lambda, mechanics->lambda, mechanics->m * sizeof *lambda);
-    return DAL_SUCCESS;
-}
-
-int dal_acceleration(dal_mechanics *mechanics, double t, const double *x, double *vdot)
-{
-    if (!mechanics) return DAL_EINVAL;
-    if (!vdot) return dal__null_argument(mechanics, "vdot");
-    dal_mechanics *const mech = mechanics;
     const size_t n = mech->n;
-    int status = solve_multipliers(mech, t, x);
-    if (status) return status;
-    for (size_t i = 0; i < n; i++) {
-        double sum = mech->force[i];
-        for (size_t a = 0; a < mech->m; a++) sum += mech->mu[a * n + i] * mech->lambda[a];
-        mech->step[i] = sum;
-    }
-    dal__accelerate(mech, mech->step, mech->q);
-    return DAL__DELIVER(&mech->error, {"vdot", n, mech->q, vdot});
+    dal__copy(n, mech->force, mech->step);
+    for (size_t a = 0; a < mech->m; a++)
+        dal__add(n, mech->lambda[a], mech->forms.mu + a * n, mech->step);
+    dal__accelerate(mech, mech->step, mech->w);
 }
 
-int dal_field(dal_mechanics *mechanics, double t, const double *x, double *xdot)
+int dal_multipliers(dal_mechanics *mech, double t, const double *x, double *lambda)
 {
-    if (!mechanics) return DAL_EINVAL;
-    if (!xdot) return dal__null_argument(mechanics, "xdot");
-    const size_t n = mechanics->n;
-    const int status = dal_acceleration(mechanics, t, x, mechanics->w);
+    const int status = solve_multipliers(mech, "lambda", lambda, t, x);
+    if (!status) dal__copy(mech->m, mech->lambda, lambda);
+    return status;
+}
+
+int dal_acceleration(dal_mechanics *mech, double t, const double *x, double *vdot)
+{
+    const int status = solve_multipliers(mech, "vdot", vdot, t, x);
     if (status) return status;
-    memmove(xdot, x + n, n * sizeof *xdot);
-    memcpy(xdot + n, mechanics->w, n * sizeof *xdot);
+    form_acceleration(mech);
+    return DAL__DELIVER(&mech->error, {"vdot", mech->n, mech->w, vdot});
+}
+
+int dal_field(dal_mechanics *mech, double t, const double *x, double *xdot)
+{
+    int status = solve_multipliers(mech, "xdot", xdot, t, x);
+    if (status) return status;
+    const size_t n = mech->n;
+    form_acceleration(mech);
+    status = dal__require_output(&mech->error, "vdot", n, mech->w);
+    if (status) return status;
+    dal__copy(n, x + n, xdot);
+    dal__copy(n, mech->w, xdot + n);
     return DAL_SUCCESS;
 }
 
-int dal_perturbed(dal_mechanics *mechanics, double t, double weight, const double *x,
+int dal_perturbed(dal_mechanics *mech, double t, double weight, const double *x,
                   const double *ghat, double *xdot, double *lambda)
 {
-    if (!mechanics) return DAL_EINVAL;
-    dal_mechanics *const mech = mechanics;
+    if (!mech) return DAL_EINVAL;
     const size_t n = mech->n, m = mech->m;
-    int status = dal__require_finite(mech, "weight", 1, &weight);
-    if (!status) status = dal__require_finite(mech, "ghat", 2 * n, ghat);
-    if (!status) status = solve_multipliers(mech, t, x);
+    const dal__forms *const at = &mech->forms;
+    int status = DAL__REQUIRE_FINITE(&mech->error, {"weight", 1, &weight}, {"ghat", 2 * n, ghat});
+    if (!status) status = solve_multipliers(mech, "x", x, t, x);
     if (status) return status;
     for (size_t a = 0; a < m; a++) /* hatLambday: C is still factored */
-        mech->phi[a] = -weight * (dal__dot(n, mech->dmu + a * n, ghat)
-                                  + dal__dot(n, mech->mu + a * n, ghat + n));
-    dal__solve_gram(mech, mech->phi);
-    for (size_t a = 0; a < m; a++) mech->lambda[a] += mech->phi[a];
-    for (size_t i = 0; i < n; i++) {
-        mech->step[i] = mech->force[i];
-        for (size_t a = 0; a < m; a++) mech->step[i] += mech->mu[a * n + i] * mech->lambda[a];
-    }
-    dal__accelerate(mech, mech->step, mech->w);
-    for (size_t i = 0; xdot && i < n; i++) {
-        const double v = x[n + i]; /* xdot may be x, or ghat */
-        mech->q[i] = v + weight * ghat[i];
-        mech->w[i] += weight * ghat[n + i];
-    }
+        at->phi[a] = -weight * (dal__dot(n, at->dmu + a * n, ghat)
+                                + dal__dot(n, at->mu + a * n, ghat + n));
+    dal__solve_gram(mech, at->phi);
+    dal__add(m, 1.0, at->phi, mech->lambda);
+    form_acceleration(mech);
+    dal__copy(n, x + n, mech->point); /* xdot may be x, or ghat */
+    dal__copy(n, mech->w, mech->point + n);
+    dal__add(2 * n, weight, ghat, mech->point);
     return DAL__DELIVER(&mech->error, {"lambda", m, mech->lambda, lambda},
-                        {"xdot", n, mech->q, xdot}, {"xdot", n, mech->w, xdot ? xdot + n : NULL});
+                        {"xdot", 2 * n, mech->point, xdot});
 }
 
-int dal_power(dal_mechanics *mechanics, double t, const double *x, double *constraint,
-              double *force)
+int dal_power(dal_mechanics *mech, double t, const double *x, double *constraint, double *force)
 {
-    if (!mechanics) return DAL_EINVAL;
-    dal_mechanics *const mech = mechanics;
-    const size_t n = mech->n;
     double of_constraint = 0.0;
-    int status = solve_multipliers(mech, t, x);
+    int status = solve_multipliers(mech, "x", x, t, x);
     if (status) return status;
-    const double *const v = velocity(mech, x);
+    const size_t n = mech->n;
+    const double *const v = x + n;
     for (size_t a = 0; a < mech->m; a++)
-        of_constraint += mech->lambda[a] * dal__dot(n, mech->mu + a * n, v);
+        of_constraint += mech->lambda[a] * dal__dot(n, mech->forms.mu + a * n, v);
     status = dal__force(&mech->eval, t, x, v, mech->step, NULL, NULL, &mech->error);
     if (status) return status;
     const double of_force = dal__dot(n, mech->step, v);
@@ -556,19 +542,8 @@ static double mass_norm(dal_mechanics *mech, double *d)
 {
     const double largest = dal__largest(mech->n, d);
     for (size_t i = 0; largest > 0.0 && i < mech->n; i++) d[i] /= largest;
-    dal__apply(mech->n, mech->n, mech->metric, d, mech->step);
+    dal__apply(mech->n, mech->n, mech->metric.M, d, mech->step);
     return largest * sqrt(fmax(0.0, dal__dot(mech->n, d, mech->step)));
-}
-
-/* x takes the velocity of mech->point, unless that overflowed. */
-static int accept(dal_mechanics *mech, double *x, double *distance)
-{
-    const size_t n = mech->n;
-    const double *const w = velocity(mech, mech->point);
-    for (size_t i = 0; i < n; i++) mech->q[i] = w[i] - x[n + i];
-    const double moved = mass_norm(mech, mech->q);
-    return DAL__DELIVER(&mech->error, {"consistent velocity", n, w, x + n},
-                        {"distance", 1, &moved, distance});
 }
 
 typedef struct shifted {
@@ -576,20 +551,19 @@ typedef struct shifted {
     double t, shift;
 } shifted;
 
-/* Of the velocity w of mech->point for phi(q - shift w, w) = 0, along Z as it is. */
+/* Of the velocity v of mech->point for phi(q - shift v, v) = 0, along Z as it is. */
 static int find_step(dal__newton *equations)
 {
     const shifted *const s = equations->ctx;
     dal_mechanics *const mech = s->mech;
-    const double shift = s->shift;
-    const double *const q = mech->point, *const w = velocity(mech, q);
-    for (size_t i = 0; i < mech->n; i++) mech->q[i] = q[i] - shift * w[i];
-    int status = dal__constraint(&mech->eval, s->t, mech->q, w, mech->phi, mech->mu,
-                                 shift != 0.0 ? mech->dmu : NULL, NULL, &mech->error);
+    const dal__forms *const at = &mech->forms;
+    move_node(mech, s->shift, mech->point);
+    int status = evaluate_forms(mech, s->t, mech->point + mech->n, s->shift != 0.0);
     if (status) return status;
-    if (shift != 0.0) equations->moves = dal__forms_move(mech, mech->mu, mech->dmu, mech->q);
-    for (size_t k = 0; shift != 0.0 && k < mech->m * mech->n; k++)
-        mech->mu[k] -= shift * mech->dmu[k];
+    if (s->shift != 0.0) {
+        equations->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
+        dal__add(mech->m * mech->n, -s->shift, at->dmu, at->mu);
+    }
     status = factor_product(mech);
     if (!status) find_change(mech, equations->step);
     return status;
@@ -599,13 +573,15 @@ static int find_step(dal__newton *equations)
 static int find_velocity(dal_mechanics *mech, double t, double shift)
 {
     const size_t n = mech->n;
-    double relative, *const w = mech->point + n;
+    const double *const per_unit = mech->metric.per_unit;
+    double relative, *const v = mech->point + n;
     int status = DAL_SUCCESS;
+    if (mech->m == 0) return DAL_SUCCESS;
     if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR) {
         shifted s = {mech, t, shift};
         dal__newton equations = {.find_step = find_step, .ctx = &s, .size = n, .measured = n,
-                                 .n = n, .per_unit = mech->per_unit, .z = w, .step = mech->step,
-                                 .base = dal_residual_extent(n, mech->per_unit, w),
+                                 .n = n, .per_unit = per_unit, .z = v, .step = mech->step,
+                                 .base = dal_residual_extent(n, per_unit, v),
                                  .advice = "there may be no such velocity of D here"};
         status = dal__newton_run(&equations, &mech->error);
     }
@@ -614,18 +590,27 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
     return status ? status : factor_product(mech); /* without full rank it is refused for any v */
 }
 
-int dal_project(dal_mechanics *mechanics, double t, double shift, double *x, double *distance)
+/* The velocity of x[2n] moves along Z, unless it would overflow. */
+static int move_velocity(dal_mechanics *mech, double t, double shift, double *x, double *distance)
 {
-    if (!mechanics) return DAL_EINVAL;
-    dal_mechanics *const mech = mechanics;
-    int status = dal__require_finite(mech, "shift", 1, &shift);
-    if (!status) status = require_state(mech, t, x);
-    if (!status) status = dal__forms_at(mech, t, 0.0, x, NULL);
+    const size_t n = mech->n;
+    const double *const v = mech->point + n;
+    dal__copy(2 * n, x, mech->point);
+    const int status = find_velocity(mech, t, shift);
     if (status) return status;
-    dal__form_Z(mech, mech->mu);
-    memcpy(mech->point, x, 2 * mech->n * sizeof *x);
-    if (mech->m > 0) status = find_velocity(mech, t, shift);
-    return status ? status : accept(mech, x, distance);
+    for (size_t i = 0; i < n; i++) mech->w[i] = v[i] - x[n + i];
+    const double moved = mass_norm(mech, mech->w);
+    return DAL__DELIVER(&mech->error, {"consistent velocity", n, v, x + n},
+                        {"distance", 1, &moved, distance});
+}
+
+int dal_project(dal_mechanics *mech, double t, double shift, double *x, double *distance)
+{
+    int status = require(mech, "x", x, shift, t, x);
+    if (!status) status = dal__forms_at(mech, t, 0.0, x, false);
+    if (status) return status;
+    dal__form_Z(mech, mech->forms.mu);
+    return move_velocity(mech, t, shift, x, distance);
 }
 
 /* Z <- the directions in which the free components alone may move, [M_ff^-1 mu_f^T, 0]: those of
@@ -634,58 +619,51 @@ static int form_free_Z(dal_mechanics *mech, const unsigned char *keep, size_t *f
 {
     const size_t n = mech->n, m = mech->m;
     double *factor, *column;
+    size_t *place, count = 0; /* of the free components */
     arena scratch = {0};
-    dal__reserve(&scratch, &factor, dal__times(n, n), sizeof *factor);
-    dal__reserve(&scratch, &column, n, sizeof *column);
+    DAL__RESERVE(&scratch, dal__times(n, n), &factor);
+    DAL__RESERVE(&scratch, n, &column);
+    dal__reserve(&scratch, &place, n, sizeof *place);
     const int status = dal__allocate(&scratch, &mech->error);
     if (status) return status;
 
-    size_t entries = 0, count = 0;
-    for (size_t i = 0; i < n; i++) {
-        if (keep[i]) continue;
-        count++;
-        for (size_t j = 0; j < n; j++)
-            if (!keep[j]) factor[entries++] = mech->metric[i * n + j];
-    }
+    for (size_t i = 0; i < n; i++)
+        if (!keep[i]) place[count++] = i;
+    for (size_t k = 0; k < count; k++)
+        for (size_t l = 0; l < count; l++)
+            factor[k * count + l] = mech->metric.M[place[k] * n + place[l]];
     /* a principal part of M is definite, as M is */
     dal__cholesky(count, factor, column, NULL, NULL);
-    memset(mech->Z, 0, m * n * sizeof *mech->Z);
+    dal__clear(m * n, mech->gram.Z);
     for (size_t a = 0; a < m; a++) {
-        size_t k = 0;
-        for (size_t i = 0; i < n; i++)
-            if (!keep[i]) column[k++] = mech->mu[a * n + i];
+        for (size_t k = 0; k < count; k++) column[k] = mech->forms.mu[a * n + place[k]];
         dal__cholesky_solve(count, factor, column);
-        k = 0;
-        for (size_t i = 0; i < n; i++)
-            if (!keep[i]) mech->Z[a * n + i] = column[k++];
+        for (size_t k = 0; k < count; k++) mech->gram.Z[a * n + place[k]] = column[k];
     }
     dal__release(&scratch);
     *free_count = count;
     return DAL_SUCCESS;
 }
 
-int dal_consistent(dal_mechanics *mechanics, double t, const unsigned char *keep, double *x,
+int dal_consistent(dal_mechanics *mech, double t, const unsigned char *keep, double *x,
                    double *distance)
 {
-    if (!keep) return dal_project(mechanics, t, 0.0, x, distance);
-    if (!mechanics) return DAL_EINVAL;
-    dal_mechanics *const mech = mechanics;
-    const size_t n = mech->n, m = mech->m;
+    if (!keep) return dal_project(mech, t, 0.0, x, distance);
     size_t free_count = 0;
-    int status = require_state(mech, t, x);
-    if (!status) status = dal__forms_at(mech, t, 0.0, x, NULL);
-    if (!status && m > 0) status = form_free_Z(mech, keep, &free_count);
+    int status = require(mech, "x", x, 0.0, t, x);
+    if (!status) status = dal__forms_at(mech, t, 0.0, x, false);
+    if (!status) status = form_free_Z(mech, keep, &free_count);
     if (status) return status;
-    memcpy(mech->point, x, 2 * n * sizeof *x);
-    if (m > 0) status = find_velocity(mech, t, 0.0);
+    const size_t n = mech->n;
+    status = move_velocity(mech, t, 0.0, x, distance);
     if (status == DAL_ESINGULAR)
         return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu "
                          "restricted to the other %zu has rank below m = %zu", n - free_count, n,
-                         free_count, m);
+                         free_count, mech->m);
     if (status == DAL_ENOCONV && free_count < n)
         return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of D was found with %zu of %zu "
                          "components kept: there may be none", n - free_count, n);
-    return status ? status : accept(mech, x, distance);
+    return status;
 }
 
 /* ---- many states ------------------------------------------------------------------------- */
@@ -700,29 +678,29 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
         const double t = t0 + (double)(first + k) * h;
         double E = 0.0, worst = 0.0;
         bool consistent;
-        status = require_state(mech, t, x);
+        status = require(mech, "x", x, shift, t, x);
         if (!status && energy) status = dal_energy(mech, t, x, &E);
-        if (!status && multipliers) status = solve_multipliers(mech, t, x);
+        if (!status && multipliers) status = solve_multipliers(mech, "x", x, t, x);
         if (!status && (residual || relative))
             status = dal__lies_in_D(mech, t, shift, x, &worst, &consistent);
         if (status) return status;
         /* nothing of a row is written before all of it is known */
         if (energy) energy[k] = E;
-        if (multipliers) memcpy(multipliers + k * m, mech->lambda, m * sizeof *multipliers);
-        if (residual) memcpy(residual + k * m, mech->phi, m * sizeof *residual);
+        if (multipliers) dal__copy(m, mech->lambda, multipliers + k * m);
+        if (residual) dal__copy(m, mech->forms.phi, residual + k * m);
         if (relative) relative[k] = worst;
         if (done) *done = k + 1;
     }
     return status;
 }
 
-int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift, size_t count,
+int dal_trajectory(dal_mechanics *mech, double t0, double h, double shift, size_t count,
                    const double *x, double *energy, double *multipliers, double *residual,
                    double *relative, size_t *done)
 {
     if (done) *done = 0;
-    if (!mechanics) return DAL_EINVAL;
-    if (!x && count > 0) return dal__null_argument(mechanics, "x");
-    return dal__trajectory(mechanics, t0, h, 0, shift, count, x, energy, multipliers, residual,
-                           relative, done);
+    if (!mech) return DAL_EINVAL;
+    if (!x && count > 0) return dal__null_argument(mech, "x");
+    return dal__trajectory(mech, t0, h, 0, shift, count, x, energy, multipliers, residual, relative,
+                           done);
 }

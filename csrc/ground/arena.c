@@ -59,6 +59,7 @@ int dal__allocate(arena *a, dal_error *error)
 
 void dal__release(arena *a)
 {
-    free(a->block);
+    void *const block = a->block;
     a->block = NULL;
+    free(block);
 }

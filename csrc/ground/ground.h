@@ -45,6 +45,23 @@ __attribute__((format(printf, 4, 5)))
 int dal__fail_because(dal_error *error, int status, const dal_error *cause, const char *format,
                       ...);
 
+/* Before an object of this name is made for a system: clears the error.  DAL_EINVAL if NULL is the
+ * address where it is to go, or the system. */
+int dal__require_new(dal_error *error, const char *name, const void *object, const void *system);
+
+/* An argument of this name, which has to be there, and its x[count] finite. */
+typedef struct dal__numbers {
+    const char *name;
+    size_t count;
+    const double *x;
+} dal__numbers;
+
+/* DAL_EINVAL, and the text names the first that is not as it has to be. */
+int dal__require_numbers(dal_error *error, size_t count, const dal__numbers *arguments);
+#define DAL__REQUIRE_FINITE(error, ...) \
+    dal__require_numbers(error, DAL_LENGTH(((dal__numbers[]){__VA_ARGS__})), \
+                        (dal__numbers[]){__VA_ARGS__})
+
 /* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);
 
@@ -92,10 +109,14 @@ typedef struct arena {
 
 /* Plans count elements of size bytes for *slot (the address of a pointer to any object type). */
 void dal__reserve(arena *a, void *slot, size_t count, size_t size);
-/* The same of doubles for each of slot[slots]. */
+/* The same of doubles for each of slot[slots]; as a call, for each of the addresses given. */
 void dal__reserve_doubles(arena *a, size_t slots, double **const slot[], size_t count);
+#define DAL__RESERVE(a, count, ...) \
+    dal__reserve_doubles(a, DAL_LENGTH(((double **[]){__VA_ARGS__})), (double **[]){__VA_ARGS__}, \
+                         count)
 /* Zero-filled memory for all that was reserved; DAL_ENOMEM. */
 int dal__allocate(arena *a, dal_error *error);
+/* The arena may be part of what lies in its memory. */
 void dal__release(arena *a);
 
 /* a*b, or SIZE_MAX where that overflows. */

@@ -79,6 +79,25 @@ int dal__fail_because(dal_error *error, int status, const dal_error *cause, cons
     return status;
 }
 
+int dal__require_new(dal_error *error, const char *name, const void *object, const void *system)
+{
+    if (!object || !system)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", object ? "system" : name);
+    return dal__fail(error, DAL_SUCCESS, "%s", "");
+}
+
+int dal__require_numbers(dal_error *error, size_t count, const dal__numbers *arguments)
+{
+    for (const dal__numbers *a = arguments; a < arguments + count; a++) {
+        if (!a->x) return dal__fail(error, DAL_EINVAL, "%s is NULL", a->name);
+        for (size_t i = 0; i < a->count; i++)
+            if (!isfinite(a->x[i]))
+                return dal__fail(error, DAL_EINVAL, "%s[%zu] = %g is not finite", a->name, i,
+                                 a->x[i]);
+    }
+    return DAL_SUCCESS;
+}
+
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x)
 {
     for (size_t i = 0; x && i < count; i++)

@@ -227,13 +227,13 @@ static void find_not_finite(beta *self, dal_mechanics *mech)
     for (size_t i = 0; i < n; i++) start[i] = k->at.x[i] - k->shift * k->h * k->at.x[n + i];
     if (dal__all_finite(n, k->at.node)
         && (dal__potential(&mech->eval, t_start, start, NULL, mech->force, NULL, found)
-            || dal__constraint(&mech->eval, t_node, k->at.node, k->at.x + n, NULL, mech->mu, NULL,
-                               NULL, found)
+            || dal__constraint(&mech->eval, t_node, k->at.node, k->at.x + n, NULL, mech->forms.mu,
+                               NULL, NULL, found)
             || dal__potential(&mech->eval, t_node, k->at.node, NULL, mech->force, NULL, found)))
         return;
     if (dal__all_finite(n, k->at.point) && dal__all_finite(n, k->at.w)
-        && (dal__constraint(&mech->eval, t_end, k->at.point, k->at.w, NULL, mech->mu, mech->dmu,
-                            NULL, found)
+        && (dal__constraint(&mech->eval, t_end, k->at.point, k->at.w, NULL, mech->forms.mu,
+                            mech->forms.dmu, NULL, found)
             || dal__potential(&mech->eval, t_end, k->at.point, NULL, mech->force, NULL, found)))
         return;
     dal__fail(found, DAL_EDOMAIN, "a number is not finite; try a smaller h");

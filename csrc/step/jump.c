@@ -23,13 +23,13 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
     if (e->constant_mass) {
         double V = 0.0;
         status = dal__potential(e, 0.0, y, &V, NULL, NULL, &mech->error);
-        dal__apply(n, n, mech->metric, y + n, mech->step);
+        dal__apply(n, n, mech->metric.M, y + n, mech->step);
         *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
         *E = *kinetic + V;
     } else {
         status = dal__form_metric(mech, 0.0, y, y + n);
         if (!status) status = dal__energy(mech, 0.0, y, E);
-        dal__apply(n, n, mech->metric, y + n, mech->step);
+        dal__apply(n, n, mech->metric.M, y + n, mech->step);
         *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
     }
     e->potential_calls = calls[0];

@@ -72,8 +72,8 @@ static int solve_linear(newton *s, int *sign)
         for (size_t b = 0; b < m; b++)
             s->S.A[a * m + b] = dal__dot(n, s->B + a * n, s->KZ + b * n);
     for (size_t a = 0; a < m; a++) {
-        s->S.sizes[a] = dal_residual_form(n, mech->unit, s->B + a * n);
-        s->S.sizes[m + a] = dal_residual_speed(n, mech->per_unit, s->KZ + a * n);
+        s->S.sizes[a] = dal_residual_form(n, mech->metric.unit, s->B + a * n);
+        s->S.sizes[m + a] = dal_residual_speed(n, mech->metric.per_unit, s->KZ + a * n);
     }
     *sign *= dal__linear_factor(&s->S);
     if (*sign == 0)
@@ -103,7 +103,7 @@ static int find_step(dal__newton *equations)
 static int iterate(newton *s)
 {
     dal__newton equations = {.find_step = find_step, .ctx = s, .size = s->n + s->m, .n = s->n,
-                             .measured = s->n, .per_unit = s->mech->per_unit, .z = s->z,
+                             .measured = s->n, .per_unit = s->mech->metric.per_unit, .z = s->z,
                              .step = s->step, .most = s->max_iterations};
     const int status = dal__newton_run(&equations, &s->mech->error);
     s->stats->halvings += (size_t)equations.progress.halvings;

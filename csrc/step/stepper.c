@@ -156,12 +156,12 @@ static int make_consistent(dal_stepper *self, double t0, double shift, dal_consi
 static int check_steady(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
-    dal__form_Z(mech, mech->mu);
+    dal__form_Z(mech, mech->forms.mu);
     for (size_t i = 0; i < n; i++) {
         double pushed = 0.0, turns = 0.0;
         for (size_t a = 0; a < m; a++) {
-            pushed = fmax(pushed, fabs(mech->Z[a * n + i]));
-            turns = fmax(turns, fabs(mech->dmu[a * n + i]));
+            pushed = fmax(pushed, fabs(mech->gram.Z[a * n + i]));
+            turns = fmax(turns, fabs(mech->forms.dmu[a * n + i]));
         }
         if (pushed != 0.0 && turns != 0.0)
             return dal__fail(&mech->error, DAL_EINVAL, "the system is declared steady, but "
@@ -180,8 +180,8 @@ static int probe(dal_stepper *self, double t0)
     const dal__jet jet = {.L_q = mech->force, .L_v = mech->momentum, .L_qq = mech->hessian,
                           .L_vq = mech->L_vq, .L_vv = mech->L_vv};
     const dal__jet simple = {.L_q = mech->force, .L_qq = mech->hessian};
-    int status = dal__constraint(&mech->eval, t0, q, v, mech->phi, mech->mu, mech->dmu, NULL,
-                                 &mech->error);
+    int status = dal__constraint(&mech->eval, t0, q, v, mech->forms.phi, mech->forms.mu,
+                                 mech->forms.dmu, NULL, &mech->error);
     if (!status && mech->eval.system->def.steady) status = check_steady(mech);
     if (!status)
         status = dal__lagrangian(&mech->eval, t0, q, v, mech->eval.constant_mass ? &simple : &jet,

@@ -154,9 +154,10 @@ static int iterate(multiroot *s, dal_stats *stats)
 static int refuse_singular(multiroot *s)
 {
     const double t = s->mech->start.end;
-    int status = dal__constraint(&s->mech->eval, t, s->mech->q, s->w, NULL, s->mech->mu, NULL, NULL,
+    const dal__forms *const at = &s->mech->forms;
+    int status = dal__constraint(&s->mech->eval, t, at->q, s->w, NULL, at->mu, NULL, NULL,
                                  &s->mech->error);
-    if (!status) status = dal__form_metric(s->mech, t, s->mech->q, s->w);
+    if (!status) status = dal__form_metric(s->mech, t, at->q, s->w);
     if (status || s->m == 0) return status;
     return dal__factor_gram(s->mech);
 }

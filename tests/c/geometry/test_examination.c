@@ -979,6 +979,29 @@ static void test_late_force(void)
     CHECK(finds(&report, "f_v[0,0]") && report.f_v.given == 0.0 && report.f_q.error == 0.0);
 }
 
+/* mu vanishes one unit of time later, where what depends on time is examined once more; its rank is
+ * that at the time asked for. */
+static int fading_constraint(double t, const double *q, const double *v, double *phi,
+                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
+{
+    (void)q, (void)ctx;
+    if (phi) phi[0] = (1.0 - t) * v[0];
+    if (phi_v) phi_v[0] = 1.0 - t, phi_v[1] = 0.0;
+    fill(2, phi_q, 0.0);
+    if (phi_t) phi_t[0] = -v[0];
+    return 0;
+}
+
+static void test_fading(void)
+{
+    const double mass[4] = {2, 0, 0, 3}, x[4] = {0, 0, 0, 1};
+    const dal_system_def def = {.n = 2, .m = 1, .mass = mass, .constraint = fading_constraint,
+                                .time_dependent = 1};
+    dal_check report;
+    CHECK(examine_def(&def, x, &report, NULL) == 0 && report.passed);
+    CHECK(report.rank == 1 && report.condition == 1.0 && report.phi_t.checked);
+}
+
 /* The second velocity lies outside the domain of L, f and a nonlinear phi: it is passed over. */
 static void test_passed_over(void)
 {
@@ -1167,6 +1190,7 @@ int main(void)
     test_indefinite();
     test_same_mass();
     test_late_force();
+    test_fading();
     test_passed_over();
     test_general_missing();
     test_general_unwritten();

@@ -745,6 +745,25 @@ static void test_residual_of_large_numbers(void)
     dal_system_free(particle);
 }
 
+/* The equations of a step want M where it ends too; that is not the metric where it began. */
+static void test_metric_stands(void)
+{
+    dal_system *const system = open_system("genmass");
+    dal_mechanics *const mech = open_mechanics(system);
+    const size_t n = dal_system_n(system);
+    const double kappa[M] = {0.0};
+    double x[2 * N], y[2 * N], here[N * N], K[N * N];
+    somewhere(n, 1, x);
+    somewhere(n, 2, y);
+    CHECK(dal_metric(mech, 0.0, x, here) == 0);
+    CHECK(dal_step_equations(mech, 0.0, 0.5, 0.1, x, y, kappa, NULL, NULL, K, NULL, NULL) == 0);
+    CHECK(dal__renew_metric(mech, 0.0, x, x + n) == 0);
+    CHECK(memcmp(mech->metric.M, here, n * n * sizeof *here) == 0);
+    CHECK(memcmp(mech->L_vv, here, n * n * sizeof *here) != 0);
+    dal_mechanics_free(mech);
+    dal_system_free(system);
+}
+
 int main(void)
 {
     test_particle();
@@ -767,5 +786,6 @@ int main(void)
     test_equations_by_hand();
     test_errors();
     test_no_constraint();
+    test_metric_stands();
     return check_done();
 }
