@@ -20,7 +20,6 @@ robot = dal.systems.robot()
 h, steps = 0.05, 2000
 pairs = [(0.5, 0.5), (0.25, 0.5), (0.0, 0.5), (0.5, 0.0), (0.5, 1.0)]
 
-
 errors = {}
 print("beta_L  beta_D    min E - E(0)    max E - E(0)      of mu v")
 for pair in pairs:
