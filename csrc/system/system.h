@@ -37,9 +37,6 @@ typedef struct evaluator {
     void *constraint_ctx;
     bool constant_mass;
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
-    double time;                      /* where what does not move stands in a difference, */
-    const double *position, *velocity; /* [n] */
-    dal__moves moves;                 /* and what moves */
     size_t potential_calls, constraint_calls, lagrangian_calls, force_calls;
 } evaluator;
 
