@@ -170,7 +170,7 @@ static int hessian_of_V(difference *d, double *V_qq)
     return 0;
 }
 
-static void symmetrise(size_t n, double *A)
+void dal__symmetrise(size_t n, double *A)
 {
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < i; j++) {
@@ -194,7 +194,7 @@ static int differentiate(difference *d, const output *out, double *slopes)
     for (size_t j = 0; j < columns && !returned; j++)
         returned = dal__difference(value, d, e->point, j, size(e, base), e->gradient, slopes + j,
                                    columns);
-    if (!returned && out->symmetric) symmetrise(columns, slopes);
+    if (!returned && out->symmetric) dal__symmetrise(columns, slopes);
     return returned;
 }
 

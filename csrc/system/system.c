@@ -120,9 +120,7 @@ static const char *copy_text(char **end, const char *text)
 /* The memory that a system owns, apart from what struct dal_system names. */
 typedef struct possessions {
     dal_system *self;
-    void *ctx;      /* of size bytes; what it is a copy of is at source */
-    const void *source;
-    size_t size;
+    void *ctx;
     double *state;
     const char **coordinates, **invariant_names;
     char *text;
@@ -141,7 +139,7 @@ static void plan(arena *a, possessions *own, dal_system *shape, const dal_system
     dal__reserve(a, &shape->mass_inverse, square, sizeof(double));
     dal__reserve(a, &shape->unit, def->mass ? n : 0, sizeof(double));
     dal__reserve(a, &shape->per_unit, def->mass ? n : 0, sizeof(double));
-    dal__reserve(a, &own->ctx, own->size, 1);
+    dal__reserve(a, &own->ctx, def->ctx_size, 1);
     dal__reserve(a, &own->state, dal__times(2, n), sizeof(double));
     dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
     dal__reserve(a, &own->invariant_names, def->invariants, sizeof *own->invariant_names);
@@ -185,7 +183,7 @@ static int invert_diagonal_mass(dal_system *system, dal_error *error)
     return DAL_SUCCESS;
 }
 
-/* M^-1 by columns; the mean of an entry and its mirror keeps it symmetric. */
+/* M^-1 by columns. */
 static int invert_mass(dal_system *system, dal_error *error)
 {
     const size_t n = system->def.n;
@@ -207,11 +205,7 @@ static int invert_mass(dal_system *system, dal_error *error)
             dal__cholesky_solve(n, factor, column);
             for (size_t i = 0; i < n; i++) inverse[i * n + j] = column[i];
         }
-        for (size_t i = 0; i < n; i++)
-            for (size_t j = 0; j < i; j++) {
-                const double mean = 0.5 * (inverse[i * n + j] + inverse[j * n + i]);
-                inverse[i * n + j] = inverse[j * n + i] = mean;
-            }
+        dal__symmetrise(n, inverse);
     }
     dal__release(&scratch);
     return status;
@@ -225,9 +219,22 @@ static bool is_diagonal(size_t n, const double *A)
     return true;
 }
 
-/* own: source and size of a ctx to be owned, or zeros; shape: what the system is to start as. */
-static int make(dal_system **system, const dal_system_def *def, dal_system shape, possessions own,
-                dal_error *error)
+/* What follows from M: the text of a failure names where it is not positive definite. */
+static int bind_mass(dal_system *system, const double *M, dal_error *error)
+{
+    const size_t n = system->def.n;
+    system->diagonal = is_diagonal(n, M);
+    memcpy(system->mass, M, n * n * sizeof *M);
+    const int status =
+        system->diagonal ? invert_diagonal_mass(system, error) : invert_mass(system, error);
+    for (size_t i = 0; !status && i < n; i++) {
+        system->unit[i] = sqrt(system->mass_inverse[i * n + i]);
+        system->per_unit[i] = 1.0 / system->unit[i];
+    }
+    return status;
+}
+
+int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
 {
     dal__fail(error, DAL_SUCCESS, "%s", "");
     if (!system || !def)
@@ -236,6 +243,8 @@ static int make(dal_system **system, const dal_system_def *def, dal_system shape
     if (status) return status;
 
     arena memory = {0};
+    possessions own;
+    dal_system shape = {.def = *def};
     plan(&memory, &own, &shape, def);
     status = dal__allocate(&memory, error);
     if (status) return status;
@@ -243,53 +252,19 @@ static int make(dal_system **system, const dal_system_def *def, dal_system shape
     dal_system *const self = own.self;
     *self = shape;
     self->arena = memory;
-    self->def = *def;
-    if (def->mass) {
-        self->diagonal = is_diagonal(def->n, def->mass);
-        memcpy(self->mass, def->mass, def->n * def->n * sizeof(double));
-    } else {
-        self->mass = self->mass_inverse = NULL;
-    }
+    if (!def->mass) self->mass = self->mass_inverse = NULL;
     self->def.mass = self->mass;
-    if (def->state) memcpy(own.state, def->state, 2 * def->n * sizeof(double));
-    self->def.state = def->state ? own.state : NULL;
-    if (own.size > 0) {
-        memcpy(own.ctx, own.source, own.size);
-        self->def.ctx = own.ctx;
-    }
-    if (self->parameters > 0) self->parameter_values = own.ctx;
+    if (def->state) self->def.state = memcpy(own.state, def->state, 2 * def->n * sizeof(double));
+    if (def->ctx_size > 0) self->def.ctx = memcpy(own.ctx, def->ctx, def->ctx_size);
+    self->def.ctx_size = 0; /* whoever takes the definition over borrows the copy */
     copy_names(self, &own, def);
-    if (def->mass)
-        status = self->diagonal ? invert_diagonal_mass(self, error) : invert_mass(self, error);
-    for (size_t i = 0; !status && def->mass && i < def->n; i++) {
-        self->unit[i] = sqrt(self->mass_inverse[i * def->n + i]);
-        self->per_unit[i] = 1.0 / self->unit[i];
-    }
+    if (def->mass) status = bind_mass(self, def->mass, error);
     if (status) {
         dal_system_free(self);
         return status;
     }
     *system = self;
     return DAL_SUCCESS;
-}
-
-int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
-{
-    const possessions own = {.source = def ? def->ctx : NULL, .size = def ? def->ctx_size : 0};
-    return make(system, def, (dal_system){0}, own, error);
-}
-
-int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
-                     const char *const *names, const double *values, dal_error *error)
-{
-    return make(system, def, (dal_system){.parameters = parameters, .parameter_names = names},
-                (possessions){.source = values, .size = parameters * sizeof *values}, error);
-}
-
-int dal__system_wrap(dal_system **system, const dal_system_def *def, const void *ctx, size_t size,
-                     dal_error *error)
-{
-    return make(system, def, (dal_system){0}, (possessions){.source = ctx, .size = size}, error);
 }
 
 void dal_system_free(dal_system *system)
@@ -321,7 +296,7 @@ const char *dal_system_coordinate(const dal_system *system, size_t i)
 
 const char *dal_system_parameter_name(const dal_system *system, size_t i)
 {
-    return i < system->parameters ? system->parameter_names[i] : NULL;
+    return i < system->parameters ? system->parameter[i].name : NULL;
 }
 
 double dal_system_parameter(const dal_system *system, size_t i)
@@ -342,47 +317,34 @@ int dal_system_state(const dal_system *system, double *x)
     return DAL_SUCCESS;
 }
 
-/* Scratch for an answer[count] that is handed over whole or not at all; NaN, so that what is never
+/* answer[count] <- f at (t, x), all of it or nothing.  It is NaN before, so that what is never
  * written is found. */
-static int open_answer(arena *scratch, size_t count, double **fresh)
+static int answer_by(const dal_system *system, dal_exact_fn f, double t, const double *x,
+                     size_t count, double *answer)
 {
-    dal__reserve(scratch, fresh, count, sizeof **fresh);
-    const int status = dal__allocate(scratch, NULL);
-    for (size_t i = 0; !status && i < count; i++) (*fresh)[i] = (double)NAN;
-    return status;
-}
-
-static int close_answer(arena *scratch, int returned, size_t count, const double *fresh,
-                        double *answer)
-{
-    int status = dal__callback_status(returned);
+    if (!x || !answer || !isfinite(t)) return DAL_EINVAL;
+    if (!f) return DAL_EUNSUPPORTED;
+    arena scratch = {0};
+    double *fresh;
+    dal__reserve(&scratch, &fresh, count, sizeof *fresh);
+    int status = dal__allocate(&scratch, NULL);
+    if (status) return status;
+    dal__forget(count, fresh);
+    status = dal__callback_status(f(t, x, fresh, system->def.ctx));
     if (!status && !dal__all_finite(count, fresh)) status = DAL_EDOMAIN;
     if (!status) memcpy(answer, fresh, count * sizeof *answer);
-    dal__release(scratch);
+    dal__release(&scratch);
     return status;
 }
 
 int dal_system_exact(const dal_system *system, double t, const double *x0, double *x)
 {
-    if (!system || !x0 || !x || !isfinite(t)) return DAL_EINVAL;
-    const dal_system_def *const def = &system->def;
-    if (!def->exact) return DAL_EUNSUPPORTED;
-    arena scratch = {0};
-    double *fresh;
-    const int status = open_answer(&scratch, 2 * def->n, &fresh);
-    if (status) return status;
-    return close_answer(&scratch, def->exact(t, x0, fresh, def->ctx), 2 * def->n, fresh, x);
+    if (!system) return DAL_EINVAL;
+    return answer_by(system, system->def.exact, t, x0, 2 * system->def.n, x);
 }
 
 int dal_system_invariant(const dal_system *system, double t, const double *x, double *values)
 {
-    if (!system || !x || !values || !isfinite(t)) return DAL_EINVAL;
-    const dal_system_def *const def = &system->def;
-    if (!def->invariant) return DAL_EUNSUPPORTED;
-    arena scratch = {0};
-    double *fresh;
-    const int status = open_answer(&scratch, def->invariants, &fresh);
-    if (status) return status;
-    return close_answer(&scratch, def->invariant(t, x, fresh, def->ctx), def->invariants, fresh,
-                        values);
+    if (!system) return DAL_EINVAL;
+    return answer_by(system, system->def.invariant, t, x, system->def.invariants, values);
 }

@@ -4,6 +4,17 @@
 
 #include "algebra/algebra.h"
 
+/* The values that a parameter may take; WHOLE: 1, 2, ... up to most. */
+typedef enum range { POSITIVE, NOT_NEGATIVE, FINITE, WHOLE } range;
+
+/* A parameter of a built-in system. */
+typedef struct parameter {
+    const char *name;
+    double value; /* the default */
+    range range;
+    unsigned most;
+} parameter;
+
 struct dal_system {
     dal_system_def def;      /* the strings, mass and state point into the arena */
     double *mass;            /* M[n*n]; NULL for a general Lagrangian, as the next */
@@ -11,18 +22,10 @@ struct dal_system {
     double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;           /* M is diagonal */
     size_t parameters;       /* of a built-in system */
-    const char *const *parameter_names;
-    double *parameter_values;
+    const parameter *parameter;
+    const double *parameter_values; /* its ctx */
     arena arena;
 };
-
-/* dal_system_new for a built-in system: names must be static, values are copied and become ctx. */
-int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
-                     const char *const *names, const double *values, dal_error *error);
-
-/* dal_system_new with a ctx of size bytes that the system keeps a copy of. */
-int dal__system_wrap(dal_system **system, const dal_system_def *def, const void *ctx, size_t size,
-                     dal_error *error);
 
 /* The callbacks of a system as the rest of the library calls them: derivatives that the user does
  * not give are differenced, calls are counted.  One evaluator for each thread.  potential and
@@ -73,6 +76,8 @@ typedef int (*dal__function)(const double *q, double *f, void *ctx);
  * is not 0. */
 int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
                     double *value, double *slope, size_t stride);
+/* A[n*n] <- (A + A^T)/2. */
+void dal__symmetrise(size_t n, double *A);
 /* The distance of these points at a coordinate q. */
 double dal__spacing(double q);
 

@@ -2,7 +2,27 @@
 #include "system/builtin/builtin.h"
 
 #include <stdio.h>
-#include <string.h>
+
+/* v_x = -sum_i y_i v_zi with q = (x, y_1..y_pairs, z_1..z_pairs): mu = (1, 0..0, y_1..y_pairs) */
+static inline void constraint_gears(size_t pairs, const double *q, const double *v, double *phi,
+                                    double *phi_v, double *phi_q)
+{
+    const double *y = q + 1, *v_z = v + 1 + pairs;
+    if (phi) phi[0] = v[0];
+    if (phi_v) phi_v[0] = 1.0;
+    if (phi_q) phi_q[0] = 0.0;
+    for (size_t i = 0; i < pairs; i++) {
+        if (phi) phi[0] += y[i] * v_z[i];
+        if (phi_v) {
+            phi_v[1 + i] = 0.0;
+            phi_v[1 + pairs + i] = y[i];
+        }
+        if (phi_q) {
+            phi_q[1 + i] = v_z[i];
+            phi_q[1 + pairs + i] = 0.0;
+        }
+    }
+}
 
 /* ---- contact_oscillator (McLachlan & Perlmutter): q = (x, y, z), mu = (1, 0, y) ---------- */
 
@@ -20,20 +40,18 @@ static int contact_oscillator_potential(double t, const double *q, double *V, do
     const double *p = ctx, eps = p[0], x = q[0], y = q[1], z = q[2];
     if (V) *V = (x * x + y * y + (1.0 + eps * x * x) * z * z) / 2;
     if (V_q) set3(V_q, x * (1.0 + eps * z * z), y, z * (1.0 + eps * x * x));
-    if (V_qq) {
-        set3(V_qq, 1.0 + eps * z * z, 0.0, 2 * eps * x * z);
-        set3(V_qq + 3, 0.0, 1.0, 0.0);
-        set3(V_qq + 6, 2 * eps * x * z, 0.0, 1.0 + eps * x * x);
-    }
+    const double V_xz = 2 * eps * x * z;
+    if (V_qq)
+        set(V_qq, 9, (double[]){1.0 + eps * z * z, 0.0, V_xz,
+                                0.0, 1.0, 0.0,
+                                V_xz, 0.0, 1.0 + eps * x * x});
     return 0;
 }
 
 static int contact_oscillator_constraint(double t, const double *q, const double *v, double *phi,
                                          double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    if (phi) phi[0] = v[0] + q[1] * v[2];
-    if (phi_v) set3(phi_v, 1.0, 0.0, q[1]);
-    if (phi_q) set3(phi_q, 0.0, v[2], 0.0);
+    constraint_gears(1, q, v, phi, phi_v, phi_q);
     return 0;
 }
 
@@ -58,8 +76,8 @@ const builtin dal__contact_oscillator = {
               "J. Nonlinear Sci. 16 (2006) 283-328",
     .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2 - (x^2 + y^2 + z^2 + eps x^2 z^2)/2\n"
                 "v_x + y v_z = 0",
-    .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
-    .parameters = {"eps"}, .defaults = {0.0}, .ranges = {NOT_NEGATIVE},
+    .m = 1, .coordinates = {"x", "y", "z"},
+    .parameters = {{"eps", 0.0, NOT_NEGATIVE}},
     .state = contact_oscillator_state,
     .potential = contact_oscillator_potential,
     .constraint = contact_oscillator_constraint, .steady = DAL_STEADY_PROVED,
@@ -142,30 +160,10 @@ static int chaotic_potential(double t, const double *q, double *V, double *V_q, 
     return 0;
 }
 
-/* mu = (1, 0..0, y_1..y_pairs) */
 static int chaotic_constraint(double t, const double *q, const double *v, double *phi,
                               double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
-    const size_t pairs = chaotic_pairs(ctx);
-    const double *y = q + 1;
-    if (phi) {
-        phi[0] = v[0];
-        for (size_t i = 0; i < pairs; i++) phi[0] += y[i] * v[1 + pairs + i];
-    }
-    if (phi_v) {
-        phi_v[0] = 1.0;
-        for (size_t i = 0; i < pairs; i++) {
-            phi_v[1 + i] = 0.0;
-            phi_v[1 + pairs + i] = y[i];
-        }
-    }
-    if (phi_q) {
-        phi_q[0] = 0.0;
-        for (size_t i = 0; i < pairs; i++) {
-            phi_q[1 + i] = v[1 + pairs + i];
-            phi_q[1 + pairs + i] = 0.0;
-        }
-    }
+    constraint_gears(chaotic_pairs(ctx), q, v, phi, phi_v, phi_q);
     return 0;
 }
 
@@ -181,20 +179,13 @@ const builtin dal__chaotic = {
                 "+ y_i^2 z_i^2))/2\n"
                 "v_x + sum_i(y_i v_z_i) = 0",
     .sizes = chaotic_sizes, .coordinate = chaotic_coordinate,
-    .parameters = {"pairs"}, .defaults = {3.0}, .ranges = {WHOLE}, .most = {1000},
+    .parameters = {{"pairs", 3.0, WHOLE, 1000}},
     .state = chaotic_state,
     .potential = chaotic_potential,
     .constraint = chaotic_constraint, .steady = DAL_STEADY_PROVED,
 };
 
 /* ---- genmass: q = (q1, q2, q3), a Lagrangian in which nothing vanishes -------------------- */
-
-static void genmass_state(const double *p, double *x)
-{
-    (void)p;
-    set3(x, 0.4, -0.3, 0.2);
-    set3(x + 3, 0.6, 0.5, -305.0 / 1032);
-}
 
 /* L = v^T M v/2 + b v - V with
  * M = [2 + q2^2/4, q3/5, 1/10; q3/5, 3/2 + cos(q1)/3, q1/6; 1/10, q1/6, 1 + q1^2/3],
@@ -225,20 +216,14 @@ static int genmass_lagrangian(double t, const double *q, const double *v, double
              M13 * v1 + M23 * v2 + M33 * v3 + b3);
     if (L_qq) {
         const double L_12 = -v3 / 5 - q3 / 5, L_13 = -q2 / 5, L_23 = v1 / 4 - q1 / 5;
-        set3(L_qq, -c * v2 * v2 / 2 + v3 * v3 / 3 - s * v2 - 1 - 3 * q1 * q1, L_12, L_13);
-        set3(L_qq + 3, L_12, v1 * v1 / 4 - 2, L_23);
-        set3(L_qq + 6, L_13, L_23, -1.5);
+        const double L_11 = -c * v2 * v2 / 2 + v3 * v3 / 3 - s * v2 - 1 - 3 * q1 * q1;
+        set(L_qq, 9, (double[]){L_11, L_12, L_13, L_12, v1 * v1 / 4 - 2, L_23, L_13, L_23, -1.5});
     }
-    if (L_vq) {
-        set3(L_vq, 0.0, q2 * v1 / 2 + q3 / 4, v2 / 5 + q2 / 4);
-        set3(L_vq + 3, -s * v2 + v3 / 6 + c, 0.0, v1 / 5);
-        set3(L_vq + 6, v2 / 6 + 2 * q1 * v3 / 3 - q2 / 5, -q1 / 5, 0.0);
-    }
-    if (L_vv) {
-        set3(L_vv, M11, M12, M13);
-        set3(L_vv + 3, M12, M22, M23);
-        set3(L_vv + 6, M13, M23, M33);
-    }
+    if (L_vq)
+        set(L_vq, 9, (double[]){0.0, q2 * v1 / 2 + q3 / 4, v2 / 5 + q2 / 4,
+                                -s * v2 + v3 / 6 + c, 0.0, v1 / 5,
+                                v2 / 6 + 2 * q1 * v3 / 3 - q2 / 5, -q1 / 5, 0.0});
+    if (L_vv) set(L_vv, 9, (double[]){M11, M12, M13, M12, M22, M23, M13, M23, M33});
     return 0;
 }
 
@@ -265,8 +250,8 @@ const builtin dal__genmass = {
                 "+ q2 q3 v_q1/4 + sin(q1) v_q2/3 - q1 q2 v_q3/5 - V\n"
                 "-q2 v_q1 + (q1/2 + q3/4) v_q2 + (1 + q1^2/5) v_q3 = 0\n"
                 "where V = (q1^2 + 2 q2^2 + 3 q3^2/2)/2 + q1^4/4 + q1 q2 q3/5",
-    .n = 3, .m = 1, .coordinates = {"q1", "q2", "q3"},
-    .state = genmass_state,
+    .m = 1, .coordinates = {"q1", "q2", "q3"},
+    .start = {0.4, -0.3, 0.2, 0.6, 0.5, -305.0 / 1032},
     .lagrangian = genmass_lagrangian,
     .constraint = genmass_constraint,
 };

@@ -2,7 +2,6 @@
 #include "system/builtin/builtin.h"
 
 #include <stdio.h>
-#include <string.h>
 
 /* ---- snakeboard: q = (x, y, theta, psi, phi) ----------------------------------------------
  * A board with heading theta, a rotor at psi to it, and an axle at either end, a distance r from
@@ -12,10 +11,7 @@
 static void snakeboard_mass(const double *p, double *M)
 {
     const double m = p[0], r = p[1], J0 = p[2], J1 = p[3];
-    M[0] = M[6] = m;
-    M[12] = m * r * r;
-    M[13] = M[17] = M[18] = J0;
-    M[24] = 2 * J1;
+    set(M, 25, (double[25]){[0] = m, [6] = m, [12] = m * r * r, J0, [17] = J0, J0, [24] = 2 * J1});
 }
 
 static int snakeboard_check(const double *p, dal_error *error)
@@ -29,11 +25,7 @@ static int snakeboard_check(const double *p, dal_error *error)
 static void snakeboard_state(const double *p, double *x)
 {
     const double r = p[1], phi = 0.4, turn = 0.3;
-    x[4] = phi;
-    x[5] = -r * turn / tan(phi);
-    x[7] = turn;
-    x[8] = 0.5;
-    x[9] = 0.05;
+    set(x, 10, (double[10]){[4] = phi, -r * turn / tan(phi), 0.0, turn, 0.5, 0.05});
 }
 
 /* The axles move along themselves only: their normals are (-sin, cos) of theta +- phi.  By the
@@ -48,16 +40,11 @@ static int snakeboard_constraint(double t, const double *q, const double *v, dou
         const double s = heading[1] * turn[0] + sign * (heading[0] * turn[1]);
         const double c = heading[0] * turn[0] - sign * (heading[1] * turn[1]);
         if (phi) phi[i] = c * v[1] - s * v[0] + arm * turn[0] * v[2];
-        if (phi_v) {
-            const double mu[5] = {-s, c, arm * turn[0], 0.0, 0.0};
-            memcpy(phi_v + 5 * i, mu, sizeof mu);
-        }
-        if (phi_q) {
-            const double turned = -c * v[0] - s * v[1];
-            const double slope[5] = {0.0, 0.0, turned, 0.0,
-                                     sign * turned - arm * turn[1] * v[2]};
-            memcpy(phi_q + 5 * i, slope, sizeof slope);
-        }
+        if (phi_v) set(phi_v + 5 * i, 5, (double[]){-s, c, arm * turn[0], 0.0, 0.0});
+        const double turned = -c * v[0] - s * v[1];
+        if (phi_q)
+            set(phi_q + 5 * i, 5, (double[]){0.0, 0.0, turned, 0.0,
+                                             sign * turned - arm * turn[1] * v[2]});
     }
     return 0;
 }
@@ -86,9 +73,8 @@ const builtin dal__snakeboard = {
                 "+ J1 v_phi^2\n"
                 "v_y cos(theta + phi) - v_x sin(theta + phi) - r v_theta cos(phi) = 0\n"
                 "v_y cos(theta - phi) - v_x sin(theta - phi) + r v_theta cos(phi) = 0",
-    .n = 5, .m = 2, .coordinates = {"x", "y", "theta", "psi", "phi"},
-    .parameters = {"m", "r", "J0", "J1"}, .defaults = {1.0, 0.5, 0.1, 0.05},
-    .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE},
+    .m = 2, .coordinates = {"x", "y", "theta", "psi", "phi"},
+    .parameters = {{"m", 1.0}, {"r", 0.5}, {"J0", 0.1}, {"J1", 0.05}},
     .check = snakeboard_check,
     .mass = snakeboard_mass,
     .state = snakeboard_state,
@@ -284,8 +270,7 @@ const builtin dal__n_trailer = {
                 "where u_i = u_(i-1) + d v_theta_i sin(theta_i)\n"
                 "where w_i = w_(i-1) - d v_theta_i cos(theta_i)",
     .sizes = n_trailer_sizes, .coordinate = n_trailer_coordinate,
-    .parameters = {"trailers", "d", "m", "J"}, .defaults = {3.0, 1.0, 1.0, 0.1},
-    .ranges = {WHOLE, POSITIVE, POSITIVE, POSITIVE}, .most = {MAX_TRAILERS},
+    .parameters = {{"trailers", 3.0, WHOLE, MAX_TRAILERS}, {"d", 1.0}, {"m", 1.0}, {"J", 0.1}},
     .state = n_trailer_state,
     .lagrangian = n_trailer_lagrangian,
     .constraint = n_trailer_constraint,
