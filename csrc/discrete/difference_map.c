@@ -31,12 +31,6 @@ void dal__rho_bind(dal__rho *rho)
     }
 }
 
-static int refuse(int returned, dal_error *error)
-{
-    return dal__fail(error, dal__callback_status(returned), "difference map returned %d (%s)",
-                     returned, returned > 0 ? "outside its domain" : "stop");
-}
-
 static int require_finite(const char *name, size_t columns, size_t count, const double *x,
                           dal_error *error)
 {
@@ -67,25 +61,22 @@ static int value_rho(const double *q, double *value, void *ctx)
                            b->rho->map.ctx);
 }
 
-static int difference_slopes(dal__rho *rho, const dal__pair *pair, dal_error *error)
+static int difference_slopes(dal__rho *rho, const dal__pair *pair)
 {
-    const size_t n = rho->n;
+    const size_t n = rho->n, row = n * sizeof *rho->g_0;
     both b = {rho, pair->h};
-    memcpy(rho->point, pair->q0, n * sizeof *rho->point);
-    memcpy(rho->point + n, pair->q1, n * sizeof *rho->point);
-    for (size_t j = 0; j < 2 * n; j++) {
-        const int returned = dal__difference(value_rho, &b, rho->point, j, 2 * n, rho->value,
-                                             rho->slope + j, 2 * n);
-        if (returned) return refuse(returned, error);
-    }
+    memcpy(rho->point, pair->q0, row);
+    memcpy(rho->point + n, pair->q1, row);
+    const int returned =
+        dal__jacobian(value_rho, &b, 2 * n, rho->point, 2 * n, rho->value, rho->slope);
     for (size_t i = 0; i < n; i++) {
-        const size_t row = n * sizeof *rho->g_0;
-        memcpy(rho->g_0 + i * n, rho->slope + 2 * n * i, row);
-        memcpy(rho->g_1 + i * n, rho->slope + 2 * n * i + n, row);
-        memcpy(rho->f_0 + i * n, rho->slope + 2 * n * (n + i), row);
-        memcpy(rho->f_1 + i * n, rho->slope + 2 * n * (n + i) + n, row);
+        const double *const of_g = rho->slope + 2 * n * i, *const of_f = of_g + 2 * n * n;
+        memcpy(rho->g_0 + i * n, of_g, row);
+        memcpy(rho->g_1 + i * n, of_g + n, row);
+        memcpy(rho->f_0 + i * n, of_f, row);
+        memcpy(rho->f_1 + i * n, of_f + n, row);
     }
-    return DAL_SUCCESS;
+    return returned;
 }
 
 static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error)
@@ -97,14 +88,14 @@ static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error
     dal__forget(n, rho->g);
     dal__forget(n, rho->f);
     for (size_t i = 0; given && i < 4; i++) dal__forget(nn, matrices[i]);
-    const int returned = rho->map.map(pair->h, pair->q0, pair->q1, rho->g, rho->f,
-                                      given ? rho->g_0 : NULL, given ? rho->g_1 : NULL,
-                                      given ? rho->f_0 : NULL, given ? rho->f_1 : NULL,
-                                      rho->map.ctx);
-    if (returned) return refuse(returned, error);
+    int returned = rho->map.map(pair->h, pair->q0, pair->q1, rho->g, rho->f,
+                                given ? rho->g_0 : NULL, given ? rho->g_1 : NULL,
+                                given ? rho->f_0 : NULL, given ? rho->f_1 : NULL, rho->map.ctx);
+    if (returned) return dal__refuse(error, "difference map", returned);
     int status = require_state(rho, error);
     if (status || !slopes) return status;
-    if (!given) status = difference_slopes(rho, pair, error);
+    if (!given) returned = difference_slopes(rho, pair);
+    if (returned) return dal__refuse(error, "difference map", returned);
     for (size_t i = 0; !status && i < 4; i++)
         status = require_finite(names[i], n, nn, matrices[i], error);
     for (size_t k = 0; k < nn; k++) {

@@ -35,14 +35,12 @@ static int shoot(search *s)
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
     if (m == 0) return DAL_SUCCESS;
     status = dal__forms_at(mech, s->t0, 0.0, s->x, NULL);
-    if (status) return pass_on(s, status);
-    status = dal__factor_gram(mech);
+    if (!status) status = dal__factor_gram(mech);
     if (status) return pass_on(s, status);
     dal__apply(m, n, mech->mu, s->miss, s->defect);
     memcpy(mech->lambda, s->defect, m * sizeof *s->defect);
     dal__solve_gram(mech, mech->lambda);
-    for (size_t a = 0; a < m; a++)
-        for (size_t i = 0; i < n; i++) s->end[i] -= mech->Z[a * n + i] * mech->lambda[a];
+    dal__add_reaction(n, m, -1.0, mech->Z, mech->lambda, s->end);
     return DAL_SUCCESS;
 }
 
@@ -87,8 +85,8 @@ int dal_exact_velocity(dal_flow *flow, double t0, double h, const double *q0, co
     int status = pass_on(&s, dal__require_finite(s.mech, "q0", n, q0));
     if (!status) status = pass_on(&s, dal__require_finite(s.mech, "q1", n, q1));
     if (status) return status;
-    dal__reserve(&s.arena, &s.x, dal__times(2, n), sizeof(double));
-    dal__reserve(&s.arena, &s.end, dal__times(2, n), sizeof(double));
+    double **const states[] = {&s.x, &s.end};
+    dal__reserve_doubles(&s.arena, DAL_LENGTH(states), states, dal__times(2, n));
     dal__reserve(&s.arena, &s.miss, n, sizeof(double));
     dal__reserve(&s.arena, &s.defect, m, sizeof(double));
     status = dal__allocate(&s.arena, error);
@@ -98,10 +96,8 @@ int dal_exact_velocity(dal_flow *flow, double t0, double h, const double *q0, co
         s.x[n + i] = (q1[i] - q0[i]) / h;
     }
     status = find_velocity(&s);
-    if (!status) {
-        memcpy(v0, s.x + n, n * sizeof *v0);
-        if (defect) memcpy(defect, s.defect, m * sizeof *defect);
-    }
+    if (!status)
+        status = DAL__DELIVER(error, {"v0", n, s.x + n, v0}, {"defect", m, s.defect, defect});
     dal__release(&s.arena);
     return status;
 }

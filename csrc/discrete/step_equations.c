@@ -6,6 +6,13 @@
 #include <math.h>
 #include <string.h>
 
+void dal__add_reaction(size_t n, size_t m, double factor, const double *mu, const double *kappa,
+                       double *f)
+{
+    for (size_t a = 0; a < m; a++)
+        for (size_t i = 0; i < n; i++) f[i] += factor * mu[a * n + i] * kappa[a];
+}
+
 /* Where L acts, a step before q_k + alpha h w, or there. */
 static const double *place_of_L(dal_mechanics *mech, double reach, const double *velocity)
 {
@@ -116,29 +123,34 @@ static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
     const size_t n = mech->n;
     const double weight = mech->start.h * (1.0 - mech->start.alpha);
     for (size_t i = 0; i < n; i++) {
-        double sum = mech->w[i] - mech->reach[i];
-        if (weight != 0.0) sum -= weight * mech->force[i];
-        for (size_t a = 0; a < mech->m; a++) sum -= mech->muk[a * n + i] * kappa[a];
-        R1[i] = sum;
+        R1[i] = mech->w[i] - mech->reach[i];
+        if (weight != 0.0) R1[i] -= weight * mech->force[i];
     }
+    dal__add_reaction(n, mech->m, -1.0, mech->muk, kappa, R1);
 }
 
-/* What the roundoff of w is relative to beside w: v and the terms of R1, of which L_v(q, v) and
- * L_v(q1, w) are about the same, as changes of velocity.  They may be far larger than w: at rest,
- * where a reaction balances a force. */
-static double base_of_R1(const dal_mechanics *mech, const double *kappa)
+double dal__base_of_w(const dal_mechanics *mech, const double *v, size_t count,
+                      const dal__term *terms, const double *mu, const double *kappa)
 {
     const size_t n = mech->n;
-    const double weight = fabs(mech->start.h * (1.0 - mech->start.alpha));
-    double base = dal_residual_extent(n, mech->per_unit, mech->start.v);
+    double base = dal_residual_extent(n, mech->per_unit, v);
     for (size_t i = 0; i < n; i++) {
-        double sum = fabs(mech->w[i]) + fabs(mech->reach[i]);
-        if (!mech->eval.constant_mass) sum += fabs(mech->momentum[i]);
-        if (weight != 0.0) sum += weight * fabs(mech->force[i]);
-        for (size_t a = 0; a < mech->m; a++) sum += fabs(mech->muk[a * n + i] * kappa[a]);
+        double sum = 0.0;
+        for (const dal__term *term = terms; term < terms + count; term++)
+            if (term->weight != 0.0) sum += term->weight * fabs(term->x[i]);
+        for (size_t a = 0; a < mech->m; a++) sum += fabs(mu[a * n + i] * kappa[a]);
         base += sum * mech->unit[i]; /* as M^-1 does, in the units of the velocity */
     }
     return base;
+}
+
+/* L_v(q, v) and L_v(q1, w), where they are not M v and M w, are about the same. */
+static double base_of_R1(const dal_mechanics *mech, const double *kappa)
+{
+    const dal__term terms[] = {
+        {1.0, mech->w}, {1.0, mech->reach}, {mech->eval.constant_mass ? 0.0 : 1.0, mech->momentum},
+        {fabs(mech->start.h * (1.0 - mech->start.alpha)), mech->force}};
+    return dal__base_of_w(mech, mech->start.v, DAL_LENGTH(terms), terms, mech->muk, kappa);
 }
 
 /* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend.

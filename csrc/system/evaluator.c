@@ -36,6 +36,15 @@ int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t 
     return returned;
 }
 
+int dal__jacobian(dal__function f, void *ctx, size_t n, double *point, size_t count, double *value,
+                  double *slopes)
+{
+    int returned = 0;
+    for (size_t j = 0; j < n && !returned; j++)
+        returned = dal__difference(f, ctx, point, j, count, value, slopes + j, n);
+    return returned;
+}
+
 /* ---- what the callbacks give ---------------------------------------------------------------- */
 
 typedef enum callback { POTENTIAL, CONSTRAINT, LAGRANGIAN, FORCE } callback;
@@ -185,15 +194,13 @@ static int differentiate(difference *d, const output *out, double *slopes)
     evaluator *const e = d->e;
     const output *const base = &callbacks[d->which].outputs[out->from];
     const size_t columns = out->moves == MOVES_T ? 1 : e->system->def.n;
-    int returned = 0;
     d->from = out->from;
     d->moves = out->moves;
     if (e->system->def.missing & base->missing) return hessian_of_V(d, slopes);
     const double *const centre = d->moves == MOVES_T ? &d->t : d->moves == MOVES_Q ? d->q : d->v;
     memcpy(e->point, centre, columns * sizeof *centre);
-    for (size_t j = 0; j < columns && !returned; j++)
-        returned = dal__difference(value, d, e->point, j, size(e, base), e->gradient, slopes + j,
-                                   columns);
+    const int returned =
+        dal__jacobian(value, d, columns, e->point, size(e, base), e->gradient, slopes);
     if (!returned && out->symmetric) dal__symmetrise(columns, slopes);
     return returned;
 }
@@ -267,14 +274,18 @@ static void forget(const evaluator *e, callback which, double *const *x)
         dal__forget(size(e, &callbacks[which].outputs[k]), x[k]);
 }
 
+int dal__refuse(dal_error *error, const char *callback, int returned)
+{
+    return dal__fail(error, dal__callback_status(returned), "%s returned %d (%s)", callback,
+                     returned, returned > 0 ? "outside its domain" : "stop");
+}
+
 /* Status of a callback that returned this; DAL_EDOMAIN if an output is not finite. */
 static int check(const evaluator *e, callback which, int returned, double *const *x,
                  dal_error *error)
 {
     const char *const name = callbacks[which].name;
-    if (returned)
-        return dal__fail(error, dal__callback_status(returned), "%s returned %d (%s)", name,
-                         returned, returned > 0 ? "outside its domain" : "stop");
+    if (returned) return dal__refuse(error, name, returned);
     for (size_t k = 0; k < callbacks[which].count; k++) {
         const output *const out = &callbacks[which].outputs[k];
         const size_t columns = length(e, out->columns);

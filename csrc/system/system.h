@@ -65,6 +65,9 @@ int dal__lagrangian(evaluator *e, double t, const double *q, const double *v, co
 int dal__force(evaluator *e, double t, const double *q, const double *v, double *f, double *f_q,
                double *f_v, dal_error *error);
 
+/* Status of a callback that returned this, with a text that names it. */
+int dal__refuse(dal_error *error, const char *callback, int returned);
+
 /* Whether nothing depends on time, as far as the definition says. */
 bool dal__is_autonomous(const dal_system *system);
 
@@ -76,6 +79,9 @@ typedef int (*dal__function)(const double *q, double *f, void *ctx);
  * is not 0. */
 int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
                     double *value, double *slope, size_t stride);
+/* slopes[count*n] <- df/dq at point[n], the same. */
+int dal__jacobian(dal__function f, void *ctx, size_t n, double *point, size_t count, double *value,
+                  double *slopes);
 /* A[n*n] <- (A + A^T)/2. */
 void dal__symmetrise(size_t n, double *A);
 /* The distance of these points at a coordinate q. */
