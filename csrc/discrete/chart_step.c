@@ -17,7 +17,7 @@ static void match_dependent(dal_chart *chart, const double *y, size_t stride)
 static void balance_dependent(dal_chart *chart)
 {
     match_dependent(chart, chart->R1, 1);
-    for (size_t a = 0; a < chart->m; a++) chart->kappa[a] += chart->solution[a];
+    dal__move(chart->m, chart->kappa, 1.0, chart->solution, chart->kappa);
     dal__add_reaction(chart->n, chart->m, -1.0, chart->mech.muk, chart->solution, chart->R1);
 }
 
@@ -96,10 +96,8 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
     if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, chart->x);
     if (!status) status = solve_step(chart);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) {
-        chart->y[i] = mech->node[i] + beta * h * chart->w[i];
-        chart->y[n + i] = chart->w[i];
-    }
+    dal__move(n, mech->node, beta * h, chart->w, chart->y);
+    memcpy(chart->y + n, chart->w, n * sizeof *chart->y);
     if (!dal__all_finite(2 * n, chart->y))
         return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
     for (size_t b = 0; b < m; b++) {

@@ -157,10 +157,8 @@ int dal__rho_invert(dal_discrete *d, double t, double h, const double *x, double
     const double *const v = x + n;
     double *const z = d->root.z;
     const double before = map->map ? 0.5 : map->beta;
-    for (size_t i = 0; i < n; i++) {
-        z[i] = x[i] - before * h * v[i];
-        z[n + i] = x[i] + (1.0 - before) * h * v[i];
-    }
+    dal__move(n, x, -before * h, v, z);
+    dal__move(n, x, (1.0 - before) * h, v, z + n);
     int status = DAL_SUCCESS;
     if (map->map) {
         inversion in = {d, h, x};

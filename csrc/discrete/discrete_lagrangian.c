@@ -267,7 +267,7 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
                             derivative ? d->f_q : NULL, derivative ? d->f_v : NULL,
                             &d->mech.error);
     if (status) return status;
-    for (size_t i = 0; push && i < n; i++) d->force[i] += d->value[i];
+    if (push) dal__move(n, d->force, 1.0, d->value, d->force);
     if (minus) form_momentum(d, -1.0, h, rho->g_0, rho->f_0, minus);
     if (plus) form_momentum(d, 1.0, h, rho->g_1, rho->f_1, plus);
     return derivative ? form_K(d, push, pair) : DAL_SUCCESS;

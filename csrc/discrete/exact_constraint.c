@@ -64,7 +64,7 @@ static int find_velocity(search *s)
         if (size <= noise) return dal__require_output(dal__flow_error(s->flow), "defect",
                                                       s->mech->m, s->defect);
         if (iteration == MOST || !(size <= DBL_MAX) || size > 1e3 * fmin(last, scale)) break;
-        for (size_t i = 0; i < n; i++) v[i] += s->end[i];
+        dal__move(n, v, 1.0, s->end, v);
         last = size;
     }
     return dal__fail(dal__flow_error(s->flow), DAL_ENOCONV, "no velocity at q0 leads to q1: the "

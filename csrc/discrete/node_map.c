@@ -52,7 +52,7 @@ static int value_reaction(const double *w, double *value, void *ctx)
 {
     dal_discrete *const d = ctx;
     const size_t n = d->n;
-    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + d->step.h * w[i];
+    dal__move(n, d->step.node, d->step.h, w, d->q1);
     const dal__pair pair = {d->step.h, d->step.node, d->q1, w};
     int status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
     if (!status) status = middle_forms(d, d->constraint.f, d->phi_q);
@@ -91,17 +91,17 @@ static int find_step(dal__newton *equations)
     const size_t n = d->n, m = d->m;
     const double h = d->step.h, *const w = d->root.z, *const kappa = w + n;
     double *const residual = d->root.residual;
-    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i];
+    dal__move(n, d->step.node, h, w, d->q1);
     const dal__pair pair = {h, d->step.node, d->q1, w};
     d->step.kappa = kappa;
     int status = dal__discrete_momenta(d, d->step.t + h, true, &pair, d->minus, NULL, true);
     if (!status && is_nonlinear(d)) status = dal__discrete_bend(d, value_reaction, d, 1.0, w);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i]; /* it was moved */
+    dal__move(n, d->step.node, h, w, d->q1); /* again: the differences moved it */
     status = dal__discrete_constraint(d, d->step.t + h, &pair, true);
     if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) residual[i] = d->minus[i] - d->momentum[i];
+    dal__move(n, d->minus, -1.0, d->momentum, residual);
     dal__add_reaction(n, m, -1.0, d->muk, kappa, residual);
     memcpy(residual + n, d->phi, m * sizeof *residual);
     const dal__term terms[] = {{1.0, d->minus}, {1.0, d->momentum}};
@@ -133,7 +133,7 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
 static const double *leave_root(dal_discrete *d, const double *q)
 {
     double *const lambda = d->root.z + d->n;
-    for (size_t i = 0; i < d->n; i++) d->q1[i] = q[i] + d->step.h * d->root.z[i];
+    dal__move(d->n, q, d->step.h, d->root.z, d->q1);
     for (size_t a = 0; a < d->m; a++) lambda[a] /= d->step.h;
     return lambda;
 }
@@ -158,7 +158,7 @@ int dal_discrete_residual(dal_discrete *d, double t, double h, const double *q_b
     if (!status) status = dal__discrete_constraint(d, t + h, &pair, false);
     if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) sides[i] = d->momentum[i] - d->minus[i];
+    dal__move(n, d->momentum, -1.0, d->minus, sides);
     dal__add_reaction(n, m, h, d->muk, lambda, sides);
     memcpy(sides + n, d->phi, m * sizeof *sides);
     return DAL__DELIVER(&d->mech.error, {"residual", n + m, sides, residual});

@@ -17,7 +17,7 @@ void dal__add_reaction(size_t n, size_t m, double factor, const double *mu, cons
 static const double *place_of_L(dal_mechanics *mech, double reach, const double *velocity)
 {
     if (mech->start.alpha == mech->start.beta) return mech->q;
-    for (size_t i = 0; i < mech->n; i++) mech->place[i] = mech->node[i] + reach * velocity[i];
+    dal__move(mech->n, mech->node, reach, velocity, mech->place);
     return mech->place;
 }
 
@@ -37,10 +37,8 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     mech->start.kept = kept;
     mech->start.v = v;
     mech->start.base = 0.0;
-    for (size_t i = 0; i < n; i++) {
-        mech->node[i] = kept ? x[i] : x[i] + before * v[i];
-        mech->q[i] = kept ? x[i] - before * v[i] : x[i];
-    }
+    dal__move(n, x, kept ? 0.0 : before, v, mech->node);
+    dal__move(n, x, kept ? -before : 0.0, v, mech->q);
     if (mech->eval.system->def.kind != DAL_NONLINEAR)
         status = dal__constraint(&mech->eval, mech->start.middle, mech->node, v, NULL, mech->muk,
                                  NULL, NULL, &mech->error);
@@ -54,7 +52,7 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     if (!status && alpha != 0.0 && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t + later, place, v, mech->step, NULL, NULL,
                             &mech->error);
-        for (size_t i = 0; i < n; i++) mech->reach[i] += mech->step[i];
+        dal__move(n, mech->reach, 1.0, mech->step, mech->reach);
     }
     for (size_t i = 0; i < n; i++) mech->reach[i] *= alpha * h;
     return status;
@@ -106,13 +104,13 @@ static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
     if (!status && ends && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t, place, w, R1 ? mech->step : NULL,
                             K ? mech->f_q : NULL, K ? mech->f_v : NULL, &mech->error);
-        for (size_t i = 0; R1 && i < n; i++) mech->force[i] += mech->step[i];
+        if (R1) dal__move(n, mech->force, 1.0, mech->step, mech->force);
     }
     if (status || !R1) return status;
     if (general) {
-        for (size_t i = 0; i < n; i++) mech->w[i] -= mech->momentum[i];
+        dal__move(n, mech->w, -1.0, mech->momentum, mech->w);
     } else {
-        for (size_t i = 0; i < n; i++) mech->step[i] = w[i] - mech->start.v[i];
+        dal__move(n, w, -1.0, mech->start.v, mech->step);
         dal__apply(n, n, mech->metric, mech->step, mech->w);
     }
     return DAL_SUCCESS;
@@ -122,10 +120,8 @@ static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
 {
     const size_t n = mech->n;
     const double weight = mech->start.h * (1.0 - mech->start.alpha);
-    for (size_t i = 0; i < n; i++) {
-        R1[i] = mech->w[i] - mech->reach[i];
-        if (weight != 0.0) R1[i] -= weight * mech->force[i];
-    }
+    dal__move(n, mech->w, -1.0, mech->reach, R1);
+    if (weight != 0.0) dal__move(n, R1, -weight, mech->force, R1);
     dal__add_reaction(n, mech->m, -1.0, mech->muk, kappa, R1);
 }
 
@@ -194,7 +190,7 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     const double a = mech->start.beta * mech->start.h;
     const bool nonlinear = mech->eval.system->def.kind == DAL_NONLINEAR;
     int status = DAL_SUCCESS;
-    for (size_t i = 0; i < n; i++) mech->q[i] = mech->node[i] + a * w[i];
+    dal__move(n, mech->node, a, w, mech->q);
     if (R2 || B)
         status = dal__constraint(&mech->eval, mech->start.end, mech->q, w, mech->phi, mech->mu,
                                  B ? mech->dmu : NULL, NULL, &mech->error);
@@ -207,7 +203,7 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     if (R1 && K) mech->start.base = base_of_R1(mech, kappa);
     if (R2) memcpy(R2, mech->phi, m * sizeof *R2);
     if (K) form_K(mech, K, K_sizes);
-    for (size_t k = 0; B && k < m * n; k++) B[k] = mech->mu[k] + a * mech->dmu[k];
+    if (B) dal__move(m * n, mech->mu, a, mech->dmu, B);
     return DAL_SUCCESS;
 }
 
@@ -219,7 +215,7 @@ int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *wo
     const double shift = mech->start.kept ? (1.0 - beta) * h : 0.0;
     double relative = 0.0;
     int status = DAL_SUCCESS;
-    for (size_t i = 0; i < n; i++) x[i] = mech->node[i] + after * w[i];
+    dal__move(n, mech->node, after, w, x);
     memcpy(x + n, w, n * sizeof *w);
     if (mech->m > 0 && dal__all_finite(2 * n, x))
         status = dal__mend(mech, mech->start.end, shift, false, x, &relative);

@@ -14,6 +14,11 @@ size_t dal__times(size_t a, size_t b)
     return b != 0 && a > SIZE_MAX / b ? SIZE_MAX : a * b;
 }
 
+void dal__move(size_t n, const double *x, double h, const double *v, double *y)
+{
+    for (size_t i = 0; i < n; i++) y[i] = x[i] + h * v[i];
+}
+
 bool dal__all_finite(size_t count, const double *x)
 {
     double zero = 0.0; /* x * 0 is NaN for Inf and NaN, and NaN stays */

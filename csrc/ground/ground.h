@@ -101,6 +101,9 @@ void dal__release(arena *a);
 /* a*b, or SIZE_MAX where that overflows. */
 size_t dal__times(size_t a, size_t b);
 
+/* y[n] <- x + h v; y may be x or v. */
+void dal__move(size_t n, const double *x, double h, const double *v, double *y);
+
 bool dal__all_finite(size_t count, const double *x);
 
 #endif /* DAL__GROUND_H */

@@ -347,7 +347,7 @@ static int perturbed_field(double t, const double *z, double *zdot, void *ctx, d
         *error = self->error;
         return status;
     }
-    for (size_t i = 0; i < self->width; i++) zdot[i] = self->field0[i] + self->next[i];
+    dal__move(self->width, self->field0, 1.0, self->next, zdot);
     return DAL_SUCCESS;
 }
 

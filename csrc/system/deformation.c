@@ -61,7 +61,7 @@ static int base_constraint(const dal_system_def *base, double t, const double *q
 /* sum[count], which may be NULL, += delta g. */
 static void add(size_t count, double delta, const double *g, double *sum)
 {
-    for (size_t i = 0; sum && i < count; i++) sum[i] += delta * g[i];
+    if (sum) dal__move(count, sum, delta, g, sum);
 }
 
 static int deformed(double t, const double *q, const double *v, double *phi, double *phi_v,
@@ -94,7 +94,7 @@ static int shifted(double t, const double *q, const double *v, double *phi, doub
     const deformation *const self = ctx;
     const size_t n = self->base.n, mn = self->base.m * n;
     double point[MOST_ENTRIES], scratch[MOST_ENTRIES];
-    for (size_t i = 0; i < n; i++) point[i] = q[i] - self->delta * v[i];
+    dal__move(n, q, -self->delta, v, point);
     double *const slope = phi_v && !phi_q ? scratch : phi_q; /* phi_v needs it */
     const int returned = base_constraint(&self->base, t, point, v, phi, phi_v, slope, phi_t,
                                          phi_v ? NULL : scratch);
