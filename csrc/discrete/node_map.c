@@ -47,19 +47,39 @@ static int begin(dal_discrete *d, double t, const dal__pair *pair)
     return reaction_forms(d, d->step.middle, pair->q1, d->velocity, d->muk);
 }
 
+/* The pair (q_k, q_k + h w), in d->q1. */
+static dal__pair next_pair(dal_discrete *d, const double *w)
+{
+    dal__move(d->n, d->step.node, d->step.h, w, d->q1);
+    return (dal__pair){d->step.h, d->step.node, d->q1, w};
+}
+
 /* mu_k^T kappa as a function of w, to be differenced. */
 static int value_reaction(const double *w, double *value, void *ctx)
 {
     dal_discrete *const d = ctx;
     const size_t n = d->n;
-    dal__move(n, d->step.node, d->step.h, w, d->q1);
-    const dal__pair pair = {d->step.h, d->step.node, d->q1, w};
+    const dal__pair pair = next_pair(d, w);
     int status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
     if (!status) status = middle_forms(d, d->constraint.f, d->phi_q);
     if (status) return status;
     memset(value, 0, n * sizeof *value);
     dal__add_reaction(n, d->m, 1.0, d->phi_q, d->step.kappa, value);
     return DAL_SUCCESS;
+}
+
+/* What the equations need of the pair after: p^-, phi_d and mu_k, with K and B if derivative. */
+static int evaluate(dal_discrete *d, const dal__pair *pair, bool derivative)
+{
+    const double t = d->step.t + d->step.h;
+    const bool nonlinear = is_nonlinear(d);
+    int status = dal__discrete_momenta(d, t, true, pair, d->minus, NULL, derivative);
+    if (!status && derivative && nonlinear) {
+        status = dal__discrete_bend(d, value_reaction, d, 1.0, pair->w);
+        next_pair(d, pair->w); /* the differences moved it */
+    }
+    if (!status) status = dal__discrete_constraint(d, t, pair, derivative);
+    return status || !nonlinear ? status : middle_forms(d, d->constraint.f, d->muk);
 }
 
 /* root.J of n + m equations <- [[K, -mu_k^T], [B, 0]], and the scale of its entries. */
@@ -91,15 +111,9 @@ static int find_step(dal__newton *equations)
     const size_t n = d->n, m = d->m;
     const double h = d->step.h, *const w = d->root.z, *const kappa = w + n;
     double *const residual = d->root.residual;
-    dal__move(n, d->step.node, h, w, d->q1);
-    const dal__pair pair = {h, d->step.node, d->q1, w};
+    const dal__pair pair = next_pair(d, w);
     d->step.kappa = kappa;
-    int status = dal__discrete_momenta(d, d->step.t + h, true, &pair, d->minus, NULL, true);
-    if (!status && is_nonlinear(d)) status = dal__discrete_bend(d, value_reaction, d, 1.0, w);
-    if (status) return status;
-    dal__move(n, d->step.node, h, w, d->q1); /* again: the differences moved it */
-    status = dal__discrete_constraint(d, d->step.t + h, &pair, true);
-    if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
+    const int status = evaluate(d, &pair, true);
     if (status) return status;
     dal__move(n, d->minus, -1.0, d->momentum, residual);
     dal__add_reaction(n, m, -1.0, d->muk, kappa, residual);
@@ -154,9 +168,7 @@ int dal_discrete_residual(dal_discrete *d, double t, double h, const double *q_b
     const size_t n = d->n, m = d->m;
     double *const sides = d->root.residual;
     pair = dal__discrete_pair(d, h, q, q_after);
-    status = dal__discrete_momenta(d, t + h, true, &pair, d->minus, NULL, false);
-    if (!status) status = dal__discrete_constraint(d, t + h, &pair, false);
-    if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
+    status = evaluate(d, &pair, false);
     if (status) return status;
     dal__move(n, d->momentum, -1.0, d->minus, sides);
     dal__add_reaction(n, m, h, d->muk, lambda, sides);
