@@ -30,8 +30,7 @@ static void knife_edge_state(const double *p, double *x)
 }
 
 /* V = -m gs x */
-static int knife_edge_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
-                                void *ctx)
+POTENTIAL(knife_edge_potential)
 {
     const double *p = ctx, weight = p[0] * p[2];
     if (V) *V = -weight * q[0];
@@ -41,8 +40,7 @@ static int knife_edge_potential(double t, const double *q, double *V, double *V_
 }
 
 /* mu = (sin theta, -cos theta, 0) */
-static int knife_edge_constraint(double t, const double *q, const double *v, double *phi,
-                                 double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(knife_edge_constraint)
 {
     const double s = sin(q[2]), c = cos(q[2]);
     if (phi) phi[0] = s * v[0] - c * v[1];
@@ -66,7 +64,7 @@ static double knife_edge_area(double x)
 /* theta' = omega and u' = gs cos(theta) for the speed u along the edge.  With C, S the integrals of
  * cos(theta), sin(theta): u = u0 + gs C, x - x0 = u0 C + gs C^2/2, and y - y0 = u0 S + gs int C dS,
  * where int C dS = (C S + int (C dS - S dC))/2 = (C S + t^2 area(omega t))/2. */
-static int knife_edge_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(knife_edge_exact)
 {
     const double *p = ctx, gs = p[2], omega = x0[5], turn = omega * t;
     const double middle = x0[2] + turn / 2, theta = x0[2] + turn;
@@ -78,7 +76,7 @@ static int knife_edge_exact(double t, const double *x0, double *x, void *ctx)
     return 0;
 }
 
-static int knife_edge_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(knife_edge_invariant)
 {
     const double *p = ctx, gs = p[2], s = sin(x[2]), c = cos(x[2]);
     values[0] = x[5];
@@ -115,8 +113,7 @@ static void sleigh_state(const double *p, double *x)
     place_body(x, 0.0, 0.0, 0.3, p[2], 0.2, 1.0);
 }
 
-static int sleigh_constraint(double t, const double *q, const double *v, double *phi,
-                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(sleigh_constraint)
 {
     const double *p = ctx;
     constraint_blade(p[2], q, v, phi, phi_v, phi_q);
@@ -203,7 +200,7 @@ static int sleigh_flow(double t, const double *x0, double *x, const double *p, d
     return 0;
 }
 
-static int sleigh_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(sleigh_exact)
 {
     const double *p = ctx;
     return sleigh_flow(t, x0, x, p, p[2]);
@@ -211,7 +208,7 @@ static int sleigh_exact(double t, const double *x0, double *x, void *ctx)
 
 /* a theta - sqrt(I/m) atan(sqrt(m/I) u/theta'): a times the heading of the sleigh where u = 0.  The
  * sign of theta' never changes; so the atan does not jump. */
-static int sleigh_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(sleigh_invariant)
 {
     const double *p = ctx, m = p[0], a = p[2], ratio = sqrt((p[1] + m * a * a) / m);
     const double u = x[3] * cos(x[2]) + x[4] * sin(x[2]), w = x[5];
@@ -251,9 +248,7 @@ static void sleigh_contact_state(const double *p, double *x)
 }
 
 /* L = m |v|^2/2 + m a omega w + (J + m a^2) omega^2/2, w = -v_x sin(theta) + v_y cos(theta) */
-static int sleigh_contact_lagrangian(double t, const double *q, const double *v, double *L,
-                                     double *L_q, double *L_v, double *L_qq, double *L_vq,
-                                     double *L_vv, double *L_vt, void *ctx)
+LAGRANGIAN(sleigh_contact_lagrangian)
 {
     const double *p = ctx, m = p[0], a = p[2], ma = m * a, inertia = p[1] + ma * a;
     const double s = sin(q[2]), c = cos(q[2]), omega = v[2];
@@ -269,14 +264,13 @@ static int sleigh_contact_lagrangian(double t, const double *q, const double *v,
     return 0;
 }
 
-static int sleigh_contact_constraint(double t, const double *q, const double *v, double *phi,
-                                     double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(sleigh_contact_constraint)
 {
     constraint_blade(0.0, q, v, phi, phi_v, phi_q);
     return 0;
 }
 
-static int sleigh_contact_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(sleigh_contact_exact)
 {
     return sleigh_flow(t, x0, x, ctx, 0.0);
 }

@@ -49,6 +49,18 @@ extern const builtin dal__disk, dal__robot, dal__rolling_disc, dal__ball_on_tabl
 /* vehicles.c */
 extern const builtin dal__snakeboard, dal__n_trailer;
 
+/* Heads of the callbacks of dalembert.h, with the names that their arguments have there. */
+#define POTENTIAL(name) \
+    static int name(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+#define CONSTRAINT(name) \
+    static int name(double t, const double *q, const double *v, double *phi, double *phi_v, \
+                    double *phi_q, double *phi_t, void *ctx)
+#define LAGRANGIAN(name) \
+    static int name(double t, const double *q, const double *v, double *L, double *L_q, \
+                    double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt, void *ctx)
+#define EXACT(name) static int name(double t, const double *x0, double *x, void *ctx)
+#define INVARIANT(name) static int name(double t, const double *x, double *values, void *ctx)
+
 static inline void set(double *a, size_t count, const double *values)
 {
     memcpy(a, values, count * sizeof *a);

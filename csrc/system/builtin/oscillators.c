@@ -34,8 +34,7 @@ static void contact_oscillator_state(const double *p, double *x)
 }
 
 /* V = (x^2 + y^2 + z^2 + eps x^2 z^2)/2 */
-static int contact_oscillator_potential(double t, const double *q, double *V, double *V_q,
-                                        double *V_qq, void *ctx)
+POTENTIAL(contact_oscillator_potential)
 {
     const double *p = ctx, eps = p[0], x = q[0], y = q[1], z = q[2];
     if (V) *V = (x * x + y * y + (1.0 + eps * x * x) * z * z) / 2;
@@ -48,15 +47,14 @@ static int contact_oscillator_potential(double t, const double *q, double *V, do
     return 0;
 }
 
-static int contact_oscillator_constraint(double t, const double *q, const double *v, double *phi,
-                                         double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(contact_oscillator_constraint)
 {
     constraint_gears(1, q, v, phi, phi_v, phi_q);
     return 0;
 }
 
 /* The driver y is free; so its energy and that of the pair (x, z), v_x = -y v_z, are constant. */
-static int contact_oscillator_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(contact_oscillator_invariant)
 {
     const double *p = ctx, eps = p[0];
     const double xx = x[0] * x[0], yy = x[1] * x[1], zz = x[2] * x[2];
@@ -118,8 +116,7 @@ static void chaotic_state(const double *p, double *x)
 }
 
 /* V = (|q|^2 + z_1^2 z_2^2 + sum_i y_i^2 z_i^2)/2, without z_1^2 z_2^2 for a single pair. */
-static int chaotic_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
-                             void *ctx)
+POTENTIAL(chaotic_potential)
 {
     const size_t pairs = chaotic_pairs(ctx), n = 2 * pairs + 1;
     const double *y = q + 1, *z = y + pairs;
@@ -160,8 +157,7 @@ static int chaotic_potential(double t, const double *q, double *V, double *V_q, 
     return 0;
 }
 
-static int chaotic_constraint(double t, const double *q, const double *v, double *phi,
-                              double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(chaotic_constraint)
 {
     constraint_gears(chaotic_pairs(ctx), q, v, phi, phi_v, phi_q);
     return 0;
@@ -190,9 +186,7 @@ const builtin dal__chaotic = {
 /* L = v^T M v/2 + b v - V with
  * M = [2 + q2^2/4, q3/5, 1/10; q3/5, 3/2 + cos(q1)/3, q1/6; 1/10, q1/6, 1 + q1^2/3],
  * b = (q2 q3/4, sin(q1)/3, -q1 q2/5), V = (q1^2 + 2 q2^2 + 3 q3^2/2)/2 + q1^4/4 + q1 q2 q3/5 */
-static int genmass_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
-                              double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
-                              void *ctx)
+LAGRANGIAN(genmass_lagrangian)
 {
     const double q1 = q[0], q2 = q[1], q3 = q[2], v1 = v[0], v2 = v[1], v3 = v[2];
     const double s = sin(q1) / 3, c = cos(q1) / 3;
@@ -228,8 +222,7 @@ static int genmass_lagrangian(double t, const double *q, const double *v, double
 }
 
 /* mu = (-q2, q1/2 + q3/4, 1 + q1^2/5) */
-static int genmass_constraint(double t, const double *q, const double *v, double *phi,
-                              double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(genmass_constraint)
 {
     const double mu[3] = {-q[1], q[0] / 2 + q[2] / 4, 1 + q[0] * q[0] / 5};
     if (phi) phi[0] = mu[0] * v[0] + mu[1] * v[1] + mu[2] * v[2];

@@ -2,8 +2,7 @@
 #include "system/builtin/builtin.h"
 
 /* V = (k1 x^2 + k2 y^2 + k3 z^2)/2 */
-static int potential_springs(double t, const double *q, double *V, double *V_q, double *V_qq,
-                             void *ctx)
+POTENTIAL(potential_springs)
 {
     const double *k = ctx;
     if (V) *V = (k[0] * q[0] * q[0] + k[1] * q[1] * q[1] + k[2] * q[2] * q[2]) / 2;
@@ -14,8 +13,7 @@ static int potential_springs(double t, const double *q, double *V, double *V_q, 
 
 /* ---- particle and particle_oscillator: q = (x, y, z), mu = (-y, 0, 1) ------------------- */
 
-static int particle_constraint(double t, const double *q, const double *v, double *phi,
-                               double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(particle_constraint)
 {
     if (phi) phi[0] = v[2] - q[1] * v[0];
     if (phi_v) set3(phi_v, -q[1], 0.0, 1.0);
@@ -26,7 +24,7 @@ static int particle_constraint(double t, const double *q, const double *v, doubl
 /* v_y = w and v_x s = c are constant, s = sqrt(1 + y^2); x1 - x0 = c (asinh y1 - asinh y0)/w and
  * z1 - z0 = c (s1 - s0)/w.  The difference of the asinh is asinh(y1 s0 - y0 s1) = asinh(w t r), and
  * r has a form without cancellation for y0, y1 of one sign and another for the rest. */
-static int particle_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(particle_exact)
 {
     (void)ctx;
     const double y0 = x0[1], w = x0[4], y1 = y0 + w * t;
@@ -42,14 +40,14 @@ static int particle_exact(double t, const double *x0, double *x, void *ctx)
     return 0;
 }
 
-static int particle_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(particle_invariant)
 {
     values[0] = x[4];
     values[1] = x[3] * hypot(1.0, x[1]);
     return 0;
 }
 
-static int particle_oscillator_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(particle_oscillator_invariant)
 {
     const double *k = ctx;
     values[0] = (x[4] * x[4] + k[1] * x[1] * x[1]) / 2;
@@ -93,8 +91,7 @@ const builtin dal__particle_oscillator = {
 
 /* ---- heisenberg: q = (x, y, z), mu = (y, -x, 1) ------------------------------------------ */
 
-static int heisenberg_constraint(double t, const double *q, const double *v, double *phi,
-                                 double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(heisenberg_constraint)
 {
     if (phi) phi[0] = q[1] * v[0] - q[0] * v[1] + v[2];
     if (phi_v) set3(phi_v, q[1], -q[0], 1.0);

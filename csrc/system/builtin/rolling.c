@@ -32,8 +32,7 @@ static void disk_state(const double *p, double *x)
     set4(x + 4, R * roll * cos(phi), R * roll * sin(phi), roll, 0.9);
 }
 
-static int disk_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(disk_constraint)
 {
     const double *p = ctx;
     constraint_rolling(2, 3, p[3], q, v, phi, phi_v, phi_q);
@@ -41,7 +40,7 @@ static int disk_constraint(double t, const double *q, const double *v, double *p
 }
 
 /* Both angles turn uniformly; the way is R theta' times the integrals of cos(phi) and sin(phi). */
-static int disk_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(disk_exact)
 {
     const double *p = ctx, speed = p[3] * x0[6], roll = x0[6], turn = x0[7];
     const double middle = x0[3] + turn * t / 2, phi = x0[3] + turn * t;
@@ -51,7 +50,7 @@ static int disk_exact(double t, const double *x0, double *x, void *ctx)
     return 0;
 }
 
-static int disk_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(disk_invariant)
 {
     values[0] = x[6];
     values[1] = x[7];
@@ -86,8 +85,7 @@ static void robot_state(const double *p, double *x)
 }
 
 /* V = k sin theta */
-static int robot_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
-                           void *ctx)
+POTENTIAL(robot_potential)
 {
     const double *p = ctx, k = p[4];
     if (V) *V = k * sin(q[3]);
@@ -96,8 +94,7 @@ static int robot_potential(double t, const double *q, double *V, double *V_q, do
     return 0;
 }
 
-static int robot_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
-                            double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(robot_constraint)
 {
     const double *p = ctx;
     constraint_rolling(3, 2, p[3], q, v, phi, phi_v, phi_q);
@@ -105,7 +102,7 @@ static int robot_constraint(double t, const double *q, const double *v, double *
 }
 
 /* phi is free, and (J + m R^2) theta'' = -k cos(theta). */
-static int robot_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(robot_invariant)
 {
     const double *p = ctx, inertia = p[2] + p[0] * p[3] * p[3];
     values[0] = x[6];
@@ -155,9 +152,7 @@ static void rolling_disc_state(const double *p, double *x)
 
 /* L = (m (x'^2 + y'^2 + r^2 s^2 beta'^2) + A (beta'^2 + c^2 alpha'^2) + C omega^2)/2 - m g r c with
  * s = sin(beta), c = cos(beta), omega = gamma' + s alpha' */
-static int rolling_disc_lagrangian(double t, const double *q, const double *v, double *L,
-                                   double *L_q, double *L_v, double *L_qq, double *L_vq,
-                                   double *L_vv, double *L_vt, void *ctx)
+LAGRANGIAN(rolling_disc_lagrangian)
 {
     const double *p = ctx, m = p[0], r = p[1], A = p[2], C = p[3], weight = m * p[4] * r;
     const double mr2 = m * r * r, s = sin(q[3]), c = cos(q[3]);
@@ -186,8 +181,7 @@ static int rolling_disc_lagrangian(double t, const double *q, const double *v, d
 /* The centre moves by r omega along the plane of the disc and by -r (sin beta)' across it:
  * x' = r omega cos(alpha) + r c beta' sin(alpha),
  * y' = r omega sin(alpha) - r c beta' cos(alpha). */
-static int rolling_disc_constraint(double t, const double *q, const double *v, double *phi,
-                                   double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(rolling_disc_constraint)
 {
     const double *p = ctx, r = p[1], s = sin(q[3]), c = cos(q[3]);
     const double rc = r * cos(q[2]), rs = r * sin(q[2]);
@@ -243,8 +237,7 @@ static void ball_state(const double *p, double *x)
 }
 
 /* The point of contact moves with the table: x' - a omega_y = -Omega y, y' + a omega_x = Omega x */
-static int ball_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(ball_constraint)
 {
     const double *p = ctx, a = p[2], turn = p[3];
     if (phi) {
@@ -259,7 +252,7 @@ static int ball_constraint(double t, const double *q, const double *v, double *p
 /* The velocity turns uniformly, by k = J/(J + m a^2) Omega; so the centre of the ball goes round a
  * circle.  The angles follow from J theta_x - m a y and J theta_y + m a x, which change uniformly:
  * the friction that accelerates the centre has the torque of this. */
-static int ball_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(ball_exact)
 {
     const double *p = ctx, m = p[0], J = p[1], a = p[2], turn = p[3];
     const double half = J / (J + m * a * a) * turn * t / 2, way = t * sinc(half);
@@ -278,7 +271,7 @@ static int ball_exact(double t, const double *x0, double *x, void *ctx)
 }
 
 /* The table does work, so that the energy changes; that in the frame that turns does not. */
-static int ball_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(ball_invariant)
 {
     const double *p = ctx, m = p[0], J = p[1], a = p[2], turn = p[3];
     const double *v = x + 5, *w = x + 7;

@@ -30,8 +30,7 @@ static void snakeboard_state(const double *p, double *x)
 
 /* The axles move along themselves only: their normals are (-sin, cos) of theta +- phi.  By the
  * addition theorems, because theta + phi is rounded, and theta may be large. */
-static int snakeboard_constraint(double t, const double *q, const double *v, double *phi,
-                                 double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(snakeboard_constraint)
 {
     const double *p = ctx, r = p[1];
     const double heading[2] = {cos(q[2]), sin(q[2])}, turn[2] = {cos(q[4]), sin(q[4])};
@@ -50,7 +49,7 @@ static int snakeboard_constraint(double t, const double *q, const double *v, dou
 }
 
 /* No constraint acts on phi or psi. */
-static int snakeboard_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(snakeboard_invariant)
 {
     const double *p = ctx;
     values[0] = x[9];
@@ -160,9 +159,7 @@ static void n_trailer_state(const double *p, double *x)
  * hangs at axle k: dL/dtheta_k' = J theta_k' - d n_k P_k and dL/dtheta_k = d theta_k' e_k P_k for
  * k > 0; and P_k changes by -w d n_j with theta_j' and by w d theta_j' e_j with theta_j, where w is
  * the mass behind both k and j. */
-static int n_trailer_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
-                                double *L_v, double *L_qq, double *L_vq, double *L_vv,
-                                double *L_vt, void *ctx)
+LAGRANGIAN(n_trailer_lagrangian)
 {
     chain all;
     n_trailer_chain(ctx, q, v, &all);
@@ -221,8 +218,7 @@ static int n_trailer_lagrangian(double t, const double *q, const double *v, doub
 }
 
 /* n_i p_i' = 0 */
-static int n_trailer_constraint(double t, const double *q, const double *v, double *phi,
-                                double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(n_trailer_constraint)
 {
     chain all;
     n_trailer_chain(ctx, q, v, &all);
@@ -248,7 +244,7 @@ static int n_trailer_constraint(double t, const double *q, const double *v, doub
 }
 
 /* No constraint acts on the heading of the first axle, and it moves nothing else. */
-static int n_trailer_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(n_trailer_invariant)
 {
     values[0] = x[n_trailer_trailers(ctx) + 5];
     return 0;
