@@ -12,10 +12,9 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
                      const dal_difference_map *lagrangian, const dal_difference_map *constraint,
                      dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!discrete || !system || !lagrangian)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", !discrete ? "discrete"
-                         : !system ? "system" : "lagrangian");
+    int status = DAL__REQUIRE(error, {"discrete", discrete}, {"system", system},
+                              {"lagrangian", lagrangian});
+    if (status) return status;
     const dal_difference_map *const of_constraint = constraint ? constraint : lagrangian;
     const double betas[] = {lagrangian->beta, of_constraint->beta};
     for (size_t i = 0; i < 2; i++)
@@ -46,7 +45,7 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
     dal__reserve_doubles(&memory, DAL_LENGTH(forms), forms, mn);
     dal__reserve(&memory, &shape.phi, m, sizeof(double));
     dal__reserve(&memory, &shape.state, dal__times(2, n), sizeof(double));
-    const int status = dal__allocate(&memory, error);
+    status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;
     self->arena = memory;

@@ -243,14 +243,12 @@ int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h
     if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, x);
     if (status) return status;
 
-    double *r1, *r2, *k, *b;
+    double *r1;
     arena scratch = {0};
-    dal__reserve(&scratch, &r1, n, sizeof *r1);
-    dal__reserve(&scratch, &r2, m, sizeof *r2);
-    dal__reserve(&scratch, &k, dal__times(n, n), sizeof *k);
-    dal__reserve(&scratch, &b, dal__times(m, n), sizeof *b);
+    dal__reserve(&scratch, &r1, (n + m) * (n + 1), sizeof *r1);
     status = dal__allocate(&scratch, &mech->error);
     if (status) return status;
+    double *const r2 = r1 + n, *const k = r2 + m, *const b = k + n * n;
     status = dal__step_at(mech, w, kappa, R1 ? r1 : NULL, R2 ? r2 : NULL, K ? k : NULL, NULL,
                           B ? b : NULL);
     if (!status)

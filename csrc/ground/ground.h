@@ -45,6 +45,18 @@ __attribute__((format(printf, 4, 5)))
 int dal__fail_because(dal_error *error, int status, const dal_error *cause, const char *format,
                       ...);
 
+/* An argument of this name, and whether it is there (a pointer says so itself). */
+typedef struct dal__argument {
+    const char *name;
+    bool given;
+} dal__argument;
+
+/* Clears the record; DAL_EINVAL with the name of the first argument that is NULL. */
+int dal__require_arguments(dal_error *error, size_t count, const dal__argument *arguments);
+#define DAL__REQUIRE(error, ...) \
+    dal__require_arguments(error, DAL_LENGTH(((dal__argument[]){__VA_ARGS__})), \
+                           (dal__argument[]){__VA_ARGS__})
+
 /* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);
 

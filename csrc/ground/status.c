@@ -79,6 +79,14 @@ int dal__fail_because(dal_error *error, int status, const dal_error *cause, cons
     return status;
 }
 
+int dal__require_arguments(dal_error *error, size_t count, const dal__argument *arguments)
+{
+    for (size_t i = 0; i < count; i++)
+        if (!arguments[i].given)
+            return dal__fail(error, DAL_EINVAL, "%s is NULL", arguments[i].name);
+    return dal__fail(error, DAL_SUCCESS, "%s", "");
+}
+
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x)
 {
     for (size_t i = 0; x && i < count; i++)

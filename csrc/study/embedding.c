@@ -80,12 +80,9 @@ static int make_parts(dal_embedding *self, const dal_embedding_def *def, dal_err
 int dal_embedding_new(dal_embedding **embedding, const dal_system *system,
                       const dal_embedding_def *def, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!embedding || !system || !def || !def->scheme)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL",
-                         !embedding ? "embedding" : !system ? "system" : !def ? "def"
-                                                                              : "def->scheme");
-    int status = check_def(system, def, error);
+    int status = DAL__REQUIRE(error, {"embedding", embedding}, {"system", system}, {"def", def},
+                              {"def->scheme", def && def->scheme});
+    if (!status) status = check_def(system, def, error);
     if (status) return status;
     const size_t n = system->def.n, width = 2 * n - system->def.m;
     dal_embedding shape = {.system = system, .h = def->h, .width = width,

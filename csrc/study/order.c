@@ -582,12 +582,9 @@ static void conclude(study *self, dal_order *order)
 
 /* ---- the study -------------------------------------------------------------------------- */
 
-static int require_def(const dal_system *system, const dal_scheme *scheme,
-                       const dal_order_def *def, dal_error *error)
+static int check_def(const dal_system *system, const dal_scheme *scheme,
+                     const dal_order_def *def, dal_error *error)
 {
-    if (!system || !scheme || !def || !def->x0 || !def->steps)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", !system ? "system" : !scheme ? "scheme"
-                         : !def ? "def" : !def->x0 ? "def->x0" : "def->steps");
     if (!isfinite(def->t0) || !isfinite(def->t_end) || !isfinite(def->t_end - def->t0) ||
         def->t_end == def->t0)
         return dal__fail(error, DAL_EINVAL, "t0 = %g, t_end = %g: an interval of nonzero, finite "
@@ -611,16 +608,15 @@ static int require_def(const dal_system *system, const dal_scheme *scheme,
 static int reserve_arrays(study *self)
 {
     const size_t N = 2 * self->n, rows = BLOCK + 1, count = self->def->count;
-    const struct {
-        double **slot;
-        size_t size;
-    } arrays[] = {{&self->x0, N}, {&self->end, N}, {&self->start, N}, {&self->exact, N},
-                  {&self->rows, dal__times(rows, N)}, {&self->energy, rows},
-                  {&self->relative, rows}, {&self->end_lambda, self->m}, {&self->lambda, self->m},
-                  {&self->expected, self->m}, {&self->reaction, self->m}, {&self->h, count},
-                  {&self->errors, count}};
-    for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++)
-        dal__reserve(&self->memory, arrays[i].slot, arrays[i].size, sizeof(double));
+    double **const states[] = {&self->x0, &self->end, &self->start, &self->exact};
+    double **const forces[] = {&self->end_lambda, &self->lambda, &self->expected, &self->reaction};
+    double **const blocks[] = {&self->energy, &self->relative};
+    double **const columns[] = {&self->h, &self->errors};
+    dal__reserve_doubles(&self->memory, DAL_LENGTH(states), states, N);
+    dal__reserve_doubles(&self->memory, DAL_LENGTH(forces), forces, self->m);
+    dal__reserve_doubles(&self->memory, DAL_LENGTH(blocks), blocks, rows);
+    dal__reserve_doubles(&self->memory, DAL_LENGTH(columns), columns, count);
+    dal__reserve(&self->memory, &self->rows, dal__times(rows, N), sizeof *self->rows);
     dal__reserve(&self->memory, &self->points, count, sizeof *self->points);
     dal__reserve(&self->memory, &self->counted, count, sizeof *self->counted);
     return dal__allocate(&self->memory, self->error);
@@ -673,10 +669,10 @@ static int place_on_D(study *self)
 int dal_order_study(const dal_system *system, const dal_scheme *scheme, const dal_order_def *def,
                     dal_order_point *points, dal_order *order, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!points || !order)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", points ? "order" : "points");
-    int status = require_def(system, scheme, def, error);
+    int status = DAL__REQUIRE(error, {"points", points}, {"order", order}, {"system", system},
+                              {"scheme", scheme}, {"def", def}, {"def->x0", def && def->x0},
+                              {"def->steps", def && def->steps});
+    if (!status) status = check_def(system, scheme, def, error);
     if (status) return status;
 
     study self = {.system = system, .scheme = scheme, .def = def, .n = dal_system_n(system),

@@ -142,10 +142,8 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
 int dal_system_deform(dal_system **system, const dal_system *base, dal_deformation_fn g, void *ctx,
                       double delta, dal_constraint_kind kind, unsigned missing, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!system || !base || !g)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL",
-                         !system ? "system" : !base ? "base" : "g");
+    const int status = DAL__REQUIRE(error, {"system", system}, {"base", base}, {"g", g});
+    if (status) return status;
     if (missing & ~(unsigned)(DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))
         return dal__fail(error, DAL_EINVAL, "missing = %#x: only DAL_MISSING_PHI_Q, for g_q, and "
                          "DAL_MISSING_PHI_T, for g_t, are allowed", missing);
@@ -159,9 +157,8 @@ int dal_system_deform(dal_system **system, const dal_system *base, dal_deformati
 int dal_system_deform_nodes(dal_system **system, const dal_system *base, double shift,
                             dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!system || !base)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "base" : "system");
+    const int status = DAL__REQUIRE(error, {"system", system}, {"base", base});
+    if (status) return status;
     if (base->def.missing & DAL_MISSING_PHI_Q)
         return dal__fail(error, DAL_EINVAL, "base does not provide phi_q, which phi_v at a shifted "
                          "point needs");

@@ -106,63 +106,63 @@ static int check_def(const dal_system_def *def, dal_error *error)
     return status;
 }
 
-static size_t text_size(const char *text) { return text ? strlen(text) + 1 : 1; }
-
-/* Copies text to *end and moves *end behind it; returns where the copy is. */
-static const char *copy_text(char **end, const char *text)
-{
-    char *copy = *end;
-    memcpy(copy, text ? text : "", text_size(text));
-    *end += text_size(text);
-    return copy;
-}
-
 /* The memory that a system owns, apart from what struct dal_system names. */
 typedef struct possessions {
     dal_system *self;
     void *ctx;
     double *state;
     const char **coordinates, **invariant_names;
-    char *text;
+    char *text;  /* NULL until its size is known, */
+    size_t used; /* which is what was taken of it */
 } possessions;
+
+/* The copy of a text. */
+static const char *take(possessions *own, const char *text)
+{
+    const size_t size = text ? strlen(text) + 1 : 1;
+    char *const copy = own->text ? own->text + own->used : NULL;
+    if (copy) memcpy(copy, text ? text : "", size);
+    own->used += size;
+    return copy;
+}
+
+/* self->def <- copies of all texts, as many as own has memory for: at first it only counts. */
+static void take_texts(dal_system *self, possessions *own, const dal_system_def *def)
+{
+    self->def.name = take(own, def->name ? def->name : "system");
+    self->def.help = take(own, def->help);
+    self->def.description = take(own, def->description);
+    self->def.source = take(own, def->source);
+    self->def.formulas = take(own, def->formulas);
+    for (size_t i = 0; i < def->n; i++) {
+        char generic[24];
+        snprintf(generic, sizeof generic, "q%zu", i);
+        const char *const name = take(own, def->coordinates ? def->coordinates[i] : generic);
+        if (own->text) own->coordinates[i] = name;
+    }
+    for (size_t i = 0; i < def->invariants; i++) {
+        const char *const name = take(own, def->invariant_names[i]);
+        if (own->text) own->invariant_names[i] = name;
+    }
+    self->def.coordinates = own->coordinates;
+    self->def.invariant_names = own->invariant_names;
+}
 
 static void plan(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
 {
     const size_t n = def->n, square = def->mass ? dal__times(n, n) : 0;
-    size_t text = text_size(def->name ? def->name : "system") + text_size(def->help)
-        + text_size(def->description) + text_size(def->source) + text_size(def->formulas);
-    for (size_t i = 0; i < n; i++)
-        text += def->coordinates ? text_size(def->coordinates[i]) : 24;
-    for (size_t i = 0; i < def->invariants; i++) text += text_size(def->invariant_names[i]);
+    double **const matrices[] = {&shape->mass, &shape->mass_inverse};
+    double **const units[] = {&shape->unit, &shape->per_unit};
+    take_texts(shape, own, def);
     dal__reserve(a, &own->self, 1, sizeof *own->self);
-    dal__reserve(a, &shape->mass, square, sizeof(double));
-    dal__reserve(a, &shape->mass_inverse, square, sizeof(double));
-    dal__reserve(a, &shape->unit, def->mass ? n : 0, sizeof(double));
-    dal__reserve(a, &shape->per_unit, def->mass ? n : 0, sizeof(double));
+    dal__reserve_doubles(a, DAL_LENGTH(matrices), matrices, square);
+    dal__reserve_doubles(a, DAL_LENGTH(units), units, def->mass ? n : 0);
     dal__reserve(a, &own->ctx, def->ctx_size, 1);
     dal__reserve(a, &own->state, dal__times(2, n), sizeof(double));
     dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
     dal__reserve(a, &own->invariant_names, def->invariants, sizeof *own->invariant_names);
-    dal__reserve(a, &own->text, text, 1);
-}
-
-static void copy_names(dal_system *system, possessions *own, const dal_system_def *def)
-{
-    char *end = own->text;
-    system->def.name = copy_text(&end, def->name ? def->name : "system");
-    system->def.help = copy_text(&end, def->help);
-    system->def.description = copy_text(&end, def->description);
-    system->def.source = copy_text(&end, def->source);
-    system->def.formulas = copy_text(&end, def->formulas);
-    for (size_t i = 0; i < def->n; i++) {
-        char generic[24];
-        snprintf(generic, sizeof generic, "q%zu", i);
-        own->coordinates[i] = copy_text(&end, def->coordinates ? def->coordinates[i] : generic);
-    }
-    for (size_t i = 0; i < def->invariants; i++)
-        own->invariant_names[i] = copy_text(&end, def->invariant_names[i]);
-    system->def.coordinates = own->coordinates;
-    system->def.invariant_names = own->invariant_names;
+    dal__reserve(a, &own->text, own->used, 1);
+    own->used = 0;
 }
 
 static int not_definite(const dal_system *system, size_t row, double pivot, dal_error *error)
@@ -236,14 +236,12 @@ static int bind_mass(dal_system *system, const double *M, dal_error *error)
 
 int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!system || !def)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "def" : "system");
-    int status = check_def(def, error);
+    int status = DAL__REQUIRE(error, {"system", system}, {"def", def});
+    if (!status) status = check_def(def, error);
     if (status) return status;
 
     arena memory = {0};
-    possessions own;
+    possessions own = {0};
     dal_system shape = {.def = *def};
     plan(&memory, &own, &shape, def);
     status = dal__allocate(&memory, error);
@@ -257,7 +255,7 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     if (def->state) self->def.state = memcpy(own.state, def->state, 2 * def->n * sizeof(double));
     if (def->ctx_size > 0) self->def.ctx = memcpy(own.ctx, def->ctx, def->ctx_size);
     self->def.ctx_size = 0; /* whoever takes the definition over borrows the copy */
-    copy_names(self, &own, def);
+    take_texts(self, &own, def);
     if (def->mass) status = bind_mass(self, def->mass, error);
     if (status) {
         dal_system_free(self);

@@ -147,8 +147,8 @@ static int make(dal_system **system, const builtin *record, double *p, dal_error
 int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
                        const double *values, size_t count, dal_error *error)
 {
-    if (!system || !name)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "name" : "system");
+    int status = DAL__REQUIRE(error, {"system", system}, {"name", name});
+    if (status) return status;
     if (count > 0 && (!names || !values))
         return dal__fail(error, DAL_EINVAL, "%s is NULL with count = %zu parameters",
                          names ? "values" : "names", count);
@@ -161,9 +161,9 @@ int dal_system_builtin(dal_system **system, const char *name, const char *const 
     for (size_t i = 0; i < MAX_PARAMETERS; i++) p[i] = record->parameters[i].value;
     for (size_t i = 0; i < count; i++) {
         if (!names[i]) return dal__fail(error, DAL_EINVAL, "names[%zu] is NULL", i);
-        const int status = set_parameter(record, names[i], values[i], p, error);
+        status = set_parameter(record, names[i], values[i], p, error);
         if (status) return status;
     }
-    const int status = record->check ? record->check(p, error) : DAL_SUCCESS;
+    if (record->check) status = record->check(p, error);
     return status ? status : make(system, record, p, error);
 }
