@@ -77,7 +77,7 @@ static int solve_step(dal_chart *chart)
                              .per_unit = mech->per_unit, .z = chart->w, .step = chart->step,
                              .lagging = true}; /* kappa */
     memcpy(chart->w, mech->start.v, n * sizeof *chart->w);
-    memset(chart->kappa, 0, chart->m * sizeof *chart->kappa);
+    dal__clear(chart->m, chart->kappa);
     return dal__newton_run(&equations, &mech->error);
 }
 

@@ -59,9 +59,7 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
 
 void dal_discrete_free(dal_discrete *discrete)
 {
-    if (!discrete) return;
-    arena memory = discrete->arena; /* the object lies inside it */
-    dal__release(&memory);
+    if (discrete) dal__release(&discrete->arena);
 }
 
 const dal_error *dal_discrete_error(const dal_discrete *discrete) { return &discrete->mech.error; }
@@ -173,8 +171,8 @@ static void add_chain(const dal__rho *rho, bool last, size_t rows, const slopes 
 
 static void clear(size_t count, dal__terms C)
 {
-    memset(C.sum, 0, count * sizeof *C.sum);
-    memset(C.scale, 0, count * sizeof *C.scale);
+    dal__clear(count, C.sum);
+    dal__clear(count, C.scale);
 }
 
 /* p[n] <- factor (h g_r^T F + f_r^T L_v), f_r as it is stored. */

@@ -63,7 +63,7 @@ static int value_reaction(const double *w, double *value, void *ctx)
     int status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
     if (!status) status = middle_forms(d, d->constraint.f, d->phi_q);
     if (status) return status;
-    memset(value, 0, n * sizeof *value);
+    dal__clear(n, value);
     dal__add_reaction(n, d->m, 1.0, d->phi_q, d->step.kappa, value);
     return DAL_SUCCESS;
 }
@@ -88,8 +88,8 @@ static void assemble(dal_discrete *d)
     const size_t n = d->n, m = d->m, N = n + m;
     double *const J = d->root.J.A, *const scale = d->root.scale;
     d->root.J.size = N;
-    memset(J, 0, N * N * sizeof *J);
-    memset(scale, 0, N * N * sizeof *scale);
+    dal__clear(N * N, J);
+    dal__clear(N * N, scale);
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) {
             J[i * N + j] = d->K.sum[i * n + j];
@@ -139,7 +139,7 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
     if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->velocity);
     if (status) return status;
     memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
-    memset(d->root.z + n, 0, m * sizeof *d->root.z);
+    dal__clear(m, d->root.z + n);
     return dal__newton_run(&equations, &d->mech.error);
 }
 

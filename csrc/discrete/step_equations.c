@@ -42,7 +42,7 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     if (mech->eval.system->def.kind != DAL_NONLINEAR)
         status = dal__constraint(&mech->eval, mech->start.middle, mech->node, v, NULL, mech->muk,
                                  NULL, NULL, &mech->error);
-    memset(mech->reach, 0, n * sizeof *mech->reach);
+    dal__clear(n, mech->reach);
     const double *const place = place_of_L(mech, (alpha - 1.0) * h, v);
     const dal__jet wanted = {.L_q = alpha != 0.0 ? mech->reach : NULL,
                              .L_v = mech->eval.constant_mass ? NULL : mech->momentum};
@@ -73,7 +73,7 @@ static int evaluate_bend(dal_mechanics *mech, const double *w, const double *kap
     double largest = dal__largest(n, w);
     if (largest == 0.0) largest = 1.0;
     const double d = cbrt(DBL_EPSILON) * largest;
-    memset(mech->bend, 0, n * n * sizeof *mech->bend);
+    dal__clear(n * n, mech->bend);
     for (size_t j = 0; j < n; j++)
         for (int side = -1; side <= 1; side += 2) {
             memcpy(mech->trial, w, n * sizeof *w);

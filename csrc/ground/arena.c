@@ -14,6 +14,11 @@ size_t dal__times(size_t a, size_t b)
     return b != 0 && a > SIZE_MAX / b ? SIZE_MAX : a * b;
 }
 
+void dal__clear(size_t count, double *x)
+{
+    if (x) memset(x, 0, count * sizeof *x);
+}
+
 void dal__move(size_t n, const double *x, double h, const double *v, double *y)
 {
     for (size_t i = 0; i < n; i++) y[i] = x[i] + h * v[i];
@@ -64,6 +69,7 @@ int dal__allocate(arena *a, dal_error *error)
 
 void dal__release(arena *a)
 {
-    free(a->block);
+    void *const block = a->block;
     a->block = NULL;
+    free(block);
 }

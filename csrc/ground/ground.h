@@ -108,11 +108,14 @@ void dal__reserve(arena *a, void *slot, size_t count, size_t size);
 void dal__reserve_doubles(arena *a, size_t slots, double **const slot[], size_t count);
 /* Zero-filled memory for all that was reserved; DAL_ENOMEM. */
 int dal__allocate(arena *a, dal_error *error);
+/* a may itself lie in the memory that is released. */
 void dal__release(arena *a);
 
 /* a*b, or SIZE_MAX where that overflows. */
 size_t dal__times(size_t a, size_t b);
 
+/* x[count], which may be NULL, <- 0. */
+void dal__clear(size_t count, double *x);
 /* y[n] <- x + h v; y may be x or v. */
 void dal__move(size_t n, const double *x, double h, const double *v, double *y);
 

@@ -116,8 +116,7 @@ void dal_embedding_free(dal_embedding *embedding)
     dal_flow_free(embedding->flow);
     dal_stepper_free(embedding->stepper);
     dal_chart_free(embedding->chart);
-    arena memory = embedding->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&embedding->arena);
 }
 
 static int relay(double t, void *ctx)
@@ -303,7 +302,7 @@ static int perturbation(dal_embedding *self, double tau, const double *z)
         self->next[i] = slope / self->h * (self->F1[i] - self->F2[i])
                       + chi0 * (self->field1[i] - self->field0[i])
                       + chi1 * (self->field2[i] - self->field0[i]);
-    if (phase == 0.0) memset(self->next, 0, self->width * sizeof *self->next);
+    if (phase == 0.0) dal__clear(self->width, self->next);
     return DAL_SUCCESS;
 }
 

@@ -124,13 +124,18 @@ static bool has_exact(const study *self)
     return def->exact && (dal__is_autonomous(self->system) || self->def->t0 == 0.0);
 }
 
+/* The largest component of the ends of the solution. */
+static double size_of_states(const study *self)
+{
+    const size_t N = 2 * self->n;
+    return fmax(dal__largest(N, self->x0), dal__largest(N, self->end));
+}
+
 /* What errors are measured against: the accuracy of the reference, or so many roundings of a state.
  * The flow that stands in for an exact solution off D promises its tolerance. */
 static double error_floor(const study *self, double roundings)
 {
-    const size_t n = self->n;
-    const double states = fmax(dal__largest(2 * n, self->x0), dal__largest(2 * n, self->end));
-    const double scale = fmax(states, dal__largest(self->m, self->end_lambda));
+    const double scale = fmax(size_of_states(self), dal__largest(self->m, self->end_lambda));
     const bool stands_in = self->flow && has_exact(self);
     return fmax(stands_in ? self->tolerance : self->accuracy, roundings * DAL_ROUNDOFF * scale);
 }
@@ -224,12 +229,19 @@ static double largest_difference(size_t count, const double *x, const double *y)
 
 /* ---- the reference ---------------------------------------------------------------------- */
 
-/* x[2n] at t <- the solution that starts in start[2n] at t0.  Off D there is only the flow. */
-static int exact_state(study *self, double t, const double *start, double *x)
+/* exact <- the solution at t that starts in start at t0, expected <- its lambda.  Off D there is
+ * only the flow. */
+static int expect(study *self, double t)
 {
-    if (!self->flow) return dal_system_exact(self->system, t - self->def->t0, start, x);
-    memcpy(x, start, 2 * self->n * sizeof *x);
-    return dal__flow_apply(self->flow, self->def->t0, t - self->def->t0, x, !self->kept);
+    const double t0 = self->def->t0;
+    int status;
+    if (self->flow) {
+        memcpy(self->exact, self->start, 2 * self->n * sizeof *self->exact);
+        status = dal__flow_apply(self->flow, t0, t - t0, self->exact, !self->kept);
+    } else {
+        status = dal_system_exact(self->system, t - t0, self->start, self->exact);
+    }
+    return status ? status : dal_multipliers(self->mech, t, self->exact, self->expected);
 }
 
 /* The state and lambda at t_end, and how well they are known. */
@@ -277,13 +289,11 @@ static int measure_step(study *self, double h, dal_order_point *point)
     memcpy(self->start, state, 2 * n * sizeof *self->start);
     int status = dal_step(self->stepper, self->reaction);
 
-    if (!status) status = exact_state(self, t0 + 0.5 * h, self->start, self->exact);
-    if (!status) status = dal_multipliers(self->mech, t0 + 0.5 * h, self->exact, self->expected);
+    if (!status) status = expect(self, t0 + 0.5 * h);
     if (status) return status;
     point->local_midpoint = largest_difference(m, self->reaction, self->expected);
 
-    status = exact_state(self, t0 + h, self->start, self->exact);
-    if (!status) status = dal_multipliers(self->mech, t0 + h, self->exact, self->expected);
+    status = expect(self, t0 + h);
     if (!status) status = dal_multipliers(self->mech, t0 + h, state, self->lambda);
     if (status) return status;
     point->local_state = largest_difference(2 * n, state, self->exact);
@@ -405,8 +415,7 @@ static bool falls_short(const dal_fit *fit, int least)
  * fails with a smaller step than another that does not. */
 static bool is_resolved(const study *self)
 {
-    const size_t N = 2 * self->n;
-    const double scale = fmax(dal__largest(N, self->x0), dal__largest(N, self->end));
+    const double scale = size_of_states(self);
     double longest = 0.0, failing = INFINITY;
     for (size_t i = 0; i < self->def->count; i++) {
         const dal_order_point *const point = &self->points[i];
@@ -547,10 +556,8 @@ static bool tells_lower_order(study *self, bool at_end, double floor)
     }
     if (a <= error_floor(self, STEP_ROUNDINGS)) return true;
     for (size_t i = 0; i < def->count; i++) h = fmax(h, fabs(self->points[i].h));
-    const double size = fmax(dal__largest(2 * self->n, self->x0),
-                             dal__largest(2 * self->n, self->end));
     const double runs = at_end ? fabs(def->t_end - def->t0) / h : 1.0;
-    return size * pow(a / v * h, self->scheme->order) * runs > ABOVE_FLOOR * floor;
+    return size_of_states(self) * pow(a / v * h, self->scheme->order) * runs > ABOVE_FLOOR * floor;
 }
 
 static void conclude(study *self, dal_order *order)

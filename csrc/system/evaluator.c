@@ -93,11 +93,6 @@ static size_t size(const evaluator *e, const output *out)
     return length(e, out->rows) * length(e, out->columns);
 }
 
-static void clear(size_t count, double *x)
-{
-    if (x) memset(x, 0, count * sizeof *x);
-}
-
 /* x: where the outputs go, in the order of the table.  phi of linear constraints is mu v. */
 static int call(evaluator *e, callback which, double t, const double *q, const double *v,
                 double *const *x)
@@ -317,9 +312,9 @@ int dal__potential(evaluator *e, double t, const double *q, double *V, double *V
     const size_t n = e->system->def.n;
     double *const x[] = {V, V_q, V_qq};
     if (e->potential) return evaluate(e, POTENTIAL, t, q, NULL, x, error);
-    clear(1, V);
-    clear(n, V_q);
-    clear(n * n, V_qq);
+    dal__clear(1, V);
+    dal__clear(n, V_q);
+    dal__clear(n * n, V_qq);
     return DAL_SUCCESS;
 }
 
@@ -331,7 +326,7 @@ int dal__constraint(evaluator *e, double t, const double *q, const double *v, do
     if (def->m == 0) return DAL_SUCCESS;
     double *x[] = {linear && phi && !phi_v ? e->forms : phi_v, phi_q,
                    def->time_dependent ? phi_t : NULL, phi};
-    if (!def->time_dependent) clear(def->m, phi_t);
+    if (!def->time_dependent) dal__clear(def->m, phi_t);
     forget(e, CONSTRAINT, x);
     const int returned = complete(e, CONSTRAINT, t, q, v, x);
     if (linear) x[3] = NULL; /* it is mu v */
@@ -355,9 +350,9 @@ static int simple_lagrangian(evaluator *e, double t, const double *q, const doub
     negate(n, jet->L_q);
     negate(n * n, jet->L_qq);
     if (jet->L_v) dal__apply(n, n, M, v, jet->L_v);
-    clear(n * n, jet->L_vq);
+    dal__clear(n * n, jet->L_vq);
     if (jet->L_vv) memcpy(jet->L_vv, M, n * n * sizeof *jet->L_vv);
-    clear(n, jet->L_vt);
+    dal__clear(n, jet->L_vt);
     if (!jet->L) return DAL_SUCCESS;
     dal__apply(n, n, M, v, e->gradient);
     *jet->L = 0.5 * dal__dot(n, v, e->gradient) - V;
@@ -371,7 +366,7 @@ int dal__lagrangian(evaluator *e, double t, const double *q, const double *v, co
     double *const x[] = {jet->L, jet->L_q, jet->L_v, jet->L_qq, jet->L_vq, jet->L_vv,
                          timed ? jet->L_vt : NULL};
     if (e->constant_mass) return simple_lagrangian(e, t, q, v, jet, error);
-    if (!timed) clear(e->system->def.n, jet->L_vt);
+    if (!timed) dal__clear(e->system->def.n, jet->L_vt);
     return evaluate(e, LAGRANGIAN, t, q, v, x, error);
 }
 
@@ -381,8 +376,8 @@ int dal__force(evaluator *e, double t, const double *q, const double *v, double 
     const size_t n = e->system->def.n;
     double *const x[] = {f, f_q, f_v};
     if (e->system->def.force) return evaluate(e, FORCE, t, q, v, x, error);
-    clear(n, f);
-    clear(n * n, f_q);
-    clear(n * n, f_v);
+    dal__clear(n, f);
+    dal__clear(n * n, f_q);
+    dal__clear(n * n, f_v);
     return DAL_SUCCESS;
 }

@@ -200,7 +200,7 @@ static int invert_mass(dal_system *system, dal_error *error)
         status = not_definite(system, row, pivot, error);
     } else {
         for (size_t j = 0; j < n; j++) {
-            memset(column, 0, n * sizeof *column);
+            dal__clear(n, column);
             column[j] = 1.0;
             dal__cholesky_solve(n, factor, column);
             for (size_t i = 0; i < n; i++) inverse[i * n + j] = column[i];
@@ -267,9 +267,7 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
 
 void dal_system_free(dal_system *system)
 {
-    if (!system) return;
-    arena memory = system->arena; /* the system lies inside it */
-    dal__release(&memory);
+    if (system) dal__release(&system->arena);
 }
 
 size_t dal_system_n(const dal_system *system) { return system->def.n; }

@@ -139,7 +139,7 @@ POTENTIAL(chaotic_potential)
         }
     }
     if (V_qq) {
-        memset(V_qq, 0, n * n * sizeof *V_qq);
+        dal__clear(n * n, V_qq);
         V_qq[0] = 1.0;
         for (size_t i = 0; i < pairs; i++) {
             double *row_y = V_qq + (1 + i) * n, *row_z = row_y + pairs * n;

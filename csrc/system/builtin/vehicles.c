@@ -170,11 +170,11 @@ LAGRANGIAN(n_trailer_lagrangian)
         for (size_t i = 0; i <= N; i++)
             *L += (all.m * dot(all.velocity[i], all.velocity[i]) + all.J * turn[i] * turn[i]) / 2;
     }
-    if (L_q) memset(L_q, 0, n * sizeof *L_q);
-    if (L_qq) memset(L_qq, 0, n * n * sizeof *L_qq);
-    if (L_vq) memset(L_vq, 0, n * n * sizeof *L_vq);
+    dal__clear(n, L_q);
+    dal__clear(n * n, L_qq);
+    dal__clear(n * n, L_vq);
+    dal__clear(n * n, L_vv);
     if (L_vv) {
-        memset(L_vv, 0, n * n * sizeof *L_vv);
         L_vv[0] = L_vv[n + 1] = all.m * (double)(N + 1);
         L_vv[2 * n + 2] = all.J;
     }
@@ -223,8 +223,8 @@ CONSTRAINT(n_trailer_constraint)
     chain all;
     n_trailer_chain(ctx, q, v, &all);
     const size_t N = all.trailers, n = N + 3;
-    if (phi_v) memset(phi_v, 0, (N + 1) * n * sizeof *phi_v);
-    if (phi_q) memset(phi_q, 0, (N + 1) * n * sizeof *phi_q);
+    dal__clear((N + 1) * n, phi_v);
+    dal__clear((N + 1) * n, phi_q);
     for (size_t i = 0; i <= N; i++) {
         const plane nk = all.normal[i];
         double *const mu = phi_v ? phi_v + i * n : NULL;
