@@ -6,16 +6,13 @@
 
 void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a)
 {
-    const size_t nn = dal__times(n, n), twice = map->differenced ? dal__times(2, n) : 0;
-    double **const matrices[] = {&rho->g_0, &rho->g_1, &rho->f_0, &rho->f_1};
+    const size_t twice = map->differenced ? dal__times(2, n) : 0;
     rho->map = *map;
     rho->n = n;
-    dal__reserve(a, &rho->g, n, sizeof(double));
-    dal__reserve(a, &rho->f, n, sizeof(double));
-    dal__reserve_doubles(a, DAL_LENGTH(matrices), matrices, nn);
-    dal__reserve(a, &rho->point, twice, sizeof(double));
-    dal__reserve(a, &rho->value, twice, sizeof(double));
-    dal__reserve(a, &rho->slope, dal__times(twice, twice), sizeof(double));
+    DAL__RESERVE(a, n, &rho->g, &rho->f);
+    DAL__RESERVE(a, dal__times(n, n), &rho->g_0, &rho->g_1, &rho->f_0, &rho->f_1);
+    DAL__RESERVE(a, twice, &rho->point, &rho->value);
+    DAL__RESERVE(a, dal__times(twice, twice), &rho->slope);
 }
 
 /* The derivatives of rho^beta are constant. */

@@ -23,28 +23,24 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
                              i ? "constraint" : "lagrangian", betas[i]);
 
     const size_t n = system->def.n, m = system->def.m;
-    const size_t nn = dal__times(n, n), mn = dal__times(m, n);
     arena memory = {0};
     dal_discrete shape = {.n = n, .m = m}, *self;
-    double **const vectors[] = {&shape.q0, &shape.q1, &shape.w, &shape.node, &shape.force,
-                                &shape.L_v, &shape.minus, &shape.plus, &shape.momentum,
-                                &shape.velocity, &shape.point, &shape.value};
-    double **const matrices[] = {&shape.L_qq, &shape.L_vq, &shape.L_vv, &shape.f_q, &shape.f_v,
-                                 &shape.X.sum, &shape.X.scale, &shape.Y.sum, &shape.Y.scale,
-                                 &shape.K.sum, &shape.K.scale, &shape.bend};
-    double **const forms[] = {&shape.phi_v, &shape.phi_q, &shape.B.sum, &shape.B.scale,
-                              &shape.muk};
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
     dal__rho_reserve(&shape.lagrangian, lagrangian, n, &memory);
     dal__rho_reserve(&shape.constraint, of_constraint, n, &memory);
     dal__rho_reserve(&shape.moved, lagrangian, n, &memory);
     dal__root_reserve(&shape.root, dal__times(2, n), &memory); /* m < n */
-    dal__reserve_doubles(&memory, DAL_LENGTH(vectors), vectors, n);
-    dal__reserve_doubles(&memory, DAL_LENGTH(matrices), matrices, nn);
-    dal__reserve_doubles(&memory, DAL_LENGTH(forms), forms, mn);
-    dal__reserve(&memory, &shape.phi, m, sizeof(double));
-    dal__reserve(&memory, &shape.state, dal__times(2, n), sizeof(double));
+    DAL__RESERVE(&memory, n, &shape.q0, &shape.q1, &shape.w, &shape.node, &shape.force, &shape.L_v,
+                 &shape.minus, &shape.plus, &shape.momentum, &shape.velocity, &shape.point,
+                 &shape.value);
+    DAL__RESERVE(&memory, dal__times(n, n), &shape.L_qq, &shape.L_vq, &shape.L_vv, &shape.f_q,
+                 &shape.f_v, &shape.X.sum, &shape.X.scale, &shape.Y.sum, &shape.Y.scale,
+                 &shape.K.sum, &shape.K.scale, &shape.bend);
+    DAL__RESERVE(&memory, dal__times(m, n), &shape.phi_v, &shape.phi_q, &shape.B.sum,
+                 &shape.B.scale, &shape.muk);
+    DAL__RESERVE(&memory, m, &shape.phi);
+    DAL__RESERVE(&memory, dal__times(2, n), &shape.state);
     status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;

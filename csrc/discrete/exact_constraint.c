@@ -85,10 +85,9 @@ int dal_exact_velocity(dal_flow *flow, double t0, double h, const double *q0, co
     int status = pass_on(&s, dal__require_finite(s.mech, "q0", n, q0));
     if (!status) status = pass_on(&s, dal__require_finite(s.mech, "q1", n, q1));
     if (status) return status;
-    double **const states[] = {&s.x, &s.end};
-    dal__reserve_doubles(&s.arena, DAL_LENGTH(states), states, dal__times(2, n));
-    dal__reserve(&s.arena, &s.miss, n, sizeof(double));
-    dal__reserve(&s.arena, &s.defect, m, sizeof(double));
+    DAL__RESERVE(&s.arena, dal__times(2, n), &s.x, &s.end);
+    DAL__RESERVE(&s.arena, n, &s.miss);
+    DAL__RESERVE(&s.arena, m, &s.defect);
     status = dal__allocate(&s.arena, error);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {

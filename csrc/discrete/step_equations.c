@@ -245,7 +245,7 @@ int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h
 
     double *r1;
     arena scratch = {0};
-    dal__reserve(&scratch, &r1, (n + m) * (n + 1), sizeof *r1);
+    DAL__RESERVE(&scratch, (n + m) * (n + 1), &r1);
     status = dal__allocate(&scratch, &mech->error);
     if (status) return status;
     double *const r2 = r1 + n, *const k = r2 + m, *const b = k + n * n;

@@ -106,6 +106,9 @@ typedef struct arena {
 void dal__reserve(arena *a, void *slot, size_t count, size_t size);
 /* The same of doubles for each of slot[slots]. */
 void dal__reserve_doubles(arena *a, size_t slots, double **const slot[], size_t count);
+#define DAL__RESERVE(a, count, ...) \
+    dal__reserve_doubles(a, DAL_LENGTH(((double **[]){__VA_ARGS__})), \
+                         (double **[]){__VA_ARGS__}, count)
 /* Zero-filled memory for all that was reserved; DAL_ENOMEM. */
 int dal__allocate(arena *a, dal_error *error);
 /* a may itself lie in the memory that is released. */

@@ -89,13 +89,11 @@ int dal_embedding_new(dal_embedding **embedding, const dal_system *system,
                            .order = def->order ? def->order : def->scheme->order,
                            .tolerance = def->tolerance > 0.0 ? def->tolerance : DEFAULT_TOLERANCE};
     dal_embedding *self;
-    double **const coordinates[] = {&shape.y, &shape.next, &shape.F1, &shape.F2,
-                                    &shape.field1, &shape.field2, &shape.field0};
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
-    dal__reserve(&memory, &shape.x, 2 * n, sizeof(double));
-    dal__reserve(&memory, &shape.moved, 2 * n, sizeof(double));
-    dal__reserve_doubles(&memory, DAL_LENGTH(coordinates), coordinates, width);
+    DAL__RESERVE(&memory, 2 * n, &shape.x, &shape.moved);
+    DAL__RESERVE(&memory, width, &shape.y, &shape.next, &shape.F1, &shape.F2, &shape.field1,
+                 &shape.field2, &shape.field0);
     status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;

@@ -615,15 +615,12 @@ static int check_def(const dal_system *system, const dal_scheme *scheme,
 static int reserve_arrays(study *self)
 {
     const size_t N = 2 * self->n, rows = BLOCK + 1, count = self->def->count;
-    double **const states[] = {&self->x0, &self->end, &self->start, &self->exact};
-    double **const forces[] = {&self->end_lambda, &self->lambda, &self->expected, &self->reaction};
-    double **const blocks[] = {&self->energy, &self->relative};
-    double **const columns[] = {&self->h, &self->errors};
-    dal__reserve_doubles(&self->memory, DAL_LENGTH(states), states, N);
-    dal__reserve_doubles(&self->memory, DAL_LENGTH(forces), forces, self->m);
-    dal__reserve_doubles(&self->memory, DAL_LENGTH(blocks), blocks, rows);
-    dal__reserve_doubles(&self->memory, DAL_LENGTH(columns), columns, count);
-    dal__reserve(&self->memory, &self->rows, dal__times(rows, N), sizeof *self->rows);
+    DAL__RESERVE(&self->memory, N, &self->x0, &self->end, &self->start, &self->exact);
+    DAL__RESERVE(&self->memory, self->m, &self->end_lambda, &self->lambda, &self->expected,
+                 &self->reaction);
+    DAL__RESERVE(&self->memory, rows, &self->energy, &self->relative);
+    DAL__RESERVE(&self->memory, count, &self->h, &self->errors);
+    DAL__RESERVE(&self->memory, dal__times(rows, N), &self->rows);
     dal__reserve(&self->memory, &self->points, count, sizeof *self->points);
     dal__reserve(&self->memory, &self->counted, count, sizeof *self->counted);
     return dal__allocate(&self->memory, self->error);

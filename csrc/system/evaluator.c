@@ -236,9 +236,8 @@ static int complete_constraint(double t, const double *q, const double *v, doubl
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n;
-    dal__reserve(a, &e->point, n, sizeof(double));
-    dal__reserve(a, &e->gradient, n, sizeof(double));
-    dal__reserve(a, &e->forms, dal__times(system->def.m, n), sizeof(double));
+    DAL__RESERVE(a, n, &e->point, &e->gradient);
+    DAL__RESERVE(a, dal__times(system->def.m, n), &e->forms);
 }
 
 void dal__evaluator_bind(evaluator *e, const dal_system *system)

@@ -151,14 +151,12 @@ static void take_texts(dal_system *self, possessions *own, const dal_system_def 
 static void plan(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
 {
     const size_t n = def->n, square = def->mass ? dal__times(n, n) : 0;
-    double **const matrices[] = {&shape->mass, &shape->mass_inverse};
-    double **const units[] = {&shape->unit, &shape->per_unit};
     take_texts(shape, own, def);
     dal__reserve(a, &own->self, 1, sizeof *own->self);
-    dal__reserve_doubles(a, DAL_LENGTH(matrices), matrices, square);
-    dal__reserve_doubles(a, DAL_LENGTH(units), units, def->mass ? n : 0);
+    DAL__RESERVE(a, square, &shape->mass, &shape->mass_inverse);
+    DAL__RESERVE(a, def->mass ? n : 0, &shape->unit, &shape->per_unit);
     dal__reserve(a, &own->ctx, def->ctx_size, 1);
-    dal__reserve(a, &own->state, dal__times(2, n), sizeof(double));
+    DAL__RESERVE(a, dal__times(2, n), &own->state);
     dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
     dal__reserve(a, &own->invariant_names, def->invariants, sizeof *own->invariant_names);
     dal__reserve(a, &own->text, own->used, 1);
@@ -183,30 +181,25 @@ static int invert_diagonal_mass(dal_system *system, dal_error *error)
     return DAL_SUCCESS;
 }
 
-/* M^-1 by columns. */
+/* M^-1 by columns, which are its rows but for roundoff. */
 static int invert_mass(dal_system *system, dal_error *error)
 {
     const size_t n = system->def.n;
-    double *const inverse = system->mass_inverse, *factor, *column;
+    double *const inverse = system->mass_inverse, *factor;
     arena scratch = {0};
-    dal__reserve(&scratch, &factor, n * n, sizeof *factor);
-    dal__reserve(&scratch, &column, n, sizeof *column);
+    DAL__RESERVE(&scratch, n * n, &factor);
     int status = dal__allocate(&scratch, error);
     if (status) return status;
     size_t row = 0;
     double pivot = 0.0;
     memcpy(factor, system->mass, n * n * sizeof *factor);
-    if (!dal__cholesky(n, factor, column, &row, &pivot)) {
+    if (!dal__cholesky(n, factor, system->unit, &row, &pivot))
         status = not_definite(system, row, pivot, error);
-    } else {
-        for (size_t j = 0; j < n; j++) {
-            dal__clear(n, column);
-            column[j] = 1.0;
-            dal__cholesky_solve(n, factor, column);
-            for (size_t i = 0; i < n; i++) inverse[i * n + j] = column[i];
-        }
-        dal__symmetrise(n, inverse);
+    for (size_t j = 0; !status && j < n; j++) {
+        inverse[j * n + j] = 1.0;
+        dal__cholesky_solve(n, factor, inverse + j * n);
     }
+    dal__symmetrise(n, inverse);
     dal__release(&scratch);
     return status;
 }
@@ -322,7 +315,7 @@ static int answer_by(const dal_system *system, dal_exact_fn f, double t, const d
     if (!f) return DAL_EUNSUPPORTED;
     arena scratch = {0};
     double *fresh;
-    dal__reserve(&scratch, &fresh, count, sizeof *fresh);
+    DAL__RESERVE(&scratch, count, &fresh);
     int status = dal__allocate(&scratch, NULL);
     if (status) return status;
     dal__forget(count, fresh);

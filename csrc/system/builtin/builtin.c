@@ -108,8 +108,8 @@ static int make(dal_system **system, const builtin *record, double *p, dal_error
     double *mass, *state;
     const char **names;
     char(*text)[NAME_SIZE];
-    dal__reserve(&a, &mass, dal__times(n, n), sizeof *mass);
-    dal__reserve(&a, &state, 2 * n, sizeof *state);
+    DAL__RESERVE(&a, dal__times(n, n), &mass);
+    DAL__RESERVE(&a, 2 * n, &state);
     dal__reserve(&a, &names, n, sizeof *names);
     dal__reserve(&a, &text, n, sizeof *text);
     int status = dal__allocate(&a, error);

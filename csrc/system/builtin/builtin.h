@@ -24,7 +24,7 @@ typedef struct builtin {
     void (*coordinate)(const double *p, size_t i, char text[NAME_SIZE]); /* name of the i-th */
     parameter parameters[MAX_PARAMETERS + 1];
     int (*check)(const double *p, dal_error *error); /* of parameters together; or NULL */
-    size_t diagonal[MAX_COORDINATES]; /* M_ii is the parameter of this number, from 1; 0: M_ii = 1 */
+    size_t diagonal[MAX_COORDINATES]; /* the number, from 1, of the parameter M_ii; 0: 1 */
     void (*mass)(const double *p, double *M); /* M[n*n], instead of diagonal */
     double start[2 * MAX_COORDINATES];
     void (*state)(const double *p, double *x); /* instead of start */
@@ -71,12 +71,6 @@ static inline void set3(double *a, double a0, double a1, double a2)
     a[0] = a0;
     a[1] = a1;
     a[2] = a2;
-}
-
-static inline void set4(double *a, double a0, double a1, double a2, double a3)
-{
-    set3(a, a0, a1, a2);
-    a[3] = a3;
 }
 
 /* sin(x)/x */

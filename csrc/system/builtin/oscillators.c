@@ -225,8 +225,8 @@ LAGRANGIAN(genmass_lagrangian)
 CONSTRAINT(genmass_constraint)
 {
     const double mu[3] = {-q[1], q[0] / 2 + q[2] / 4, 1 + q[0] * q[0] / 5};
-    if (phi) phi[0] = mu[0] * v[0] + mu[1] * v[1] + mu[2] * v[2];
-    if (phi_v) set3(phi_v, mu[0], mu[1], mu[2]);
+    if (phi) phi[0] = dal__dot(3, mu, v);
+    if (phi_v) set(phi_v, 3, mu);
     if (phi_q) set3(phi_q, v[1] / 2 + 2 * q[0] * v[2] / 5, -v[0], v[1] / 4);
     return 0;
 }

@@ -28,8 +28,7 @@ static inline void constraint_rolling(size_t roll, size_t heading, double R, con
 static void disk_state(const double *p, double *x)
 {
     const double R = p[3], roll = 1.1, phi = 0.4;
-    set4(x, 0.0, 0.0, 0.1, phi);
-    set4(x + 4, R * roll * cos(phi), R * roll * sin(phi), roll, 0.9);
+    set(x, 8, (double[]){0.0, 0.0, 0.1, phi, R * roll * cos(phi), R * roll * sin(phi), roll, 0.9});
 }
 
 CONSTRAINT(disk_constraint)
@@ -45,8 +44,8 @@ EXACT(disk_exact)
     const double *p = ctx, speed = p[3] * x0[6], roll = x0[6], turn = x0[7];
     const double middle = x0[3] + turn * t / 2, phi = x0[3] + turn * t;
     const double way = speed * t * sinc(turn * t / 2);
-    set4(x, x0[0] + way * cos(middle), x0[1] + way * sin(middle), x0[2] + roll * t, phi);
-    set4(x + 4, speed * cos(phi), speed * sin(phi), roll, turn);
+    set(x, 8, (double[]){x0[0] + way * cos(middle), x0[1] + way * sin(middle), x0[2] + roll * t,
+                         phi, speed * cos(phi), speed * sin(phi), roll, turn});
     return 0;
 }
 
@@ -81,7 +80,7 @@ const builtin dal__disk = {
 
 static void robot_state(const double *p, double *x)
 {
-    set4(x + 4, p[3], 0.0, 0.5, 1.0);
+    set(x, 8, (double[8]){[4] = p[3], [6] = 0.5, [7] = 1.0});
 }
 
 /* V = k sin theta */
@@ -89,7 +88,7 @@ POTENTIAL(robot_potential)
 {
     const double *p = ctx, k = p[4];
     if (V) *V = k * sin(q[3]);
-    if (V_q) set4(V_q, 0.0, 0.0, 0.0, k * cos(q[3]));
+    if (V_q) set(V_q, 4, (double[4]){[3] = k * cos(q[3])});
     if (V_qq) set(V_qq, 16, (double[16]){[15] = -k * sin(q[3])});
     return 0;
 }

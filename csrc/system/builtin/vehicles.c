@@ -155,6 +155,42 @@ static void n_trailer_state(const double *p, double *x)
     }
 }
 
+/* m of axles k ... N */
+static double mass_behind(const chain *all, size_t k)
+{
+    return all->m * (double)(all->trailers + 1 - k);
+}
+
+/* What the second derivatives of L have of axle k > 0: theta_k with x, y and theta_j, j <= k. */
+static void second_derivatives(const chain *all, const double *turn, size_t k, plane P,
+                               double *L_qq, double *L_vq, double *L_vv)
+{
+    const size_t n = all->trailers + 3, at = 2 + k;
+    const plane e = all->e[k], nk = all->normal[k];
+    const double d = all->d, w = mass_behind(all, k);
+    if (L_vq) {
+        L_vq[at] = w * d * turn[k] * e.x;
+        L_vq[n + at] = w * d * turn[k] * e.y;
+    }
+    if (L_vv) {
+        L_vv[at] = L_vv[at * n] = -w * d * nk.x;
+        L_vv[n + at] = L_vv[at * n + 1] = -w * d * nk.y;
+    }
+    for (size_t j = 1; j <= k; j++) {
+        const size_t to = 2 + j;
+        const double same = w * d * d * dot(e, all->e[j]), cross = w * d * d * dot(nk, all->e[j]);
+        if (L_qq) L_qq[at * n + to] = L_qq[to * n + at] = turn[k] * turn[j] * same;
+        if (L_vq) {
+            L_vq[at * n + to] = -turn[j] * cross;
+            L_vq[to * n + at] = turn[k] * cross; /* n_j e_k = -n_k e_j */
+        }
+        if (L_vv) L_vv[at * n + to] = L_vv[to * n + at] = same;
+    }
+    if (L_qq) L_qq[at * n + at] += d * turn[k] * dot(nk, P);
+    if (L_vq) L_vq[at * n + at] = d * dot(e, P);
+    if (L_vv) L_vv[at * n + at] += all->J;
+}
+
 /* L = sum_i (m |p_i'|^2 + J theta_i'^2)/2.  With P_k = m (p_k' + ... + p_N'), the momentum of what
  * hangs at axle k: dL/dtheta_k' = J theta_k' - d n_k P_k and dL/dtheta_k = d theta_k' e_k P_k for
  * k > 0; and P_k changes by -w d n_j with theta_j' and by w d theta_j' e_j with theta_j, where w is
@@ -164,7 +200,7 @@ LAGRANGIAN(n_trailer_lagrangian)
     chain all;
     n_trailer_chain(ctx, q, v, &all);
     const size_t N = all.trailers, n = N + 3;
-    const double d = all.d, *turn = v + 2;
+    const double *turn = v + 2;
     if (L) {
         *L = 0.0;
         for (size_t i = 0; i <= N; i++)
@@ -175,39 +211,16 @@ LAGRANGIAN(n_trailer_lagrangian)
     dal__clear(n * n, L_vq);
     dal__clear(n * n, L_vv);
     if (L_vv) {
-        L_vv[0] = L_vv[n + 1] = all.m * (double)(N + 1);
+        L_vv[0] = L_vv[n + 1] = mass_behind(&all, 0);
         L_vv[2 * n + 2] = all.J;
     }
     plane P = {0.0, 0.0};
     for (size_t k = N; k > 0; k--) {
-        const size_t at = 2 + k;
-        const plane e = all.e[k], nk = all.normal[k];
-        const double w = all.m * (double)(N + 1 - k);
         P.x += all.m * all.velocity[k].x;
         P.y += all.m * all.velocity[k].y;
-        if (L_v) L_v[at] = all.J * turn[k] - d * dot(nk, P);
-        if (L_q) L_q[at] = d * turn[k] * dot(e, P);
-        if (L_vq) {
-            L_vq[at] = w * d * turn[k] * e.x;
-            L_vq[n + at] = w * d * turn[k] * e.y;
-        }
-        if (L_vv) {
-            L_vv[at] = L_vv[at * n] = -w * d * nk.x;
-            L_vv[n + at] = L_vv[at * n + 1] = -w * d * nk.y;
-        }
-        for (size_t j = 1; j <= k; j++) {
-            const size_t to = 2 + j;
-            const double same = w * d * d * dot(e, all.e[j]), cross = w * d * d * dot(nk, all.e[j]);
-            if (L_qq) L_qq[at * n + to] = L_qq[to * n + at] = turn[k] * turn[j] * same;
-            if (L_vq) {
-                L_vq[at * n + to] = -turn[j] * cross;
-                L_vq[to * n + at] = turn[k] * cross; /* n_j e_k = -n_k e_j */
-            }
-            if (L_vv) L_vv[at * n + to] = L_vv[to * n + at] = same;
-        }
-        if (L_qq) L_qq[at * n + at] += d * turn[k] * dot(nk, P);
-        if (L_vq) L_vq[at * n + at] = d * dot(e, P);
-        if (L_vv) L_vv[at * n + at] += all.J;
+        if (L_v) L_v[2 + k] = all.J * turn[k] - all.d * dot(all.normal[k], P);
+        if (L_q) L_q[2 + k] = all.d * turn[k] * dot(all.e[k], P);
+        second_derivatives(&all, turn, k, P, L_qq, L_vq, L_vv);
     }
     if (L_v) {
         L_v[0] = P.x + all.m * v[0];
