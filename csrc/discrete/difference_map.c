@@ -16,8 +16,9 @@ void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, ar
 }
 
 /* The derivatives of rho^beta are constant. */
-void dal__rho_bind(dal__rho *rho)
+void dal__rho_bind(dal__rho *rho, dal_error *error)
 {
+    rho->error = error;
     if (rho->map.map) return;
     for (size_t k = 0; k < rho->n; k++) {
         const size_t kk = k * rho->n + k;
@@ -28,20 +29,19 @@ void dal__rho_bind(dal__rho *rho)
     }
 }
 
-static int require_finite(const char *name, size_t columns, size_t count, const double *x,
-                          dal_error *error)
+static int require_finite(const dal__rho *rho, const char *name, size_t count, const double *x)
 {
     for (size_t i = 0; i < count; i++)
         if (!isfinite(x[i]))
-            return dal__fail(error, DAL_EDOMAIN, "difference map: %s[%zu,%zu] = %g is not finite, "
-                             "or was not written", name, i / columns, i % columns, x[i]);
+            return dal__fail(rho->error, DAL_EDOMAIN, "difference map: %s[%zu,%zu] = %g is not "
+                             "finite, or was not written", name, i / rho->n, i % rho->n, x[i]);
     return DAL_SUCCESS;
 }
 
-static int require_state(const dal__rho *rho, dal_error *error)
+static int require_state(const dal__rho *rho)
 {
-    const int status = require_finite("g", rho->n, rho->n, rho->g, error);
-    return status ? status : require_finite("f", rho->n, rho->n, rho->f, error);
+    const int status = require_finite(rho, "g", rho->n, rho->g);
+    return status ? status : require_finite(rho, "f", rho->n, rho->f);
 }
 
 /* (g, f)[2n] at (q0, q1)[2n], to be differenced. */
@@ -76,7 +76,7 @@ static int difference_slopes(dal__rho *rho, const dal__pair *pair)
     return returned;
 }
 
-static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error)
+static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes)
 {
     const size_t n = rho->n, nn = n * n;
     const bool given = slopes && !rho->map.differenced;
@@ -88,13 +88,13 @@ static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error
     int returned = rho->map.map(pair->h, pair->q0, pair->q1, rho->g, rho->f,
                                 given ? rho->g_0 : NULL, given ? rho->g_1 : NULL,
                                 given ? rho->f_0 : NULL, given ? rho->f_1 : NULL, rho->map.ctx);
-    if (returned) return dal__refuse(error, "difference map", returned);
-    int status = require_state(rho, error);
+    if (returned) return dal__refuse(rho->error, "difference map", returned);
+    int status = require_state(rho);
     if (status || !slopes) return status;
     if (!given) returned = difference_slopes(rho, pair);
-    if (returned) return dal__refuse(error, "difference map", returned);
+    if (returned) return dal__refuse(rho->error, "difference map", returned);
     for (size_t i = 0; !status && i < 4; i++)
-        status = require_finite(names[i], n, nn, matrices[i], error);
+        status = require_finite(rho, names[i], nn, matrices[i]);
     for (size_t k = 0; k < nn; k++) {
         rho->f_0[k] *= pair->h;
         rho->f_1[k] *= pair->h;
@@ -102,15 +102,15 @@ static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error
     return status;
 }
 
-int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error)
+int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes)
 {
     const double beta = rho->map.beta;
-    if (rho->map.map) return user_map(rho, pair, slopes, error);
+    if (rho->map.map) return user_map(rho, pair, slopes);
     for (size_t i = 0; i < rho->n; i++) {
         rho->g[i] = (1.0 - beta) * pair->q0[i] + beta * pair->q1[i];
         rho->f[i] = pair->w[i];
     }
-    return require_state(rho, error);
+    return require_state(rho);
 }
 
 /* ---- the inverse -------------------------------------------------------------------------- */
@@ -130,7 +130,7 @@ static int find_step(dal__newton *equations)
     double *const J = root->J.A;
     const size_t n = rho->n, N = 2 * n;
     const dal__pair pair = {in->h, root->z, root->z + n, NULL};
-    const int status = dal__rho_at(rho, &pair, true, &in->d->mech.error);
+    const int status = dal__rho_at(rho, &pair, true);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {
         root->residual[i] = rho->g[i] - in->x[i];

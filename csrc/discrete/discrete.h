@@ -30,6 +30,7 @@ typedef struct dal__pair {
 typedef struct dal__rho {
     dal_difference_map map;
     size_t n;
+    dal_error *error;           /* of its owner */
     double *g, *f;              /* [n] */
     double *g_0, *g_1;          /* [n*n] */
     double *f_0, *f_1;          /* [n*n] times h, so that they do not grow as h goes to 0 */
@@ -37,10 +38,10 @@ typedef struct dal__rho {
 } dal__rho;
 
 void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a);
-/* After the allocation. */
-void dal__rho_bind(dal__rho *rho);
+/* After the allocation; error gets the text of what fails. */
+void dal__rho_bind(dal__rho *rho, dal_error *error);
 /* g and f at the pair, and the derivatives if slopes. */
-int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error);
+int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes);
 
 /* Entries of a matrix, and the sums of the sizes of their terms. */
 typedef struct dal__terms {

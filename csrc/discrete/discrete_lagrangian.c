@@ -46,9 +46,9 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
     *self = shape;
     self->arena = memory;
     dal__mechanics_bind(&self->mech, system);
-    dal__rho_bind(&self->lagrangian);
-    dal__rho_bind(&self->constraint);
-    dal__rho_bind(&self->moved);
+    dal__rho_bind(&self->lagrangian, &self->mech.error);
+    dal__rho_bind(&self->constraint, &self->mech.error);
+    dal__rho_bind(&self->moved, &self->mech.error);
     *discrete = self;
     return DAL_SUCCESS;
 }
@@ -99,7 +99,7 @@ int dal_discrete_state(dal_discrete *d, double h, const double *q0, const double
     if (d && !x) return dal__null_argument(&d->mech, "x");
     dal__pair pair;
     int status = dal__discrete_open(d, 0.0, h, "q0", q0, "q1", q1, &pair);
-    if (!status) status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    if (!status) status = dal__rho_at(&d->constraint, &pair, false);
     if (status) return status;
     memcpy(x, d->constraint.g, d->n * sizeof *x);
     memcpy(x + d->n, d->constraint.f, d->n * sizeof *x);
@@ -144,8 +144,8 @@ static void add_product(size_t rows, size_t n, double factor, diagonal which, co
         }
 }
 
-/* What a function of (g, f) has for derivatives by a node, or by w: by_g[rows*n] and by_f[rows*n],
- * or by_f^T, each with its factor. */
+/* The derivatives of a function of (g, f): by_g[rows*n], and by_f[rows*n] or its transpose, each
+ * with a factor. */
 typedef struct slopes {
     double factor_g;
     const double *by_g;
@@ -196,7 +196,7 @@ static int value_held(const double *q1, double *value, void *ctx)
     const held *const is = ctx;
     dal_discrete *const d = is->d;
     const dal__pair pair = {is->h, is->q0, q1, NULL};
-    const int status = dal__rho_at(&d->moved, &pair, true, &d->mech.error);
+    const int status = dal__rho_at(&d->moved, &pair, true);
     if (status) return status;
     form_momentum(d, 1.0, is->h, d->moved.g_0, d->moved.f_0, value);
     return DAL_SUCCESS;
@@ -248,7 +248,7 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
     dal__rho *const rho = &d->lagrangian;
     const double time = time_of_L(d, t, h);
     const bool push = forced && d->mech.eval.system->def.force;
-    int status = dal__rho_at(rho, pair, true, &d->mech.error);
+    int status = dal__rho_at(rho, pair, true);
     if (status) return status;
     const dal__jet wanted = {.L_q = d->force, .L_v = d->L_v,
                              .L_qq = derivative ? d->L_qq : NULL,
@@ -316,7 +316,7 @@ int dal__discrete_constraint(dal_discrete *d, double t, const dal__pair *pair, b
 {
     const size_t n = d->n, m = d->m;
     dal__rho *const rho = &d->constraint;
-    int status = dal__rho_at(rho, pair, derivative, &d->mech.error);
+    int status = dal__rho_at(rho, pair, derivative);
     if (!status)
         status = dal__constraint(&d->mech.eval, t, rho->g, rho->f, d->phi, d->phi_v,
                                  derivative ? d->phi_q : NULL, NULL, &d->mech.error);

@@ -36,7 +36,7 @@ static int begin(dal_discrete *d, double t, const dal__pair *pair)
 {
     const size_t n = d->n;
     int status = dal__discrete_momenta(d, t, true, pair, NULL, d->momentum, false);
-    if (!status) status = dal__rho_at(&d->constraint, pair, false, &d->mech.error);
+    if (!status) status = dal__rho_at(&d->constraint, pair, false);
     if (status) return status;
     memcpy(d->velocity, d->constraint.f, n * sizeof *d->velocity);
     d->step.t = t;
@@ -60,7 +60,7 @@ static int value_reaction(const double *w, double *value, void *ctx)
     dal_discrete *const d = ctx;
     const size_t n = d->n;
     const dal__pair pair = next_pair(d, w);
-    int status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    int status = dal__rho_at(&d->constraint, &pair, false);
     if (!status) status = middle_forms(d, d->constraint.f, d->phi_q);
     if (status) return status;
     dal__clear(n, value);
@@ -287,7 +287,7 @@ int dal__discrete_advance(dal_discrete *d, double t, double h, double *x, double
     const double *const multipliers = leave_root(d, d->node);
     pair = (dal__pair){h, d->node, d->q1, d->root.z};
     status = dal__require_output(&d->mech.error, "q1", n, d->q1);
-    if (!status) status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    if (!status) status = dal__rho_at(&d->constraint, &pair, false);
     if (status) return status;
     /* Corrected as a step with beta = 0, whose state stands at its node. */
     memcpy(d->mech.node, d->constraint.g, n * sizeof *d->mech.node);

@@ -45,7 +45,7 @@ __attribute__((format(printf, 4, 5)))
 int dal__fail_because(dal_error *error, int status, const dal_error *cause, const char *format,
                       ...);
 
-/* An argument of this name, and whether it is there (a pointer says so itself). */
+/* The name of an argument, and whether it is given: a pointer may stand there. */
 typedef struct dal__argument {
     const char *name;
     bool given;

@@ -352,7 +352,7 @@ static int measure_run(study *self, double h, size_t steps, dal_order_point *poi
     return DAL_SUCCESS;
 }
 
-/* fmax drops what has not been measured. */
+/* NaN is what has not been measured; fmax drops it. */
 static dal_order_point unmeasured_point(double h, size_t steps, int status)
 {
     return (dal_order_point){.h = h, .steps = steps, .q = NAN, .v = NAN, .multipliers = NAN,

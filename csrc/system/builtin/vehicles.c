@@ -161,7 +161,8 @@ static double mass_behind(const chain *all, size_t k)
     return all->m * (double)(all->trailers + 1 - k);
 }
 
-/* What the second derivatives of L have of axle k > 0: theta_k with x, y and theta_j, j <= k. */
+/* What axle k > 0 adds to the second derivatives of L: those by theta_k and x, y, theta_j, j <= k,
+ * or by their velocities. */
 static void second_derivatives(const chain *all, const double *turn, size_t k, plane P,
                                double *L_qq, double *L_vq, double *L_vv)
 {
