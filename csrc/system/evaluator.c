@@ -206,13 +206,15 @@ static int complete(evaluator *e, callback which, double t, const double *q, con
 {
     const output *const outputs = callbacks[which].outputs;
     const size_t count = callbacks[which].count;
+    const unsigned missing = e->system->def.missing;
     double *given[MOST_OUTPUTS];
     bool any = false;
     for (size_t k = 0; k < count; k++) {
-        given[k] = e->system->def.missing & outputs[k].missing ? NULL : x[k];
+        given[k] = missing & outputs[k].missing ? NULL : x[k];
         any = any || given[k];
     }
     int returned = any ? call(e, which, t, q, v, given) : 0;
+    if (!missing) return returned;
     difference d = {.e = e, .which = which, .t = t, .q = q, .v = v};
     for (size_t k = 0; k < count && !returned; k++)
         if (x[k] && !given[k]) returned = differentiate(&d, &outputs[k], x[k]);
@@ -265,7 +267,7 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
 static void forget(const evaluator *e, callback which, double *const *x)
 {
     for (size_t k = 0; k < callbacks[which].count; k++)
-        dal__forget(size(e, &callbacks[which].outputs[k]), x[k]);
+        if (x[k]) dal__forget(size(e, &callbacks[which].outputs[k]), x[k]);
 }
 
 int dal__refuse(dal_error *error, const char *callback, int returned)
@@ -282,9 +284,9 @@ static int check(const evaluator *e, callback which, int returned, double *const
     if (returned) return dal__refuse(error, name, returned);
     for (size_t k = 0; k < callbacks[which].count; k++) {
         const output *const out = &callbacks[which].outputs[k];
+        if (!x[k] || dal__all_finite(size(e, out), x[k])) continue;
         const size_t columns = length(e, out->columns);
         size_t i = 0;
-        if (!x[k] || dal__all_finite(size(e, out), x[k])) continue;
         while (isfinite(x[k][i])) i++;
         const dal__entry entry = {name, out->name, i / columns, i % columns, x[k][i]};
         return dal__fail_entry(error, DAL_EDOMAIN, &entry, " = %g is not finite, or was not "

@@ -61,6 +61,7 @@ extern const builtin dal__snakeboard, dal__n_trailer;
 #define EXACT(name) static int name(double t, const double *x0, double *x, void *ctx)
 #define INVARIANT(name) static int name(double t, const double *x, double *values, void *ctx)
 
+/* set3 and set4 are for what every step asks for: set waits until the values are written. */
 static inline void set(double *a, size_t count, const double *values)
 {
     memcpy(a, values, count * sizeof *a);
@@ -71,6 +72,12 @@ static inline void set3(double *a, double a0, double a1, double a2)
     a[0] = a0;
     a[1] = a1;
     a[2] = a2;
+}
+
+static inline void set4(double *a, double a0, double a1, double a2, double a3)
+{
+    set3(a, a0, a1, a2);
+    a[3] = a3;
 }
 
 /* sin(x)/x */

@@ -210,14 +210,20 @@ LAGRANGIAN(genmass_lagrangian)
              M13 * v1 + M23 * v2 + M33 * v3 + b3);
     if (L_qq) {
         const double L_12 = -v3 / 5 - q3 / 5, L_13 = -q2 / 5, L_23 = v1 / 4 - q1 / 5;
-        const double L_11 = -c * v2 * v2 / 2 + v3 * v3 / 3 - s * v2 - 1 - 3 * q1 * q1;
-        set(L_qq, 9, (double[]){L_11, L_12, L_13, L_12, v1 * v1 / 4 - 2, L_23, L_13, L_23, -1.5});
+        set3(L_qq, -c * v2 * v2 / 2 + v3 * v3 / 3 - s * v2 - 1 - 3 * q1 * q1, L_12, L_13);
+        set3(L_qq + 3, L_12, v1 * v1 / 4 - 2, L_23);
+        set3(L_qq + 6, L_13, L_23, -1.5);
     }
-    if (L_vq)
-        set(L_vq, 9, (double[]){0.0, q2 * v1 / 2 + q3 / 4, v2 / 5 + q2 / 4,
-                                -s * v2 + v3 / 6 + c, 0.0, v1 / 5,
-                                v2 / 6 + 2 * q1 * v3 / 3 - q2 / 5, -q1 / 5, 0.0});
-    if (L_vv) set(L_vv, 9, (double[]){M11, M12, M13, M12, M22, M23, M13, M23, M33});
+    if (L_vq) {
+        set3(L_vq, 0.0, q2 * v1 / 2 + q3 / 4, v2 / 5 + q2 / 4);
+        set3(L_vq + 3, -s * v2 + v3 / 6 + c, 0.0, v1 / 5);
+        set3(L_vq + 6, v2 / 6 + 2 * q1 * v3 / 3 - q2 / 5, -q1 / 5, 0.0);
+    }
+    if (L_vv) {
+        set3(L_vv, M11, M12, M13);
+        set3(L_vv + 3, M12, M22, M23);
+        set3(L_vv + 6, M13, M23, M33);
+    }
     return 0;
 }
 

@@ -12,12 +12,14 @@ static inline void constraint_rolling(size_t roll, size_t heading, double R, con
         phi[1] = v[1] - Rs * v[roll];
     }
     if (phi_v) {
-        set(phi_v, 8, (double[8]){[0] = 1.0, [5] = 1.0});
+        set4(phi_v, 1.0, 0.0, 0.0, 0.0);
+        set4(phi_v + 4, 0.0, 1.0, 0.0, 0.0);
         phi_v[roll] = -Rc;
         phi_v[4 + roll] = -Rs;
     }
     if (phi_q) {
-        set(phi_q, 8, (double[8]){0.0});
+        set4(phi_q, 0.0, 0.0, 0.0, 0.0);
+        set4(phi_q + 4, 0.0, 0.0, 0.0, 0.0);
         phi_q[heading] = Rs * v[roll];
         phi_q[4 + heading] = -Rc * v[roll];
     }
@@ -88,7 +90,7 @@ POTENTIAL(robot_potential)
 {
     const double *p = ctx, k = p[4];
     if (V) *V = k * sin(q[3]);
-    if (V_q) set(V_q, 4, (double[4]){[3] = k * cos(q[3])});
+    if (V_q) set4(V_q, 0.0, 0.0, 0.0, k * cos(q[3]));
     if (V_qq) set(V_qq, 16, (double[16]){[15] = -k * sin(q[3])});
     return 0;
 }
