@@ -83,18 +83,18 @@ static const struct {
                             {"f_v", N, N, DAL_MISSING_F_V, 0, MOVES_V}}},
 };
 
-static size_t length(const evaluator *e, extent of)
+static inline size_t length(const evaluator *e, extent of)
 {
     return of == N ? e->system->def.n : of == M ? e->system->def.m : 1;
 }
 
-static size_t size(const evaluator *e, const output *out)
+static inline size_t size(const evaluator *e, const output *out)
 {
     return length(e, out->rows) * length(e, out->columns);
 }
 
 /* x: where the outputs go, in the order of the table.  phi of linear constraints is mu v. */
-static int call(evaluator *e, callback which, double t, const double *q, const double *v,
+static inline int call(evaluator *e, callback which, double t, const double *q, const double *v,
                 double *const *x)
 {
     const dal_system_def *const def = &e->system->def;
@@ -201,7 +201,7 @@ static int differentiate(difference *d, const output *out, double *slopes)
 }
 
 /* What is wanted of the outputs x, called for or differenced; returns what the callback did. */
-static int complete(evaluator *e, callback which, double t, const double *q, const double *v,
+static inline int complete(evaluator *e, callback which, double t, const double *q, const double *v,
                     double *const *x)
 {
     const output *const outputs = callbacks[which].outputs;
@@ -264,7 +264,7 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
 
 /* ---- the calls of the library --------------------------------------------------------------- */
 
-static void forget(const evaluator *e, callback which, double *const *x)
+static inline void forget(const evaluator *e, callback which, double *const *x)
 {
     for (size_t k = 0; k < callbacks[which].count; k++)
         if (x[k]) dal__forget(size(e, &callbacks[which].outputs[k]), x[k]);
@@ -277,7 +277,7 @@ int dal__refuse(dal_error *error, const char *callback, int returned)
 }
 
 /* Status of a callback that returned this; DAL_EDOMAIN if an output is not finite. */
-static int check(const evaluator *e, callback which, int returned, double *const *x,
+static inline int check(const evaluator *e, callback which, int returned, double *const *x,
                  dal_error *error)
 {
     const char *const name = callbacks[which].name;
@@ -295,7 +295,7 @@ static int check(const evaluator *e, callback which, int returned, double *const
     return DAL_SUCCESS;
 }
 
-static int evaluate(evaluator *e, callback which, double t, const double *q, const double *v,
+static inline int evaluate(evaluator *e, callback which, double t, const double *q, const double *v,
                     double *const *x, dal_error *error)
 {
     forget(e, which, x);
