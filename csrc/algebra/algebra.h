@@ -11,8 +11,8 @@ double dal__dot(size_t n, const double *a, const double *b);
 double dal__largest(size_t n, const double *x);
 double dal__sum_of_sizes(size_t n, const double *x);
 
-/* y[n] <- x, which may overlap; y[n] <- 0; y[n] <- y + c x.  Without numbers there need be no
- * arrays. */
+/* y[n] <- x, which may overlap; y[n], which may be NULL, <- 0; y[n] <- x + h v, where y may be x or
+ * v; y[n] <- y + c x. */
 static inline void dal__copy(size_t n, const double *x, double *y)
 {
     if (n > 0) memmove(y, x, n * sizeof *y);
@@ -20,7 +20,12 @@ static inline void dal__copy(size_t n, const double *x, double *y)
 
 static inline void dal__clear(size_t n, double *y)
 {
-    if (n > 0) memset(y, 0, n * sizeof *y);
+    if (y) memset(y, 0, n * sizeof *y);
+}
+
+static inline void dal__move(size_t n, const double *x, double h, const double *v, double *y)
+{
+    for (size_t i = 0; i < n; i++) y[i] = x[i] + h * v[i];
 }
 
 static inline void dal__add(size_t n, double c, const double *x, double *y)

@@ -13,23 +13,21 @@ static void match_dependent(dal_chart *chart, const double *y, size_t stride)
     dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
 }
 
-/* step[n] <- the Newton step of w for H^T R1 = 0, phi = 0, with the n-m rows H^T = [-A(q_k)^T, I];
- * kappa <- that of R1_dependent = 0 at w. */
-static int find_step(dal__newton *equations)
+/* kappa += what makes R1_dependent = 0, and R1 with it. */
+static void balance_dependent(dal_chart *chart)
 {
-    dal_chart *const chart = equations->ctx;
-    dal_mechanics *const mech = &chart->mech;
+    match_dependent(chart, chart->R1, 1);
+    dal__move(chart->m, chart->kappa, 1.0, chart->solution, chart->kappa);
+    dal__add_reaction(chart->n, chart->m, -1.0, chart->mech.muk, chart->solution, chart->R1);
+}
+
+/* G <- [H^T K; d phi/dw] with the n-m rows H^T = [-A(q_k)^T, I], and its sizes. */
+static void form_G(dal_chart *chart)
+{
+    const dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n, m = chart->m, free = n - m;
     const size_t *const place = chart->place + m;
-    int status = dal__step_at(mech, chart->w, chart->kappa, chart->R1, chart->R2, chart->K,
-                              NULL, chart->slope);
-    if (!status) status = dal__chart_factor(chart, mech->muk);
-    if (status) return status;
-    match_dependent(chart, chart->R1, 1);
-    for (size_t a = 0; a < m; a++) {
-        chart->kappa[a] += chart->solution[a];
-        for (size_t i = 0; i < n; i++) chart->R1[i] -= mech->muk[a * n + i] * chart->solution[a];
-    }
+    double *const sizes = chart->G.sizes;
     for (size_t k = 0; k < n; k++) {
         match_dependent(chart, chart->K + k, n);
         for (size_t j = 0; j < free; j++) {
@@ -38,13 +36,28 @@ static int find_step(dal__newton *equations)
                 sum -= mech->muk[a * n + place[j]] * chart->solution[a];
             chart->G.A[j * n + k] = sum;
         }
-        for (size_t a = 0; a < m; a++) chart->G.A[(free + a) * n + k] = chart->slope[a * n + k];
     }
-    for (size_t j = 0; j < free; j++) chart->G.sizes[j] = mech->metric.per_unit[place[j]];
+    memcpy(chart->G.A + free * n, chart->slope, m * n * sizeof *chart->slope);
+    for (size_t j = 0; j < free; j++) sizes[j] = mech->metric.per_unit[place[j]];
     for (size_t a = 0; a < m; a++)
-        chart->G.sizes[free + a] = dal_residual_form(n, mech->metric.unit, chart->slope + a * n);
-    memcpy(chart->G.sizes + n, mech->metric.per_unit, n * sizeof *chart->G.sizes);
-    for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[place[j]];
+        sizes[free + a] = dal_residual_form(n, mech->metric.unit, chart->slope + a * n);
+    memcpy(sizes + n, mech->metric.per_unit, n * sizeof *sizes);
+}
+
+/* step[n] <- the Newton step of w for H^T R1 = 0, phi = 0; kappa <- that of R1_dependent = 0 at
+ * w. */
+static int find_step(dal__newton *equations)
+{
+    dal_chart *const chart = equations->ctx;
+    dal_mechanics *const mech = &chart->mech;
+    const size_t n = chart->n, m = chart->m, free = n - m;
+    int status = dal__step_at(mech, chart->w, chart->kappa, chart->R1, chart->R2, chart->K,
+                              NULL, chart->slope);
+    if (!status) status = dal__chart_factor(chart, mech->muk);
+    if (status) return status;
+    balance_dependent(chart);
+    form_G(chart);
+    for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[chart->place[m + j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
     if (!dal__linear_factor(&chart->G))
         return dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these "
@@ -64,7 +77,7 @@ static int solve_step(dal_chart *chart)
                              .per_unit = mech->metric.per_unit, .z = chart->w, .step = chart->step,
                              .lagging = true}; /* kappa */
     memcpy(chart->w, mech->start.v, n * sizeof *chart->w);
-    memset(chart->kappa, 0, chart->m * sizeof *chart->kappa);
+    dal__clear(chart->m, chart->kappa);
     return dal__newton_run(&equations, &mech->error);
 }
 
@@ -83,10 +96,8 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
     if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, chart->x);
     if (!status) status = solve_step(chart);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) {
-        chart->y[i] = mech->node[i] + beta * h * chart->w[i];
-        chart->y[n + i] = chart->w[i];
-    }
+    dal__move(n, mech->node, beta * h, chart->w, chart->y);
+    memcpy(chart->y + n, chart->w, n * sizeof *chart->y);
     if (!dal__all_finite(2 * n, chart->y))
         return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
     for (size_t b = 0; b < m; b++) {

@@ -6,21 +6,19 @@
 
 void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a)
 {
-    const size_t nn = dal__times(n, n), twice = map->differenced ? dal__times(2, n) : 0;
-    double **const matrices[] = {&rho->g_0, &rho->g_1, &rho->f_0, &rho->f_1};
+    const size_t twice = map->differenced ? dal__times(2, n) : 0;
     rho->map = *map;
     rho->n = n;
-    dal__reserve(a, &rho->g, n, sizeof(double));
-    dal__reserve(a, &rho->f, n, sizeof(double));
-    dal__reserve_doubles(a, DAL_LENGTH(matrices), matrices, nn);
-    dal__reserve(a, &rho->point, twice, sizeof(double));
-    dal__reserve(a, &rho->value, twice, sizeof(double));
-    dal__reserve(a, &rho->slope, dal__times(twice, twice), sizeof(double));
+    DAL__RESERVE(a, n, &rho->g, &rho->f);
+    DAL__RESERVE(a, dal__times(n, n), &rho->g_0, &rho->g_1, &rho->f_0, &rho->f_1);
+    DAL__RESERVE(a, twice, &rho->point, &rho->value);
+    DAL__RESERVE(a, dal__times(twice, twice), &rho->slope);
 }
 
 /* The derivatives of rho^beta are constant. */
-void dal__rho_bind(dal__rho *rho)
+void dal__rho_bind(dal__rho *rho, dal_error *error)
 {
+    rho->error = error;
     if (rho->map.map) return;
     for (size_t k = 0; k < rho->n; k++) {
         const size_t kk = k * rho->n + k;
@@ -31,26 +29,19 @@ void dal__rho_bind(dal__rho *rho)
     }
 }
 
-static int refuse(int returned, dal_error *error)
-{
-    return dal__fail(error, dal__callback_status(returned), "difference map returned %d (%s)",
-                     returned, returned > 0 ? "outside its domain" : "stop");
-}
-
-static int require_finite(const char *name, size_t columns, size_t count, const double *x,
-                          dal_error *error)
+static int require_finite(const dal__rho *rho, const char *name, size_t count, const double *x)
 {
     for (size_t i = 0; i < count; i++)
         if (!isfinite(x[i]))
-            return dal__fail(error, DAL_EDOMAIN, "difference map: %s[%zu,%zu] = %g is not finite, "
-                             "or was not written", name, i / columns, i % columns, x[i]);
+            return dal__fail(rho->error, DAL_EDOMAIN, "difference map: %s[%zu,%zu] = %g is not "
+                             "finite, or was not written", name, i / rho->n, i % rho->n, x[i]);
     return DAL_SUCCESS;
 }
 
-static int require_state(const dal__rho *rho, dal_error *error)
+static int require_state(const dal__rho *rho)
 {
-    const int status = require_finite("g", rho->n, rho->n, rho->g, error);
-    return status ? status : require_finite("f", rho->n, rho->n, rho->f, error);
+    const int status = require_finite(rho, "g", rho->n, rho->g);
+    return status ? status : require_finite(rho, "f", rho->n, rho->f);
 }
 
 /* (g, f)[2n] at (q0, q1)[2n], to be differenced. */
@@ -67,28 +58,25 @@ static int value_rho(const double *q, double *value, void *ctx)
                            b->rho->map.ctx);
 }
 
-static int difference_slopes(dal__rho *rho, const dal__pair *pair, dal_error *error)
+static int difference_slopes(dal__rho *rho, const dal__pair *pair)
 {
-    const size_t n = rho->n;
+    const size_t n = rho->n, row = n * sizeof *rho->g_0;
     both b = {rho, pair->h};
-    memcpy(rho->point, pair->q0, n * sizeof *rho->point);
-    memcpy(rho->point + n, pair->q1, n * sizeof *rho->point);
-    for (size_t j = 0; j < 2 * n; j++) {
-        const int returned = dal__difference(value_rho, &b, rho->point, j, 2 * n, rho->value,
-                                             rho->slope + j, 2 * n);
-        if (returned) return refuse(returned, error);
-    }
+    memcpy(rho->point, pair->q0, row);
+    memcpy(rho->point + n, pair->q1, row);
+    const int returned =
+        dal__jacobian(value_rho, &b, 2 * n, rho->point, 2 * n, rho->value, rho->slope);
     for (size_t i = 0; i < n; i++) {
-        const size_t row = n * sizeof *rho->g_0;
-        memcpy(rho->g_0 + i * n, rho->slope + 2 * n * i, row);
-        memcpy(rho->g_1 + i * n, rho->slope + 2 * n * i + n, row);
-        memcpy(rho->f_0 + i * n, rho->slope + 2 * n * (n + i), row);
-        memcpy(rho->f_1 + i * n, rho->slope + 2 * n * (n + i) + n, row);
+        const double *const of_g = rho->slope + 2 * n * i, *const of_f = of_g + 2 * n * n;
+        memcpy(rho->g_0 + i * n, of_g, row);
+        memcpy(rho->g_1 + i * n, of_g + n, row);
+        memcpy(rho->f_0 + i * n, of_f, row);
+        memcpy(rho->f_1 + i * n, of_f + n, row);
     }
-    return DAL_SUCCESS;
+    return returned;
 }
 
-static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error)
+static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes)
 {
     const size_t n = rho->n, nn = n * n;
     const bool given = slopes && !rho->map.differenced;
@@ -97,16 +85,16 @@ static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error
     dal__forget(n, rho->g);
     dal__forget(n, rho->f);
     for (size_t i = 0; given && i < 4; i++) dal__forget(nn, matrices[i]);
-    const int returned = rho->map.map(pair->h, pair->q0, pair->q1, rho->g, rho->f,
-                                      given ? rho->g_0 : NULL, given ? rho->g_1 : NULL,
-                                      given ? rho->f_0 : NULL, given ? rho->f_1 : NULL,
-                                      rho->map.ctx);
-    if (returned) return refuse(returned, error);
-    int status = require_state(rho, error);
+    int returned = rho->map.map(pair->h, pair->q0, pair->q1, rho->g, rho->f,
+                                given ? rho->g_0 : NULL, given ? rho->g_1 : NULL,
+                                given ? rho->f_0 : NULL, given ? rho->f_1 : NULL, rho->map.ctx);
+    if (returned) return dal__refuse(rho->error, "difference map", returned);
+    int status = require_state(rho);
     if (status || !slopes) return status;
-    if (!given) status = difference_slopes(rho, pair, error);
+    if (!given) returned = difference_slopes(rho, pair);
+    if (returned) return dal__refuse(rho->error, "difference map", returned);
     for (size_t i = 0; !status && i < 4; i++)
-        status = require_finite(names[i], n, nn, matrices[i], error);
+        status = require_finite(rho, names[i], nn, matrices[i]);
     for (size_t k = 0; k < nn; k++) {
         rho->f_0[k] *= pair->h;
         rho->f_1[k] *= pair->h;
@@ -114,15 +102,15 @@ static int user_map(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error
     return status;
 }
 
-int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error)
+int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes)
 {
     const double beta = rho->map.beta;
-    if (rho->map.map) return user_map(rho, pair, slopes, error);
+    if (rho->map.map) return user_map(rho, pair, slopes);
     for (size_t i = 0; i < rho->n; i++) {
         rho->g[i] = (1.0 - beta) * pair->q0[i] + beta * pair->q1[i];
         rho->f[i] = pair->w[i];
     }
-    return require_state(rho, error);
+    return require_state(rho);
 }
 
 /* ---- the inverse -------------------------------------------------------------------------- */
@@ -142,7 +130,7 @@ static int find_step(dal__newton *equations)
     double *const J = root->J.A;
     const size_t n = rho->n, N = 2 * n;
     const dal__pair pair = {in->h, root->z, root->z + n, NULL};
-    const int status = dal__rho_at(rho, &pair, true, &in->d->mech.error);
+    const int status = dal__rho_at(rho, &pair, true);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {
         root->residual[i] = rho->g[i] - in->x[i];
@@ -166,10 +154,8 @@ int dal__rho_invert(dal_discrete *d, double t, double h, const double *x, double
     const double *const v = x + n;
     double *const z = d->root.z;
     const double before = map->map ? 0.5 : map->beta;
-    for (size_t i = 0; i < n; i++) {
-        z[i] = x[i] - before * h * v[i];
-        z[n + i] = x[i] + (1.0 - before) * h * v[i];
-    }
+    dal__move(n, x, -before * h, v, z);
+    dal__move(n, x, (1.0 - before) * h, v, z + n);
     int status = DAL_SUCCESS;
     if (map->map) {
         inversion in = {d, h, x};

@@ -30,6 +30,7 @@ typedef struct dal__pair {
 typedef struct dal__rho {
     dal_difference_map map;
     size_t n;
+    dal_error *error;           /* of its owner */
     double *g, *f;              /* [n] */
     double *g_0, *g_1;          /* [n*n] */
     double *f_0, *f_1;          /* [n*n] times h, so that they do not grow as h goes to 0 */
@@ -37,10 +38,16 @@ typedef struct dal__rho {
 } dal__rho;
 
 void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a);
-/* After the allocation. */
-void dal__rho_bind(dal__rho *rho);
+/* After the allocation; error gets the text of what fails. */
+void dal__rho_bind(dal__rho *rho, dal_error *error);
 /* g and f at the pair, and the derivatives if slopes. */
-int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes, dal_error *error);
+int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes);
+
+/* Entries of a matrix, and the sums of the sizes of their terms. */
+typedef struct dal__terms {
+    double *sum, *scale;
+} dal__terms;
+
 struct dal_discrete {
     dal_mechanics mech;
     size_t n, m;
@@ -52,10 +59,10 @@ struct dal_discrete {
     double *force, *L_v;             /* [n] F = L_q + f and L_v at rho(pair) */
     double *minus, *plus;            /* [n] p^- and p^+ */
     double *L_qq, *L_vq, *L_vv, *f_q, *f_v; /* [n*n] */
-    double *X, *X_scale, *Y, *Y_scale;      /* [n*n] products on the way to K */
-    double *K, *K_scale;             /* [n*n] dp^-/dw */
+    dal__terms X, Y;                 /* [n*n] h dF/dw and dL_v/dw, on the way to */
+    dal__terms K;                    /* [n*n] dp^-/dw */
     double *phi, *phi_v, *phi_q;     /* [m], [m*n], [m*n] at rho(pair) */
-    double *B, *B_scale;             /* [m*n] d phi_d/dw */
+    dal__terms B;                    /* [m*n] d phi_d/dw */
     double *muk;                     /* [m*n] the forms along which the constraint reacts */
     double *point, *value, *bend;    /* [n], [n], [n*n] of differences by w or by q1 */
     struct {                         /* of the step that is being solved */
@@ -67,10 +74,27 @@ struct dal_discrete {
     arena arena;
 };
 
-/* DAL_EINVAL unless h is finite and not 0; unless the nodes are finite too. */
-int dal__discrete_step_size(dal_discrete *d, double h);
-int dal__discrete_require(dal_discrete *d, double h, const char *name0, const double *q0,
-                          const char *name1, const double *q1);
+/* f[n] += factor mu^T kappa. */
+void dal__add_reaction(size_t n, size_t m, double factor, const double *mu, const double *kappa,
+                       double *f);
+
+/* What the roundoff of w is relative to beside w: v, and the terms of the equations of motion, of
+ * which mu^T kappa is one, as changes of velocity.  They may be far larger than w: at rest, where a
+ * reaction balances a force. */
+typedef struct dal__term {
+    double weight;   /* 0: what stands at x is not known */
+    const double *x; /* [n] */
+} dal__term;
+double dal__base_of_w(const dal_mechanics *mech, const double *v, size_t count,
+                      const dal__term *terms, const double *mu, const double *kappa);
+
+/* DAL_EINVAL unless h is finite and not 0, and t and x[2n], of this name, are finite. */
+int dal__discrete_require(dal_discrete *d, const char *name_t, double t, double h,
+                          const char *name_x, const double *x);
+/* *pair <- that of the nodes q0, q1 [n], which have these names, with (q1 - q0)/h in d->w.
+ * DAL_EINVAL unless d is there, t, h and the nodes are finite and h is not 0. */
+int dal__discrete_open(dal_discrete *d, double t, double h, const char *name0, const double *q0,
+                       const char *name1, const double *q1, dal__pair *pair);
 /* q0, q1 [n] <- the pair with rho(q0, q1) = x[2n] at time t, rho that of D_d. */
 int dal__rho_invert(dal_discrete *d, double t, double h, const double *x, double *q0, double *q1);
 /* d->w <- (q1 - q0)/h; the pair. */
@@ -84,6 +108,9 @@ int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x,
                           double *worst);
 /* The record that dal_discrete_error reads. */
 dal_error *dal__discrete_error(dal_discrete *discrete);
+/* d->K -= factor df/d(point[n]), where f[n] is differenced. */
+int dal__discrete_bend(dal_discrete *d, dal__function f, void *ctx, double factor,
+                       const double *point);
 /* d->phi, d->phi_v, and d->B if derivative. */
 int dal__discrete_constraint(dal_discrete *d, double t, const dal__pair *pair, bool derivative);
 

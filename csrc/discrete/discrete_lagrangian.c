@@ -12,10 +12,9 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
                      const dal_difference_map *lagrangian, const dal_difference_map *constraint,
                      dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!discrete || !system || !lagrangian)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", !discrete ? "discrete"
-                         : !system ? "system" : "lagrangian");
+    int status = DAL__REQUIRE(error, {"discrete", discrete}, {"system", system},
+                              {"lagrangian", lagrangian});
+    if (status) return status;
     const dal_difference_map *const of_constraint = constraint ? constraint : lagrangian;
     const double betas[] = {lagrangian->beta, of_constraint->beta};
     for (size_t i = 0; i < 2; i++)
@@ -24,44 +23,39 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
                              i ? "constraint" : "lagrangian", betas[i]);
 
     const size_t n = system->def.n, m = system->def.m;
-    const size_t nn = dal__times(n, n), mn = dal__times(m, n);
     arena memory = {0};
     dal_discrete shape = {.n = n, .m = m}, *self;
-    double **const vectors[] = {&shape.q0, &shape.q1, &shape.w, &shape.node, &shape.force,
-                                &shape.L_v, &shape.minus, &shape.plus, &shape.momentum,
-                                &shape.velocity, &shape.point, &shape.value};
-    double **const matrices[] = {&shape.L_qq, &shape.L_vq, &shape.L_vv, &shape.f_q, &shape.f_v,
-                                 &shape.X, &shape.X_scale, &shape.Y, &shape.Y_scale, &shape.K,
-                                 &shape.K_scale, &shape.bend};
-    double **const forms[] = {&shape.phi_v, &shape.phi_q, &shape.B, &shape.B_scale, &shape.muk};
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
     dal__rho_reserve(&shape.lagrangian, lagrangian, n, &memory);
     dal__rho_reserve(&shape.constraint, of_constraint, n, &memory);
     dal__rho_reserve(&shape.moved, lagrangian, n, &memory);
     dal__root_reserve(&shape.root, dal__times(2, n), &memory); /* m < n */
-    dal__reserve_doubles(&memory, DAL_LENGTH(vectors), vectors, n);
-    dal__reserve_doubles(&memory, DAL_LENGTH(matrices), matrices, nn);
-    dal__reserve_doubles(&memory, DAL_LENGTH(forms), forms, mn);
-    dal__reserve(&memory, &shape.phi, m, sizeof(double));
-    dal__reserve(&memory, &shape.state, dal__times(2, n), sizeof(double));
-    const int status = dal__allocate(&memory, error);
+    DAL__RESERVE(&memory, n, &shape.q0, &shape.q1, &shape.w, &shape.node, &shape.force, &shape.L_v,
+                 &shape.minus, &shape.plus, &shape.momentum, &shape.velocity, &shape.point,
+                 &shape.value);
+    DAL__RESERVE(&memory, dal__times(n, n), &shape.L_qq, &shape.L_vq, &shape.L_vv, &shape.f_q,
+                 &shape.f_v, &shape.X.sum, &shape.X.scale, &shape.Y.sum, &shape.Y.scale,
+                 &shape.K.sum, &shape.K.scale, &shape.bend);
+    DAL__RESERVE(&memory, dal__times(m, n), &shape.phi_v, &shape.phi_q, &shape.B.sum,
+                 &shape.B.scale, &shape.muk);
+    DAL__RESERVE(&memory, m, &shape.phi);
+    DAL__RESERVE(&memory, dal__times(2, n), &shape.state);
+    status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;
     self->arena = memory;
     dal__mechanics_bind(&self->mech, system);
-    dal__rho_bind(&self->lagrangian);
-    dal__rho_bind(&self->constraint);
-    dal__rho_bind(&self->moved);
+    dal__rho_bind(&self->lagrangian, &self->mech.error);
+    dal__rho_bind(&self->constraint, &self->mech.error);
+    dal__rho_bind(&self->moved, &self->mech.error);
     *discrete = self;
     return DAL_SUCCESS;
 }
 
 void dal_discrete_free(dal_discrete *discrete)
 {
-    if (!discrete) return;
-    arena memory = discrete->arena; /* the object lies inside it */
-    dal__release(&memory);
+    if (discrete) dal__release(&discrete->arena);
 }
 
 const dal_error *dal_discrete_error(const dal_discrete *discrete) { return &discrete->mech.error; }
@@ -69,18 +63,28 @@ dal_error *dal__discrete_error(dal_discrete *discrete) { return &discrete->mech.
 
 /* ---- pairs -------------------------------------------------------------------------------- */
 
-int dal__discrete_step_size(dal_discrete *d, double h)
+static int require_time(dal_discrete *d, const char *name, double t, double h)
 {
-    if (isfinite(h) && h != 0.0) return DAL_SUCCESS;
+    const int status = dal__require_finite(&d->mech, name, 1, &t);
+    if (status || (isfinite(h) && h != 0.0)) return status;
     return dal__fail(&d->mech.error, DAL_EINVAL, "h = %g: expected a finite step, not 0", h);
 }
 
-int dal__discrete_require(dal_discrete *d, double h, const char *name0, const double *q0,
-                          const char *name1, const double *q1)
+int dal__discrete_require(dal_discrete *d, const char *name_t, double t, double h,
+                          const char *name_x, const double *x)
 {
-    int status = dal__discrete_step_size(d, h);
+    const int status = require_time(d, name_t, t, h);
+    return status ? status : dal__require_finite(&d->mech, name_x, 2 * d->n, x);
+}
+
+int dal__discrete_open(dal_discrete *d, double t, double h, const char *name0, const double *q0,
+                       const char *name1, const double *q1, dal__pair *pair)
+{
+    if (!d) return DAL_EINVAL;
+    int status = require_time(d, "t", t, h);
     if (!status) status = dal__require_finite(&d->mech, name0, d->n, q0);
     if (!status) status = dal__require_finite(&d->mech, name1, d->n, q1);
+    if (!status) *pair = dal__discrete_pair(d, h, q0, q1);
     return status;
 }
 
@@ -90,31 +94,24 @@ dal__pair dal__discrete_pair(dal_discrete *d, double h, const double *q0, const 
     return (dal__pair){h, q0, q1, d->w};
 }
 
-int dal_discrete_state(dal_discrete *discrete, double h, const double *q0, const double *q1,
-                       double *x)
+int dal_discrete_state(dal_discrete *d, double h, const double *q0, const double *q1, double *x)
 {
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
-    if (!x) return dal__null_argument(&d->mech, "x");
-    int status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
-    if (status) return status;
-    const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
-    status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    if (d && !x) return dal__null_argument(&d->mech, "x");
+    dal__pair pair;
+    int status = dal__discrete_open(d, 0.0, h, "q0", q0, "q1", q1, &pair);
+    if (!status) status = dal__rho_at(&d->constraint, &pair, false);
     if (status) return status;
     memcpy(x, d->constraint.g, d->n * sizeof *x);
     memcpy(x + d->n, d->constraint.f, d->n * sizeof *x);
     return DAL_SUCCESS;
 }
 
-int dal_discrete_nodes(dal_discrete *discrete, double t, double h, const double *x, double *q0,
+int dal_discrete_nodes(dal_discrete *d, double t, double h, const double *x, double *q0,
                        double *q1)
 {
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
+    if (!d) return DAL_EINVAL;
     if (!q0 || !q1) return dal__null_argument(&d->mech, q0 ? "q1" : "q0");
-    int status = dal__require_finite(&d->mech, "t", 1, &t);
-    if (!status) status = dal__discrete_step_size(d, h);
-    if (!status) status = dal__require_finite(&d->mech, "x", 2 * d->n, x);
+    int status = dal__discrete_require(d, "t", t, h, "x", x);
     if (!status) status = dal__rho_invert(d, t, h, x, d->q0, d->q1);
     if (status) return status;
     memcpy(q0, d->q0, d->n * sizeof *q0);
@@ -127,11 +124,10 @@ int dal_discrete_nodes(dal_discrete *discrete, double t, double h, const double 
 /* Which factor of a product is a diagonal matrix: the slopes of rho^beta are. */
 typedef enum diagonal { NEITHER, THE_FIRST, THE_SECOND } diagonal;
 
-/* C[rows*n] += factor A B with A[rows*n], or A^T with A[n*n], and B[n*n]; C_scale += the sum of the
- * sizes of the terms, where B_scale is that of B, or NULL: |B|. */
+/* C[rows*n] += factor A B with A[rows*n], or A^T with A[n*n], and B[n*n], whose scale may be NULL:
+ * |B|. */
 static void add_product(size_t rows, size_t n, double factor, diagonal which, const double *A,
-                        bool transpose, const double *B, const double *B_scale, double *C,
-                        double *C_scale)
+                        bool transpose, dal__terms B, dal__terms C)
 {
     for (size_t i = 0; i < rows; i++)
         for (size_t j = 0; j < n; j++) {
@@ -139,25 +135,52 @@ static void add_product(size_t rows, size_t n, double factor, diagonal which, co
             const size_t first = which == NEITHER ? 0 : which == THE_FIRST ? i : j;
             const size_t end = which == NEITHER ? n : first + 1;
             for (size_t k = first; k < end; k++) {
-                const double a = transpose ? A[k * n + i] : A[i * n + k], b = B[k * n + j];
+                const double a = transpose ? A[k * n + i] : A[i * n + k], b = B.sum[k * n + j];
                 sum += a * b;
-                scale += fabs(a) * (B_scale ? B_scale[k * n + j] : fabs(b));
+                scale += fabs(a) * (B.scale ? B.scale[k * n + j] : fabs(b));
             }
-            C[i * n + j] += factor * sum;
-            C_scale[i * n + j] += fabs(factor) * scale;
+            C.sum[i * n + j] += factor * sum;
+            C.scale[i * n + j] += fabs(factor) * scale;
         }
 }
 
-/* p[n] += factor (h g_r^T F + f_r^T L_v), f_r as it is stored. */
-static void add_momentum(const dal_discrete *d, double factor, double h, const double *g_r,
-                         const double *f_r, double *p)
+/* The derivatives of a function of (g, f): by_g[rows*n], and by_f[rows*n] or its transpose, each
+ * with a factor. */
+typedef struct slopes {
+    double factor_g;
+    const double *by_g;
+    double factor_f;
+    const double *by_f;
+    bool transpose;
+} slopes;
+
+/* C[rows*n] += factor_g by_g g_r + factor_f by_f f_r: the chain rule through rho, with the g_r and
+ * f_r of the node q1 if last, else of q0. */
+static void add_chain(const dal__rho *rho, bool last, size_t rows, const slopes *of, dal__terms C)
+{
+    const diagonal which = rho->map.map ? NEITHER : THE_SECOND;
+    const dal__terms g_r = {last ? rho->g_1 : rho->g_0, NULL};
+    const dal__terms f_r = {last ? rho->f_1 : rho->f_0, NULL};
+    add_product(rows, rho->n, of->factor_g, which, of->by_g, false, g_r, C);
+    add_product(rows, rho->n, of->factor_f, which, of->by_f, of->transpose, f_r, C);
+}
+
+static void clear(size_t count, dal__terms C)
+{
+    dal__clear(count, C.sum);
+    dal__clear(count, C.scale);
+}
+
+/* p[n] <- factor (h g_r^T F + f_r^T L_v), f_r as it is stored. */
+static void form_momentum(const dal_discrete *d, double factor, double h, const double *g_r,
+                          const double *f_r, double *p)
 {
     const size_t n = d->n;
     for (size_t i = 0; i < n; i++) {
         double sum = 0.0;
         for (size_t k = 0; k < n; k++)
             sum += h * g_r[k * n + i] * d->force[k] + f_r[k * n + i] * d->L_v[k];
-        p[i] += factor * sum;
+        p[i] = factor * sum;
     }
 }
 
@@ -173,48 +196,42 @@ static int value_held(const double *q1, double *value, void *ctx)
     const held *const is = ctx;
     dal_discrete *const d = is->d;
     const dal__pair pair = {is->h, is->q0, q1, NULL};
-    const int status = dal__rho_at(&d->moved, &pair, true, &d->mech.error);
+    const int status = dal__rho_at(&d->moved, &pair, true);
     if (status) return status;
-    memset(value, 0, d->n * sizeof *value);
-    add_momentum(d, 1.0, is->h, d->moved.g_0, d->moved.f_0, value);
+    form_momentum(d, 1.0, is->h, d->moved.g_0, d->moved.f_0, value);
     return DAL_SUCCESS;
+}
+
+int dal__discrete_bend(dal_discrete *d, dal__function f, void *ctx, double factor,
+                       const double *point)
+{
+    const size_t n = d->n;
+    memcpy(d->point, point, n * sizeof *d->point);
+    const int status = dal__jacobian(f, ctx, n, d->point, n, d->value, d->bend);
+    for (size_t k = 0; !status && k < n * n; k++) {
+        d->K.sum[k] -= factor * d->bend[k];
+        d->K.scale[k] += fabs(factor * d->bend[k]);
+    }
+    return status;
 }
 
 /* d->K: by F and L_v at rho, whose derivatives are known, then by the second derivatives of rho. */
 static int form_K(dal_discrete *d, bool forced, const dal__pair *pair)
 {
-    const size_t n = d->n, nn = n * n;
+    const size_t n = d->n;
     const double h = pair->h;
     dal__rho *const rho = &d->lagrangian;
-    const diagonal slope = rho->map.map ? NEITHER : THE_SECOND;
-    const diagonal outer = rho->map.map ? NEITHER : THE_FIRST;
-    double *const zeroed[] = {d->X, d->X_scale, d->Y, d->Y_scale, d->K, d->K_scale};
-    for (size_t i = 0; i < sizeof zeroed / sizeof *zeroed; i++)
-        memset(zeroed[i], 0, nn * sizeof *zeroed[i]);
-    /* X = h dF/dw, Y = dL_v/dw */
-    add_product(n, n, h * h, slope, d->L_qq, false, rho->g_1, NULL, d->X, d->X_scale);
-    add_product(n, n, h, slope, d->L_vq, true, rho->f_1, NULL, d->X, d->X_scale);
-    if (forced) {
-        add_product(n, n, h * h, slope, d->f_q, false, rho->g_1, NULL, d->X, d->X_scale);
-        add_product(n, n, h, slope, d->f_v, false, rho->f_1, NULL, d->X, d->X_scale);
-    }
-    add_product(n, n, h, slope, d->L_vq, false, rho->g_1, NULL, d->Y, d->Y_scale);
-    add_product(n, n, 1.0, slope, d->L_vv, false, rho->f_1, NULL, d->Y, d->Y_scale);
-    add_product(n, n, -1.0, outer, rho->g_0, true, d->X, d->X_scale, d->K, d->K_scale);
-    add_product(n, n, -1.0, outer, rho->f_0, true, d->Y, d->Y_scale, d->K, d->K_scale);
-    if (!rho->map.map) return DAL_SUCCESS;
+    const diagonal which = rho->map.map ? NEITHER : THE_FIRST;
+    clear(n * n, d->X);
+    clear(n * n, d->Y);
+    clear(n * n, d->K);
+    add_chain(rho, true, n, &(slopes){h * h, d->L_qq, h, d->L_vq, true}, d->X);
+    if (forced) add_chain(rho, true, n, &(slopes){h * h, d->f_q, h, d->f_v, false}, d->X);
+    add_chain(rho, true, n, &(slopes){h, d->L_vq, 1.0, d->L_vv, false}, d->Y);
+    add_product(n, n, -1.0, which, rho->g_0, true, d->X, d->K);
+    add_product(n, n, -1.0, which, rho->f_0, true, d->Y, d->K);
     held is = {d, h, pair->q0};
-    memcpy(d->point, pair->q1, n * sizeof *d->point);
-    for (size_t j = 0; j < n; j++) {
-        const int status =
-            dal__difference(value_held, &is, d->point, j, n, d->value, d->bend + j, n);
-        if (status) return status;
-    }
-    for (size_t k = 0; k < nn; k++) {
-        d->K[k] -= h * d->bend[k];
-        d->K_scale[k] += fabs(h * d->bend[k]);
-    }
-    return DAL_SUCCESS;
+    return rho->map.map ? dal__discrete_bend(d, value_held, &is, h, pair->q1) : DAL_SUCCESS;
 }
 
 /* That of g of the pair at time t. */
@@ -231,7 +248,7 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
     dal__rho *const rho = &d->lagrangian;
     const double time = time_of_L(d, t, h);
     const bool push = forced && d->mech.eval.system->def.force;
-    int status = dal__rho_at(rho, pair, true, &d->mech.error);
+    int status = dal__rho_at(rho, pair, true);
     if (status) return status;
     const dal__jet wanted = {.L_q = d->force, .L_v = d->L_v,
                              .L_qq = derivative ? d->L_qq : NULL,
@@ -243,59 +260,48 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
                             derivative ? d->f_q : NULL, derivative ? d->f_v : NULL,
                             &d->mech.error);
     if (status) return status;
-    for (size_t i = 0; push && i < n; i++) d->force[i] += d->value[i];
-    if (minus) memset(minus, 0, n * sizeof *minus);
-    if (plus) memset(plus, 0, n * sizeof *plus);
-    if (minus) add_momentum(d, -1.0, h, rho->g_0, rho->f_0, minus);
-    if (plus) add_momentum(d, 1.0, h, rho->g_1, rho->f_1, plus);
+    if (push) dal__move(n, d->force, 1.0, d->value, d->force);
+    if (minus) form_momentum(d, -1.0, h, rho->g_0, rho->f_0, minus);
+    if (plus) form_momentum(d, 1.0, h, rho->g_1, rho->f_1, plus);
     return derivative ? form_K(d, push, pair) : DAL_SUCCESS;
 }
 
-int dal_discrete_lagrangian(dal_discrete *discrete, double t, double h, const double *q0,
+int dal_discrete_lagrangian(dal_discrete *d, double t, double h, const double *q0,
                             const double *q1, double *L_d, double *D1, double *D2, double *D12)
 {
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
-    const size_t n = d->n;
+    dal__pair pair;
     double L = 0.0;
-    int status = dal__require_finite(&d->mech, "t", 1, &t);
-    if (!status) status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
-    if (status) return status;
-    const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
-    status = dal__discrete_momenta(d, t, false, &pair, d->minus, d->plus, D12 != NULL);
     const dal__jet wanted = {.L = &L};
+    int status = dal__discrete_open(d, t, h, "q0", q0, "q1", q1, &pair);
+    if (!status)
+        status = dal__discrete_momenta(d, t, false, &pair, d->minus, d->plus, D12 != NULL);
     if (!status)
         status = dal__lagrangian(&d->mech.eval, time_of_L(d, t, h), d->lagrangian.g,
                                  d->lagrangian.f, &wanted, &d->mech.error);
     if (status) return status;
+    const size_t n = d->n;
     L *= h;
     for (size_t i = 0; i < n; i++) d->minus[i] = -d->minus[i];
-    for (size_t k = 0; D12 && k < n * n; k++) d->K[k] /= -h;
+    for (size_t k = 0; D12 && k < n * n; k++) d->K.sum[k] /= -h;
     return DAL__DELIVER(&d->mech.error, {"L_d", 1, &L, L_d}, {"D1", n, d->minus, D1},
-                        {"D2", n, d->plus, D2}, {"D12", n * n, d->K, D12});
+                        {"D2", n, d->plus, D2}, {"D12", n * n, d->K.sum, D12});
 }
 
-int dal_discrete_momenta(dal_discrete *discrete, double t, double h, const double *q0,
-                         const double *q1, double *minus, double *plus)
+int dal_discrete_momenta(dal_discrete *d, double t, double h, const double *q0, const double *q1,
+                         double *minus, double *plus)
 {
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
-    int status = dal__require_finite(&d->mech, "t", 1, &t);
-    if (!status) status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
-    if (status) return status;
-    const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
-    status = dal__discrete_momenta(d, t, true, &pair, d->minus, d->plus, false);
+    dal__pair pair;
+    int status = dal__discrete_open(d, t, h, "q0", q0, "q1", q1, &pair);
+    if (!status) status = dal__discrete_momenta(d, t, true, &pair, d->minus, d->plus, false);
     if (status) return status;
     return DAL__DELIVER(&d->mech.error, {"minus", d->n, d->minus, minus},
                         {"plus", d->n, d->plus, plus});
 }
 
-int dal_discrete_momentum(dal_discrete *discrete, double t, double h, const double *q0,
-                          const double *q1, const double *xi0, const double *xi1, double *minus,
-                          double *plus)
+int dal_discrete_momentum(dal_discrete *d, double t, double h, const double *q0, const double *q1,
+                          const double *xi0, const double *xi1, double *minus, double *plus)
 {
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
+    if (!d) return DAL_EINVAL;
     int status = dal__require_finite(&d->mech, "xi0", d->n, xi0);
     if (!status) status = dal__require_finite(&d->mech, "xi1", d->n, xi1);
     if (!status) status = dal_discrete_momenta(d, t, h, q0, q1, NULL, NULL);
@@ -310,38 +316,29 @@ int dal__discrete_constraint(dal_discrete *d, double t, const dal__pair *pair, b
 {
     const size_t n = d->n, m = d->m;
     dal__rho *const rho = &d->constraint;
-    int status = dal__rho_at(rho, pair, derivative, &d->mech.error);
+    int status = dal__rho_at(rho, pair, derivative);
     if (!status)
         status = dal__constraint(&d->mech.eval, t, rho->g, rho->f, d->phi, d->phi_v,
                                  derivative ? d->phi_q : NULL, NULL, &d->mech.error);
     if (status || !derivative) return status;
-    const diagonal slope = rho->map.map ? NEITHER : THE_SECOND;
-    memset(d->B, 0, m * n * sizeof *d->B);
-    memset(d->B_scale, 0, m * n * sizeof *d->B_scale);
-    add_product(m, n, pair->h, slope, d->phi_q, false, rho->g_1, NULL, d->B, d->B_scale);
-    add_product(m, n, 1.0, slope, d->phi_v, false, rho->f_1, NULL, d->B, d->B_scale);
+    clear(m * n, d->B);
+    add_chain(rho, true, m, &(slopes){pair->h, d->phi_q, 1.0, d->phi_v, false}, d->B);
     return DAL_SUCCESS;
 }
 
-int dal_discrete_constraint(dal_discrete *discrete, double t, double h, const double *q0,
+int dal_discrete_constraint(dal_discrete *d, double t, double h, const double *q0,
                             const double *q1, double *phi_d, double *D1, double *D2)
 {
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
-    const size_t n = d->n, mn = d->m * n;
-    int status = dal__require_finite(&d->mech, "t", 1, &t);
-    if (!status) status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
+    dal__pair pair;
+    int status = dal__discrete_open(d, t, h, "q0", q0, "q1", q1, &pair);
+    if (!status) status = dal__discrete_constraint(d, t, &pair, true);
     if (status) return status;
-    const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
-    status = dal__discrete_constraint(d, t, &pair, true);
-    if (status) return status;
-    const diagonal slope = d->constraint.map.map ? NEITHER : THE_SECOND;
-    double *const left = d->muk;
-    memset(left, 0, mn * sizeof *left);
-    add_product(d->m, n, 1.0, slope, d->phi_q, false, d->constraint.g_0, NULL, left, d->B_scale);
-    add_product(d->m, n, 1.0 / h, slope, d->phi_v, false, d->constraint.f_0, NULL, left,
-                d->B_scale);
-    for (size_t k = 0; k < mn; k++) d->B[k] /= h;
-    return DAL__DELIVER(&d->mech.error, {"phi_d", d->m, d->phi, phi_d}, {"D1", mn, left, D1},
-                        {"D2", mn, d->B, D2});
+    const size_t mn = d->m * d->n;
+    const dal__terms left = {d->muk, d->B.scale};
+    for (size_t k = 0; k < mn; k++) d->B.sum[k] /= h;
+    clear(mn, left);
+    add_chain(&d->constraint, false, d->m,
+              &(slopes){1.0, d->phi_q, 1.0 / h, d->phi_v, false}, left);
+    return DAL__DELIVER(&d->mech.error, {"phi_d", d->m, d->phi, phi_d}, {"D1", mn, left.sum, D1},
+                        {"D2", mn, d->B.sum, D2});
 }

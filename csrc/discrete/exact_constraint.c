@@ -35,14 +35,12 @@ static int shoot(search *s)
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
     if (m == 0) return DAL_SUCCESS;
     status = dal__forms_at(mech, s->t0, 0.0, s->x, false);
-    if (status) return pass_on(s, status);
-    status = dal__factor_gram(mech);
+    if (!status) status = dal__factor_gram(mech);
     if (status) return pass_on(s, status);
     dal__apply(m, n, mech->forms.mu, s->miss, s->defect);
     memcpy(mech->lambda, s->defect, m * sizeof *s->defect);
     dal__solve_gram(mech, mech->lambda);
-    for (size_t a = 0; a < m; a++)
-        for (size_t i = 0; i < n; i++) s->end[i] -= mech->gram.Z[a * n + i] * mech->lambda[a];
+    dal__add_reaction(n, m, -1.0, mech->gram.Z, mech->lambda, s->end);
     return DAL_SUCCESS;
 }
 
@@ -66,7 +64,7 @@ static int find_velocity(search *s)
         if (size <= noise) return dal__require_output(dal__flow_error(s->flow), "defect",
                                                       s->mech->m, s->defect);
         if (iteration == MOST || !(size <= DBL_MAX) || size > 1e3 * fmin(last, scale)) break;
-        for (size_t i = 0; i < n; i++) v[i] += s->end[i];
+        dal__move(n, v, 1.0, s->end, v);
         last = size;
     }
     return dal__fail(dal__flow_error(s->flow), DAL_ENOCONV, "no velocity at q0 leads to q1: the "
@@ -87,10 +85,9 @@ int dal_exact_velocity(dal_flow *flow, double t0, double h, const double *q0, co
     int status = pass_on(&s, dal__require_finite(s.mech, "q0", n, q0));
     if (!status) status = pass_on(&s, dal__require_finite(s.mech, "q1", n, q1));
     if (status) return status;
-    dal__reserve(&s.arena, &s.x, dal__times(2, n), sizeof(double));
-    dal__reserve(&s.arena, &s.end, dal__times(2, n), sizeof(double));
-    dal__reserve(&s.arena, &s.miss, n, sizeof(double));
-    dal__reserve(&s.arena, &s.defect, m, sizeof(double));
+    DAL__RESERVE(&s.arena, dal__times(2, n), &s.x, &s.end);
+    DAL__RESERVE(&s.arena, n, &s.miss);
+    DAL__RESERVE(&s.arena, m, &s.defect);
     status = dal__allocate(&s.arena, error);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {
@@ -98,10 +95,8 @@ int dal_exact_velocity(dal_flow *flow, double t0, double h, const double *q0, co
         s.x[n + i] = (q1[i] - q0[i]) / h;
     }
     status = find_velocity(&s);
-    if (!status) {
-        memcpy(v0, s.x + n, n * sizeof *v0);
-        if (defect) memcpy(defect, s.defect, m * sizeof *defect);
-    }
+    if (!status)
+        status = DAL__DELIVER(error, {"v0", n, s.x + n, v0}, {"defect", m, s.defect, defect});
     dal__release(&s.arena);
     return status;
 }

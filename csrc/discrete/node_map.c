@@ -36,7 +36,7 @@ static int begin(dal_discrete *d, double t, const dal__pair *pair)
 {
     const size_t n = d->n;
     int status = dal__discrete_momenta(d, t, true, pair, NULL, d->momentum, false);
-    if (!status) status = dal__rho_at(&d->constraint, pair, false, &d->mech.error);
+    if (!status) status = dal__rho_at(&d->constraint, pair, false);
     if (status) return status;
     memcpy(d->velocity, d->constraint.f, n * sizeof *d->velocity);
     d->step.t = t;
@@ -47,37 +47,39 @@ static int begin(dal_discrete *d, double t, const dal__pair *pair)
     return reaction_forms(d, d->step.middle, pair->q1, d->velocity, d->muk);
 }
 
+/* The pair (q_k, q_k + h w), in d->q1. */
+static dal__pair next_pair(dal_discrete *d, const double *w)
+{
+    dal__move(d->n, d->step.node, d->step.h, w, d->q1);
+    return (dal__pair){d->step.h, d->step.node, d->q1, w};
+}
+
 /* mu_k^T kappa as a function of w, to be differenced. */
 static int value_reaction(const double *w, double *value, void *ctx)
 {
     dal_discrete *const d = ctx;
     const size_t n = d->n;
-    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + d->step.h * w[i];
-    const dal__pair pair = {d->step.h, d->step.node, d->q1, w};
-    int status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    const dal__pair pair = next_pair(d, w);
+    int status = dal__rho_at(&d->constraint, &pair, false);
     if (!status) status = middle_forms(d, d->constraint.f, d->phi_q);
     if (status) return status;
-    memset(value, 0, n * sizeof *value);
-    for (size_t a = 0; a < d->m; a++)
-        for (size_t i = 0; i < n; i++) value[i] += d->phi_q[a * n + i] * d->step.kappa[a];
+    dal__clear(n, value);
+    dal__add_reaction(n, d->m, 1.0, d->phi_q, d->step.kappa, value);
     return DAL_SUCCESS;
 }
 
-/* d->K += -d(mu_k^T kappa)/dw. */
-static int subtract_bend(dal_discrete *d, const double *w)
+/* What the equations need of the pair after: p^-, phi_d and mu_k, with K and B if derivative. */
+static int evaluate(dal_discrete *d, const dal__pair *pair, bool derivative)
 {
-    const size_t n = d->n;
-    memcpy(d->point, w, n * sizeof *d->point);
-    for (size_t j = 0; j < n; j++) {
-        const int status = dal__difference(value_reaction, d, d->point, j, n, d->value,
-                                           d->bend + j, n);
-        if (status) return status;
+    const double t = d->step.t + d->step.h;
+    const bool nonlinear = is_nonlinear(d);
+    int status = dal__discrete_momenta(d, t, true, pair, d->minus, NULL, derivative);
+    if (!status && derivative && nonlinear) {
+        status = dal__discrete_bend(d, value_reaction, d, 1.0, pair->w);
+        next_pair(d, pair->w); /* the differences moved it */
     }
-    for (size_t k = 0; k < n * n; k++) {
-        d->K[k] -= d->bend[k];
-        d->K_scale[k] += fabs(d->bend[k]);
-    }
-    return DAL_SUCCESS;
+    if (!status) status = dal__discrete_constraint(d, t, pair, derivative);
+    return status || !nonlinear ? status : middle_forms(d, d->constraint.f, d->muk);
 }
 
 /* root.J of n + m equations <- [[K, -mu_k^T], [B, 0]], and the scale of its entries. */
@@ -86,34 +88,20 @@ static void assemble(dal_discrete *d)
     const size_t n = d->n, m = d->m, N = n + m;
     double *const J = d->root.J.A, *const scale = d->root.scale;
     d->root.J.size = N;
-    memset(J, 0, N * N * sizeof *J);
-    memset(scale, 0, N * N * sizeof *scale);
+    dal__clear(N * N, J);
+    dal__clear(N * N, scale);
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) {
-            J[i * N + j] = d->K[i * n + j];
-            scale[i * N + j] = d->K_scale[i * n + j];
+            J[i * N + j] = d->K.sum[i * n + j];
+            scale[i * N + j] = d->K.scale[i * n + j];
         }
     for (size_t a = 0; a < m; a++)
         for (size_t i = 0; i < n; i++) {
             J[i * N + n + a] = -d->muk[a * n + i];
-            J[(n + a) * N + i] = d->B[a * n + i];
+            J[(n + a) * N + i] = d->B.sum[a * n + i];
             scale[i * N + n + a] = fabs(d->muk[a * n + i]);
-            scale[(n + a) * N + i] = d->B_scale[a * n + i];
+            scale[(n + a) * N + i] = d->B.scale[a * n + i];
         }
-}
-
-/* What the roundoff of w is relative to beside w: the velocity before and the terms of the
- * equations of motion as changes of velocity, as those of a step are. */
-static double base_of_equations(const dal_discrete *d, const double *kappa)
-{
-    const size_t n = d->n;
-    double base = dal_residual_extent(n, d->mech.metric.per_unit, d->velocity);
-    for (size_t i = 0; i < n; i++) {
-        double sum = fabs(d->minus[i]) + fabs(d->momentum[i]);
-        for (size_t a = 0; a < d->m; a++) sum += fabs(d->muk[a * n + i] * kappa[a]);
-        base += sum * d->mech.metric.unit[i];
-    }
-    return base;
 }
 
 /* Of the step equations at z = (w, kappa), kappa = h lambda. */
@@ -123,22 +111,15 @@ static int find_step(dal__newton *equations)
     const size_t n = d->n, m = d->m;
     const double h = d->step.h, *const w = d->root.z, *const kappa = w + n;
     double *const residual = d->root.residual;
-    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i];
-    const dal__pair pair = {h, d->step.node, d->q1, w};
+    const dal__pair pair = next_pair(d, w);
     d->step.kappa = kappa;
-    int status = dal__discrete_momenta(d, d->step.t + h, true, &pair, d->minus, NULL, true);
-    if (!status && is_nonlinear(d)) status = subtract_bend(d, w);
+    const int status = evaluate(d, &pair, true);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) d->q1[i] = d->step.node[i] + h * w[i]; /* it was moved */
-    status = dal__discrete_constraint(d, d->step.t + h, &pair, true);
-    if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
-    if (status) return status;
-    for (size_t i = 0; i < n; i++) {
-        residual[i] = d->minus[i] - d->momentum[i];
-        for (size_t a = 0; a < m; a++) residual[i] -= d->muk[a * n + i] * kappa[a];
-    }
+    dal__move(n, d->minus, -1.0, d->momentum, residual);
+    dal__add_reaction(n, m, -1.0, d->muk, kappa, residual);
     memcpy(residual + n, d->phi, m * sizeof *residual);
-    equations->base = base_of_equations(d, kappa);
+    const dal__term terms[] = {{1.0, d->minus}, {1.0, d->momentum}};
+    equations->base = dal__base_of_w(&d->mech, d->velocity, 2, terms, d->muk, kappa);
     equations->moves = dal__forms_move(&d->mech, d->phi_v, d->phi_q, d->constraint.g);
     for (size_t k = 0; k < n * n; k++)
         equations->moves += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
@@ -159,53 +140,39 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
     if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->velocity);
     if (status) return status;
     memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
-    memset(d->root.z + n, 0, m * sizeof *d->root.z);
+    dal__clear(m, d->root.z + n);
     return dal__newton_run(&equations, &d->mech.error);
 }
 
-/* d->q1 <- the node that the root leads to from q; its multipliers where they are wanted. */
-static int hand_over(dal_discrete *d, const double *q, const double *lambda)
+/* d->q1 <- the node that the root leads to from q; returns its multipliers. */
+static const double *leave_root(dal_discrete *d, const double *q)
 {
-    double *const multipliers = d->root.z + d->n;
-    for (size_t i = 0; i < d->n; i++) d->q1[i] = q[i] + d->step.h * d->root.z[i];
-    for (size_t a = 0; a < d->m; a++) multipliers[a] /= d->step.h;
-    const int status = dal__require_output(&d->mech.error, "q1", d->n, d->q1);
-    if (status || !lambda) return status;
-    return dal__require_output(&d->mech.error, "lambda", d->m, multipliers);
-}
-
-static void copy_multipliers(const dal_discrete *d, double *lambda)
-{
-    if (lambda) memcpy(lambda, d->root.z + d->n, d->m * sizeof *lambda);
+    double *const lambda = d->root.z + d->n;
+    dal__move(d->n, q, d->step.h, d->root.z, d->q1);
+    for (size_t a = 0; a < d->m; a++) lambda[a] /= d->step.h;
+    return lambda;
 }
 
 /* ---- the equations ------------------------------------------------------------------------ */
 
-int dal_discrete_residual(dal_discrete *discrete, double t, double h, const double *q_before,
+int dal_discrete_residual(dal_discrete *d, double t, double h, const double *q_before,
                           const double *q, const double *q_after, const double *lambda,
                           double *residual)
 {
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
+    if (d && !residual) return dal__null_argument(&d->mech, "residual");
+    dal__pair pair;
+    int status = dal__discrete_open(d, t, h, "q_before", q_before, "q", q, &pair);
+    if (!status) status = dal__require_finite(&d->mech, "q_after", d->n, q_after);
+    if (!status && d->m > 0) status = dal__require_finite(&d->mech, "lambda", d->m, lambda);
+    if (!status) status = begin(d, t, &pair);
+    if (status) return status;
     const size_t n = d->n, m = d->m;
-    if (!residual) return dal__null_argument(&d->mech, "residual");
-    int status = dal__require_finite(&d->mech, "t", 1, &t);
-    if (!status) status = dal__discrete_require(d, h, "q_before", q_before, "q", q);
-    if (!status) status = dal__require_finite(&d->mech, "q_after", n, q_after);
-    if (!status && m > 0) status = dal__require_finite(&d->mech, "lambda", m, lambda);
-    if (status) return status;
-    dal__pair pair = dal__discrete_pair(d, h, q_before, q);
-    status = begin(d, t, &pair);
-    pair = dal__discrete_pair(d, h, q, q_after);
-    if (!status) status = dal__discrete_momenta(d, t + h, true, &pair, d->minus, NULL, false);
-    if (!status) status = dal__discrete_constraint(d, t + h, &pair, false);
-    if (!status && is_nonlinear(d)) status = middle_forms(d, d->constraint.f, d->muk);
-    if (status) return status;
     double *const sides = d->root.residual;
-    for (size_t i = 0; i < n; i++) {
-        sides[i] = d->momentum[i] - d->minus[i];
-        for (size_t a = 0; a < m; a++) sides[i] += h * d->muk[a * n + i] * lambda[a];
-    }
+    pair = dal__discrete_pair(d, h, q, q_after);
+    status = evaluate(d, &pair, false);
+    if (status) return status;
+    dal__move(n, d->momentum, -1.0, d->minus, sides);
+    dal__add_reaction(n, m, h, d->muk, lambda, sides);
     memcpy(sides + n, d->phi, m * sizeof *sides);
     return DAL__DELIVER(&d->mech.error, {"residual", n + m, sides, residual});
 }
@@ -228,23 +195,18 @@ static void examine(dal_discrete *d, int *sign, double *logarithm, double *condi
     *condition = *sign && least > 0.0 ? sqrt(most / least) : HUGE_VAL;
 }
 
-int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const double *q,
+int dal_discrete_regularity(dal_discrete *d, double t, double h, const double *q,
                             const double *q_after, double *matrix, int *sign,
                             double *logarithm, double *condition)
 {
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
-    const size_t n = d->n, m = d->m, N = n + m;
-    int status = dal__require_finite(&d->mech, "t", 1, &t);
-    if (!status) status = dal__discrete_require(d, h, "q", q, "q_after", q_after);
-    if (status) return status;
-    const dal__pair pair = dal__discrete_pair(d, h, q, q_after);
-    status = dal__discrete_momenta(d, t + h, true, &pair, NULL, NULL, true);
+    dal__pair pair;
+    int s, status = dal__discrete_open(d, t, h, "q", q, "q_after", q_after, &pair);
+    if (!status) status = dal__discrete_momenta(d, t + h, true, &pair, NULL, NULL, true);
     if (!status) status = dal__discrete_constraint(d, t + h, &pair, true);
     if (!status)
         status = reaction_forms(d, time_of_node(d, t, h), q, d->constraint.f, d->muk);
     if (status) return status;
-    int s;
+    const size_t n = d->n, N = n + d->m;
     double l, c, *const J = d->root.J.A;
     assemble(d);
     status = dal__require_output(&d->mech.error, "matrix", N * N, J);
@@ -266,23 +228,15 @@ int dal_discrete_regularity(dal_discrete *discrete, double t, double h, const do
 
 /* ---- maps --------------------------------------------------------------------------------- */
 
-int dal_discrete_step(dal_discrete *discrete, double t, double h, double *q0, double *q1,
-                      double *lambda)
+int dal_discrete_step(dal_discrete *d, double t, double h, double *q0, double *q1, double *lambda)
 {
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
-    const size_t n = d->n;
-    int status = dal__require_finite(&d->mech, "t", 1, &t);
-    if (!status) status = dal__discrete_require(d, h, "q0", q0, "q1", q1);
+    dal__pair pair;
+    int status = dal__discrete_open(d, t, h, "q0", q0, "q1", q1, &pair);
+    if (!status) status = solve(d, t, &pair);
     if (status) return status;
-    const dal__pair pair = dal__discrete_pair(d, h, q0, q1);
-    status = solve(d, t, &pair);
-    if (!status) status = hand_over(d, q1, lambda);
-    if (status) return status;
-    memcpy(q0, q1, n * sizeof *q0);
-    memcpy(q1, d->q1, n * sizeof *q1);
-    copy_multipliers(d, lambda);
-    return DAL_SUCCESS;
+    const double *const multipliers = leave_root(d, q1);
+    return DAL__DELIVER(&d->mech.error, {"q0", d->n, q1, q0}, {"q1", d->n, d->q1, q1},
+                        {"lambda", d->m, multipliers, lambda});
 }
 
 static int require_on_constraint(dal_discrete *d, double t, const dal__pair *pair)
@@ -296,16 +250,13 @@ static int require_on_constraint(dal_discrete *d, double t, const dal__pair *pai
                      DAL_CONSISTENT);
 }
 
-int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps, double *nodes,
+int dal_discrete_run(dal_discrete *d, double t0, double h, size_t steps, double *nodes,
                      double *lambda, size_t *done)
 {
     if (done) *done = 0;
-    if (!discrete) return DAL_EINVAL;
-    dal_discrete *const d = discrete;
+    if (!d) return DAL_EINVAL;
     const size_t n = d->n;
-    int status = dal__require_finite(&d->mech, "t0", 1, &t0);
-    if (!status) status = dal__discrete_step_size(d, h);
-    if (!status) status = dal__require_finite(&d->mech, "nodes", 2 * n, nodes);
+    int status = dal__discrete_require(d, "t0", t0, h, "nodes", nodes);
     if (status) return status;
     dal__pair pair = dal__discrete_pair(d, h, nodes, nodes + n);
     status = require_on_constraint(d, t0, &pair);
@@ -313,32 +264,31 @@ int dal_discrete_run(dal_discrete *discrete, double t0, double h, size_t steps, 
         pair.q0 = nodes + k * n;
         pair.q1 = pair.q0 + n;
         status = solve(d, t0 + (double)k * h, &pair);
-        if (!status) status = hand_over(d, pair.q1, lambda);
         if (status) break;
+        const double *const multipliers = leave_root(d, pair.q1);
         memcpy(d->w, d->root.z, n * sizeof *d->w);
-        memcpy(nodes + (k + 2) * n, d->q1, n * sizeof *nodes);
-        copy_multipliers(d, lambda ? lambda + k * d->m : NULL);
-        if (done) *done = k + 1;
+        status = DAL__DELIVER(&d->mech.error, {"q1", n, d->q1, nodes + (k + 2) * n},
+                              {"lambda", d->m, multipliers, lambda ? lambda + k * d->m : NULL});
+        if (done && !status) *done = k + 1;
     }
     return status;
 }
 
-int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda,
+int dal__discrete_advance(dal_discrete *d, double t, double h, double *x, double *lambda,
                           double *worst)
 {
-    dal_discrete *const d = discrete;
     const size_t n = d->n;
-    int status = dal__require_finite(&d->mech, "t", 1, &t);
-    if (!status) status = dal__discrete_step_size(d, h);
-    if (!status) status = dal__require_finite(&d->mech, "x", 2 * n, x);
+    int status = dal__discrete_require(d, "t", t, h, "x", x);
     if (!status) status = dal__rho_invert(d, t, h, x, d->q0, d->node);
     if (status) return status;
     dal__pair pair = dal__discrete_pair(d, h, d->q0, d->node);
     if (!d->constraint.map.map) pair.w = x + n;
     status = solve(d, t, &pair);
-    if (!status) status = hand_over(d, d->node, lambda);
+    if (status) return status;
+    const double *const multipliers = leave_root(d, d->node);
     pair = (dal__pair){h, d->node, d->q1, d->root.z};
-    if (!status) status = dal__rho_at(&d->constraint, &pair, false, &d->mech.error);
+    status = dal__require_output(&d->mech.error, "q1", n, d->q1);
+    if (!status) status = dal__rho_at(&d->constraint, &pair, false);
     if (status) return status;
     /* Corrected as a step with beta = 0, whose state stands at its node. */
     memcpy(d->mech.node, d->constraint.g, n * sizeof *d->mech.node);
@@ -349,13 +299,12 @@ int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x,
     d->mech.start.kept = false;
     status = dal__step_settle(&d->mech, d->w, d->state, worst);
     if (status) return status;
-    memcpy(x, d->state, 2 * n * sizeof *x);
-    copy_multipliers(d, lambda);
-    return DAL_SUCCESS;
+    return DAL__DELIVER(&d->mech.error, {"x", 2 * n, d->state, x},
+                        {"lambda", d->m, multipliers, lambda});
 }
 
-int dal_discrete_advance(dal_discrete *discrete, double t, double h, double *x, double *lambda)
+int dal_discrete_advance(dal_discrete *d, double t, double h, double *x, double *lambda)
 {
     double unused = 0.0;
-    return discrete ? dal__discrete_advance(discrete, t, h, x, lambda, &unused) : DAL_EINVAL;
+    return d ? dal__discrete_advance(d, t, h, x, lambda, &unused) : DAL_EINVAL;
 }

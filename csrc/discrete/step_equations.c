@@ -6,11 +6,18 @@
 #include <math.h>
 #include <string.h>
 
+void dal__add_reaction(size_t n, size_t m, double factor, const double *mu, const double *kappa,
+                       double *f)
+{
+    for (size_t a = 0; a < m; a++)
+        for (size_t i = 0; i < n; i++) f[i] += factor * mu[a * n + i] * kappa[a];
+}
+
 /* Where L acts, a step before q_k + alpha h w, or there. */
 static const double *place_of_L(dal_mechanics *mech, double reach, const double *velocity)
 {
     if (mech->start.alpha == mech->start.beta) return mech->forms.q;
-    for (size_t i = 0; i < mech->n; i++) mech->place[i] = mech->node[i] + reach * velocity[i];
+    dal__move(mech->n, mech->node, reach, velocity, mech->place);
     return mech->place;
 }
 
@@ -30,14 +37,12 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     mech->start.kept = kept;
     mech->start.v = v;
     mech->start.base = 0.0;
-    for (size_t i = 0; i < n; i++) {
-        mech->node[i] = kept ? x[i] : x[i] + before * v[i];
-        mech->forms.q[i] = kept ? x[i] - before * v[i] : x[i];
-    }
+    dal__move(n, x, kept ? 0.0 : before, v, mech->node);
+    dal__move(n, x, kept ? -before : 0.0, v, mech->forms.q);
     if (mech->eval.system->def.kind != DAL_NONLINEAR)
         status = dal__constraint(&mech->eval, mech->start.middle, mech->node, v, NULL, mech->muk,
                                  NULL, NULL, &mech->error);
-    memset(mech->reach, 0, n * sizeof *mech->reach);
+    dal__clear(n, mech->reach);
     const double *const place = place_of_L(mech, (alpha - 1.0) * h, v);
     const dal__jet wanted = {.L_q = alpha != 0.0 ? mech->reach : NULL,
                              .L_v = mech->eval.constant_mass ? NULL : mech->momentum};
@@ -47,7 +52,7 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     if (!status && alpha != 0.0 && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t + later, place, v, mech->step, NULL, NULL,
                             &mech->error);
-        for (size_t i = 0; i < n; i++) mech->reach[i] += mech->step[i];
+        dal__move(n, mech->reach, 1.0, mech->step, mech->reach);
     }
     for (size_t i = 0; i < n; i++) mech->reach[i] *= alpha * h;
     return status;
@@ -68,7 +73,7 @@ static int evaluate_bend(dal_mechanics *mech, const double *w, const double *kap
     double largest = dal__largest(n, w);
     if (largest == 0.0) largest = 1.0;
     const double d = cbrt(DBL_EPSILON) * largest;
-    memset(mech->bend, 0, n * n * sizeof *mech->bend);
+    dal__clear(n * n, mech->bend);
     for (size_t j = 0; j < n; j++)
         for (int side = -1; side <= 1; side += 2) {
             memcpy(mech->trial, w, n * sizeof *w);
@@ -99,13 +104,13 @@ static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
     if (!status && ends && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t, place, w, R1 ? mech->step : NULL,
                             K ? mech->f_q : NULL, K ? mech->f_v : NULL, &mech->error);
-        for (size_t i = 0; R1 && i < n; i++) mech->force[i] += mech->step[i];
+        if (R1) dal__move(n, mech->force, 1.0, mech->step, mech->force);
     }
     if (status || !R1) return status;
     if (general) {
-        for (size_t i = 0; i < n; i++) mech->w[i] -= mech->momentum[i];
+        dal__move(n, mech->w, -1.0, mech->momentum, mech->w);
     } else {
-        for (size_t i = 0; i < n; i++) mech->step[i] = w[i] - mech->start.v[i];
+        dal__move(n, w, -1.0, mech->start.v, mech->step);
         dal__apply(n, n, mech->metric.M, mech->step, mech->w);
     }
     return DAL_SUCCESS;
@@ -115,30 +120,33 @@ static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
 {
     const size_t n = mech->n;
     const double weight = mech->start.h * (1.0 - mech->start.alpha);
-    for (size_t i = 0; i < n; i++) {
-        double sum = mech->w[i] - mech->reach[i];
-        if (weight != 0.0) sum -= weight * mech->force[i];
-        for (size_t a = 0; a < mech->m; a++) sum -= mech->muk[a * n + i] * kappa[a];
-        R1[i] = sum;
-    }
+    dal__move(n, mech->w, -1.0, mech->reach, R1);
+    if (weight != 0.0) dal__move(n, R1, -weight, mech->force, R1);
+    dal__add_reaction(n, mech->m, -1.0, mech->muk, kappa, R1);
 }
 
-/* What the roundoff of w is relative to beside w: v and the terms of R1, of which L_v(q, v) and
- * L_v(q1, w) are about the same, as changes of velocity.  They may be far larger than w: at rest,
- * where a reaction balances a force. */
-static double base_of_R1(const dal_mechanics *mech, const double *kappa)
+double dal__base_of_w(const dal_mechanics *mech, const double *v, size_t count,
+                      const dal__term *terms, const double *mu, const double *kappa)
 {
     const size_t n = mech->n;
-    const double weight = fabs(mech->start.h * (1.0 - mech->start.alpha));
-    double base = dal_residual_extent(n, mech->metric.per_unit, mech->start.v);
+    double base = dal_residual_extent(n, mech->metric.per_unit, v);
     for (size_t i = 0; i < n; i++) {
-        double sum = fabs(mech->w[i]) + fabs(mech->reach[i]);
-        if (!mech->eval.constant_mass) sum += fabs(mech->momentum[i]);
-        if (weight != 0.0) sum += weight * fabs(mech->force[i]);
-        for (size_t a = 0; a < mech->m; a++) sum += fabs(mech->muk[a * n + i] * kappa[a]);
+        double sum = 0.0;
+        for (const dal__term *term = terms; term < terms + count; term++)
+            if (term->weight != 0.0) sum += term->weight * fabs(term->x[i]);
+        for (size_t a = 0; a < mech->m; a++) sum += fabs(mu[a * n + i] * kappa[a]);
         base += sum * mech->metric.unit[i]; /* as M^-1 does, in the units of the velocity */
     }
     return base;
+}
+
+/* L_v(q, v) and L_v(q1, w), where they are not M v and M w, are about the same. */
+static double base_of_R1(const dal_mechanics *mech, const double *kappa)
+{
+    const dal__term terms[] = {
+        {1.0, mech->w}, {1.0, mech->reach}, {mech->eval.constant_mass ? 0.0 : 1.0, mech->momentum},
+        {fabs(mech->start.h * (1.0 - mech->start.alpha)), mech->force}};
+    return dal__base_of_w(mech, mech->start.v, DAL_LENGTH(terms), terms, mech->muk, kappa);
 }
 
 /* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend.
@@ -183,7 +191,7 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     const double a = mech->start.beta * mech->start.h;
     const bool nonlinear = mech->eval.system->def.kind == DAL_NONLINEAR;
     int status = DAL_SUCCESS;
-    for (size_t i = 0; i < n; i++) mech->forms.q[i] = mech->node[i] + a * w[i];
+    dal__move(n, mech->node, a, w, mech->forms.q);
     if (R2 || B)
         status = dal__constraint(&mech->eval, mech->start.end, mech->forms.q, w, mech->forms.phi,
                                  mech->forms.mu, B ? mech->forms.dmu : NULL, NULL, &mech->error);
@@ -196,7 +204,7 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     if (R1 && K) mech->start.base = base_of_R1(mech, kappa);
     if (R2) memcpy(R2, mech->forms.phi, m * sizeof *R2);
     if (K) form_K(mech, K, K_sizes);
-    for (size_t k = 0; B && k < m * n; k++) B[k] = mech->forms.mu[k] + a * mech->forms.dmu[k];
+    if (B) dal__move(m * n, mech->forms.mu, a, mech->forms.dmu, B);
     return DAL_SUCCESS;
 }
 
@@ -208,7 +216,7 @@ int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *wo
     const double shift = mech->start.kept ? (1.0 - beta) * h : 0.0;
     double relative = 0.0;
     int status = DAL_SUCCESS;
-    for (size_t i = 0; i < n; i++) x[i] = mech->node[i] + after * w[i];
+    dal__move(n, mech->node, after, w, x);
     memcpy(x + n, w, n * sizeof *w);
     if (mech->m > 0 && dal__all_finite(2 * n, x))
         status = dal__mend(mech, mech->start.end, shift, false, x, &relative);
@@ -236,14 +244,12 @@ int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h
     if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, x);
     if (status) return status;
 
-    double *r1, *r2, *k, *b;
+    double *r1;
     arena scratch = {0};
-    dal__reserve(&scratch, &r1, n, sizeof *r1);
-    dal__reserve(&scratch, &r2, m, sizeof *r2);
-    dal__reserve(&scratch, &k, dal__times(n, n), sizeof *k);
-    dal__reserve(&scratch, &b, dal__times(m, n), sizeof *b);
+    DAL__RESERVE(&scratch, (n + m) * (n + 1), &r1);
     status = dal__allocate(&scratch, &mech->error);
     if (status) return status;
+    double *const r2 = r1 + n, *const k = r2 + m, *const b = k + n * n;
     status = dal__step_at(mech, w, kappa, R1 ? r1 : NULL, R2 ? r2 : NULL, K ? k : NULL, NULL,
                           B ? b : NULL);
     if (!status)

@@ -45,7 +45,7 @@ void dal__chart_bind(dal_chart *chart, const dal_system *system)
 int dal_chart_new(dal_chart **chart, const dal_system *system, dal_error *error)
 {
     dal_chart shape = {0}, *self;
-    int status = dal__require_new(error, "chart", chart, system);
+    int status = DAL__REQUIRE(error, {"chart", chart}, {"system", system});
     if (status) return status;
     dal__reserve(&shape.arena, &self, 1, sizeof *self);
     dal__chart_reserve(&shape, system, &shape.arena);

@@ -69,7 +69,7 @@ static int field(double t, const double *y, double *dydt, void *ctx, dal_error *
 int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_method method,
                  dal_flow_coordinates coordinates, double tolerance, dal_error *error)
 {
-    int status = dal__require_new(error, "flow", flow, system);
+    int status = DAL__REQUIRE(error, {"flow", flow}, {"system", system});
     if (status) return status;
     if (coordinates != DAL_FLOW_X && coordinates != DAL_FLOW_XI)
         return dal__fail(error, DAL_EINVAL, "coordinates = %d is not a dal_flow_coordinates",

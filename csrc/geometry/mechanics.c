@@ -44,7 +44,7 @@ void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system)
 int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *system, dal_error *error)
 {
     dal_mechanics shape = {0}, *self;
-    int status = dal__require_new(error, "mechanics", mechanics, system);
+    int status = DAL__REQUIRE(error, {"mechanics", mechanics}, {"system", system});
     if (status) return status;
     dal__reserve(&shape.arena, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape, system, &shape.arena);

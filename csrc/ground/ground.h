@@ -45,11 +45,19 @@ __attribute__((format(printf, 4, 5)))
 int dal__fail_because(dal_error *error, int status, const dal_error *cause, const char *format,
                       ...);
 
-/* Before an object of this name is made for a system: clears the error.  DAL_EINVAL if NULL is the
- * address where it is to go, or the system. */
-int dal__require_new(dal_error *error, const char *name, const void *object, const void *system);
+/* The name of an argument, and whether it is given: a pointer may stand there. */
+typedef struct dal__argument {
+    const char *name;
+    bool given;
+} dal__argument;
 
-/* An argument of this name, which has to be there, and its x[count] finite. */
+/* Clears the record; DAL_EINVAL with the name of the first argument that is NULL. */
+int dal__require_arguments(dal_error *error, size_t count, const dal__argument *arguments);
+#define DAL__REQUIRE(error, ...) \
+    dal__require_arguments(error, DAL_LENGTH(((dal__argument[]){__VA_ARGS__})), \
+                           (dal__argument[]){__VA_ARGS__})
+
+/* An argument that has to be there, and its x[count] finite. */
 typedef struct dal__numbers {
     const char *name;
     size_t count;

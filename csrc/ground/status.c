@@ -79,10 +79,11 @@ int dal__fail_because(dal_error *error, int status, const dal_error *cause, cons
     return status;
 }
 
-int dal__require_new(dal_error *error, const char *name, const void *object, const void *system)
+int dal__require_arguments(dal_error *error, size_t count, const dal__argument *arguments)
 {
-    if (!object || !system)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", object ? "system" : name);
+    for (size_t i = 0; i < count; i++)
+        if (!arguments[i].given)
+            return dal__fail(error, DAL_EINVAL, "%s is NULL", arguments[i].name);
     return dal__fail(error, DAL_SUCCESS, "%s", "");
 }
 

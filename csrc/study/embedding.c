@@ -31,7 +31,7 @@ struct dal_embedding {
     dal__watch watch;
     double made;          /* steps of the curve */
     double *x, *moved;    /* [2n] */
-    double *y, *next, *z, *F1, *F2, *field1, *field2, *field0; /* [width] */
+    double *y, *next, *F1, *F2, *field1, *field2, *field0; /* [width] */
     dal_error error;
     arena arena;
 };
@@ -80,25 +80,20 @@ static int make_parts(dal_embedding *self, const dal_embedding_def *def, dal_err
 int dal_embedding_new(dal_embedding **embedding, const dal_system *system,
                       const dal_embedding_def *def, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!embedding || !system || !def || !def->scheme)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL",
-                         !embedding ? "embedding" : !system ? "system" : !def ? "def"
-                                                                              : "def->scheme");
-    int status = check_def(system, def, error);
+    int status = DAL__REQUIRE(error, {"embedding", embedding}, {"system", system}, {"def", def},
+                              {"def->scheme", def && def->scheme});
+    if (!status) status = check_def(system, def, error);
     if (status) return status;
     const size_t n = system->def.n, width = 2 * n - system->def.m;
     dal_embedding shape = {.system = system, .h = def->h, .width = width,
                            .order = def->order ? def->order : def->scheme->order,
                            .tolerance = def->tolerance > 0.0 ? def->tolerance : DEFAULT_TOLERANCE};
     dal_embedding *self;
-    double **const coordinates[] = {&shape.y, &shape.next, &shape.z, &shape.F1, &shape.F2,
-                                    &shape.field1, &shape.field2, &shape.field0};
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
-    dal__reserve(&memory, &shape.x, 2 * n, sizeof(double));
-    dal__reserve(&memory, &shape.moved, 2 * n, sizeof(double));
-    dal__reserve_doubles(&memory, DAL_LENGTH(coordinates), coordinates, width);
+    DAL__RESERVE(&memory, 2 * n, &shape.x, &shape.moved);
+    DAL__RESERVE(&memory, width, &shape.y, &shape.next, &shape.F1, &shape.F2, &shape.field1,
+                 &shape.field2, &shape.field0);
     status = dal__allocate(&memory, error);
     if (status) return status;
     *self = shape;
@@ -119,8 +114,7 @@ void dal_embedding_free(dal_embedding *embedding)
     dal_flow_free(embedding->flow);
     dal_stepper_free(embedding->stepper);
     dal_chart_free(embedding->chart);
-    arena memory = embedding->arena; /* the object lies inside it */
-    dal__release(&memory);
+    dal__release(&embedding->arena);
 }
 
 static int relay(double t, void *ctx)
@@ -244,30 +238,26 @@ static int solve_source(dal_embedding *self, double tau, const double *z)
                      "change %g): h = %g is too large", tau, last, self->h);
 }
 
-static int require_number(dal_embedding *self, const char *name, double number)
+/* A time of this name, finite coordinates z[width] that the caller calls name, an output, and a
+ * choice of the chart. */
+static int check_arguments(dal_embedding *self, const char *time_name, double time,
+                           const char *name, const double *z, const char *output_name,
+                           const void *output)
 {
-    if (isfinite(number)) return DAL_SUCCESS;
-    return dal__fail(&self->error, DAL_EINVAL, "%s = %g is not finite", name, number);
-}
-
-/* A choice of the chart, finite coordinates z[width] that the caller calls name, and an output. */
-static int check_arguments(dal_embedding *self, const char *name, const double *z,
-                           const char *output_name, const void *output)
-{
+    if (!self) return DAL_EINVAL;
+    if (!isfinite(time))
+        return dal__fail(&self->error, DAL_EINVAL, "%s = %g is not finite", time_name, time);
     if (!z || !output)
         return dal__fail(&self->error, DAL_EINVAL, "%s is NULL", z ? output_name : name);
     for (size_t i = 0; i < self->width; i++)
         if (!isfinite(z[i]))
             return dal__fail(&self->error, DAL_EINVAL, "%s[%zu] = %g is not finite", name, i, z[i]);
-    const int status = dal__chart_ready(self->chart);
-    return chart_result(self, status, "chart");
+    return chart_result(self, dal__chart_ready(self->chart), "chart");
 }
 
-int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, double *G)
+int dal_embedding_curve(dal_embedding *self, double tau, const double *y, double *G)
 {
-    if (!embedding) return DAL_EINVAL;
-    dal_embedding *const self = embedding;
-    int status = check_arguments(self, "y", y, "G", G);
+    int status = check_arguments(self, "", 0.0, "y", y, "G", G);
     if (!status && !(tau >= 0.0 && tau <= MOST_PERIODS))
         status = dal__fail(&self->error, DAL_EINVAL, "tau = %g is not in [0, %g]", tau,
                            MOST_PERIODS);
@@ -285,12 +275,9 @@ int dal_embedding_curve(dal_embedding *embedding, double tau, const double *y, d
     return DAL_SUCCESS;
 }
 
-int dal_embedding_source(dal_embedding *embedding, double tau, const double *z, double *y)
+int dal_embedding_source(dal_embedding *self, double tau, const double *z, double *y)
 {
-    if (!embedding) return DAL_EINVAL;
-    dal_embedding *const self = embedding;
-    int status = require_number(self, "tau", tau);
-    if (!status) status = check_arguments(self, "z", z, "y", y);
+    int status = check_arguments(self, "tau", tau, "z", z, "y", y);
     if (!status) status = solve_source(self, phase_of(tau), z);
     if (!status) memcpy(y, self->y, self->width * sizeof *y);
     return status;
@@ -313,20 +300,18 @@ static int perturbation(dal_embedding *self, double tau, const double *z)
         self->next[i] = slope / self->h * (self->F1[i] - self->F2[i])
                       + chi0 * (self->field1[i] - self->field0[i])
                       + chi1 * (self->field2[i] - self->field0[i]);
-    if (phase == 0.0) memset(self->next, 0, self->width * sizeof *self->next);
+    if (phase == 0.0) dal__clear(self->width, self->next);
     return DAL_SUCCESS;
 }
 
-int dal_embedding_field(dal_embedding *embedding, double tau, const double *z, double *g)
+int dal_embedding_field(dal_embedding *self, double tau, const double *z, double *g)
 {
-    if (!embedding) return DAL_EINVAL;
-    dal_embedding *const self = embedding;
-    int status = require_number(self, "tau", tau);
-    if (!status) status = check_arguments(self, "z", z, "g", g);
+    int status = check_arguments(self, "tau", tau, "z", z, "g", g);
     if (!status) status = perturbation(self, tau, z);
+    if (status) return status;
     const double scale = pow(self->h, self->order);
-    for (size_t i = 0; !status && i < self->width; i++) g[i] = self->next[i] / scale;
-    return status;
+    for (size_t i = 0; i < self->width; i++) g[i] = self->next[i] / scale;
+    return DAL_SUCCESS;
 }
 
 double dal_embedding_noise(const dal_embedding *embedding)
@@ -334,17 +319,15 @@ double dal_embedding_noise(const dal_embedding *embedding)
     return accuracy(embedding) * pow(fabs(embedding->h), -(embedding->order + 1));
 }
 
-int dal_embedding_limit(dal_embedding *embedding, const double *z, double *d)
+int dal_embedding_limit(dal_embedding *self, const double *z, double *d)
 {
-    if (!embedding) return DAL_EINVAL;
-    dal_embedding *const self = embedding;
-    int status = check_arguments(self, "z", z, "d", d);
+    int status = check_arguments(self, "", 0.0, "z", z, "d", d);
     if (!status) status = step(self, z, self->F2);
     if (!status) status = flow(self, self->h, z, self->F1);
+    if (status) return status;
     const double scale = pow(self->h, self->order + 1);
-    for (size_t i = 0; !status && i < self->width; i++)
-        d[i] = (self->F2[i] - self->F1[i]) / scale;
-    return status;
+    for (size_t i = 0; i < self->width; i++) d[i] = (self->F2[i] - self->F1[i]) / scale;
+    return DAL_SUCCESS;
 }
 
 /* ---- the perturbed flow ------------------------------------------------------------------ */
@@ -358,17 +341,14 @@ static int perturbed_field(double t, const double *z, double *zdot, void *ctx, d
         *error = self->error;
         return status;
     }
-    for (size_t i = 0; i < self->width; i++) zdot[i] = self->field0[i] + self->next[i];
+    dal__move(self->width, self->field0, 1.0, self->next, zdot);
     return DAL_SUCCESS;
 }
 
-int dal_embedding_flow(dal_embedding *embedding, double t0, double t1, double *z)
+int dal_embedding_flow(dal_embedding *self, double t0, double t1, double *z)
 {
-    if (!embedding) return DAL_EINVAL;
-    dal_embedding *const self = embedding;
-    int status = require_number(self, "t0", t0);
-    if (!status) status = require_number(self, "t1", t1);
-    if (!status) status = check_arguments(self, "z", z, "z", z);
+    const bool first = !isfinite(t0);
+    int status = check_arguments(self, first ? "t0" : "t1", first ? t0 : t1, "z", z, "z", z);
     if (status || t0 == t1) return status;
     /* Where h is too large for the embedding the steps become tiny, and each takes many flows. */
     const double most = STEPS_A_PERIOD * (1.0 + fabs((t1 - t0) / self->h));

@@ -15,7 +15,6 @@
 
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 enum { BLOCK = 256, FEWEST_POINTS = 3 };
@@ -52,7 +51,7 @@ typedef struct study {
     double *rows;       /* [(BLOCK + 1)*2n] */
     double *energy, *relative;            /* [BLOCK + 1] */
     double *lambda, *expected, *reaction; /* [m] */
-    double *h, *errors, *sizes;           /* [count]: of a fit */
+    double *h, *errors;                   /* [count]: of a fit */
     unsigned char *counted;               /* [count] */
     dal_order_point *points;              /* [count] */
     double made;                          /* steps of all runs so far */
@@ -63,7 +62,7 @@ typedef struct study {
 
 /* ---- fits ------------------------------------------------------------------------------- */
 
-static double error_floor(const study *self, double roundings);
+static bool is_above(double error, double least) { return isfinite(error) && error > least; }
 
 /* By how much the slopes between neighbours differ, of the points above least. */
 static double spread_of_slopes(size_t count, const double *h, const double *errors, double least)
@@ -72,10 +71,10 @@ static double spread_of_slopes(size_t count, const double *h, const double *erro
     for (size_t i = 0; i < count; i++) {
         size_t next = count;
         for (size_t k = 0; k < count; k++)
-            if (isfinite(errors[k]) && errors[k] > least && fabs(h[k]) > fabs(h[i])
+            if (is_above(errors[k], least) && fabs(h[k]) > fabs(h[i])
                 && (next == count || fabs(h[k]) < fabs(h[next])))
                 next = k;
-        if (next == count || !(isfinite(errors[i]) && errors[i] > least)) continue;
+        if (next == count || !is_above(errors[i], least)) continue;
         const double slope = log(errors[next] / errors[i]) / log(fabs(h[next] / h[i]));
         flattest = fmin(flattest, slope);
         steepest = fmax(steepest, slope);
@@ -90,10 +89,10 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
     double sum_x = 0.0, sum_y = 0.0, shortest = INFINITY, longest = 0.0;
     size_t points = 0, finite = 0, above = 0;
     for (size_t i = 0; i < count; i++) {
-        const bool counts = isfinite(errors[i]) && errors[i] > least;
+        const bool counts = is_above(errors[i], least);
         if (counted) counted[i] = counts;
         finite += isfinite(errors[i]) != 0;
-        above += isfinite(errors[i]) && errors[i] > AT_FLOOR * floor;
+        above += is_above(errors[i], AT_FLOOR * floor);
         if (!counts) continue;
         points++;
         sum_x += log(fabs(h[i]));
@@ -108,7 +107,7 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
     const double mean_x = sum_x / (double)points, mean_y = sum_y / (double)points;
     double xx = 0.0, xy = 0.0;
     for (size_t i = 0; i < count; i++) {
-        if (!(isfinite(errors[i]) && errors[i] > least)) continue;
+        if (!is_above(errors[i], least)) continue;
         const double x = log(fabs(h[i])) - mean_x;
         xx += x * x;
         xy += x * (log(errors[i]) - mean_y);
@@ -117,76 +116,93 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
     fit->spread = spread_of_slopes(count, h, errors, least);
 }
 
-/* The fit of self->errors; the points that counted are marked. */
-static dal_fit fit_errors(study *self, dal_order_fit which, double floor)
+/* The exact solution starts at time 0; a system that does not depend on time cannot tell that from
+ * t0. */
+static bool has_exact(const study *self)
 {
+    const dal_system_def *const def = &self->system->def;
+    return def->exact && (dal__is_autonomous(self->system) || self->def->t0 == 0.0);
+}
+
+/* The largest component of the ends of the solution. */
+static double size_of_states(const study *self)
+{
+    const size_t N = 2 * self->n;
+    return fmax(dal__largest(N, self->x0), dal__largest(N, self->end));
+}
+
+/* What errors are measured against: the accuracy of the reference, or so many roundings of a state.
+ * The flow that stands in for an exact solution off D promises its tolerance. */
+static double error_floor(const study *self, double roundings)
+{
+    const double scale = fmax(size_of_states(self), dal__largest(self->m, self->end_lambda));
+    const bool stands_in = self->flow && has_exact(self);
+    return fmax(stands_in ? self->tolerance : self->accuracy, roundings * DAL_ROUNDOFF * scale);
+}
+
+/* The error of a point that a fit is of; in the order of dal_order_fit, as the fits are below. */
+static double error_of(const dal_order_point *point, dal_order_fit which)
+{
+    const double errors[] = {
+        point->local_state, point->local_multipliers,
+        point->local_reaction, point->local_midpoint,
+        point->q, point->v,
+        point->multipliers,
+        fmax(point->q, point->v),
+    };
+    return errors[which];
+}
+
+/* The floor of one error, where the common one of its fit is too low.  Reactions are impulses over
+ * h, and so is their roundoff.  That of errors at t_end is a walk of as many steps as the run has
+ * sub-steps; measured with up to 2e6 sub-steps over up to 100 units of time, it stays below 50 of
+ * these floors, and for most systems below 5. */
+static double own_floor(const study *self, const dal_order_point *point, dal_order_fit which,
+                        double floor)
+{
+    const double substeps = (double)point->steps * (double)dal__scheme_count(self->scheme);
+    if (which >= DAL_FIT_GLOBAL_Q)
+        return error_floor(self, fmax(RUN_ROUNDINGS, WALK * sqrt(substeps)));
+    return which < DAL_FIT_REACTION ? floor : floor * fmax(1.0, 1.0 / fabs(point->h));
+}
+
+/* The fit over the steps that are not longer than longest; the points that counted are marked.  An
+ * error that does not stand clear of its own floor is lowered to where it does not stand clear of
+ * the common one either. */
+static dal_fit fit_errors(study *self, dal_order_fit which, double floor, double longest)
+{
+    const size_t count = self->def->count;
     const unsigned bit = 1u << which;
     dal_fit fit;
-    dal_fit_order(self->def->count, self->h, self->errors, floor, &fit, self->counted);
-    for (size_t i = 0; i < self->def->count; i++) {
+    for (size_t i = 0; i < count; i++) {
+        const dal_order_point *const point = &self->points[i];
+        const double own = own_floor(self, point, which, floor), error = error_of(point, which);
+        self->h[i] = point->h;
+        self->errors[i] = fabs(point->h) > longest ? NAN
+                        : error <= AT_FLOOR * own ? fmin(error, floor)
+                        : error <= ABOVE_FLOOR * own ? fmin(error, ABOVE_FLOOR * floor) : error;
+    }
+    dal_fit_order(count, self->h, self->errors, floor, &fit, self->counted);
+    for (size_t i = 0; i < count; i++) {
         unsigned *const counted = &self->points[i].counted;
         *counted = self->counted[i] ? *counted | bit : *counted & ~bit;
     }
     return fit;
 }
 
-/* h and errors <- one column of the table, the member of dal_order_point at offset. */
-static void read_column(study *self, size_t offset)
+/* The longest of the finer half of the steps. */
+static double median_step(const study *self)
 {
-    for (size_t i = 0; i < self->def->count; i++) {
-        self->h[i] = self->points[i].h;
-        memcpy(&self->errors[i], (const char *)&self->points[i] + offset, sizeof *self->errors);
+    const size_t count = self->def->count;
+    const size_t half = count / 2 > FEWEST_POINTS ? count / 2 : FEWEST_POINTS;
+    double median = INFINITY;
+    for (size_t i = 0; i < count; i++) {
+        size_t finer = 0;
+        for (size_t k = 0; k < count; k++)
+            finer += fabs(self->points[k].h) <= fabs(self->points[i].h);
+        if (finer >= half) median = fmin(median, fabs(self->points[i].h));
     }
-}
-
-static dal_fit fit_column(study *self, dal_order_fit which, size_t offset, double floor)
-{
-    read_column(self, offset);
-    return fit_errors(self, which, floor);
-}
-
-/* Error i, whose own floor is higher than the common one: where it does not stand clear of its own
- * it is lowered to where it does not stand clear of the common one either. */
-static void lower(study *self, size_t i, double own, double floor)
-{
-    if (self->errors[i] <= AT_FLOOR * own)
-        self->errors[i] = fmin(self->errors[i], floor);
-    else if (self->errors[i] <= ABOVE_FLOOR * own)
-        self->errors[i] = fmin(self->errors[i], ABOVE_FLOOR * floor);
-}
-
-/* The fit of the errors at t_end.  Their roundoff is a walk of as many steps as the run has
- * sub-steps, so the floor is higher for finer steps.  Measured with up to 2e6 sub-steps over up
- * to 100 units of time, the walk stays below 50 of these floors, and for most systems below 5. */
-static dal_fit fit_run(study *self, dal_order_fit which, double floor)
-{
-    for (size_t i = 0; i < self->def->count; i++) {
-        const double substeps = (double)self->points[i].steps
-                              * (double)dal__scheme_count(self->scheme);
-        const double own = error_floor(self, fmax(RUN_ROUNDINGS, WALK * sqrt(substeps)));
-        lower(self, i, own, floor);
-    }
-    return fit_errors(self, which, floor);
-}
-
-static dal_fit fit_run_column(study *self, dal_order_fit which, size_t offset, double floor)
-{
-    read_column(self, offset);
-    return fit_run(self, which, floor);
-}
-
-static int ascending(const void *one, const void *other)
-{
-    const double x = *(const double *)one, y = *(const double *)other;
-    return (x > y) - (x < y);
-}
-
-/* The errors of reactions, which are impulses over h: their floor is that of an impulse over h. */
-static void read_reaction(study *self, size_t offset, double floor)
-{
-    read_column(self, offset);
-    for (size_t i = 0; i < self->def->count; i++)
-        lower(self, i, floor * fmax(1.0, 1.0 / fabs(self->h[i])), floor);
+    return median;
 }
 
 /* The fit of the reaction over the finer half of the steps, if that says anything.  Its errors are
@@ -195,34 +211,8 @@ static void read_reaction(study *self, size_t offset, double floor)
  * all. */
 static dal_fit fit_reaction(study *self, double floor)
 {
-    const size_t offset = offsetof(dal_order_point, local_reaction), count = self->def->count;
-    const size_t half = count / 2 > FEWEST_POINTS ? count / 2 : FEWEST_POINTS;
-    read_reaction(self, offset, floor);
-    for (size_t i = 0; i < count; i++) self->sizes[i] = fabs(self->h[i]);
-    qsort(self->sizes, count, sizeof *self->sizes, ascending);
-    const double longest = self->sizes[(half < count ? half : count) - 1];
-    for (size_t i = 0; i < count; i++)
-        if (fabs(self->h[i]) > longest) self->errors[i] = NAN;
-    const dal_fit fine = fit_errors(self, DAL_FIT_REACTION, floor);
-    if (!isnan(fine.slope)) return fine;
-    read_reaction(self, offset, floor);
-    return fit_errors(self, DAL_FIT_REACTION, floor);
-}
-
-static dal_fit fit_midpoint(study *self, double floor)
-{
-    read_reaction(self, offsetof(dal_order_point, local_midpoint), floor);
-    return fit_errors(self, DAL_FIT_MIDPOINT, floor);
-}
-
-/* The fit of the state at t_end, the larger error of q and v. */
-static dal_fit fit_global_state(study *self, double floor)
-{
-    for (size_t i = 0; i < self->def->count; i++) {
-        self->h[i] = self->points[i].h;
-        self->errors[i] = fmax(self->points[i].q, self->points[i].v);
-    }
-    return fit_run(self, DAL_FIT_GLOBAL_STATE, floor);
+    const dal_fit fine = fit_errors(self, DAL_FIT_REACTION, floor, median_step(self));
+    return isnan(fine.slope) ? fit_errors(self, DAL_FIT_REACTION, floor, INFINITY) : fine;
 }
 
 /* ---- errors ----------------------------------------------------------------------------- */
@@ -239,20 +229,19 @@ static double largest_difference(size_t count, const double *x, const double *y)
 
 /* ---- the reference ---------------------------------------------------------------------- */
 
-/* The exact solution starts at time 0; a system that does not depend on time cannot tell that from
- * t0. */
-static bool has_exact(const study *self)
+/* exact <- the solution at t that starts in start at t0, expected <- its lambda.  Off D there is
+ * only the flow. */
+static int expect(study *self, double t)
 {
-    const dal_system_def *const def = &self->system->def;
-    return def->exact && (dal__is_autonomous(self->system) || self->def->t0 == 0.0);
-}
-
-/* x[2n] at t <- the solution that starts in start[2n] at t0.  Off D there is only the flow. */
-static int exact_state(study *self, double t, const double *start, double *x)
-{
-    if (!self->flow) return dal_system_exact(self->system, t - self->def->t0, start, x);
-    memcpy(x, start, 2 * self->n * sizeof *x);
-    return dal__flow_apply(self->flow, self->def->t0, t - self->def->t0, x, !self->kept);
+    const double t0 = self->def->t0;
+    int status;
+    if (self->flow) {
+        memcpy(self->exact, self->start, 2 * self->n * sizeof *self->exact);
+        status = dal__flow_apply(self->flow, t0, t - t0, self->exact, !self->kept);
+    } else {
+        status = dal_system_exact(self->system, t - t0, self->start, self->exact);
+    }
+    return status ? status : dal_multipliers(self->mech, t, self->exact, self->expected);
 }
 
 /* The state and lambda at t_end, and how well they are known. */
@@ -274,17 +263,6 @@ static int solve_reference(study *self)
     }
     status = dal_multipliers(self->mech, def->t_end, self->end, self->end_lambda);
     return dal__fail_because(self->error, status, dal_mechanics_error(self->mech), "%s", "");
-}
-
-/* What errors are measured against: the accuracy of the reference, or so many roundings of a state.
- * The flow that stands in for an exact solution off D promises its tolerance. */
-static double error_floor(const study *self, double roundings)
-{
-    const size_t n = self->n;
-    const double states = fmax(dal__largest(2 * n, self->x0), dal__largest(2 * n, self->end));
-    const double scale = fmax(states, dal__largest(self->m, self->end_lambda));
-    const bool stands_in = self->flow && has_exact(self);
-    return fmax(stands_in ? self->tolerance : self->accuracy, roundings * DAL_ROUNDOFF * scale);
 }
 
 /* ---- one step size ---------------------------------------------------------------------- */
@@ -311,13 +289,11 @@ static int measure_step(study *self, double h, dal_order_point *point)
     memcpy(self->start, state, 2 * n * sizeof *self->start);
     int status = dal_step(self->stepper, self->reaction);
 
-    if (!status) status = exact_state(self, t0 + 0.5 * h, self->start, self->exact);
-    if (!status) status = dal_multipliers(self->mech, t0 + 0.5 * h, self->exact, self->expected);
+    if (!status) status = expect(self, t0 + 0.5 * h);
     if (status) return status;
     point->local_midpoint = largest_difference(m, self->reaction, self->expected);
 
-    status = exact_state(self, t0 + h, self->start, self->exact);
-    if (!status) status = dal_multipliers(self->mech, t0 + h, self->exact, self->expected);
+    status = expect(self, t0 + h);
     if (!status) status = dal_multipliers(self->mech, t0 + h, state, self->lambda);
     if (status) return status;
     point->local_state = largest_difference(2 * n, state, self->exact);
@@ -376,7 +352,8 @@ static int measure_run(study *self, double h, size_t steps, dal_order_point *poi
     return DAL_SUCCESS;
 }
 
-static dal_order_point failed_point(double h, size_t steps, int status)
+/* NaN is what has not been measured; fmax drops it. */
+static dal_order_point unmeasured_point(double h, size_t steps, int status)
 {
     return (dal_order_point){.h = h, .steps = steps, .q = NAN, .v = NAN, .multipliers = NAN,
                              .local_state = NAN, .local_multipliers = NAN, .local_reaction = NAN,
@@ -389,13 +366,12 @@ static dal_order_point failed_point(double h, size_t steps, int status)
 static int measure_point(study *self, size_t steps, dal_order_point *point)
 {
     const double h = (self->def->t_end - self->def->t0) / (double)steps;
-    *point = (dal_order_point){.h = h, .steps = steps};
-    point->residual_eps = isnan(self->shift) ? NAN : 0.0;
+    *point = unmeasured_point(h, steps, DAL_SUCCESS);
     int status = start_run(self, h);
     if (!status) status = measure_step(self, h, point);
     if (!status) status = start_run(self, h);
     if (!status) status = measure_run(self, h, steps, point);
-    if (status) *point = failed_point(h, steps, status);
+    if (status) *point = unmeasured_point(h, steps, status);
     if (status == DAL_STOPPED || status == DAL_EUSER || status == DAL_ENOMEM)
         return dal__fail(self->error, status, "%s the run with h = %g",
                          status == DAL_ENOMEM ? "out of memory in" : "a callback stopped", h);
@@ -439,8 +415,7 @@ static bool falls_short(const dal_fit *fit, int least)
  * fails with a smaller step than another that does not. */
 static bool is_resolved(const study *self)
 {
-    const size_t N = 2 * self->n;
-    const double scale = fmax(dal__largest(N, self->x0), dal__largest(N, self->end));
+    const double scale = size_of_states(self);
     double longest = 0.0, failing = INFINITY;
     for (size_t i = 0; i < self->def->count; i++) {
         const dal_order_point *const point = &self->points[i];
@@ -485,15 +460,16 @@ static int judge(const study *self, const dal_order *order, const char **why)
     return reached && reaction_holds && (self->kept ? order->keeps_D_eps : order->keeps_D);
 }
 
-/* 1 if the residual at offset is within the bound at every state of every run that did not fail. */
-static int is_kept(const study *self, size_t offset, double *worst)
+/* 1 if the residual of D, or of D_eps, is within the bound at every state of every run that did not
+ * fail. */
+static int is_kept(const study *self, bool eps, double *worst)
 {
     *worst = 0.0;
     size_t runs = 0;
     for (size_t i = 0; i < self->def->count; i++) {
-        double residual;
-        if (self->points[i].failed) continue;
-        memcpy(&residual, (const char *)&self->points[i] + offset, sizeof residual);
+        const dal_order_point *const point = &self->points[i];
+        const double residual = eps ? point->residual_eps : point->residual;
+        if (point->failed) continue;
         if (!(residual <= *worst)) *worst = residual;
         runs++;
     }
@@ -524,7 +500,10 @@ static bool loses_energy(study *self)
 {
     const dal_system_def *const def = &self->system->def;
     dal_fit fit;
-    read_column(self, offsetof(dal_order_point, energy));
+    for (size_t i = 0; i < self->def->count; i++) {
+        self->h[i] = self->points[i].h;
+        self->errors[i] = self->points[i].energy;
+    }
     dal_fit_order(self->def->count, self->h, self->errors, ENERGY / ABOVE_FLOOR, &fit, NULL);
     return dal__is_autonomous(self->system) && def->kind == DAL_LINEAR && is_resolved(self)
         && fit.slope < 0.5;
@@ -577,35 +556,32 @@ static bool tells_lower_order(study *self, bool at_end, double floor)
     }
     if (a <= error_floor(self, STEP_ROUNDINGS)) return true;
     for (size_t i = 0; i < def->count; i++) h = fmax(h, fabs(self->points[i].h));
-    const double size = fmax(dal__largest(2 * self->n, self->x0),
-                             dal__largest(2 * self->n, self->end));
     const double runs = at_end ? fabs(def->t_end - def->t0) / h : 1.0;
-    return size * pow(a / v * h, self->scheme->order) * runs > ABOVE_FLOOR * floor;
+    return size_of_states(self) * pow(a / v * h, self->scheme->order) * runs > ABOVE_FLOOR * floor;
 }
 
 static void conclude(study *self, dal_order *order)
 {
     const double step = error_floor(self, STEP_ROUNDINGS), run = error_floor(self, RUN_ROUNDINGS);
-#define FIT(which, member) fit_column(self, which, offsetof(dal_order_point, member), step)
-#define FIT_RUN(which, member) fit_run_column(self, which, offsetof(dal_order_point, member), run)
-    *order = (dal_order){
-        .state = FIT(DAL_FIT_STATE, local_state),
-        .multipliers = FIT(DAL_FIT_MULTIPLIERS, local_multipliers),
-        .reaction = fit_reaction(self, step), .midpoint = fit_midpoint(self, step),
-        .global_q = FIT_RUN(DAL_FIT_GLOBAL_Q, q), .global_v = FIT_RUN(DAL_FIT_GLOBAL_V, v),
-        .global_multipliers = FIT_RUN(DAL_FIT_GLOBAL_MULTIPLIERS, multipliers),
-        .global_state = fit_global_state(self, run), .floor = run, .reference = self->accuracy,
+    *order = (dal_order){.floor = run, .reference = self->accuracy};
+    dal_fit *const fits[] = {
+        &order->state, &order->multipliers,
+        &order->reaction, &order->midpoint,
+        &order->global_q, &order->global_v,
+        &order->global_multipliers,
+        &order->global_state,
     };
-#undef FIT_RUN
-#undef FIT
+    for (dal_order_fit which = DAL_FIT_STATE; which <= DAL_FIT_GLOBAL_STATE; which++)
+        *fits[which] = which == DAL_FIT_REACTION ? fit_reaction(self, step)
+                     : fit_errors(self, which, which < DAL_FIT_GLOBAL_Q ? step : run, INFINITY);
     order->global_state.exact = order->global_state.exact && tells_lower_order(self, true, run);
     order->state.exact = order->state.exact && is_known(&order->global_state)
                          && tells_lower_order(self, false, step);
     order->p = order->state.slope - 1.0;
     order->s = order->reaction.slope - 1.0;
     double worst_D, worst_D_eps;
-    order->keeps_D = is_kept(self, offsetof(dal_order_point, residual), &worst_D);
-    order->keeps_D_eps = is_kept(self, offsetof(dal_order_point, residual_eps), &worst_D_eps);
+    order->keeps_D = is_kept(self, false, &worst_D);
+    order->keeps_D_eps = is_kept(self, true, &worst_D_eps);
     const char *why;
     order->holds = judge(self, order, &why);
     write_verdict(self, self->kept ? worst_D_eps : worst_D, why, order);
@@ -613,12 +589,9 @@ static void conclude(study *self, dal_order *order)
 
 /* ---- the study -------------------------------------------------------------------------- */
 
-static int require_def(const dal_system *system, const dal_scheme *scheme,
-                       const dal_order_def *def, dal_error *error)
+static int check_def(const dal_system *system, const dal_scheme *scheme,
+                     const dal_order_def *def, dal_error *error)
 {
-    if (!system || !scheme || !def || !def->x0 || !def->steps)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", !system ? "system" : !scheme ? "scheme"
-                         : !def ? "def" : !def->x0 ? "def->x0" : "def->steps");
     if (!isfinite(def->t0) || !isfinite(def->t_end) || !isfinite(def->t_end - def->t0) ||
         def->t_end == def->t0)
         return dal__fail(error, DAL_EINVAL, "t0 = %g, t_end = %g: an interval of nonzero, finite "
@@ -642,16 +615,12 @@ static int require_def(const dal_system *system, const dal_scheme *scheme,
 static int reserve_arrays(study *self)
 {
     const size_t N = 2 * self->n, rows = BLOCK + 1, count = self->def->count;
-    const struct {
-        double **slot;
-        size_t size;
-    } arrays[] = {{&self->x0, N}, {&self->end, N}, {&self->start, N}, {&self->exact, N},
-                  {&self->rows, dal__times(rows, N)}, {&self->energy, rows},
-                  {&self->relative, rows}, {&self->end_lambda, self->m}, {&self->lambda, self->m},
-                  {&self->expected, self->m}, {&self->reaction, self->m}, {&self->h, count},
-                  {&self->errors, count}, {&self->sizes, count}};
-    for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++)
-        dal__reserve(&self->memory, arrays[i].slot, arrays[i].size, sizeof(double));
+    DAL__RESERVE(&self->memory, N, &self->x0, &self->end, &self->start, &self->exact);
+    DAL__RESERVE(&self->memory, self->m, &self->end_lambda, &self->lambda, &self->expected,
+                 &self->reaction);
+    DAL__RESERVE(&self->memory, rows, &self->energy, &self->relative);
+    DAL__RESERVE(&self->memory, count, &self->h, &self->errors);
+    DAL__RESERVE(&self->memory, dal__times(rows, N), &self->rows);
     dal__reserve(&self->memory, &self->points, count, sizeof *self->points);
     dal__reserve(&self->memory, &self->counted, count, sizeof *self->counted);
     return dal__allocate(&self->memory, self->error);
@@ -704,10 +673,10 @@ static int place_on_D(study *self)
 int dal_order_study(const dal_system *system, const dal_scheme *scheme, const dal_order_def *def,
                     dal_order_point *points, dal_order *order, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!points || !order)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", points ? "order" : "points");
-    int status = require_def(system, scheme, def, error);
+    int status = DAL__REQUIRE(error, {"points", points}, {"order", order}, {"system", system},
+                              {"scheme", scheme}, {"def", def}, {"def->x0", def && def->x0},
+                              {"def->steps", def && def->steps});
+    if (!status) status = check_def(system, scheme, def, error);
     if (status) return status;
 
     study self = {.system = system, .scheme = scheme, .def = def, .n = dal_system_n(system),

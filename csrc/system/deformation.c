@@ -10,10 +10,10 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { MOST_ENTRIES = 4000 }; /* of phi_v, and of the coordinates */
+enum { MOST_ENTRIES = 4000, MOST_ROWS = 64 }; /* of phi_v, and of the coordinates; m < n */
 
 typedef struct deformation {
-    dal_system_def base;
+    dal_system_def base;  /* first: the ctx of what is taken over */
     dal_deformation_fn g; /* NULL: phi(q - delta v, v) */
     void *ctx;            /* of g */
     double delta;
@@ -24,7 +24,7 @@ typedef struct deformation {
 static int base_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
                           void *ctx)
 {
-    const dal_system_def *const base = &((const deformation *)ctx)->base;
+    const dal_system_def *const base = ctx; /* the first member of a deformation */
     return base->potential(t, q, V, V_q, V_qq, base->ctx);
 }
 
@@ -32,14 +32,14 @@ static int base_lagrangian(double t, const double *q, const double *v, double *L
                            double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
                            void *ctx)
 {
-    const dal_system_def *const base = &((const deformation *)ctx)->base;
+    const dal_system_def *const base = ctx; /* the first member of a deformation */
     return base->lagrangian(t, q, v, L, L_q, L_v, L_qq, L_vq, L_vv, L_vt, base->ctx);
 }
 
 static int base_force(double t, const double *q, const double *v, double *f, double *f_q,
                       double *f_v, void *ctx)
 {
-    const dal_system_def *const base = &((const deformation *)ctx)->base;
+    const dal_system_def *const base = ctx; /* the first member of a deformation */
     return base->force(t, q, v, f, f_q, f_v, base->ctx);
 }
 
@@ -58,9 +58,10 @@ static int base_constraint(const dal_system_def *base, double t, const double *q
 
 /* ---- phi + delta g ----------------------------------------------------------------------- */
 
+/* sum[count], which may be NULL, += delta g. */
 static void add(size_t count, double delta, const double *g, double *sum)
 {
-    for (size_t i = 0; i < count; i++) sum[i] += delta * g[i];
+    if (sum) dal__move(count, sum, delta, g, sum);
 }
 
 static int deformed(double t, const double *q, const double *v, double *phi, double *phi_v,
@@ -68,25 +69,21 @@ static int deformed(double t, const double *q, const double *v, double *phi, dou
 {
     const deformation *const self = ctx;
     const size_t m = self->base.m, mn = m * self->base.n;
-    double scratch[MOST_ENTRIES], row[MOST_ENTRIES];
-    int returned = base_constraint(&self->base, t, q, v, phi, phi_v, phi_q, phi_t, scratch);
-    if (!returned && (phi || phi_v)) {
-        if (phi) dal__forget(m, row);
-        if (phi_v) dal__forget(mn, scratch);
-        returned =
-            self->g(t, q, v, phi ? row : NULL, phi_v ? scratch : NULL, NULL, NULL, self->ctx);
-        if (!returned && phi) add(m, self->delta, row, phi);
-        if (!returned && phi_v) add(mn, self->delta, scratch, phi_v);
-    }
-    if (!returned && (phi_q || phi_t)) {
-        if (phi_q) dal__forget(mn, scratch);
-        if (phi_t) dal__forget(m, row);
-        returned =
-            self->g(t, q, v, NULL, NULL, phi_q ? scratch : NULL, phi_t ? row : NULL, self->ctx);
-        if (!returned && phi_q) add(mn, self->delta, scratch, phi_q);
-        if (!returned && phi_t) add(m, self->delta, row, phi_t);
-    }
-    return returned;
+    double g[MOST_ROWS], g_v[MOST_ENTRIES], g_q[MOST_ENTRIES], g_t[MOST_ROWS];
+    int returned = base_constraint(&self->base, t, q, v, phi, phi_v, phi_q, phi_t, g_v);
+    if (returned) return returned;
+    dal__forget(m, g);
+    dal__forget(mn, g_v);
+    dal__forget(mn, g_q);
+    dal__forget(m, g_t);
+    returned = self->g(t, q, v, phi ? g : NULL, phi_v ? g_v : NULL, phi_q ? g_q : NULL,
+                       phi_t ? g_t : NULL, self->ctx);
+    if (returned) return returned;
+    add(m, self->delta, g, phi);
+    add(mn, self->delta, g_v, phi_v);
+    add(mn, self->delta, g_q, phi_q);
+    add(m, self->delta, g_t, phi_t);
+    return 0;
 }
 
 /* ---- phi(q - delta v, v) ------------------------------------------------------------------ */
@@ -97,11 +94,11 @@ static int shifted(double t, const double *q, const double *v, double *phi, doub
     const deformation *const self = ctx;
     const size_t n = self->base.n, mn = self->base.m * n;
     double point[MOST_ENTRIES], scratch[MOST_ENTRIES];
-    for (size_t i = 0; i < n; i++) point[i] = q[i] - self->delta * v[i];
+    dal__move(n, q, -self->delta, v, point);
     double *const slope = phi_v && !phi_q ? scratch : phi_q; /* phi_v needs it */
     const int returned = base_constraint(&self->base, t, point, v, phi, phi_v, slope, phi_t,
                                          phi_v ? NULL : scratch);
-    if (!returned && phi_v) add(mn, -self->delta, slope, phi_v);
+    if (!returned) add(mn, -self->delta, slope, phi_v);
     return returned;
 }
 
@@ -135,19 +132,18 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
     def.exact = NULL;
     def.invariant = NULL;
     def.invariants = 0;
-    def.ctx_size = 0;
+    def.ctx = self;
+    def.ctx_size = sizeof *self;
     def.compiled = NULL;
     def.steady = 0;
-    return dal__system_wrap(system, &def, self, sizeof *self, error);
+    return dal_system_new(system, &def, error);
 }
 
 int dal_system_deform(dal_system **system, const dal_system *base, dal_deformation_fn g, void *ctx,
                       double delta, dal_constraint_kind kind, unsigned missing, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!system || !base || !g)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL",
-                         !system ? "system" : !base ? "base" : "g");
+    const int status = DAL__REQUIRE(error, {"system", system}, {"base", base}, {"g", g});
+    if (status) return status;
     if (missing & ~(unsigned)(DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))
         return dal__fail(error, DAL_EINVAL, "missing = %#x: only DAL_MISSING_PHI_Q, for g_q, and "
                          "DAL_MISSING_PHI_T, for g_t, are allowed", missing);
@@ -161,9 +157,8 @@ int dal_system_deform(dal_system **system, const dal_system *base, dal_deformati
 int dal_system_deform_nodes(dal_system **system, const dal_system *base, double shift,
                             dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!system || !base)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "base" : "system");
+    const int status = DAL__REQUIRE(error, {"system", system}, {"base", base});
+    if (status) return status;
     if (base->def.missing & DAL_MISSING_PHI_Q)
         return dal__fail(error, DAL_EINVAL, "base does not provide phi_q, which phi_v at a shifted "
                          "point needs");

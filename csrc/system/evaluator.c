@@ -36,111 +36,124 @@ int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t 
     return returned;
 }
 
-/* What is differenced, as functions of t, q or v: of the one that moves, the others are kept in the
- * evaluator. */
-
-static double time_of(const evaluator *e, const double *moved)
+int dal__jacobian(dal__function f, void *ctx, size_t n, double *point, size_t count, double *value,
+                  double *slopes)
 {
-    return e->moves == MOVES_T ? *moved : e->time;
-}
-
-static const double *position(const evaluator *e, const double *moved)
-{
-    return e->moves == MOVES_Q ? moved : e->position;
-}
-
-static const double *velocity(const evaluator *e, const double *moved)
-{
-    return e->moves == MOVES_V ? moved : e->velocity;
-}
-
-static int value_V(const double *moved, double *V, void *ctx)
-{
-    evaluator *const e = ctx;
-    const dal_system_def *def = &e->system->def;
-    e->potential_calls++;
-    return def->potential(e->time, moved, V, NULL, NULL, def->ctx);
-}
-
-static int value_V_q(const double *moved, double *V_q, void *ctx)
-{
-    evaluator *const e = ctx;
-    const dal_system_def *def = &e->system->def;
-    e->potential_calls++;
-    return def->potential(e->time, moved, NULL, V_q, NULL, def->ctx);
-}
-
-static int value_phi(const double *moved, double *phi, void *ctx)
-{
-    evaluator *const e = ctx;
-    const dal_system_def *def = &e->system->def;
-    const bool linear = def->kind == DAL_LINEAR;
-    const double *const q = position(e, moved), *const v = velocity(e, moved);
-    double *const forms = linear ? e->forms : NULL;
-    e->constraint_calls++;
-    dal__forget(def->m * def->n, forms);
-    const int returned = def->constraint(time_of(e, moved), q, v, linear ? NULL : phi, forms, NULL,
-                                         NULL, def->ctx);
-    if (!returned && linear) dal__apply(def->m, def->n, forms, v, phi);
-    return returned;
-}
-
-static int value_L_q(const double *moved, double *L_q, void *ctx)
-{
-    evaluator *const e = ctx;
-    const dal_system_def *def = &e->system->def;
-    e->lagrangian_calls++;
-    return def->lagrangian(time_of(e, moved), position(e, moved), velocity(e, moved), NULL, L_q,
-                           NULL, NULL, NULL, NULL, NULL, def->ctx);
-}
-
-static int value_L_v(const double *moved, double *L_v, void *ctx)
-{
-    evaluator *const e = ctx;
-    const dal_system_def *def = &e->system->def;
-    e->lagrangian_calls++;
-    return def->lagrangian(time_of(e, moved), position(e, moved), velocity(e, moved), NULL, NULL,
-                           L_v, NULL, NULL, NULL, NULL, def->ctx);
-}
-
-static int value_f(const double *moved, double *f, void *ctx)
-{
-    evaluator *const e = ctx;
-    const dal_system_def *def = &e->system->def;
-    e->force_calls++;
-    return def->force(time_of(e, moved), position(e, moved), velocity(e, moved), f, NULL, NULL,
-                      def->ctx);
-}
-
-static void stand_at(evaluator *e, double t, const double *q, const double *v)
-{
-    e->time = t;
-    e->position = q;
-    e->velocity = v;
-}
-
-/* slopes[rows*n], or [rows] in time, <- the derivatives of f, one of the functions above, where the
- * evaluator stands. */
-static int differenced(evaluator *e, dal__function f, dal__moves moves, size_t rows, double *slopes)
-{
-    const double *const centre = moves == MOVES_T ? &e->time
-                               : moves == MOVES_Q ? e->position : e->velocity;
-    const size_t columns = moves == MOVES_T ? 1 : e->system->def.n;
     int returned = 0;
-    e->moves = moves;
-    memcpy(e->point, centre, columns * sizeof *centre);
-    for (size_t j = 0; j < columns && !returned; j++)
-        returned = dal__difference(f, e, e->point, j, rows, e->gradient, slopes + j, columns);
+    for (size_t j = 0; j < n && !returned; j++)
+        returned = dal__difference(f, ctx, point, j, count, value, slopes + j, n);
     return returned;
+}
+
+/* ---- what the callbacks give ---------------------------------------------------------------- */
+
+typedef enum callback { POTENTIAL, CONSTRAINT, LAGRANGIAN, FORCE } callback;
+typedef enum extent { ONE, N, M } extent;
+enum { MOST_OUTPUTS = 7 };
+
+/* An output; where its bit is set in the definition, the callback does not give it, and it is the
+ * derivative of the output `from` by what moves, symmetrised if it is symmetric. */
+typedef struct output {
+    const char *name;
+    extent rows, columns;
+    unsigned missing;
+    size_t from;
+    dal__moves moves;
+    bool symmetric;
+} output;
+
+static const struct {
+    const char *name;
+    size_t count;
+    output outputs[MOST_OUTPUTS];
+} callbacks[] = {
+    [POTENTIAL] = {"potential", 3, {{"V", ONE, ONE},
+                                    {"V_q", ONE, N, DAL_MISSING_V_Q, 0, MOVES_Q},
+                                    {"V_qq", N, N, DAL_MISSING_V_QQ, 1, MOVES_Q}}},
+    [CONSTRAINT] = {"constraint", 4, {{"phi_v", M, N},
+                                      {"phi_q", M, N, DAL_MISSING_PHI_Q, 3, MOVES_Q},
+                                      {"phi_t", ONE, M, DAL_MISSING_PHI_T, 3, MOVES_T},
+                                      {"phi", ONE, M}}},
+    [LAGRANGIAN] = {"lagrangian", 7, {{"L", ONE, ONE}, {"L_q", ONE, N}, {"L_v", ONE, N},
+                                      {"L_qq", N, N, DAL_MISSING_L_QQ, 1, MOVES_Q, true},
+                                      {"L_vq", N, N, DAL_MISSING_L_VQ, 2, MOVES_Q},
+                                      {"L_vv", N, N, DAL_MISSING_L_VV, 2, MOVES_V, true},
+                                      {"L_vt", ONE, N, DAL_MISSING_L_VT, 2, MOVES_T}}},
+    [FORCE] = {"force", 3, {{"f", ONE, N}, {"f_q", N, N, DAL_MISSING_F_Q, 0, MOVES_Q},
+                            {"f_v", N, N, DAL_MISSING_F_V, 0, MOVES_V}}},
+};
+
+static inline size_t length(const evaluator *e, extent of)
+{
+    return of == N ? e->system->def.n : of == M ? e->system->def.m : 1;
+}
+
+static inline size_t size(const evaluator *e, const output *out)
+{
+    return length(e, out->rows) * length(e, out->columns);
+}
+
+/* x: where the outputs go, in the order of the table.  phi of linear constraints is mu v. */
+static inline int call(evaluator *e, callback which, double t, const double *q, const double *v,
+                double *const *x)
+{
+    const dal_system_def *const def = &e->system->def;
+    const bool linear = def->kind == DAL_LINEAR;
+    int returned = 0;
+    switch (which) {
+    case POTENTIAL:
+        e->potential_calls++;
+        return def->potential(t, q, x[0], x[1], x[2], def->ctx);
+    case CONSTRAINT:
+        e->constraint_calls++;
+        returned = def->constraint(t, q, v, linear ? NULL : x[3], x[0], x[1], x[2], def->ctx);
+        if (!returned && linear && x[3]) dal__apply(def->m, def->n, x[0], v, x[3]);
+        return returned;
+    case LAGRANGIAN:
+        e->lagrangian_calls++;
+        return def->lagrangian(t, q, v, x[0], x[1], x[2], x[3], x[4], x[5], x[6], def->ctx);
+    case FORCE:
+        e->force_calls++;
+        return def->force(t, q, v, x[0], x[1], x[2], def->ctx);
+    }
+    return returned;
+}
+
+/* ---- differences for what is missing ------------------------------------------------------- */
+
+/* An output as a function of t, q or v: of the one that moves, while the others stand here. */
+typedef struct difference {
+    evaluator *e;
+    callback which;
+    size_t from;
+    dal__moves moves;
+    double t;
+    const double *q, *v;
+} difference;
+
+static int value(const double *moved, double *result, void *ctx)
+{
+    const difference *const d = ctx;
+    evaluator *const e = d->e;
+    double *x[MOST_OUTPUTS] = {NULL};
+    x[d->from] = result;
+    if (d->which == CONSTRAINT && e->system->def.kind == DAL_LINEAR) {
+        x[0] = e->forms;
+        dal__forget(e->system->def.m * e->system->def.n, x[0]);
+    }
+    return call(e, d->which, d->moves == MOVES_T ? *moved : d->t,
+                d->moves == MOVES_Q ? moved : d->q, d->moves == MOVES_V ? moved : d->v, x);
 }
 
 /* Second differences of V, good to about 1e-6, which is enough for what they serve: Newton's
  * speed. */
-static int hessian_of_V(evaluator *e, double *V_qq)
+static int hessian_of_V(difference *d, double *V_qq)
 {
-    const size_t n = e->system->def.n;
-    const double *const q = e->position;
-    memcpy(e->point, q, n * sizeof *q);
+    const size_t n = d->e->system->def.n;
+    const double *const q = d->q;
+    double *const point = d->e->point;
+    d->from = 0;
+    memcpy(point, q, n * sizeof *q);
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j <= i; j++) {
             const double di = dal__spacing(q[i]), dj = dal__spacing(q[j]);
@@ -148,11 +161,11 @@ static int hessian_of_V(evaluator *e, double *V_qq)
             for (int k = 0; k < 4; k++) {
                 const double si = k < 2 ? di : -di, sj = k % 2 ? -dj : dj;
                 double V = (double)NAN;
-                e->point[i] += si;
-                e->point[j] += sj;
-                const int returned = value_V(e->point, &V, e);
-                e->point[i] = q[i];
-                e->point[j] = q[j];
+                point[i] += si;
+                point[j] += sj;
+                const int returned = value(point, &V, d);
+                point[i] = q[i];
+                point[j] = q[j];
                 if (returned) return returned;
                 sum += si * sj > 0.0 ? V : -V;
             }
@@ -161,46 +174,7 @@ static int hessian_of_V(evaluator *e, double *V_qq)
     return 0;
 }
 
-static int complete_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
-                              void *ctx)
-{
-    evaluator *const e = ctx;
-    const dal_system_def *def = &e->system->def;
-    double *const given_V_q = def->missing & DAL_MISSING_V_Q ? NULL : V_q;
-    double *const given_V_qq = def->missing & DAL_MISSING_V_QQ ? NULL : V_qq;
-    int returned = 0;
-    if (V || given_V_q || given_V_qq) {
-        returned = def->potential(t, q, V, given_V_q, given_V_qq, def->ctx);
-        e->potential_calls++;
-    }
-    stand_at(e, t, q, NULL);
-    if (!returned && V_q && !given_V_q) returned = differenced(e, value_V, MOVES_Q, 1, V_q);
-    if (returned || !V_qq || given_V_qq) return returned;
-    return def->missing & DAL_MISSING_V_Q ? hessian_of_V(e, V_qq)
-                                          : differenced(e, value_V_q, MOVES_Q, def->n, V_qq);
-}
-
-static int complete_constraint(double t, const double *q, const double *v, double *phi,
-                               double *phi_v, double *phi_q, double *phi_t, void *ctx)
-{
-    evaluator *const e = ctx;
-    const dal_system_def *def = &e->system->def;
-    double *const given_q = def->missing & DAL_MISSING_PHI_Q ? NULL : phi_q;
-    double *const given_t = def->missing & DAL_MISSING_PHI_T ? NULL : phi_t;
-    int returned = 0;
-    if (phi || phi_v || given_q || given_t) {
-        returned = def->constraint(t, q, v, phi, phi_v, given_q, given_t, def->ctx);
-        e->constraint_calls++;
-    }
-    stand_at(e, t, q, v);
-    if (!returned && phi_q && !given_q)
-        returned = differenced(e, value_phi, MOVES_Q, def->m, phi_q);
-    if (!returned && phi_t && !given_t)
-        returned = differenced(e, value_phi, MOVES_T, def->m, phi_t);
-    return returned;
-}
-
-static void symmetrise(size_t n, double *A)
+void dal__symmetrise(size_t n, double *A)
 {
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < i; j++) {
@@ -209,12 +183,63 @@ static void symmetrise(size_t n, double *A)
         }
 }
 
+/* slopes <- an output that is missing. */
+static int differentiate(difference *d, const output *out, double *slopes)
+{
+    evaluator *const e = d->e;
+    const output *const base = &callbacks[d->which].outputs[out->from];
+    const size_t columns = out->moves == MOVES_T ? 1 : e->system->def.n;
+    d->from = out->from;
+    d->moves = out->moves;
+    if (e->system->def.missing & base->missing) return hessian_of_V(d, slopes);
+    const double *const centre = d->moves == MOVES_T ? &d->t : d->moves == MOVES_Q ? d->q : d->v;
+    memcpy(e->point, centre, columns * sizeof *centre);
+    const int returned =
+        dal__jacobian(value, d, columns, e->point, size(e, base), e->gradient, slopes);
+    if (!returned && out->symmetric) dal__symmetrise(columns, slopes);
+    return returned;
+}
+
+/* What is wanted of the outputs x, called for or differenced; returns what the callback did. */
+static inline int complete(evaluator *e, callback which, double t, const double *q, const double *v,
+                    double *const *x)
+{
+    const output *const outputs = callbacks[which].outputs;
+    const size_t count = callbacks[which].count;
+    const unsigned missing = e->system->def.missing;
+    double *given[MOST_OUTPUTS];
+    bool any = false;
+    for (size_t k = 0; k < count; k++) {
+        given[k] = missing & outputs[k].missing ? NULL : x[k];
+        any = any || given[k];
+    }
+    int returned = any ? call(e, which, t, q, v, given) : 0;
+    if (!missing) return returned;
+    difference d = {.e = e, .which = which, .t = t, .q = q, .v = v};
+    for (size_t k = 0; k < count && !returned; k++)
+        if (x[k] && !given[k]) returned = differentiate(&d, &outputs[k], x[k]);
+    return returned;
+}
+
+static int complete_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
+                              void *ctx)
+{
+    double *const x[] = {V, V_q, V_qq};
+    return complete(ctx, POTENTIAL, t, q, NULL, x);
+}
+
+static int complete_constraint(double t, const double *q, const double *v, double *phi,
+                               double *phi_v, double *phi_q, double *phi_t, void *ctx)
+{
+    double *const x[] = {phi_v, phi_q, phi_t, phi};
+    return complete(ctx, CONSTRAINT, t, q, v, x);
+}
+
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n;
-    dal__reserve(a, &e->point, n, sizeof(double));
-    dal__reserve(a, &e->gradient, n, sizeof(double));
-    dal__reserve(a, &e->forms, dal__times(system->def.m, n), sizeof(double));
+    DAL__RESERVE(a, n, &e->point, &e->gradient);
+    DAL__RESERVE(a, dal__times(system->def.m, n), &e->forms);
 }
 
 void dal__evaluator_bind(evaluator *e, const dal_system *system)
@@ -237,21 +262,44 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
     }
 }
 
-static int refuse(dal_error *error, const char *callback, int returned)
+/* ---- the calls of the library --------------------------------------------------------------- */
+
+static inline void forget(const evaluator *e, callback which, double *const *x)
+{
+    for (size_t k = 0; k < callbacks[which].count; k++)
+        if (x[k]) dal__forget(size(e, &callbacks[which].outputs[k]), x[k]);
+}
+
+int dal__refuse(dal_error *error, const char *callback, int returned)
 {
     return dal__fail(error, dal__callback_status(returned), "%s returned %d (%s)", callback,
                      returned, returned > 0 ? "outside its domain" : "stop");
 }
 
-static int require_finite(dal_error *error, const char *callback, const char *output, size_t rows,
-                          size_t columns, const double *x)
+/* Status of a callback that returned this; DAL_EDOMAIN if an output is not finite. */
+static inline int check(const evaluator *e, callback which, int returned, double *const *x,
+                 dal_error *error)
 {
-    if (!x || dal__all_finite(rows * columns, x)) return DAL_SUCCESS;
-    size_t i = 0;
-    while (isfinite(x[i])) i++;
-    const dal__entry entry = {callback, output, i / columns, i % columns, x[i]};
-    return dal__fail_entry(error, DAL_EDOMAIN, &entry, " = %g is not finite, or was not written",
-                           x[i]);
+    const char *const name = callbacks[which].name;
+    if (returned) return dal__refuse(error, name, returned);
+    for (size_t k = 0; k < callbacks[which].count; k++) {
+        const output *const out = &callbacks[which].outputs[k];
+        if (!x[k] || dal__all_finite(size(e, out), x[k])) continue;
+        const size_t columns = length(e, out->columns);
+        size_t i = 0;
+        while (isfinite(x[k][i])) i++;
+        const dal__entry entry = {name, out->name, i / columns, i % columns, x[k][i]};
+        return dal__fail_entry(error, DAL_EDOMAIN, &entry, " = %g is not finite, or was not "
+                               "written", x[k][i]);
+    }
+    return DAL_SUCCESS;
+}
+
+static inline int evaluate(evaluator *e, callback which, double t, const double *q, const double *v,
+                    double *const *x, dal_error *error)
+{
+    forget(e, which, x);
+    return check(e, which, complete(e, which, t, q, v, x), x, error);
 }
 
 bool dal__is_autonomous(const dal_system *system)
@@ -263,48 +311,32 @@ int dal__potential(evaluator *e, double t, const double *q, double *V, double *V
                    dal_error *error)
 {
     const size_t n = e->system->def.n;
-    if (!e->potential) {
-        if (V) *V = 0.0;
-        if (V_q) memset(V_q, 0, n * sizeof *V_q);
-        if (V_qq) memset(V_qq, 0, n * n * sizeof *V_qq);
-        return DAL_SUCCESS;
-    }
-    if (!V && !V_q && !V_qq) return DAL_SUCCESS;
-    dal__forget(1, V);
-    dal__forget(n, V_q);
-    dal__forget(n * n, V_qq);
-    const int returned = e->potential(t, q, V, V_q, V_qq, e->potential_ctx);
-    if (e->potential_ctx != e) e->potential_calls++;
-    if (returned) return refuse(error, "potential", returned);
-    int status = require_finite(error, "potential", "V", 1, 1, V);
-    if (!status) status = require_finite(error, "potential", "V_q", 1, n, V_q);
-    if (!status) status = require_finite(error, "potential", "V_qq", n, n, V_qq);
-    return status;
+    double *const x[] = {V, V_q, V_qq};
+    if (e->potential) return evaluate(e, POTENTIAL, t, q, NULL, x, error);
+    dal__clear(1, V);
+    dal__clear(n, V_q);
+    dal__clear(n * n, V_qq);
+    return DAL_SUCCESS;
 }
 
 int dal__constraint(evaluator *e, double t, const double *q, const double *v, double *phi,
                     double *phi_v, double *phi_q, double *phi_t, dal_error *error)
 {
-    const size_t n = e->system->def.n, m = e->system->def.m;
-    const bool linear = e->system->def.kind == DAL_LINEAR;
-    if (m == 0) return DAL_SUCCESS;
-    double *const forms = linear && phi && !phi_v ? e->forms : phi_v;
-    double *const rates = e->system->def.time_dependent ? phi_t : NULL;
-    dal__forget(m, phi);
-    dal__forget(m * n, forms);
-    dal__forget(m * n, phi_q);
-    dal__forget(m, rates);
-    if (phi_t && !rates) memset(phi_t, 0, m * sizeof *phi_t);
-    const int returned =
-        e->constraint(t, q, v, linear ? NULL : phi, forms, phi_q, rates, e->constraint_ctx);
-    if (e->constraint_ctx != e) e->constraint_calls++;
-    if (returned) return refuse(error, "constraint", returned);
-    int status = require_finite(error, "constraint", "phi_v", m, n, forms);
-    if (!status) status = require_finite(error, "constraint", "phi_q", m, n, phi_q);
-    if (!status) status = require_finite(error, "constraint", "phi_t", 1, m, rates);
-    if (!status && !linear) status = require_finite(error, "constraint", "phi", 1, m, phi);
-    if (!status && linear && phi) dal__apply(m, n, forms, v, phi);
-    return status;
+    const dal_system_def *const def = &e->system->def;
+    const bool linear = def->kind == DAL_LINEAR;
+    if (def->m == 0) return DAL_SUCCESS;
+    double *x[] = {linear && phi && !phi_v ? e->forms : phi_v, phi_q,
+                   def->time_dependent ? phi_t : NULL, phi};
+    if (!def->time_dependent) dal__clear(def->m, phi_t);
+    forget(e, CONSTRAINT, x);
+    const int returned = complete(e, CONSTRAINT, t, q, v, x);
+    if (linear) x[3] = NULL; /* it is mu v */
+    return check(e, CONSTRAINT, returned, x, error);
+}
+
+static void negate(size_t count, double *x)
+{
+    for (size_t i = 0; x && i < count; i++) x[i] = -x[i];
 }
 
 /* The jet of v^T M v / 2 - V. */
@@ -316,12 +348,12 @@ static int simple_lagrangian(evaluator *e, double t, const double *q, const doub
     double V;
     const int status = dal__potential(e, t, q, jet->L ? &V : NULL, jet->L_q, jet->L_qq, error);
     if (status) return status;
-    for (size_t i = 0; jet->L_q && i < n; i++) jet->L_q[i] = -jet->L_q[i];
-    for (size_t k = 0; jet->L_qq && k < n * n; k++) jet->L_qq[k] = -jet->L_qq[k];
+    negate(n, jet->L_q);
+    negate(n * n, jet->L_qq);
     if (jet->L_v) dal__apply(n, n, M, v, jet->L_v);
-    if (jet->L_vq) memset(jet->L_vq, 0, n * n * sizeof *jet->L_vq);
+    dal__clear(n * n, jet->L_vq);
     if (jet->L_vv) memcpy(jet->L_vv, M, n * n * sizeof *jet->L_vv);
-    if (jet->L_vt) memset(jet->L_vt, 0, n * sizeof *jet->L_vt);
+    dal__clear(n, jet->L_vt);
     if (!jet->L) return DAL_SUCCESS;
     dal__apply(n, n, M, v, e->gradient);
     *jet->L = 0.5 * dal__dot(n, v, e->gradient) - V;
@@ -331,78 +363,22 @@ static int simple_lagrangian(evaluator *e, double t, const double *q, const doub
 int dal__lagrangian(evaluator *e, double t, const double *q, const double *v, const dal__jet *jet,
                     dal_error *error)
 {
-    const dal_system_def *const def = &e->system->def;
-    const size_t n = def->n;
+    const bool timed = e->system->def.time_dependent;
+    double *const x[] = {jet->L, jet->L_q, jet->L_v, jet->L_qq, jet->L_vq, jet->L_vv,
+                         timed ? jet->L_vt : NULL};
     if (e->constant_mass) return simple_lagrangian(e, t, q, v, jet, error);
-    double *const given_qq = def->missing & DAL_MISSING_L_QQ ? NULL : jet->L_qq;
-    double *const given_vq = def->missing & DAL_MISSING_L_VQ ? NULL : jet->L_vq;
-    double *const given_vv = def->missing & DAL_MISSING_L_VV ? NULL : jet->L_vv;
-    double *const L_vt = def->time_dependent ? jet->L_vt : NULL;
-    double *const given_vt = def->missing & DAL_MISSING_L_VT ? NULL : L_vt;
-    dal__forget(1, jet->L);
-    dal__forget(n, jet->L_q);
-    dal__forget(n, jet->L_v);
-    dal__forget(n * n, jet->L_qq);
-    dal__forget(n * n, jet->L_vq);
-    dal__forget(n * n, jet->L_vv);
-    dal__forget(n, L_vt);
-    if (jet->L_vt && !L_vt) memset(jet->L_vt, 0, n * sizeof *jet->L_vt);
-    int returned = 0;
-    if (jet->L || jet->L_q || jet->L_v || given_qq || given_vq || given_vv || given_vt) {
-        e->lagrangian_calls++;
-        returned = def->lagrangian(t, q, v, jet->L, jet->L_q, jet->L_v, given_qq, given_vq,
-                                   given_vv, given_vt, def->ctx);
-    }
-    stand_at(e, t, q, v);
-    if (!returned && jet->L_qq && !given_qq) {
-        returned = differenced(e, value_L_q, MOVES_Q, n, jet->L_qq);
-        symmetrise(n, jet->L_qq);
-    }
-    if (!returned && jet->L_vq && !given_vq)
-        returned = differenced(e, value_L_v, MOVES_Q, n, jet->L_vq);
-    if (!returned && jet->L_vv && !given_vv) {
-        returned = differenced(e, value_L_v, MOVES_V, n, jet->L_vv);
-        symmetrise(n, jet->L_vv);
-    }
-    if (!returned && L_vt && !given_vt) returned = differenced(e, value_L_v, MOVES_T, n, L_vt);
-    if (returned) return refuse(error, "lagrangian", returned);
-    int status = require_finite(error, "lagrangian", "L", 1, 1, jet->L);
-    if (!status) status = require_finite(error, "lagrangian", "L_q", 1, n, jet->L_q);
-    if (!status) status = require_finite(error, "lagrangian", "L_v", 1, n, jet->L_v);
-    if (!status) status = require_finite(error, "lagrangian", "L_qq", n, n, jet->L_qq);
-    if (!status) status = require_finite(error, "lagrangian", "L_vq", n, n, jet->L_vq);
-    if (!status) status = require_finite(error, "lagrangian", "L_vv", n, n, jet->L_vv);
-    if (!status) status = require_finite(error, "lagrangian", "L_vt", 1, n, L_vt);
-    return status;
+    if (!timed) dal__clear(e->system->def.n, jet->L_vt);
+    return evaluate(e, LAGRANGIAN, t, q, v, x, error);
 }
 
 int dal__force(evaluator *e, double t, const double *q, const double *v, double *f, double *f_q,
                double *f_v, dal_error *error)
 {
-    const dal_system_def *const def = &e->system->def;
-    const size_t n = def->n;
-    if (!def->force) {
-        if (f) memset(f, 0, n * sizeof *f);
-        if (f_q) memset(f_q, 0, n * n * sizeof *f_q);
-        if (f_v) memset(f_v, 0, n * n * sizeof *f_v);
-        return DAL_SUCCESS;
-    }
-    double *const given_q = def->missing & DAL_MISSING_F_Q ? NULL : f_q;
-    double *const given_v = def->missing & DAL_MISSING_F_V ? NULL : f_v;
-    dal__forget(n, f);
-    dal__forget(n * n, f_q);
-    dal__forget(n * n, f_v);
-    int returned = 0;
-    if (f || given_q || given_v) {
-        e->force_calls++;
-        returned = def->force(t, q, v, f, given_q, given_v, def->ctx);
-    }
-    stand_at(e, t, q, v);
-    if (!returned && f_q && !given_q) returned = differenced(e, value_f, MOVES_Q, n, f_q);
-    if (!returned && f_v && !given_v) returned = differenced(e, value_f, MOVES_V, n, f_v);
-    if (returned) return refuse(error, "force", returned);
-    int status = require_finite(error, "force", "f", 1, n, f);
-    if (!status) status = require_finite(error, "force", "f_q", n, n, f_q);
-    if (!status) status = require_finite(error, "force", "f_v", n, n, f_v);
-    return status;
+    const size_t n = e->system->def.n;
+    double *const x[] = {f, f_q, f_v};
+    if (e->system->def.force) return evaluate(e, FORCE, t, q, v, x, error);
+    dal__clear(n, f);
+    dal__clear(n * n, f_q);
+    dal__clear(n * n, f_v);
+    return DAL_SUCCESS;
 }

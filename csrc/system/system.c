@@ -106,65 +106,61 @@ static int check_def(const dal_system_def *def, dal_error *error)
     return status;
 }
 
-static size_t text_size(const char *text) { return text ? strlen(text) + 1 : 1; }
-
-/* Copies text to *end and moves *end behind it; returns where the copy is. */
-static const char *copy_text(char **end, const char *text)
-{
-    char *copy = *end;
-    memcpy(copy, text ? text : "", text_size(text));
-    *end += text_size(text);
-    return copy;
-}
-
 /* The memory that a system owns, apart from what struct dal_system names. */
 typedef struct possessions {
     dal_system *self;
-    void *ctx;      /* of size bytes; what it is a copy of is at source */
-    const void *source;
-    size_t size;
+    void *ctx;
     double *state;
     const char **coordinates, **invariant_names;
-    char *text;
+    char *text;  /* NULL until its size is known, */
+    size_t used; /* which is what was taken of it */
 } possessions;
+
+/* The copy of a text. */
+static const char *take(possessions *own, const char *text)
+{
+    const size_t size = text ? strlen(text) + 1 : 1;
+    char *const copy = own->text ? own->text + own->used : NULL;
+    if (copy) memcpy(copy, text ? text : "", size);
+    own->used += size;
+    return copy;
+}
+
+/* self->def <- copies of all texts, as many as own has memory for: at first it only counts. */
+static void take_texts(dal_system *self, possessions *own, const dal_system_def *def)
+{
+    self->def.name = take(own, def->name ? def->name : "system");
+    self->def.help = take(own, def->help);
+    self->def.description = take(own, def->description);
+    self->def.source = take(own, def->source);
+    self->def.formulas = take(own, def->formulas);
+    for (size_t i = 0; i < def->n; i++) {
+        char generic[24];
+        snprintf(generic, sizeof generic, "q%zu", i);
+        const char *const name = take(own, def->coordinates ? def->coordinates[i] : generic);
+        if (own->text) own->coordinates[i] = name;
+    }
+    for (size_t i = 0; i < def->invariants; i++) {
+        const char *const name = take(own, def->invariant_names[i]);
+        if (own->text) own->invariant_names[i] = name;
+    }
+    self->def.coordinates = own->coordinates;
+    self->def.invariant_names = own->invariant_names;
+}
 
 static void plan(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
 {
     const size_t n = def->n, square = def->mass ? dal__times(n, n) : 0;
-    size_t text = text_size(def->name ? def->name : "system") + text_size(def->help)
-        + text_size(def->description) + text_size(def->source) + text_size(def->formulas);
-    for (size_t i = 0; i < n; i++)
-        text += def->coordinates ? text_size(def->coordinates[i]) : 24;
-    for (size_t i = 0; i < def->invariants; i++) text += text_size(def->invariant_names[i]);
+    take_texts(shape, own, def);
     dal__reserve(a, &own->self, 1, sizeof *own->self);
-    dal__reserve(a, &shape->mass, square, sizeof(double));
-    dal__reserve(a, &shape->mass_inverse, square, sizeof(double));
-    dal__reserve(a, &shape->unit, def->mass ? n : 0, sizeof(double));
-    dal__reserve(a, &shape->per_unit, def->mass ? n : 0, sizeof(double));
-    dal__reserve(a, &own->ctx, own->size, 1);
-    dal__reserve(a, &own->state, dal__times(2, n), sizeof(double));
+    DAL__RESERVE(a, square, &shape->mass, &shape->mass_inverse);
+    DAL__RESERVE(a, def->mass ? n : 0, &shape->unit, &shape->per_unit);
+    dal__reserve(a, &own->ctx, def->ctx_size, 1);
+    DAL__RESERVE(a, dal__times(2, n), &own->state);
     dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
     dal__reserve(a, &own->invariant_names, def->invariants, sizeof *own->invariant_names);
-    dal__reserve(a, &own->text, text, 1);
-}
-
-static void copy_names(dal_system *system, possessions *own, const dal_system_def *def)
-{
-    char *end = own->text;
-    system->def.name = copy_text(&end, def->name ? def->name : "system");
-    system->def.help = copy_text(&end, def->help);
-    system->def.description = copy_text(&end, def->description);
-    system->def.source = copy_text(&end, def->source);
-    system->def.formulas = copy_text(&end, def->formulas);
-    for (size_t i = 0; i < def->n; i++) {
-        char generic[24];
-        snprintf(generic, sizeof generic, "q%zu", i);
-        own->coordinates[i] = copy_text(&end, def->coordinates ? def->coordinates[i] : generic);
-    }
-    for (size_t i = 0; i < def->invariants; i++)
-        own->invariant_names[i] = copy_text(&end, def->invariant_names[i]);
-    system->def.coordinates = own->coordinates;
-    system->def.invariant_names = own->invariant_names;
+    dal__reserve(a, &own->text, own->used, 1);
+    own->used = 0;
 }
 
 static int not_definite(const dal_system *system, size_t row, double pivot, dal_error *error)
@@ -185,34 +181,25 @@ static int invert_diagonal_mass(dal_system *system, dal_error *error)
     return DAL_SUCCESS;
 }
 
-/* M^-1 by columns; the mean of an entry and its mirror keeps it symmetric. */
+/* M^-1 by columns, which are its rows but for roundoff. */
 static int invert_mass(dal_system *system, dal_error *error)
 {
     const size_t n = system->def.n;
-    double *const inverse = system->mass_inverse, *factor, *column;
+    double *const inverse = system->mass_inverse, *factor;
     arena scratch = {0};
-    dal__reserve(&scratch, &factor, n * n, sizeof *factor);
-    dal__reserve(&scratch, &column, n, sizeof *column);
+    DAL__RESERVE(&scratch, n * n, &factor);
     int status = dal__allocate(&scratch, error);
     if (status) return status;
     size_t row = 0;
     double pivot = 0.0;
     memcpy(factor, system->mass, n * n * sizeof *factor);
-    if (!dal__cholesky(n, factor, column, &row, &pivot)) {
+    if (!dal__cholesky(n, factor, system->unit, &row, &pivot))
         status = not_definite(system, row, pivot, error);
-    } else {
-        for (size_t j = 0; j < n; j++) {
-            memset(column, 0, n * sizeof *column);
-            column[j] = 1.0;
-            dal__cholesky_solve(n, factor, column);
-            for (size_t i = 0; i < n; i++) inverse[i * n + j] = column[i];
-        }
-        for (size_t i = 0; i < n; i++)
-            for (size_t j = 0; j < i; j++) {
-                const double mean = 0.5 * (inverse[i * n + j] + inverse[j * n + i]);
-                inverse[i * n + j] = inverse[j * n + i] = mean;
-            }
+    for (size_t j = 0; !status && j < n; j++) {
+        inverse[j * n + j] = 1.0;
+        dal__cholesky_solve(n, factor, inverse + j * n);
     }
+    dal__symmetrise(n, inverse);
     dal__release(&scratch);
     return status;
 }
@@ -225,17 +212,30 @@ static bool is_diagonal(size_t n, const double *A)
     return true;
 }
 
-/* own: source and size of a ctx to be owned, or zeros; shape: what the system is to start as. */
-static int make(dal_system **system, const dal_system_def *def, dal_system shape, possessions own,
-                dal_error *error)
+/* What follows from M: the text of a failure names where it is not positive definite. */
+static int bind_mass(dal_system *system, const double *M, dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!system || !def)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "def" : "system");
-    int status = check_def(def, error);
+    const size_t n = system->def.n;
+    system->diagonal = is_diagonal(n, M);
+    memcpy(system->mass, M, n * n * sizeof *M);
+    const int status =
+        system->diagonal ? invert_diagonal_mass(system, error) : invert_mass(system, error);
+    for (size_t i = 0; !status && i < n; i++) {
+        system->unit[i] = sqrt(system->mass_inverse[i * n + i]);
+        system->per_unit[i] = 1.0 / system->unit[i];
+    }
+    return status;
+}
+
+int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
+{
+    int status = DAL__REQUIRE(error, {"system", system}, {"def", def});
+    if (!status) status = check_def(def, error);
     if (status) return status;
 
     arena memory = {0};
+    possessions own = {0};
+    dal_system shape = {.def = *def};
     plan(&memory, &own, &shape, def);
     status = dal__allocate(&memory, error);
     if (status) return status;
@@ -243,28 +243,13 @@ static int make(dal_system **system, const dal_system_def *def, dal_system shape
     dal_system *const self = own.self;
     *self = shape;
     self->arena = memory;
-    self->def = *def;
-    if (def->mass) {
-        self->diagonal = is_diagonal(def->n, def->mass);
-        memcpy(self->mass, def->mass, def->n * def->n * sizeof(double));
-    } else {
-        self->mass = self->mass_inverse = NULL;
-    }
+    if (!def->mass) self->mass = self->mass_inverse = NULL;
     self->def.mass = self->mass;
-    if (def->state) memcpy(own.state, def->state, 2 * def->n * sizeof(double));
-    self->def.state = def->state ? own.state : NULL;
-    if (own.size > 0) {
-        memcpy(own.ctx, own.source, own.size);
-        self->def.ctx = own.ctx;
-    }
-    if (self->parameters > 0) self->parameter_values = own.ctx;
-    copy_names(self, &own, def);
-    if (def->mass)
-        status = self->diagonal ? invert_diagonal_mass(self, error) : invert_mass(self, error);
-    for (size_t i = 0; !status && def->mass && i < def->n; i++) {
-        self->unit[i] = sqrt(self->mass_inverse[i * def->n + i]);
-        self->per_unit[i] = 1.0 / self->unit[i];
-    }
+    if (def->state) self->def.state = memcpy(own.state, def->state, 2 * def->n * sizeof(double));
+    if (def->ctx_size > 0) self->def.ctx = memcpy(own.ctx, def->ctx, def->ctx_size);
+    self->def.ctx_size = 0; /* whoever takes the definition over borrows the copy */
+    take_texts(self, &own, def);
+    if (def->mass) status = bind_mass(self, def->mass, error);
     if (status) {
         dal_system_free(self);
         return status;
@@ -273,30 +258,9 @@ static int make(dal_system **system, const dal_system_def *def, dal_system shape
     return DAL_SUCCESS;
 }
 
-int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
-{
-    const possessions own = {.source = def ? def->ctx : NULL, .size = def ? def->ctx_size : 0};
-    return make(system, def, (dal_system){0}, own, error);
-}
-
-int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
-                     const char *const *names, const double *values, dal_error *error)
-{
-    return make(system, def, (dal_system){.parameters = parameters, .parameter_names = names},
-                (possessions){.source = values, .size = parameters * sizeof *values}, error);
-}
-
-int dal__system_wrap(dal_system **system, const dal_system_def *def, const void *ctx, size_t size,
-                     dal_error *error)
-{
-    return make(system, def, (dal_system){0}, (possessions){.source = ctx, .size = size}, error);
-}
-
 void dal_system_free(dal_system *system)
 {
-    if (!system) return;
-    arena memory = system->arena; /* the system lies inside it */
-    dal__release(&memory);
+    if (system) dal__release(&system->arena);
 }
 
 size_t dal_system_n(const dal_system *system) { return system->def.n; }
@@ -321,7 +285,7 @@ const char *dal_system_coordinate(const dal_system *system, size_t i)
 
 const char *dal_system_parameter_name(const dal_system *system, size_t i)
 {
-    return i < system->parameters ? system->parameter_names[i] : NULL;
+    return i < system->parameters ? system->parameter[i].name : NULL;
 }
 
 double dal_system_parameter(const dal_system *system, size_t i)
@@ -342,47 +306,34 @@ int dal_system_state(const dal_system *system, double *x)
     return DAL_SUCCESS;
 }
 
-/* Scratch for an answer[count] that is handed over whole or not at all; NaN, so that what is never
+/* answer[count] <- f at (t, x), all of it or nothing.  It is NaN before, so that what is never
  * written is found. */
-static int open_answer(arena *scratch, size_t count, double **fresh)
+static int answer_by(const dal_system *system, dal_exact_fn f, double t, const double *x,
+                     size_t count, double *answer)
 {
-    dal__reserve(scratch, fresh, count, sizeof **fresh);
-    const int status = dal__allocate(scratch, NULL);
-    for (size_t i = 0; !status && i < count; i++) (*fresh)[i] = (double)NAN;
-    return status;
-}
-
-static int close_answer(arena *scratch, int returned, size_t count, const double *fresh,
-                        double *answer)
-{
-    int status = dal__callback_status(returned);
+    if (!x || !answer || !isfinite(t)) return DAL_EINVAL;
+    if (!f) return DAL_EUNSUPPORTED;
+    arena scratch = {0};
+    double *fresh;
+    DAL__RESERVE(&scratch, count, &fresh);
+    int status = dal__allocate(&scratch, NULL);
+    if (status) return status;
+    dal__forget(count, fresh);
+    status = dal__callback_status(f(t, x, fresh, system->def.ctx));
     if (!status && !dal__all_finite(count, fresh)) status = DAL_EDOMAIN;
     if (!status) memcpy(answer, fresh, count * sizeof *answer);
-    dal__release(scratch);
+    dal__release(&scratch);
     return status;
 }
 
 int dal_system_exact(const dal_system *system, double t, const double *x0, double *x)
 {
-    if (!system || !x0 || !x || !isfinite(t)) return DAL_EINVAL;
-    const dal_system_def *const def = &system->def;
-    if (!def->exact) return DAL_EUNSUPPORTED;
-    arena scratch = {0};
-    double *fresh;
-    const int status = open_answer(&scratch, 2 * def->n, &fresh);
-    if (status) return status;
-    return close_answer(&scratch, def->exact(t, x0, fresh, def->ctx), 2 * def->n, fresh, x);
+    if (!system) return DAL_EINVAL;
+    return answer_by(system, system->def.exact, t, x0, 2 * system->def.n, x);
 }
 
 int dal_system_invariant(const dal_system *system, double t, const double *x, double *values)
 {
-    if (!system || !x || !values || !isfinite(t)) return DAL_EINVAL;
-    const dal_system_def *const def = &system->def;
-    if (!def->invariant) return DAL_EUNSUPPORTED;
-    arena scratch = {0};
-    double *fresh;
-    const int status = open_answer(&scratch, def->invariants, &fresh);
-    if (status) return status;
-    return close_answer(&scratch, def->invariant(t, x, fresh, def->ctx), def->invariants, fresh,
-                        values);
+    if (!system) return DAL_EINVAL;
+    return answer_by(system, system->def.invariant, t, x, system->def.invariants, values);
 }

@@ -4,6 +4,17 @@
 
 #include "algebra/algebra.h"
 
+/* The values that a parameter may take; WHOLE: 1, 2, ... up to most. */
+typedef enum range { POSITIVE, NOT_NEGATIVE, FINITE, WHOLE } range;
+
+/* A parameter of a built-in system. */
+typedef struct parameter {
+    const char *name;
+    double value; /* the default */
+    range range;
+    unsigned most;
+} parameter;
+
 struct dal_system {
     dal_system_def def;      /* the strings, mass and state point into the arena */
     double *mass;            /* M[n*n]; NULL for a general Lagrangian, as the next */
@@ -11,18 +22,10 @@ struct dal_system {
     double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;           /* M is diagonal */
     size_t parameters;       /* of a built-in system */
-    const char *const *parameter_names;
-    double *parameter_values;
+    const parameter *parameter;
+    const double *parameter_values; /* its ctx */
     arena arena;
 };
-
-/* dal_system_new for a built-in system: names must be static, values are copied and become ctx. */
-int dal__system_make(dal_system **system, const dal_system_def *def, size_t parameters,
-                     const char *const *names, const double *values, dal_error *error);
-
-/* dal_system_new with a ctx of size bytes that the system keeps a copy of. */
-int dal__system_wrap(dal_system **system, const dal_system_def *def, const void *ctx, size_t size,
-                     dal_error *error);
 
 /* The callbacks of a system as the rest of the library calls them: derivatives that the user does
  * not give are differenced, calls are counted.  One evaluator for each thread.  potential and
@@ -37,9 +40,6 @@ typedef struct evaluator {
     void *constraint_ctx;
     bool constant_mass;
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
-    double time;                      /* where what does not move stands in a difference, */
-    const double *position, *velocity; /* [n] */
-    dal__moves moves;                 /* and what moves */
     size_t potential_calls, constraint_calls, lagrangian_calls, force_calls;
 } evaluator;
 
@@ -65,6 +65,9 @@ int dal__lagrangian(evaluator *e, double t, const double *q, const double *v, co
 int dal__force(evaluator *e, double t, const double *q, const double *v, double *f, double *f_q,
                double *f_v, dal_error *error);
 
+/* Status of a callback that returned this, with a text that names it. */
+int dal__refuse(dal_error *error, const char *callback, int returned);
+
 /* Whether nothing depends on time, as far as the definition says. */
 bool dal__is_autonomous(const dal_system *system);
 
@@ -76,6 +79,11 @@ typedef int (*dal__function)(const double *q, double *f, void *ctx);
  * is not 0. */
 int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
                     double *value, double *slope, size_t stride);
+/* slopes[count*n] <- df/dq at point[n], the same. */
+int dal__jacobian(dal__function f, void *ctx, size_t n, double *point, size_t count, double *value,
+                  double *slopes);
+/* A[n*n] <- (A + A^T)/2. */
+void dal__symmetrise(size_t n, double *A);
 /* The distance of these points at a coordinate q. */
 double dal__spacing(double q);
 

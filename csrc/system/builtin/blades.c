@@ -1,11 +1,24 @@
 /* Bodies in the plane on a blade, which moves along itself only. */
 #include "system/builtin/builtin.h"
 
-/* M = diag(m, m, J) */
-static void plane_mass(const double *p, double *M)
+/* x <- (q, v) at (X, Y) with heading theta, for a point that lies a distance ahead of the blade,
+ * which moves at speed u along itself and turns by omega. */
+static void place_body(double *x, double X, double Y, double theta, double ahead, double u,
+                       double omega)
 {
-    M[0] = M[4] = p[0];
-    M[8] = p[1];
+    const double c = cos(theta), s = sin(theta);
+    set3(x, X, Y, theta);
+    set3(x + 3, u * c - ahead * omega * s, u * s + ahead * omega * c, omega);
+}
+
+/* The velocity of this point across the body: mu = (-sin theta, cos theta, -ahead). */
+static inline void constraint_blade(double ahead, const double *q, const double *v, double *phi,
+                                    double *phi_v, double *phi_q)
+{
+    const double s = sin(q[2]), c = cos(q[2]);
+    if (phi) phi[0] = c * v[1] - s * v[0] - ahead * v[2];
+    if (phi_v) set3(phi_v, -s, c, -ahead);
+    if (phi_q) set3(phi_q, 0.0, 0.0, -c * v[0] - s * v[1]);
 }
 
 /* ---- knife_edge on an incline: q = (x, y, theta), x downhill, gs = g sin(slope) ---------- */
@@ -13,26 +26,21 @@ static void plane_mass(const double *p, double *M)
 static void knife_edge_state(const double *p, double *x)
 {
     (void)p;
-    const double theta = 0.2, u = 0.5, omega = 1.2;
-    set3(x, 0.0, 0.0, theta);
-    set3(x + 3, u * cos(theta), u * sin(theta), omega);
+    place_body(x, 0.0, 0.0, 0.2, 0.0, 0.5, 1.2);
 }
 
 /* V = -m gs x */
-static int knife_edge_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
-                                void *ctx)
+POTENTIAL(knife_edge_potential)
 {
     const double *p = ctx, weight = p[0] * p[2];
     if (V) *V = -weight * q[0];
     if (V_q) set3(V_q, -weight, 0.0, 0.0);
-    if (V_qq)
-        for (size_t i = 0; i < 9; i++) V_qq[i] = 0.0;
+    if (V_qq) set(V_qq, 9, (double[9]){0.0});
     return 0;
 }
 
 /* mu = (sin theta, -cos theta, 0) */
-static int knife_edge_constraint(double t, const double *q, const double *v, double *phi,
-                                 double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(knife_edge_constraint)
 {
     const double s = sin(q[2]), c = cos(q[2]);
     if (phi) phi[0] = s * v[0] - c * v[1];
@@ -56,20 +64,19 @@ static double knife_edge_area(double x)
 /* theta' = omega and u' = gs cos(theta) for the speed u along the edge.  With C, S the integrals of
  * cos(theta), sin(theta): u = u0 + gs C, x - x0 = u0 C + gs C^2/2, and y - y0 = u0 S + gs int C dS,
  * where int C dS = (C S + int (C dS - S dC))/2 = (C S + t^2 area(omega t))/2. */
-static int knife_edge_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(knife_edge_exact)
 {
     const double *p = ctx, gs = p[2], omega = x0[5], turn = omega * t;
     const double middle = x0[2] + turn / 2, theta = x0[2] + turn;
     const double C = t * sinc(turn / 2) * cos(middle), S = t * sinc(turn / 2) * sin(middle);
     const double u0 = x0[3] * cos(x0[2]) + x0[4] * sin(x0[2]), u = u0 + gs * C;
-    x[0] = x0[0] + (u0 + gs * C / 2) * C;
-    x[1] = x0[1] + u0 * S + gs * (C * S + t * t * knife_edge_area(turn)) / 2;
-    x[2] = theta;
-    set3(x + 3, u * cos(theta), u * sin(theta), omega);
+    place_body(x, x0[0] + (u0 + gs * C / 2) * C,
+               x0[1] + u0 * S + gs * (C * S + t * t * knife_edge_area(turn)) / 2, theta, 0.0, u,
+               omega);
     return 0;
 }
 
-static int knife_edge_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(knife_edge_invariant)
 {
     const double *p = ctx, gs = p[2], s = sin(x[2]), c = cos(x[2]);
     values[0] = x[5];
@@ -88,10 +95,9 @@ const builtin dal__knife_edge = {
     .formulas = "L = (m (v_x^2 + v_y^2) + J v_theta^2)/2 + m gs x\n"
                 "v_x sin(theta) - v_y cos(theta) = 0\n"
                 "where u = v_x cos(theta) + v_y sin(theta)",
-    .n = 3, .m = 1, .coordinates = {"x", "y", "theta"},
-    .parameters = {"m", "J", "gs"}, .defaults = {2.0, 0.75, 2.5},
-    .ranges = {POSITIVE, POSITIVE, FINITE},
-    .mass = plane_mass,
+    .m = 1, .coordinates = {"x", "y", "theta"},
+    .parameters = {{"m", 2.0}, {"J", 0.75}, {"gs", 2.5, FINITE}},
+    .diagonal = {1, 1, 2},
     .state = knife_edge_state,
     .potential = knife_edge_potential,
     .constraint = knife_edge_constraint, .steady = DAL_STEADY_PROVED,
@@ -104,20 +110,13 @@ const builtin dal__knife_edge = {
 
 static void sleigh_state(const double *p, double *x)
 {
-    const double a = p[2], theta = 0.3, u = 0.2, omega = 1.0;
-    set3(x, 0.0, 0.0, theta);
-    set3(x + 3, u * cos(theta) - a * omega * sin(theta), u * sin(theta) + a * omega * cos(theta),
-         omega);
+    place_body(x, 0.0, 0.0, 0.3, p[2], 0.2, 1.0);
 }
 
-/* mu = (-sin theta, cos theta, -a): the blade, a distance a behind, moves along itself only. */
-static int sleigh_constraint(double t, const double *q, const double *v, double *phi,
-                             double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(sleigh_constraint)
 {
-    const double *p = ctx, a = p[2], s = sin(q[2]), c = cos(q[2]);
-    if (phi) phi[0] = c * v[1] - s * v[0] - a * v[2];
-    if (phi_v) set3(phi_v, -s, c, -a);
-    if (phi_q) set3(phi_q, 0.0, 0.0, -c * v[0] - s * v[1]);
+    const double *p = ctx;
+    constraint_blade(p[2], q, v, phi, phi_v, phi_q);
     return 0;
 }
 
@@ -181,9 +180,7 @@ static int sleigh_flow(double t, const double *x0, double *x, const double *p, d
     const double m = p[0], a = p[2], inertia = p[1] + m * a * a;
     const double c0 = cos(x0[2]), s0 = sin(x0[2]), u0 = x0[3] * c0 + x0[4] * s0, w0 = x0[5];
     if (w0 == 0.0) {
-        const double X = x0[0] + u0 * c0 * t, Y = x0[1] + u0 * s0 * t;
-        set3(x, X, Y, x0[2]);
-        set3(x + 3, u0 * c0, u0 * s0, 0.0);
+        place_body(x, x0[0] + u0 * c0 * t, x0[1] + u0 * s0 * t, x0[2], ahead, u0, w0);
         return 0;
     }
     const double ratio = sqrt(m / inertia), U = hypot(u0, w0 / ratio);
@@ -199,12 +196,11 @@ static int sleigh_flow(double t, const double *x0, double *x, const double *p, d
     double xy[2] = {x0[0] + ahead * (c1 - c0) + u0 * c0 * from + u1 * c1 * (t - to),
                     x0[1] + ahead * (s1 - s0) + u0 * s0 * from + u1 * s1 * (t - to)};
     sleigh_way(&motion, from, to, (size_t)panels, xy);
-    set3(x, xy[0], xy[1], theta);
-    set3(x + 3, u1 * c1 - ahead * w1 * s1, u1 * s1 + ahead * w1 * c1, w1);
+    place_body(x, xy[0], xy[1], theta, ahead, u1, w1);
     return 0;
 }
 
-static int sleigh_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(sleigh_exact)
 {
     const double *p = ctx;
     return sleigh_flow(t, x0, x, p, p[2]);
@@ -212,7 +208,7 @@ static int sleigh_exact(double t, const double *x0, double *x, void *ctx)
 
 /* a theta - sqrt(I/m) atan(sqrt(m/I) u/theta'): a times the heading of the sleigh where u = 0.  The
  * sign of theta' never changes; so the atan does not jump. */
-static int sleigh_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(sleigh_invariant)
 {
     const double *p = ctx, m = p[0], a = p[2], ratio = sqrt((p[1] + m * a * a) / m);
     const double u = x[3] * cos(x[2]) + x[4] * sin(x[2]), w = x[5];
@@ -232,10 +228,9 @@ const builtin dal__sleigh = {
                 "v_y cos(theta) - v_x sin(theta) - a v_theta = 0\n"
                 "where u = v_x cos(theta) + v_y sin(theta)\n"
                 "where I = J + m a^2",
-    .n = 3, .m = 1, .coordinates = {"x", "y", "theta"},
-    .parameters = {"m", "J", "a"}, .defaults = {1.5, 0.8, 0.4},
-    .ranges = {POSITIVE, POSITIVE, FINITE},
-    .mass = plane_mass,
+    .m = 1, .coordinates = {"x", "y", "theta"},
+    .parameters = {{"m", 1.5}, {"J", 0.8}, {"a", 0.4, FINITE}},
+    .diagonal = {1, 1, 2},
     .state = sleigh_state,
     .constraint = sleigh_constraint,
     .exact = sleigh_exact,
@@ -248,15 +243,12 @@ const builtin dal__sleigh = {
 /* The motion of the default data of the sleigh. */
 static void sleigh_contact_state(const double *p, double *x)
 {
-    const double a = p[2], theta = 0.3, u = 0.2, omega = 1.0;
-    set3(x, -a * cos(theta), -a * sin(theta), theta);
-    set3(x + 3, u * cos(theta), u * sin(theta), omega);
+    const double a = p[2], theta = 0.3;
+    place_body(x, -a * cos(theta), -a * sin(theta), theta, 0.0, 0.2, 1.0);
 }
 
 /* L = m |v|^2/2 + m a omega w + (J + m a^2) omega^2/2, w = -v_x sin(theta) + v_y cos(theta) */
-static int sleigh_contact_lagrangian(double t, const double *q, const double *v, double *L,
-                                     double *L_q, double *L_v, double *L_qq, double *L_vq,
-                                     double *L_vv, double *L_vt, void *ctx)
+LAGRANGIAN(sleigh_contact_lagrangian)
 {
     const double *p = ctx, m = p[0], a = p[2], ma = m * a, inertia = p[1] + ma * a;
     const double s = sin(q[2]), c = cos(q[2]), omega = v[2];
@@ -265,36 +257,20 @@ static int sleigh_contact_lagrangian(double t, const double *q, const double *v,
     if (L_q) set3(L_q, 0.0, 0.0, -ma * omega * u);
     if (L_v)
         set3(L_v, m * v[0] - ma * s * omega, m * v[1] + ma * c * omega, ma * w + inertia * omega);
-    if (L_qq) {
-        set3(L_qq, 0.0, 0.0, 0.0);
-        set3(L_qq + 3, 0.0, 0.0, 0.0);
-        set3(L_qq + 6, 0.0, 0.0, -ma * omega * w);
-    }
-    if (L_vq) {
-        set3(L_vq, 0.0, 0.0, -ma * c * omega);
-        set3(L_vq + 3, 0.0, 0.0, -ma * s * omega);
-        set3(L_vq + 6, 0.0, 0.0, -ma * u);
-    }
-    if (L_vv) {
-        set3(L_vv, m, 0.0, -ma * s);
-        set3(L_vv + 3, 0.0, m, ma * c);
-        set3(L_vv + 6, -ma * s, ma * c, inertia);
-    }
+    if (L_qq) set(L_qq, 9, (double[9]){[8] = -ma * omega * w});
+    if (L_vq)
+        set(L_vq, 9, (double[9]){[2] = -ma * c * omega, [5] = -ma * s * omega, [8] = -ma * u});
+    if (L_vv) set(L_vv, 9, (double[]){m, 0.0, -ma * s, 0.0, m, ma * c, -ma * s, ma * c, inertia});
     return 0;
 }
 
-/* mu = (-sin theta, cos theta, 0) */
-static int sleigh_contact_constraint(double t, const double *q, const double *v, double *phi,
-                                     double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(sleigh_contact_constraint)
 {
-    const double s = sin(q[2]), c = cos(q[2]);
-    if (phi) phi[0] = c * v[1] - s * v[0];
-    if (phi_v) set3(phi_v, -s, c, 0.0);
-    if (phi_q) set3(phi_q, 0.0, 0.0, -c * v[0] - s * v[1]);
+    constraint_blade(0.0, q, v, phi, phi_v, phi_q);
     return 0;
 }
 
-static int sleigh_contact_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(sleigh_contact_exact)
 {
     return sleigh_flow(t, x0, x, ctx, 0.0);
 }
@@ -312,9 +288,8 @@ const builtin dal__sleigh_contact = {
                 "where u = v_x cos(theta) + v_y sin(theta)\n"
                 "where w = v_y cos(theta) - v_x sin(theta)\n"
                 "where I = J + m a^2",
-    .n = 3, .m = 1, .coordinates = {"x", "y", "theta"},
-    .parameters = {"m", "J", "a"}, .defaults = {1.5, 0.8, 0.4},
-    .ranges = {POSITIVE, POSITIVE, FINITE},
+    .m = 1, .coordinates = {"x", "y", "theta"},
+    .parameters = {{"m", 1.5}, {"J", 0.8}, {"a", 0.4, FINITE}},
     .state = sleigh_contact_state,
     .lagrangian = sleigh_contact_lagrangian,
     .constraint = sleigh_contact_constraint,

@@ -26,11 +26,18 @@ static bool same_name(const char *a, const char *b)
     return *a == *b;
 }
 
-/* Number of names before the first NULL. */
-static size_t count_names(size_t size, const char *const *names)
+/* Number of names before the first NULL, which ends every list. */
+static size_t count_names(const char *const *names)
 {
     size_t count = 0;
-    while (count < size && names[count]) count++;
+    while (names[count]) count++;
+    return count;
+}
+
+static size_t count_parameters(const builtin *record)
+{
+    size_t count = 0;
+    while (record->parameters[count].name) count++;
     return count;
 }
 
@@ -52,71 +59,68 @@ static int fail_unknown_system(const char *name, dal_error *error)
 static int fail_unknown_parameter(const builtin *record, const char *name, dal_error *error)
 {
     char known[128] = "";
-    const size_t parameters = count_names(MAX_PARAMETERS, record->parameters);
-    for (size_t i = 0; i < parameters; i++)
-        append_name(sizeof known, known, record->parameters[i]);
+    for (size_t i = 0; i < count_parameters(record); i++)
+        append_name(sizeof known, known, record->parameters[i].name);
     return dal__fail(error, DAL_EINVAL, "%s has no parameter \"%.60s\"; it has %s", record->name,
-                     name, parameters ? known : "none");
+                     name, known[0] ? known : "none");
 }
 
-static bool in_range(range expected, unsigned most, double value)
+static int require_in_range(const builtin *record, const parameter *of, double value,
+                            dal_error *error)
 {
-    if (!isfinite(value)) return false;
-    switch (expected) {
-    case FINITE: return true;
-    case POSITIVE: return value > 0.0;
-    case NOT_NEGATIVE: return value >= 0.0;
-    case WHOLE: return value >= 1.0 && value <= most && value == floor(value);
-    }
-    return false;
-}
-
-static int fail_range(const builtin *record, size_t i, double value, dal_error *error)
-{
-    static const char *const words[] = {
-        [FINITE] = "a finite number", [POSITIVE] = "a finite number > 0",
-        [NOT_NEGATIVE] = "a finite number >= 0", [WHOLE] = "a whole number from 1 to "};
+    static const struct {
+        const char *words;
+        double least;
+    } ranges[] = {[POSITIVE] = {"a finite number > 0", DBL_TRUE_MIN},
+                  [NOT_NEGATIVE] = {"a finite number >= 0", 0.0},
+                  [FINITE] = {"a finite number", -DBL_MAX},
+                  [WHOLE] = {"a whole number from 1 to ", 1.0}};
     char most[16] = "";
-    if (record->ranges[i] == WHOLE) snprintf(most, sizeof most, "%u", record->most[i]);
-    return dal__fail(error, DAL_EINVAL, "parameter %s of %s is %.15g; expected %s%s",
-                     record->parameters[i], record->name, value, words[record->ranges[i]], most);
+    bool inside = isfinite(value) && value >= ranges[of->range].least;
+    if (of->range == WHOLE) {
+        inside = inside && value <= of->most && value == floor(value);
+        snprintf(most, sizeof most, "%u", of->most);
+    }
+    if (inside) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "parameter %s of %s is %.15g; expected %s%s", of->name,
+                     record->name, value, ranges[of->range].words, most);
 }
 
 /* p[MAX_PARAMETERS] with the parameter called name changed to value. */
 static int set_parameter(const builtin *record, const char *name, double value, double *p,
                          dal_error *error)
 {
-    const size_t parameters = count_names(MAX_PARAMETERS, record->parameters);
+    const size_t parameters = count_parameters(record);
     size_t i = 0;
-    while (i < parameters && !same_name(name, record->parameters[i])) i++;
+    while (i < parameters && !same_name(name, record->parameters[i].name)) i++;
     if (i == parameters) return fail_unknown_parameter(record, name, error);
-    if (!in_range(record->ranges[i], record->most[i], value))
-        return fail_range(record, i, value, error);
     p[i] = value;
-    return DAL_SUCCESS;
+    return require_in_range(record, &record->parameters[i], value, error);
 }
 
-/* A system from its record and its parameters p; dal__system_make copies what depends on p. */
-static int make(dal_system **system, const builtin *record, const double *p, dal_error *error)
+/* A system from its record and its parameters p[MAX_PARAMETERS]; dal_system_new copies what depends
+ * on them. */
+static int make(dal_system **system, const builtin *record, double *p, dal_error *error)
 {
-    size_t n = record->n, m = record->m;
+    size_t n = count_names(record->coordinates), m = record->m;
     if (record->sizes) record->sizes(p, &n, &m);
     arena a = {0};
     double *mass, *state;
     const char **names;
     char(*text)[NAME_SIZE];
-    dal__reserve(&a, &mass, dal__times(n, n), sizeof *mass);
-    dal__reserve(&a, &state, 2 * n, sizeof *state);
+    DAL__RESERVE(&a, dal__times(n, n), &mass);
+    DAL__RESERVE(&a, 2 * n, &state);
     dal__reserve(&a, &names, n, sizeof *names);
     dal__reserve(&a, &text, n, sizeof *text);
     int status = dal__allocate(&a, error);
     if (status) return status;
 
     if (record->mass) record->mass(p, mass);
-    else if (!record->lagrangian)
-        for (size_t i = 0; i < n; i++) mass[i * n + i] = 1.0;
-    record->state(p, state);
+    if (record->state) record->state(p, state);
+    else set(state, 2 * n, record->start);
     for (size_t i = 0; i < n; i++) {
+        const size_t number = i < MAX_COORDINATES ? record->diagonal[i] : 0;
+        if (!record->mass) mass[i * n + i] = number ? p[number - 1] : 1.0;
         if (record->coordinate) record->coordinate(p, i, text[i]);
         names[i] = record->coordinate ? text[i] : record->coordinates[i];
     }
@@ -126,22 +130,25 @@ static int make(dal_system **system, const builtin *record, const double *p, dal
         .constraint = record->constraint, .kind = record->kind, .steady = record->steady,
         .name = record->name, .help = record->help, .description = record->description,
         .source = record->source, .formulas = record->formulas,
-        .coordinates = names, .state = state,
+        .coordinates = names, .state = state, .ctx = p, .ctx_size = MAX_PARAMETERS * sizeof *p,
         .exact = record->exact,
-        .invariants = count_names(MAX_INVARIANTS, record->invariants),
+        .invariants = count_names(record->invariants),
         .invariant_names = record->invariants, .invariant = record->invariant,
     };
-    status = dal__system_make(system, &def, count_names(MAX_PARAMETERS, record->parameters),
-                              record->parameters, p, error);
+    status = dal_system_new(system, &def, error);
     dal__release(&a);
-    return status;
+    if (status) return status;
+    (*system)->parameters = count_parameters(record);
+    (*system)->parameter = record->parameters;
+    (*system)->parameter_values = (*system)->def.ctx;
+    return DAL_SUCCESS;
 }
 
 int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
                        const double *values, size_t count, dal_error *error)
 {
-    if (!system || !name)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "name" : "system");
+    int status = DAL__REQUIRE(error, {"system", system}, {"name", name});
+    if (status) return status;
     if (count > 0 && (!names || !values))
         return dal__fail(error, DAL_EINVAL, "%s is NULL with count = %zu parameters",
                          names ? "values" : "names", count);
@@ -151,12 +158,12 @@ int dal_system_builtin(dal_system **system, const char *name, const char *const 
     if (!record) return fail_unknown_system(name, error);
 
     double p[MAX_PARAMETERS];
-    memcpy(p, record->defaults, sizeof p);
+    for (size_t i = 0; i < MAX_PARAMETERS; i++) p[i] = record->parameters[i].value;
     for (size_t i = 0; i < count; i++) {
         if (!names[i]) return dal__fail(error, DAL_EINVAL, "names[%zu] is NULL", i);
-        const int status = set_parameter(record, names[i], values[i], p, error);
+        status = set_parameter(record, names[i], values[i], p, error);
         if (status) return status;
     }
-    const int status = record->check ? record->check(p, error) : DAL_SUCCESS;
+    if (record->check) status = record->check(p, error);
     return status ? status : make(system, record, p, error);
 }

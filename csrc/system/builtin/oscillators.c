@@ -2,7 +2,27 @@
 #include "system/builtin/builtin.h"
 
 #include <stdio.h>
-#include <string.h>
+
+/* v_x = -sum_i y_i v_zi with q = (x, y_1..y_pairs, z_1..z_pairs): mu = (1, 0..0, y_1..y_pairs) */
+static inline void constraint_gears(size_t pairs, const double *q, const double *v, double *phi,
+                                    double *phi_v, double *phi_q)
+{
+    const double *y = q + 1, *v_z = v + 1 + pairs;
+    if (phi) phi[0] = v[0];
+    if (phi_v) phi_v[0] = 1.0;
+    if (phi_q) phi_q[0] = 0.0;
+    for (size_t i = 0; i < pairs; i++) {
+        if (phi) phi[0] += y[i] * v_z[i];
+        if (phi_v) {
+            phi_v[1 + i] = 0.0;
+            phi_v[1 + pairs + i] = y[i];
+        }
+        if (phi_q) {
+            phi_q[1 + i] = v_z[i];
+            phi_q[1 + pairs + i] = 0.0;
+        }
+    }
+}
 
 /* ---- contact_oscillator (McLachlan & Perlmutter): q = (x, y, z), mu = (1, 0, y) ---------- */
 
@@ -14,31 +34,27 @@ static void contact_oscillator_state(const double *p, double *x)
 }
 
 /* V = (x^2 + y^2 + z^2 + eps x^2 z^2)/2 */
-static int contact_oscillator_potential(double t, const double *q, double *V, double *V_q,
-                                        double *V_qq, void *ctx)
+POTENTIAL(contact_oscillator_potential)
 {
     const double *p = ctx, eps = p[0], x = q[0], y = q[1], z = q[2];
     if (V) *V = (x * x + y * y + (1.0 + eps * x * x) * z * z) / 2;
     if (V_q) set3(V_q, x * (1.0 + eps * z * z), y, z * (1.0 + eps * x * x));
-    if (V_qq) {
-        set3(V_qq, 1.0 + eps * z * z, 0.0, 2 * eps * x * z);
-        set3(V_qq + 3, 0.0, 1.0, 0.0);
-        set3(V_qq + 6, 2 * eps * x * z, 0.0, 1.0 + eps * x * x);
-    }
+    const double V_xz = 2 * eps * x * z;
+    if (V_qq)
+        set(V_qq, 9, (double[]){1.0 + eps * z * z, 0.0, V_xz,
+                                0.0, 1.0, 0.0,
+                                V_xz, 0.0, 1.0 + eps * x * x});
     return 0;
 }
 
-static int contact_oscillator_constraint(double t, const double *q, const double *v, double *phi,
-                                         double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(contact_oscillator_constraint)
 {
-    if (phi) phi[0] = v[0] + q[1] * v[2];
-    if (phi_v) set3(phi_v, 1.0, 0.0, q[1]);
-    if (phi_q) set3(phi_q, 0.0, v[2], 0.0);
+    constraint_gears(1, q, v, phi, phi_v, phi_q);
     return 0;
 }
 
 /* The driver y is free; so its energy and that of the pair (x, z), v_x = -y v_z, are constant. */
-static int contact_oscillator_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(contact_oscillator_invariant)
 {
     const double *p = ctx, eps = p[0];
     const double xx = x[0] * x[0], yy = x[1] * x[1], zz = x[2] * x[2];
@@ -58,8 +74,8 @@ const builtin dal__contact_oscillator = {
               "J. Nonlinear Sci. 16 (2006) 283-328",
     .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2 - (x^2 + y^2 + z^2 + eps x^2 z^2)/2\n"
                 "v_x + y v_z = 0",
-    .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
-    .parameters = {"eps"}, .defaults = {0.0}, .ranges = {NOT_NEGATIVE},
+    .m = 1, .coordinates = {"x", "y", "z"},
+    .parameters = {{"eps", 0.0, NOT_NEGATIVE}},
     .state = contact_oscillator_state,
     .potential = contact_oscillator_potential,
     .constraint = contact_oscillator_constraint, .steady = DAL_STEADY_PROVED,
@@ -100,8 +116,7 @@ static void chaotic_state(const double *p, double *x)
 }
 
 /* V = (|q|^2 + z_1^2 z_2^2 + sum_i y_i^2 z_i^2)/2, without z_1^2 z_2^2 for a single pair. */
-static int chaotic_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
-                             void *ctx)
+POTENTIAL(chaotic_potential)
 {
     const size_t pairs = chaotic_pairs(ctx), n = 2 * pairs + 1;
     const double *y = q + 1, *z = y + pairs;
@@ -124,7 +139,7 @@ static int chaotic_potential(double t, const double *q, double *V, double *V_q, 
         }
     }
     if (V_qq) {
-        memset(V_qq, 0, n * n * sizeof *V_qq);
+        dal__clear(n * n, V_qq);
         V_qq[0] = 1.0;
         for (size_t i = 0; i < pairs; i++) {
             double *row_y = V_qq + (1 + i) * n, *row_z = row_y + pairs * n;
@@ -142,30 +157,9 @@ static int chaotic_potential(double t, const double *q, double *V, double *V_q, 
     return 0;
 }
 
-/* mu = (1, 0..0, y_1..y_pairs) */
-static int chaotic_constraint(double t, const double *q, const double *v, double *phi,
-                              double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(chaotic_constraint)
 {
-    const size_t pairs = chaotic_pairs(ctx);
-    const double *y = q + 1;
-    if (phi) {
-        phi[0] = v[0];
-        for (size_t i = 0; i < pairs; i++) phi[0] += y[i] * v[1 + pairs + i];
-    }
-    if (phi_v) {
-        phi_v[0] = 1.0;
-        for (size_t i = 0; i < pairs; i++) {
-            phi_v[1 + i] = 0.0;
-            phi_v[1 + pairs + i] = y[i];
-        }
-    }
-    if (phi_q) {
-        phi_q[0] = 0.0;
-        for (size_t i = 0; i < pairs; i++) {
-            phi_q[1 + i] = v[1 + pairs + i];
-            phi_q[1 + pairs + i] = 0.0;
-        }
-    }
+    constraint_gears(chaotic_pairs(ctx), q, v, phi, phi_v, phi_q);
     return 0;
 }
 
@@ -181,7 +175,7 @@ const builtin dal__chaotic = {
                 "+ y_i^2 z_i^2))/2\n"
                 "v_x + sum_i(y_i v_z_i) = 0",
     .sizes = chaotic_sizes, .coordinate = chaotic_coordinate,
-    .parameters = {"pairs"}, .defaults = {3.0}, .ranges = {WHOLE}, .most = {1000},
+    .parameters = {{"pairs", 3.0, WHOLE, 1000}},
     .state = chaotic_state,
     .potential = chaotic_potential,
     .constraint = chaotic_constraint, .steady = DAL_STEADY_PROVED,
@@ -189,19 +183,10 @@ const builtin dal__chaotic = {
 
 /* ---- genmass: q = (q1, q2, q3), a Lagrangian in which nothing vanishes -------------------- */
 
-static void genmass_state(const double *p, double *x)
-{
-    (void)p;
-    set3(x, 0.4, -0.3, 0.2);
-    set3(x + 3, 0.6, 0.5, -305.0 / 1032);
-}
-
 /* L = v^T M v/2 + b v - V with
  * M = [2 + q2^2/4, q3/5, 1/10; q3/5, 3/2 + cos(q1)/3, q1/6; 1/10, q1/6, 1 + q1^2/3],
  * b = (q2 q3/4, sin(q1)/3, -q1 q2/5), V = (q1^2 + 2 q2^2 + 3 q3^2/2)/2 + q1^4/4 + q1 q2 q3/5 */
-static int genmass_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
-                              double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
-                              void *ctx)
+LAGRANGIAN(genmass_lagrangian)
 {
     const double q1 = q[0], q2 = q[1], q3 = q[2], v1 = v[0], v2 = v[1], v3 = v[2];
     const double s = sin(q1) / 3, c = cos(q1) / 3;
@@ -243,12 +228,11 @@ static int genmass_lagrangian(double t, const double *q, const double *v, double
 }
 
 /* mu = (-q2, q1/2 + q3/4, 1 + q1^2/5) */
-static int genmass_constraint(double t, const double *q, const double *v, double *phi,
-                              double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(genmass_constraint)
 {
     const double mu[3] = {-q[1], q[0] / 2 + q[2] / 4, 1 + q[0] * q[0] / 5};
-    if (phi) phi[0] = mu[0] * v[0] + mu[1] * v[1] + mu[2] * v[2];
-    if (phi_v) set3(phi_v, mu[0], mu[1], mu[2]);
+    if (phi) phi[0] = dal__dot(3, mu, v);
+    if (phi_v) set(phi_v, 3, mu);
     if (phi_q) set3(phi_q, v[1] / 2 + 2 * q[0] * v[2] / 5, -v[0], v[1] / 4);
     return 0;
 }
@@ -265,8 +249,8 @@ const builtin dal__genmass = {
                 "+ q2 q3 v_q1/4 + sin(q1) v_q2/3 - q1 q2 v_q3/5 - V\n"
                 "-q2 v_q1 + (q1/2 + q3/4) v_q2 + (1 + q1^2/5) v_q3 = 0\n"
                 "where V = (q1^2 + 2 q2^2 + 3 q3^2/2)/2 + q1^4/4 + q1 q2 q3/5",
-    .n = 3, .m = 1, .coordinates = {"q1", "q2", "q3"},
-    .state = genmass_state,
+    .m = 1, .coordinates = {"q1", "q2", "q3"},
+    .start = {0.4, -0.3, 0.2, 0.6, 0.5, -305.0 / 1032},
     .lagrangian = genmass_lagrangian,
     .constraint = genmass_constraint,
 };

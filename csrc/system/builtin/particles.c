@@ -2,31 +2,18 @@
 #include "system/builtin/builtin.h"
 
 /* V = (k1 x^2 + k2 y^2 + k3 z^2)/2 */
-static int potential_springs(double t, const double *q, double *V, double *V_q, double *V_qq,
-                             void *ctx)
+POTENTIAL(potential_springs)
 {
     const double *k = ctx;
     if (V) *V = (k[0] * q[0] * q[0] + k[1] * q[1] * q[1] + k[2] * q[2] * q[2]) / 2;
     if (V_q) set3(V_q, k[0] * q[0], k[1] * q[1], k[2] * q[2]);
-    if (V_qq) {
-        set3(V_qq, k[0], 0.0, 0.0);
-        set3(V_qq + 3, 0.0, k[1], 0.0);
-        set3(V_qq + 6, 0.0, 0.0, k[2]);
-    }
+    if (V_qq) set(V_qq, 9, (double[]){k[0], 0.0, 0.0, 0.0, k[1], 0.0, 0.0, 0.0, k[2]});
     return 0;
 }
 
 /* ---- particle and particle_oscillator: q = (x, y, z), mu = (-y, 0, 1) ------------------- */
 
-static void particle_state(const double *p, double *x)
-{
-    (void)p;
-    set3(x, 0.5, 0.3, -0.2);
-    set3(x + 3, 1.0, 0.7, 0.3);
-}
-
-static int particle_constraint(double t, const double *q, const double *v, double *phi,
-                               double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(particle_constraint)
 {
     if (phi) phi[0] = v[2] - q[1] * v[0];
     if (phi_v) set3(phi_v, -q[1], 0.0, 1.0);
@@ -37,7 +24,7 @@ static int particle_constraint(double t, const double *q, const double *v, doubl
 /* v_y = w and v_x s = c are constant, s = sqrt(1 + y^2); x1 - x0 = c (asinh y1 - asinh y0)/w and
  * z1 - z0 = c (s1 - s0)/w.  The difference of the asinh is asinh(y1 s0 - y0 s1) = asinh(w t r), and
  * r has a form without cancellation for y0, y1 of one sign and another for the rest. */
-static int particle_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(particle_exact)
 {
     (void)ctx;
     const double y0 = x0[1], w = x0[4], y1 = y0 + w * t;
@@ -53,14 +40,14 @@ static int particle_exact(double t, const double *x0, double *x, void *ctx)
     return 0;
 }
 
-static int particle_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(particle_invariant)
 {
     values[0] = x[4];
     values[1] = x[3] * hypot(1.0, x[1]);
     return 0;
 }
 
-static int particle_oscillator_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(particle_oscillator_invariant)
 {
     const double *k = ctx;
     values[0] = (x[4] * x[4] + k[1] * x[1] * x[1]) / 2;
@@ -76,8 +63,8 @@ const builtin dal__particle = {
               "L. Bates, J. Śniatycki: Nonholonomic reduction, Rep. Math. Phys. 32 (1993) 99-115",
     .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2\n"
                 "v_z - y v_x = 0",
-    .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
-    .state = particle_state,
+    .m = 1, .coordinates = {"x", "y", "z"},
+    .start = {0.5, 0.3, -0.2, 1.0, 0.7, 0.3},
     .constraint = particle_constraint, .steady = DAL_STEADY_PROVED,
     .exact = particle_exact,
     .invariants = {"v_y", "v_x sqrt(1 + y^2)"}, .invariant = particle_invariant,
@@ -94,10 +81,9 @@ const builtin dal__particle_oscillator = {
               "nonholonomic mechanics, J. Comput. Dyn. 8 (2021) 241-271",
     .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2 - (k1 x^2 + k2 y^2 + k3 z^2)/2\n"
                 "v_z - y v_x = 0",
-    .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
-    .parameters = {"k1", "k2", "k3"}, .defaults = {1.0, 2.0, 1.5},
-    .ranges = {FINITE, FINITE, FINITE},
-    .state = particle_state,
+    .m = 1, .coordinates = {"x", "y", "z"},
+    .parameters = {{"k1", 1.0, FINITE}, {"k2", 2.0, FINITE}, {"k3", 1.5, FINITE}},
+    .start = {0.5, 0.3, -0.2, 1.0, 0.7, 0.3},
     .potential = potential_springs,
     .constraint = particle_constraint, .steady = DAL_STEADY_PROVED,
     .invariants = {"(v_y^2 + k2 y^2)/2"}, .invariant = particle_oscillator_invariant,
@@ -105,15 +91,7 @@ const builtin dal__particle_oscillator = {
 
 /* ---- heisenberg: q = (x, y, z), mu = (y, -x, 1) ------------------------------------------ */
 
-static void heisenberg_state(const double *p, double *x)
-{
-    (void)p;
-    set3(x, 0.8, 0.2, 0.1);
-    set3(x + 3, 0.3, 0.5, 0.34);
-}
-
-static int heisenberg_constraint(double t, const double *q, const double *v, double *phi,
-                                 double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(heisenberg_constraint)
 {
     if (phi) phi[0] = q[1] * v[0] - q[0] * v[1] + v[2];
     if (phi_v) set3(phi_v, q[1], -q[0], 1.0);
@@ -132,10 +110,9 @@ const builtin dal__heisenberg = {
               "Control, Springer, 2003",
     .formulas = "L = (v_x^2 + v_y^2 + v_z^2)/2 - (k1 x^2 + k2 y^2 + k3 z^2)/2\n"
                 "y v_x - x v_y + v_z = 0",
-    .n = 3, .m = 1, .coordinates = {"x", "y", "z"},
-    .parameters = {"k1", "k2", "k3"}, .defaults = {1.0, 2.25, 0.5},
-    .ranges = {FINITE, FINITE, FINITE},
-    .state = heisenberg_state,
+    .m = 1, .coordinates = {"x", "y", "z"},
+    .parameters = {{"k1", 1.0, FINITE}, {"k2", 2.25, FINITE}, {"k3", 0.5, FINITE}},
+    .start = {0.8, 0.2, 0.1, 0.3, 0.5, 0.34},
     .potential = potential_springs,
     .constraint = heisenberg_constraint,
 };

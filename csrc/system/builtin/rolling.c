@@ -1,16 +1,6 @@
 /* Bodies that roll without slipping on a plane. */
 #include "system/builtin/builtin.h"
 
-#include <string.h>
-
-/* M = diag(m, m, I, J) */
-static void wheel_mass(const double *p, double *M)
-{
-    M[0] = M[5] = p[0];
-    M[10] = p[1];
-    M[15] = p[2];
-}
-
 /* Rolling without slipping of a wheel of radius R in the plane of x, y = q[0], q[1]: x' = R roll'
  * cos heading, y' = R roll' sin heading, with roll and heading the places of the angles in q. */
 static inline void constraint_rolling(size_t roll, size_t heading, double R, const double *q,
@@ -40,12 +30,10 @@ static inline void constraint_rolling(size_t roll, size_t heading, double R, con
 static void disk_state(const double *p, double *x)
 {
     const double R = p[3], roll = 1.1, phi = 0.4;
-    set4(x, 0.0, 0.0, 0.1, phi);
-    set4(x + 4, R * roll * cos(phi), R * roll * sin(phi), roll, 0.9);
+    set(x, 8, (double[]){0.0, 0.0, 0.1, phi, R * roll * cos(phi), R * roll * sin(phi), roll, 0.9});
 }
 
-static int disk_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(disk_constraint)
 {
     const double *p = ctx;
     constraint_rolling(2, 3, p[3], q, v, phi, phi_v, phi_q);
@@ -53,17 +41,17 @@ static int disk_constraint(double t, const double *q, const double *v, double *p
 }
 
 /* Both angles turn uniformly; the way is R theta' times the integrals of cos(phi) and sin(phi). */
-static int disk_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(disk_exact)
 {
     const double *p = ctx, speed = p[3] * x0[6], roll = x0[6], turn = x0[7];
     const double middle = x0[3] + turn * t / 2, phi = x0[3] + turn * t;
     const double way = speed * t * sinc(turn * t / 2);
-    set4(x, x0[0] + way * cos(middle), x0[1] + way * sin(middle), x0[2] + roll * t, phi);
-    set4(x + 4, speed * cos(phi), speed * sin(phi), roll, turn);
+    set(x, 8, (double[]){x0[0] + way * cos(middle), x0[1] + way * sin(middle), x0[2] + roll * t,
+                         phi, speed * cos(phi), speed * sin(phi), roll, turn});
     return 0;
 }
 
-static int disk_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(disk_invariant)
 {
     values[0] = x[6];
     values[1] = x[7];
@@ -81,10 +69,9 @@ const builtin dal__disk = {
     .formulas = "L = (m (v_x^2 + v_y^2) + I v_theta^2 + J v_phi^2)/2\n"
                 "v_x - R v_theta cos(phi) = 0\n"
                 "v_y - R v_theta sin(phi) = 0",
-    .n = 4, .m = 2, .coordinates = {"x", "y", "theta", "phi"},
-    .parameters = {"m", "I", "J", "R"}, .defaults = {1.2, 0.5, 0.3, 0.7},
-    .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE},
-    .mass = wheel_mass,
+    .m = 2, .coordinates = {"x", "y", "theta", "phi"},
+    .parameters = {{"m", 1.2}, {"I", 0.5}, {"J", 0.3}, {"R", 0.7}},
+    .diagonal = {1, 1, 2, 3},
     .state = disk_state,
     .constraint = disk_constraint, .steady = DAL_STEADY_PROVED,
     .exact = disk_exact,
@@ -95,25 +82,20 @@ const builtin dal__disk = {
 
 static void robot_state(const double *p, double *x)
 {
-    set4(x + 4, p[3], 0.0, 0.5, 1.0);
+    set(x, 8, (double[8]){[4] = p[3], [6] = 0.5, [7] = 1.0});
 }
 
 /* V = k sin theta */
-static int robot_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
-                           void *ctx)
+POTENTIAL(robot_potential)
 {
     const double *p = ctx, k = p[4];
     if (V) *V = k * sin(q[3]);
     if (V_q) set4(V_q, 0.0, 0.0, 0.0, k * cos(q[3]));
-    if (V_qq) {
-        for (size_t i = 0; i < 15; i++) V_qq[i] = 0.0;
-        V_qq[15] = -k * sin(q[3]);
-    }
+    if (V_qq) set(V_qq, 16, (double[16]){[15] = -k * sin(q[3])});
     return 0;
 }
 
-static int robot_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
-                            double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(robot_constraint)
 {
     const double *p = ctx;
     constraint_rolling(3, 2, p[3], q, v, phi, phi_v, phi_q);
@@ -121,7 +103,7 @@ static int robot_constraint(double t, const double *q, const double *v, double *
 }
 
 /* phi is free, and (J + m R^2) theta'' = -k cos(theta). */
-static int robot_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(robot_invariant)
 {
     const double *p = ctx, inertia = p[2] + p[0] * p[3] * p[3];
     values[0] = x[6];
@@ -139,10 +121,9 @@ const builtin dal__robot = {
     .formulas = "L = (m (v_x^2 + v_y^2) + I v_phi^2 + J v_theta^2)/2 - k sin(theta)\n"
                 "v_x - R v_theta cos(phi) = 0\n"
                 "v_y - R v_theta sin(phi) = 0",
-    .n = 4, .m = 2, .coordinates = {"x", "y", "phi", "theta"},
-    .parameters = {"m", "I", "J", "R", "k"}, .defaults = {1.0, 1.0, 1.0, 1.0, 10.0},
-    .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE, FINITE},
-    .mass = wheel_mass,
+    .m = 2, .coordinates = {"x", "y", "phi", "theta"},
+    .parameters = {{"m", 1.0}, {"I", 1.0}, {"J", 1.0}, {"R", 1.0}, {"k", 10.0, FINITE}},
+    .diagonal = {1, 1, 2, 3},
     .state = robot_state,
     .potential = robot_potential,
     .constraint = robot_constraint, .steady = DAL_STEADY_PROVED,
@@ -172,9 +153,7 @@ static void rolling_disc_state(const double *p, double *x)
 
 /* L = (m (x'^2 + y'^2 + r^2 s^2 beta'^2) + A (beta'^2 + c^2 alpha'^2) + C omega^2)/2 - m g r c with
  * s = sin(beta), c = cos(beta), omega = gamma' + s alpha' */
-static int rolling_disc_lagrangian(double t, const double *q, const double *v, double *L,
-                                   double *L_q, double *L_v, double *L_qq, double *L_vq,
-                                   double *L_vv, double *L_vt, void *ctx)
+LAGRANGIAN(rolling_disc_lagrangian)
 {
     const double *p = ctx, m = p[0], r = p[1], A = p[2], C = p[3], weight = m * p[4] * r;
     const double mr2 = m * r * r, s = sin(q[3]), c = cos(q[3]);
@@ -182,44 +161,28 @@ static int rolling_disc_lagrangian(double t, const double *q, const double *v, d
     if (L)
         *L = (m * (v[0] * v[0] + v[1] * v[1]) + (A + mr2 * s * s) * lean * lean
               + A * c * c * yaw * yaw + C * omega * omega) / 2 - weight * c;
-    if (L_q) {
-        memset(L_q, 0, 5 * sizeof *L_q);
-        L_q[3] = s * c * (mr2 * lean * lean - A * yaw * yaw) + C * omega * c * yaw + weight * s;
-    }
-    if (L_v) {
-        L_v[0] = m * v[0];
-        L_v[1] = m * v[1];
-        L_v[2] = A * c * c * yaw + C * omega * s;
-        L_v[3] = (A + mr2 * s * s) * lean;
-        L_v[4] = C * omega;
-    }
-    if (L_qq) {
-        memset(L_qq, 0, 25 * sizeof *L_qq);
-        L_qq[18] = (c * c - s * s) * (mr2 * lean * lean - A * yaw * yaw)
-            + C * yaw * (c * c * yaw - s * omega) + weight * c;
-    }
-    if (L_vq) {
-        memset(L_vq, 0, 25 * sizeof *L_vq);
-        L_vq[13] = -2 * A * s * c * yaw + C * c * (omega + s * yaw);
-        L_vq[18] = 2 * mr2 * s * c * lean;
-        L_vq[23] = C * c * yaw;
-    }
-    if (L_vv) {
-        memset(L_vv, 0, 25 * sizeof *L_vv);
-        L_vv[0] = L_vv[6] = m;
-        L_vv[12] = A * c * c + C * s * s;
-        L_vv[14] = L_vv[22] = C * s;
-        L_vv[18] = A + mr2 * s * s;
-        L_vv[24] = C;
-    }
+    if (L_q)
+        set(L_q, 5, (double[5]){[3] = s * c * (mr2 * lean * lean - A * yaw * yaw)
+                                    + C * omega * c * yaw + weight * s});
+    if (L_v)
+        set(L_v, 5, (double[]){m * v[0], m * v[1], A * c * c * yaw + C * omega * s,
+                               (A + mr2 * s * s) * lean, C * omega});
+    if (L_qq)
+        set(L_qq, 25, (double[25]){[18] = (c * c - s * s) * (mr2 * lean * lean - A * yaw * yaw)
+                                       + C * yaw * (c * c * yaw - s * omega) + weight * c});
+    if (L_vq)
+        set(L_vq, 25, (double[25]){[13] = -2 * A * s * c * yaw + C * c * (omega + s * yaw),
+                                   [18] = 2 * mr2 * s * c * lean, [23] = C * c * yaw});
+    if (L_vv)
+        set(L_vv, 25, (double[25]){[0] = m, [6] = m, [12] = A * c * c + C * s * s, [14] = C * s,
+                                   [18] = A + mr2 * s * s, [22] = C * s, [24] = C});
     return 0;
 }
 
 /* The centre moves by r omega along the plane of the disc and by -r (sin beta)' across it:
  * x' = r omega cos(alpha) + r c beta' sin(alpha),
  * y' = r omega sin(alpha) - r c beta' cos(alpha). */
-static int rolling_disc_constraint(double t, const double *q, const double *v, double *phi,
-                                   double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(rolling_disc_constraint)
 {
     const double *p = ctx, r = p[1], s = sin(q[3]), c = cos(q[3]);
     const double rc = r * cos(q[2]), rs = r * sin(q[2]);
@@ -228,18 +191,15 @@ static int rolling_disc_constraint(double t, const double *q, const double *v, d
         phi[0] = v[0] - rc * omega - rs * sway;
         phi[1] = v[1] - rs * omega + rc * sway;
     }
-    if (phi_v) {
-        const double mu[10] = {1.0, 0.0, -rc * s, -rs * c, -rc, 0.0, 1.0, -rs * s, rc * c, -rs};
-        memcpy(phi_v, mu, sizeof mu);
-    }
-    if (phi_q) {
-        const double omega_beta = c * v[2], sway_beta = -s * v[3];
-        memset(phi_q, 0, 10 * sizeof *phi_q);
-        phi_q[2] = rs * omega - rc * sway;
-        phi_q[3] = -rc * omega_beta - rs * sway_beta;
-        phi_q[7] = -rc * omega - rs * sway;
-        phi_q[8] = -rs * omega_beta + rc * sway_beta;
-    }
+    if (phi_v)
+        set(phi_v, 10, (double[]){1.0, 0.0, -rc * s, -rs * c, -rc,
+                                  0.0, 1.0, -rs * s, rc * c, -rs});
+    const double omega_beta = c * v[2], sway_beta = -s * v[3];
+    if (phi_q)
+        set(phi_q, 10, (double[10]){[2] = rs * omega - rc * sway,
+                                    [3] = -rc * omega_beta - rs * sway_beta,
+                                    [7] = -rc * omega - rs * sway,
+                                    [8] = -rs * omega_beta + rc * sway_beta});
     return 0;
 }
 
@@ -258,9 +218,8 @@ const builtin dal__rolling_disc = {
                 "v_x - r omega cos(alpha) - r v_beta cos(beta) sin(alpha) = 0\n"
                 "v_y - r omega sin(alpha) + r v_beta cos(beta) cos(alpha) = 0\n"
                 "where omega = v_gamma + v_alpha sin(beta)",
-    .n = 5, .m = 2, .coordinates = {"x", "y", "alpha", "beta", "gamma"},
-    .parameters = {"m", "r", "A", "C", "g"}, .defaults = {1.0, 1.0, 0.25, 0.5, 9.81},
-    .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE, NOT_NEGATIVE},
+    .m = 2, .coordinates = {"x", "y", "alpha", "beta", "gamma"},
+    .parameters = {{"m", 1.0}, {"r", 1.0}, {"A", 0.25}, {"C", 0.5}, {"g", 9.81, NOT_NEGATIVE}},
     .state = rolling_disc_state,
     .lagrangian = rolling_disc_lagrangian,
     .constraint = rolling_disc_constraint,
@@ -270,48 +229,31 @@ const builtin dal__rolling_disc = {
  * The angles are the integrals of the angular velocity in space; a homogeneous ball needs to know
  * nothing else of its orientation. */
 
-static void ball_mass(const double *p, double *M)
-{
-    M[0] = M[6] = p[0];
-    M[12] = M[18] = M[24] = p[1];
-}
-
 static void ball_state(const double *p, double *x)
 {
     const double a = p[2], turn = p[3];
-    x[0] = 0.5;
-    x[1] = -0.2;
-    x[5] = 0.3;
-    x[6] = 0.4;
-    x[7] = (turn * x[0] - x[6]) / a;
-    x[8] = (turn * x[1] + x[5]) / a;
-    x[9] = 0.7;
+    const double X = 0.5, Y = -0.2, vx = 0.3, vy = 0.4;
+    set(x, 10, (double[]){X, Y, 0.0, 0.0, 0.0, vx, vy, (turn * X - vy) / a, (turn * Y + vx) / a,
+                          0.7});
 }
 
 /* The point of contact moves with the table: x' - a omega_y = -Omega y, y' + a omega_x = Omega x */
-static int ball_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
-                           double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(ball_constraint)
 {
     const double *p = ctx, a = p[2], turn = p[3];
     if (phi) {
         phi[0] = v[0] - a * v[3] + turn * q[1];
         phi[1] = v[1] + a * v[2] - turn * q[0];
     }
-    if (phi_v) {
-        const double mu[10] = {1.0, 0.0, 0.0, -a, 0.0, 0.0, 1.0, a, 0.0, 0.0};
-        memcpy(phi_v, mu, sizeof mu);
-    }
-    if (phi_q) {
-        const double slope[10] = {[1] = turn, [5] = -turn};
-        memcpy(phi_q, slope, sizeof slope);
-    }
+    if (phi_v) set(phi_v, 10, (double[]){1.0, 0.0, 0.0, -a, 0.0, 0.0, 1.0, a, 0.0, 0.0});
+    if (phi_q) set(phi_q, 10, (double[10]){[1] = turn, [5] = -turn});
     return 0;
 }
 
 /* The velocity turns uniformly, by k = J/(J + m a^2) Omega; so the centre of the ball goes round a
  * circle.  The angles follow from J theta_x - m a y and J theta_y + m a x, which change uniformly:
  * the friction that accelerates the centre has the torque of this. */
-static int ball_exact(double t, const double *x0, double *x, void *ctx)
+EXACT(ball_exact)
 {
     const double *p = ctx, m = p[0], J = p[1], a = p[2], turn = p[3];
     const double half = J / (J + m * a * a) * turn * t / 2, way = t * sinc(half);
@@ -323,21 +265,14 @@ static int ball_exact(double t, const double *x0, double *x, void *ctx)
     const double ma = m * a / J;
     const double theta_x = x0[2] + (x0[7] - ma * vy) * t + ma * dy;
     const double theta_y = x0[3] + (x0[8] + ma * vx) * t - ma * dx;
-    x[4] = x0[4] + vz * t;
-    x[0] = x0[0] + dx;
-    x[1] = x0[1] + dy;
-    x[2] = theta_x;
-    x[3] = theta_y;
-    x[5] = vx1;
-    x[6] = vy1;
-    x[7] = (turn * x[0] - vy1) / a;
-    x[8] = (turn * x[1] + vx1) / a;
-    x[9] = vz;
+    const double X = x0[0] + dx, Y = x0[1] + dy;
+    set(x, 10, (double[]){X, Y, theta_x, theta_y, x0[4] + vz * t, vx1, vy1, (turn * X - vy1) / a,
+                          (turn * Y + vx1) / a, vz});
     return 0;
 }
 
 /* The table does work, so that the energy changes; that in the frame that turns does not. */
-static int ball_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(ball_invariant)
 {
     const double *p = ctx, m = p[0], J = p[1], a = p[2], turn = p[3];
     const double *v = x + 5, *w = x + 7;
@@ -365,10 +300,9 @@ const builtin dal__ball_on_table = {
     .formulas = "L = (m (v_x^2 + v_y^2) + J (v_theta_x^2 + v_theta_y^2 + v_theta_z^2))/2\n"
                 "v_x - a v_theta_y + Omega y = 0\n"
                 "v_y + a v_theta_x - Omega x = 0",
-    .n = 5, .m = 2, .coordinates = {"x", "y", "theta_x", "theta_y", "theta_z"},
-    .parameters = {"m", "J", "a", "Omega"}, .defaults = {1.0, 0.1, 0.5, 1.0},
-    .ranges = {POSITIVE, POSITIVE, POSITIVE, FINITE},
-    .mass = ball_mass,
+    .m = 2, .coordinates = {"x", "y", "theta_x", "theta_y", "theta_z"},
+    .parameters = {{"m", 1.0}, {"J", 0.1}, {"a", 0.5}, {"Omega", 1.0, FINITE}},
+    .diagonal = {1, 1, 2, 2, 2},
     .state = ball_state,
     .kind = DAL_AFFINE, .constraint = ball_constraint,
     .exact = ball_exact,

@@ -2,7 +2,6 @@
 #include "system/builtin/builtin.h"
 
 #include <stdio.h>
-#include <string.h>
 
 /* ---- snakeboard: q = (x, y, theta, psi, phi) ----------------------------------------------
  * A board with heading theta, a rotor at psi to it, and an axle at either end, a distance r from
@@ -12,10 +11,7 @@
 static void snakeboard_mass(const double *p, double *M)
 {
     const double m = p[0], r = p[1], J0 = p[2], J1 = p[3];
-    M[0] = M[6] = m;
-    M[12] = m * r * r;
-    M[13] = M[17] = M[18] = J0;
-    M[24] = 2 * J1;
+    set(M, 25, (double[25]){[0] = m, [6] = m, [12] = m * r * r, J0, [17] = J0, J0, [24] = 2 * J1});
 }
 
 static int snakeboard_check(const double *p, dal_error *error)
@@ -29,17 +25,12 @@ static int snakeboard_check(const double *p, dal_error *error)
 static void snakeboard_state(const double *p, double *x)
 {
     const double r = p[1], phi = 0.4, turn = 0.3;
-    x[4] = phi;
-    x[5] = -r * turn / tan(phi);
-    x[7] = turn;
-    x[8] = 0.5;
-    x[9] = 0.05;
+    set(x, 10, (double[10]){[4] = phi, -r * turn / tan(phi), 0.0, turn, 0.5, 0.05});
 }
 
 /* The axles move along themselves only: their normals are (-sin, cos) of theta +- phi.  By the
  * addition theorems, because theta + phi is rounded, and theta may be large. */
-static int snakeboard_constraint(double t, const double *q, const double *v, double *phi,
-                                 double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(snakeboard_constraint)
 {
     const double *p = ctx, r = p[1];
     const double heading[2] = {cos(q[2]), sin(q[2])}, turn[2] = {cos(q[4]), sin(q[4])};
@@ -48,22 +39,17 @@ static int snakeboard_constraint(double t, const double *q, const double *v, dou
         const double s = heading[1] * turn[0] + sign * (heading[0] * turn[1]);
         const double c = heading[0] * turn[0] - sign * (heading[1] * turn[1]);
         if (phi) phi[i] = c * v[1] - s * v[0] + arm * turn[0] * v[2];
-        if (phi_v) {
-            const double mu[5] = {-s, c, arm * turn[0], 0.0, 0.0};
-            memcpy(phi_v + 5 * i, mu, sizeof mu);
-        }
-        if (phi_q) {
-            const double turned = -c * v[0] - s * v[1];
-            const double slope[5] = {0.0, 0.0, turned, 0.0,
-                                     sign * turned - arm * turn[1] * v[2]};
-            memcpy(phi_q + 5 * i, slope, sizeof slope);
-        }
+        if (phi_v) set(phi_v + 5 * i, 5, (double[]){-s, c, arm * turn[0], 0.0, 0.0});
+        const double turned = -c * v[0] - s * v[1];
+        if (phi_q)
+            set(phi_q + 5 * i, 5, (double[]){0.0, 0.0, turned, 0.0,
+                                             sign * turned - arm * turn[1] * v[2]});
     }
     return 0;
 }
 
 /* No constraint acts on phi or psi. */
-static int snakeboard_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(snakeboard_invariant)
 {
     const double *p = ctx;
     values[0] = x[9];
@@ -86,9 +72,8 @@ const builtin dal__snakeboard = {
                 "+ J1 v_phi^2\n"
                 "v_y cos(theta + phi) - v_x sin(theta + phi) - r v_theta cos(phi) = 0\n"
                 "v_y cos(theta - phi) - v_x sin(theta - phi) + r v_theta cos(phi) = 0",
-    .n = 5, .m = 2, .coordinates = {"x", "y", "theta", "psi", "phi"},
-    .parameters = {"m", "r", "J0", "J1"}, .defaults = {1.0, 0.5, 0.1, 0.05},
-    .ranges = {POSITIVE, POSITIVE, POSITIVE, POSITIVE},
+    .m = 2, .coordinates = {"x", "y", "theta", "psi", "phi"},
+    .parameters = {{"m", 1.0}, {"r", 0.5}, {"J0", 0.1}, {"J1", 0.05}},
     .check = snakeboard_check,
     .mass = snakeboard_mass,
     .state = snakeboard_state,
@@ -170,61 +155,73 @@ static void n_trailer_state(const double *p, double *x)
     }
 }
 
+/* m of axles k ... N */
+static double mass_behind(const chain *all, size_t k)
+{
+    return all->m * (double)(all->trailers + 1 - k);
+}
+
+/* What axle k > 0 adds to the second derivatives of L: those by theta_k and x, y, theta_j, j <= k,
+ * or by their velocities. */
+static void second_derivatives(const chain *all, const double *turn, size_t k, plane P,
+                               double *L_qq, double *L_vq, double *L_vv)
+{
+    const size_t n = all->trailers + 3, at = 2 + k;
+    const plane e = all->e[k], nk = all->normal[k];
+    const double d = all->d, w = mass_behind(all, k);
+    if (L_vq) {
+        L_vq[at] = w * d * turn[k] * e.x;
+        L_vq[n + at] = w * d * turn[k] * e.y;
+    }
+    if (L_vv) {
+        L_vv[at] = L_vv[at * n] = -w * d * nk.x;
+        L_vv[n + at] = L_vv[at * n + 1] = -w * d * nk.y;
+    }
+    for (size_t j = 1; j <= k; j++) {
+        const size_t to = 2 + j;
+        const double same = w * d * d * dot(e, all->e[j]), cross = w * d * d * dot(nk, all->e[j]);
+        if (L_qq) L_qq[at * n + to] = L_qq[to * n + at] = turn[k] * turn[j] * same;
+        if (L_vq) {
+            L_vq[at * n + to] = -turn[j] * cross;
+            L_vq[to * n + at] = turn[k] * cross; /* n_j e_k = -n_k e_j */
+        }
+        if (L_vv) L_vv[at * n + to] = L_vv[to * n + at] = same;
+    }
+    if (L_qq) L_qq[at * n + at] += d * turn[k] * dot(nk, P);
+    if (L_vq) L_vq[at * n + at] = d * dot(e, P);
+    if (L_vv) L_vv[at * n + at] += all->J;
+}
+
 /* L = sum_i (m |p_i'|^2 + J theta_i'^2)/2.  With P_k = m (p_k' + ... + p_N'), the momentum of what
  * hangs at axle k: dL/dtheta_k' = J theta_k' - d n_k P_k and dL/dtheta_k = d theta_k' e_k P_k for
  * k > 0; and P_k changes by -w d n_j with theta_j' and by w d theta_j' e_j with theta_j, where w is
  * the mass behind both k and j. */
-static int n_trailer_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
-                                double *L_v, double *L_qq, double *L_vq, double *L_vv,
-                                double *L_vt, void *ctx)
+LAGRANGIAN(n_trailer_lagrangian)
 {
     chain all;
     n_trailer_chain(ctx, q, v, &all);
     const size_t N = all.trailers, n = N + 3;
-    const double d = all.d, *turn = v + 2;
+    const double *turn = v + 2;
     if (L) {
         *L = 0.0;
         for (size_t i = 0; i <= N; i++)
             *L += (all.m * dot(all.velocity[i], all.velocity[i]) + all.J * turn[i] * turn[i]) / 2;
     }
-    if (L_q) memset(L_q, 0, n * sizeof *L_q);
-    if (L_qq) memset(L_qq, 0, n * n * sizeof *L_qq);
-    if (L_vq) memset(L_vq, 0, n * n * sizeof *L_vq);
+    dal__clear(n, L_q);
+    dal__clear(n * n, L_qq);
+    dal__clear(n * n, L_vq);
+    dal__clear(n * n, L_vv);
     if (L_vv) {
-        memset(L_vv, 0, n * n * sizeof *L_vv);
-        L_vv[0] = L_vv[n + 1] = all.m * (double)(N + 1);
+        L_vv[0] = L_vv[n + 1] = mass_behind(&all, 0);
         L_vv[2 * n + 2] = all.J;
     }
     plane P = {0.0, 0.0};
     for (size_t k = N; k > 0; k--) {
-        const size_t at = 2 + k;
-        const plane e = all.e[k], nk = all.normal[k];
-        const double w = all.m * (double)(N + 1 - k);
         P.x += all.m * all.velocity[k].x;
         P.y += all.m * all.velocity[k].y;
-        if (L_v) L_v[at] = all.J * turn[k] - d * dot(nk, P);
-        if (L_q) L_q[at] = d * turn[k] * dot(e, P);
-        if (L_vq) {
-            L_vq[at] = w * d * turn[k] * e.x;
-            L_vq[n + at] = w * d * turn[k] * e.y;
-        }
-        if (L_vv) {
-            L_vv[at] = L_vv[at * n] = -w * d * nk.x;
-            L_vv[n + at] = L_vv[at * n + 1] = -w * d * nk.y;
-        }
-        for (size_t j = 1; j <= k; j++) {
-            const size_t to = 2 + j;
-            const double same = w * d * d * dot(e, all.e[j]), cross = w * d * d * dot(nk, all.e[j]);
-            if (L_qq) L_qq[at * n + to] = L_qq[to * n + at] = turn[k] * turn[j] * same;
-            if (L_vq) {
-                L_vq[at * n + to] = -turn[j] * cross;
-                L_vq[to * n + at] = turn[k] * cross; /* n_j e_k = -n_k e_j */
-            }
-            if (L_vv) L_vv[at * n + to] = L_vv[to * n + at] = same;
-        }
-        if (L_qq) L_qq[at * n + at] += d * turn[k] * dot(nk, P);
-        if (L_vq) L_vq[at * n + at] = d * dot(e, P);
-        if (L_vv) L_vv[at * n + at] += all.J;
+        if (L_v) L_v[2 + k] = all.J * turn[k] - all.d * dot(all.normal[k], P);
+        if (L_q) L_q[2 + k] = all.d * turn[k] * dot(all.e[k], P);
+        second_derivatives(&all, turn, k, P, L_qq, L_vq, L_vv);
     }
     if (L_v) {
         L_v[0] = P.x + all.m * v[0];
@@ -235,14 +232,13 @@ static int n_trailer_lagrangian(double t, const double *q, const double *v, doub
 }
 
 /* n_i p_i' = 0 */
-static int n_trailer_constraint(double t, const double *q, const double *v, double *phi,
-                                double *phi_v, double *phi_q, double *phi_t, void *ctx)
+CONSTRAINT(n_trailer_constraint)
 {
     chain all;
     n_trailer_chain(ctx, q, v, &all);
     const size_t N = all.trailers, n = N + 3;
-    if (phi_v) memset(phi_v, 0, (N + 1) * n * sizeof *phi_v);
-    if (phi_q) memset(phi_q, 0, (N + 1) * n * sizeof *phi_q);
+    dal__clear((N + 1) * n, phi_v);
+    dal__clear((N + 1) * n, phi_q);
     for (size_t i = 0; i <= N; i++) {
         const plane nk = all.normal[i];
         double *const mu = phi_v ? phi_v + i * n : NULL;
@@ -262,7 +258,7 @@ static int n_trailer_constraint(double t, const double *q, const double *v, doub
 }
 
 /* No constraint acts on the heading of the first axle, and it moves nothing else. */
-static int n_trailer_invariant(double t, const double *x, double *values, void *ctx)
+INVARIANT(n_trailer_invariant)
 {
     values[0] = x[n_trailer_trailers(ctx) + 5];
     return 0;
@@ -284,8 +280,7 @@ const builtin dal__n_trailer = {
                 "where u_i = u_(i-1) + d v_theta_i sin(theta_i)\n"
                 "where w_i = w_(i-1) - d v_theta_i cos(theta_i)",
     .sizes = n_trailer_sizes, .coordinate = n_trailer_coordinate,
-    .parameters = {"trailers", "d", "m", "J"}, .defaults = {3.0, 1.0, 1.0, 0.1},
-    .ranges = {WHOLE, POSITIVE, POSITIVE, POSITIVE}, .most = {MAX_TRAILERS},
+    .parameters = {{"trailers", 3.0, WHOLE, MAX_TRAILERS}, {"d", 1.0}, {"m", 1.0}, {"J", 0.1}},
     .state = n_trailer_state,
     .lagrangian = n_trailer_lagrangian,
     .constraint = n_trailer_constraint,
