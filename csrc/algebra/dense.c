@@ -27,7 +27,7 @@ double dal__sum_of_sizes(size_t n, const double *x)
 
 void dal__forget(size_t count, double *x)
 {
-    for (size_t i = 0; x && i < count; i++) x[i] = (double)NAN;
+    if (x) memset(x, 0xff, count * sizeof *x); /* all bits set are a NaN */
 }
 
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y)

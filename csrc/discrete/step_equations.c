@@ -159,7 +159,7 @@ static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
     const double *const place = mech->start.alpha == mech->start.beta ? mech->forms.q : mech->place;
     const bool general = !mech->eval.constant_mass, forced = mech->eval.system->def.force != NULL;
     const double *const L_vv = general ? mech->L_vv : mech->metric.M;
-    mech->start.moves = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q);
+    double bent = 0.0;
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) {
             const size_t ij = i * n + j, ji = j * n + i;
@@ -173,15 +173,15 @@ static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
                 mech->eval.system->def.kind == DAL_NONLINEAR ? -mech->bend[ij] : 0.0,
             };
             double sum = 0.0, scale = 0.0;
-            for (size_t k = 0; k < sizeof terms / sizeof *terms; k++) {
-                sum += terms[k];
-                scale += fabs(terms[k]);
-            }
+            for (size_t k = 0; k < DAL_LENGTH(terms); k++) sum += terms[k];
+            for (size_t k = 0; i == j && k < DAL_LENGTH(terms); k++) scale += fabs(terms[k]);
             K[ij] = sum;
             if (K_sizes && i == j) K_sizes[i] = K_sizes[n + i] = sqrt(scale);
-            mech->start.moves += (fabs(terms[1]) + fabs(terms[3]) + fabs(terms[5]))
-                               * fabs(place[j]) / fmax(fabs(a), DBL_MIN) * mech->metric.unit[i];
+            bent += (fabs(terms[1]) + fabs(terms[3]) + fabs(terms[5])) * fabs(place[j])
+                  * mech->metric.unit[i];
         }
+    mech->start.moves = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q)
+                      + bent / fmax(fabs(a), DBL_MIN);
 }
 
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,

@@ -83,18 +83,13 @@ static const struct {
                             {"f_v", N, N, DAL_MISSING_F_V, 0, MOVES_V}}},
 };
 
-static inline size_t length(const evaluator *e, extent of)
+static size_t size(const evaluator *e, const output *out)
 {
-    return of == N ? e->system->def.n : of == M ? e->system->def.m : 1;
-}
-
-static inline size_t size(const evaluator *e, const output *out)
-{
-    return length(e, out->rows) * length(e, out->columns);
+    return e->lengths[out->rows] * e->lengths[out->columns];
 }
 
 /* x: where the outputs go, in the order of the table.  phi of linear constraints is mu v. */
-static inline int call(evaluator *e, callback which, double t, const double *q, const double *v,
+static int call(evaluator *e, callback which, double t, const double *q, const double *v,
                 double *const *x)
 {
     const dal_system_def *const def = &e->system->def;
@@ -201,7 +196,7 @@ static int differentiate(difference *d, const output *out, double *slopes)
 }
 
 /* What is wanted of the outputs x, called for or differenced; returns what the callback did. */
-static inline int complete(evaluator *e, callback which, double t, const double *q, const double *v,
+static int complete(evaluator *e, callback which, double t, const double *q, const double *v,
                     double *const *x)
 {
     const output *const outputs = callbacks[which].outputs;
@@ -214,7 +209,6 @@ static inline int complete(evaluator *e, callback which, double t, const double 
         any = any || given[k];
     }
     int returned = any ? call(e, which, t, q, v, given) : 0;
-    if (!missing) return returned;
     difference d = {.e = e, .which = which, .t = t, .q = q, .v = v};
     for (size_t k = 0; k < count && !returned; k++)
         if (x[k] && !given[k]) returned = differentiate(&d, &outputs[k], x[k]);
@@ -247,6 +241,9 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
     const dal_system_def *def = &system->def;
     const unsigned of_potential = DAL_MISSING_V_Q | DAL_MISSING_V_QQ;
     e->system = system;
+    e->lengths[ONE] = 1;
+    e->lengths[N] = def->n;
+    e->lengths[M] = def->m;
     e->potential = def->potential;
     e->potential_ctx = def->ctx;
     e->constraint = def->constraint;
@@ -264,42 +261,44 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
 
 /* ---- the calls of the library --------------------------------------------------------------- */
 
-static inline void forget(const evaluator *e, callback which, double *const *x)
-{
-    for (size_t k = 0; k < callbacks[which].count; k++)
-        if (x[k]) dal__forget(size(e, &callbacks[which].outputs[k]), x[k]);
-}
-
 int dal__refuse(dal_error *error, const char *callback, int returned)
 {
     return dal__fail(error, dal__callback_status(returned), "%s returned %d (%s)", callback,
                      returned, returned > 0 ? "outside its domain" : "stop");
 }
 
-/* Status of a callback that returned this; DAL_EDOMAIN if an output is not finite. */
-static inline int check(const evaluator *e, callback which, int returned, double *const *x,
+/* DAL_EDOMAIN unless the output x is finite. */
+static int check(const evaluator *e, callback which, const output *out, const double *x,
                  dal_error *error)
 {
-    const char *const name = callbacks[which].name;
-    if (returned) return dal__refuse(error, name, returned);
-    for (size_t k = 0; k < callbacks[which].count; k++) {
-        const output *const out = &callbacks[which].outputs[k];
-        if (!x[k] || dal__all_finite(size(e, out), x[k])) continue;
-        const size_t columns = length(e, out->columns);
-        size_t i = 0;
-        while (isfinite(x[k][i])) i++;
-        const dal__entry entry = {name, out->name, i / columns, i % columns, x[k][i]};
-        return dal__fail_entry(error, DAL_EDOMAIN, &entry, " = %g is not finite, or was not "
-                               "written", x[k][i]);
-    }
-    return DAL_SUCCESS;
+    if (dal__all_finite(size(e, out), x)) return DAL_SUCCESS;
+    const size_t columns = e->lengths[out->columns];
+    size_t i = 0;
+    while (isfinite(x[i])) i++;
+    const dal__entry entry = {callbacks[which].name, out->name, i / columns, i % columns, x[i]};
+    return dal__fail_entry(error, DAL_EDOMAIN, &entry, " = %g is not finite, or was not written",
+                           x[i]);
 }
 
-static inline int evaluate(evaluator *e, callback which, double t, const double *q, const double *v,
+/* The outputs x, as far as they are wanted; but phi of linear constraints need not be finite. */
+static int evaluate(evaluator *e, callback which, double t, const double *q, const double *v,
                     double *const *x, dal_error *error)
 {
-    forget(e, which, x);
-    return check(e, which, complete(e, which, t, q, v, x), x, error);
+    const output *const outputs = callbacks[which].outputs;
+    const bool linear = which == CONSTRAINT && e->system->def.kind == DAL_LINEAR;
+    size_t wanted[MOST_OUTPUTS], count = 0;
+    for (size_t k = 0; k < callbacks[which].count - linear; k++) {
+        if (!x[k]) continue;
+        dal__forget(size(e, &outputs[k]), x[k]);
+        wanted[count++] = k;
+    }
+    if (count == 0) return DAL_SUCCESS;
+    const int returned = e->system->def.missing ? complete(e, which, t, q, v, x)
+                                                : call(e, which, t, q, v, x);
+    int status = returned ? dal__refuse(error, callbacks[which].name, returned) : DAL_SUCCESS;
+    for (size_t k = 0; !status && k < count; k++)
+        status = check(e, which, &outputs[wanted[k]], x[wanted[k]], error);
+    return status;
 }
 
 bool dal__is_autonomous(const dal_system *system)
@@ -325,13 +324,10 @@ int dal__constraint(evaluator *e, double t, const double *q, const double *v, do
     const dal_system_def *const def = &e->system->def;
     const bool linear = def->kind == DAL_LINEAR;
     if (def->m == 0) return DAL_SUCCESS;
-    double *x[] = {linear && phi && !phi_v ? e->forms : phi_v, phi_q,
-                   def->time_dependent ? phi_t : NULL, phi};
+    double *const x[] = {linear && phi && !phi_v ? e->forms : phi_v, phi_q,
+                         def->time_dependent ? phi_t : NULL, phi};
     if (!def->time_dependent) dal__clear(def->m, phi_t);
-    forget(e, CONSTRAINT, x);
-    const int returned = complete(e, CONSTRAINT, t, q, v, x);
-    if (linear) x[3] = NULL; /* it is mu v */
-    return check(e, CONSTRAINT, returned, x, error);
+    return evaluate(e, CONSTRAINT, t, q, v, x, error);
 }
 
 static void negate(size_t count, double *x)

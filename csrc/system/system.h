@@ -34,6 +34,7 @@ typedef enum dal__moves { MOVES_Q, MOVES_V, MOVES_T } dal__moves;
 
 typedef struct evaluator {
     const dal_system *system;
+    size_t lengths[3];          /* 1, n, m */
     dal_potential_fn potential; /* NULL: V = 0 */
     void *potential_ctx;
     dal_constraint_fn constraint;
