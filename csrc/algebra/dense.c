@@ -27,7 +27,7 @@ double dal__sum_of_sizes(size_t n, const double *x)
 
 void dal__forget(size_t count, double *x)
 {
-    if (x) memset(x, 0xff, count * sizeof *x); /* all bits set are a NaN */
+    for (size_t i = 0; x && i < count; i++) x[i] = (double)NAN;
 }
 
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y)
