@@ -180,7 +180,7 @@ static void form_momentum(const dal_discrete *d, double factor, double h, const 
         double sum = 0.0;
         for (size_t k = 0; k < n; k++)
             sum += h * g_r[k * n + i] * d->force[k] + f_r[k * n + i] * d->L_v[k];
-        p[i] = factor * sum;
+        p[i] = 0.0 + factor * sum; /* not -0 */
     }
 }
 

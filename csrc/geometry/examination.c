@@ -740,11 +740,10 @@ static void choose_other(examination *ex)
 int dal_system_check(const dal_system *system, double t, const double *x, dal_check *report,
                      dal_error *error)
 {
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!system || !report)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", system ? "report" : "system");
+    int status = DAL__REQUIRE(error, {"system", system}, {"report", report});
+    if (status) return status;
     const size_t n = system->def.n;
-    int status = DAL__REQUIRE_FINITE(error, {"x", 2 * n, x}, {"t", 1, &t});
+    status = DAL__REQUIRE_FINITE(error, {"x", 2 * n, x}, {"t", 1, &t});
     if (status) return status;
     examination ex = {.system = system, .t = t, .x = x, .q = x, .v = x + n, .n = n,
                       .m = system->def.m};

@@ -86,13 +86,42 @@ static double bent(const dal_kernel *k, const dal_stage *s)
     return sum;
 }
 
-/* Newton with the full matrix [[K, -mu_node^T], [mu + B h N, 0]] from w = v, kappa = 0; a step that
- * leaves the domain of a callback is halved.  On success w, kappa, mu, N and point are set. */
-static int solve(dal_kernel *k, double t, const dal_stage *s)
+/* w and kappa after a Newton step with the full matrix [[K, -mu_node^T], [mu + B h N, 0]], where
+ * the callbacks were evaluated; *sign <- that of its determinant. */
+static int make_step(dal_kernel *k, const dal_stage *s, int *sign)
 {
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
     const double b = s->after * k->h;
+    *sign = 1;
+    const int status = linearise(k, s, sign);
+    if (status) return status;
+    k->stats.iterations++;
+    *sign *= dal_kernel_factor(k, n, m, everything, b, at);
+    if (*sign == 0) return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_S);
+    for (size_t a = 0; a < m; a++) {
+        double sum = 0.0;
+        for (size_t i = 0; i < n; i++)
+            sum += at->mu[a * n + i] * at->w[i]
+                 + (at->mu[a * n + i] + b * at->N[a * n + i]) * k->y[i];
+        at->r[a] = -sum;
+    }
+    dal_lu_solve(m, at->S, at->row, at->r, at->d);
+    for (size_t i = 0; i < n; i++) {
+        at->step[i] = k->y[i];
+        if (m > 0) at->step[i] += dal_kernel_column(n, m, everything.Z, at->Z, i, at->d);
+        at->w[i] += at->step[i];
+    }
+    for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
+    return DAL_SUCCESS;
+}
+
+/* Newton from w = v, kappa = 0; a step that leaves the domain of a callback is halved.  On success
+ * w, kappa, mu, N and point are set. */
+static int solve(dal_kernel *k, double t, const dal_stage *s)
+{
+    const dal_arrays *const at = &k->at;
+    const size_t n = k->n, m = k->m;
     dal__progress p = {0};
     if (!(dal_kernel_sum(m * n, at->Z) + dal_kernel_sum(n, at->base) <= DBL_MAX))
         return is_not_finite(k);
@@ -100,30 +129,12 @@ static int solve(dal_kernel *k, double t, const dal_stage *s)
     memcpy(at->w, at->x + n, n * sizeof *at->w);
     memset(at->kappa, 0, m * sizeof *at->kappa);
     for (p.iteration = 1; p.iteration <= k->max_iterations; p.iteration++) {
-        int status, sign = 1;
+        int status, sign;
         while (dal__newton_halve(&p, status = evaluate(k, t, s), n, at->w, at->step))
             k->stats.halvings++;
         if (!status) p.moves = bent(k, s);
-        if (!status) status = linearise(k, s, &sign);
+        if (!status) status = make_step(k, s, &sign);
         if (status) return status;
-        k->stats.iterations++;
-        sign *= dal_kernel_factor(k, n, m, everything, b, at);
-        if (sign == 0)
-            return dal_kernel_fail(k, DAL_ESINGULAR, DAL_FAILED_SINGULAR_S);
-        for (size_t a = 0; a < m; a++) {
-            double sum = 0.0;
-            for (size_t i = 0; i < n; i++)
-                sum += at->mu[a * n + i] * at->w[i]
-                     + (at->mu[a * n + i] + b * at->N[a * n + i]) * k->y[i];
-            at->r[a] = -sum;
-        }
-        dal_lu_solve(m, at->S, at->row, at->r, at->d);
-        for (size_t i = 0; i < n; i++) {
-            at->step[i] = k->y[i];
-            if (m > 0) at->step[i] += dal_kernel_column(n, m, everything.Z, at->Z, i, at->d);
-            at->w[i] += at->step[i];
-        }
-        for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
         p.scale = dal_residual_extent(n, k->per_unit, at->w)
                 + dal_residual_extent(n, k->per_unit, at->base)
                 + dal_residual_extent(n, k->per_unit, at->goal);

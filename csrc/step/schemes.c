@@ -70,9 +70,8 @@ double dal__parse_number(const char *text, const char **end)
 int dal_scheme_find(dal_scheme *scheme, const char *name, dal_error *error)
 {
     char wanted[sizeof scheme->name], names[440];
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!scheme || !name)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL", scheme ? "name" : "scheme");
+    const int status = DAL__REQUIRE(error, {"scheme", scheme}, {"name", name});
+    if (status) return status;
     const bool fits = strlen(name) < sizeof wanted;
     dal_scheme found;
     snprintf(wanted, sizeof wanted, "%s", name);

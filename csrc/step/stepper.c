@@ -5,32 +5,18 @@
 #include <math.h>
 #include <string.h>
 
-int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_scheme *scheme,
+/* *stepper <- one that knows what it steps, and has no method yet. */
+static int allocate(dal_stepper **stepper, const dal_system *system, const dal_scheme *scheme,
                     const dal_options *options, dal_error *error)
 {
-    const dal_options defaults = {0};
-    if (!options) options = &defaults;
-    dal__fail(error, DAL_SUCCESS, "%s", "");
-    if (!stepper || !system || !scheme)
-        return dal__fail(error, DAL_EINVAL, "%s is NULL",
-                         !stepper ? "stepper" : !system ? "system" : "scheme");
-    if (options->max_iterations < 0)
-        return dal__fail(error, DAL_EINVAL, "options.max_iterations = %d is negative",
-                         options->max_iterations);
-    const dal_family *const family = dal__scheme_family(scheme);
-    if (!family->name || !family->advance)
-        return dal__fail(error, DAL_EINVAL, "scheme.family->%s is NULL",
-                         family->name ? "advance" : "name");
-
-    const size_t n = system->def.n, m = system->def.m;
-    dal_stepper shape = {.family = family, .scheme = *scheme}, *self;
+    const size_t n = system->def.n;
+    dal_stepper shape = {.family = dal__scheme_family(scheme), .scheme = *scheme}, *self;
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     dal__mechanics_reserve(&shape.mech, system, &memory);
-    dal__reserve(&memory, &shape.motion.x, dal__times(2, n), sizeof(double));
-    dal__reserve(&memory, &shape.fresh, dal__times(2, n), sizeof(double));
-    dal__reserve(&memory, &shape.motion.impulse, m, sizeof(double));
-    int status = dal__allocate(&memory, error);
+    DAL__RESERVE(&memory, dal__times(2, n), &shape.motion.x, &shape.fresh);
+    DAL__RESERVE(&memory, system->def.m, &shape.motion.impulse);
+    const int status = dal__allocate(&memory, error);
     if (status) return status;
     /* the slots that the arena has filled are those of shape */
     *self = shape;
@@ -38,13 +24,32 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     dal__mechanics_bind(&self->mech, system);
     dal_motion *const motion = &self->motion;
     motion->system = system;
-    motion->scheme = scheme;
+    motion->scheme = &self->scheme;
     motion->mechanics = &self->mech;
-    motion->max_iterations = options->max_iterations ? options->max_iterations : 50;
+    motion->max_iterations = options && options->max_iterations ? options->max_iterations : 50;
     motion->stats = &self->stats;
     motion->error = &self->mech.error;
-    if (family->make) status = family->make(&self->method, motion, error);
-    motion->scheme = &self->scheme; /* what it points to need not live any longer */
+    *stepper = self;
+    return DAL_SUCCESS;
+}
+
+int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_scheme *scheme,
+                    const dal_options *options, dal_error *error)
+{
+    int status =
+        DAL__REQUIRE(error, {"stepper", stepper}, {"system", system}, {"scheme", scheme});
+    if (status) return status;
+    if (options && options->max_iterations < 0)
+        return dal__fail(error, DAL_EINVAL, "options.max_iterations = %d is negative",
+                         options->max_iterations);
+    const dal_family *const family = dal__scheme_family(scheme);
+    if (!family->name || !family->advance)
+        return dal__fail(error, DAL_EINVAL, "scheme.family->%s is NULL",
+                         family->name ? "advance" : "name");
+    dal_stepper *self;
+    status = allocate(&self, system, scheme, options, error);
+    if (status) return status;
+    if (family->make) status = family->make(&self->method, &self->motion, error);
     if (status) {
         dal_stepper_free(self);
         return status;
