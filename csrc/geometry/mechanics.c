@@ -208,9 +208,14 @@ int dal_metric(dal_mechanics *mech, double t, const double *x, double *M)
 
 int dal_gram(dal_mechanics *mech, double t, const double *x, double *C)
 {
+    const double *const v = x + mech->n;
     int status = require(mech, "C", C, 0.0, t, x);
-    if (!status) status = dal__forms_at(mech, t, 0.0, x, false);
+    if (!status) status = dal__form_metric(mech, t, x, v);
+    if (!status) /* without phi, which may overflow */
+        status = dal__constraint(&mech->eval, t, x, v, NULL, mech->forms.mu, NULL, NULL,
+                                 &mech->error);
     if (status) return status;
+    dal__copy(mech->n, x, mech->forms.q);
     dal__form_Z(mech, mech->forms.mu);
     form_gram(mech);
     return DAL__DELIVER(&mech->error, {"C", mech->m * mech->m, mech->gram.C.A, C});
@@ -582,7 +587,9 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
         dal__newton equations = {.find_step = find_step, .ctx = &s, .size = n, .measured = n,
                                  .n = n, .per_unit = per_unit, .z = v, .step = mech->step,
                                  .base = dal_residual_extent(n, per_unit, v),
-                                 .advice = "there may be no such velocity of D here"};
+                                 .advice = shift == 0.0
+                                     ? "there may be no such velocity of D here"
+                                     : "there may be no such velocity of D_eps here"};
         status = dal__newton_run(&equations, &mech->error);
     }
     if (status || shift != 0.0) return status;

@@ -92,6 +92,25 @@ class System(Handle):
     ctx : array, address or pointer, optional
         What C functions get as their last argument; kept alive, and theirs to read.
 
+    Attributes
+    ----------
+    n, m : int
+        Numbers of coordinates and of constraints.
+    name, help, description, source : str
+        As given; "" for what it does not say.
+    coordinates : tuple of str
+        Names of the n coordinates.
+    mass : ndarray, shape (n, n), or None
+        M, read-only; None if it is not constant, see `metric`.
+    kind : {"linear", "affine", "nonlinear"}
+        Of the constraints.
+    is_forced : bool
+        True if there is a force besides that of the Lagrangian.
+    q0, v0 : ndarray, shape (n,), or None
+        Default initial data, read-only; None if there are none.
+    differenced : tuple of str
+        Names of the derivatives that are replaced by central differences.
+
     Raises
     ------
     ValueError

@@ -741,6 +741,10 @@ static void test_residual_of_large_numbers(void)
     const double infinite[6] = {0.0, 1e200, 0.0, 1e150, 1e200, 0.0};
     CHECK(dal_relative_residual(mech, 0.0, 0.0, infinite, &relative) == DAL_EDOMAIN);
     CHECK(isnan(relative));
+    const double fast[6] = {0.0, 1e10, 0.0, 1e305, 1e305, 1e305}; /* C does not see v */
+    double C = (double)NAN;
+    CHECK(dal_gram(mech, 0.0, fast, &C) == DAL_SUCCESS);
+    CHECK_NEAR(C, 1e20, 1e6);
     dal_mechanics_free(mech);
     dal_system_free(particle);
 }
