@@ -60,7 +60,6 @@ int dal__newton_run(dal__newton *self, dal_error *error)
     while (verdict == DAL__GOING && p->iteration < (self->most ? self->most : MOST)) {
         int status;
         do {
-            self->sign = 1;
             status = self->find_step(self);
         } while (dal__newton_halve(p, status, self->size, self->z, self->step));
         if (status) return status;

@@ -208,12 +208,11 @@ int dal_metric(dal_mechanics *mech, double t, const double *x, double *M)
 
 int dal_gram(dal_mechanics *mech, double t, const double *x, double *C)
 {
-    const double *const v = x + mech->n;
     int status = require(mech, "C", C, 0.0, t, x);
-    if (!status) status = dal__form_metric(mech, t, x, v);
+    if (!status) status = dal__form_metric(mech, t, x, x + mech->n);
     if (!status) /* without phi, which may overflow */
-        status = dal__constraint(&mech->eval, t, x, v, NULL, mech->forms.mu, NULL, NULL,
-                                 &mech->error);
+        status = dal__constraint(&mech->eval, t, x, x + mech->n, NULL, mech->forms.mu, NULL,
+                                 NULL, &mech->error);
     if (status) return status;
     dal__copy(mech->n, x, mech->forms.q);
     dal__form_Z(mech, mech->forms.mu);
