@@ -270,8 +270,7 @@ typedef enum dal_nodes {
 struct dal_family; /* dalembert/family.h */
 
 /* A scheme is a record, and its family makes the steps.  To make one: zero-initialise, then set
- * beta, or substeps and count; or family and data.  What it points to is copied when a stepper is
- * made. */
+ * beta, or substeps and count; or family and data.  A stepper copies what it points to. */
 typedef struct dal_scheme {
     char name[40];
     const char *help;             /* one line, or NULL */
