@@ -350,10 +350,11 @@ static int collapsed(const ode *self, double h, dal_error *error)
 }
 
 /* Whether the edge of the domain of the field is nearer than a rounding of the state: steps of the
- * size to go on with would come closer and closer to it, and never to an end. */
-static bool is_at_edge(const ode *self)
+ * size to go on with would come closer and closer to it, and never to an end.  A state at rest may
+ * be pushed later, so that a step has to be short as well. */
+static bool is_at_edge(const ode *self, double end)
 {
-    return self->fault.status
+    return self->fault.status && fabs(self->h) <= 0x1p-33 * fabs(end)
         && fabs(self->h) * dal__largest(self->N, self->slope)
            <= DBL_EPSILON * dal__largest(self->N, self->state);
 }
@@ -371,7 +372,7 @@ static int attempt_towards(ode *self, double end, bool *accepted, dal_error *err
         if (self->elapsed + h == self->elapsed) return collapsed(self, h, error);
         self->elapsed = last ? end : self->elapsed + h;
     } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED
-               || is_at_edge(self) || !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
+               || is_at_edge(self, end) || !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
         return collapsed(self, self->h, error);
     }
     return DAL_SUCCESS;

@@ -76,6 +76,26 @@ def test_reference_does_not_depend_on_what_is_stored():
     assert every.residual.max() <= 4 * system.n * 2.0**-53
 
 
+@pytest.mark.parametrize("method", ["rk8pd", "rodas"])
+def test_reference_at_rest_beside_a_wall(method):
+    """Pushed from t = 1/2 on: too long a step leads behind the wall, and the motion does not."""
+
+    def gradient(q):
+        if q[0] > 0.1:
+            raise dal.DomainError("wall")
+        return np.zeros(3)
+
+    system = dal.System(
+        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], gradient=gradient,
+        potential=lambda q: 0.0, force=lambda t, q, v: [10.0 * (t > 0.5), 0, 0],
+    )  # fmt: skip
+    flow = dal.Scheme.flow(method, 1e-9)
+    run = dal.integrate(system, flow, [0, 0, 0], [0, 0, 0], h=0.6, steps=1)
+    assert abs(run.q[-1] - [0.05, 0, 0]).max() < 1e-6  # 10 (0.1)^2/2
+    with pytest.raises(dal.DomainError, match="wall"):
+        dal.integrate(system, flow, [0, 0, 0], [0, 0, 0], h=0.7, steps=1)
+
+
 def test_flow_has_a_method_and_a_tolerance():
     system = dal.systems.sleigh()
     best = dal.integrate(system, "reference", h=1.0, steps=5).x
