@@ -4,6 +4,7 @@
 
 #include "ground/ground.h"
 
+#include <math.h>
 #include <string.h>
 
 double dal__dot(size_t n, const double *a, const double *b);
@@ -34,7 +35,12 @@ static inline void dal__add(size_t n, double c, const double *x, double *y)
 }
 
 /* x, which may be NULL, becomes NaN: so an output that is never written is found as not finite. */
-void dal__forget(size_t count, double *x);
+static inline void dal__forget(size_t count, double *x)
+{
+    size_t i = 0;
+    for (; x && i + 2 < count; i += 3) x[i] = x[i + 1] = x[i + 2] = (double)NAN;
+    for (; x && i < count; i++) x[i] = (double)NAN;
+}
 
 /* y[rows] = A[rows*columns] x[columns]; y may not overlap. */
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y);
@@ -79,8 +85,10 @@ void dal__linear_solve_transposed(const dal__linear *self, double *b, double *x)
 typedef struct dal__progress {
     int iteration, halvings; /* the steps that were made; how often one was halved */
     double scale;  /* roundoff of the unknowns is relative to it */
-    double moves;  /* how far they move, to first order, when the point that the equations are
-                      evaluated at becomes twice itself: times u, by the rounding of that point */
+    /* How far they move, to first order, when the point that the equations were evaluated at
+     * becomes twice itself: times u, by the rounding of that point.  NULL: not at all. */
+    double (*moves)(const void *ctx);
+    const void *ctx;
     bool lagging;  /* something is wanted that is one step behind */
     double size, last;              /* of the last step, and of the one before */
     double first, travelled, reach; /* of the first; of all together; how far they may lead */
@@ -126,7 +134,8 @@ struct dal__newton {
     bool lagging;
     const char *advice;     /* where it does not converge; NULL: try a smaller h */
     double *z, *step;       /* [size]: the guess, then the solution; the last step */
-    double base, moves;     /* 0 unless set; see dal__progress */
+    double base;            /* 0 unless set */
+    double (*moves)(const void *ctx); /* see dal__progress */
     int sign;               /* of the determinant of the Newton matrix, if it should be positive */
     dal__progress progress; /* afterwards */
 };

@@ -25,11 +25,6 @@ double dal__sum_of_sizes(size_t n, const double *x)
     return sum;
 }
 
-void dal__forget(size_t count, double *x)
-{
-    for (size_t i = 0; x && i < count; i++) x[i] = (double)NAN;
-}
-
 void dal__apply(size_t rows, size_t columns, const double *A, const double *x, double *y)
 {
     for (size_t i = 0; i < rows; i++) {

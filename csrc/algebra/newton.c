@@ -6,7 +6,7 @@
 /* Where steps may stop to shrink because they are roundoff. */
 static double floor_of(const dal__progress *p)
 {
-    return 1e-11 * p->scale + 16.0 * DAL_ROUNDOFF * p->moves;
+    return 1e-11 * p->scale + 16.0 * DAL_ROUNDOFF * (p->moves ? p->moves(p->ctx) : 0.0);
 }
 
 static bool is_done(const dal__progress *p)
@@ -46,7 +46,8 @@ bool dal__newton_halve(dal__progress *p, int status, size_t size, double *z, dou
 static double extent(const dal__newton *self, const double *z)
 {
     double sum = 0.0;
-    for (size_t i = 0; i < self->measured; i++) sum += fabs(z[i]) * self->per_unit[i % self->n];
+    for (const double *const end = z + self->measured; z < end; z += self->n)
+        for (size_t i = 0; i < self->n; i++) sum += fabs(z[i]) * self->per_unit[i];
     return sum;
 }
 
@@ -56,7 +57,7 @@ int dal__newton_run(dal__newton *self, dal_error *error)
     const char *const advice = self->advice ? self->advice : "try a smaller h";
     dal__progress *const p = &self->progress;
     dal__verdict verdict = DAL__GOING;
-    *p = (dal__progress){.lagging = self->lagging};
+    *p = (dal__progress){.lagging = self->lagging, .moves = self->moves, .ctx = self->ctx};
     while (verdict == DAL__GOING && p->iteration < (self->most ? self->most : MOST)) {
         int status;
         do {
@@ -66,7 +67,6 @@ int dal__newton_run(dal__newton *self, dal_error *error)
         p->iteration++;
         dal__add(self->size, 1.0, self->step, self->z);
         p->scale = extent(self, self->z) + self->base;
-        p->moves = self->moves;
         verdict = dal__newton_judge(p, extent(self, self->step));
         if (!dal__all_finite(self->size, self->z)) break;
         if (self->sign < 0 && verdict != DAL__LOST)

@@ -65,17 +65,18 @@ static int find_step(dal__newton *equations)
                          "large here", mech->start.h);
     dal__linear_solve(&chart->G, chart->y, chart->step);
     equations->base = mech->start.base;
-    equations->moves = mech->start.moves;
     return DAL_SUCCESS;
 }
+
+static double moves(const void *ctx) { return dal__step_moves(&((const dal_chart *)ctx)->mech); }
 
 static int solve_step(dal_chart *chart)
 {
     dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n;
-    dal__newton equations = {.find_step = find_step, .ctx = chart, .size = n, .measured = n, .n = n,
-                             .per_unit = mech->metric.per_unit, .z = chart->w, .step = chart->step,
-                             .lagging = true}; /* kappa */
+    dal__newton equations = {.find_step = find_step, .moves = moves, .ctx = chart, .size = n,
+                             .measured = n, .n = n, .per_unit = mech->metric.per_unit,
+                             .z = chart->w, .step = chart->step, .lagging = true}; /* kappa */
     memcpy(chart->w, mech->start.v, n * sizeof *chart->w);
     dal__clear(chart->m, chart->kappa);
     return dal__newton_run(&equations, &mech->error);

@@ -17,6 +17,8 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
                     bool kept, const double *x);
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_sizes, double *B);
+/* How far w moves with q~', see algebra.h, after the last dal__step_at that gave K and B. */
+double dal__step_moves(const dal_mechanics *mech);
 int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *worst);
 
 /* Two nodes one step h apart, and the difference quotient w = (q1 - q0)/h, which may be known to

@@ -109,7 +109,7 @@ static int find_step(dal__newton *equations)
 {
     dal_discrete *const d = equations->ctx;
     const size_t n = d->n, m = d->m;
-    const double h = d->step.h, *const w = d->root.z, *const kappa = w + n;
+    const double *const w = d->root.z, *const kappa = w + n;
     double *const residual = d->root.residual;
     const dal__pair pair = next_pair(d, w);
     d->step.kappa = kappa;
@@ -120,22 +120,30 @@ static int find_step(dal__newton *equations)
     memcpy(residual + n, d->phi, m * sizeof *residual);
     const dal__term terms[] = {{1.0, d->minus}, {1.0, d->momentum}};
     equations->base = dal__base_of_w(&d->mech, d->velocity, 2, terms, d->muk, kappa);
-    equations->moves = dal__forms_move(&d->mech, d->phi_v, d->phi_q, d->constraint.g);
-    for (size_t k = 0; k < n * n; k++)
-        equations->moves += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
-                          * fabs(d->lagrangian.g[k % n]) * d->mech.metric.unit[k / n];
     assemble(d);
     return dal__root_step(&d->root, "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is singular: "
                           "the constraints lose rank, or h is too large here", &d->mech.error);
+}
+
+static double moves(const void *ctx)
+{
+    const dal_discrete *const d = ctx;
+    const size_t n = d->n;
+    const double h = d->step.h;
+    double sum = dal__forms_move(&d->mech, d->phi_v, d->phi_q, d->constraint.g);
+    for (size_t k = 0; k < n * n; k++)
+        sum += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
+             * fabs(d->lagrangian.g[k % n]) * d->mech.metric.unit[k / n];
+    return sum;
 }
 
 /* d->root.z <- (w, kappa) of the pair after the given one, which is at time t. */
 static int solve(dal_discrete *d, double t, const dal__pair *pair)
 {
     const size_t n = d->n, m = d->m;
-    dal__newton equations = {.find_step = find_step, .ctx = d, .size = n + m, .measured = n, .n = n,
-                             .per_unit = d->mech.metric.per_unit, .z = d->root.z,
-                             .step = d->root.step};
+    dal__newton equations = {.find_step = find_step, .moves = moves, .ctx = d, .size = n + m,
+                             .measured = n, .n = n, .per_unit = d->mech.metric.per_unit,
+                             .z = d->root.z, .step = d->root.step};
     int status = begin(d, t, pair);
     if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->velocity);
     if (status) return status;

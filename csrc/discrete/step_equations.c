@@ -130,13 +130,12 @@ double dal__base_of_w(const dal_mechanics *mech, const double *v, size_t count,
 {
     const size_t n = mech->n;
     double base = dal_residual_extent(n, mech->metric.per_unit, v);
-    for (size_t i = 0; i < n; i++) {
-        double sum = 0.0;
-        for (const dal__term *term = terms; term < terms + count; term++)
-            if (term->weight != 0.0) sum += term->weight * fabs(term->x[i]);
-        for (size_t a = 0; a < mech->m; a++) sum += fabs(mu[a * n + i] * kappa[a]);
-        base += sum * mech->metric.unit[i]; /* as M^-1 does, in the units of the velocity */
-    }
+    /* momenta, in the units of the velocity as M^-1 brings them there */
+    for (const dal__term *term = terms; term < terms + count; term++)
+        if (term->weight != 0.0)
+            base += term->weight * dal_residual_extent(n, mech->metric.unit, term->x);
+    for (size_t a = 0; a < mech->m; a++)
+        base += fabs(kappa[a]) * dal_residual_form(n, mech->metric.unit, mu + a * n);
     return base;
 }
 
@@ -149,39 +148,53 @@ static double base_of_R1(const dal_mechanics *mech, const double *kappa)
     return dal__base_of_w(mech, mech->start.v, DAL_LENGTH(terms), terms, mech->muk, kappa);
 }
 
-/* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend.
- * start.moves: of phi, and of R1, when q1 and the place of L move by themselves. */
-static void form_K(dal_mechanics *mech, double *K, double *K_sizes)
+/* K[n*n] += factor A, and sizes[n], unless NULL, the absolute values on the diagonal. */
+static void add_term(size_t n, double factor, const double *A, double *K, double *sizes)
+{
+    dal__add(n * n, factor, A, K);
+    for (size_t i = 0; sizes && i < n; i++) sizes[i] += fabs(factor * A[i * n + i]);
+}
+
+/* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend. */
+static void form_K(const dal_mechanics *mech, double *K, double *K_sizes)
 {
     const size_t n = mech->n;
     const double a = mech->start.alpha * mech->start.h;
     const double b = (1.0 - mech->start.alpha) * mech->start.h;
-    const double *const place = mech->start.alpha == mech->start.beta ? mech->forms.q : mech->place;
-    const bool general = !mech->eval.constant_mass, forced = mech->eval.system->def.force != NULL;
-    const double *const L_vv = general ? mech->L_vv : mech->metric.M;
-    double bent = 0.0;
-    for (size_t i = 0; i < n; i++)
-        for (size_t j = 0; j < n; j++) {
-            const size_t ij = i * n + j, ji = j * n + i;
-            const double terms[] = {
-                L_vv[ij],
-                general ? a * mech->L_vq[ij] : 0.0,
-                general ? -b * mech->L_vq[ji] : 0.0,
-                a * b != 0.0 ? -b * a * mech->hessian[ij] : 0.0,
-                forced && b != 0.0 ? -b * mech->f_v[ij] : 0.0,
-                forced && b != 0.0 ? -b * a * mech->f_q[ij] : 0.0,
-                mech->eval.system->def.kind == DAL_NONLINEAR ? -mech->bend[ij] : 0.0,
-            };
-            double sum = 0.0, scale = 0.0;
-            for (size_t k = 0; k < DAL_LENGTH(terms); k++) sum += terms[k];
-            for (size_t k = 0; i == j && k < DAL_LENGTH(terms); k++) scale += fabs(terms[k]);
-            K[ij] = sum;
-            if (K_sizes && i == j) K_sizes[i] = K_sizes[n + i] = sqrt(scale);
-            bent += (fabs(terms[1]) + fabs(terms[3]) + fabs(terms[5])) * fabs(place[j])
-                  * mech->metric.unit[i];
+    const bool general = !mech->eval.constant_mass;
+    dal__clear(n * n, K);
+    dal__clear(n, K_sizes);
+    add_term(n, 1.0, general ? mech->L_vv : mech->metric.M, K, K_sizes);
+    if (general) {
+        add_term(n, a, mech->L_vq, K, K_sizes);
+        for (size_t i = 0; i < n; i++) {
+            for (size_t j = 0; j < n; j++) K[i * n + j] -= b * mech->L_vq[j * n + i];
+            if (K_sizes) K_sizes[i] += fabs(b * mech->L_vq[i * n + i]);
         }
-    mech->start.moves = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q)
-                      + bent / fmax(fabs(a), DBL_MIN);
+    }
+    if (a * b != 0.0) add_term(n, -b * a, mech->hessian, K, K_sizes);
+    if (mech->eval.system->def.force && b != 0.0) {
+        add_term(n, -b, mech->f_v, K, K_sizes);
+        add_term(n, -b * a, mech->f_q, K, K_sizes);
+    }
+    if (mech->eval.system->def.kind == DAL_NONLINEAR) add_term(n, -1.0, mech->bend, K, K_sizes);
+    for (size_t i = 0; K_sizes && i < n; i++) K_sizes[i] = K_sizes[n + i] = sqrt(K_sizes[i]);
+}
+
+/* Of phi, and of R1, when q1 and the place of L move by themselves. */
+double dal__step_moves(const dal_mechanics *mech)
+{
+    const size_t n = mech->n;
+    const double alpha = mech->start.alpha, b = (1.0 - alpha) * mech->start.h;
+    const double *const place = alpha == mech->start.beta ? mech->forms.q : mech->place;
+    double sum = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q);
+    for (size_t k = 0; alpha != 0.0 && k < n * n; k++) {
+        double slope = mech->eval.constant_mass ? 0.0 : fabs(mech->L_vq[k]);
+        if (b != 0.0) slope += fabs(b * mech->hessian[k]);
+        if (b != 0.0 && mech->eval.system->def.force) slope += fabs(b * mech->f_q[k]);
+        sum += slope * fabs(place[k % n]) * mech->metric.unit[k / n];
+    }
+    return sum;
 }
 
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,

@@ -61,7 +61,7 @@ struct dal_mechanics {
         double alpha, beta, h;
         bool kept;
         const double *v;          /* [n] */
-        double base, moves;       /* see algebra.h, of the last dal__step_at that gave R1, K, B */
+        double base;              /* see algebra.h, of the last dal__step_at that gave R1 and K */
     } start;                      /* of the step that dal__step_begin began */
     dal_error error;
     arena arena; /* used only by dal_mechanics_new */

@@ -552,20 +552,22 @@ static double mass_norm(dal_mechanics *mech, double *d)
 
 typedef struct shifted {
     dal_mechanics *mech;
-    double t, shift;
+    double t, shift, moves;
 } shifted;
+
+static double moves(const void *ctx) { return ((const shifted *)ctx)->moves; }
 
 /* Of the velocity v of mech->point for phi(q - shift v, v) = 0, along Z as it is. */
 static int find_step(dal__newton *equations)
 {
-    const shifted *const s = equations->ctx;
+    shifted *const s = equations->ctx;
     dal_mechanics *const mech = s->mech;
     const dal__forms *const at = &mech->forms;
     move_node(mech, s->shift, mech->point);
     int status = evaluate_forms(mech, s->t, mech->point + mech->n, s->shift != 0.0);
     if (status) return status;
     if (s->shift != 0.0) {
-        equations->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
+        s->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
         dal__add(mech->m * mech->n, -s->shift, at->dmu, at->mu);
     }
     status = factor_product(mech);
@@ -582,10 +584,10 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
     int status = DAL_SUCCESS;
     if (mech->m == 0) return DAL_SUCCESS;
     if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR) {
-        shifted s = {mech, t, shift};
-        dal__newton equations = {.find_step = find_step, .ctx = &s, .size = n, .measured = n,
-                                 .n = n, .per_unit = per_unit, .z = v, .step = mech->step,
-                                 .base = dal_residual_extent(n, per_unit, v),
+        shifted s = {mech, t, shift, 0.0};
+        dal__newton equations = {.find_step = find_step, .moves = moves, .ctx = &s, .size = n,
+                                 .measured = n, .n = n, .per_unit = per_unit, .z = v,
+                                 .step = mech->step, .base = dal_residual_extent(n, per_unit, v),
                                  .advice = shift == 0.0
                                      ? "there may be no such velocity of D here"
                                      : "there may be no such velocity of D_eps here"};

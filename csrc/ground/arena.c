@@ -14,15 +14,6 @@ size_t dal__times(size_t a, size_t b)
     return b != 0 && a > SIZE_MAX / b ? SIZE_MAX : a * b;
 }
 
-bool dal__all_finite(size_t count, const double *x)
-{
-    double zero = 0.0; /* x * 0 is NaN for Inf and NaN, and NaN stays; by threes, for speed */
-    size_t i = 0;
-    for (; i + 2 < count; i += 3) zero += (x[i] * 0.0 + x[i + 1] * 0.0) + x[i + 2] * 0.0;
-    for (; i < count; i++) zero += x[i] * 0.0;
-    return zero == 0.0;
-}
-
 void dal__reserve(arena *a, void *slot, size_t count, size_t size)
 {
     const size_t capacity = sizeof a->part / sizeof a->part[0];

@@ -130,6 +130,13 @@ void dal__release(arena *a);
 /* a*b, or SIZE_MAX where that overflows. */
 size_t dal__times(size_t a, size_t b);
 
-bool dal__all_finite(size_t count, const double *x);
+static inline bool dal__all_finite(size_t count, const double *x)
+{
+    double zero = 0.0; /* x * 0 is NaN for Inf and NaN, and NaN stays; by threes, for speed */
+    size_t i = 0;
+    for (; i + 2 < count; i += 3) zero += (x[i] * 0.0 + x[i + 1] * 0.0) + x[i + 2] * 0.0;
+    for (; i < count; i++) zero += x[i] * 0.0;
+    return zero == 0.0;
+}
 
 #endif /* DAL__GROUND_H */

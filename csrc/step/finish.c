@@ -86,6 +86,8 @@ static double bent(const dal_kernel *k, const dal_stage *s)
     return sum;
 }
 
+static double moves(const void *ctx) { return *(const double *)ctx; }
+
 /* w and kappa after a Newton step with the full matrix [[K, -mu_node^T], [mu + B h N, 0]], where
  * the callbacks were evaluated; *sign <- that of its determinant. */
 static int make_step(dal_kernel *k, const dal_stage *s, int *sign)
@@ -122,7 +124,8 @@ static int solve(dal_kernel *k, double t, const dal_stage *s)
 {
     const dal_arrays *const at = &k->at;
     const size_t n = k->n, m = k->m;
-    dal__progress p = {0};
+    double of_V = 0.0;
+    dal__progress p = {.moves = moves, .ctx = &of_V};
     if (!(dal_kernel_sum(m * n, at->Z) + dal_kernel_sum(n, at->base) <= DBL_MAX))
         return is_not_finite(k);
     k->stats.full_newtons++;
@@ -132,7 +135,7 @@ static int solve(dal_kernel *k, double t, const dal_stage *s)
         int status, sign;
         while (dal__newton_halve(&p, status = evaluate(k, t, s), n, at->w, at->step))
             k->stats.halvings++;
-        if (!status) p.moves = bent(k, s);
+        if (!status) of_V = bent(k, s);
         if (!status) status = make_step(k, s, &sign);
         if (status) return status;
         p.scale = dal_residual_extent(n, k->per_unit, at->w)

@@ -94,17 +94,19 @@ static int find_step(dal__newton *equations)
     if (!status) status = solve_linear(s, &equations->sign);
     if (status) return status;
     equations->base = s->mech->start.base;
-    equations->moves = s->mech->start.moves;
     s->stats->iterations++;
     return DAL_SUCCESS;
 }
 
+static double moves(const void *ctx) { return dal__step_moves(((const newton *)ctx)->mech); }
+
 /* From the guess in z to the solution. */
 static int iterate(newton *s)
 {
-    dal__newton equations = {.find_step = find_step, .ctx = s, .size = s->n + s->m, .n = s->n,
-                             .measured = s->n, .per_unit = s->mech->metric.per_unit, .z = s->z,
-                             .step = s->step, .most = s->max_iterations};
+    dal__newton equations = {.find_step = find_step, .moves = moves, .ctx = s,
+                             .size = s->n + s->m, .measured = s->n, .n = s->n,
+                             .per_unit = s->mech->metric.per_unit, .z = s->z, .step = s->step,
+                             .most = s->max_iterations};
     const int status = dal__newton_run(&equations, &s->mech->error);
     s->stats->halvings += (size_t)equations.progress.halvings;
     return status;

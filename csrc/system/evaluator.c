@@ -49,7 +49,6 @@ int dal__jacobian(dal__function f, void *ctx, size_t n, double *point, size_t co
 
 typedef enum callback { POTENTIAL, CONSTRAINT, LAGRANGIAN, FORCE } callback;
 typedef enum extent { ONE, N, M } extent;
-enum { MOST_OUTPUTS = 7 };
 
 /* An output; where its bit is set in the definition, the callback does not give it, and it is the
  * derivative of the output `from` by what moves, symmetrised if it is symmetric. */
@@ -65,8 +64,8 @@ typedef struct output {
 static const struct {
     const char *name;
     size_t count;
-    output outputs[MOST_OUTPUTS];
-} callbacks[] = {
+    output outputs[DAL__OUTPUTS];
+} callbacks[DAL__CALLBACKS] = {
     [POTENTIAL] = {"potential", 3, {{"V", ONE, ONE},
                                     {"V_q", ONE, N, DAL_MISSING_V_Q, 0, MOVES_Q},
                                     {"V_qq", N, N, DAL_MISSING_V_QQ, 1, MOVES_Q}}},
@@ -82,11 +81,6 @@ static const struct {
     [FORCE] = {"force", 3, {{"f", ONE, N}, {"f_q", N, N, DAL_MISSING_F_Q, 0, MOVES_Q},
                             {"f_v", N, N, DAL_MISSING_F_V, 0, MOVES_V}}},
 };
-
-static size_t size(const evaluator *e, const output *out)
-{
-    return e->lengths[out->rows] * e->lengths[out->columns];
-}
 
 /* x: where the outputs go, in the order of the table.  phi of linear constraints is mu v. */
 static int call(evaluator *e, callback which, double t, const double *q, const double *v,
@@ -130,7 +124,7 @@ static int value(const double *moved, double *result, void *ctx)
 {
     const difference *const d = ctx;
     evaluator *const e = d->e;
-    double *x[MOST_OUTPUTS] = {NULL};
+    double *x[DAL__OUTPUTS] = {NULL};
     x[d->from] = result;
     if (d->which == CONSTRAINT && e->system->def.kind == DAL_LINEAR) {
         x[0] = e->forms;
@@ -184,13 +178,13 @@ static int differentiate(difference *d, const output *out, double *slopes)
     evaluator *const e = d->e;
     const output *const base = &callbacks[d->which].outputs[out->from];
     const size_t columns = out->moves == MOVES_T ? 1 : e->system->def.n;
+    const size_t count = e->sizes[d->which][out->from];
     d->from = out->from;
     d->moves = out->moves;
     if (e->system->def.missing & base->missing) return hessian_of_V(d, slopes);
     const double *const centre = d->moves == MOVES_T ? &d->t : d->moves == MOVES_Q ? d->q : d->v;
     memcpy(e->point, centre, columns * sizeof *centre);
-    const int returned =
-        dal__jacobian(value, d, columns, e->point, size(e, base), e->gradient, slopes);
+    const int returned = dal__jacobian(value, d, columns, e->point, count, e->gradient, slopes);
     if (!returned && out->symmetric) dal__symmetrise(columns, slopes);
     return returned;
 }
@@ -202,7 +196,7 @@ static int complete(evaluator *e, callback which, double t, const double *q, con
     const output *const outputs = callbacks[which].outputs;
     const size_t count = callbacks[which].count;
     const unsigned missing = e->system->def.missing;
-    double *given[MOST_OUTPUTS];
+    double *given[DAL__OUTPUTS];
     bool any = false;
     for (size_t k = 0; k < count; k++) {
         given[k] = missing & outputs[k].missing ? NULL : x[k];
@@ -244,6 +238,11 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
     e->lengths[ONE] = 1;
     e->lengths[N] = def->n;
     e->lengths[M] = def->m;
+    for (size_t i = 0; i < DAL_LENGTH(callbacks); i++)
+        for (size_t k = 0; k < callbacks[i].count; k++) {
+            const output *const out = &callbacks[i].outputs[k];
+            e->sizes[i][k] = e->lengths[out->rows] * e->lengths[out->columns];
+        }
     e->potential = def->potential;
     e->potential_ctx = def->ctx;
     e->constraint = def->constraint;
@@ -267,11 +266,11 @@ int dal__refuse(dal_error *error, const char *callback, int returned)
                      returned, returned > 0 ? "outside its domain" : "stop");
 }
 
-/* DAL_EDOMAIN unless the output x is finite. */
-static int check(const evaluator *e, callback which, const output *out, const double *x,
-                 dal_error *error)
+/* DAL_EDOMAIN, with the first entry of output k that is not finite. */
+static int refuse_output(const evaluator *e, callback which, size_t k, const double *x,
+                         dal_error *error)
 {
-    if (dal__all_finite(size(e, out), x)) return DAL_SUCCESS;
+    const output *const out = &callbacks[which].outputs[k];
     const size_t columns = e->lengths[out->columns];
     size_t i = 0;
     while (isfinite(x[i])) i++;
@@ -284,21 +283,22 @@ static int check(const evaluator *e, callback which, const output *out, const do
 static int evaluate(evaluator *e, callback which, double t, const double *q, const double *v,
                     double *const *x, dal_error *error)
 {
-    const output *const outputs = callbacks[which].outputs;
     const bool linear = which == CONSTRAINT && e->system->def.kind == DAL_LINEAR;
-    size_t wanted[MOST_OUTPUTS], count = 0;
-    for (size_t k = 0; k < callbacks[which].count - linear; k++) {
-        if (!x[k]) continue;
-        dal__forget(size(e, &outputs[k]), x[k]);
-        wanted[count++] = k;
-    }
-    if (count == 0) return DAL_SUCCESS;
+    const size_t count = callbacks[which].count - linear, *const sizes = e->sizes[which];
+    bool any = false;
+    for (size_t k = 0; k < count; k++)
+        if (x[k]) {
+            dal__forget(sizes[k], x[k]);
+            any = true;
+        }
+    if (!any) return DAL_SUCCESS;
     const int returned = e->system->def.missing ? complete(e, which, t, q, v, x)
                                                 : call(e, which, t, q, v, x);
-    int status = returned ? dal__refuse(error, callbacks[which].name, returned) : DAL_SUCCESS;
-    for (size_t k = 0; !status && k < count; k++)
-        status = check(e, which, &outputs[wanted[k]], x[wanted[k]], error);
-    return status;
+    if (returned) return dal__refuse(error, callbacks[which].name, returned);
+    for (size_t k = 0; k < count; k++)
+        if (x[k] && !dal__all_finite(sizes[k], x[k]))
+            return refuse_output(e, which, k, x[k], error);
+    return DAL_SUCCESS;
 }
 
 bool dal__is_autonomous(const dal_system *system)

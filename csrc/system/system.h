@@ -30,11 +30,13 @@ struct dal_system {
 /* The callbacks of a system as the rest of the library calls them: derivatives that the user does
  * not give are differenced, calls are counted.  One evaluator for each thread.  potential and
  * constraint may be called directly with their ctx (the hot path does, and counts by itself). */
+enum { DAL__CALLBACKS = 4, DAL__OUTPUTS = 7 };
 typedef enum dal__moves { MOVES_Q, MOVES_V, MOVES_T } dal__moves;
 
 typedef struct evaluator {
     const dal_system *system;
     size_t lengths[3];          /* 1, n, m */
+    size_t sizes[DAL__CALLBACKS][DAL__OUTPUTS]; /* entries of an output */
     dal_potential_fn potential; /* NULL: V = 0 */
     void *potential_ctx;
     dal_constraint_fn constraint;

@@ -1125,6 +1125,8 @@ static void test_times(void)
 
 /* ---- what Newton's steps say ---------------------------------------------------------------- */
 
+static double told(const void *ctx) { return *(const double *)ctx; }
+
 /* After steps of these sizes, of a solution of size 1; before the second the first is halved so
  * many times. */
 static void test_judge(void)
@@ -1163,7 +1165,8 @@ static void test_judge(void)
         {{1, NAN}, DAL__LOST, 0, false, 0},
     };
     for (size_t i = 0; i < DAL_LENGTH(cases); i++) {
-        dal__progress p = {.scale = 1.0, .moves = cases[i].moves, .lagging = cases[i].lagging};
+        dal__progress p = {.scale = 1.0, .moves = told, .ctx = &cases[i].moves,
+                           .lagging = cases[i].lagging};
         dal__verdict verdict = DAL__GOING;
         for (p.iteration = 1; cases[i].size[p.iteration - 1] != 0.0; p.iteration++) {
             check_true(verdict == DAL__GOING, "test_judge", "ended early", (int)i);

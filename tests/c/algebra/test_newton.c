@@ -202,7 +202,7 @@ static void test_texts(void)
  * is rounded; and then the same of a second pair, if there are four unknowns. */
 typedef struct turning {
     double unit[2], far, h;
-    bool told; /* how far the rounding of q moves w */
+    double moves; /* how far the rounding of q moves w */
     dal__root root;
 } turning;
 
@@ -211,7 +211,7 @@ static int turn(dal__newton *self)
     turning *const t = self->ctx;
     dal__root *const root = &t->root;
     const size_t N = self->size;
-    self->moves = 0.0;
+    t->moves = 0.0;
     memset(root->J.A, 0, N * N * sizeof *root->J.A);
     for (size_t k = 0; k < N; k += 2) {
         const double *const z = self->z + k, *const u = t->unit;
@@ -223,12 +223,14 @@ static int turn(dal__newton *self)
             root->residual[k + i] = z[i] - value[i];
             J[i * N] = (i == 0) - t->h * slope[i];
             J[i * N + 1] = i == 1;
-            if (t->told) self->moves += fabs(slope[i] * q) / u[i];
+            t->moves += fabs(slope[i] * q) / u[i];
         }
     }
     for (size_t k = 0; k < N * N; k++) root->scale[k] = fabs(root->J.A[k]);
     return dal__root_step(root, "singular", NULL);
 }
+
+static double moves(const void *ctx) { return ((const turning *)ctx)->moves; }
 
 /* In other units the same is found, in as many iterations.  Far out the steps stop to shrink where
  * they are what the rounding of q makes of them, which has to be told. */
@@ -244,7 +246,7 @@ static void test_units(void)
                                                     {-40, 0}};
                 for (size_t k = 0; k < 5; k++) {
                     arena memory = {0};
-                    turning t = {.far = fars[f], .h = 0.5, .told = told};
+                    turning t = {.far = fars[f], .h = 0.5};
                     dal__root_reserve(&t.root, MOST, &memory);
                     need(dal__allocate(&memory, NULL), "root", "");
                     for (size_t i = 0; i < 2; i++) t.unit[i] = ldexp(1.0, exponents[k][i]);
@@ -252,7 +254,8 @@ static void test_units(void)
                     t.root.J.size = 2 * pairs;
                     dal__newton newton = {.find_step = turn, .ctx = &t, .size = 2 * pairs, .n = 2,
                                           .measured = 2 * pairs, .per_unit = per_unit,
-                                          .z = t.root.z, .step = t.root.step};
+                                          .z = t.root.z, .step = t.root.step,
+                                          .moves = told ? moves : NULL};
                     status[k] = dal__newton_run(&newton, NULL);
                     iterations[k] = newton.progress.iteration;
                     for (size_t i = 0; i < 2 * pairs; i++)
