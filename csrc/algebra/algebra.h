@@ -114,11 +114,6 @@ bool dal__newton_halve(dal__progress *p, int status, size_t size, double *z, dou
 #define DAL__BRANCH_TEXT \
     "Newton did not converge to the solution that small steps lead to but to another, where the " \
     "determinant of its matrix is negative: try a smaller h, unless the constraints lose rank here"
-/* Of what is LOST but finite: travelled, first, scale. */
-#define DAL__AWAY_TEXT \
-    "Newton did not converge: its steps lead away from the start, %.3g in all where the first " \
-    "was %.3g, of %.3g"
-#define DAL__LOST_TEXT DAL__AWAY_TEXT "; try a smaller h"
 
 /* Equations for the unknowns z[size].  The caller has its own linear algebra: find_step sets step,
  * and what else is below it, or returns a status, which ends the iteration and is for find_step to

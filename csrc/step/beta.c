@@ -14,18 +14,21 @@ typedef struct beta {
     size_t substeps;
     dal_substep *substep;
     dal_stage *stage;
-    double *start; /* [2n] of explain; the state in the making of newton */
+    dal_motion *motion;
+    double *scratch; /* [2n] of finish */
     arena arena;
 } beta;
 
-/* A record as stages: one for each sub-step, but a pair (0, a), (1, b) is one (see kernel.h). */
+/* A record as stages: one for each sub-step, but a pair (0, a), (1, b), a + b not 0, is one (see
+ * kernel.h). */
 static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *stage)
 {
     size_t stages = 0;
     double passed = 0.0; /* of the step */
     for (size_t j = 0; j < count; j++) {
         const double beta = substep[j].beta, f = substep[j].fraction;
-        const bool pair = j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0;
+        const bool pair = j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0
+                          && f + substep[j + 1].fraction != 0.0;
         const double g = pair ? substep[++j].fraction : 0.0;
         dal_stage s = {.before = (1.0 - beta) * f, .after = beta * f + g, .span = f + g};
         if (beta == 0.0) {
@@ -74,17 +77,50 @@ static void plan_predictions(dal_stage *stage, size_t stages)
             spans[back - 1] = s->span;
         }
         extrapolate(times, stage[j].before, stage[j].ahead);
-        for (int i = 0; i < 3; i++) /* a fused pair (0, a), (1, -a) has no span, and no lambda */
-            stage[j].ahead[i] *= spans[i] != 0.0 ? stage[j].span / spans[i] : 0.0;
+        for (int i = 0; i < 3; i++) stage[j].ahead[i] *= stage[j].span / spans[i];
     }
+}
+
+/* As finish of a dal_kernel: the stage by the full Newton iteration from the state before it; or
+ * the velocity alone, into D at what is stored.  A pair is one step with V at the node. */
+static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
+{
+    beta *const self = (beta *)k; /* of which it is the first member */
+    dal_mechanics *const mech = self->motion->mechanics;
+    const size_t n = k->n, size = n * sizeof(double);
+    const double t_end = dal_kernel_time(k, number, s->t_end);
+    const dal_arrays *const at = &k->at;
+    double *const x = self->scratch, relative = 0.0;
+    int status;
+    if (solved) {
+        memcpy(x, at->stored, size);
+        memcpy(x + n, at->w, size);
+        k->stats.corrections++;
+        status = dal__mend(mech, t_end, k->shift * k->h, false, x, &relative);
+        k->stats.worst_residual = fmax(k->stats.worst_residual, relative);
+    } else {
+        const double beta = s->after / s->span, alpha = s->node != 0.0 ? 1.0 : beta;
+        memcpy(x, at->x, 2 * size);
+        k->stats.full_newtons++;
+        dal__newton_forget(&self->newton);
+        status = dal__newton_step(&self->newton, mech,
+                                  dal_kernel_time(k, number, s->t_start), t_end, alpha, beta,
+                                  s->span * k->h, k->kept, x, at->kappa, &k->stats);
+    }
+    if (!status && !dal__all_finite(n, at->base)) /* but what the same callbacks give now is */
+        status = dal__fail(&mech->error, DAL_EDOMAIN, "a number is not finite; try a smaller h");
+    if (status) return dal_kernel_fail(k, status, DAL_FAILED_FINISH);
+    memcpy(at->stored, x, size);
+    memcpy(at->w, x + n, size);
+    return DAL_SUCCESS;
 }
 
 static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
 {
-    const size_t mn = dal__times(m, n), mm = dal__times(m, m), nn = dal__times(n, n);
+    const size_t mn = dal__times(m, n), mm = dal__times(m, m);
     dal_arrays *const at = &k->at;
     double **const vectors[] = {&k->force0, &k->force1, &at->base, &at->goal, &at->step,
-                                &at->seen, &at->stored, &k->y, &k->R};
+                                &at->seen, &at->stored};
     double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
     dal__reserve(a, &at->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(3, n), sizeof(double)); /* m < n */
@@ -94,9 +130,6 @@ static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
     dal__reserve(a, &at->S, mm, sizeof(double));
     dal__reserve(a, &at->sizes, dal__times(5, m), sizeof(double));
     dal__reserve(a, &at->row, m, sizeof(size_t));
-    dal__reserve(a, &k->K, nn, sizeof(double));
-    dal__reserve(a, &k->K_sizes, dal__times(5, n), sizeof(double));
-    dal__reserve(a, &k->K_row, n, sizeof(size_t));
 }
 
 /* Whether kernel.h makes its steps; those of all others are newton's. */
@@ -138,13 +171,13 @@ static void bind_kernel(beta *self, dal_motion *motion)
     const dal_scheme *const scheme = motion->scheme;
     dal_kernel *const k = &self->kernel;
     evaluator *const e = &motion->mechanics->eval;
+    self->motion = motion;
     k->n = system->def.n;
     k->m = system->def.m;
     k->constraint = e->constraint;
     k->constraint_ctx = e->constraint_ctx;
     k->potential = e->potential;
     k->potential_ctx = e->potential_ctx;
-    k->mass = system->mass;
     k->mass_inverse = system->mass_inverse;
     k->unit = system->unit;
     k->per_unit = system->per_unit;
@@ -155,10 +188,9 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->kept = scheme->nodes == DAL_KEPT_NODES;
     k->plain = !k->potential && !k->kept;
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
-    k->max_iterations = motion->max_iterations;
     dal_kernel_share(k, k->at.x);
     k->impulse = motion->impulse;
-    k->finish = dal__kernel_finish;
+    k->finish = finish;
     k->steady = is_steady(self, &system->def, k->kept) ? system->def.steady : 0;
     if (has_step_routine(system))
         self->advance = system->def.compiled && !k->kept ? system->def.compiled->advance
@@ -179,10 +211,10 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     reserve_kernel(&shape.kernel, n, system->def.m, &memory);
-    if (!has_step_routine(system)) dal__newton_reserve(&shape.newton, system, &memory);
+    dal__newton_reserve(&shape.newton, system, &memory);
     dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
     dal__reserve(&memory, &shape.stage, count, sizeof *shape.stage);
-    dal__reserve(&memory, &shape.start, n, sizeof(double));
+    dal__reserve(&memory, &shape.scratch, dal__times(2, n), sizeof(double));
     status = dal__allocate(&memory, error);
     if (status) return status;
     /* the slots that the arena has filled are those of shape */
@@ -212,70 +244,22 @@ static void start(void *method, dal_motion *motion)
 
 /* ---- steps ------------------------------------------------------------------------------ */
 
-/* The number that was not finite in the step that failed, looked for by evaluating again, with
- * checks, where the step evaluated: from q~ to the node to the last iterate. */
-static void find_not_finite(beta *self, dal_mechanics *mech)
-{
-    const dal_kernel *const k = &self->kernel;
-    const size_t n = k->n;
-    const dal_stage *const s = k->failure.stage;
-    const double number = (double)k->stats.steps, t_start = dal_kernel_time(k, number, 0.0);
-    const double t_node = dal_kernel_time(k, number, s->t_node);
-    const double t_end = dal_kernel_time(k, number, s->t_end);
-    double *const start = self->start;
-    dal_error *const found = &mech->error;
-    for (size_t i = 0; i < n; i++) start[i] = k->at.x[i] - k->shift * k->h * k->at.x[n + i];
-    if (dal__all_finite(n, k->at.node)
-        && (dal__potential(&mech->eval, t_start, start, NULL, mech->force, NULL, found)
-            || dal__constraint(&mech->eval, t_node, k->at.node, k->at.x + n, NULL, mech->forms.mu,
-                               NULL, NULL, found)
-            || dal__potential(&mech->eval, t_node, k->at.node, NULL, mech->force, NULL, found)))
-        return;
-    if (dal__all_finite(n, k->at.point) && dal__all_finite(n, k->at.w)
-        && (dal__constraint(&mech->eval, t_end, k->at.point, k->at.w, NULL, mech->forms.mu,
-                            mech->forms.dmu, NULL, found)
-            || dal__potential(&mech->eval, t_end, k->at.point, NULL, mech->force, NULL, found)))
-        return;
-    dal__fail(found, DAL_EDOMAIN, "a number is not finite; try a smaller h");
-}
-
 /* What went wrong in the step that failed, in words. */
-static void explain(beta *self, dal_mechanics *mech, int status)
+static void explain(const dal_kernel *k, dal_error *error, int status)
 {
-    static const char *const texts[] = {
-        [DAL_FAILED_SINGULAR_S] = "the Schur complement (mu(q') + beta h d(mu v)/dq) M^-1 "
-            "mu(q_k)^T is singular: the constraints lose rank, or h is too large here",
-        [DAL_FAILED_SINGULAR_K] = "M + h^2 beta (1-beta) V_qq is singular: h is too large here",
-        [DAL_FAILED_SINGULAR_C] = "no velocity of D was found at the new position: mu M^-1 mu^T "
-            "is singular there, or, with kept nodes, h is too large",
-        [DAL_FAILED_STEADY] = "the system is declared steady, but mu at the end of the step is not "
-            "what it was before the reaction acted: a coordinate that mu depends on is pushed by a "
-            "reaction",
-        [DAL_FAILED_BRANCH] = DAL__BRANCH_TEXT,
-    };
-    const dal_kernel *const k = &self->kernel;
-    dal_error *const error = &mech->error;
     switch (k->failure.kind) {
     case DAL_FAILED_CONSTRAINT:
     case DAL_FAILED_POTENTIAL:
-        dal__fail(error, status, "%s returned %d (%s)",
-                 k->failure.kind == DAL_FAILED_CONSTRAINT ? "constraint" : "potential",
-                 k->failure.returned,
-                 k->failure.returned > 0 ? "outside its domain; try a smaller h" : "stop");
+        dal__refuse(error, k->failure.kind == DAL_FAILED_CONSTRAINT ? "constraint" : "potential",
+                    k->failure.returned);
         break;
-    case DAL_FAILED_FINITE:
-        find_not_finite(self, mech);
+    case DAL_FAILED_STEADY:
+        dal__fail(error, status, "the system is declared steady, but mu at the end of the step is "
+                  "not what it was before the reaction acted: a coordinate that mu depends on is "
+                  "pushed by a reaction");
         break;
-    case DAL_FAILED_ROOT:
-        dal__fail(error, status, DAL__LOST_TEXT, k->failure.travelled, k->failure.first,
-                 k->failure.scale);
+    case DAL_FAILED_FINISH: /* who failed has said why */
         break;
-    case DAL_FAILED_CONVERGE:
-        dal__fail(error, status, "Newton did not converge in %d iterations: last change %.3g of "
-                 "%.3g; try a smaller h", k->failure.iterations, k->failure.size, k->failure.scale);
-        break;
-    default:
-        dal__fail(error, status, "%s", texts[k->failure.kind]);
     }
 }
 
@@ -315,7 +299,7 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     beta *const self = method;
     if (!self->advance) return advance_by_newton(self, motion, steps, done);
     const int status = self->advance(&self->kernel, steps, done);
-    if (status) explain(self, motion->mechanics, status);
+    if (status) explain(&self->kernel, motion->error, status);
     return status;
 }
 

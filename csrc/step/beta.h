@@ -17,7 +17,5 @@ dal_kernel_fn dal__kernel_for(size_t n, size_t m);
 dal_kernel_fn dal__kernel_any(void);
 /* One for n = 7 and 8, m <= 4; else NULL. */
 dal_kernel_fn dal__kernel_of_many(size_t n, size_t m);
-/* As finish of a dal_kernel. */
-int dal__kernel_finish(dal_kernel *k, double t_end, const dal_stage *s, bool solved);
 
 #endif /* DAL__BETA_H */

@@ -54,6 +54,25 @@ void dal__newton_restore(newton *solver, const double *values)
     for (size_t a = 0; a < m; a++) solver->lambda[a] = values[1 + n + a];
 }
 
+/* The sizes of S, as in dal_kernel_factor: what is lost where mu and a phi_q cancel in B counts. */
+static void size_S(newton *s)
+{
+    const dal_mechanics *const mech = s->mech;
+    const size_t n = s->n, m = s->m;
+    for (size_t a = 0; a < m; a++) {
+        const double *const mu = mech->forms.mu + a * n, *const B = s->B + a * n;
+        const double *const KZ = s->KZ + a * n;
+        double row = 0.0, terms = 0.0;
+        for (size_t i = 0; i < n; i++) {
+            const double entry = fabs(mu[i]) + fabs(B[i] - mu[i]);
+            row += entry * mech->metric.unit[i];
+            terms += entry * fabs(KZ[i]);
+        }
+        s->S.sizes[a] = m > 1 ? row : terms;
+        s->S.sizes[m + a] = m > 1 ? dal_residual_speed(n, mech->metric.per_unit, KZ) : 1.0;
+    }
+}
+
 /* step <- the Newton step of w and kappa, from R1, R2, K, B and mu_k; *sign <- that of the
  * determinant of the matrix. */
 static int solve_linear(newton *s, int *sign)
@@ -71,10 +90,7 @@ static int solve_linear(newton *s, int *sign)
     for (size_t a = 0; a < m; a++)
         for (size_t b = 0; b < m; b++)
             s->S.A[a * m + b] = dal__dot(n, s->B + a * n, s->KZ + b * n);
-    for (size_t a = 0; a < m; a++) {
-        s->S.sizes[a] = dal_residual_form(n, mech->metric.unit, s->B + a * n);
-        s->S.sizes[m + a] = dal_residual_speed(n, mech->metric.per_unit, s->KZ + a * n);
-    }
+    size_S(s);
     *sign *= dal__linear_factor(&s->S);
     if (*sign == 0)
         return dal__fail(&mech->error, DAL_ESINGULAR, "the Schur complement B K^-1 mu_k^T is "

@@ -85,14 +85,8 @@ typedef struct dal_pattern {
 typedef enum dal_failure {
     DAL_FAILED_CONSTRAINT, /* the callback returned nonzero: see returned */
     DAL_FAILED_POTENTIAL,
-    DAL_FAILED_FINITE,     /* something is NaN or Inf */
-    DAL_FAILED_SINGULAR_S, /* the Schur complement */
-    DAL_FAILED_SINGULAR_K, /* M + h^2 B end V_qq */
-    DAL_FAILED_SINGULAR_C, /* mu M^-1 mu^T in the final correction */
     DAL_FAILED_STEADY,     /* the system is not, as it was declared */
-    DAL_FAILED_ROOT,       /* the iteration leads away from its start, */
-    DAL_FAILED_BRANCH,     /* or to a solution that no small h leads to */
-    DAL_FAILED_CONVERGE
+    DAL_FAILED_FINISH      /* see finish */
 } dal_failure;
 
 /* The vectors and matrices of a stage. */
@@ -109,7 +103,7 @@ typedef struct dal_arrays {
     size_t *row;                  /* [m] */
 } dal_arrays;
 
-/* Everything down to max_iterations, the arrays, t0, h and x are set by the owner, who then calls
+/* Everything down to finish, the arrays, t0, h and x are set by the owner, who then calls
  * dal_kernel_forget; the rest belongs to the step routine. */
 typedef struct dal_kernel dal_kernel;
 
@@ -118,7 +112,7 @@ typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
 
 /* A step routine that was compiled for one system: what compiled of its dal_system_def points
  * to. */
-#define DAL_COMPILED_ABI 3u
+#define DAL_COMPILED_ABI 4u
 typedef struct dal_compiled {
     unsigned abi;  /* DAL_COMPILED_ABI, */
     size_t size;   /* and sizeof(dal_kernel), as its compiler saw them */
@@ -130,7 +124,7 @@ struct dal_kernel {
     dal_constraint_fn constraint;
     dal_potential_fn potential; /* NULL: V = 0 */
     void *constraint_ctx, *potential_ctx;
-    const double *mass, *mass_inverse; /* [n*n] */
+    const double *mass_inverse;        /* [n*n] */
     const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;
     int steady;   /* a dal_steady, where V acts at no q~', or 0 */
@@ -139,10 +133,9 @@ struct dal_kernel {
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
     bool plain;   /* V = 0, and moved nodes */
     double shift; /* 1 - beta */
-    int max_iterations;
-    /* What is left of a stage, on at: the full Newton iteration if not solved, and the residual of
-     * D at what is stored, evaluated, and mended. */
-    int (*finish)(dal_kernel *k, double t_end, const dal_stage *s, bool solved);
+    /* What is left of a stage: the full Newton iteration from at.x, with kappa, if not solved; else
+     * the residual of D at what is stored, evaluated, and mended.  In at.stored and at.w. */
+    int (*finish)(dal_kernel *k, double number, const dal_stage *s, bool solved);
 
     double t0, h;          /* step k, counted in stats, begins at t0 + k h */
     double *impulse;       /* [m] sum of kappa since dal_advance began */
@@ -154,15 +147,11 @@ struct dal_kernel {
      * by constant offsets, and callbacks see the same addresses at every call. */
     dal_arrays at;
     double *saved;                     /* [2n+m] x and impulse before a step of several stages */
-    double *K, *K_sizes, *y, *R;       /* [n*n], [5*n], [n], [n]: finish only, as */
-    size_t *K_row;                     /* [n] */
 
     dal_stats stats;
     struct {
         dal_failure kind;
-        const dal_stage *stage;
-        int returned, iterations;
-        double size, scale, first, travelled;
+        int returned;
     } failure;
 };
 
@@ -609,13 +598,13 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
     return 1;
 }
 
-/* ---- settle: whether what is stored has the residual that it has to have, and is finite; a kept
- * node would give back another q~' */
+/* ---- settle: whether what is stored has the residual that it has to have; what is not finite is
+ * not solved.  A kept node would give back another q~' */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *o,
-                                               const dal_arrays *at, bool solved, bool settled)
+                                               const dal_arrays *at, bool *solved, bool settled)
 {
     DAL_KERNEL_SIZES;
-    if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !o->kept)) {
+    if (DAL_KERNEL_RARE(m > 0 && *solved && !settled && !o->kept)) {
         dal_lu_solve(m, at->S, at->row, at->r, at->d);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
@@ -625,7 +614,8 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *
     double total = -0.0; /* with an infinite w stored is infinite too, or NaN where b = 0 */
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) total += at->stored[i];
-    return settled && fabs(total) <= DBL_MAX;
+    if (DAL_KERNEL_RARE(!(fabs(total) <= DBL_MAX))) *solved = false;
+    return settled && *solved;
 }
 
 /* ---- hand over what is left to k->finish */
@@ -634,14 +624,10 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits
 {
     DAL_KERNEL_SIZES;
     DAL_KERNEL_COPY(2 * n, at->x, k->at.x);
-    DAL_KERNEL_COPY(n, at->node, k->at.node);
     DAL_KERNEL_COPY(n, at->w, k->at.w);
     DAL_KERNEL_COPY(n, at->base, k->at.base);
-    if (o->kept) DAL_KERNEL_COPY(n, at->goal, k->at.goal);
     DAL_KERNEL_COPY(n, at->stored, k->at.stored);
-    DAL_KERNEL_COPY(m * n, at->Z, k->at.Z);
-    DAL_KERNEL_COPY(m * n, at->mu_node, k->at.mu_node);
-    const int status = k->finish(k, o->t_end, o->stage, solved);
+    const int status = k->finish(k, o->number, o->stage, solved);
     if (status) return status;
     DAL_KERNEL_COPY(n, k->at.w, at->w);
     DAL_KERNEL_COPY(n, k->at.stored, at->stored);
@@ -676,7 +662,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *
         k->force0 = k->force1;
         k->force1 = force;
     }
-    if (o->potential) k->forced = o->ends && solved; /* the full one looks before its last step */
+    if (o->potential) k->forced = o->ends && solved;
 }
 
 /* A stage of step number, counted from 0.  plain is a constant where this is inlined: V = 0 and
@@ -728,8 +714,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
         status = DAL_KERNEL_PART(iterate)(k, &o, &at, &settled);
         if (status < 0) return status;
     }
-    const bool solved = status == 0;
-    if (DAL_KERNEL_RARE(!DAL_KERNEL_PART(settle)(k, &o, &at, solved, settled))) {
+    bool solved = status == 0;
+    if (DAL_KERNEL_RARE(!DAL_KERNEL_PART(settle)(k, &o, &at, &solved, settled))) {
         status = DAL_KERNEL_PART(hand_over)(k, &o, &at, solved);
         if (status) return status;
     }
@@ -777,10 +763,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
             while (!status && ++s < end);
         }
 #endif
-        if (status) {
-            k->failure.stage = s;
-            break;
-        }
+        if (status) break;
     }
 #if DAL_KERNEL_INSIDE
     DAL_KERNEL_COPY(2 * n, x, k->at.x);

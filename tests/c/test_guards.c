@@ -426,7 +426,7 @@ static draw nth_draw(unsigned k)
  * systems that the step routine is not for. */
 static void test_steps(unsigned systems)
 {
-    static const double most[3][4] = {{1.58, 0.0, 0.0, 0.086}, {2.33, 5.36, 0.124, 0.158},
+    static const double most[3][4] = {{1.58, 0.0, 0.0, 0.039}, {2.37, 5.39, 0.122, 0.045},
                                       {3.65, 1.63, 0.002, 0.0}};
     tally counts[3] = {{0}};
     for (unsigned k = 0; k < systems; k++) {
@@ -718,8 +718,8 @@ static void test_negative_spring(void)
         int status;
         const char *words;
     } cases[] = {{-0.9, DAL_SUCCESS, ""},
-                 {-1.0 + U, DAL_ESINGULAR, "M + h^2 beta (1-beta) V_qq is singular"},
-                 {-1.0, DAL_ESINGULAR, "M + h^2 beta (1-beta) V_qq is singular"},
+                 {-1.0 + U, DAL_ESINGULAR, "the derivative K of the equations"},
+                 {-1.0, DAL_ESINGULAR, "the derivative K of the equations"},
                  {-1.1, DAL_ENOCONV, DAL__BRANCH_TEXT}};
     for (size_t j = 0; j < sizeof cases / sizeof *cases; j++) {
         const double x[2] = {1.0, 0.5}, c = cases[j].c;
@@ -831,7 +831,7 @@ static void test_halvings(void)
 }
 
 /* What is said where the iterations are too few: at rest v' changes in the first by F/K with F = G
- * - g and K = 1 + g/4, of |v'| + |F/2| + |F|. */
+ * - g and K = 1 + g/4, of |v'| + |F/2| + |F/2|. */
 static void test_too_few_iterations(void)
 {
     slope s = {.G = 1.0, .g = 0.9};
@@ -848,7 +848,7 @@ static void test_too_few_iterations(void)
                          &made, &change, &scale) == 3);
             CHECK(made == most && change > 0.0);
             if (most == 1) CHECK_NEAR(change, first, 1e-2 * first);
-            if (most == 1) CHECK_NEAR(scale, first + 1.5 * (s.G - s.g), 1e-2 * scale);
+            if (most == 1) CHECK_NEAR(scale, first + (s.G - s.g), 1e-2 * scale);
         }
         dal_stepper_free(stepper);
         dal_system_free(system);
@@ -921,6 +921,45 @@ static void test_branch(void)
     dal_system_free(particle);
 }
 
+/* Fused pairs are their sub-steps one after the other, which a force that is zero has made one by
+ * one: with and without a span, by the step routine and where the full iteration takes over. */
+static void test_pairs(void)
+{
+    static const dal_substep spanless[] = {{0.0, 0.5}, {1.0, -0.5}, {0.5, 1.0}};
+    static const dal_substep uneven[] = {{0.0, 0.3}, {1.0, 0.4}, {0.0, 0.5}, {1.0, -0.2}};
+    const dal_scheme schemes[] = {{.name = "spanless", .substeps = spanless, .count = 3},
+                                  {.name = "uneven", .substeps = uneven, .count = 4}};
+    static const double steps[] = {0.1, 0.6};
+    dal_system *const system = open_system("particle_oscillator");
+    dal_system_def def = system->def;
+    dal_system *pushed = NULL;
+    size_t full = 0;
+    def.force = no_force;
+    need(dal_system_new(&pushed, &def, NULL), "pushed", "");
+    for (size_t j = 0; j < 4; j++) {
+        const double h = steps[j / 2], x[6] = {0.3, -0.7, 0.2, 0.5, 2.0, -0.35};
+        dal_stepper *const one = open_stepper(system, &schemes[j % 2], NULL);
+        dal_stepper *const other = open_stepper(pushed, &schemes[j % 2], NULL);
+        dal_stats stats;
+        CHECK(dal_stepper_start(one, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_stepper_start(other, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        for (int k = 0; k < 5; k++) {
+            double a[1], b[1];
+            CHECK(dal_step(one, a) == 0 && dal_step(other, b) == 0);
+            for (size_t i = 0; i < 6; i++)
+                CHECK_NEAR(dal_stepper_state(one)[i], dal_stepper_state(other)[i], 1e-12);
+            CHECK_NEAR(a[0], b[0], 1e-11);
+        }
+        dal_stepper_stats(one, &stats);
+        full += stats.full_newtons;
+        dal_stepper_free(one);
+        dal_stepper_free(other);
+    }
+    CHECK(full > 0);
+    dal_system_free(pushed);
+    dal_system_free(system);
+}
+
 /* ---- S = 0 but for rounding ---------------------------------------------------------------- */
 
 /* v_x = c x v_y and, if there is a second, v_z = 0; c is the ctx. */
@@ -947,13 +986,15 @@ static int growth_2(double t, const double *q, const double *v, double *phi, dou
     return growth(2, q, v, phi, mu, N, *(const double *)ctx);
 }
 
-/* An endpoint step from x = 2^-60 with v_y = v, which makes x' = x/(1 - h c v). */
-static int grow(size_t m, double c, double h, double v)
+/* An endpoint step from x = 2^-60 with v_y = v, which makes x' = x/(1 - h c v), by the step routine
+ * or, forced by nothing, by the solver for all unknowns. */
+static int grow(size_t m, double c, double h, double v, bool forced)
 {
     static const double mass[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     const double x[6] = {ldexp(1.0, -60), 0.0, 0.0, c * ldexp(1.0, -60) * v, v, 0.0};
     const dal_system_def def = {.n = 3, .m = m, .mass = mass, .ctx = &c,
-                                .constraint = m == 1 ? growth_1 : growth_2};
+                                .constraint = m == 1 ? growth_1 : growth_2,
+                                .force = forced ? no_force : NULL};
     const dal_scheme scheme = find_scheme("endpoint");
     dal_system *system = NULL;
     need(dal_system_new(&system, &def, NULL), "growth", "");
@@ -972,8 +1013,10 @@ static void test_lost_difference(void)
     for (int trial = 0; trial < 200; trial++) {
         const size_t m = 1 + (size_t)trial % 2;
         const double c = 2.0 + next_number(&seed), h = 2.0 + next_number(&seed);
-        CHECK(grow(m, c, h, (1.0 + (trial % 8 - 4) * U) / (h * c)) == DAL_ESINGULAR);
-        CHECK(grow(m, c, h, -1e16 / (h * c)) == 0);
+        for (int forced = 0; forced < 2; forced++) {
+            CHECK(grow(m, c, h, (1.0 + (trial % 8 - 4) * U) / (h * c), forced) == DAL_ESINGULAR);
+            CHECK(grow(m, c, h, -1e16 / (h * c), forced) == 0);
+        }
     }
 }
 
@@ -1196,6 +1239,7 @@ int main(int argc, char **argv)
     test_too_few_iterations();
     test_led_away();
     test_branch();
+    test_pairs();
     test_hill();
     test_judge();
     test_lost_difference();
