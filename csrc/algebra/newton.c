@@ -74,9 +74,9 @@ int dal__newton_run(dal__newton *self, dal_error *error)
         if (verdict == DAL__DONE) return DAL_SUCCESS;
     }
     if (verdict == DAL__LOST && p->size <= DBL_MAX)
-        return dal__fail(error, DAL_ENOCONV, "Newton did not converge: its steps lead away from the "
-                         "start, %.3g in all where the first was %.3g, of %.3g; %s", p->travelled,
-                         p->first, p->scale, advice);
+        return dal__fail(error, DAL_ENOCONV, "Newton did not converge: its steps lead away from "
+                         "the start, %.3g in all where the first was %.3g, of %.3g; %s",
+                         p->travelled, p->first, p->scale, advice);
     return dal__fail(error, DAL_ENOCONV, "Newton did not converge in %d iterations: last change "
                      "%.3g of %.3g; %s", p->iteration, p->size, p->scale, advice);
 }
