@@ -14,24 +14,15 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
     evaluator *const e = &mech->eval;
     const size_t calls[] = {e->potential_calls, e->lagrangian_calls};
     const double *y = x;
-    int status;
     if (shift != 0.0) {
         memcpy(mech->point, x, 2 * n * sizeof *x);
         for (size_t i = 0; i < n; i++) mech->point[i] -= shift * x[n + i];
         y = mech->point;
     }
-    if (e->constant_mass) {
-        double V = 0.0;
-        status = dal__potential(e, 0.0, y, &V, NULL, NULL, &mech->error);
-        dal__apply(n, n, mech->metric.M, y + n, mech->step);
-        *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
-        *E = *kinetic + V;
-    } else {
-        status = dal__form_metric(mech, 0.0, y, y + n);
-        if (!status) status = dal__energy(mech, 0.0, y, E);
-        dal__apply(n, n, mech->metric.M, y + n, mech->step);
-        *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
-    }
+    int status = dal__form_metric(mech, 0.0, y, y + n);
+    if (!status) status = dal__energy(mech, 0.0, y, E);
+    dal__apply(n, n, mech->metric.M, y + n, mech->step);
+    *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
     e->potential_calls = calls[0];
     e->lagrangian_calls = calls[1];
     return status;
