@@ -98,7 +98,7 @@ class _Forms:
         return np.array(found[:size], dtype=object).reshape(self.m, self.n), found[size:]
 
     def point(self, q: Array, is_exact: bool) -> _Point:
-        """Return a point; ValueError if it is known to double precision, and mu not smooth there."""
+        """Return a point; ValueError if it is no exact one, and mu not smooth there."""
         places = [list(map(mpmath.mpf, q))]
         if not is_exact:
             source = random.Random(1)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 
-import numpy as np
-
 from ..core import Array, DalembertError, Handle, Pair
 from ..core.extras import Show
 from ..geometry import Chart

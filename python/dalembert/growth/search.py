@@ -181,47 +181,23 @@ def explore(
     near, q, show
         See `growth.examine`.
     """
-    n, m, points, show = source.n, source.m, list[Any](), _rising(show)
-
-    def look(
-        point: Any, most: int, shown: int = 0, least: int = 0, is_general: bool = True
-    ) -> tuple[Growth, str]:
-        """Return the growth vector at a point, and what it lacks."""
-        found, told = search(point, most, lambda added: show(shown + added), least, is_general)
-        note = ""
-        if not told:
-            note = f"brackets of {len(found) + 1} fields {source.lost}"
-        elif found[-1] < least or not is_settled(found, n):
-            note = f"brackets of more than {len(found)} fields are not formed"
-        return found[: found.index(found[-1]) + 2], note
-
-    general, note, lack = (), "", ""
-    for places, is_exact in _places(near):
-        for place in places:
-            try:
-                point = source.point(place, is_exact)
-                found, said = look(point, source.most)
-            except OUTSIDE as error:
-                lack = lack or str(error)
-                continue
-            points.append(point)
-            if _size(found) > _size(general):
-                general, note = found, said
-            if found[-1] == n or said:
-                break
-        if points:
-            break
-    else:
-        note = f"no point was found where mu can be examined: {lack}"
+    n, m, show = source.n, source.m, _rising(show)
+    points, general, note = _general(source, near, show)
+    if general is None:
         return Distribution(None, None, note, None, source.digits), points
     show(m)
     here: Growth | None = general
     if q is not None:
+
+        def at_q(added: int) -> None:
+            show(m + added)
+
         try:
             points.append(source.point(q, False))
-            here, note = look(points[-1], source.most, m)
+            here, note = _look(source, points[-1], source.most, at_q)
             if here != general:
-                here, note = look(points[-1], source.most_there, m, general[-1], False)
+                most, least = source.most_there, general[-1]
+                here, note = _look(source, points[-1], most, at_q, least, is_general=False)
             general = max(general, here, key=_size)  # q may lie in another region
         except OUTSIDE as error:
             here, note = None, str(error)
@@ -229,6 +205,43 @@ def explore(
     if is_settled(general, n) or general[-1] > n - m:
         integrable = general[-1] == n - m
     return Distribution(here, general, note, integrable, source.digits), points
+
+
+def _general(source: Any, near: Array, show: Show) -> tuple[list[Any], Growth | None, str]:
+    """Return general points, the largest growth vector at them, and what it lacks.
+
+    Of functions that vanish nearly everywhere, or are given in pieces, one point does not tell.
+    """
+    points, best, note, lack = list[Any](), (), "", ""
+    for places, is_exact in _places(near):
+        for place in places:
+            try:
+                point = source.point(place, is_exact)
+                found, said = _look(source, point, source.most, show)
+            except OUTSIDE as error:
+                lack = lack or str(error)
+                continue
+            points.append(point)
+            if _size(found) > _size(best):
+                best, note = found, said
+            if found[-1] == source.n or said:
+                break
+        if points:
+            return points, best, note
+    return points, None, f"no point was found where mu can be examined: {lack}"
+
+
+def _look(
+    source: Any, point: Any, most: int, show: Show, least: int = 0, is_general: bool = True
+) -> tuple[Growth, str]:
+    """Return the growth vector at a point, see `search`, and what it lacks."""
+    found, told = search(point, most, show, least, is_general)
+    note = ""
+    if not told:
+        note = f"brackets of {len(found) + 1} fields {source.lost}"
+    elif found[-1] < least or not is_settled(found, source.n):
+        note = f"brackets of more than {len(found)} fields are not formed"
+    return found[: found.index(found[-1]) + 2], note
 
 
 def _places(near: Array) -> Iterator[tuple[list[Array], bool]]:
