@@ -459,14 +459,19 @@ print(run.x[-1])"""
 
 def c_lines(system: System) -> str:
     """Return the program of C that does the same."""
+    changed = _changed(system)
+    declare = ""
+    names = values = "NULL"
+    if changed and system._model is None:
+        names, values = "names", "values"
+        declare = (
+            f"    const char *const names[] = {{{', '.join(map(quoted, changed))}}};\n"
+            f"    const double values[] = {{{', '.join(map(repr, changed.values()))}}};\n"
+        )
+    make = f"dal_system_builtin(&system, {quoted(system.name)}, {names}, {values}, "
+    make += f"{len(changed)}, &error)"
     prototype = ""
-    if system._model is None:
-        changed = _changed(system)
-        names = _c_array("char *", map(quoted, changed))
-        values = _c_array("double", map(repr, changed.values()))
-        make = f"dal_system_builtin(&system, {quoted(system.name)}, {names}, {values}, "
-        make += f"{len(changed)}, &error)"
-    else:
+    if system._model is not None:
         kinds = "".join(f"double {key}, " for key in system.parameters)
         given = "".join(f"{x!r}, " for x in system.parameters.values())
         prototype = f"int {system.name}_system(dal_system **system, {kinds}dal_error *error);\n\n"
@@ -482,7 +487,7 @@ def c_lines(system: System) -> str:
     dal_stepper *stepper;
     dal_error error;
     double x[{size}];
-    if ({make}
+{declare}    if ({make}
         || dal_scheme_find(&scheme, {quoted(SCHEME)}, &error)
         || dal_stepper_new(&stepper, system, &scheme, NULL, &error))
         return puts(error.text), 1;
@@ -495,12 +500,6 @@ def c_lines(system: System) -> str:
     dal_system_free(system);
     return 0;
 }}"""
-
-
-def _c_array(kind: str, items: Iterable[str]) -> str:
-    """Return an array of constants, NULL without any."""
-    text = ", ".join(items)
-    return f"(const {kind}[]){{{text}}}" if text else "NULL"
 
 
 def quoted(text: str) -> str:
