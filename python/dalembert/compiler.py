@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from . import core
-from .core import DalembertError, DalembertWarning
+from .core import DalembertError, DalembertWarning, files
 
 __all__ = ["Compiler", "CompilerError", "Library", "clear", "entries", "find", "folder", "library"]
 
@@ -259,17 +259,8 @@ def _store(directory: Path, key: str, source: str, content: bytes) -> Path:
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     _require_private(directory)
     path = directory / f"{key}.so"
-    for target, data in ((path.with_suffix(".c"), source.encode()), (path, _sealed(content, key))):
-        handle, name = tempfile.mkstemp(suffix=".new", dir=directory)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-            if target is path:
-                os.chmod(name, 0o700)
-            os.replace(name, target)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
+    files.replace(path.with_suffix(".c"), source.encode(), 0o600)
+    files.replace(path, _sealed(content, key), 0o700)
     return path
 
 

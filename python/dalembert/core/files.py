@@ -57,17 +57,20 @@ def write(path: str | Path, text: str) -> None:
         if _is_device(target):
             target.write_text(text, encoding="utf-8")
         else:
-            _replace(target.resolve(), text)
+            replace(target.resolve(), text.encode())
 
 
-def _replace(target: Path, text: str) -> None:
-    draft = target.with_name(f".{target.name[:64]}.{secrets.token_hex(8)}")
+def replace(target: Path, content: bytes, mode: int | None = None) -> None:
+    """Write a file under another name, with permissions if they are given, and rename it."""
+    draft = target.with_name(f".{target.name[:64]}.{secrets.token_hex(8)}.new")
     try:
-        with open(draft, "x", encoding="utf-8") as file:
-            file.write(text)
+        with open(draft, "xb") as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        if target.exists():
+        if mode is not None:
+            draft.chmod(mode)
+        elif target.exists():
             shutil.copymode(target, draft)
         os.replace(draft, target)
     except BaseException:

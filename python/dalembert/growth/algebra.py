@@ -7,6 +7,7 @@ proved by algebra where that is possible, see `zeros`.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import random
 from collections.abc import Mapping, Sequence
@@ -20,8 +21,7 @@ from ..core import Array, Pair
 from ..core.extras import Show
 from ..symbolic.model import Model, with_default
 from ..symbolic.zeros import is_zero, of_sympy
-from . import search as growth
-from .search import Brackets, Distribution, Growth, Word, Words
+from .search import Distribution, Word, brackets, explore, is_settled, search
 
 Expr = Any
 
@@ -29,7 +29,6 @@ Expr = Any
 _BITS, _ZERO = 220, mpmath.ldexp(1, -160)
 # At a given point brackets are formed up to this order, and with no more values of mu than this.
 _ORDERS, _WORK = 10, 30_000
-_DIGITS = 30
 
 
 @mpmath.workprec(3 * _BITS)
@@ -42,27 +41,18 @@ def examine(
 ) -> Distribution:
     """Return what `growth.examine` does, for values of the parameters of a model."""
     n, m, forms = model.n, model.m, _Forms(model, values)
-    points, lack = _points(forms, near)
-    if not points:
-        note = f"no point was found where mu can be examined: {lack}"
-        return Distribution(None, None, note, None, _DIGITS)
-    progress = growth.rising(show)
-    general, words, told, settled = growth.largest(points, m, progress)
-    show(m)
-    here, note = general, "" if told else "further brackets are too small to be told from 0"
-    if q is not None:
-        here, note = _at(forms, q, general, words, lambda k: show(m + k))
-        if here is not None:
-            points.append(_Point(forms, list(map(mpmath.mpf, q))))
-            if growth.is_larger(here, general):  # the others lie in another region
-                general, settled = here, growth.is_settled(here, n)
+    found, points = explore(forms, near, q, show)
+    general = found.general_growth
+    if general is None:
+        return found
+    settled = is_settled(general, n)
     alone = [a for a in range(m) if all(point.is_integrable(a) for point in points)]
     if len(alone) > n - general[-1]:  # what is small in one has its own size in the other
         alone = []
     proved = general[-1] == n or (
         settled and general[-1] == n - m and forms.are_involutive(points[0].dependent)
     )
-    where = ""
+    where, note = "", found.growth_note
     if forms.in_pieces and general[-1] < n and not proved:
         where = ", as far as is seen around here"
         note = note or "mu is given in pieces, and only those around here were looked at"
@@ -71,79 +61,20 @@ def examine(
     if hidden > len(alone):
         which = f"{hidden} of the constraints together" if hidden < m else "all together"
         named.append(which + where)
-    integrable = general[-1] == n - m if settled or general[-1] > n - m else None
-    return Distribution(here, general, note, integrable, _DIGITS, tuple(named), proved)
-
-
-def _at(
-    forms: _Forms,
-    q: Array,
-    general: Growth,
-    words: Words,
-    show: Show,
-) -> tuple[Growth | None, str]:
-    """Return the growth vector at a point that is known to double precision, and what it lacks."""
-    n = forms.n
-    try:
-        point = _given(forms, q)
-        new = growth.of_new_ones(n - forms.m)
-        same = (lambda k, *_: words[k - 1]) if general[-1] == n else new
-        found, _, told = growth.search(  # is it as at the general point?
-            point, same, len(words), lambda _: False, show
-        )
-        if growth.shortened(found, n) == general:
-            return general, ""
-        most = max(general[-1], found[-1])
-        limit = min(_ORDERS, int(np.log2(_WORK / n**2)))
-        found, _, told = growth.search(
-            point, growth.at_random(n - forms.m), max(limit, 1), lambda d: d[-1] >= most,
-            show,
-        )  # fmt: skip
-    except ValueError as error:
-        return None, str(error)
-    if told:
-        note = "" if found[-1] >= most else growth.no_more(found)
-        return growth.shortened(found, n), note
-    return tuple(found), (
-        f"brackets of {len(found) + 1} fields cannot be told from 0 at a point that is known to 16 "
-        "digits"
-    )
-
-
-def _given(forms: _Forms, q: Array) -> _Point:
-    """Return a point that is known to double precision; ValueError if mu is not smooth there."""
-    source = random.Random(1)
-    place = list(map(mpmath.mpf, q))
-    other = [x + max(1.0, abs(x)) * source.choice((-1, 1)) * 2.0**-53 for x in place]
-    return _Point(forms, place, other)
-
-
-def _points(forms: _Forms, near: Array) -> tuple[list[_Point], str]:
-    """Return points where mu is of full rank: in no special position, near ones first, and near.
-
-    Where there are none, also what the last one lacks.
-    """
-    source, found, lack = random.Random(1), [], ""
-    places = [growth.nearby(near, size, k) for size in growth.NEARBY for k in range(1, 5)]
-    places[4:4] = [places[-1], *(np.array([source.uniform(0.5, 1) for _ in near]) for _ in "12")]
-    makers = [lambda q=q: _Point(forms, list(map(mpmath.mpf, q))) for q in places]
-    makers.insert(7, lambda: _given(forms, near))
-    for make in makers:
-        try:
-            found.append(make())
-        except ValueError as error:
-            lack = str(error)
-        if len(found) == 8:
-            break
-    return found, lack
+    return dataclasses.replace(found, growth_note=note, holonomic=tuple(named), exact=proved)
 
 
 class _Forms:
     """mu as expressions, and as a function with as many digits as mpmath works with."""
 
+    digits = 30
+    lost = "cannot be told from 0 at a point that is known to 16 digits"
+
     def __init__(self, model: Model, values: Mapping[str, float]) -> None:
         numbers = {p: sympy.Rational(x) for p, x in zip(model.p, values.values())}
         self.n, self.m = model.n, model.m
+        self.most = self.m
+        self.most_there = max(1, min(_ORDERS, int(np.log2(_WORK / self.n**2))))
         self.q, self.shown = model.q, model.shown
         forms = model.derived.expressions("constraint", "phi_v")
         self.mu = [e.xreplace(numbers) for e in forms]
@@ -165,6 +96,16 @@ class _Forms:
             raise ValueError("mu is not defined there")
         size = self.m * self.n
         return np.array(found[:size], dtype=object).reshape(self.m, self.n), found[size:]
+
+    def point(self, q: Array, is_exact: bool) -> _Point:
+        """Return a point; ValueError if it is no exact one, and mu not smooth there."""
+        places = [list(map(mpmath.mpf, q))]
+        if not is_exact:
+            source = random.Random(1)
+            ends = (x + max(1.0, abs(x)) * source.choice((-1, 1)) * 2.0**-53 for x in places[0])
+            places.append(list(ends))
+            self.require_smooth(*places)
+        return _Point(self, places)
 
     def require_smooth(self, q: Sequence[Any], other: Sequence[Any]) -> None:
         """Raise ValueError if mu is not smooth at a point, as far as that is known."""
@@ -218,63 +159,56 @@ def _edges(expressions: Sequence[Expr]) -> list[Expr]:
 
 
 class _Point:
-    """Brackets of mu at a point q, see `growth.search`; ``other`` is one that q may be as well.
+    """Brackets of mu at a point, see `search.search`; it may be at any of its places.
 
-    ValueError if mu is not smooth there, or has not rank m.
+    ``rows`` are those of mu.  ValueError if they are not independent there.
     """
 
     rounding = _ZERO
 
     def __init__(
-        self, forms: _Forms, q: Sequence[Any], other: Sequence[Any] | None = None
+        self, forms: _Forms, places: list[Sequence[Any]], rows: Sequence[int] | None = None
     ) -> None:
-        self.n, self.m = forms.n, forms.m
-        self._forms = forms
-        self._places = [np.array(x, dtype=object) for x in (q, other) if x is not None]
-        if other is not None:
-            forms.require_smooth(q, other)
-        self._pivots = _pivots(forms.at(q)[0])
+        self._forms, self._rows = forms, list(range(forms.m) if rows is None else rows)
+        self.n, self.m = forms.n, len(self._rows)
+        self._places = [np.array(x, dtype=object) for x in places]
+        self._pivots = _pivots(self._mu(places[0]))
         if len(self._pivots) < self.m:
             raise ValueError(f"mu has rank {len(self._pivots)} instead of {self.m}")
         self.dependent = [c for _, c in self._pivots]
-        size = abs(self._fields(self._places[0])).max(axis=1) if other is None else np.ones(self.m)
+        self._free = [j for j in range(self.n) if j not in self.dependent]
+        size = [1] * self.m
+        if len(places) == 1:
+            size = abs(self._fields(places[0])).max(axis=1)
         # of dependent coordinates; what is no more than roundoff is none
         self._units = np.array([x if x > _ZERO**2 else 1 for x in size], dtype=object)
         self._digits = 0
 
     def pair(self, word: Word) -> Pair:
-        """Return the dependent components of a bracket, here and at the other point."""
+        """Return the dependent components of a bracket, here and at the other place."""
         digits = _BITS * (-(-len(word) // 4) * 4 + 1)  # each difference loses _BITS
         if digits > self._digits:
             step = mpmath.ldexp(1, -_BITS)
             stencil = [(step, 1 / step), (0, -1 / step)]
             self._digits = digits
-            self._brackets = Brackets(self._fields, self.dependent, self.n, stencil)
+            self._brackets = brackets(self._fields, self.dependent, self.n, stencil)
         with mpmath.workprec(self._digits):
-            rows = [
-                self._brackets.at(word, q)[self.dependent] / self._units for q in self._places
-            ]
+            rows = [self._brackets(word, q) / self._units for q in self._places]
         return rows[0], rows[-1]
 
-    def _fields(self, q: Array) -> Array:
-        mu = self._forms.at(q)[0]
+    def _mu(self, q: Sequence[Any]) -> Array:
+        return self._forms.at(q)[0][self._rows]
+
+    def _fields(self, q: Sequence[Any]) -> Array:
+        mu = self._mu(q)
         for r, c in self._pivots:
             _eliminate(mu, r, c)
-        free = [j for j in range(self.n) if j not in self.dependent]
-        return -mu[[r for r, _ in self._pivots]][:, free]
+        return -mu[[r for r, _ in self._pivots]][:, self._free]
 
     def is_integrable(self, a: int) -> bool:
-        """Return whether d mu^a ^ mu^a vanishes: then the one constraint is holonomic."""
-        q, step = self._places[0], mpmath.ldexp(1, -_BITS)
-        form = self._forms.at(q)[0][a]
-        size = abs(form).max()  # its unit does not matter
-        beside = [self._forms.at(q + step * e)[0][a] / size for e in np.eye(self.n, dtype=int)]
-        form = form / size
-        slope = (np.array(beside) - form) / step
-        terms = np.multiply.outer(slope - slope.T, form)
-        terms = np.array([terms, terms.transpose(1, 2, 0), terms.transpose(2, 0, 1)])
-        bound = _ZERO * (abs(terms).sum(axis=0) + 1)
-        return bool((abs(terms.sum(axis=0)) <= bound).all())
+        """Return whether one constraint is by itself: then it is holonomic."""
+        alone, told = search(_Point(self._forms, self._places, [a]), 1)
+        return told and alone[-1] < self.n
 
 
 def _pivots(mu: Array) -> list[tuple[int, int]]:

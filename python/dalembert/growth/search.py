@@ -18,6 +18,7 @@ at right angles, the last two apart.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import random
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core import Array
+from ..core import Array, DalembertError
 from ..core.extras import Show
 
 # An entry counts if it is this many times the difference to its twin.
@@ -35,11 +36,13 @@ _TRUST = 30
 _GAP = 1e-4
 
 # General points are sought at such distances from a state, as the curvature is by the core.
-NEARBY = (0.1, 0.01, 0.001)
+_NEARBY = (0.1, 0.01, 0.001)
 
-# Independent velocities of the fields of a bracket, the outermost first; brackets by their order.
+# What functions raise for states that they were not made for, and what the core does.
+OUTSIDE = DalembertError, ArithmeticError, ValueError
+
+# Independent velocities of the fields of a bracket, the outermost first.
 Word = tuple[tuple[float, ...], ...]
-Words = list[list[Word]]
 
 # The dimensions of D^1, D^2, ...
 Growth = tuple[int, ...]
@@ -58,44 +61,36 @@ class Distribution:
     exact: bool = False
 
 
-class Brackets:
-    """Brackets of fields of D by differences.
+def brackets(
+    fields: Callable[[Any], Array], dependent: Sequence[int], n: int, stencil: Any
+) -> Callable[[Word, Any], Array]:
+    """Return a function of a word and a point: the dependent components of a bracket.
 
     ``fields(q)`` is S, shape (m, n - m), so that v_dependent = S u on D; the stencil has steps and
-    weights of the difference along a line.
+    weights of the difference along a line.  What was computed is kept: many words have much in
+    common.
     """
+    rows = list(dependent)
+    independent = [i for i in range(n) if i not in rows]
+    fields = functools.cache(fields)
 
-    def __init__(
-        self, fields: Callable[[Array], Array], dependent: Sequence[int], n: int, stencil: Any
-    ) -> None:
-        self.n, self.dependent = n, list(dependent)
-        self._independent = [i for i in range(n) if i not in self.dependent]
-        self._fields, self._stencil = fields, stencil
-        self._known: dict[Any, Array] = {}
-
-    def at(self, word: Word, q: Array) -> Array:
-        """Return a bracket at a point, all its n components."""
-        key = word, tuple(q)
-        if key not in self._known:
-            self._known[key] = self._new(word, q)
-        return self._known[key]
-
-    def _new(self, word: Word, q: Array) -> Array:
+    @functools.cache
+    def at(word: Word, q: tuple[Any, ...]) -> Array:
         head, rest = word[:1], word[1:]
         if rest:
-            W, X = self.at(rest, q), self.at(head, q)
-            return self._along(rest, q, X) - self._along(head, q, W)
-        if tuple(q) not in self._known:
-            self._known[tuple(q)] = self._fields(q)
-        S = self._known[tuple(q)]
-        X = np.zeros(self.n, dtype=S.dtype)
-        X[self._independent] = head[0]
-        X[self.dependent] = S @ np.array(head[0])
+            W, X = at(rest, q), at(head, q)
+            return along(rest, q, X) - along(head, q, W)
+        S = fields(q)
+        X = np.zeros(n, dtype=S.dtype)
+        X[independent] = head[0]
+        X[rows] = S @ np.array(head[0])
         return X
 
-    def _along(self, word: Word, q: Array, direction: Array) -> Array:
+    def along(word: Word, q: tuple[Any, ...], direction: Array) -> Array:
         """Return the derivative of a bracket along a line."""
-        return sum(weight * self.at(word, q + step * direction) for step, weight in self._stencil)
+        return sum(weight * at(word, tuple(q + step * direction)) for step, weight in stencil)
+
+    return lambda word, q: at(word, tuple(q))[rows]
 
 
 class _Span:
@@ -119,101 +114,143 @@ class _Span:
         return False if max(size, abs(twin).max()) <= _GAP * self._least else None
 
 
-Candidates = Callable[[int, Sequence[Word], list[Word]], Iterable[Word]]
+def search(
+    point: Any,
+    most: int,
+    show: Show = lambda added: None,
+    least: int = 0,
+    is_general: bool = True,
+) -> tuple[Growth, bool]:
+    """Return the dimensions of D^1, D^2, ..., and False if further ones are lost in rounding.
+
+    ``point`` has the sizes n and m, the ``rounding`` of numbers of size 1, and ``pair(word)``: the
+    dependent components of a bracket, shape (m,), and a twin, see `_Span`.  The search ends after
+    so many orders at ``most``, or where the dimensions are settled and not below the ``least``;
+    ``show`` is told how many were added to those of D.
+    """
+    n, count = point.n, point.n - point.m
+    span, dimensions, words = _Span(), [count], list[Word]()
+    for k in range(2, most + 2):
+        candidates = _of_new_ones(count, words) if is_general else _at_random(count, k)
+        grown, words = dimensions[-1], []
+        for word in candidates:
+            counts = span.add(*point.pair(word), point.rounding)
+            if counts is None:
+                return tuple(dimensions), False
+            if counts:
+                grown += 1
+                words.append(word)
+                show(grown - count)
+            if grown == n or not (counts or is_general):
+                break
+        dimensions.append(grown)
+        if is_settled(dimensions, n) and grown >= least:
+            break
+    return tuple(dimensions), True
 
 
-def of_new_ones(count: int) -> Candidates:
+def _of_new_ones(count: int, last: Sequence[Word]) -> Iterable[Word]:
     """Return the brackets to try at a general point, of ``count`` fields and those found last."""
     source = random.Random(1)
     fields = [
         tuple((i == j) + source.uniform(-0.3, 0.3) for j in range(count)) for i in range(count)
     ]
+    if last:
+        return [(u, *word) for word in last for u in fields]
+    return itertools.combinations(fields, 2)
 
-    pairs = list(itertools.combinations(fields, 2))
-    return lambda _, last, __: [(u, *word) for word in last for u in fields] if last else pairs
 
-
-def at_random(count: int) -> Candidates:
-    """Return those to try anywhere: random ones, until one is nothing new."""
+def _at_random(count: int, length: int) -> Iterator[Word]:
+    """Yield those to try anywhere: random ones, until one is nothing new."""
     source = random.Random(2)
-
-    def candidates(k: int, _: Sequence[Word], found: list[Word]) -> Iterator[Word]:
-        word: Word | None = None
-        while word is None or word in found:
-            word = tuple(tuple(source.uniform(-1, 1) for _ in range(count)) for _ in range(k + 1))
-            yield word
-
-    return candidates
+    while True:
+        yield tuple(tuple(source.uniform(-1, 1) for _ in range(count)) for _ in range(length))
 
 
-def search(
-    source: Any,
-    candidates: Candidates,
-    limit: int,
-    enough: Callable[[list[int]], bool],
-    show: Show,
-) -> tuple[list[int], Words, bool]:
-    """Return the dimensions of D^1, D^2, ...
+def explore(
+    source: Any, near: Array, q: Array | None, show: Show
+) -> tuple[Distribution, list[Any]]:
+    """Return what is found of D, and the points where brackets were formed.
 
-    ``source`` has the sizes n and m, the ``rounding`` of numbers of size 1, and ``pair(word)``: the
-    dependent components of a bracket, shape (m,), and a twin, see `_Span`.  ``candidates`` gives
-    the brackets of k + 1 fields to try, of k, those found of k fields, and the list of those found
-    so far of k + 1.  The search ends with k = ``limit``, or if the dimensions are ``enough``, and
-    ``show`` is told how many dimensions were added to D.
-
-    Also the brackets that were found to be independent, of 2 fields, of 3, ..., and False if
-    further ones cannot be told from those found.
+    Parameters
+    ----------
+    source : object
+        With the sizes n and m, its ``digits``, ``point(q, is_exact)`` for `search`, the numbers of
+        orders ``most`` at a general point and ``most_there`` at q, and what is to be said of
+        brackets that are ``lost``, as they cannot be told from 0.
+    near, q, show
+        See `growth.examine`.
     """
-    span, dimensions, words = _Span(), [source.n - source.m], Words()
-    for k in range(1, limit + 1):
-        found = list[Word]()
-        for word in candidates(k, words[-1] if words else (), found):
-            counts = span.add(*source.pair(word), source.rounding)
-            if counts is None:
-                return dimensions, words, False
-            if counts:
-                found.append(word)
-                show(dimensions[-1] + len(found) - dimensions[0])
-            if dimensions[-1] + len(found) == source.n:
-                break
-        words.append(found)
-        dimensions.append(dimensions[-1] + len(found))
-        if enough(dimensions):
-            break
-    return dimensions, words, True
+    n, m, show = source.n, source.m, _rising(show)
+    points, general, note = _general(source, near, show)
+    if general is None:
+        return Distribution(None, None, note, None, source.digits), points
+    show(m)
+    here: Growth | None = general
+    if q is not None:
+
+        def at_q(added: int) -> None:
+            show(m + added)
+
+        try:
+            points.append(source.point(q, False))
+            here, note = _look(source, points[-1], source.most, at_q)
+            if here != general:
+                most, least = source.most_there, general[-1]
+                here, note = _look(source, points[-1], most, at_q, least, is_general=False)
+            general = max(general, here, key=_size)  # q may lie in another region
+        except OUTSIDE as error:
+            here, note = None, str(error)
+    integrable = None
+    if is_settled(general, n) or general[-1] > n - m:
+        integrable = general[-1] == n - m
+    return Distribution(here, general, note, integrable, source.digits), points
 
 
-def at_general_point(
-    point: Any, limit: int, show: Show
-) -> tuple[Growth, Words, bool, bool]:
-    """Return the growth vector at a general point, as far as it is found, and its brackets.
-
-    Also whether further ones could be told from them, and whether it is settled.
-    """
-    n = point.n
-    found, words, told = search(
-        point, of_new_ones(n - point.m), limit, lambda found: is_settled(found, n), show
-    )
-    settled = is_settled(found, n)
-    return shortened(found, n) if settled else tuple(found), words, told, settled
-
-
-def largest(
-    points: Iterable[Any], limit: int, show: Show
-) -> tuple[Growth, Words, bool, bool]:
-    """Return the largest growth vector of several general points, see `at_general_point`.
+def _general(source: Any, near: Array, show: Show) -> tuple[list[Any], Growth | None, str]:
+    """Return general points, the largest growth vector at them, and what it lacks.
 
     Of functions that vanish nearly everywhere, or are given in pieces, one point does not tell.
     """
-    best = None
-    for point in points:
-        found = at_general_point(point, limit, show)
-        if best is None or is_larger(found[0], best[0]):
-            best = found
-        if found[0][-1] == point.n:
-            break
-    assert best is not None
-    return best
+    points, best, note, lack = list[Any](), (), "", ""
+    for places, is_exact in _places(near):
+        for place in places:
+            try:
+                point = source.point(place, is_exact)
+                found, said = _look(source, point, source.most, show)
+            except OUTSIDE as error:
+                lack = lack or str(error)
+                continue
+            points.append(point)
+            if _size(found) > _size(best):
+                best, note = found, said
+            if found[-1] == source.n or said:
+                break
+        if points:
+            return points, best, note
+    return points, None, f"no point was found where mu can be examined: {lack}"
+
+
+def _look(
+    source: Any, point: Any, most: int, show: Show, least: int = 0, is_general: bool = True
+) -> tuple[Growth, str]:
+    """Return the growth vector at a point, see `search`, and what it lacks."""
+    found, told = search(point, most, show, least, is_general)
+    note = ""
+    if not told:
+        note = f"brackets of {len(found) + 1} fields {source.lost}"
+    elif found[-1] < least or not is_settled(found, source.n):
+        note = f"brackets of more than {len(found)} fields are not formed"
+    return found[: found.index(found[-1]) + 2], note
+
+
+def _places(near: Array) -> Iterator[tuple[list[Array], bool]]:
+    """Yield places in no special position, near ones first, and near; each is exact or rounded."""
+    for size in _NEARBY:
+        yield [nearby(near, size, k) for k in range(1, 5)], True
+    yield [near], False
+    source = random.Random(1)
+    yield [np.array([source.uniform(0.5, 1) for _ in near]) for _ in range(2)], True
 
 
 def nearby(q: Array, size: float, k: int = 1) -> Array:
@@ -221,12 +258,12 @@ def nearby(q: Array, size: float, k: int = 1) -> Array:
     return q + size * (1 + abs(q)) * np.cos(k * np.arange(1, len(q) + 1))
 
 
-def is_larger(one: Sequence[int], other: Sequence[int]) -> bool:
-    """Return whether one growth vector ends above another, or gets there sooner."""
-    return (one[-1], *one) > (other[-1], *other)
+def _size(growth: Growth) -> Growth:
+    """Return what is larger for one that ends above another, or gets there sooner."""
+    return (*growth[-1:], *growth)
 
 
-def rising(show: Show) -> Show:
+def _rising(show: Show) -> Show:
     """Return the function that shows what is more than it was told before."""
     most = 0
 
@@ -242,14 +279,3 @@ def rising(show: Show) -> Show:
 def is_settled(dimensions: Sequence[int], n: int) -> bool:
     """Return whether no further bracket can add to the dimensions, at a general point."""
     return dimensions[-1] == n or (len(dimensions) > 1 and dimensions[-1] == dimensions[-2])
-
-
-def shortened(dimensions: Sequence[int], n: int) -> Growth:
-    """Return dimensions up to the first that is as the last one, and once more if that is not n."""
-    last = dimensions[-1]
-    return (*dimensions[: list(dimensions).index(last) + 1], *([last] if last < n else []))
-
-
-def no_more(dimensions: Sequence[int]) -> str:
-    """Return what there is to say where the search has ended before the dimensions have."""
-    return f"brackets of more than {len(dimensions)} fields are not formed"

@@ -237,49 +237,18 @@ class Study:
 
         What is not finite is None.
         """
-        arrays = (
-            "steps",
-            "h",
-            "q_error",
-            "q_orders",
-            "v_error",
-            "v_orders",
-            "multiplier_error",
-            "multiplier_orders",
-            "local_error",
-            "local_multiplier_error",
-            "local_reaction_error",
-            "local_midpoint_error",
-            "residual",
-            "residual_eps",
-            "energy_error",
-            "failed",
-        )
-        return {
+        computed = ("q_orders", "v_orders", "multiplier_orders", "verdict")
+        names = [*(x.name for x in dataclasses.fields(self)), *computed]
+        described = {
             "system": self.system.name,
-            "parameters": {key: float(x) for key, x in self.system.parameters.items()},
-            "q0": self.q0.tolist(),
-            "v0": self.v0.tolist(),
-            "t0": self.t0,
-            "t_end": self.t_end,
+            "parameters": self.system.parameters,
             "scheme": self.scheme.name,
             "nodes": self.scheme.nodes,
-            "initial": self.initial,
             "promised": dict(zip("ps", self.promised)),
-            **{name: [_plain_number(x) for x in getattr(self, name).tolist()] for name in arrays},
-            "fits": {
-                key: {**dataclasses.asdict(fit), "slope": _plain_number(fit.slope)}
-                for key, fit in self.fits.items()
-            },
-            "p": _plain_number(self.p),
-            "s": _plain_number(self.s),
-            "floor": self.floor,
-            "reference": self.reference,
-            "keeps_D": self.keeps_D,
-            "keeps_D_eps": self.keeps_D_eps,
-            "holds": self.holds,
-            "verdict": self.verdict,
-            "text": self.text,
+            "fits": {key: dataclasses.asdict(fit) for key, fit in self.fits.items()},
+        }
+        return {
+            key: _plain(x) for key, x in ({x: getattr(self, x) for x in names} | described).items()
         }
 
 
@@ -351,5 +320,12 @@ class Studies(Sequence[Study]):
         }
 
 
-def _plain_number(x: float) -> float | None:
-    return x if math.isfinite(x) else None
+def _plain(x: Any) -> Any:
+    """Return numbers, arrays and what holds them as JSON has them; what is not finite is None."""
+    if isinstance(x, dict):
+        return {key: _plain(value) for key, value in x.items()}
+    if isinstance(x, np.ndarray):
+        x = x.tolist()
+    if isinstance(x, list | tuple):
+        return [*map(_plain, x)]
+    return None if isinstance(x, float) and not math.isfinite(x) else x

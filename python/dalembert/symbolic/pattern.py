@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from .model import Model
 
 _MOST = 8  # coordinates; n*n bits have to fit into a word of 64
@@ -36,14 +38,11 @@ class Pattern:
         """Return the ``dal_pattern`` in C; None if there are too many coordinates for one."""
         if len(self.inverse) > _MOST:
             return None
-        masks = (self.inverse, self.mu, self.Z, self.N, self.pull)
-        return "{" + ", ".join(f"{_mask(rows):#x}ULL" for rows in masks) + "}"
-
-
-def _mask(rows: Rows) -> int:
-    """Return the bits a*n + i of the entries (a, i)."""
-    flat = [entry for row in rows for entry in row]
-    return sum(1 << k for k, entry in enumerate(flat) if entry)
+        masks = [  # the bits a*n + i of the entries (a, i)
+            sum(1 << int(k) for k in np.flatnonzero(rows))
+            for rows in (self.inverse, self.mu, self.Z, self.N, self.pull)
+        ]
+        return "{" + ", ".join(f"{mask:#x}ULL" for mask in masks) + "}"
 
 
 def pattern(model: Model) -> Pattern:
@@ -66,30 +65,19 @@ def pattern(model: Model) -> Pattern:
     n, derived = model.n, model.derived
     assert derived.mass is not None
 
-    def rows(entries: Sequence[Any]) -> Rows:
-        return [[e != 0 for e in entries[k : k + n]] for k in range(0, len(entries), n)]
+    def rows(entries: Sequence[Any]) -> Any:
+        return np.array([e != 0 for e in entries], dtype=bool).reshape(-1, n)
 
     forms = derived.expressions("constraint", "phi_v")
     mu, N = rows(forms), rows(derived.expressions("constraint", "phi_q"))
-    inverse = _inverse(rows(derived.mass))
-    Z = _times(mu, inverse)
-    fall = _times(rows(derived.expressions("potential", "V_q")), inverse)
-    pushed = [any(row[i] for row in Z) for i in range(n)]
-    pull = [pushed[i] or any(row[i] for row in fall) for i in range(n)]
+    inverse = rows(derived.mass)
+    for _ in range(n.bit_length()):  # coordinates that M couples, through others too, fill a block
+        inverse = inverse @ inverse
+    Z = mu @ inverse
+    pushed = Z.any(axis=0)
+    pull = pushed | (rows(derived.expressions("potential", "V_q")) @ inverse).any(axis=0)
     # what mu depends on: not only where it has a derivative
     bending = {s.name for e in forms for s in e.free_symbols}
     steady = model.m > 0 and not any(pushed[i] for i in range(n) if model.q[i].name in bending)
-    return Pattern(inverse, mu, Z, N, [pull], steady)
-
-
-def _times(A: Rows, B: Rows) -> Rows:
-    """Return the pattern of A B, B square."""
-    return [[any(a and b[i] for a, b in zip(row, B)) for i in range(len(B))] for row in A]
-
-
-def _inverse(M: Rows) -> Rows:
-    """Return the pattern of M^-1: coordinates that M couples, through others too, fill a block."""
-    found, before = M, None
-    while found != before:
-        found, before = _times(found, found), found
-    return found
+    found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None]))
+    return Pattern(*found, steady)

@@ -17,11 +17,11 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..core import arguments, extras
-from ..symbolic import model
+from ..symbolic import formula, model
 from ..system import System
 
 __all__ = [
@@ -48,17 +48,28 @@ def about(name: str) -> dict[str, str]:
     }
 
 
-def _system(coordinates: str, positive: str = "") -> Callable[..., Callable[..., System]]:
-    """Make a system of what a function says: L, constraints, a state, invariants.
+def _system(
+    coordinates: str,
+    *,
+    L: str,
+    constraints: Sequence[str],
+    q0: str,
+    v0: str,
+    invariants: Sequence[str] = (),
+    positive: str = "",
+    **where: str,
+) -> Callable[[Callable[..., None]], Callable[..., System]]:
+    """Make a system of formulas, see `symbolic.formula`.
 
-    The function gets SymPy, the coordinates, and a symbol for each parameter; what it makes takes
-    numbers for them.
+    Of the function that is decorated come the parameters, all of them numbers, and the docstring.
+    The names of coordinates, and of parameters that have to be positive, are separated by blanks;
+    ``where`` has what other names in the formulas stand for.
     """
 
-    def decorate(describe: Callable[..., dict[str, Any]]) -> Callable[..., System]:
+    def decorate(describe: Callable[..., None]) -> Callable[..., System]:
         name, call = describe.__name__, tuple(coordinates.split())
-        _, _, *parameters = inspect.signature(describe).parameters.values()
-        signature = inspect.Signature(parameters, return_annotation="System")
+        parameters = inspect.signature(describe).parameters.values()
+        signature = inspect.Signature([*parameters], return_annotation="System")
 
         @functools.wraps(describe)
         def make(*args: float, **given: float) -> System:
@@ -71,10 +82,20 @@ def _system(coordinates: str, positive: str = "") -> Callable[..., Callable[...,
                 raise ImportError(f"the system {name} needs SymPy: pip install sympy")
             sympy = extras.require("sympy", f"the system {name}")
             assumed = dict.fromkeys(positive.split(), True)
-            symbols = {x: sympy.Symbol(x, positive=assumed.get(x)) for x in numbers}
+            known = {x: sympy.Symbol(x, positive=assumed.get(x)) for x in numbers}
             q = [model.Coordinate(x, call) for x in call]
-            said = describe(sympy, q, **symbols) | about(name)
-            made = System.from_sympy(coordinates=q, parameters=numbers, name=name, **said)
+            known |= {"pi": sympy.pi, **{x.name: x for x in q}, **{f"v_{x}": x.d for x in q}}
+
+            def read(text: str) -> Any:
+                (found,) = formula.read(text)
+                return found.xreplace({x: known[x.name] for x in found.free_symbols}).doit()
+
+            known |= {key: read(text) for key, text in where.items()}
+            made = System.from_sympy(
+                read(L), [*map(read, constraints)], q, numbers, name=name, **about(name),
+                q0=[*map(read, q0.split(","))], v0=[*map(read, v0.split(","))],
+                invariants={text: read(text) for text in invariants},
+            )  # fmt: skip
             made._source.of_library = True
             return made
 
@@ -84,10 +105,21 @@ def _system(coordinates: str, positive: str = "") -> Callable[..., Callable[...,
     return decorate
 
 
-@_system("x y theta phi", positive="m J K l")
+@_system(
+    "x y theta phi",
+    L="(m (v_x^2 + v_y^2) + J v_theta^2 + K (v_theta + v_phi)^2)/2",
+    constraints=[
+        "-sin(theta) v_x + cos(theta) v_y",
+        "-sin(theta + phi) v_x + cos(theta + phi) v_y + l cos(phi) v_theta",
+    ],
+    q0="0, 0, 1/5, 3/10",
+    v0="cos(1/5), sin(1/5), tan(3/10)/l, 0.5",
+    invariants=["v_theta + v_phi", "m (v_x^2 + v_y^2) + J v_theta^2"],
+    positive="m J K l",
+)
 def steered_car(
-    sympy: Any, q: Any, *, m: float = 1.0, J: float = 0.2, K: float = 0.1, l: float = 0.5
-) -> dict[str, Any]:
+    *, m: float = 1.0, J: float = 0.2, K: float = 0.1, l: float = 0.5
+) -> None:
     """Car with rear axle at (x, y), front axle (inertia K) at distance l, steered by phi.
 
     Coordinates x, y, theta, phi: middle of the rear axle, where the centre of mass is, heading, and
@@ -117,35 +149,27 @@ def steered_car(
     M. Kobilarov, J. E. Marsden, G. S. Sukhatme: Geometric discretization of nonholonomic
     systems with symmetries, Discrete Contin. Dyn. Syst. Ser. S 3 (2010) 61-84
     """
-    x, y, theta, phi = q
-    cos, sin = sympy.cos, sympy.sin
-    heading, steering = sympy.Rational(1, 5), sympy.Rational(3, 10)
-    return {
-        "L": (m * (x.d**2 + y.d**2) + J * theta.d**2 + K * (theta.d + phi.d) ** 2) / 2,
-        "constraints": [
-            -sin(theta) * x.d + cos(theta) * y.d,
-            -sin(theta + phi) * x.d + cos(theta + phi) * y.d + l * cos(phi) * theta.d,
-        ],
-        "q0": [0, 0, heading, steering],
-        "v0": [cos(heading), sin(heading), sympy.tan(steering) / l, 0.5],
-        "invariants": {
-            "v_theta + v_phi": theta.d + phi.d,
-            "m (v_x^2 + v_y^2) + J v_theta^2": m * (x.d**2 + y.d**2) + J * theta.d**2,
-        },
-    }
 
 
-@_system("x y theta phi", positive="m J K d1 d2")
+@_system(
+    "x y theta phi",
+    L="(m (v_x^2 + v_y^2) + J v_theta^2 + K (v_theta + v_phi)^2)/2",
+    constraints=[
+        "-sin(theta) v_x + cos(theta) v_y",
+        "-sin(theta + phi) v_x + cos(theta + phi) v_y + (d1 cos(phi) + d2) v_theta + d2 v_phi",
+    ],
+    q0="0, 0, 0, 2/5",
+    v0="1, 0, 1/2, (sin(2/5) - (d1 cos(2/5) + d2)/2)/d2",
+    positive="m J K d1 d2",
+)
 def roller_racer(
-    sympy: Any,
-    q: Any,
     *,
     m: float = 1.0,
     J: float = 0.2,
     K: float = 0.05,
     d1: float = 0.5,
     d2: float = 0.2,
-) -> dict[str, Any]:
+) -> None:
     """Roller racer: two bodies in a hinge, each on an axle; it drives by swinging the handle.
 
     Coordinates x, y, theta, phi: middle of the rear axle, where the body (m, J) has its centre of
@@ -183,27 +207,27 @@ def roller_racer(
     P. S. Krishnaprasad, D. P. Tsakiris: Oscillations, SE(2)-snakes and motion control: a
     study of the roller racer, Dyn. Syst. 16 (2001) 347-397
     """
-    x, y, theta, phi = q
-    cos, sin = sympy.cos, sympy.sin
-    bend, turn = sympy.Rational(2, 5), sympy.Rational(1, 2)
-    return {
-        "L": (m * (x.d**2 + y.d**2) + J * theta.d**2 + K * (theta.d + phi.d) ** 2) / 2,
-        "constraints": [
-            -sin(theta) * x.d + cos(theta) * y.d,
-            -sin(theta + phi) * x.d
-            + cos(theta + phi) * y.d
-            + (d1 * cos(phi) + d2) * theta.d
-            + d2 * phi.d,
-        ],
-        "q0": [0, 0, 0, bend],
-        "v0": [1, 0, turn, (sin(bend) - (d1 * cos(bend) + d2) * turn) / d2],
-    }
 
 
-@_system("x y theta right left", positive="m J I b r")
+@_system(
+    "x y theta right left",
+    # (u, w + a theta') has the length of (x', y') + a theta' (-sin(theta), cos(theta))
+    L="(m (v_x^2 + v_y^2 + 2 a v_theta w + (a v_theta)^2) + J v_theta^2"
+    " + I (v_right^2 + v_left^2))/2",
+    constraints=["w", "u + b v_theta - r v_right", "u - b v_theta - r v_left"],
+    q0="0, 0, 3/10, 0, 0",
+    v0="cos(3/10)/5, sin(3/10)/5, 1, (1/5 + b)/r, (1/5 - b)/r",
+    invariants=[
+        "r (right - left) - 2 b theta",
+        "m a theta/sqrt(A B) - atan(sqrt(A/B) u/v_theta)",
+    ],
+    positive="m J I b r",
+    u="cos(theta) v_x + sin(theta) v_y",
+    w="-sin(theta) v_x + cos(theta) v_y",
+    A="m + 2 I/r^2",
+    B="J + m a^2 + 2 I b^2/r^2",
+)
 def two_wheeled_robot(
-    sympy: Any,
-    q: Any,
     *,
     m: float = 2.0,
     J: float = 0.3,
@@ -211,7 +235,7 @@ def two_wheeled_robot(
     a: float = 0.2,
     b: float = 0.3,
     r: float = 0.1,
-) -> dict[str, Any]:
+) -> None:
     """Robot on two wheels (inertia I, radius r) at distance b either side, centre of mass a ahead.
 
     Coordinates x, y, theta, right, left: middle of the axle, heading, angles of the wheels; the
@@ -244,31 +268,17 @@ def two_wheeled_robot(
     kinematic and dynamic models of wheeled mobile robots, IEEE Trans. Robot. Autom. 12 (1996)
     47-62
     """
-    x, y, theta, right, left = q
-    cos, sin = sympy.cos, sympy.sin
-    u = cos(theta) * x.d + sin(theta) * y.d
-    across = -sin(theta) * x.d + cos(theta) * y.d
-    A, B = m + 2 * I / r**2, J + m * a**2 + 2 * I * b**2 / r**2
-    heading, speed = sympy.Rational(3, 10), sympy.Rational(1, 5)
-    # (u, w + a theta') has the length of (x', y') + a theta' (-sin(theta), cos(theta)).
-    T = m * (x.d**2 + y.d**2 + 2 * a * theta.d * across + (a * theta.d) ** 2)
-    return {
-        "L": (T + J * theta.d**2 + I * (right.d**2 + left.d**2)) / 2,
-        "constraints": [across, u + b * theta.d - r * right.d, u - b * theta.d - r * left.d],
-        "q0": [0, 0, heading, 0, 0],
-        "v0": [
-            speed * cos(heading), speed * sin(heading), 1, (speed + b) / r, (speed - b) / r,
-        ],
-        "invariants": {
-            "r (right - left) - 2 b theta": r * (right - left) - 2 * b * theta,
-            "m a theta/sqrt(A B) - atan(sqrt(A/B) u/v_theta)": m * a * theta / sympy.sqrt(A * B)
-            - sympy.atan(sympy.sqrt(A / B) * u / theta.d),
-        },
-    }  # fmt: skip
 
 
-@_system("x y z")
-def cvt(sympy: Any, q: Any, *, c: float = 0.2) -> dict[str, Any]:
+@_system(
+    "x y z",
+    L="(v_x^2 + v_y^2 + v_z^2)/2 - (x^2 + z^2)/2 - y^2/2 - c y^3",
+    constraints=["v_x + y v_z"],
+    q0="1, 0.5, 0",
+    v0="0, 0, 0",
+    invariants=["v_y^2/2 + y^2/2 + c y^3", "(x^2 + z^2 + (1 + y^2) v_z^2)/2"],
+)
+def cvt(*, c: float = 0.2) -> None:
     """Gearbox (CVT) between oscillators x and z, whose ratio y swings in V = y^2/2 + c y^3.
 
     Coordinates x, y, z: the two oscillators, with y, the driver, between them::
@@ -295,31 +305,24 @@ def cvt(sympy: Any, q: Any, *, c: float = 0.2) -> dict[str, Any]:
     K. Modin, O. Verdier: What makes nonholonomic integrators work?, Numer. Math. 145 (2020)
     405-435
     """
-    x, y, z = q
-    V = y**2 / 2 + c * y**3
-    return {
-        "L": (x.d**2 + y.d**2 + z.d**2) / 2 - (x**2 + z**2) / 2 - V,
-        "constraints": [x.d + y * z.d],
-        "q0": [1, 0.5, 0],
-        "v0": [0, 0, 0],
-        "invariants": {
-            "v_y^2/2 + y^2/2 + c y^3": y.d**2 / 2 + V,
-            "(x^2 + z^2 + (1 + y^2) v_z^2)/2": (x**2 + z**2 + (1 + y**2) * z.d**2) / 2,
-        },
-    }
 
 
-@_system("x y theta psi", positive="m J K")
+@_system(
+    "x y theta psi",
+    L="(m (v_x^2 + v_y^2) + J v_theta^2 + K (v_theta + v_psi)^2)/2 - k psi^2/2",
+    constraints=["-sin(theta) v_x + cos(theta) v_y - a v_theta"],
+    q0="0, 0, 3/10, 0.6",
+    v0="cos(3/10)/5 - a sin(3/10), sin(3/10)/5 + a cos(3/10), 1, -0.5",
+    positive="m J K",
+)
 def sleigh_with_rotor(
-    sympy: Any,
-    q: Any,
     *,
     m: float = 1.5,
     J: float = 0.8,
     a: float = 0.4,
     K: float = 0.3,
     k: float = 0.5,
-) -> dict[str, Any]:
+) -> None:
     """Chaplygin sleigh (m, J, a) with a rotor of inertia K on a torsion spring k.
 
     Coordinates x, y, theta, psi: centre of mass, where the rotor turns, heading, and angle of the
@@ -353,25 +356,19 @@ def sleigh_with_rotor(
     excitation: chaotic dynamics and nonholonomic acceleration, Regul. Chaotic Dyn. 22 (2017)
     955-975, where the motion inside the sleigh is given instead
     """
-    x, y, theta, psi = q
-    cos, sin = sympy.cos, sympy.sin
-    heading, speed = sympy.Rational(3, 10), sympy.Rational(1, 5)
-    T = m * (x.d**2 + y.d**2) + J * theta.d**2 + K * (theta.d + psi.d) ** 2
-    return {
-        "L": T / 2 - k * psi**2 / 2,
-        "constraints": [-sin(theta) * x.d + cos(theta) * y.d - a * theta.d],
-        "q0": [0, 0, heading, 0.6],
-        "v0": [
-            speed * cos(heading) - a * sin(heading),
-            speed * sin(heading) + a * cos(heading),
-            1,
-            -0.5,
-        ],
-    }
 
 
-@_system("x y1 y2 y3 z1 z2 z3")
-def disguised(sympy: Any, q: Any) -> dict[str, Any]:
+@_system(
+    "x y1 y2 y3 z1 z2 z3",
+    L="(v_x^2 + v_y1^2 + v_y2^2 + v_y3^2 + v_z1^2 + v_z2^2 + v_z3^2)/2"
+    " - (x^2 + y1^2 + y2^2 + y3^2 + z1^2 + z2^2 + z3^2 + z1^2 z2^2)/2"
+    " - (y1^2 z1^2 + y2^2 z2^2 + y3^2 z3^2)/2",
+    constraints=["v_x + z1 v_z1 + z2 v_z2 + z3 v_z3"],
+    q0="cos(pi/9), 0.6, 0.4, 0.2, 1, 1, 1",
+    v0="0, sin(pi/9), 0, 0, 0, 0, 0",
+    invariants=["x + (z1^2 + z2^2 + z3^2)/2"],
+)
+def disguised() -> None:
     """Quartic oscillators with v_x = -sum z_i v_zi, a holonomic constraint in disguise.
 
     Coordinates x, y1, y2, y3, z1, z2, z3; the Lagrangian and the start of `chaotic`::
@@ -397,14 +394,3 @@ def disguised(sympy: Any, q: Any) -> dict[str, Any]:
     >>> dal.systems.disguised().check().growth
     (6, 6)
     """
-    x, y, z = q[0], q[1:4], q[4:]
-    V = sum(c**2 for c in q) + (z[0] * z[1]) ** 2 + sum((b * c) ** 2 for b, c in zip(y, z))
-    angle = sympy.pi / 9
-    start = [sympy.cos(angle), 0.6, 0.4, 0.2, 1, 1, 1]
-    return {
-        "L": sum(c.d**2 for c in q) / 2 - V / 2,
-        "constraints": [x.d + sum(c * c.d for c in z)],
-        "q0": start,
-        "v0": [0, sympy.sin(angle), 0, 0, 0, 0, 0],
-        "invariants": {"x + (z1^2 + z2^2 + z3^2)/2": x + sum(c**2 for c in z) / 2},
-    }

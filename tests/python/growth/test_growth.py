@@ -432,6 +432,14 @@ def test_trailers_in_c(count):
         assert report.growth == whole and report.exact and report.growth_note == ""
 
 
+def test_functions_do_not_settle_where_their_digits_end():
+    """What is not formed is said, at the state too, and nothing is claimed of it."""
+    system = dal.systems.n_trailer(trailers=5)
+    found = functions.examine(system, system.q0, system.q0)
+    assert found.growth == found.general_growth == (2, 3, 4, 5, 6)
+    assert found.growth_note == "brackets of more than 5 fields are not formed"
+
+
 def test_formulas_that_say_something_else(monkeypatch):
     """Then only the functions count."""
     model_of_heisenberg = expressions.model(dal.systems.heisenberg())
