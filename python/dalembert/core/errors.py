@@ -134,6 +134,8 @@ def failure(
     """
     exception, raised.exception = raised.exception, None
     if exception is not None and status in (lib.DAL_EUSER, lib.DAL_EDOMAIN):
+        if isinstance(exception, DalembertError) and exception.step is None:
+            exception.step, exception.t = step, t
         return exception
     message = message or string(lib.dal_strerror(status))
     exception_type = _EXCEPTIONS.get(status, DalembertError)

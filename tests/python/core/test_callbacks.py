@@ -281,6 +281,7 @@ def test_domain_error_of_the_user(own):
         dal.integrate(system, "midpoint", h=H, steps=100)
     assert caught.value is outside
     assert caught.value.partial.q[:, 0].max() <= 0.35
+    assert outside.step == len(caught.value.partial.t) - 1 > 0 and outside.t == outside.step * H
     assert dal.integrate(system, "midpoint", h=H, steps=100, throw=False).success is False
 
 
