@@ -60,11 +60,12 @@ typedef struct fault {
     callback where;
     disturbance what;
     size_t call, from, until; /* in calls from <= call < until of that callback */
+    size_t lost;              /* calls of both where q was not finite */
 } fault;
 
 static void plan_fault(fault *f, callback where, disturbance what, size_t from, size_t until)
 {
-    *f = (fault){f->inner, where, what, 0, from, until};
+    *f = (fault){f->inner, where, what, 0, from, until, 0};
 }
 
 static void repair(fault *f) { f->until = 0; }
@@ -94,6 +95,7 @@ static int faulty_constraint(double t, const double *q, const double *v, double 
     fault *const f = ctx;
     const dal_system_def *const def = &f->inner->def;
     const bool hit = strikes(f, CONSTRAINT);
+    f->lost += !dal__all_finite(def->n, q);
     if (hit && f->what == WRITE_NOTHING) return 0;
     const int returned = def->constraint(t, q, v, phi, phi_v, phi_q, NULL, def->ctx);
     if (!hit) return returned;
@@ -109,6 +111,7 @@ static int faulty_potential(double t, const double *q, double *V, double *V_q, d
     fault *const f = ctx;
     const dal_system_def *const def = &f->inner->def;
     const bool hit = strikes(f, POTENTIAL);
+    f->lost += !dal__all_finite(def->n, q);
     if (hit && f->what == WRITE_NOTHING) return 0;
     const int returned = def->potential(t, q, V, V_q, V_qq, def->ctx);
     if (!hit) return returned;
@@ -279,7 +282,10 @@ static void disturb(bench *b, callback where, disturbance what, size_t k, bool o
         CHECK(careful_start(b) == 0);
     }
     for (size_t step = 1; step <= STEPS; step++) {
+        const bool over = once && b->f.call > k; /* then nothing is left of it */
+        const size_t lost = b->f.lost;
         status = careful_step(b);
+        if (over) CHECK(b->f.lost == lost);
         if (status) {
             failures++;
             CHECK(status == status_of(what));

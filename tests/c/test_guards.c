@@ -960,6 +960,24 @@ static void test_pairs(void)
     dal_system_free(system);
 }
 
+/* Stages whose nodes stand at the same time: the pull is predicted by the last one, not through
+ * both. */
+static void test_there_and_back(void)
+{
+    static const dal_substep there_and_back[] = {{0.5, 1.0}, {0.5, -1.0}, {0.5, 1.0}};
+    const dal_scheme scheme = {.name = "there and back", .substeps = there_and_back, .count = 3};
+    const double x[6] = {0.3, -0.7, 0.2, 0.5, 2.0, -0.35};
+    dal_system *const system = open_system("particle_oscillator");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    dal_stats stats;
+    CHECK(dal_stepper_start(stepper, 0.0, 0.05, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_advance(stepper, 10, NULL, NULL) == 0);
+    dal_stepper_stats(stepper, &stats);
+    CHECK(stats.full_newtons == 0);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
 /* ---- S = 0 but for rounding ---------------------------------------------------------------- */
 
 /* v_x = c x v_y and, if there is a second, v_z = 0; c is the ctx. */
@@ -1240,6 +1258,7 @@ int main(int argc, char **argv)
     test_led_away();
     test_branch();
     test_pairs();
+    test_there_and_back();
     test_hill();
     test_judge();
     test_lost_difference();
