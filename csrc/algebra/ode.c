@@ -14,9 +14,6 @@
 
 #include <math.h>
 
-/* Accepted and refused steps of one integration; far more than any sensible one takes. */
-enum { MOST_STEPS = 10000000 };
-
 /* Below it steps are refused for their roundoff. */
 static const double LEAST_TOLERANCE = 4.0 * DAL_ROUNDOFF;
 
@@ -359,43 +356,21 @@ static bool is_at_edge(const ode *self, double end)
            <= DBL_EPSILON * dal__largest(self->N, self->state);
 }
 
-/* One attempt at a step towards elapsed time end, which lies ahead. */
-static int attempt_towards(ode *self, double end, bool *accepted, dal_error *error)
-{
-    const double left = end - self->elapsed;
-    if (fabs(self->h) > self->longest) self->h = copysign(self->longest, self->h);
-    const bool last = fabs(self->h) >= fabs(left);
-    /* Two halves instead of a step and a very short one. */
-    const double h = last ? left : fabs(self->h) > 0.5 * fabs(left) ? 0.5 * left : self->h;
-    *accepted = attempt(self, h);
-    if (*accepted) {
-        if (self->elapsed + h == self->elapsed) return collapsed(self, h, error);
-        self->elapsed = last ? end : self->elapsed + h;
-    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED
-               || is_at_edge(self, end) || !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
-        return collapsed(self, self->h, error);
-    }
-    return DAL_SUCCESS;
-}
-
 int dal__ode_step(ode *self, double end, dal_error *error)
 {
-    int status = DAL_SUCCESS;
     bool accepted = self->elapsed == end;
-    while (!status && !accepted) status = attempt_towards(self, end, &accepted, error);
-    return status;
-}
-
-int dal__ode_reach(ode *self, double end, dal_error *error)
-{
-    int status = DAL_SUCCESS;
-    bool accepted;
-    for (size_t steps = 0; !status && self->elapsed != end; steps++) {
-        if (steps == MOST_STEPS)
-            return dal__fail(error, DAL_ENOCONV, "%s: %d steps did not lead beyond t = %.17g, the "
-                             "last of size h = %g (tolerance %g)", method_name(self->method),
-                             MOST_STEPS, self->t0 + self->elapsed, self->h, self->tolerance);
-        status = attempt_towards(self, end, &accepted, error);
+    while (!accepted) {
+        const double left = end - self->elapsed;
+        if (fabs(self->h) > self->longest) self->h = copysign(self->longest, self->h);
+        const bool last = fabs(self->h) >= fabs(left);
+        /* Two halves instead of a step and a very short one. */
+        const double h = last ? left : fabs(self->h) > 0.5 * fabs(left) ? 0.5 * left : self->h;
+        accepted = attempt(self, h);
+        const bool stuck = accepted ? self->elapsed + h == self->elapsed
+            : self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED
+                  || is_at_edge(self, end) || !(fabs(self->h) > DBL_EPSILON * fabs(end));
+        if (stuck) return collapsed(self, accepted ? h : self->h, error);
+        if (accepted) self->elapsed = last ? end : self->elapsed + h;
     }
-    return status;
+    return DAL_SUCCESS;
 }

@@ -178,14 +178,11 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
  * step depends on beside x; NULL for a multistep method. */
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst);
 void dal__flow_forget(dal_flow *flow);
-/* dal_flow_watch, for who asks before every step: the clock of the same watch goes on. */
-void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);
 double *dal__flow_inner(dal_flow *flow);
 
-/* What a flow is made of, and the record that dal_flow_error reads. */
+/* What a flow is made of; the error of its mechanics is its own. */
 dal_mechanics *dal__flow_mechanics(dal_flow *flow);
 double dal__flow_tolerance(const dal_flow *flow);
 dal_flow_method dal__flow_method(const dal_flow *flow);
-dal_error *dal__flow_error(dal_flow *flow);
 
 #endif /* DAL__GEOMETRY_H */
