@@ -2,7 +2,6 @@
 #include "discrete/discrete.h"
 
 #include <math.h>
-#include <string.h>
 
 void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a)
 {
@@ -60,18 +59,18 @@ static int value_rho(const double *q, double *value, void *ctx)
 
 static int difference_slopes(dal__rho *rho, const dal__pair *pair)
 {
-    const size_t n = rho->n, row = n * sizeof *rho->g_0;
+    const size_t n = rho->n;
     both b = {rho, pair->h};
-    memcpy(rho->point, pair->q0, row);
-    memcpy(rho->point + n, pair->q1, row);
+    dal__copy(n, pair->q0, rho->point);
+    dal__copy(n, pair->q1, rho->point + n);
     const int returned =
         dal__jacobian(value_rho, &b, 2 * n, rho->point, 2 * n, rho->value, rho->slope);
     for (size_t i = 0; i < n; i++) {
         const double *const of_g = rho->slope + 2 * n * i, *const of_f = of_g + 2 * n * n;
-        memcpy(rho->g_0 + i * n, of_g, row);
-        memcpy(rho->g_1 + i * n, of_g + n, row);
-        memcpy(rho->f_0 + i * n, of_f, row);
-        memcpy(rho->f_1 + i * n, of_f + n, row);
+        dal__copy(n, of_g, rho->g_0 + i * n);
+        dal__copy(n, of_g + n, rho->g_1 + i * n);
+        dal__copy(n, of_f, rho->f_0 + i * n);
+        dal__copy(n, of_f + n, rho->f_1 + i * n);
     }
     return returned;
 }

@@ -54,7 +54,7 @@ struct dal_discrete {
     dal__rho lagrangian, constraint; /* of L_d, of D_d */
     dal__rho moved;                  /* of L_d too: its second derivatives are differenced */
     dal__root root;                  /* for 2n unknowns */
-    double *q0, *q1, *w, *node;      /* [n] a pair of our own, and the node between two pairs */
+    double *q0, *q1, *w;             /* [n] a pair of our own */
     double *state;                   /* [2n] */
     double *force, *L_v;             /* [n] F = L_q + f and L_v at rho(pair) */
     double *minus, *plus;            /* [n] p^- and p^+ */
@@ -65,11 +65,8 @@ struct dal_discrete {
     dal__terms B;                    /* [m*n] d phi_d/dw */
     double *muk;                     /* [m*n] the forms along which the constraint reacts */
     double *point, *value, *bend;    /* [n], [n], [n*n] of differences by w or by q1 */
-    struct {                         /* of the step that is being solved */
-        double t, h;                 /* the time of the pair before, */
-        double middle;               /* and of q_k */
-        const double *node, *kappa;  /* [n] q_k; [m] */
-    } step;
+    double t;                        /* of the pair before the step that is being solved, */
+    const double *kappa;             /* [m] and its reaction; q_k, h and more are those of mech */
     double *momentum, *velocity;     /* [n] p^+_k; v_k */
     arena arena;
 };
@@ -87,6 +84,13 @@ typedef struct dal__term {
 } dal__term;
 double dal__base_of_w(const dal_mechanics *mech, const double *v, size_t count,
                       const dal__term *terms, const double *mu, const double *kappa);
+
+/* DAL_EINVAL unless beta is in [0, 1]. */
+int dal__require_beta(dal_mechanics *mech, double beta);
+/* muk <- phi_v(node, v) at the time of the node, start.middle; or for the mean of start.v and w,
+ * along which a nonlinear constraint reacts. */
+int dal__reaction_forms(dal_mechanics *mech, const double *v, double *muk);
+int dal__chetaev_forms(dal_mechanics *mech, const double *w, double *muk);
 
 /* DAL_EINVAL unless h is finite and not 0, and t and x[2n], of this name, are finite. */
 int dal__discrete_require(dal_discrete *d, const char *name_t, double t, double h,

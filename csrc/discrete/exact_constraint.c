@@ -3,7 +3,6 @@
 #include "dalembert/lu.h"
 
 #include <math.h>
-#include <string.h>
 
 /* What the search for v0 works with. */
 typedef struct search {
@@ -22,7 +21,7 @@ static int shoot(search *s)
 {
     dal_mechanics *const mech = s->mech;
     const size_t n = mech->n, m = mech->m;
-    memcpy(s->end, s->x, 2 * n * sizeof *s->end);
+    dal__copy(2 * n, s->x, s->end);
     int status = dal__flow_apply(s->flow, s->t0, s->h, s->end, false);
     if (status) return status;
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
@@ -31,7 +30,7 @@ static int shoot(search *s)
     if (!status) status = dal__factor_gram(mech);
     if (status) return status;
     dal__apply(m, n, mech->forms.mu, s->miss, s->defect);
-    memcpy(mech->lambda, s->defect, m * sizeof *s->defect);
+    dal__copy(m, s->defect, mech->lambda);
     dal__solve_gram(mech, mech->lambda);
     dal__add_reaction(n, m, -1.0, mech->gram.Z, mech->lambda, s->end);
     return DAL_SUCCESS;
@@ -57,7 +56,7 @@ static int find_velocity(search *s)
         if (size <= noise) return dal__require_output(&s->mech->error, "defect", s->mech->m,
                                                       s->defect);
         if (iteration == MOST || !(size <= DBL_MAX) || size > 1e3 * fmin(last, scale)) break;
-        dal__move(n, v, 1.0, s->end, v);
+        dal__add(n, 1.0, s->end, v);
         last = size;
     }
     return dal__fail(&s->mech->error, DAL_ENOCONV, "no velocity at q0 leads to q1: the "

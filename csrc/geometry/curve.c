@@ -197,9 +197,8 @@ int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, s
                                      {"shift", 1, &shift});
     if (status) return status;
     if (rows_count == 0) return dal__fail(error, DAL_EINVAL, "rows = 0: expected a row");
-    if (!(fabs(h) > 0.0 && isfinite(h)))
-        return dal__fail(error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
-    status = check_times(chart, &r, count, t);
+    status = dal__require_step(&chart->mech, h);
+    if (!status) status = check_times(chart, &r, count, t);
     if (status) return status;
     const bool chosen = chart->chosen;
     size_t *const place = chart->place;

@@ -33,6 +33,15 @@ typedef struct dal__gram {
     dal__linear C;
 } dal__gram;
 
+/* Of the step that dal__step_begin began. */
+typedef struct dal__start {
+    double middle, end, acts; /* times of q_k and q~', and where L acts at the end */
+    double alpha, beta, h;
+    bool kept;
+    const double *v;          /* [n] */
+    double base, moves;       /* see algebra.h, of the last dal__step_at that gave R1, K, B */
+} dal__start;
+
 /* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation.
  * First the values that belong together, then what any function here may overwrite. */
 struct dal_mechanics {
@@ -56,13 +65,7 @@ struct dal_mechanics {
     double *place;                /* [n] where L acts, if that is not q */
     double *trial, *chetaev, *bend; /* [n], [m*n], [n*n] of nonlinear constraints: where mu_k^T
                                        kappa is differenced, its value and its derivative */
-    struct {
-        double middle, end, acts; /* times of q_k and q~', and where L acts at the end */
-        double alpha, beta, h;
-        bool kept;
-        const double *v;          /* [n] */
-        double base, moves;       /* see algebra.h, of the last dal__step_at that gave R1, K, B */
-    } start;                      /* of the step that dal__step_begin began */
+    dal__start start;
     dal_error error;
     arena arena; /* used only by dal_mechanics_new */
 };
@@ -74,7 +77,8 @@ void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
 
 /* DAL_EINVAL unless the argument of this name is there and finite. */
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
-int dal__null_argument(dal_mechanics *mech, const char *name);
+/* DAL_EINVAL unless h is a step. */
+int dal__require_step(dal_mechanics *mech, double h);
 /* M at (t, q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
 int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v);
 /* The same, if it is not the last that was formed; the statistics do not count it. */
@@ -157,6 +161,9 @@ void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);
 int dal__chart_state(dal_chart *chart, double t, const double *xi);
 /* B of mu[m*n], factored, in the units of the last dal__form_metric. */
 int dal__chart_factor(dal_chart *chart, const double *mu);
+/* result[m] <- B^T given[m], B that of mu[m*n]. */
+void dal__chart_reduce(const dal_chart *chart, const double *mu, const double *given,
+                       double *result);
 /* DAL_EINVAL unless there is a choice. */
 int dal__chart_ready(dal_chart *chart);
 /* dal_chart_condition, without checking the arguments; and whether dal_chart_renew keeps a choice

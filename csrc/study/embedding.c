@@ -12,7 +12,6 @@
 #include "step/step.h"
 
 #include <math.h>
-#include <string.h>
 
 static const double DEFAULT_TOLERANCE = 1e-14; /* of the flow, times h^-(p+1) in g */
 static const double RUN_TOLERANCE = 1e-12;     /* of the perturbed flow, */
@@ -157,7 +156,7 @@ static int flow(dal_embedding *self, double t, const double *z, double *result)
         status = dal_system_exact(self->system, t, self->x, self->moved);
         if (status)
             return dal__fail(&self->error, status, "exact solution: %s", dal_strerror(status));
-        memcpy(self->x, self->moved, 2 * self->system->def.n * sizeof *self->x);
+        dal__copy(2 * self->system->def.n, self->moved, self->x);
     }
     dal__chart_drop(self->chart, self->x, result);
     return DAL_SUCCESS;
@@ -228,7 +227,7 @@ static int solve_source(dal_embedding *self, double tau, const double *z)
         double change = 0.0;
         for (size_t i = 0; i < width; i++) change = fmax(change, fabs(self->next[i] - self->y[i]));
         if (!(change < last)) break;
-        memcpy(self->y, self->next, width * sizeof *self->y);
+        dal__copy(width, self->next, self->y);
         status = branches(self, tau, self->y);
         if (change == 0.0) return status;
         last = change;
@@ -242,17 +241,14 @@ static int solve_source(dal_embedding *self, double tau, const double *z)
  * choice of the chart. */
 static int check_arguments(dal_embedding *self, const char *time_name, double time,
                            const char *name, const double *z, const char *output_name,
-                           const void *output)
+                           const double *output)
 {
     if (!self) return DAL_EINVAL;
     if (!isfinite(time))
         return dal__fail(&self->error, DAL_EINVAL, "%s = %g is not finite", time_name, time);
-    if (!z || !output)
-        return dal__fail(&self->error, DAL_EINVAL, "%s is NULL", z ? output_name : name);
-    for (size_t i = 0; i < self->width; i++)
-        if (!isfinite(z[i]))
-            return dal__fail(&self->error, DAL_EINVAL, "%s[%zu] = %g is not finite", name, i, z[i]);
-    return chart_result(self, dal__chart_ready(self->chart), "chart");
+    const int status = DAL__REQUIRE_FINITE(&self->error, {name, self->width, z},
+                                           {output_name, 0, output});
+    return status ? status : chart_result(self, dal__chart_ready(self->chart), "chart");
 }
 
 int dal_embedding_curve(dal_embedding *self, double tau, const double *y, double *G)
@@ -262,7 +258,7 @@ int dal_embedding_curve(dal_embedding *self, double tau, const double *y, double
         status = dal__fail(&self->error, DAL_EINVAL, "tau = %g is not in [0, %g]", tau,
                            MOST_PERIODS);
     if (status) return status;
-    memcpy(self->y, y, self->width * sizeof *y);
+    dal__copy(self->width, y, self->y);
     for (self->made = 0.0; !status && tau > 1.0; tau -= 1.0, self->made++) {
         status = step(self, self->y, self->y);
         if (!status) status = dal__ask(&self->watch, self->made, &self->error);
@@ -279,7 +275,7 @@ int dal_embedding_source(dal_embedding *self, double tau, const double *z, doubl
 {
     int status = check_arguments(self, "tau", tau, "z", z, "y", y);
     if (!status) status = solve_source(self, phase_of(tau), z);
-    if (!status) memcpy(y, self->y, self->width * sizeof *y);
+    if (!status) dal__copy(self->width, self->y, y);
     return status;
 }
 
@@ -362,6 +358,6 @@ int dal_embedding_flow(dal_embedding *self, double t0, double t1, double *z)
                              t0 + dal__ode_elapsed(self->perturbed), self->h);
         status = dal__ode_step(self->perturbed, t1 - t0, &self->error);
     }
-    if (!status) memcpy(z, dal__ode_state(self->perturbed), self->width * sizeof *z);
+    if (!status) dal__copy(self->width, dal__ode_state(self->perturbed), z);
     return status;
 }

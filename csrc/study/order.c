@@ -236,7 +236,7 @@ static int expect(study *self, double t)
     const double t0 = self->def->t0;
     int status;
     if (self->flow) {
-        memcpy(self->exact, self->start, 2 * self->n * sizeof *self->exact);
+        dal__copy(2 * self->n, self->start, self->exact);
         status = dal__flow_apply(self->flow, t0, t - t0, self->exact, !self->kept);
     } else {
         status = dal_system_exact(self->system, t - t0, self->start, self->exact);
@@ -255,7 +255,7 @@ static int solve_reference(study *self)
             return dal__fail(self->error, status, "the exact solution at t_end = %g: %s",
                              def->t_end, dal_strerror(status));
     } else {
-        memcpy(self->end, self->x0, 2 * self->n * sizeof *self->end);
+        dal__copy(2 * self->n, self->x0, self->end);
         status = dal_flow_apply(self->flow, def->t0, def->t_end, self->end, &self->accuracy);
         if (status)
             return dal__fail_because(self->error, status, dal_flow_error(self->flow),
@@ -270,7 +270,7 @@ static int solve_reference(study *self)
 /* The stepper at the initial data.  DAL_INITIAL_D_EPS wants them in D_eps. */
 static int start_run(study *self, double h)
 {
-    memcpy(self->start, self->x0, 2 * self->n * sizeof *self->start);
+    dal__copy(2 * self->n, self->x0, self->start);
     if (self->kept && self->def->initial == DAL_INITIAL_D_EPS) {
         const int status = dal_project(self->mech, self->def->t0, self->shift * h, self->start,
                                        NULL);
@@ -286,7 +286,7 @@ static int measure_step(study *self, double h, dal_order_point *point)
     const size_t n = self->n, m = self->m;
     const double t0 = self->def->t0;
     const double *const state = dal_stepper_state(self->stepper);
-    memcpy(self->start, state, 2 * n * sizeof *self->start);
+    dal__copy(2 * n, state, self->start);
     int status = dal_step(self->stepper, self->reaction);
 
     if (!status) status = expect(self, t0 + 0.5 * h);
@@ -600,10 +600,9 @@ static int check_def(const dal_system *system, const dal_scheme *scheme,
         return dal__fail(error, DAL_EINVAL, "count = 0: at least one number of steps is needed");
     for (size_t i = 0; i < def->count; i++)
         if (def->steps[i] == 0) return dal__fail(error, DAL_EINVAL, "steps[%zu] = 0", i);
-    for (size_t i = 0; i < 2 * dal_system_n(system); i++)
-        if (!isfinite(def->x0[i]))
-            return dal__fail(error, DAL_EINVAL, "x0[%zu] = %g is not finite", i, def->x0[i]);
-    if (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)) return DAL_EINVAL;
+    if (DAL__REQUIRE_FINITE(error, {"x0", 2 * dal_system_n(system), def->x0})
+        || (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)))
+        return DAL_EINVAL;
     const bool kept = scheme->nodes == DAL_KEPT_NODES;
     if (kept != (def->initial != DAL_INITIAL_NONE))
         return dal__fail(error, DAL_EINVAL, "initial = %d: %s", (int)def->initial,
@@ -660,7 +659,7 @@ static void release_objects(study *self)
 static int place_on_D(study *self)
 {
     double residual;
-    memcpy(self->x0, self->def->x0, 2 * self->n * sizeof *self->x0);
+    dal__copy(2 * self->n, self->def->x0, self->x0);
     int status = dal_relative_residual(self->mech, self->def->t0, 0.0, self->x0, &residual);
     if (!status && residual > DAL_CONSISTENT)
         return dal__fail(self->error, DAL_EOFFD, "the initial data do not lie in D: |mu v| is "
