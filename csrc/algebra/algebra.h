@@ -7,8 +7,9 @@
 #include <string.h>
 
 double dal__dot(size_t n, const double *a, const double *b);
-/* max |x_i|, 0 for n = 0; sum |x_i|. */
+/* max |x_i|, 0 for n = 0; max |x_i - y_i|, or NaN where one of them is; sum |x_i|. */
 double dal__largest(size_t n, const double *x);
+double dal__largest_difference(size_t n, const double *x, const double *y);
 double dal__sum_of_sizes(size_t n, const double *x);
 
 /* y[n] <- x, which may overlap; y[n], which may be NULL, <- 0; y[n] <- x + h v, where y may be x or

@@ -34,7 +34,7 @@ typedef struct dal__rho {
     double *g, *f;              /* [n] */
     double *g_0, *g_1;          /* [n*n] */
     double *f_0, *f_1;          /* [n*n] times h, so that they do not grow as h goes to 0 */
-    double *point, *value, *slope; /* [2n], [2n], [2n*2n] of differenced derivatives */
+    double h, *point, *value, *slope; /* [2n], [2n], [2n*2n] of differenced derivatives */
 } dal__rho;
 
 void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a);
@@ -56,6 +56,7 @@ struct dal_discrete {
     dal__root root;                  /* for 2n unknowns */
     double *q0, *q1, *w;             /* [n] a pair of our own */
     double *state;                   /* [2n] */
+    dal__pair held;                  /* whose p^- is differenced by q1 */
     double *force, *L_v;             /* [n] F = L_q + f and L_v at rho(pair) */
     double *minus, *plus;            /* [n] p^- and p^+ */
     double *L_qq, *L_vq, *L_vv, *f_q, *f_v; /* [n*n] */
@@ -112,9 +113,8 @@ int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x,
                           double *worst);
 /* The record that dal_discrete_error reads. */
 dal_error *dal__discrete_error(dal_discrete *discrete);
-/* d->K -= factor df/d(point[n]), where f[n] is differenced. */
-int dal__discrete_bend(dal_discrete *d, dal__function f, void *ctx, double factor,
-                       const double *point);
+/* d->K -= factor df/d(point[n]), where f[n], whose ctx is d, is differenced. */
+int dal__discrete_bend(dal_discrete *d, dal__function f, double factor, const double *point);
 /* d->phi, d->phi_v, and d->B if derivative. */
 int dal__discrete_constraint(dal_discrete *d, double t, const dal__pair *pair, bool derivative);
 

@@ -167,29 +167,21 @@ static void form_momentum(const dal_discrete *d, double factor, double h, const 
 }
 
 /* D_1 L_d as a function of q1 with F and L_v held, to be differenced. */
-typedef struct held {
-    dal_discrete *d;
-    double h;
-    const double *q0;
-} held;
-
 static int value_held(const double *q1, double *value, void *ctx)
 {
-    const held *const is = ctx;
-    dal_discrete *const d = is->d;
-    const dal__pair pair = {is->h, is->q0, q1, NULL};
+    dal_discrete *const d = ctx;
+    const dal__pair pair = {d->held.h, d->held.q0, q1, NULL};
     const int status = dal__rho_at(&d->moved, &pair, true);
     if (status) return status;
-    form_momentum(d, 1.0, is->h, d->moved.g_0, d->moved.f_0, value);
+    form_momentum(d, 1.0, pair.h, d->moved.g_0, d->moved.f_0, value);
     return DAL_SUCCESS;
 }
 
-int dal__discrete_bend(dal_discrete *d, dal__function f, void *ctx, double factor,
-                       const double *point)
+int dal__discrete_bend(dal_discrete *d, dal__function f, double factor, const double *point)
 {
     const size_t n = d->n;
     dal__copy(n, point, d->point);
-    const int status = dal__jacobian(f, ctx, n, d->point, n, d->value, d->bend);
+    const int status = dal__jacobian(f, d, n, d->point, n, d->value, d->bend);
     for (size_t k = 0; !status && k < n * n; k++) {
         d->K.sum[k] -= factor * d->bend[k];
         d->K.scale[k] += fabs(factor * d->bend[k]);
@@ -211,8 +203,8 @@ static int form_K(dal_discrete *d, bool forced, const dal__pair *pair)
     add_chain(rho, true, n, &(slopes){h, d->L_vq, 1.0, d->L_vv, false}, d->Y);
     add_product(n, n, -1.0, rho->g_0, true, d->X, d->K);
     add_product(n, n, -1.0, rho->f_0, true, d->Y, d->K);
-    held is = {d, h, pair->q0};
-    return rho->map.map ? dal__discrete_bend(d, value_held, &is, h, pair->q1) : DAL_SUCCESS;
+    d->held = *pair;
+    return rho->map.map ? dal__discrete_bend(d, value_held, h, pair->q1) : DAL_SUCCESS;
 }
 
 /* That of g of the pair at time t. */

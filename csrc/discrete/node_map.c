@@ -66,7 +66,7 @@ static int evaluate(dal_discrete *d, const dal__pair *pair, bool derivative)
     const bool nonlinear = is_nonlinear(d);
     int status = dal__discrete_momenta(d, t, true, pair, d->minus, NULL, derivative);
     if (!status && derivative && nonlinear) {
-        status = dal__discrete_bend(d, value_reaction, d, 1.0, pair->w);
+        status = dal__discrete_bend(d, value_reaction, 1.0, pair->w);
         next_pair(d, pair->w); /* the differences moved it */
     }
     if (!status) status = dal__discrete_constraint(d, t, pair, derivative);

@@ -407,18 +407,12 @@ int dal__chart_mend(dal_chart *chart, double t, double shift)
     }
 }
 
-typedef struct lift {
-    dal_chart *chart;
-    double t;
-} lift;
-
 /* Of v in chart->x where the constraints are nonlinear, of which only v_dependent moves; and it
  * stands still as soon as the residual, which is that of the step before, is roundoff. */
 static int find_step(dal__newton *equations)
 {
-    const lift *const l = equations->ctx;
-    dal_chart *const chart = l->chart;
-    int status = dal__forms_at(&chart->mech, l->t, 0.0, chart->x, false);
+    dal_chart *const chart = equations->ctx;
+    int status = dal__forms_at(&chart->mech, chart->t, 0.0, chart->x, false);
     if (status) return status;
     dal__clear(chart->n, equations->step);
     if (is_in_D(chart)) return DAL_SUCCESS;
@@ -436,8 +430,8 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
     dal__copy(n, xi, x);
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
     if (kind(chart) == DAL_NONLINEAR) {
-        lift l = {chart, t};
-        dal__newton equations = {.find_step = find_step, .ctx = &l, .size = n, .measured = n,
+        chart->t = t;
+        dal__newton equations = {.find_step = find_step, .ctx = chart, .size = n, .measured = n,
                                  .n = n, .per_unit = chart->mech.metric.per_unit, .z = v,
                                  .step = chart->step, .lagging = true,
                                  .advice = "there may be no such dependent velocities"};
@@ -485,7 +479,7 @@ int dal_chart_split(dal_chart *chart, double t, const double *x, double *hor, do
     dal__chart_drop(chart, x, chart->y);
     status = dal__chart_lift(chart, t, chart->y);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
+    dal__move(n, x + n, -1.0, chart->x + n, chart->w);
     return DAL__DELIVER(&chart->mech.error, {"hor", n, chart->x + n, hor},
                         {"ver", n, chart->w, ver});
 }

@@ -75,8 +75,8 @@ static int load_end(dal_chart *chart, const rows *r, size_t k, double *end)
     const double *const row = r->x + k * 2 * n;
     const int status = require_row(chart, r, k);
     if (status) return status;
-    dal__copy(2 * n, row, end);
-    dal__add(n, -r->shift, row + n, end);
+    dal__move(n, row, -r->shift, row + n, end);
+    dal__copy(n, row + n, end + n);
     return dal_acceleration(&chart->mech, time_of(r, k), end, end + 2 * n);
 }
 

@@ -313,13 +313,6 @@ static int examine_derivatives(examination *ex, callback of)
 
 /* ---- time -------------------------------------------------------------------------------- */
 
-static bool differ(size_t count, const double *x, const double *y)
-{
-    for (size_t k = 0; k < count; k++)
-        if (x[k] != y[k]) return true;
-    return false;
-}
-
 /* L and phi with what y asks for, at the velocity where the examination stands. */
 static int call_both(examination *ex, double t, double *const y[OUTPUTS])
 {
@@ -344,7 +337,7 @@ static int examine_time(examination *ex)
         if (status == DAL_EDOMAIN) continue;
         if (status) return status;
         for (size_t i = 0; i < DAL_LENGTH(told); i++)
-            if (differ(counts[i], now[told[i]], ex->later[told[i]]))
+            if (dal__largest_difference(counts[i], now[told[i]], ex->later[told[i]]) > 0.0)
                 which = outputs[told[i]].callback == CONSTRAINT ? "constraint"
                       : ex->system->mass ? "potential" : "lagrangian";
         if (which)
@@ -402,7 +395,7 @@ static void weigh(const examination *ex, size_t a, const double *v, double *sum,
 static int examine_linear(examination *ex)
 {
     const dal_system_def *const def = &ex->system->def;
-    for (size_t a = 0; a < ex->m; a++) ex->phi[a] = (double)NAN;
+    dal__forget(ex->m, ex->phi);
     const int returned = def->constraint(ex->t, ex->q, ex->other, ex->phi, ex->forms, NULL,
                                          NULL, def->ctx);
     if (returned)
@@ -485,17 +478,14 @@ static int examine_mass(examination *ex)
     return DAL_SUCCESS;
 }
 
-/* Rank of mu with rows of length 1, so that constraints may have different units. */
+/* Rank of mu with rows whose largest entry is 1, so that constraints may have different units. */
 static size_t rank_of(examination *ex, const double *mu)
 {
     const size_t n = ex->n, m = ex->m;
     for (size_t a = 0; a < m; a++) {
         const double *const form = mu + a * n;
         const double unit = dal__largest(n, form);
-        double square = 0.0;
-        for (size_t i = 0; i < n && unit > 0.0; i++) square += form[i] / unit * (form[i] / unit);
-        for (size_t i = 0; i < n; i++)
-            ex->rows[a * n + i] = unit > 0.0 ? form[i] / unit / sqrt(square) : 0.0;
+        for (size_t i = 0; i < n; i++) ex->rows[a * n + i] = unit > 0.0 ? form[i] / unit : 0.0;
     }
     dal__singular_values(m, n, ex->rows, ex->squares);
     const double least = 4.0 * (double)n * DBL_EPSILON * sqrt(dal__largest(m, ex->squares));
@@ -613,7 +603,7 @@ static int examine_curvature(examination *ex, const double *q, double *curvature
         for (size_t l = 0; l < k; l++) {
             dal__apply(m, n, ex->N + k * m * n, ex->X + l * n, here);
             dal__apply(m, n, ex->N + l * m * n, ex->X + k * n, there);
-            for (size_t a = 0; a < m; a++) bracket[a] = here[a] - there[a];
+            dal__move(m, here, -1.0, there, bracket);
             *curvature = fmax(*curvature, length_across(ex, bracket));
             *scale = fmax(*scale, fmax(length_across(ex, here), length_across(ex, there)));
         }

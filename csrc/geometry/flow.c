@@ -104,7 +104,7 @@ void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
 {
     if (!flow || (flow->watch.function == watch && flow->watch.ctx == ctx))
         return; /* the clock of the same watch goes on */
-    flow->watch = (dal__watch){watch, ctx, 0.0};
+    flow->watch = (dal__watch){.function = watch, .ctx = ctx};
     flow->unwatched = PER_LOOK; /* asked at the next evaluation */
 }
 
@@ -245,8 +245,7 @@ int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accu
         if (status) return status;
         dal__copy(dimension(flow), flow->state, flow->result);
         if (accuracy) status = integrate(flow, t0, t1 - t0, t1, x, LOOSER, true);
-        for (size_t i = 0; accuracy && i < dimension(flow); i++)
-            difference = fmax(difference, fabs(flow->result[i] - flow->state[i]));
+        difference = dal__largest_difference(dimension(flow), flow->result, flow->state);
         if (!status && accuracy) status = roundoff(flow, t0, t1, &least);
         if (status) return status;
         dal__copy(dimension(flow), flow->result, x);

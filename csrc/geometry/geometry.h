@@ -55,6 +55,7 @@ struct dal_mechanics {
     double *force, *lambda;       /* [n], [m] */
     double *w, *step;             /* [n] */
     double *point;                /* [2n] the state that is projected; of jump.c too */
+    double t, shift;              /* its time, and the D or D_eps of this shift */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
     double *L_vt;                 /* [n], and */
     double *L_vq, *L_vv;          /* [n*n]; NULL for constant mass */
@@ -130,6 +131,7 @@ struct dal_chart {
     double *A;               /* [m*(n-m)] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
+    double t;                /* of the state x that Newton lifts */
     double *tableau;         /* [m*width] */
     size_t *former, *owner;  /* [n], [m] */
     /* of dal_chart_step */

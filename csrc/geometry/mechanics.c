@@ -256,8 +256,7 @@ int dal_energy(dal_mechanics *mech, double t, const double *x, double *E)
 static void move_node(dal_mechanics *mech, double shift, const double *x)
 {
     const size_t n = mech->n;
-    dal__copy(n, x, mech->forms.q);
-    dal__add(n, -shift, x + n, mech->forms.q);
+    dal__move(n, x, -shift, x + n, mech->forms.q);
 }
 
 /* phi and mu of the forms at (q, v), which stand there, and phi_q if slopes. */
@@ -368,7 +367,7 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
         const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
         if (pass == MOST && speed <= DAL_RESIDUAL_BOUND(n) * before)
             dal__clear(n, v);
-        for (size_t i = 0; shift != 0.0 && i < n; i++) x[i] = at->q[i] + shift * v[i];
+        if (shift != 0.0) dal__move(n, at->q, shift, v, x);
     }
 }
 
@@ -528,23 +527,18 @@ static double mass_norm(dal_mechanics *mech, double *d)
     return largest * sqrt(fmax(0.0, dal__dot(mech->n, d, mech->step)));
 }
 
-typedef struct shifted {
-    dal_mechanics *mech;
-    double t, shift;
-} shifted;
-
 /* Of the velocity v of mech->point for phi(q - shift v, v) = 0, along Z as it is. */
 static int find_step(dal__newton *equations)
 {
-    const shifted *const s = equations->ctx;
-    dal_mechanics *const mech = s->mech;
+    dal_mechanics *const mech = equations->ctx;
     const dal__forms *const at = &mech->forms;
-    move_node(mech, s->shift, mech->point);
-    int status = evaluate_forms(mech, s->t, mech->point + mech->n, s->shift != 0.0);
+    const double shift = mech->shift;
+    move_node(mech, shift, mech->point);
+    int status = evaluate_forms(mech, mech->t, mech->point + mech->n, shift != 0.0);
     if (status) return status;
-    if (s->shift != 0.0) {
+    if (shift != 0.0) {
         equations->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
-        dal__add(mech->m * mech->n, -s->shift, at->dmu, at->mu);
+        dal__add(mech->m * mech->n, -shift, at->dmu, at->mu);
     }
     status = factor_product(mech);
     if (!status) find_change(mech, equations->step);
@@ -560,8 +554,9 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
     int status = DAL_SUCCESS;
     if (mech->m == 0) return DAL_SUCCESS;
     if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR) {
-        shifted s = {mech, t, shift};
-        dal__newton equations = {.find_step = find_step, .ctx = &s, .size = n, .measured = n,
+        mech->t = t;
+        mech->shift = shift;
+        dal__newton equations = {.find_step = find_step, .ctx = mech, .size = n, .measured = n,
                                  .n = n, .per_unit = per_unit, .z = v, .step = mech->step,
                                  .base = dal_residual_extent(n, per_unit, v),
                                  .advice = shift == 0.0
@@ -582,7 +577,7 @@ static int move_velocity(dal_mechanics *mech, double t, double shift, double *x,
     dal__copy(2 * n, x, mech->point);
     const int status = find_velocity(mech, t, shift);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) mech->w[i] = v[i] - x[n + i];
+    dal__move(n, v, -1.0, x + n, mech->w);
     const double moved = mass_norm(mech, mech->w);
     return DAL__DELIVER(&mech->error, {"consistent velocity", n, v, x + n},
                         {"distance", 1, &moved, distance});

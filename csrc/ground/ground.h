@@ -98,7 +98,12 @@ typedef struct dal__watch {
     dal_watch_fn function; /* or NULL */
     void *ctx;
     double asked;          /* when */
+    double made;           /* what dal__relay tells */
 } dal__watch;
+
+/* A watch of the caller's own watch ctx, for what is part of a longer computation: it sees how much
+ * of that was made. */
+int dal__relay(double far, void *ctx);
 
 /* Asks the watch, unless that was done a moment ago.  DAL_STOPPED, DAL_EUSER. */
 int dal__ask(dal__watch *watch, double far, dal_error *error);

@@ -132,6 +132,13 @@ double dal__clock(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
+int dal__relay(double far, void *ctx)
+{
+    const dal__watch *const watch = ctx;
+    (void)far;
+    return watch->function ? watch->function(watch->made, watch->ctx) : 0;
+}
+
 int dal__ask(dal__watch *watch, double far, dal_error *error)
 {
     if (!watch->function) return DAL_SUCCESS;

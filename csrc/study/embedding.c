@@ -27,8 +27,7 @@ struct dal_embedding {
     double h, tolerance;
     int order;
     size_t width;         /* 2n - m */
-    dal__watch watch;
-    double made;          /* steps of the curve */
+    dal__watch watch;     /* sees the steps of the curve */
     double *x, *moved;    /* [2n] */
     double *y, *next, *F1, *F2, *field1, *field2, *field0; /* [width] */
     dal_error error;
@@ -116,18 +115,11 @@ void dal_embedding_free(dal_embedding *embedding)
     dal__release(&embedding->arena);
 }
 
-static int relay(double t, void *ctx)
-{
-    dal_embedding *const self = ctx;
-    (void)t;
-    return self->watch.function ? self->watch.function(self->made, self->watch.ctx) : 0;
-}
-
 void dal_embedding_watch(dal_embedding *embedding, dal_watch_fn watch, void *ctx)
 {
     if (!embedding) return;
-    embedding->watch = (dal__watch){watch, ctx, 0.0};
-    dal_flow_watch(embedding->flow, relay, embedding);
+    embedding->watch = (dal__watch){.function = watch, .ctx = ctx};
+    dal_flow_watch(embedding->flow, dal__relay, &embedding->watch);
 }
 
 /* ---- the flow and the scheme in xi ------------------------------------------------------- */
@@ -224,8 +216,7 @@ static int solve_source(dal_embedding *self, double tau, const double *z)
             self->next[i] = z[i] - chi1 * (self->F2[i] - self->F1[i]);
         status = flow(self, -self->h * tau, self->next, self->next);
         if (status) break;
-        double change = 0.0;
-        for (size_t i = 0; i < width; i++) change = fmax(change, fabs(self->next[i] - self->y[i]));
+        const double change = dal__largest_difference(width, self->next, self->y);
         if (!(change < last)) break;
         dal__copy(width, self->next, self->y);
         status = branches(self, tau, self->y);
@@ -259,9 +250,10 @@ int dal_embedding_curve(dal_embedding *self, double tau, const double *y, double
                            MOST_PERIODS);
     if (status) return status;
     dal__copy(self->width, y, self->y);
-    for (self->made = 0.0; !status && tau > 1.0; tau -= 1.0, self->made++) {
+    double *const made = &self->watch.made;
+    for (*made = 0.0; !status && tau > 1.0; tau -= 1.0, ++*made) {
         status = step(self, self->y, self->y);
-        if (!status) status = dal__ask(&self->watch, self->made, &self->error);
+        if (!status) status = dal__ask(&self->watch, *made, &self->error);
     }
     if (!status) status = branches(self, tau, self->y);
     if (status) return status;
@@ -331,7 +323,7 @@ int dal_embedding_limit(dal_embedding *self, const double *z, double *d)
 static int perturbed_field(double t, const double *z, double *zdot, void *ctx, dal_error *error)
 {
     dal_embedding *const self = ctx;
-    int status = dal__ask(&self->watch, self->made, &self->error);
+    int status = dal__ask(&self->watch, self->watch.made, &self->error);
     if (!status) status = perturbation(self, t / self->h, z);
     if (status) {
         *error = self->error;
@@ -348,10 +340,10 @@ int dal_embedding_flow(dal_embedding *self, double t0, double t1, double *z)
     if (status || t0 == t1) return status;
     /* Where h is too large for the embedding the steps become tiny, and each takes many flows. */
     const double most = STEPS_A_PERIOD * (1.0 + fabs((t1 - t0) / self->h));
-    self->made = 0.0;
+    self->watch.made = 0.0;
     status = dal__ode_begin(self->perturbed, t0, t1 - t0, z, 1.0, &self->error);
     for (double steps = 0.0; !status && dal__ode_elapsed(self->perturbed) != t1 - t0; steps++) {
-        self->made = fabs(dal__ode_elapsed(self->perturbed) / self->h);
+        self->watch.made = fabs(dal__ode_elapsed(self->perturbed) / self->h);
         if (steps >= most)
             return dal__fail(&self->error, DAL_ENOCONV, "%d steps did not lead through a period at "
                              "t = %g: h = %g is too large", STEPS_A_PERIOD,
