@@ -176,8 +176,8 @@ void dal__ode_suggest(ode *self, double span, double size);
 /* The same from where it stands, after its state was changed, towards elapsed time end. */
 int dal__ode_restart(ode *self, double end, dal_error *error);
 
-/* One accepted step towards elapsed time end, in the direction it began with, none at the end of it;
- * steps end at end.  The field's errors where no step is short enough, DAL_ENOCONV (the step size
+/* One accepted step towards elapsed time end, in the direction it began with, none at the end of
+ * it; steps end at end.  The field's errors where no step is short enough, DAL_ENOCONV (the step size
  * collapsed).  After an error the state is that of the last accepted step, and integration begins
  * anew. */
 int dal__ode_step(ode *self, double end, dal_error *error);

@@ -72,15 +72,8 @@ struct ode {
     arena arena;
 };
 
-static const char *method_name(dal_flow_method method)
-{
-    switch (method) {
-    case DAL_FLOW_RK8PD: return "rk8pd";
-    case DAL_FLOW_MSADAMS: return "msadams";
-    case DAL_FLOW_RODAS: return "rodas";
-    }
-    return NULL;
-}
+static const char *const names[] = {[DAL_FLOW_RK8PD] = "rk8pd", [DAL_FLOW_MSADAMS] = "msadams",
+                                    [DAL_FLOW_RODAS] = "rodas"};
 
 /* The error that a step may make of y, relative and absolute. */
 static int allowed(void *level, double y, double dydt, double h, size_t i, double *error)
@@ -209,7 +202,7 @@ int dal__check_tolerance(double tolerance, dal_error *error)
 int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
                  dal__field_fn field, void *ctx, dal_error *error)
 {
-    if (!method_name(method))
+    if ((size_t)method >= DAL_LENGTH(names))
         return dal__fail(error, DAL_EINVAL, "method = %d is not a dal_flow_method", (int)method);
     int status = dal__check_tolerance(tolerance, error);
     if (status) return status;
@@ -233,7 +226,7 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
         dal__release(&self->arena);
         *integrator = NULL;
         return dal__fail(error, DAL_ENOMEM, "out of memory for the workspace of %s",
-                         method_name(method));
+                         names[method]);
     }
     gsl_odeiv2_step_set_driver(self->step, &self->driver);
     return DAL_SUCCESS;
@@ -343,7 +336,7 @@ static int collapsed(const ode *self, double h, dal_error *error)
     if (self->fault.status) return pass_on(self, error);
     return dal__fail(error, DAL_ENOCONV,
                      "%s: the step size collapsed to h = %g at t = %.17g (tolerance %g)",
-                     method_name(self->method), h, self->t0 + self->elapsed, self->tolerance);
+                     names[self->method], h, self->t0 + self->elapsed, self->tolerance);
 }
 
 /* Whether the edge of the domain of the field is nearer than a rounding of the state: steps of the

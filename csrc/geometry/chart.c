@@ -523,7 +523,8 @@ int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot)
 
 /* ---- multipliers ------------------------------------------------------------------------- */
 
-void dal__chart_reduce(const dal_chart *chart, const double *mu, const double *given, double *result)
+void dal__chart_reduce(const dal_chart *chart, const double *mu, const double *given,
+                       double *result)
 {
     for (size_t b = 0; b < chart->m; b++) {
         result[b] = 0.0;
