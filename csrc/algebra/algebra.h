@@ -177,9 +177,9 @@ void dal__ode_suggest(ode *self, double span, double size);
 int dal__ode_restart(ode *self, double end, dal_error *error);
 
 /* One accepted step towards elapsed time end, in the direction it began with, none at the end of
- * it; steps end at end.  The field's errors where no step is short enough, DAL_ENOCONV (the step size
- * collapsed).  After an error the state is that of the last accepted step, and integration begins
- * anew. */
+ * it; steps end at end.  The field's errors where no step is short enough, DAL_ENOCONV (the step
+ * size collapsed).  After an error the state is that of the last accepted step, and integration
+ * begins anew. */
 int dal__ode_step(ode *self, double end, dal_error *error);
 
 double *dal__ode_state(ode *self); /* [N]; whoever changes it restarts */

@@ -86,7 +86,7 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
     dal_mechanics *const mech = &chart->mech;
     const size_t n = chart->n;
     int status = dal__require_beta(mech, beta);
-    if (!status) status = dal__require_step(mech, h);
+    if (!status) status = dal__require_step(&mech->error, h);
     if (!status) status = dal__chart_state(chart, t, xi);
     if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, chart->x);
     if (!status) status = solve_step(chart);

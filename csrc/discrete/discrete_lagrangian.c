@@ -66,7 +66,7 @@ int dal__discrete_require(dal_discrete *d, const char *name_t, double t, double 
                           const char *name_x, const double *x)
 {
     const int status = DAL__REQUIRE_FINITE(&d->mech.error, {name_t, 1, &t}, {name_x, 2 * d->n, x});
-    return status ? status : dal__require_step(&d->mech, h);
+    return status ? status : dal__require_step(&d->mech.error, h);
 }
 
 int dal__discrete_open(dal_discrete *d, double t, double h, const char *name0, const double *q0,
@@ -75,7 +75,7 @@ int dal__discrete_open(dal_discrete *d, double t, double h, const char *name0, c
     if (!d) return DAL_EINVAL;
     int status = DAL__REQUIRE_FINITE(&d->mech.error, {"t", 1, &t}, {name0, d->n, q0},
                                      {name1, d->n, q1});
-    if (!status) status = dal__require_step(&d->mech, h);
+    if (!status) status = dal__require_step(&d->mech.error, h);
     if (!status) *pair = dal__discrete_pair(d, h, q0, q1);
     return status;
 }

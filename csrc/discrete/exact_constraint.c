@@ -70,10 +70,9 @@ int dal_exact_velocity(dal_flow *flow, double t0, double h, const double *q0, co
     search s = {.flow = flow, .mech = dal__flow_mechanics(flow), .t0 = t0, .h = h, .q1 = q1};
     const size_t n = s.mech->n, m = s.mech->m;
     dal_error *const error = &s.mech->error;
-    if (!isfinite(t0) || !isfinite(h) || h == 0.0)
-        return dal__fail(error, DAL_EINVAL, "t0 = %g, h = %g: expected finite numbers, h not 0", t0,
-                         h);
-    int status = DAL__REQUIRE_FINITE(error, {"v0", 0, v0}, {"q0", n, q0}, {"q1", n, q1});
+    int status = DAL__REQUIRE_FINITE(error, {"v0", 0, v0}, {"t0", 1, &t0}, {"q0", n, q0},
+                                     {"q1", n, q1});
+    if (!status) status = dal__require_step(error, h);
     if (status) return status;
     DAL__RESERVE(&s.arena, dal__times(2, n), &s.x, &s.end);
     DAL__RESERVE(&s.arena, n, &s.miss);

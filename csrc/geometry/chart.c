@@ -260,9 +260,8 @@ static int pivot_columns(dal_chart *chart)
 static void arrange(dal_chart *chart)
 {
     size_t dependent = 0, independent = chart->m;
-    for (size_t k = 0; k < chart->n; k++) {
+    for (size_t k = 0; k < chart->n; k++)
         chart->place[is_owned(chart, k) ? dependent++ : independent++] = k;
-    }
 }
 
 static int check_dependent(dal_chart *chart, const size_t *dependent)

@@ -197,7 +197,7 @@ int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, s
                                      {"shift", 1, &shift});
     if (status) return status;
     if (rows_count == 0) return dal__fail(error, DAL_EINVAL, "rows = 0: expected a row");
-    status = dal__require_step(&chart->mech, h);
+    status = dal__require_step(error, h);
     if (!status) status = check_times(chart, &r, count, t);
     if (status) return status;
     const bool chosen = chart->chosen;

@@ -78,8 +78,6 @@ void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
 
 /* DAL_EINVAL unless the argument of this name is there and finite. */
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
-/* DAL_EINVAL unless h is a step. */
-int dal__require_step(dal_mechanics *mech, double h);
 /* M at (t, q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
 int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v);
 /* The same, if it is not the last that was formed; the statistics do not count it. */

@@ -68,12 +68,6 @@ int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, con
     return DAL__REQUIRE_FINITE(&mech->error, {name, count, x});
 }
 
-int dal__require_step(dal_mechanics *mech, double h)
-{
-    if (isfinite(h) && h != 0.0) return DAL_SUCCESS;
-    return dal__fail(&mech->error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
-}
-
 /* What public functions ask for first: somewhere for the output of this name to go, and finite
  * shift, t and x[2n]. */
 static int require(dal_mechanics *mech, const char *name, const double *output, double shift,

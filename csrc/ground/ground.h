@@ -70,6 +70,9 @@ int dal__require_numbers(dal_error *error, size_t count, const dal__numbers *arg
     dal__require_numbers(error, DAL_LENGTH(((dal__numbers[]){__VA_ARGS__})), \
                         (dal__numbers[]){__VA_ARGS__})
 
+/* DAL_EINVAL unless h is a step: finite and not 0. */
+int dal__require_step(dal_error *error, double h);
+
 /* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);
 

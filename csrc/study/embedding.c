@@ -44,9 +44,7 @@ static int perturbed_field(double t, const double *z, double *zdot, void *ctx, d
 
 static int check_def(const dal_system *system, const dal_embedding_def *def, dal_error *error)
 {
-    if (!isfinite(def->h) || def->h == 0.0)
-        return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed",
-                         def->h);
+    if (dal__require_step(error, def->h)) return DAL_EINVAL;
     if (def->order < 0)
         return dal__fail(error, DAL_EINVAL, "order = %d is negative", def->order);
     if (def->order == 0 && def->scheme->order <= 0)
