@@ -8,8 +8,9 @@
 #include <string.h>
 
 double dal__dot(size_t n, const double *a, const double *b);
-/* max |x_i|, 0 for n = 0; sum |x_i|. */
+/* max |x_i|, 0 for n = 0; max |x_i - y_i|, or NaN where one of them is; sum |x_i|. */
 double dal__largest(size_t n, const double *x);
+double dal__largest_difference(size_t n, const double *x, const double *y);
 double dal__sum_of_sizes(size_t n, const double *x);
 
 /* y[n] <- x, which may overlap; y[n], which may be NULL, <- 0; y[n] <- x + h v, where y may be x or
@@ -179,12 +180,10 @@ void dal__ode_suggest(ode *self, double span, double size);
 /* The same from where it stands, after its state was changed, towards elapsed time end. */
 int dal__ode_restart(ode *self, double end, dal_error *error);
 
-/* Takes the state to elapsed time end, from where it stands in the direction it began with; or one
- * accepted step of that way, none at the end of it.  Steps end at end.  The field's errors where
- * no step is short enough, DAL_ENOCONV (the step size collapsed, or millions of steps did not do;
- * single steps are not counted).  After an error the state is that of the last accepted step, and
- * integration begins anew. */
-int dal__ode_reach(ode *self, double end, dal_error *error);
+/* One accepted step towards elapsed time end, in the direction it began with, none at the end of
+ * it; steps end at end.  The field's errors where no step is short enough, DAL_ENOCONV (the step
+ * size collapsed).  After an error the state is that of the last accepted step, and integration
+ * begins anew. */
 int dal__ode_step(ode *self, double end, dal_error *error);
 
 double *dal__ode_state(ode *self); /* [N]; whoever changes it restarts */

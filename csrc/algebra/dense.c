@@ -18,6 +18,16 @@ double dal__largest(size_t n, const double *x)
     return most;
 }
 
+double dal__largest_difference(size_t n, const double *x, const double *y)
+{
+    double most = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        const double difference = fabs(x[i] - y[i]);
+        if (!(difference <= most) && !isnan(most)) most = difference; /* a NaN stays */
+    }
+    return most;
+}
+
 double dal__sum_of_sizes(size_t n, const double *x)
 {
     double sum = 0.0;

@@ -14,9 +14,6 @@
 
 #include <math.h>
 
-/* Accepted and refused steps of one integration; far more than any sensible one takes. */
-enum { MOST_STEPS = 10000000 };
-
 /* Below it steps are refused for their roundoff. */
 static const double LEAST_TOLERANCE = 4.0 * DAL_ROUNDOFF;
 
@@ -75,15 +72,8 @@ struct ode {
     arena arena;
 };
 
-static const char *method_name(dal_flow_method method)
-{
-    switch (method) {
-    case DAL_FLOW_RK8PD: return "rk8pd";
-    case DAL_FLOW_MSADAMS: return "msadams";
-    case DAL_FLOW_RODAS: return "rodas";
-    }
-    return NULL;
-}
+static const char *const names[] = {[DAL_FLOW_RK8PD] = "rk8pd", [DAL_FLOW_MSADAMS] = "msadams",
+                                    [DAL_FLOW_RODAS] = "rodas"};
 
 /* The error that a step may make of y, relative and absolute. */
 static int allowed(void *level, double y, double dydt, double h, size_t i, double *error)
@@ -212,7 +202,7 @@ int dal__check_tolerance(double tolerance, dal_error *error)
 int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
                  dal__field_fn field, void *ctx, dal_error *error)
 {
-    if (!method_name(method))
+    if ((size_t)method >= DAL_LENGTH(names))
         return dal__fail(error, DAL_EINVAL, "method = %d is not a dal_flow_method", (int)method);
     int status = dal__check_tolerance(tolerance, error);
     if (status) return status;
@@ -236,7 +226,7 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
         dal__release(&self->arena);
         *integrator = NULL;
         return dal__fail(error, DAL_ENOMEM, "out of memory for the workspace of %s",
-                         method_name(method));
+                         names[method]);
     }
     gsl_odeiv2_step_set_driver(self->step, &self->driver);
     return DAL_SUCCESS;
@@ -346,7 +336,7 @@ static int collapsed(const ode *self, double h, dal_error *error)
     if (self->fault.status) return pass_on(self, error);
     return dal__fail(error, DAL_ENOCONV,
                      "%s: the step size collapsed to h = %g at t = %.17g (tolerance %g)",
-                     method_name(self->method), h, self->t0 + self->elapsed, self->tolerance);
+                     names[self->method], h, self->t0 + self->elapsed, self->tolerance);
 }
 
 /* Whether the edge of the domain of the field is nearer than a rounding of the state: steps of the
@@ -359,43 +349,21 @@ static bool is_at_edge(const ode *self, double end)
            <= DBL_EPSILON * dal__largest(self->N, self->state);
 }
 
-/* One attempt at a step towards elapsed time end, which lies ahead. */
-static int attempt_towards(ode *self, double end, bool *accepted, dal_error *error)
-{
-    const double left = end - self->elapsed;
-    if (fabs(self->h) > self->longest) self->h = copysign(self->longest, self->h);
-    const bool last = fabs(self->h) >= fabs(left);
-    /* Two halves instead of a step and a very short one. */
-    const double h = last ? left : fabs(self->h) > 0.5 * fabs(left) ? 0.5 * left : self->h;
-    *accepted = attempt(self, h);
-    if (*accepted) {
-        if (self->elapsed + h == self->elapsed) return collapsed(self, h, error);
-        self->elapsed = last ? end : self->elapsed + h;
-    } else if (self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED
-               || is_at_edge(self, end) || !(fabs(self->h) > DBL_EPSILON * fabs(end))) {
-        return collapsed(self, self->h, error);
-    }
-    return DAL_SUCCESS;
-}
-
 int dal__ode_step(ode *self, double end, dal_error *error)
 {
-    int status = DAL_SUCCESS;
     bool accepted = self->elapsed == end;
-    while (!status && !accepted) status = attempt_towards(self, end, &accepted, error);
-    return status;
-}
-
-int dal__ode_reach(ode *self, double end, dal_error *error)
-{
-    int status = DAL_SUCCESS;
-    bool accepted;
-    for (size_t steps = 0; !status && self->elapsed != end; steps++) {
-        if (steps == MOST_STEPS)
-            return dal__fail(error, DAL_ENOCONV, "%s: %d steps did not lead beyond t = %.17g, the "
-                             "last of size h = %g (tolerance %g)", method_name(self->method),
-                             MOST_STEPS, self->t0 + self->elapsed, self->h, self->tolerance);
-        status = attempt_towards(self, end, &accepted, error);
+    while (!accepted) {
+        const double left = end - self->elapsed;
+        if (fabs(self->h) > self->longest) self->h = copysign(self->longest, self->h);
+        const bool last = fabs(self->h) >= fabs(left);
+        /* Two halves instead of a step and a very short one. */
+        const double h = last ? left : fabs(self->h) > 0.5 * fabs(left) ? 0.5 * left : self->h;
+        accepted = attempt(self, h);
+        const bool stuck = accepted ? self->elapsed + h == self->elapsed
+            : self->fault.status == DAL_EUSER || self->fault.status == DAL_STOPPED
+                  || is_at_edge(self, end) || !(fabs(self->h) > DBL_EPSILON * fabs(end));
+        if (stuck) return collapsed(self, accepted ? h : self->h, error);
+        if (accepted) self->elapsed = last ? end : self->elapsed + h;
     }
-    return status;
+    return DAL_SUCCESS;
 }

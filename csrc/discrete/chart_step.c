@@ -3,7 +3,6 @@
 #include "discrete/discrete.h"
 
 #include <math.h>
-#include <string.h>
 
 /* solution <- B_k^-T y_dependent with B_k factored: mu_k^T solution equals y in the dependent
  * components.  y[i*stride]. */
@@ -17,7 +16,7 @@ static void match_dependent(dal_chart *chart, const double *y, size_t stride)
 static void balance_dependent(dal_chart *chart)
 {
     match_dependent(chart, chart->R1, 1);
-    dal__move(chart->m, chart->kappa, 1.0, chart->solution, chart->kappa);
+    dal__add(chart->m, 1.0, chart->solution, chart->kappa);
     dal__add_reaction(chart->n, chart->m, -1.0, chart->mech.muk, chart->solution, chart->R1);
 }
 
@@ -37,11 +36,11 @@ static void form_G(dal_chart *chart)
             chart->G.A[j * n + k] = sum;
         }
     }
-    memcpy(chart->G.A + free * n, chart->slope, m * n * sizeof *chart->slope);
+    dal__copy(m * n, chart->slope, chart->G.A + free * n);
     for (size_t j = 0; j < free; j++) sizes[j] = mech->metric.per_unit[place[j]];
     for (size_t a = 0; a < m; a++)
         sizes[free + a] = dal_residual_form(n, mech->metric.unit, chart->slope + a * n);
-    memcpy(sizes + n, mech->metric.per_unit, n * sizeof *sizes);
+    dal__copy(n, mech->metric.per_unit, sizes + n);
 }
 
 /* step[n] <- the Newton step of w for H^T R1 = 0, phi = 0; kappa <- that of R1_dependent = 0 at
@@ -77,7 +76,7 @@ static int solve_step(dal_chart *chart)
     dal__newton equations = {.find_step = find_step, .moves = moves, .ctx = chart, .size = n,
                              .measured = n, .n = n, .per_unit = mech->metric.per_unit,
                              .z = chart->w, .step = chart->step, .lagging = true}; /* kappa */
-    memcpy(chart->w, mech->start.v, n * sizeof *chart->w);
+    dal__copy(n, mech->start.v, chart->w);
     dal__clear(chart->m, chart->kappa);
     return dal__newton_run(&equations, &mech->error);
 }
@@ -86,27 +85,19 @@ int dal_chart_step(dal_chart *chart, double t, double beta, double h, double *xi
 {
     if (!chart) return DAL_EINVAL;
     dal_mechanics *const mech = &chart->mech;
-    const size_t n = chart->n, m = chart->m;
-    if (!(beta >= 0.0 && beta <= 1.0))
-        return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
-    if (!(fabs(h) > 0.0 && isfinite(h)))
-        return dal__fail(&mech->error, DAL_EINVAL, "h = %g: expected a finite step other than 0",
-                         h);
-    int status = dal__require_finite(mech, "t", 1, &t);
+    const size_t n = chart->n;
+    int status = dal__require_beta(mech, beta);
+    if (!status) status = dal__require_step(&mech->error, h);
     if (!status) status = dal__chart_state(chart, t, xi);
     if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, chart->x);
     if (!status) status = solve_step(chart);
     if (status) return status;
     dal__move(n, mech->node, beta * h, chart->w, chart->y);
-    memcpy(chart->y + n, chart->w, n * sizeof *chart->y);
+    dal__copy(n, chart->w, chart->y + n);
     if (!dal__all_finite(2 * n, chart->y))
         return dal__fail(&mech->error, DAL_EDOMAIN, "the new state overflows with h = %g", h);
-    for (size_t b = 0; b < m; b++) {
-        double sum = 0.0;
-        for (size_t a = 0; a < m; a++) sum += mech->muk[a * n + chart->place[b]] * chart->kappa[a];
-        chart->R2[b] = sum / h;
-    }
     dal__chart_drop(chart, chart->y, xi);
-    if (lambda_E) memcpy(lambda_E, chart->R2, m * sizeof *lambda_E);
+    dal__chart_reduce(chart, mech->muk, chart->kappa, chart->R2);
+    for (size_t a = 0; lambda_E && a < chart->m; a++) lambda_E[a] = chart->R2[a] / h;
     return DAL_SUCCESS;
 }

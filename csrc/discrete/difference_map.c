@@ -2,7 +2,6 @@
 #include "discrete/discrete.h"
 
 #include <math.h>
-#include <string.h>
 
 void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a)
 {
@@ -45,33 +44,27 @@ static int require_state(const dal__rho *rho)
 }
 
 /* (g, f)[2n] at (q0, q1)[2n], to be differenced. */
-typedef struct both {
-    const dal__rho *rho;
-    double h;
-} both;
-
 static int value_rho(const double *q, double *value, void *ctx)
 {
-    const both *const b = ctx;
-    const size_t n = b->rho->n;
-    return b->rho->map.map(b->h, q, q + n, value, value + n, NULL, NULL, NULL, NULL,
-                           b->rho->map.ctx);
+    const dal__rho *const rho = ctx;
+    const size_t n = rho->n;
+    return rho->map.map(rho->h, q, q + n, value, value + n, NULL, NULL, NULL, NULL, rho->map.ctx);
 }
 
 static int difference_slopes(dal__rho *rho, const dal__pair *pair)
 {
-    const size_t n = rho->n, row = n * sizeof *rho->g_0;
-    both b = {rho, pair->h};
-    memcpy(rho->point, pair->q0, row);
-    memcpy(rho->point + n, pair->q1, row);
+    const size_t n = rho->n;
+    rho->h = pair->h;
+    dal__copy(n, pair->q0, rho->point);
+    dal__copy(n, pair->q1, rho->point + n);
     const int returned =
-        dal__jacobian(value_rho, &b, 2 * n, rho->point, 2 * n, rho->value, rho->slope);
+        dal__jacobian(value_rho, rho, 2 * n, rho->point, 2 * n, rho->value, rho->slope);
     for (size_t i = 0; i < n; i++) {
         const double *const of_g = rho->slope + 2 * n * i, *const of_f = of_g + 2 * n * n;
-        memcpy(rho->g_0 + i * n, of_g, row);
-        memcpy(rho->g_1 + i * n, of_g + n, row);
-        memcpy(rho->f_0 + i * n, of_f, row);
-        memcpy(rho->f_1 + i * n, of_f + n, row);
+        dal__copy(n, of_g, rho->g_0 + i * n);
+        dal__copy(n, of_g + n, rho->g_1 + i * n);
+        dal__copy(n, of_f, rho->f_0 + i * n);
+        dal__copy(n, of_f + n, rho->f_1 + i * n);
     }
     return returned;
 }
@@ -115,26 +108,21 @@ int dal__rho_at(dal__rho *rho, const dal__pair *pair, bool slopes)
 
 /* ---- the inverse -------------------------------------------------------------------------- */
 
-typedef struct inversion {
-    dal_discrete *d;
-    double h;
-    const double *x;
-} inversion;
-
-/* Of rho(z) - x at z = (q0, q1); the equations of f are multiplied by h. */
+/* Of rho(z) - state at z = (q0, q1); the equations of f are multiplied by h. */
 static int find_step(dal__newton *equations)
 {
-    const inversion *const in = equations->ctx;
-    dal__rho *const rho = &in->d->constraint;
-    dal__root *const root = &in->d->root;
+    dal_discrete *const d = equations->ctx;
+    dal__rho *const rho = &d->constraint;
+    dal__root *const root = &d->root;
     double *const J = root->J.A;
+    const double h = d->mech.start.h, *const x = d->state;
     const size_t n = rho->n, N = 2 * n;
-    const dal__pair pair = {in->h, root->z, root->z + n, NULL};
+    const dal__pair pair = {h, root->z, root->z + n, NULL};
     const int status = dal__rho_at(rho, &pair, true);
     if (status) return status;
     for (size_t i = 0; i < n; i++) {
-        root->residual[i] = rho->g[i] - in->x[i];
-        root->residual[n + i] = in->h * (rho->f[i] - in->x[n + i]);
+        root->residual[i] = rho->g[i] - x[i];
+        root->residual[n + i] = h * (rho->f[i] - x[n + i]);
         for (size_t j = 0; j < n; j++) {
             J[i * N + j] = rho->g_0[i * n + j];
             J[i * N + n + j] = rho->g_1[i * n + j];
@@ -144,7 +132,7 @@ static int find_step(dal__newton *equations)
     }
     for (size_t k = 0; k < N * N; k++) root->scale[k] = fabs(J[k]);
     return dal__root_step(root, "the derivative of the difference map is singular: it has no "
-                          "inverse here", &in->d->mech.error);
+                          "inverse here", &d->mech.error);
 }
 
 int dal__rho_invert(dal_discrete *d, double t, double h, const double *x, double *q0, double *q1)
@@ -158,8 +146,9 @@ int dal__rho_invert(dal_discrete *d, double t, double h, const double *x, double
     dal__move(n, x, (1.0 - before) * h, v, z + n);
     int status = DAL_SUCCESS;
     if (map->map) {
-        inversion in = {d, h, x};
-        dal__newton equations = {.find_step = find_step, .ctx = &in, .size = 2 * n, .n = n,
+        d->mech.start.h = h;
+        dal__copy(2 * n, x, d->state);
+        dal__newton equations = {.find_step = find_step, .ctx = d, .size = 2 * n, .n = n,
                                  .measured = 2 * n, .per_unit = d->mech.metric.per_unit, .z = z,
                                  .step = d->root.step};
         status = dal__form_metric(&d->mech, t, x, v);

@@ -36,7 +36,7 @@ typedef struct dal__rho {
     double *g, *f;              /* [n] */
     double *g_0, *g_1;          /* [n*n] */
     double *f_0, *f_1;          /* [n*n] times h, so that they do not grow as h goes to 0 */
-    double *point, *value, *slope; /* [2n], [2n], [2n*2n] of differenced derivatives */
+    double h, *point, *value, *slope; /* [2n], [2n], [2n*2n] of differenced derivatives */
 } dal__rho;
 
 void dal__rho_reserve(dal__rho *rho, const dal_difference_map *map, size_t n, arena *a);
@@ -56,8 +56,9 @@ struct dal_discrete {
     dal__rho lagrangian, constraint; /* of L_d, of D_d */
     dal__rho moved;                  /* of L_d too: its second derivatives are differenced */
     dal__root root;                  /* for 2n unknowns */
-    double *q0, *q1, *w, *node;      /* [n] a pair of our own, and the node between two pairs */
+    double *q0, *q1, *w;             /* [n] a pair of our own */
     double *state;                   /* [2n] */
+    dal__pair held;                  /* whose p^- is differenced by q1 */
     double *force, *L_v;             /* [n] F = L_q + f and L_v at rho(pair) */
     double *minus, *plus;            /* [n] p^- and p^+ */
     double *L_qq, *L_vq, *L_vv, *f_q, *f_v; /* [n*n] */
@@ -67,11 +68,8 @@ struct dal_discrete {
     dal__terms B;                    /* [m*n] d phi_d/dw */
     double *muk;                     /* [m*n] the forms along which the constraint reacts */
     double *point, *value, *bend;    /* [n], [n], [n*n] of differences by w or by q1 */
-    struct {                         /* of the step that is being solved */
-        double t, h;                 /* the time of the pair before, */
-        double middle;               /* and of q_k */
-        const double *node, *kappa;  /* [n] q_k; [m] */
-    } step;
+    double t;                        /* of the pair before the step that is being solved, */
+    const double *kappa;             /* [m] and its reaction; q_k, h and more are those of mech */
     double *momentum, *velocity;     /* [n] p^+_k; v_k */
     arena arena;
 };
@@ -89,6 +87,13 @@ typedef struct dal__term {
 } dal__term;
 double dal__base_of_w(const dal_mechanics *mech, const double *v, size_t count,
                       const dal__term *terms, const double *mu, const double *kappa);
+
+/* DAL_EINVAL unless beta is in [0, 1]. */
+int dal__require_beta(dal_mechanics *mech, double beta);
+/* muk <- phi_v(node, v) at the time of the node, start.middle; or for the mean of start.v and w,
+ * along which a nonlinear constraint reacts. */
+int dal__reaction_forms(dal_mechanics *mech, const double *v, double *muk);
+int dal__chetaev_forms(dal_mechanics *mech, const double *w, double *muk);
 
 /* DAL_EINVAL unless h is finite and not 0, and t and x[2n], of this name, are finite. */
 int dal__discrete_require(dal_discrete *d, const char *name_t, double t, double h,
@@ -110,9 +115,8 @@ int dal__discrete_advance(dal_discrete *discrete, double t, double h, double *x,
                           double *worst);
 /* The record that dal_discrete_error reads. */
 dal_error *dal__discrete_error(dal_discrete *discrete);
-/* d->K -= factor df/d(point[n]), where f[n] is differenced. */
-int dal__discrete_bend(dal_discrete *d, dal__function f, void *ctx, double factor,
-                       const double *point);
+/* d->K -= factor df/d(point[n]), where f[n], whose ctx is d, is differenced. */
+int dal__discrete_bend(dal_discrete *d, dal__function f, double factor, const double *point);
 /* d->phi, d->phi_v, and d->B if derivative. */
 int dal__discrete_constraint(dal_discrete *d, double t, const dal__pair *pair, bool derivative);
 

@@ -6,7 +6,6 @@
 #include "discrete/discrete.h"
 
 #include <math.h>
-#include <string.h>
 
 int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
                      const dal_difference_map *lagrangian, const dal_difference_map *constraint,
@@ -31,7 +30,7 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
     dal__rho_reserve(&shape.constraint, of_constraint, n, &memory);
     dal__rho_reserve(&shape.moved, lagrangian, n, &memory);
     dal__root_reserve(&shape.root, dal__times(2, n), &memory); /* m < n */
-    DAL__RESERVE(&memory, n, &shape.q0, &shape.q1, &shape.w, &shape.node, &shape.force, &shape.L_v,
+    DAL__RESERVE(&memory, n, &shape.q0, &shape.q1, &shape.w, &shape.force, &shape.L_v,
                  &shape.minus, &shape.plus, &shape.momentum, &shape.velocity, &shape.point,
                  &shape.value);
     DAL__RESERVE(&memory, dal__times(n, n), &shape.L_qq, &shape.L_vq, &shape.L_vv, &shape.f_q,
@@ -63,27 +62,20 @@ dal_error *dal__discrete_error(dal_discrete *discrete) { return &discrete->mech.
 
 /* ---- pairs -------------------------------------------------------------------------------- */
 
-static int require_time(dal_discrete *d, const char *name, double t, double h)
-{
-    const int status = dal__require_finite(&d->mech, name, 1, &t);
-    if (status || (isfinite(h) && h != 0.0)) return status;
-    return dal__fail(&d->mech.error, DAL_EINVAL, "h = %g: expected a finite step, not 0", h);
-}
-
 int dal__discrete_require(dal_discrete *d, const char *name_t, double t, double h,
                           const char *name_x, const double *x)
 {
-    const int status = require_time(d, name_t, t, h);
-    return status ? status : dal__require_finite(&d->mech, name_x, 2 * d->n, x);
+    const int status = DAL__REQUIRE_FINITE(&d->mech.error, {name_t, 1, &t}, {name_x, 2 * d->n, x});
+    return status ? status : dal__require_step(&d->mech.error, h);
 }
 
 int dal__discrete_open(dal_discrete *d, double t, double h, const char *name0, const double *q0,
                        const char *name1, const double *q1, dal__pair *pair)
 {
     if (!d) return DAL_EINVAL;
-    int status = require_time(d, "t", t, h);
-    if (!status) status = dal__require_finite(&d->mech, name0, d->n, q0);
-    if (!status) status = dal__require_finite(&d->mech, name1, d->n, q1);
+    int status = DAL__REQUIRE_FINITE(&d->mech.error, {"t", 1, &t}, {name0, d->n, q0},
+                                     {name1, d->n, q1});
+    if (!status) status = dal__require_step(&d->mech.error, h);
     if (!status) *pair = dal__discrete_pair(d, h, q0, q1);
     return status;
 }
@@ -96,13 +88,13 @@ dal__pair dal__discrete_pair(dal_discrete *d, double h, const double *q0, const 
 
 int dal_discrete_state(dal_discrete *d, double h, const double *q0, const double *q1, double *x)
 {
-    if (d && !x) return dal__null_argument(&d->mech, "x");
     dal__pair pair;
     int status = dal__discrete_open(d, 0.0, h, "q0", q0, "q1", q1, &pair);
+    if (!status) status = dal__require_finite(&d->mech, "x", 0, x);
     if (!status) status = dal__rho_at(&d->constraint, &pair, false);
     if (status) return status;
-    memcpy(x, d->constraint.g, d->n * sizeof *x);
-    memcpy(x + d->n, d->constraint.f, d->n * sizeof *x);
+    dal__copy(d->n, d->constraint.g, x);
+    dal__copy(d->n, d->constraint.f, x + d->n);
     return DAL_SUCCESS;
 }
 
@@ -110,31 +102,22 @@ int dal_discrete_nodes(dal_discrete *d, double t, double h, const double *x, dou
                        double *q1)
 {
     if (!d) return DAL_EINVAL;
-    if (!q0 || !q1) return dal__null_argument(&d->mech, q0 ? "q1" : "q0");
-    int status = dal__discrete_require(d, "t", t, h, "x", x);
-    if (!status) status = dal__rho_invert(d, t, h, x, d->q0, d->q1);
-    if (status) return status;
-    memcpy(q0, d->q0, d->n * sizeof *q0);
-    memcpy(q1, d->q1, d->n * sizeof *q1);
-    return DAL_SUCCESS;
+    int status = DAL__REQUIRE_FINITE(&d->mech.error, {"q0", 0, q0}, {"q1", 0, q1});
+    if (!status) status = dal__discrete_require(d, "t", t, h, "x", x);
+    return status ? status : dal__rho_invert(d, t, h, x, q0, q1);
 }
 
 /* ---- the discrete Lagrangian -------------------------------------------------------------- */
 
-/* Which factor of a product is a diagonal matrix: the slopes of rho^beta are. */
-typedef enum diagonal { NEITHER, THE_FIRST, THE_SECOND } diagonal;
-
 /* C[rows*n] += factor A B with A[rows*n], or A^T with A[n*n], and B[n*n], whose scale may be NULL:
  * |B|. */
-static void add_product(size_t rows, size_t n, double factor, diagonal which, const double *A,
-                        bool transpose, dal__terms B, dal__terms C)
+static void add_product(size_t rows, size_t n, double factor, const double *A, bool transpose,
+                        dal__terms B, dal__terms C)
 {
     for (size_t i = 0; i < rows; i++)
         for (size_t j = 0; j < n; j++) {
             double sum = 0.0, scale = 0.0;
-            const size_t first = which == NEITHER ? 0 : which == THE_FIRST ? i : j;
-            const size_t end = which == NEITHER ? n : first + 1;
-            for (size_t k = first; k < end; k++) {
+            for (size_t k = 0; k < n; k++) {
                 const double a = transpose ? A[k * n + i] : A[i * n + k], b = B.sum[k * n + j];
                 sum += a * b;
                 scale += fabs(a) * (B.scale ? B.scale[k * n + j] : fabs(b));
@@ -158,11 +141,10 @@ typedef struct slopes {
  * f_r of the node q1 if last, else of q0. */
 static void add_chain(const dal__rho *rho, bool last, size_t rows, const slopes *of, dal__terms C)
 {
-    const diagonal which = rho->map.map ? NEITHER : THE_SECOND;
     const dal__terms g_r = {last ? rho->g_1 : rho->g_0, NULL};
     const dal__terms f_r = {last ? rho->f_1 : rho->f_0, NULL};
-    add_product(rows, rho->n, of->factor_g, which, of->by_g, false, g_r, C);
-    add_product(rows, rho->n, of->factor_f, which, of->by_f, of->transpose, f_r, C);
+    add_product(rows, rho->n, of->factor_g, of->by_g, false, g_r, C);
+    add_product(rows, rho->n, of->factor_f, of->by_f, of->transpose, f_r, C);
 }
 
 static void clear(size_t count, dal__terms C)
@@ -185,29 +167,21 @@ static void form_momentum(const dal_discrete *d, double factor, double h, const 
 }
 
 /* D_1 L_d as a function of q1 with F and L_v held, to be differenced. */
-typedef struct held {
-    dal_discrete *d;
-    double h;
-    const double *q0;
-} held;
-
 static int value_held(const double *q1, double *value, void *ctx)
 {
-    const held *const is = ctx;
-    dal_discrete *const d = is->d;
-    const dal__pair pair = {is->h, is->q0, q1, NULL};
+    dal_discrete *const d = ctx;
+    const dal__pair pair = {d->held.h, d->held.q0, q1, NULL};
     const int status = dal__rho_at(&d->moved, &pair, true);
     if (status) return status;
-    form_momentum(d, 1.0, is->h, d->moved.g_0, d->moved.f_0, value);
+    form_momentum(d, 1.0, pair.h, d->moved.g_0, d->moved.f_0, value);
     return DAL_SUCCESS;
 }
 
-int dal__discrete_bend(dal_discrete *d, dal__function f, void *ctx, double factor,
-                       const double *point)
+int dal__discrete_bend(dal_discrete *d, dal__function f, double factor, const double *point)
 {
     const size_t n = d->n;
-    memcpy(d->point, point, n * sizeof *d->point);
-    const int status = dal__jacobian(f, ctx, n, d->point, n, d->value, d->bend);
+    dal__copy(n, point, d->point);
+    const int status = dal__jacobian(f, d, n, d->point, n, d->value, d->bend);
     for (size_t k = 0; !status && k < n * n; k++) {
         d->K.sum[k] -= factor * d->bend[k];
         d->K.scale[k] += fabs(factor * d->bend[k]);
@@ -221,17 +195,16 @@ static int form_K(dal_discrete *d, bool forced, const dal__pair *pair)
     const size_t n = d->n;
     const double h = pair->h;
     dal__rho *const rho = &d->lagrangian;
-    const diagonal which = rho->map.map ? NEITHER : THE_FIRST;
     clear(n * n, d->X);
     clear(n * n, d->Y);
     clear(n * n, d->K);
     add_chain(rho, true, n, &(slopes){h * h, d->L_qq, h, d->L_vq, true}, d->X);
     if (forced) add_chain(rho, true, n, &(slopes){h * h, d->f_q, h, d->f_v, false}, d->X);
     add_chain(rho, true, n, &(slopes){h, d->L_vq, 1.0, d->L_vv, false}, d->Y);
-    add_product(n, n, -1.0, which, rho->g_0, true, d->X, d->K);
-    add_product(n, n, -1.0, which, rho->f_0, true, d->Y, d->K);
-    held is = {d, h, pair->q0};
-    return rho->map.map ? dal__discrete_bend(d, value_held, &is, h, pair->q1) : DAL_SUCCESS;
+    add_product(n, n, -1.0, rho->g_0, true, d->X, d->K);
+    add_product(n, n, -1.0, rho->f_0, true, d->Y, d->K);
+    d->held = *pair;
+    return rho->map.map ? dal__discrete_bend(d, value_held, h, pair->q1) : DAL_SUCCESS;
 }
 
 /* That of g of the pair at time t. */
@@ -260,7 +233,7 @@ int dal__discrete_momenta(dal_discrete *d, double t, bool forced, const dal__pai
                             derivative ? d->f_q : NULL, derivative ? d->f_v : NULL,
                             &d->mech.error);
     if (status) return status;
-    if (push) dal__move(n, d->force, 1.0, d->value, d->force);
+    if (push) dal__add(n, 1.0, d->value, d->force);
     if (minus) form_momentum(d, -1.0, h, rho->g_0, rho->f_0, minus);
     if (plus) form_momentum(d, 1.0, h, rho->g_1, rho->f_1, plus);
     return derivative ? form_K(d, push, pair) : DAL_SUCCESS;
@@ -302,8 +275,7 @@ int dal_discrete_momentum(dal_discrete *d, double t, double h, const double *q0,
                           const double *xi0, const double *xi1, double *minus, double *plus)
 {
     if (!d) return DAL_EINVAL;
-    int status = dal__require_finite(&d->mech, "xi0", d->n, xi0);
-    if (!status) status = dal__require_finite(&d->mech, "xi1", d->n, xi1);
+    int status = DAL__REQUIRE_FINITE(&d->mech.error, {"xi0", d->n, xi0}, {"xi1", d->n, xi1});
     if (!status) status = dal_discrete_momenta(d, t, h, q0, q1, NULL, NULL);
     if (status) return status;
     const double before = dal__dot(d->n, d->minus, xi0), after = dal__dot(d->n, d->plus, xi1);

@@ -3,7 +3,6 @@
 #include "dalembert/lu.h"
 
 #include <math.h>
-#include <string.h>
 
 /* What the search for v0 works with. */
 typedef struct search {
@@ -17,28 +16,21 @@ typedef struct search {
     arena arena;
 } search;
 
-/* The error record of the flow is the one that is read. */
-static int pass_on(search *s, int status)
-{
-    if (status) *dal__flow_error(s->flow) = s->mech->error;
-    return status;
-}
-
 /* miss and defect of x; end <- what of the miss lies along D, in its first n entries. */
 static int shoot(search *s)
 {
     dal_mechanics *const mech = s->mech;
     const size_t n = mech->n, m = mech->m;
-    memcpy(s->end, s->x, 2 * n * sizeof *s->end);
+    dal__copy(2 * n, s->x, s->end);
     int status = dal__flow_apply(s->flow, s->t0, s->h, s->end, false);
     if (status) return status;
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
     if (m == 0) return DAL_SUCCESS;
     status = dal__forms_at(mech, s->t0, 0.0, s->x, false);
     if (!status) status = dal__factor_gram(mech);
-    if (status) return pass_on(s, status);
+    if (status) return status;
     dal__apply(m, n, mech->forms.mu, s->miss, s->defect);
-    memcpy(mech->lambda, s->defect, m * sizeof *s->defect);
+    dal__copy(m, s->defect, mech->lambda);
     dal__solve_gram(mech, mech->lambda);
     dal__add_reaction(n, m, -1.0, mech->gram.Z, mech->lambda, s->end);
     return DAL_SUCCESS;
@@ -53,7 +45,7 @@ static int find_velocity(search *s)
     const double extent = dal__sum_of_sizes(n, s->x) + dal__sum_of_sizes(n, s->q1);
     double last = HUGE_VAL, size = 0.0, scale = 0.0;
     for (int iteration = 1; iteration <= MOST; iteration++) {
-        int status = pass_on(s, dal_project(s->mech, s->t0, 0.0, s->x, NULL));
+        int status = dal_project(s->mech, s->t0, 0.0, s->x, NULL);
         if (!status) status = shoot(s);
         if (status) return status;
         size = dal__sum_of_sizes(n, s->end);
@@ -61,13 +53,13 @@ static int find_velocity(search *s)
         /* what the flow and the digits of the nodes leave of a quotient by h */
         const double noise = 4.0 * DAL_ROUNDOFF * scale + (dal__flow_tolerance(s->flow)
                              + DAL_ROUNDOFF) * (extent + scale) / fabs(s->h);
-        if (size <= noise) return dal__require_output(dal__flow_error(s->flow), "defect",
-                                                      s->mech->m, s->defect);
+        if (size <= noise) return dal__require_output(&s->mech->error, "defect", s->mech->m,
+                                                      s->defect);
         if (iteration == MOST || !(size <= DBL_MAX) || size > 1e3 * fmin(last, scale)) break;
-        dal__move(n, v, 1.0, s->end, v);
+        dal__add(n, 1.0, s->end, v);
         last = size;
     }
-    return dal__fail(dal__flow_error(s->flow), DAL_ENOCONV, "no velocity at q0 leads to q1: the "
+    return dal__fail(&s->mech->error, DAL_ENOCONV, "no velocity at q0 leads to q1: the "
                      "last miss is %.3g of %.3g; h = %g is too large", size, scale, s->h);
 }
 
@@ -77,13 +69,10 @@ int dal_exact_velocity(dal_flow *flow, double t0, double h, const double *q0, co
     if (!flow) return DAL_EINVAL;
     search s = {.flow = flow, .mech = dal__flow_mechanics(flow), .t0 = t0, .h = h, .q1 = q1};
     const size_t n = s.mech->n, m = s.mech->m;
-    dal_error *const error = dal__flow_error(flow);
-    if (!v0) return dal__fail(error, DAL_EINVAL, "v0 is NULL");
-    if (!isfinite(t0) || !isfinite(h) || h == 0.0)
-        return dal__fail(error, DAL_EINVAL, "t0 = %g, h = %g: expected finite numbers, h not 0", t0,
-                         h);
-    int status = pass_on(&s, dal__require_finite(s.mech, "q0", n, q0));
-    if (!status) status = pass_on(&s, dal__require_finite(s.mech, "q1", n, q1));
+    dal_error *const error = &s.mech->error;
+    int status = DAL__REQUIRE_FINITE(error, {"v0", 0, v0}, {"t0", 1, &t0}, {"q0", n, q0},
+                                     {"q1", n, q1});
+    if (!status) status = dal__require_step(error, h);
     if (status) return status;
     DAL__RESERVE(&s.arena, dal__times(2, n), &s.x, &s.end);
     DAL__RESERVE(&s.arena, n, &s.miss);

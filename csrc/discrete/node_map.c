@@ -4,7 +4,6 @@
 #include "dalembert/residual.h"
 
 #include <math.h>
-#include <string.h>
 
 static bool is_nonlinear(const dal_discrete *d)
 {
@@ -17,41 +16,33 @@ static double time_of_node(const dal_discrete *d, double t, double h)
     return t + (1.0 - d->constraint.map.beta) * h;
 }
 
-/* muk <- phi_v(node, v), the node at time t. */
-static int reaction_forms(dal_discrete *d, double t, const double *node, const double *v,
-                          double *muk)
+/* The node q_k between the pair at time t and the next. */
+static void stand_at_node(dal_discrete *d, double t, double h, const double *node)
 {
-    return dal__constraint(&d->mech.eval, t, node, v, NULL, muk, NULL, NULL, &d->mech.error);
-}
-
-/* muk <- phi_v(q_k, (v_k + v)/2), which only a nonlinear constraint asks for. */
-static int middle_forms(dal_discrete *d, const double *v, double *muk)
-{
-    for (size_t i = 0; i < d->n; i++) d->mech.step[i] = 0.5 * (d->velocity[i] + v[i]);
-    return reaction_forms(d, d->step.middle, d->step.node, d->mech.step, muk);
+    d->t = t;
+    d->mech.start.h = h;
+    d->mech.start.middle = time_of_node(d, t, h);
+    d->mech.start.v = d->velocity;
+    dal__copy(d->n, node, d->mech.node);
 }
 
 /* The equations after the pair at time t: its p^+, its velocity, and mu_k where that is known. */
 static int begin(dal_discrete *d, double t, const dal__pair *pair)
 {
-    const size_t n = d->n;
     int status = dal__discrete_momenta(d, t, true, pair, NULL, d->momentum, false);
     if (!status) status = dal__rho_at(&d->constraint, pair, false);
     if (status) return status;
-    memcpy(d->velocity, d->constraint.f, n * sizeof *d->velocity);
-    d->step.t = t;
-    d->step.h = pair->h;
-    d->step.middle = time_of_node(d, t, pair->h);
-    d->step.node = pair->q1;
-    if (is_nonlinear(d)) return DAL_SUCCESS;
-    return reaction_forms(d, d->step.middle, pair->q1, d->velocity, d->muk);
+    dal__copy(d->n, d->constraint.f, d->velocity);
+    stand_at_node(d, t, pair->h, pair->q1);
+    return is_nonlinear(d) ? DAL_SUCCESS : dal__reaction_forms(&d->mech, d->velocity, d->muk);
 }
 
 /* The pair (q_k, q_k + h w), in d->q1. */
 static dal__pair next_pair(dal_discrete *d, const double *w)
 {
-    dal__move(d->n, d->step.node, d->step.h, w, d->q1);
-    return (dal__pair){d->step.h, d->step.node, d->q1, w};
+    const double h = d->mech.start.h, *const node = d->mech.node;
+    dal__move(d->n, node, h, w, d->q1);
+    return (dal__pair){h, node, d->q1, w};
 }
 
 /* mu_k^T kappa as a function of w, to be differenced. */
@@ -61,25 +52,26 @@ static int value_reaction(const double *w, double *value, void *ctx)
     const size_t n = d->n;
     const dal__pair pair = next_pair(d, w);
     int status = dal__rho_at(&d->constraint, &pair, false);
-    if (!status) status = middle_forms(d, d->constraint.f, d->phi_q);
+    if (!status) status = dal__chetaev_forms(&d->mech, d->constraint.f, d->phi_q);
     if (status) return status;
     dal__clear(n, value);
-    dal__add_reaction(n, d->m, 1.0, d->phi_q, d->step.kappa, value);
+    dal__add_reaction(n, d->m, 1.0, d->phi_q, d->kappa, value);
     return DAL_SUCCESS;
 }
 
 /* What the equations need of the pair after: p^-, phi_d and mu_k, with K and B if derivative. */
 static int evaluate(dal_discrete *d, const dal__pair *pair, bool derivative)
 {
-    const double t = d->step.t + d->step.h;
+    const double t = d->t + d->mech.start.h;
     const bool nonlinear = is_nonlinear(d);
     int status = dal__discrete_momenta(d, t, true, pair, d->minus, NULL, derivative);
     if (!status && derivative && nonlinear) {
-        status = dal__discrete_bend(d, value_reaction, d, 1.0, pair->w);
+        status = dal__discrete_bend(d, value_reaction, 1.0, pair->w);
         next_pair(d, pair->w); /* the differences moved it */
     }
     if (!status) status = dal__discrete_constraint(d, t, pair, derivative);
-    return status || !nonlinear ? status : middle_forms(d, d->constraint.f, d->muk);
+    if (status || !nonlinear) return status;
+    return dal__chetaev_forms(&d->mech, d->constraint.f, d->muk);
 }
 
 /* root.J of n + m equations <- [[K, -mu_k^T], [B, 0]], and the scale of its entries. */
@@ -112,12 +104,12 @@ static int find_step(dal__newton *equations)
     const double *const w = d->root.z, *const kappa = w + n;
     double *const residual = d->root.residual;
     const dal__pair pair = next_pair(d, w);
-    d->step.kappa = kappa;
+    d->kappa = kappa;
     const int status = evaluate(d, &pair, true);
     if (status) return status;
     dal__move(n, d->minus, -1.0, d->momentum, residual);
     dal__add_reaction(n, m, -1.0, d->muk, kappa, residual);
-    memcpy(residual + n, d->phi, m * sizeof *residual);
+    dal__copy(m, d->phi, residual + n);
     const dal__term terms[] = {{1.0, d->minus}, {1.0, d->momentum}};
     equations->base = dal__base_of_w(&d->mech, d->velocity, 2, terms, d->muk, kappa);
     assemble(d);
@@ -129,7 +121,7 @@ static double moves(const void *ctx)
 {
     const dal_discrete *const d = ctx;
     const size_t n = d->n;
-    const double h = d->step.h;
+    const double h = d->mech.start.h;
     double sum = dal__forms_move(&d->mech, d->phi_v, d->phi_q, d->constraint.g);
     for (size_t k = 0; k < n * n; k++)
         sum += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
@@ -147,7 +139,7 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
     int status = begin(d, t, pair);
     if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->velocity);
     if (status) return status;
-    memcpy(d->root.z, pair->w, n * sizeof *d->root.z);
+    dal__copy(n, pair->w, d->root.z);
     dal__clear(m, d->root.z + n);
     return dal__newton_run(&equations, &d->mech.error);
 }
@@ -156,8 +148,8 @@ static int solve(dal_discrete *d, double t, const dal__pair *pair)
 static const double *leave_root(dal_discrete *d, const double *q)
 {
     double *const lambda = d->root.z + d->n;
-    dal__move(d->n, q, d->step.h, d->root.z, d->q1);
-    for (size_t a = 0; a < d->m; a++) lambda[a] /= d->step.h;
+    dal__move(d->n, q, d->mech.start.h, d->root.z, d->q1);
+    for (size_t a = 0; a < d->m; a++) lambda[a] /= d->mech.start.h;
     return lambda;
 }
 
@@ -167,11 +159,12 @@ int dal_discrete_residual(dal_discrete *d, double t, double h, const double *q_b
                           const double *q, const double *q_after, const double *lambda,
                           double *residual)
 {
-    if (d && !residual) return dal__null_argument(&d->mech, "residual");
     dal__pair pair;
     int status = dal__discrete_open(d, t, h, "q_before", q_before, "q", q, &pair);
-    if (!status) status = dal__require_finite(&d->mech, "q_after", d->n, q_after);
-    if (!status && d->m > 0) status = dal__require_finite(&d->mech, "lambda", d->m, lambda);
+    if (!status) /* without constraints lambda may be NULL */
+        status = DAL__REQUIRE_FINITE(&d->mech.error, {"residual", 0, residual},
+                                     {"q_after", d->n, q_after},
+                                     {"lambda", d->m, d->m > 0 ? lambda : q});
     if (!status) status = begin(d, t, &pair);
     if (status) return status;
     const size_t n = d->n, m = d->m;
@@ -181,7 +174,7 @@ int dal_discrete_residual(dal_discrete *d, double t, double h, const double *q_b
     if (status) return status;
     dal__move(n, d->momentum, -1.0, d->minus, sides);
     dal__add_reaction(n, m, h, d->muk, lambda, sides);
-    memcpy(sides + n, d->phi, m * sizeof *sides);
+    dal__copy(m, d->phi, sides + n);
     return DAL__DELIVER(&d->mech.error, {"residual", n + m, sides, residual});
 }
 
@@ -211,8 +204,9 @@ int dal_discrete_regularity(dal_discrete *d, double t, double h, const double *q
     int s, status = dal__discrete_open(d, t, h, "q", q, "q_after", q_after, &pair);
     if (!status) status = dal__discrete_momenta(d, t + h, true, &pair, NULL, NULL, true);
     if (!status) status = dal__discrete_constraint(d, t + h, &pair, true);
-    if (!status)
-        status = reaction_forms(d, time_of_node(d, t, h), q, d->constraint.f, d->muk);
+    if (status) return status;
+    stand_at_node(d, t, h, q);
+    status = dal__reaction_forms(&d->mech, d->constraint.f, d->muk);
     if (status) return status;
     const size_t n = d->n, N = n + d->m;
     double l, c, *const J = d->root.J.A;
@@ -274,7 +268,7 @@ int dal_discrete_run(dal_discrete *d, double t0, double h, size_t steps, double 
         status = solve(d, t0 + (double)k * h, &pair);
         if (status) break;
         const double *const multipliers = leave_root(d, pair.q1);
-        memcpy(d->w, d->root.z, n * sizeof *d->w);
+        dal__copy(n, d->root.z, d->w);
         status = DAL__DELIVER(&d->mech.error, {"q1", n, d->q1, nodes + (k + 2) * n},
                               {"lambda", d->m, multipliers, lambda ? lambda + k * d->m : NULL});
         if (done && !status) *done = k + 1;
@@ -286,25 +280,23 @@ int dal__discrete_advance(dal_discrete *d, double t, double h, double *x, double
                           double *worst)
 {
     const size_t n = d->n;
+    double *const node = d->mech.node;
     int status = dal__discrete_require(d, "t", t, h, "x", x);
-    if (!status) status = dal__rho_invert(d, t, h, x, d->q0, d->node);
+    if (!status) status = dal__rho_invert(d, t, h, x, d->q0, node);
     if (status) return status;
-    dal__pair pair = dal__discrete_pair(d, h, d->q0, d->node);
+    dal__pair pair = dal__discrete_pair(d, h, d->q0, node);
     if (!d->constraint.map.map) pair.w = x + n;
     status = solve(d, t, &pair);
     if (status) return status;
-    const double *const multipliers = leave_root(d, d->node);
-    pair = (dal__pair){h, d->node, d->q1, d->root.z};
+    const double *const multipliers = leave_root(d, node);
+    pair = (dal__pair){h, node, d->q1, d->root.z};
     status = dal__require_output(&d->mech.error, "q1", n, d->q1);
     if (!status) status = dal__rho_at(&d->constraint, &pair, false);
     if (status) return status;
     /* Corrected as a step with beta = 0, whose state stands at its node. */
-    memcpy(d->mech.node, d->constraint.g, n * sizeof *d->mech.node);
-    memcpy(d->w, d->constraint.f, n * sizeof *d->w);
-    d->mech.start.end = t + h;
-    d->mech.start.h = h;
-    d->mech.start.beta = 0.0;
-    d->mech.start.kept = false;
+    dal__copy(n, d->constraint.g, node);
+    dal__copy(n, d->constraint.f, d->w);
+    d->mech.start = (dal__start){.end = t + h, .h = h};
     status = dal__step_settle(&d->mech, d->w, d->state, worst);
     if (status) return status;
     return DAL__DELIVER(&d->mech.error, {"x", 2 * n, d->state, x},

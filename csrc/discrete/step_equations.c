@@ -4,7 +4,6 @@
 #include "dalembert/residual.h"
 
 #include <math.h>
-#include <string.h>
 
 void dal__add_reaction(size_t n, size_t m, double factor, const double *mu, const double *kappa,
                        double *f)
@@ -21,6 +20,18 @@ static const double *place_of_L(dal_mechanics *mech, double reach, const double 
     return mech->place;
 }
 
+int dal__require_beta(dal_mechanics *mech, double beta)
+{
+    if (beta >= 0.0 && beta <= 1.0) return DAL_SUCCESS;
+    return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
+}
+
+int dal__reaction_forms(dal_mechanics *mech, const double *v, double *muk)
+{
+    return dal__constraint(&mech->eval, mech->start.middle, mech->node, v, NULL, muk, NULL, NULL,
+                           &mech->error);
+}
+
 int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, double beta, double h,
                     bool kept, const double *x)
 {
@@ -28,20 +39,12 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     const double *const v = x + n, before = (1.0 - beta) * h;
     int status = DAL_SUCCESS;
     const double later = (alpha - beta) * h; /* than at q~ and q~' L acts */
-    mech->start.middle = t + before;
-    mech->start.end = end;
-    mech->start.acts = t + h + later;
-    mech->start.alpha = alpha;
-    mech->start.beta = beta;
-    mech->start.h = h;
-    mech->start.kept = kept;
-    mech->start.v = v;
-    mech->start.base = 0.0;
+    mech->start = (dal__start){.middle = t + before, .end = end, .acts = t + h + later,
+                               .alpha = alpha, .beta = beta, .h = h, .kept = kept, .v = v};
     dal__move(n, x, kept ? 0.0 : before, v, mech->node);
     dal__move(n, x, kept ? -before : 0.0, v, mech->forms.q);
     if (mech->eval.system->def.kind != DAL_NONLINEAR)
-        status = dal__constraint(&mech->eval, mech->start.middle, mech->node, v, NULL, mech->muk,
-                                 NULL, NULL, &mech->error);
+        status = dal__reaction_forms(mech, v, mech->muk);
     dal__clear(n, mech->reach);
     const double *const place = place_of_L(mech, (alpha - 1.0) * h, v);
     const dal__jet wanted = {.L_q = alpha != 0.0 ? mech->reach : NULL,
@@ -52,18 +55,16 @@ int dal__step_begin(dal_mechanics *mech, double t, double end, double alpha, dou
     if (!status && alpha != 0.0 && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t + later, place, v, mech->step, NULL, NULL,
                             &mech->error);
-        dal__move(n, mech->reach, 1.0, mech->step, mech->reach);
+        dal__add(n, 1.0, mech->step, mech->reach);
     }
     for (size_t i = 0; i < n; i++) mech->reach[i] *= alpha * h;
     return status;
 }
 
-/* muk <- phi_v(q_k, (v + w)/2), along which a nonlinear constraint reacts. */
-static int chetaev_forms(dal_mechanics *mech, const double *w, double *muk)
+int dal__chetaev_forms(dal_mechanics *mech, const double *w, double *muk)
 {
     for (size_t i = 0; i < mech->n; i++) mech->step[i] = 0.5 * (mech->start.v[i] + w[i]);
-    return dal__constraint(&mech->eval, mech->start.middle, mech->node, mech->step, NULL, muk, NULL,
-                           NULL, &mech->error);
+    return dal__reaction_forms(mech, mech->step, muk);
 }
 
 /* bend <- d(mu_k^T kappa)/dw, by central differences, which serve Newton's speed only. */
@@ -76,9 +77,9 @@ static int evaluate_bend(dal_mechanics *mech, const double *w, const double *kap
     dal__clear(n * n, mech->bend);
     for (size_t j = 0; j < n; j++)
         for (int side = -1; side <= 1; side += 2) {
-            memcpy(mech->trial, w, n * sizeof *w);
+            dal__copy(n, w, mech->trial);
             mech->trial[j] += side * d;
-            const int status = chetaev_forms(mech, mech->trial, mech->chetaev);
+            const int status = dal__chetaev_forms(mech, mech->trial, mech->chetaev);
             if (status) return status;
             for (size_t a = 0; a < m; a++)
                 for (size_t i = 0; i < n; i++)
@@ -104,11 +105,11 @@ static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
     if (!status && ends && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t, place, w, R1 ? mech->step : NULL,
                             K ? mech->f_q : NULL, K ? mech->f_v : NULL, &mech->error);
-        if (R1) dal__move(n, mech->force, 1.0, mech->step, mech->force);
+        if (R1) dal__add(n, 1.0, mech->step, mech->force);
     }
     if (status || !R1) return status;
     if (general) {
-        dal__move(n, mech->w, -1.0, mech->momentum, mech->w);
+        dal__add(n, -1.0, mech->momentum, mech->w);
     } else {
         dal__move(n, w, -1.0, mech->start.v, mech->step);
         dal__apply(n, n, mech->metric.M, mech->step, mech->w);
@@ -121,7 +122,7 @@ static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
     const size_t n = mech->n;
     const double weight = mech->start.h * (1.0 - mech->start.alpha);
     dal__move(n, mech->w, -1.0, mech->reach, R1);
-    if (weight != 0.0) dal__move(n, R1, -weight, mech->force, R1);
+    if (weight != 0.0) dal__add(n, -weight, mech->force, R1);
     dal__add_reaction(n, mech->m, -1.0, mech->muk, kappa, R1);
 }
 
@@ -208,14 +209,14 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     if (R2 || B)
         status = dal__constraint(&mech->eval, mech->start.end, mech->forms.q, w, mech->forms.phi,
                                  mech->forms.mu, B ? mech->forms.dmu : NULL, NULL, &mech->error);
-    if (!status && nonlinear) status = chetaev_forms(mech, w, mech->muk);
+    if (!status && nonlinear) status = dal__chetaev_forms(mech, w, mech->muk);
     if (!status && K && nonlinear) status = evaluate_bend(mech, w, kappa);
     if (!status && (R1 || K)) status = evaluate(mech, w, R1 != NULL, K != NULL);
     if (status) return status;
     /* nothing is written before all of it is known */
     if (R1) form_R1(mech, kappa, R1);
     if (R1 && K) mech->start.base = base_of_R1(mech, kappa);
-    if (R2) memcpy(R2, mech->forms.phi, m * sizeof *R2);
+    if (R2) dal__copy(m, mech->forms.phi, R2);
     if (K) form_K(mech, K, K_sizes);
     if (B) dal__move(m * n, mech->forms.mu, a, mech->forms.dmu, B);
     return DAL_SUCCESS;
@@ -230,7 +231,7 @@ int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *wo
     double relative = 0.0;
     int status = DAL_SUCCESS;
     dal__move(n, mech->node, after, w, x);
-    memcpy(x + n, w, n * sizeof *w);
+    dal__copy(n, w, x + n);
     if (mech->m > 0 && dal__all_finite(2 * n, x))
         status = dal__mend(mech, mech->start.end, shift, false, x, &relative);
     if (status) return status;
@@ -247,13 +248,10 @@ int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h
     if (!mechanics) return DAL_EINVAL;
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n, m = mech->m;
-    if (!(beta >= 0.0 && beta <= 1.0))
-        return dal__fail(&mech->error, DAL_EINVAL, "beta = %g is not in [0, 1]", beta);
-    int status = dal__require_finite(mech, "t", 1, &t);
-    if (!status) status = dal__require_finite(mech, "h", 1, &h);
-    if (!status) status = dal__require_finite(mech, "x", 2 * n, x);
-    if (!status) status = dal__require_finite(mech, "w", n, w);
-    if (!status && m > 0) status = dal__require_finite(mech, "kappa", m, kappa);
+    int status = dal__require_beta(mech, beta);
+    if (!status) /* without constraints kappa may be NULL */
+        status = DAL__REQUIRE_FINITE(&mech->error, {"t", 1, &t}, {"h", 1, &h}, {"x", 2 * n, x},
+                                     {"w", n, w}, {"kappa", m, m > 0 ? kappa : w});
     if (!status) status = dal__step_begin(mech, t, t + h, beta, beta, h, false, x);
     if (status) return status;
 

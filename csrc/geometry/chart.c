@@ -127,18 +127,23 @@ static void write_names(const dal_chart *chart, const size_t *place, size_t coun
 
 /* ---- A and B ----------------------------------------------------------------------------- */
 
+static void gather_B(dal_chart *chart, const double *mu)
+{
+    for (size_t a = 0; a < chart->m; a++)
+        for (size_t b = 0; b < chart->m; b++)
+            chart->B.A[a * chart->m + b] = mu[a * chart->n + chart->place[b]];
+}
+
 int dal__chart_factor(dal_chart *chart, const double *mu)
 {
-    const size_t n = chart->n, m = chart->m;
+    const size_t m = chart->m;
     double *const sizes = chart->B.sizes;
+    gather_B(chart, mu);
     for (size_t a = 0; a < m; a++) {
         sizes[a] = 0.0;
         sizes[m + a] = chart->mech.metric.per_unit[chart->place[a]];
-        for (size_t b = 0; b < m; b++) {
-            const double entry = mu[a * n + chart->place[b]];
-            chart->B.A[a * m + b] = entry;
-            sizes[a] += fabs(entry) * chart->mech.metric.unit[chart->place[b]];
-        }
+        for (size_t b = 0; b < m; b++)
+            sizes[a] += fabs(chart->B.A[a * m + b]) * chart->mech.metric.unit[chart->place[b]];
     }
     if (dal__linear_factor(&chart->B)) return DAL_SUCCESS;
     char names[128];
@@ -178,17 +183,15 @@ int dal_chart_connection(dal_chart *chart, double t, const double *x, double *A,
     if (status) return status;
     const size_t n = chart->n, m = chart->m;
     form_A(chart);
-    status = DAL__DELIVER(&chart->mech.error, {"A", m * (n - m), chart->A, A});
-    for (size_t a = 0; !status && B && a < m; a++)
-        for (size_t b = 0; b < m; b++)
-            B[a * m + b] = chart->mech.forms.mu[a * n + chart->place[b]];
-    return status;
+    gather_B(chart, chart->mech.forms.mu);
+    return DAL__DELIVER(&chart->mech.error, {"A", m * (n - m), chart->A, A},
+                        {"B", m * m, chart->B.A, B});
 }
 
 /* ---- the choice -------------------------------------------------------------------------- */
 
 /* Elimination of column j by row a of the tableau, which then belongs to it. */
-static void exchange(dal_chart *chart, size_t a, size_t j)
+static void eliminate(dal_chart *chart, size_t a, size_t j)
 {
     const size_t n = chart->n;
     double *const T = chart->tableau;
@@ -199,28 +202,28 @@ static void exchange(dal_chart *chart, size_t a, size_t j)
     chart->owner[a] = j;
 }
 
-/* Whether coordinate k belongs to one of the first rows. */
-static bool is_owned(const dal_chart *chart, size_t rows, size_t k)
+/* Whether coordinate k belongs to a row. */
+static bool is_owned(const dal_chart *chart, size_t k)
 {
-    for (size_t a = 0; a < rows; a++)
+    for (size_t a = 0; a < chart->m; a++)
         if (chart->owner[a] == k) return true;
     return false;
 }
 
-/* The largest entry of the tableau outside the columns that have an owner, in the rows from first
- * on; it is in row *a and column *j. */
-static double largest_entry(const dal_chart *chart, size_t owned, size_t first, size_t *a,
-                            size_t *j)
+/* The largest entry of the tableau outside the columns that belong to a row, in all rows or in
+ * those that own none; it is in row *a and column *j. */
+static double largest_entry(const dal_chart *chart, bool all, size_t *a, size_t *j)
 {
     double most = 0.0;
     for (size_t k = 0; k < chart->n; k++) {
-        if (is_owned(chart, owned, k)) continue;
-        for (size_t b = first; b < chart->m; b++)
-            if (fabs(chart->tableau[b * chart->n + k]) > most) {
-                most = fabs(chart->tableau[b * chart->n + k]);
-                *a = b;
-                *j = k;
-            }
+        if (is_owned(chart, k)) continue;
+        for (size_t b = 0; b < chart->m; b++) {
+            const double entry = fabs(chart->tableau[b * chart->n + k]);
+            if (!(entry > most) || (!all && chart->owner[b] < chart->n)) continue;
+            most = entry;
+            *a = b;
+            *j = k;
+        }
     }
     return most;
 }
@@ -239,23 +242,17 @@ static int pivot_columns(dal_chart *chart)
             most = fmax(most, fabs(T[b * n + k]));
         }
         for (size_t k = 0; most > 0.0 && k < n; k++) T[b * n + k] /= most;
+        chart->owner[b] = n; /* none */
     }
-    for (size_t row = 0; row < m; row++) {
-        if (!(largest_entry(chart, row, row, &a, &j) > 0.0))
+    for (size_t rank = 0; rank < m; rank++) {
+        if (!(largest_entry(chart, false, &a, &j) > 0.0))
             return dal__fail(&chart->mech.error, DAL_ESINGULAR, "mu has rank %zu here, and not m = "
-                             "%zu: no choice of dependent coordinates is possible", row, m);
-        for (size_t k = 0; k < n && a != row; k++) {
-            const double entry = T[row * n + k];
-            T[row * n + k] = T[a * n + k];
-            T[a * n + k] = entry;
-        }
-        exchange(chart, row, j);
+                             "%zu: no choice of dependent coordinates is possible", rank, m);
+        eliminate(chart, a, j);
     }
     /* far more than are ever needed; a matrix without full rank could go on for ever */
-    for (size_t left = 4 * m * n; left > 0; left--) {
-        if (!(largest_entry(chart, m, 0, &a, &j) > EXCHANGE)) break;
-        exchange(chart, a, j);
-    }
+    for (size_t left = 4 * m * n; left > 0 && largest_entry(chart, true, &a, &j) > EXCHANGE; left--)
+        eliminate(chart, a, j);
     return DAL_SUCCESS;
 }
 
@@ -263,10 +260,8 @@ static int pivot_columns(dal_chart *chart)
 static void arrange(dal_chart *chart)
 {
     size_t dependent = 0, independent = chart->m;
-    for (size_t k = 0; k < chart->n; k++) {
-        const bool owned = is_owned(chart, chart->m, k);
-        chart->place[owned ? dependent++ : independent++] = k;
-    }
+    for (size_t k = 0; k < chart->n; k++)
+        chart->place[is_owned(chart, k) ? dependent++ : independent++] = k;
 }
 
 static int check_dependent(dal_chart *chart, const size_t *dependent)
@@ -388,11 +383,11 @@ static bool is_in_D(const dal_chart *chart)
         <= 2.0 * (double)chart->n * DAL_ROUNDOFF;
 }
 
-static void move_dependent(dal_chart *chart)
+/* v[n]_dependent -= B^-1 phi. */
+static void move_dependent(dal_chart *chart, double *v)
 {
     dal__linear_solve(&chart->B, chart->mech.forms.phi, chart->solution);
-    for (size_t a = 0; a < chart->m; a++)
-        chart->x[chart->n + chart->place[a]] -= chart->solution[a];
+    for (size_t a = 0; a < chart->m; a++) v[chart->place[a]] -= chart->solution[a];
 }
 
 int dal__chart_mend(dal_chart *chart, double t, double shift)
@@ -407,31 +402,22 @@ int dal__chart_mend(dal_chart *chart, double t, double shift)
             status = dal__forms_at(mech, t, shift, chart->x, false);
         if (status) return status;
         if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
-        move_dependent(chart);
+        move_dependent(chart, chart->x + chart->n);
     }
 }
-
-typedef struct lift {
-    dal_chart *chart;
-    double t;
-} lift;
 
 /* Of v in chart->x where the constraints are nonlinear, of which only v_dependent moves; and it
  * stands still as soon as the residual, which is that of the step before, is roundoff. */
 static int find_step(dal__newton *equations)
 {
-    const lift *const l = equations->ctx;
-    dal_chart *const chart = l->chart;
-    int status = dal__forms_at(&chart->mech, l->t, 0.0, chart->x, false);
+    dal_chart *const chart = equations->ctx;
+    int status = dal__forms_at(&chart->mech, chart->t, 0.0, chart->x, false);
     if (status) return status;
     dal__clear(chart->n, equations->step);
     if (is_in_D(chart)) return DAL_SUCCESS;
     status = dal__chart_factor(chart, chart->mech.forms.mu);
-    if (status) return status;
-    dal__linear_solve(&chart->B, chart->mech.forms.phi, chart->solution);
-    for (size_t a = 0; a < chart->m; a++)
-        equations->step[chart->place[a]] = -chart->solution[a];
-    return DAL_SUCCESS;
+    if (!status) move_dependent(chart, equations->step);
+    return status;
 }
 
 /* Where the constraints are not nonlinear the first solution is exact but for roundoff. */
@@ -443,8 +429,8 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
     dal__copy(n, xi, x);
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
     if (kind(chart) == DAL_NONLINEAR) {
-        lift l = {chart, t};
-        dal__newton equations = {.find_step = find_step, .ctx = &l, .size = n, .measured = n,
+        chart->t = t;
+        dal__newton equations = {.find_step = find_step, .ctx = chart, .size = n, .measured = n,
                                  .n = n, .per_unit = chart->mech.metric.per_unit, .z = v,
                                  .step = chart->step, .lagging = true,
                                  .advice = "there may be no such dependent velocities"};
@@ -452,7 +438,7 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
         status = form_B(chart, t, x, false);
-        if (!status) move_dependent(chart);
+        if (!status) move_dependent(chart, v);
         if (!status) status = dal__chart_mend(chart, t, 0.0);
     }
     if (status || dal__all_finite(2 * n, x)) return status;
@@ -492,7 +478,7 @@ int dal_chart_split(dal_chart *chart, double t, const double *x, double *hor, do
     dal__chart_drop(chart, x, chart->y);
     status = dal__chart_lift(chart, t, chart->y);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) chart->w[i] = x[n + i] - chart->x[n + i];
+    dal__move(n, x + n, -1.0, chart->x + n, chart->w);
     return DAL__DELIVER(&chart->mech.error, {"hor", n, chart->x + n, hor},
                         {"ver", n, chart->w, ver});
 }
@@ -536,6 +522,16 @@ int dal_chart_field(dal_chart *chart, double t, const double *xi, double *xidot)
 
 /* ---- multipliers ------------------------------------------------------------------------- */
 
+void dal__chart_reduce(const dal_chart *chart, const double *mu, const double *given,
+                       double *result)
+{
+    for (size_t b = 0; b < chart->m; b++) {
+        result[b] = 0.0;
+        for (size_t a = 0; a < chart->m; a++)
+            result[b] += mu[a * chart->n + chart->place[b]] * given[a];
+    }
+}
+
 /* result[m] <- B^T given[m], the multipliers of [A, I] from those of mu; or back, B^-T given. */
 static int transform(dal_chart *chart, double t, const double *x, bool back, const double *given,
                      double *result)
@@ -543,18 +539,15 @@ static int transform(dal_chart *chart, double t, const double *x, bool back, con
     static const char *const names[] = {"lambda", "lambda_E"};
     int status = require_state(chart, names[!back], result, t, x);
     if (status) return status;
-    const size_t n = chart->n, m = chart->m;
+    const size_t m = chart->m;
     if (m > 0) status = dal__require_finite(&chart->mech, names[back], m, given);
     if (!status) status = form_B(chart, t, x, false);
     if (status) return status;
-    for (size_t b = 0; !back && b < m; b++) {
-        chart->solution[b] = 0.0;
-        for (size_t a = 0; a < m; a++)
-            chart->solution[b] += chart->mech.forms.mu[a * n + chart->place[b]] * given[a];
-    }
-    if (back && m > 0) {
+    if (back) {
         dal__copy(m, given, chart->right);
         dal__linear_solve_transposed(&chart->B, chart->right, chart->solution);
+    } else {
+        dal__chart_reduce(chart, chart->mech.forms.mu, given, chart->solution);
     }
     return DAL__DELIVER(&chart->mech.error, {names[!back], m, chart->solution, result});
 }

@@ -75,8 +75,8 @@ static int load_end(dal_chart *chart, const rows *r, size_t k, double *end)
     const double *const row = r->x + k * 2 * n;
     const int status = require_row(chart, r, k);
     if (status) return status;
-    dal__copy(2 * n, row, end);
-    dal__add(n, -r->shift, row + n, end);
+    dal__move(n, row, -r->shift, row + n, end);
+    dal__copy(n, row + n, end + n);
     return dal_acceleration(&chart->mech, time_of(r, k), end, end + 2 * n);
 }
 
@@ -197,9 +197,8 @@ int dal_chart_interpolate(dal_chart *chart, double t0, double h, double shift, s
                                      {"shift", 1, &shift});
     if (status) return status;
     if (rows_count == 0) return dal__fail(error, DAL_EINVAL, "rows = 0: expected a row");
-    if (!(fabs(h) > 0.0 && isfinite(h)))
-        return dal__fail(error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
-    status = check_times(chart, &r, count, t);
+    status = dal__require_step(error, h);
+    if (!status) status = check_times(chart, &r, count, t);
     if (status) return status;
     const bool chosen = chart->chosen;
     size_t *const place = chart->place;

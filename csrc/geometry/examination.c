@@ -60,6 +60,13 @@ static const output outputs[OUTPUTS] = {
     [PHI_T] = {"phi_t", CONSTRAINT, PHI, MOVES_T, DAL_MISSING_PHI_T, offsetof(dal_check, phi_t)},
 };
 
+/* An entry of a derivative, and what the last distance said of it. */
+typedef struct entry {
+    dal_difference found;
+    double before, gap_before, best; /* slope and kink; how well two slopes have agreed */
+    bool settled;
+} entry;
+
 typedef struct examination {
     dal_mechanics mech;
     const dal_system *system;
@@ -72,8 +79,8 @@ typedef struct examination {
     const output *judged;         /* the derivative that is compared with differences */
     double *given[OUTPUTS];       /* as the callbacks give them */
     double *value, *slope;        /* [n] scratch of the differences */
-    double *bend, *height;        /* [n] how far slopes on both sides differ; the largest values */
-    double *expected;             /* [n] */
+    double *bend, *height, least; /* [n] how far slopes on both sides differ; the largest values */
+    entry *entries;               /* [n] of a column */
     const char *unjudged;         /* a derivative that differences do not tell, or NULL */
     double *later[OUTPUTS];       /* and at another time; only some are there */
     double *forms;                /* [m*n] */
@@ -134,10 +141,12 @@ static int difference(examination *ex, size_t j, size_t rows, double d)
     static const double bends[5] = {-2.0, 1.0, 1.0, 0.0, 0.0};
     const double centre = ex->point[j];
     int status = DAL_SUCCESS;
-    for (size_t i = 0; i < rows; i++) ex->slope[i] = ex->bend[i] = ex->height[i] = 0.0;
+    for (size_t i = 0; i < rows; i++) {
+        ex->slope[i] = ex->bend[i] = 0.0;
+        ex->height[i] = ex->least;
+    }
     for (int k = 0; k < 5 && !status; k++) {
         ex->point[j] = centre + offsets[k] * d;
-        dal__forget(rows, ex->value);
         status = call_moved(ex->point, ex->value, ex);
         for (size_t i = 0; i < rows && !status; i++) {
             if (!isfinite(ex->value[i])) status = DAL_EDOMAIN;
@@ -150,11 +159,6 @@ static int difference(examination *ex, size_t j, size_t rows, double d)
     return status;
 }
 
-static double off(double number, double expected)
-{
-    return fabs(number - expected) / (1.0 + fabs(expected));
-}
-
 /* The worst finding is a wrong entry, and of these, or if there is none, the one that is off
  * most. */
 static void keep_worst(dal_difference *worst, const dal_difference *found)
@@ -165,43 +169,58 @@ static void keep_worst(dal_difference *worst, const dal_difference *found)
     worst->unjudged = unjudged;
 }
 
-/* One derivative against differences over smaller and smaller distances d: right if it agrees with
- * those over any of them, wrong if they converge to something else: two that follow each other
- * agree far better with each other than with it.  At a kink, where the slopes on both sides do not
- * get closer with d, it may be either of these.  Where differences do not converge, or leave the
- * domain, there is nothing to judge by. */
-static int descend(examination *ex, size_t rows, dal_difference *found)
+/* Whether entry e of a derivative agrees with its differences over the distance d: with the first
+ * of them up to their roundoff, or with any that have hardly any.  It is wrong if they converge to
+ * something else: two that follow each other agree far better with each other than with it.  At a
+ * kink, where the slopes on both sides do not get closer with d, it may be either of these.  Where
+ * differences do not converge, or leave the domain, there is nothing to judge by. */
+static bool agrees(const examination *ex, entry *e, double d, bool first)
+{
+    const size_t i = e->found.row;
+    const double here = ex->slope[i], gap = fabs(ex->bend[i]), far = fabs(e->found.given - here);
+    const double rounding = 32.0 * DAL_ROUNDOFF * ex->height[i] / d;
+    const double allowed = derivative_tolerance * (1.0 + fabs(here));
+    const double change = fabs(here - e->before) + rounding;
+    const bool is_right = first ? far <= allowed + rounding
+                                : far <= allowed && rounding <= 0.1 * allowed;
+    const bool is_kink = gap > 0.5 * e->gap_before + allowed + rounding && gap > far;
+    const bool is_off = !is_right && !is_kink && far > 4.0 * change
+                     && change < e->best && e->best > 0.1 * allowed;
+    if (is_right || is_off) {
+        e->best = change;
+        e->found.expected = here;
+        e->found.error = far / (1.0 + fabs(here));
+        e->found.wrong = is_off;
+        e->found.unjudged = 0;
+    }
+    e->before = here;
+    e->gap_before = gap;
+    return is_right;
+}
+
+/* The entries of column j of the matrix given[rows*columns] against differences over smaller and
+ * smaller distances. */
+static int examine_column(examination *ex, const double *given, size_t j, size_t columns,
+                          size_t rows)
 {
     enum { DISTANCES = 14 };
-    const size_t i = found->row, j = found->column;
-    double before = (double)NAN, gap_before = (double)NAN, best = (double)INFINITY;
     double d = dal__spacing(ex->point[j]);
-    found->wrong = 0;
-    found->unjudged = 1;
-    for (int k = 0; k < DISTANCES; k++, d /= 8.0) {
+    bool any = true;
+    for (size_t i = 0; i < rows; i++)
+        ex->entries[i] = (entry){.before = (double)NAN, .gap_before = (double)NAN,
+                                 .best = (double)INFINITY,
+                                 .found = {.given = given[i * columns + j], .row = i, .column = j,
+                                           .checked = 1, .unjudged = 1}};
+    for (int k = 0; k < DISTANCES && any; k++, d /= 8.0) {
         if (d <= 16.0 * DAL_ROUNDOFF * fabs(ex->point[j])) break;
         const int status = difference(ex, j, rows, d);
         if (status == DAL_EDOMAIN) continue;
         if (status) return status;
-        const double here = ex->slope[i], gap = fabs(ex->bend[i]);
-        const double rounding = 32.0 * DAL_ROUNDOFF * ex->height[i] / d;
-        const double allowed = derivative_tolerance * (1.0 + fabs(here));
-        const double change = fabs(here - before) + rounding, far = fabs(found->given - here);
-        const bool is_kink = gap > 0.5 * gap_before + allowed + rounding && gap > far;
-        if (rounding <= 0.1 * allowed && far <= allowed) {
-            *found = (dal_difference){.error = off(found->given, here), .given = found->given,
-                                      .expected = here, .row = i, .column = j, .checked = 1};
-            return DAL_SUCCESS;
+        any = false;
+        for (entry *e = ex->entries; e < ex->entries + rows; e++) {
+            if (!e->settled) e->settled = agrees(ex, e, d, k == 0);
+            any = any || !e->settled;
         }
-        if (!is_kink && far > 4.0 * change && change < best && best > 0.1 * allowed) {
-            best = change;
-            found->expected = here;
-            found->error = off(found->given, here);
-            found->wrong = 1;
-            found->unjudged = 0;
-        }
-        before = here;
-        gap_before = gap;
     }
     return DAL_SUCCESS;
 }
@@ -211,46 +230,33 @@ static dal_difference *difference_of(examination *ex, const output *d)
     return (dal_difference *)((char *)&ex->found + d->found);
 }
 
-/* Of the values that are differenced. */
-static double size_of_values(const examination *ex, const output *d)
+/* Values that are differenced are known to a few roundings of this, even if they are smaller: a
+ * differenced gradient has lost the spacing's worth of digits before, and the terms of phi may
+ * cancel. */
+static double least_height(const examination *ex, const output *d)
 {
-    const double size = dal__largest(rows_of(ex, d->of), ex->given[d->of]);
-    const double speed = dal__largest(ex->n, ex->velocity);
-    /* a differenced gradient has lost the spacing's worth of digits before */
     if (d->of == V_Q && ex->system->def.missing & DAL_MISSING_V_Q)
-        return size + 0x1p12 * fabs(*ex->given[V]);
-    if (d->of != PHI) return size;
-    return fmax(ex->system->def.kind == DAL_LINEAR ? 0.0 : size,
-                speed * dal__largest(ex->m * ex->n, ex->given[PHI_V]));
+        return 0x1p12 * fabs(*ex->given[V]);
+    if (d->of != PHI) return 0.0;
+    return dal__largest(ex->n, ex->velocity) * dal__largest(ex->m * ex->n, ex->given[PHI_V]);
 }
 
-/* The matrix given[rows*n], or [rows] in time, against differences.  Their roundoff is that of the
- * values, a few u, divided by their spacing 2^-12. */
+/* The matrix given[rows*n], or [rows] in time, against differences. */
 static int compare(examination *ex, const output *d, const double *given)
 {
     const double *const centre = d->moves == MOVES_T ? &ex->time
                                : d->moves == MOVES_V ? ex->velocity : ex->q;
     const size_t columns = d->moves == MOVES_T ? 1 : ex->n, rows = rows_of(ex, d->of);
-    const double tolerance =
-        derivative_tolerance + 32.0 * DAL_ROUNDOFF * 0x1p12 * size_of_values(ex, d);
     dal_difference *const worst = difference_of(ex, d);
     ex->judged = d;
+    ex->least = least_height(ex, d);
     dal__copy(columns, centre, ex->point);
     for (size_t j = 0; j < columns; j++) {
-        int status = dal__difference(call_moved, ex, ex->point, j, rows, ex->value, ex->expected,
-                                     1);
-        ex->point[j] = centre[j];
-        if (status && status != DAL_EDOMAIN) return status;
-        const bool outside = status == DAL_EDOMAIN;
-        for (size_t i = 0; i < rows; i++) {
-            const double number = given[i * columns + j], expected = ex->expected[i];
-            dal_difference found = {.error = off(number, expected), .given = number,
-                                    .expected = expected, .row = i, .column = j, .checked = 1};
-            if (outside || !(found.error <= tolerance)) status = descend(ex, rows, &found);
-            if (status && status != DAL_EDOMAIN) return status;
-            if (found.unjudged) worst->unjudged++;
-            else keep_worst(worst, &found);
-        }
+        const int status = examine_column(ex, given, j, columns, rows);
+        if (status) return status;
+        for (const entry *e = ex->entries; e < ex->entries + rows; e++)
+            if (e->found.unjudged) worst->unjudged++;
+            else keep_worst(worst, &e->found);
     }
     return DAL_SUCCESS;
 }
@@ -313,13 +319,6 @@ static int examine_derivatives(examination *ex, callback of)
 
 /* ---- time -------------------------------------------------------------------------------- */
 
-static bool differ(size_t count, const double *x, const double *y)
-{
-    for (size_t k = 0; k < count; k++)
-        if (x[k] != y[k]) return true;
-    return false;
-}
-
 /* L and phi with what y asks for, at the velocity where the examination stands. */
 static int call_both(examination *ex, double t, double *const y[OUTPUTS])
 {
@@ -344,7 +343,7 @@ static int examine_time(examination *ex)
         if (status == DAL_EDOMAIN) continue;
         if (status) return status;
         for (size_t i = 0; i < DAL_LENGTH(told); i++)
-            if (differ(counts[i], now[told[i]], ex->later[told[i]]))
+            if (dal__largest_difference(counts[i], now[told[i]], ex->later[told[i]]) > 0.0)
                 which = outputs[told[i]].callback == CONSTRAINT ? "constraint"
                       : ex->system->mass ? "potential" : "lagrangian";
         if (which)
@@ -402,7 +401,7 @@ static void weigh(const examination *ex, size_t a, const double *v, double *sum,
 static int examine_linear(examination *ex)
 {
     const dal_system_def *const def = &ex->system->def;
-    for (size_t a = 0; a < ex->m; a++) ex->phi[a] = (double)NAN;
+    dal__forget(ex->m, ex->phi);
     const int returned = def->constraint(ex->t, ex->q, ex->other, ex->phi, ex->forms, NULL,
                                          NULL, def->ctx);
     if (returned)
@@ -485,17 +484,14 @@ static int examine_mass(examination *ex)
     return DAL_SUCCESS;
 }
 
-/* Rank of mu with rows of length 1, so that constraints may have different units. */
+/* Rank of mu with rows whose largest entry is 1, so that constraints may have different units. */
 static size_t rank_of(examination *ex, const double *mu)
 {
     const size_t n = ex->n, m = ex->m;
     for (size_t a = 0; a < m; a++) {
         const double *const form = mu + a * n;
         const double unit = dal__largest(n, form);
-        double square = 0.0;
-        for (size_t i = 0; i < n && unit > 0.0; i++) square += form[i] / unit * (form[i] / unit);
-        for (size_t i = 0; i < n; i++)
-            ex->rows[a * n + i] = unit > 0.0 ? form[i] / unit / sqrt(square) : 0.0;
+        for (size_t i = 0; i < n; i++) ex->rows[a * n + i] = unit > 0.0 ? form[i] / unit : 0.0;
     }
     dal__singular_values(m, n, ex->rows, ex->squares);
     const double least = 4.0 * (double)n * DBL_EPSILON * sqrt(dal__largest(m, ex->squares));
@@ -613,7 +609,7 @@ static int examine_curvature(examination *ex, const double *q, double *curvature
         for (size_t l = 0; l < k; l++) {
             dal__apply(m, n, ex->N + k * m * n, ex->X + l * n, here);
             dal__apply(m, n, ex->N + l * m * n, ex->X + k * n, there);
-            for (size_t a = 0; a < m; a++) bracket[a] = here[a] - there[a];
+            dal__move(m, here, -1.0, there, bracket);
             *curvature = fmax(*curvature, length_across(ex, bracket));
             *scale = fmax(*scale, fmax(length_across(ex, here), length_across(ex, there)));
         }
@@ -721,7 +717,8 @@ static void reserve(examination *ex, arena *a)
     DAL__RESERVE(a, n, &ex->later[L], &ex->later[L_Q], &ex->later[L_V], &ex->later[PHI]);
     DAL__RESERVE(a, mn, &ex->later[PHI_V]);
     DAL__RESERVE(a, n, &ex->point, &ex->other, &ex->value, &ex->slope, &ex->bend, &ex->height,
-                 &ex->expected, &ex->squares);
+                 &ex->squares);
+    dal__reserve(a, &ex->entries, n, sizeof *ex->entries);
     DAL__RESERVE(a, m, &ex->phi, &ex->tau);
     DAL__RESERVE(a, mn, &ex->forms, &ex->QR);
     DAL__RESERVE(a, nn, &ex->factor, &ex->rows);

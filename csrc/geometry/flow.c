@@ -15,7 +15,7 @@ static const double LONGEST = 0.0578;
  * of a small system; in a large one it is read at every evaluation. */
 enum { PER_LOOK = 128 };
 
-/* Accepted steps of one integration in xi; far more than any sensible one takes. */
+/* Accepted steps of one integration; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
 
 struct dal_flow {
@@ -39,7 +39,7 @@ struct dal_flow {
 
 dal_mechanics *dal__flow_mechanics(dal_flow *flow) { return &flow->chart.mech; }
 
-dal_error *dal__flow_error(dal_flow *flow) { return &flow->chart.mech.error; }
+static dal_error *error_of(dal_flow *flow) { return &flow->chart.mech.error; }
 
 static size_t dimension(const dal_flow *flow) { return 2 * flow->chart.mech.n; }
 
@@ -60,7 +60,7 @@ static int field(double t, const double *y, double *dydt, void *ctx, dal_error *
     if (status) return status;
     status = flow->in_xi ? dal_chart_field(&flow->chart, t, y, dydt)
                          : dal_field(&flow->chart.mech, t, y, dydt);
-    if (status) *error = *dal__flow_error(flow);
+    if (status) *error = *error_of(flow);
     return status;
 }
 
@@ -102,14 +102,10 @@ void dal_flow_free(dal_flow *flow)
 
 void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
 {
-    if (!flow) return;
-    flow->watch = (dal__watch){watch, ctx, 0.0};
+    if (!flow || (flow->watch.function == watch && flow->watch.ctx == ctx))
+        return; /* the clock of the same watch goes on */
+    flow->watch = (dal__watch){.function = watch, .ctx = ctx};
     flow->unwatched = PER_LOOK; /* asked at the next evaluation */
-}
-
-void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
-{
-    if (flow->watch.function != watch || flow->watch.ctx != ctx) dal_flow_watch(flow, watch, ctx);
 }
 
 const dal_error *dal_flow_error(const dal_flow *flow) { return &flow->chart.mech.error; }
@@ -135,7 +131,7 @@ static int begin(dal_flow *flow, double t0, double span, const double *x, double
     if (flow->in_xi) dal__chart_drop(&flow->chart, x, flow->chart.y);
     flow->t0 = t0;
     return dal__ode_begin(flow->integrator, t0, span, flow->in_xi ? flow->chart.y : x, factor,
-                          dal__flow_error(flow));
+                          error_of(flow));
 }
 
 /* flow->state <- psi(xi) of the integrator at time t, in a chart that is well conditioned there. */
@@ -147,28 +143,28 @@ static int renew_chart(dal_flow *flow, double t, double end)
     if (status || !changed) return status;
     flow->chart_changes++;
     dal__chart_drop(&flow->chart, flow->state, xi);
-    return dal__ode_restart(flow->integrator, end, dal__flow_error(flow));
+    return dal__ode_restart(flow->integrator, end, error_of(flow));
 }
 
 /* flow->state <- the state at elapsed time end, which is the time t1. */
 static int reach(dal_flow *flow, double end, double t1)
 {
     ode *const integrator = flow->integrator;
-    dal_error *const error = dal__flow_error(flow);
+    dal_error *const error = error_of(flow);
     int status = DAL_SUCCESS;
-    if (!flow->in_xi) {
-        status = dal__ode_reach(integrator, end, error);
-        if (!status) dal__copy(dimension(flow), dal__ode_state(integrator), flow->state);
-        return status;
-    }
     for (size_t steps = 0; !status && dal__ode_elapsed(integrator) != end; steps++) {
         if (steps == MOST_STEPS)
-            return dal__fail(error, DAL_ENOCONV, "%d steps in xi did not lead to the end of the "
-                             "interval", MOST_STEPS);
+            return dal__fail(error, DAL_ENOCONV, "%d steps did not lead beyond t = %.17g, the next "
+                             "of size h = %g (tolerance %g)", MOST_STEPS,
+                             flow->t0 + dal__ode_elapsed(integrator),
+                             dal__ode_suggested(integrator), flow->tolerance);
         status = dal__ode_step(integrator, end, error);
         const double elapsed = dal__ode_elapsed(integrator);
-        if (!status) status = renew_chart(flow, elapsed == end ? t1 : flow->t0 + elapsed, end);
+        if (!status && flow->in_xi)
+            status = renew_chart(flow, elapsed == end ? t1 : flow->t0 + elapsed, end);
     }
+    if (!status && !flow->in_xi)
+        dal__copy(dimension(flow), dal__ode_state(integrator), flow->state);
     return status;
 }
 
@@ -185,7 +181,7 @@ static int integrate(dal_flow *flow, double t0, double span, double t1, const do
 
 static int require_interval(dal_flow *flow, double t0, double t1, const double *x)
 {
-    dal_error *const error = dal__flow_error(flow);
+    dal_error *const error = error_of(flow);
     if (!isfinite(t0) || !isfinite(t1) || !isfinite(t1 - t0))
         return dal__fail(error, DAL_EINVAL, "from t0 = %g to t1 = %g is not a finite interval", t0,
                          t1);
@@ -249,8 +245,7 @@ int dal_flow_apply(dal_flow *flow, double t0, double t1, double *x, double *accu
         if (status) return status;
         dal__copy(dimension(flow), flow->state, flow->result);
         if (accuracy) status = integrate(flow, t0, t1 - t0, t1, x, LOOSER, true);
-        for (size_t i = 0; accuracy && i < dimension(flow); i++)
-            difference = fmax(difference, fabs(flow->result[i] - flow->state[i]));
+        difference = dal__largest_difference(dimension(flow), flow->result, flow->state);
         if (!status && accuracy) status = roundoff(flow, t0, t1, &least);
         if (status) return status;
         dal__copy(dimension(flow), flow->result, x);
@@ -265,7 +260,7 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
     if (!flow) return DAL_EINVAL;
     const size_t N = dimension(flow);
     int status = require_interval(flow, t0, t0 + (double)steps * h, x);
-    if (!status && h == 0.0) status = dal__fail(dal__flow_error(flow), DAL_EINVAL, "h = 0");
+    if (!status && h == 0.0) status = dal__fail(error_of(flow), DAL_EINVAL, "h = 0");
     if (status || steps == 0) return status;
     status = begin(flow, t0, h, x, 1.0);
     for (size_t k = 1; !status && k <= steps; k++) {

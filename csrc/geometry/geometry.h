@@ -33,6 +33,15 @@ typedef struct dal__gram {
     dal__linear C;
 } dal__gram;
 
+/* Of the step that dal__step_begin began. */
+typedef struct dal__start {
+    double middle, end, acts; /* times of q_k and q~', and where L acts at the end */
+    double alpha, beta, h;
+    bool kept;
+    const double *v;          /* [n] */
+    double base;              /* see algebra.h, of the last dal__step_at that gave R1 and K */
+} dal__start;
+
 /* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation.
  * First the values that belong together, then what any function here may overwrite. */
 struct dal_mechanics {
@@ -46,6 +55,7 @@ struct dal_mechanics {
     double *force, *lambda;       /* [n], [m] */
     double *w, *step;             /* [n] */
     double *point;                /* [2n] the state that is projected; of jump.c too */
+    double t, shift, moves;       /* its time; the D or D_eps of this shift; see dal__forms_move */
     double *hessian;              /* [n*n]: L_qq, or V_qq */
     double *L_vt;                 /* [n], and */
     double *L_vq, *L_vv;          /* [n*n]; NULL for constant mass */
@@ -56,13 +66,7 @@ struct dal_mechanics {
     double *place;                /* [n] where L acts, if that is not q */
     double *trial, *chetaev, *bend; /* [n], [m*n], [n*n] of nonlinear constraints: where mu_k^T
                                        kappa is differenced, its value and its derivative */
-    struct {
-        double middle, end, acts; /* times of q_k and q~', and where L acts at the end */
-        double alpha, beta, h;
-        bool kept;
-        const double *v;          /* [n] */
-        double base;              /* see algebra.h, of the last dal__step_at that gave R1 and K */
-    } start;                      /* of the step that dal__step_begin began */
+    dal__start start;
     dal_error error;
     arena arena; /* used only by dal_mechanics_new */
 };
@@ -74,7 +78,6 @@ void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
 
 /* DAL_EINVAL unless the argument of this name is there and finite. */
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x);
-int dal__null_argument(dal_mechanics *mech, const char *name);
 /* M at (t, q, v) and what solving with it needs.  DAL_ESINGULAR if it is not positive definite. */
 int dal__form_metric(dal_mechanics *mech, double t, const double *q, const double *v);
 /* The same, if it is not the last that was formed; the statistics do not count it. */
@@ -126,6 +129,7 @@ struct dal_chart {
     double *A;               /* [m*(n-m)] */
     double *right, *solution; /* [m] */
     double *x, *y;           /* [2n] */
+    double t;                /* of the state x that Newton lifts */
     double *tableau;         /* [m*width] */
     size_t *former, *owner;  /* [n], [m] */
     /* of dal_chart_step */
@@ -157,6 +161,9 @@ void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);
 int dal__chart_state(dal_chart *chart, double t, const double *xi);
 /* B of mu[m*n], factored, in the units of the last dal__form_metric. */
 int dal__chart_factor(dal_chart *chart, const double *mu);
+/* result[m] <- B^T given[m], B that of mu[m*n]. */
+void dal__chart_reduce(const dal_chart *chart, const double *mu, const double *given,
+                       double *result);
 /* DAL_EINVAL unless there is a choice. */
 int dal__chart_ready(dal_chart *chart);
 /* dal_chart_condition, without checking the arguments; and whether dal_chart_renew keeps a choice
@@ -178,14 +185,11 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
  * step depends on beside x; NULL for a multistep method. */
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst);
 void dal__flow_forget(dal_flow *flow);
-/* dal_flow_watch, for who asks before every step: the clock of the same watch goes on. */
-void dal__flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);
 double *dal__flow_inner(dal_flow *flow);
 
-/* What a flow is made of, and the record that dal_flow_error reads. */
+/* What a flow is made of; the error of its mechanics is its own. */
 dal_mechanics *dal__flow_mechanics(dal_flow *flow);
 double dal__flow_tolerance(const dal_flow *flow);
 dal_flow_method dal__flow_method(const dal_flow *flow);
-dal_error *dal__flow_error(dal_flow *flow);
 
 #endif /* DAL__GEOMETRY_H */

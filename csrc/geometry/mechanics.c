@@ -63,11 +63,6 @@ void dal_mechanics_free(dal_mechanics *mechanics)
 
 const dal_error *dal_mechanics_error(const dal_mechanics *mechanics) { return &mechanics->error; }
 
-int dal__null_argument(dal_mechanics *mech, const char *name)
-{
-    return dal__require_finite(mech, name, 0, NULL);
-}
-
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x)
 {
     return DAL__REQUIRE_FINITE(&mech->error, {name, count, x});
@@ -255,8 +250,7 @@ int dal_energy(dal_mechanics *mech, double t, const double *x, double *E)
 static void move_node(dal_mechanics *mech, double shift, const double *x)
 {
     const size_t n = mech->n;
-    dal__copy(n, x, mech->forms.q);
-    dal__add(n, -shift, x + n, mech->forms.q);
+    dal__move(n, x, -shift, x + n, mech->forms.q);
 }
 
 /* phi and mu of the forms at (q, v), which stand there, and phi_q if slopes. */
@@ -386,7 +380,7 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
         const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
         if (pass == MOST && speed <= DAL_RESIDUAL_BOUND(n) * before)
             dal__clear(n, v);
-        for (size_t i = 0; shift != 0.0 && i < n; i++) x[i] = at->q[i] + shift * v[i];
+        if (shift != 0.0) dal__move(n, at->q, shift, v, x);
     }
 }
 
@@ -463,14 +457,15 @@ static int solve_multipliers(dal_mechanics *mech, const char *name, const double
     return dal__require_output(&mech->error, "lambda", m, mech->lambda);
 }
 
-/* w <- M^-1 (force + mu^T lambda). */
-static void form_acceleration(dal_mechanics *mech)
+/* point <- (v, M^-1 (force + mu^T lambda)). */
+static void form_field(dal_mechanics *mech, const double *x)
 {
     const size_t n = mech->n;
     dal__copy(n, mech->force, mech->step);
     for (size_t a = 0; a < mech->m; a++)
         dal__add(n, mech->lambda[a], mech->forms.mu + a * n, mech->step);
-    dal__accelerate(mech, mech->step, mech->w);
+    dal__copy(n, x + n, mech->point);
+    dal__accelerate(mech, mech->step, mech->point + n);
 }
 
 int dal_multipliers(dal_mechanics *mech, double t, const double *x, double *lambda)
@@ -484,21 +479,18 @@ int dal_acceleration(dal_mechanics *mech, double t, const double *x, double *vdo
 {
     const int status = solve_multipliers(mech, "vdot", vdot, t, x);
     if (status) return status;
-    form_acceleration(mech);
-    return DAL__DELIVER(&mech->error, {"vdot", mech->n, mech->w, vdot});
+    form_field(mech, x);
+    return DAL__DELIVER(&mech->error, {"vdot", mech->n, mech->point + mech->n, vdot});
 }
 
 int dal_field(dal_mechanics *mech, double t, const double *x, double *xdot)
 {
-    int status = solve_multipliers(mech, "xdot", xdot, t, x);
+    const int status = solve_multipliers(mech, "xdot", xdot, t, x);
     if (status) return status;
     const size_t n = mech->n;
-    form_acceleration(mech);
-    status = dal__require_output(&mech->error, "vdot", n, mech->w);
-    if (status) return status;
-    dal__copy(n, x + n, xdot);
-    dal__copy(n, mech->w, xdot + n);
-    return DAL_SUCCESS;
+    form_field(mech, x);
+    return DAL__DELIVER(&mech->error, {"v", n, mech->point, xdot},
+                        {"vdot", n, mech->point + n, xdot + n});
 }
 
 int dal_perturbed(dal_mechanics *mech, double t, double weight, const double *x,
@@ -515,9 +507,7 @@ int dal_perturbed(dal_mechanics *mech, double t, double weight, const double *x,
                                 + dal__dot(n, at->mu + a * n, ghat + n));
     dal__solve_gram(mech, at->phi);
     dal__add(m, 1.0, at->phi, mech->lambda);
-    form_acceleration(mech);
-    dal__copy(n, x + n, mech->point); /* xdot may be x, or ghat */
-    dal__copy(n, mech->w, mech->point + n);
+    form_field(mech, x);
     dal__add(2 * n, weight, ghat, mech->point);
     return DAL__DELIVER(&mech->error, {"lambda", m, mech->lambda, lambda},
                         {"xdot", 2 * n, mech->point, xdot});
@@ -550,25 +540,20 @@ static double mass_norm(dal_mechanics *mech, double *d)
     return largest * sqrt(fmax(0.0, dal__dot(mech->n, d, mech->step)));
 }
 
-typedef struct shifted {
-    dal_mechanics *mech;
-    double t, shift, moves;
-} shifted;
-
-static double moves(const void *ctx) { return ((const shifted *)ctx)->moves; }
+static double moves(const void *ctx) { return ((const dal_mechanics *)ctx)->moves; }
 
 /* Of the velocity v of mech->point for phi(q - shift v, v) = 0, along Z as it is. */
 static int find_step(dal__newton *equations)
 {
-    shifted *const s = equations->ctx;
-    dal_mechanics *const mech = s->mech;
+    dal_mechanics *const mech = equations->ctx;
     const dal__forms *const at = &mech->forms;
-    move_node(mech, s->shift, mech->point);
-    int status = evaluate_forms(mech, s->t, mech->point + mech->n, s->shift != 0.0);
+    const double shift = mech->shift;
+    move_node(mech, shift, mech->point);
+    int status = evaluate_forms(mech, mech->t, mech->point + mech->n, shift != 0.0);
     if (status) return status;
-    if (s->shift != 0.0) {
-        s->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
-        dal__add(mech->m * mech->n, -s->shift, at->dmu, at->mu);
+    if (shift != 0.0) {
+        mech->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
+        dal__add(mech->m * mech->n, -shift, at->dmu, at->mu);
     }
     status = factor_product(mech);
     if (!status) find_change(mech, equations->step);
@@ -584,8 +569,9 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
     int status = DAL_SUCCESS;
     if (mech->m == 0) return DAL_SUCCESS;
     if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR) {
-        shifted s = {mech, t, shift, 0.0};
-        dal__newton equations = {.find_step = find_step, .moves = moves, .ctx = &s, .size = n,
+        mech->t = t;
+        mech->shift = shift;
+        dal__newton equations = {.find_step = find_step, .moves = moves, .ctx = mech, .size = n,
                                  .measured = n, .n = n, .per_unit = per_unit, .z = v,
                                  .step = mech->step, .base = dal_residual_extent(n, per_unit, v),
                                  .advice = shift == 0.0
@@ -606,7 +592,7 @@ static int move_velocity(dal_mechanics *mech, double t, double shift, double *x,
     dal__copy(2 * n, x, mech->point);
     const int status = find_velocity(mech, t, shift);
     if (status) return status;
-    for (size_t i = 0; i < n; i++) mech->w[i] = v[i] - x[n + i];
+    dal__move(n, v, -1.0, x + n, mech->w);
     const double moved = mass_norm(mech, mech->w);
     return DAL__DELIVER(&mech->error, {"consistent velocity", n, v, x + n},
                         {"distance", 1, &moved, distance});
@@ -623,46 +609,33 @@ int dal_project(dal_mechanics *mech, double t, double shift, double *x, double *
 
 /* Z <- the directions in which the free components alone may move, [M_ff^-1 mu_f^T, 0]: those of
  * the saddle point system of min (w-v)^T M (w-v) with mu w = 0 and w_i = v_i for the kept i. */
-static int form_free_Z(dal_mechanics *mech, const unsigned char *keep, size_t *free_count)
+static size_t form_free_Z(dal_mechanics *mech, const unsigned char *keep)
 {
-    const size_t n = mech->n, m = mech->m;
-    double *factor, *column;
-    size_t *place, count = 0; /* of the free components */
-    arena scratch = {0};
-    DAL__RESERVE(&scratch, dal__times(n, n), &factor);
-    DAL__RESERVE(&scratch, n, &column);
-    dal__reserve(&scratch, &place, n, sizeof *place);
-    const int status = dal__allocate(&scratch, &mech->error);
-    if (status) return status;
-
-    for (size_t i = 0; i < n; i++)
-        if (!keep[i]) place[count++] = i;
-    for (size_t k = 0; k < count; k++)
-        for (size_t l = 0; l < count; l++)
-            factor[k * count + l] = mech->metric.M[place[k] * n + place[l]];
-    /* a principal part of M is definite, as M is */
-    dal__cholesky(count, factor, column, NULL, NULL);
-    dal__clear(m * n, mech->gram.Z);
-    for (size_t a = 0; a < m; a++) {
-        for (size_t k = 0; k < count; k++) column[k] = mech->forms.mu[a * n + place[k]];
-        dal__cholesky_solve(count, factor, column);
-        for (size_t k = 0; k < count; k++) mech->gram.Z[a * n + place[k]] = column[k];
+    const size_t n = mech->n;
+    double *const factor = mech->hessian;
+    size_t free_count = 0;
+    for (size_t i = 0; i < n; i++) {
+        free_count += !keep[i];
+        for (size_t j = 0; j < n; j++)
+            factor[i * n + j] = keep[i] || keep[j] ? i == j : mech->metric.M[i * n + j];
     }
-    dal__release(&scratch);
-    *free_count = count;
-    return DAL_SUCCESS;
+    dal__cholesky(n, factor, mech->w, NULL, NULL); /* a principal part of M is definite, as M is */
+    for (size_t a = 0; a < mech->m; a++) {
+        double *const row = mech->gram.Z + a * n;
+        for (size_t i = 0; i < n; i++) row[i] = keep[i] ? 0.0 : mech->forms.mu[a * n + i];
+        dal__cholesky_solve(n, factor, row);
+    }
+    return free_count;
 }
 
 int dal_consistent(dal_mechanics *mech, double t, const unsigned char *keep, double *x,
                    double *distance)
 {
     if (!keep) return dal_project(mech, t, 0.0, x, distance);
-    size_t free_count = 0;
     int status = require(mech, "x", x, 0.0, t, x);
     if (!status) status = dal__forms_at(mech, t, 0.0, x, false);
-    if (!status) status = form_free_Z(mech, keep, &free_count);
     if (status) return status;
-    const size_t n = mech->n;
+    const size_t n = mech->n, free_count = form_free_Z(mech, keep);
     status = move_velocity(mech, t, 0.0, x, distance);
     if (status == DAL_ESINGULAR)
         return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu "
@@ -680,13 +653,14 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
                     size_t count, const double *x, double *energy, double *multipliers,
                     double *residual, double *relative, size_t *done)
 {
+    if (done) *done = 0;
+    if (!mech) return DAL_EINVAL;
     const size_t n = mech->n, m = mech->m;
-    int status = dal__require_finite(mech, "shift", 1, &shift);
-    for (size_t k = 0; !status && k < count; k++, x += 2 * n) {
+    for (size_t k = 0; k < count; k++, x += 2 * n) {
         const double t = t0 + (double)(first + k) * h;
         double E = 0.0, worst = 0.0;
         bool consistent;
-        status = require(mech, "x", x, shift, t, x);
+        int status = require(mech, "x", x, shift, t, x);
         if (!status && energy) status = dal_energy(mech, t, x, &E);
         if (!status && multipliers) status = solve_multipliers(mech, "x", x, t, x);
         if (!status && (residual || relative))
@@ -699,16 +673,13 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
         if (relative) relative[k] = worst;
         if (done) *done = k + 1;
     }
-    return status;
+    return DAL_SUCCESS;
 }
 
 int dal_trajectory(dal_mechanics *mech, double t0, double h, double shift, size_t count,
                    const double *x, double *energy, double *multipliers, double *residual,
                    double *relative, size_t *done)
 {
-    if (done) *done = 0;
-    if (!mech) return DAL_EINVAL;
-    if (!x && count > 0) return dal__null_argument(mech, "x");
     return dal__trajectory(mech, t0, h, 0, shift, count, x, energy, multipliers, residual, relative,
                            done);
 }

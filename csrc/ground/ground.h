@@ -70,6 +70,9 @@ int dal__require_numbers(dal_error *error, size_t count, const dal__numbers *arg
     dal__require_numbers(error, DAL_LENGTH(((dal__numbers[]){__VA_ARGS__})), \
                         (dal__numbers[]){__VA_ARGS__})
 
+/* DAL_EINVAL unless h is a step: finite and not 0. */
+int dal__require_step(dal_error *error, double h);
+
 /* DAL_EDOMAIN unless x[count], an output of this name, is NULL or finite. */
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x);
 
@@ -98,7 +101,12 @@ typedef struct dal__watch {
     dal_watch_fn function; /* or NULL */
     void *ctx;
     double asked;          /* when */
+    double made;           /* what dal__relay tells */
 } dal__watch;
+
+/* A watch of the caller's own watch ctx, for what is part of a longer computation: it sees how much
+ * of that was made. */
+int dal__relay(double far, void *ctx);
 
 /* Asks the watch, unless that was done a moment ago.  DAL_STOPPED, DAL_EUSER. */
 int dal__ask(dal__watch *watch, double far, dal_error *error);

@@ -99,6 +99,12 @@ int dal__require_numbers(dal_error *error, size_t count, const dal__numbers *arg
     return DAL_SUCCESS;
 }
 
+int dal__require_step(dal_error *error, double h)
+{
+    if (isfinite(h) && h != 0.0) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "h = %g: expected a finite step other than 0", h);
+}
+
 int dal__require_output(dal_error *error, const char *name, size_t count, const double *x)
 {
     for (size_t i = 0; x && i < count; i++)
@@ -130,6 +136,13 @@ double dal__clock(void)
     struct timespec now;
     timespec_get(&now, TIME_UTC);
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+int dal__relay(double far, void *ctx)
+{
+    const dal__watch *const watch = ctx;
+    (void)far;
+    return watch->function ? watch->function(watch->made, watch->ctx) : 0;
 }
 
 int dal__ask(dal__watch *watch, double far, dal_error *error)

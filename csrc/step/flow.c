@@ -36,12 +36,12 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 {
     const size_t evaluations = dal_flow_evaluations(method);
     int status = DAL_SUCCESS;
-    dal__flow_watch(method, motion->watch, motion->watch_ctx);
+    dal_flow_watch(method, motion->watch, motion->watch_ctx);
     for (*done = 0; !status && *done < steps; *done += !status)
         status = dal__flow_step(method, motion->t0, motion->h, motion->steps + *done, motion->x,
                                 &motion->stats->worst_residual);
     motion->stats->evaluations += dal_flow_evaluations(method) - evaluations;
-    if (status) *motion->error = *dal__flow_error(method);
+    if (status) *motion->error = *dal_flow_error(method);
     return status;
 }
 

@@ -12,7 +12,6 @@
 #include "step/step.h"
 
 #include <math.h>
-#include <string.h>
 
 static const double DEFAULT_TOLERANCE = 1e-14; /* of the flow, times h^-(p+1) in g */
 static const double RUN_TOLERANCE = 1e-12;     /* of the perturbed flow, */
@@ -28,8 +27,7 @@ struct dal_embedding {
     double h, tolerance;
     int order;
     size_t width;         /* 2n - m */
-    dal__watch watch;
-    double made;          /* steps of the curve */
+    dal__watch watch;     /* sees the steps of the curve */
     double *x, *moved;    /* [2n] */
     double *y, *next, *F1, *F2, *field1, *field2, *field0; /* [width] */
     dal_error error;
@@ -46,9 +44,7 @@ static int perturbed_field(double t, const double *z, double *zdot, void *ctx, d
 
 static int check_def(const dal_system *system, const dal_embedding_def *def, dal_error *error)
 {
-    if (!isfinite(def->h) || def->h == 0.0)
-        return dal__fail(error, DAL_EINVAL, "h = %g: a step that is finite and not 0 is needed",
-                         def->h);
+    if (dal__require_step(error, def->h)) return DAL_EINVAL;
     if (def->order < 0)
         return dal__fail(error, DAL_EINVAL, "order = %d is negative", def->order);
     if (def->order == 0 && def->scheme->order <= 0)
@@ -117,18 +113,11 @@ void dal_embedding_free(dal_embedding *embedding)
     dal__release(&embedding->arena);
 }
 
-static int relay(double t, void *ctx)
-{
-    dal_embedding *const self = ctx;
-    (void)t;
-    return self->watch.function ? self->watch.function(self->made, self->watch.ctx) : 0;
-}
-
 void dal_embedding_watch(dal_embedding *embedding, dal_watch_fn watch, void *ctx)
 {
     if (!embedding) return;
-    embedding->watch = (dal__watch){watch, ctx, 0.0};
-    dal_flow_watch(embedding->flow, relay, embedding);
+    embedding->watch = (dal__watch){.function = watch, .ctx = ctx};
+    dal_flow_watch(embedding->flow, dal__relay, &embedding->watch);
 }
 
 /* ---- the flow and the scheme in xi ------------------------------------------------------- */
@@ -157,7 +146,7 @@ static int flow(dal_embedding *self, double t, const double *z, double *result)
         status = dal_system_exact(self->system, t, self->x, self->moved);
         if (status)
             return dal__fail(&self->error, status, "exact solution: %s", dal_strerror(status));
-        memcpy(self->x, self->moved, 2 * self->system->def.n * sizeof *self->x);
+        dal__copy(2 * self->system->def.n, self->moved, self->x);
     }
     dal__chart_drop(self->chart, self->x, result);
     return DAL_SUCCESS;
@@ -225,10 +214,9 @@ static int solve_source(dal_embedding *self, double tau, const double *z)
             self->next[i] = z[i] - chi1 * (self->F2[i] - self->F1[i]);
         status = flow(self, -self->h * tau, self->next, self->next);
         if (status) break;
-        double change = 0.0;
-        for (size_t i = 0; i < width; i++) change = fmax(change, fabs(self->next[i] - self->y[i]));
+        const double change = dal__largest_difference(width, self->next, self->y);
         if (!(change < last)) break;
-        memcpy(self->y, self->next, width * sizeof *self->y);
+        dal__copy(width, self->next, self->y);
         status = branches(self, tau, self->y);
         if (change == 0.0) return status;
         last = change;
@@ -242,17 +230,14 @@ static int solve_source(dal_embedding *self, double tau, const double *z)
  * choice of the chart. */
 static int check_arguments(dal_embedding *self, const char *time_name, double time,
                            const char *name, const double *z, const char *output_name,
-                           const void *output)
+                           const double *output)
 {
     if (!self) return DAL_EINVAL;
     if (!isfinite(time))
         return dal__fail(&self->error, DAL_EINVAL, "%s = %g is not finite", time_name, time);
-    if (!z || !output)
-        return dal__fail(&self->error, DAL_EINVAL, "%s is NULL", z ? output_name : name);
-    for (size_t i = 0; i < self->width; i++)
-        if (!isfinite(z[i]))
-            return dal__fail(&self->error, DAL_EINVAL, "%s[%zu] = %g is not finite", name, i, z[i]);
-    return chart_result(self, dal__chart_ready(self->chart), "chart");
+    const int status = DAL__REQUIRE_FINITE(&self->error, {name, self->width, z},
+                                           {output_name, 0, output});
+    return status ? status : chart_result(self, dal__chart_ready(self->chart), "chart");
 }
 
 int dal_embedding_curve(dal_embedding *self, double tau, const double *y, double *G)
@@ -262,10 +247,11 @@ int dal_embedding_curve(dal_embedding *self, double tau, const double *y, double
         status = dal__fail(&self->error, DAL_EINVAL, "tau = %g is not in [0, %g]", tau,
                            MOST_PERIODS);
     if (status) return status;
-    memcpy(self->y, y, self->width * sizeof *y);
-    for (self->made = 0.0; !status && tau > 1.0; tau -= 1.0, self->made++) {
+    dal__copy(self->width, y, self->y);
+    double *const made = &self->watch.made;
+    for (*made = 0.0; !status && tau > 1.0; tau -= 1.0, ++*made) {
         status = step(self, self->y, self->y);
-        if (!status) status = dal__ask(&self->watch, self->made, &self->error);
+        if (!status) status = dal__ask(&self->watch, *made, &self->error);
     }
     if (!status) status = branches(self, tau, self->y);
     if (status) return status;
@@ -279,7 +265,7 @@ int dal_embedding_source(dal_embedding *self, double tau, const double *z, doubl
 {
     int status = check_arguments(self, "tau", tau, "z", z, "y", y);
     if (!status) status = solve_source(self, phase_of(tau), z);
-    if (!status) memcpy(y, self->y, self->width * sizeof *y);
+    if (!status) dal__copy(self->width, self->y, y);
     return status;
 }
 
@@ -335,7 +321,7 @@ int dal_embedding_limit(dal_embedding *self, const double *z, double *d)
 static int perturbed_field(double t, const double *z, double *zdot, void *ctx, dal_error *error)
 {
     dal_embedding *const self = ctx;
-    int status = dal__ask(&self->watch, self->made, &self->error);
+    int status = dal__ask(&self->watch, self->watch.made, &self->error);
     if (!status) status = perturbation(self, t / self->h, z);
     if (status) {
         *error = self->error;
@@ -352,16 +338,16 @@ int dal_embedding_flow(dal_embedding *self, double t0, double t1, double *z)
     if (status || t0 == t1) return status;
     /* Where h is too large for the embedding the steps become tiny, and each takes many flows. */
     const double most = STEPS_A_PERIOD * (1.0 + fabs((t1 - t0) / self->h));
-    self->made = 0.0;
+    self->watch.made = 0.0;
     status = dal__ode_begin(self->perturbed, t0, t1 - t0, z, 1.0, &self->error);
     for (double steps = 0.0; !status && dal__ode_elapsed(self->perturbed) != t1 - t0; steps++) {
-        self->made = fabs(dal__ode_elapsed(self->perturbed) / self->h);
+        self->watch.made = fabs(dal__ode_elapsed(self->perturbed) / self->h);
         if (steps >= most)
             return dal__fail(&self->error, DAL_ENOCONV, "%d steps did not lead through a period at "
                              "t = %g: h = %g is too large", STEPS_A_PERIOD,
                              t0 + dal__ode_elapsed(self->perturbed), self->h);
         status = dal__ode_step(self->perturbed, t1 - t0, &self->error);
     }
-    if (!status) memcpy(z, dal__ode_state(self->perturbed), self->width * sizeof *z);
+    if (!status) dal__copy(self->width, dal__ode_state(self->perturbed), z);
     return status;
 }

@@ -51,11 +51,9 @@ typedef struct study {
     double *rows;       /* [(BLOCK + 1)*2n] */
     double *energy, *relative;            /* [BLOCK + 1] */
     double *lambda, *expected, *reaction; /* [m] */
-    double *h, *errors;                   /* [count]: of a fit */
-    unsigned char *counted;               /* [count] */
+    double *h, *errors;                   /* [count] those of all fits; of a fit */
     dal_order_point *points;              /* [count] */
-    double made;                          /* steps of all runs so far */
-    dal__watch watch;
+    dal__watch watch;                     /* sees the steps of all runs so far */
     dal_error *error;
     arena memory;
 } study;
@@ -86,7 +84,7 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
                    dal_fit *fit, unsigned char *counted)
 {
     const double least = ABOVE_FLOOR * floor;
-    double sum_x = 0.0, sum_y = 0.0, shortest = INFINITY, longest = 0.0;
+    double sum_x = 0.0, sum_y = 0.0, sum_xx = 0.0, sum_xy = 0.0, shortest = INFINITY, longest = 0.0;
     size_t points = 0, finite = 0, above = 0;
     for (size_t i = 0; i < count; i++) {
         const bool counts = is_above(errors[i], least);
@@ -94,25 +92,20 @@ void dal_fit_order(size_t count, const double *h, const double *errors, double f
         finite += isfinite(errors[i]) != 0;
         above += is_above(errors[i], AT_FLOOR * floor);
         if (!counts) continue;
+        const double x = log(fabs(h[i])), y = log(errors[i]);
         points++;
-        sum_x += log(fabs(h[i]));
-        sum_y += log(errors[i]);
+        sum_x += x;
+        sum_y += y;
+        sum_xx += x * x;
+        sum_xy += x * y;
         shortest = fmin(shortest, fabs(h[i]));
         longest = fmax(longest, fabs(h[i]));
     }
     *fit = (dal_fit){.slope = NAN, .spread = NAN, .points = points,
                      .exact = finite > 0 && above == 0};
     if (points < FEWEST_POINTS || longest < SMALLEST_RANGE * shortest) return;
-
-    const double mean_x = sum_x / (double)points, mean_y = sum_y / (double)points;
-    double xx = 0.0, xy = 0.0;
-    for (size_t i = 0; i < count; i++) {
-        if (!is_above(errors[i], least)) continue;
-        const double x = log(fabs(h[i])) - mean_x;
-        xx += x * x;
-        xy += x * (log(errors[i]) - mean_y);
-    }
-    fit->slope = xy / xx;
+    const double N = (double)points;
+    fit->slope = (N * sum_xy - sum_x * sum_y) / (N * sum_xx - sum_x * sum_x);
     fit->spread = spread_of_slopes(count, h, errors, least);
 }
 
@@ -177,15 +170,15 @@ static dal_fit fit_errors(study *self, dal_order_fit which, double floor, double
     for (size_t i = 0; i < count; i++) {
         const dal_order_point *const point = &self->points[i];
         const double own = own_floor(self, point, which, floor), error = error_of(point, which);
-        self->h[i] = point->h;
         self->errors[i] = fabs(point->h) > longest ? NAN
                         : error <= AT_FLOOR * own ? fmin(error, floor)
                         : error <= ABOVE_FLOOR * own ? fmin(error, ABOVE_FLOOR * floor) : error;
     }
-    dal_fit_order(count, self->h, self->errors, floor, &fit, self->counted);
+    dal_fit_order(count, self->h, self->errors, floor, &fit, NULL);
     for (size_t i = 0; i < count; i++) {
         unsigned *const counted = &self->points[i].counted;
-        *counted = self->counted[i] ? *counted | bit : *counted & ~bit;
+        const bool counts = is_above(self->errors[i], ABOVE_FLOOR * floor);
+        *counted = counts ? *counted | bit : *counted & ~bit;
     }
     return fit;
 }
@@ -215,18 +208,6 @@ static dal_fit fit_reaction(study *self, double floor)
     return isnan(fine.slope) ? fit_errors(self, DAL_FIT_REACTION, floor, INFINITY) : fine;
 }
 
-/* ---- errors ----------------------------------------------------------------------------- */
-
-static double largest_difference(size_t count, const double *x, const double *y)
-{
-    double most = 0.0;
-    for (size_t i = 0; i < count; i++) {
-        const double difference = fabs(x[i] - y[i]);
-        if (!(difference <= most) && !isnan(most)) most = difference; /* a NaN stays */
-    }
-    return most;
-}
-
 /* ---- the reference ---------------------------------------------------------------------- */
 
 /* exact <- the solution at t that starts in start at t0, expected <- its lambda.  Off D there is
@@ -236,7 +217,7 @@ static int expect(study *self, double t)
     const double t0 = self->def->t0;
     int status;
     if (self->flow) {
-        memcpy(self->exact, self->start, 2 * self->n * sizeof *self->exact);
+        dal__copy(2 * self->n, self->start, self->exact);
         status = dal__flow_apply(self->flow, t0, t - t0, self->exact, !self->kept);
     } else {
         status = dal_system_exact(self->system, t - t0, self->start, self->exact);
@@ -255,7 +236,7 @@ static int solve_reference(study *self)
             return dal__fail(self->error, status, "the exact solution at t_end = %g: %s",
                              def->t_end, dal_strerror(status));
     } else {
-        memcpy(self->end, self->x0, 2 * self->n * sizeof *self->end);
+        dal__copy(2 * self->n, self->x0, self->end);
         status = dal_flow_apply(self->flow, def->t0, def->t_end, self->end, &self->accuracy);
         if (status)
             return dal__fail_because(self->error, status, dal_flow_error(self->flow),
@@ -270,7 +251,7 @@ static int solve_reference(study *self)
 /* The stepper at the initial data.  DAL_INITIAL_D_EPS wants them in D_eps. */
 static int start_run(study *self, double h)
 {
-    memcpy(self->start, self->x0, 2 * self->n * sizeof *self->start);
+    dal__copy(2 * self->n, self->x0, self->start);
     if (self->kept && self->def->initial == DAL_INITIAL_D_EPS) {
         const int status = dal_project(self->mech, self->def->t0, self->shift * h, self->start,
                                        NULL);
@@ -286,19 +267,19 @@ static int measure_step(study *self, double h, dal_order_point *point)
     const size_t n = self->n, m = self->m;
     const double t0 = self->def->t0;
     const double *const state = dal_stepper_state(self->stepper);
-    memcpy(self->start, state, 2 * n * sizeof *self->start);
+    dal__copy(2 * n, state, self->start);
     int status = dal_step(self->stepper, self->reaction);
 
     if (!status) status = expect(self, t0 + 0.5 * h);
     if (status) return status;
-    point->local_midpoint = largest_difference(m, self->reaction, self->expected);
+    point->local_midpoint = dal__largest_difference(m, self->reaction, self->expected);
 
     status = expect(self, t0 + h);
     if (!status) status = dal_multipliers(self->mech, t0 + h, state, self->lambda);
     if (status) return status;
-    point->local_state = largest_difference(2 * n, state, self->exact);
-    point->local_multipliers = largest_difference(m, self->lambda, self->expected);
-    point->local_reaction = largest_difference(m, self->reaction, self->expected);
+    point->local_state = dal__largest_difference(2 * n, state, self->exact);
+    point->local_multipliers = dal__largest_difference(m, self->lambda, self->expected);
+    point->local_reaction = dal__largest_difference(m, self->reaction, self->expected);
     return DAL_SUCCESS;
 }
 
@@ -339,16 +320,16 @@ static int measure_run(study *self, double h, size_t steps, dal_order_point *poi
         status = dal_integrate(self->stepper, count, 1, self->rows, NULL, NULL, NULL, NULL);
         if (!status) status = watch_block(self, h, made + 1, count, energy0, point);
         made += count;
-        self->made += (double)count;
-        if (!status) status = dal__ask(&self->watch, self->made, self->error);
+        self->watch.made += (double)count;
+        if (!status) status = dal__ask(&self->watch, self->watch.made, self->error);
         if (block < BLOCK && dal__clock() - began < 0.1 * DAL_WATCH_SECONDS) block *= 2;
     }
     const double *const state = dal_stepper_state(self->stepper);
     if (!status) status = dal_multipliers(self->mech, self->def->t_end, state, self->lambda);
     if (status) return status;
-    point->q = largest_difference(n, state, self->end);
-    point->v = largest_difference(n, state + n, self->end + n);
-    point->multipliers = largest_difference(self->m, self->lambda, self->end_lambda);
+    point->q = dal__largest_difference(n, state, self->end);
+    point->v = dal__largest_difference(n, state + n, self->end + n);
+    point->multipliers = dal__largest_difference(self->m, self->lambda, self->end_lambda);
     return DAL_SUCCESS;
 }
 
@@ -363,9 +344,12 @@ static dal_order_point unmeasured_point(double h, size_t steps, int status)
 
 /* One line of the table.  A run that fails is a failed point; but a callback or a watch that says
  * stop is obeyed, and a lack of memory says nothing of the scheme. */
-static int measure_point(study *self, size_t steps, dal_order_point *point)
+static int measure_point(study *self, size_t which)
 {
+    const size_t steps = self->def->steps[which];
     const double h = (self->def->t_end - self->def->t0) / (double)steps;
+    dal_order_point *const point = &self->points[which];
+    self->h[which] = h;
     *point = unmeasured_point(h, steps, DAL_SUCCESS);
     int status = start_run(self, h);
     if (!status) status = measure_step(self, h, point);
@@ -500,10 +484,7 @@ static bool loses_energy(study *self)
 {
     const dal_system_def *const def = &self->system->def;
     dal_fit fit;
-    for (size_t i = 0; i < self->def->count; i++) {
-        self->h[i] = self->points[i].h;
-        self->errors[i] = self->points[i].energy;
-    }
+    for (size_t i = 0; i < self->def->count; i++) self->errors[i] = self->points[i].energy;
     dal_fit_order(self->def->count, self->h, self->errors, ENERGY / ABOVE_FLOOR, &fit, NULL);
     return dal__is_autonomous(self->system) && def->kind == DAL_LINEAR && is_resolved(self)
         && fit.slope < 0.5;
@@ -600,10 +581,9 @@ static int check_def(const dal_system *system, const dal_scheme *scheme,
         return dal__fail(error, DAL_EINVAL, "count = 0: at least one number of steps is needed");
     for (size_t i = 0; i < def->count; i++)
         if (def->steps[i] == 0) return dal__fail(error, DAL_EINVAL, "steps[%zu] = 0", i);
-    for (size_t i = 0; i < 2 * dal_system_n(system); i++)
-        if (!isfinite(def->x0[i]))
-            return dal__fail(error, DAL_EINVAL, "x0[%zu] = %g is not finite", i, def->x0[i]);
-    if (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)) return DAL_EINVAL;
+    if (DAL__REQUIRE_FINITE(error, {"x0", 2 * dal_system_n(system), def->x0})
+        || (def->tolerance != 0.0 && dal__check_tolerance(def->tolerance, error)))
+        return DAL_EINVAL;
     const bool kept = scheme->nodes == DAL_KEPT_NODES;
     if (kept != (def->initial != DAL_INITIAL_NONE))
         return dal__fail(error, DAL_EINVAL, "initial = %d: %s", (int)def->initial,
@@ -622,16 +602,7 @@ static int reserve_arrays(study *self)
     DAL__RESERVE(&self->memory, count, &self->h, &self->errors);
     DAL__RESERVE(&self->memory, dal__times(rows, N), &self->rows);
     dal__reserve(&self->memory, &self->points, count, sizeof *self->points);
-    dal__reserve(&self->memory, &self->counted, count, sizeof *self->counted);
     return dal__allocate(&self->memory, self->error);
-}
-
-/* The flow computes: how far the study is does not change. */
-static int relay(double t, void *ctx)
-{
-    const study *const self = ctx;
-    (void)t;
-    return self->def->watch ? self->def->watch(self->made, self->def->watch_ctx) : 0;
 }
 
 /* The objects of the study.  The flow stands in where there is no exact solution: in general, or
@@ -644,7 +615,7 @@ static int make_objects(study *self)
     if (!status && (self->kept || !has_exact(self)))
         status = dal_flow_new(&self->flow, self->system, DAL_FLOW_RK8PD, DAL_FLOW_X,
                               self->tolerance, self->error);
-    if (!status) dal_flow_watch(self->flow, relay, self);
+    if (!status) dal_flow_watch(self->flow, dal__relay, &self->watch);
     return status ? status : reserve_arrays(self);
 }
 
@@ -660,7 +631,7 @@ static void release_objects(study *self)
 static int place_on_D(study *self)
 {
     double residual;
-    memcpy(self->x0, self->def->x0, 2 * self->n * sizeof *self->x0);
+    dal__copy(2 * self->n, self->def->x0, self->x0);
     int status = dal_relative_residual(self->mech, self->def->t0, 0.0, self->x0, &residual);
     if (!status && residual > DAL_CONSISTENT)
         return dal__fail(self->error, DAL_EOFFD, "the initial data do not lie in D: |mu v| is "
@@ -682,14 +653,14 @@ int dal_order_study(const dal_system *system, const dal_scheme *scheme, const da
     study self = {.system = system, .scheme = scheme, .def = def, .n = dal_system_n(system),
                   .m = dal_system_m(system), .kept = scheme->nodes == DAL_KEPT_NODES,
                   .tolerance = def->tolerance > 0.0 ? def->tolerance : DEFAULT_TOLERANCE,
-                  .watch = {def->watch, def->watch_ctx, 0.0}, .error = error};
+                  .watch = {.function = def->watch, .ctx = def->watch_ctx}, .error = error};
     if (dal_scheme_shift(scheme, &self.shift)) self.shift = NAN;
 
     status = make_objects(&self);
     if (!status) status = place_on_D(&self);
     if (!status) status = solve_reference(&self);
     for (size_t i = 0; !status && i < def->count; i++)
-        status = measure_point(&self, def->steps[i], &self.points[i]);
+        status = measure_point(&self, i);
     if (!status) {
         conclude(&self, order);
         memcpy(points, self.points, def->count * sizeof *points);

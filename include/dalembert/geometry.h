@@ -128,7 +128,7 @@ DAL_API int dal_project(dal_mechanics *mechanics, double t, double shift, double
 /* x[2n]: v <- the velocity in D_q nearest in the metric M with v_i unchanged where keep[i] is not 0
  * (keep[n], or NULL: none): data to start from (InitialData).  For nonlinear constraints one that
  * is consistent, found by Newton.
- * DAL_ESINGULAR if the kept components leave too little freedom; also DAL_ENOMEM, DAL_ENOCONV. */
+ * DAL_ESINGULAR if the kept components leave too little freedom; also DAL_ENOCONV. */
 DAL_API int dal_consistent(dal_mechanics *mechanics, double t, const unsigned char *keep,
                            double *x, double *distance);
 

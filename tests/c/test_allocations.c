@@ -174,7 +174,7 @@ static double state[MOST];
 typedef enum maker {
     SYSTEM, SYSTEM_DIAGONAL, BUILTIN, DEFORMED, DEFORMED_NODES, MECHANICS, CHART, FLOW_RK8PD,
     FLOW_MSADAMS, FLOW_RODAS, FLOW_IN_XI, STEPPER, STEPPER_PAIR, STEPPER_FLOW, DISCRETE, EMBEDDING,
-    CHECK_SYSTEM, STUDY, STUDY_EXACT, CONSISTENT, EXACT, INVARIANT, VELOCITY, MAKERS
+    CHECK_SYSTEM, STUDY, STUDY_EXACT, EXACT, INVARIANT, VELOCITY, MAKERS
 } maker;
 
 static const unsigned char untouched = 0x55;
@@ -236,7 +236,6 @@ static int make_embedding(outputs *out, dal_error *error)
 static int make(maker what, outputs *out, dal_error *error)
 {
     static const double diagonal[4] = {1.0, 0.0, 0.0, 2.0};
-    static const unsigned char keep[4] = {0, 1, 0, 0};
     const dal_system_def plane = {.n = 2, .mass = diagonal};
     const dal_difference_map map = {.beta = 0.5};
     switch (what) {
@@ -262,8 +261,6 @@ static int make(maker what, outputs *out, dal_error *error)
     case CHECK_SYSTEM: return dal_system_check(generic4, 0.0, state, &out->check, error);
     case STUDY: return make_study(out, generic4, error);
     case STUDY_EXACT: return make_study(out, particle, error); /* each exact state allocates */
-    case CONSISTENT:
-        return dal_consistent(mechanics, 0.0, keep, out->x, &out->distance);
     case EXACT: return dal_system_exact(particle, 1.0, state, out->x);
     case INVARIANT: return dal_system_invariant(particle, 0.0, state, out->x);
     case VELOCITY:
@@ -276,7 +273,6 @@ static int make(maker what, outputs *out, dal_error *error)
 /* These have no error record of their own; EXACT and INVARIANT no message at all. */
 static const char *message(maker what, const dal_error *error)
 {
-    if (what == CONSISTENT) return dal_mechanics_error(mechanics)->text;
     if (what == VELOCITY) return dal_flow_error(reference)->text;
     if (what == EXACT || what == INVARIANT) return dal_strerror(DAL_ENOMEM);
     CHECK(error->status == DAL_ENOMEM);

@@ -981,6 +981,31 @@ static void test_exact(const dal_system *system, bool even)
     dal_flow_free(flow);
 }
 
+/* A map whose first node is the state, so that only the second is left for Newton. */
+static int steep_map(double h, const double *q0, const double *q1, double *g, double *f,
+                     double *g_0, double *g_1, double *f_0, double *f_1, void *ctx)
+{
+    (void)g_0, (void)g_1, (void)f_0, (void)f_1, (void)ctx;
+    for (size_t i = 0; i < 3; i++) {
+        g[i] = q0[i];
+        f[i] = sinh(q1[i] - q0[i]) / h;
+    }
+    return 0;
+}
+
+/* Newton goes on until both nodes stand still. */
+static void test_second_node(void)
+{
+    dal_system *const system = open_system("particle");
+    const dal_difference_map steep = {.map = steep_map, .differenced = 1};
+    dal_discrete *const d = open_discrete(system, steep, NULL);
+    double q0[3], q1[3];
+    GOOD(d, dal_discrete_nodes(d, 0.0, 1.0, (double[]){0, 0, 0, 2, 2, 2}, q0, q1));
+    for (int i = 0; i < 3; i++) CHECK_NEAR(q1[i], asinh(2.0), 1e-14);
+    dal_discrete_free(d);
+    dal_system_free(system);
+}
+
 /* ---- failures ------------------------------------------------------------------------------- */
 
 /* Two nodes that meet in one point: f = 0. */
@@ -1254,6 +1279,7 @@ static void test_errors(void)
 int main(void)
 {
     test_by_hand();
+    test_second_node();
     test_singular();
     test_trapezoidal();
     test_rotations();
