@@ -960,6 +960,38 @@ static void test_pairs(void)
     dal_system_free(system);
 }
 
+/* L = v^2/2 + c q v, so v stays; but K = 1 - h c of the explicit scheme may cancel. */
+static int drifting(double t, const double *q, const double *v, double *L, double *L_q, double *L_v,
+                    double *L_qq, double *L_vq, double *L_vv, double *L_vt, void *ctx)
+{
+    const double c = *(const double *)ctx;
+    if (L) *L = 0.5 * v[0] * v[0] + c * q[0] * v[0];
+    if (L_q) *L_q = c * v[0];
+    if (L_v) *L_v = v[0] + c * q[0];
+    if (L_qq) *L_qq = 0.0;
+    if (L_vq) *L_vq = c;
+    if (L_vv) *L_vv = 1.0;
+    return 0;
+}
+
+static void test_lost_K(void)
+{
+    const double x[2] = {1.0, 0.5}, h = 0.25;
+    const dal_scheme scheme = find_scheme("explicit");
+    for (int k = -2; k <= 8; k++) {
+        double c = (k < 8 ? 1.0 + k * U : 0.9) / h;
+        const dal_system_def def = {.n = 1, .lagrangian = drifting, .ctx = &c};
+        dal_system *system = NULL;
+        need(dal_system_new(&system, &def, NULL), "drifting", "");
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        CHECK(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_step(stepper, NULL) == (k < 8 ? DAL_ESINGULAR : DAL_SUCCESS));
+        CHECK_NEAR(dal_stepper_state(stepper)[1], 0.5, 40 * U);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
 /* Stages whose nodes stand at the same time: the pull is predicted by the last one, not through
  * both. */
 static void test_there_and_back(void)
@@ -1258,6 +1290,7 @@ int main(int argc, char **argv)
     test_led_away();
     test_branch();
     test_pairs();
+    test_lost_K();
     test_there_and_back();
     test_hill();
     test_judge();
