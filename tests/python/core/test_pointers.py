@@ -120,14 +120,18 @@ def test_same_run_as_the_built_in_system(library, make):
     assert own.check()
 
 
-def test_a_context_lives_as_long_as_the_system(library):
+def test_a_context_lives_as_long_as_the_system_in_c(library):
     springs = SPRINGS.copy()
     alive = weakref.ref(springs)
     own = dal.System(mass=[1, 1, 1], potential=of_ctypes(library, "potential"), ctx=springs)
     del springs
     gc.collect()
     assert alive() is not None
+    handle = own._handle
     del own
+    gc.collect()
+    assert alive() is not None
+    del handle
     gc.collect()
     assert alive() is None
 

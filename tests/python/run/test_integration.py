@@ -538,6 +538,14 @@ def test_what_is_warned_of(particle, numbers, warned):
     assert len(caught) == warned
 
 
+def test_systems_without_a_simpler_iteration_are_not_warned_of():
+    stats = dal.Statistics(substeps=100, full_newtons=100)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sleigh = dal.systems.sleigh_contact()  # M depends on q
+        integration._warn(SimpleNamespace(system=sleigh, stats=stats, t0=0.0, h=0.1))
+
+
 @pytest.mark.parametrize("t_end, steps", [(1 + 5e-10, 10), (3e-11, 0), (1e5 * (1 + 5e-10), 10**6)])
 def test_t_end_is_met_to_1e_9(particle, t_end, steps):
     assert dal.integrate(particle, h=0.1, t_end=t_end, stride=steps or 1).stats.steps == steps
