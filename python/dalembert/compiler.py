@@ -24,7 +24,6 @@ import signal
 import stat
 import subprocess
 import tempfile
-import threading
 import time
 import warnings
 import weakref
@@ -302,7 +301,6 @@ class Library:
 
 
 _libraries: weakref.WeakValueDictionary[str, Library] = weakref.WeakValueDictionary()
-_lock = threading.Lock()
 
 
 def library(
@@ -329,12 +327,9 @@ def library(
         return None
     parts = (key, versions, _generator(), compiler.identity)
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()
-    with _lock:
-        found = _libraries.get(key)
-    if found is None:
-        found = _load_or_compile(compiler, key, program)
-        with _lock:
-            found = _libraries.setdefault(key, found)
+    found = _libraries.get(key)
+    if found is None:  # two threads may find the same: either is as good
+        found = _libraries[key] = _load_or_compile(compiler, key, program)
     return found
 
 

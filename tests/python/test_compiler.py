@@ -463,6 +463,14 @@ def test_first_compiler_found(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", f"{real.command[0]} -m64")
     assert compiler.find().command == (real.command[0], "-m64")
     assert compiler.find().identity != real.identity
+    another = tmp_path / "another"  # of the same name and size, and of another day
+    another.write_text("#!/bin/sh\n")
+    another.chmod(0o755)
+    monkeypatch.setenv("CC", str(another))
+    before = compiler.find().identity
+    assert compiler.find().identity == before
+    os.utime(another, (1, 1))
+    assert compiler.find().identity != before
     monkeypatch.delenv("CC")
     monkeypatch.setenv("PATH", str(tmp_path))
     assert compiler.find() is None
