@@ -598,40 +598,47 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
     return 1;
 }
 
-/* ---- settle: whether what is stored has the residual that it has to have; what is not finite is
- * not solved.  A kept node would give back another q~' */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *o,
-                                               const dal_arrays *at, bool *solved, bool settled)
+/* With an infinite w stored is infinite too, or NaN where b = 0. */
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_finite)(const dal_kernel *k, const dal_arrays *at)
 {
     DAL_KERNEL_SIZES;
-    if (DAL_KERNEL_RARE(m > 0 && *solved && !settled && !o->kept)) {
+    double total = -0.0;
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) total += at->stored[i];
+    return fabs(total) <= DBL_MAX;
+}
+
+/* ---- settle: whether what is stored has the residual that it has to have, and is finite; a kept
+ * node would give back another q~' */
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *o,
+                                               const dal_arrays *at, bool solved, bool settled)
+{
+    DAL_KERNEL_SIZES;
+    if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !o->kept)) {
         dal_lu_solve(m, at->S, at->row, at->r, at->d);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
             at->w[i] += dal_kernel_column(n, m, o->has.Z, at->Z, i, at->d);
         settled = dal_kernel_settled(k, n, m, o->has, at, DAL_KERNEL_LIMIT(n));
     }
-    double total = -0.0; /* with an infinite w stored is infinite too, or NaN where b = 0 */
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) total += at->stored[i];
-    if (DAL_KERNEL_RARE(!(fabs(total) <= DBL_MAX))) *solved = false;
-    return settled && *solved;
+    return settled && DAL_KERNEL_PART(is_finite)(k, at);
 }
 
-/* ---- hand over what is left to k->finish */
+/* ---- hand over what is left to k->finish; what is not finite is not solved */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits *o,
-                                                 const dal_arrays *at, bool solved)
+                                                 const dal_arrays *at, bool *solved)
 {
     DAL_KERNEL_SIZES;
+    *solved = *solved && DAL_KERNEL_PART(is_finite)(k, at);
     DAL_KERNEL_COPY(2 * n, at->x, k->at.x);
     DAL_KERNEL_COPY(n, at->w, k->at.w);
     DAL_KERNEL_COPY(n, at->base, k->at.base);
     DAL_KERNEL_COPY(n, at->stored, k->at.stored);
-    const int status = k->finish(k, o->number, o->stage, solved);
+    const int status = k->finish(k, o->number, o->stage, *solved);
     if (status) return status;
     DAL_KERNEL_COPY(n, k->at.w, at->w);
     DAL_KERNEL_COPY(n, k->at.stored, at->stored);
-    if (!solved) DAL_KERNEL_COPY(m, k->at.kappa, at->kappa);
+    if (!*solved) DAL_KERNEL_COPY(m, k->at.kappa, at->kappa);
     return DAL_SUCCESS;
 }
 
@@ -715,8 +722,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
         if (status < 0) return status;
     }
     bool solved = status == 0;
-    if (DAL_KERNEL_RARE(!DAL_KERNEL_PART(settle)(k, &o, &at, &solved, settled))) {
-        status = DAL_KERNEL_PART(hand_over)(k, &o, &at, solved);
+    if (DAL_KERNEL_RARE(!DAL_KERNEL_PART(settle)(k, &o, &at, solved, settled))) {
+        status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &solved);
         if (status) return status;
     }
     DAL_KERNEL_PART(commit)(k, &o, &at, solved);
