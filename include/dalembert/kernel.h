@@ -599,9 +599,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
 }
 
 /* With an infinite w stored is infinite too, or NaN where b = 0. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_finite)(const dal_kernel *k, const dal_arrays *at)
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_finite)(size_t n, const dal_arrays *at)
 {
-    DAL_KERNEL_SIZES;
     double total = -0.0;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) total += at->stored[i];
@@ -621,7 +620,7 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *
             at->w[i] += dal_kernel_column(n, m, o->has.Z, at->Z, i, at->d);
         settled = dal_kernel_settled(k, n, m, o->has, at, DAL_KERNEL_LIMIT(n));
     }
-    return settled && DAL_KERNEL_PART(is_finite)(k, at);
+    return settled && DAL_KERNEL_PART(is_finite)(n, at);
 }
 
 /* ---- hand over what is left to k->finish; what is not finite is not solved */
@@ -629,7 +628,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits
                                                  const dal_arrays *at, bool *solved)
 {
     DAL_KERNEL_SIZES;
-    *solved = *solved && DAL_KERNEL_PART(is_finite)(k, at);
+    *solved = *solved && DAL_KERNEL_PART(is_finite)(n, at);
     DAL_KERNEL_COPY(2 * n, at->x, k->at.x);
     DAL_KERNEL_COPY(n, at->w, k->at.w);
     DAL_KERNEL_COPY(n, at->base, k->at.base);

@@ -478,6 +478,7 @@ def _number_of_constraints(
     if m is not None:
         return arguments.integer(m, "m", 0)
     point = np.concatenate([np.zeros(n), np.ones(n)]) if state is None else state.copy()
+    point.flags.writeable = False
     if constraint is not None:
         shape = arguments.shape(constraint(point[:n], point[n:]))
         if len(shape) != 1:
