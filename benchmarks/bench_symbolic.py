@@ -20,6 +20,7 @@ import sympy
 
 import dalembert as dal
 from dalembert import compiler
+from dalembert.symbolic import evaluation
 
 STORED_STEPS = 1_000_000
 
@@ -144,7 +145,7 @@ def main(steps: str, store: str) -> int:
         os.environ["DALEMBERT_CACHE"] = directory
         kept = []
         for i, (make, values) in enumerate(((particle, []), (sleigh, ["0.8"]), (disk, ["0.5"]))):
-            path = str(make()._kept.path)
+            path = str(evaluation.library(make()._model).path)
             done = subprocess.run([steps, str(i), path, *values], check=False)
             kept.append(done.returncode == 0)
         kept.append(stored_steps(store))
