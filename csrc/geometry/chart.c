@@ -395,11 +395,7 @@ int dal__chart_mend(dal_chart *chart, double t, double shift)
     enum { MENDS = 3 };
     dal_mechanics *const mech = &chart->mech;
     for (int pass = 1;; pass++) {
-        int status = DAL_SUCCESS;
-        if (shift == 0.0 && kind(chart) == DAL_LINEAR) /* mu stands still */
-            dal__apply(chart->m, chart->n, mech->forms.mu, chart->x + chart->n, mech->forms.phi);
-        else
-            status = dal__forms_at(mech, t, shift, chart->x, false);
+        const int status = dal__forms_at(mech, t, shift, chart->x, false);
         if (status) return status;
         if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
         move_dependent(chart, chart->x + chart->n);
@@ -407,7 +403,7 @@ int dal__chart_mend(dal_chart *chart, double t, double shift)
 }
 
 /* Of v in chart->x where the constraints are nonlinear, of which only v_dependent moves; and it
- * stands still as soon as the residual, which is that of the step before, is roundoff. */
+ * stands still where the residual is roundoff, so that what is in D already keeps its bits. */
 static int find_step(dal__newton *equations)
 {
     dal_chart *const chart = equations->ctx;
@@ -432,14 +428,13 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
         chart->t = t;
         dal__newton equations = {.find_step = find_step, .ctx = chart, .size = n, .measured = n,
                                  .n = n, .per_unit = chart->mech.metric.per_unit, .z = v,
-                                 .step = chart->step, .lagging = true,
+                                 .step = chart->step,
                                  .advice = "there may be no such dependent velocities"};
         status = dal__newton_run(&equations, &chart->mech.error);
     } else {
         for (size_t a = 0; a < m; a++) v[chart->place[a]] = 0.0;
         status = form_B(chart, t, x, false);
         if (!status) move_dependent(chart, v);
-        if (!status) status = dal__chart_mend(chart, t, 0.0);
     }
     if (status || dal__all_finite(2 * n, x)) return status;
     return dal__fail(&chart->mech.error, DAL_EDOMAIN, "the dependent velocities overflow");

@@ -151,8 +151,7 @@ void dal__chart_bind(dal_chart *chart, const dal_system *system);
 /* chart->x <- psi(t, xi) without checking the arguments; for nonlinear constraints Newton starts at
  * the v_dependent that stands there. */
 int dal__chart_lift(dal_chart *chart, double t, const double *xi);
-/* v_dependent in chart->x moves into D at q - shift v and time t, with B, and mu if shift = 0, as
- * they are. */
+/* v_dependent in chart->x moves into D at q - shift v and time t, with B as it is. */
 int dal__chart_mend(dal_chart *chart, double t, double shift);
 /* dal_chart_drop, the same. */
 void dal__chart_drop(const dal_chart *chart, const double *x, double *xi);

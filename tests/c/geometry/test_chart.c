@@ -561,6 +561,18 @@ static void test_branches(void)
     CHECK_NEAR(x[5], 13.0, 32 * U);
     CHECK(dal_chart_renew(chart, 0.0, down, NULL) == 0 && dal_chart_lift(chart, 0.0, xi, x) == 0);
     CHECK_NEAR(x[5], -13.0, 32 * U);
+    /* D to roundoff, and what is on D already stays where it is, bit for bit */
+    unsigned seed = 8;
+    CHECK(dal_chart_renew(chart, 0.0, up, NULL) == 0);
+    for (int k = 0; k < 1000; k++) {
+        double point[5], again[6];
+        somewhere(5, &seed, point);
+        CHECK(dal_chart_lift(chart, 0.0, point, x) == 0);
+        const double a = point[3], b = point[4], squares = a * a + b * b;
+        CHECK_NEAR(fma(x[5], x[5], -squares), 0.0, 32 * U * squares);
+        CHECK(dal_chart_renew(chart, 0.0, x, NULL) == 0);
+        CHECK(dal_chart_lift(chart, 0.0, point, again) == 0 && memcmp(x, again, sizeof x) == 0);
+    }
     /* where the branches meet Newton halves v_z for ever: phi_v vanishes with v */
     CHECK(dal_chart_lift(chart, 0.0, none, start) == DAL_ENOCONV && start[0] == 7.0);
     CHECK(strstr(dal_chart_error(chart)->text, "in 50 iterations") != NULL);
