@@ -115,8 +115,8 @@ int main(void)
 
     if (dal_stepper_start(stepper, 0.0, h, x0, DAL_CHECK, DAL_INITIAL_NONE)
         || dal_integrate(stepper, STEPS, 1, x[0], NULL, NULL, NULL, NULL)
-        || dal_trajectory(mechanics, 0.0, h, 0.0, STEPS + 1, x[0], energy, NULL, NULL, residual,
-                          NULL)) {
+        || dal_trajectory(mechanics, 0.0, h, 0.0, STEPS + 1, x[0], NULL, energy, NULL, NULL,
+                          residual, NULL)) {
         fprintf(stderr, "%s%s\n", dal_stepper_error(stepper)->text,
                 dal_mechanics_error(mechanics)->text);
         return 1;

@@ -104,10 +104,10 @@ typedef int (*dal_lagrangian_fn)(double t, const double *q, const double *v, dou
                                  double *L_v, double *L_qq, double *L_vq, double *L_vv,
                                  double *L_vt, void *ctx);
 
-/* A generalized force, d/dt L_v - L_q = f + mu^T lambda: f[n]; f_q[i*n+j] = df_i/dq_j; f_v[i*n+j] =
- * df_i/dv_j. */
-typedef int (*dal_force_fn)(double t, const double *q, const double *v, double *f, double *f_q,
-                            double *f_v, void *ctx);
+/* A generalized force, d/dt L_v - L_q = f + mu^T lambda, which may depend on inputs u[inputs]:
+ * f[n]; f_q[i*n+j] = df_i/dq_j; f_v[i*n+j] = df_i/dv_j. */
+typedef int (*dal_force_fn)(double t, const double *q, const double *v, const double *u, double *f,
+                            double *f_q, double *f_v, void *ctx);
 
 /* x[2n] <- the exact state at time t of the solution that starts in x0[2n] at time 0. */
 typedef int (*dal_exact_fn)(double t, const double *x0, double *x, void *ctx);
@@ -161,6 +161,7 @@ typedef struct dal_system_def {
     dal_constraint_fn constraint;   /* NULL if and only if m = 0 */
     dal_constraint_kind kind;
     dal_force_fn force;             /* or NULL: none */
+    size_t inputs;                  /* of the force: motors, steering, ... */
     unsigned missing;               /* sum of dal_missing */
     void *ctx;
     const char *name;               /* or NULL: "system"; what follows may all be left out */
@@ -171,6 +172,7 @@ typedef struct dal_system_def {
                                        = ..." for what else is in them or in names of invariants;
                                        v_x is the velocity of x, a blank a product */
     const char *const *coordinates; /* [n] names, or NULL: q0, q1, ... */
+    const char *const *input_names; /* [inputs], or NULL: u0, u1, ... */
     const double *state;            /* [2n] initial data to start from by default, or NULL */
     dal_exact_fn exact;             /* or NULL */
     size_t invariants;              /* number of first integrals besides the energy */
@@ -219,6 +221,8 @@ DAL_API const char *dal_system_description(const dal_system *system);
 DAL_API const char *dal_system_source(const dal_system *system);
 DAL_API const char *dal_system_formulas(const dal_system *system);
 DAL_API const char *dal_system_coordinate(const dal_system *system, size_t i); /* NULL: i >= n */
+DAL_API size_t dal_system_inputs(const dal_system *system);
+DAL_API const char *dal_system_input_name(const dal_system *system, size_t i); /* or NULL */
 DAL_API const double *dal_system_mass(const dal_system *system); /* [n*n]; NULL: not constant */
 DAL_API dal_constraint_kind dal_system_kind(const dal_system *system);
 DAL_API int dal_system_is_forced(const dal_system *system); /* 1: there is a generalized force */
@@ -386,6 +390,12 @@ DAL_API const dal_error *dal_stepper_error(const dal_stepper *stepper);
 DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
                               dal_consistency consistency, dal_initial initial);
 
+/* The inputs of the force are u[inputs] in the steps that follow, until they are changed again; 0
+ * in a new stepper.  Constant over a step (a zero-order hold), they cost no scheme its order.  A
+ * change costs one evaluation of the force, which the predictor of the next step may see.
+ * DAL_EINVAL (NULL, not finite), and the stepper is as it was. */
+DAL_API int dal_stepper_input(dal_stepper *stepper, const double *u);
+
 /* The current state x[2n] (borrowed, valid until the stepper is freed), its time t0 + k h. */
 DAL_API const double *dal_stepper_state(const dal_stepper *stepper);
 DAL_API double dal_stepper_time(const dal_stepper *stepper);
@@ -417,6 +427,10 @@ DAL_API int dal_stepper_restore(dal_stepper *stepper, const double *values, size
  * to stop (DAL_STOPPED), < 0 to fail (DAL_EUSER). */
 typedef int (*dal_observer_fn)(size_t step, double t, const double *x, void *ctx);
 
+/* u[inputs] <- the inputs of the steps that begin at step, where the time is t and the state x[2n]:
+ * a controller.  Returns as an observer. */
+typedef int (*dal_control_fn)(size_t step, double t, const double *x, double *u, void *ctx);
+
 /* A run of a stepper: zero-initialise, set what is above done, and let it go. */
 typedef struct dal_run {
     dal_stepper *stepper;   /* started */
@@ -424,6 +438,11 @@ typedef struct dal_run {
     double *x;              /* [(steps/stride + 1)*2n] or NULL: the states, row 0 where it begins */
     double *reactions;      /* [(steps/stride)*m] or NULL: the mean reaction over each interval,
                                which belongs to its middle; NaN for a scheme without multipliers */
+    double *inputs;         /* [ceil(steps/hold)*inputs] or NULL: row k has those of the steps
+                               k hold, ..., (k+1) hold - 1 of the run; NULL: as the stepper has */
+    size_t hold;            /* 0 is 1 */
+    dal_control_fn control; /* or NULL: writes the rows of inputs, each when its steps begin */
+    void *control_ctx;
     dal_observer_fn observer; /* or NULL */
     void *observer_ctx;
     dal_watch_fn watch;     /* or NULL: asked within steps that take long, with their time */

@@ -58,6 +58,12 @@ void dal_discrete_free(dal_discrete *discrete)
 }
 
 const dal_error *dal_discrete_error(const dal_discrete *discrete) { return &discrete->mech.error; }
+
+int dal_discrete_input(dal_discrete *discrete, const double *u)
+{
+    return discrete ? dal_mechanics_input(&discrete->mech, u) : DAL_EINVAL;
+}
+
 dal_error *dal__discrete_error(dal_discrete *discrete) { return &discrete->mech.error; }
 
 /* ---- pairs -------------------------------------------------------------------------------- */

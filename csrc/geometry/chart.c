@@ -64,6 +64,11 @@ void dal_chart_free(dal_chart *chart)
 
 const dal_error *dal_chart_error(const dal_chart *chart) { return &chart->mech.error; }
 
+int dal_chart_input(dal_chart *chart, const double *u)
+{
+    return chart ? dal_mechanics_input(&chart->mech, u) : DAL_EINVAL;
+}
+
 const size_t *dal_chart_dependent(const dal_chart *chart)
 {
     return chart && chart->chosen ? chart->place : NULL;

@@ -726,10 +726,12 @@ static void reserve(examination *ex, arena *a)
     DAL__RESERVE(a, dal__times(n - m, mn), &ex->N);
 }
 
-/* A velocity in general position, of the size of v. */
+/* A velocity in general position, of the size of v; and inputs, of the size 1. */
 static void choose_other(examination *ex)
 {
     const double size = 1.0 + dal__largest(ex->n, ex->v);
+    double *const u = ex->mech.eval.own_input;
+    for (size_t i = 0; i < ex->system->def.inputs; i++) u[i] = cos((double)(i + 1));
     for (size_t i = 0; i < ex->n; i++)
         ex->other[i] = ex->v[i] + size * (1.0 + 0.5 * sin((double)(i + 1)));
 }

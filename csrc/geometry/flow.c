@@ -110,6 +110,11 @@ void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx)
 
 const dal_error *dal_flow_error(const dal_flow *flow) { return &flow->chart.mech.error; }
 
+int dal_flow_input(dal_flow *flow, const double *u)
+{
+    return flow ? dal_mechanics_input(&flow->chart.mech, u) : DAL_EINVAL;
+}
+
 size_t dal_flow_chart_changes(const dal_flow *flow) { return flow->chart_changes; }
 
 size_t dal_flow_evaluations(const dal_flow *flow)

@@ -115,8 +115,8 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
               double *relative);
 /* dal_trajectory of rows that belong to the times t0 + (first + k) h. */
 int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, double shift,
-                    size_t count, const double *x, double *energy, double *multipliers,
-                    double *residual, double *relative, size_t *done);
+                    size_t count, const double *x, const double *inputs, double *energy,
+                    double *multipliers, double *residual, double *relative, size_t *done);
 
 /* A chart of D, connection.c.  It may be part of another object, as a dal_mechanics may. */
 struct dal_chart {

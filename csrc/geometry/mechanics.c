@@ -63,6 +63,12 @@ void dal_mechanics_free(dal_mechanics *mechanics)
 
 const dal_error *dal_mechanics_error(const dal_mechanics *mechanics) { return &mechanics->error; }
 
+int dal_mechanics_input(dal_mechanics *mechanics, const double *u)
+{
+    if (!mechanics) return DAL_EINVAL;
+    return dal__evaluator_input(&mechanics->eval, u, &mechanics->error);
+}
+
 int dal__require_finite(dal_mechanics *mech, const char *name, size_t count, const double *x)
 {
     return DAL__REQUIRE_FINITE(&mech->error, {name, count, x});
@@ -649,20 +655,34 @@ int dal_consistent(dal_mechanics *mech, double t, const unsigned char *keep, dou
 
 /* ---- many states ------------------------------------------------------------------------- */
 
+/* With these inputs, or those that are set for NULL. */
+static int solve_with_inputs(dal_mechanics *mech, double t, const double *x, const double *u)
+{
+    evaluator *const e = &mech->eval;
+    if (!u) return solve_multipliers(mech, "x", x, t, x);
+    int status = DAL__REQUIRE_FINITE(&mech->error, {"inputs", e->system->def.inputs, u});
+    if (status) return status;
+    e->input = u;
+    status = solve_multipliers(mech, "x", x, t, x);
+    e->input = e->own_input;
+    return status;
+}
+
 int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, double shift,
-                    size_t count, const double *x, double *energy, double *multipliers,
-                    double *residual, double *relative, size_t *done)
+                    size_t count, const double *x, const double *inputs, double *energy,
+                    double *multipliers, double *residual, double *relative, size_t *done)
 {
     if (done) *done = 0;
     if (!mech) return DAL_EINVAL;
-    const size_t n = mech->n, m = mech->m;
+    const size_t n = mech->n, m = mech->m, width = mech->eval.system->def.inputs;
     for (size_t k = 0; k < count; k++, x += 2 * n) {
         const double t = t0 + (double)(first + k) * h;
         double E = 0.0, worst = 0.0;
         bool consistent;
         int status = require(mech, "x", x, shift, t, x);
         if (!status && energy) status = dal_energy(mech, t, x, &E);
-        if (!status && multipliers) status = solve_multipliers(mech, "x", x, t, x);
+        if (!status && multipliers)
+            status = solve_with_inputs(mech, t, x, inputs ? inputs + k * width : NULL);
         if (!status && (residual || relative))
             status = dal__lies_in_D(mech, t, shift, x, &worst, &consistent);
         if (status) return status;
@@ -677,9 +697,9 @@ int dal__trajectory(dal_mechanics *mech, double t0, double h, size_t first, doub
 }
 
 int dal_trajectory(dal_mechanics *mech, double t0, double h, double shift, size_t count,
-                   const double *x, double *energy, double *multipliers, double *residual,
-                   double *relative, size_t *done)
+                   const double *x, const double *inputs, double *energy, double *multipliers,
+                   double *residual, double *relative, size_t *done)
 {
-    return dal__trajectory(mech, t0, h, 0, shift, count, x, energy, multipliers, residual, relative,
-                           done);
+    return dal__trajectory(mech, t0, h, 0, shift, count, x, inputs, energy, multipliers, residual,
+                           relative, done);
 }

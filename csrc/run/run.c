@@ -1,4 +1,4 @@
-/* A run: what is stored, and who watches. */
+/* A run: what comes in, what is stored, and who watches. */
 #include "step/step.h"
 
 #include <string.h>
@@ -14,6 +14,15 @@ static int store_reaction(const dal_run *run)
     return dal__stepper_reaction(run->stepper, run->stride, run->reactions + (run->stored - 1) * m);
 }
 
+/* The status of a function of the user that watches the run. */
+static int heed(const dal_run *run, const char *name, int returned)
+{
+    if (returned > 0) return DAL_STOPPED;
+    if (returned == 0) return DAL_SUCCESS;
+    return dal__fail(&run->stepper->error, DAL_EUSER, "the %s returned %d at step %zu", name,
+                     returned, run->stepper->motion.steps);
+}
+
 /* Stores the state now and tells the observer of it; DAL_STOPPED or DAL_EUSER if it wants no
  * more. */
 static int store(dal_run *run)
@@ -27,20 +36,44 @@ static int store(dal_run *run)
     if (run->x) memcpy(run->x + run->stored * N, motion->x, N * sizeof *run->x);
     run->stored++;
     if (!run->observer) return DAL_SUCCESS;
-    const int returned =
-        run->observer(motion->steps, dal_stepper_time(stepper), motion->x, run->observer_ctx);
-    if (returned > 0) return DAL_STOPPED;
-    if (returned == 0) return DAL_SUCCESS;
-    return dal__fail(&stepper->error, DAL_EUSER, "the observer returned %d at step %zu", returned,
-                     motion->steps);
+    return heed(run, "observer", run->observer(motion->steps, dal_stepper_time(stepper), motion->x,
+                                               run->observer_ctx));
+}
+
+static size_t hold_of(const dal_run *run) { return run->hold > 0 ? run->hold : 1; }
+
+/* Where the inputs change, those of the steps that follow. */
+static int hand_inputs(const dal_run *run)
+{
+    dal_stepper *const stepper = run->stepper;
+    const dal_motion *const motion = &stepper->motion;
+    const size_t width = motion->system->def.inputs, hold = hold_of(run);
+    if (!run->inputs || run->done % hold > 0) return DAL_SUCCESS;
+    double *const u = run->inputs + run->done / hold * width;
+    int status = DAL_SUCCESS;
+    if (run->control) {
+        dal__forget(width, u);
+        status = heed(run, "control", run->control(motion->steps, dal_stepper_time(stepper),
+                                                   motion->x, u, run->control_ctx));
+    }
+    if (status) return status;
+    return dal__fail_because(&stepper->error, dal_stepper_input(stepper, u), &stepper->error,
+                             "the inputs of step %zu (t = %g): ", motion->steps + 1,
+                             dal_stepper_time(stepper));
 }
 
 static int check(const dal_run *run)
 {
-    if (run->stride > 0 && run->steps % run->stride == 0)
-        return dal__stepper_started(run->stepper);
-    return dal__fail(&run->stepper->error, DAL_EINVAL, "steps = %zu is not a multiple of stride = "
-                     "%zu", run->steps, run->stride);
+    dal_error *const error = &run->stepper->error;
+    if (run->stride == 0 || run->steps % run->stride > 0)
+        return dal__fail(error, DAL_EINVAL, "steps = %zu is not a multiple of stride = %zu",
+                         run->steps, run->stride);
+    if (run->control && !run->inputs)
+        return dal__fail(error, DAL_EINVAL, "control is not NULL, and inputs is: there is nowhere "
+                         "for what it writes");
+    if (run->inputs && run->stepper->motion.system->def.inputs == 0)
+        return dal__fail(error, DAL_EINVAL, "inputs is not NULL, but the system has none");
+    return dal__stepper_started(run->stepper);
 }
 
 int dal_run_go(dal_run *run, size_t budget)
@@ -52,8 +85,11 @@ int dal_run_go(dal_run *run, size_t budget)
     motion->watch = run->watch;
     motion->watch_ctx = run->watch_ctx;
     while (!status && budget > 0 && run->done < run->steps) {
-        const size_t left = run->stride - run->done % run->stride;
-        size_t made = 0;
+        const size_t hold = hold_of(run), held = hold - run->done % hold;
+        size_t made = 0, left = run->stride - run->done % run->stride;
+        status = hand_inputs(run);
+        if (status) break;
+        if (run->inputs && held < left) left = held;
         status = dal__stepper_advance(run->stepper, left < budget ? left : budget, &made);
         budget -= made;
         run->done += made;

@@ -35,7 +35,7 @@ static void start(void *method, dal_motion *motion)
 static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 {
     const size_t evaluations = dal_flow_evaluations(method);
-    int status = DAL_SUCCESS;
+    int status = dal_flow_input(method, motion->input);
     dal_flow_watch(method, motion->watch, motion->watch_ctx);
     for (*done = 0; !status && *done < steps; *done += !status)
         status = dal__flow_step(method, motion->t0, motion->h, motion->steps + *done, motion->x,

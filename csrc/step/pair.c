@@ -110,6 +110,7 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 {
     pair_steps *const self = method;
     const size_t n = dal_system_n(motion->system), m = dal_system_m(motion->system);
+    if (self->discrete) dal_discrete_input(self->discrete, motion->input);
     for (*done = 0; *done < steps; ++*done) {
         memcpy(self->x, motion->x, 2 * n * sizeof *self->x);
         const int status = step(self, motion, (double)(motion->steps + *done));

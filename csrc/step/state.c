@@ -5,9 +5,9 @@
 #include <math.h>
 #include <string.h>
 
-/* What stands in front of x and of what the family keeps: what it is of, and the fields below.
- * Counters are exact below 2^53. */
-enum { VERSION = 1, OF = 4, FIELDS = 23, HEAD = OF + FIELDS };
+/* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
+ * below.  Counters are exact below 2^53. */
+enum { VERSION = 2, OF = 4, FIELDS = 23, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -67,10 +67,15 @@ static size_t kept_by_family(const dal_stepper *self)
     return self->family->save ? self->family->save(self->method, NULL) : 0;
 }
 
+static size_t before_family(const dal_stepper *self)
+{
+    return HEAD + 2 * self->mech.n + self->motion.system->def.inputs;
+}
+
 size_t dal_stepper_saved(const dal_stepper *stepper)
 {
     const size_t kept = kept_by_family(stepper);
-    return kept == DAL_NOT_RESUMABLE ? 0 : HEAD + 2 * stepper->mech.n + kept;
+    return kept == DAL_NOT_RESUMABLE ? 0 : before_family(stepper) + kept;
 }
 
 /* Whether there is something to save, and where. */
@@ -86,6 +91,7 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
 {
     if (!stepper) return DAL_EINVAL;
     const size_t n = stepper->mech.n, N = 2 * n;
+    double *const of_family = values + before_family(stepper);
     int status = check_resumable(stepper, values);
     if (!status) status = dal__stepper_started(stepper);
     if (status) return status;
@@ -95,7 +101,8 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
     memcpy(values, of, sizeof of);
     for (size_t i = 0; i < FIELDS; i++) values[OF + i] = read(&fields[i]);
     memcpy(values + HEAD, stepper->motion.x, N * sizeof *values);
-    if (stepper->family->save) stepper->family->save(stepper->method, values + HEAD + N);
+    dal__copy(stepper->motion.system->def.inputs, stepper->motion.input, values + HEAD + N);
+    if (stepper->family->save) stepper->family->save(stepper->method, of_family);
     return DAL_SUCCESS;
 }
 
@@ -127,9 +134,10 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
     if (!isfinite(t + (values[6] + 1.0) * h))
         return dal__fail(error, DAL_EINVAL, "values[6] = %g steps of h = %g lead from t = %g to no "
                          "finite time", values[6], h, t);
-    if (family->accepts && !family->accepts(self->method, values + HEAD + 2 * n))
+    const size_t of_family = before_family(self);
+    if (family->accepts && !family->accepts(self->method, values + of_family))
         return dal__fail(error, DAL_EINVAL, "values[%zu] and what follows is not of the scheme "
-                         "\"%s\"", HEAD + 2 * n, self->scheme.name);
+                         "\"%s\"", of_family, self->scheme.name);
     return DAL_SUCCESS;
 }
 
@@ -145,9 +153,10 @@ int dal_stepper_restore(dal_stepper *stepper, const double *values, size_t count
     for (size_t i = 0; i < FIELDS; i++) write(&fields[i], values[OF + i]);
     stepper->motion.stats->steps = stepper->motion.steps; /* by which the step routine counts */
     memcpy(stepper->motion.x, values + HEAD, N * sizeof *values);
+    dal_stepper_input(stepper, values + HEAD + N);
     if (stepper->family->start) stepper->family->start(stepper->method, &stepper->motion);
     if (stepper->family->restore)
-        stepper->family->restore(stepper->method, values + HEAD + N);
+        stepper->family->restore(stepper->method, values + before_family(stepper));
     stepper->started = true;
     dal__fail(&stepper->error, DAL_SUCCESS, "%s", "");
     return DAL_SUCCESS;

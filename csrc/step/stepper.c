@@ -26,6 +26,7 @@ static int allocate(dal_stepper **stepper, const dal_system *system, const dal_s
     motion->system = system;
     motion->scheme = &self->scheme;
     motion->mechanics = &self->mech;
+    motion->input = self->mech.eval.own_input;
     motion->max_iterations = options && options->max_iterations ? options->max_iterations : 50;
     motion->stats = &self->stats;
     motion->error = &self->mech.error;
@@ -94,6 +95,11 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->jump_step = stepper->jump.step;
     stats->jump = stepper->jump.change;
     stats->largest_kinetic = stepper->jump.kinetic;
+}
+
+int dal_stepper_input(dal_stepper *stepper, const double *u)
+{
+    return stepper ? dal__evaluator_input(&stepper->mech.eval, u, &stepper->error) : DAL_EINVAL;
 }
 
 /* ---- start ------------------------------------------------------------------------------ */

@@ -290,8 +290,8 @@ static int watch_block(study *self, double h, size_t first, size_t count, double
 {
     const double *const x = self->rows + 2 * self->n;
     const double t0 = self->def->t0;
-    int status = dal__trajectory(self->mech, t0, h, first, 0.0, count, x, self->energy, NULL, NULL,
-                                 self->relative, NULL);
+    int status = dal__trajectory(self->mech, t0, h, first, 0.0, count, x, NULL, self->energy, NULL,
+                                 NULL, self->relative, NULL);
     if (status) return status;
     for (size_t k = 0; k < count; k++) {
         const double error = fabs(self->energy[k] - energy0) / fmax(fabs(energy0), 1.0);
@@ -300,7 +300,7 @@ static int watch_block(study *self, double h, size_t first, size_t count, double
     point->residual = fmax(point->residual, dal__largest(count, self->relative));
     if (isnan(self->shift)) return DAL_SUCCESS;
     status = dal__trajectory(self->mech, t0, h, first, self->shift * h, count, x, NULL, NULL, NULL,
-                             self->relative, NULL);
+                             NULL, self->relative, NULL);
     if (status) return status;
     point->residual_eps = fmax(point->residual_eps, dal__largest(count, self->relative));
     return DAL_SUCCESS;

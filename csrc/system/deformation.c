@@ -36,11 +36,11 @@ static int base_lagrangian(double t, const double *q, const double *v, double *L
     return base->lagrangian(t, q, v, L, L_q, L_v, L_qq, L_vq, L_vv, L_vt, base->ctx);
 }
 
-static int base_force(double t, const double *q, const double *v, double *f, double *f_q,
-                      double *f_v, void *ctx)
+static int base_force(double t, const double *q, const double *v, const double *u, double *f,
+                      double *f_q, double *f_v, void *ctx)
 {
     const dal_system_def *const base = ctx; /* the first member of a deformation */
-    return base->force(t, q, v, f, f_q, f_v, base->ctx);
+    return base->force(t, q, v, u, f, f_q, f_v, base->ctx);
 }
 
 /* phi[m] of the base, which is mu v where it is linear, and phi_v[m*n], phi_q[m*n], phi_t[m], which

@@ -103,7 +103,7 @@ static int call(evaluator *e, callback which, double t, const double *q, const d
         return def->lagrangian(t, q, v, x[0], x[1], x[2], x[3], x[4], x[5], x[6], def->ctx);
     case FORCE:
         e->force_calls++;
-        return def->force(t, q, v, x[0], x[1], x[2], def->ctx);
+        return def->force(t, q, v, e->input, x[0], x[1], x[2], def->ctx);
     }
     return returned;
 }
@@ -227,6 +227,7 @@ void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n;
     DAL__RESERVE(a, n, &e->point, &e->gradient);
+    DAL__RESERVE(a, system->def.inputs, &e->own_input);
     DAL__RESERVE(a, dal__times(system->def.m, n), &e->forms);
 }
 
@@ -235,6 +236,7 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
     const dal_system_def *def = &system->def;
     const unsigned of_potential = DAL_MISSING_V_Q | DAL_MISSING_V_QQ;
     e->system = system;
+    e->input = e->own_input;
     e->lengths[ONE] = 1;
     e->lengths[N] = def->n;
     e->lengths[M] = def->m;
@@ -256,6 +258,15 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
         e->constraint = complete_constraint;
         e->constraint_ctx = e;
     }
+}
+
+int dal__evaluator_input(evaluator *e, const double *u, dal_error *error)
+{
+    const size_t inputs = e->system->def.inputs;
+    const int status =
+        inputs > 0 ? DAL__REQUIRE_FINITE(error, {"u", inputs, u}) : DAL_SUCCESS;
+    if (!status) dal__copy(inputs, u, e->own_input);
+    return status;
 }
 
 /* ---- the calls of the library --------------------------------------------------------------- */

@@ -51,6 +51,8 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
                          "lagrangian", def->missing);
     if (!def->lagrangian && (def->missing & of_lagrangian))
         return dal__fail(error, DAL_EINVAL, "missing = %#x: lagrangian is NULL", def->missing);
+    if (!def->force && def->inputs > 0)
+        return dal__fail(error, DAL_EINVAL, "inputs = %zu: force is NULL", def->inputs);
     if (!def->force && (def->missing & of_force))
         return dal__fail(error, DAL_EINVAL, "missing = %#x: force is NULL", def->missing);
     if (!def->time_dependent && (def->missing & of_time))
@@ -111,7 +113,7 @@ typedef struct possessions {
     dal_system *self;
     void *ctx;
     double *state;
-    const char **coordinates, **invariant_names;
+    const char **coordinates, **input_names, **invariant_names;
     char *text;  /* NULL until its size is known, */
     size_t used; /* which is what was taken of it */
 } possessions;
@@ -126,6 +128,18 @@ static const char *take(possessions *own, const char *text)
     return copy;
 }
 
+/* copies[count] <- the names, or letter0, letter1, ... if they are NULL. */
+static void take_names(possessions *own, size_t count, const char *const *names, char letter,
+                       const char **copies)
+{
+    for (size_t i = 0; i < count; i++) {
+        char generic[24];
+        snprintf(generic, sizeof generic, "%c%zu", letter, i);
+        const char *const name = take(own, names ? names[i] : generic);
+        if (own->text) copies[i] = name;
+    }
+}
+
 /* self->def <- copies of all texts, as many as own has memory for: at first it only counts. */
 static void take_texts(dal_system *self, possessions *own, const dal_system_def *def)
 {
@@ -134,17 +148,11 @@ static void take_texts(dal_system *self, possessions *own, const dal_system_def 
     self->def.description = take(own, def->description);
     self->def.source = take(own, def->source);
     self->def.formulas = take(own, def->formulas);
-    for (size_t i = 0; i < def->n; i++) {
-        char generic[24];
-        snprintf(generic, sizeof generic, "q%zu", i);
-        const char *const name = take(own, def->coordinates ? def->coordinates[i] : generic);
-        if (own->text) own->coordinates[i] = name;
-    }
-    for (size_t i = 0; i < def->invariants; i++) {
-        const char *const name = take(own, def->invariant_names[i]);
-        if (own->text) own->invariant_names[i] = name;
-    }
+    take_names(own, def->n, def->coordinates, 'q', own->coordinates);
+    take_names(own, def->inputs, def->input_names, 'u', own->input_names);
+    take_names(own, def->invariants, def->invariant_names, 'I', own->invariant_names);
     self->def.coordinates = own->coordinates;
+    self->def.input_names = own->input_names;
     self->def.invariant_names = own->invariant_names;
 }
 
@@ -158,6 +166,7 @@ static void plan(arena *a, possessions *own, dal_system *shape, const dal_system
     dal__reserve(a, &own->ctx, def->ctx_size, 1);
     DAL__RESERVE(a, dal__times(2, n), &own->state);
     dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
+    dal__reserve(a, &own->input_names, def->inputs, sizeof *own->input_names);
     dal__reserve(a, &own->invariant_names, def->invariants, sizeof *own->invariant_names);
     dal__reserve(a, &own->text, own->used, 1);
     own->used = 0;
@@ -281,6 +290,13 @@ size_t dal_system_invariants(const dal_system *system) { return system->def.inva
 const char *dal_system_coordinate(const dal_system *system, size_t i)
 {
     return i < system->def.n ? system->def.coordinates[i] : NULL;
+}
+
+size_t dal_system_inputs(const dal_system *system) { return system->def.inputs; }
+
+const char *dal_system_input_name(const dal_system *system, size_t i)
+{
+    return i < system->def.inputs ? system->def.input_names[i] : NULL;
 }
 
 const char *dal_system_parameter_name(const dal_system *system, size_t i)

@@ -42,6 +42,8 @@ typedef struct evaluator {
     dal_constraint_fn constraint;
     void *constraint_ctx;
     bool constant_mass;
+    const double *input;        /* [inputs] of the force: */
+    double *own_input;          /* these, which are 0 at first, or those of a row */
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
     size_t potential_calls, constraint_calls, lagrangian_calls, force_calls;
 } evaluator;
@@ -53,6 +55,8 @@ typedef struct dal__jet {
 
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a);
 void dal__evaluator_bind(evaluator *e, const dal_system *system);
+/* own_input <- u[inputs].  DAL_EINVAL. */
+int dal__evaluator_input(evaluator *e, const double *u, dal_error *error);
 
 /* Calls that check: status of the callback; DAL_EDOMAIN if an output is not finite.  The text
  * names the callback, the component and the value. */

@@ -60,6 +60,8 @@ DAL_API int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
 DAL_API void dal_discrete_free(dal_discrete *discrete);
 /* What the last failure was, with the numbers; "" if there was none. */
 DAL_API const dal_error *dal_discrete_error(const dal_discrete *discrete);
+/* As dal_mechanics_input. */
+DAL_API int dal_discrete_input(dal_discrete *discrete, const double *u);
 
 /* Errors of the functions below: DAL_EINVAL (NULL, not finite, h = 0), DAL_EUSER, DAL_EDOMAIN, and
  * what is said. */

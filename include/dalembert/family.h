@@ -18,6 +18,7 @@ typedef struct dal_motion {
     double t0, h;              /* x is the state at t0 + steps h */
     size_t steps;              /* made since the start; the stepper counts them */
     double *x;                 /* [2n] */
+    const double *input;       /* [inputs] of the force over the next step; mechanics has them */
     double *impulse;           /* [m] h lambda of every step is added */
     dal_stats *stats;
     dal_watch_fn watch;        /* or NULL: asked by steps that may take long, with the time */

@@ -46,12 +46,13 @@ typedef struct dal_check {
 } dal_check;
 
 /* *report <- the system examined at x[2n] and time t; what depends on v also at another velocity,
- * where it is defined there, and at time t + 1.  That a callback besides the force gives other
- * numbers at another time is a finding, unless the system is time_dependent.  The mass is examined
- * at x, curvature and integrable (NaN, 0) only of linear constraints, and condition (NaN) only if M
- * is positive definite.  Findings are in the report; the return value is for
- * what prevents the examination: DAL_EINVAL, DAL_ENOMEM, DAL_EUSER, DAL_EDOMAIN (a callback that
- * is not finite or writes nothing is a finding of its own: passed = 0 and DAL_EDOMAIN). */
+ * where it is defined there, and at time t + 1; a force at inputs of the size of 1.  That a
+ * callback besides the force gives other numbers at another time is a finding, unless the system is
+ * time_dependent.  The mass is examined at x, curvature and integrable (NaN, 0) only of linear
+ * constraints, and condition (NaN) only if M is positive definite.  Findings are in the report; the
+ * return value is for what prevents the examination: DAL_EINVAL, DAL_ENOMEM, DAL_EUSER, DAL_EDOMAIN
+ * (a callback that is not finite or writes nothing is a finding of its own: passed = 0 and
+ * DAL_EDOMAIN). */
 DAL_API int dal_system_check(const dal_system *system, double t, const double *x,
                              dal_check *report, dal_error *error);
 
@@ -65,6 +66,9 @@ DAL_API int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *syste
 DAL_API void dal_mechanics_free(dal_mechanics *mechanics);
 /* What the last failure was, with the numbers; "" if there was none. */
 DAL_API const dal_error *dal_mechanics_error(const dal_mechanics *mechanics);
+
+/* The inputs of the force are u[inputs] in what follows; 0 at first.  DAL_EINVAL. */
+DAL_API int dal_mechanics_input(dal_mechanics *mechanics, const double *u);
 
 /* In this section M is L_vv, and D = {phi(t, q, v) = 0}; mu is phi_v, and phi is mu v where the
  * constraints are linear; all of them at time t.  Errors of the functions below: DAL_EINVAL,
@@ -145,13 +149,14 @@ DAL_API int dal_step_equations(dal_mechanics *mechanics, double t, double beta, 
                                const double *x, const double *w, const double *kappa, double *R1,
                                double *R2, double *K, double *B, double *muk);
 
-/* Evaluates count rows (q, v) of x[count*2n], row k at time t0 + k h: energy[count];
+/* Evaluates count rows (q, v) of x[count*2n], row k at time t0 + k h and with row k of the inputs,
+ * as many as the system has for each row (NULL: those of dal_mechanics_input): energy[count];
  * multipliers[count*m] by lambdax, which have the order of the rows (rmkpdisc); residual[count*m] =
  * phi(q - shift v, v); relative[count] as dal_relative_residual.  Outputs may be NULL.  On failure
  * *done (or NULL) is the number of rows that were evaluated. */
 DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double shift,
-                           size_t count, const double *x, double *energy, double *multipliers,
-                           double *residual, double *relative, size_t *done);
+                           size_t count, const double *x, const double *inputs, double *energy,
+                           double *multipliers, double *residual, double *relative, size_t *done);
 
 /* ---- geometry: charts of D --------------------------------------------------------------- */
 
@@ -172,6 +177,8 @@ DAL_API void dal_chart_free(dal_chart *chart);
 /* What the last failure was, with the numbers, or the last change that dal_chart_renew made; "" if
  * there was neither. */
 DAL_API const dal_error *dal_chart_error(const dal_chart *chart);
+/* As dal_mechanics_input. */
+DAL_API int dal_chart_input(dal_chart *chart, const double *u);
 
 /* Chooses dependent[m], in any order; NULL: by pivoting at x[2n], with the components of v in the
  * units 1/sqrt(M_ii), so that the choice does not depend on the units of q, and with exchanges
@@ -282,6 +289,8 @@ DAL_API int dal_flow_new(dal_flow **flow, const dal_system *system, dal_flow_met
                          dal_flow_coordinates coordinates, double tolerance, dal_error *error);
 DAL_API void dal_flow_free(dal_flow *flow);
 DAL_API const dal_error *dal_flow_error(const dal_flow *flow);
+/* As dal_mechanics_input. */
+DAL_API int dal_flow_input(dal_flow *flow, const double *u);
 
 /* Has watch asked, with the time where the flow is, by all that computes with it; NULL: nobody. */
 DAL_API void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);

@@ -21,8 +21,8 @@ extern "Python" int dal_py_potential(double t, const double *q, double *V, doubl
 extern "Python" int dal_py_lagrangian(double t, const double *q, const double *v, double *L,
                                       double *L_q, double *L_v, double *L_qq, double *L_vq,
                                       double *L_vv, double *L_vt, void *ctx);
-extern "Python" int dal_py_force(double t, const double *q, const double *v, double *f, double *f_q,
-                                 double *f_v, void *ctx);
+extern "Python" int dal_py_force(double t, const double *q, const double *v, const double *u,
+                                 double *f, double *f_q, double *f_v, void *ctx);
 extern "Python" int dal_py_linear(double t, const double *q, const double *v, double *phi,
                                   double *phi_v, double *phi_q, double *phi_t, void *ctx);
 extern "Python" int dal_py_affine(double t, const double *q, const double *v, double *phi,

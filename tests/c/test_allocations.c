@@ -421,7 +421,7 @@ static void test_trajectory(void)
     for (size_t k = 0; k < ROWS; k++) memcpy(rows + k * MOST, state, sizeof state);
     memcpy(x, state, sizeof x);
     const size_t calls = process.calls;
-    CHECK(dal_trajectory(mechanics, 0.0, 0.1, 0.1, ROWS, rows, energy, multipliers, residual,
+    CHECK(dal_trajectory(mechanics, 0.0, 0.1, 0.1, ROWS, rows, NULL, energy, multipliers, residual,
                          relative, &done) == 0);
     CHECK(done == ROWS);
     CHECK(dal_project(mechanics, 0.0, 0.1, x, &distance) == 0);

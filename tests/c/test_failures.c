@@ -649,8 +649,8 @@ static void test_disturbed_rows(void)
         const size_t widths[4] = {1, 2, 2, 1};
         size_t done = 99;
         plan_fault(&f, where, STOP, 0, 0);
-        CHECK(dal_trajectory(mechanics, 0.0, h, 0.1, ROWS, rows, columns[0], columns[1], columns[2],
-                             columns[3], &done) == 0);
+        CHECK(dal_trajectory(mechanics, 0.0, h, 0.1, ROWS, rows, NULL, columns[0], columns[1],
+                             columns[2], columns[3], &done) == 0);
         CHECK(done == ROWS);
         memcpy(good, out, sizeof good);
         const size_t calls = f.call;
@@ -658,7 +658,7 @@ static void test_disturbed_rows(void)
         for (size_t k = 0; k < calls; k++) {
             fill(ROWS * EACH, out, UNTOUCHED);
             plan_fault(&f, where, STOP, k, k + 1);
-            CHECK(dal_trajectory(mechanics, 0.0, h, 0.1, ROWS, rows, columns[0], columns[1],
+            CHECK(dal_trajectory(mechanics, 0.0, h, 0.1, ROWS, rows, NULL, columns[0], columns[1],
                                  columns[2], columns[3], &done) == DAL_EUSER);
             CHECK(done == k / (calls / ROWS));
             for (size_t c = 0; c < 4; c++) {
@@ -991,8 +991,8 @@ static int logarithmic_potential(double t, const double *q, double *V_, double *
 
 /* Midpoint with h = 2 from q = 1, v = 2: q' + 10 ln q' = 5.  From q' = 5 Newton's first step leads
  * to 5 - 10 ln(5)/3 < 0, where there is no V: half of it does not. */
-static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                    void *ctx)
+static int no_force(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
 {
     (void)t, (void)q, (void)v, (void)ctx;
     if (f) *f = 0.0;
@@ -1312,11 +1312,13 @@ static void test_null_mechanics(const dal_system *system, const double *x0)
     CHECK(dal_step_equations(mech, 0.0, NAN, h, x, x, x, out, NULL, NULL, NULL, NULL)
           == DAL_EINVAL);
     CHECK(dal_step_equations(mech, 0.0, 0.5, h, x, x, x, NULL, NULL, NULL, NULL, NULL) == 0);
-    CHECK(dal_trajectory(NULL, 0.0, h, 0.0, 1, x, out, NULL, NULL, NULL, &done) == DAL_EINVAL);
-    CHECK(dal_trajectory(mech, 0.0, h, 0.0, 1, NULL, out, NULL, NULL, NULL, &done) == DAL_EINVAL);
-    CHECK(dal_trajectory(mech, 0.0, h, NAN, 1, x, out, NULL, out, NULL, &done) == DAL_EINVAL);
+    CHECK(dal_trajectory(NULL, 0.0, h, 0.0, 1, x, NULL, out, NULL, NULL, NULL,
+                         &done) == DAL_EINVAL);
+    CHECK(dal_trajectory(mech, 0.0, h, 0.0, 1, NULL, NULL, out, NULL, NULL, NULL,
+                         &done) == DAL_EINVAL);
+    CHECK(dal_trajectory(mech, 0.0, h, NAN, 1, x, NULL, out, NULL, out, NULL, &done) == DAL_EINVAL);
     CHECK(done == 0);
-    CHECK(dal_trajectory(mech, 0.0, h, 0.0, 0, NULL, NULL, NULL, NULL, NULL, NULL) == 0);
+    CHECK(dal_trajectory(mech, 0.0, h, 0.0, 0, NULL, NULL, NULL, NULL, NULL, NULL, NULL) == 0);
     CHECK(memcmp(x, x0, 6 * sizeof *x) == 0 && all_are(MOST, out, UNTOUCHED));
     dal_mechanics_free(mechanics);
     dal_mechanics_free(NULL);
@@ -1452,8 +1454,8 @@ ASKS(huge_project, dal_project(a->mech, 0.0, a->shift, a->x, a->out))
 ASKS(huge_consistent, dal_consistent(a->mech, 0.0, NULL, a->x, a->out))
 ASKS(huge_equations, dal_step_equations(a->mech, a->t, 0.25, a->h, a->x, a->w, a->kappa, a->out,
                                         a->out + 8, a->out + 16, a->out + 80, a->out + 120))
-ASKS(huge_trajectory, dal_trajectory(a->mech, a->t, a->h, a->shift, 1, a->x, a->out, a->out + 1,
-                                     a->out + 9, a->out + 17, NULL))
+ASKS(huge_trajectory, dal_trajectory(a->mech, a->t, a->h, a->shift, 1, a->x, NULL, a->out,
+                                     a->out + 1, a->out + 9, a->out + 17, NULL))
 ASKS(huge_condition, dal_chart_condition(a->chart, 0.0, a->x, a->out))
 ASKS(huge_renew, dal_chart_renew(a->chart, 0.0, a->x, NULL))
 ASKS(huge_connection, dal_chart_connection(a->chart, 0.0, a->x, a->out, a->out + 64))

@@ -105,8 +105,8 @@ static int potential(double t, const double *q, double *V, double *V_q, double *
 }
 
 /* Nothing, but for it a system is a general one, whose steps are those of newton.c. */
-static int no_push(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                   void *ctx)
+static int no_push(double t, const double *q, const double *v, const double *u, double *f,
+                   double *f_q, double *f_v, void *ctx)
 {
     const size_t n = ((const drawn *)ctx)->n;
     (void)t, (void)q, (void)v;
@@ -886,8 +886,8 @@ static void test_led_away(void)
 
 /* ---- the branch that small h lead to -------------------------------------------------------- */
 
-static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                    void *ctx)
+static int no_force(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
 {
     (void)t, (void)q, (void)v, (void)ctx;
     if (f) memset(f, 0, 3 * sizeof *f);
@@ -1132,8 +1132,8 @@ static void test_held(void)
         }
 }
 
-static int no_push_on_one(double t, const double *q, const double *v, double *f, double *f_q,
-                          double *f_v, void *ctx)
+static int no_push_on_one(double t, const double *q, const double *v, const double *u, double *f,
+                          double *f_q, double *f_v, void *ctx)
 {
     (void)t, (void)q, (void)v, (void)ctx;
     if (f) *f = 0.0;
@@ -1183,10 +1183,10 @@ static void test_consistent(void)
     dal_system_free(system);
 }
 
-static int growing_force(double t, const double *q, const double *v, double *f, double *f_q,
-                         double *f_v, void *ctx)
+static int growing_force(double t, const double *q, const double *v, const double *u, double *f,
+                         double *f_q, double *f_v, void *ctx)
 {
-    no_force(t, q, v, f, f_q, f_v, ctx);
+    no_force(t, q, v, u, f, f_q, f_v, ctx);
     if (f) f[2] = t;
     return 0;
 }
@@ -1204,7 +1204,7 @@ static void test_times(void)
     const double x[ROWS][6] = {{0.0, 0.5, 0.0, 1.0, 0.2, 0.5}, {0.0, 0.5, 0.0, 1.0, 0.2, 0.5},
                                {0.0, 0.5, 0.0, 1.0, 0.2, 0.5}};
     double lambda[ROWS], expected;
-    CHECK(dal_trajectory(mechanics, 1.0, 0.5, 0.0, ROWS, x[0], NULL, lambda, NULL, NULL, NULL)
+    CHECK(dal_trajectory(mechanics, 1.0, 0.5, 0.0, ROWS, x[0], NULL, NULL, lambda, NULL, NULL, NULL)
           == 0);
     for (size_t k = 0; k < ROWS; k++) {
         CHECK(dal_multipliers(mechanics, 1.0 + 0.5 * (double)k, x[k], &expected) == 0);

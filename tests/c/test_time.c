@@ -241,7 +241,8 @@ static void test_projections(const variety *a)
     double rows[2][2 * N], energy[2], lambda[2], relative[2];
     memcpy(rows[0], x, sizeof x);
     state_at(&a->s, t + 0.4, rows[1]);
-    CHECK(dal_trajectory(mechanics, t, 0.4, 0.0, 2, rows[0], energy, lambda, NULL, relative, NULL)
+    CHECK(dal_trajectory(mechanics, t, 0.4, 0.0, 2, rows[0], NULL, energy, lambda, NULL, relative,
+                         NULL)
           == 0);
     CHECK(fmax(relative[0], relative[1]) <= 4.0 * N * U);
     CHECK(dal_energy(mechanics, t + 0.4, rows[1], &E) == 0 && E == energy[1]);

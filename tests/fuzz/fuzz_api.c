@@ -117,6 +117,7 @@ typedef struct recipe {
     double bend[MOST_M];     /* phi += bend v_n^2, of nonlinear constraints */
     dal_constraint_kind kind;
     double drag, drive;
+    size_t inputs;           /* of the force: each pushes all coordinates */
     double speed;            /* all but the force is what it was at time 0 at q + speed t */
     faults fault;
     bool quiet;              /* no fault, no end: the checks look at the state */
@@ -309,9 +310,9 @@ static int constraint(double t, const double *place, const double *v, double *ph
     return answer(fault);
 }
 
-/* f_i = -drag v_i + drive sin(t + q_i). */
-static int force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                 void *ctx)
+/* f_i = -drag v_i + drive sin(t + q_i) + u_0 + u_1 + ... */
+static int force(double t, const double *q, const double *v, const double *u, double *f,
+                 double *f_q, double *f_v, void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
@@ -319,8 +320,10 @@ static int force(double t, const double *q, const double *v, double *f, double *
     if (fault == WRITE_NOTHING) return 0;
     if (f_q) memset(f_q, 0, n * n * sizeof *f_q);
     if (f_v) memset(f_v, 0, n * n * sizeof *f_v);
+    double pushed = 0.0;
+    for (size_t k = 0; k < r->inputs; k++) pushed += u[k];
     for (size_t i = 0; i < n; i++) {
-        if (f) f[i] = -r->drag * v[i] + r->drive * sin(t + q[i]);
+        if (f) f[i] = -r->drag * v[i] + r->drive * sin(t + q[i]) + pushed;
         if (f_q) f_q[i * n + i] = r->drive * cos(t + q[i]);
         if (f_v) f_v[i * n + i] = -r->drag;
     }
@@ -561,7 +564,7 @@ static int call_mechanics(world *w)
     const size_t n = w->n, m = w->m;
     const double t = next_ordinary(&w->t);
     dal_mechanics *const a = w->mechanics;
-    switch (next_below(&w->t, 14)) {
+    switch (next_below(&w->t, 15)) {
     case 0: return CALL(dal_energy, a, t, state(w), out(w, 1));
     case 1: return CALL(dal_power, a, t, state(w), out(w, 1), out(w, 1));
     case 2: return CALL(dal_metric, a, t, state(w), out(w, n * n));
@@ -583,11 +586,12 @@ static int call_mechanics(world *w)
     case 12:
         return CALL(dal_step_equations, a, t, beta(w), step_size(w), state(w), in(w, n),
                     in(w, m), out(w, n), out(w, m), out(w, n * n), out(w, m * n), out(w, m * n));
+    case 13: return CALL(dal_mechanics_input, a, in(w, w->r.inputs));
     default: {
         const size_t count = some(w);
         return CALL(dal_trajectory, a, t, next_number(&w->t), step_size(w), count,
-                    in(w, count * 2 * n), rows(w, count, 1, 0), rows(w, count, m, 0),
-                    rows(w, count, m, 0), rows(w, count, 1, 0), done(w));
+                    in(w, count * 2 * n), in(w, count * w->r.inputs), rows(w, count, 1, 0),
+                    rows(w, count, m, 0), rows(w, count, m, 0), rows(w, count, 1, 0), done(w));
     }
     }
 }
@@ -599,7 +603,7 @@ static int call_chart(world *w)
     const double t = next_ordinary(&w->t);
     int moves;
     size_t changes;
-    switch (next_below(&w->t, 16)) {
+    switch (next_below(&w->t, 17)) {
     case 0: {
         size_t dependent[MOST_N + 2] = {0};
         for (size_t k = 0; k < m; k++) dependent[k] = next_below(&w->t, (unsigned)n + 1);
@@ -620,6 +624,7 @@ static int call_chart(world *w)
     case 12: return CALL(dal_chart_multipliers_back, a, t, state(w), in(w, m), out(w, m));
     case 13:
         return CALL(dal_chart_step, a, t, beta(w), step_size(w), moved(w, xi), out(w, m));
+    case 15: return CALL(dal_chart_input, a, in(w, w->r.inputs));
     case 14:
         return CALL(dal_chart_curve, a, t, state(w), state(w), next_number(&w->t), changed(w));
     default: {
@@ -639,7 +644,7 @@ static int call_flow(world *w)
 {
     static const double tolerances[] = {1e-13, 1e-10, 1e-6, 1e-3, 0.1};
     const size_t n = w->n, m = w->m;
-    const unsigned which = next_below(&w->t, 5);
+    const unsigned which = next_below(&w->t, 6);
     if (which == 0 || !w->flow) {
         const unsigned bits = next_byte(&w->t);
         const double tolerance =
@@ -658,6 +663,7 @@ static int call_flow(world *w)
     switch (which) {
     case 1: return CALL(dal_flow_apply, w->flow, t, t + 4.0 * h, changed(w), out(w, 1));
     case 2: return CALL(dal_flow_apply, w->flow, t, next_number(&w->t), changed(w), NULL);
+    case 5: return CALL(dal_flow_input, w->flow, in(w, w->r.inputs));
     case 3: {
         const size_t steps = some(w);
         double *const x = keep_buffer(w, (steps + 1) * 2 * n, false, true);
@@ -686,7 +692,7 @@ static dal_difference_map a_map(world *w)
 static int call_discrete(world *w)
 {
     const size_t n = w->n, m = w->m;
-    const unsigned which = next_below(&w->t, 13);
+    const unsigned which = next_below(&w->t, 14);
     if (which == 0 || !w->discrete) {
         const dal_difference_map lagrangian = a_map(w), other = a_map(w);
         dal_discrete *fresh = NULL;
@@ -720,6 +726,7 @@ static int call_discrete(world *w)
     case 8:
         return CALL(dal_discrete_regularity, a, t, h, in(w, n), in(w, n),
                     out(w, (n + m) * (n + m)), &sign, out_of(w, 1, false), out_of(w, 1, false));
+    case 13: return CALL(dal_discrete_input, a, in(w, w->r.inputs));
     case 9: return CALL(dal_discrete_step, a, t, h, moved(w, n), moved(w, n), out(w, m));
     case 10: {
         const size_t steps = some(w);
@@ -867,6 +874,7 @@ static int call_stepper(world *w)
         settle(w, status);
     }
     const size_t n = w->n, m = w->m;
+    if (which == 2) settle(w, CALL(dal_stepper_input, w->stepper, in(w, w->r.inputs)));
     const standing before = standing_of(w);
     size_t made = 0, asked = 1;
     if (which < 4) {
@@ -1023,12 +1031,13 @@ static void make_own(world *w, dal_system_def *def, double *mass)
     }
     r->drag = next_number(t);
     r->drive = next_number(t);
+    r->inputs = (shape & 12) == 12 ? next_below(t, 3) : 0;
     *def = (dal_system_def){.n = n, .m = m, .kind = r->kind,
                             .mass = shape & 1 ? NULL : mass,
                             .lagrangian = shape & 1 ? lagrangian : NULL,
                             .potential = !(shape & 1) && shape & 2 ? potential : NULL,
                             .constraint = m ? constraint : NULL,
-                            .force = (shape & 12) == 12 ? force : NULL};
+                            .force = (shape & 12) == 12 ? force : NULL, .inputs = r->inputs};
     def->time_dependent = (shape & 192) == 192;
     if (def->time_dependent) r->speed = next_ordinary(given);
     if ((shape & 48) == 48) def->missing = next_byte(given);

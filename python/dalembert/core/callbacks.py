@@ -11,7 +11,7 @@ import numpy as np
 
 from .arguments import Array, Pair, returned, shown
 from .errors import DomainError, name_of, raised
-from .functions import FUNCTIONS, OUTPUTS, Function
+from .functions import OUTPUTS, Function
 from .functions import shape as shape_of
 from .library import ffi, lib
 
@@ -23,11 +23,14 @@ _PLAIN = ("lagrangian", "force", "nonlinear", "deformation")
 
 
 class Callables:
-    """A user's functions, and the shapes of what they return, of n coordinates, m constraints."""
+    """A user's functions, and the shapes of what they return, of n coordinates, m constraints.
 
-    def __init__(self, n: int, m: int, **functions: Function | None) -> None:
+    The force takes inputs, if there are any, as its last argument.
+    """
+
+    def __init__(self, n: int, m: int, inputs: int = 0, **functions: Function | None) -> None:
         self.__dict__.update(functions)
-        self.bytes = 8 * n
+        self.bytes, self.bytes_of_inputs = 8 * n, 8 * inputs
         self.vector, self.multipliers, self.matrix, self.square = (n,), (m,), (m, n), (n, n)
         self.plain = {
             callback: [(name, shape_of(x, n, m)) for x, name in OUTPUTS[callback].items()]
@@ -81,15 +84,20 @@ def dal_py_potential(t: float, q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) ->
 
 
 def _define(callback: str) -> None:
-    """Define the trampoline of a plain callback: (t, q, v, an address for each output, context)."""
-    is_timed = FUNCTIONS.get(callback) == "t, q, v"
+    """Define the trampoline of a plain callback: (t, q, v, an address for each output, context).
+
+    That of the force has the inputs before the outputs.
+    """
+    is_force = callback == "force"
 
     def answer(t: float, q: Any, v: Any, *targets: Any) -> int:
         call = _from_handle(targets[-1])
         size = call.bytes
-        state = _frombuffer(_buffer(q, size)[:]), _frombuffer(_buffer(v, size)[:])
-        if is_timed:
-            state = t, *state
+        state: tuple[Any, ...] = _frombuffer(_buffer(q, size)[:]), _frombuffer(_buffer(v, size)[:])
+        if is_force:
+            state, inputs, targets = (t, *state), targets[0], targets[1:]
+            if call.bytes_of_inputs:
+                state = *state, _frombuffer(_buffer(inputs, call.bytes_of_inputs)[:])
         for (name, shape), target in zip(call.plain[callback], targets):
             if target:
                 _write(target, getattr(call, name)(*state), shape, name)

@@ -15,7 +15,7 @@ from .extras import require
 from .library import ffi
 
 # Number of arguments of the callbacks of dalembert.h.
-ARGUMENTS = {"potential": 6, "constraint": 8, "lagrangian": 11, "force": 7}
+ARGUMENTS = {"potential": 6, "constraint": 8, "lagrangian": 11, "force": 8}
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def trajectory(
             ]
             status = core.attempt(
                 lib.dal_trajectory, mechanics, t0 + start * h, h, shift, count,
-                core.pointer(x, start, count * 2 * system.n), *pointers, done,
+                core.pointer(x, start, count * 2 * system.n), ffi.NULL, *pointers, done,
             )  # fmt: skip
             system._mechanics.check(status, mechanics, start + int(done[0]))
     return values

@@ -35,7 +35,8 @@ _SIGNATURES = {
     "double *phi_q, double *phi_t",
     "lagrangian": "double t, const double *q, const double *v, double *L, double *L_q, "
     "double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt",
-    "force": "double t, const double *q, const double *v, double *f, double *f_q, double *f_v",
+    "force": "double t, const double *q, const double *v, const double *u, double *f, "
+    "double *f_q, double *f_v",
     "exact": "double t, const double *start, double *x",
     "invariant": "double t, const double *start, double *values",
     "mass": "double *M",
@@ -167,7 +168,7 @@ def _function(
     for symbol, place in zip((*model.q, *model.v, *model.p), places):
         if symbol.name in used:
             made.add(f"    const double {symbol.name} = {place};")
-    inputs = [i for i in _names(signature) if i in ("t", "q", "v", "start", "phi_t", "L_vt")]
+    inputs = [i for i in _names(signature) if i in ("t", "q", "v", "u", "start", "phi_t", "L_vt")]
     made.add("    " + ", ".join(f"(void){name}" for name in [*inputs, "p"]) + ";")
     _outputs(made, model, function.name, temporaries, values, Printer(powers))
     made.add("    return 0;\n}\n")

@@ -62,8 +62,8 @@ static int rich_lagrangian(double t, const double *q, const double *v, double *L
     return 0;
 }
 
-static int rich_force(double t, const double *q, const double *v, double *f, double *f_q,
-                      double *f_v, void *ctx)
+static int rich_force(double t, const double *q, const double *v, const double *u, double *f,
+                      double *f_q, double *f_v, void *ctx)
 {
     (void)ctx;
     if (f) {

@@ -47,8 +47,8 @@ static int plain_constraint(double t, const double *q, const double *v, double *
     return 0;
 }
 
-static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                    void *ctx)
+static int no_force(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
 {
     const size_t n = ((const dal_system *)ctx)->def.n;
     (void)t, (void)q, (void)v;
@@ -227,8 +227,8 @@ static int spring(double t, const double *q, double *V, double *V_q, double *V_q
     return 0;
 }
 
-static int damped_drive(double t, const double *q, const double *v, double *f, double *f_q,
-                        double *f_v, void *ctx)
+static int damped_drive(double t, const double *q, const double *v, const double *u, double *f,
+                        double *f_q, double *f_v, void *ctx)
 {
     (void)q, (void)ctx;
     if (f) f[0] = cos(drive * t) - 2 * damping * v[0];
@@ -362,8 +362,8 @@ static int curved_lagrangian(double t, const double *q, const double *v, double 
     return 0;
 }
 
-static int curved_force(double t, const double *q, const double *v, double *f, double *f_q,
-                        double *f_v, void *ctx)
+static int curved_force(double t, const double *q, const double *v, const double *u, double *f,
+                        double *f_q, double *f_v, void *ctx)
 {
     (void)ctx;
     if (f) {
@@ -578,10 +578,10 @@ static int faulty_lagrangian(double t, const double *q, const double *v, double 
     return sabotage(ctx, OF_LAGRANGIAN, L_q ? L_q : L_v ? L_v : L_vv);
 }
 
-static int faulty_force(double t, const double *q, const double *v, double *f, double *f_q,
-                        double *f_v, void *ctx)
+static int faulty_force(double t, const double *q, const double *v, const double *u, double *f,
+                        double *f_q, double *f_v, void *ctx)
 {
-    curved_force(t, q, v, f, f_q, f_v, NULL);
+    curved_force(t, q, v, u, f, f_q, f_v, NULL);
     return sabotage(ctx, OF_FORCE, f ? f : f_v);
 }
 
@@ -630,11 +630,11 @@ static void test_sabotage(void)
                 }
 }
 
-static int late_force(double t, const double *q, const double *v, double *f, double *f_q,
-                      double *f_v, void *ctx)
+static int late_force(double t, const double *q, const double *v, const double *u, double *f,
+                      double *f_q, double *f_v, void *ctx)
 {
     if (!(t >= 2.0)) return 1;
-    return curved_force(t, q, v, f, *(const bool *)ctx ? NULL : f_q, f_v, NULL);
+    return curved_force(t, q, v, u, f, *(const bool *)ctx ? NULL : f_q, f_v, NULL);
 }
 
 static int forgetful_lagrangian(double t, const double *q, const double *v, double *L, double *L_q,
@@ -798,10 +798,10 @@ static int scaled_lagrangian(double t, const double *q, const double *v, double 
     return returned;
 }
 
-static int scaled_no_force(double t, const double *q, const double *v, double *f, double *f_q,
-                           double *f_v, void *ctx)
+static int scaled_no_force(double t, const double *q, const double *v, const double *u, double *f,
+                           double *f_q, double *f_v, void *ctx)
 {
-    return no_force(t, q, v, f, f_q, f_v, (void *)((const other_units *)ctx)->base);
+    return no_force(t, q, v, u, f, f_q, f_v, (void *)((const other_units *)ctx)->base);
 }
 
 static dal_system *open_scaled(const other_units *u, disguise as)
@@ -906,8 +906,8 @@ static void test_units(const char *name, int most, double far)
 
 /* ---- how many iterations --------------------------------------------------------------------- */
 
-static int weight(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                  void *ctx)
+static int weight(double t, const double *q, const double *v, const double *u, double *f,
+                  double *f_q, double *f_v, void *ctx)
 {
     (void)t, (void)q, (void)v;
     if (f) f[0] = *(const double *)ctx;
@@ -948,11 +948,11 @@ static void test_guess(void)
     dal_system_free(system);
 }
 
-static int weight_until(double t, const double *q, const double *v, double *f, double *f_q,
-                        double *f_v, void *ctx)
+static int weight_until(double t, const double *q, const double *v, const double *u, double *f,
+                        double *f_q, double *f_v, void *ctx)
 {
     double g = 9.81;
-    return t <= *(const double *)ctx ? weight(t, q, v, f, f_q, f_v, &g) : 1;
+    return t <= *(const double *)ctx ? weight(t, q, v, u, f, f_q, f_v, &g) : 1;
 }
 
 /* A step that fails after its first sub-step takes no guess from it: it was undone. */
@@ -1127,12 +1127,12 @@ static int pendulum(double t, const double *q, double *V, double *V_q, double *V
     return 0;
 }
 
-static int no_weight(double t, const double *q, const double *v, double *f, double *f_q,
-                     double *f_v, void *ctx)
+static int no_weight(double t, const double *q, const double *v, const double *u, double *f,
+                     double *f_q, double *f_v, void *ctx)
 {
     double none = 0.0;
     (void)ctx;
-    return weight(t, q, v, f, f_q, f_v, &none);
+    return weight(t, q, v, u, f, f_q, f_v, &none);
 }
 
 /* A pendulum that has turned many times: there it is the force that one rounding of q moves. */

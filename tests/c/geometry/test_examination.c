@@ -601,8 +601,8 @@ static int general_lagrangian(double t, const double *q, const double *qdot, dou
 }
 
 /* f = (cos t - x v, -v^3/3 + y, -u w sin z) */
-static int general_force(double t, const double *q, const double *qdot, double *f, double *f_q,
-                         double *f_v, void *ctx)
+static int general_force(double t, const double *q, const double *qdot, const double *input,
+                         double *f, double *f_q, double *f_v, void *ctx)
 {
     general *const g = ctx;
     const double x = q[0], y = q[1], z = q[2], u = qdot[0], v = qdot[1], w = qdot[2];
@@ -960,8 +960,8 @@ static void test_same_mass(void)
 }
 
 /* f = sin(t) (v^2, 0), whose f_v is said to be 0: right at time 0 only. */
-static int late_force(double t, const double *q, const double *v, double *f, double *f_q,
-                      double *f_v, void *ctx)
+static int late_force(double t, const double *q, const double *v, const double *u, double *f,
+                      double *f_q, double *f_v, void *ctx)
 {
     (void)q, (void)ctx;
     if (f) f[0] = sin(t) * v[0] * v[0], f[1] = 0.0;

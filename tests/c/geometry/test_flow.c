@@ -90,8 +90,8 @@ static const struct reference {
 /* q'' = a force, of which the motion from (0, 1) is known. */
 typedef enum push { SPRING, GRAVITY, STEP, PULSE, WAVE } push;
 
-static int pushing(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                   void *ctx)
+static int pushing(double t, const double *q, const double *v, const double *u, double *f,
+                   double *f_q, double *f_v, void *ctx)
 {
     (void)v, (void)f_q, (void)f_v;
     switch (*(const push *)ctx) {
@@ -578,8 +578,8 @@ static void test_unstable_rodas(void)
 }
 
 /* f = -c (v_1 - v_2) (1, -1); c is the ctx. */
-static int friction(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                    void *ctx)
+static int friction(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
 {
     const double c = *(const double *)ctx;
     (void)t, (void)q;

@@ -434,7 +434,8 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
     double x[ROWS * 2 * N], E[ROWS], lambda[ROWS * M], residual[ROWS * M], relative[ROWS];
     size_t done = 99;
     for (unsigned k = 0; k < ROWS; k++) somewhere(n, 31 + k, x + k * 2 * n);
-    CHECK(dal_trajectory(mech, 1.0, 0.1, 0.07, ROWS, x, E, lambda, residual, relative, &done) == 0);
+    CHECK(dal_trajectory(mech, 1.0, 0.1, 0.07, ROWS, x, NULL, E, lambda, residual, relative,
+                         &done) == 0);
     CHECK(done == ROWS);
     for (size_t k = 0; k < ROWS; k++) {
         const double *const row = x + k * 2 * n;
@@ -447,9 +448,11 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
         CHECK(dal_relative_residual(mech, 0.0, 0.07, row, &one) == 0 && one == relative[k]);
         CHECK_NEAR(one, residual_of(system, 0.07, row), ROUNDOFF * one);
     }
-    CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, NULL, NULL) == DAL_SUCCESS);
-    CHECK(dal_trajectory(mech, 0, 0.1, 0, 0, NULL, E, NULL, NULL, NULL, &done) == 0 && done == 0);
-    CHECK(dal_trajectory(mech, 0, 0.1, 0, 1, NULL, E, NULL, NULL, NULL, &done) == DAL_EINVAL);
+    CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, NULL, NULL,
+                         NULL) == DAL_SUCCESS);
+    CHECK(dal_trajectory(mech, 0, 0.1, 0, 0, NULL, NULL, E, NULL, NULL, NULL,
+                         &done) == 0 && done == 0);
+    CHECK(dal_trajectory(mech, 0, 0.1, 0, 1, NULL, NULL, E, NULL, NULL, NULL, &done) == DAL_EINVAL);
     CHECK(strcmp(dal_mechanics_error(mech)->text, "x is NULL") == 0);
 #define NAMED(call, name)                                                       \
     CHECK((call) == DAL_EINVAL);                                                \
@@ -471,9 +474,9 @@ static void test_trajectory(dal_mechanics *mech, const dal_system *system)
     CHECK(strstr(dal_mechanics_error(mech)->text, "beta = 1.5") != NULL);
     x[3 * 2 * n + 1] = NAN;
     E[3] = relative[3] = 7.0;
-    CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, E, NULL, NULL, NULL, &done) == DAL_EINVAL);
+    CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, E, NULL, NULL, NULL, &done) == DAL_EINVAL);
     CHECK(done == 3 && E[3] == 7.0 && strstr(dal_mechanics_error(mech)->text, "x[1]") != NULL);
-    CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, relative, &done)
+    CHECK(dal_trajectory(mech, 0, 0.1, 0, ROWS, x, NULL, NULL, NULL, NULL, relative, &done)
           == DAL_EINVAL);
     CHECK(done == 3 && relative[3] == 7.0);
 }

@@ -609,8 +609,8 @@ static int in_line(double t, const double *q, const double *v, double *phi, doub
     return 0;
 }
 
-static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                    void *ctx)
+static int no_force(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
 {
     (void)t, (void)q, (void)v, (void)ctx;
     if (f) memset(f, 0, 2 * sizeof *f);

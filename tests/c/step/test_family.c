@@ -47,8 +47,8 @@ static void test_runs(const dal_system *system, const dal_scheme *scheme)
         CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
         CHECK(dal_integrate(stepper, STEPS, 1, rows, reactions, NULL, NULL, &done) == 0);
         CHECK(done == STEPS && dal_stepper_time(stepper) == STEPS * h);
-        CHECK(dal_trajectory(mechanics, 0.0, h, 0.0, STEPS + 1, rows, NULL, NULL, NULL, relative,
-                             &good) == 0);
+        CHECK(dal_trajectory(mechanics, 0.0, h, 0.0, STEPS + 1, rows, NULL, NULL, NULL, NULL,
+                             relative, &good) == 0);
         for (size_t row = 0; row <= STEPS; row++) CHECK(relative[row] <= 4 * 4 * 0x1p-53);
         for (size_t i = 0; i < STEPS * M; i++) CHECK(isnan(reactions[i]));
         CHECK(dal_system_exact(system, 1.0, rows, exact) == 0);

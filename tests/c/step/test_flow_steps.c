@@ -91,8 +91,8 @@ static void test_tolerance(void)
 }
 
 /* f = (0, 0, 1/t): the force is asked for at the time of the stepper, which is t0 + k h. */
-static int harmonic(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                    void *ctx)
+static int harmonic(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
 {
     (void)q, (void)v, (void)ctx;
     if (f) f[0] = f[1] = 0.0, f[2] = 1.0 / t;

@@ -479,8 +479,8 @@ static int no_lagrangian(double t, const double *q, const double *v, double *L, 
     return -1;
 }
 
-static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                    void *ctx)
+static int no_force(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
 {
     (void)t, (void)q, (void)v, (void)ctx;
     if (f) memset(f, 0, 3 * sizeof *f);

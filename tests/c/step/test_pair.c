@@ -11,8 +11,8 @@ static const char *const names[] = {"particle",      "generic4",      "disk",   
                                     "rolling_disc",  "ball_on_table", "snakeboard", "pushed"};
 
 /* At rest but for the time: what it pushes with has to be asked for at the right one. */
-static int push(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                void *ctx)
+static int push(double t, const double *q, const double *v, const double *u, double *f, double *f_q,
+                double *f_v, void *ctx)
 {
     (void)v, (void)ctx;
     if (f) {

@@ -184,8 +184,8 @@ static int no_lagrangian(double t, const double *q, const double *v, double *L, 
     return -1;
 }
 
-static int no_force(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                    void *ctx)
+static int no_force(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
 {
     (void)t, (void)q, (void)v, (void)f, (void)f_q, (void)f_v, (void)ctx;
     return -1;

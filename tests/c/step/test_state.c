@@ -14,15 +14,16 @@ enum { MOST_SAVED = 128, MOST_M = 4, MOST_2N = 16, LEGS = 20 };
 
 /* ---- what is stepped ------------------------------------------------------------------------ */
 
-/* uneven_edge, pushed around and braked. */
-static int push(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                void *ctx)
+/* uneven_edge, pushed around and braked, and turned by an input. */
+static const double turn = 0.3;
+static int push(double t, const double *q, const double *v, const double *u, double *f, double *f_q,
+                double *f_v, void *ctx)
 {
     (void)ctx;
     if (f) {
         f[0] = sin(t) - 0.1 * v[0];
         f[1] = cos(q[0]) - 0.1 * v[1];
-        f[2] = -0.05 * v[2];
+        f[2] = u[0] - 0.05 * v[2];
     }
     if (f_q) {
         memset(f_q, 0, 9 * sizeof *f_q);
@@ -59,8 +60,13 @@ static dal_system *open_numbered(size_t which, dal_system **base)
     if (which - count == UNEVEN) return open_system("uneven_edge");
     *base = open_system(which - count == NONLINEAR ? "generic4" : "uneven_edge");
     dal_system_def def = (*base)->def;
-    if (which - count == PUSHED) def.force = push;
-    else def.potential = swing;
+    if (which - count == PUSHED) {
+        def.force = push;
+        def.inputs = 1;
+        def.input_names = NULL;
+    } else {
+        def.potential = swing;
+    }
     def.time_dependent = def.potential == swing;
     need(which - count == NONLINEAR ? dal_system_deform_nodes(&system, *base, 0.01, NULL)
                                     : dal_system_new(&system, &def, NULL),
@@ -142,6 +148,7 @@ static outcome walk(const leg *l)
     o.status = l->saved > 0 ? dal_stepper_restore(stepper, l->values, l->saved)
                             : dal_stepper_start(stepper, 0.5, l->h, x, DAL_CHECK,
                                                 initial_of(&scheme));
+    if (!o.status && l->saved == 0) o.status = dal_stepper_input(stepper, &turn);
     if (!o.status) o.status = dal_advance(stepper, l->steps, o.reaction, NULL);
     snprintf(o.message, sizeof o.message, "%s", dal_stepper_error(stepper)->text);
     o.saved = dal_stepper_saved(stepper);
@@ -223,6 +230,7 @@ static void check_legs(size_t which_system, size_t which_scheme, double h, size_
     state_of(system, x);
     need(dal_stepper_start(stepper, 0.5, h, x, DAL_CHECK, initial_of(&scheme)), where,
          dal_stepper_error(stepper)->text);
+    CHECK(dal_stepper_input(stepper, &turn) == 0);
     const int status =
         dal_integrate(stepper, LEGS * steps, steps, rows, reactions, NULL, NULL, &done);
     leg l = {.system = which_system, .scheme = which_scheme, .h = h};

@@ -283,8 +283,8 @@ static int kinetic(double t, const double *q, const double *v, double *L, double
     return 0;
 }
 
-static int friction(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                    void *ctx)
+static int friction(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
 {
     (void)t, (void)q, (void)ctx;
     for (size_t i = 0; f && i < 3; i++) f[i] = -0.1 * v[i];

@@ -43,8 +43,8 @@ static int lagrangian2(double t, const double *q, const double *v, double *L, do
     return 0;
 }
 
-static int force2(double t, const double *q, const double *v, double *f, double *f_q, double *f_v,
-                  void *ctx)
+static int force2(double t, const double *q, const double *v, const double *u, double *f,
+                  double *f_q, double *f_v, void *ctx)
 {
     (void)t, (void)q, (void)v, (void)f, (void)f_q, (void)f_v, (void)ctx;
     return 0;

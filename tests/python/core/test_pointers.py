@@ -35,10 +35,11 @@ int potential(double t, const double *q, double *V, double *V_q, double *V_qq, v
     for (int i = 0; V_qq && i < 9; i++) V_qq[i] = i % 4 ? 0 : k[i / 4];
     return 0;
 }
-int drag(double t, const double *q, const double *v, double *f, double *f_q, double *f_v, void *ctx)
+int drag(double t, const double *q, const double *v, const double *u, double *f, double *f_q,
+         double *f_v, void *ctx)
 {
     const double *k = ctx;
-    (void)t, (void)q;
+    (void)t, (void)q, (void)u;
     for (int i = 0; f && i < 3; i++) f[i] = -k[3] * v[i];
     for (int i = 0; f_q && i < 9; i++) f_q[i] = 0;
     for (int i = 0; f_v && i < 9; i++) f_v[i] = i % 4 ? 0 : -k[3];
@@ -65,7 +66,7 @@ int refuse(double t, const double *q, const double *v, double *phi, double *phi_
     return constraint(t, q, v, phi, phi_v, phi_q, phi_t, ctx);
 }
 """
-ARGUMENTS = {"constraint": 8, "potential": 6, "drag": 7, "lagrangian": 11, "refuse": 8}
+ARGUMENTS = {"constraint": 8, "potential": 6, "drag": 8, "lagrangian": 11, "refuse": 8}
 START = {"q0": [0.5, 0.3, -0.2], "v0": [1.0, 0.7, 0.3]}
 SPRINGS = np.array([1.0, 2.0, 1.5, 0.1])
 
@@ -231,7 +232,7 @@ def test_refused(library):
     constraint = of_ctypes(library, "constraint")
     good = {"mass": [1, 1, 1], "constraint": constraint, "m": 1}
     cases = [
-        ({**good, "potential": of_ctypes(library, "drag")}, "7 arguments, expected the 6"),
+        ({**good, "potential": of_ctypes(library, "drag")}, "8 arguments, expected the 6"),
         ({**good, "potential": lambda q: 0.0}, "together with the C function constraint"),
         ({**good, "forms": lambda q: [[1, 0, 0]]}, "together with the C function"),
         ({"mass": [1, 1, 1], "constraint": constraint}, "m = None"),

@@ -135,6 +135,8 @@ def evaluate(system, name, t, q, v):
     ctx = core.ffi.cast("void *", parameters.ctypes.data)
     point = [t, q] if name == "potential" else [t, q, v]
     rates = [] if name in ("potential", "force") else [core.ffi.NULL]  # phi_t, L_vt
+    if name == "force":
+        point.append(np.zeros(0))  # the inputs
     inputs = [x if isinstance(x, float) else core.pointer(x) for x in point]
     together = {key: np.full(size, np.nan) for key, size in shapes.items()}
     assert function(*inputs, *(core.pointer(x) for x in together.values()), *rates, ctx) == 0
