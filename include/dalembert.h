@@ -58,7 +58,8 @@ typedef enum dal_status {
     DAL_ESINGULAR = -5,    /* a matrix that has to be invertible is not, to working precision */
     DAL_ENOCONV = -6,      /* an iteration did not converge */
     DAL_EOFFD = -7,        /* initial data do not satisfy the constraint */
-    DAL_EUNSUPPORTED = -8  /* the request is valid and this version does not provide it */
+    DAL_EUNSUPPORTED = -8, /* the request is valid and this version does not provide it */
+    DAL_EZENO = -10        /* events accumulate: there are too many in one step */
 } dal_status;
 
 /* What went wrong, in words with the numbers; text is empty on success.  Functions that make
@@ -431,6 +432,12 @@ typedef int (*dal_observer_fn)(size_t step, double t, const double *x, void *ctx
  * a controller.  Returns as an observer. */
 typedef int (*dal_control_fn)(size_t step, double t, const double *x, double *u, void *ctx);
 
+/* Called in the order of time, after the step in which it happened, and before its state is stored:
+ * event number `event` at time t, in step `step`, counted as by an observer; x[2n] the state there;
+ * after[2n] that after its reset, or NULL.  Returns as an observer. */
+typedef int (*dal_happened_fn)(size_t event, size_t step, double t, const double *x,
+                               const double *after, void *ctx);
+
 /* A run of a stepper: zero-initialise, set what is above done, and let it go. */
 typedef struct dal_run {
     dal_stepper *stepper;   /* started */
@@ -447,8 +454,17 @@ typedef struct dal_run {
     void *observer_ctx;
     dal_watch_fn watch;     /* or NULL: asked within steps that take long, with their time */
     void *watch_ctx;
+    struct dal_events *events; /* of the stepper, see dalembert/events.h; or NULL */
+    dal_happened_fn happened; /* or NULL */
+    void *happened_ctx;
+    const double *times;    /* [time_count], of the run, one after the other; needs events */
+    size_t time_count;
+    double *at;             /* [time_count*2n]: the states at times, in the set the scheme keeps */
     size_t done;            /* steps made */
     size_t stored;          /* rows of x that are valid */
+    size_t timed;           /* rows of at that are valid */
+    int ended;              /* 1: a terminal event has ended the run at t_end; the state there is */
+    double t_end;           /* the last row of x, the stepper stands before the step */
 } dal_run;
 
 /* At most budget steps more of the run: so the caller can look at clocks and signals in between.

@@ -1,5 +1,5 @@
 /* A run: what comes in, what is stored, and who watches. */
-#include "step/step.h"
+#include "run/run.h"
 
 #include <string.h>
 
@@ -14,8 +14,7 @@ static int store_reaction(const dal_run *run)
     return dal__stepper_reaction(run->stepper, run->stride, run->reactions + (run->stored - 1) * m);
 }
 
-/* The status of a function of the user that watches the run. */
-static int heed(const dal_run *run, const char *name, int returned)
+int dal__heed(const dal_run *run, const char *name, int returned)
 {
     if (returned > 0) return DAL_STOPPED;
     if (returned == 0) return DAL_SUCCESS;
@@ -36,8 +35,8 @@ static int store(dal_run *run)
     if (run->x) memcpy(run->x + run->stored * N, motion->x, N * sizeof *run->x);
     run->stored++;
     if (!run->observer) return DAL_SUCCESS;
-    return heed(run, "observer", run->observer(motion->steps, dal_stepper_time(stepper), motion->x,
-                                               run->observer_ctx));
+    return dal__heed(run, "observer", run->observer(motion->steps, dal_stepper_time(stepper),
+                                                    motion->x, run->observer_ctx));
 }
 
 static size_t hold_of(const dal_run *run) { return run->hold > 0 ? run->hold : 1; }
@@ -53,8 +52,8 @@ static int hand_inputs(const dal_run *run)
     int status = DAL_SUCCESS;
     if (run->control) {
         dal__forget(width, u);
-        status = heed(run, "control", run->control(motion->steps, dal_stepper_time(stepper),
-                                                   motion->x, u, run->control_ctx));
+        status = dal__heed(run, "control", run->control(motion->steps, dal_stepper_time(stepper),
+                                                        motion->x, u, run->control_ctx));
     }
     if (status) return status;
     return dal__fail_because(&stepper->error, dal_stepper_input(stepper, u), &stepper->error,
@@ -73,7 +72,19 @@ static int check(const dal_run *run)
                          "for what it writes");
     if (run->inputs && run->stepper->motion.system->def.inputs == 0)
         return dal__fail(error, DAL_EINVAL, "inputs is not NULL, but the system has none");
-    return dal__stepper_started(run->stepper);
+    const int status = dal__stepper_started(run->stepper);
+    return status ? status : dal__events_check(run);
+}
+
+/* A step with what happens in it; where the run ends in it the state there is one more row. */
+static int look_and_step(dal_run *run, size_t *made)
+{
+    const size_t m = run->stepper->mech.m, N = 2 * run->stepper->mech.n;
+    double *const row = run->x ? run->x + run->stored * N : run->stepper->fresh;
+    double *const reaction = run->reactions ? run->reactions + (run->stored - 1) * m : NULL;
+    const int status = dal__events_step(run, row, reaction, made);
+    run->stored += (size_t)run->ended;
+    return status || !run->ended ? status : DAL_STOPPED;
 }
 
 int dal_run_go(dal_run *run, size_t budget)
@@ -81,6 +92,7 @@ int dal_run_go(dal_run *run, size_t budget)
     if (!run || !run->stepper) return DAL_EINVAL;
     dal_motion *const motion = &run->stepper->motion;
     int status = check(run);
+    if (!status && run->ended) return DAL_STOPPED;
     if (!status && is_due(run)) status = store(run);
     motion->watch = run->watch;
     motion->watch_ctx = run->watch_ctx;
@@ -90,7 +102,8 @@ int dal_run_go(dal_run *run, size_t budget)
         status = hand_inputs(run);
         if (status) break;
         if (run->inputs && held < left) left = held;
-        status = dal__stepper_advance(run->stepper, left < budget ? left : budget, &made);
+        if (run->events) status = look_and_step(run, &made);
+        else status = dal__stepper_advance(run->stepper, left < budget ? left : budget, &made);
         budget -= made;
         run->done += made;
         if (!status && is_due(run)) status = store(run);

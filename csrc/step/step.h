@@ -85,6 +85,9 @@ int dal__stepper_check_times(dal_stepper *stepper, double t0, double h);
 void dal__stepper_forget_impulse(dal_stepper *stepper);
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made);
 int dal__stepper_reaction(dal_stepper *stepper, size_t steps, double *reaction);
+/* The state after the last step becomes x[2n], from where the motion is another one: the predictor
+ * is forgotten, and the energy is that from now on.  The errors of the callbacks. */
+int dal__stepper_land(dal_stepper *stepper, const double *x);
 /* Looks at the energy of the state now.  DAL_EUSER. */
 int dal__stepper_look(dal_stepper *stepper);
 /* Has the steps of a beta-scheme made by the compilation for any sizes: for tests. */

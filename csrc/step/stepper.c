@@ -264,6 +264,22 @@ int dal__stepper_look(dal_stepper *stepper)
     return status;
 }
 
+int dal__stepper_land(dal_stepper *stepper, const double *x)
+{
+    dal_motion *const motion = &stepper->motion;
+    dal__jump jump = {0};
+    const int status =
+        dal__jump_start(&jump, &stepper->mech, stepper->scheme.order, stepper->jump.shift, x);
+    if (status) {
+        stepper->error = stepper->mech.error;
+        return status;
+    }
+    if (stepper->jump.step == 0) stepper->jump = jump;
+    memcpy(motion->x, x, 2 * stepper->mech.n * sizeof *x);
+    if (stepper->family->start) stepper->family->start(stepper->method, motion);
+    return DAL_SUCCESS;
+}
+
 int dal__stepper_started(dal_stepper *stepper)
 {
     if (stepper->started) return DAL_SUCCESS;

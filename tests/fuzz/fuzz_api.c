@@ -521,7 +521,7 @@ static size_t *done(world *w)
 /* What every call owes, from what it returned. */
 static void settle(world *w, int status)
 {
-    MUST(status >= DAL_EUNSUPPORTED && status <= DAL_STOPPED, "%s returned %d", w->call, status);
+    MUST(status >= DAL_EZENO && status <= DAL_STOPPED, "%s returned %d", w->call, status);
     for (size_t k = 0; k < w->used; k++) {
         buffer *const b = &w->buffers[k];
         const size_t written = b->row ? (w->done + b->extra) * b->row : 0;

@@ -1,0 +1,479 @@
+/* What happens between the steps of a run. */
+#include "run/events.h"
+#include "run/run.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { SAVED = 4 };      /* numbers of a guard */
+#define TOGETHER 0x1p-44 /* parts of a step that differ by no more are the same */
+#define AT_REST 0x1p-20  /* a rate after a reset is none, as part of that before it */
+
+/* ---- making -------------------------------------------------------------------------------- */
+
+static int check_list(const dal_event *list, size_t count, dal_error *error)
+{
+    if (count > 0 && !list) return dal__fail(error, DAL_EINVAL, "list is NULL");
+    for (size_t i = 0; i < count; i++) {
+        if (!list[i].g) return dal__fail(error, DAL_EINVAL, "list[%zu].g is NULL", i);
+        if ((int)list[i].consistency < DAL_CHECK || list[i].consistency > DAL_ASSUME)
+            return dal__fail(error, DAL_EINVAL, "list[%zu].consistency = %d is not a "
+                             "dal_consistency", i, (int)list[i].consistency);
+    }
+    return DAL_SUCCESS;
+}
+
+static int allocate(dal_events **events, const dal_stepper *stepper, size_t count,
+                    dal_error *error)
+{
+    const size_t n = stepper->mech.n, m = stepper->mech.m;
+    dal_events shape = {.stepper = stepper, .count = count, .n = n, .m = m}, *self;
+    double *states;
+    arena a = {0};
+    dal__reserve(&a, &self, 1, sizeof *self);
+    dal__reserve(&a, &shape.list, count, sizeof *shape.list);
+    dal__reserve(&a, &shape.guards, count, sizeof *shape.guards);
+    dal__reserve(&a, &shape.before, count, sizeof *shape.before);
+    dal__reserve(&a, &shape.crossings, dal__times(2, count), sizeof *shape.crossings);
+    dal__reserve(&a, &shape.solver.state, 1, gsl_root_fsolver_brent->size);
+    DAL__RESERVE(&a, dal_stepper_saved(stepper), &shape.saved);
+    DAL__RESERVE(&a, m, &shape.impulse, &shape.whole, &shape.parts);
+    DAL__RESERVE(&a, 2 * n, &shape.begin, &shape.end, &shape.x, &shape.line, &shape.last);
+    DAL__RESERVE(&a, dal__times(4 * DAL_MOST_EVENTS, n), &states);
+    const int status = dal__allocate(&a, error);
+    if (status) return status;
+    *self = shape;
+    self->arena = a;
+    self->solver.type = gsl_root_fsolver_brent;
+    for (size_t k = 0; k < DAL_MOST_EVENTS; k++) {
+        self->happened[k].x = states + 4 * n * k;
+        self->happened[k].after = states + 4 * n * k + 2 * n;
+    }
+    *events = self;
+    return DAL_SUCCESS;
+}
+
+int dal_events_new(dal_events **events, const dal_stepper *stepper, const dal_scheme *scheme,
+                   const dal_event *list, size_t count, dal_error *error)
+{
+    int status =
+        DAL__REQUIRE(error, {"events", events}, {"stepper", stepper}, {"scheme", scheme});
+    if (!status) status = check_list(list, count, error);
+    if (status) return status;
+    const dal_system *const system = stepper->motion.system;
+    if (dal__scheme_identify(system, scheme) != stepper->identity)
+        return dal__fail(error, DAL_EINVAL, "scheme is not that of the stepper");
+    if (dal_stepper_saved(stepper) == 0)
+        return dal__fail(error, DAL_EUNSUPPORTED, "the steps of \"%s\" cannot be resumed, and so "
+                         "cannot be looked into", scheme->name);
+    dal_events *self;
+    status = allocate(&self, stepper, count, error);
+    if (status) return status;
+    dal_scheme moved = *scheme;
+    moved.nodes = DAL_MOVED_NODES;
+    status = dal_stepper_new(&self->probe, system, &moved,
+                             &(dal_options){.max_iterations = stepper->motion.max_iterations},
+                             error);
+    if (status) {
+        dal_events_free(self);
+        return status;
+    }
+    if (count > 0) memcpy(self->list, list, count * sizeof *list);
+    *events = self;
+    return DAL_SUCCESS;
+}
+
+void dal_events_free(dal_events *events)
+{
+    if (!events) return;
+    dal_stepper_free(events->probe);
+    arena memory = events->arena; /* the object lies inside it */
+    dal__release(&memory);
+}
+
+size_t dal_events_doubts(const dal_events *events, size_t *event, double *t, double *g)
+{
+    if (event) *event = events->doubt_event;
+    if (t) *t = events->doubt_t;
+    if (g) *g = events->doubt_g;
+    return events->doubts;
+}
+
+size_t dal_events_saved(const dal_events *events) { return SAVED * events->count; }
+
+void dal_events_save(const dal_events *events, double *values)
+{
+    for (size_t i = 0; i < events->count; i++, values += SAVED) {
+        const guard *const g = &events->guards[i];
+        const double of[SAVED] = {g->side, g->waits, (double)g->happened, g->size};
+        memcpy(values, of, sizeof of);
+    }
+}
+
+static bool is_of_a_guard(const double *values)
+{
+    const double side = values[0], waits = values[1], happened = values[2];
+    return (side == 0.0 || fabs(side) == 1.0) && (waits == 0.0 || waits == 1.0) && happened >= 0.0
+        && happened <= 0x1p53 && happened == floor(happened) && values[3] >= 0.0
+        && isfinite(values[3]);
+}
+
+int dal_events_restore(dal_events *events, const double *values, size_t count, dal_error *error)
+{
+    int status = DAL__REQUIRE(error, {"events", events}, {"values", values || count == 0});
+    if (status) return status;
+    if (count != dal_events_saved(events))
+        return dal__fail(error, DAL_EINVAL, "count = %zu: %zu events have %zu numbers", count,
+                         events->count, dal_events_saved(events));
+    for (size_t i = 0; i < events->count; i++)
+        if (!is_of_a_guard(values + SAVED * i))
+            return dal__fail(error, DAL_EINVAL, "values[%zu] and what follows is not of an event",
+                             SAVED * i);
+    for (size_t i = 0; i < events->count; i++, values += SAVED)
+        events->guards[i] = (guard){.side = (int)values[0], .waits = values[1] != 0.0,
+                                    .happened = (size_t)values[2], .size = values[3]};
+    if (events->stepper->started) {
+        memcpy(events->last, events->stepper->motion.x, 2 * events->n * sizeof(double));
+        events->step = events->stepper->motion.steps;
+        events->known = true;
+        events->valued = false;
+    }
+    return DAL_SUCCESS;
+}
+
+/* The guards after a step. */
+static void settle(dal_events *e)
+{
+    for (size_t i = 0; i < e->count; i++) {
+        guard *const g = &e->guards[i];
+        const int side = dal__sign(g->end);
+        if (!g->waits || side == g->side) {
+            g->side = side;
+            g->waits = false;
+        }
+        g->crossed = false;
+        g->begin = g->end;
+    }
+}
+
+/* y <- x with q moved by shift v. */
+static void move(const dal_events *e, double shift, const double *x, double *y)
+{
+    memcpy(y, x, 2 * e->n * sizeof *y);
+    if (shift != 0.0)
+        for (size_t i = 0; i < e->n; i++) y[i] += shift * x[e->n + i];
+}
+
+/* ---- times --------------------------------------------------------------------------------- */
+
+/* The states at times of the run up to theta, in the set that the scheme keeps. */
+static int make_times(dal_events *e, dal_run *run, double theta)
+{
+    const double end = dal__time_at(e, theta), ahead = e->h > 0.0 ? 1.0 : -1.0;
+    for (; e->timed < run->time_count; e->timed++) {
+        const double t = run->times[e->timed];
+        const double near = theta == 1.0 ? 4.0 * DAL_ROUNDOFF * fmax(fabs(t), fabs(end)) : 0.0;
+        if (ahead * (t - end) > near) break;
+        const double at = ahead * (end - t) <= near ? theta : fmax((t - e->t) / e->h, e->from);
+        const int status = dal__reach(e, at, e->x);
+        if (status) return status;
+        move(e, e->shift, e->x, run->at + e->timed * 2 * e->n);
+    }
+    return DAL_SUCCESS;
+}
+
+/* ---- resets -------------------------------------------------------------------------------- */
+
+/* The impulse of the way to theta, where reach has just been. */
+static void add_impulse(dal_events *e, double theta)
+{
+    const double *const impulse = theta == 1.0 ? e->whole : e->probe->motion.impulse;
+    for (size_t a = 0; a < e->m; a++) e->parts[a] += impulse[a];
+}
+
+/* x[2n] <- what the reset makes of it. */
+static int reset(dal_events *e, const crossing *c, double *x)
+{
+    const dal_event *const one = &e->list[c->event];
+    dal_stepper *const probe = e->probe;
+    const double t = dal__time_at(e, c->theta);
+    const int returned = one->reset(t, x, one->ctx);
+    if (returned)
+        return dal__fail(e->error, dal__callback_status(returned), "the reset of event %zu "
+                         "returned %d at t = %g", c->event, returned, t);
+    const int status =
+        dal_stepper_start(probe, t, e->h, x, one->consistency, DAL_INITIAL_NONE);
+    if (!status) memcpy(x, probe->motion.x, 2 * e->n * sizeof *x);
+    return dal__fail_because(e->error, status, &probe->error, "after the reset of event %zu at t = "
+                             "%g: ", c->event, t);
+}
+
+/* The side of a guard whose reset has led to g = begin, where it was at and moved with a rate. */
+static int leave(dal_events *e, size_t event, double at, double rate)
+{
+    guard *const g = &e->guards[event];
+    double after;
+    g->side = dal__sign(g->begin);
+    g->crossed = false;
+    g->waits = fabs(g->begin) <= fmax(dal__event_rounding(g), 8.0 * fabs(at));
+    if (!g->waits) return DAL_SUCCESS;
+    const int status = dal__event_rate(e, event, e->from, e->begin, g->begin, 1.0, &after);
+    if (status) return status;
+    if (fabs(after) <= AT_REST * fabs(rate))
+        return dal__event_rests(e, event, "with a rate of %g", after / e->h);
+    g->side = dal__sign(after);
+    return DAL_SUCCESS;
+}
+
+/* The side of another guard after a reset.  At zero, where it crosses at the same time, or is on a
+ * way of its own from there; or, as one that has crossed before, on neither side. */
+static void pass(guard *g)
+{
+    const bool small = fabs(g->begin) <= 1024.0 * dal__event_rounding(g);
+    if (g->due || (g->waits && small)) return;
+    g->side = small && g->crossed ? 0 : dal__sign(g->begin);
+    g->waits = g->crossed = false;
+}
+
+/* The span from the event on; happening has the state before and after it. */
+static int begin_anew(dal_events *e, const crossing *c, const happening *now)
+{
+    const double t = dal__time_at(e, c->theta);
+    double rate, at;
+    int status = dal__event_value(e, c->event, t, now->x, &at);
+    if (!status) status = dal__event_rate(e, c->event, c->theta, now->x, at, -1.0, &rate);
+    if (status) return status;
+
+    memcpy(e->begin, now->after, 2 * e->n * sizeof *e->begin);
+    memcpy(e->x, now->after, 2 * e->n * sizeof *e->x);
+    const double end = dal__time_at(e, 1.0);
+    status = dal__probe(e, t, end - t, e->x);
+    memcpy(e->end, e->x, 2 * e->n * sizeof *e->end);
+    memcpy(e->whole, e->probe->motion.impulse, e->m * sizeof *e->whole);
+    e->from = c->theta;
+    e->landed = true;
+    for (size_t i = 0; !status && i < e->count; i++) {
+        guard *const g = &e->guards[i];
+        status = dal__event_value(e, i, t, e->begin, &g->begin);
+        if (!status && i != c->event) pass(g);
+    }
+    if (!status) status = leave(e, c->event, at, rate);
+    for (size_t i = 0; !status && i < e->count; i++)
+        status = dal__event_value(e, i, end, e->end, &e->guards[i].end);
+    return status;
+}
+
+/* ---- a step -------------------------------------------------------------------------------- */
+
+/* The state at an event, which resets and the end of the run then have. */
+static int enter(dal_events *e, dal_run *run, const crossing *c, happening *now)
+{
+    const dal_event *const one = &e->list[c->event];
+    guard *const g = &e->guards[c->event];
+    int status = DAL_SUCCESS;
+    g->happened++;
+    run->ended = one->terminal > 0 && g->happened >= one->terminal;
+    *now = (happening){.event = c->event, .t = dal__time_at(e, c->theta), .x = now->x,
+                       .after = now->after, .reset = one->reset && !run->ended};
+    if (now->reset || run->ended) status = make_times(e, run, c->theta);
+    if (!status) status = dal__reach(e, c->theta, now->x);
+    if (status || (!now->reset && !run->ended)) return status;
+    add_impulse(e, c->theta);
+    run->t_end = now->t;
+    memcpy(now->after, now->x, 2 * e->n * sizeof *now->x);
+    return now->reset ? reset(e, c, now->after) : DAL_SUCCESS;
+}
+
+/* What happens at a crossing; *anew: in a span that begins there.  Those after it are [later]. */
+static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, bool *anew)
+{
+    const int direction = dal__sign(e->list[c->event].direction);
+    guard *const g = &e->guards[c->event];
+    g->side = c->theta == 1.0 && g->end == 0.0 ? 0 : c->to;
+    g->waits = g->due = false;
+    g->crossed = true;
+    if (direction != 0 && direction != c->to) return DAL_SUCCESS;
+    if (e->happenings == DAL_MOST_EVENTS)
+        return dal__fail(e->error, DAL_EZENO, "event %zu, t = %g: %d events within a step of h = "
+                         "%g: they accumulate; end the run before that with a terminal event, or "
+                         "take a smaller h", c->event, dal__time_at(e, c->theta),
+                         (int)DAL_MOST_EVENTS, e->h);
+    happening *const now = &e->happened[e->happenings++];
+    const int status = enter(e, run, c, now);
+    *anew = now->reset;
+    if (status || !now->reset) return status;
+    for (size_t k = 1; k <= later; k++)
+        e->guards[c[k].event].due = c[k].theta <= c->theta + TOGETHER;
+    return begin_anew(e, c, now);
+}
+
+/* The spans of a step that the stepper has made. */
+static int look_into(dal_events *e, dal_run *run)
+{
+    bool anew = true;
+    int status = DAL_SUCCESS;
+    for (size_t i = 0; !status && i < e->count; i++)
+        status = dal__event_value(e, i, dal__time_at(e, 1.0), e->end, &e->guards[i].end);
+    while (!status && anew && !run->ended) {
+        size_t found;
+        anew = false;
+        status = dal__find_crossings(e, &found);
+        for (size_t k = 0; !status && !anew && !run->ended && k < found; k++) {
+            status = happen(e, run, &e->crossings[k], found - k - 1, &anew);
+        }
+    }
+    if (!status && !run->ended) status = make_times(e, run, 1.0);
+    return status;
+}
+
+/* The span is the step that comes, and the guards have values at its beginning. */
+static int prepare(dal_events *e, dal_run *run)
+{
+    const dal_motion *const motion = &run->stepper->motion;
+    const size_t N = 2 * e->n;
+    const bool same = e->known && e->step == motion->steps
+                   && memcmp(e->last, motion->x, N * sizeof *motion->x) == 0;
+    int status = DAL_SUCCESS;
+    e->t = dal_stepper_time(run->stepper);
+    e->h = motion->h;
+    e->shift = run->stepper->shift * e->h;
+    e->from = 0.0;
+    e->timed = run->timed;
+    e->happenings = 0;
+    e->landed = false;
+    memset(e->parts, 0, e->m * sizeof *e->parts);
+    move(e, -e->shift, motion->x, e->begin);
+    for (size_t i = 0; !status && !(same && e->valued) && i < e->count; i++) {
+        guard *const g = &e->guards[i];
+        status = dal__event_value(e, i, e->t, e->begin, &g->begin);
+        if (status || same) continue;
+        *g = (guard){.side = dal__sign(g->begin), .size = fabs(g->begin), .begin = g->begin};
+    }
+    if (status) return status;
+    memcpy(e->last, motion->x, N * sizeof *e->last);
+    e->step = motion->steps;
+    e->known = e->valued = true;
+    if (e->count > 0) memcpy(e->before, e->guards, e->count * sizeof *e->guards);
+    e->doubts_before = e->doubts;
+    memcpy(e->impulse, motion->impulse, e->m * sizeof *e->impulse);
+    return dal_stepper_save(run->stepper, e->saved);
+}
+
+/* The stepper stands before the step again. */
+static void take_back(dal_events *e, dal_run *run)
+{
+    dal_stepper_restore(run->stepper, e->saved, dal_stepper_saved(run->stepper));
+    memcpy(run->stepper->motion.impulse, e->impulse, e->m * sizeof *e->impulse);
+    if (e->count > 0) memcpy(e->guards, e->before, e->count * sizeof *e->guards);
+    e->doubts = e->doubts_before;
+    run->ended = 0;
+}
+
+/* The stepper stands after the step, which resets have changed. */
+static int land(dal_events *e, dal_run *run)
+{
+    double *const impulse = run->stepper->motion.impulse;
+    move(e, e->shift, e->end, e->x);
+    for (size_t a = 0; a < e->m; a++) impulse[a] = e->impulse[a] + e->parts[a] + e->whole[a];
+    return dal__stepper_land(run->stepper, e->x);
+}
+
+/* The state in which the run ends, and the mean force since the last one that was stored. */
+static void end_run(const dal_events *e, const dal_run *run, double *end, double *reaction)
+{
+    const size_t since = run->done - (run->stored - 1) * run->stride;
+    const double elapsed = (double)since * e->h + (run->t_end - e->t);
+    move(e, e->shift, e->happened[e->happenings - 1].x, end);
+    for (size_t a = 0; reaction && a < e->m; a++)
+        reaction[a] = run->stepper->family->no_reaction || elapsed == 0.0
+                          ? (double)NAN : (e->impulse[a] + e->parts[a]) / elapsed;
+}
+
+static int report(const dal_events *e, const dal_run *run)
+{
+    int status = DAL_SUCCESS;
+    for (size_t k = 0; run->happened && k < e->happenings; k++) {
+        const happening *const one = &e->happened[k];
+        const int returned =
+            run->happened(one->event, e->step + (size_t)run->ended, one->t, one->x,
+                          one->reset ? one->after : NULL, run->happened_ctx);
+        const int heeded = dal__heed(run, "happened", returned);
+        if (!status) status = heeded;
+    }
+    return status;
+}
+
+/* The rest of a step that went well: what it leaves to the run and to the next one. */
+static void conclude(dal_events *e, dal_run *run, double *end, double *reaction)
+{
+    if (run->ended) {
+        end_run(e, run, end, reaction);
+        take_back(e, run);
+        run->ended = 1;
+    } else {
+        settle(e);
+        memcpy(e->last, run->stepper->motion.x, 2 * e->n * sizeof *e->last);
+        e->step++;
+    }
+    run->timed = e->timed;
+}
+
+int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made)
+{
+    dal_events *const e = run->events;
+    dal_stepper *const stepper = run->stepper;
+    dal_error error = {0};
+    *made = 0;
+    e->error = &error;
+    int status = prepare(e, run);
+    if (!status) {
+        status = dal__stepper_advance(stepper, 1, made);
+        if (status) error = stepper->error;
+    }
+    if (!status) {
+        move(e, -e->shift, stepper->motion.x, e->end);
+        for (size_t a = 0; a < e->m; a++)
+            e->whole[a] = stepper->motion.impulse[a] - e->impulse[a];
+        status = look_into(e, run);
+    }
+    if (!status && e->landed && !run->ended) {
+        status = land(e, run);
+        if (status) error = stepper->error;
+    }
+    if (!status) {
+        conclude(e, run, end, reaction);
+        *made = !run->ended;
+        return report(e, run);
+    }
+    if (*made > 0) take_back(e, run);
+    *made = 0;
+    stepper->error = error;
+    return status;
+}
+
+int dal__events_check(const dal_run *run)
+{
+    dal_error *const error = &run->stepper->error;
+    const dal_motion *const motion = &run->stepper->motion;
+    if (!run->events && (run->times || run->happened))
+        return dal__fail(error, DAL_EINVAL, "%s is not NULL, and events is",
+                         run->times ? "times" : "happened");
+    if (!run->events) return DAL_SUCCESS;
+    if (run->events->stepper != run->stepper)
+        return dal__fail(error, DAL_EINVAL, "events is not of the stepper of the run");
+    if (run->time_count == 0 || run->done > 0) return DAL_SUCCESS;
+    if (!run->times || !run->at)
+        return dal__fail(error, DAL_EINVAL, "%s is NULL", run->times ? "at" : "times");
+    const double begin = dal_stepper_time(run->stepper), ahead = motion->h > 0.0 ? 1.0 : -1.0;
+    const double end = motion->t0 + (double)(motion->steps + run->steps) * motion->h;
+    double before = begin;
+    for (size_t k = 0; k < run->time_count; k++) {
+        const double t = run->times[k];
+        const double last = end + ahead * 4.0 * DAL_ROUNDOFF * fabs(end);
+        if (!(ahead * (t - before) >= 0.0 && ahead * (last - t) >= 0.0))
+            return dal__fail(error, DAL_EINVAL, "times[%zu] = %.17g: expected times from %.17g to "
+                             "%.17g, one after the other", k, t, begin, end);
+        before = t;
+    }
+    return DAL_SUCCESS;
+}
