@@ -197,7 +197,7 @@ static int reset(dal_events *e, const crossing *c, double *x)
     const dal_event *const one = &e->list[c->event];
     dal_stepper *const probe = e->probe;
     const double t = dal__time_at(e, c->theta);
-    const int returned = one->reset(t, x, one->ctx);
+    const int returned = one->reset(t, x, one->reset_ctx);
     if (returned)
         return dal__fail(e->error, dal__callback_status(returned), "the reset of event %zu "
                          "returned %d at t = %g", c->event, returned, t);
@@ -289,7 +289,7 @@ static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, 
 {
     const int direction = dal__sign(e->list[c->event].direction);
     guard *const g = &e->guards[c->event];
-    g->side = c->theta == 1.0 && g->end == 0.0 ? 0 : c->to;
+    g->side = c->to;
     g->waits = g->due = false;
     g->crossed = true;
     if (direction != 0 && direction != c->to) return DAL_SUCCESS;

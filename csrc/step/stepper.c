@@ -71,6 +71,7 @@ void dal_stepper_free(dal_stepper *stepper)
 
 const dal_error *dal_stepper_error(const dal_stepper *stepper) { return &stepper->error; }
 const double *dal_stepper_state(const dal_stepper *stepper) { return stepper->motion.x; }
+const double *dal_stepper_inputs(const dal_stepper *stepper) { return stepper->motion.input; }
 
 double dal_stepper_time(const dal_stepper *stepper)
 {

@@ -28,7 +28,7 @@ typedef struct dal_event {
     size_t terminal;      /* the run ends at the event of this number, 1 the first; 0: at none */
     dal_reset_fn reset;   /* or NULL; not called where the run ends */
     dal_consistency consistency; /* of what reset gives: checked, projected, or used as it is */
-    void *ctx;
+    void *ctx, *reset_ctx; /* of g, of reset */
 } dal_event;
 
 /* The events of a run, and what it remembers of them.  A sign that g has at the end of a step and

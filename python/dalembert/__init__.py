@@ -21,11 +21,23 @@ from .core import (
     DomainError,
     NotOnConstraintError,
     SingularError,
+    ZenoError,
     pointers,
 )
 from .discrete import DifferenceMap, Discrete, NodeRun, Regularity, exact_velocity
 from .geometry import Chart, Check, Difference
-from .run import Reference, Scheme, Solution, States, Statistics, integrate, reference, schemes
+from .run import (
+    Event,
+    Reference,
+    Scheme,
+    Solution,
+    States,
+    Statistics,
+    Stepper,
+    integrate,
+    reference,
+    schemes,
+)
 from .show import pages, plot, report, table
 from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
 from .symbolic import coordinates
@@ -44,6 +56,7 @@ __all__ = [
     "Discrete",
     "DomainError",
     "Embedding",
+    "Event",
     "Fit",
     "NodeRun",
     "NotOnConstraintError",
@@ -54,9 +67,11 @@ __all__ = [
     "Solution",
     "States",
     "Statistics",
+    "Stepper",
     "Studies",
     "Study",
     "System",
+    "ZenoError",
     "convergence",
     "coordinates",
     "embedding",

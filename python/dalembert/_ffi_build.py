@@ -36,6 +36,11 @@ extern "Python" int dal_py_map(double h, const double *q0, const double *q1, dou
                                double *g_0, double *g_1, double *f_0, double *f_1, void *ctx);
 extern "Python" int dal_py_watch(double t, void *ctx);
 extern "Python" int dal_py_observer(size_t step, double t, const double *x, void *ctx);
+extern "Python" int dal_py_control(size_t step, double t, const double *x, double *u, void *ctx);
+extern "Python" int dal_py_event(double t, const double *x, double *g, void *ctx);
+extern "Python" int dal_py_reset(double t, double *x, void *ctx);
+extern "Python" int dal_py_happened(size_t event, size_t step, double t, const double *x,
+                                    const double *after, void *ctx);
 """
 
 # For tests alone: the steps of a stepper are made by the compilation for any sizes.

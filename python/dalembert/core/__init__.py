@@ -14,6 +14,7 @@ from .errors import (
     DomainError,
     NotOnConstraintError,
     SingularError,
+    ZenoError,
     adopt,
     attempt,
     call,

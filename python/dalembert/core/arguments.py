@@ -6,7 +6,7 @@ import difflib
 import inspect
 import operator
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -175,6 +175,46 @@ def parameter(value: Any, name: str) -> float:
         return number(float(value) if hasattr(value, "is_number") else value, name)
     except TypeError:
         raise ValueError(f"{name} = {value!r}: expected a real number") from None
+
+
+def inputs(
+    given: Any, names: Sequence[str], count: int, which: str = "a state", name: str = "inputs"
+) -> Array:
+    """Return inputs as rows, shape (count, k): of an array, of a mapping from names; None: zero.
+
+    Parameters
+    ----------
+    given : array_like, shape (k,) or (count, k), or mapping, or None
+        Of a mapping each value is a number or an array of shape (count,), and all names are there.
+    names : sequence of str
+        The k names.
+    count : int
+    which : str, optional
+        What a row is for, in messages.
+    name : str, optional
+        Of the argument.
+
+    Raises
+    ------
+    ValueError
+    """
+    width = len(names)
+    if given is None:
+        return np.zeros((count, width))
+    if width == 0:
+        raise ValueError(f"{name} = {shown(given)}: the system takes no inputs")
+    if not isinstance(given, Mapping):
+        rows = array(given, name, (width,), (count, width))
+        return np.ascontiguousarray(np.broadcast_to(rows, (count, width)))
+    for key in given:
+        if key not in names:
+            raise ValueError(
+                f"{name}: {key!r} is no input; {suggestion(key, names)}expected {', '.join(names)}"
+            )
+    if missing := [key for key in names if key not in given]:
+        raise ValueError(f"{name}: {missing[0]} is missing; expected {', '.join(names)}")
+    columns = [array(given[key], f"{name}[{key!r}]", (), (count,)) for key in names]
+    return np.column_stack([np.broadcast_to(column, (count,)) for column in columns])
 
 
 def pair(first: Any, second: Any, names: tuple[str, str], otherwise: str = "") -> None:

@@ -180,7 +180,7 @@ def _write_several(
         several = ()
     if len(several) != len(targets):
         raise ValueError(
-            f"{names[0].split()[0]} has to return {len(targets)} arrays of shape {shape}, "
+            f"{names[0].rpartition(' ')[0]} has to return {len(targets)} arrays of shape {shape}, "
             f"it returned {shown(values)}"
         )
     for target, value, what in zip(targets, several, names):
@@ -234,3 +234,38 @@ def dal_py_observer(step: int, t: float, x: Any, ctx: Any) -> int:
         raise ValueError(
             f"observer has to return whether to stop, it returned {shown(answer)}"
         ) from error
+
+
+@_trampoline()
+def dal_py_control(step: int, t: float, x: Any, u: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    inputs = call.control(t, *_halves(call, x))
+    if type(inputs) is not _ndarray:
+        inputs = call.control_rows(inputs)
+    _write(u, inputs, (call.bytes_of_inputs // 8,), "inputs")
+    return 0
+
+
+@_trampoline()
+def dal_py_event(t: float, x: Any, g: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    _write(g, call.g(t, *_halves(call, x)), (), call.name)
+    return 0
+
+
+@_trampoline()
+def dal_py_reset(t: float, x: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    names = f"the reset of {call.name} (q)", f"the reset of {call.name} (v)"
+    q, v = x, x + call.vector[0]
+    _write_several((q, v), call.reset(*_halves(call, x)), call.vector, names)
+    return 0
+
+
+@_trampoline()
+def dal_py_happened(event: int, step: int, t: float, x: Any, after: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    size = 2 * call.bytes
+    ends = _frombuffer(_buffer(after, size)[:]) if after else None
+    call.happened(event, t, _frombuffer(_buffer(x, size)[:]), ends)
+    return 0

@@ -95,11 +95,22 @@ class DomainError(DalembertError):
     status = lib.DAL_EDOMAIN
 
 
+class ZenoError(DalembertError):
+    """Events accumulate, or a system rests on one after its reset: the run cannot go on."""
+
+    status = lib.DAL_EZENO
+
+
 _EXCEPTIONS: dict[int, type[Exception]] = {
     lib.DAL_EINVAL: ValueError,
     lib.DAL_ENOMEM: MemoryError,
     lib.DAL_EUNSUPPORTED: NotImplementedError,
-    **{x.status: x for x in (DomainError, SingularError, ConvergenceError, NotOnConstraintError)},
+    **{
+        x.status: x
+        for x in (
+            DomainError, SingularError, ConvergenceError, NotOnConstraintError, ZenoError,
+        )
+    },
 }
 
 

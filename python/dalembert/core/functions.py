@@ -48,6 +48,13 @@ FUNCTIONS = {
     **dict.fromkeys((*OUTPUTS["force"].values(), "exact"), "t, q, v"),
 }
 
+
+def taken(name: str, inputs: int = 0) -> str:
+    """Return what a function takes; of forces after the state the inputs, if there are any."""
+    takes_inputs = inputs > 0 and name in OUTPUTS["force"].values()
+    return FUNCTIONS.get(name, "q, v") + ", u" * takes_inputs
+
+
 # The bits of dal_missing.
 MISSING: dict[str, int] = {
     output: getattr(lib, f"DAL_MISSING_{output.upper()}")

@@ -55,18 +55,27 @@ class Workspaces:
             call(self._kind, function, one, *arrays)
         return _outputs(given, arrays, True)
 
-    def rows(self, function: Callable[..., int], single: bool, *given: Any) -> Any:
+    def rows(
+        self, function: Callable[..., int], single: bool, *given: Any, inputs: Array | None = None
+    ) -> Any:
         """Call ``function(one, *given)`` for each row of the arrays among what is given.
 
         A tuple stands for an array that the function writes, with rows of this shape.  Returned
         are these arrays, or the one that there is; without rows if there is a ``single`` one.
+        ``inputs`` has a row for each call, where the system takes any.
         """
         count = next(len(x) for x in given if isinstance(x, np.ndarray))
         arrays = _arrays(given, count)
         with self.lend() as one:
-            for k in range(count):
-                row = (pointer(x, k) if isinstance(x, np.ndarray) else x for x in arrays)
-                call(self._kind, function, one, *row, step=k)
+            try:
+                for k in range(count):
+                    if inputs is not None:
+                        call(self._kind, lib.dal_mechanics_input, one, pointer(inputs, k))
+                    row = (pointer(x, k) if isinstance(x, np.ndarray) else x for x in arrays)
+                    call(self._kind, function, one, *row, step=k)
+            finally:
+                if inputs is not None:
+                    lib.dal_mechanics_input(one, pointer(np.zeros(inputs.shape[1])))
         return _outputs(given, arrays, single)
 
 
@@ -94,6 +103,7 @@ class Handle(Constant):
     mass: Array | None
     kind: str
     is_forced: bool
+    inputs: tuple[str, ...]
     q0: Array | None
     v0: Array | None
     differenced: tuple[str, ...]
@@ -111,6 +121,8 @@ class Handle(Constant):
             setattr(self, what, text(what))
         self._formulas = tuple(text("formulas").splitlines())
         self.coordinates = tuple(text("coordinate", i) for i in range(n))
+        inputs = int(lib.dal_system_inputs(handle))
+        self.inputs = tuple(text("input_name", i) for i in range(inputs))
         self._parameters = {
             text("parameter_name", i): float(lib.dal_system_parameter(handle, i))
             for i in range(lib.dal_system_parameters(handle))

@@ -97,13 +97,20 @@ def trajectory(
     t0: float = 0.0,
     h: float = 0.0,
     shift: float = 0.0,
+    inputs: Array | None = None,
+    times: Array | None = None,
 ) -> Array:
-    """Evaluate one output of ``dal_trajectory`` on the rows of ``x``, shape (N, 2n)."""
+    """Evaluate one output of ``dal_trajectory`` on the rows of ``x``, shape (N, 2n).
+
+    ``inputs`` has a row for each, where the system takes any; None: zeros.  ``times`` are those of
+    the rows where they are not evenly spaced.
+    """
+    inputs = np.zeros((len(x), len(system.inputs))) if inputs is None else inputs
     outputs = {"energy": (), "multipliers": (system.m,), "residual": (system.m,), "relative": ()}
     values = np.empty((len(x), *outputs[output]))
     done = ffi.new("size_t *")
     with system._mechanics.lend() as mechanics:
-        most = most_in_a_call(system)
+        most = most_in_a_call(system) if times is None or not system.is_forced else 1
         for start in range(0, len(x), most):
             count = min(most, len(x) - start)
             pointers = [
@@ -111,19 +118,28 @@ def trajectory(
                 for name in outputs
             ]
             status = core.attempt(
-                lib.dal_trajectory, mechanics, t0 + start * h, h, shift, count,
-                core.pointer(x, start, count * 2 * system.n), ffi.NULL, *pointers, done,
+                lib.dal_trajectory, mechanics,
+                t0 + start * h if times is None else times[start], h, shift, count,
+                core.pointer(x, start, count * 2 * system.n),
+                core.pointer(inputs, start) if inputs.size else ffi.NULL, *pointers, done,
             )  # fmt: skip
             system._mechanics.check(status, mechanics, start + int(done[0]))
     return values
 
 
 def _quantity(
-    system: Handle, q: ArrayLike, v: ArrayLike, output: str, **numbers: float
+    system: Handle, q: ArrayLike, v: ArrayLike, output: str, inputs: Any = None, **numbers: float
 ) -> Any:
     """Evaluate one output of ``dal_trajectory`` on states as they are given."""
     x, single = states(system, q, v)
-    return core.first(trajectory(system, x, output, **numbers), single)
+    rows = arguments.inputs(inputs, system.inputs, len(x))
+    return core.first(trajectory(system, x, output, inputs=rows, **numbers), single)
+
+
+def _input_rows(system: Handle, given: Any, count: int) -> Array | None:
+    """Return the inputs at so many states; None for a system that takes none."""
+    rows = arguments.inputs(given, system.inputs, count)
+    return rows if system.inputs else None
 
 
 def _rows(
@@ -133,10 +149,13 @@ def _rows(
     v: ArrayLike,
     *outputs: tuple[int, ...],
     t: float = 0.0,
+    inputs: Any = None,
 ) -> Any:
     """Return what a function writes for each state, arrays of these shapes."""
     x, single = states(system, q, v)
-    return system._mechanics.rows(function, single, arguments.number(t, "t"), x, *outputs)
+    rows = _input_rows(system, inputs, len(x))
+    given = arguments.number(t, "t"), x, *outputs
+    return system._mechanics.rows(function, single, *given, inputs=rows)
 
 
 # ---- functions -----------------------------------------------------------------------------
@@ -233,7 +252,9 @@ def relative_residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float =
     return _quantity(system, q, v, "relative", shift=arguments.number(shift, "shift"))
 
 
-def multipliers(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
+def multipliers(
+    system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0, inputs: Any = None
+) -> Array:
     """Return lambda = -C^-1 (phi_q v + mu f_v) (lambdax), with C = mu M^-1 mu^T.
 
     Here f_v = M^-1 (L_q - L_vq v + f), which is -M^-1 V_q for a constant mass and no force, and
@@ -245,6 +266,8 @@ def multipliers(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> A
     q, v : array_like, shape (n,) or (N, n)
     t : float, optional
         Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Of the force, or by their names; default 0.
 
     Returns
     -------
@@ -262,7 +285,7 @@ def multipliers(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> A
     >>> dal.systems.particle().multipliers([0, 1, 0], [1, 1, 1])
     array([0.5])
     """
-    return _quantity(system, q, v, "multipliers", t0=arguments.number(t, "t"))
+    return _quantity(system, q, v, "multipliers", inputs, t0=arguments.number(t, "t"))
 
 
 def metric(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
@@ -303,7 +326,9 @@ def metric(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     return _rows(system, lib.dal_metric, q, or_zero(v, q), (system.n, system.n))
 
 
-def power(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> tuple[Any, Any]:
+def power(
+    system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0, inputs: Any = None
+) -> tuple[Any, Any]:
     """Return the powers lambda . (phi_v v) of the constraint forces and f . v of the force.
 
     Their sum is dE/dt on D.  That of the constraint forces is 0 on D for linear constraints.
@@ -314,6 +339,8 @@ def power(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> tuple[A
     q, v : array_like, shape (n,) or (N, n)
     t : float, optional
         Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Of the force, or by their names; default 0.
 
     Returns
     -------
@@ -331,7 +358,7 @@ def power(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> tuple[A
     >>> damped.power([0, 0], [2, 0])
     (0.0, -2.0)
     """
-    return _rows(system, lib.dal_power, q, v, (), (), t=t)
+    return _rows(system, lib.dal_power, q, v, (), (), t=t, inputs=inputs)
 
 
 def gram(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
@@ -362,7 +389,9 @@ def gram(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     return _rows(system, lib.dal_gram, q, or_zero(v, q), (system.m, system.m))
 
 
-def acceleration(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
+def acceleration(
+    system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0, inputs: Any = None
+) -> Array:
     """Return vdot = f_v + M^-1 mu^T lambda, with f_v as in `multipliers`.
 
     Parameters
@@ -371,6 +400,8 @@ def acceleration(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> 
     q, v : array_like, shape (n,) or (N, n)
     t : float, optional
         Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Of the force, or by their names; default 0.
 
     Returns
     -------
@@ -387,10 +418,12 @@ def acceleration(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> 
     >>> dal.systems.particle().acceleration([0, 1, 0], [1, 1, 1])
     array([-0.5,  0. ,  0.5])
     """
-    return _rows(system, lib.dal_acceleration, q, v, (system.n,), t=t)
+    return _rows(system, lib.dal_acceleration, q, v, (system.n,), t=t, inputs=inputs)
 
 
-def field(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
+def field(
+    system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0, inputs: Any = None
+) -> Array:
     """Return (v, vdot), the vector field of the ODE on D.
 
     Parameters
@@ -399,6 +432,8 @@ def field(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
     q, v : array_like, shape (n,) or (N, n)
     t : float, optional
         Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Of the force, or by their names; default 0.
 
     Returns
     -------
@@ -415,7 +450,7 @@ def field(system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Array:
     >>> dal.systems.particle().field([0, 1, 0], [1, 1, 1])
     array([ 1. ,  1. ,  1. , -0.5,  0. ,  0.5])
     """
-    return _rows(system, lib.dal_field, q, v, (2 * system.n,), t=t)
+    return _rows(system, lib.dal_field, q, v, (2 * system.n,), t=t, inputs=inputs)
 
 
 def perturbed(
@@ -425,6 +460,7 @@ def perturbed(
     ghat: ArrayLike,
     weight: float = 1.0,
     t: float = 0.0,
+    inputs: Any = None,
 ) -> Pair:
     """Return the field and the multipliers of the perturbed equations of motion (PerturbedDAE).
 
@@ -443,6 +479,8 @@ def perturbed(
         h^p, say.
     t : float, optional
         Time of the states.
+    inputs : array_like, shape (k,) or (N, k), or mapping, optional
+        Of the force, or by their names; default 0.
 
     Returns
     -------
@@ -468,7 +506,9 @@ def perturbed(
     push = beside(x, single, ghat, "ghat", 2 * system.n)
     weight, t = arguments.number(weight, "weight"), arguments.number(t, "t")
     outputs = (2 * system.n,), (system.m,)
-    return system._mechanics.rows(lib.dal_perturbed, single, t, weight, x, push, *outputs)
+    rows = _input_rows(system, inputs, len(x))
+    given = t, weight, x, push, *outputs
+    return system._mechanics.rows(lib.dal_perturbed, single, *given, inputs=rows)
 
 
 def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:

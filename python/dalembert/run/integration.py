@@ -26,11 +26,12 @@ from ..core import (
 )
 from ..core.extras import Progress
 from ..system import System
+from .events import CONSISTENCY, Watch
+from .events import take as take_events
 from .runs import Run, consistent_state, started_stepper
 from .scheme import METHODS, Scheme
 from .solution import Solution
 
-CONSISTENCY = {"check": lib.DAL_CHECK, "project": lib.DAL_PROJECT, "assume": lib.DAL_ASSUME}
 COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
 
 
@@ -53,6 +54,10 @@ def integrate(
     max_iterations: int = 50,
     method: str = "rk8pd",
     tolerance: float = 1e-13,
+    inputs: Any = None,
+    hold: int = 1,
+    events: Any = (),
+    t_eval: ArrayLike | None = None,
 ) -> Solution:
     """Integrate a system with a fixed step size.
 
@@ -94,6 +99,20 @@ def integrate(
         Of the reference flow.
     tolerance : float, optional
         Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1].
+    inputs : array_like, mapping or callable, optional
+        Of the force of a system that takes k of them, constant over a step.  An array, shape
+        (steps, k), or (k,) for all steps; a mapping from their names to numbers or arrays of shape
+        (steps,); or a controller ``inputs(t, q, v) -> (k,)``, called where the steps begin.
+        Default: 0.  They come back as ``run.inputs``.
+    hold : int, optional
+        Each row of inputs is for so many steps: an array then has ceil(steps / hold) rows.
+    events : sequence, optional
+        Functions ``g(t, q, v)``, expressions, or `Event`: where they change their sign.  Functions
+        may have the attributes ``terminal``, ``direction``, ``reset`` and ``consistent``.
+    t_eval : array_like, shape (N,), optional
+        Times of the states that are stored, in the order of the run, instead of every stride-th
+        one: found by steps of the scheme, so that they have its order and lie in the set that it
+        keeps.
 
     Returns
     -------
@@ -109,6 +128,8 @@ def integrate(
         If the initial data are not in D; the text names the residual.
     SingularError, ConvergenceError, DomainError
         If a step failed; ``.step``, ``.t`` and ``.partial``, a Solution, say how far it came.
+    ZenoError
+        If events accumulate, or the system rests on one after its reset.
     Exception
         Whatever the observer or a function of the system raises, as it is; Ctrl-C likewise.
         They have ``.partial`` too.
@@ -117,7 +138,8 @@ def integrate(
     -----
     DalembertWarning
         If the result may be doubtful: the energy has jumped where nothing does work, or many steps
-        took the full Newton iteration, so that h is large for this system.
+        took the full Newton iteration, so that h is large for this system; or if it cannot be told
+        whether an event happens.
 
     Notes
     -----
@@ -154,22 +176,31 @@ def integrate(
             "tolerance of its own"
         )
     x0 = np.concatenate(geometry.initial(system, q0, v0))
-    _require_memory(system, steps // stride, steps, stride)
-
+    listed = take_events(events)
+    times = None if t_eval is None else _times(t_eval, t0, h, steps)
+    hold = arguments.integer(hold, "hold", 1)
+    if hold > 1 and inputs is None:
+        raise ValueError(f"hold = {hold} without inputs")
     arguments.function(observer, "observer", "step, t, q, v")
-    watcher = None if observer is None else core.Callables(system.n, system.m, observer=observer)
+    if callable(inputs):
+        arguments.function(inputs, "inputs", "t, q, v")
+    _require_memory(system, steps // stride if times is None else len(times), steps, stride)
+
     stepper = started_stepper(
         system, chosen, x0, t0=t0, h=h, consistency=consistency, initial=start, options=options
     )
+    watch = None
+    if listed or times is not None:
+        watch = Watch(system, stepper, chosen, listed, times)
     with extras.progress(progress, steps, "step") as show:
         run = Run(
-            system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=watcher,
-            show=show,
+            system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=observer,
+            show=show, inputs=inputs, hold=hold, watch=watch,
         )  # fmt: skip
         run.make()
     solution, error = run.solution(), run.error
     if error is None:
-        _warn(solution)
+        _warn(solution, watch)
     elif throw or not isinstance(error, DalembertError):
         with contextlib.suppress(AttributeError, TypeError):
             error.partial = solution  # type: ignore[attr-defined]
@@ -315,9 +346,25 @@ def _available_memory() -> int:
     return sys.maxsize
 
 
-def _warn(solution: Solution) -> None:
+def _times(given: ArrayLike, t0: float, h: float, steps: int) -> Array:
+    """Return t_eval; ValueError for times that are not in the run, or not in its order."""
+    times = np.ascontiguousarray(arguments.array(given, "t_eval", (None,)))
+    end = t0 + steps * h
+    if len(times) == 0:
+        raise ValueError("t_eval: expected at least one time")
+    ahead = np.sign(h)
+    outside = (ahead * (times - t0) < 0) | (ahead * (times - end) > 4e-16 * abs(end))
+    if outside.any():
+        t = float(times[outside][0])
+        raise ValueError(f"t_eval: {t!r} lies outside of the run, from {t0!r} to {end!r}")
+    if (ahead * np.diff(times) < 0).any():
+        raise ValueError("t_eval: expected times in the order of the run")
+    return times
+
+
+def _warn(solution: Solution, watch: Watch | None = None) -> None:
     """Warn where a run that went through is doubtful."""
-    for doubt in _doubts(solution):
+    for doubt in [*_doubts(solution), *(watch.doubts() if watch else ())]:
         warnings.warn(doubt, DalembertWarning, stacklevel=3)
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from .. import core
-from ..core import Array, ffi, lib
+from ..core import Array, arguments, ffi, lib
 from ..core.extras import Show
 from ..system import System
 from .scheme import Scheme
+from .events import Watch, split
 from .solution import Solution, Statistics
 
 PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
@@ -57,28 +59,46 @@ class Run:
         h: float,
         steps: int,
         stride: int,
-        observer: core.Callables | None,
+        observer: Callable[..., Any] | None,
         show: Show,
+        inputs: Array | Callable[..., Any] | None = None,
+        hold: int = 1,
+        watch: Watch | None = None,
     ) -> None:
-        rows = steps // stride
+        timed = watch is not None and watch.times is not None
+        rows = 0 if timed else steps // stride
         self.system, self.scheme, self.stepper = system, scheme, stepper
         self.t0, self.h = t0, h
         self.show, self.shown_at = show, -np.inf
+        self.watch, self.hold = watch, hold
+        self.inputs = _input_buffer(system, steps, hold, inputs)
         self.x = np.empty((rows + 1, 2 * system.n))
+        self.x[0] = core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
         self.reactions = np.empty((rows, system.m))
         self.status = lib.DAL_SUCCESS
         self.error: BaseException | None = None
-        self.contexts = [ffi.new_handle(one) for one in (observer, core.ignore)]
+        self.callables = core.Callables(
+            system.n, system.m, len(system.inputs), observer=observer,
+            control=inputs if callable(inputs) else None,
+            control_rows=lambda value: one_row(value, system.inputs),
+        )  # fmt: skip
+        self.contexts = [ffi.new_handle(one) for one in (self.callables, core.ignore)]
         self.run = ffi.new(
             "dal_run *",
             {
                 "stepper": stepper, "steps": steps, "stride": stride,
-                "x": core.pointer(self.x), "reactions": core.pointer(self.reactions),
+                "x": ffi.NULL if timed else core.pointer(self.x),
+                "reactions": ffi.NULL if timed else core.pointer(self.reactions),
                 "observer": ffi.NULL if observer is None else lib.dal_py_observer,
                 "observer_ctx": self.contexts[0],
                 "watch": lib.dal_py_watch, "watch_ctx": self.contexts[1],
+                "inputs": ffi.NULL if self.inputs is None else core.pointer(self.inputs),
+                "hold": hold, "control_ctx": self.contexts[0],
+                "control": lib.dal_py_control if callable(inputs) else ffi.NULL,
             },
         )  # fmt: skip
+        if watch is not None:
+            watch.join(self.run)
 
     def make(self) -> None:
         """Make the run; if it does not go through, ``status`` and ``error`` say why."""
@@ -108,15 +128,53 @@ class Run:
 
     def solution(self) -> Solution:
         """Return the rows that are good."""
-        run, rows = self.run, max(int(self.run.stored) - 1, 0)
-        t = self.t0 + rows * int(run.stride) * self.h
+        run, rows = self.run, max(int(self.run.stored), 1)
+        t = self.t0 + (rows - 1) * int(run.stride) * self.h
+        x, reactions, times = self.x[:rows], self.reactions[: rows - 1], None
+        happened: dict[str, Any] = {}
+        if self.watch is not None:
+            names = ("t_events", "x_events", "x_after")
+            happened = dict(zip(names, split(self.watch.happened, self.system.n)))
+            if run.ended:
+                t = run.t_end
+                times = self.t0 + np.arange(rows) * int(run.stride) * self.h
+                times[-1] = t
+            if self.watch.times is not None and run.timed > 0:
+                x, times = self.watch.at[: run.timed], self.watch.times[: run.timed]
+                reactions = np.full((len(x) - 1, self.system.m), np.nan)
         messages = {
-            lib.DAL_SUCCESS: f"{rows * int(run.stride)} steps to t = {t:g}",
+            lib.DAL_SUCCESS: f"{int(run.done)} steps to t = {t:g}",
             lib.DAL_STOPPED: f"an observer stopped the run at t = {t:g}",
         }
+        if run.ended:
+            messages[lib.DAL_STOPPED] = f"events[{self.watch.last}] ended the run at t = {t:g}"
+        holds = -(-int(run.done + run.ended) // self.hold)
+        inputs = np.zeros((0, len(self.system.inputs))) if self.inputs is None else self.inputs
         return Solution(
             system=self.system, scheme=self.scheme, t0=self.t0, h=self.h, stride=int(run.stride),
-            x=self.x[: rows + 1], reactions=self.reactions[:rows], status=self.status,
-            stats=Statistics._read(self.stepper, self.system.kind),
+            x=x, reactions=reactions, status=self.status, times=times, inputs=inputs[:holds],
+            hold=self.hold, stats=Statistics._read(self.stepper, self.system.kind),
             message=messages.get(self.status, f"{type(self.error).__name__}: {self.error}"),
+            **happened,
         )  # fmt: skip
+
+
+def one_row(value: Any, names: tuple[str, ...]) -> Array:
+    """Return inputs as an array of k numbers, of a single one also from the number itself."""
+    if len(names) == 1 and np.ndim(value) == 0 and not isinstance(value, Mapping):
+        value = [value]
+    return arguments.inputs(value, names, 1)[0]
+
+
+def _input_buffer(
+    system: System, steps: int, hold: int, given: Array | Callable[..., Any] | None
+) -> Array | None:
+    """Return the rows of inputs that C reads, or that a controller is to fill."""
+    if given is None:
+        return None
+    holds = -(-steps // hold)
+    if not callable(given):
+        return arguments.inputs(given, system.inputs, holds)
+    if not system.inputs:
+        raise ValueError("inputs: the system takes no inputs")
+    return np.zeros((holds, len(system.inputs)))

@@ -105,7 +105,8 @@ class Solution(Mapping[str, Any]):
     Attributes
     ----------
     t : ndarray, shape (N+1,)
-        Times ``t0 + k * h * stride``, in the user's units.
+        Times ``t0 + k * h * stride``, in the user's units; those of ``t_eval`` where it was given;
+        and at the end that of the terminal event, where one has ended the run.
     q, v : ndarray, shape (N+1, n)
         Views of ``x``.
     x : ndarray, shape (N+1, 2n)
@@ -116,13 +117,25 @@ class Solution(Mapping[str, Any]):
         lambda(q, v) by the formula at the stored states: forces.
     reactions : ndarray, shape (N, m)
         The scheme's own multipliers: mean forces over the intervals between stored states,
-        belonging to their middles.  NaN for the reference flow, which has none.
+        belonging to their middles.  NaN for the reference flow, which has none, and where the
+        states are those of ``t_eval``.
     energy : ndarray, shape (N+1,)
     constraint : ndarray, shape (N+1, m)
         phi(q, v), which is mu(q) v for linear constraints.
     residual : ndarray, shape (N+1,)
         Relative residual, as `System.relative_residual`, of the set that the scheme keeps: D for
         moved nodes, D_eps (phi at q - shift v) for kept ones.
+    inputs : ndarray, shape (holds, k)
+        Of the force: row i over the steps i * hold, ..., (i + 1) * hold - 1; no rows if none were
+        given, and the inputs are 0.  The multipliers of a state are those with the inputs that
+        begin there.
+    hold : int
+    t_events : tuple of ndarray, shape (K,)
+        For each event the times at which it happened.
+    q_events, v_events : tuple of ndarray, shape (K, n)
+        The states there, in D; before a reset.
+    q_after, v_after : tuple of ndarray, shape (K, n)
+        Those after the reset, NaN where there was none.
     system : System
     scheme : Scheme
     h : float
@@ -133,9 +146,10 @@ class Solution(Mapping[str, Any]):
         0 for moved nodes, (1 - beta) h for kept ones.
     stats : Statistics
     success : bool
-        True unless a step failed; stopped by an observer is a success.
+        True unless a step failed; stopped by an observer or an event is a success.
     status : int
-        ``dal_status`` of the C library: 0, 1 if an observer stopped the run, or negative.
+        ``dal_status`` of the C library: 0, 1 if an observer or an event stopped the run, or
+        negative.
     message : str
 
     Examples
@@ -149,7 +163,7 @@ class Solution(Mapping[str, Any]):
     _KEYS = (
         "t", "q", "v", "multipliers", "reactions", "energy", "constraint", "residual", "scheme",
         "h", "stats", "success", "status", "message", "y", "x", "system", "nodes", "shift",
-        "stride",
+        "stride", "inputs", "hold",
     )  # fmt: skip
 
     system: System
@@ -162,6 +176,12 @@ class Solution(Mapping[str, Any]):
     stats: Statistics
     status: int
     message: str
+    times: Array | None = None
+    inputs: Array | None = None
+    hold: int = 1
+    t_events: tuple[Array, ...] = ()
+    x_events: tuple[Array, ...] = ()
+    x_after: tuple[Array, ...] = ()
     _computed: dict[str, Array] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
@@ -179,8 +199,19 @@ class Solution(Mapping[str, Any]):
                 f"x and reactions: expected shapes (N+1, {2 * n}) and (N, {m}), "
                 f"got {x.shape} and {reactions.shape}"
             )
-        for name, array in (("x", x), ("reactions", reactions)):
+        width = len(self.system.inputs)
+        inputs = np.zeros((0, width)) if self.inputs is None else self.inputs
+        arrays = {
+            "x": x, "reactions": reactions,
+            "inputs": arguments.array(inputs, "inputs", (None, width)),
+        }  # fmt: skip
+        arguments.integer(self.hold, "hold", 1)
+        if self.times is not None:
+            arrays["times"] = arguments.array(self.times, "times", (len(x),))
+        for name, array in arrays.items():
             object.__setattr__(self, name, _read_only(array[:]))
+        for name in ("t_events", "x_events", "x_after"):
+            object.__setattr__(self, name, tuple(map(_read_only, getattr(self, name))))
 
     @property
     def success(self) -> bool:
@@ -200,6 +231,8 @@ class Solution(Mapping[str, Any]):
     @property
     def t(self) -> Array:
         """Times of the states, shape (N+1,)."""
+        if self.times is not None:
+            return self.times
         return self._once("t", lambda: self.t0 + np.arange(len(self.x)) * self.stride * self.h)
 
     @property
@@ -211,6 +244,26 @@ class Solution(Mapping[str, Any]):
     def v(self) -> Array:
         """Velocities, shape (N+1, n), a view."""
         return self.x[:, self.system.n :]
+
+    @property
+    def q_events(self) -> tuple[Array, ...]:
+        """Coordinates at the events, for each of them, shape (K, n)."""
+        return tuple(x[:, : self.system.n] for x in self.x_events)
+
+    @property
+    def v_events(self) -> tuple[Array, ...]:
+        """Velocities at the events, for each of them, before a reset, shape (K, n)."""
+        return tuple(x[:, self.system.n :] for x in self.x_events)
+
+    @property
+    def q_after(self) -> tuple[Array, ...]:
+        """Coordinates after the resets of the events, for each of them, shape (K, n)."""
+        return tuple(x[:, : self.system.n] for x in self.x_after)
+
+    @property
+    def v_after(self) -> tuple[Array, ...]:
+        """Velocities after the resets of the events, for each of them, shape (K, n)."""
+        return tuple(x[:, self.system.n :] for x in self.x_after)
 
     @property
     def y(self) -> Array:
@@ -239,12 +292,24 @@ class Solution(Mapping[str, Any]):
 
     def _evaluate(self, name: str, output: str, shift: float = 0.0) -> Array:
         """Return a quantity of the stored states."""
+        given: dict[str, Any] = {"shift": shift, "inputs": self._inputs_of_rows()}
+        if self.times is None:
+            given |= {"t0": self.t0, "h": self.stride * self.h}
+        else:
+            given["times"] = self.times
         return self._once(
-            name,
-            lambda: geometry.trajectory(
-                self.system, self.x, output, t0=self.t0, h=self.stride * self.h, shift=shift
-            ),
+            name, lambda: geometry.trajectory(self.system, self.x, output, **given)
         )
+
+    def _inputs_of_rows(self) -> Array:
+        """Return the inputs that begin, or go on, at each stored state."""
+        assert self.inputs is not None
+        if len(self.inputs) == 0:
+            return np.zeros((len(self.x), len(self.system.inputs)))
+        steps = np.arange(len(self.x)) * self.stride
+        if self.times is not None:
+            steps = np.floor((self.times - self.t0) / self.h + 1e-9).astype(int)
+        return self.inputs[np.minimum(steps // self.hold, len(self.inputs) - 1)]
 
     def _once(self, name: str, compute: Callable[[], Array]) -> Array:
         """Compute an array when it is asked for first.
@@ -263,6 +328,8 @@ class Solution(Mapping[str, Any]):
         in D_eps for kept nodes, to roundoff; their error has the order of the scheme, up to 4 in
         the distance of the stored states.  A stored state comes back as it is.
 
+        A velocity has a kink where inputs change: the error is then of order 2 in that distance.
+
         Parameters
         ----------
         t : array_like, shape () or (N,)
@@ -276,7 +343,8 @@ class Solution(Mapping[str, Any]):
         Raises
         ------
         ValueError
-            If a time lies outside of the run, or is not a finite number.
+            If a time lies outside of the run, or is not a finite number; if it lies between two
+            states and the state was reset between them; if the states are those of ``t_eval``.
         SingularError, DomainError
             If the constraint has not full rank at a state, or a function is not defined there.
 
@@ -293,7 +361,55 @@ class Solution(Mapping[str, Any]):
         """
         times = arguments.array(t, "t", (), (None,))
         flat = times.reshape(-1)
+        x, changes = np.empty((flat.size, 2 * self.system.n)), 0
+        for first, rows, these in self._pieces(flat):
+            x[these], some = self._interpolate(flat[these], first, rows)
+            changes += some
+        x = x.reshape(*times.shape, 2 * self.system.n)
+        n = self.system.n
+        return States(times if times.ndim else float(times), x[..., :n], x[..., n:], changes)
+
+    def _pieces(self, t: Array) -> Iterator[tuple[int, int, Any]]:
+        """Yield the smooth pieces between resets: first row, number of rows, which times are there.
+
+        A row that stands for itself, at the end of the run, is a piece too.
+        """
+        h, count = self.stride * self.h, len(self.x)
+        if self.times is not None:
+            grid = self.t0 + np.arange(count) * h
+            if not np.array_equal(self.times[:-1], grid[:-1]):
+                raise ValueError("t: the states are those of t_eval, between which none are made")
+            count -= 1
+        at = [x[~np.isnan(a).any(axis=1)] for x, a in zip(self.t_events, self.x_after)]
+        place = np.sort(np.concatenate([*at, np.zeros(0)]) - self.t0) / h
+        ends = [-1, *np.unique(np.ceil(place).astype(int) - 1).tolist(), count - 1]
+        found = (t - self.t0) / h
+        slack = 4e-16 * np.maximum(np.abs(t), np.abs(self.t0)) / abs(h)
+        left = np.ones(len(t), dtype=bool)
+        for before, last in zip(ends, ends[1:]):
+            low = -np.inf if before < 0 else before + 1 - slack
+            high = np.inf if last == count - 1 and self.times is None else last + slack
+            these = left & (found >= low) & (found <= high)
+            left &= ~these
+            if these.any():
+                yield before + 1, last - before, these
+        if self.times is not None and (left & (t == self.times[-1])).any():
+            these = left & (t == self.times[-1])
+            left &= ~these
+            yield count, 1, these
+        if left.any():
+            raise ValueError(
+                f"t = {t[left][0]:g}: between two states, and the state was reset there, or the "
+                "run ended; t_eval of integrate has states there"
+            )
+
+    def _interpolate(self, flat: Array, first: int, rows: int) -> tuple[Array, int]:
+        """Return states by interpolation of some rows, and the number of changes of charts."""
         n, h = self.system.n, self.stride * self.h
+        stored = self.x[first : first + rows]
+        if first == len(self.x) - 1 and self.times is not None:
+            return stored, 0
+        t0 = self.t0 + first * h
         x = np.empty((flat.size, 2 * n))
         changes, some = 0, ffi.new("size_t *")
         chart = self.system._c("chart")
@@ -303,16 +419,15 @@ class Solution(Mapping[str, Any]):
             these = np.concatenate([before, flat[start : start + most]])
             part = np.empty((len(these), 2 * n))
             core.call(
-                self.system.kind, lib.dal_chart_interpolate, chart, self.t0, h, self.shift,
-                len(self.x), core.pointer(self.x, 0, len(self.x) * 2 * n),
-                len(these), core.pointer(these), core.pointer(part, output=True), some, ffi.NULL,
+                self.system.kind, lib.dal_chart_interpolate, chart, t0, h, self.shift,
+                rows, core.pointer(stored, 0, rows * 2 * n), len(these), core.pointer(these),
+                core.pointer(part, output=True), some, ffi.NULL,
             )  # fmt: skip
             changes += int(some[0])
             x[start : start + most] = part[len(before) :]
-            nearest = np.rint((these - self.t0) / h).astype(int).clip(0, len(self.x) - 1)
-            before = these[(part != self.x[nearest]).any(axis=1)][-1:]
-        x = x.reshape(*times.shape, 2 * n)
-        return States(times if times.ndim else float(times), x[..., :n], x[..., n:], changes)
+            nearest = np.rint((these - t0) / h).astype(int).clip(0, rows - 1)
+            before = these[(part != stored[nearest]).any(axis=1)][-1:]
+        return x, changes
 
     def to_xarray(self) -> Any:
         """Return the run as an ``xarray.Dataset``.

@@ -23,7 +23,7 @@ from .. import core, geometry
 from ..core import Array, Workspaces, arguments, extras, ffi, lib, require_system
 from ..core.extras import Progress
 from ..geometry import Chart
-from ..run.integration import CONSISTENCY
+from ..run.events import CONSISTENCY
 from ..run.runs import consistent_state
 from ..run.scheme import Scheme
 from ..system import System

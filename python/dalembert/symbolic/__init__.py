@@ -9,6 +9,7 @@ from ..core.extras import Later
 
 codegen = Later(__name__, "codegen")
 evaluation = Later(__name__, "evaluation")
+event = Later(__name__, "event")
 expressions = Later(__name__, "expressions")
 given = Later(__name__, "given")
 model = Later(__name__, "model")

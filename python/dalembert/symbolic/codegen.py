@@ -163,13 +163,15 @@ def _function(
     made.add(f"model_{function.name}({signature}, const double *p)\n{{")
     n = model.n
     arrays = [("start", 2 * n)] if "start" in signature else [("q", n), ("v", n)]
+    arrays += [("u", len(model.u))] if function.name == "force" else []
     arrays.append(("p", len(model.p)))
     places = (f"{name}[{i}]" for name, count in arrays for i in range(count))
-    for symbol, place in zip((*model.q, *model.v, *model.p), places):
+    inputs = model.u if function.name == "force" else ()
+    for symbol, place in zip((*model.q, *model.v, *inputs, *model.p), places):
         if symbol.name in used:
             made.add(f"    const double {symbol.name} = {place};")
-    inputs = [i for i in _names(signature) if i in ("t", "q", "v", "u", "start", "phi_t", "L_vt")]
-    made.add("    " + ", ".join(f"(void){name}" for name in [*inputs, "p"]) + ";")
+    unused = [i for i in _names(signature) if i in ("t", "q", "v", "u", "start", "phi_t", "L_vt")]
+    made.add("    " + ", ".join(f"(void){name}" for name in [*unused, "p"]) + ";")
     _outputs(made, model, function.name, temporaries, values, Printer(powers))
     made.add("    return 0;\n}\n")
     if function.name not in ("mass", "state"):
@@ -301,6 +303,8 @@ def _definition(model: Model, fast: bool) -> list[str]:
     for name in ("lagrangian", "potential", "constraint", "force", "exact", "invariant"):
         if derived.function(name) is not None:
             found.append(f".{name} = model_call_{name}")
+    if model.inputs:
+        found.append(f".inputs = {len(model.inputs)}")
     if fast:
         found.append(".compiled = &model_compiled")
     if derived.mass is not None and derived.kind == "linear":
@@ -338,12 +342,15 @@ def _constructor(made: Program, model: Model, fast: bool, name: str, system: Any
         made.add(f"    static const char *const {what}[] = {{{', '.join(map(c_string, texts))}}};")
 
     strings("coordinates", model.coordinates)
+    if model.inputs:
+        strings("input_names", model.inputs)
     values = ", ".join(f"p{i}" for i in range(count))
     made.add(f"    double p[{max(count, 1)}] = {{{values or '0.0'}}};")
     texts = {key: getattr(system, key) for key in ("name", "help", "description", "source")}
     texts["formulas"] = "\n".join(system.formulas)
     members = [*_definition(model, fast), *(f".{key} = {c_string(x)}" for key, x in texts.items())]
     members += [".coordinates = coordinates", ".ctx = p", ".ctx_size = sizeof p"]
+    members += [".input_names = input_names"] * bool(model.inputs)
     for what, size in (("mass", n * n), ("state", 2 * n)):
         if model.derived.function(what) is not None:
             made.add(f"    double {what}[{size}];\n    model_{what}({what}, p);")

@@ -37,7 +37,13 @@ def named(names: str | Sequence[str]) -> tuple[Any, ...]:
 
 
 def take(
-    *given: Any, force: Any, q0: Any, v0: Any, exact: Any, invariants: Mapping[str, Any] | None
+    *given: Any,
+    force: Any,
+    inputs: Any,
+    q0: Any,
+    v0: Any,
+    exact: Any,
+    invariants: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """Return the model, the values of its parameters, and what was given by numbers and functions.
 
@@ -53,6 +59,7 @@ def take(
         state if in_model else None,
         exact if by_expressions else None,
         {key: e for key, e in named.items() if is_expressions(e)},
+        inputs,
     )
     return {
         "model": model,
@@ -72,6 +79,7 @@ def make_model(
     state: Sequence[Any] | None = None,
     exact: Any = None,
     invariants: Mapping[str, Any] | None = None,
+    inputs: Iterable[Any] = (),
 ) -> tuple[Model, dict[str, float]]:
     """Return the model, and the values of its parameters; ValueError if something is left over."""
     L = _expression(L, "L")
@@ -87,11 +95,18 @@ def make_model(
     values, symbols = _parameters(parameters)
     if both := sorted(values.keys() & set(names)):
         raise ValueError(f"parameters: {both[0]} is a coordinate; expected another name")
-    translate = _Translation(pairs, values, symbols)
+    acting = _inputs(inputs)
+    for key in acting:
+        if key in names or key in values:
+            raise ValueError(f"inputs: {key} is the name of a coordinate or a parameter too")
+    translate = Translation(pairs, values, symbols, acting)
     phi = [translate.constraint(a, constraint) for a, constraint in enumerate(given)]
     if len(phi) >= n:
         raise ValueError(f"constraints: {len(phi)} on {n} coordinates; expected fewer")
     components = None if forces is None else translate.force(forces)
+    for key, u in zip(acting, translate.inputs.values()):
+        if not any(u in f.free_symbols for f in components or ()):
+            raise ValueError(f"inputs: {key} does not act: the force does not depend on it")
     start = None if state is None else translate.several(state, "(q0, v0)")
     for e in start or ():
         if e.free_symbols - set(translate.rule.values()):
@@ -109,11 +124,12 @@ def make_model(
             for key, e in (invariants or {}).items()
         ),
         assumptions=tuple(_assumed(translate.used[name]) for name in values),
+        inputs=tuple(acting),
     )
     return model, values
 
 
-class _Translation:
+class Translation:
     """From the user's symbols of coordinates, velocities and parameters to the canonical ones."""
 
     def __init__(
@@ -121,6 +137,7 @@ class _Translation:
         pairs: list[tuple[str, Expr, Expr]],
         values: dict[str, float],
         symbols: list[Expr],
+        inputs: dict[str, Expr],
     ) -> None:
         n = len(pairs)
         self.names, positions, velocities = map(list, zip(*pairs))
@@ -129,6 +146,7 @@ class _Translation:
         self.rule = dict(zip(values, models.canonical("p", len(values))))
         self.used = {symbol.name: {symbol} for symbol in symbols}  # of each parameter
         self.velocities = velocities
+        self.inputs = dict(zip(inputs.values(), models.canonical("u", len(inputs))))
         self.states = dict(zip([*positions, *velocities], [*self.q, *self.v]))
         times = [q.args[0] for q in positions if not q.is_Symbol]
         self.time = times[0] if times else sympy.Symbol("t")
@@ -136,8 +154,14 @@ class _Translation:
         called = Coordinate | Velocity
         self.same = {_kind_and_name(s): c for s, c in self.states.items() if isinstance(s, called)}
 
-    def __call__(self, expression: Expr, where: str, with_time: bool = False) -> Expr:
+    def __call__(
+        self, expression: Expr, where: str, with_time: bool = False, with_inputs: bool = False
+    ) -> Expr:
         """Return an expression in canonical symbols; ValueError if something is left over."""
+        if with_inputs:
+            expression = expression.xreplace(self.inputs)
+        elif acting := sorted(str(u) for u in self.inputs if expression.has(u)):
+            raise ValueError(f"{where}: {acting[0]} is an input; only a force may depend on it")
         if expression.has(sympy.Derivative):
             _refuse_rates(expression, where)
         named = {s: _kind_and_name(s) for s in expression.atoms(Coordinate, Velocity)}
@@ -157,6 +181,8 @@ class _Translation:
         if with_time:
             found = found.xreplace({self.time: models.TIME})
             allowed.add(models.TIME)
+        if with_inputs:
+            allowed.update(self.inputs.values())
         names_of = {c: s for s, c in (self.states | matching).items()}
         models.require_known(found, where, lambda e: e.xreplace(names_of))
         self.require_none(sorted(str(s) for s in found.free_symbols - allowed), where)
@@ -195,7 +221,7 @@ class _Translation:
             position = self.states.get(key, self.same.get(_kind_and_name(key)))
             if position not in components:
                 raise ValueError(f"force: {key} is no coordinate ({', '.join(self.names)})")
-            components[position] += self(expression, f"force[{key}]", True)
+            components[position] += self(expression, f"force[{key}]", True, True)
         return tuple(components.values())
 
     def several(self, given: Any, name: str, with_time: bool = False) -> tuple[Expr, ...]:
@@ -283,6 +309,20 @@ def _several(given: Any, name: str) -> list[Any]:
 
 def _flat(given: Iterable[Any]) -> list[Expr]:
     return [e for one in given for e in (one if isinstance(one, list) else [one])]
+
+
+def _inputs(given: Any) -> dict[str, Expr]:
+    """Return the symbols of the inputs, by their names."""
+    found: dict[str, Expr] = {}
+    for one in _several(given, "inputs"):
+        is_function = isinstance(one, AppliedUndef) and len(one.args) == 1
+        if not is_function and not isinstance(one, sympy.Symbol):
+            raise ValueError(f"inputs: {one!r}: expected a symbol or a dynamicsymbol")
+        name = arguments.text(str(one.func) if is_function else one.name, "inputs")
+        if name in found:
+            raise ValueError(f"inputs: {name} is there twice")
+        found[name] = one
+    return found
 
 
 def _force(given: Any) -> Rule:

@@ -376,7 +376,7 @@ class Model:
     constraints : tuple of sympy.Expr
         What has to vanish.
     force : tuple of sympy.Expr or None
-        The n components of the generalized force; may contain t.
+        The n components of the generalized force; may contain t and the inputs.
     state : tuple of sympy.Expr or None
         Default initial data (q, v), in the parameters.
     exact : tuple of sympy.Expr or None
@@ -385,6 +385,8 @@ class Model:
         First integrals besides the energy.
     assumptions : tuple of tuple of str
         For each parameter what has to hold of its values: "positive", ...
+    inputs : tuple of str
+        Names; u0 is the first input of the force.
     """
 
     coordinates: tuple[str, ...]
@@ -396,6 +398,7 @@ class Model:
     exact: tuple[Expr, ...] | None = None
     invariants: tuple[Expr, ...] = ()
     assumptions: tuple[tuple[str, ...], ...] = ()
+    inputs: tuple[str, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         fields = dataclasses.fields(self)
@@ -421,6 +424,10 @@ class Model:
     def p(self) -> tuple[Expr, ...]:
         return canonical("p", len(self.parameters))
 
+    @property
+    def u(self) -> tuple[Expr, ...]:
+        return canonical("u", len(self.inputs))
+
     @functools.cached_property
     def key(self) -> str:
         """A digest of everything but the names."""
@@ -428,7 +435,7 @@ class Model:
             (self.L,), self.constraints, self.force, self.state, self.exact, self.invariants
         ]  # fmt: skip
         texts = [None if part is None else [_structure(e) for e in part] for part in parts]
-        text = repr((self.n, len(self.parameters), texts))
+        text = repr((self.n, len(self.parameters), len(self.inputs), texts))
         return hashlib.sha256(text.encode()).hexdigest()
 
     @functools.cached_property
@@ -442,7 +449,7 @@ class Model:
 
     @functools.cached_property
     def _names(self) -> Rule:
-        found = dict(zip(self.p, map(sympy.Symbol, self.parameters)))
+        found = dict(zip((*self.p, *self.u), map(sympy.Symbol, (*self.parameters, *self.inputs))))
         for q, v, name in zip(self.q, self.v, self.coordinates):
             coordinate = Coordinate(name)
             found |= {q: coordinate, v: coordinate.d}
@@ -451,11 +458,16 @@ class Model:
     # ---- as Python functions --------------------------------------------------------------
 
     def callables(self, name: str) -> dict[str, Callable[..., Any]]:
-        """Return a function of Python for each output of a function: (q, v, p) or (t, q, v, p)."""
+        """Return a function of Python for each output of a function.
+
+        It takes (q, v, p); an exact solution (t, q, v, p), and a force besides the inputs before p.
+        """
         function = self.derived.function(name)
         arguments = [self.q, self.v, self.p]
         if name in ("force", "exact"):
             arguments.insert(0, TIME)
+        if name == "force" and self.inputs:
+            arguments.insert(-1, self.u)
         return {
             output: sympy.lambdify(
                 arguments,
@@ -473,8 +485,9 @@ class Model:
 
         Terms with velocities come first.
         """
-        symbols = (*self.q, *self.v, *self.p)
-        names = [*self.coordinates, *(f"v_{name}" for name in self.coordinates), *self.parameters]
+        symbols = (*self.q, *self.v, *self.p, *self.u)
+        velocities = [f"v_{name}" for name in self.coordinates]
+        names = [*self.coordinates, *velocities, *self.parameters, *self.inputs]
         expression = expression.xreplace(dict(zip(symbols, map(sympy.Symbol, names))))
         moving = {sympy.Symbol(name) for name in names[self.n : 2 * self.n]}
         parts: tuple[list[Expr], list[Expr]] = ([], [])
@@ -701,7 +714,8 @@ def _latex_symbol(name: str) -> str:
 
 
 def _latex(model: Model) -> str:
-    names: dict[Expr, str] = dict(zip(model.p, map(_latex_symbol, model.parameters)))
+    letters = (*model.parameters, *model.inputs)
+    names: dict[Expr, str] = dict(zip((*model.p, *model.u), map(_latex_symbol, letters)))
     for q, v, name in zip(model.q, model.v, model.coordinates):
         names |= {q: _latex_symbol(name), v: rf"\dot{{{_latex_symbol(name)}}}"}
 

@@ -102,21 +102,22 @@ class Source:
 def _new(
     definition: Any,
     names: Sequence[str],
+    inputs: Sequence[str],
     about: Mapping[str, str],
     mass: Array | None,
     state: Array | None,
     owner: Any,
 ) -> Any:
     """Return the C system of a definition, with its names, texts, mass and initial data."""
-    c_names = core.strings(list(names))
-    definition.coordinates = c_names[0]
+    c_names, c_inputs = core.strings(list(names)), core.strings(list(inputs))
+    definition.coordinates, definition.input_names = c_names[0], c_inputs[0]
     texts = [(key, ffi.new("char[]", arguments.text(x, key).encode())) for key, x in about.items()]
     for key, text in texts:
         setattr(definition, key, text)
     definition.mass = ffi.NULL if mass is None else core.pointer(mass)
     definition.state = ffi.NULL if state is None else core.pointer(state)
     handle = core.make("system", definition, owner=owner)
-    del c_names, texts
+    del c_names, c_inputs, texts
     return handle
 
 
@@ -136,6 +137,7 @@ class Functions(Source):
     state: Array | None
     invariants: dict[str, Function]
     steady: bool
+    inputs: list[str]
 
     def named(self) -> dict[str, Function | None]:
         return self.given | self.invariants
@@ -145,9 +147,11 @@ class Functions(Source):
     ) -> Any:
         """Return the C system."""
         numbers = {"n": self.n, "m": self.m, "kind": kind, "missing": missing}
+        numbers["inputs"] = len(self.inputs)
         given = {**numbers, "steady": int(bool(self.steady)), "ctx": ctx, **callbacks}
         definition = ffi.new("dal_system_def *", given)
-        return _new(definition, self.coordinates, self.about, self.mass, self.state, (ctx, kept))
+        names = self.coordinates, self.inputs
+        return _new(definition, *names, self.about, self.mass, self.state, (ctx, kept))
 
 
 class PythonFunctions(Functions):
@@ -158,7 +162,7 @@ class PythonFunctions(Functions):
         if self.m > 0:
             kind = "affine" if given["affine"] is not None else kind
             kind = "nonlinear" if given["constraint"] is not None else kind
-        callables = core.Callables(self.n, self.m, **given)
+        callables = core.Callables(self.n, self.m, len(self.inputs), **given)
         callbacks = {
             key: getattr(lib, f"dal_py_{key}")
             for key in ("lagrangian", "potential", "force", "exact")
@@ -199,9 +203,10 @@ def functions(given: dict[str, Any]) -> Functions:
     by_name = {key: given[key] for key in core.functions.FUNCTIONS}
     require_named(invariants)
     compiled = _compiled(by_name)
+    inputs = _input_names(given["inputs"], by_name["force"])
     for key, function in {**by_name, **(invariants or {})}.items():
         if key not in compiled:
-            arguments.function(function, key, core.functions.FUNCTIONS.get(key, "q, v"))
+            arguments.function(function, key, core.functions.taken(key, len(inputs)))
     for_c = {key: given[key] for key in ("kind", "missing", "ctx")}
     if compiled:
         _require_compiled(by_name, compiled, mass, m)
@@ -224,8 +229,22 @@ def functions(given: dict[str, Any]) -> Functions:
     lines = arguments.names(given["formulas"], "formulas", "several lines")
     about["formulas"] = "\n".join(lines)
     own = dict(invariants or {})
-    common = (by_name, matrix, size, m, about, names, state, own, given["steady"])
+    common = (by_name, matrix, size, m, about, names, state, own, given["steady"], inputs)
     return CFunctions(*common, **for_c) if compiled else PythonFunctions(*common)
+
+
+def _input_names(given: Sequence[str] | int | None, force: Any) -> list[str]:
+    """Return the names of the inputs: as given, or u0, u1, ... for so many."""
+    if given is None:
+        return []
+    if isinstance(given, int) and not isinstance(given, bool):
+        given = [f"u{i}" for i in range(arguments.integer(given, "inputs", 0, _MOST_COORDINATES))]
+    names = arguments.names(given, "inputs", "several names, as ['left', 'right'], or a number")
+    if len(set(names)) != len(names):
+        raise ValueError(f"inputs = {names!r}: expected different names")
+    if names and force is None:
+        raise ValueError(f"inputs = {names!r}: there is no force, which takes them")
+    return names
 
 
 def _mass_and_names(
@@ -310,7 +329,8 @@ class Expressions(Source):
             found = dict.fromkeys(core.functions.FUNCTIONS) | numbers.in_python()
             names = list(model.coordinates)
             made = PythonFunctions(
-                found, mass, n, model.m, self.about, names, state, invariants, False
+                found, mass, n, model.m, self.about, names, state, invariants, False,
+                list(model.inputs),
             ).make()
         else:
             handle = self._from_library(library, numbers, mass, state, in_c)
@@ -331,7 +351,8 @@ class Expressions(Source):
         if definition.invariant != ffi.NULL and in_c:
             definition.invariants = len(self.invariants)
             definition.invariant_names = c_invariants
-        handle = _new(definition, self.model.coordinates, self.about, mass, state, library)
+        names = self.model.coordinates, self.model.inputs
+        handle = _new(definition, *names, self.about, mass, state, library)
         del kept
         return handle
 

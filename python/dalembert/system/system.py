@@ -59,7 +59,11 @@ class System(Handle):
         velocity; d2L/dv_i dv_j, symmetric and positive definite.
     force, force_q, force_v : callable, optional
         ``force(t, q, v) -> (n,)``: f; ``force_q(t, q, v) -> (n, n)``: df_i/dq_j;
-        ``force_v(t, q, v) -> (n, n)``: df_i/dv_j.
+        ``force_v(t, q, v) -> (n, n)``: df_i/dv_j.  With ``inputs`` each takes (t, q, v, u).
+    inputs : sequence of str or int, optional
+        Names of the inputs u of the force, or how many there are: numbers that a run changes from
+        step to step, as torques of motors.  See `dalembert.integrate` and `dalembert.Stepper`;
+        whatever has no inputs to take, as a study of orders, takes zeros.
     n : int, optional
         Number of coordinates; needed where neither the mass, the coordinates nor q0 tell it.
     m : int, optional
@@ -106,6 +110,8 @@ class System(Handle):
         Of the constraints.
     is_forced : bool
         True if there is a force besides that of the Lagrangian.
+    inputs : tuple of str
+        Names of the inputs of the force.
     q0, v0 : ndarray, shape (n,), or None
         Default initial data, read-only; None if there are none.
     differenced : tuple of str
@@ -204,6 +210,7 @@ class System(Handle):
         force: OfTime | None = None,
         force_q: OfTime | None = None,
         force_v: OfTime | None = None,
+        inputs: Sequence[str] | int | None = None,
         n: int | None = None,
         m: int | None = None,
         name: str = "system",
@@ -255,6 +262,7 @@ class System(Handle):
         parameters: Mapping[Any, Any] | None = None,
         *,
         force: Mapping[Any, Any] | None = None,
+        inputs: Iterable[Any] = (),
         name: str = "system",
         help: str = "",
         description: str = "",
@@ -292,7 +300,10 @@ class System(Handle):
             of every value that it gets, here and in `with_parameters`.
         force : mapping, optional
             Coordinate to component of a generalized force, d/dt L_v - L_q = f + mu^T lambda, in
-            coordinates, velocities and the time ``dynamicsymbols._t``.
+            coordinates, velocities, the inputs and the time ``dynamicsymbols._t``.
+        inputs : sequence, optional
+            Symbols or dynamicsymbols of the force that a run changes from step to step, as torques
+            of motors; they become `System.inputs` by their names.
         name, help, description, source : str, optional
             As of `System`.
         q0, v0 : sequence, optional
@@ -340,7 +351,7 @@ class System(Handle):
         sources.require_named(invariants)
         taken = symbolic.given.take(
             L, constraints, coordinates, parameters,
-            force=force, q0=q0, v0=v0, exact=exact, invariants=invariants,
+            force=force, inputs=inputs, q0=q0, v0=v0, exact=exact, invariants=invariants,
         )  # fmt: skip
         about = {"name": name, "help": help, "description": description, "source": source}
         return cls._of(sources.Expressions(about=about, **taken))
@@ -798,6 +809,7 @@ class System(Handle):
             (", general Lagrangian" if self.mass is None else "")
             + (f", {self.kind}" if self.kind != "linear" else "")
             + (", forced" if self.is_forced else "")
+            + (f", inputs {', '.join(self.inputs)}" if self.inputs else "")
         )
         parameters = f"; parameters {values}" if values else ""
         return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{traits}{parameters}>"

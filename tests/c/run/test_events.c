@@ -97,7 +97,7 @@ static void test_bounces(const dal_system *ball, double h)
     const double x0[4] = {0.0, 2.0, 1.5, 0.0}, e = 0.8;
     plane floor = {1, 0.0, e}, apex = {3, 0.0, 0.0}, far = {0, 3.0, 0.0};
     const dal_event list[] = {
-        {.g = above, .direction = -1, .reset = bounce, .ctx = &floor},
+        {.g = above, .direction = -1, .reset = bounce, .ctx = &floor, .reset_ctx = &floor},
         {.g = above, .direction = -1, .ctx = &apex},
         {.g = above, .ctx = &far},
     };
@@ -321,7 +321,8 @@ static void test_resets(const dal_system *ball)
     const double x0[4] = {0.0, 2.0, 1.0, 0.0};
     for (int k = 0; k < 2; k++) {
         if (k == 1) floor.restitution = 0.0;
-        const dal_event list[] = {{.g = above, .reset = bounce, .ctx = &floor}};
+        const dal_event list[] = {
+            {.g = above, .reset = bounce, .ctx = &floor, .reset_ctx = &floor}};
         dal_stepper *const stepper = started(ball, "leapfrog", 0.0, 0.25, x0);
         dal_events *const events = events_of(stepper, "leapfrog", list, 1);
         double rows[4 * 41];
@@ -341,7 +342,7 @@ static void test_resets(const dal_system *ball)
     }
     /* with steps that do not end where the bounces do */
     floor.restitution = 0.5;
-    const dal_event slower[] = {{.g = above, .reset = bounce, .ctx = &floor}};
+    const dal_event slower[] = {{.g = above, .reset = bounce, .ctx = &floor, .reset_ctx = &floor}};
     for (double h = 0.013; h < 5.0; h *= 1.7) {
         dal_stepper *const stepper = started(ball, "leapfrog", 0.0, h, x0);
         dal_events *const events = events_of(stepper, "leapfrog", slower, 1);
@@ -363,8 +364,8 @@ static void test_resets(const dal_system *ball)
     dal_stepper_free(long_step);
     /* into a corner: both walls, and back on the way that led there */
     plane right = {0, 1.0, 1.0}, top = {1, -2.0, 1.0};
-    const dal_event corner[] = {{.g = above, .reset = bounce, .ctx = &right},
-                                {.g = above, .reset = bounce, .ctx = &top}};
+    const dal_event corner[] = {{.g = above, .reset = bounce, .ctx = &right, .reset_ctx = &right},
+                                {.g = above, .reset = bounce, .ctx = &top, .reset_ctx = &top}};
     const double towards[4] = {0.0, 0.0, 1.0, 0.5 * g0 - 2.0};
     for (double h = 0.3; h > 0.01; h *= 0.5) {
         dal_stepper *const stepper = started(ball, "leapfrog", 0.0, h, towards);
@@ -385,7 +386,7 @@ static void test_resets(const dal_system *ball)
     /* a floor that is watched too, by one before it in the list and one after it */
     floor = (plane){1, 0.0, 0.9};
     const dal_event watched[] = {{.g = above, .ctx = &floor},
-                                 {.g = above, .reset = bounce, .ctx = &floor},
+                                 {.g = above, .reset = bounce, .ctx = &floor, .reset_ctx = &floor},
                                  {.g = above, .direction = -1, .ctx = &floor}};
     for (double h = 0.01; h < 2.0; h *= 1.7) {
         dal_stepper *const stepper = started(ball, "leapfrog", 0.0, h, x0);
@@ -427,7 +428,8 @@ static void test_terminal(const dal_system *ball)
     const double x0[4] = {0.0, 2.0, 1.5, 0.0};
     plane floor = {1, 0.0, 1.0}, side = {0, 10.0, 0.0};
     const dal_event list[] = {
-        {.g = above, .direction = -1, .terminal = 3, .reset = bounce, .ctx = &floor},
+        {.g = above, .direction = -1, .terminal = 3, .reset = bounce, .ctx = &floor,
+         .reset_ctx = &floor},
         {.g = above, .ctx = &side}};
     double rows[4 * 11], at[4 * 6];
     const double times[] = {0.0, 0.66, 0.67, 1.0, 3.31, 3.5}, T = 2.0 / 3.0;
@@ -546,7 +548,8 @@ static void test_resuming(const dal_system *ball)
     const double x0[4] = {0.0, 2.0, 1.5, 0.0};
     plane floor = {1, 0.0, 0.97}, apex = {3, 0.0, 0.0};
     const dal_event list[] = {
-        {.g = above, .direction = -1, .terminal = 5, .reset = bounce, .ctx = &floor},
+        {.g = above, .direction = -1, .terminal = 5, .reset = bounce, .ctx = &floor,
+         .reset_ctx = &floor},
         {.g = above, .ctx = &apex}};
     double rows[2][4 * (ALL + 1)] = {{0}}, values[200], of_events[8];
     seen s[2] = {{.n = 2}, {.n = 2}};
@@ -627,7 +630,7 @@ static void test_failures(void)
         double wall = 0.1;
         const dal_event list[] = {
             {.g = pass_x, .ctx = &wall},
-            {.g = troubled, .reset = kind > 4 ? bad_reset : NULL, .ctx = &one}};
+            {.g = troubled, .reset = kind > 4 ? bad_reset : NULL, .ctx = &one, .reset_ctx = &one}};
         dal_stepper *const stepper = started(system, "midpoint", 0.0, 0.1, start);
         dal_events *const events = events_of(stepper, "midpoint", list, 2);
         seen s = {.n = 3};
@@ -666,7 +669,7 @@ static void test_failures(void)
     /* what is projected on request; an observer that stops; arguments */
     trouble one = {6, 9.0};
     dal_event list[] = {{.g = troubled, .reset = bad_reset, .consistency = DAL_PROJECT,
-                         .ctx = &one}};
+                         .ctx = &one, .reset_ctx = &one}};
     dal_stepper *const stepper = started(system, "midpoint", 0.0, 0.1, start);
     dal_events *const events = events_of(stepper, "midpoint", list, 1);
     seen s = {.n = 3, .stop_at = 1, .answer = 5};

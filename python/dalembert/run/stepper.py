@@ -1,0 +1,237 @@
+"""One step after the other, by hand: for loops that are closed outside of the library."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core, geometry
+from ..core import Array, arguments, ffi, lib, require_system
+from ..core.errors import raised
+from ..system import System
+from .events import CONSISTENCY
+from .runs import one_row, started_stepper
+from .scheme import Scheme
+from .solution import Statistics
+
+_double = np.dtype(np.float64)
+
+
+class Stepper:
+    """A system, a scheme and a state that is stepped.
+
+    It makes the bits of `integrate`, and belongs to one thread at a time.
+
+    Parameters
+    ----------
+    system, scheme, q0, v0, h, t0, consistent, initial, max_iterations
+        As of `integrate`.
+
+    Attributes
+    ----------
+    system : System
+    scheme : Scheme
+    h : float
+
+    Raises
+    ------
+    ValueError, NotOnConstraintError
+        As `integrate`.
+
+    Examples
+    --------
+    A cart that is to move at the speed 1:
+
+    >>> import dalembert as dal
+    >>> cart = dal.System(mass=[2], force=lambda t, q, v, u: u, inputs=["push"], q0=[0], v0=[0])
+    >>> stepper = dal.Stepper(cart, "midpoint", h=0.1)
+    >>> for _ in range(100):
+    ...     stepper.step([3 * (1 - stepper.v[0])])
+    >>> stepper.v.round(4)
+    array([1.])
+    """
+
+    def __init__(
+        self,
+        system: System,
+        scheme: Scheme | str | float = "leapfrog",
+        q0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        *,
+        h: float,
+        t0: float = 0.0,
+        consistent: str = "check",
+        initial: str | None = None,
+        max_iterations: int = 50,
+    ) -> None:
+        require_system(system)
+        self.system, self.scheme = system, Scheme.of(scheme)
+        self._t0 = arguments.number(t0, "t0")
+        self.h = arguments.step_size(h, self._t0)
+        self._how = (
+            arguments.choice(consistent, "consistent", CONSISTENCY), self.scheme._initial(initial)
+        )  # fmt: skip
+        options = ffi.new("dal_options *")
+        options.max_iterations = arguments.integer(
+            max_iterations, "max_iterations", 1, 2**31 - 1
+        )
+        self._x0 = np.concatenate(geometry.initial(system, q0, v0))
+        self._handle = started_stepper(
+            system, self.scheme, self._x0, t0=self._t0, h=self.h, consistency=self._how[0],
+            initial=self._how[1], options=options,
+        )  # fmt: skip
+        self._u = np.zeros(len(system.inputs))
+        self._c_u = core.pointer(self._u)
+        self._mean = np.full(system.m, np.nan)
+        self._c_mean = core.pointer(self._mean, output=True)
+        self._done = ffi.new("size_t *")
+        self._bytes = 16 * system.n
+
+    def step(self, inputs: Any = None, steps: int = 1) -> None:
+        """Make a step, or some with the same inputs.
+
+        If one fails the state is that after the last good one.
+
+        Parameters
+        ----------
+        inputs : array_like, shape (k,), or mapping, optional
+            Of the force, or by their names; they stay until they are changed.  None: as they are.
+        steps : int, optional
+
+        Raises
+        ------
+        ValueError
+            If the inputs are wrong; no step is made.
+        SingularError, ConvergenceError, DomainError
+            If a step fails; ``.step`` and ``.t`` say which.
+        Exception
+            Whatever a function of the system raises.
+        """
+        if inputs is not None:
+            self._set(inputs)
+        raised.exception = None
+        status = lib.dal_advance(self._handle, steps, self._c_mean, self._done)
+        if status:
+            self._mean[:] = np.nan
+            message = core.words(self._handle, self.system.kind)
+            raise core.failure(status, message, step=self.steps, t=self.t)
+
+    def _set(self, inputs: Any) -> None:
+        u, kind = self._u, type(inputs)  # u is what C takes its copy from
+        if kind is np.ndarray:
+            is_plain = inputs.shape == u.shape and inputs.dtype is _double
+        else:
+            is_plain = kind is list and len(inputs) == len(u) and {*map(type, inputs)} == {float}
+        u[:] = inputs if is_plain else one_row(inputs, self.system.inputs)
+        if lib.dal_stepper_input(self._handle, self._c_u):
+            arguments.inputs(inputs, self.system.inputs, 1)  # which says what is wrong
+
+    @property
+    def x(self) -> Array:
+        """The state (q, v), shape (2n,), a read-only copy."""
+        return np.frombuffer(ffi.buffer(lib.dal_stepper_state(self._handle), self._bytes)[:])
+
+    @property
+    def q(self) -> Array:
+        """Coordinates, shape (n,), a read-only copy."""
+        return self.x[: self.system.n]
+
+    @property
+    def v(self) -> Array:
+        """Velocities, shape (n,), a read-only copy."""
+        return self.x[self.system.n :]
+
+    @property
+    def t(self) -> float:
+        """The time, ``t0 + steps * h``."""
+        return float(lib.dal_stepper_time(self._handle))
+
+    @property
+    def steps(self) -> int:
+        """Steps made since the start, or the last reset."""
+        return self.stats.steps
+
+    @property
+    def inputs(self) -> Array:
+        """The inputs of the next step, shape (k,), a copy."""
+        return core.doubles(lib.dal_stepper_inputs(self._handle), len(self._u))
+
+    @property
+    def energy(self) -> float:
+        """The energy of the state."""
+        return float(self.system._mechanics.call(lib.dal_energy, self.t, self.x, ()))
+
+    @property
+    def residual(self) -> float:
+        """Relative residual of the set that the scheme keeps."""
+        shift = self.scheme.shift(self.h) if self.scheme.nodes == "kept" else 0.0
+        given = self.t, shift, self.x, ()
+        return float(self.system._mechanics.call(lib.dal_relative_residual, *given))
+
+    @property
+    def reaction(self) -> Array:
+        """Mean multipliers over the last call of `step`, shape (m,); NaN before the first."""
+        return self._mean.copy()
+
+    @property
+    def stats(self) -> Statistics:
+        """What the steps have cost."""
+        return Statistics._read(self._handle, self.system.kind)
+
+    def save(self) -> Array:
+        """Return all that the next steps depend on, as numbers; see `restore`.
+
+        Raises
+        ------
+        NotImplementedError
+            If the steps of the scheme cannot be resumed.
+        """
+        values = np.empty(max(int(lib.dal_stepper_saved(self._handle)), 1))
+        core.call(self.system.kind, lib.dal_stepper_save, self._handle, values)
+        return values
+
+    def restore(self, saved: ArrayLike) -> None:
+        """Go on from what `save` returned, also in another process: the same bits.
+
+        Raises
+        ------
+        ValueError
+            If it is of another system, scheme or version; the stepper is as it was.
+        """
+        values = np.ascontiguousarray(saved, dtype=float).reshape(-1)
+        core.call(self.system.kind, lib.dal_stepper_restore, self._handle, values, len(values))
+        self._mean[:] = np.nan
+
+    def reset(
+        self, q: ArrayLike | None = None, v: ArrayLike | None = None, t: float | None = None
+    ) -> None:
+        """Start anew from a state, by default the first one, at a time, by default the first one.
+
+        The inputs are 0 then.  If it fails the stepper is as it was.
+
+        Parameters
+        ----------
+        q, v : array_like, shape (n,), optional
+            Both or neither.
+        t : float, optional
+
+        Raises
+        ------
+        ValueError, NotOnConstraintError
+            As the constructor.
+        """
+        arguments.pair(q, v, ("q", "v"), " for those of the start")
+        x = self._x0 if q is None else np.concatenate(geometry.initial(self.system, q, v, "q", "v"))
+        t = self._t0 if t is None else arguments.number(t, "t")
+        core.call(
+            self.system.kind, lib.dal_stepper_start, self._handle, t, self.h, x, *self._how
+        )
+        self._u[:] = 0.0
+        lib.dal_stepper_input(self._handle, self._c_u)
+        self._mean[:] = np.nan
+
+    def __repr__(self) -> str:
+        name, scheme = self.system.name, self.scheme.name
+        return f"<Stepper of {name} by {scheme}, h = {self.h:g}: t = {self.t:g}>"
