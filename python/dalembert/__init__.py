@@ -12,8 +12,9 @@ True
 """
 
 import logging
+from typing import Any
 
-from . import compiler, core, geometry, growth, systems
+from . import compiler, core, geometry, growth, symbolic, systems
 from .core import (
     ConvergenceError,
     DalembertError,
@@ -94,3 +95,10 @@ Study.plot = Studies.plot = plot.convergence
 Embedding.plot = plot.embedded
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
+
+
+def __getattr__(name: str) -> Any:
+    """Return `time`, the symbol of the time in expressions, which needs SymPy."""
+    if name == "time":
+        return symbolic.model.Time()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

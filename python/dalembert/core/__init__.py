@@ -29,6 +29,7 @@ from .handle import (
     Handle,
     Workspaces,
     first,
+    require_autonomous,
     require_system,
 )
 from .library import (

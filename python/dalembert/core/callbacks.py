@@ -25,11 +25,15 @@ _PLAIN = ("lagrangian", "force", "nonlinear", "deformation")
 class Callables:
     """A user's functions, and the shapes of what they return, of n coordinates, m constraints.
 
-    The force takes inputs, if there are any, as its last argument.
+    The force takes inputs, if there are any, as its last argument.  ``timed``: all take the time as
+    their first.
     """
 
-    def __init__(self, n: int, m: int, inputs: int = 0, **functions: Function | None) -> None:
+    def __init__(
+        self, n: int, m: int, inputs: int = 0, timed: bool = False, **functions: Function | None
+    ) -> None:
         self.__dict__.update(functions)
+        self.timed = timed
         self.bytes, self.bytes_of_inputs = 8 * n, 8 * inputs
         self.vector, self.multipliers, self.matrix, self.square = (n,), (m,), (m, n), (n, n)
         self.plain = {
@@ -63,9 +67,6 @@ def _remember(kind: type[BaseException], value: BaseException, traceback: Any) -
 _trampoline = functools.partial(ffi.def_extern, error=lib.DAL_EUSER, onerror=_remember)
 
 
-# Time goes to forces and exact solutions alone: what C asks for phi_t or L_vt is declared to depend
-# on time, and no system of Python's functions is.
-#
 # The arrays that a user's function gets are copies, of the 24 bytes of a particle say, made as a
 # bytes object: that is as fast as a view of C's memory, cannot be written to, and may be kept.
 
@@ -73,13 +74,15 @@ _trampoline = functools.partial(ffi.def_extern, error=lib.DAL_EUSER, onerror=_re
 @_trampoline()
 def dal_py_potential(t: float, q: Any, V: Any, V_q: Any, V_qq: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
-    point = _frombuffer(_buffer(q, call.bytes)[:])
+    point: tuple[Any, ...] = (_frombuffer(_buffer(q, call.bytes)[:]),)
+    if call.timed:
+        point = t, *point
     if V:
-        _write(V, call.potential(point), (), "potential")
+        _write(V, call.potential(*point), (), "potential")
     if V_q:
-        _write(V_q, call.gradient(point), call.vector, "gradient")
+        _write(V_q, call.gradient(*point), call.vector, "gradient")
     if V_qq:
-        _write(V_qq, call.hessian(point), call.square, "hessian")
+        _write(V_qq, call.hessian(*point), call.square, "hessian")
     return 0
 
 
@@ -94,8 +97,10 @@ def _define(callback: str) -> None:
         call = _from_handle(targets[-1])
         size = call.bytes
         state: tuple[Any, ...] = _frombuffer(_buffer(q, size)[:]), _frombuffer(_buffer(v, size)[:])
+        if is_force or call.timed:
+            state = t, *state
         if is_force:
-            state, inputs, targets = (t, *state), targets[0], targets[1:]
+            inputs, targets = targets[0], targets[1:]
             if call.bytes_of_inputs:
                 state = *state, _frombuffer(_buffer(inputs, call.bytes_of_inputs)[:])
         for (name, shape), target in zip(call.plain[callback], targets):
@@ -116,17 +121,22 @@ def dal_py_linear(
     t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
 ) -> int:
     call = _from_handle(ctx)
-    point = _frombuffer(_buffer(q, call.bytes)[:])
+    point: tuple[Any, ...] = (_frombuffer(_buffer(q, call.bytes)[:]),)
+    if call.timed:
+        point = t, *point
     if phi_v:
-        _write(phi_v, call.forms(point), call.matrix, "forms")
-    if phi_q:
+        _write(phi_v, call.forms(*point), call.matrix, "forms")
+    if phi_q or phi_t:
         velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if phi_q:
         _write(
             phi_q,
-            call.forms_velocity_derivative(point, velocity),
+            call.forms_velocity_derivative(*point, velocity),
             call.matrix,
             "forms_velocity_derivative",
         )
+    if phi_t:
+        _write(phi_t, call.constraint_t(*point, velocity), call.multipliers, "constraint_t")
     return 0
 
 
@@ -135,20 +145,24 @@ def dal_py_affine(
     t: float, q: Any, v: Any, phi: Any, phi_v: Any, phi_q: Any, phi_t: Any, ctx: Any
 ) -> int:
     call = _from_handle(ctx)
-    point = _frombuffer(_buffer(q, call.bytes)[:])
+    point: tuple[Any, ...] = (_frombuffer(_buffer(q, call.bytes)[:]),)
     velocity = _frombuffer(_buffer(v, call.bytes)[:])
+    if call.timed:
+        point = t, *point
     if phi or phi_v:
-        forms = _doubles(call.forms(point), call.matrix, "forms")
+        forms = _doubles(call.forms(*point), call.matrix, "forms")
         if phi_v:
             _memmove(phi_v, forms, forms.nbytes)
         if phi:
-            shift = _doubles(call.affine(point), call.multipliers, "affine")
+            shift = _doubles(call.affine(*point), call.multipliers, "affine")
             _write(phi, forms @ velocity + shift, call.multipliers, "affine")
     if phi_q:
         name = "forms_velocity_derivative"
-        turn = _doubles(call.forms_velocity_derivative(point, velocity), call.matrix, name)
-        shift = _doubles(call.affine_derivative(point), call.matrix, "affine_derivative")
+        turn = _doubles(call.forms_velocity_derivative(*point, velocity), call.matrix, name)
+        shift = _doubles(call.affine_derivative(*point), call.matrix, "affine_derivative")
         _write(phi_q, turn + shift, call.matrix, name)
+    if phi_t:
+        _write(phi_t, call.constraint_t(*point, velocity), call.multipliers, "constraint_t")
     return 0
 
 

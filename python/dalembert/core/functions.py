@@ -15,6 +15,7 @@ from .arguments import Array
 from .library import lib
 
 # Functions of users: any, of q, of (q, v), of (t, q, v); and what returns two arrays, a state.
+# Those of a system that depends on time take t before all else.
 Function = Callable[..., Any]
 OfPoint = Callable[[Array], ArrayLike]
 OfState = Callable[[Array, Array], ArrayLike]
@@ -24,16 +25,19 @@ OfTimeTwo = Callable[[float, Array, Array], tuple[ArrayLike, ArrayLike]]
 # By the callback, or by the kind of the constraints: what each output of C is called in Python.
 OUTPUTS = {
     "potential": {"V": "potential", "V_q": "gradient", "V_qq": "hessian"},
-    "lagrangian": {f"L{x}": f"lagrangian{x}" for x in ("", "_q", "_v", "_qq", "_vq", "_vv")},
+    "lagrangian": {
+        f"L{x}": f"lagrangian{x}" for x in ("", "_q", "_v", "_qq", "_vq", "_vv", "_vt")
+    },
     "force": {f"f{x}": f"force{x}" for x in ("", "_q", "_v")},
-    "linear": {"phi_v": "forms", "phi_q": "forms_velocity_derivative"},
+    "linear": {"phi_v": "forms", "phi_q": "forms_velocity_derivative", "phi_t": "constraint_t"},
     "affine": {
         "phi": "(forms v + affine)",
         "phi_v": "forms",
         "phi_q": "(forms_velocity_derivative + affine_derivative)",
+        "phi_t": "constraint_t",
     },
-    "nonlinear": {f"phi{x}": f"constraint{x}" for x in ("", "_v", "_q")},
-    "deformation": {x: x for x in ("g", "g_v", "g_q")},
+    "nonlinear": {f"phi{x}": f"constraint{x}" for x in ("", "_v", "_q", "_t")},
+    "deformation": {x: x for x in ("g", "g_v", "g_q", "g_t")},
 }
 
 # What each function takes.
@@ -49,16 +53,26 @@ FUNCTIONS = {
 }
 
 
-def taken(name: str, inputs: int = 0) -> str:
-    """Return what a function takes; of forces after the state the inputs, if there are any."""
+# What there is only of systems that depend on time: derivatives by it.
+OF_TIME = ("constraint_t", "lagrangian_vt")
+
+
+def taken(name: str, inputs: int = 0, timed: bool = False) -> str:
+    """Return what a function takes; of forces after the state the inputs, if there are any.
+
+    ``timed``: of a system that depends on time.
+    """
     takes_inputs = inputs > 0 and name in OUTPUTS["force"].values()
-    return FUNCTIONS.get(name, "q, v") + ", u" * takes_inputs
+    found = FUNCTIONS.get(name, "q, v") + ", u" * takes_inputs
+    return f"t, {found}" if timed and not found.startswith("t, ") else found
 
 
 # The bits of dal_missing.
 MISSING: dict[str, int] = {
     output: getattr(lib, f"DAL_MISSING_{output.upper()}")
-    for output in ("V_q", "V_qq", "phi_q", "L_qq", "L_vq", "L_vv", "f_q", "f_v")
+    for output in (
+        "V_q", "V_qq", "phi_q", "phi_t", "L_qq", "L_vq", "L_vv", "L_vt", "f_q", "f_v"
+    )
 }
 
 
@@ -72,9 +86,13 @@ def outputs(kind: str) -> dict[str, str]:
 
 
 def shape(output: str, n: int, m: int) -> tuple[int, ...]:
-    """Return the shape of an output: that of what is differentiated, and n for each derivative."""
+    """Return the shape of an output: that of what is differentiated, and n for each derivative.
+
+    That by time adds nothing.
+    """
     name, _, variables = output.partition("_")
-    return {"f": (n,), "phi": (m,), "g": (m,)}.get(name, ()) + (n,) * len(variables)
+    whole = {"f": (n,), "phi": (m,), "g": (m,)}.get(name, ())
+    return whole + (n,) * len(variables.replace("t", ""))
 
 
 def _given_by(output: str, kind: str) -> list[str]:
@@ -84,14 +102,16 @@ def _given_by(output: str, kind: str) -> list[str]:
 
 def differenced(bits: int, kind: str) -> tuple[str, ...]:
     """Return the functions that are not given, of a sum of ``dal_missing``; those of D last."""
-    last = sorted(MISSING, key=lambda output: output == "phi_q")
+    last = sorted(MISSING, key=lambda output: output.startswith("phi"))
     return tuple(x for output in last if bits & MISSING[output] for x in _given_by(output, kind))
 
 
-def missing(given: Mapping[str, Any], m: int, kind: str) -> int:
+def missing(given: Mapping[str, Any], m: int, kind: str, timed: bool = False) -> int:
     """Return the sum of ``dal_missing`` for the derivatives that are not given."""
     names, bits = outputs(kind), 0
     for output, bit in MISSING.items():
+        if names[output] in OF_TIME and not timed:
+            continue
         whole = output.partition("_")[0]
         there = m > 0 if whole == "phi" else given[names[whole]] is not None
         if there and any(given[name] is None for name in _given_by(output, kind)):

@@ -60,8 +60,9 @@ class Workspaces:
     ) -> Any:
         """Call ``function(one, *given)`` for each row of the arrays among what is given.
 
-        A tuple stands for an array that the function writes, with rows of this shape.  Returned
-        are these arrays, or the one that there is; without rows if there is a ``single`` one.
+        A tuple stands for an array that the function writes, with rows of this shape, a list for
+        a number of each row.  Returned are these arrays, or the one that there is; without rows if
+        there is a ``single`` one.
         ``inputs`` has a row for each call, where the system takes any.
         """
         count = next(len(x) for x in given if isinstance(x, np.ndarray))
@@ -71,8 +72,7 @@ class Workspaces:
                 for k in range(count):
                     if inputs is not None:
                         call(self._kind, lib.dal_mechanics_input, one, pointer(inputs, k))
-                    row = (pointer(x, k) if isinstance(x, np.ndarray) else x for x in arrays)
-                    call(self._kind, function, one, *row, step=k)
+                    call(self._kind, function, one, *(_row(x, k) for x in arrays), step=k)
             finally:
                 if inputs is not None:
                     lib.dal_mechanics_input(one, pointer(np.zeros(inputs.shape[1])))
@@ -82,6 +82,13 @@ class Workspaces:
 def _arrays(given: Sequence[Any], count: int) -> list[Any]:
     """Return what is given, with arrays of so many rows for shapes."""
     return [np.empty((count, *x)) if isinstance(x, tuple) else x for x in given]
+
+
+def _row(x: Any, k: int) -> Any:
+    """Return what C gets of an argument for row k."""
+    if isinstance(x, np.ndarray):
+        return pointer(x, k)
+    return x[k] if isinstance(x, list) else x
 
 
 def _outputs(given: Sequence[Any], arrays: Sequence[Any], single: bool) -> Any:
@@ -103,6 +110,7 @@ class Handle(Constant):
     mass: Array | None
     kind: str
     is_forced: bool
+    is_time_dependent: bool
     inputs: tuple[str, ...]
     q0: Array | None
     v0: Array | None
@@ -129,6 +137,7 @@ class Handle(Constant):
         }
         self.kind = {number: name for name, number in KINDS.items()}[lib.dal_system_kind(handle)]
         self.is_forced = bool(lib.dal_system_is_forced(handle))
+        self.is_time_dependent = bool(lib.dal_system_is_time_dependent(handle))
         self.differenced = differenced(lib.dal_system_missing(handle), self.kind)
         mass, state = lib.dal_system_mass(handle), np.empty(2 * n)
         self.mass = None if mass == ffi.NULL else doubles(mass, n**2).reshape(n, n)
@@ -164,6 +173,15 @@ class Handle(Constant):
     def _c(self, constructor: str, *given: Any) -> Any:
         """Return a C object of this system, which keeps it alive."""
         return make(constructor, self._handle, *given, owner=self._handle)
+
+
+def require_autonomous(system: Any, what: str) -> None:
+    """Raise ValueError if an argument ``system`` is none, or depends on time but for a force."""
+    require_system(system)
+    if system.is_time_dependent:
+        raise ValueError(
+            f"system = {system!r}: expected one that does not depend on time for {what}"
+        )
 
 
 def require_system(value: Any) -> None:

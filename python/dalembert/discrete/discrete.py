@@ -240,7 +240,7 @@ class Discrete(core.Constant):
         q, v = self._call(lib.dal_discrete_state, (2, self.system.n), h=h, q0=q0, q1=q1)
         return q, v
 
-    def nodes(self, h: float, q: ArrayLike, v: ArrayLike) -> Pair:
+    def nodes(self, h: float, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> Pair:
         """Return the pair of nodes of a state, by the inverse of the map of D_d.
 
         A state in D gives a pair of D_d.
@@ -250,6 +250,8 @@ class Discrete(core.Constant):
         h : float
             The step.
         q, v : array_like, shape (n,)
+        t : float, optional
+            Time of the state.
 
         Returns
         -------
@@ -269,11 +271,11 @@ class Discrete(core.Constant):
         (array([0., 1., 0.]), array([0.5, 1.5, 0.5]))
         """
         x, shape = np.concatenate(vectors(self.system, q=q, v=v)), (self.system.n,)
-        return self._call(lib.dal_discrete_nodes, x, shape, shape, t=0.0, h=h)
+        return self._call(lib.dal_discrete_nodes, x, shape, shape, t=t, h=h)
 
     # ---- the discrete Lagrangian and constraint ----------------------------------------------
 
-    def lagrangian(self, h: float, q0: ArrayLike, q1: ArrayLike) -> float:
+    def lagrangian(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> float:
         """Return L_d(q0, q1) = h L(rho(q0, q1)) (aprox, Ld1).
 
         Parameters
@@ -281,6 +283,8 @@ class Discrete(core.Constant):
         h : float
             The step.
         q0, q1 : array_like, shape (n,)
+        t : float, optional
+            Time of the state.
 
         Returns
         -------
@@ -298,10 +302,10 @@ class Discrete(core.Constant):
         2.0
         """
         outputs = ((), ffi.NULL, ffi.NULL, ffi.NULL)
-        return self._call(lib.dal_discrete_lagrangian, *outputs, t=0.0, h=h, q0=q0, q1=q1)
+        return self._call(lib.dal_discrete_lagrangian, *outputs, t=t, h=h, q0=q0, q1=q1)
 
     def lagrangian_derivatives(
-        self, h: float, q0: ArrayLike, q1: ArrayLike
+        self, h: float, q0: ArrayLike, q1: ArrayLike , t: float = 0.0
     ) -> tuple[Array, Array, Array]:
         """Return D_1 L_d, D_2 L_d and D_1 D_2 L_d.
 
@@ -310,6 +314,8 @@ class Discrete(core.Constant):
         h : float
             The step.
         q0, q1 : array_like, shape (n,)
+        t : float, optional
+            Time of the state.
 
         Returns
         -------
@@ -331,9 +337,9 @@ class Discrete(core.Constant):
         """
         n = self.system.n
         outputs = (ffi.NULL, (n,), (n,), (n, n))
-        return self._call(lib.dal_discrete_lagrangian, *outputs, t=0.0, h=h, q0=q0, q1=q1)
+        return self._call(lib.dal_discrete_lagrangian, *outputs, t=t, h=h, q0=q0, q1=q1)
 
-    def constraint(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Array:
+    def constraint(self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0) -> Array:
         """Return phi_d(q0, q1), which is zero for a pair of D_d (DiscNHSet).
 
         Parameters
@@ -341,6 +347,8 @@ class Discrete(core.Constant):
         h : float
             The step.
         q0, q1 : array_like, shape (n,)
+        t : float, optional
+            Time of the state.
 
         Returns
         -------
@@ -358,9 +366,11 @@ class Discrete(core.Constant):
         array([2.])
         """
         outputs = ((self.system.m,), ffi.NULL, ffi.NULL)
-        return self._call(lib.dal_discrete_constraint, *outputs, t=0.0, h=h, q0=q0, q1=q1)
+        return self._call(lib.dal_discrete_constraint, *outputs, t=t, h=h, q0=q0, q1=q1)
 
-    def constraint_derivatives(self, h: float, q0: ArrayLike, q1: ArrayLike) -> Pair:
+    def constraint_derivatives(
+        self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0
+    ) -> Pair:
         """Return D_1 phi_d and D_2 phi_d.
 
         Parameters
@@ -368,6 +378,8 @@ class Discrete(core.Constant):
         h : float
             The step.
         q0, q1 : array_like, shape (n,)
+        t : float, optional
+            Time of the state.
 
         Returns
         -------
@@ -386,7 +398,7 @@ class Discrete(core.Constant):
         array([[-2., -1.,  2.]])
         """
         outputs = (ffi.NULL, *[(self.system.m, self.system.n)] * 2)
-        return self._call(lib.dal_discrete_constraint, *outputs, t=0.0, h=h, q0=q0, q1=q1)
+        return self._call(lib.dal_discrete_constraint, *outputs, t=t, h=h, q0=q0, q1=q1)
 
     def momenta(
         self, h: float, q0: ArrayLike, q1: ArrayLike, t: float = 0.0

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
+from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_autonomous
 from . import mechanics
 
 __all__ = ["Chart", "cutoff"]
@@ -78,7 +78,7 @@ class Chart(core.Constant):
         v: ArrayLike | None = None,
         dependent: str | Iterable[str] | None = None,
     ) -> None:
-        require_system(system)
+        require_autonomous(system, "a Chart")
         if q is not None and v is None:
             v = np.zeros(system.n)
         self.system = system

@@ -14,7 +14,8 @@ from ..core import Handle, ffi, functions, lib
 from . import mechanics
 
 DERIVATIVES = (
-    "V_q", "V_qq", "L_q", "L_v", "L_qq", "L_vq", "L_vv", "f_q", "f_v", "phi_v", "phi_q",
+    "V_q", "V_qq", "L_q", "L_v", "L_qq", "L_vq", "L_vv", "L_vt", "f_q", "f_v", "phi_v", "phi_q",
+    "phi_t",
 )  # fmt: skip
 
 
@@ -78,17 +79,18 @@ class Check:
         True if everything below is as it should be.
     kind : {"linear", "affine", "nonlinear"}
         Of the constraints.
-    general, forced : bool
-        True if the system has a Lagrangian of its own; if it has a force.
+    general, forced, timed : bool
+        True if the system has a Lagrangian of its own; if it has a force; if it depends on time.
     V_q, V_qq : Difference
         gradient and hessian against differences.
-    L_q, L_v, L_qq, L_vq, L_vv : Difference
+    L_q, L_v, L_qq, L_vq, L_vv, L_vt : Difference
         The derivatives of a general Lagrangian, lagrangian_q and so on.
     f_q, f_v : Difference
         force_q and force_v.
-    phi_v, phi_q : Difference
+    phi_v, phi_q, phi_t : Difference
         The derivatives of the constraints: phi_v is forms, against what it is the derivative of
-        where that is given, or constraint_v; phi_q is d(mu v)/dq, or constraint_q.
+        where that is given, or constraint_v; phi_q is d(mu v)/dq, or constraint_q; phi_t is
+        constraint_t.
     linearity : float
         Worst change of mu with v; it must not depend on v, unless the constraints are nonlinear.
     rank : int
@@ -137,6 +139,7 @@ class Check:
     kind: str
     general: bool
     forced: bool
+    timed: bool
     V_q: Difference
     V_qq: Difference
     L_q: Difference
@@ -144,10 +147,12 @@ class Check:
     L_qq: Difference
     L_vq: Difference
     L_vv: Difference
+    L_vt: Difference
     f_q: Difference
     f_v: Difference
     phi_v: Difference
     phi_q: Difference
+    phi_t: Difference
     linearity: float
     rank: int
     condition: float
@@ -208,18 +213,19 @@ class Check:
     def _derivatives(self) -> list[tuple[str, Difference]]:
         """Return the derivatives that a system of this kind may have."""
         wanted = ["L_q", "L_v", "L_qq", "L_vq", "L_vv"] if self.general else ["V_q", "V_qq"]
-        wanted += ["f_q", "f_v"] * self.forced + ["phi_v"] * (self.kind != "linear")
+        wanted += ["L_vt"] * (self.general and self.timed) + ["f_q", "f_v"] * self.forced
+        wanted += ["phi_t"] * self.timed + ["phi_v"] * (self.kind != "linear")
         names = functions.outputs(self.kind)
         found = [(f"{names[output]} ({output})", getattr(self, output)) for output in wanted]
         last = {"linear": "d(mu v)/dq (phi_q)", "affine": "phi_q"}
         return [*found, (last.get(self.kind, "constraint_q (phi_q)"), self.phi_q)]
 
 
-def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
+def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None, t: float = 0.0) -> Check:
     """Return what the core finds at a state; see `System.check`."""
     x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
     report, error = ffi.new("dal_check *"), ffi.new("dal_error *")
-    status = core.attempt(lib.dal_system_check, system._handle, 0.0, x, report, error)
+    status = core.attempt(lib.dal_system_check, system._handle, t, x, report, error)
     finding = ffi.addressof(report, "finding")
     # A callback that is not finite is a finding; an exception of the user's is not.
     if status < 0 and not (status == lib.DAL_EDOMAIN and core.string(finding.text)):
@@ -231,6 +237,7 @@ def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None) -> Check:
         kind=system.kind,
         general=system.mass is None,
         forced=system.is_forced,
+        timed=system.is_time_dependent,
         **{name: Difference.read(ffi.addressof(report, name)) for name in DERIVATIVES},
         **{name: getattr(report, name) for name in NUMBERS},
         integrable=bool(report.integrable),

@@ -110,7 +110,8 @@ def trajectory(
     values = np.empty((len(x), *outputs[output]))
     done = ffi.new("size_t *")
     with system._mechanics.lend() as mechanics:
-        most = most_in_a_call(system) if times is None or not system.is_forced else 1
+        steady = not (system.is_forced or system.is_time_dependent)
+        most = most_in_a_call(system) if times is None or steady else 1
         for start in range(0, len(x), most):
             count = min(most, len(x) - start)
             pointers = [
@@ -127,13 +128,30 @@ def trajectory(
     return values
 
 
+def _times(t: ArrayLike, x: Array, single: bool) -> float | list[float]:
+    """Return the time of all states, or a list of the times of each."""
+    found = arguments.array(t, "t", *[(), (len(x),)][: 2 - single])
+    return found.tolist()  # type: ignore[no-any-return]
+
+
 def _quantity(
-    system: Handle, q: ArrayLike, v: ArrayLike, output: str, inputs: Any = None, **numbers: float
+    system: Handle,
+    q: ArrayLike,
+    v: ArrayLike,
+    output: str,
+    t: ArrayLike = 0.0,
+    *,
+    inputs: Any = None,
+    shift: float = 0.0,
 ) -> Any:
     """Evaluate one output of ``dal_trajectory`` on states as they are given."""
     x, single = states(system, q, v)
     rows = arguments.inputs(inputs, system.inputs, len(x))
-    return core.first(trajectory(system, x, output, inputs=rows, **numbers), single)
+    at = _times(t, x, single)
+    when: dict[str, Any] = {"times": np.array(at)} if isinstance(at, list) else {"t0": at}
+    shift = arguments.number(shift, "shift")
+    values = trajectory(system, x, output, inputs=rows, shift=shift, **when)
+    return core.first(values, single)
 
 
 def _input_rows(system: Handle, given: Any, count: int) -> Array | None:
@@ -148,28 +166,31 @@ def _rows(
     q: ArrayLike,
     v: ArrayLike,
     *outputs: tuple[int, ...],
-    t: float = 0.0,
+    t: ArrayLike = 0.0,
     inputs: Any = None,
 ) -> Any:
     """Return what a function writes for each state, arrays of these shapes."""
     x, single = states(system, q, v)
     rows = _input_rows(system, inputs, len(x))
-    given = arguments.number(t, "t"), x, *outputs
+    given = _times(t, x, single), x, *outputs
     return system._mechanics.rows(function, single, *given, inputs=rows)
 
 
 # ---- functions -----------------------------------------------------------------------------
 
 
-def energy(system: Handle, q: ArrayLike, v: ArrayLike) -> Any:
+def energy(system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> Any:
     """Return E = L_v v - L, which is v^T M v / 2 + V(q) for a constant mass.
 
-    It is a first integral on D, unless there is a force or the constraint forces work, see `power`.
+    It is a first integral on D, unless there is a force, the constraint forces work, see `power`,
+    or L depends on time.
 
     Parameters
     ----------
     system : System
     q, v : array_like, shape (n,) or (N, n)
+    t : float or array_like, shape (N,), optional
+        Time of the states.
 
     Returns
     -------
@@ -186,10 +207,12 @@ def energy(system: Handle, q: ArrayLike, v: ArrayLike) -> Any:
     >>> dal.systems.particle().energy([0, 1, 0], [1, 1, 1])
     1.5
     """
-    return _quantity(system, q, v, "energy")
+    return _quantity(system, q, v, "energy", t)
 
 
-def residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:
+def residual(
+    system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0, t: ArrayLike = 0.0
+) -> Array:
     """Return phi(q - shift v, v): zero on D (shift 0) or on D_eps (shift (1 - beta) h).
 
     For linear constraints it is mu(q - shift v) v.
@@ -200,6 +223,8 @@ def residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> 
     q, v : array_like, shape (n,) or (N, n)
     shift : float, optional
         A time, in the user's units.
+    t : float or array_like, shape (N,), optional
+        Time of the states.
 
     Returns
     -------
@@ -216,10 +241,12 @@ def residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> 
     >>> dal.systems.particle().residual([0, 1, 0], [1, 1, 3])
     array([2.])
     """
-    return _quantity(system, q, v, "residual", shift=arguments.number(shift, "shift"))
+    return _quantity(system, q, v, "residual", t, shift=shift)
 
 
-def relative_residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Any:
+def relative_residual(
+    system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0, t: ArrayLike = 0.0
+) -> Any:
     """Return max_a |phi^a| / (|mu^a| |v| + |phi^a - mu^a v|) at (q - shift v, v).
 
     Here |mu^a| = sum_i |mu^a_i| d_i and |v| = max_j |v_j| / d_j with d_i = sqrt((M^-1)_ii), which
@@ -233,6 +260,8 @@ def relative_residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float =
     q, v : array_like, shape (n,) or (N, n)
     shift : float, optional
         A time, in the user's units; 0 is D, (1 - beta) h is D_eps.
+    t : float or array_like, shape (N,), optional
+        Time of the states.
 
     Returns
     -------
@@ -249,11 +278,11 @@ def relative_residual(system: Handle, q: ArrayLike, v: ArrayLike, shift: float =
     >>> dal.systems.particle().relative_residual([0, 1, 0], [1, 1, 2])
     0.25
     """
-    return _quantity(system, q, v, "relative", shift=arguments.number(shift, "shift"))
+    return _quantity(system, q, v, "relative", t, shift=shift)
 
 
 def multipliers(
-    system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0, inputs: Any = None
+    system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
     """Return lambda = -C^-1 (phi_q v + mu f_v) (lambdax), with C = mu M^-1 mu^T.
 
@@ -264,7 +293,7 @@ def multipliers(
     ----------
     system : System
     q, v : array_like, shape (n,) or (N, n)
-    t : float, optional
+    t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
         Of the force, or by their names; default 0.
@@ -285,10 +314,12 @@ def multipliers(
     >>> dal.systems.particle().multipliers([0, 1, 0], [1, 1, 1])
     array([0.5])
     """
-    return _quantity(system, q, v, "multipliers", inputs, t0=arguments.number(t, "t"))
+    return _quantity(system, q, v, "multipliers", t, inputs=inputs)
 
 
-def metric(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+def metric(
+    system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
+) -> Array:
     """Return M = L_vv, the mass matrix at a state.
 
     Parameters
@@ -297,6 +328,8 @@ def metric(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     q : array_like, shape (n,) or (N, n)
     v : array_like, shape (n,) or (N, n), optional
         Matters only if L is not quadratic in v; default 0.
+    t : float or array_like, shape (N,), optional
+        Time of the states.
 
     Returns
     -------
@@ -323,11 +356,11 @@ def metric(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     array([[1., 0.],
            [0., 9.]])
     """
-    return _rows(system, lib.dal_metric, q, or_zero(v, q), (system.n, system.n))
+    return _rows(system, lib.dal_metric, q, or_zero(v, q), (system.n, system.n), t=t)
 
 
 def power(
-    system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0, inputs: Any = None
+    system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> tuple[Any, Any]:
     """Return the powers lambda . (phi_v v) of the constraint forces and f . v of the force.
 
@@ -337,7 +370,7 @@ def power(
     ----------
     system : System
     q, v : array_like, shape (n,) or (N, n)
-    t : float, optional
+    t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
         Of the force, or by their names; default 0.
@@ -361,7 +394,9 @@ def power(
     return _rows(system, lib.dal_power, q, v, (), (), t=t, inputs=inputs)
 
 
-def gram(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+def gram(
+    system: Handle, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0
+) -> Array:
     """Return C = mu M^-1 mu^T (lemma lemmaC), symmetric and positive definite.
 
     Parameters
@@ -370,6 +405,8 @@ def gram(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     q : array_like, shape (n,) or (N, n)
     v : array_like, shape (n,) or (N, n), optional
         Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
+    t : float or array_like, shape (N,), optional
+        Time of the states.
 
     Returns
     -------
@@ -386,11 +423,11 @@ def gram(system: Handle, q: ArrayLike, v: ArrayLike | None = None) -> Array:
     >>> dal.systems.particle().gram([0, 1, 0])
     array([[2.]])
     """
-    return _rows(system, lib.dal_gram, q, or_zero(v, q), (system.m, system.m))
+    return _rows(system, lib.dal_gram, q, or_zero(v, q), (system.m, system.m), t=t)
 
 
 def acceleration(
-    system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0, inputs: Any = None
+    system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
     """Return vdot = f_v + M^-1 mu^T lambda, with f_v as in `multipliers`.
 
@@ -398,7 +435,7 @@ def acceleration(
     ----------
     system : System
     q, v : array_like, shape (n,) or (N, n)
-    t : float, optional
+    t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
         Of the force, or by their names; default 0.
@@ -422,7 +459,7 @@ def acceleration(
 
 
 def field(
-    system: Handle, q: ArrayLike, v: ArrayLike, t: float = 0.0, inputs: Any = None
+    system: Handle, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None
 ) -> Array:
     """Return (v, vdot), the vector field of the ODE on D.
 
@@ -430,7 +467,7 @@ def field(
     ----------
     system : System
     q, v : array_like, shape (n,) or (N, n)
-    t : float, optional
+    t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
         Of the force, or by their names; default 0.
@@ -459,7 +496,7 @@ def perturbed(
     v: ArrayLike,
     ghat: ArrayLike,
     weight: float = 1.0,
-    t: float = 0.0,
+    t: ArrayLike = 0.0,
     inputs: Any = None,
 ) -> Pair:
     """Return the field and the multipliers of the perturbed equations of motion (PerturbedDAE).
@@ -477,7 +514,7 @@ def perturbed(
         (ghat_q, ghat_v).
     weight : float, optional
         h^p, say.
-    t : float, optional
+    t : float or array_like, shape (N,), optional
         Time of the states.
     inputs : array_like, shape (k,) or (N, k), or mapping, optional
         Of the force, or by their names; default 0.
@@ -504,14 +541,16 @@ def perturbed(
     """
     x, single = states(system, q, v)
     push = beside(x, single, ghat, "ghat", 2 * system.n)
-    weight, t = arguments.number(weight, "weight"), arguments.number(t, "t")
+    weight = arguments.number(weight, "weight")
     outputs = (2 * system.n,), (system.m,)
     rows = _input_rows(system, inputs, len(x))
-    given = t, weight, x, push, *outputs
+    given = _times(t, x, single), weight, x, push, *outputs
     return system._mechanics.rows(lib.dal_perturbed, single, *given, inputs=rows)
 
 
-def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> Array:
+def project(
+    system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0, t: ArrayLike = 0.0
+) -> Array:
     """Return the velocity projected to D (shift 0) or to D_eps (shift (1 - beta) h).
 
     For shift 0, and constraints that are not nonlinear, it is v - M^-1 mu^T C^-1 phi, the nearest
@@ -523,6 +562,8 @@ def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> A
     q, v : array_like, shape (n,) or (N, n)
     shift : float, optional
         A time, in the user's units.
+    t : float or array_like, shape (N,), optional
+        Time of the states.
 
     Returns
     -------
@@ -542,13 +583,15 @@ def project(system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0) -> A
     array([2., 1., 2.])
     """
     x, single = states(system, q, v)
-    projection(system, x, arguments.number(shift, "shift"))
+    projection(system, x, arguments.number(shift, "shift"), _times(t, x, single))
     return core.first(halves(x)[1], single)
 
 
-def projection(system: Handle, x: Array, shift: float = 0.0) -> Array:
+def projection(
+    system: Handle, x: Array, shift: float = 0.0, t: float | list[float] = 0.0
+) -> Array:
     """Project the rows of ``x`` in place; return how far, in the mass metric, shape (N,)."""
-    return system._mechanics.rows(lib.dal_project, False, 0.0, shift, x, ())
+    return system._mechanics.rows(lib.dal_project, False, t, shift, x, ())
 
 
 def consistent(
@@ -556,6 +599,7 @@ def consistent(
     q0: ArrayLike,
     v0: ArrayLike,
     keep: str | int | Iterable[str] | Iterable[int] | Iterable[bool] | None = None,
+    t: ArrayLike = 0.0,
 ) -> Array:
     """Return the velocity in D nearest to v0 in the mass metric, with some components kept.
 
@@ -568,6 +612,8 @@ def consistent(
     keep : str, int, iterable of str, of int, or of bool, optional
         Coordinates whose velocities stay as they are, bit by bit: their names, their places from 0,
         or n truth values.
+    t : float or array_like, shape (N,), optional
+        Time of the states.
 
     Returns
     -------
@@ -590,7 +636,7 @@ def consistent(
     """
     x, single = states(system, q0, v0, ("q0", "v0"))
     mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
-    system._mechanics.rows(lib.dal_consistent, single, 0.0, mask, x, ())
+    system._mechanics.rows(lib.dal_consistent, single, _times(t, x, single), mask, x, ())
     return core.first(halves(x)[1], single)
 
 

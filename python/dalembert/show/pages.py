@@ -263,15 +263,11 @@ def _distribution(system: System, found: Check) -> list[tuple[str, str]]:
     ]
 
 
-def _conserves(system: System) -> bool:
-    """Whether the energy is a first integral."""
-    return system.kind == "linear" and not system.is_forced
-
-
 def _invariants(system: System, runs: Sequence[Solution]) -> web.Section:
     """The first integrals, and how far they drift in the typical run and in the accurate one."""
+    conserved = system.conserves_energy
     values = [
-        {**({"energy": x.energy} if _conserves(system) else {}), **system.invariant(x.q, x.v)}
+        {**({"energy": x.energy} if conserved else {}), **system.invariant(x.q, x.v, x.t)}
         for x in runs
     ]
     rows = [
@@ -283,8 +279,9 @@ def _invariants(system: System, runs: Sequence[Solution]) -> web.Section:
         for name in values[0]
     ]
     words = f"The drift is the largest change from t = 0 to {END}." if rows else "None is known."
-    if not _conserves(system):
+    if not conserved:
         why = "there is a force" if system.is_forced else "the constraints do work"
+        why = "the system depends on time" if system.is_time_dependent else why
         words += f" The energy is not among them: {why}."
     drifts = [f"drift of {SCHEME}, h = {STEP:g}", f"of {FINE}, h = {FINE_STEP:g}"]
     return "Invariants", words, Table(["invariant", "at the start", *drifts], rows)
@@ -416,7 +413,8 @@ def _picture(system: System, run: Solution) -> web.HTML:
 def _caption(system: System, run: Solution) -> str:
     broken = "" if run.success else f" It broke off at t = {run.t[-1]:g}: {run.message}."
     path = "the path and " * bool(_plane(system)) + f"the first {SHOWN} " * (system.n > SHOWN)
-    change = "error of the energy" if _conserves(system) else "change of the energy, no error here"
+    conserved = system.conserves_energy
+    change = "error of the energy" if conserved else "change of the energy, no error here"
     return (
         f"A typical run: {SCHEME} with h = {STEP:g} to t = {END}.{broken} Shown are {path}"
         "coordinates over time; below, the relative residual of the constraints, with the unit "

@@ -227,6 +227,8 @@ def energy(
 ) -> Axes:
     """Draw the relative energy error over time, on a linear axis.
 
+    It is called a change where something does work, so that the energy is no first integral.
+
     Parameters
     ----------
     solution : Solution or sequence of Solution
@@ -255,9 +257,10 @@ def energy(
         error, style = (run.energy - run.energy[0]) / scale, styles[run.scheme.name]
         ax.plot(run.t, error, label=plain(run.scheme.name), **_over_time(style, len(run.t)))
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
+    what = "error" if all(run.system.conserves_energy for run in solutions) else "change"
     ax.set(
         xlabel="time t (user's units)",
-        ylabel=r"energy error  $(E - E_0) / \max(|E_0|, 1)$",
+        ylabel=rf"energy {what}  $(E - E_0) / \max(|E_0|, 1)$",
         title=f"{_systems(solutions)}: energy",
     )
     scientific(ax)

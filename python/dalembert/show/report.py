@@ -134,11 +134,12 @@ def _pictures(studies: Studies) -> Iterator[web.Section]:
     )
     longest = max(runs, key=lambda run: run.t[-1])
     short = ", ".join(run.scheme.name for run in runs if run.t[-1] != longest.t[-1])
+    what = "error" if all(run.system.conserves_energy for run in runs) else "change"
     yield "Energy", "", web.svg(
         _by_order(runs, plot.energy, styles),
         "energy",
-        "Relative energy error over time.",
-        f"The error of the energy over 400 steps of {abs(longest.h):g}, each panel on its own "
+        f"Relative energy {what} over time.",
+        f"The {what} of the energy over 400 steps of {abs(longest.h):g}, each panel on its own "
         f"linear axis.{f' Runs that broke off: {short}.' if short else ''}",
     )
 

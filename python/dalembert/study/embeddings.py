@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry
-from ..core import Array, Workspaces, arguments, extras, ffi, lib, require_system
+from ..core import Array, Workspaces, arguments, extras, ffi, lib, require_autonomous
 from ..core.extras import Progress
 from ..geometry import Chart
 from ..run.events import CONSISTENCY
@@ -576,7 +576,7 @@ def embedding(
     0.51
     0.51
     """
-    require_system(system)
+    require_autonomous(system, "an embedding")
     scheme = Scheme.of(scheme)
     if scheme.is_reference:
         raise ValueError("scheme = 'reference': expected a scheme with steps")

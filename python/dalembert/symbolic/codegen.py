@@ -305,6 +305,8 @@ def _definition(model: Model, fast: bool) -> list[str]:
             found.append(f".{name} = model_call_{name}")
     if model.inputs:
         found.append(f".inputs = {len(model.inputs)}")
+    if model.is_time_dependent:
+        found.append(".time_dependent = 1")
     if fast:
         found.append(".compiled = &model_compiled")
     if derived.mass is not None and derived.kind == "linear":

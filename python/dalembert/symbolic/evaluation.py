@@ -94,8 +94,8 @@ class Evaluation:
             slope = made["phi_q"]
             found["affine"] = called("affine", "phi")
             found["affine_derivative"] = called("affine_derivative", "phi_q")
-            found["forms_velocity_derivative"] = lambda q, v: np.reshape(
-                np.subtract(slope(q, v, p), slope(q, np.zeros(n), p)), (m, n)
+            found["forms_velocity_derivative"] = lambda *point: np.reshape(
+                np.subtract(slope(*point, p), slope(*point[:-1], np.zeros(n), p)), (m, n)
             )
         if model.exact is not None:
             exact = model.callables("exact")["x"]
@@ -105,7 +105,7 @@ class Evaluation:
     def invariants(
         self, given: dict[str, Function | None]
     ) -> dict[str, Function]:
-        """Return all first integrals as Python functions of (q, v); None: the next expression."""
+        """Return all first integrals as Python functions of a state; None: the next expression."""
         values = self.model.callables("invariant").get("values")
         found: dict[str, Function] = {}
         i = 0
@@ -114,7 +114,7 @@ class Evaluation:
             if function is not None:
                 found[name] = self.bound(function)
             elif values is not None:
-                found[name] = lambda q, v, i=i: float(values(q, v, self.parameters)[i])
+                found[name] = lambda *state, i=i: float(values(*state, self.parameters)[i])
                 i += 1
         return found
 

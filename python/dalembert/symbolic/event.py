@@ -73,7 +73,7 @@ def _model(system: Handle, expression: Expr, where: str) -> Model:
     for s in expression.free_symbols:
         if s.name in known and not isinstance(s, Coordinate | models.Velocity):
             rule[s] = known[s.name]
-    found = translate(expression.xreplace(rule), where, True)
+    found = translate(expression.xreplace(rule), where, translate.any_clock)
     return Model(
         coordinates=tuple(names), parameters=tuple(values), constraints=(),
         L=sympy.Add(*(v**2 for v in translate.v)) / 2, invariants=(found,),

@@ -100,6 +100,7 @@ def make_model(
         if key in names or key in values:
             raise ValueError(f"inputs: {key} is the name of a coordinate or a parameter too")
     translate = Translation(pairs, values, symbols, acting)
+    lagrangian = translate(L, "L", translate.clock)
     phi = [translate.constraint(a, constraint) for a, constraint in enumerate(given)]
     if len(phi) >= n:
         raise ValueError(f"constraints: {len(phi)} on {n} coordinates; expected fewer")
@@ -111,16 +112,17 @@ def make_model(
     for e in start or ():
         if e.free_symbols - set(translate.rule.values()):
             raise ValueError(f"(q0, v0): {e}: expected numbers, or expressions of parameters")
+    timed = any(models.TIME in e.free_symbols for e in (lagrangian, *phi))
     model = Model(
         coordinates=tuple(names),
         parameters=tuple(values),
-        L=translate(L, "L"),
+        L=lagrangian,
         constraints=tuple(phi),
         force=components,
         state=start,
-        exact=None if exact is None else translate.several(exact, "exact", True),
+        exact=None if exact is None else translate.several(exact, "exact", translate.any_clock),
         invariants=tuple(
-            translate(_expression(e, key), f"invariants[{key!r}]")
+            translate(_expression(e, key), f"invariants[{key!r}]", translate.clock if timed else {})
             for key, e in (invariants or {}).items()
         ),
         assumptions=tuple(_assumed(translate.used[name]) for name in values),
@@ -130,7 +132,11 @@ def make_model(
 
 
 class Translation:
-    """From the user's symbols of coordinates, velocities and parameters to the canonical ones."""
+    """From the user's symbols of coordinates, velocities and parameters to the canonical ones.
+
+    ``clock`` has those of the time, and ``any_clock`` also the symbol t beside coordinates that are
+    no functions of it: it may be a parameter that was forgotten.
+    """
 
     def __init__(
         self,
@@ -149,15 +155,19 @@ class Translation:
         self.inputs = dict(zip(inputs.values(), models.canonical("u", len(inputs))))
         self.states = dict(zip([*positions, *velocities], [*self.q, *self.v]))
         times = [q.args[0] for q in positions if not q.is_Symbol]
-        self.time = times[0] if times else sympy.Symbol("t")
+        self.clock: Rule = dict.fromkeys([models.Time(), *times[:1]], models.TIME)
+        self.any_clock: Rule = self.clock if times else {**self.clock, _PLAIN_TIME: models.TIME}
         # symbols of the same name, of other calls of dalembert.coordinates
         called = Coordinate | Velocity
         self.same = {_kind_and_name(s): c for s, c in self.states.items() if isinstance(s, called)}
 
     def __call__(
-        self, expression: Expr, where: str, with_time: bool = False, with_inputs: bool = False
+        self, expression: Expr, where: str, clock: Rule | None = None, with_inputs: bool = False
     ) -> Expr:
-        """Return an expression in canonical symbols; ValueError if something is left over."""
+        """Return an expression in canonical symbols; ValueError if something is left over.
+
+        Without a clock it may not depend on time.
+        """
         if with_inputs:
             expression = expression.xreplace(self.inputs)
         elif acting := sorted(str(u) for u in self.inputs if expression.has(u)):
@@ -172,28 +182,29 @@ class Translation:
         if unknown:
             raise ValueError(f"{where}: {unknown.pop()} is no velocity of a coordinate")
         # equal names, whatever the assumptions
-        plain = {s: s.name for s in found.free_symbols if not isinstance(s, Coordinate | Velocity)}
+        own = Coordinate | Velocity | models.Time
+        plain = {s: s.name for s in found.free_symbols if not isinstance(s, own)}
         matching = {s: self.rule[name] for s, name in plain.items() if name in self.rule}
         for symbol in matching:
             self.used[symbol.name].add(symbol)
         found = found.xreplace(self.states | matching)
         allowed = {*self.q, *self.v, *self.rule.values()}
-        if with_time:
-            found = found.xreplace({self.time: models.TIME})
+        if clock:
+            found = found.xreplace(clock)
             allowed.add(models.TIME)
         if with_inputs:
             allowed.update(self.inputs.values())
         names_of = {c: s for s, c in (self.states | matching).items()}
         models.require_known(found, where, lambda e: e.xreplace(names_of))
-        self.require_none(sorted(str(s) for s in found.free_symbols - allowed), where)
+        left = found.free_symbols - allowed
+        if left & (self.any_clock.keys() | {models.TIME}):
+            hint = "for the time, write dalembert.time" if clock else "it may not depend on time"
+            raise ValueError(f"{where}: the symbol t is left over; {hint}")
+        self.require_none(sorted(map(str, left)), where)
         return found
 
     def require_none(self, left: list[str], where: str) -> None:
         """Raise ValueError for symbols that are left over."""
-        if str(self.time) in left:
-            raise ValueError(
-                f"{where}: the time {self.time} is left over; only a force may depend on it"
-            )
         if twins := [name for name in left if name.removesuffix(".d") in self.names]:
             raise ValueError(
                 f"{where}: this {twins[0]} is another symbol than that of the coordinates; "
@@ -209,10 +220,10 @@ class Translation:
         """Return what vanishes: an expression, or a form of n coefficients times the velocity."""
         where, n = f"constraints[{a}]", len(self.q)
         if not isinstance(given, list):
-            return self(given, where)
+            return self(given, where, self.clock)
         if len(given) != n:
             raise ValueError(f"{where}: expected {n} coefficients, got {len(given)}")
-        return sympy.Add(*(self(c, where) * v for c, v in zip(given, self.v)))
+        return sympy.Add(*(self(c, where, self.clock) * v for c, v in zip(given, self.v)))
 
     def force(self, given: Rule) -> tuple[Expr, ...]:
         """Return the n components of a force."""
@@ -221,15 +232,20 @@ class Translation:
             position = self.states.get(key, self.same.get(_kind_and_name(key)))
             if position not in components:
                 raise ValueError(f"force: {key} is no coordinate ({', '.join(self.names)})")
-            components[position] += self(expression, f"force[{key}]", True, True)
+            components[position] += self(
+                expression, f"force[{key}]", self.any_clock, True
+            )
         return tuple(components.values())
 
-    def several(self, given: Any, name: str, with_time: bool = False) -> tuple[Expr, ...]:
+    def several(self, given: Any, name: str, clock: Rule | None = None) -> tuple[Expr, ...]:
         """Return the 2n components of a state."""
         found, count = [_expression(e, name) for e in _several(given, name)], 2 * len(self.q)
         if len(found) != count:
             raise ValueError(f"{name}: expected {count} expressions, got {len(found)}")
-        return tuple(self(e, f"{name}[{i}]", with_time) for i, e in enumerate(found))
+        return tuple(self(e, f"{name}[{i}]", clock) for i, e in enumerate(found))
+
+
+_PLAIN_TIME = sympy.Symbol("t")
 
 
 def _kind_and_name(symbol: Expr) -> tuple[type, str]:

@@ -137,6 +137,18 @@ def canonical(letter: str, count: int) -> tuple[Expr, ...]:
 TIME = sympy.Symbol("t", real=True)
 
 
+class Time(sympy.Symbol):
+    """The time as users write it, `dalembert.time`; no other symbol is equal to it."""
+
+    __slots__ = ()
+
+    def __new__(cls) -> Any:
+        return sympy.Symbol.__xnew__(cls, TIME.name, real=True)
+
+    def __getnewargs_ex__(self) -> tuple[Any, ...]:
+        return (), {}
+
+
 # ---- jumps -----------------------------------------------------------------------------------
 
 
@@ -376,7 +388,7 @@ class Model:
     constraints : tuple of sympy.Expr
         What has to vanish.
     force : tuple of sympy.Expr or None
-        The n components of the generalized force; may contain t and the inputs.
+        The n components of the generalized force; may contain the inputs.  All may contain t.
     state : tuple of sympy.Expr or None
         Default initial data (q, v), in the parameters.
     exact : tuple of sympy.Expr or None
@@ -428,6 +440,11 @@ class Model:
     def u(self) -> tuple[Expr, ...]:
         return canonical("u", len(self.inputs))
 
+    @property
+    def is_time_dependent(self) -> bool:
+        """Whether something besides the force depends on time."""
+        return any(TIME in e.free_symbols for e in (self.L, *self.constraints))
+
     @functools.cached_property
     def key(self) -> str:
         """A digest of everything but the names."""
@@ -460,11 +477,12 @@ class Model:
     def callables(self, name: str) -> dict[str, Callable[..., Any]]:
         """Return a function of Python for each output of a function.
 
-        It takes (q, v, p); an exact solution (t, q, v, p), and a force besides the inputs before p.
+        It takes (q, v, p); an exact solution and a force, and all functions of a model that depends
+        on time, (t, q, v, p); and a force besides the inputs before p.
         """
         function = self.derived.function(name)
         arguments = [self.q, self.v, self.p]
-        if name in ("force", "exact"):
+        if name in ("force", "exact") or (self.is_time_dependent and name not in ("mass", "state")):
             arguments.insert(0, TIME)
         if name == "force" and self.inputs:
             arguments.insert(-1, self.u)
@@ -529,16 +547,19 @@ def _derive(model: Model) -> Derived:
     with _naming(model, "L"):
         mass, functions = _energy(model, engine, lagrangian)
     kind = "linear"
-    phi_v, phi_q = [], []
+    phi_v, phi_q, phi_t = [], [], []
     for a, e in enumerate(constraints):
         with _naming(model, f"constraints[{a}]"):
             phi = [engine.take(e)]
             phi_v += _slopes(engine, phi, v)
             phi_q += _slopes(engine, phi, q)
+            phi_t += _slopes(engine, phi, [TIME])
     if constraints:
         kind, phi_v = _kind(model, engine, constraints, phi_v)
         phi = [*map(engine.take, constraints)]
         outputs = {"phi": phi, "phi_v": phi_v, "phi_q": phi_q}
+        if model.is_time_dependent:
+            outputs["phi_t"] = phi_t
         functions.append(Function("constraint", outputs, engine))
     if model.force is not None:
         engine = engine_for(model.force)
@@ -581,6 +602,8 @@ def _energy(
         L_q = _slopes(engine, L, q)
         L_qq, L_vq = _symmetric(engine, L_q, q, almost=True), _slopes(engine, L_v, q)
         outputs = {"L": L, "L_q": L_q, "L_v": L_v, "L_qq": L_qq, "L_vq": L_vq, "L_vv": L_vv}
+        if model.is_time_dependent:
+            outputs["L_vt"] = _slopes(engine, L_v, [TIME])
         return None, [Function("lagrangian", outputs, engine)]
     functions = [Function("mass", {"M": mass}, _SymPy)]
     if not is_zero(potential):
@@ -660,7 +683,7 @@ def _constant_mass(
 ) -> tuple[tuple[Expr, ...] | None, Expr]:
     """Return M if it is proved that L = v^T M v / 2 - V(q) with a constant M, else None; and V."""
     rest = dict.fromkeys(model.v, sympy.Integer(0))
-    origin = rest | dict.fromkeys(model.q, sympy.Integer(0))
+    origin = rest | dict.fromkeys((*model.q, TIME), sympy.Integer(0))
     given = [engine.give(e) for e in L_vv]
     M = tuple(e.xreplace(origin) for e in given)  # if it is the same everywhere
     V = -L.xreplace(rest)
@@ -739,7 +762,11 @@ def _latex(model: Model) -> str:
         mass, pull = "L_{vv}", r"L_q - L_{vq} \dot q"
         L_q, L_vq, L_vv = (_matrix(model, "lagrangian", x, n) for x in ("L_q", "L_vq", "L_vv"))
         lines.append(rf"L_{{vv}} &= {tex(L_vv)}")
-        lines.append(rf"{pull} &= {tex(L_q - L_vq * sympy.Matrix(model.v))}")
+        pulled = L_q - L_vq * sympy.Matrix(model.v)
+        if model.is_time_dependent:
+            pull += r" - L_{vt}"
+            pulled -= _matrix(model, "lagrangian", "L_vt", n)
+        lines.append(rf"{pull} &= {tex(pulled)}")
     if model.force is not None:
         pull = f"{pull} + f".removeprefix(" + ")
         lines.append(rf"f &= {tex(sympy.Matrix(n, 1, list(model.force)))}")
@@ -748,6 +775,9 @@ def _latex(model: Model) -> str:
     if m > 0:
         inverse, turn = f"{mass}^{{-1}}", r"\varphi_q \dot q"
         turned = _matrix(model, "constraint", "phi_q", m) * sympy.Matrix(model.v)
+        if model.is_time_dependent:
+            turn += r" + \varphi_t"
+            turned += _matrix(model, "constraint", "phi_t", m)
         pulled = rf" + {form} {inverse} ({pull})" if pull else ""
         lines.append(rf"\lambda &= -({form} {inverse} {form}^T)^{{-1}} \left({turn}{pulled}\right)")
         lines.append(rf"{turn} &= {tex(turned)}")

@@ -24,7 +24,7 @@ class Pattern:
     inverse, mu, Z, N, pull : list of list of bool
         Row by row; ``pull`` has one row.
     steady : bool
-        Whether no reaction pushes a coordinate that mu depends on.
+        Whether no reaction pushes a coordinate that mu depends on, and nothing depends on time.
     """
 
     inverse: Rows
@@ -78,6 +78,7 @@ def pattern(model: Model) -> Pattern:
     pull = pushed | (rows(derived.expressions("potential", "V_q")) @ inverse).any(axis=0)
     # what mu depends on: not only where it has a derivative
     bending = {s.name for e in forms for s in e.free_symbols}
-    steady = model.m > 0 and not any(pushed[i] for i in range(n) if model.q[i].name in bending)
+    steady = model.m > 0 and not model.is_time_dependent
+    steady = steady and not any(pushed[i] for i in range(n) if model.q[i].name in bending)
     found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None]))
     return Pattern(*found, steady)

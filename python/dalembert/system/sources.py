@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -32,8 +33,7 @@ _NEEDS = {
     "hessian": "potential(q) -> V",
     "lagrangian": "lagrangian_q(q, v) -> dL/dq and lagrangian_v(q, v) -> dL/dv",
     **dict.fromkeys(
-        ("lagrangian_q", "lagrangian_v", "lagrangian_qq", "lagrangian_vq", "lagrangian_vv"),
-        "lagrangian(q, v) -> L",
+        [f"lagrangian_{x}" for x in ("q", "v", "qq", "vq", "vv", "vt")], "lagrangian(q, v) -> L"
     ),
     "force_q": "force(t, q, v) -> f",
     "force_v": "force(t, q, v) -> f",
@@ -138,6 +138,7 @@ class Functions(Source):
     invariants: dict[str, Function]
     steady: bool
     inputs: list[str]
+    time_dependent: bool
 
     def named(self) -> dict[str, Function | None]:
         return self.given | self.invariants
@@ -148,6 +149,7 @@ class Functions(Source):
         """Return the C system."""
         numbers = {"n": self.n, "m": self.m, "kind": kind, "missing": missing}
         numbers["inputs"] = len(self.inputs)
+        numbers["time_dependent"] = int(self.time_dependent)
         given = {**numbers, "steady": int(bool(self.steady)), "ctx": ctx, **callbacks}
         definition = ffi.new("dal_system_def *", given)
         names = self.coordinates, self.inputs
@@ -162,7 +164,8 @@ class PythonFunctions(Functions):
         if self.m > 0:
             kind = "affine" if given["affine"] is not None else kind
             kind = "nonlinear" if given["constraint"] is not None else kind
-        callables = core.Callables(self.n, self.m, len(self.inputs), **given)
+        timed = self.time_dependent
+        callables = core.Callables(self.n, self.m, len(self.inputs), timed, **given)
         callbacks = {
             key: getattr(lib, f"dal_py_{key}")
             for key in ("lagrangian", "potential", "force", "exact")
@@ -171,7 +174,7 @@ class PythonFunctions(Functions):
         if self.m > 0:
             callbacks["constraint"] = getattr(lib, f"dal_py_{kind}")
         handle = self.define(
-            callbacks, KINDS[kind], core.functions.missing(given, self.m, kind),
+            callbacks, KINDS[kind], core.functions.missing(given, self.m, kind, timed),
             ffi.new_handle(callables), callables,
         )  # fmt: skip
         return Made(handle, None, self.invariants, given["exact"] is not None)
@@ -204,14 +207,17 @@ def functions(given: dict[str, Any]) -> Functions:
     require_named(invariants)
     compiled = _compiled(by_name)
     inputs = _input_names(given["inputs"], by_name["force"])
+    timed = bool(given["time_dependent"])
     for key, function in {**by_name, **(invariants or {})}.items():
+        if function is not None and key in core.functions.OF_TIME and not timed:
+            raise ValueError(f"{key}: expected time_dependent=True with it")
         if key not in compiled:
-            arguments.function(function, key, core.functions.taken(key, len(inputs)))
+            arguments.function(function, key, core.functions.taken(key, len(inputs), timed))
     for_c = {key: given[key] for key in ("kind", "missing", "ctx")}
     if compiled:
         _require_compiled(by_name, compiled, mass, m)
     else:
-        _require_parts(by_name, mass)
+        _require_parts(by_name, mass, timed)
         for key, value in for_c.items():
             if value is not None:
                 raise ValueError(f"{key} = {arguments.shown(value)}: only C functions take it")
@@ -224,12 +230,14 @@ def functions(given: dict[str, Any]) -> Functions:
     if compiled:
         m = arguments.integer(0 if m is None else m, "m", 0)
     else:
-        m = _number_of_constraints(by_name["forms"], by_name["constraint"], m, size, state)
+        functions = by_name["forms"], by_name["constraint"]
+        m = _number_of_constraints(*functions, m, size, state, timed)
     about = {key: given[key] for key in ("name", "help", "description", "source")}
     lines = arguments.names(given["formulas"], "formulas", "several lines")
     about["formulas"] = "\n".join(lines)
     own = dict(invariants or {})
-    common = (by_name, matrix, size, m, about, names, state, own, given["steady"], inputs)
+    steady = given["steady"]
+    common = (by_name, matrix, size, m, about, names, state, own, steady, inputs, timed)
     return CFunctions(*common, **for_c) if compiled else PythonFunctions(*common)
 
 
@@ -330,7 +338,7 @@ class Expressions(Source):
             names = list(model.coordinates)
             made = PythonFunctions(
                 found, mass, n, model.m, self.about, names, state, invariants, False,
-                list(model.inputs),
+                list(model.inputs), model.is_time_dependent,
             ).make()
         else:
             handle = self._from_library(library, numbers, mass, state, in_c)
@@ -366,16 +374,19 @@ class Deformed(Source):
     delta: float
     g_v: Function
     g_q: Function | None
+    g_t: Function | None
     kind: str
 
     def named(self) -> dict[str, Function | None]:
-        return {"g": self.g, "g_v": self.g_v, "g_q": self.g_q}
+        return {"g": self.g, "g_v": self.g_v, "g_q": self.g_q, "g_t": self.g_t}
 
     def make(self) -> Made:
         base = self.base
-        callables = core.Callables(base.n, base.m, **self.named())
+        timed = base.is_time_dependent
+        callables = core.Callables(base.n, base.m, 0, timed, **self.named())
         context = ffi.new_handle(callables)
         missing = lib.DAL_MISSING_PHI_Q if self.g_q is None else 0
+        missing |= lib.DAL_MISSING_PHI_T if timed and self.g_t is None else 0
         return Made(
             core.adopt(
                 "system", lib.dal_system_deform, base._handle, lib.dal_py_deformation, context,
@@ -408,7 +419,7 @@ def require_named(invariants: Any) -> None:
             raise ValueError(f"invariants[{name!r}] = None: expected a function or an expression")
 
 
-def _require_parts(functions: dict[str, Function | None], mass: Any) -> None:
+def _require_parts(functions: dict[str, Function | None], mass: Any, timed: bool) -> None:
     """Raise ValueError if functions are given that do not go together, or not all that do."""
     given = {key for key, function in functions.items() if function is not None}
     if mass is not None:
@@ -424,7 +435,10 @@ def _require_parts(functions: dict[str, Function | None], mass: Any) -> None:
         needed = _NEEDS.get(key, "")
         names = [part.split("(")[0] for part in needed.split(" and ")] if needed else []
         if key in given and not given.issuperset(names):
+            needed = re.sub(r"\((?!t)", "(t, ", needed) if timed else needed
             raise ValueError(f"{key} without {needed}")
+    if "constraint_t" in given and not given & {"forms", "constraint"}:
+        raise ValueError("constraint_t without forms or constraint")
     if not given & {"mass", "lagrangian"}:
         raise ValueError("mass: needed, or a lagrangian")
     derivatives = given & {"forms_velocity_derivative", "affine_derivative"}
@@ -490,8 +504,9 @@ def _number_of_constraints(
     m: int | None,
     n: int,
     state: Array | None,
+    timed: bool,
 ) -> int:
-    """Return m as given, or as many as ``forms(q)`` or ``constraint(q, v)`` returns."""
+    """Return m as given, or as many as ``forms(q)`` or ``constraint(q, v)`` returns, at time 0."""
     if forms is None and constraint is None:
         if m:
             raise ValueError(f"m = {m}: without forms or constraint there are no constraints")
@@ -500,15 +515,16 @@ def _number_of_constraints(
         return arguments.integer(m, "m", 0)
     point = np.concatenate([np.zeros(n), np.ones(n)]) if state is None else state.copy()
     point.flags.writeable = False
+    time = (0.0,) if timed else ()
     if constraint is not None:
-        shape = arguments.shape(constraint(point[:n], point[n:]))
+        shape = arguments.shape(constraint(*time, point[:n], point[n:]))
         if len(shape) != 1:
             raise ValueError(
                 "constraint has to return shape (m,), one number for each constraint, it "
                 f"returned {shape}"
             )
     elif forms is not None:
-        shape = arguments.shape(forms(point[:n]))
+        shape = arguments.shape(forms(*time, point[:n]))
         if len(shape) != 2 or shape[1] != n:
             raise ValueError(
                 f"forms has to return shape (m, {n}), one row for each constraint, "

@@ -24,8 +24,9 @@ class System(Handle):
     The equations are ``d/dt L_v - L_q = f + phi_v^T lambda`` with ``phi(q, v) = 0``.  The
     Lagrangian L is ``v^T M v / 2 - V(q)`` with a constant mass matrix M, or any function with L_vv
     positive definite.  The constraints phi are linear, ``mu(q) v``; affine, ``mu(q) v + a(q)``; or
-    nonlinear.  The force f may depend on time.  Systems that come with the library are made by the
-    functions of `dalembert.systems`.
+    nonlinear.  The force f may depend on time, and everything else in a system that is
+    ``time_dependent``.  Systems that come with the library are made by the functions of
+    `dalembert.systems`.
 
     Parameters
     ----------
@@ -45,6 +46,12 @@ class System(Handle):
         Nonlinear constraints, instead of ``forms``.  ``constraint(q, v) -> (m,)``: phi;
         ``constraint_v(q, v) -> (m, n)``: dphi^a/dv_i, needed, and of rank m wherever the system
         goes; ``constraint_q(q, v) -> (m, n)``: dphi^a/dq_j.
+    time_dependent : bool, optional
+        Whether constraints or Lagrangian depend on time.  Then all functions, invariants too, take
+        t before what is said of them here: ``forms(t, q)``, ``constraint(t, q, v)``.
+    constraint_t, lagrangian_vt : callable, optional
+        Of a system that depends on time: ``constraint_t(t, q, v) -> (m,)``: dphi^a/dt, which is
+        d(mu^a(t, q) v)/dt for linear constraints; ``lagrangian_vt(t, q, v) -> (n,)``: d2L/dv_i dt.
     potential : callable, optional
         ``potential(q) -> float``.  None: V = 0.
     gradient : callable, optional
@@ -81,8 +88,8 @@ class System(Handle):
     q0, v0 : array_like, shape (n,), optional
         Initial data to start from by default, both or none.
     exact : callable, optional
-        ``exact(t, q0, v0) -> (q, v)``: the exact state a time t after (q0, v0).  Where there is a
-        force that depends on time, the solution that starts at time 0.
+        ``exact(t, q0, v0) -> (q, v)``: the exact state a time t after (q0, v0).  Where something
+        depends on time, the solution that starts at time 0.
     invariants : mapping of str to callable, optional
         ``invariant(q, v) -> float`` by name: first integrals besides the energy.
     steady : bool, optional
@@ -110,6 +117,8 @@ class System(Handle):
         Of the constraints.
     is_forced : bool
         True if there is a force besides that of the Lagrangian.
+    is_time_dependent : bool
+        True if constraints or Lagrangian depend on time.  Its energy is then no first integral.
     inputs : tuple of str
         Names of the inputs of the force.
     q0, v0 : ndarray, shape (n,), or None
@@ -126,8 +135,9 @@ class System(Handle):
     Notes
     -----
     Derivatives that are not given are replaced by central differences, see `differenced`.  Where
-    ``gradient``, ``lagrangian_vq``, ``lagrangian_vv`` or that of the constraints by q is missing,
-    accelerations and multipliers are good to about 1e-12; the others cost Newton's speed only.
+    ``gradient``, ``lagrangian_vq``, ``lagrangian_vv``, ``lagrangian_vt`` or that of the constraints
+    by q or t is missing, accelerations and multipliers are good to about 1e-12; the others cost
+    Newton's speed only.
 
     A system of constant mass without force and with linear constraints is integrated by the fastest
     step routine; all others by Newton's iteration on all n + m unknowns.
@@ -185,6 +195,19 @@ class System(Handle):
     ... )
     >>> runner.kind
     'nonlinear'
+
+    A blade that a motor turns at the rate 2:
+
+    >>> sin, cos = np.sin, np.cos
+    >>> turned = dal.System(
+    ...     mass=[1, 1],
+    ...     forms=lambda t, q: [[sin(2 * t), -cos(2 * t)]],
+    ...     constraint_t=lambda t, q, v: [2 * cos(2 * t) * v[0] + 2 * sin(2 * t) * v[1]],
+    ...     coordinates=["x", "y"],
+    ...     time_dependent=True,
+    ... )
+    >>> turned.multipliers([0, 0], [1, 0], t=0)
+    array([-2.])
     """
 
     def __init__(
@@ -198,6 +221,7 @@ class System(Handle):
         constraint: OfState | None = None,
         constraint_v: OfState | None = None,
         constraint_q: OfState | None = None,
+        constraint_t: OfTime | None = None,
         potential: Callable[[Array], float] | None = None,
         gradient: OfPoint | None = None,
         hessian: OfPoint | None = None,
@@ -207,6 +231,7 @@ class System(Handle):
         lagrangian_qq: OfState | None = None,
         lagrangian_vq: OfState | None = None,
         lagrangian_vv: OfState | None = None,
+        lagrangian_vt: OfTime | None = None,
         force: OfTime | None = None,
         force_q: OfTime | None = None,
         force_v: OfTime | None = None,
@@ -224,6 +249,7 @@ class System(Handle):
         exact: OfTimeTwo | None = None,
         invariants: Mapping[str, Callable[[Array, Array], float]] | None = None,
         steady: bool = False,
+        time_dependent: bool = False,
         kind: str | None = None,
         missing: Sequence[str] | None = None,
         ctx: Any = None,
@@ -290,7 +316,8 @@ class System(Handle):
             used.
         constraints : sequence, optional
             What vanishes, or an ``Eq``; linear, affine or nonlinear in the velocities, see `kind`.
-            A list of n coefficients, and a row of a matrix, is a one-form mu(q).
+            A list of n coefficients, and a row of a matrix, is a one-form mu(q).  The time in L and
+            here is `dalembert.time`, or ``dynamicsymbols._t`` beside dynamicsymbols.
         coordinates : sequence, optional
             Of `dalembert.coordinates`; of dynamicsymbols, whose velocities are their derivatives;
             or pairs (q, v) of symbols.  Default: all that occur, those of `dalembert.coordinates`
@@ -300,7 +327,7 @@ class System(Handle):
             of every value that it gets, here and in `with_parameters`.
         force : mapping, optional
             Coordinate to component of a generalized force, d/dt L_v - L_q = f + mu^T lambda, in
-            coordinates, velocities, the inputs and the time ``dynamicsymbols._t``.
+            coordinates, velocities, the inputs and the time.
         inputs : sequence, optional
             Symbols or dynamicsymbols of the force that a run changes from step to step, as torques
             of motors; they become `System.inputs` by their names.
@@ -313,7 +340,8 @@ class System(Handle):
             coordinates and velocities, which stand for the initial data; or
             ``exact(t, q0, v0, **parameters) -> (q, v)``.
         invariants : mapping, optional
-            Name to expression, or to ``invariant(q, v, **parameters) -> float``.
+            Name to expression, or to ``invariant(q, v, **parameters) -> float``; of a system that
+            depends on time ``invariant(t, q, v, **parameters)``.
 
         Returns
         -------
@@ -376,7 +404,7 @@ class System(Handle):
         Raises
         ------
         ValueError
-            If there are holonomic constraints, the time is left over, or it is no LagrangesMethod.
+            If there are holonomic constraints, or it is no LagrangesMethod.
 
         Examples
         --------
@@ -430,13 +458,15 @@ class System(Handle):
 
     # ---- what the system is --------------------------------------------------------------
 
-    def invariant(self, q: ArrayLike, v: ArrayLike) -> dict[str, Any]:
+    def invariant(self, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> dict[str, Any]:
         """Return the first integrals besides the energy.
 
         Parameters
         ----------
         q, v : array_like, shape (n,) or (N, n)
             A state, or N of them, in the user's units.
+        t : float or array_like, shape (N,), optional
+            Time of the states.
 
         Returns
         -------
@@ -456,19 +486,35 @@ class System(Handle):
         """
         x, single = geometry.states(self, q, v)
         n, names = self.n, self.invariants
+        times = np.broadcast_to(arguments.array(t, "t", *[(), (len(x),)][: 2 - single]), len(x))
         values = np.empty((len(x), len(names)))
-        for k, row in enumerate(x):
+        for k, (at, row) in enumerate(zip(times.tolist(), x)):
             if self._invariants:
+                before = (at,) * self.is_time_dependent
                 values[k] = [
-                    arguments.returned(f(row[:n].copy(), row[n:].copy()), (), name)
+                    arguments.returned(f(*before, row[:n].copy(), row[n:].copy()), (), name)
                     for name, f in self._invariants.items()
                 ]
             elif names:
                 output = values[k]
                 core.check(
-                    core.attempt(lib.dal_system_invariant, self._handle, 0.0, row, output), step=k
+                    core.attempt(lib.dal_system_invariant, self._handle, at, row, output), step=k
                 )
         return {name: core.first(values[:, i], single) for i, name in enumerate(names)}
+
+    @property
+    def conserves_energy(self) -> bool:
+        """True if the energy is a first integral, as far as the kinds of what is given tell.
+
+        That is so for linear constraints without a force where nothing depends on time.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.systems.particle().conserves_energy, dal.systems.ball_on_table().conserves_energy
+        (True, False)
+        """
+        return self.kind == "linear" and not (self.is_forced or self.is_time_dependent)
 
     @property
     def has_exact(self) -> bool:
@@ -532,6 +578,7 @@ class System(Handle):
         q: ArrayLike | None = None,
         v: ArrayLike | None = None,
         *,
+        t: float = 0.0,
         progress: Progress = False,
     ) -> Check:
         """Examine the system at a state: derivatives, rank, definiteness, integrability, growth.
@@ -539,10 +586,11 @@ class System(Handle):
         Derivatives are compared with differences over several distances; what is wrong by less
         than 1e-7 of 1 + its size is not seen, and an entry where differences do not converge, such
         as a second derivative at a kink, is not judged.
-        What depends on v is examined at another velocity too, where it is defined there, and the
-        force at times 0 and 1.  The growth vector of D, and with it whether D is integrable, is
+        What depends on v is examined at another velocity too, where it is defined there, and what
+        depends on time at t + 1.  The growth vector of D, and with it whether D is integrable, is
         found with many digits for a system made by `from_sympy`, and for one whose formulas say
-        what it is if SymPy is installed; else by its functions, as far as their digits go.
+        what it is if SymPy is installed; else by its functions, as far as their digits go.  For a
+        system that depends on time it is not sought.
 
         Parameters
         ----------
@@ -550,6 +598,8 @@ class System(Handle):
             Where to look, in the user's units, both; neither: the system's initial data; without
             any, and if the system was made by `from_sympy`, some state in D.  The growth vector is
             that at q if q is given, else that at a general point.
+        t : float, optional
+            The time.
         progress : bool or callable, optional
             True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
             dimensions that brackets add to D, m at a general point and m at q.
@@ -586,8 +636,8 @@ class System(Handle):
         asked = q is not None
         if q is None and v is None and self.q0 is None and self._model is not None:
             q, v = self._general_state()
-        found = examine(self, q, v)
-        if self.m == 0 or self.kind != "linear":
+        found = examine(self, q, v, arguments.number(t, "t"))
+        if self.m == 0 or self.kind != "linear" or self.is_time_dependent:
             return found
         place, _ = geometry.initial(self, q, v, "q", "v")
         at = place if asked else None
@@ -697,6 +747,7 @@ class System(Handle):
         *,
         g_v: OfState,
         g_q: OfState | None = None,
+        g_t: OfTime | None = None,
         kind: str = "nonlinear",
     ) -> System:
         """Return the system with the constraints phi + delta g = 0 (deformation, DefCons, DefDAE).
@@ -718,6 +769,9 @@ class System(Handle):
         g_q : callable, optional
             ``g_q(q, v) -> (m, n)``: entry [a, j] is dg^a/dq_j.  None: d(phi + delta g)/dq is
             replaced by central differences, see `differenced`.
+        g_t : callable, optional
+            Of a system that depends on time: ``g_t(t, q, v) -> (m,)``: dg^a/dt, or differences; the
+            others take t first, too.
         kind : {"nonlinear", "affine", "linear"}, optional
             Of phi + delta g as a function of v.
 
@@ -750,8 +804,10 @@ class System(Handle):
         >>> [round(power, 12) for power in bent.power([0, 1, 0], [2, 2, 0])]
         [4.0, 0.0]
         """
-        for function, name in ((g, "g"), (g_v, "g_v"), (g_q, "g_q")):
+        for function, name in ((g, "g"), (g_v, "g_v"), (g_q, "g_q"), (g_t, "g_t")):
             arguments.function(function, name)
+        if g_t is not None and not self.is_time_dependent:
+            raise ValueError("g_t: the system does not depend on time")
         if g is None or g_v is None:
             raise ValueError("g(q, v) and g_v(q, v) -> dg/dv: expected both")
         if arguments.choice(kind, "kind", KINDS) < KINDS[self.kind]:
@@ -759,7 +815,7 @@ class System(Handle):
                 f"kind = {kind!r}: the constraints of the system are {self.kind} already"
             )
         delta = arguments.number(delta, "delta")
-        return type(self)._of(sources.Deformed(self, g, delta, g_v, g_q, kind))
+        return type(self)._of(sources.Deformed(self, g, delta, g_v, g_q, g_t, kind))
 
     def at_kept_nodes(self, shift: float) -> System:
         """Return the system with phi(q - shift v, v) = 0 as constraints (deformedCons).
@@ -809,6 +865,7 @@ class System(Handle):
             (", general Lagrangian" if self.mass is None else "")
             + (f", {self.kind}" if self.kind != "linear" else "")
             + (", forced" if self.is_forced else "")
+            + (", depends on time" if self.is_time_dependent else "")
             + (f", inputs {', '.join(self.inputs)}" if self.inputs else "")
         )
         parameters = f"; parameters {values}" if values else ""

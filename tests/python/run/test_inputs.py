@@ -249,6 +249,27 @@ def test_multipliers_and_energy_of_rows():
     np.testing.assert_array_equal(copy.multipliers, run.multipliers)
 
 
+def test_inputs_of_output_times():
+    """A time between the steps has the inputs of its own step."""
+    inputs, cart, at = table(8), from_sympy(), [0.0, 0.07, 0.12, 0.31, 0.38]
+    run = dal.integrate(cart, h=0.05, steps=8, inputs=inputs, t_eval=at)
+    for k, step in enumerate([0, 1, 2, 6, 7]):
+        expected = cart.multipliers(run.q[k], run.v[k], inputs=inputs[step])
+        np.testing.assert_array_equal(run.multipliers[k], expected)
+
+
+def test_a_single_input_is_a_number():
+    cart = dal.System(
+        mass=[2], force=lambda t, q, v, u: u - v, inputs=["push"], q0=[0], v0=[0]
+    )
+    run = dal.integrate(cart, h=0.1, steps=3, inputs=lambda t, q, v: 1 - v[0])
+    stepper = dal.Stepper(cart, h=0.1)
+    for k in range(3):
+        assert run.inputs[k] == 1 - run.v[k]
+        stepper.step(1 - run.v[k, 0])
+    np.testing.assert_array_equal(stepper.x, run.x[-1])
+
+
 def test_a_controller_that_fails(cart):
     def control(t, q, v):
         if t > 0.42:
@@ -345,3 +366,25 @@ def test_stepper_failures(cart):
     flow = dal.Stepper(dal.systems.particle(), dal.Scheme.flow("msadams"), h=0.1)
     with pytest.raises(NotImplementedError, match="cannot be resumed"):
         flow.save()
+
+
+def test_a_step_that_fails_leaves_no_reaction():
+    """The reaction is that of the last good call; after a failure there is none."""
+    sleigh, calls = dal.systems.sleigh(), []
+
+    def force(t, q, v):
+        calls.append(t)
+        if t > 0.15:
+            raise RuntimeError("no more")
+        return np.zeros(3)
+
+    own = dal.System(
+        mass=sleigh.mass, forms=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0]], force=force
+    )
+    stepper = dal.Stepper(own, "midpoint", np.zeros(3), [1, 0, 0.5], h=0.1)
+    stepper.step()
+    assert np.isfinite(stepper.reaction).all()
+    before = stepper.x
+    with pytest.raises(RuntimeError, match="no more"):
+        stepper.step(steps=3)
+    assert np.isnan(stepper.reaction).all() and np.array_equal(stepper.x, before)
