@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -161,8 +161,6 @@ class Run:
 
 def one_row(value: Any, names: tuple[str, ...]) -> Array:
     """Return inputs as an array of k numbers, of a single one also from the number itself."""
-    if len(names) == 1 and np.ndim(value) == 0 and not isinstance(value, Mapping):
-        value = [value]
     return arguments.inputs(value, names, 1)[0]
 
 

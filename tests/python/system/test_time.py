@@ -346,6 +346,12 @@ def test_the_check_sees_what_is_wrong():
     assert "constraint_t (phi_t)" in str(found)
 
 
+def test_growth_is_not_sought():
+    """D(t) may be integrable at each time without a function that it keeps."""
+    found = of_expressions(sway=0).check(Q0, velocity(1.1, -0.4, 0, Q0[2], 0))
+    assert found and found.growth is None and found.holonomic == ()
+
+
 def test_discrete_mechanics_take_the_time():
     system, t = of_expressions(), 0.6
     discrete = dal.Discrete(system)
