@@ -59,6 +59,7 @@ typedef enum dal_status {
     DAL_ENOCONV = -6,      /* an iteration did not converge */
     DAL_EOFFD = -7,        /* initial data do not satisfy the constraint */
     DAL_EUNSUPPORTED = -8, /* the request is valid and this version does not provide it */
+    DAL_EIO = -9,          /* a file cannot be read or written */
     DAL_EZENO = -10        /* events accumulate: there are too many in one step */
 } dal_status;
 
@@ -462,6 +463,7 @@ typedef struct dal_run {
     const double *times;    /* [time_count], of the run, one after the other; needs events */
     size_t time_count;
     double *at;             /* [time_count*2n]: the states at times, in the set the scheme keeps */
+    struct dal_journal *journal; /* see dalembert/journal.h; or NULL */
     size_t done;            /* steps made */
     size_t stored;          /* rows of x that are valid */
     size_t timed;           /* rows of at that are valid */

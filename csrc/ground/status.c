@@ -22,6 +22,7 @@ const char *dal_strerror(int status)
     case DAL_ENOCONV: return "an iteration did not converge";
     case DAL_EOFFD: return "initial data do not satisfy the constraint";
     case DAL_EUNSUPPORTED: return "not supported";
+    case DAL_EIO: return "a file cannot be read or written";
     case DAL_EZENO: return "too many events in one step";
     }
     return "unknown status";

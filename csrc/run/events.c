@@ -389,14 +389,20 @@ static void end_run(const dal_events *e, const dal_run *run, double *end, double
                           ? (double)NAN : (e->impulse[a] + e->parts[a]) / elapsed;
 }
 
-static int report(const dal_events *e, const dal_run *run)
+/* What happened in the step: to the journal, and to whoever wants to know. */
+static int report(const dal_events *e, const dal_run *run, size_t timed)
 {
-    int status = DAL_SUCCESS;
+    const size_t step = e->step + (size_t)run->ended;
+    int status = dal__journal_times(run, timed);
+    for (size_t k = 0; k < e->happenings; k++) {
+        const happening *const one = &e->happened[k];
+        const double *const after = one->reset ? one->after : NULL;
+        if (!status) status = dal__journal_event(run, one->event, step, one->t, one->x, after);
+    }
     for (size_t k = 0; run->happened && k < e->happenings; k++) {
         const happening *const one = &e->happened[k];
-        const int returned =
-            run->happened(one->event, e->step + (size_t)run->ended, one->t, one->x,
-                          one->reset ? one->after : NULL, run->happened_ctx);
+        const int returned = run->happened(one->event, step, one->t, one->x,
+                                           one->reset ? one->after : NULL, run->happened_ctx);
         const int heeded = dal__heed(run, "happened", returned);
         if (!status) status = heeded;
     }
@@ -441,9 +447,10 @@ int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made)
         if (status) error = stepper->error;
     }
     if (!status) {
+        const size_t timed = run->timed;
         conclude(e, run, end, reaction);
         *made = !run->ended;
-        return report(e, run);
+        return report(e, run, timed);
     }
     if (*made > 0) take_back(e, run);
     *made = 0;

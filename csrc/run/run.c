@@ -3,15 +3,17 @@
 
 #include <string.h>
 
+enum { MOST_AT_ONCE = 4096 }; /* steps, after which a journal looks at the time */
+
 /* Whether the state now is to be stored, and is not yet. */
 static bool is_due(const dal_run *run) { return run->done == run->stored * run->stride; }
 
-/* The mean reaction since the row before, if there is one. */
-static int store_reaction(const dal_run *run)
+/* Where the mean reaction since the row before goes; NULL if there is none, or nobody wants it. */
+static double *reaction_of_row(const dal_run *run)
 {
-    const size_t m = run->stepper->mech.m;
-    if (!run->reactions || run->stored == 0) return DAL_SUCCESS;
-    return dal__stepper_reaction(run->stepper, run->stride, run->reactions + (run->stored - 1) * m);
+    if (run->stored == 0) return NULL;
+    return run->reactions ? run->reactions + (run->stored - 1) * run->stepper->mech.m
+                          : dal__journal_reaction(run);
 }
 
 int dal__heed(const dal_run *run, const char *name, int returned)
@@ -29,7 +31,9 @@ static int store(dal_run *run)
     dal_stepper *const stepper = run->stepper;
     const dal_motion *const motion = &stepper->motion;
     const size_t N = 2 * stepper->mech.n;
-    const int status = store_reaction(run);
+    double *const reaction = reaction_of_row(run);
+    int status = reaction ? dal__stepper_reaction(stepper, run->stride, reaction) : DAL_SUCCESS;
+    if (!status) status = dal__journal_row(run, motion->x, reaction);
     if (status) return status;
     dal__stepper_forget_impulse(stepper);
     if (run->x) memcpy(run->x + run->stored * N, motion->x, N * sizeof *run->x);
@@ -61,7 +65,7 @@ static int hand_inputs(const dal_run *run)
                              dal_stepper_time(stepper));
 }
 
-static int check(const dal_run *run)
+int dal__run_check(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;
     if (run->stride == 0 || run->steps % run->stride > 0)
@@ -79,21 +83,24 @@ static int check(const dal_run *run)
 /* A step with what happens in it; where the run ends in it the state there is one more row. */
 static int look_and_step(dal_run *run, size_t *made)
 {
-    const size_t m = run->stepper->mech.m, N = 2 * run->stepper->mech.n;
+    const size_t N = 2 * run->stepper->mech.n;
     double *const row = run->x ? run->x + run->stored * N : run->stepper->fresh;
-    double *const reaction = run->reactions ? run->reactions + (run->stored - 1) * m : NULL;
-    const int status = dal__events_step(run, row, reaction, made);
-    run->stored += (size_t)run->ended;
-    return status || !run->ended ? status : DAL_STOPPED;
+    double *const reaction = reaction_of_row(run);
+    int status = dal__events_step(run, row, reaction, made);
+    if (!run->ended) return status;
+    if (!status) status = dal__journal_row(run, row, reaction);
+    run->stored++;
+    return status ? status : DAL_STOPPED;
 }
 
 int dal_run_go(dal_run *run, size_t budget)
 {
     if (!run || !run->stepper) return DAL_EINVAL;
     dal_motion *const motion = &run->stepper->motion;
-    int status = check(run);
-    if (!status && run->ended) return DAL_STOPPED;
-    if (!status && is_due(run)) status = store(run);
+    int status = dal__run_check(run);
+    if (status) return status;
+    if (run->ended) return DAL_STOPPED;
+    if (is_due(run)) status = store(run);
     motion->watch = run->watch;
     motion->watch_ctx = run->watch_ctx;
     while (!status && budget > 0 && run->done < run->steps) {
@@ -102,14 +109,21 @@ int dal_run_go(dal_run *run, size_t budget)
         status = hand_inputs(run);
         if (status) break;
         if (run->inputs && held < left) left = held;
+        if (run->journal && left > MOST_AT_ONCE) left = MOST_AT_ONCE;
         if (run->events) status = look_and_step(run, &made);
         else status = dal__stepper_advance(run->stepper, left < budget ? left : budget, &made);
         budget -= made;
         run->done += made;
         if (!status && is_due(run)) status = store(run);
+        if (!status && run->journal) status = dal__journal_look(run, made);
     }
     motion->watch = NULL;
     if (!status && run->done == run->steps) status = dal__stepper_look(run->stepper);
+    if (!run->journal) return status;
+    const dal_error error = run->stepper->error;
+    const int kept = dal__journal_pause(run, status != DAL_SUCCESS || run->done == run->steps);
+    if (!status) return kept;
+    run->stepper->error = error;
     return status;
 }
 

@@ -3,6 +3,7 @@
 #define DAL__RUN_H
 
 #include "dalembert/events.h"
+#include "dalembert/journal.h"
 #include "step/step.h"
 
 /* One step of the run, with the events and the times asked for that lie in it.  A failure leaves
@@ -13,6 +14,22 @@
 int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made);
 /* DAL_EINVAL for what is wrong with the events and the times of a run. */
 int dal__events_check(const dal_run *run);
+
+/* DAL_EINVAL for what is wrong with a run. */
+int dal__run_check(const dal_run *run);
+
+/* Into the journal of the run, if it has one: a row, number run->stored, with the mean reaction
+ * since the one before, or NULL; an event; the states at times since number `before`.  DAL_EIO. */
+int dal__journal_row(const dal_run *run, const double *x, const double *reaction);
+int dal__journal_event(const dal_run *run, size_t event, size_t step, double t, const double *x,
+                       const double *after);
+int dal__journal_times(const dal_run *run, size_t before);
+/* Where the reaction goes that only the journal wants, [m]; or NULL. */
+double *dal__journal_reaction(const dal_run *run);
+/* After some steps: a snapshot, if it is time for one.  At the end of a call: what is left, and a
+ * snapshot if it is time for one, or the run is over. */
+int dal__journal_look(const dal_run *run, size_t made);
+int dal__journal_pause(const dal_run *run, bool over);
 
 /* The status of a function of the user that watches the run, by this name. */
 int dal__heed(const dal_run *run, const char *name, int returned);

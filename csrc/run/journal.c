@@ -1,0 +1,449 @@
+/* What a run writes into its journal, and how it goes on from there. */
+#include "run/journal.h"
+#include "run/events.h"
+#include "run/run.h"
+
+#include <string.h>
+
+enum { DOUBTS = 4, UNSEEN = 4096 };
+
+#define SECONDS 5.0 /* from snapshot to snapshot */
+
+/* ---- what is where ------------------------------------------------------------------------- */
+
+static size_t quotient_up(size_t a, size_t b) { return a / b + (a % b > 0); }
+
+static size_t hold_of(const dal_run *run) { return run->hold > 0 ? run->hold : 1; }
+
+static size_t inputs_of(const dal_run *run)
+{
+    return run->inputs ? run->stepper->motion.system->def.inputs : 0;
+}
+
+/* The head of a journal of this run, but for what only the caller knows. */
+static dal__head head_of(const dal_run *run)
+{
+    const dal_stepper *const stepper = run->stepper;
+    const size_t m = stepper->mech.m, holds = quotient_up(run->stride, hold_of(run));
+    const size_t events = run->events ? run->events->count : 0;
+    const size_t guards = run->events ? dal_events_saved(run->events) : 0;
+    dal__head head = {
+        .has_rows = run->x || !run->times, .has_times = run->times != NULL,
+        .n = stepper->mech.n, .m = m, .inputs = inputs_of(run), .stride = run->stride,
+        .hold = hold_of(run), .holds = holds, .events = events, .identity = stepper->identity};
+    head.snapshot =
+        dal_stepper_saved(stepper) + guards + DOUBTS + m + dal__times(holds, head.inputs);
+    return head;
+}
+
+/* The rows of inputs whose steps begin since the last row of the run: *count from *first on. */
+static void pending_inputs(const dal_run *run, size_t steps, size_t *first, size_t *count)
+{
+    const size_t hold = hold_of(run), row = run->stored > 0 ? run->stored - 1 : 0;
+    *first = quotient_up(row * run->stride, hold);
+    *count = quotient_up(steps, hold) - *first;
+}
+
+static void take_inputs(const dal_run *run, size_t steps, double *to)
+{
+    const size_t width = inputs_of(run);
+    size_t first, count;
+    if (width == 0) return;
+    pending_inputs(run, steps, &first, &count);
+    memcpy(to, run->inputs + first * width, count * width * sizeof *to);
+}
+
+/* ---- writing ------------------------------------------------------------------------------- */
+
+/* The run fails with the journal. */
+static int refuse(const dal_run *run, int status)
+{
+    if (status && run->journal->error.status == status)
+        run->stepper->error = run->journal->error;
+    return status;
+}
+
+double *dal__journal_reaction(const dal_run *run)
+{
+    return run->journal ? run->journal->reaction : NULL;
+}
+
+int dal__journal_row(const dal_run *run, const double *x, const double *reaction)
+{
+    dal_journal *const self = run->journal;
+    if (!self || !self->head.has_rows) return DAL_SUCCESS;
+    const size_t N = 2 * run->stepper->mech.n, m = run->stepper->mech.m;
+    const dal_record_kind kind = run->ended ? DAL_RECORD_END : DAL_RECORD_ROW;
+    double *const to =
+        dal__journal_next(self, kind, run->stored, run->stepper->motion.steps);
+    to[0] = run->ended ? run->t_end : dal_stepper_time(run->stepper);
+    memcpy(to + 1, x, N * sizeof *to);
+    if (reaction) memcpy(to + 1 + N, reaction, m * sizeof *to);
+    if (run->stored > 0) take_inputs(run, run->done + (size_t)run->ended, to + 1 + N + m);
+    return refuse(run, dal__journal_add(self));
+}
+
+/* A record of a time and a state. */
+static int write_state(const dal_run *run, dal_record_kind kind, size_t number, size_t step,
+                       double t, const double *x)
+{
+    double *const to = dal__journal_next(run->journal, kind, number, step);
+    to[0] = t;
+    memcpy(to + 1, x, 2 * run->stepper->mech.n * sizeof *to);
+    return refuse(run, dal__journal_add(run->journal));
+}
+
+int dal__journal_event(const dal_run *run, size_t event, size_t step, double t, const double *x,
+                       const double *after)
+{
+    if (!run->journal) return DAL_SUCCESS;
+    const dal_record_kind kind = after ? DAL_RECORD_RESET : DAL_RECORD_EVENT;
+    int status = write_state(run, kind, event, step, t, x);
+    if (!status && after) status = write_state(run, DAL_RECORD_AFTER, event, step, t, after);
+    return status;
+}
+
+int dal__journal_times(const dal_run *run, size_t before)
+{
+    const size_t N = 2 * run->stepper->mech.n;
+    int status = DAL_SUCCESS;
+    for (size_t k = before; run->journal && !status && k < run->timed; k++)
+        status = write_state(run, DAL_RECORD_TIME, k, run->stepper->motion.steps,
+                             run->times[k], run->at + k * N);
+    return status;
+}
+
+/* Everything that the rest of the run depends on. */
+static int save(const dal_run *run)
+{
+    dal_journal *const self = run->journal;
+    const dal_events *const e = run->events;
+    const size_t m = run->stepper->mech.m;
+    double *to = self->snapshot;
+    const int status = dal_stepper_save(run->stepper, to);
+    if (status) return status;
+    to += dal_stepper_saved(run->stepper);
+    if (e) {
+        const double doubts[DOUBTS] = {(double)e->doubts, (double)e->doubt_event, e->doubt_t,
+                                       e->doubt_g};
+        dal_events_save(e, to);
+        memcpy(to + dal_events_saved(e), doubts, sizeof doubts);
+        to += dal_events_saved(e);
+    }
+    memcpy(to + DOUBTS, run->stepper->motion.impulse, m * sizeof *to);
+    if (!run->ended) take_inputs(run, run->done, to + DOUBTS + m);
+    self->mark.steps = run->steps;
+    self->mark.done = run->done;
+    self->mark.stored = run->stored;
+    self->mark.timed = run->timed;
+    return DAL_SUCCESS;
+}
+
+static bool is_due(const dal_journal *self)
+{
+    const double now = dal__clock();
+    return now - self->saved_at >= self->seconds || now < self->saved_at;
+}
+
+int dal__journal_look(const dal_run *run, size_t made)
+{
+    dal_journal *const self = run->journal;
+    self->unseen += made;
+    if (self->unseen < UNSEEN) return DAL_SUCCESS;
+    self->unseen = 0;
+    if (self->error.status || !is_due(self)) return DAL_SUCCESS;
+    const int status = save(run);
+    return status ? status : refuse(run, dal__journal_save(self));
+}
+
+int dal__journal_pause(const dal_run *run, bool over)
+{
+    dal_journal *const self = run->journal;
+    const bool saves = !self->error.status && (over || is_due(self));
+    int status = saves ? save(run) : DAL_SUCCESS;
+    if (!status) status = saves ? dal__journal_save(self) : dal__journal_flush(self);
+    return refuse(run, status);
+}
+
+/* ---- making, opening, reading -------------------------------------------------------------- */
+
+static void take_options(dal_journal *self, const dal_journal_options *options)
+{
+    const double seconds = options ? options->seconds : 0.0;
+    self->seconds = seconds == 0.0 ? SECONDS : seconds;
+    self->goes_on = options && options->goes_on;
+}
+
+static int check_new(const dal_run *run, const dal_scheme *scheme,
+                     const dal_journal_options *options, dal_error *error)
+{
+    if (!run->stepper) return dal__fail(error, DAL_EINVAL, "run->stepper is NULL");
+    if (run->done > 0 || run->stored > 0 || run->journal)
+        return dal__fail(error, DAL_EINVAL, "the run has begun, or has a journal");
+    if (options && options->description_size > 0 && !options->description)
+        return dal__fail(error, DAL_EINVAL, "options->description is NULL");
+    if (dal__run_check(run)) {
+        if (error) *error = run->stepper->error;
+        return run->stepper->error.status;
+    }
+    if (dal__scheme_identify(run->stepper->motion.system, scheme) != run->stepper->identity)
+        return dal__fail(error, DAL_EINVAL, "scheme is not that of the stepper");
+    if (dal_stepper_saved(run->stepper) == 0)
+        return dal__fail(error, DAL_EUNSUPPORTED, "the steps of \"%s\" cannot be resumed: there is "
+                         "no journal of them", scheme->name);
+    return DAL_SUCCESS;
+}
+
+int dal_journal_new(dal_journal **journal, const char *path, dal_run *run,
+                    const dal_scheme *scheme, const dal_journal_options *options, dal_error *error)
+{
+    static const dal_journal_options defaults = {0};
+    int status = DAL__REQUIRE(error, {"journal", journal}, {"path", path}, {"run", run},
+                              {"scheme", scheme});
+    if (!status) status = check_new(run, scheme, options, error);
+    if (status) return status;
+    const dal_journal_options *const with = options ? options : &defaults;
+    dal__head head = head_of(run);
+    dal_journal *self;
+    head.t0 = dal_stepper_time(run->stepper);
+    head.h = run->stepper->motion.h;
+    head.description_size = with->description_size;
+    memcpy(head.fingerprint, with->fingerprint, sizeof head.fingerprint);
+    memcpy(head.scheme, scheme->name, sizeof head.scheme);
+    head.scheme[sizeof head.scheme - 1] = '\0';
+    status = dal__journal_allocate(&self, path, &head, with->description, error);
+    if (status) return status;
+    take_options(self, options);
+    run->journal = self;
+    status = save(run);
+    if (!status) status = dal__journal_create(self, error);
+    if (status) {
+        run->journal = NULL;
+        dal__journal_detach(self);
+        return status;
+    }
+    *journal = self;
+    return DAL_SUCCESS;
+}
+
+int dal_journal_open(dal_journal **journal, const char *path, int writes,
+                     const dal_journal_options *options, dal_error *error)
+{
+    int status = DAL__REQUIRE(error, {"journal", journal}, {"path", path});
+    dal_journal *self;
+    if (!status) status = dal__journal_attach(&self, path, writes != 0, error);
+    if (status) return status;
+    take_options(self, options);
+    if (dal__journal_recall(self)) self->error = (dal_error){0}; /* resume says it again */
+    *journal = self;
+    return DAL_SUCCESS;
+}
+
+void dal_journal_free(dal_journal *journal)
+{
+    if (!journal) return;
+    if (journal->writes) dal__journal_flush(journal);
+    dal__journal_detach(journal);
+}
+
+void dal_journal_describe(const dal_journal *journal, dal_journal_info *info)
+{
+    const dal__head *const head = &journal->head;
+    *info = (dal_journal_info){
+        .n = (size_t)head->n, .m = (size_t)head->m, .inputs = (size_t)head->inputs,
+        .stride = (size_t)head->stride, .hold = (size_t)head->hold, .holds = (size_t)head->holds,
+        .events = (size_t)head->events, .has_rows = (int)head->has_rows,
+        .has_times = (int)head->has_times, .t0 = head->t0, .h = head->h, .scheme = head->scheme,
+        .description = journal->description,
+        .description_size = (size_t)head->description_size, .fingerprint = head->fingerprint,
+        .steps = (size_t)journal->mark.steps, .done = (size_t)journal->mark.done,
+        .records = journal->records, .size = journal->size, .begin = journal->begin,
+        .cut = journal->cut, .writer = journal->writer, .is_written = journal->is_written};
+}
+
+const dal_error *dal_journal_error(const dal_journal *journal) { return &journal->error; }
+
+/* The record of a number, taken apart. */
+static int read_record(dal_journal *self, size_t index, dal_record *record)
+{
+    const unsigned char *const bytes = dal__journal_record(self, index);
+    if (!bytes) return self->error.status;
+    const size_t N = 2 * (size_t)self->head.n;
+    const double *const x = (const double *)(const void *)(bytes + sizeof(dal__tag)) + 1;
+    dal__tag tag;
+    memcpy(&tag, bytes, sizeof tag);
+    *record = (dal_record){.kind = (int)tag.kind, .number = (size_t)tag.number,
+                           .step = (size_t)tag.step, .t = x[-1], .x = x, .reaction = x + N,
+                           .input = x + N + self->head.m};
+    return DAL_SUCCESS;
+}
+
+int dal_journal_read(dal_journal *journal, size_t index, dal_record *record, dal_error *error)
+{
+    int status = DAL__REQUIRE(error, {"journal", journal}, {"record", record});
+    if (status) return status;
+    if (index >= journal->records)
+        return dal__fail(error, DAL_EINVAL, "index = %zu: there are %zu records", index,
+                         journal->records);
+    status = dal__journal_flush(journal);
+    if (!status) status = read_record(journal, index, record);
+    if (status && error) *error = journal->error;
+    return status;
+}
+
+/* ---- going on ------------------------------------------------------------------------------ */
+
+/* DAL_EINVAL unless the run is the one that the journal is of. */
+static int compare(const dal_journal *self, const dal_run *run, dal_error *error)
+{
+    const dal__head *const here = &self->head, run_head = head_of(run), *const there = &run_head;
+    const struct { const char *name; uint64_t here, there; } numbers[] = {
+        {"n", here->n, there->n}, {"m", here->m, there->m}, {"stride", here->stride, there->stride},
+        {"hold", here->hold, there->hold}, {"the number of inputs", here->inputs, there->inputs},
+        {"the number of events", here->events, there->events},
+        {"whether there are rows", here->has_rows, there->has_rows},
+        {"whether there are times", here->has_times, there->has_times},
+        {"the size of a snapshot", here->snapshot, there->snapshot}};
+    for (size_t i = 0; i < DAL_LENGTH(numbers); i++)
+        if (numbers[i].here != numbers[i].there)
+            return dal__fail(error, DAL_EINVAL, "%s: %s is %llu there, and %llu in the run",
+                             self->path, numbers[i].name, (unsigned long long)numbers[i].here,
+                             (unsigned long long)numbers[i].there);
+    if (here->identity != there->identity)
+        return dal__fail(error, DAL_EINVAL, "%s: is of another system or scheme, its scheme is "
+                         "\"%s\"", self->path, here->scheme);
+    if (run->steps / run->stride + 1 < self->mark.stored || run->steps < self->mark.done)
+        return dal__fail(error, DAL_EINVAL, "%s: has %llu steps of the run, and steps = %zu",
+                         self->path, (unsigned long long)self->mark.done, run->steps);
+    return DAL_SUCCESS;
+}
+
+/* Rows of inputs of the journal, into the run, or compared with those that stand there. */
+static int give_inputs(const dal_journal *self, const dal_run *run, size_t first, size_t count,
+                       const double *from, dal_error *error)
+{
+    const size_t width = (size_t)self->head.inputs;
+    double *const to = width > 0 ? run->inputs + first * width : NULL;
+    if (!to) return DAL_SUCCESS;
+    if (run->control) memcpy(to, from, count * width * sizeof *to);
+    for (size_t k = 0; k < count * width; k++)
+        if (to[k] != from[k])
+            return dal__fail(error, DAL_EINVAL, "%s: inputs[%zu] of row %zu is %.17g there, and "
+                             "%.17g in the run", self->path, k % width, first + k / width, from[k],
+                             to[k]);
+    return DAL_SUCCESS;
+}
+
+static int give_row(const dal_journal *self, dal_run *run, const dal_record *r, dal_error *error)
+{
+    const size_t N = 2 * run->stepper->mech.n, m = run->stepper->mech.m;
+    size_t first, count;
+    const size_t steps = r->kind == DAL_RECORD_END ? (size_t)self->mark.done + 1
+                                                   : r->number * run->stride;
+    if (r->number != run->stored || run->stored == self->mark.stored)
+        return dal__fail(error, DAL_EIO, "%s: row %zu stands where row %zu should", self->path,
+                         r->number, run->stored);
+    if (run->x) memcpy(run->x + r->number * N, r->x, N * sizeof *r->x);
+    if (run->reactions && r->number > 0)
+        memcpy(run->reactions + (r->number - 1) * m, r->reaction, m * sizeof *r->reaction);
+    if (r->kind == DAL_RECORD_END) {
+        run->ended = 1;
+        run->t_end = r->t;
+    }
+    pending_inputs(run, steps, &first, &count);
+    const int status = give_inputs(self, run, first, count, r->input, error);
+    run->stored++;
+    return status;
+}
+
+/* What the journal has of the run before its last snapshot. */
+static int give(dal_journal *self, dal_run *run, dal_error *error)
+{
+    const size_t N = 2 * run->stepper->mech.n;
+    int status = DAL_SUCCESS;
+    double *const event = run->stepper->fresh; /* its state, while the one after it is read */
+    for (size_t i = 0; !status && i < self->mark.records; i++) {
+        dal_record r = {0};
+        status = read_record(self, i, &r);
+        if (status && error) *error = self->error;
+        if (status) return status;
+        switch ((dal_record_kind)r.kind) {
+        case DAL_RECORD_ROW:
+        case DAL_RECORD_END: status = give_row(self, run, &r, error); break;
+        case DAL_RECORD_TIME:
+            if (r.number >= run->time_count || r.t != run->times[r.number])
+                return dal__fail(error, DAL_EINVAL, "%s: times[%zu] is %.17g there, and another in "
+                                 "the run", self->path, r.number, r.t);
+            memcpy(run->at + r.number * N, r.x, N * sizeof *r.x);
+            break;
+        case DAL_RECORD_RESET: memcpy(event, r.x, N * sizeof *event); break;
+        case DAL_RECORD_EVENT:
+        case DAL_RECORD_AFTER:
+            if (run->happened)
+                run->happened(r.number, r.step, r.t, r.kind == DAL_RECORD_EVENT ? r.x : event,
+                              r.kind == DAL_RECORD_EVENT ? NULL : r.x, run->happened_ctx);
+        }
+    }
+    return status;
+}
+
+/* The stepper, the events and the counters as the snapshot has them. */
+static int restore(const dal_journal *self, dal_run *run, dal_error *error)
+{
+    dal_stepper *const stepper = run->stepper;
+    dal_events *const e = run->events;
+    const size_t m = stepper->mech.m;
+    const double *from = self->snapshot;
+    int status = dal_stepper_restore(stepper, from, dal_stepper_saved(stepper));
+    if (status && error) *error = stepper->error;
+    from += dal_stepper_saved(stepper);
+    if (!status && e) {
+        status = dal_events_restore(e, from, dal_events_saved(e), error);
+        from += dal_events_saved(e);
+        e->doubts = (size_t)from[0];
+        e->doubt_event = (size_t)from[1];
+        e->doubt_t = from[2];
+        e->doubt_g = from[3];
+    }
+    if (status) return status;
+    memcpy(stepper->motion.impulse, from + DOUBTS, m * sizeof *from);
+    run->done = (size_t)self->mark.done;
+    run->stored = (size_t)self->mark.stored;
+    run->timed = (size_t)self->mark.timed;
+    status = dal__run_check(run);
+    if (status && error) *error = stepper->error;
+    if (status) return status;
+    size_t first, count;
+    if (inputs_of(run) == 0 || run->ended) return DAL_SUCCESS;
+    pending_inputs(run, run->done, &first, &count);
+    return give_inputs(self, run, first, count, from + DOUBTS + m, error);
+}
+
+int dal_journal_resume(dal_journal *journal, dal_run *run, dal_error *error)
+{
+    int status =
+        DAL__REQUIRE(error, {"journal", journal}, {"run", run}, {"run->stepper", run && run->stepper});
+    if (status) return status;
+    if (!journal->writes || run->journal || run->done > 0 || run->stored > 0)
+        return dal__fail(error, DAL_EINVAL, "%s", journal->writes
+                         ? "the run has begun, or has a journal" : "the journal is open to be read");
+    status = dal__journal_recall(journal);
+    if (status && error) *error = journal->error;
+    if (!status) status = compare(journal, run, error);
+    if (!status) status = give(journal, run, error);
+    if (!status) status = restore(journal, run, error);
+    if (!status && dal__journal_cut(journal)) {
+        if (error) *error = journal->error;
+        status = journal->error.status;
+    }
+    if (status) {
+        run->done = run->stored = run->timed = 0;
+        run->ended = 0;
+        return status;
+    }
+    journal->expected = journal->records;
+    journal->records = journal->written = (size_t)journal->mark.records;
+    journal->saved_at = dal__clock();
+    run->journal = journal;
+    return DAL_SUCCESS;
+}
