@@ -71,7 +71,7 @@ double *dal__journal_reaction(const dal_run *run)
 int dal__journal_row(const dal_run *run, const double *x, const double *reaction)
 {
     dal_journal *const self = run->journal;
-    if (!self || !self->head.has_rows) return DAL_SUCCESS;
+    if (!self || !(self->head.has_rows || run->ended)) return DAL_SUCCESS;
     const size_t N = 2 * run->stepper->mech.n, m = run->stepper->mech.m;
     const dal_record_kind kind = run->ended ? DAL_RECORD_END : DAL_RECORD_ROW;
     double *const to =
@@ -340,16 +340,17 @@ static int give_row(const dal_journal *self, dal_run *run, const dal_record *r, 
     size_t first, count;
     const size_t steps = r->kind == DAL_RECORD_END ? (size_t)self->mark.done + 1
                                                    : r->number * run->stride;
+    if (r->kind == DAL_RECORD_END) {
+        run->ended = 1;
+        run->t_end = r->t;
+    }
+    if (!self->head.has_rows) return DAL_SUCCESS;
     if (r->number != run->stored || run->stored == self->mark.stored)
         return dal__fail(error, DAL_EIO, "%s: row %zu stands where row %zu should", self->path,
                          r->number, run->stored);
     if (run->x) memcpy(run->x + r->number * N, r->x, N * sizeof *r->x);
     if (run->reactions && r->number > 0)
         memcpy(run->reactions + (r->number - 1) * m, r->reaction, m * sizeof *r->reaction);
-    if (r->kind == DAL_RECORD_END) {
-        run->ended = 1;
-        run->t_end = r->t;
-    }
     pending_inputs(run, steps, &first, &count);
     const int status = give_inputs(self, run, first, count, r->input, error);
     run->stored++;

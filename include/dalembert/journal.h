@@ -37,7 +37,8 @@ typedef struct dal_journal_options {
 typedef enum dal_record_kind {
     DAL_RECORD_ROW = 1,   /* row `number` of the run: t, x, the mean reaction since the row before,
                              and the inputs whose steps began since then */
-    DAL_RECORD_END = 2,   /* the same of the row at t_end, where a terminal event has ended the run */
+    DAL_RECORD_END = 2,   /* the same of the row at t_end, where a terminal event has ended the run,
+                             also of one that stores no rows */
     DAL_RECORD_TIME = 3,  /* the state at times[number]: t, x */
     DAL_RECORD_EVENT = 4, /* event `number` of the list: t, x; after a reset led elsewhere: */
     DAL_RECORD_RESET = 5, /* that event: t, x; the record that follows has the state after it: */

@@ -1,4 +1,4 @@
-"""The command ``dalembert``: studies of the systems, their pages, what there is, and the cache.
+"""The command ``dalembert``: runs, studies and pages of systems, what there is, and the cache.
 
 Exit status: 0 if no verdict fails, 1 if one does or a computation fails, 2 for a usage error, among
 them a file that cannot be written; 130 after Ctrl-C, 141 if nobody reads the output any more.
@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import compiler, core, systems
+from . import cli_runs, compiler, core, systems
 from .core import extras, files
 from .core.arguments import suggestion
 from .run.scheme import INITIAL
@@ -115,6 +115,9 @@ def _parser() -> argparse.ArgumentParser:
         "not deliver what it promises.",
     )
     _add_study_options(study)
+    cli_runs.add(
+        commands, _read("numbers and commas", _list_of(float)), _read("NAME=NUMBER", _parameter)
+    )
     book = commands.add_parser(
         "catalogue",
         help="a page for each system, with its formulas and a run, and an index",

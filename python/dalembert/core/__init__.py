@@ -12,6 +12,7 @@ from .errors import (
     DalembertError,
     DalembertWarning,
     DomainError,
+    JournalError,
     NotOnConstraintError,
     SingularError,
     ZenoError,

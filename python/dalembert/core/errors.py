@@ -101,6 +101,12 @@ class ZenoError(DalembertError):
     status = lib.DAL_EZENO
 
 
+class JournalError(DalembertError):
+    """The journal of a run cannot be written, or read."""
+
+    status = lib.DAL_EIO
+
+
 _EXCEPTIONS: dict[int, type[Exception]] = {
     lib.DAL_EINVAL: ValueError,
     lib.DAL_ENOMEM: MemoryError,
@@ -109,6 +115,7 @@ _EXCEPTIONS: dict[int, type[Exception]] = {
         x.status: x
         for x in (
             DomainError, SingularError, ConvergenceError, NotOnConstraintError, ZenoError,
+            JournalError,
         )
     },
 }

@@ -114,6 +114,7 @@ def trajectory(
         most = most_in_a_call(system) if times is None or steady else 1
         for start in range(0, len(x), most):
             count = min(most, len(x) - start)
+            rows = np.ascontiguousarray(x[start : start + count])
             pointers = [
                 core.pointer(values, start, output=True) if name == output else ffi.NULL
                 for name in outputs
@@ -121,7 +122,7 @@ def trajectory(
             status = core.attempt(
                 lib.dal_trajectory, mechanics,
                 t0 + start * h if times is None else times[start], h, shift, count,
-                core.pointer(x, start, count * 2 * system.n),
+                core.pointer(rows, 0, count * 2 * system.n),
                 core.pointer(inputs, start) if inputs.size else ffi.NULL, *pointers, done,
             )  # fmt: skip
             system._mechanics.check(status, mechanics, start + int(done[0]))

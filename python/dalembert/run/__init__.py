@@ -1,7 +1,15 @@
 """Schemes, runs, and what they return."""
 
 from .events import Event
-from .integration import Reference, integrate, reference
+from .export import to_pandas, to_xarray
+from .integration import integrate, resume
+from .reference import Reference, reference
 from .scheme import Scheme, schemes
 from .solution import Solution, States, Statistics
 from .stepper import Stepper
+from .storage import load, save
+
+# What turns a solution into something else, as its methods.
+Solution.save = save
+Solution.to_pandas = to_pandas
+Solution.to_xarray = to_xarray

@@ -1,4 +1,4 @@
-"""Integration: many steps of a scheme, or the reference flow, from initial data."""
+"""Integration: many steps of a scheme, from initial data or from a journal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,11 +28,10 @@ from ..core.extras import Progress
 from ..system import System
 from .events import CONSISTENCY, Watch
 from .events import take as take_events
-from .runs import Run, consistent_state, started_stepper
-from .scheme import METHODS, Scheme
+from .journal import Journal, describe
+from .runs import Run, started_stepper
+from .scheme import Scheme
 from .solution import Solution
-
-COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
 
 
 def integrate(
@@ -58,6 +57,8 @@ def integrate(
     hold: int = 1,
     events: Any = (),
     t_eval: ArrayLike | None = None,
+    journal: str | os.PathLike[str] | None = None,
+    journal_errors: str = "warn",
 ) -> Solution:
     """Integrate a system with a fixed step size.
 
@@ -113,6 +114,13 @@ def integrate(
         Times of the states that are stored, in the order of the run, instead of every stride-th
         one: found by steps of the scheme, so that they have its order and lie in the set that it
         keeps.
+    journal : str or path, optional
+        A new file that gets all that the run stores, some times a second, and every five seconds
+        what the rest of the run depends on: whatever ends the process, `load` reads what there is
+        and `resume` goes on, bit for bit.
+    journal_errors : {"warn", "stop"}, optional
+        What a full disk, or a file that vanishes, does: the run goes on without the journal, or
+        ends with a `JournalError`.
 
     Returns
     -------
@@ -128,6 +136,8 @@ def integrate(
         If the initial data are not in D; the text names the residual.
     SingularError, ConvergenceError, DomainError
         If a step failed; ``.step``, ``.t`` and ``.partial``, a Solution, say how far it came.
+    JournalError
+        If the journal cannot be made; or written, with ``journal_errors="stop"``.
     ZenoError
         If events accumulate, or the system rests on one after its reset.
     Exception
@@ -139,7 +149,7 @@ def integrate(
     DalembertWarning
         If the result may be doubtful: the energy has jumped where nothing does work, or many steps
         took the full Newton iteration, so that h is large for this system; or if it cannot be told
-        whether an event happens.
+        whether an event happens; or if the journal could not be written to the end.
 
     Notes
     -----
@@ -197,10 +207,114 @@ def integrate(
             system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=observer,
             show=show, inputs=inputs, hold=hold, watch=watch,
         )  # fmt: skip
+        if journal is not None:
+            about = describe(system, chosen, run, options.max_iterations)
+            run.journal = Journal.create(journal, run, chosen, about, journal_errors)
         run.make()
+    return _finish(run, throw)
+
+
+def resume(
+    path: str | os.PathLike[str],
+    system: System | None = None,
+    *,
+    t_end: float | None = None,
+    steps: int | None = None,
+    scheme: Scheme | None = None,
+    observer: Callable[[int, float, Array, Array], Any] | None = None,
+    progress: Progress = False,
+    throw: bool = True,
+    inputs: Any = None,
+    events: Any = (),
+    journal_errors: str = "warn",
+) -> Solution:
+    """Go on with a run from its journal: bit for bit the run that was never stopped.
+
+    Its scheme, step size and output times are those of the journal.  What is a function is given
+    again.  States behind the last snapshot are computed again and compared with the journal.
+
+    Parameters
+    ----------
+    path : str or path
+        The journal.
+    system : System, optional
+        That of the run; not needed for one that comes with the library.
+    t_end, steps : float, int, optional
+        End of the whole run, or its number of steps, if it is to be another one.
+    scheme : Scheme, optional
+        That of the run; needed if it is no scheme of the library.
+    observer, progress, throw, inputs, events, journal_errors : optional
+        As of `integrate`; inputs and events of the whole run, if it has any.
+
+    Returns
+    -------
+    Solution
+        The whole run.
+
+    Raises
+    ------
+    ValueError
+        If the file is no journal, is written by another process, or is of another system, inputs,
+        events or scheme; the text says which.
+    JournalError
+        If it cannot be read.
+    NotImplementedError
+        If it is so damaged that there is nothing to go on with; `load` may read states of it.
+    SingularError, ConvergenceError, DomainError, ZenoError, Exception
+        As `integrate`.
+
+    Warns
+    -----
+    DalembertWarning
+        As `integrate`; and if the end of the file was damaged, and cut off.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import dalembert as dal
+    >>> path = os.path.join(tempfile.mkdtemp(), "run.dal")
+    >>> run = dal.integrate(dal.systems.sleigh(), h=0.01, t_end=1, journal=path)
+    >>> longer = dal.resume(path, t_end=2)
+    >>> whole = dal.integrate(dal.systems.sleigh(), h=0.01, t_end=2)
+    >>> bool((longer.x == whole.x).all())
+    True
+    """
+    journal = Journal.open(path, writes=True, errors=journal_errors)
+    info, about = journal.info, journal.about
+    system, record = journal.system(system), journal.scheme(scheme)
+    arguments.function(observer, "observer", "step, t, q, v")
+    t0, h, stride = float(info.t0), float(info.h), int(info.stride)
+    if t_end is not None or steps is not None:
+        steps = _number_of_steps(t0, h, t_end, steps)
+    else:
+        steps = int(info.steps)
+    if steps % stride:
+        raise ValueError(f"steps = {steps}: expected a multiple of stride = {stride}")
+    listed = take_events(events)
+    if about["inputs"] and inputs is None:
+        raise ValueError(f"inputs: needed, the run of {journal.path} has some")
+    options = ffi.new("dal_options *", {"max_iterations": about["max_iterations"]})
+    c_record, kept = record._record_of(system)
+    stepper = core.make("stepper", system._handle, c_record, options, owner=(system._handle, kept))
+    times = journal.times()
+    watch = None
+    if listed or times is not None:
+        watch = Watch(system, stepper, record, listed, times)
+    with extras.progress(progress, steps, "step") as show:
+        run = Run(
+            system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=observer,
+            show=show, inputs=inputs, hold=int(info.hold), watch=watch,
+        )  # fmt: skip
+        journal.resume(run)
+        run.make()
+    return _finish(run, throw)
+
+
+def _finish(run: Run, throw: bool) -> Solution:
+    """Return what a run has made, or raise what ended it, with what it has made."""
     solution, error = run.solution(), run.error
     if error is None:
-        _warn(solution, watch)
+        _warn(solution, run.watch)
     elif throw or not isinstance(error, DalembertError):
         with contextlib.suppress(AttributeError, TypeError):
             error.partial = solution  # type: ignore[attr-defined]
@@ -209,88 +323,6 @@ def integrate(
         finally:
             del error, run  # else the traceback would keep itself alive
     return solution
-
-
-class Reference(NamedTuple):
-    """A state of the reference flow.
-
-    Attributes
-    ----------
-    q, v : ndarray, shape (n,)
-    accuracy : float
-        Estimate of the error, the largest component of the difference to the result at a
-        tolerance ten times as large.
-    """
-
-    q: Array
-    v: Array
-    accuracy: float
-
-
-def reference(
-    system: System,
-    q0: ArrayLike | None = None,
-    v0: ArrayLike | None = None,
-    t: float = 1.0,
-    t0: float = 0.0,
-    consistent: str = "check",
-    method: str = "rk8pd",
-    tolerance: float = 1e-13,
-    coordinates: str = "x",
-) -> Reference:
-    """Return the state of the ODE on D at one time, by an adaptive method of GSL.
-
-    Parameters
-    ----------
-    system : System
-    q0, v0 : array_like, shape (n,), optional
-        State at t0 in the user's units, both; neither: the system's.
-    t, t0 : float, optional
-        Times; ``t < t0`` is allowed.
-    consistent : {"check", "project", "assume"}, optional
-        As in `integrate`.
-    method : {"rk8pd", "msadams", "rodas"}, optional
-        Prince-Dormand 8(9), Adams, or BDF for stiff potentials.
-    tolerance : float, optional
-        Relative and absolute, for each step, in [4.4e-16, 0.1].
-    coordinates : {"x", "xi"}, optional
-        Of the ODE: the states (q, v), or those of charts of D (`Chart`), which are changed on the
-        way where they become ill conditioned.
-
-    Returns
-    -------
-    Reference
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
-    NotOnConstraintError
-        If the initial data are not in D.
-    SingularError, ConvergenceError, DomainError
-        If the flow could not go on.
-
-    Examples
-    --------
-    >>> import dalembert as dal
-    >>> particle = dal.systems.particle()
-    >>> end = dal.reference(particle, t=1.0)
-    >>> bool(abs(end.q - particle.exact(1.0)[0]).max() < 1e-11)
-    True
-    """
-    require_system(system)
-    t, t0 = arguments.number(t, "t"), arguments.number(t0, "t0")
-    x0 = np.concatenate(geometry.initial(system, q0, v0))
-    consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
-    flow_method = arguments.choice(method, "method", METHODS)
-    tolerance = arguments.tolerance(tolerance)
-    coordinate = arguments.choice(coordinates, "coordinates", COORDINATES)
-    flow = system._c("flow", flow_method, coordinate, tolerance)
-    x = consistent_state(system, x0, t0, consistency)
-    accuracy = np.empty(1)
-    with core.watching(flow):
-        core.call(system.kind, lib.dal_flow_apply, flow, t0, t, x, accuracy)
-    return Reference(x[: system.n], x[system.n :], float(accuracy[0]))
 
 
 # ---- arguments -----------------------------------------------------------------------------
@@ -365,7 +397,7 @@ def _times(given: ArrayLike, t0: float, h: float, steps: int) -> Array:
 def _warn(solution: Solution, watch: Watch | None = None) -> None:
     """Warn where a run that went through is doubtful."""
     for doubt in [*_doubts(solution), *(watch.doubts() if watch else ())]:
-        warnings.warn(doubt, DalembertWarning, stacklevel=3)
+        warnings.warn(doubt, DalembertWarning, stacklevel=4)
 
 
 def _doubts(solution: Solution) -> Iterator[str]:

@@ -71,6 +71,7 @@ class Run:
         self.t0, self.h = t0, h
         self.show, self.shown_at = show, -np.inf
         self.watch, self.hold = watch, hold
+        self.journal: Any = None
         self.inputs = _input_buffer(system, steps, hold, inputs)
         self.x = np.empty((rows + 1, 2 * system.n))
         self.x[0] = core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
@@ -109,12 +110,17 @@ class Run:
                 self.status = core.attempt(lib.dal_run_go, run, piece)
                 elapsed = time.perf_counter() - began
                 self.tell(began + elapsed)
+                if self.journal is not None:
+                    self.journal.tell()
                 if self.status != lib.DAL_SUCCESS or run.done == run.steps:
                     break
                 piece = max(1, int(piece * min(8.0, PIECE_SECONDS / max(elapsed, 1e-9))))
         except BaseException as error:  # KeyboardInterrupt too: what was computed goes with it
             self.status, self.error = lib.DAL_EUSER, error
             return
+        finally:
+            if self.journal is not None:
+                self.journal.close(run)
         if self.status < 0:
             message = core.words(self.stepper, self.system.kind)
             t = lib.dal_stepper_time(self.stepper)

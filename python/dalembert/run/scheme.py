@@ -312,6 +312,19 @@ class Scheme:
             )
         return arguments.choice(name, "initial", INITIAL)
 
+    def _data(self) -> Any:
+        """Return what makes the scheme again, for JSON; None if that has code in it."""
+        constructor, *given = self._source or ("", *self.__reduce__()[1])
+        if constructor == "pair":
+            given = [one.beta for one in given] if self._maps is None else None
+        return None if constructor == "from_library" or given is None else [constructor, *given]
+
+    @classmethod
+    def _from_data(cls, data: Any) -> Scheme:
+        """Return the scheme of `_data`."""
+        constructor, *given = data
+        return getattr(cls, constructor)(*given) if constructor else cls(*given)
+
     def __str__(self) -> str:
         return self.name
 

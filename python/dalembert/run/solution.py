@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core, geometry
-from ..core import Array, arguments, extras, ffi, functions, lib, require_system
+from ..core import Array, arguments, ffi, functions, lib, require_system
 from ..system import System
 from .scheme import Scheme
 
@@ -99,8 +99,9 @@ class States:
 class Solution(Mapping[str, Any]):
     """A run: states, and what is computed from them when it is asked for.
 
-    Everything is an attribute and a key.  ``len`` is the number of keys, as for any mapping.  A run
-    does not change: its arrays are read-only, ``run.q.copy()`` may be written to.
+    Arrays, numbers and texts are keys as well as attributes, so that ``np.savez(file, **run)``
+    writes them; ``len`` is the number of keys, as for any mapping.  A run does not change: its
+    arrays are read-only, ``run.q.copy()`` may be written to.
 
     Attributes
     ----------
@@ -161,9 +162,8 @@ class Solution(Mapping[str, Any]):
     """
 
     _KEYS = (
-        "t", "q", "v", "multipliers", "reactions", "energy", "constraint", "residual", "scheme",
-        "h", "stats", "success", "status", "message", "y", "x", "system", "nodes", "shift",
-        "stride", "inputs", "hold",
+        "t", "q", "v", "multipliers", "reactions", "energy", "constraint", "residual", "h",
+        "success", "status", "message", "y", "x", "nodes", "shift", "stride", "inputs", "hold",
     )  # fmt: skip
 
     system: System
@@ -192,7 +192,9 @@ class Solution(Mapping[str, Any]):
         arguments.number(self.h, "h")
         arguments.integer(self.stride, "stride", 1)
         n, m = self.system.n, self.system.m
-        x = arguments.array(self.x, "x", (None, 2 * n))
+        x = self.x  # that of a file is as it was checked there, and stays there
+        if not isinstance(x, np.memmap):
+            x = arguments.array(x, "x", (None, 2 * n))
         reactions = np.asarray(self.reactions, dtype=float)  # NaN for the reference flow
         if len(x) == 0 or reactions.shape != (len(x) - 1, m):
             raise ValueError(
@@ -406,7 +408,7 @@ class Solution(Mapping[str, Any]):
     def _interpolate(self, flat: Array, first: int, rows: int) -> tuple[Array, int]:
         """Return states by interpolation of some rows, and the number of changes of charts."""
         n, h = self.system.n, self.stride * self.h
-        stored = self.x[first : first + rows]
+        stored = np.ascontiguousarray(self.x[first : first + rows])
         if first == len(self.x) - 1 and self.times is not None:
             return stored, 0
         t0 = self.t0 + first * h
@@ -428,46 +430,6 @@ class Solution(Mapping[str, Any]):
             nearest = np.rint((these - t0) / h).astype(int).clip(0, rows - 1)
             before = these[(part != stored[nearest]).any(axis=1)][-1:]
         return x, changes
-
-    def to_xarray(self) -> Any:
-        """Return the run as an ``xarray.Dataset``.
-
-        Dimensions: time, coordinate, form (one for each constraint), interval (the middles of the
-        intervals between stored states).
-
-        Raises
-        ------
-        ImportError
-            If xarray is not installed; the text is the line to type.
-
-        Examples
-        --------
-        >>> import dalembert as dal
-        >>> data = dal.integrate(dal.systems.particle(), h=0.1, steps=10).to_xarray()
-        >>> data.q.sel(coordinate="y").shape
-        (11,)
-        """
-        xarray = extras.require("xarray", "to_xarray")
-        along = ("time", "coordinate")
-        axes = {
-            "q": along, "v": along, "multipliers": ("time", "form"), "energy": "time",
-            "constraint": ("time", "form"), "residual": "time", "reactions": ("interval", "form"),
-        }  # fmt: skip
-        return xarray.Dataset(
-            {name: (of, getattr(self, name)) for name, of in axes.items()},
-            coords={
-                "time": self.t,
-                "coordinate": list(self.system.coordinates),
-                "interval": (self.t[:-1] + self.t[1:]) / 2,
-            },
-            attrs={
-                "system": self.system.name,
-                **{f"parameter_{key}": x for key, x in self.system.parameters.items()},
-                "scheme": self.scheme.name,
-                **{x: getattr(self, x) for x in ("nodes", "h", "stride", "status", "message")},
-                "dalembert": core.version(),
-            },
-        )
 
     def __getitem__(self, key: str) -> Any:
         if key not in self._KEYS:
@@ -498,7 +460,8 @@ class Solution(Mapping[str, Any]):
             f"{'success' if self.success else 'FAILED'}",
             f"  {len(self.x)} states at t = {self.t[0]:g} .. {self.t[-1]:g}{every}",
         ]
-        if not self.scheme.is_reference and self.system.m > 0:
+        known = not np.isnan(self.stats.worst_residual)  # that of a journal is not
+        if known and not self.scheme.is_reference and self.system.m > 0:
             lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
         return "\n".join([*lines, f"  {self.message}>"])
 

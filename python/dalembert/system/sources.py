@@ -83,6 +83,10 @@ class Source:
         """Return what it has in functions of the user, by name; None for what is not given."""
         return {}
 
+    def identity(self) -> Any:
+        """Return what tells the system from others, as far as that can be told, for JSON."""
+        raise NotImplementedError
+
     def with_values(self, values: dict[str, float]) -> Source:
         """Return the source with other values of the parameters, itself if it has none."""
         return dataclasses.replace(self, values=values) if hasattr(self, "values") else self
@@ -142,6 +146,12 @@ class Functions(Source):
 
     def named(self) -> dict[str, Function | None]:
         return self.given | self.invariants
+
+    def identity(self) -> Any:
+        given = sorted(name for name, function in self.named().items() if function is not None)
+        mass = None if self.mass is None else self.mass.tolist()
+        numbers = [self.n, self.m, bool(self.steady), self.time_dependent]
+        return ["functions", given, numbers, mass, self.coordinates, self.inputs]
 
     def define(
         self, callbacks: dict[str, Any], kind: int, missing: int, ctx: Any, kept: Any
@@ -289,6 +299,9 @@ class BuiltIn(Source):
     values: Mapping[str, Any]
     of_library = True
 
+    def identity(self) -> Any:
+        return ["built in", self.name]
+
     def make(self) -> Made:
         numbers = [arguments.number(value, key) for key, value in self.values.items()]
         values = np.array(numbers, dtype=float)
@@ -317,6 +330,10 @@ class Expressions(Source):
 
     def named(self) -> dict[str, Function | None]:
         return {"exact": self.exact, **self.invariants}
+
+    def identity(self) -> Any:
+        model = self.model
+        return ["expressions", model.key, model.coordinates, model.parameters, model.inputs]
 
     def make(self) -> Made:
         model, state, n = self.model, self.state, self.model.n
@@ -380,6 +397,10 @@ class Deformed(Source):
     def named(self) -> dict[str, Function | None]:
         return {"g": self.g, "g_v": self.g_v, "g_q": self.g_q, "g_t": self.g_t}
 
+    def identity(self) -> Any:
+        given = [name for name, function in self.named().items() if function is not None]
+        return ["deformed", self.base.identity, self.delta, given, self.kind]
+
     def make(self) -> Made:
         base = self.base
         timed = base.is_time_dependent
@@ -401,6 +422,9 @@ class AtKeptNodes(Source):
 
     base: Handle
     shift: float
+
+    def identity(self) -> Any:
+        return ["at kept nodes", self.base.identity, self.shift]
 
     def make(self) -> Made:
         new = lib.dal_system_deform_nodes

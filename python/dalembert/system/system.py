@@ -871,6 +871,14 @@ class System(Handle):
         parameters = f"; parameters {values}" if values else ""
         return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{traits}{parameters}>"
 
+    @property
+    def identity(self) -> Any:
+        """What tells the system from others, as far as that can be told, for JSON.
+
+        Of functions it is which are given, and the mass; of what they compute it has nothing.
+        """
+        return [self._source.identity(), self.parameters]
+
     def __init_subclass__(cls) -> None:
         for name in ("n", "m"):
             if name in cls.__dict__:

@@ -1,0 +1,181 @@
+"""The commands about single runs: run, resume, info, export."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from . import systems
+from .core import extras, files, lib, string
+from .core.errors import DalembertError
+from .run import Solution, integrate, load, resume
+from .run.journal import ERRORS, Journal, is_journal
+from .run.scheme import INITIAL
+from .run.storage import SUFFIXES
+from .system import System
+
+_MODEL = "a name of `dalembert systems`; or FILE.py:NAME, a System or a function that returns one"
+_OUTPUT = f"write the run to a file that ends in {', '.join(SUFFIXES)}"
+
+
+def add(commands: Any, numbers: Any, parameter: Any) -> None:
+    """Add the commands to a parser; ``numbers`` and ``parameter`` read arguments."""
+    run = commands.add_parser(
+        "run", help="one run of a system, perhaps with a journal that survives anything",
+        description="Integrate a system with a fixed step and print what came of it.",
+    )  # fmt: skip
+    run.add_argument("model", metavar="MODEL", help=_MODEL)
+    run.add_argument("--scheme", default="leapfrog", metavar="NAME",
+                     help="a name of `dalembert schemes`, or beta (default: leapfrog)")
+    run.add_argument("--parameter", action="append", default=[], type=parameter,
+                     metavar="NAME=VALUE", help="of the system; again for more")
+    run.add_argument("--q0", type=numbers, metavar="X,Y,...", help="positions at the start")
+    run.add_argument("--v0", type=numbers, metavar="X,Y,...", help="velocities at the start, in D")
+    run.add_argument("--h", type=float, required=True, metavar="H", help="the step")
+    _add_end(run, required=True)
+    run.add_argument("--t0", type=float, default=0.0, metavar="T", help="the time of the start")
+    run.add_argument("--stride", type=int, default=1, metavar="K", help="store every K-th state")
+    run.add_argument("--initial", choices=list(INITIAL), help="how kept nodes start")
+    run.add_argument("--journal", type=Path, metavar="FILE",
+                     help="a new file, for `dalembert resume` and `dalembert info`")
+    goes_on = commands.add_parser(
+        "resume", help="go on with a run from its journal",
+        description="Go on with a run from its journal, bit for bit as if it had not stopped.",
+    )  # fmt: skip
+    _add_file(goes_on)
+    _add_end(goes_on, required=False)
+    for command in (run, goes_on):
+        command.add_argument("--journal-errors", choices=list(ERRORS), default="warn",
+                             help="when the journal cannot be written: go on, or stop")
+        command.add_argument("--output", type=Path, metavar="FILE", help=_OUTPUT)
+    info = commands.add_parser("info", help="what a journal, or a saved run, holds")
+    _add_file(info)
+    export = commands.add_parser("export", help="a journal, or a saved run, as another file")
+    export.add_argument("file", metavar="FILE", type=Path, help="a journal, .npz or .nc")
+    export.add_argument("output", metavar="OUTPUT", type=Path, help=_OUTPUT)
+    _add_model(export)
+    of: dict[Any, Callable[[argparse.Namespace], int]] = {
+        run: _run, goes_on: _resume, info: _info, export: _export
+    }  # fmt: skip
+    for command, function in of.items():
+        command.set_defaults(run=function)
+
+
+def _add_end(command: Any, *, required: bool) -> None:
+    end = command.add_mutually_exclusive_group(required=required)
+    end.add_argument("--t-end", type=float, metavar="T", help="the time of the end")
+    end.add_argument("--steps", type=int, metavar="N", help="the number of steps")
+
+
+def _add_model(command: Any) -> None:
+    command.add_argument("model", metavar="MODEL", nargs="?",
+                         help=f"the system, if it does not come with the library: {_MODEL}")
+
+
+def _add_file(command: Any) -> None:
+    command.add_argument("file", metavar="FILE", type=Path, help="a journal")
+    _add_model(command)
+
+
+def model(text: str, parameters: dict[str, float]) -> System:
+    """Return the system of an argument MODEL; ValueError if there is none."""
+    path, colon, name = text.rpartition(":")
+    if not colon or not path.endswith(".py"):
+        return systems.get(text, **parameters)
+    spec = importlib.util.spec_from_file_location(Path(path).stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    found = getattr(module, name, None)
+    if callable(found) and not isinstance(found, System):
+        found = found()
+    if not isinstance(found, System):
+        raise ValueError(f"{text}: expected a dalembert.System, or a function that returns one")
+    return found.with_parameters(**parameters) if parameters else found
+
+
+def _system(given: argparse.Namespace) -> System | None:
+    return None if given.model is None else model(given.model, {})
+
+
+def _progress() -> bool:
+    return sys.stderr.isatty() and extras.is_there("tqdm")
+
+
+def _finish(given: argparse.Namespace, make: Callable[[], Solution], journal: Path | None) -> int:
+    """Make a run, print it, and write it; say how to go on if it breaks off."""
+    if given.output is not None:
+        files.require_writable(given.output)
+    try:
+        run = make()
+    except (DalembertError, KeyboardInterrupt) as error:
+        if journal is not None:
+            words = f"dalembert resume {journal}" + f" {given.model}" * ("." in str(given.model))
+            print(f"what there is stands in {journal}; to go on: {words}", file=sys.stderr)
+        if (partial := getattr(error, "partial", None)) is not None and given.output is not None:
+            partial.save(given.output)
+        raise
+    print(run)
+    if given.output is not None:
+        run.save(given.output)
+    return 0
+
+
+def _run(given: argparse.Namespace) -> int:
+    system = model(given.model, dict(given.parameter))
+    return _finish(given, lambda: integrate(
+        system, given.scheme, given.q0, given.v0, h=given.h, t_end=given.t_end,
+        steps=given.steps, t0=given.t0, stride=given.stride, initial=given.initial,
+        journal=given.journal, journal_errors=given.journal_errors, progress=_progress(),
+    ), given.journal)  # fmt: skip
+
+
+def _resume(given: argparse.Namespace) -> int:
+    system = _system(given)
+    return _finish(given, lambda: resume(
+        given.file, system, t_end=given.t_end, steps=given.steps,
+        journal_errors=given.journal_errors, progress=_progress(),
+    ), given.file)  # fmt: skip
+
+
+def _info(given: argparse.Namespace) -> int:
+    if not is_journal(given.file):
+        print(load(given.file, _system(given)))
+        return 0
+    journal = Journal.open(given.file)
+    info, about = journal.info, journal.about["system"]
+    values = ", ".join(f"{name} = {x:g}" for name, x in about["parameters"].items())
+    origin = "of the library" if about["of_library"] else "given by its user"
+    digest = bytes(info.fingerprint[0:8]).hex()
+    events = f", {info.events} events" if info.events else ""
+    inputs = f", {info.inputs} inputs held for {info.hold} steps" if info.inputs else ""
+    lines = {
+        "system": f"{about['name']}({', '.join(about['coordinates'])}), {origin}, {digest}",
+        "parameters": values or "none",
+        "scheme": f"{string(info.scheme)}, h = {info.h:g}, every {info.stride} steps is stored",
+        "besides": f"{events}{inputs}".removeprefix(", ") or "no events, no inputs",
+        "last snapshot": f"{info.done} of {info.steps} steps, t = {info.t0 + info.done * info.h:g}",
+        "records": f"{info.records}, of {info.size} bytes",
+        "written by": string(info.writer) + ", which is at it" * bool(info.is_written),
+    }
+    if info.records:
+        last = journal.records()[-1]
+        kinds = {lib.DAL_RECORD_ROW: "row", lib.DAL_RECORD_TIME: "time"}
+        what = kinds.get(int(last["kind"]), "event")
+        lines["last record"] = f"{what} {last['number']}, t = {last['t']:g}, x = {last['x']}"
+    for name, text in lines.items():
+        print(f"{name:13}  {text}")
+    journal.close()
+    return 0
+
+
+def _export(given: argparse.Namespace) -> int:
+    run = load(given.file, _system(given))
+    run.save(given.output)
+    print(run)
+    return 0

@@ -1,0 +1,110 @@
+"""Runs as tables and data sets of other packages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from .. import core
+from ..core import Array, arguments, extras
+from .solution import Solution
+
+
+def columns(run: Solution) -> dict[str, Array]:
+    """Return a column for each number of a state: t, coordinates, velocities, what follows."""
+    names, m = run.system.coordinates, run.system.m
+    return {
+        "t": run.t,
+        **{name: run.q[:, i] for i, name in enumerate(names)},
+        **{f"v_{name}": run.v[:, i] for i, name in enumerate(names)},
+        **{f"lambda_{a}": run.multipliers[:, a] for a in range(m)},
+        "energy": run.energy,
+        "residual": run.residual,
+    }
+
+
+def to_pandas(run: Solution) -> Any:
+    """Return the states as a ``pandas.DataFrame``, a row for each, with the time as its index.
+
+    Columns: the coordinates, their velocities ``v_...``, the multipliers ``lambda_0`` and so
+    on, energy and residual.
+
+    Raises
+    ------
+    ImportError
+        If pandas is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> dal.integrate(dal.systems.particle(), h=0.1, steps=10).to_pandas().shape
+    (11, 9)
+    """
+    pandas = extras.require("pandas", "to_pandas")
+    return pandas.DataFrame(columns(run)).set_index("t")
+
+
+def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
+    """Return the run as an ``xarray.Dataset``.
+
+    Dimensions: time, coordinate, form (one for each constraint), interval (the middles of the
+    intervals between stored states); input and hold, where the run has inputs.
+
+    Parameters
+    ----------
+    units : mapping, optional
+        From "t" and the names of coordinates to their units, as {"t": "s", "x": "m"}: they
+        become the attribute ``units`` of the time, and the coordinate ``unit`` of coordinates.
+
+    Raises
+    ------
+    ImportError
+        If xarray is not installed; the text is the line to type.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> data = dal.integrate(dal.systems.particle(), h=0.1, steps=10).to_xarray()
+    >>> data.q.sel(coordinate="y").shape
+    (11,)
+    """
+    xarray = extras.require("xarray", "to_xarray")
+    names, along = run.system.coordinates, ("time", "coordinate")
+    units = arguments.mapping(units, "units")
+    for name in units:
+        if name not in ("t", *names):
+            raise ValueError(f"units: there is no {name!r}; expected t, {', '.join(names)}")
+    axes = {
+        "q": (along, "coordinates"),
+        "v": (along, "velocities, in units of the coordinates by that of the time"),
+        "multipliers": (("time", "form"), "lambda(q, v) by the formula: forces"),
+        "energy": ("time", "energy"),
+        "constraint": (("time", "form"), "phi(q, v)"),
+        "residual": ("time", "relative residual of the set that the scheme keeps"),
+        "reactions": (("interval", "form"), "mean multipliers of the scheme: forces"),
+    }
+    coordinates: dict[str, Any] = {
+        "time": ("time", run.t, {"long_name": "time", "units": units.get("t", "")}),
+        "coordinate": list(names),
+        "unit": ("coordinate", [units.get(name, "") for name in names]),
+        "interval": (run.t[:-1] + run.t[1:]) / 2,
+    }
+    data = {
+        name: (of, getattr(run, name), {"long_name": words})
+        for name, (of, words) in axes.items()
+    }
+    if run.system.inputs:
+        words = f"of the force, each row for {run.hold} steps"
+        data["inputs"] = (("hold", "input"), run.inputs, {"long_name": words})
+        coordinates["input"] = list(run.system.inputs)
+    return xarray.Dataset(
+        data,
+        coords=coordinates,
+        attrs={
+            "system": run.system.name,
+            **{f"parameter_{key}": x for key, x in run.system.parameters.items()},
+            "scheme": run.scheme.name,
+            **{x: getattr(run, x) for x in ("nodes", "h", "stride", "status", "message")},
+            "dalembert": core.version(),
+        },
+    )

@@ -1,0 +1,274 @@
+"""The journal of a run: a file that survives the death of its process."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import core, geometry, systems
+from ..core import Array, DalembertError, DalembertWarning, arguments, ffi, lib
+from ..system import System
+from .events import Happened, split
+from .runs import Run
+from .scheme import Scheme
+from .solution import Solution, Statistics
+
+SECONDS = 5.0  # from snapshot to snapshot
+ERRORS = {"stop": 0, "warn": 1}
+_CLOSE = 1e-6  # of the field that another machine computes, relative to its largest component
+
+
+# ---- what a run is of, as data -------------------------------------------------------------------
+
+
+def describe(system: System, scheme: Scheme, run: Run, max_iterations: int) -> dict[str, Any]:
+    """Return what makes a run again, or tells whether another is the same, for JSON."""
+    times = None if run.watch is None else run.watch.times
+    return {
+        "dalembert": core.version(),
+        "system": of_system(system, run.x[0], run.t0),
+        "scheme": scheme._data(),
+        "max_iterations": max_iterations,
+        "inputs": run.inputs is not None,
+        "times": None if times is None else base64.b64encode(times.tobytes()).decode(),
+    }
+
+
+def of_system(system: System, x: Array, t: float) -> dict[str, Any]:
+    """Return what tells a system from others, for JSON: by what it says, and by the field at x."""
+    try:
+        field = geometry.field(system, *np.split(x, 2), t=t).tolist()
+    except (DalembertError, ValueError):
+        field = None
+    return {
+        "name": system.name,
+        "parameters": system.parameters,
+        "coordinates": list(system.coordinates),
+        "inputs": list(system.inputs),
+        "of_library": system._source.of_library,
+        "identity": system.identity,
+        "state": x.tolist(),
+        "t": t,
+        "field": field,
+    }
+
+
+def require_same(system: System | None, about: Mapping[str, Any], path: str) -> System:
+    """Return the system of a file: the one that is given, or of the library; ValueError if not."""
+    name, parameters = about["name"], about["parameters"]
+    if system is None and about["of_library"]:
+        system = systems.get(name, **parameters)
+    if system is None:
+        raise ValueError(
+            f"system: needed, {path} is of one that does not come with the library, {name!r} "
+            f"({', '.join(about['coordinates'])})"
+        )
+    core.require_system(system)
+    if system.parameters != parameters and system.parameters.keys() == parameters.keys():
+        other = {key: x for key, x in parameters.items() if system.parameters[key] != x}
+        there = ", ".join(f"{key} = {x!r}" for key, x in other.items())
+        here = ", ".join(f"{key} = {system.parameters[key]!r}" for key in other)
+        raise ValueError(f"system: {path} is of one with {there}, this has {here}")
+    if json.loads(json.dumps(system.identity)) != about["identity"]:
+        raise ValueError(f"system: {path} is of another one, {name!r}, than {system!r}")
+    field, x = about["field"], np.array(about["state"])
+    if field is not None:
+        expected = np.array(field)
+        found = geometry.field(system, *np.split(x, 2), t=about["t"])
+        if not abs(found - expected).max() <= _CLOSE * abs(expected).max():
+            raise ValueError(
+                f"system: {path} is of another one: at its first state the field was {expected}, "
+                f"and is {found} now"
+            )
+    return system
+
+
+# ---- the file ------------------------------------------------------------------------------------
+
+
+class Journal:
+    """An open journal.
+
+    Attributes
+    ----------
+    path : str
+    info : cdata
+        The ``dal_journal_info`` of when it was opened.
+    about : dict
+        What `describe` has returned.
+    """
+
+    def __init__(self, path: str, handle: Any, goes_on: bool) -> None:
+        self.path, self._handle, self._tells = path, handle, goes_on
+        self.info = ffi.new("dal_journal_info *")
+        lib.dal_journal_describe(handle, self.info)
+        text = ffi.buffer(self.info.description, self.info.description_size)[:]
+        try:
+            self.about = json.loads(text)
+            self.about["system"]["identity"]
+        except (ValueError, KeyError, TypeError):
+            raise ValueError(
+                f"{path}: the journal of a C program, which does not say what system it is of"
+            ) from None
+
+    @classmethod
+    def create(
+        cls, path: Any, run: Run, scheme: Scheme, about: dict[str, Any], errors: str
+    ) -> Journal:
+        """Return the new journal of a run that has not begun."""
+        goes_on = arguments.choice(errors, "journal_errors", ERRORS)
+        text = json.dumps(about).encode()
+        record, kept = scheme._record_of(run.system)
+        identity = json.dumps(about["system"]["identity"]).encode()
+        described = ffi.new("char[]", text)
+        options = ffi.new("dal_journal_options *", {"goes_on": goes_on, "seconds": SECONDS})
+        options.description, options.description_size = described, len(text)
+        options.fingerprint = hashlib.sha256(identity).digest()
+        name = os.fspath(path)
+        handle = core.make(
+            "journal", os.fsencode(name), run.run, record, options, owner=(run.run, kept)
+        )
+        del described
+        return cls(os.fsdecode(name), handle, bool(goes_on))
+
+    @classmethod
+    def open(cls, path: Any, *, writes: bool = False, errors: str = "warn") -> Journal:
+        """Return a journal that is there; a warning says if its end is damaged."""
+        goes_on = arguments.choice(errors, "journal_errors", ERRORS)
+        name = os.fspath(path)
+        os.stat(name)  # an OSError of the usual kind, if it is not there
+        options = ffi.new("dal_journal_options *", {"goes_on": goes_on, "seconds": SECONDS})
+        handle = core.adopt("journal", lib.dal_journal_open, os.fsencode(name), writes, options)
+        journal = cls(os.fsdecode(name), handle, bool(goes_on))
+        if journal.info.cut and not journal.info.is_written:
+            warnings.warn(
+                f"{name}: its last {journal.info.cut} bytes are no whole record, as a run leaves "
+                "that was killed, or damaged; they are left out",
+                DalembertWarning, stacklevel=4,
+            )  # fmt: skip
+        return journal
+
+    def system(self, given: System | None) -> System:
+        """Return the system of the run: the one that is given, or of the library."""
+        return require_same(given, self.about["system"], self.path)
+
+    def scheme(self, given: Scheme | None = None) -> Scheme:
+        """Return the scheme of the run; C looks whether it is the one."""
+        if given is not None:
+            return Scheme.of(given)
+        if self.about["scheme"] is None:
+            name = core.string(self.info.scheme)
+            raise ValueError(f"scheme: needed, that of {self.path}, {name!r}, is made of functions")
+        return Scheme._from_data(self.about["scheme"])
+
+    def times(self) -> Array | None:
+        """Return the output times of the run, None if it stores rows."""
+        text = self.about["times"]
+        return None if text is None else np.frombuffer(base64.b64decode(text)).copy()
+
+    def resume(self, run: Run) -> None:
+        """Bring a run to where the last snapshot has left it."""
+        error = ffi.new("dal_error *")
+        status = core.attempt(lib.dal_journal_resume, self._handle, run.run, error)
+        core.verify(status, error, run.system.kind)
+        run.journal = self
+
+    def tell(self) -> None:
+        """Warn, once, that the run goes on and the file is no longer written."""
+        error = lib.dal_journal_error(self._handle)
+        if self._tells and error.status == lib.DAL_EIO:
+            self._tells = False
+            warnings.warn(
+                f"the run goes on without its journal: {core.words(error)}", DalembertWarning,
+                stacklevel=4,
+            )  # fmt: skip
+
+    def close(self, run: Any = None) -> None:
+        """Write what is left, and let others write."""
+        if run is not None:
+            run.journal = ffi.NULL
+        ffi.release(self._handle)
+
+    # ---- what it holds -----------------------------------------------------------------------
+
+    def records(self) -> Any:
+        """Return the records, mapped from the file."""
+        info = self.info
+        fields = [
+            ("checksum", "u4"), ("kind", "u4"), ("number", "u8"), ("step", "u8"), ("t", "f8"),
+            ("x", "f8", (2 * info.n,)), ("reaction", "f8", (info.m,)),
+            ("input", "f8", (info.holds, info.inputs)),
+        ]  # fmt: skip
+        kind, count = np.dtype(fields), int(info.records)
+        if count == 0:
+            raise ValueError(f"{self.path}: there is no state in it yet")
+        return np.memmap(self.path, kind, "r", int(info.begin), (count,))
+
+    def solution(self, system: System | None) -> Solution:
+        """Return the run as far as it is in the file, whose states stay there."""
+        system, scheme, info = self.system(system), self.scheme(), self.info
+        t0, h, stride = float(info.t0), float(info.h), int(info.stride)
+        records = self.records()
+        kinds = records["kind"]
+        is_row = (kinds == lib.DAL_RECORD_ROW) | (kinds == lib.DAL_RECORD_END)
+        if info.has_times:
+            is_row = kinds == lib.DAL_RECORD_TIME
+        rows = records if is_row.all() else records[is_row]
+        if len(rows) == 0:
+            raise ValueError(f"{self.path}: there is no state in it yet")
+        ended = bool((kinds == lib.DAL_RECORD_END).any())
+        times = np.array(rows["t"]) if ended or info.has_times else None
+        if ended and not info.has_times:
+            times = t0 + np.arange(len(rows)) * stride * h
+            times[-1] = rows["t"][-1]
+        none = np.full((len(rows) - 1, system.m), np.nan)
+        done = max(int(info.done), (len(rows) - 1 - ended) * stride * (not info.has_times))
+        over = ended or done >= info.steps
+        words = f"{done} steps" if over else f"{done} of {info.steps} steps"
+        happened = dict(zip(("t_events", "x_events", "x_after"), split(*self._events(records))))
+        return Solution(
+            system=system, scheme=scheme, t0=t0, h=h, stride=stride, x=rows["x"], times=times,
+            reactions=none if info.has_times else rows["reaction"][1:],
+            status=lib.DAL_SUCCESS if over and not ended else lib.DAL_STOPPED,
+            message=f"{words} to t = {rows['t'][-1]:g}, from {self.path}",
+            inputs=self._inputs(rows, done + ended), hold=int(info.hold),
+            stats=Statistics(steps=done, worst_residual=np.nan), **happened,
+        )  # fmt: skip
+
+    def _inputs(self, rows: Any, steps: int) -> Array:
+        """Return the rows of inputs of so many steps, as far as they are there."""
+        info = self.info
+        if info.inputs == 0 or info.has_times:
+            return np.zeros((0, len(self.about["system"]["inputs"])))
+        hold, stride = int(info.hold), int(info.stride)
+        first = np.arange(-(-steps // hold)) * hold  # step of each
+        row = first // stride + 1
+        there = row < len(rows)
+        place = first[there] // hold - -(-(row[there] - 1) * stride // hold)
+        return np.array(rows["input"][row[there], place])
+
+    def _events(self, records: Any) -> tuple[Happened, int]:
+        """Return what happened, as `split` takes it."""
+        found = Happened(int(self.info.events))
+        of_event = np.flatnonzero(records["kind"] >= lib.DAL_RECORD_EVENT)
+        for one in records[of_event]:
+            x = np.array(one["x"])
+            if one["kind"] == lib.DAL_RECORD_AFTER:
+                found.after[-1] = x
+            else:
+                found.add(int(one["number"]), float(one["t"]), x, None)
+        return found, int(self.info.n)
+
+
+def is_journal(path: Path) -> bool:
+    """Return whether a file begins as a journal does."""
+    with open(path, "rb") as file:
+        return file.read(6) == b"dalrun"

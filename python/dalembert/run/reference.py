@@ -1,0 +1,99 @@
+"""The reference flow to one time, by an adaptive method."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core, geometry
+from ..core import Array, arguments, lib, require_system
+from ..system import System
+from .events import CONSISTENCY
+from .runs import consistent_state
+from .scheme import METHODS
+
+COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
+
+
+class Reference(NamedTuple):
+    """A state of the reference flow.
+
+    Attributes
+    ----------
+    q, v : ndarray, shape (n,)
+    accuracy : float
+        Estimate of the error, the largest component of the difference to the result at a
+        tolerance ten times as large.
+    """
+
+    q: Array
+    v: Array
+    accuracy: float
+
+
+def reference(
+    system: System,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    t: float = 1.0,
+    t0: float = 0.0,
+    consistent: str = "check",
+    method: str = "rk8pd",
+    tolerance: float = 1e-13,
+    coordinates: str = "x",
+) -> Reference:
+    """Return the state of the ODE on D at one time, by an adaptive method of GSL.
+
+    Parameters
+    ----------
+    system : System
+    q0, v0 : array_like, shape (n,), optional
+        State at t0 in the user's units, both; neither: the system's.
+    t, t0 : float, optional
+        Times; ``t < t0`` is allowed.
+    consistent : {"check", "project", "assume"}, optional
+        As in `integrate`.
+    method : {"rk8pd", "msadams", "rodas"}, optional
+        Prince-Dormand 8(9), Adams, or BDF for stiff potentials.
+    tolerance : float, optional
+        Relative and absolute, for each step, in [4.4e-16, 0.1].
+    coordinates : {"x", "xi"}, optional
+        Of the ODE: the states (q, v), or those of charts of D (`Chart`), which are changed on the
+        way where they become ill conditioned.
+
+    Returns
+    -------
+    Reference
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    NotOnConstraintError
+        If the initial data are not in D.
+    SingularError, ConvergenceError, DomainError
+        If the flow could not go on.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> particle = dal.systems.particle()
+    >>> end = dal.reference(particle, t=1.0)
+    >>> bool(abs(end.q - particle.exact(1.0)[0]).max() < 1e-11)
+    True
+    """
+    require_system(system)
+    t, t0 = arguments.number(t, "t"), arguments.number(t0, "t0")
+    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
+    flow_method = arguments.choice(method, "method", METHODS)
+    tolerance = arguments.tolerance(tolerance)
+    coordinate = arguments.choice(coordinates, "coordinates", COORDINATES)
+    flow = system._c("flow", flow_method, coordinate, tolerance)
+    x = consistent_state(system, x0, t0, consistency)
+    accuracy = np.empty(1)
+    with core.watching(flow):
+        core.call(system.kind, lib.dal_flow_apply, flow, t0, t, x, accuracy)
+    return Reference(x[: system.n], x[system.n :], float(accuracy[0]))

@@ -1,0 +1,198 @@
+"""Runs in files: NumPy's and netCDF, both ways; comma separated values; and journals, to be read."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import core
+from ..core import Array, arguments, extras, files
+from ..system import System
+from .export import columns, to_xarray
+from .journal import Journal, is_journal, of_system, require_same
+from .scheme import Scheme
+from .solution import Solution, Statistics
+
+SUFFIXES = (".npz", ".nc", ".csv")
+
+_ARRAYS = ("x", "reactions", "inputs", "times")
+_NUMBERS = ("t0", "h", "stride", "hold", "status", "message")
+
+
+def save(run: Solution, path: str | os.PathLike[str]) -> None:
+    """Write the run to a file, which appears when it is complete.
+
+        ``dalembert.load`` reads ``.npz`` and ``.nc``; both hold all that the run has, and no code.
+        ``.npz`` is of NumPy; ``.nc`` is netCDF-4, with `to_xarray` in it, for xarray, h5py, Julia
+        or MATLAB; ``.csv`` has the columns of `to_pandas`.
+
+        Parameters
+        ----------
+        path : str or path
+            Its ending says what is written.
+
+        Raises
+        ------
+        ValueError
+            If it ends otherwise.
+        OSError
+            If it cannot be written; a file of this name is then as it was.
+        ImportError
+            For ``.nc``, if xarray or h5netcdf is not installed.
+
+        Examples
+        --------
+        >>> import os, tempfile
+        >>> import dalembert as dal
+        >>> run = dal.integrate(dal.systems.particle(), h=0.1, steps=10)
+        >>> run.save(os.path.join(tempfile.mkdtemp(), "run.csv"))
+        """
+    target = Path(path)
+    if target.suffix not in SUFFIXES:
+        raise ValueError(f"path = {str(target)!r}: expected a name that ends in .npz, .nc or .csv")
+    files.require_writable(target)
+    if target.suffix == ".csv":
+        content = _csv(run)
+    elif target.suffix == ".npz":
+        buffer = io.BytesIO()
+        np.savez(buffer, about=np.array(json.dumps(_about(run))), **_pack(run))
+        content = buffer.getvalue()
+    else:
+        _require_netcdf()
+        data = to_xarray(run)
+        packed = {name: x for name, x in _pack(run).items() if x.size}
+        stored = {
+            f"stored_{name}": ([f"{name}_{i}" for i in range(x.ndim)], x)
+            for name, x in packed.items()
+        }
+        data = data.assign(stored).assign_attrs(about=json.dumps(_about(run)))
+        content = bytes(data.to_netcdf(engine="h5netcdf"))
+    files.replace(target.resolve(), content)
+
+
+def load(path: str | os.PathLike[str], system: System | None = None) -> Solution:
+    """Return the run in a file: a journal, or what `Solution.save` has written; it runs nothing.
+
+    The states of a journal stay in the file and are mapped from there.
+
+    Parameters
+    ----------
+    path : str or path
+    system : System, optional
+        That of the run; not needed for one that comes with the library.
+
+    Raises
+    ------
+    ValueError
+        If the file is of no run, or of another system than the one given; the text says which.
+    OSError
+        If it is not there, or cannot be read.
+
+    Warns
+    -----
+    DalembertWarning
+        If the end of a journal is damaged.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import dalembert as dal
+    >>> path = os.path.join(tempfile.mkdtemp(), "run.npz")
+    >>> run = dal.integrate(dal.systems.sleigh(), h=0.01, t_end=1)
+    >>> run.save(path)
+    >>> bool((dal.load(path).x == run.x).all())
+    True
+    """
+    target = Path(path)
+    if is_journal(target):
+        journal = Journal.open(path)
+        try:
+            return journal.solution(system)
+        finally:
+            journal.close()
+    with open(target, "rb") as file:
+        start = file.read(8)
+    try:
+        if start.startswith(b"PK"):
+            with np.load(target, allow_pickle=False) as found:
+                about, arrays = json.loads(str(found["about"])), dict(found)
+        elif start == b"\x89HDF\r\n\x1a\n":
+            with _require_netcdf().open_dataset(target, engine="h5netcdf") as data:
+                about = json.loads(data.attrs["about"])
+                arrays = {
+                    str(name).removeprefix("stored_"): x.to_numpy()
+                    for name, x in data.items()
+                    if str(name).startswith("stored_")
+                }
+        else:
+            raise KeyError
+    except KeyError:
+        raise ValueError(f"{target}: neither the journal of a run nor what a run has saved") from None
+    return _unpack(about, arrays, require_same(system, about["system"], str(target)))
+
+
+def _require_netcdf() -> Any:
+    """Return xarray, where it and what it needs are installed."""
+    for module in ("h5py", "h5netcdf"):
+        extras.require(module, "a file .nc")
+    return extras.require("xarray", "a file .nc")
+
+
+# ---- a run as arrays and data --------------------------------------------------------------------
+
+
+def _about(run: Solution) -> dict[str, Any]:
+    """Return what is no array, for JSON."""
+    return {
+        "dalembert": core.version(),
+        "system": of_system(run.system, run.x[0], float(run.t[0])),
+        "scheme": run.scheme._data(),
+        "stats": dataclasses.asdict(run.stats),
+        "events": len(run.t_events),
+        **{name: getattr(run, name) for name in _NUMBERS},
+    }
+
+
+def _pack(run: Solution) -> dict[str, Array]:
+    """Return the arrays from which the run can be made again, and its times."""
+    found = {name: getattr(run, name) for name in _ARRAYS}
+    for k in range(len(run.t_events)):
+        for name in ("t_events", "x_events", "x_after"):
+            found[f"{name}_{k}"] = getattr(run, name)[k]
+    return {"t": run.t} | {name: np.asarray(x) for name, x in found.items() if x is not None}
+
+
+def _unpack(about: dict[str, Any], arrays: dict[str, Array], system: System) -> Solution:
+    """Return the run; arrays that are missing are empty."""
+    n, m = system.n, system.m
+    if about["scheme"] is None:
+        raise ValueError("the scheme of the run is made of functions, which are not in the file")
+    rows = len(arrays["x"])
+    given: dict[str, Any] = {name: arrays.get(name) for name in _ARRAYS}
+    if given["reactions"] is None:
+        given["reactions"] = np.zeros((rows - 1, m))
+    widths = {"t_events": (0,), "x_events": (0, 2 * n), "x_after": (0, 2 * n)}
+    for name, shape in widths.items():
+        events = range(about["events"])
+        given[name] = tuple(arrays.get(f"{name}_{k}", np.zeros(shape)) for k in events)
+    stats = about["stats"] | {"differenced": tuple(about["stats"]["differenced"])}
+    return Solution(
+        system=system, scheme=Scheme._from_data(about["scheme"]), stats=Statistics(**stats),
+        **given, **{name: about[name] for name in _NUMBERS},
+    )  # fmt: skip
+
+
+def _csv(run: Solution) -> bytes:
+    """Return the columns with 17 digits, which are the very doubles."""
+    found, text = columns(run), io.StringIO()
+    for name in found:
+        arguments.text(name, "coordinates")
+    header = ",".join(f'"{name}"' if set(name) & set(',"\n') else name for name in found)
+    np.savetxt(text, np.column_stack([*found.values()]), "%.17g", ",", header=header, comments="")
+    return text.getvalue().encode()

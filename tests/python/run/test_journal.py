@@ -1,0 +1,454 @@
+"""Journals: runs that are killed, gone on with, read, refused."""
+
+import os
+import pickle
+import random
+import signal
+import time
+import warnings
+
+import numpy as np
+import pytest
+import sympy
+
+import dalembert as dal
+from dalembert.run import journal as journals
+
+M, J = 2.0, 0.75
+KILLS = 200
+
+
+def force(t, q, v, u):
+    return [u[0] * np.cos(q[2]) - 0.1 * v[0], u[0] * np.sin(q[2]), u[1]]
+
+
+def forms(q):
+    return [[np.sin(q[2]), -np.cos(q[2]), 0]]
+
+
+def turning(q, v):
+    return [[0, 0, np.cos(q[2]) * v[0] + np.sin(q[2]) * v[1]]]
+
+
+def cart(mass=M, **options):
+    return dal.System(
+        mass=[mass, mass, J], forms=forms, forms_velocity_derivative=turning, force=force,
+        inputs=["push", "turn"], coordinates=["x", "y", "theta"], q0=[0.3, -0.2, 0.4],
+        v0=[np.cos(0.4), np.sin(0.4), 1.1], name="cart", **options,
+    )  # fmt: skip
+
+
+def sleigh():
+    x, y, theta = dal.coordinates("x y theta")
+    a = sympy.Symbol("a")
+    return dal.System.from_sympy(
+        (x.d**2 + y.d**2 + theta.d**2) / 2 + sympy.cos(x) / 3,
+        [-sympy.sin(theta) * x.d + sympy.cos(theta) * y.d - a * theta.d], parameters={a: 0.2},
+        q0=[0, 0, 0], v0=[1, a, 1], name="sleigh",
+    )  # fmt: skip
+
+
+def control(t, q, v):
+    return [0.5 - q[0], np.sin(5 * t)]
+
+
+WALL = dal.Event(lambda t, q, v: q[0] - 0.6, direction=1, reset=lambda q, v: (q, -v))
+TURN = dal.Event(lambda t, q, v: np.sin(3 * q[2]))
+LATE = dal.Event(lambda t, q, v: t - 1.87, terminal=True)
+TABLE = np.random.default_rng(1).normal(size=(20, 2))
+
+CASES = {
+    "built in": (dal.systems.sleigh, "leapfrog-kl6", {"stride": 2}, {}),
+    "of SymPy": (sleigh, "midpoint", {}, {}),
+    "table": (cart, "midpoint-suzuki4", {"hold": 3, "stride": 4}, {"inputs": TABLE}),
+    "controller and events": (cart, "leapfrog", {}, {"inputs": control, "events": [WALL, TURN]}),
+    "terminal": (
+        cart, "midpoint", {"hold": 7, "stride": 3}, {"inputs": control, "events": [WALL, LATE]}
+    ),
+    "output times": (
+        cart, "leapfrog", {"t_eval": np.linspace(0, 2.9, 37)}, {"events": [WALL]}
+    ),
+    "kept nodes": (
+        dal.systems.particle, "midpoint-nodes", {"initial": "shift", "stride": 3}, {}
+    ),
+    "pair": (dal.systems.disk, dal.Scheme.pair(0.25, 0.5), {}, {}),
+    "reference": (dal.systems.sleigh, "reference", {"tolerance": 1e-9, "stride": 10}, {}),
+    "own record": (
+        dal.systems.disk, dal.Scheme([(0.3, 0.4), (0.7, 0.6)], name="mine"), {}, {}
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(params=CASES)
+def case(request):
+    make, scheme, options, functions = CASES[request.param]
+    return make(), scheme, {"h": 0.05, "steps": 60, **options}, functions
+
+
+def assert_same(one, other):
+    for name in ("t", "x", "reactions", "inputs"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for name in ("t_events", "x_events", "x_after"):
+        assert len(getattr(one, name)) == len(getattr(other, name))
+        for a, b in zip(getattr(one, name), getattr(other, name)):
+            np.testing.assert_array_equal(a, b)
+    assert (one.status, one.h, one.stride, one.hold) == (
+        other.status, other.h, other.stride, other.hold
+    )  # fmt: skip
+
+
+def given_system(system):
+    return None if system._source.of_library else system
+
+
+# ---- a run and its file --------------------------------------------------------------------------
+
+
+def test_a_journal_changes_nothing_and_holds_all(case, tmp_path):
+    system, scheme, options, functions = case
+    path = tmp_path / "run.dal"
+    plain = dal.integrate(system, scheme, **options, **functions)
+    run = dal.integrate(system, scheme, **options, **functions, journal=path)
+    assert_same(run, plain)
+    assert run.stats == plain.stats
+    found = dal.load(path, given_system(system))
+    assert_same(found, plain)
+    assert found.system.n == system.n and found.scheme.name == run.scheme.name
+    for name in ("energy", "multipliers", "residual", "q", "v", "constraint"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(run, name))
+    if "t_eval" not in options and not functions:
+        np.testing.assert_array_equal(found(0.7).q, run(0.7).q)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 5.0])
+def test_going_on_is_the_whole_run(case, tmp_path, monkeypatch, seconds):
+    """A run that an exception ends anywhere goes on to the bits of the whole one, twice over."""
+    monkeypatch.setattr(journals, "SECONDS", seconds)
+    system, scheme, options, functions = case
+    path = tmp_path / "run.dal"
+    whole = dal.integrate(system, scheme, **options, **functions)
+    calls = []
+
+    def stop(step, t, q, v):
+        calls.append(step)
+        if len(calls) in (4, 9):
+            raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough") as caught:
+        dal.integrate(system, scheme, **options, **functions, journal=path, observer=stop)
+    partial = dal.load(path, given_system(system))
+    if "t_eval" not in options:
+        np.testing.assert_array_equal(partial.x, caught.value.partial.x)
+        assert not partial.success or partial.status == 1
+        assert "of 60 steps" in partial.message
+    given = {"system": given_system(system), **functions}
+    with pytest.raises(RuntimeError, match="enough"):
+        for _ in range(2):
+            run = dal.resume(path, **given, observer=stop)
+        assert len(calls) < 9  # it was over before
+        raise RuntimeError("enough")
+    run = dal.resume(path, **given)
+    assert_same(run, whole)
+    assert run.stats == whole.stats
+    assert_same(dal.load(path, given_system(system)), whole)
+    assert_same(dal.resume(path, **given), whole)  # of a run that is over
+
+
+def test_longer(tmp_path):
+    path = tmp_path / "run.dal"
+    system = dal.systems.sleigh()
+    dal.integrate(system, h=0.01, t_end=1, journal=path)
+    whole = dal.integrate(system, h=0.01, t_end=3)
+    assert_same(dal.resume(path, t_end=2), dal.integrate(system, h=0.01, t_end=2))
+    assert_same(dal.resume(path, steps=300), whole)
+    assert_same(dal.load(path), whole)
+    with pytest.raises(ValueError, match="has 300 steps of the run, and steps = 100"):
+        dal.resume(path, steps=100)
+
+
+def test_a_loaded_run_stays_in_the_file(tmp_path):
+    path = tmp_path / "run.dal"
+    run = dal.integrate(dal.systems.sleigh(), h=0.01, steps=1000, journal=path)
+    found = dal.load(path)
+    assert isinstance(found.x, np.memmap) and not found.x.flags.writeable
+    assert isinstance(found.q, np.memmap)
+    os.remove(path)
+    np.testing.assert_array_equal(found.x, run.x)
+    copy = pickle.loads(pickle.dumps(found))
+    np.testing.assert_array_equal(copy.x, run.x)
+
+
+def test_a_journal_is_read_while_it_is_written(tmp_path):
+    path, seen = tmp_path / "run.dal", []
+
+    def look(step, t, q, v):
+        if step == 50:
+            seen.append(dal.load(path))
+            with pytest.raises(ValueError, match=rf"process {os.getpid()} on .* writes it"):
+                dal.resume(path)
+
+    system = dal.systems.sleigh()
+    run = dal.integrate(system, "midpoint", h=0.01, steps=60, journal=path, observer=look)
+    count = len(seen[0].x)
+    assert 0 < count <= 51
+    np.testing.assert_array_equal(seen[0].x, run.x[:count])
+    assert "of 60 steps" in seen[0].message
+
+
+# ---- kills ---------------------------------------------------------------------------------------
+
+
+def die(delay, make):
+    """Run something in a child, which is killed after a delay; return how far it said it was."""
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reader)
+        try:
+            make(lambda done, total: os.write(writer, f"{done}\n".encode()))
+        finally:
+            os._exit(0)
+    os.close(writer)
+    time.sleep(delay)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    with os.fdopen(reader) as lines:
+        said = lines.read().split()
+    return int(said[-1]) if said else None
+
+
+def test_kills(tmp_path, monkeypatch):
+    """Killed at random, gone on with, killed again, gone on with: what was said to be there is."""
+    monkeypatch.setattr(journals, "SECONDS", 0.003)
+    monkeypatch.setattr("dalembert.run.runs.PIECE_SECONDS", 0.002)
+    random.seed(7)
+    small = {"h": 0.05, "steps": 300, "stride": 2, "hold": 3}
+    long = {"h": 0.01, "steps": 200_000, "stride": 100}
+    kinds = [
+        (cart(), "midpoint", small, {"inputs": control, "events": [WALL, TURN]}, 0.05),
+        (dal.systems.sleigh(), "leapfrog-kl6", long, {}, 0.12),
+    ]
+    wholes = [dal.integrate(a, b, **c, **d) for a, b, c, d, _ in kinds]
+    begun = ended = 0
+    for k in range(KILLS):
+        (system, scheme, options, functions, most), whole = kinds[k % 2], wholes[k % 2]
+        path = tmp_path / f"{k}.dal"
+        said = die(
+            random.uniform(0, most),
+            lambda show: dal.integrate(
+                system, scheme, **options, **functions, journal=path, progress=show
+            ),
+        )
+        if not path.exists():  # it was killed before the file had its name
+            assert said is None
+            continue
+        begun += 1
+        given = {"system": given_system(system), **functions}
+        for round_ in range(2):
+            if said:
+                with warnings.catch_warnings(action="ignore"):
+                    found = dal.load(path, given["system"])
+                rows = said // options["stride"] + 1
+                assert len(found.x) >= rows
+                np.testing.assert_array_equal(found.x, whole.x[: len(found.x)])
+                np.testing.assert_array_equal(found.reactions, whole.reactions[: len(found.x) - 1])
+                ended += round_ == 0 and len(found.x) == len(whole.x)
+            if round_ == 0:
+                later = die(
+                    random.uniform(0, most / 2),
+                    lambda show: dal.resume(path, **given, progress=show),
+                )
+                said = max(later or 0, said or 0)
+        with warnings.catch_warnings(action="ignore"):
+            run = dal.resume(path, **given)
+        assert_same(run, whole)
+        assert run.stats == whole.stats
+        path.unlink()
+    print(f"{KILLS} kills: {begun} files, {ended} of them whole")
+    assert begun > KILLS * 0.7 and ended < begun / 2
+
+
+# ---- what does not fit ---------------------------------------------------------------------------
+
+
+def test_another_system(tmp_path):
+    path = tmp_path / "run.dal"
+    own = sleigh()
+    dal.integrate(own, h=0.05, steps=10, journal=path)
+    with pytest.raises(ValueError, match="does not come with the library, 'sleigh'"):
+        dal.load(path)
+    with pytest.raises(ValueError, match="is of one with a = 0.2, this has a = 0.3"):
+        dal.load(path, own.with_parameters(a=0.3))
+    with pytest.raises(ValueError, match="is of another one, 'sleigh', than <System particle"):
+        dal.resume(path, dal.systems.particle())
+    assert len(dal.resume(path, sleigh(), steps=20).x) == 21  # made anew, it is the same
+
+    path = tmp_path / "cart.dal"
+    dal.integrate(cart(), h=0.05, steps=10, journal=path)
+    with pytest.raises(ValueError, match="is of another one"):
+        dal.load(path, cart(2.5))
+
+    def other(t, q, v, u):
+        return np.add(force(t, q, v, u), [0.01 * v[0], 0, 0])
+
+    looks_alike = dal.System(
+        mass=[M, M, J], forms=forms, forms_velocity_derivative=turning, force=other,
+        inputs=["push", "turn"], coordinates=["x", "y", "theta"],
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="at its first state the field was"):
+        dal.load(path, looks_alike)
+    assert len(dal.load(path, cart()).x) == 11
+
+
+def test_other_inputs_and_events(tmp_path):
+    path = tmp_path / "run.dal"
+    options = {"h": 0.05, "steps": 20, "inputs": TABLE, "events": [WALL]}
+    dal.integrate(cart(), **options, journal=path)
+    given = {"system": cart(), "inputs": TABLE, "events": [WALL]}
+    for change, text in (
+        ({"inputs": None}, "inputs: needed"),
+        ({"events": []}, "the number of events is 1 there, and 0 in the run"),
+        ({"inputs": TABLE + 1e-12}, r"inputs\[0\] of row 0 is .* there"),
+        ({"steps": 40}, "inputs: expected shape"),
+        ({"scheme": dal.Scheme.find("midpoint")}, "another system or scheme"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            dal.resume(path, **(given | change))
+    assert len(dal.resume(path, **given).x) == 21  # nothing of it has done harm
+
+
+def test_a_controller_that_is_another(tmp_path):
+    path = tmp_path / "run.dal"
+
+    def stop(step, t, q, v):
+        if step == 12:
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        dal.integrate(cart(), h=0.05, steps=20, inputs=control, journal=path, observer=stop)
+    whole = dal.integrate(cart(), h=0.05, steps=20, inputs=control)
+    content = path.read_bytes()
+    # a snapshot was made when the run broke off: only that of the beginning is left
+    info = journals.Journal.open(path).info
+    slot = (info.begin - content.find(b"process ") - 128) // 3
+    begin = info.begin - 2 * slot
+    path.write_bytes(content[:begin] + bytes(2 * slot) + content[info.begin :])
+
+    def other(t, q, v):
+        return [0.5 - q[0], np.sin(5 * t) + 1e-9 * (t > 0.3)]
+
+    with pytest.raises(ValueError, match="is not what the run makes now"):
+        dal.resume(path, cart(), inputs=other)
+    assert_same(dal.resume(path, cart(), inputs=control), whole)
+
+
+def test_refused_files(tmp_path):
+    system = dal.systems.sleigh()
+    path = tmp_path / "run.dal"
+    dal.integrate(system, h=0.1, steps=2, journal=str(path))
+    with pytest.raises(ValueError, match="run.dal: there is a file of this name"):
+        dal.integrate(system, h=0.1, steps=2, journal=path)
+    with pytest.raises(dal.JournalError, match="No such file or directory"):
+        dal.integrate(system, h=0.1, steps=2, journal=tmp_path / "none" / "run.dal")
+    with pytest.raises(FileNotFoundError):
+        dal.load(tmp_path / "none.dal")
+    with pytest.raises(FileNotFoundError):
+        dal.resume(tmp_path / "none.dal")
+    other = tmp_path / "text"
+    other.write_text("nothing of the kind")
+    with pytest.raises(ValueError, match="neither the journal of a run nor what"):
+        dal.load(other)
+    with pytest.raises(ValueError, match="is not the journal of a run"):
+        dal.resume(other)
+    with pytest.raises(ValueError, match="journal_errors = 'no'"):
+        dal.integrate(system, h=0.1, steps=2, journal=tmp_path / "b", journal_errors="no")
+    with pytest.raises(NotImplementedError, match="cannot be resumed"):
+        dal.integrate(
+            system, "reference", h=0.1, steps=2, method="msadams", journal=tmp_path / "b"
+        )
+    assert not (tmp_path / "b").exists() and sorted(os.listdir(tmp_path)) == ["run.dal", "text"]
+
+
+def test_a_scheme_made_of_functions(tmp_path):
+    path = tmp_path / "run.dal"
+    half = dal.DifferenceMap(
+        map=lambda h, a, b: ((a + b) / 2, (b - a) / h),
+        derivatives=lambda h, a, b: (np.eye(3) / 2, np.eye(3) / 2, -np.eye(3) / h, np.eye(3) / h),
+    )
+    scheme = dal.Scheme.pair(half, half)
+    run = dal.integrate(dal.systems.particle(), scheme, h=0.1, steps=4, journal=path)
+    with pytest.raises(ValueError, match="scheme: needed"):
+        dal.resume(path)
+    longer = dal.resume(path, scheme=scheme, steps=6)
+    np.testing.assert_array_equal(longer.x[:5], run.x)
+
+
+# ---- disks ---------------------------------------------------------------------------------------
+
+
+def limited(path, errors, size):
+    """A run whose file may have so many bytes; return what it printed."""
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+    return dal.integrate(
+        dal.systems.sleigh(), h=0.01, steps=5000, journal=path, journal_errors=errors
+    )
+
+
+@pytest.mark.parametrize("errors", ["warn", "stop"])
+def test_no_space(tmp_path, errors):
+    path = tmp_path / "run.dal"
+    whole = dal.integrate(dal.systems.sleigh(), h=0.01, steps=5000)
+    child = os.fork()
+    if child == 0:  # the limit is that of a process
+        code = 1
+        try:
+            if errors == "warn":
+                with pytest.warns(dal.DalembertWarning, match="goes on without its journal"):
+                    run = limited(path, errors, 100_000)
+                code = 0 if np.array_equal(run.x, whole.x) else 2
+            else:
+                with pytest.raises(dal.JournalError, match="File too large") as caught:
+                    limited(path, errors, 100_000)
+                partial = caught.value.partial
+                code = 0 if np.array_equal(partial.x, whole.x[: len(partial.x)]) else 3
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    found = dal.load(path)
+    assert 0 < len(found.x) < 5001
+    np.testing.assert_array_equal(found.x, whole.x[: len(found.x)])
+    assert_same(dal.resume(path), whole)
+
+
+def test_a_file_that_vanishes(tmp_path):
+    path = tmp_path / "run.dal"
+
+    def remove(step, t, q, v):
+        if step == 30:
+            path.unlink()
+
+    system = dal.systems.sleigh()
+    whole = dal.integrate(system, h=0.01, steps=500)
+    with pytest.warns(dal.DalembertWarning, match="the file is no longer there"):
+        run = dal.integrate(system, h=0.01, steps=500, journal=path, observer=remove)
+    assert_same(run, whole)
+    with pytest.raises(dal.JournalError, match="the file is no longer there"):
+        dal.integrate(
+            system, h=0.01, steps=500, journal=path, observer=remove, journal_errors="stop"
+        )
+
+
+def test_a_damaged_end(tmp_path):
+    path = tmp_path / "run.dal"
+    system = dal.systems.sleigh()
+    whole = dal.integrate(system, h=0.01, steps=50, journal=path)
+    content = path.read_bytes()
+    path.write_bytes(content[:-300])
+    with pytest.warns(dal.DalembertWarning, match="its last 52 bytes are no whole record"):
+        found = dal.load(path)
+    np.testing.assert_array_equal(found.x, whole.x[:47])
+    with pytest.warns(dal.DalembertWarning, match="its last 52 bytes"):
+        assert_same(dal.resume(path), whole)
+    assert path.stat().st_size == len(content)
