@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import math
 import operator
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,15 +28,16 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
         With the name, what came and what was expected, if ``value`` is no array of real finite
         numbers, or has another shape.
     """
-    wanted = " or ".join(map(_shape, shapes))
     try:
         result = _reals(value)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: expected real numbers of shape {wanted}, got {error}") from error
+        raise ValueError(
+            f"{name}: expected real numbers of shape {_shapes(shapes)}, got {error}"
+        ) from error
     if result.ndim == 0 and (1,) in shapes:
         result = result.reshape(1)
-    if not any(_fits(result, shape) for shape in shapes):
-        raise ValueError(f"{name}: expected shape {wanted}, got {result.shape}")
+    if result.shape not in shapes and not any(_fits(result, shape) for shape in shapes):
+        raise ValueError(f"{name}: expected shape {_shapes(shapes)}, got {result.shape}")
     if not np.isfinite(result).all():
         where = tuple(int(k) for k in np.argwhere(~np.isfinite(result))[0])
         index = f"[{', '.join(map(str, where))}]" if where else ""
@@ -45,9 +47,13 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
 
 def _reals(value: Any) -> Array:
     """Return anything array-like as doubles that C can read; else TypeError or ValueError."""
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        result = np.ascontiguousarray(value).reshape(value.shape)
+        return result if result.flags.aligned else result.copy()
     rows = value if isinstance(value, (list, tuple)) else [value]
-    if any(isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in rows):
-        raise ValueError("values that are masked")
+    for row in rows:
+        if isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row):
+            raise ValueError("values that are masked")
     given = np.asarray(value)
     if value is None or given.dtype.kind not in "biufO":
         raise TypeError("None" if value is None else f"values of type {given.dtype}")
@@ -66,14 +72,19 @@ def _fits(array: Array, shape: tuple[int | None, ...]) -> bool:
     )
 
 
-def _shape(shape: tuple[int | None, ...]) -> str:
-    """Return a shape as Python writes it, with N for any length."""
-    lengths = ", ".join("N" if k is None else str(k) for k in shape)
-    return {0: "() (a number)", 1: f"({lengths},)"}.get(len(shape), f"({lengths})")
+def _shapes(shapes: Iterable[tuple[int | None, ...]]) -> str:
+    """Return shapes as Python writes them, with N for any length."""
+    found = []
+    for shape in shapes:
+        lengths = ", ".join("N" if k is None else str(k) for k in shape)
+        found.append({0: "() (a number)", 1: f"({lengths},)"}.get(len(shape), f"({lengths})"))
+    return " or ".join(found)
 
 
 def number(value: Any, name: str) -> float:
     """Return ``value`` as a finite float; ValueError otherwise."""
+    if type(value) is float and math.isfinite(value):
+        return value
     try:
         result = _reals(value)
     except (TypeError, ValueError):

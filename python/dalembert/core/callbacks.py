@@ -39,6 +39,7 @@ class Callables:
         self.plain = {
             callback: [(name, shape_of(x, n, m)) for x, name in OUTPUTS[callback].items()]
             for callback in _PLAIN
+            if any(functions.get(name) is not None for name in OUTPUTS[callback].values())
         }
 
 

@@ -136,7 +136,7 @@ def attempt(function: Callable[..., int], *arguments: Any) -> int:
     C gets the addresses of arrays, which hold what it expects.
     """
     raised.exception = None
-    return function(*(pointer(x) if isinstance(x, np.ndarray) else x for x in arguments))
+    return function(*[pointer(x) if isinstance(x, np.ndarray) else x for x in arguments])
 
 
 def failure(
@@ -194,7 +194,9 @@ def make(kind: str, *arguments: Any, owner: Any = None) -> Any:
 def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None) -> Any:
     """As :func:`make`, for a constructor of another name."""
     slot, error = ffi.new(f"dal_{kind} **"), ffi.new("dal_error *")
-    verify(attempt(new, slot, *arguments, error), error)
+    status = attempt(new, slot, *arguments, error)
+    if status < 0:
+        verify(status, error)
     free = getattr(lib, f"dal_{kind}_free")
 
     def release(handle: Any, _owner: Any = owner) -> None:

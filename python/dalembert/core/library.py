@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,13 @@ def doubles(address: Any, count: int) -> Array:
 
 def members(record: Any) -> dict[str, Any]:
     """Return the members of a C record, which is given by its address."""
-    return {name: getattr(record, name) for name, _ in ffi.typeof(record).item.fields}
+    return {name: getattr(record, name) for name in _names(ffi.typeof(record))}
+
+
+@functools.cache
+def _names(pointer_to: Any) -> tuple[str, ...]:
+    """Return the names of the members of what a type points to."""
+    return tuple(name for name, _ in pointer_to.item.fields)
 
 
 def residual_bound(n: int) -> float:

@@ -78,6 +78,8 @@ class Happened:
 
 def take(given: Any) -> list[Event]:
     """Return what was given as events; functions may have SciPy's attributes."""
+    if given == ():
+        return []
     if callable(given) or isinstance(given, Event) or _is_expression(given):
         given = [given]
     if isinstance(given, str) or not isinstance(given, Iterable):

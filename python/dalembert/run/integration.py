@@ -178,13 +178,7 @@ def integrate(
     start = record._initial(initial)
     options = ffi.new("dal_options *")
     options.max_iterations = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
-    flow, plain = Scheme.flow(method, tolerance), Scheme.find("reference")
-    chosen = flow if record == plain else record
-    if record.name == plain.name and chosen not in (flow, plain) and flow != Scheme.flow():
-        raise ValueError(
-            f"method = {method!r}, tolerance = {tolerance}: the scheme has a method and a "
-            "tolerance of its own"
-        )
+    chosen = _with_method(record, method, tolerance)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     listed = take_events(events)
     times = None if t_eval is None else _times(t_eval, t0, h, steps)
@@ -326,6 +320,22 @@ def _finish(run: Run, throw: bool) -> Solution:
 
 
 # ---- arguments -----------------------------------------------------------------------------
+
+
+def _with_method(record: Scheme, method: str, tolerance: float) -> Scheme:
+    """Return a scheme; "reference" with this method and tolerance, unless it has its own."""
+    plain, given = Scheme.find("reference"), (method, tolerance) != ("rk8pd", 1e-13)
+    if not given and record.name != plain.name:
+        return record
+    flow = Scheme.flow(method, tolerance)
+    if record == plain:
+        return flow
+    if record.name == plain.name and record != flow and given:
+        raise ValueError(
+            f"method = {method!r}, tolerance = {tolerance}: the scheme has a method and a "
+            "tolerance of its own"
+        )
+    return record
 
 
 def _number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import core
+from .. import core, geometry
 from ..core import Array, arguments, ffi, lib
 from ..core.extras import Show
 from ..system import System
@@ -17,6 +17,9 @@ from .events import Watch, split
 from .solution import Solution, Statistics
 
 PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
+
+
+_NOBODY = ffi.new_handle(core.ignore)  # whom steps that take long let see Ctrl-C
 
 
 def started_stepper(
@@ -78,32 +81,34 @@ class Run:
         self.reactions = np.empty((rows, system.m))
         self.status = lib.DAL_SUCCESS
         self.error: BaseException | None = None
+        self.run = run = ffi.new("dal_run *")
+        run.stepper, run.steps, run.stride, run.hold = stepper, steps, stride, hold
+        run.watch, run.watch_ctx = lib.dal_py_watch, _NOBODY
+        if not timed:
+            run.x, run.reactions = core.pointer(self.x), core.pointer(self.reactions)
+        if self.inputs is not None:
+            run.inputs = core.pointer(self.inputs)
+        if observer is not None or callable(inputs):
+            self._call_back(observer, inputs)
+        if watch is not None:
+            watch.join(run)
+
+    def _call_back(self, observer: Any, inputs: Any) -> None:
+        """Have C call an observer, or a controller."""
+        system, run = self.system, self.run
         self.callables = core.Callables(
-            system.n, system.m, len(system.inputs), observer=observer,
-            control=inputs if callable(inputs) else None,
+            system.n, system.m, len(system.inputs), observer=observer, control=inputs,
             control_rows=lambda value: one_row(value, system.inputs),
         )  # fmt: skip
-        self.contexts = [ffi.new_handle(one) for one in (self.callables, core.ignore)]
-        self.run = ffi.new(
-            "dal_run *",
-            {
-                "stepper": stepper, "steps": steps, "stride": stride,
-                "x": ffi.NULL if timed else core.pointer(self.x),
-                "reactions": ffi.NULL if timed else core.pointer(self.reactions),
-                "observer": ffi.NULL if observer is None else lib.dal_py_observer,
-                "observer_ctx": self.contexts[0],
-                "watch": lib.dal_py_watch, "watch_ctx": self.contexts[1],
-                "inputs": ffi.NULL if self.inputs is None else core.pointer(self.inputs),
-                "hold": hold, "control_ctx": self.contexts[0],
-                "control": lib.dal_py_control if callable(inputs) else ffi.NULL,
-            },
-        )  # fmt: skip
-        if watch is not None:
-            watch.join(self.run)
+        self.context = run.observer_ctx = run.control_ctx = ffi.new_handle(self.callables)
+        if observer is not None:
+            run.observer = lib.dal_py_observer
+        if callable(inputs):
+            run.control = lib.dal_py_control
 
     def make(self) -> None:
         """Make the run; if it does not go through, ``status`` and ``error`` say why."""
-        run, piece = self.run, 1
+        run, piece = self.run, max(1, geometry.most_in_a_call(self.system) // 16)
         try:
             while True:
                 began = time.perf_counter()
@@ -148,20 +153,21 @@ class Run:
             if self.watch.times is not None and run.timed > 0:
                 x, times = self.watch.at[: run.timed], self.watch.times[: run.timed]
                 reactions = np.full((len(x) - 1, self.system.m), np.nan)
-        messages = {
-            lib.DAL_SUCCESS: f"{int(run.done)} steps to t = {t:g}",
-            lib.DAL_STOPPED: f"an observer stopped the run at t = {t:g}",
-        }
         if run.ended:
-            messages[lib.DAL_STOPPED] = f"events[{self.watch.last}] ended the run at t = {t:g}"
+            message = f"events[{self.watch.last}] ended the run at t = {t:g}"
+        elif self.status == lib.DAL_SUCCESS:
+            message = f"{int(run.done)} steps to t = {t:g}"
+        else:
+            message = f"an observer stopped the run at t = {t:g}"
+        if self.status < 0:
+            message = f"{type(self.error).__name__}: {self.error}"
         holds = -(-int(run.done + run.ended) // self.hold)
         inputs = np.zeros((0, len(self.system.inputs))) if self.inputs is None else self.inputs
-        return Solution(
+        return Solution._made(
             system=self.system, scheme=self.scheme, t0=self.t0, h=self.h, stride=int(run.stride),
-            x=x, reactions=reactions, status=self.status, times=times, inputs=inputs[:holds],
+            x=x[:], reactions=reactions[:], status=self.status, times=times, inputs=inputs[:holds],
             hold=self.hold, stats=Statistics._read(self.stepper, self.system.kind),
-            message=messages.get(self.status, f"{type(self.error).__name__}: {self.error}"),
-            **happened,
+            message=message, **happened,
         )  # fmt: skip
 
 

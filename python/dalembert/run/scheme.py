@@ -133,8 +133,12 @@ class Scheme:
         ((0.0, 0.5), (1.0, 0.5))
         """
         path, _, symbol = arguments.text(name, "scheme").rpartition(":")
-        if path.endswith(".so"):
-            return cls.from_library(path, symbol)
+        return cls.from_library(path, symbol) if path.endswith(".so") else cls._named(name)
+
+    @classmethod
+    @functools.lru_cache(maxsize=256)
+    def _named(cls, name: str) -> Scheme:
+        """Return the scheme of a name: a record does not change, so that it is found once."""
         record = ffi.new("dal_scheme *")
         error = ffi.new("dal_error *")
         status = lib.dal_scheme_find(record, name.encode(), error)
@@ -173,7 +177,11 @@ class Scheme:
     def flow(cls, method: str = "rk8pd", tolerance: float = 1e-13) -> Scheme:
         """Return the scheme "reference" with a method and a tolerance, as of `integrate`."""
         number = arguments.choice(method, "method", METHODS)
-        tolerance = arguments.tolerance(tolerance)
+        return cls._flow(method, number, arguments.tolerance(tolerance))
+
+    @classmethod
+    @functools.lru_cache(maxsize=64)
+    def _flow(cls, method: str, number: int, tolerance: float) -> Scheme:
         data = ffi.new("dal_flow_scheme *", {"method": number, "tolerance": tolerance})
         return cls._of_family("reference", ("flow", method, tolerance), data)
 

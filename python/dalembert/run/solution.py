@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import partial
 from typing import Any
 
@@ -72,8 +72,11 @@ class Statistics:
     def _read(cls, stepper: Any, kind: str) -> Statistics:
         stats = ffi.new("dal_stats *")
         lib.dal_stepper_stats(stepper, stats)
-        names = functions.differenced(stats.differenced, kind)
-        return cls(**core.members(stats) | {"differenced": names})
+        self = cls.__new__(cls)  # whose __init__ would take most of a short run
+        self.__dict__.update(core.members(stats))
+        bits = stats.differenced
+        self.__dict__["differenced"] = functions.differenced(bits, kind) if bits else ()
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +186,19 @@ class Solution(Mapping[str, Any]):
     x_events: tuple[Array, ...] = ()
     x_after: tuple[Array, ...] = ()
     _computed: dict[str, Array] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def _made(cls, **given: Any) -> Solution:
+        """Return the solution of a run of this library, whose arrays are as they have to be."""
+        self = cls.__new__(cls)
+        self.__dict__.update(_DEFAULTS | given, _computed={})
+        for name in ("x", "reactions", "inputs", "times"):
+            if self.__dict__[name] is not None:
+                _read_only(self.__dict__[name])
+        for name in ("t_events", "x_events", "x_after"):
+            for array in self.__dict__[name]:
+                _read_only(array)
+        return self
 
     def __post_init__(self) -> None:
         require_system(self.system)
@@ -464,6 +480,9 @@ class Solution(Mapping[str, Any]):
         if known and not self.scheme.is_reference and self.system.m > 0:
             lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
         return "\n".join([*lines, f"  {self.message}>"])
+
+
+_DEFAULTS = {x.name: x.default for x in fields(Solution) if x.default is not MISSING}
 
 
 def _read_only(array: Array) -> Array:

@@ -6,6 +6,8 @@ import dataclasses
 import io
 import json
 import os
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +122,9 @@ def load(path: str | os.PathLike[str], system: System | None = None) -> Solution
         start = file.read(8)
     try:
         if start.startswith(b"PK"):
+            with zipfile.ZipFile(target) as archive:
+                if archive.testzip() is not None:
+                    raise zipfile.BadZipFile
             with np.load(target, allow_pickle=False) as found:
                 about, arrays = json.loads(str(found["about"])), dict(found)
         elif start == b"\x89HDF\r\n\x1a\n":
@@ -132,8 +137,11 @@ def load(path: str | os.PathLike[str], system: System | None = None) -> Solution
                 }
         else:
             raise KeyError
-    except KeyError:
-        raise ValueError(f"{target}: neither the journal of a run nor what a run has saved") from None
+        arrays["x"], about["system"]
+    except (KeyError, TypeError, json.JSONDecodeError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(
+            f"{target}: neither the journal of a run nor what a run has saved, or it is damaged"
+        ) from error
     return _unpack(about, arrays, require_same(system, about["system"], str(target)))
 
 
