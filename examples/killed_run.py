@@ -89,5 +89,5 @@ if len(sys.argv) > 1:
     ax.plot(*q_left[-1, :2], "o", color="#D55E00")
     ax.axvline(0.8, color="black", linewidth=3.0)
     ax.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="a run that was killed")
-    ax.legend()
+    ax.legend(loc="center left", bbox_to_anchor=(1.1, 0.5))
     figure.savefig(sys.argv[1], dpi=110)

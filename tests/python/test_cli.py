@@ -9,6 +9,7 @@ import subprocess
 import sys
 import warnings
 
+import numpy as np
 import pytest
 
 import dalembert as dal
@@ -161,7 +162,7 @@ def test_version():
     [
         ((), "COMMAND"),
         (("study",), "SYSTEM"),
-        (("stduy", "particle"), "no 'stduy'; did you mean 'study'? there are study, catalogue"),
+        (("stduy", "particle"), "no 'stduy'; did you mean 'study'? there are study, run"),
         (("study", "pendulum"), "knife_edge"),
         (("study", "partcle"), "did you mean 'particle'"),
         (("study", "particle", "--scheme", "leapforg"), "did you mean 'leapfrog'"),
@@ -294,3 +295,104 @@ def test_a_closed_standard_output(tmp_path):
     )  # fmt: skip
     assert done.returncode == 0 and "Traceback" not in done.stderr
     assert (tmp_path / "r.html").exists()
+
+
+# ---- single runs -----------------------------------------------------------------------------
+
+
+def test_runs_journals_and_files(tmp_path, capsys):
+    """run, info, resume, export: what the package gives."""
+    from dalembert.cli import main
+
+    path, out = str(tmp_path / "run.dal"), str(tmp_path / "run.csv")
+    options = ["--h", "0.01", "--parameter", "a=0.3", "--stride", "2", "--scheme", "midpoint"]
+    assert main(["run", "sleigh", *options, "--t-end", "1", "--journal", path]) == 0
+    assert "51 states at t = 0 .. 1, every 2 steps" in capsys.readouterr().out
+    assert main(["info", path]) == 0
+    text = capsys.readouterr().out
+    for part in (
+        "sleigh(x, y, theta), of the library", "a = 0.3", "midpoint, h = 0.01, every 2 steps",
+        "100 of 100 steps, t = 1", "51, of ", "row 50, t = 1", "no events, no inputs",
+    ):  # fmt: skip
+        assert part in text
+    assert main(["resume", path, "--steps", "200", "--output", out]) == 0
+    assert "101 states" in capsys.readouterr().out
+    sleigh = dal.systems.sleigh(a=0.3)
+    whole = dal.integrate(sleigh, "midpoint", h=0.01, steps=200, stride=2)
+    values = np.loadtxt(out, delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(values[:, 1:7], whole.x)
+    saved = str(tmp_path / "run.npz")
+    assert main(["export", path, saved]) == 0
+    np.testing.assert_array_equal(dal.load(saved).x, whole.x)
+    capsys.readouterr()
+    assert main(["info", saved]) == 0
+    assert "Solution of sleigh by midpoint" in capsys.readouterr().out
+
+
+MODEL = """
+import dalembert as dal
+
+def make():
+    return dal.System(mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], q0=[0, 1, 0], v0=[1, 1, 1])
+
+system = make()
+number = 3
+"""
+
+
+def test_a_model_of_ones_own(tmp_path, capsys):
+    from dalembert.cli import main
+
+    file, path = tmp_path / "own.py", str(tmp_path / "run.dal")
+    file.write_text(MODEL)
+    for name in ("system", "make"):
+        assert main(["run", f"{file}:{name}", "--h", "0.1", "--steps", "5"]) == 0
+    assert main(["run", f"{file}:system", "--h", "0.1", "--steps", "5", "--journal", path]) == 0
+    assert main(["resume", path, "--steps", "9"]) == 2
+    assert "does not come with the library" in capsys.readouterr().err
+    assert main(["resume", path, f"{file}:make", "--steps", "9"]) == 0
+    assert "10 states" in capsys.readouterr().out
+    assert main(["info", path]) == 0
+    assert "given by its user" in capsys.readouterr().out
+    for name in ("number", "none"):
+        assert main(["run", f"{file}:{name}", "--h", "0.1", "--steps", "5"]) == 2
+        assert "expected a dalembert.System, or a function" in capsys.readouterr().err
+
+
+def test_a_run_that_fails_says_how_to_go_on(tmp_path, capsys):
+    from dalembert.cli import main
+
+    file, path = tmp_path / "own.py", str(tmp_path / "run.dal")
+    file.write_text(MODEL.replace("system = make()", """
+def fails(t, q, v):
+    if t > 0.5:
+        raise dal.DomainError("too late")
+    return 0 * v
+
+system = dal.System(mass=[1, 1, 1], force=fails, q0=[0, 1, 0], v0=[1, 1, 1])
+"""))
+    out = tmp_path / "part.npz"
+    arguments = ["run", f"{file}:system", "--h", "0.1", "--steps", "9", "--journal", path]
+    assert main([*arguments, "--output", str(out)]) == 1
+    text = capsys.readouterr().err
+    assert f"dalembert resume {path} {file}:system" in text and "too late" in text
+    with np.load(out) as found:
+        assert 4 <= len(found["x"]) <= 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["run", "sleigh", "--h", "0.1"], "one of the arguments --t-end --steps is required"),
+        (["run", "sleigh", "--steps", "3"], "the following arguments are required: --h"),
+        (["run", "slegh", "--h", "0.1", "--steps", "3"], "did you mean 'sleigh'?"),
+        (["run", "sleigh", "--h", "0.1", "--steps", "3", "--output", "a.txt"], "ends in .npz"),
+        (["export", "none.dal", "a.csv"], "none.dal: No such file or directory"),
+        (["info", __file__], "neither the journal of a run nor"),
+    ],
+)
+def test_refused_runs(arguments, text, capsys):
+    from dalembert.cli import main
+
+    assert main(arguments) in (1, 2)
+    assert text in capsys.readouterr().err

@@ -108,7 +108,9 @@ class Run:
 
     def make(self) -> None:
         """Make the run; if it does not go through, ``status`` and ``error`` say why."""
-        run, piece = self.run, max(1, geometry.most_in_a_call(self.system) // 16)
+        run, piece = self.run, 1  # nobody knows how long a step takes
+        if not self.system._source.calls_python:
+            piece = max(1, geometry.most_in_a_call(self.system) // 64)
         try:
             while True:
                 began = time.perf_counter()

@@ -74,6 +74,7 @@ class Source:
     """Where a system comes from; it pickles as the numbers, functions and expressions it holds."""
 
     of_library = False  # True: `systems.get` with the name and the parameters makes it again
+    calls_python = False  # True: a step may take any time
 
     def make(self) -> Made:
         """Make the system."""
@@ -168,6 +169,8 @@ class Functions(Source):
 
 class PythonFunctions(Functions):
     """A system of functions in Python."""
+
+    calls_python = True
 
     def make(self) -> Made:
         given, kind = self.given, "linear"
@@ -385,6 +388,8 @@ class Expressions(Source):
 @dataclass
 class Deformed(Source):
     """A system with the constraints phi + delta g = 0."""
+
+    calls_python = True
 
     base: Handle
     g: Function

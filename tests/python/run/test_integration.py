@@ -443,8 +443,8 @@ def test_arrays_are_views_of_one_buffer(particle):
 
 def test_solution_is_a_mapping(particle):
     run = dal.integrate(particle, "midpoint", h=0.1, steps=10)
-    keys = "t q v multipliers reactions energy constraint residual scheme h stats success status"
-    assert set(keys.split()) | {"message", "y", "x", "system", "nodes", "shift"} <= set(run)
+    keys = "t q v multipliers reactions energy constraint residual h success status message y x"
+    assert set(keys.split()) | {"nodes", "shift", "stride", "inputs", "hold"} == set(run)
     assert len(run) == len(dict(run)) == len(list(run))
     for key in run:
         np.testing.assert_equal(run[key], getattr(run, key))

@@ -183,11 +183,11 @@ def test_a_journal_is_read_while_it_is_written(tmp_path):
 
     def look(step, t, q, v):
         if step == 50:
-            seen.append(dal.load(path))
+            seen.append(dal.load(path, system))
             with pytest.raises(ValueError, match=rf"process {os.getpid()} on .* writes it"):
-                dal.resume(path)
+                dal.resume(path, system)
 
-    system = dal.systems.sleigh()
+    system = cart()
     run = dal.integrate(system, "midpoint", h=0.01, steps=60, journal=path, observer=look)
     count = len(seen[0].x)
     assert 0 < count <= 51
