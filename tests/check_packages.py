@@ -1,7 +1,7 @@
 """A module of the package imports its own floor or lower ones, and no circle.
 
 Usage: ``python check_packages.py PACKAGE FLOOR...`` where a FLOOR is a package, or a module beside
-them, the lowest first.  ``__init__``, ``cli`` and ``__main__`` stand on top.
+them, the lowest first.  ``__init__`` and ``__main__`` stand on top.
 
 Also: nothing is imported for type checkers alone, and no function imports the package itself.
 Modules that need SymPy may be imported late, by ``Later(package, name)``, which counts as any
@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-TOP = ["__init__", "cli", "__main__"]
+TOP = ["__init__", "__main__"]
 LATE = "core.extras"  # the one module that imports others by name
 
 

@@ -458,6 +458,13 @@ int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made)
     return status;
 }
 
+void dal__events_rest(dal_run *run)
+{
+    const size_t N = 2 * run->stepper->mech.n;
+    for (; run->timed < run->time_count; run->timed++)
+        memcpy(run->at + run->timed * N, run->stepper->motion.x, N * sizeof *run->at);
+}
+
 int dal__events_check(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;

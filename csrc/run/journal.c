@@ -423,11 +423,13 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
 int dal_journal_resume(dal_journal *journal, dal_run *run, dal_error *error)
 {
     int status =
-        DAL__REQUIRE(error, {"journal", journal}, {"run", run}, {"run->stepper", run && run->stepper});
+        DAL__REQUIRE(error, {"journal", journal}, {"run", run},
+                     {"run->stepper", run && run->stepper});
     if (status) return status;
-    if (!journal->writes || run->journal || run->done > 0 || run->stored > 0)
-        return dal__fail(error, DAL_EINVAL, "%s", journal->writes
-                         ? "the run has begun, or has a journal" : "the journal is open to be read");
+    if (!journal->writes)
+        return dal__fail(error, DAL_EINVAL, "the journal is open to be read");
+    if (run->journal || run->done > 0 || run->stored > 0)
+        return dal__fail(error, DAL_EINVAL, "the run has begun, or has a journal");
     status = dal__journal_recall(journal);
     if (status && error) *error = journal->error;
     if (!status) status = compare(journal, run, error);

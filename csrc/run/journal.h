@@ -47,7 +47,7 @@ struct dal_journal {
     bool writes;
     bool goes_on;
     double seconds, saved_at;
-    size_t description_at, writer_at, slots_at, slot_size, begin, size; /* places and sizes, bytes */
+    size_t description_at, writer_at, slots_at, slot_size, begin, size; /* of what, in bytes */
     size_t records;          /* in the file, or to be */
     size_t written;          /* of them are in the file */
     size_t expected;         /* records that the file has; the run is to make them again */

@@ -118,6 +118,7 @@ int dal_run_go(dal_run *run, size_t budget)
         if (!status && run->journal) status = dal__journal_look(run, made);
     }
     motion->watch = NULL;
+    if (!status && run->steps == 0) dal__events_rest(run);
     if (!status && run->done == run->steps) status = dal__stepper_look(run->stepper);
     if (!run->journal) return status;
     const dal_error error = run->stepper->error;

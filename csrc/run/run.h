@@ -12,6 +12,8 @@
  * the step, and reaction[m] (unless NULL) is the mean of the force since the state stored last.
  * *made <- whether the stepper has made the step. */
 int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made);
+/* The states at the times of a run that makes no steps. */
+void dal__events_rest(dal_run *run);
 /* DAL_EINVAL for what is wrong with the events and the times of a run. */
 int dal__events_check(const dal_run *run);
 

@@ -26,7 +26,7 @@ typedef struct dal_journal dal_journal;
 
 /* Zero-initialised: the defaults. */
 typedef struct dal_journal_options {
-    double seconds;           /* from snapshot to snapshot; 0: 5; < 0: whenever records are written */
+    double seconds;           /* from snapshot to snapshot; 0: 5; < 0: when records are written */
     int goes_on;              /* what a run does when the file cannot be written.  0: it ends with
                                  DAL_EIO; 1: it goes on without, see dal_journal_error */
     const void *description;  /* [description_size] bytes that say what the system is, or NULL */
@@ -69,7 +69,7 @@ typedef struct dal_journal_info {
     size_t steps, done;        /* of the run, as the last snapshot knows them */
     size_t records, size;      /* how many good ones the file has, and the bytes of each */
     size_t begin;              /* where in the file the first begins */
-    size_t cut;                /* bytes behind the last good one: what was being written, or damage */
+    size_t cut;                /* bytes behind the last good one: being written, or damaged */
     const char *writer;        /* "process P on HOST" that has opened it for writing last */
     int is_written;            /* 1: and that had it open when this was opened */
 } dal_journal_info;

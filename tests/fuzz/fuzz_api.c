@@ -8,6 +8,7 @@
  *   - after a successful one what was put out is finite where it has to be,
  *   - after successful steps the state lies in the set that the scheme keeps, see check_residual.
  * The sanitizers and GSL's handler, which aborts, see the rest. */
+#include "dalembert/events.h"
 #include "dalembert/study.h"
 #include "step/step.h"
 
@@ -907,6 +908,83 @@ static int call_stepper(world *w)
     return status;
 }
 
+/* An event: a plane in the states, which may do what it should not when it is asked once more. */
+typedef struct plane {
+    const world *w;
+    double normal[2 * (MOST_N + 2)], offset;
+    int asked, breaks; /* at this call; 0: never */
+    unsigned how;
+} plane;
+
+static int misbehaves(plane *p, double *value)
+{
+    if (p->breaks == 0 || ++p->asked != p->breaks) return 0;
+    if (p->how % 3 == 2) *value = (double)NAN;
+    return p->how % 3 == 2 ? 0 : p->how % 3 == 1 ? 1 : -1;
+}
+
+static int plane_value(double t, const double *x, double *g, void *ctx)
+{
+    plane *const p = ctx;
+    MUST(isfinite(t), "an event");
+    *g = -p->offset;
+    for (size_t i = 0; i < 2 * p->w->n; i++) *g += p->normal[i] * x[i];
+    return misbehaves(p, g);
+}
+
+static int bounce(double t, double *x, void *ctx)
+{
+    plane *const p = ctx;
+    for (size_t i = p->w->n; i < 2 * p->w->n; i++) x[i] = -x[i];
+    return misbehaves(p, x);
+}
+
+/* A run with events, resets and times, in parts; it is where its counters say. */
+static int call_run(world *w)
+{
+    enum { EVENTS = 3, TIMES = 6 };
+    if (!w->started || seldom(&w->t)) return call_stepper(w);
+    const size_t n = w->n, stride = 1 + next_below(&w->t, 3), steps = stride * some(w);
+    const size_t count = next_below(&w->t, EVENTS + 1);
+    plane planes[EVENTS];
+    dal_event list[EVENTS];
+    double times[TIMES], at[TIMES * 2 * (MOST_N + 2)], x[3 * MOST_ROWS * 2 * (MOST_N + 2)];
+    for (size_t k = 0; k < count; k++) {
+        const unsigned bits = next_byte(&w->t);
+        planes[k] = (plane){.w = w, .offset = next_ordinary(&w->t), .how = bits,
+                            .breaks = bits % 4 == 3 ? 1 + (int)next_below(&w->t, 20) : 0};
+        for (size_t i = 0; i < 2 * n; i++) planes[k].normal[i] = next_ordinary(&w->t) / 8.0;
+        list[k] = (dal_event){.g = plane_value, .direction = (int)(bits / 4 % 3) - 1,
+                              .terminal = bits / 16 % 8 == 7 ? 1 + bits % 2 : 0,
+                              .reset = bits / 32 % 2 ? bounce : NULL,
+                              .consistency = (dal_consistency)(bits % 3), .ctx = &planes[k],
+                              .reset_ctx = &planes[k]};
+    }
+    dal_events *events = NULL;
+    int status = CALL(dal_events_new, &events, w->stepper, &w->scheme, list, count, NULL);
+    MUST((status == 0) == (events != NULL), "dal_events_new returned %d", status);
+    if (status) return status;
+    const standing before = standing_of(w);
+    const size_t asked = next_below(&w->t, TIMES);
+    for (size_t k = 0; k < asked; k++)
+        times[k] = before.t + (double)steps * w->h * (double)k / TIMES;
+    dal_run run = {.stepper = w->stepper, .steps = steps, .stride = stride, .x = x,
+                   .events = events, .times = asked > 0 ? times : NULL, .time_count = asked,
+                   .at = at};
+    do status = CALL(dal_run_go, &run, 1 + next_below(&w->t, 8));
+    while (status == 0 && run.done < steps && w->t.at < w->t.end);
+    const standing after = standing_of(w);
+    MUST(after.steps == before.steps + run.done, "%zu and %zu", after.steps, run.done);
+    MUST(run.done <= steps && run.stored <= steps / stride + 1, "%zu of %zu", run.done, steps);
+    for (size_t i = 0; i < run.stored * 2 * n; i++) MUST(isfinite(x[i]), "row %zu", i / (2 * n));
+    for (size_t i = 0; i < run.timed * 2 * n; i++) MUST(isfinite(at[i]), "time %zu", i / (2 * n));
+    if (status == 0 && run.done == steps) MUST(run.timed == asked, "%zu times", run.timed);
+    dal_events_free(events);
+    if (run.done > 0 && status != DAL_EUSER && status != DAL_EDOMAIN) check_residual(w);
+    if (run.done == 0) MUST(memcmp(&before, &after, sizeof before) == 0, "%d", status);
+    return status;
+}
+
 static int call_study(world *w)
 {
     dal_order_point points[6] = {0};
@@ -1102,7 +1180,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     static int (*const calls[])(world *) = {
-        call_stepper, call_stepper, call_stepper, call_mechanics, call_mechanics, call_chart,
+        call_stepper, call_stepper, call_run,     call_mechanics, call_mechanics, call_chart,
         call_chart,   call_flow,    call_discrete, call_discrete, call_system,    call_study,
         call_embedding};
     world w = {.t = {.at = data, .end = data + size}};

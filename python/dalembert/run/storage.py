@@ -1,4 +1,4 @@
-"""Runs in files: NumPy's and netCDF, both ways; comma separated values; and journals, to be read."""
+"""Runs in files: of NumPy and netCDF, both ways; as comma separated values; and journals."""
 
 from __future__ import annotations
 

@@ -740,8 +740,30 @@ static void test_failures(void)
     dal_system_free(system);
 }
 
+/* A run of no steps is at its time. */
+static void test_no_steps(void)
+{
+    dal_system *const system = open_system("sleigh");
+    const dal_scheme scheme = find_scheme("leapfrog");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    double x[6], at[12] = {0};
+    need(dal_system_state(system, x), "state", "");
+    need(dal_stepper_start(stepper, 0.5, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE), "start", "");
+    dal_events *events = NULL;
+    need(dal_events_new(&events, stepper, &scheme, NULL, 0, NULL), "events", "");
+    dal_run run = {.stepper = stepper, .stride = 1, .events = events,
+                   .times = (double[]){0.5, 0.5}, .time_count = 2, .at = at};
+    CHECK(dal_run_go(&run, 1) == DAL_SUCCESS && run.timed == 2);
+    for (size_t k = 0; k < 2; k++)
+        CHECK(memcmp(at + 6 * k, dal_stepper_state(stepper), 6 * sizeof *at) == 0);
+    dal_events_free(events);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
 int main(void)
 {
+    test_no_steps();
     dal_system *const ball = open_ball();
     test_bounces(ball, 0.1);
     test_bounces(ball, 0.8); /* several events in a step */

@@ -16,14 +16,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import cli_runs, compiler, core, systems
-from .core import extras, files
-from .core.arguments import suggestion
-from .run.scheme import INITIAL
-from .run.scheme import schemes as named_schemes
-from .show import pages, report, web
-from .study.refinement import MOST_STEPS, studies
-from .systems import catalogue
+from .. import compiler, core, systems
+from ..core import extras, files
+from ..core.arguments import suggestion
+from ..run.scheme import INITIAL
+from ..run.scheme import schemes as named_schemes
+from ..show import pages, report, web
+from ..study.refinement import MOST_STEPS, studies
+from ..systems import catalogue
+from . import runs
 
 __all__ = ["main"]
 
@@ -115,7 +116,7 @@ def _parser() -> argparse.ArgumentParser:
         "not deliver what it promises.",
     )
     _add_study_options(study)
-    cli_runs.add(
+    runs.add(
         commands, _read("numbers and commas", _list_of(float)), _read("NAME=NUMBER", _parameter)
     )
     book = commands.add_parser(
@@ -142,9 +143,11 @@ def _parser() -> argparse.ArgumentParser:
         description="Show where compiled models are kept, and what there is.",
     )  # fmt: skip
     cache.add_argument("--clear", action="store_true", help="remove them")
-    runs = {study: _study, book: _catalogue, listed: _systems, schemes: _schemes, cache: _cache}
-    for command, run in runs.items():
-        command.set_defaults(run=run)
+    for command, function in (
+        (study, _study), (book, _catalogue), (listed, _systems), (schemes, _schemes),
+        (cache, _cache),
+    ):  # fmt: skip
+        command.set_defaults(run=function)
     return parser
 
 

@@ -9,14 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from . import systems
-from .core import extras, files, lib, string
-from .core.errors import DalembertError
-from .run import Solution, integrate, load, resume
-from .run.journal import ERRORS, Journal, is_journal
-from .run.scheme import INITIAL
-from .run.storage import SUFFIXES
-from .system import System
+from .. import systems
+from ..core import extras, files, lib, string
+from ..core.errors import DalembertError
+from ..run import Solution, integrate, load, resume
+from ..run.journal import ERRORS, Journal, is_journal
+from ..run.scheme import INITIAL
+from ..run.storage import SUFFIXES
+from ..system import System
 
 _MODEL = "a name of `dalembert systems`; or FILE.py:NAME, a System or a function that returns one"
 _OUTPUT = f"write the run to a file that ends in {', '.join(SUFFIXES)}"
