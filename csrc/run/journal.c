@@ -30,7 +30,7 @@ static dal__head head_of(const dal_run *run)
     dal__head head = {
         .has_rows = run->x || !run->times, .has_times = run->times != NULL,
         .n = stepper->mech.n, .m = m, .inputs = inputs_of(run), .stride = run->stride,
-        .hold = hold_of(run), .holds = holds, .events = events, .identity = stepper->identity};
+        .hold = hold_of(run), .holds = holds, .events = events};
     head.snapshot =
         dal_stepper_saved(stepper) + guards + DOUBTS + m + dal__times(holds, head.inputs);
     return head;
@@ -309,9 +309,6 @@ static int compare(const dal_journal *self, const dal_run *run, dal_error *error
             return dal__fail(error, DAL_EINVAL, "%s: %s is %llu there, and %llu in the run",
                              self->path, numbers[i].name, (unsigned long long)numbers[i].here,
                              (unsigned long long)numbers[i].there);
-    if (here->identity != there->identity)
-        return dal__fail(error, DAL_EINVAL, "%s: is of another system or scheme, its scheme is "
-                         "\"%s\"", self->path, here->scheme);
     if (run->steps / run->stride + 1 < self->mark.stored || run->steps < self->mark.done)
         return dal__fail(error, DAL_EINVAL, "%s: has %llu steps of the run, and steps = %zu",
                          self->path, (unsigned long long)self->mark.done, run->steps);
@@ -396,7 +393,8 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
     const size_t m = stepper->mech.m;
     const double *from = self->snapshot;
     int status = dal_stepper_restore(stepper, from, dal_stepper_saved(stepper));
-    if (status && error) *error = stepper->error;
+    dal__fail_because(error, status, &stepper->error, "%s, whose scheme is \"%s\": ", self->path,
+                      self->head.scheme);
     from += dal_stepper_saved(stepper);
     if (!status && e) {
         status = dal_events_restore(e, from, dal_events_saved(e), error);

@@ -249,6 +249,7 @@ static bool check_file(const char *path, const outcome *whole, size_t rows, dal_
     for (size_t i = 0; i < info.records; i++) {
         dal_record r;
         CHECK(dal_journal_read(journal, i, &r, error) == DAL_SUCCESS);
+        CHECK(r.kind != DAL_RECORD_RESET || i + 1 < info.records); /* with the state after it */
         const happening *const h = &whole->happened[event];
         switch ((dal_record_kind)r.kind) {
         case DAL_RECORD_ROW:
@@ -478,6 +479,74 @@ static void test_damage(void)
     printf("# %zu bytes: %zu open, %zu go on, %zu are refused\n", size, opened, resumed, refused);
     CHECK(opened + refused == 2 * size && resumed > size / 2);
     tear_down(&whole);
+}
+
+/* A record that stands elsewhere, or is of another journal, is none. */
+static void test_strangers(void)
+{
+    const plan p = {"sleigh", "leapfrog", 12, 1, 0, .table = false};
+    static outcome o;
+    static char bytes[2][1 << 14], changed[1 << 14];
+    size_t size = 0;
+    dal_journal *journal;
+    dal_journal_info info = {0};
+    dal_error error = {0};
+    for (int k = 0; k < 2; k++) {
+        begin(&o, &p, in_folder("stranger"), 0);
+        go(&o, 3);
+        tear_down(&o);
+        const int file = open(in_folder("stranger"), O_RDONLY);
+        size = (size_t)read(file, bytes[k], sizeof bytes[k]);
+        close(file);
+    }
+    need(dal_journal_open(&journal, in_folder("stranger"), 0, NULL, &error), "open", error.text);
+    dal_journal_describe(journal, &info);
+    dal_journal_free(journal);
+    for (int k = 0; k < 2; k++) {
+        memcpy(changed, bytes[1], size);
+        memcpy(changed + info.begin + 5 * info.size, bytes[k] + info.begin + (4u + !k) * info.size,
+               info.size);
+        write_file(in_folder("stranger"), changed, size);
+        need(dal_journal_open(&journal, in_folder("stranger"), 0, NULL, &error), "open", "");
+        dal_journal_describe(journal, &info);
+        CHECK(info.records == 5 && info.cut == 8 * info.size);
+        dal_journal_free(journal);
+    }
+}
+
+/* Of the two last snapshots one is enough, not to go back to the beginning. */
+static void test_slots(void)
+{
+    const plan p = {"sleigh", "leapfrog", 12, 1, 0, .table = false};
+    static outcome o;
+    static char bytes[1 << 14];
+    dal_error error = {0};
+    begin(&o, &p, in_folder("slots"), 0);
+    go(&o, 3); /* four calls, and a snapshot at the end of each */
+    const size_t slot = sizeof(double) * (dal_stepper_saved(o.stepper) + 4 + 1) + 48;
+    tear_down(&o);
+    dal_journal *journal;
+    dal_journal_info info;
+    need(dal_journal_open(&journal, in_folder("slots"), 0, NULL, &error), "open", error.text);
+    dal_journal_describe(journal, &info);
+    CHECK(info.done == 12);
+    dal_journal_free(journal);
+    const int file = open(in_folder("slots"), O_RDONLY);
+    const size_t size = (size_t)read(file, bytes, sizeof bytes);
+    close(file);
+    size_t later = 0;
+    for (size_t k = 1; k <= 2; k++) {
+        char *const byte = bytes + info.begin - k * slot + 20;
+        *byte ^= 1;
+        write_file(in_folder("slots"), bytes, size);
+        *byte ^= 1;
+        need(dal_journal_open(&journal, in_folder("slots"), 0, NULL, &error), "open", error.text);
+        dal_journal_describe(journal, &info);
+        CHECK(info.done == 12 || info.done == 9);
+        later += info.done == 12;
+        dal_journal_free(journal);
+    }
+    CHECK(later == 1);
 }
 
 /* ---- other files --------------------------------------------------------------------------- */
@@ -738,6 +807,8 @@ int main(void)
     printf("# %zu images\n", world.images);
     CHECK(world.images >= IMAGES);
     test_damage();
+    test_strangers();
+    test_slots();
     test_refused();
     test_other_runs();
     test_computed_again();
