@@ -376,6 +376,9 @@ system = dal.System(mass=[1, 1, 1], force=fails, q0=[0, 1, 0], v0=[1, 1, 1])
     assert main([*arguments, "--output", str(out)]) == 1
     text = capsys.readouterr().err
     assert f"dalembert resume {path} {file}:system" in text and "too late" in text
+    missing = str(tmp_path / "none" / "run.dal")
+    assert main([*arguments[:-1], missing]) == 1
+    assert "to go on" not in capsys.readouterr().err
     with np.load(out) as found:
         assert 4 <= len(found["x"]) <= 6
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -31,8 +32,6 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     run.add_argument("model", metavar="MODEL", help=_MODEL)
     run.add_argument("--scheme", default="leapfrog", metavar="NAME",
                      help="a name of `dalembert schemes`, or beta (default: leapfrog)")
-    run.add_argument("--parameter", action="append", default=[], type=parameter,
-                     metavar="NAME=VALUE", help="of the system; again for more")
     run.add_argument("--q0", type=numbers, metavar="X,Y,...", help="positions at the start")
     run.add_argument("--v0", type=numbers, metavar="X,Y,...", help="velocities at the start, in D")
     run.add_argument("--h", type=float, required=True, metavar="H", help="the step")
@@ -58,6 +57,9 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     export.add_argument("file", metavar="FILE", type=Path, help="a journal, .npz or .nc")
     export.add_argument("output", metavar="OUTPUT", type=Path, help=_OUTPUT)
     _add_model(export)
+    for command in (run, goes_on, info, export):
+        command.add_argument("--parameter", action="append", default=[], type=parameter,
+                             metavar="NAME=VALUE", help="of the system; again for more")
     of: dict[Any, Callable[[argparse.Namespace], int]] = {
         run: _run, goes_on: _resume, info: _info, export: _export
     }  # fmt: skip
@@ -100,7 +102,7 @@ def model(text: str, parameters: dict[str, float]) -> System:
 
 
 def _system(given: argparse.Namespace) -> System | None:
-    return None if given.model is None else model(given.model, {})
+    return None if given.model is None else model(given.model, dict(given.parameter))
 
 
 def _progress() -> bool:
@@ -114,9 +116,12 @@ def _finish(given: argparse.Namespace, make: Callable[[], Solution], journal: Pa
     try:
         run = make()
     except (DalembertError, KeyboardInterrupt) as error:
-        if journal is not None:
-            words = f"dalembert resume {journal}" + f" {given.model}" * ("." in str(given.model))
-            print(f"what there is stands in {journal}; to go on: {words}", file=sys.stderr)
+        if journal is not None and journal.exists():
+            words = ["dalembert", "resume", str(journal)]
+            if ".py:" in str(given.model):
+                words.append(given.model)
+                words += [f"--parameter={name}={value!r}" for name, value in given.parameter]
+            print(f"{journal} has what there is; to go on: {shlex.join(words)}", file=sys.stderr)
         if (partial := getattr(error, "partial", None)) is not None and given.output is not None:
             partial.save(given.output)
         raise

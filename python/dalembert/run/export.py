@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from .. import core
 from ..core import Array, arguments, extras
 from .solution import Solution
 
 
-def columns(run: Solution) -> dict[str, Array]:
-    """Return a column for each number of a state: t, coordinates, velocities, what follows."""
-    names, m = run.system.coordinates, run.system.m
-    return {
-        "t": run.t,
-        **{name: run.q[:, i] for i, name in enumerate(names)},
-        **{f"v_{name}": run.v[:, i] for i, name in enumerate(names)},
-        **{f"lambda_{a}": run.multipliers[:, a] for a in range(m)},
-        "energy": run.energy,
-        "residual": run.residual,
-    }
+def columns(run: Solution) -> tuple[list[str], Array]:
+    """Return names and columns: coordinates, velocities, multipliers, energy, residual.
+
+    A name may be there twice, where a coordinate is called "energy", say.
+    """
+    names = run.system.coordinates
+    head = [*names, *(f"v_{name}" for name in names)]
+    head += [*(f"lambda_{a}" for a in range(run.system.m)), "energy", "residual"]
+    return head, np.column_stack([run.x, run.multipliers, run.energy, run.residual])
 
 
 def to_pandas(run: Solution) -> Any:
@@ -41,7 +41,8 @@ def to_pandas(run: Solution) -> Any:
     (11, 9)
     """
     pandas = extras.require("pandas", "to_pandas")
-    return pandas.DataFrame(columns(run)).set_index("t")
+    head, values = columns(run)
+    return pandas.DataFrame(values, pandas.Index(run.t, name="t"), head)
 
 
 def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:

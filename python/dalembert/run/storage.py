@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import io
 import json
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .. import core
-from ..core import Array, arguments, extras, files
+from ..core import Array, extras, files
 from ..system import System
 from .export import columns, to_xarray
 from .journal import Journal, is_journal, of_system, require_same
@@ -198,9 +199,7 @@ def _unpack(about: dict[str, Any], arrays: dict[str, Array], system: System) -> 
 
 def _csv(run: Solution) -> bytes:
     """Return the columns with 17 digits, which are the very doubles."""
-    found, text = columns(run), io.StringIO()
-    for name in found:
-        arguments.text(name, "coordinates")
-    header = ",".join(f'"{name}"' if set(name) & set(',"\n') else name for name in found)
-    np.savetxt(text, np.column_stack([*found.values()]), "%.17g", ",", header=header, comments="")
+    (head, values), text = columns(run), io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(["t", *head])
+    np.savetxt(text, np.column_stack([run.t, values]), "%.17g", ",")
     return text.getvalue().encode()

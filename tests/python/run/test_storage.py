@@ -60,6 +60,17 @@ def test_csv(tmp_path):
     np.testing.assert_array_equal(values[:, 7], run.multipliers[:, 0])
 
 
+def test_csv_of_odd_names(tmp_path):
+    names = ["p,q", 'r"s', "t"]
+    run = dal.integrate(
+        dal.System(mass=[1, 1, 1], coordinates=names), q0=[0, 0, 0], v0=[1, 2, 3], h=1, steps=1
+    )
+    run.save(tmp_path / "run.csv")
+    with open(tmp_path / "run.csv", newline="") as file:
+        head, *rows = csv.reader(file)
+    assert head[1:4] == names and len(rows[0]) == len(head) == 9
+
+
 def test_pandas():
     run = dal.integrate(dal.systems.sleigh(), h=0.1, steps=5)
     frame = run.to_pandas()
