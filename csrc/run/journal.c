@@ -28,7 +28,7 @@ static dal__head head_of(const dal_run *run)
     const size_t events = run->events ? run->events->count : 0;
     const size_t guards = run->events ? dal_events_saved(run->events) : 0;
     dal__head head = {
-        .has_rows = run->x || !run->times, .has_times = run->times != NULL,
+        .has_rows = run->x || run->inputs || !run->times, .has_times = run->times != NULL,
         .n = stepper->mech.n, .m = m, .inputs = inputs_of(run), .stride = run->stride,
         .hold = hold_of(run), .holds = holds, .events = events};
     head.snapshot =

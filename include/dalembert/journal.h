@@ -60,7 +60,7 @@ typedef struct dal_journal_info {
     size_t stride, hold;
     size_t holds;              /* the most rows of inputs that begin in an interval of the run */
     size_t events;             /* how many there are in the list */
-    int has_rows, has_times;   /* which of them the run stores */
+    int has_rows, has_times;   /* which of them there are: rows also for their inputs */
     double t0, h;              /* of the run's first row, which may be a later step of a stepper */
     const char *scheme;        /* its name */
     const char *description;

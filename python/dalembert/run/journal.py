@@ -219,9 +219,9 @@ class Journal:
         records = self.records()
         kinds = records["kind"]
         is_row = (kinds == lib.DAL_RECORD_ROW) | (kinds == lib.DAL_RECORD_END)
+        steps = rows = records if is_row.all() else records[is_row]
         if info.has_times:
-            is_row = kinds == lib.DAL_RECORD_TIME
-        rows = records if is_row.all() else records[is_row]
+            rows = records[kinds == lib.DAL_RECORD_TIME]
         if len(rows) == 0:
             raise ValueError(f"{self.path}: there is no state in it yet")
         ended = bool((kinds == lib.DAL_RECORD_END).any())
@@ -230,7 +230,7 @@ class Journal:
             times = t0 + np.arange(len(rows)) * stride * h
             times[-1] = rows["t"][-1]
         none = np.full((len(rows) - 1, system.m), np.nan)
-        done = max(int(info.done), (len(rows) - 1 - ended) * stride * (not info.has_times))
+        done = max(int(info.done), (len(steps) - 1 - ended) * stride)
         over = ended or done >= info.steps
         words = f"{done} steps" if over else f"{done} of {info.steps} steps"
         happened = dict(zip(("t_events", "x_events", "x_after"), split(*self._events(records))))
@@ -239,14 +239,14 @@ class Journal:
             reactions=none if info.has_times else rows["reaction"][1:],
             status=lib.DAL_SUCCESS if over and not ended else lib.DAL_STOPPED,
             message=f"{words} to t = {rows['t'][-1]:g}, from {self.path}",
-            inputs=self._inputs(rows, done + ended), hold=int(info.hold),
+            inputs=self._inputs(steps, done + ended), hold=int(info.hold),
             stats=Statistics(steps=done, worst_residual=np.nan), **happened,
         )  # fmt: skip
 
     def _inputs(self, rows: Any, steps: int) -> Array:
         """Return the rows of inputs of so many steps, as far as they are there."""
         info = self.info
-        if info.inputs == 0 or info.has_times:
+        if info.inputs == 0:
             return np.zeros((0, len(self.about["system"]["inputs"])))
         hold, stride = int(info.hold), int(info.stride)
         first = np.arange(-(-steps // hold)) * hold  # step of each

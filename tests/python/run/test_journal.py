@@ -65,6 +65,10 @@ CASES = {
     "terminal": (
         cart, "midpoint", {"hold": 7, "stride": 3}, {"inputs": control, "events": [WALL, LATE]}
     ),
+    "output times and inputs": (
+        cart, "midpoint", {"t_eval": np.linspace(0, 2.9, 37), "hold": 3, "stride": 2},
+        {"inputs": control, "events": [TURN]},
+    ),
     "output times": (
         cart, "leapfrog", {"t_eval": np.linspace(0, 2.9, 37)}, {"events": [WALL]}
     ),
