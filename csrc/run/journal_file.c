@@ -235,10 +235,17 @@ static int publish(dal_journal *self, const char *hidden, dal_error *error)
     return status;
 }
 
+/* Whether the file is locked, or cannot be: some file systems of clusters have no locks. */
+static bool take_lock(const dal_journal *self, int kind)
+{
+    return flock(self->file, kind | LOCK_NB) == 0 || errno == ENOSYS || errno == ENOTSUP
+        || errno == ENOLCK;
+}
+
 static int fill_new(dal_journal *self, dal_error *error)
 {
     int status = DAL_SUCCESS;
-    if (flock(self->file, LOCK_EX | LOCK_NB)) status = fail_io(error, self->path, "locking");
+    if (!take_lock(self, LOCK_EX)) status = fail_io(error, self->path, "locking");
     self->head.checksum = of_head(self);
     if (!status) status = write_at(self, 0, &self->head, sizeof self->head, error);
     if (!status)
@@ -337,7 +344,7 @@ static int take_in(dal_journal *self, size_t length, dal_error *error)
 
 static int lock(dal_journal *self, dal_error *error)
 {
-    const bool is_free = flock(self->file, (self->writes ? LOCK_EX : LOCK_SH) | LOCK_NB) == 0;
+    const bool is_free = take_lock(self, self->writes ? LOCK_EX : LOCK_SH);
     self->is_written = !is_free && errno == EWOULDBLOCK;
     if (!self->writes) {
         if (is_free) flock(self->file, LOCK_UN);

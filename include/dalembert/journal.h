@@ -8,7 +8,7 @@
  *   3. a run to go on with: its records are bit for bit those of the run that was never stopped, on
  *      the same kind of machine; those after the last snapshot are computed again and compared;
  *   4. after a loss of power what was there at the last snapshot, on a disk of its own machine;
- *   5. one writer at a time, and readers whenever they like.
+ *   5. one writer at a time, where the file system has locks, and readers whenever they like.
  * Nothing in it is executed.  The rules of dalembert.h hold. */
 #ifndef DALEMBERT_JOURNAL_H
 #define DALEMBERT_JOURNAL_H

@@ -404,6 +404,17 @@ int __wrap_fdatasync(int file)
     return 0; /* the disk itself is not what is tested */
 }
 
+int __real_flock(int file, int kind);
+int __wrap_flock(int file, int kind);
+static int no_locks; /* what a file system without locks says */
+
+int __wrap_flock(int file, int kind)
+{
+    if (no_locks == 0) return __real_flock(file, kind);
+    errno = no_locks;
+    return -1;
+}
+
 static dal_journal *begin(outcome *o, const plan *p, const char *path, int goes_on)
 {
     dal_journal *journal = NULL;
@@ -616,6 +627,30 @@ static void test_refused(void)
     dal_system_free(sleigh);
 }
 
+/* Where there are no locks, there are none; where there are and they fail, nothing is written. */
+static void test_no_locks(void)
+{
+    const plan *const p = &plans[1];
+    static outcome whole, o;
+    dal_error error = {0};
+    set_up(&whole, p, true, 0.0);
+    go(&whole, SIZE_MAX);
+    for (int k = 0; k < 2; k++) {
+        no_locks = k == 0 ? ENOSYS : ENOLCK;
+        begin(&o, p, in_folder("unlocked"), 0);
+        dal_run_go(&o.run, 20);
+        tear_down(&o);
+        CHECK(check_file(in_folder("unlocked"), &whole, 21, &error));
+        CHECK(resume(in_folder("unlocked"), p, &whole, &error));
+    }
+    tear_down(&whole);
+    no_locks = EIO;
+    dal_journal *journal;
+    CHECK(dal_journal_open(&journal, in_folder("unlocked"), 1, NULL, &error) == DAL_EIO);
+    CHECK(strstr(error.text, "locking: "));
+    no_locks = 0;
+}
+
 /* A run that is not the one of the journal. */
 static void test_other_runs(void)
 {
@@ -817,6 +852,7 @@ int main(void)
     test_strangers();
     test_slots();
     test_refused();
+    test_no_locks();
     test_other_runs();
     test_computed_again();
     test_longer();
