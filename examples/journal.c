@@ -1,5 +1,5 @@
-/* A run that survives its process: there is a journal, or there will be one.  The first life of this
- * one ends too early, as if it had been killed; the second goes on, to the bits of a run that was
+/* A run that survives its process: there is a journal, or there will be one.  The first life of it
+ * ends too early, as if it had been killed; the second goes on, to the bits of a run that was
  * never stopped.
  *
  *     cc journal.c $(pkg-config --cflags --libs dalembert) -o journal && ./journal */
