@@ -398,11 +398,13 @@ DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const d
  * DAL_EINVAL (NULL, not finite), and the stepper is as it was. */
 DAL_API int dal_stepper_input(dal_stepper *stepper, const double *u);
 
-/* The inputs of the next step, u[inputs]; the current state x[2n]; its time t0 + k h.  Arrays are
- * borrowed, and valid until the stepper is freed; where the state stands may change with steps. */
+/* The inputs of the next step, u[inputs]; the current state x[2n]; its time t0 + k h; h.  Arrays
+ * are borrowed, and valid until the stepper is freed; where the state stands may change with steps.
+ */
 DAL_API const double *dal_stepper_inputs(const dal_stepper *stepper);
 DAL_API const double *dal_stepper_state(const dal_stepper *stepper);
 DAL_API double dal_stepper_time(const dal_stepper *stepper);
+DAL_API double dal_stepper_h(const dal_stepper *stepper);
 DAL_API void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats);
 
 /* One step (DAELd1, DAELd2).  reaction[m] (or NULL) <- the scheme's own multiplier, sum_j h_j

@@ -107,6 +107,10 @@ static int find_zero(search *s, double *theta)
     gsl_function function = {.function = value_for_gsl, .params = s};
     *theta = s->high;
     if (s->at_high == 0.0) return DAL_SUCCESS;
+    if (dal__sign(s->at_low) == dal__sign(s->at_high))
+        return dal__fail(s->events->error, DAL_EINVAL, "event %zu is %g at t = %g and had another "
+                         "sign when it was asked before: it may depend on the state and the time "
+                         "alone", s->event, s->at_low, dal__time_at(s->events, s->low));
     s->last = s->at_low;
     gsl_root_fsolver_set(solver, &function, s->low, s->high);
     for (int k = 0; k < ITERATIONS && !s->status; k++) {

@@ -5,7 +5,8 @@
 #include <math.h>
 #include <string.h>
 
-enum { SAVED = 4 };      /* numbers of a guard */
+enum { SAVED = 5 };      /* numbers of a guard */
+#define SAME 1e-6        /* an event elsewhere, as part of its size */
 #define TOGETHER 0x1p-44 /* parts of a step that differ by no more are the same */
 #define AT_REST 0x1p-20  /* a rate after a reset is none, as part of that before it */
 
@@ -101,11 +102,21 @@ size_t dal_events_doubts(const dal_events *events, size_t *event, double *t, dou
 
 size_t dal_events_saved(const dal_events *events) { return SAVED * events->count; }
 
+/* Whether the guards are those of the state of the stepper. */
+static bool is_here(const dal_events *e)
+{
+    const dal_motion *const motion = &e->stepper->motion;
+    return e->known && e->step == motion->steps
+        && memcmp(e->last, motion->x, 2 * e->n * sizeof *motion->x) == 0;
+}
+
 void dal_events_save(const dal_events *events, double *values)
 {
+    const bool here = is_here(events);
     for (size_t i = 0; i < events->count; i++, values += SAVED) {
         const guard *const g = &events->guards[i];
-        const double of[SAVED] = {g->side, g->waits, (double)g->happened, g->size};
+        const double of[SAVED] = {g->side, g->waits, (double)g->happened, g->size,
+                                  here ? g->begin : (double)NAN};
         memcpy(values, of, sizeof of);
     }
 }
@@ -115,7 +126,7 @@ static bool is_of_a_guard(const double *values)
     const double side = values[0], waits = values[1], happened = values[2];
     return (side == 0.0 || fabs(side) == 1.0) && (waits == 0.0 || waits == 1.0) && happened >= 0.0
         && happened <= 0x1p53 && happened == floor(happened) && values[3] >= 0.0
-        && isfinite(values[3]);
+        && isfinite(values[3]) && !isinf(values[4]);
 }
 
 int dal_events_restore(dal_events *events, const double *values, size_t count, dal_error *error)
@@ -129,14 +140,17 @@ int dal_events_restore(dal_events *events, const double *values, size_t count, d
         if (!is_of_a_guard(values + SAVED * i))
             return dal__fail(error, DAL_EINVAL, "values[%zu] and what follows is not of an event",
                              SAVED * i);
-    for (size_t i = 0; i < events->count; i++, values += SAVED)
+    events->known = events->stepper->started;
+    events->valued = false;
+    for (size_t i = 0; i < events->count; i++, values += SAVED) {
         events->guards[i] = (guard){.side = (int)values[0], .waits = values[1] != 0.0,
-                                    .happened = (size_t)values[2], .size = values[3]};
-    if (events->stepper->started) {
+                                    .happened = (size_t)values[2], .size = values[3],
+                                    .begin = values[4]};
+        if (isnan(values[4])) events->known = false; /* nobody had looked at it */
+    }
+    if (events->known) {
         memcpy(events->last, events->stepper->motion.x, 2 * events->n * sizeof(double));
         events->step = events->stepper->motion.steps;
-        events->known = true;
-        events->valued = false;
     }
     return DAL_SUCCESS;
 }
@@ -331,8 +345,7 @@ static int prepare(dal_events *e, dal_run *run)
 {
     const dal_motion *const motion = &run->stepper->motion;
     const size_t N = 2 * e->n;
-    const bool same = e->known && e->step == motion->steps
-                   && memcmp(e->last, motion->x, N * sizeof *motion->x) == 0;
+    const bool same = is_here(e);
     int status = DAL_SUCCESS;
     e->t = dal_stepper_time(run->stepper);
     e->h = motion->h;
@@ -345,7 +358,11 @@ static int prepare(dal_events *e, dal_run *run)
     move(e, -e->shift, motion->x, e->begin);
     for (size_t i = 0; !status && !(same && e->valued) && i < e->count; i++) {
         guard *const g = &e->guards[i];
+        const double before = g->begin;
         status = dal__event_value(e, i, e->t, e->begin, &g->begin);
+        if (!status && same && fabs(g->begin - before) > SAME * g->size)
+            status = dal__fail(e->error, DAL_EINVAL, "event %zu is %g at t = %g, and was %g when "
+                               "it was saved: it is another one", i, g->begin, e->t, before);
         if (status || same) continue;
         *g = (guard){.side = dal__sign(g->begin), .size = fabs(g->begin), .begin = g->begin};
     }

@@ -156,13 +156,20 @@ int dal__journal_look(const dal_run *run, size_t made)
     return status ? status : refuse(run, dal__journal_save(self));
 }
 
-int dal__journal_pause(const dal_run *run, bool over)
+int dal__journal_pause(const dal_run *run, bool allowed, bool over)
 {
     dal_journal *const self = run->journal;
-    const bool saves = !self->error.status && (over || is_due(self));
+    const bool saves = allowed && !self->error.status && (over || is_due(self));
     int status = saves ? save(run) : DAL_SUCCESS;
     if (!status) status = saves ? dal__journal_save(self) : dal__journal_flush(self);
     return refuse(run, status);
+}
+
+int dal_journal_save(dal_run *run)
+{
+    if (!run || !run->stepper) return DAL_EINVAL;
+    const int status = dal__run_check(run);
+    return status || !run->journal ? status : dal__journal_pause(run, true, true);
 }
 
 /* ---- making, opening, reading -------------------------------------------------------------- */
@@ -293,8 +300,20 @@ int dal_journal_read(dal_journal *journal, size_t index, dal_record *record, dal
 
 /* ---- going on ------------------------------------------------------------------------------ */
 
+/* Steps up to the last row of the journal; DAL_EIO. */
+static int last_row(dal_journal *self, size_t *steps, dal_error *error)
+{
+    dal_record r = {0};
+    int status = DAL_SUCCESS;
+    for (size_t i = self->records; !status && i > 0 && r.kind != DAL_RECORD_ROW; i--)
+        status = read_record(self, i - 1, &r);
+    if (status && error) *error = self->error;
+    *steps = r.kind == DAL_RECORD_ROW ? r.number * (size_t)self->head.stride : 0;
+    return status;
+}
+
 /* DAL_EINVAL unless the run is the one that the journal is of. */
-static int compare(const dal_journal *self, const dal_run *run, dal_error *error)
+static int compare(dal_journal *self, const dal_run *run, dal_error *error)
 {
     const dal__head *const here = &self->head, run_head = head_of(run), *const there = &run_head;
     const struct { const char *name; uint64_t here, there; } numbers[] = {
@@ -309,9 +328,13 @@ static int compare(const dal_journal *self, const dal_run *run, dal_error *error
             return dal__fail(error, DAL_EINVAL, "%s: %s is %llu there, and %llu in the run",
                              self->path, numbers[i].name, (unsigned long long)numbers[i].here,
                              (unsigned long long)numbers[i].there);
-    if (run->steps / run->stride + 1 < self->mark.stored || run->steps < self->mark.done)
-        return dal__fail(error, DAL_EINVAL, "%s: has %llu steps of the run, and steps = %zu",
-                         self->path, (unsigned long long)self->mark.done, run->steps);
+    size_t steps;
+    const int status = last_row(self, &steps, error);
+    if (status) return status;
+    if (steps < self->mark.done) steps = (size_t)self->mark.done;
+    if (run->steps / run->stride + 1 < self->mark.stored || run->steps < steps)
+        return dal__fail(error, DAL_EINVAL, "%s: has %zu steps of the run, and steps = %zu",
+                         self->path, steps, run->steps);
     return DAL_SUCCESS;
 }
 

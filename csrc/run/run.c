@@ -122,7 +122,9 @@ int dal_run_go(dal_run *run, size_t budget)
     if (!status && run->done == run->steps) status = dal__stepper_look(run->stepper);
     if (!run->journal) return status;
     const dal_error error = run->stepper->error;
-    const int kept = dal__journal_pause(run, status != DAL_SUCCESS || run->done == run->steps);
+    /* After a failure the predictor may have seen the step that failed: no snapshot of it. */
+    const bool is_over = status == DAL_STOPPED || (!status && run->done == run->steps);
+    const int kept = dal__journal_pause(run, status >= 0, is_over);
     if (!status) return kept;
     run->stepper->error = error;
     return status;

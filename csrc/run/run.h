@@ -28,10 +28,10 @@ int dal__journal_event(const dal_run *run, size_t event, size_t step, double t, 
 int dal__journal_times(const dal_run *run, size_t before);
 /* Where the reaction goes that only the journal wants, [m]; or NULL. */
 double *dal__journal_reaction(const dal_run *run);
-/* After some steps: a snapshot, if it is time for one.  At the end of a call: what is left, and a
- * snapshot if it is time for one, or the run is over. */
+/* After some steps: a snapshot, if it is time for one.  At the end of a call: what is left, and, if
+ * that is allowed, a snapshot where it is time for one, or the run is over. */
 int dal__journal_look(const dal_run *run, size_t made);
-int dal__journal_pause(const dal_run *run, bool over);
+int dal__journal_pause(const dal_run *run, bool allowed, bool over);
 
 /* The status of a function of the user that watches the run, by this name. */
 int dal__heed(const dal_run *run, const char *name, int returned);

@@ -73,6 +73,8 @@ const dal_error *dal_stepper_error(const dal_stepper *stepper) { return &stepper
 const double *dal_stepper_state(const dal_stepper *stepper) { return stepper->motion.x; }
 const double *dal_stepper_inputs(const dal_stepper *stepper) { return stepper->motion.input; }
 
+double dal_stepper_h(const dal_stepper *stepper) { return stepper->motion.h; }
+
 double dal_stepper_time(const dal_stepper *stepper)
 {
     return stepper->motion.t0 + (double)stepper->motion.steps * stepper->motion.h;

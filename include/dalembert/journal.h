@@ -90,6 +90,10 @@ DAL_API int dal_journal_new(dal_journal **journal, const char *path, dal_run *ru
 DAL_API int dal_journal_open(dal_journal **journal, const char *path, int writes,
                              const dal_journal_options *options, dal_error *error);
 
+/* A snapshot now, between two calls of dal_run_go; success where the run has no journal.
+ * DAL_EINVAL (not started), DAL_EIO. */
+DAL_API int dal_journal_save(dal_run *run);
+
 /* Writes what is left.  NULL is allowed. */
 DAL_API void dal_journal_free(dal_journal *journal);
 

@@ -32,8 +32,10 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     run.add_argument("model", metavar="MODEL", help=_MODEL)
     run.add_argument("--scheme", default="leapfrog", metavar="NAME",
                      help="a name of `dalembert schemes`, or beta (default: leapfrog)")
-    run.add_argument("--q0", type=numbers, metavar="X,Y,...", help="positions at the start")
-    run.add_argument("--v0", type=numbers, metavar="X,Y,...", help="velocities at the start, in D")
+    run.add_argument("--q0", type=numbers, metavar="X,Y,...",
+                     help="positions at the start (write --q0=-1,... for a minus)")
+    run.add_argument("--v0", type=numbers, metavar="X,Y,...",
+                     help="velocities at the start, in D (write --v0=-1,... for a minus)")
     run.add_argument("--h", type=float, required=True, metavar="H", help="the step")
     _add_end(run, required=True)
     run.add_argument("--t0", type=float, default=0.0, metavar="T", help="the time of the start")

@@ -299,6 +299,7 @@ def resume(
             system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=observer,
             show=show, inputs=inputs, hold=int(info.hold), watch=watch,
         )  # fmt: skip
+        run.x[0] = about["system"]["state"]
         journal.resume(run)
         run.make()
     return _finish(run, throw)

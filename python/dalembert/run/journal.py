@@ -132,7 +132,7 @@ class Journal:
         options = ffi.new("dal_journal_options *", {"goes_on": goes_on, "seconds": SECONDS})
         options.description, options.description_size = described, len(text)
         options.fingerprint = hashlib.sha256(identity).digest()
-        name = os.fspath(path)
+        name = _name(path)
         handle = core.make(
             "journal", os.fsencode(name), run.run, record, options, owner=(run.run, kept)
         )
@@ -143,7 +143,7 @@ class Journal:
     def open(cls, path: Any, *, writes: bool = False, errors: str = "warn") -> Journal:
         """Return a journal that is there; a warning says if its end is damaged."""
         goes_on = arguments.choice(errors, "journal_errors", ERRORS)
-        name = os.fspath(path)
+        name = _name(path)
         os.stat(name)  # an OSError of the usual kind, if it is not there
         options = ffi.new("dal_journal_options *", {"goes_on": goes_on, "seconds": SECONDS})
         handle = core.adopt("journal", lib.dal_journal_open, os.fsencode(name), writes, options)
@@ -191,8 +191,10 @@ class Journal:
                 stacklevel=4,
             )  # fmt: skip
 
-    def close(self, run: Any = None) -> None:
-        """Write what is left, and let others write."""
+    def close(self, run: Any = None, saves: bool = False) -> None:
+        """Write what is left, and a snapshot if it is wanted, and let others write."""
+        if saves:
+            lib.dal_journal_save(run)
         if run is not None:
             run.journal = ffi.NULL
         ffi.release(self._handle)
@@ -209,7 +211,7 @@ class Journal:
         ]  # fmt: skip
         kind, count = np.dtype(fields), int(info.records)
         if count == 0:
-            raise ValueError(f"{self.path}: there is no state in it yet")
+            return np.zeros(0, kind)
         return np.memmap(self.path, kind, "r", int(info.begin), (count,))
 
     def solution(self, system: System | None) -> Solution:
@@ -220,25 +222,29 @@ class Journal:
         kinds = records["kind"]
         is_row = (kinds == lib.DAL_RECORD_ROW) | (kinds == lib.DAL_RECORD_END)
         steps = rows = records if is_row.all() else records[is_row]
-        if info.has_times:
-            rows = records[kinds == lib.DAL_RECORD_TIME]
-        if len(rows) == 0:
-            raise ValueError(f"{self.path}: there is no state in it yet")
         ended = bool((kinds == lib.DAL_RECORD_END).any())
+        x = rows["x"]
+        if info.has_times:
+            rows = records[(kinds == lib.DAL_RECORD_TIME) | (kinds == lib.DAL_RECORD_END)]
+            x = rows["x"]
         times = np.array(rows["t"]) if ended or info.has_times else None
+        if len(rows) == 0:  # it has not come to an output time, or anywhere
+            x = np.array([self.about["system"]["state"]])
+            times = np.array([t0]) if info.has_times else None
         if ended and not info.has_times:
             times = t0 + np.arange(len(rows)) * stride * h
             times[-1] = rows["t"][-1]
-        none = np.full((len(rows) - 1, system.m), np.nan)
+        none = np.full((len(x) - 1, system.m), np.nan)
         done = max(int(info.done), (len(steps) - 1 - ended) * stride)
         over = ended or done >= info.steps
+        end = rows["t"][-1] if ended else t0 + done * h
         words = f"{done} steps" if over else f"{done} of {info.steps} steps"
         happened = dict(zip(("t_events", "x_events", "x_after"), split(*self._events(records))))
         return Solution(
-            system=system, scheme=scheme, t0=t0, h=h, stride=stride, x=rows["x"], times=times,
-            reactions=none if info.has_times else rows["reaction"][1:],
+            system=system, scheme=scheme, t0=t0, h=h, stride=stride, x=x, times=times,
+            reactions=none if info.has_times or len(rows) == 0 else rows["reaction"][1:],
             status=lib.DAL_SUCCESS if over and not ended else lib.DAL_STOPPED,
-            message=f"{words} to t = {rows['t'][-1]:g}, from {self.path}",
+            message=f"{words} to t = {end:g}, from {self.path}",
             inputs=self._inputs(steps, done + ended), hold=int(info.hold),
             stats=Statistics(steps=done, worst_residual=np.nan), **happened,
         )  # fmt: skip
@@ -266,6 +272,14 @@ class Journal:
             else:
                 found.add(int(one["number"]), float(one["t"]), x, None)
         return found, int(self.info.n)
+
+
+def _name(path: Any) -> str | bytes:
+    """Return the name of a file; ValueError if C would take a part of it for the name."""
+    name: str | bytes = os.fspath(path)
+    if not name or b"\0" in os.fsencode(name):
+        raise ValueError(f"journal = {name!r}: expected the name of a file")
+    return name
 
 
 def is_journal(path: Path) -> bool:

@@ -108,6 +108,7 @@ class Run:
 
     def make(self) -> None:
         """Make the run; if it does not go through, ``status`` and ``error`` say why."""
+        interrupted = False  # between two calls of C
         run, piece = self.run, 1  # nobody knows how long a step takes
         if not self.system._source.calls_python:
             piece = max(1, geometry.most_in_a_call(self.system) // 64)
@@ -124,10 +125,11 @@ class Run:
                 piece = max(1, int(piece * min(8.0, PIECE_SECONDS / max(elapsed, 1e-9))))
         except BaseException as error:  # KeyboardInterrupt too: what was computed goes with it
             self.status, self.error = lib.DAL_EUSER, error
+            interrupted = True
             return
         finally:
             if self.journal is not None:
-                self.journal.close(run)
+                self.journal.close(run, saves=interrupted)
         if self.status < 0:
             message = core.words(self.stepper, self.system.kind)
             t = lib.dal_stepper_time(self.stepper)
@@ -138,6 +140,21 @@ class Run:
         if now - self.shown_at > PIECE_SECONDS or self.run.done == self.run.steps:
             self.shown_at = now
             self.show(int(self.run.done))
+
+    def _at_times(self) -> tuple[Array, Array]:
+        """Return the states at output times, and where an event has ended the run.
+
+        If it has come to none of them, that of the start.
+        """
+        run, watch = self.run, self.watch
+        assert watch is not None
+        x, times = watch.at[: run.timed], watch.times[: run.timed]
+        if run.ended:
+            kept = self.scheme.nodes == "kept"
+            shift = self.scheme.shift(self.h) if kept else 0.0
+            x = np.vstack([x, _end(watch.happened.x[-1], self.system.n, shift)])
+            times = np.append(times, run.t_end)
+        return (x, times) if len(x) else (self.x, np.array([self.t0]))
 
     def solution(self) -> Solution:
         """Return the rows that are good."""
@@ -152,8 +169,8 @@ class Run:
                 t = run.t_end
                 times = self.t0 + np.arange(rows) * int(run.stride) * self.h
                 times[-1] = t
-            if self.watch.times is not None and run.timed > 0:
-                x, times = self.watch.at[: run.timed], self.watch.times[: run.timed]
+            if self.watch.times is not None:
+                x, times = self._at_times()
                 reactions = np.full((len(x) - 1, self.system.m), np.nan)
         if run.ended:
             message = f"events[{self.watch.last}] ended the run at t = {t:g}"
@@ -173,8 +190,15 @@ class Run:
         )  # fmt: skip
 
 
+def _end(x: Array, n: int, shift: float) -> Array:
+    """Return a state of the moved nodes as one of the set that the scheme keeps."""
+    return np.concatenate([x[:n] + shift * x[n:], x[n:]])
+
+
 def one_row(value: Any, names: tuple[str, ...]) -> Array:
     """Return inputs as an array of k numbers, of a single one also from the number itself."""
+    if value is None:
+        raise ValueError(f"inputs has to return shape ({len(names)},), it returned None")
     return arguments.inputs(value, names, 1)[0]
 
 

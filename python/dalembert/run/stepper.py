@@ -33,7 +33,6 @@ class Stepper:
     ----------
     system : System
     scheme : Scheme
-    h : float
 
     Raises
     ------
@@ -69,7 +68,7 @@ class Stepper:
         require_system(system)
         self.system, self.scheme = system, Scheme.of(scheme)
         self._t0 = arguments.number(t0, "t0")
-        self.h = arguments.step_size(h, self._t0)
+        step = arguments.step_size(h, self._t0)
         self._how = (
             arguments.choice(consistent, "consistent", CONSISTENCY), self.scheme._initial(initial)
         )  # fmt: skip
@@ -79,7 +78,7 @@ class Stepper:
         )
         self._x0 = np.concatenate(geometry.initial(system, q0, v0))
         self._handle = started_stepper(
-            system, self.scheme, self._x0, t0=self._t0, h=self.h, consistency=self._how[0],
+            system, self.scheme, self._x0, t0=self._t0, h=step, consistency=self._how[0],
             initial=self._how[1], options=options,
         )  # fmt: skip
         self._u = np.zeros(len(system.inputs))
@@ -111,6 +110,8 @@ class Stepper:
         """
         if inputs is not None:
             self._set(inputs)
+        if steps < 0:
+            raise ValueError(f"steps = {steps}: expected at least 0")
         raised.exception = None
         status = lib.dal_advance(self._handle, steps, self._c_mean, self._done)
         if status:
@@ -127,6 +128,11 @@ class Stepper:
         u[:] = inputs if is_plain else one_row(inputs, self.system.inputs)
         if lib.dal_stepper_input(self._handle, self._c_u):
             arguments.inputs(inputs, self.system.inputs, 1)  # which says what is wrong
+
+    @property
+    def h(self) -> float:
+        """The step; after `restore` that of what was saved."""
+        return float(lib.dal_stepper_h(self._handle))
 
     @property
     def x(self) -> Array:

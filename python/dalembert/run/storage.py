@@ -56,7 +56,7 @@ def save(run: Solution, path: str | os.PathLike[str]) -> None:
         >>> run = dal.integrate(dal.systems.particle(), h=0.1, steps=10)
         >>> run.save(os.path.join(tempfile.mkdtemp(), "run.csv"))
         """
-    target = Path(path)
+    target = Path(os.fsdecode(path))
     if target.suffix not in SUFFIXES:
         raise ValueError(f"path = {str(target)!r}: expected a name that ends in .npz, .nc or .csv")
     files.require_writable(target)
@@ -112,7 +112,7 @@ def load(path: str | os.PathLike[str], system: System | None = None) -> Solution
     >>> bool((dal.load(path).x == run.x).all())
     True
     """
-    target = Path(path)
+    target = Path(os.fsdecode(path))
     if is_journal(target):
         journal = Journal.open(path)
         try:

@@ -290,6 +290,7 @@ def test_a_controller_that_fails(cart):
     [
         ({"inputs": np.zeros((5, 2))}, "inputs: expected shape"),
         ({"inputs": lambda t, q, v: [1.0]}, "inputs: expected shape"),
+        ({"inputs": lambda t, q, v: None}, r"inputs has to return shape \(2,\), it returned None"),
         ({"inputs": lambda t, q, v: np.array([1.0, np.inf])}, r"step 1 \(t = 0\): u\[1\] = inf"),
         ({"inputs": lambda t, q, v: np.ones(3)}, "inputs has to return shape"),
         ({"inputs": lambda t: [1.0, 1.0]}, r"expected one of \(t, q, v\)"),
@@ -389,3 +390,14 @@ def test_a_step_that_fails_leaves_no_reaction():
     with pytest.raises(RuntimeError, match="no more"):
         stepper.step(steps=3)
     assert np.isnan(stepper.reaction).all() and np.array_equal(stepper.x, before)
+
+
+def test_a_restored_step_size():
+    one, other = (dal.Stepper(from_sympy(), h=h) for h in (0.1, 0.2))
+    one.step(steps=3)
+    other.restore(one.save())
+    t = other.t
+    other.step()
+    assert other.h == 0.1 and other.t - t == pytest.approx(0.1) and "h = 0.1" in repr(other)
+    with pytest.raises(ValueError, match="steps = -1: expected at least 0"):
+        other.step(steps=-1)

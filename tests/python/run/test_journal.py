@@ -166,8 +166,95 @@ def test_longer(tmp_path):
     assert_same(dal.resume(path, t_end=2), dal.integrate(system, h=0.01, t_end=2))
     assert_same(dal.resume(path, steps=300), whole)
     assert_same(dal.load(path), whole)
-    with pytest.raises(ValueError, match="has 300 steps of the run, and steps = 100"):
-        dal.resume(path, steps=100)
+    for steps in (100, 299):
+        with pytest.raises(ValueError, match=f"has 300 steps of the run, and steps = {steps}"):
+            dal.resume(path, steps=steps)
+
+
+def test_an_event_in_the_first_step(tmp_path):
+    """Nobody has looked at the events when the first snapshot is made."""
+    point = dal.System(mass=[1.0], q0=[0], v0=[1])
+    near = dal.Event(lambda t, q, v: q[0] - 0.04, reset=lambda q, v: (q, -v))
+    path = tmp_path / "run.dal"
+    dal.integrate(point, events=[near], journal=path, h=0.1, steps=0, stride=50)
+    run = dal.resume(path, point, events=[near], steps=100)
+    assert_same(run, dal.integrate(point, events=[near], h=0.1, steps=100, stride=50))
+    np.testing.assert_allclose(run.q[:, 0], [0, -4.92, -9.92], atol=1e-12)
+
+
+def test_other_event_functions(tmp_path):
+    """An event that has another value than when it was saved is another one."""
+    point = dal.System(mass=[1.0], q0=[0], v0=[1])
+    path = tmp_path / "run.dal"
+    first = [lambda t, q, v: q[0] - 5.5]
+    dal.integrate(point, h=0.1, steps=10, events=first, journal=path)
+    for other in (0.85, -1.0, 5.4):
+        with pytest.raises(ValueError, match=r"event 0 is .* at t = 1, and was -4.5 when it was"):
+            dal.resume(path, point, events=[lambda t, q, v: q[0] - other], steps=30)
+    assert dal.resume(path, point, events=first, steps=60).t_events[0] == pytest.approx([5.5])
+
+
+def test_an_end_before_the_first_output_time(tmp_path):
+    point = dal.System(mass=[1.0], q0=[3], v0=[1])
+    end = dal.Event(lambda t, q, v: q[0] - 4, terminal=True)
+    path = tmp_path / "run.dal"
+    options = {"h": 0.1, "steps": 100, "events": [end]}
+    run = dal.integrate(point, **options, t_eval=[5, 6], journal=path)
+    np.testing.assert_allclose(run.t, [1.0])
+    np.testing.assert_allclose(run.x, [[4.0, 1.0]])
+    some = dal.integrate(point, **options, t_eval=[0.2, 0.5, 5])
+    np.testing.assert_allclose(some.t, [0.2, 0.5, 1.0])
+    np.testing.assert_allclose(some.q[:, 0], [3.2, 3.5, 4.0])
+    assert_same(dal.load(path, point), run)
+    assert_same(dal.resume(path, point, events=[end]), run)
+    for suffix in (".npz", ".nc", ".csv"):
+        run.save(tmp_path / f"run{suffix}")
+    assert_same(dal.load(tmp_path / "run.npz", point), run)
+
+    def stop(step, t, q, v):
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError) as caught:
+        dal.integrate(point, h=0.1, steps=100, t_eval=[5], journal=tmp_path / "b", observer=stop)
+    np.testing.assert_array_equal(caught.value.partial.x, [[3, 1]])
+    found = dal.load(tmp_path / "b", point)
+    np.testing.assert_array_equal(found.x, [[3, 1]])
+    assert found.t == [0]
+
+
+def test_an_exception_within_a_composed_step(tmp_path):
+    """What a step that failed has left in the predictor is in no snapshot."""
+    limit = [np.inf]
+
+    def pushed(t, q, v):
+        if t > limit[0]:
+            raise KeyError
+        return [-0.1 * v[0], -q[1], 0.2 * np.cos(t)]
+
+    system = dal.System(
+        mass=[1, 1, 1], forms=forms, q0=[0, 0, 0.3], v0=[np.cos(0.3), np.sin(0.3), 0.7],
+        force=pushed,
+    )  # fmt: skip
+    whole = dal.integrate(system, "leapfrog-suzuki4", h=0.1, steps=40)
+    for k, at in enumerate(np.linspace(0.05, 3.5, 24)):
+        path, limit[0] = tmp_path / f"{k}.dal", at
+        with pytest.raises(KeyError):
+            dal.integrate(system, "leapfrog-suzuki4", h=0.1, steps=40, journal=path)
+        limit[0] = np.inf
+        assert_same(dal.resume(path, system), whole)
+
+
+def test_an_interrupt_between_two_calls_saves(tmp_path):
+    path = tmp_path / "run.dal"
+
+    def interrupt(done, total):
+        if done > 1000:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        dal.integrate(dal.systems.sleigh(), h=0.01, steps=10**6, journal=path, progress=interrupt)
+    info = journals.Journal.open(path).info
+    assert info.done == info.records - 1 > 1000
 
 
 def test_a_loaded_run_stays_in_the_file(tmp_path):
@@ -180,6 +267,23 @@ def test_a_loaded_run_stays_in_the_file(tmp_path):
     np.testing.assert_array_equal(found.x, run.x)
     copy = pickle.loads(pickle.dumps(found))
     np.testing.assert_array_equal(copy.x, run.x)
+
+
+def test_a_run_that_has_made_nothing(tmp_path):
+    """It is where it begins."""
+    def refuse(step, t, q, v):
+        raise RuntimeError
+
+    path = tmp_path / "run.dal"
+    system = dal.systems.sleigh()
+    with pytest.raises(RuntimeError):
+        dal.integrate(system, h=0.1, steps=4, t0=2.0, journal=path, observer=refuse)
+    content = path.read_bytes()
+    path.write_bytes(content[: journals.Journal.open(path).info.begin])
+    found = dal.load(path)
+    assert found.t == [2.0] and "0 of 4 steps" in found.message
+    np.testing.assert_array_equal(found.x, dal.integrate(system, h=0.1, steps=0).x)
+    assert_same(dal.resume(path), dal.integrate(system, h=0.1, steps=4, t0=2.0))
 
 
 def test_a_journal_is_read_while_it_is_written(tmp_path):
@@ -364,6 +468,9 @@ def test_refused_files(tmp_path):
         dal.load(other)
     with pytest.raises(ValueError, match="is not the journal of a run"):
         dal.resume(other)
+    for name in ("", "a\0b"):
+        with pytest.raises(ValueError, match="journal = .*: expected the name of a file"):
+            dal.integrate(system, h=0.1, steps=2, journal=name)
     with pytest.raises(ValueError, match="journal_errors = 'no'"):
         dal.integrate(system, h=0.1, steps=2, journal=tmp_path / "b", journal_errors="no")
     with pytest.raises(NotImplementedError, match="cannot be resumed"):
