@@ -717,12 +717,13 @@ static void test_failures(void)
     CHECK(dal_events_new(&none, stepper, &midpoint, list, 1, &error) == DAL_EINVAL
           && strcmp(error.text, "list[0].g is NULL") == 0);
     CHECK(none == NULL);
-    double values[4];
+    double values[5];
+    CHECK(dal_events_saved(events) == 5);
     dal_events_save(events, values);
-    CHECK(dal_events_restore(events, values, 3, &error) == DAL_EINVAL);
-    values[0] = 0.5;
     CHECK(dal_events_restore(events, values, 4, &error) == DAL_EINVAL);
-    CHECK(dal_events_restore(NULL, values, 4, &error) == DAL_EINVAL);
+    values[0] = 0.5;
+    CHECK(dal_events_restore(events, values, 5, &error) == DAL_EINVAL);
+    CHECK(dal_events_restore(NULL, values, 5, &error) == DAL_EINVAL);
 
     dal_stepper *const second = started(system, "midpoint", 0.0, 0.1, start);
     double times[] = {0.3, 0.2}, at[12];
