@@ -291,6 +291,17 @@ static inline void mixing(size_t m, const double *q, double *B, size_t j, double
     }
 }
 
+/* The constraint of a blade in the plane, q = (x, y, heading). */
+static inline int blade(double t, const double *q, const double *v, double *phi, double *phi_v,
+                        double *phi_q, double *phi_t, void *ctx)
+{
+    const double sine = sin(q[2]), cosine = cos(q[2]);
+    if (phi) *phi = sine * v[0] - cosine * v[1];
+    if (phi_v) memcpy(phi_v, (double[]){sine, -cosine, 0.0}, 3 * sizeof *phi_v);
+    if (phi_q) memcpy(phi_q, (double[]){0.0, 0.0, cosine * v[0] + sine * v[1]}, 3 * sizeof *phi_q);
+    return 0;
+}
+
 /* ctx is the dal_system whose forms are mixed. */
 static inline int mixed_constraint(double t, const double *q, const double *v, double *phi,
                                    double *phi_v, double *phi_q, double *phi_t, void *ctx)

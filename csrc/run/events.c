@@ -358,13 +358,13 @@ static int prepare(dal_events *e, dal_run *run)
     move(e, -e->shift, motion->x, e->begin);
     for (size_t i = 0; !status && !(same && e->valued) && i < e->count; i++) {
         guard *const g = &e->guards[i];
-        const double before = g->begin;
-        status = dal__event_value(e, i, e->t, e->begin, &g->begin);
-        if (!status && same && fabs(g->begin - before) > SAME * g->size)
+        double now;
+        status = dal__event_value(e, i, e->t, e->begin, &now);
+        if (!status && same && fabs(now - g->begin) > SAME * g->size)
             status = dal__fail(e->error, DAL_EINVAL, "event %zu is %g at t = %g, and was %g when "
-                               "it was saved: it is another one", i, g->begin, e->t, before);
-        if (status || same) continue;
-        *g = (guard){.side = dal__sign(g->begin), .size = fabs(g->begin), .begin = g->begin};
+                               "it was saved: it is another one", i, now, e->t, g->begin);
+        if (status || same) continue; /* the value that was saved has the bits of that run */
+        *g = (guard){.side = dal__sign(now), .size = fabs(now), .begin = now};
     }
     if (status) return status;
     memcpy(e->last, motion->x, N * sizeof *e->last);
@@ -475,7 +475,7 @@ int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made)
     return status;
 }
 
-void dal__events_rest(dal_run *run)
+void dal__events_no_steps(dal_run *run)
 {
     const size_t N = 2 * run->stepper->mech.n;
     for (; run->timed < run->time_count; run->timed++)

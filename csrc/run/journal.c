@@ -13,8 +13,6 @@ enum { DOUBTS = 4, UNSEEN = 4096 };
 
 static size_t quotient_up(size_t a, size_t b) { return a / b + (a % b > 0); }
 
-static size_t hold_of(const dal_run *run) { return run->hold > 0 ? run->hold : 1; }
-
 static size_t inputs_of(const dal_run *run)
 {
     return run->inputs ? run->stepper->motion.system->def.inputs : 0;
@@ -24,13 +22,13 @@ static size_t inputs_of(const dal_run *run)
 static dal__head head_of(const dal_run *run)
 {
     const dal_stepper *const stepper = run->stepper;
-    const size_t m = stepper->mech.m, holds = quotient_up(run->stride, hold_of(run));
+    const size_t m = stepper->mech.m, holds = quotient_up(run->stride, dal__hold(run));
     const size_t events = run->events ? run->events->count : 0;
     const size_t guards = run->events ? dal_events_saved(run->events) : 0;
     dal__head head = {
         .has_rows = run->x || run->inputs || !run->times, .has_times = run->times != NULL,
         .n = stepper->mech.n, .m = m, .inputs = inputs_of(run), .stride = run->stride,
-        .hold = hold_of(run), .holds = holds, .events = events};
+        .hold = dal__hold(run), .holds = holds, .events = events};
     head.snapshot =
         dal_stepper_saved(stepper) + guards + DOUBTS + m + dal__times(holds, head.inputs);
     return head;
@@ -39,7 +37,7 @@ static dal__head head_of(const dal_run *run)
 /* The rows of inputs whose steps begin since the last row of the run: *count from *first on. */
 static void pending_inputs(const dal_run *run, size_t steps, size_t *first, size_t *count)
 {
-    const size_t hold = hold_of(run), row = run->stored > 0 ? run->stored - 1 : 0;
+    const size_t hold = dal__hold(run), row = run->stored > 0 ? run->stored - 1 : 0;
     *first = quotient_up(row * run->stride, hold);
     *count = quotient_up(steps, hold) - *first;
 }
@@ -145,31 +143,44 @@ static bool is_due(const dal_journal *self)
     return now - self->saved_at >= self->seconds || now < self->saved_at;
 }
 
+static int take_snapshot(const dal_run *run)
+{
+    dal_journal *const self = run->journal;
+    int status = self->error.status ? DAL_SUCCESS : save(run);
+    if (!status) status = dal__journal_save(self);
+    return refuse(run, status);
+}
+
+int dal__journal_begin(const dal_run *run)
+{
+    if (!run->journal || !run->journal->failed) return DAL_SUCCESS;
+    run->journal->failed = false;
+    return take_snapshot(run);
+}
+
 int dal__journal_look(const dal_run *run, size_t made)
 {
     dal_journal *const self = run->journal;
     self->unseen += made;
     if (self->unseen < UNSEEN) return DAL_SUCCESS;
     self->unseen = 0;
-    if (self->error.status || !is_due(self)) return DAL_SUCCESS;
-    const int status = save(run);
-    return status ? status : refuse(run, dal__journal_save(self));
+    return is_due(self) ? take_snapshot(run) : DAL_SUCCESS;
 }
 
-int dal__journal_pause(const dal_run *run, bool allowed, bool over)
+int dal__journal_pause(const dal_run *run, int status)
 {
     dal_journal *const self = run->journal;
-    const bool saves = allowed && !self->error.status && (over || is_due(self));
-    int status = saves ? save(run) : DAL_SUCCESS;
-    if (!status) status = saves ? dal__journal_save(self) : dal__journal_flush(self);
-    return refuse(run, status);
+    const bool is_over = status == DAL_STOPPED || run->done == run->steps;
+    self->failed = status < 0;
+    if (status >= 0 && (is_over || is_due(self))) return take_snapshot(run);
+    return refuse(run, dal__journal_flush(self));
 }
 
 int dal_journal_save(dal_run *run)
 {
     if (!run || !run->stepper) return DAL_EINVAL;
     const int status = dal__run_check(run);
-    return status || !run->journal ? status : dal__journal_pause(run, true, true);
+    return status || !run->journal ? status : take_snapshot(run);
 }
 
 /* ---- making, opening, reading -------------------------------------------------------------- */

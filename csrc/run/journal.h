@@ -52,6 +52,7 @@ struct dal_journal {
     size_t written;          /* of them are in the file */
     size_t expected;         /* records that the file has; the run is to make them again */
     size_t unseen;           /* steps since the time was looked at */
+    bool failed;             /* the last call of dal_run_go */
     size_t cut;
     bool is_written;         /* by another process, when it was opened to be read */
     dal__mark mark;          /* of the last snapshot, and its numbers */

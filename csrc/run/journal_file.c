@@ -111,8 +111,12 @@ static int read_at(int file, const char *path, size_t where, void *bytes, size_t
 
 static size_t doubles(size_t count) { return dal__times(count, sizeof(double)); }
 
-static size_t plus(size_t a, size_t b) { return a > SIZE_MAX / 4 || b > SIZE_MAX / 4 ? SIZE_MAX / 4
-                                                                                     : a + b; }
+/* a + b, or more than there is memory. */
+static size_t plus(size_t a, size_t b)
+{
+    const size_t most = SIZE_MAX / 4;
+    return a > most || b > most ? most : a + b;
+}
 
 int dal__journal_allocate(dal_journal **journal, const char *path, const dal__head *head,
                           const void *description, dal_error *error)

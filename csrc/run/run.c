@@ -43,14 +43,12 @@ static int store(dal_run *run)
                                                     motion->x, run->observer_ctx));
 }
 
-static size_t hold_of(const dal_run *run) { return run->hold > 0 ? run->hold : 1; }
-
 /* Where the inputs change, those of the steps that follow. */
 static int hand_inputs(const dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
     const dal_motion *const motion = &stepper->motion;
-    const size_t width = motion->system->def.inputs, hold = hold_of(run);
+    const size_t width = motion->system->def.inputs, hold = dal__hold(run);
     if (!run->inputs || run->done % hold > 0) return DAL_SUCCESS;
     double *const u = run->inputs + run->done / hold * width;
     int status = DAL_SUCCESS;
@@ -100,11 +98,12 @@ int dal_run_go(dal_run *run, size_t budget)
     int status = dal__run_check(run);
     if (status) return status;
     if (run->ended) return DAL_STOPPED;
-    if (is_due(run)) status = store(run);
+    status = dal__journal_begin(run);
+    if (!status && is_due(run)) status = store(run);
     motion->watch = run->watch;
     motion->watch_ctx = run->watch_ctx;
     while (!status && budget > 0 && run->done < run->steps) {
-        const size_t hold = hold_of(run), held = hold - run->done % hold;
+        const size_t hold = dal__hold(run), held = hold - run->done % hold;
         size_t made = 0, left = run->stride - run->done % run->stride;
         status = hand_inputs(run);
         if (status) break;
@@ -118,13 +117,11 @@ int dal_run_go(dal_run *run, size_t budget)
         if (!status && run->journal) status = dal__journal_look(run, made);
     }
     motion->watch = NULL;
-    if (!status && run->steps == 0) dal__events_rest(run);
+    if (!status && run->steps == 0) dal__events_no_steps(run);
     if (!status && run->done == run->steps) status = dal__stepper_look(run->stepper);
     if (!run->journal) return status;
     const dal_error error = run->stepper->error;
-    /* After a failure the predictor may have seen the step that failed: no snapshot of it. */
-    const bool is_over = status == DAL_STOPPED || (!status && run->done == run->steps);
-    const int kept = dal__journal_pause(run, status >= 0, is_over);
+    const int kept = dal__journal_pause(run, status);
     if (!status) return kept;
     run->stepper->error = error;
     return status;

@@ -13,9 +13,12 @@
  * *made <- whether the stepper has made the step. */
 int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made);
 /* The states at the times of a run that makes no steps. */
-void dal__events_rest(dal_run *run);
+void dal__events_no_steps(dal_run *run);
 /* DAL_EINVAL for what is wrong with the events and the times of a run. */
 int dal__events_check(const dal_run *run);
+
+/* For how many steps a row of inputs is. */
+static inline size_t dal__hold(const dal_run *run) { return run->hold > 0 ? run->hold : 1; }
 
 /* DAL_EINVAL for what is wrong with a run. */
 int dal__run_check(const dal_run *run);
@@ -28,10 +31,13 @@ int dal__journal_event(const dal_run *run, size_t event, size_t step, double t, 
 int dal__journal_times(const dal_run *run, size_t before);
 /* Where the reaction goes that only the journal wants, [m]; or NULL. */
 double *dal__journal_reaction(const dal_run *run);
-/* After some steps: a snapshot, if it is time for one.  At the end of a call: what is left, and, if
- * that is allowed, a snapshot where it is time for one, or the run is over. */
+/* Before steps that follow a failed one: a snapshot, for their predictor may have seen that. */
+int dal__journal_begin(const dal_run *run);
+/* After some steps: a snapshot, if it is time for one.  At the end of a call with a
+ * status: what is left, and, unless a step has failed, a snapshot if it is time for one, or the run
+ * is over. */
 int dal__journal_look(const dal_run *run, size_t made);
-int dal__journal_pause(const dal_run *run, bool allowed, bool over);
+int dal__journal_pause(const dal_run *run, int status);
 
 /* The status of a function of the user that watches the run, by this name. */
 int dal__heed(const dal_run *run, const char *name, int returned);

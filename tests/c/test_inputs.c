@@ -15,16 +15,6 @@ static const double start[6] = {0.3, -0.2, 0.4, 0.92106099400288508, 0.389418342
 static const double table[HOLDS * INPUTS] = {1.5, -0.8, 0.7, -2.0, 1.9, 0.0,
                                              0.4, 0.3,  -1.2, 3.0, -2.5, 2.2};
 
-static int blade(double t, const double *q, const double *v, double *phi, double *phi_v,
-                 double *phi_q, double *phi_t, void *ctx)
-{
-    const double sine = sin(q[2]), cosine = cos(q[2]);
-    if (phi) *phi = sine * v[0] - cosine * v[1];
-    if (phi_v) memcpy(phi_v, (double[]){sine, -cosine, 0.0}, N * sizeof *phi_v);
-    if (phi_q) memcpy(phi_q, (double[]){0.0, 0.0, cosine * v[0] + sine * v[1]}, N * sizeof *phi_q);
-    return 0;
-}
-
 /* ctx: NULL, or how wrong f_q is, in units of u0. */
 static int motors(double t, const double *q, const double *v, const double *u, double *f,
                   double *f_q, double *f_v, void *ctx)

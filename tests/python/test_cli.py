@@ -388,6 +388,9 @@ system = dal.System(mass=[1, 1, 1], force=fails, q0=[0, 1, 0], v0=[1, 1, 1])
     [
         (["run", "sleigh", "--h", "0.1"], "one of the arguments --t-end --steps is required"),
         (["run", "sleigh", "--steps", "3"], "the following arguments are required: --h"),
+        (["run", "sleigh", "--h", "0.1", "--steps", "3", *["--parameter", "a=1"] * 2],
+         "--parameter a: expected once"),
+        (["resume", "run.dal", "--parameter", "a=1"], "--parameter without MODEL"),
         (["run", "slegh", "--h", "0.1", "--steps", "3"], "did you mean 'sleigh'?"),
         (["run", "sleigh", "--h", "0.1", "--steps", "3", "--output", "a.txt"], "ends in .npz"),
         (["export", "none.dal", "a.csv"], "none.dal: No such file or directory"),

@@ -196,11 +196,7 @@ def _list_of(kind: type) -> Callable[[str], list[Any]]:
 
 
 def _study(given: argparse.Namespace) -> int:
-    parameters = dict(given.parameter)
-    for name in parameters:
-        if sum(name == other for other, _ in given.parameter) > 1:
-            raise ValueError(f"--parameter {name}: expected once, it is there more often")
-    system = systems.get(given.system, **parameters)
+    system = systems.get(given.system, **runs.parameters(given))
     output = _output(given)
     if sys.stderr.isatty() and (missing := [x for x in ("rich", "tqdm") if not extras.is_there(x)]):
         _say(given, f"for colours and a progress bar: pip install {' '.join(missing)}")

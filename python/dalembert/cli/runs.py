@@ -103,8 +103,20 @@ def model(text: str, parameters: dict[str, float]) -> System:
     return found.with_parameters(**parameters) if parameters else found
 
 
+def parameters(given: argparse.Namespace) -> dict[str, float]:
+    """Return the values of ``--parameter``; ValueError if one is there twice."""
+    found = dict(given.parameter)
+    for name in found:
+        if sum(name == other for other, _ in given.parameter) > 1:
+            raise ValueError(f"--parameter {name}: expected once, it is there more often")
+    return found
+
+
 def _system(given: argparse.Namespace) -> System | None:
-    return None if given.model is None else model(given.model, dict(given.parameter))
+    values = parameters(given)
+    if given.model is None and values:
+        raise ValueError("--parameter without MODEL: those of a system of the library are in FILE")
+    return None if given.model is None else model(given.model, values)
 
 
 def _progress() -> bool:
@@ -134,7 +146,7 @@ def _finish(given: argparse.Namespace, make: Callable[[], Solution], journal: Pa
 
 
 def _run(given: argparse.Namespace) -> int:
-    system = model(given.model, dict(given.parameter))
+    system = model(given.model, parameters(given))
     return _finish(given, lambda: integrate(
         system, given.scheme, given.q0, given.v0, h=given.h, t_end=given.t_end,
         steps=given.steps, t0=given.t0, stride=given.stride, initial=given.initial,

@@ -194,9 +194,7 @@ def make(kind: str, *arguments: Any, owner: Any = None) -> Any:
 def adopt(kind: str, new: Callable[..., int], *arguments: Any, owner: Any = None) -> Any:
     """As :func:`make`, for a constructor of another name."""
     slot, error = ffi.new(f"dal_{kind} **"), ffi.new("dal_error *")
-    status = attempt(new, slot, *arguments, error)
-    if status < 0:
-        verify(status, error)
+    verify(attempt(new, slot, *arguments, error), error)
     free = getattr(lib, f"dal_{kind}_free")
 
     def release(handle: Any, _owner: Any = owner) -> None:

@@ -116,7 +116,7 @@ class Handle(Constant):
     v0: Array | None
     differenced: tuple[str, ...]
     _model: Any = None  # the expressions that it was made from
-    identity: Any  # what tells it from others, for JSON
+    _identity: Any  # what tells it from others, for JSON
 
     def _adopt(self, handle: Any) -> None:
         """Take over a C system, and read what it says."""

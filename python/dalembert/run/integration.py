@@ -193,19 +193,17 @@ def integrate(
     stepper = started_stepper(
         system, chosen, x0, t0=t0, h=h, consistency=consistency, initial=start, options=options
     )
-    watch = None
-    if listed or times is not None:
-        watch = Watch(system, stepper, chosen, listed, times)
-    with extras.progress(progress, steps, "step") as show:
-        run = Run(
-            system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=observer,
-            show=show, inputs=inputs, hold=hold, watch=watch,
-        )  # fmt: skip
+
+    def begin(run: Run) -> None:
         if journal is not None:
             about = describe(system, chosen, run, options.max_iterations)
             run.journal = Journal.create(journal, run, chosen, about, journal_errors)
-        run.make()
-    return _finish(run, throw)
+
+    return _make(
+        begin, progress, throw, system, record, stepper, t0=t0, h=h, steps=steps, stride=stride,
+        observer=observer, inputs=inputs, hold=hold,
+        watch=Watch.of(system, stepper, chosen, listed, times),
+    )  # fmt: skip
 
 
 def resume(
@@ -291,22 +289,21 @@ def resume(
     c_record, kept = record._record_of(system)
     stepper = core.make("stepper", system._handle, c_record, options, owner=(system._handle, kept))
     times = journal.times()
-    watch = None
-    if listed or times is not None:
-        watch = Watch(system, stepper, record, listed, times)
+    return _make(
+        journal.resume, progress, throw, system, record, stepper, t0=t0, h=h, steps=steps,
+        stride=stride, observer=observer, inputs=inputs, hold=int(info.hold),
+        watch=Watch.of(system, stepper, record, listed, times),
+    )  # fmt: skip
+
+
+def _make(
+    begin: Callable[[Run], None], progress: Progress, throw: bool, *of: Any, steps: int, **how: Any
+) -> Solution:
+    """Return what a `Run` of these arguments has made, or raise what ended it, with that."""
     with extras.progress(progress, steps, "step") as show:
-        run = Run(
-            system, record, stepper, t0=t0, h=h, steps=steps, stride=stride, observer=observer,
-            show=show, inputs=inputs, hold=int(info.hold), watch=watch,
-        )  # fmt: skip
-        run.x[0] = about["system"]["state"]
-        journal.resume(run)
+        run = Run(*of, steps=steps, show=show, **how)
+        begin(run)
         run.make()
-    return _finish(run, throw)
-
-
-def _finish(run: Run, throw: bool) -> Solution:
-    """Return what a run has made, or raise what ended it, with what it has made."""
     solution, error = run.solution(), run.error
     if error is None:
         _warn(solution, run.watch)

@@ -54,7 +54,7 @@ def of_system(system: System, x: Array, t: float) -> dict[str, Any]:
         "coordinates": list(system.coordinates),
         "inputs": list(system.inputs),
         "of_library": system._source.of_library,
-        "identity": system.identity,
+        "identity": system._identity,
         "state": x.tolist(),
         "t": t,
         "field": field,
@@ -77,7 +77,7 @@ def require_same(system: System | None, about: Mapping[str, Any], path: str) -> 
         there = ", ".join(f"{key} = {x!r}" for key, x in other.items())
         here = ", ".join(f"{key} = {system.parameters[key]!r}" for key in other)
         raise ValueError(f"system: {path} is of one with {there}, this has {here}")
-    if json.loads(json.dumps(system.identity)) != about["identity"]:
+    if json.loads(json.dumps(system._identity)) != about["identity"]:
         raise ValueError(f"system: {path} is of another one, {name!r}, than {system!r}")
     field, x = about["field"], np.array(about["state"])
     if field is not None:
@@ -152,7 +152,7 @@ class Journal:
             warnings.warn(
                 f"{name}: its last {journal.info.cut} bytes are no whole record, as a run leaves "
                 "that was killed, or damaged; they are left out",
-                DalembertWarning, stacklevel=4,
+                DalembertWarning, stacklevel=3,
             )  # fmt: skip
         return journal
 
@@ -176,6 +176,7 @@ class Journal:
 
     def resume(self, run: Run) -> None:
         """Bring a run to where the last snapshot has left it."""
+        run.x[0] = self.about["system"]["state"]  # of output times, C has no rows
         error = ffi.new("dal_error *")
         status = core.attempt(lib.dal_journal_resume, self._handle, run.run, error)
         core.verify(status, error, run.system.kind)
@@ -188,7 +189,7 @@ class Journal:
             self._tells = False
             warnings.warn(
                 f"the run goes on without its journal: {core.words(error)}", DalembertWarning,
-                stacklevel=4,
+                stacklevel=5,
             )  # fmt: skip
 
     def close(self, run: Any = None, saves: bool = False) -> None:
@@ -214,38 +215,36 @@ class Journal:
             return np.zeros(0, kind)
         return np.memmap(self.path, kind, "r", int(info.begin), (count,))
 
-    def solution(self, system: System | None) -> Solution:
+    def solution(self, system: System | None, scheme: Scheme | None) -> Solution:
         """Return the run as far as it is in the file, whose states stay there."""
-        system, scheme, info = self.system(system), self.scheme(), self.info
+        system, scheme, info = self.system(system), self.scheme(scheme), self.info
         t0, h, stride = float(info.t0), float(info.h), int(info.stride)
         records = self.records()
         kinds = records["kind"]
-        is_row = (kinds == lib.DAL_RECORD_ROW) | (kinds == lib.DAL_RECORD_END)
-        steps = rows = records if is_row.all() else records[is_row]
-        ended = bool((kinds == lib.DAL_RECORD_END).any())
-        x = rows["x"]
-        if info.has_times:
-            rows = records[(kinds == lib.DAL_RECORD_TIME) | (kinds == lib.DAL_RECORD_END)]
-            x = rows["x"]
-        times = np.array(rows["t"]) if ended or info.has_times else None
-        if len(rows) == 0:  # it has not come to an output time, or anywhere
+        is_end = kinds == lib.DAL_RECORD_END
+        is_row = is_end | (kinds == lib.DAL_RECORD_ROW)
+        rows = records if is_row.all() else records[is_row]
+        states = records[is_end | (kinds == lib.DAL_RECORD_TIME)] if info.has_times else rows
+        ended = bool(is_end.any())
+        x, reactions, times = states["x"], states["reaction"][1:], None
+        if len(states) == 0:  # it has not come to an output time, or anywhere
             x = np.array([self.about["system"]["state"]])
-            times = np.array([t0]) if info.has_times else None
-        if ended and not info.has_times:
-            times = t0 + np.arange(len(rows)) * stride * h
-            times[-1] = rows["t"][-1]
-        none = np.full((len(x) - 1, system.m), np.nan)
-        done = max(int(info.done), (len(steps) - 1 - ended) * stride)
+        if info.has_times:
+            times = np.array(states["t"]) if len(states) else np.array([t0])
+            reactions = np.full((len(x) - 1, system.m), np.nan)
+        elif ended:
+            times = np.append(t0 + np.arange(len(rows) - 1) * stride * h, rows["t"][-1])
+        done = max(int(info.done), (len(rows) - 1 - ended) * stride)
         over = ended or done >= info.steps
-        end = rows["t"][-1] if ended else t0 + done * h
+        end = states["t"][-1] if ended else t0 + done * h
         words = f"{done} steps" if over else f"{done} of {info.steps} steps"
         happened = dict(zip(("t_events", "x_events", "x_after"), split(*self._events(records))))
         return Solution(
             system=system, scheme=scheme, t0=t0, h=h, stride=stride, x=x, times=times,
-            reactions=none if info.has_times or len(rows) == 0 else rows["reaction"][1:],
+            reactions=reactions,
             status=lib.DAL_SUCCESS if over and not ended else lib.DAL_STOPPED,
             message=f"{words} to t = {end:g}, from {self.path}",
-            inputs=self._inputs(steps, done + ended), hold=int(info.hold),
+            inputs=self._inputs(rows, done + ended), hold=int(info.hold),
             stats=Statistics(steps=done, worst_residual=np.nan), **happened,
         )  # fmt: skip
 

@@ -192,13 +192,15 @@ class Solution(Mapping[str, Any]):
         """Return the solution of a run of this library, whose arrays are as they have to be."""
         self = cls.__new__(cls)
         self.__dict__.update(_DEFAULTS | given, _computed={})
-        for name in ("x", "reactions", "inputs", "times"):
-            if self.__dict__[name] is not None:
-                _read_only(self.__dict__[name])
-        for name in ("t_events", "x_events", "x_after"):
-            for array in self.__dict__[name]:
-                _read_only(array)
+        self._freeze()
         return self
+
+    def _freeze(self) -> None:
+        """Make the arrays read-only."""
+        events = *self.t_events, *self.x_events, *self.x_after
+        for array in (self.x, self.reactions, self.inputs, self.times, *events):
+            if array is not None:
+                _read_only(array)
 
     def __post_init__(self) -> None:
         require_system(self.system)
@@ -227,9 +229,10 @@ class Solution(Mapping[str, Any]):
         if self.times is not None:
             arrays["times"] = arguments.array(self.times, "times", (len(x),))
         for name, array in arrays.items():
-            object.__setattr__(self, name, _read_only(array[:]))
+            object.__setattr__(self, name, array[:])
         for name in ("t_events", "x_events", "x_after"):
-            object.__setattr__(self, name, tuple(map(_read_only, getattr(self, name))))
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        self._freeze()
 
     @property
     def success(self) -> bool:

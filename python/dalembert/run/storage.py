@@ -79,7 +79,9 @@ def save(run: Solution, path: str | os.PathLike[str]) -> None:
     files.replace(target.resolve(), content)
 
 
-def load(path: str | os.PathLike[str], system: System | None = None) -> Solution:
+def load(
+    path: str | os.PathLike[str], system: System | None = None, scheme: Scheme | None = None
+) -> Solution:
     """Return the run in a file: a journal, or what `Solution.save` has written; it runs nothing.
 
     The states of a journal stay in the file and are mapped from there.
@@ -89,6 +91,8 @@ def load(path: str | os.PathLike[str], system: System | None = None) -> Solution
     path : str or path
     system : System, optional
         That of the run; not needed for one that comes with the library.
+    scheme : Scheme, optional
+        That of the run; needed if it has code in it, as maps of one's own.
 
     Raises
     ------
@@ -116,7 +120,7 @@ def load(path: str | os.PathLike[str], system: System | None = None) -> Solution
     if is_journal(target):
         journal = Journal.open(path)
         try:
-            return journal.solution(system)
+            return journal.solution(system, scheme)
         finally:
             journal.close()
     with open(target, "rb") as file:
@@ -143,7 +147,10 @@ def load(path: str | os.PathLike[str], system: System | None = None) -> Solution
         raise ValueError(
             f"{target}: neither the journal of a run nor what a run has saved, or it is damaged"
         ) from error
-    return _unpack(about, arrays, require_same(system, about["system"], str(target)))
+    if scheme is None and about["scheme"] is None:
+        raise ValueError(f"scheme: needed, that of {target} is made of functions")
+    found = require_same(system, about["system"], str(target))
+    return _unpack(about, arrays, found, scheme or Scheme._from_data(about["scheme"]))
 
 
 def _require_netcdf() -> Any:
@@ -177,11 +184,11 @@ def _pack(run: Solution) -> dict[str, Array]:
     return {"t": run.t} | {name: np.asarray(x) for name, x in found.items() if x is not None}
 
 
-def _unpack(about: dict[str, Any], arrays: dict[str, Array], system: System) -> Solution:
+def _unpack(
+    about: dict[str, Any], arrays: dict[str, Array], system: System, scheme: Scheme
+) -> Solution:
     """Return the run; arrays that are missing are empty."""
     n, m = system.n, system.m
-    if about["scheme"] is None:
-        raise ValueError("the scheme of the run is made of functions, which are not in the file")
     rows = len(arrays["x"])
     given: dict[str, Any] = {name: arrays.get(name) for name in _ARRAYS}
     if given["reactions"] is None:
@@ -192,7 +199,7 @@ def _unpack(about: dict[str, Any], arrays: dict[str, Array], system: System) -> 
         given[name] = tuple(arrays.get(f"{name}_{k}", np.zeros(shape)) for k in events)
     stats = about["stats"] | {"differenced": tuple(about["stats"]["differenced"])}
     return Solution(
-        system=system, scheme=Scheme._from_data(about["scheme"]), stats=Statistics(**stats),
+        system=system, scheme=scheme, stats=Statistics(**stats),
         **given, **{name: about[name] for name in _NUMBERS},
     )  # fmt: skip
 

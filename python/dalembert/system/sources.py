@@ -404,7 +404,7 @@ class Deformed(Source):
 
     def identity(self) -> Any:
         given = [name for name, function in self.named().items() if function is not None]
-        return ["deformed", self.base.identity, self.delta, given, self.kind]
+        return ["deformed", self.base._identity, self.delta, given, self.kind]
 
     def make(self) -> Made:
         base = self.base
@@ -429,7 +429,7 @@ class AtKeptNodes(Source):
     shift: float
 
     def identity(self) -> Any:
-        return ["at kept nodes", self.base.identity, self.shift]
+        return ["at kept nodes", self.base._identity, self.shift]
 
     def make(self) -> Made:
         new = lib.dal_system_deform_nodes

@@ -872,7 +872,7 @@ class System(Handle):
         return f"<System {self.name}({names}): n = {self.n}, m = {self.m}{traits}{parameters}>"
 
     @property
-    def identity(self) -> Any:
+    def _identity(self) -> Any:
         """What tells the system from others, as far as that can be told, for JSON.
 
         Of functions it is which are given, and the mass; of what they compute it has nothing.

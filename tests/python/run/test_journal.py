@@ -490,6 +490,11 @@ def test_a_scheme_made_of_functions(tmp_path):
     run = dal.integrate(dal.systems.particle(), scheme, h=0.1, steps=4, journal=path)
     with pytest.raises(ValueError, match="scheme: needed"):
         dal.resume(path)
+    run.save(tmp_path / "run.npz")
+    for file in (path, tmp_path / "run.npz"):
+        with pytest.raises(ValueError, match="scheme: needed"):
+            dal.load(file)
+        np.testing.assert_array_equal(dal.load(file, scheme=scheme).x, run.x)
     longer = dal.resume(path, scheme=scheme, steps=6)
     np.testing.assert_array_equal(longer.x[:5], run.x)
 
@@ -542,9 +547,10 @@ def test_a_file_that_vanishes(tmp_path):
 
     system = dal.systems.sleigh()
     whole = dal.integrate(system, h=0.01, steps=500)
-    with pytest.warns(dal.DalembertWarning, match="the file is no longer there"):
+    with pytest.warns(dal.DalembertWarning, match="the file is no longer there") as told:
         run = dal.integrate(system, h=0.01, steps=500, journal=path, observer=remove)
     assert_same(run, whole)
+    assert told[0].filename == __file__  # the line of the user is named
     with pytest.raises(dal.JournalError, match="the file is no longer there"):
         dal.integrate(
             system, h=0.01, steps=500, journal=path, observer=remove, journal_errors="stop"
@@ -557,9 +563,11 @@ def test_a_damaged_end(tmp_path):
     whole = dal.integrate(system, h=0.01, steps=50, journal=path)
     content = path.read_bytes()
     path.write_bytes(content[:-300])
-    with pytest.warns(dal.DalembertWarning, match="its last 52 bytes are no whole record"):
+    with pytest.warns(dal.DalembertWarning, match="its last 52 bytes are no whole record") as told:
         found = dal.load(path)
+    assert told[0].filename == __file__
     np.testing.assert_array_equal(found.x, whole.x[:47])
-    with pytest.warns(dal.DalembertWarning, match="its last 52 bytes"):
+    with pytest.warns(dal.DalembertWarning, match="its last 52 bytes") as told:
         assert_same(dal.resume(path), whole)
+    assert told[0].filename == __file__
     assert path.stat().st_size == len(content)
