@@ -188,6 +188,8 @@ typedef struct dal_system_def {
                                        constraints, and not time_dependent */
     int time_dependent;             /* 1: a callback besides the force depends on t; phi_t and L_vt
                                        are then asked for, and 0 otherwise */
+    int positional;                 /* 1: the force depends on t, q and u alone.  It enters steps
+                                       as V_q does; they call it with NaN for v, and without f_v */
 } dal_system_def;
 
 typedef struct dal_system dal_system;

@@ -1,6 +1,5 @@
 /* The family beta: beta-schemes one after the other (DAELd1, DAELd2, Facil), by the step routine of
- * kernel.h where the mass is constant, the constraints are linear and there is no force; by the
- * full Newton iteration else. */
+ * kernel.h, which leaves to the full Newton iteration what it does not solve. */
 #include "step/beta.h"
 
 #include <math.h>
@@ -16,22 +15,33 @@ typedef struct beta {
     dal_stage *stage;
     dal_motion *motion;
     double *scratch; /* [2n] of finish */
+    double *input;   /* [inputs] that V_q at the start of the next step is of */
     arena arena;
 } beta;
 
-/* A record as stages: one for each sub-step, but a pair (0, a), (1, b), a + b not 0, is one (see
- * kernel.h). */
-static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *stage)
+/* Whether momenta enter the steps: see momentum.h. */
+static bool has_momenta(const dal_system *system)
 {
+    return !system->mass || system->def.kind != DAL_LINEAR || dal__is_dragged(system);
+}
+
+/* A record as stages: one for each sub-step, but where there are no momenta a pair (0, a), (1, b),
+ * a + b not 0, is one (see kernel.h).  Of constant mass, stages without a force at q~' need no
+ * momenta either. */
+static size_t plan_stages(const dal_system *system, const dal_substep *substep, size_t count,
+                          dal_stage *stage)
+{
+    const bool momenta = has_momenta(system);
+    const bool all = !system->mass || system->def.kind != DAL_LINEAR;
     size_t stages = 0;
     double passed = 0.0; /* of the step */
     for (size_t j = 0; j < count; j++) {
         const double beta = substep[j].beta, f = substep[j].fraction;
-        const bool pair = j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0
+        const bool pair = !momenta && j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0
                           && f + substep[j + 1].fraction != 0.0;
         const double g = pair ? substep[++j].fraction : 0.0;
         dal_stage s = {.before = (1.0 - beta) * f, .after = beta * f + g, .span = f + g};
-        if (beta == 0.0) {
+        if (beta == 0.0 && !momenta) {
             s.node = f + g;
         } else {
             s.start = beta * f;
@@ -41,6 +51,7 @@ static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *s
         s.t_end = passed = j + 1 < count ? passed + s.span : 1.0;
         s.linear = s.after == 0.0;
         s.t_node = s.linear ? s.t_end : s.t_start + s.before;
+        s.momentum = momenta && (all || s.end != 0.0);
         stage[stages++] = s;
     }
     for (size_t j = 0; j < stages; j++)
@@ -48,36 +59,59 @@ static size_t plan_stages(const dal_substep *substep, size_t count, dal_stage *s
     return stages;
 }
 
-/* Weights of the parabola through the values at times t[0..2] at the time t; where these lie too
- * close together to extrapolate (compositions go back and forth), of the line through the last two,
- * or the last value. */
-static void extrapolate(const double times[3], double t, double weight[3])
+/* Which stages with momenta have the same beta; how many kinds there are.  Each is a sub-step. */
+static size_t plan_kinds(const dal_substep *substep, dal_stage *stage, size_t stages)
 {
-    const double most = 10.0;
-    const double a = t - times[0], b = t - times[1], c = t - times[2];
-    const double ab = times[0] - times[1], ac = times[0] - times[2], bc = times[1] - times[2];
-    const double parabola[3] = {b / ab * (c / ac), -a / ab * (c / bc), a / ac * (b / bc)};
-    const double line[3] = {b / ab, -a / ab, 0.0}, last[3] = {1.0, 0.0, 0.0};
-    const double *const choice[3] = {parabola, line, last};
-    for (int i = 0; i < 3; i++) {
-        memcpy(weight, choice[i], 3 * sizeof *weight);
-        if (fabs(weight[0]) + fabs(weight[1]) + fabs(weight[2]) <= most) return;
+    size_t kinds = 0;
+    for (size_t j = 0; j < stages; j++) {
+        if (!stage[j].momentum) continue;
+        stage[j].kind = kinds;
+        for (size_t i = 0; i < j; i++)
+            if (stage[i].momentum && substep[i].beta == substep[j].beta)
+                stage[j].kind = stage[i].kind;
+        if (stage[j].kind == kinds) kinds++;
+    }
+    return kinds;
+}
+
+/* weight[count] <- those of the polynomial through the values at times[count] at the time t; where
+ * these lie too close together to extrapolate (compositions go back and forth), of that through
+ * the first of them, the latest. */
+static void extrapolate(size_t count, const double *times, double t, double most, double *weight)
+{
+    for (size_t used = count; used > 0; used--) {
+        double sum = 0.0;
+        for (size_t i = 0; i < count; i++) {
+            weight[i] = i < used ? 1.0 : 0.0;
+            for (size_t j = 0; j < used; j++)
+                if (j != i && i < used) weight[i] *= (t - times[j]) / (times[i] - times[j]);
+            sum += fabs(weight[i]);
+        }
+        if (sum <= most) return;
     }
 }
 
-/* The pull of a stage, a change of velocity over its span, belongs to the time of its node. */
+/* The pull of a stage, a change of velocity over its span, belongs to the time of its node.  It is
+ * predicted from those of the stages of its kind before. */
 static void plan_predictions(dal_stage *stage, size_t stages)
 {
+    enum { PULLS = 3, CHANGES = 4 };
     for (size_t j = 0; j < stages; j++) {
-        double times[3], spans[3], start = 0.0; /* before the start of stage j */
-        for (size_t back = 1; back <= 3; back++) {
-            const dal_stage *s = stage + (j + 3 * stages - back) % stages;
-            start -= s->span;
-            times[back - 1] = start + s->before;
-            spans[back - 1] = s->span;
+        dal_stage *const s = stage + j;
+        double times[CHANGES], spans[CHANGES], start = 0.0; /* before the start of stage j */
+        for (size_t back = 1, found = 0; found < CHANGES; back++) {
+            const dal_stage *const other = stage + (j + CHANGES * stages * back - back) % stages;
+            start -= other->span;
+            if (other->momentum != s->momentum || other->kind != s->kind) continue;
+            times[found] = start + other->before;
+            spans[found++] = other->span;
         }
-        extrapolate(times, stage[j].before, stage[j].ahead);
-        for (int i = 0; i < 3; i++) stage[j].ahead[i] *= stage[j].span / spans[i];
+        extrapolate(PULLS, times, s->before, 10.0, s->ahead);
+        for (int i = 0; i < PULLS; i++) s->ahead[i] *= s->span / spans[i];
+        for (size_t count = 1; count <= CHANGES; count++) {
+            extrapolate(count, times, s->before, 20.0, s->past[count]);
+            for (size_t i = 0; i < count; i++) s->past[count][i] *= s->span / spans[i];
+        }
     }
 }
 
@@ -115,6 +149,19 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
     return DAL_SUCCESS;
 }
 
+/* What stages with momenta need. */
+static void reserve_momenta(dal_kernel *k, size_t n, size_t m, size_t kinds, arena *a)
+{
+    const size_t nn = dal__times(n, n);
+    dal_balance *const of = &k->balance;
+    DAL__RESERVE(a, n, &k->momentum, &of->reaction, &of->residual, &of->diagonal, &of->light,
+                 &of->L_v, &of->F);
+    DAL__RESERVE(a, nn, &of->L_vq, &of->L_vv, &of->F_q, &of->F_v);
+    DAL__RESERVE(a, m, &of->phi);
+    DAL__RESERVE(a, dal__times(dal__times(4, n), kinds), &k->history);
+    dal__reserve(a, &k->known, kinds, 1);
+}
+
 static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
 {
     const size_t mn = dal__times(m, n), mm = dal__times(m, m);
@@ -132,37 +179,39 @@ static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
     dal__reserve(a, &at->row, m, sizeof(size_t));
 }
 
-/* Whether kernel.h makes its steps; those of all others are newton's. */
-static bool has_step_routine(const dal_system *system)
-{
-    return system->mass && !system->def.force && system->def.kind == DAL_LINEAR;
-}
-
 /* Whether the step routine knows mu(q~') before v'. */
 static bool is_steady(const beta *self, const dal_system_def *def, bool kept)
 {
     bool ends = false; /* V acts at some q~' */
     for (size_t j = 0; j < self->kernel.stages; j++)
         if (self->stage[j].end != 0.0) ends = true;
-    return def->steady && !kept && !(def->potential && ends);
+    return def->steady && !kept && !((def->potential || def->positional) && ends)
+        && !(def->force && !def->positional);
 }
 
-/* A compiled step routine has to know the system as it is: constant mass, linear constraints, no
- * force, nothing missing. */
+/* A compiled step routine has to know the system as it is. */
 static int check_compiled(const dal_system *system, dal_error *error)
 {
-    const dal_compiled *const compiled = system->def.compiled;
+    const dal_system_def *const def = &system->def;
+    const dal_compiled *const compiled = def->compiled;
     if (!compiled) return DAL_SUCCESS;
     if (compiled->abi != DAL_COMPILED_ABI || compiled->size != sizeof(dal_kernel))
         return dal__fail(error, DAL_EINVAL, "compiled: its number %u and its dal_kernel of %zu "
                          "bytes are not those of this library, %u and %zu; compile it with the "
                          "kernel.h of this library", compiled->abi, compiled->size,
                          DAL_COMPILED_ABI, sizeof(dal_kernel));
-    const char *const wrong = !has_step_routine(system) ? "mass, constraints or force are others"
-                            : system->def.missing       ? "derivatives are missing" : NULL;
-    if (!wrong) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and %s: a compiled step routine is "
-                     "for constant mass, linear constraints, no force and nothing missing", wrong);
+    if (def->missing)
+        return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and derivatives are missing: a "
+                         "compiled step routine is for systems where nothing is");
+    if (compiled->momenta != has_momenta(system))
+        return dal__fail(error, DAL_EINVAL, "compiled: its steps are %s, and the system is not: "
+                         "mass, constraints or force are others", compiled->momenta
+                         ? "for M(q), forces of v, or constraints that are not linear"
+                         : "for constant mass, linear constraints, and no force that depends on v");
+    if (compiled->forced == (def->force != NULL)) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "compiled: its steps are %s a force, and the system is "
+                     "not: mass, constraints or force are others",
+                     compiled->forced ? "with" : "without");
 }
 
 static void bind_kernel(beta *self, dal_motion *motion)
@@ -176,14 +225,19 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->m = system->def.m;
     k->constraint = e->constraint;
     k->constraint_ctx = e->constraint_ctx;
-    k->potential = e->potential;
-    k->potential_ctx = e->potential_ctx;
+    k->potential = e->pull;
+    k->potential_ctx = e->pull_ctx;
+    k->balance_of = dal__balance;
+    k->balance_ctx = e;
+    k->input = e->own_input;
+    k->kind = system->def.kind;
     k->mass_inverse = system->mass_inverse;
     k->unit = system->unit;
     k->per_unit = system->per_unit;
     k->diagonal = system->diagonal;
     k->stage = self->stage;
-    k->stages = plan_stages(self->substep, self->substeps, self->stage);
+    k->stages = plan_stages(system, self->substep, self->substeps, self->stage);
+    k->kinds = plan_kinds(self->substep, self->stage, k->stages);
     plan_predictions(self->stage, k->stages);
     k->kept = scheme->nodes == DAL_KEPT_NODES;
     k->plain = !k->potential && !k->kept;
@@ -192,9 +246,10 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->impulse = motion->impulse;
     k->finish = finish;
     k->steady = is_steady(self, &system->def, k->kept) ? system->def.steady : 0;
-    if (has_step_routine(system))
-        self->advance = system->def.compiled && !k->kept ? system->def.compiled->advance
-                                                         : dal__kernel_for(k->n, k->m);
+    k->balance.known = k->at.base;
+    self->advance = system->def.compiled && !k->kept ? system->def.compiled->advance
+                  : has_momenta(system)              ? dal__kernel_with_momenta(k->n, k->m)
+                                                     : dal__kernel_for(k->n, k->m);
     motion->x = k->at.x;
     motion->stats = &k->stats;
 }
@@ -211,10 +266,12 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     reserve_kernel(&shape.kernel, n, system->def.m, &memory);
+    if (has_momenta(system)) reserve_momenta(&shape.kernel, n, system->def.m, count, &memory);
     dal__newton_reserve(&shape.newton, system, &memory);
     dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
     dal__reserve(&memory, &shape.stage, count, sizeof *shape.stage);
     dal__reserve(&memory, &shape.scratch, dal__times(2, n), sizeof(double));
+    dal__reserve(&memory, &shape.input, system->def.inputs, sizeof(double));
     status = dal__allocate(&memory, error);
     if (status) return status;
     /* the slots that the arena has filled are those of shape */
@@ -239,19 +296,23 @@ static void start(void *method, dal_motion *motion)
     self->kernel.t0 = motion->t0;
     self->kernel.h = motion->h;
     dal_kernel_forget(&self->kernel);
-    dal__newton_forget(&self->newton);
 }
 
 /* ---- steps ------------------------------------------------------------------------------ */
 
 /* What went wrong in the step that failed, in words. */
-static void explain(const dal_kernel *k, dal_error *error, int status)
+static void explain(const beta *self, dal_error *error, int status)
 {
+    const dal_kernel *const k = &self->kernel;
+    const evaluator *const e = &self->motion->mechanics->eval;
+    const bool alone = k->failure.kind == DAL_FAILED_POTENTIAL && k->potential_ctx != e;
     switch (k->failure.kind) {
     case DAL_FAILED_CONSTRAINT:
+        dal__refuse(error, "constraint", k->failure.returned);
+        break;
     case DAL_FAILED_POTENTIAL:
-        dal__refuse(error, k->failure.kind == DAL_FAILED_CONSTRAINT ? "constraint" : "potential",
-                    k->failure.returned);
+    case DAL_FAILED_BALANCE:
+        dal__refuse(error, alone ? "potential" : e->refused, k->failure.returned);
         break;
     case DAL_FAILED_STEADY:
         dal__fail(error, status, "the system is declared steady, but mu at the end of the step is "
@@ -294,55 +355,84 @@ static int advance_by_newton(beta *self, dal_motion *motion, size_t steps, size_
     return DAL_SUCCESS;
 }
 
+/* Whether V_q at the start of the next step is that of its inputs. */
+static bool is_forced(const beta *self)
+{
+    const size_t inputs = self->motion->system->def.inputs;
+    for (size_t i = 0; i < inputs; i++)
+        if (self->input[i] != self->kernel.input[i]) return false;
+    return self->kernel.forced;
+}
+
 static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 {
     beta *const self = method;
+    self->kernel.forced = is_forced(self);
+    dal__copy(motion->system->def.inputs, self->kernel.input, self->input);
     if (!self->advance) return advance_by_newton(self, motion, steps, done);
     const int status = self->advance(&self->kernel, steps, done);
-    if (status) explain(&self->kernel, motion->error, status);
+    if (status) explain(self, motion->error, status);
     return status;
 }
 
-/* The predictor of the step routine: the pulls and V_q of the last stages; or that of newton.  What
- * the flags call unknown is 0: a step that failed may have left anything there. */
+/* The predictor of the step routine: the pulls and V_q of the last stages, and, where there are
+ * momenta, p and the changes of v.  What the flags call unknown is 0: a step that failed may have
+ * left anything there. */
 static size_t save(const void *method, double *values)
 {
     const beta *const self = method;
     const dal_kernel *const k = &self->kernel;
-    if (!self->advance) return dal__newton_save(&self->newton, values);
-    if (!values) return 2 + 4 * k->n;
+    const size_t n = k->n, flags = 3 + k->kinds;
+    const size_t count = flags + 4 * n + (k->momentum ? n + 4 * n * k->kinds : 0);
+    if (!values) return count;
+    double *const vectors = values + flags;
+    const bool forced = is_forced(self);
+    memset(values, 0, count * sizeof *values);
     values[0] = k->pulled;
-    values[1] = k->forced;
-    memcpy(values + 2, k->at.pull, 3 * k->n * sizeof *values);
-    for (size_t i = 0; i < k->n; i++) values[2 + 3 * k->n + i] = k->forced ? k->force0[i] : 0.0;
-    return 2 + 4 * k->n;
+    values[1] = forced;
+    values[2] = k->carried;
+    for (size_t i = 0; i < k->kinds; i++) values[3 + i] = k->known[i];
+    memcpy(vectors, k->at.pull, 3 * n * sizeof *values);
+    if (forced) memcpy(vectors + 3 * n, k->force0, n * sizeof *values);
+    if (k->carried) memcpy(vectors + 4 * n, k->momentum, n * sizeof *values);
+    for (size_t i = 0; i < k->kinds; i++)
+        memcpy(vectors + (5 + 4 * i) * n, k->history + 4 * i * n, k->known[i] * n * sizeof *values);
+    return count;
 }
 
 static int accepts(const void *method, const double *values)
 {
-    const bool has_two_flags = ((const beta *)method)->advance;
-    return (values[0] == 0.0 || values[0] == 1.0)
-        && (!has_two_flags || values[1] == 0.0 || values[1] == 1.0);
+    const dal_kernel *const k = &((const beta *)method)->kernel;
+    for (size_t i = 0; i < 3 + k->kinds; i++)
+        if (!(values[i] >= 0.0 && values[i] <= (i < 3 ? 1.0 : 4.0) && values[i] == floor(values[i])))
+            return false;
+    return values[2] == 0.0 || k->momentum;
 }
 
 static void restore(void *method, const double *values)
 {
     beta *const self = method;
     dal_kernel *const k = &self->kernel;
-    if (!self->advance) {
-        dal__newton_restore(&self->newton, values);
-        return;
-    }
+    const size_t n = k->n;
+    const double *const vectors = values + 3 + k->kinds;
+    dal__copy(self->motion->system->def.inputs, k->input, self->input);
     k->pulled = values[0] != 0.0;
     k->forced = values[1] != 0.0;
-    memcpy(k->at.pull, values + 2, 3 * k->n * sizeof *values);
-    memcpy(k->force0, values + 2 + 3 * k->n, k->n * sizeof *values);
+    k->carried = values[2] != 0.0;
+    for (size_t i = 0; i < k->kinds; i++) k->known[i] = (unsigned char)values[3 + i];
+    memcpy(k->at.pull, vectors, 3 * n * sizeof *values);
+    memcpy(k->force0, vectors + 3 * n, n * sizeof *values);
+    if (!k->momentum) return;
+    memcpy(k->momentum, vectors + 4 * n, n * sizeof *values);
+    memcpy(k->history, vectors + 5 * n, 4 * n * k->kinds * sizeof *values);
 }
 
 void dal__beta_any_sizes(dal_stepper *stepper)
 {
     beta *const self = stepper->method;
-    if (self->advance) self->advance = dal__kernel_any();
+    if (self->advance)
+        self->advance = has_momenta(self->motion->system) ? dal__kernel_any_with_momenta()
+                                                          : dal__kernel_any();
 }
 
 const dal_family dal__family_beta = {

@@ -15,6 +15,9 @@ int dal__beta_check(const dal_scheme *scheme, dal_error *error);
 /* The compilation of the step routine to use for these sizes; the one for any. */
 dal_kernel_fn dal__kernel_for(size_t n, size_t m);
 dal_kernel_fn dal__kernel_any(void);
+/* The same of those with stages of momentum.h. */
+dal_kernel_fn dal__kernel_with_momenta(size_t n, size_t m);
+dal_kernel_fn dal__kernel_any_with_momenta(void);
 /* One for n = 7 and 8, m <= 4; else NULL. */
 dal_kernel_fn dal__kernel_of_many(size_t n, size_t m);
 

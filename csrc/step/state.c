@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 2, OF = 4, FIELDS = 23, HEAD = OF + FIELDS };
+enum { VERSION = 3, OF = 4, FIELDS = 25, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -34,6 +34,7 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.real = &stats->initial_correction}, {.counter = &e->constraint_calls},
         {.counter = &e->potential_calls}, {.counter = &e->lagrangian_calls},
         {.counter = &e->force_calls}, {.counter = &stats->evaluations},
+        {.counter = &stats->lagrangian_calls}, {.counter = &stats->force_calls},
     };
     memcpy(fields, list, sizeof list);
 }

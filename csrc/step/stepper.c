@@ -89,11 +89,13 @@ void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
     stats->worst_residual *= 1.0 + 2.0 * DBL_EPSILON; /* the step compares without dividing */
     /* the evaluator counts what goes through it; the step routine's calls do if it differences */
     if (e->constraint_ctx == e) stats->constraint_calls = 0;
-    if (e->potential_ctx == e) stats->potential_calls = 0;
+    if (e->pull_ctx == e && !(stepper->motion.system->def.compiled
+                              && stepper->scheme.nodes == DAL_MOVED_NODES))
+        stats->potential_calls = 0;
     stats->constraint_calls += e->constraint_calls;
     stats->potential_calls += e->potential_calls;
-    stats->lagrangian_calls = e->lagrangian_calls;
-    stats->force_calls = e->force_calls;
+    stats->lagrangian_calls += e->lagrangian_calls;
+    stats->force_calls += e->force_calls;
     stats->differenced = stepper->motion.system->def.missing;
     stats->jump_step = stepper->jump.step;
     stats->jump = stepper->jump.change;
@@ -185,6 +187,20 @@ static int check_steady(dal_mechanics *mech)
     return DAL_SUCCESS;
 }
 
+/* Whether a force that is declared positional, and stands in mech->force, is the same without v. */
+static int check_positional(dal_mechanics *mech, double t0, const double *q)
+{
+    evaluator *const e = &mech->eval;
+    const int status = dal__force(e, t0, q, e->nowhere, mech->step, NULL, NULL, &mech->error);
+    if (status == DAL_EUSER) return status;
+    for (size_t i = 0; i < mech->n; i++)
+        if (!(mech->step[i] == mech->force[i]))
+            return dal__fail(&mech->error, DAL_EINVAL, "the force is declared positional, but f[%zu] "
+                             "is %g at the initial velocity, and %g where the velocity is NaN",
+                             i, mech->force[i], mech->step[i]);
+    return DAL_SUCCESS;
+}
+
 /* Every output that the steps will ask for, once, into buffers that are NaN: what is never written
  * is found here. */
 static int probe(dal_stepper *self, double t0)
@@ -203,6 +219,7 @@ static int probe(dal_stepper *self, double t0)
     if (!status && mech->eval.system->def.force)
         status = dal__force(&mech->eval, t0, q, v, mech->force, mech->f_q, mech->f_v,
                             &mech->error);
+    if (!status && mech->eval.system->def.positional) status = check_positional(mech, t0, q);
     return status;
 }
 

@@ -206,14 +206,24 @@ static int complete(evaluator *e, callback which, double t, const double *q, con
     difference d = {.e = e, .which = which, .t = t, .q = q, .v = v};
     for (size_t k = 0; k < count && !returned; k++)
         if (x[k] && !given[k]) returned = differentiate(&d, &outputs[k], x[k]);
+    if (returned) e->refused = callbacks[which].name;
     return returned;
 }
 
-static int complete_potential(double t, const double *q, double *V, double *V_q, double *V_qq,
-                              void *ctx)
+/* V_q - f: of a dal_potential_fn what steps ask for. */
+static int pull(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
-    double *const x[] = {V, V_q, V_qq};
-    return complete(ctx, POTENTIAL, t, q, NULL, x);
+    evaluator *const e = ctx;
+    const size_t n = e->system->def.n;
+    double *const of_V[] = {V, V_q, V_qq}, *const of_f[] = {e->force, NULL, NULL};
+    int returned = 0;
+    if (e->system->def.potential) returned = complete(e, POTENTIAL, t, q, NULL, of_V);
+    else dal__clear(n, V_q);
+    if (returned || !e->system->def.positional) return returned;
+    dal__forget(n, e->force);
+    returned = complete(e, FORCE, t, q, e->nowhere, of_f);
+    dal__add(n, -1.0, e->force, V_q);
+    return returned;
 }
 
 static int complete_constraint(double t, const double *q, const double *v, double *phi,
@@ -226,7 +236,9 @@ static int complete_constraint(double t, const double *q, const double *v, doubl
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n;
-    DAL__RESERVE(a, n, &e->point, &e->gradient);
+    DAL__RESERVE(a, n, &e->point, &e->gradient, &e->nowhere);
+    if (system->def.force) DAL__RESERVE(a, n, &e->force);
+    if (dal__is_dragged(system)) DAL__RESERVE(a, dal__times(n, n), &e->slopes);
     DAL__RESERVE(a, system->def.inputs, &e->own_input);
     DAL__RESERVE(a, dal__times(system->def.m, n), &e->forms);
 }
@@ -245,14 +257,15 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
             const output *const out = &callbacks[i].outputs[k];
             e->sizes[i][k] = e->lengths[out->rows] * e->lengths[out->columns];
         }
-    e->potential = def->potential;
-    e->potential_ctx = def->ctx;
+    dal__forget(def->n, e->nowhere);
+    e->pull = def->potential;
+    e->pull_ctx = def->ctx;
     e->constraint = def->constraint;
     e->constraint_ctx = def->ctx;
     e->constant_mass = !def->lagrangian;
-    if (def->potential && (def->missing & of_potential)) {
-        e->potential = complete_potential;
-        e->potential_ctx = e;
+    if ((def->potential && (def->missing & of_potential)) || def->positional) {
+        e->pull = pull;
+        e->pull_ctx = e;
     }
     if (def->constraint && (def->missing & (DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))) {
         e->constraint = complete_constraint;
@@ -312,6 +325,49 @@ static int evaluate(evaluator *e, callback which, double t, const double *q, con
     return DAL_SUCCESS;
 }
 
+static void negate(size_t count, double *x)
+{
+    for (size_t i = 0; x && i < count; i++) x[i] = -x[i];
+}
+
+int dal__balance(double t, const double *q, const double *v, double *L_v, double *F, double *L_vq,
+                 double *L_vv, double *F_q, double *F_v, void *ctx)
+{
+    evaluator *const e = ctx;
+    const dal_system_def *const def = &e->system->def;
+    const size_t n = def->n;
+    int returned = 0;
+    if (e->constant_mass) {
+        if (L_v) dal__apply(n, n, e->system->mass, v, L_v);
+        if (L_vv) memcpy(L_vv, e->system->mass, n * n * sizeof *L_vv);
+        dal__clear(n * n, L_vq);
+        dal__clear(n * n, F_q);
+        dal__clear(n * n, F_v);
+        double *const x[] = {NULL, F, NULL};
+        if (!def->potential) dal__clear(n, F);
+        else if (F) returned = complete(e, POTENTIAL, t, q, NULL, x);
+        negate(n, F);
+    } else {
+        double *const x[] = {NULL, F, L_v, F_q, L_vq, L_vv, NULL};
+        returned = complete(e, LAGRANGIAN, t, q, v, x);
+        for (size_t i = 0; F_v && i < n; i++)
+            for (size_t j = 0; j < n; j++) F_v[i * n + j] = L_vq[j * n + i];
+    }
+    if (returned || !F || !def->force) return returned;
+    const bool slopes = F_v && !def->positional;
+    double *const x[] = {e->force, NULL, slopes ? e->slopes : NULL};
+    dal__forget(n, e->force);
+    returned = complete(e, FORCE, t, q, def->positional ? e->nowhere : v, x);
+    dal__add(n, 1.0, e->force, F);
+    if (slopes) dal__add(n * n, 1.0, e->slopes, F_v);
+    return returned;
+}
+
+bool dal__is_dragged(const dal_system *system)
+{
+    return system->def.force && !system->def.positional;
+}
+
 bool dal__is_autonomous(const dal_system *system)
 {
     return !system->def.force && !system->def.time_dependent;
@@ -322,7 +378,7 @@ int dal__potential(evaluator *e, double t, const double *q, double *V, double *V
 {
     const size_t n = e->system->def.n;
     double *const x[] = {V, V_q, V_qq};
-    if (e->potential) return evaluate(e, POTENTIAL, t, q, NULL, x, error);
+    if (e->system->def.potential) return evaluate(e, POTENTIAL, t, q, NULL, x, error);
     dal__clear(1, V);
     dal__clear(n, V_q);
     dal__clear(n * n, V_qq);
@@ -339,11 +395,6 @@ int dal__constraint(evaluator *e, double t, const double *q, const double *v, do
                          def->time_dependent ? phi_t : NULL, phi};
     if (!def->time_dependent) dal__clear(def->m, phi_t);
     return evaluate(e, CONSTRAINT, t, q, v, x, error);
-}
-
-static void negate(size_t count, double *x)
-{
-    for (size_t i = 0; x && i < count; i++) x[i] = -x[i];
 }
 
 /* The jet of v^T M v / 2 - V. */
@@ -382,7 +433,9 @@ int dal__force(evaluator *e, double t, const double *q, const double *v, double 
                double *f_v, dal_error *error)
 {
     const size_t n = e->system->def.n;
-    double *const x[] = {f, f_q, f_v};
+    const bool positional = e->system->def.positional;
+    double *const x[] = {f, f_q, positional ? NULL : f_v};
+    if (positional) dal__clear(n * n, f_v);
     if (e->system->def.force) return evaluate(e, FORCE, t, q, v, x, error);
     dal__clear(n, f);
     dal__clear(n * n, f_q);

@@ -100,6 +100,9 @@ static int check_def(const dal_system_def *def, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
     if (def->ctx_size > 0 && !def->ctx)
         return dal__fail(error, DAL_EINVAL, "ctx_size = %zu and ctx is NULL", def->ctx_size);
+    if (def->positional != 0 && (def->positional != 1 || !def->force))
+        return dal__fail(error, DAL_EINVAL, "positional = %d, and %s", def->positional,
+                         def->force ? "expected is 0 or 1" : "force is NULL");
     if (def->time_dependent != 0 && def->time_dependent != 1)
         return dal__fail(error, DAL_EINVAL, "time_dependent = %d: expected 0 or 1",
                          def->time_dependent);

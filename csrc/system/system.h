@@ -28,8 +28,9 @@ struct dal_system {
 };
 
 /* The callbacks of a system as the rest of the library calls them: derivatives that the user does
- * not give are differenced, calls are counted.  One evaluator for each thread.  potential and
- * constraint may be called directly with their ctx (the hot path does, and counts by itself). */
+ * not give are differenced, calls are counted.  One evaluator for each thread.  pull and constraint
+ * may be called directly with their ctx: the hot path does, and counts by itself where that is not
+ * the evaluator. */
 enum { DAL__CALLBACKS = 4, DAL__OUTPUTS = 7 };
 typedef enum dal__moves { MOVES_Q, MOVES_V, MOVES_T } dal__moves;
 
@@ -37,14 +38,17 @@ typedef struct evaluator {
     const dal_system *system;
     size_t lengths[3];          /* 1, n, m */
     size_t sizes[DAL__CALLBACKS][DAL__OUTPUTS]; /* entries of an output */
-    dal_potential_fn potential; /* NULL: V = 0 */
-    void *potential_ctx;
+    dal_potential_fn pull;      /* of V, less a force that is positional; NULL: there is neither */
+    void *pull_ctx;
     dal_constraint_fn constraint;
     void *constraint_ctx;
     bool constant_mass;
+    const char *refused;        /* the callback that made pull or dal__balance not return 0 */
     const double *input;        /* [inputs] of the force: */
     double *own_input;          /* these, which are 0 at first, or those of a row */
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
+    double *nowhere;            /* [n] NaN: the velocity for a force that is positional */
+    double *force, *slopes;     /* [n], [n*n] of a force that is added to others */
     size_t potential_calls, constraint_calls, lagrangian_calls, force_calls;
 } evaluator;
 
@@ -72,11 +76,18 @@ int dal__lagrangian(evaluator *e, double t, const double *q, const double *v, co
 int dal__force(evaluator *e, double t, const double *q, const double *v, double *f, double *f_q,
                double *f_v, dal_error *error);
 
+/* A dal_balance_fn of kernel.h, whose ctx is the evaluator: returns what the callback did that did
+ * not return 0, and looks at nothing.  Of constant mass F_q is 0. */
+int dal__balance(double t, const double *q, const double *v, double *L_v, double *F, double *L_vq,
+                 double *L_vv, double *F_q, double *F_v, void *ctx);
+
 /* Status of a callback that returned this, with a text that names it. */
 int dal__refuse(dal_error *error, const char *callback, int returned);
 
 /* Whether nothing depends on time, as far as the definition says. */
 bool dal__is_autonomous(const dal_system *system);
+/* Whether there is a force that may depend on v. */
+bool dal__is_dragged(const dal_system *system);
 
 /* f[count] at q; returns 0, or what its callback returned. */
 typedef int (*dal__function)(const double *q, double *f, void *ctx);

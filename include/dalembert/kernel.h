@@ -66,6 +66,9 @@ typedef struct dal_stage {
     bool linear;             /* B = 0: mu(q~') is mu(q_k) */
     double reuse;            /* largest weight of V_q(q~'), here or as start of the next stage */
     double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
+    bool momentum;           /* a stage of momentum.h; then V_q stands for -(L_q + f), and */
+    size_t kind;             /* which of its stages have the same beta */
+    double past[5][4];       /* weights of the last changes of v of this kind, by how many there are */
 } dal_stage;
 
 /* Which entries may be other than 0: bit a*n + i for entry (a, i), so n <= 8; or DAL_KERNEL_ALL.
@@ -75,6 +78,8 @@ typedef struct dal_pattern {
     unsigned long long mu, Z;   /* and Z = mu M^-1 */
     unsigned long long N;
     unsigned long long pull;    /* [n] where v' is not known in advance: by Z, or V_q at q~' */
+    unsigned long long L_vq, F_q, F_v; /* of stages of momentum.h, where Z = mu K^-1, */
+    unsigned long long K;       /* and the factors of K */
 } dal_pattern;
 
 #define DAL_KERNEL_ALL (~0ULL)
@@ -85,6 +90,7 @@ typedef struct dal_pattern {
 typedef enum dal_failure {
     DAL_FAILED_CONSTRAINT, /* the callback returned nonzero: see returned */
     DAL_FAILED_POTENTIAL,
+    DAL_FAILED_BALANCE,    /* the Lagrangian or the force: see returned */
     DAL_FAILED_STEADY,     /* the system is not, as it was declared */
     DAL_FAILED_FINISH      /* see finish */
 } dal_failure;
@@ -103,6 +109,21 @@ typedef struct dal_arrays {
     size_t *row;                  /* [m] */
 } dal_arrays;
 
+/* What a stage of momentum.h has beside them. */
+typedef struct dal_balance {
+    double *known;                /* [n] the part of p' that is known at the start */
+    double *reaction, *residual;  /* [n] mu_k^T kappa; what is missing in the balance */
+    double *diagonal, *light;     /* [n] K_ii, 1/K_ii */
+    double *phi;                  /* [m] */
+    double *L_v, *F;              /* [n] at the last evaluation, F = L_q + f */
+    double *L_vq, *L_vv, *F_q, *F_v; /* [n*n] at the prediction, then L_vv is K */
+} dal_balance;
+
+/* L_v[n] and F[n], each or NULL; and, all of them or none, L_vq[n*n], L_vv[n*n], F_q[n*n] = dF/dq,
+ * F_v[n*n] = dF/dv.  Terms of F_q may be left out. */
+typedef int (*dal_balance_fn)(double t, const double *q, const double *v, double *L_v, double *F,
+                              double *L_vq, double *L_vv, double *F_q, double *F_v, void *ctx);
+
 /* Everything down to finish, the arrays, t0, h and x are set by the owner, who then calls
  * dal_kernel_forget; the rest belongs to the step routine. */
 typedef struct dal_kernel dal_kernel;
@@ -112,18 +133,23 @@ typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
 
 /* A step routine that was compiled for one system: what compiled of its dal_system_def points
  * to. */
-#define DAL_COMPILED_ABI 4u
+#define DAL_COMPILED_ABI 5u
 typedef struct dal_compiled {
     unsigned abi;  /* DAL_COMPILED_ABI, */
     size_t size;   /* and sizeof(dal_kernel), as its compiler saw them */
     dal_kernel_fn advance;
+    int momenta;   /* 1: with DAL_KERNEL_MOMENTA, */
+    int forced;    /* 1: with a force */
 } dal_compiled;
 
 struct dal_kernel {
     size_t n, m;
     dal_constraint_fn constraint;
-    dal_potential_fn potential; /* NULL: V = 0 */
-    void *constraint_ctx, *potential_ctx;
+    dal_potential_fn potential; /* NULL: V = 0; of V - f where f depends on t and q alone */
+    dal_balance_fn balance_of;  /* of stages of momentum.h */
+    void *constraint_ctx, *potential_ctx, *balance_ctx;
+    const double *input;        /* of the force, for code that is inside */
+    dal_constraint_kind kind;
     const double *mass_inverse;        /* [n*n] */
     const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;
@@ -142,10 +168,16 @@ struct dal_kernel {
     bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
+    bool carried;          /* momentum is known */
+    double *momentum;               /* [n] p at q~ */
+    double *history;                /* [4*n] of each kind of stage: v' - v, the latest first */
+    size_t kinds;
+    unsigned char *known;           /* of each kind, how many of them there are */
 
     /* From at.x to at.N one block, laid out by dal_kernel_share: the step routine reaches its parts
      * by constant offsets, and callbacks see the same addresses at every call. */
     dal_arrays at;
+    dal_balance balance;
     double *saved;                     /* [2n+m] x and impulse before a step of several stages */
 
     dal_stats stats;
@@ -181,8 +213,10 @@ enum { DAL_KERNEL_CORRECTIONS = 16 };
 
 #if defined(__GNUC__)
 #define DAL_KERNEL_INLINE static inline __attribute__((always_inline))
+#define DAL_KERNEL_APART static __attribute__((noinline, unused))
 #define DAL_KERNEL_RARE(condition) __builtin_expect(!!(condition), 0)
 #else
+#define DAL_KERNEL_APART static
 #define DAL_KERNEL_INLINE static inline
 #define DAL_KERNEL_RARE(condition) (condition)
 #endif
@@ -226,6 +260,13 @@ static inline int dal_kernel_potential(dal_kernel *k, double t, const double *q,
 {
     k->stats.potential_calls++;
     return k->potential(t, q, NULL, V_q, NULL, k->potential_ctx);
+}
+
+static inline int dal_kernel_forms(dal_kernel *k, double t, const double *q, const double *v,
+                                   double *phi, double *mu, double *N)
+{
+    k->stats.constraint_calls++;
+    return k->constraint(t, q, v, phi, mu, N, NULL, k->constraint_ctx);
 }
 
 /* The time of what stands c steps behind the beginning of step number. */
@@ -417,6 +458,8 @@ static inline void dal_kernel_forget(dal_kernel *k)
 {
     k->pulled = false;
     k->forced = false;
+    k->carried = false;
+    for (size_t i = 0; i < k->kinds; i++) k->known[i] = 0;
     for (size_t i = 0; i < 3 * k->n; i++) k->at.pull[i] = 0.0;
 }
 
@@ -426,14 +469,33 @@ static inline void dal_kernel_forget(dal_kernel *k)
 
 #ifdef DAL_KERNEL
 
+#ifndef DAL_KERNEL_MASS
+#define DAL_KERNEL_MASS 1
+#endif
 #ifdef DAL_KERNEL_CONSTRAINT
 #define DAL_KERNEL_INSIDE 1
 #ifdef DAL_KERNEL_POTENTIAL
 #define DAL_KERNEL_PULLED true
 #else
+#ifdef DAL_KERNEL_MOMENTA
+#define DAL_KERNEL_PULLED true
+#else
 #define DAL_KERNEL_PULLED false
+#endif
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) 0
 #endif
+#elif defined(DAL_KERNEL_MOMENTA)
+#define DAL_KERNEL_INSIDE 0
+#define DAL_KERNEL_PULLED true
+#define DAL_KERNEL_KIND(k) (k)->kind
+#define DAL_KERNEL_FORMS(k, t, q, v, phi, mu, N) dal_kernel_forms(k, t, q, v, phi, mu, N)
+#define DAL_KERNEL_BALANCE(k, t, q, v, L_v, F, L_vq, L_vv, F_q, F_v) \
+    (k)->balance_of(t, q, v, L_v, F, L_vq, L_vv, F_q, F_v, (k)->balance_ctx)
+#define DAL_KERNEL_VALUES(k, t, q, v, L_v, F, late) \
+    (k)->balance_of(t, q, v, L_v, (late) ? (F) : NULL, NULL, NULL, NULL, NULL, (k)->balance_ctx)
+#define DAL_KERNEL_START(k, t, q, v, L_v, F) DAL_KERNEL_VALUES(k, t, q, v, L_v, F, true)
+#define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) dal_kernel_constraint(k, t, q, v, mu, N)
+#define DAL_KERNEL_POTENTIAL(k, t, q, V_q) 0 /* force0 is always known before */
 #else
 #define DAL_KERNEL_INSIDE 0
 #define DAL_KERNEL_PULLED ((k)->potential != NULL)
@@ -442,7 +504,8 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #endif
 #ifndef DAL_KERNEL_PATTERN
 #define DAL_KERNEL_PATTERN \
-    {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL}
+    {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, \
+     DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL}
 #endif
 #ifndef DAL_KERNEL_STEADY
 #define DAL_KERNEL_STEADY 0
@@ -729,6 +792,44 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     return DAL_SUCCESS;
 }
 
+#ifdef DAL_KERNEL_MOMENTA
+/* From k->at.x: L_v, unless momentum is NULL, and -F, if pushed. */
+static int DAL_KERNEL_PART(push)(dal_kernel *k, double number, const dal_stage *s, double *momentum,
+                                 bool pushed)
+{
+    DAL_KERNEL_SIZES;
+    const double *const x = k->at.x, shift = k->kept ? k->shift * k->h : 0.0;
+    double *const q = k->at.point;
+    for (size_t i = 0; i < n; i++) q[i] = x[i] - shift * x[n + i];
+    const int returned = DAL_KERNEL_START(k, dal_kernel_time(k, number, s->t_start), q, x + n,
+                                          momentum, pushed ? k->force0 : NULL);
+    if (returned) return dal_kernel_refused(k, DAL_FAILED_BALANCE, returned);
+    if (pushed) {
+        for (size_t i = 0; i < n; i++) k->force0[i] = -k->force0[i];
+        k->forced = true;
+    }
+    return DAL_SUCCESS;
+}
+
+#include <dalembert/momentum.h>
+
+/* A stage of either kind. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double number,
+                                                       const dal_stage *s, double *x, double *pull)
+{
+    DAL_KERNEL_SIZES;
+    if (!DAL_KERNEL_MASS || s->momentum) return DAL_KERNEL_PART(momentum)(k, number, s, x);
+    int status = DAL_SUCCESS;
+    if (DAL_KERNEL_RARE(s->start != 0.0 && !k->forced)) {
+        DAL_KERNEL_COPY(2 * n, x, k->at.x);
+        status = DAL_KERNEL_PART(push)(k, number, s, NULL, true);
+    }
+    if (!status) status = DAL_KERNEL_PART(stage)(k, number, s, false, x, pull);
+    k->carried = false;
+    return status;
+}
+#endif
+
 /* steps steps of k.  *done <- how many were made; on failure the state is that after the last. */
 static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 {
@@ -754,7 +855,11 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
             DAL_KERNEL_COPY(2 * n, x, k->saved);
             DAL_KERNEL_COPY(k->m, k->impulse, k->saved + 2 * n);
         }
-#if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
+#ifdef DAL_KERNEL_MOMENTA
+        do
+            status = DAL_KERNEL_PART(stage_of_either)(k, number, s, x, pull);
+        while (!status && ++s < end);
+#elif DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
         do
             status = DAL_KERNEL_PART(stage)(k, number, s, !DAL_KERNEL_PULLED, x, pull);
         while (!status && ++s < end);
@@ -799,6 +904,13 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_KERNEL_PATTERN
 #undef DAL_KERNEL_CONSTRAINT
 #undef DAL_KERNEL_POTENTIAL
+#undef DAL_KERNEL_MOMENTA
+#undef DAL_KERNEL_BALANCE
+#undef DAL_KERNEL_VALUES
+#undef DAL_KERNEL_START
+#undef DAL_KERNEL_FORMS
+#undef DAL_KERNEL_KIND
+#undef DAL_KERNEL_MASS
 #undef DAL_KERNEL
 #undef DAL_N
 #undef DAL_M

@@ -1007,7 +1007,7 @@ static void test_halving(void)
     dal_system_def def = {.n = 1, .mass = &mass, .potential = logarithmic_potential};
     const dal_scheme midpoint = {.beta = 0.5};
     for (size_t i = 0; i < 3; i++) {
-        def.force = i == 2 ? no_force : NULL; /* then newton.c makes the step */
+        def.force = i == 2 ? no_force : NULL;
         dal_system *system = NULL;
         dal_stepper *stepper = NULL;
         dal_stats stats;
@@ -1017,7 +1017,7 @@ static void test_halving(void)
         CHECK(dal_stepper_start(stepper, 0.0, 2.0, x0, DAL_CHECK, DAL_INITIAL_NONE) == 0);
         CHECK(dal_step(stepper, NULL) == 0);
         dal_stepper_stats(stepper, &stats);
-        CHECK(stats.halvings == 1 && stats.full_newtons == (i < 2));
+        CHECK(stats.halvings == 1 && stats.full_newtons == 1);
         const double *const x = dal_stepper_state(stepper);
         CHECK_NEAR(x[0] + 10.0 * log(x[0]), 5.0, 64 * DBL_EPSILON); /* of terms up to 5 */
         CHECK_NEAR(x[0], 1.0 + 2.0 + x[1], 8 * DBL_EPSILON);

@@ -104,7 +104,7 @@ static int potential(double t, const double *q, double *V, double *V_q, double *
     return 0;
 }
 
-/* Nothing, but for it a system is a general one, whose steps are those of newton.c. */
+/* Nothing, but for it a system is a general one, whose stages are those of momentum.h. */
 static int no_push(double t, const double *q, const double *v, const double *u, double *f,
                    double *f_q, double *f_v, void *ctx)
 {
@@ -427,7 +427,7 @@ static draw nth_draw(unsigned k)
 static void test_steps(unsigned systems)
 {
     static const double most[3][4] = {{1.58, 0.0, 0.0, 0.039}, {2.37, 5.39, 0.122, 0.045},
-                                      {3.65, 1.63, 0.002, 0.0}};
+                                      {4.35, 2.89, 0.065, 0.075}};
     tally counts[3] = {{0}};
     for (unsigned k = 0; k < systems; k++) {
         const draw d = nth_draw(k);
@@ -444,7 +444,7 @@ static void test_steps(unsigned systems)
         CHECK((double)sum->potential_calls <= most[kind][1] * steps);
         CHECK((double)sum->full_newtons <= most[kind][2] * steps);
         CHECK((double)sum->corrections <= most[kind][3] * steps);
-        CHECK((sum->corrections > 0) == (kind < 2));
+        CHECK(sum->corrections > 0);
     }
 }
 

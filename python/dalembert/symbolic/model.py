@@ -359,11 +359,20 @@ class Derived:
         M, row by row, where it is constant and L = v^T M v / 2 - V(q); in the parameters alone.
     functions : tuple of Function
         potential, lagrangian, constraint, force, mass, ... as far as they are there.
+    is_positional : bool
+        Whether there is a force that has no velocity in it.
     """
 
     kind: str
     mass: tuple[Expr, ...] | None
     functions: tuple[Function, ...]
+    is_positional: bool
+
+    @property
+    def has_momenta(self) -> bool:
+        """Whether steps need L_v: of M(q), a force of v, or constraints that are not linear."""
+        dragged = self.function("force") is not None and not self.is_positional
+        return self.mass is None or self.kind != "linear" or dragged
 
     def function(self, name: str) -> Function | None:
         """Return the function of this name, None if the model has none."""
@@ -573,7 +582,58 @@ def _derive(model: Model) -> Derived:
     ):
         if expressions:
             functions.append(Function(name, {output: expressions}, _SymPy))
-    return Derived(kind, mass, tuple(functions))
+    # by what is in it: the derivative of a dry friction, sign(v), is 0 too
+    positional = model.force is not None and not any(
+        e.free_symbols & {*model.v} for e in model.force
+    )
+    derived = Derived(kind, mass, tuple(functions), positional)
+    if derived.has_momenta:
+        functions.append(_balance(model, derived))
+    elif positional:
+        functions.append(_pull(model, derived))
+    return dataclasses.replace(derived, functions=tuple(functions))
+
+
+def _jet(derived: Derived, engine: Any, name: str, *outputs: str) -> list[list[Expr]]:
+    """Return outputs of a function, for another engine; nothing if the model has no such one."""
+    return [[*map(engine.take, derived.expressions(name, output))] for output in outputs]
+
+
+def _balance(model: Model, derived: Derived) -> Function:
+    """Return L_v, F = L_q + f, and their derivatives, as ``dal_balance_fn`` of kernel.h."""
+    n, zero = model.n, sympy.Integer(0)
+    engine = engine_for([_exact(e) for e in (model.L, *(model.force or ()))])
+    f, f_q, f_v = _jet(derived, engine, "force", "f", "f_q", "f_v")
+    none = [engine.take(zero)] * n * n
+    if derived.mass is None:
+        L_v, F, L_vq, L_vv, F_q = _jet(
+            derived, engine, "lagrangian", "L_v", "L_q", "L_vq", "L_vv", "L_qq"
+        )
+        F_v = [L_vq[j * n + i] for i in range(n) for j in range(n)]
+    else:
+        L_vv, L_vq, F_q, F_v = [*map(engine.take, derived.mass)], none, none, none
+        v = [*map(engine.take, model.v)]
+        L_v = [
+            sum((L_vv[i * n + j] * v[j] for j in range(n)), engine.take(zero)) for i in range(n)
+        ]
+        (V_q,) = _jet(derived, engine, "potential", "V_q")
+        F = [-e for e in V_q] or none[:n]
+    if f:
+        F, F_v = [a + b for a, b in zip(F, f)], [a + b for a, b in zip(F_v, f_v)]
+        if derived.mass is None:
+            F_q = [a + b for a, b in zip(F_q, f_q)]
+    outputs = {"L_v": L_v, "F": F, "L_vq": L_vq, "L_vv": L_vv, "F_q": F_q, "F_v": F_v}
+    return Function("balance", outputs, engine)
+
+
+def _pull(model: Model, derived: Derived) -> Function:
+    """Return V_q - f of a force that does not depend on v."""
+    engine = engine_for([_exact(e) for e in (model.L, *(model.force or ()))])
+    (f,), (V_q,) = (
+        _jet(derived, engine, *x) for x in (("force", "f"), ("potential", "V_q"))
+    )
+    return Function("pull", {"V_q": [a - b for a, b in zip(V_q, f)] if V_q else [-e for e in f]},
+                    engine)
 
 
 def _slopes(

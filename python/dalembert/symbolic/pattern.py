@@ -21,7 +21,7 @@ class Pattern:
 
     Attributes
     ----------
-    inverse, mu, Z, N, pull : list of list of bool
+    inverse, mu, Z, N, pull, L_vq, F_q, F_v, K : list of list of bool
         Row by row; ``pull`` has one row.
     steady : bool
         Whether no reaction pushes a coordinate that mu depends on, and nothing depends on time.
@@ -32,21 +32,27 @@ class Pattern:
     Z: Rows
     N: Rows
     pull: Rows
+    L_vq: Rows
+    F_q: Rows
+    F_v: Rows
+    K: Rows
     steady: bool
 
     def initializer(self) -> str | None:
         """Return the ``dal_pattern`` in C; None if there are too many coordinates for one."""
         if len(self.inverse) > _MOST:
             return None
+        matrices = (
+            self.inverse, self.mu, self.Z, self.N, self.pull, self.L_vq, self.F_q, self.F_v, self.K
+        )  # fmt: skip
         masks = [  # the bits a*n + i of the entries (a, i)
-            sum(1 << int(k) for k in np.flatnonzero(rows))
-            for rows in (self.inverse, self.mu, self.Z, self.N, self.pull)
+            sum(1 << int(k) for k in np.flatnonzero(rows)) for rows in matrices
         ]
         return "{" + ", ".join(f"{mask:#x}ULL" for mask in masks) + "}"
 
 
 def pattern(model: Model) -> Pattern:
-    """Return the pattern of a model of constant mass with linear constraints.
+    """Return the pattern of a model.
 
     Parameters
     ----------
@@ -63,22 +69,44 @@ def pattern(model: Model) -> Pattern:
     ([[True, False, True]], [[True, False, True]], True)
     """
     n, derived = model.n, model.derived
-    assert derived.mass is not None
+    of_momenta = derived.has_momenta
 
     def rows(entries: Sequence[Any]) -> Any:
         return np.array([e != 0 for e in entries], dtype=bool).reshape(-1, n)
 
     forms = derived.expressions("constraint", "phi_v")
     mu, N = rows(forms), rows(derived.expressions("constraint", "phi_q"))
-    inverse = rows(derived.mass)
-    for _ in range(n.bit_length()):  # coordinates that M couples, through others too, fill a block
-        inverse = inverse @ inverse
-    Z = mu @ inverse
+    mass = rows(derived.expressions("balance", "L_vv") if of_momenta else derived.mass or ())
+    none = np.zeros((n, n), dtype=bool)
+    slopes = [none] * 3
+    if of_momenta:
+        slopes = [rows(derived.expressions("balance", x)) for x in ("L_vq", "F_q", "F_v")]
+    K = np.any([mass, *slopes], axis=0)
+    # coordinates that M, or K, couples, through others too, fill a block
+    inverse, inverse_of_K = _closed(mass), _closed(K)
+    Z = mu @ inverse_of_K.T
     pushed = Z.any(axis=0)
-    pull = pushed | (rows(derived.expressions("potential", "V_q")) @ inverse).any(axis=0)
+    of_force = (("balance", "F"), ("pull", "V_q"), ("potential", "V_q"))
+    force = next((x for name in of_force if (x := derived.expressions(*name))), ())
+    pull = pushed | (rows(force) @ inverse).any(axis=0)
     # what mu depends on: not only where it has a derivative
     bending = {s.name for e in forms for s in e.free_symbols}
-    steady = model.m > 0 and not model.is_time_dependent
+    steady = model.m > 0 and not model.is_time_dependent and not of_momenta
     steady = steady and not any(pushed[i] for i in range(n) if model.q[i].name in bending)
-    found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None]))
-    return Pattern(*found, steady)
+    matrices = (inverse, mu, Z, N, pull[None], *slopes, _filled(K) if of_momenta else none)
+    return Pattern(*(x.tolist() for x in matrices), steady)
+
+
+def _closed(coupled: Any) -> Any:
+    """Return which coordinates are coupled through others: the entries of the inverse."""
+    for _ in range(len(coupled).bit_length()):
+        coupled = coupled @ coupled
+    return coupled
+
+
+def _filled(coupled: Any) -> Any:
+    """Return the entries of the factors L and U."""
+    filled = coupled.copy()
+    for j in range(len(filled)):
+        filled[j + 1 :, j + 1 :] |= np.outer(filled[j + 1 :, j], filled[j, j + 1 :])
+    return filled

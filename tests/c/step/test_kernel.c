@@ -521,7 +521,7 @@ static void test_bad_definitions(void)
     def.compiled = &larger;
     refused(&def, "compile it with the kernel.h of this library");
     def.compiled = &older;
-    refused(&def, "its number 3");
+    refused(&def, "its number 4");
     def = good;
     def.steady = 0;
     def.force = no_force;

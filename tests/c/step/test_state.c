@@ -332,7 +332,7 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 
 /* What stands where among the saved numbers; x follows the head. */
 enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, T0, H, TAKEN, LOOKING, SHIFT, ENERGY, KINETIC,
-       JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 18, FIRST_CALLS = 22, HEAD = 27 };
+       JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 18, FIRST_CALLS = 22, HEAD = 29 };
 
 /* Whether nothing but a refusal will do; the words are those that it has to have. */
 static bool is_hopeless(size_t i, double spoil, char words[32])

@@ -71,7 +71,9 @@ def test_pull_and_steady():
 
 
 def test_initializer():
-    assert pattern(blade()).initializer() == "{0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x3ULL}"
+    assert pattern(blade()).initializer() == (
+        "{0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x3ULL, 0x0ULL, 0x0ULL, 0x0ULL, 0x0ULL}"
+    )
     q = dal.coordinates("a b c d e f g h i")
     large = pattern(model(sum(x.d**2 for x in q), [q[0].d - q[1] * q[2].d], q))
     assert large.initializer() is None  # 81 entries do not fit into a word
