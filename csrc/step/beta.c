@@ -8,7 +8,7 @@
 
 typedef struct beta {
     dal_kernel kernel;
-    dal_kernel_fn advance; /* the compilation of the step routine, or NULL: newton */
+    dal_kernel_fn advance; /* the compilation of the step routine */
     newton newton;
     size_t substeps;
     dal_substep *substep;
@@ -115,6 +115,18 @@ static void plan_predictions(dal_stage *stage, size_t stages)
     }
 }
 
+/* The full Newton iteration begins where the stage before it, of the same beta, would lead. */
+static void guess(beta *self, const dal_stage *s)
+{
+    const dal_kernel *const k = &self->kernel;
+    newton *const solver = &self->newton;
+    solver->warm = s->momentum && k->known[s->kind] > 0;
+    if (!solver->warm) return;
+    const double *const past = k->history + 4 * s->kind * k->n, weight = s->past[1][0];
+    for (size_t i = 0; i < k->n; i++) solver->rate[i] = weight * past[i] / (s->span * k->h);
+    for (size_t a = 0; a < k->m; a++) solver->lambda[a] = k->latest[a] / k->h;
+}
+
 /* As finish of a dal_kernel: the stage by the full Newton iteration from the state before it; or
  * the velocity alone, into D at what is stored.  A pair is one step with V at the node. */
 static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
@@ -136,7 +148,7 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
         const double beta = s->after / s->span, alpha = s->node != 0.0 ? 1.0 : beta;
         memcpy(x, at->x, 2 * size);
         k->stats.full_newtons++;
-        dal__newton_forget(&self->newton);
+        guess(self, s);
         status = dal__newton_step(&self->newton, mech,
                                   dal_kernel_time(k, number, s->t_start), t_end, alpha, beta,
                                   s->span * k->h, k->kept, x, at->kappa, &k->stats);
@@ -154,10 +166,11 @@ static void reserve_momenta(dal_kernel *k, size_t n, size_t m, size_t kinds, are
 {
     const size_t nn = dal__times(n, n);
     dal_balance *const of = &k->balance;
-    DAL__RESERVE(a, n, &k->momentum, &of->reaction, &of->residual, &of->diagonal, &of->light,
-                 &of->L_v, &of->F);
-    DAL__RESERVE(a, nn, &of->L_vq, &of->L_vv, &of->F_q, &of->F_v);
-    DAL__RESERVE(a, m, &of->phi);
+    DAL__RESERVE(a, n, &k->momentum, &of->reaction, &of->residual, &of->share, &of->L_v, &of->F,
+                 &of->unit, &of->per_unit);
+    DAL__RESERVE(a, nn, &of->L_vq, &of->L_vv, &of->F_q, &of->F_v, &of->K, &of->factors,
+                 &of->scratch);
+    DAL__RESERVE(a, m, &of->phi, &k->latest);
     DAL__RESERVE(a, dal__times(dal__times(4, n), kinds), &k->history);
     dal__reserve(a, &k->known, kinds, 1);
 }
@@ -231,6 +244,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->balance_ctx = e;
     k->input = e->own_input;
     k->kind = system->def.kind;
+    k->mass = system->mass;
     k->mass_inverse = system->mass_inverse;
     k->unit = system->unit;
     k->per_unit = system->per_unit;
@@ -324,37 +338,6 @@ static void explain(const beta *self, dal_error *error, int status)
     }
 }
 
-/* The same records by the full Newton iteration, sub-step by sub-step. */
-static int advance_by_newton(beta *self, dal_motion *motion, size_t steps, size_t *done)
-{
-    dal_kernel *const k = &self->kernel;
-    double *const x = k->saved, *const impulse = x + 2 * k->n;
-    for (*done = 0; *done < steps; ++*done) {
-        double passed = 0.0; /* fraction of the step */
-        memcpy(x, k->at.x, 2 * k->n * sizeof *x);
-        memcpy(impulse, k->impulse, k->m * sizeof *impulse);
-        for (size_t j = 0; j < self->substeps; j++) {
-            const dal_substep s = self->substep[j];
-            const double number = (double)(motion->steps + *done);
-            const double next = j + 1 < self->substeps ? passed + s.fraction : 1.0;
-            const int status =
-                dal__newton_step(&self->newton, motion->mechanics,
-                                 motion->t0 + (number + passed) * motion->h,
-                                 motion->t0 + (number + next) * motion->h, s.beta, s.beta,
-                                 s.fraction * motion->h, k->kept, x, k->at.kappa, &k->stats);
-            if (status) {
-                if (j > 0) dal__newton_forget(&self->newton); /* the sub-steps that are undone */
-                return status;
-            }
-            for (size_t a = 0; a < k->m; a++) impulse[a] += k->at.kappa[a];
-            passed = next;
-        }
-        memcpy(k->at.x, x, 2 * k->n * sizeof *x);
-        memcpy(k->impulse, impulse, k->m * sizeof *impulse);
-    }
-    return DAL_SUCCESS;
-}
-
 /* Whether V_q at the start of the next step is that of its inputs. */
 static bool is_forced(const beta *self)
 {
@@ -369,7 +352,6 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
     beta *const self = method;
     self->kernel.forced = is_forced(self);
     dal__copy(motion->system->def.inputs, self->kernel.input, self->input);
-    if (!self->advance) return advance_by_newton(self, motion, steps, done);
     const int status = self->advance(&self->kernel, steps, done);
     if (status) explain(self, motion->error, status);
     return status;
@@ -383,7 +365,7 @@ static size_t save(const void *method, double *values)
     const beta *const self = method;
     const dal_kernel *const k = &self->kernel;
     const size_t n = k->n, flags = 3 + k->kinds;
-    const size_t count = flags + 4 * n + (k->momentum ? n + 4 * n * k->kinds : 0);
+    const size_t count = flags + 4 * n + (k->momentum ? n + 4 * n * k->kinds + k->m : 0);
     if (!values) return count;
     double *const vectors = values + flags;
     const bool forced = is_forced(self);
@@ -397,6 +379,8 @@ static size_t save(const void *method, double *values)
     if (k->carried) memcpy(vectors + 4 * n, k->momentum, n * sizeof *values);
     for (size_t i = 0; i < k->kinds; i++)
         memcpy(vectors + (5 + 4 * i) * n, k->history + 4 * i * n, k->known[i] * n * sizeof *values);
+    if (k->kinds > 0 && k->known[0] > 0) /* which the first stage makes so */
+        memcpy(values + count - k->m, k->latest, k->m * sizeof *values);
     return count;
 }
 
@@ -404,7 +388,7 @@ static int accepts(const void *method, const double *values)
 {
     const dal_kernel *const k = &((const beta *)method)->kernel;
     for (size_t i = 0; i < 3 + k->kinds; i++)
-        if (!(values[i] >= 0.0 && values[i] <= (i < 3 ? 1.0 : 4.0) && values[i] == floor(values[i])))
+        if (!(values[i] >= 0.0 && values[i] <= (i < 3 ? 1.0 : 4.0)) || values[i] != floor(values[i]))
             return false;
     return values[2] == 0.0 || k->momentum;
 }
@@ -425,14 +409,14 @@ static void restore(void *method, const double *values)
     if (!k->momentum) return;
     memcpy(k->momentum, vectors + 4 * n, n * sizeof *values);
     memcpy(k->history, vectors + 5 * n, 4 * n * k->kinds * sizeof *values);
+    memcpy(k->latest, vectors + (5 + 4 * k->kinds) * n, k->m * sizeof *values);
 }
 
 void dal__beta_any_sizes(dal_stepper *stepper)
 {
     beta *const self = stepper->method;
-    if (self->advance)
-        self->advance = has_momenta(self->motion->system) ? dal__kernel_any_with_momenta()
-                                                          : dal__kernel_any();
+    self->advance = has_momenta(self->motion->system) ? dal__kernel_any_with_momenta()
+                                                      : dal__kernel_any();
 }
 
 const dal_family dal__family_beta = {

@@ -1,5 +1,5 @@
 /* kernel_row.h - the step routine for n = DAL_ROW and every m < n up to 4, as kernel_n_m, and the
- * row_n of them, by m. */
+ * row_n of them, by m; with DAL_ROW_MOMENTA defined, those with stages of momentum.h. */
 #define DAL_ROW_TABLE_(n) row_##n
 #define DAL_ROW_TABLE(n) DAL_ROW_TABLE_(n)
 #define DAL_ROW_JOIN_(n, m) kernel_##n##_##m
@@ -8,12 +8,18 @@
 #define DAL_N DAL_ROW
 #define DAL_M 0
 #define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 0)
+#ifdef DAL_ROW_MOMENTA
+#define DAL_KERNEL_MOMENTA
+#endif
 #include "dalembert/kernel.h"
 
 #if DAL_ROW > 1
 #define DAL_N DAL_ROW
 #define DAL_M 1
 #define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 1)
+#ifdef DAL_ROW_MOMENTA
+#define DAL_KERNEL_MOMENTA
+#endif
 #include "dalembert/kernel.h"
 #endif
 
@@ -21,6 +27,9 @@
 #define DAL_N DAL_ROW
 #define DAL_M 2
 #define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 2)
+#ifdef DAL_ROW_MOMENTA
+#define DAL_KERNEL_MOMENTA
+#endif
 #include "dalembert/kernel.h"
 #endif
 
@@ -28,6 +37,9 @@
 #define DAL_N DAL_ROW
 #define DAL_M 3
 #define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 3)
+#ifdef DAL_ROW_MOMENTA
+#define DAL_KERNEL_MOMENTA
+#endif
 #include "dalembert/kernel.h"
 #endif
 
@@ -35,6 +47,9 @@
 #define DAL_N DAL_ROW
 #define DAL_M 4
 #define DAL_KERNEL DAL_ROW_JOIN(DAL_ROW, 4)
+#ifdef DAL_ROW_MOMENTA
+#define DAL_KERNEL_MOMENTA
+#endif
 #include "dalembert/kernel.h"
 #endif
 

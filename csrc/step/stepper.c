@@ -187,17 +187,18 @@ static int check_steady(dal_mechanics *mech)
     return DAL_SUCCESS;
 }
 
-/* Whether a force that is declared positional, and stands in mech->force, is the same without v. */
-static int check_positional(dal_mechanics *mech, double t0, const double *q)
+/* Whether a force that is declared positional, and stands in mech->force, is the same at this v, or
+ * says that it is not defined there. */
+static int check_positional(dal_mechanics *mech, double t0, const double *q, const double *v)
 {
     evaluator *const e = &mech->eval;
-    const int status = dal__force(e, t0, q, e->nowhere, mech->step, NULL, NULL, &mech->error);
+    const int status = dal__force(e, t0, q, v, mech->step, NULL, NULL, &mech->error);
     if (status == DAL_EUSER) return status;
     for (size_t i = 0; i < mech->n; i++)
         if (!(mech->step[i] == mech->force[i]))
-            return dal__fail(&mech->error, DAL_EINVAL, "the force is declared positional, but f[%zu] "
-                             "is %g at the initial velocity, and %g where the velocity is NaN",
-                             i, mech->force[i], mech->step[i]);
+            return dal__fail(&mech->error, DAL_EINVAL, "the force is declared positional, but "
+                             "f[%zu] is %g at the initial velocity, and %g where v[0] = %g", i,
+                             mech->force[i], mech->step[i], v[0]);
     return DAL_SUCCESS;
 }
 
@@ -219,8 +220,10 @@ static int probe(dal_stepper *self, double t0)
     if (!status && mech->eval.system->def.force)
         status = dal__force(&mech->eval, t0, q, v, mech->force, mech->f_q, mech->f_v,
                             &mech->error);
-    if (!status && mech->eval.system->def.positional) status = check_positional(mech, t0, q);
-    return status;
+    if (status || !mech->eval.system->def.positional) return status;
+    for (size_t i = 0; i < mech->n; i++) mech->reach[i] = -v[i];
+    status = check_positional(mech, t0, q, mech->reach);
+    return status ? status : check_positional(mech, t0, q, mech->eval.nowhere);
 }
 
 /* q <- q + shift v. */

@@ -206,8 +206,15 @@ static int complete(evaluator *e, callback which, double t, const double *q, con
     difference d = {.e = e, .which = which, .t = t, .q = q, .v = v};
     for (size_t k = 0; k < count && !returned; k++)
         if (x[k] && !given[k]) returned = differentiate(&d, &outputs[k], x[k]);
-    if (returned) e->refused = callbacks[which].name;
     return returned;
+}
+
+/* The same in short where nothing is missing; e->refused <- whose result it is. */
+static int ask(evaluator *e, callback which, double t, const double *q, const double *v,
+               double *const *x)
+{
+    e->refused = callbacks[which].name;
+    return e->system->def.missing ? complete(e, which, t, q, v, x) : call(e, which, t, q, v, x);
 }
 
 /* V_q - f: of a dal_potential_fn what steps ask for. */
@@ -217,11 +224,11 @@ static int pull(double t, const double *q, double *V, double *V_q, double *V_qq,
     const size_t n = e->system->def.n;
     double *const of_V[] = {V, V_q, V_qq}, *const of_f[] = {e->force, NULL, NULL};
     int returned = 0;
-    if (e->system->def.potential) returned = complete(e, POTENTIAL, t, q, NULL, of_V);
+    if (e->system->def.potential) returned = ask(e, POTENTIAL, t, q, NULL, of_V);
     else dal__clear(n, V_q);
     if (returned || !e->system->def.positional) return returned;
     dal__forget(n, e->force);
-    returned = complete(e, FORCE, t, q, e->nowhere, of_f);
+    returned = ask(e, FORCE, t, q, e->nowhere, of_f);
     dal__add(n, -1.0, e->force, V_q);
     return returned;
 }
@@ -238,7 +245,7 @@ void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
     const size_t n = system->def.n;
     DAL__RESERVE(a, n, &e->point, &e->gradient, &e->nowhere);
     if (system->def.force) DAL__RESERVE(a, n, &e->force);
-    if (dal__is_dragged(system)) DAL__RESERVE(a, dal__times(n, n), &e->slopes);
+    if (system->def.force) DAL__RESERVE(a, dal__times(n, n), &e->slopes, &e->drag);
     DAL__RESERVE(a, system->def.inputs, &e->own_input);
     DAL__RESERVE(a, dal__times(system->def.m, n), &e->forms);
 }
@@ -316,8 +323,7 @@ static int evaluate(evaluator *e, callback which, double t, const double *q, con
             any = true;
         }
     if (!any) return DAL_SUCCESS;
-    const int returned = e->system->def.missing ? complete(e, which, t, q, v, x)
-                                                : call(e, which, t, q, v, x);
+    const int returned = ask(e, which, t, q, v, x);
     if (returned) return dal__refuse(error, callbacks[which].name, returned);
     for (size_t k = 0; k < count; k++)
         if (x[k] && !dal__all_finite(sizes[k], x[k]))
@@ -336,30 +342,36 @@ int dal__balance(double t, const double *q, const double *v, double *L_v, double
     evaluator *const e = ctx;
     const dal_system_def *const def = &e->system->def;
     const size_t n = def->n;
+    const unsigned missing = def->missing;
     int returned = 0;
     if (e->constant_mass) {
+        double *const x[] = {NULL, F, missing & DAL_MISSING_V_QQ ? NULL : F_q};
         if (L_v) dal__apply(n, n, e->system->mass, v, L_v);
         if (L_vv) memcpy(L_vv, e->system->mass, n * n * sizeof *L_vv);
         dal__clear(n * n, L_vq);
-        dal__clear(n * n, F_q);
         dal__clear(n * n, F_v);
-        double *const x[] = {NULL, F, NULL};
+        if (!def->potential || !x[2]) dal__clear(n * n, F_q);
         if (!def->potential) dal__clear(n, F);
-        else if (F) returned = complete(e, POTENTIAL, t, q, NULL, x);
+        else if (F) returned = ask(e, POTENTIAL, t, q, NULL, x);
         negate(n, F);
+        negate(n * n, F_q);
     } else {
-        double *const x[] = {NULL, F, L_v, F_q, L_vq, L_vv, NULL};
-        returned = complete(e, LAGRANGIAN, t, q, v, x);
+        double *const x[] = {NULL, F, L_v, missing & DAL_MISSING_L_QQ ? NULL : F_q, L_vq, L_vv,
+                             NULL};
+        if (!x[3]) dal__clear(n * n, F_q);
+        returned = ask(e, LAGRANGIAN, t, q, v, x);
         for (size_t i = 0; F_v && i < n; i++)
             for (size_t j = 0; j < n; j++) F_v[i * n + j] = L_vq[j * n + i];
     }
     if (returned || !F || !def->force) return returned;
-    const bool slopes = F_v && !def->positional;
-    double *const x[] = {e->force, NULL, slopes ? e->slopes : NULL};
+    double *const f_q = F_q && !(missing & DAL_MISSING_F_Q) ? e->slopes : NULL;
+    double *const f_v = F_v && !def->positional ? e->drag : NULL;
+    double *const x[] = {e->force, f_q, f_v};
     dal__forget(n, e->force);
-    returned = complete(e, FORCE, t, q, def->positional ? e->nowhere : v, x);
+    returned = ask(e, FORCE, t, q, def->positional ? e->nowhere : v, x);
     dal__add(n, 1.0, e->force, F);
-    if (slopes) dal__add(n * n, 1.0, e->slopes, F_v);
+    if (f_q) dal__add(n * n, 1.0, f_q, F_q);
+    if (f_v) dal__add(n * n, 1.0, f_v, F_v);
     return returned;
 }
 

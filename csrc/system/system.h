@@ -48,7 +48,7 @@ typedef struct evaluator {
     double *own_input;          /* these, which are 0 at first, or those of a row */
     double *point, *gradient, *forms; /* scratch of the differences: [n], [n], [m*n] */
     double *nowhere;            /* [n] NaN: the velocity for a force that is positional */
-    double *force, *slopes;     /* [n], [n*n] of a force that is added to others */
+    double *force, *slopes, *drag; /* [n], [n*n] f, f_q, f_v that are added to others */
     size_t potential_calls, constraint_calls, lagrangian_calls, force_calls;
 } evaluator;
 
@@ -77,7 +77,7 @@ int dal__force(evaluator *e, double t, const double *q, const double *v, double 
                double *f_v, dal_error *error);
 
 /* A dal_balance_fn of kernel.h, whose ctx is the evaluator: returns what the callback did that did
- * not return 0, and looks at nothing.  Of constant mass F_q is 0. */
+ * not return 0, and looks at nothing.  Of F_q terms that would be differenced are left out. */
 int dal__balance(double t, const double *q, const double *v, double *L_v, double *F, double *L_vq,
                  double *L_vv, double *F_q, double *F_v, void *ctx);
 

@@ -68,7 +68,7 @@ typedef struct dal_stage {
     double ahead[3];         /* the pull is predicted as ahead[0] p1 + ahead[1] p2 + ahead[2] p3 */
     bool momentum;           /* a stage of momentum.h; then V_q stands for -(L_q + f), and */
     size_t kind;             /* which of its stages have the same beta */
-    double past[5][4];       /* weights of the last changes of v of this kind, by how many there are */
+    double past[5][4];       /* weights of the last changes of v, by how many there are */
 } dal_stage;
 
 /* Which entries may be other than 0: bit a*n + i for entry (a, i), so n <= 8; or DAL_KERNEL_ALL.
@@ -113,10 +113,12 @@ typedef struct dal_arrays {
 typedef struct dal_balance {
     double *known;                /* [n] the part of p' that is known at the start */
     double *reaction, *residual;  /* [n] mu_k^T kappa; what is missing in the balance */
-    double *diagonal, *light;     /* [n] K_ii, 1/K_ii */
+    double *share;                /* [n] (L_vv)_ii / K_ii */
     double *phi;                  /* [m] */
     double *L_v, *F;              /* [n] at the last evaluation, F = L_q + f */
-    double *L_vq, *L_vv, *F_q, *F_v; /* [n*n] at the prediction, then L_vv is K */
+    double *unit, *per_unit;      /* [n] of residual.h for L_vv */
+    double *L_vq, *L_vv, *F_q, *F_v; /* [n*n] at the prediction */
+    double *K, *factors, *scratch; /* [n*n] */
 } dal_balance;
 
 /* L_v[n] and F[n], each or NULL; and, all of them or none, L_vq[n*n], L_vv[n*n], F_q[n*n] = dF/dq,
@@ -150,7 +152,8 @@ struct dal_kernel {
     void *constraint_ctx, *potential_ctx, *balance_ctx;
     const double *input;        /* of the force, for code that is inside */
     dal_constraint_kind kind;
-    const double *mass_inverse;        /* [n*n] */
+    const double *mass;                /* [n*n], NULL if it is not constant, */
+    const double *mass_inverse;        /* [n*n] and its inverse */
     const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;
     int steady;   /* a dal_steady, where V acts at no q~', or 0 */
@@ -170,6 +173,7 @@ struct dal_kernel {
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
     bool carried;          /* momentum is known */
     double *momentum;               /* [n] p at q~ */
+    double *latest;                 /* [m] kappa of the last stage over its span */
     double *history;                /* [4*n] of each kind of stage: v' - v, the latest first */
     size_t kinds;
     unsigned char *known;           /* of each kind, how many of them there are */
@@ -818,7 +822,13 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double num
                                                        const dal_stage *s, double *x, double *pull)
 {
     DAL_KERNEL_SIZES;
-    if (!DAL_KERNEL_MASS || s->momentum) return DAL_KERNEL_PART(momentum)(k, number, s, x);
+    /* inside, what is known at the node need not be computed again if that is a constant */
+    if (DAL_KERNEL_INSIDE && !DAL_KERNEL_MASS)
+        return DAL_KERNEL_PART(momentum)(k, number, s, false, x);
+    if (DAL_KERNEL_INSIDE && s->momentum && s->linear)
+        return DAL_KERNEL_PART(momentum)(k, number, s, true, x);
+    if (s->momentum)
+        return DAL_KERNEL_PART(momentum)(k, number, s, !DAL_KERNEL_INSIDE && s->linear, x);
     int status = DAL_SUCCESS;
     if (DAL_KERNEL_RARE(s->start != 0.0 && !k->forced)) {
         DAL_KERNEL_COPY(2 * n, x, k->at.x);

@@ -17,78 +17,102 @@
  * bound; so a smooth step takes one evaluation with second derivatives and one without.  Nothing is
  * extrapolated: what is stored was looked at.
  *
- * p is carried from stage to stage and never evaluated again: p' is the sum of the momenta above,
- * so that no rounding of v' is handed on to the next stage.
+ * p is carried from stage to stage, so that what is left of the balance is not lost: p' = L_v(q~',
+ * v') + theta r, where r is the residual and theta_i = (L_vv)_ii / K_ii the part of a row of K that
+ * is momentum.  In stiff damping the rest of r is a rounding of F, which is no momentum.
  *
- * What does not contract, a K with a pivot that is not positive, a negative det S and what is not
- * finite go to dal_kernel.finish, as in kernel.h.  sizes are measured in the metric of the diagonal
- * of K; no scaling of coordinates or forms changes a decision. */
-
+ * What does not contract, an L_vv, K or S with a pivot that is not positive, and what is not finite
+ * go to dal_kernel.finish, as in kernel.h.  Each row is judged by its own terms, so that no scaling
+ * of coordinates or forms changes a decision, nor a coordinate what is asked of another. */
 #ifndef DALEMBERT_MOMENTUM_H
 #define DALEMBERT_MOMENTUM_H
-/* The balance is a rounding of its terms: 8 u, squared.  Squares below TINY are not compared. */
-#define DAL_MOMENTUM_NOISE (64.0 * DAL_KERNEL_U * DAL_KERNEL_U)
-#define DAL_MOMENTUM_TINY 1e-250
-/* What the rounding of q~' moves it by is at most u times its slopes and q~'; twice that, squared. */
-#define DAL_MOMENTUM_GRID (4.0 * DAL_KERNEL_U * DAL_KERNEL_U)
-/* Pivots of K that are a smaller part of its diagonal are left to the full Newton iteration. */
+/* A row of the balance is closed to so many u of its terms; and of what q~' is multiplied with, whose
+ * roundings at the prediction and after the correction move the row by at most u each. */
+#define DAL_MOMENTUM_NOISE (8.0 * DAL_KERNEL_U)
+#define DAL_MOMENTUM_GRID (4.0 * DAL_KERNEL_U)
+/* Where it no longer shrinks, so many times as much. */
+#define DAL_MOMENTUM_FLOOR 64.0
+enum { DAL_MOMENTUM_PASSES = 4 };
+/* With pivots below this part of their terms K and S are left to the full Newton iteration. */
 #define DAL_MOMENTUM_PIVOT 1e-12
 
 /* What a stage here has beside the traits of every stage. */
 typedef struct dal_spans {
     double b, early, late;  /* B h, h start, h end */
     bool linear, nonlinear; /* the constraints */
-    bool known;             /* mu(q~') is mu_k */
+    bool still;             /* q~' is q_k, */
+    bool known;             /* and mu(q~') is mu_k */
 } dal_spans;
+
+/* unit[n], per_unit[n] <- those of residual.h for the metric M[n*n], which is positive definite;
+ * scratch[n*n]. */
+DAL_KERNEL_APART void dal_momentum_units(size_t n, const double *M, double *scratch, double *unit,
+                                         double *per_unit)
+{
+    double *const L = scratch; /* M = L D L^T with the diagonal 1 of L, and D in its place */
+    for (size_t j = 0; j < n; j++)
+        for (size_t i = j; i < n; i++) {
+            double sum = M[i * n + j];
+            for (size_t c = 0; c < j; c++) sum -= L[i * n + c] * L[c * n + c] * L[j * n + c];
+            L[i * n + j] = i == j ? sum : sum / L[j * n + j];
+        }
+    for (size_t j = 0; j < n; j++) {
+        double sum = 0.0; /* (M^-1)_jj, from column j of L^-1 in per_unit */
+        for (size_t i = j; i < n; i++) {
+            per_unit[i] = i == j ? 1.0 : 0.0;
+            for (size_t c = j; c < i; c++) per_unit[i] -= L[i * n + c] * per_unit[c];
+            sum += per_unit[i] * per_unit[i] / L[i * n + i];
+        }
+        unit[j] = sqrt(sum);
+    }
+    for (size_t j = 0; j < n; j++) per_unit[j] = 1.0 / unit[j];
+}
 #endif /* DALEMBERT_MOMENTUM_H */
 
 /* ---- once for each inclusion of kernel.h ---------------------------------------------------- */
 
-/* sum_i weight_i x_i^2 */
-DAL_KERNEL_INLINE double DAL_KERNEL_PART(square)(const dal_kernel *k, const double *weight,
-                                                 const double *x)
+/* A[size*size], nearly symmetric and positive definite, becomes its factors L and U, without a
+ * change of rows, the diagonal of U inverted.  False if a pivot is not positive, or small against
+ * the terms that were added up to that entry of the diagonal. */
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(eliminate)(size_t size, unsigned long long mask, double *A,
+                                                  const double *terms)
 {
-    DAL_KERNEL_SIZES;
-    (void)k;
-    double sum = -0.0;
+    bool regular = true;
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) sum += weight[i] * (x[i] * x[i]);
-    return sum;
+    for (size_t j = 0; j < size; j++) {
+        const double pivot = A[j * size + j], inverse = 1.0 / pivot;
+        if (!(pivot > DAL_MOMENTUM_PIVOT * terms[j])) regular = false;
+        A[j * size + j] = inverse;
+        DAL_KERNEL_UNROLL
+        for (size_t i = j + 1; i < size; i++) {
+            if (!DAL_KERNEL_HAS(mask, i * size + j)) continue;
+            const double l = A[i * size + j] * inverse;
+            A[i * size + j] = l;
+            DAL_KERNEL_UNROLL
+            for (size_t c = j + 1; c < size; c++)
+                if (DAL_KERNEL_HAS(mask, j * size + c)) A[i * size + c] -= l * A[j * size + c];
+        }
+    }
+    return regular;
 }
 
-/* The size of a row of forms[m*n], sqrt(sum_i light_i form_i^2). */
-DAL_KERNEL_INLINE double DAL_KERNEL_PART(form)(const dal_kernel *k, unsigned long long mask,
-                                               const double *light, const double *forms, size_t a)
+/* y[size] <- A^-1 y. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve)(size_t size, unsigned long long mask, const double *A,
+                                              double *y)
 {
-    DAL_KERNEL_SIZES;
-    (void)k;
-    double sum = -0.0;
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++)
-        if (DAL_KERNEL_HAS(mask, a * n + i))
-            sum += light[i] * (forms[a * n + i] * forms[a * n + i]);
-    return sqrt(sum);
-}
-
-/* y[n] <- K^-1 y. */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(solve)(const dal_kernel *k, unsigned long long mask,
-                                              const double *K, double *y)
-{
-    DAL_KERNEL_SIZES;
-    (void)k;
-    DAL_KERNEL_UNROLL
-    for (size_t i = 1; i < n; i++) {
+    for (size_t i = 1; i < size; i++) {
         DAL_KERNEL_UNROLL
         for (size_t j = 0; j < i; j++)
-            if (DAL_KERNEL_HAS(mask, i * n + j)) y[i] -= K[i * n + j] * y[j];
+            if (DAL_KERNEL_HAS(mask, i * size + j)) y[i] -= A[i * size + j] * y[j];
     }
     DAL_KERNEL_UNROLL
-    for (size_t back = 1; back <= n; back++) {
-        const size_t i = n - back;
+    for (size_t back = 1; back <= size; back++) {
+        const size_t i = size - back;
         DAL_KERNEL_UNROLL
-        for (size_t j = i + 1; j < n; j++)
-            if (DAL_KERNEL_HAS(mask, i * n + j)) y[i] -= K[i * n + j] * y[j];
-        y[i] *= K[i * n + i];
+        for (size_t j = i + 1; j < size; j++)
+            if (DAL_KERNEL_HAS(mask, i * size + j)) y[i] -= A[i * size + j] * y[j];
+        y[i] *= A[i * size + i];
     }
 }
 
@@ -100,6 +124,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel *k, const dal_traits *o,
     DAL_KERNEL_SIZES;
     const double *const x = at->x;
     const bool pushed = of->early != 0.0;
+    if (DAL_KERNEL_MASS && k->mass && !k->carried) {
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++)
+            k->momentum[i] = dal_kernel_dot(n, o->has.inverse, k->mass, i, x + n);
+        k->carried = true;
+    }
     if (DAL_KERNEL_RARE(!k->carried || (pushed && !k->forced))) {
         DAL_KERNEL_COPY(2 * n, x, k->at.x);
         const int status = DAL_KERNEL_PART(push)(k, o->number, o->stage,
@@ -141,6 +171,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(constrain)(dal_kernel *k, const dal_traits
         returned = DAL_KERNEL_FORMS(k, o->t_end, at->point, at->w, of->linear ? NULL : phi, at->mu,
                                     N);
     if (returned || !of->nonlinear) return returned;
+    DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) at->goal[i] = 0.5 * (at->x[n + i] + at->w[i]);
     return DAL_KERNEL_FORMS(k, dal_kernel_time(k, o->number, o->stage->t_node), at->node, at->goal,
                             NULL, at->mu_node, NULL);
@@ -153,20 +184,26 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(miss)(const dal_kernel *k, const dal_trai
 {
     DAL_KERNEL_SIZES;
     (void)k;
+    DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++)
         at->r[a] = of->linear ? -dal_kernel_dot(n, o->has.mu, at->mu, a, at->w) : -phi[a];
 }
 
-/* The same.  True if for every constraint |phi^a| is at most half of the bound times sum_i |mu^a_i
- * v_i| + |phi^a - mu^a v|, which is at most s^a of residual.h; then the statistics know it. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_in_D)(dal_kernel *k, const dal_traits *o,
-                                                const dal_spans *of, const dal_arrays *at,
-                                                const double *phi)
+/* The same.  True if every residual is at most half of its bound; then the statistics know it.  With
+ * the terms of phi, sum_i |mu^a_i v_i| + |phi^a - mu^a v|, in place of s^a of residual.h, which is
+ * not less; unless exact. */
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_within)(dal_kernel *k, const dal_traits *o,
+                                                  const dal_spans *of, const dal_arrays *at,
+                                                  const dal_balance *balance, bool exact)
 {
     DAL_KERNEL_SIZES;
     const double limit = DAL_KERNEL_LIMIT(n);
+    const double *const unit = DAL_KERNEL_MASS && k->mass ? k->unit : balance->unit;
+    const double *const per_unit = DAL_KERNEL_MASS && k->mass ? k->per_unit : balance->per_unit;
+    const double speed = exact ? dal_residual_speed(n, per_unit, at->w) : 0.0;
     double largest = k->stats.worst_residual;
     bool settled = true;
+    DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
         double sum = -0.0, terms = -0.0;
         DAL_KERNEL_UNROLL
@@ -174,9 +211,9 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_in_D)(dal_kernel *k, const dal_traits 
             if (!DAL_KERNEL_HAS(o->has.mu, a * n + i)) continue;
             const double term = at->mu[a * n + i] * at->w[i];
             sum += term;
-            terms += fabs(term);
+            terms += exact ? fabs(at->mu[a * n + i]) * unit[i] * speed : fabs(term);
         }
-        const double value = of->linear ? sum : phi[a];
+        const double value = of->linear ? sum : balance->phi[a];
         if (!of->linear) terms += fabs(value - sum);
         at->r[a] = -value;
         if (!(limit * terms - fabs(value) >= 0.0)) settled = false; /* nor if both are infinite */
@@ -186,46 +223,65 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_in_D)(dal_kernel *k, const dal_traits 
     return settled;
 }
 
-/* K becomes its factors L, U without a change of rows, the diagonal of U inverted: it is nearly
- * symmetric and positive definite.  False if a pivot is too small for that, measured by the terms
- * of its diagonal, for which diagonal and light then have K_ii and 1/K_ii. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(factor_K)(const dal_kernel *k, unsigned long long mask,
-                                                 const dal_balance *balance)
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_in_D)(dal_kernel *k, const dal_traits *o,
+                                                const dal_spans *of, const dal_arrays *at,
+                                                const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
-    (void)k;
-    double *const K = balance->L_vv;
-    bool regular = true;
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) balance->light[i] = K[i * n + i];
-    DAL_KERNEL_UNROLL
-    for (size_t j = 0; j < n; j++) {
-        const double pivot = K[j * n + j], inverse = 1.0 / pivot;
-        if (!(pivot > DAL_MOMENTUM_PIVOT * balance->diagonal[j])) regular = false;
-        balance->diagonal[j] = balance->light[j];
-        balance->light[j] = 1.0 / balance->light[j];
-        K[j * n + j] = inverse;
-        DAL_KERNEL_UNROLL
-        for (size_t i = j + 1; i < n; i++) {
-            if (!DAL_KERNEL_HAS(mask, i * n + j)) continue;
-            const double l = K[i * n + j] * inverse;
-            K[i * n + j] = l;
-            DAL_KERNEL_UNROLL
-            for (size_t c = j + 1; c < n; c++)
-                if (DAL_KERNEL_HAS(mask, j * n + c)) K[i * n + c] -= l * K[j * n + c];
-        }
+    if (DAL_KERNEL_PART(is_within)(k, o, of, at, balance, false)) return true;
+    if (!(DAL_KERNEL_MASS && k->mass)) {
+#ifdef DAL_N
+        double M[DAL_N * DAL_N], scratch[DAL_N * DAL_N], unit[DAL_N], per_unit[DAL_N];
+        DAL_KERNEL_COPY(n * n, balance->L_vv, M); /* so that it need not be in memory but here */
+        dal_momentum_units(n, M, scratch, unit, per_unit);
+        DAL_KERNEL_COPY(n, unit, balance->unit);
+        DAL_KERNEL_COPY(n, per_unit, balance->per_unit);
+#else
+        dal_momentum_units(n, balance->L_vv, balance->scratch, balance->unit, balance->per_unit);
+#endif
     }
-    return regular;
+    return DAL_KERNEL_PART(is_within)(k, o, of, at, balance, true);
 }
 
-/* S <- (mu + b N) Z^T, factored, as dal_kernel_factor. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor_S)(const dal_kernel *k, const dal_traits *o, double b,
-                                                const dal_arrays *at, const dal_balance *balance)
+/* K and S, factored, from what was evaluated at the prediction; Z.  False if one is not regular, or
+ * L_vv is not positive definite. */
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(form)(const dal_kernel *k, const dal_traits *o,
+                                             const dal_spans *of, const dal_arrays *at,
+                                             const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
-    double terms = -0.0;
+    double *const K = balance->K, *const factors = balance->factors, *const terms = at->goal;
+    const double b = of->b, late = of->late;
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) terms[i] = fabs(balance->L_vv[i * n + i]);
+    if (!(DAL_KERNEL_MASS && k->mass)) {
+        DAL_KERNEL_COPY(n * n, balance->L_vv, factors);
+        if (!DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms)) return false;
+    }
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n * n; i++) {
+        double more = -0.0;
+        if (!of->still && DAL_KERNEL_HAS(o->has.L_vq, i)) more += b * balance->L_vq[i];
+        if (DAL_KERNEL_HAS(o->has.F_v, i)) more -= late * balance->F_v[i];
+        if (!of->still && DAL_KERNEL_HAS(o->has.F_q, i)) more -= late * b * balance->F_q[i];
+        K[i] = factors[i] = balance->L_vv[i] + more;
+        if (i % (n + 1) == 0) terms[i / n] += fabs(more);
+    }
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) {
+        const double share = balance->L_vv[i * n + i] / K[i * n + i];
+        balance->share[i] = share < 1.0 ? share : 1.0;
+    }
+    if (!DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms)) return false;
+    DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        double size = -0.0;
+        DAL_KERNEL_COPY(n, at->mu_node + a * n, at->Z + a * n);
+        DAL_KERNEL_PART(solve)(n, o->has.K, factors, at->Z + a * n);
+    }
+    DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++) {
+        at->sizes[a] = -0.0;
+        DAL_KERNEL_UNROLL
         for (size_t c = 0; c < m; c++) at->S[a * m + c] = -0.0;
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) {
@@ -233,18 +289,15 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor_S)(const dal_kernel *k, const dal_t
             if (!turns && !DAL_KERNEL_HAS(o->has.mu, a * n + i)) continue;
             const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
             const double entry = turns ? fabs(mu) + fabs(row) : fabs(mu);
-            if (m > 1) size += balance->light[i] * (entry * entry);
-            for (size_t c = 0; c < m; c++) {
-                if (!DAL_KERNEL_HAS(o->has.Z, c * n + i)) continue;
-                at->S[a * m + c] += row * at->Z[c * n + i];
-                if (m == 1) terms += entry * fabs(at->Z[c * n + i]);
-            }
+            DAL_KERNEL_UNROLL
+            for (size_t c = 0; c < m; c++)
+                if (DAL_KERNEL_HAS(o->has.Z, c * n + i))
+                    at->S[a * m + c] += row * at->Z[c * n + i];
+            if (DAL_KERNEL_HAS(o->has.Z, a * n + i))
+                at->sizes[a] += entry * fabs(at->Z[a * n + i]);
         }
-        at->sizes[a] = m > 1 ? sqrt(size) : terms;
-        at->sizes[m + a] =
-            m > 1 ? DAL_KERNEL_PART(form)(k, o->has.mu, balance->light, at->mu_node, a) : 1.0;
     }
-    return dal_lu_factor(m, at->S, at->sizes, at->row);
+    return DAL_KERNEL_PART(eliminate)(m, DAL_KERNEL_ALL, at->S, at->sizes);
 }
 
 /* ---- linearise: K and S at the prediction; as in kernel.h > 0 is for finish */
@@ -259,37 +312,20 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(linearise)(dal_kernel *k, const dal_traits
         returned = DAL_KERNEL_FORMS(k, dal_kernel_time(k, o->number, s->t_node), at->node,
                                     at->x + n, NULL, at->mu_node, NULL);
     if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
-    if (s->linear) {
+    if (of->known) {
         DAL_KERNEL_COPY(m * n, at->mu_node, at->mu);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < m * n; i++) at->N[i] = 0.0;
     }
-    returned = DAL_KERNEL_PART(constrain)(k, o, of, at, balance->phi, s->linear ? NULL : at->N);
+    returned = DAL_KERNEL_PART(constrain)(k, o, of, at, balance->phi, at->N);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
     if (returned > 0) return 1;
-    returned = DAL_KERNEL_BALANCE(k, o->t_end, at->point, at->w, balance->L_v, balance->F,
-                                  balance->L_vq, balance->L_vv, balance->F_q, balance->F_v);
+    returned = DAL_KERNEL_BALANCE(k, o->t_end, of->still ? at->node : at->point, at->w,
+                                  balance->L_v, balance->F, balance->L_vq, balance->L_vv,
+                                  balance->F_q, balance->F_v);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_BALANCE, returned);
     if (returned > 0) return 1;
-    double *const K = balance->L_vv;
-    const double b = of->b, late = of->late;
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) balance->diagonal[i] = fabs(K[i * n + i]);
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n * n; i++) {
-        double more = -0.0;
-        if (DAL_KERNEL_HAS(o->has.L_vq, i)) more += b * balance->L_vq[i];
-        if (DAL_KERNEL_HAS(o->has.F_v, i)) more -= late * balance->F_v[i];
-        if (DAL_KERNEL_HAS(o->has.F_q, i)) more -= late * b * balance->F_q[i];
-        K[i] += more;
-        if (i % (n + 1) == 0) balance->diagonal[i / n] += fabs(more);
-    }
-    const bool regular = DAL_KERNEL_PART(factor_K)(k, o->has.K, balance);
-    for (size_t a = 0; a < m; a++) {
-        DAL_KERNEL_COPY(n, at->mu_node + a * n, at->Z + a * n);
-        DAL_KERNEL_PART(solve)(k, o->has.K, K, at->Z + a * n);
-    }
-    return !regular || (m > 0 && DAL_KERNEL_PART(factor_S)(k, o, b, at, balance) <= 0);
+    return !DAL_KERNEL_PART(form)(k, o, of, at, balance);
 }
 
 /* reaction <- mu_k^T kappa. */
@@ -304,77 +340,96 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel *k, const dal_tra
             m > 0 ? dal_kernel_column(n, m, o->has.mu, at->mu_node, i, at->kappa) : 0.0;
 }
 
-/* residual <- what is missing in the balance of momenta; returns its size, squared.  *base <- the
- * sum of those of the terms of v' and of p'. */
-DAL_KERNEL_INLINE double DAL_KERNEL_PART(weigh)(const dal_kernel *k, const dal_spans *of,
-                                                const dal_arrays *at, const dal_balance *balance,
-                                                double *base)
+/* residual <- what is missing in the balance of momenta. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel *k, const dal_spans *of,
+                                              const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
-    *base = DAL_KERNEL_PART(square)(k, balance->diagonal, at->w)
-          + DAL_KERNEL_PART(square)(k, balance->light, balance->known)
-          + DAL_KERNEL_PART(square)(k, balance->light, balance->reaction);
+    (void)k;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
         const double next = balance->known[i] + of->late * balance->F[i] + balance->reaction[i];
         balance->residual[i] = next - balance->L_v[i];
     }
-    if (DAL_KERNEL_RARE(!(*base > DAL_MOMENTUM_TINY))) /* squares may be lost */
-        return dal_kernel_sum(n, balance->residual) == 0.0 ? 0.0 : HUGE_VAL;
-    return DAL_KERNEL_PART(square)(k, balance->light, balance->residual);
 }
 
-/* Whether r may be all roundoff: of v', by the base of its terms, and of q~', through N. */
+/* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_rounding)(const dal_kernel *k, const dal_traits *o,
-                                                    double base, const dal_arrays *at,
-                                                    const dal_balance *balance)
+                                                    const dal_arrays *at)
 {
     DAL_KERNEL_SIZES;
-    const double size = 2.0 * (double)n * sqrt(base);
+    (void)k;
     bool roundoff = true;
+    DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
-        double moved = -0.0;
-        for (size_t i = 0; i < n; i++)
+        double terms = -0.0, moved = -0.0;
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) {
+            double size = fabs(at->w[i]) + fabs(at->x[n + i]);
+            DAL_KERNEL_UNROLL
+            for (size_t c = 0; c < m; c++)
+                if (DAL_KERNEL_HAS(o->has.Z, c * n + i))
+                    size += fabs(at->Z[c * n + i] * at->kappa[c]);
+            if (DAL_KERNEL_HAS(o->has.mu, a * n + i)) terms += fabs(at->mu[a * n + i]) * size;
             if (DAL_KERNEL_HAS(o->has.N, a * n + i))
                 moved += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
-        const double form = DAL_KERNEL_PART(form)(k, o->has.mu, balance->light, at->mu, a);
-        if (!(2.0 * DAL_KERNEL_U * (form * size + moved) - fabs(at->r[a]) >= 0.0)) roundoff = false;
+        }
+        const double bound = 2.0 * DAL_KERNEL_U * (2.0 * (double)n * terms + moved);
+        if (!(bound - fabs(at->r[a]) >= 0.0)) roundoff = false;
     }
     return roundoff;
 }
 
-/* Whether what is left of the balance, squared, is a rounding: of its terms, or of q~'. */
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_balanced)(const dal_kernel *k, const dal_traits *o,
-                                                    double late, double left, double base,
-                                                    const double *point,
+/* The terms of a row of p' that are not L_v. */
+DAL_KERNEL_INLINE double DAL_KERNEL_PART(pushes)(const dal_spans *of, const dal_balance *balance,
+                                                 size_t i)
+{
+    return fabs(balance->known[i]) + fabs(of->late * balance->F[i]) + fabs(balance->reaction[i]);
+}
+
+/* How far the rows of the residual are from a rounding: of their terms; of the velocities of rows
+ * that they are coupled to, by the terms of these; or of q~'.  At most 1 if each is one; of the
+ * worst row, NaN if there is one.  Where all is below DBL_MIN roundings are not in proportion. */
+DAL_KERNEL_INLINE double DAL_KERNEL_PART(imbalance)(const dal_kernel *k, const dal_traits *o,
+                                                    const dal_spans *of, const dal_arrays *at,
                                                     const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
     (void)k;
-    double sum = -0.0;
-    if (DAL_MOMENTUM_NOISE * base - left >= 0.0) return true; /* not if both are infinite */
+    double worst = 0.0;
+    DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        double moved = -0.0;
+        const double left = fabs(balance->residual[i]);
+        const double own = fabs(balance->known[i]) + fabs(balance->L_v[i]);
+        if (DAL_MOMENTUM_NOISE * own - left >= 0.0) continue; /* not if both are infinite */
+        double terms = DBL_MIN, moved = -0.0;
+        DAL_KERNEL_UNROLL
         for (size_t j = 0; j < n; j++) {
-            if (DAL_KERNEL_HAS(o->has.L_vq, i * n + j))
-                moved += fabs(balance->L_vq[i * n + j] * point[j]);
-            if (DAL_KERNEL_HAS(o->has.F_q, i * n + j))
-                moved += fabs(late * balance->F_q[i * n + j] * point[j]);
+            const size_t ij = i * n + j;
+            if (DAL_KERNEL_HAS(o->has.K, ij))
+                terms += fabs(balance->K[ij])
+                       * (fabs(at->w[j]) + DBL_MIN
+                          + DAL_KERNEL_PART(pushes)(of, balance, j) / balance->K[j * n + j]);
+            if (DAL_KERNEL_HAS(o->has.L_vq, ij)) moved += fabs(balance->L_vq[ij] * at->point[j]);
+            if (DAL_KERNEL_HAS(o->has.F_q, ij))
+                moved += fabs(of->late * balance->F_q[ij] * at->point[j]);
         }
-        sum += balance->light[i] * (moved * moved);
+        const double ratio = left / (DAL_MOMENTUM_NOISE * terms + DAL_MOMENTUM_GRID * moved);
+        if (!(ratio <= worst)) worst = ratio;
     }
-    return DAL_MOMENTUM_NOISE * base + DAL_MOMENTUM_GRID * sum - left >= 0.0;
+    return worst;
 }
 
-/* step, d <- a correction of w and kappa; returns what it is, squared, in the metric of K. */
-DAL_KERNEL_INLINE double DAL_KERNEL_PART(correct)(dal_kernel *k, const dal_traits *o,
+/* step, d <- a correction of w and kappa. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(correct)(dal_kernel *k, const dal_traits *o,
                                                   const dal_spans *of, const dal_arrays *at,
                                                   const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
     double *const y = at->step;
     DAL_KERNEL_COPY(n, balance->residual, y);
-    DAL_KERNEL_PART(solve)(k, o->has.K, balance->L_vv, y);
+    DAL_KERNEL_PART(solve)(n, o->has.K, balance->factors, y);
+    DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
         double turn = -0.0;
         DAL_KERNEL_UNROLL
@@ -382,12 +437,14 @@ DAL_KERNEL_INLINE double DAL_KERNEL_PART(correct)(dal_kernel *k, const dal_trait
             if (DAL_KERNEL_HAS(o->has.N, a * n + i)) turn += at->N[a * n + i] * y[i];
         at->r[a] -= dal_kernel_dot(n, o->has.mu, at->mu, a, y) + of->b * turn;
     }
-    dal_lu_solve(m, at->S, at->row, at->r, at->d);
+    if (m > 0) {
+        DAL_KERNEL_COPY(m, at->r, at->d);
+        DAL_KERNEL_PART(solve)(m, DAL_KERNEL_ALL, at->S, at->d);
+    }
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
         if (m > 0) y[i] += dal_kernel_column(n, m, o->has.Z, at->Z, i, at->d);
     k->stats.iterations++;
-    return DAL_KERNEL_PART(square)(k, balance->diagonal, y);
 }
 
 /* ---- close: the balance, by Newton with K and S frozen; *settled: D too */
@@ -396,54 +453,78 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
                                              const dal_balance *balance, bool *settled)
 {
     DAL_KERNEL_SIZES;
-    double last = HUGE_VAL, base;
-    DAL_KERNEL_PART(weigh)(k, of, at, balance, &base);
+    double last = HUGE_VAL;
+    DAL_KERNEL_PART(weigh)(k, of, balance);
     DAL_KERNEL_PART(miss)(k, o, of, at, balance->phi);
     for (int correction = 1; correction <= DAL_KERNEL_CORRECTIONS; correction++) {
-        const double size = DAL_KERNEL_PART(correct)(k, o, of, at, balance);
-        if (!(size <= 0.25 * last)) return 1;
-        last = size;
+        DAL_KERNEL_PART(correct)(k, o, of, at, balance);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) at->w[i] += at->step[i];
+        DAL_KERNEL_UNROLL
         for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
         dal_kernel_place(k, o->stage, n, o->kept, at);
         int returned = DAL_KERNEL_PART(constrain)(k, o, of, at, balance->phi, NULL);
         if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
         if (returned > 0) return 1;
-        returned = DAL_KERNEL_VALUES(k, o->t_end, at->point, at->w, balance->L_v, balance->F,
-                                     of->late != 0.0);
+        returned = DAL_KERNEL_VALUES(k, o->t_end, of->still ? at->node : at->point, at->w,
+                                     balance->L_v, balance->F, of->late != 0.0);
         if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_BALANCE, returned);
         if (returned > 0) return 1;
         DAL_KERNEL_PART(react)(k, o, at, balance);
-        const double left = DAL_KERNEL_PART(weigh)(k, of, at, balance, &base);
-        *settled = DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance->phi);
-        if (!DAL_KERNEL_PART(is_balanced)(k, o, of->late, left, base, at->point, balance)) continue;
-        if (*settled || DAL_KERNEL_PART(is_rounding)(k, o, base, at, balance)) return 0;
+        DAL_KERNEL_PART(weigh)(k, of, balance);
+        *settled = DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance);
+        const double imbalance = DAL_KERNEL_PART(imbalance)(k, o, of, at, balance);
+        const bool stalls = !(imbalance <= 0.5 * last);
+        last = imbalance;
+        if (imbalance <= (stalls ? DAL_MOMENTUM_FLOOR : 1.0)
+            && (*settled || DAL_KERNEL_PART(is_rounding)(k, o, at)))
+            return 0;
+        if (stalls && !(imbalance <= 1.0)) return 1;
     }
     return 1;
 }
 
-/* ---- mend: as settle of kernel.h, with the reaction that goes with the velocity */
+/* ---- mend: the velocity, into D at the q~' that is stored, with the reaction that goes with it.  S
+ * is for a q~' that moves, so each pass leaves a part B h N of the residual. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(mend)(dal_kernel *k, const dal_traits *o,
                                              const dal_spans *of, const dal_arrays *at,
                                              const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
-    dal_lu_solve(m, at->S, at->row, at->r, at->d);
+    if (m == 0) return true;
+    DAL_KERNEL_COPY(m, at->r, at->d);
+    DAL_KERNEL_PART(solve)(m, DAL_KERNEL_ALL, at->S, at->d);
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++)
         if (m > 0) at->w[i] += dal_kernel_column(n, m, o->has.Z, at->Z, i, at->d);
+    DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
     if (!of->linear && DAL_KERNEL_FORMS(k, o->t_end, at->point, at->w, balance->phi, at->mu, NULL))
         return false;
-    DAL_KERNEL_PART(react)(k, o, at, balance);
-    return DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance->phi);
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++)
+        balance->L_v[i] += balance->share[i]
+                         * dal_kernel_column(n, m, o->has.mu, at->mu_node, i, at->d);
+    return DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance);
 }
 
-/* ---- carry: commit; solved: here, and not by finish */
-DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel *k, const dal_traits *o,
-                                              const dal_spans *of, const dal_arrays *at,
-                                              const dal_balance *balance, bool solved)
+/* ---- carry: what the next stage needs of a balance that was closed here */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel *k, const dal_spans *of,
+                                              const dal_balance *balance)
+{
+    DAL_KERNEL_SIZES;
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) {
+        k->momentum[i] = balance->L_v[i] + balance->share[i] * balance->residual[i];
+        k->force0[i] = -balance->F[i];
+    }
+    k->carried = true;
+    k->forced = of->late != 0.0;
+}
+
+/* ---- conclude: as commit of kernel.h */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel *k, const dal_traits *o,
+                                                 const dal_arrays *at)
 {
     DAL_KERNEL_SIZES;
     double *const x = at->x, *const past = k->history + 4 * n * o->stage->kind;
@@ -458,19 +539,18 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel *k, const dal_traits *o
         x[n + i] = at->w[i];
     }
     *count = (unsigned char)(*count + (*count < 4));
-    for (size_t a = 0; a < m; a++) k->impulse[a] += at->kappa[a];
-    k->carried = solved;
-    k->forced = solved && of->late != 0.0;
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) {
-        k->momentum[i] = balance->known[i] + of->late * balance->F[i] + balance->reaction[i];
-        k->force0[i] = -balance->F[i];
+    for (size_t a = 0; a < m; a++) {
+        k->impulse[a] += at->kappa[a];
+        k->latest[a] = at->kappa[a] / o->stage->span;
     }
 }
 
-/* A stage of step number, counted from 0. */
+/* A stage of step number, counted from 0.  explicit is a constant where this is inlined, and may be
+ * true where B = 0: mu(q~') is then that of the node. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const double number,
-                                                const dal_stage *const s, double *const x)
+                                                const dal_stage *const s, const bool explicit,
+                                                double *const x)
 {
     DAL_KERNEL_SIZES;
 #ifdef DAL_N
@@ -479,13 +559,14 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     double Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
     double r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
     size_t row[DAL_KERNEL_M];
-    double known[DAL_N], reaction[DAL_N], residual[DAL_N], diagonal[DAL_N], light[DAL_N];
-    double phi[DAL_KERNEL_M], L_v[DAL_N], F[DAL_N];
+    double known[DAL_N], reaction[DAL_N], residual[DAL_N], share[DAL_N];
+    double phi[DAL_KERNEL_M], L_v[DAL_N], F[DAL_N], unit[DAL_N], per_unit[DAL_N];
     double L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
+    double K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
     const dal_arrays at = {x, NULL, node, point, w, mu_node, mu, N, known, goal, step, NULL,
                            stored, Z, S, sizes, r, d, kappa, row};
-    const dal_balance balance = {known, reaction, residual, diagonal, light, phi, L_v, F,
-                                 L_vq, L_vv, F_q, F_v};
+    const dal_balance balance = {known, reaction, residual, share, phi, L_v, F, unit, per_unit,
+                                 L_vq, L_vv, F_q, F_v, K, factors, NULL};
 #else
     const dal_arrays at = k->at;
     const dal_balance balance = k->balance;
@@ -494,7 +575,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     const bool linear = kind == DAL_LINEAR, kept = !DAL_KERNEL_INSIDE && k->kept;
     const dal_spans of = {.b = s->after * k->h, .early = k->h * s->start, .late = k->h * s->end,
                           .linear = linear, .nonlinear = kind == DAL_NONLINEAR,
-                          .known = s->linear && linear && !kept};
+                          .still = explicit && !kept,
+                          .known = explicit && linear && !kept};
     const dal_pattern has = DAL_KERNEL_PATTERN;
     const dal_traits o = {.stage = s, .number = number, .has = has, .kept = kept,
                           .t_end = dal_kernel_time(k, number, s->t_end)};
@@ -512,13 +594,16 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     if (status == 0) status = DAL_KERNEL_PART(close)(k, &o, &of, &at, &balance, &settled);
     if (status < 0) return status;
     bool solved = status == 0;
-    if (DAL_KERNEL_RARE(solved && !settled && !kept))
+    const int passes = solved && !kept ? DAL_MOMENTUM_PASSES : 0;
+    for (int pass = 0; DAL_KERNEL_RARE(!settled && pass < passes); pass++)
         settled = DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance);
-    const bool done = solved && settled && DAL_KERNEL_PART(is_finite)(n, &at);
-    if (DAL_KERNEL_RARE(!done)) {
+    if (solved && settled && DAL_KERNEL_PART(is_finite)(n, &at)) {
+        DAL_KERNEL_PART(carry)(k, &of, &balance);
+    } else {
         status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &solved);
         if (status) return status;
+        k->carried = k->forced = false;
     }
-    DAL_KERNEL_PART(carry)(k, &o, &of, &at, &balance, done);
+    DAL_KERNEL_PART(conclude)(k, &o, &at);
     return DAL_SUCCESS;
 }

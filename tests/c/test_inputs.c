@@ -38,9 +38,8 @@ static dal_system *open_cart(const double *wrong)
 {
     static const char *const names[] = {"push", "turn", "wind"};
     const dal_system_def def = {.n = N, .m = 1, .mass = mass, .constraint = plane_blade,
-                                .force = motors,
-                                .inputs = INPUTS, .input_names = names, .name = "cart",
-                                .state = start, .ctx = (void *)wrong};
+                                .force = motors, .inputs = INPUTS, .input_names = names,
+                                .name = "cart", .state = start, .ctx = (void *)wrong};
     dal_system *system = NULL;
     dal_error error = {0};
     need(dal_system_new(&system, &def, &error), "cart", error.text);

@@ -611,17 +611,17 @@ def _balance(model: Model, derived: Derived) -> Function:
         )
         F_v = [L_vq[j * n + i] for i in range(n) for j in range(n)]
     else:
-        L_vv, L_vq, F_q, F_v = [*map(engine.take, derived.mass)], none, none, none
+        L_vv, L_vq, F_v = [*map(engine.take, derived.mass)], none, none
         v = [*map(engine.take, model.v)]
         L_v = [
             sum((L_vv[i * n + j] * v[j] for j in range(n)), engine.take(zero)) for i in range(n)
         ]
-        (V_q,) = _jet(derived, engine, "potential", "V_q")
-        F = [-e for e in V_q] or none[:n]
+        V_q, V_qq = _jet(derived, engine, "potential", "V_q", "V_qq")
+        F, F_q = [-e for e in V_q] or none[:n], [-e for e in V_qq] or none
     if f:
-        F, F_v = [a + b for a, b in zip(F, f)], [a + b for a, b in zip(F_v, f_v)]
-        if derived.mass is None:
-            F_q = [a + b for a, b in zip(F_q, f_q)]
+        F, F_q, F_v = (
+            [a + b for a, b in zip(*x)] for x in ((F, f), (F_q, f_q), (F_v, f_v))
+        )
     outputs = {"L_v": L_v, "F": F, "L_vq": L_vq, "L_vv": L_vv, "F_q": F_q, "F_v": F_v}
     return Function("balance", outputs, engine)
 

@@ -1,0 +1,260 @@
+/* Stages in momentum form: of M(q), forces of v, and constraints that are not linear. */
+#include "check.h"
+#include "fixtures.h"
+
+enum { MOST_2N = 16 };
+
+/* Built-in systems of all kinds, n = 2 to 6; and a cart on a blade with a brake and two motors. */
+static const char *const names[] = {"sleigh_contact", "genmass", "rolling_disc", "ball_on_table",
+                                    "n_trailer", "cart"};
+static const char *const schemes[] = {"midpoint", "explicit", "endpoint", "0.3", "leapfrog",
+                                      "leapfrog-mirror", "midpoint-suzuki4", "leapfrog-yoshida4",
+                                      "midpoint-nodes"};
+
+/* A brake that is not linear in v, a spring in x, a motor that turns. */
+static int drive(double t, const double *q, const double *v, const double *u, double *f,
+                 double *f_q, double *f_v, void *ctx)
+{
+    const double speed = sqrt(1.0 + v[0] * v[0]);
+    (void)t, (void)ctx;
+    if (f) memcpy(f, (double[]){-speed * v[0] - q[0], -0.3 * v[1], u[0] - 0.1 * v[2]}, 3 * sizeof *f);
+    if (f_q) memcpy(f_q, (double[]){-1, 0, 0, 0, 0, 0, 0, 0, 0}, 9 * sizeof *f_q);
+    if (f_v)
+        memcpy(f_v, (double[]){-speed - v[0] * v[0] / speed, 0, 0, 0, -0.3, 0, 0, 0, -0.1},
+               9 * sizeof *f_v);
+    return 0;
+}
+
+static dal_system *open_cart(void)
+{
+    static const double mass[9] = {2.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.75};
+    static const double state[6] = {0.0, 0.0, 0.2, 0.98006657784124163, 0.19866933079506122, 1.2};
+    const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = plane_blade,
+                                .force = drive, .inputs = 1, .name = "cart", .state = state};
+    dal_system *system = NULL;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "cart", error.text);
+    return system;
+}
+
+static dal_system *open_named(const char *name)
+{
+    return strcmp(name, "cart") == 0 ? open_cart() : open_system(name);
+}
+
+static dal_stepper *started(way by, const dal_system *system, const char *scheme, double h)
+{
+    const dal_scheme record = find_scheme(scheme);
+    dal_stepper *const stepper = open_stepper_by(by, system, &record);
+    double x[MOST_2N];
+    const double u[1] = {0.4};
+    need(dal_system_state(system, x), "state", "");
+    if (dal_system_inputs(system) > 0) dal_stepper_input(stepper, u);
+    need(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK,
+                           record.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE),
+         scheme, dal_stepper_error(stepper)->text);
+    return stepper;
+}
+
+/* The compilations make the same bits; and the steps are those of another solver of the same
+ * equations, to 64 u of the state for each of them.  None needs the full Newton iteration. */
+static void test_same_steps(const char *name, const char *scheme, double h)
+{
+    enum { STEPS = 12 };
+    dal_system *const system = open_named(name);
+    const size_t N = 2 * dal_system_n(system);
+    dal_stepper *by[WAYS];
+    for (way w = BY_LIBRARY; w < WAYS; w++) by[w] = started(w, system, scheme, h);
+    for (int k = 1; k <= STEPS; k++) {
+        const double *x[WAYS];
+        for (way w = BY_LIBRARY; w < WAYS; w++) {
+            CHECK(dal_step(by[w], NULL) == DAL_SUCCESS);
+            x[w] = dal_stepper_state(by[w]);
+        }
+        const double size = fmax(1.0, dal__largest(N, x[BY_LIBRARY]));
+        CHECK(memcmp(x[BY_LIBRARY], x[BY_ANY_SIZES], N * sizeof *x[0]) == 0);
+        check_near(largest_difference(N, x[BY_LIBRARY], x[BY_MULTIROOT]), 0.0, 64 * U * size * k,
+                   name, scheme, __LINE__);
+    }
+    dal_stats stats;
+    dal_stepper_stats(by[BY_LIBRARY], &stats);
+    CHECK(stats.full_newtons == 0);
+    for (way w = BY_LIBRARY; w < WAYS; w++) dal_stepper_free(by[w]);
+    dal_system_free(system);
+}
+
+/* A smooth step takes one evaluation with second derivatives, one without, and three of the forms;
+ * also where headings have turned many times, whose rounding moves the momenta by more than theirs. */
+static void test_cost(double turns)
+{
+    enum { STEPS = 2000, ANGLE = 2 }; /* the first coordinate that is one */
+    for (int i = 0; i < 2; i++) {
+        dal_system *const system = open_named(i == 0 ? "sleigh_contact" : "n_trailer");
+        dal_stepper *const stepper = started(BY_LIBRARY, system, "midpoint", 0.01);
+        const size_t n = dal_system_n(system);
+        double x[MOST_2N];
+        dal_stats before, after;
+        memcpy(x, dal_stepper_state(stepper), 2 * n * sizeof *x);
+        for (size_t j = ANGLE; j < n; j++) x[j] += turns * 2.0 * acos(-1.0);
+        CHECK(dal_stepper_start(stepper, 0.0, 0.01, x, DAL_PROJECT, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_advance(stepper, 8, NULL, NULL) == 0);
+        dal_stepper_stats(stepper, &before);
+        CHECK(dal_advance(stepper, STEPS, NULL, NULL) == 0);
+        dal_stepper_stats(stepper, &after);
+        const size_t looks = after.lagrangian_calls - before.lagrangian_calls;
+        const size_t forms = after.constraint_calls - before.constraint_calls;
+        CHECK(100 * looks <= 206 * STEPS && 100 * forms <= 306 * STEPS);
+        CHECK(after.full_newtons == 0 && after.worst_residual <= DAL_RESIDUAL_BOUND(n));
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
+/* Units that are powers of two change no bit, as far as squares do not leave the range; and beyond
+ * it the steps are still those of the equations. */
+static void test_units(void)
+{
+    static const int powers[] = {100, -100, 490, -490, 1000, -990};
+    static const char *const parameters[] = {"m", "J"};
+    for (size_t i = 0; i < DAL_LENGTH(powers); i++) {
+        const double unit = ldexp(1.0, powers[i]), values[] = {1.5 * unit, 0.8 * unit};
+        dal_system *heavy = NULL, *const system = open_system("sleigh_contact");
+        need(dal_system_builtin(&heavy, "sleigh_contact", parameters, values, 2, NULL), "heavy", "");
+        dal_stepper *const one = started(BY_LIBRARY, system, "midpoint", 0.05);
+        dal_stepper *const other = started(BY_LIBRARY, heavy, "midpoint", 0.05);
+        CHECK(dal_advance(one, 20, NULL, NULL) == 0 && dal_advance(other, 20, NULL, NULL) == 0);
+        const double *const x = dal_stepper_state(one), *const y = dal_stepper_state(other);
+        if (abs(powers[i]) <= 490) CHECK(memcmp(x, y, 6 * sizeof *x) == 0);
+        CHECK_NEAR(largest_difference(6, x, y), 0.0, 1000 * U);
+        dal_stepper_free(one);
+        dal_stepper_free(other);
+        dal_system_free(heavy);
+        dal_system_free(system);
+    }
+}
+
+/* ---- forces that are positional --------------------------------------------------------------- */
+
+static int uneven_weight(double t, const double *q, const double *v, const double *u, double *f,
+                         double *f_q, double *f_v, void *ctx)
+{
+    (void)v, (void)u, (void)f_v;
+    uneven_potential(t, q, NULL, f, f_q, ctx);
+    for (int i = 0; f && i < 3; i++) f[i] = -f[i];
+    for (int i = 0; f_q && i < 9; i++) f_q[i] = -f_q[i];
+    return q[0] > 1e6 ? 1 : 0;
+}
+
+/* -V_q as a force makes the bits of V, but for what the kernel knows of it: its energy. */
+static void test_force_of_potential(void)
+{
+    dal_system *const given = open_system("uneven_edge");
+    dal_system_def def = given->def;
+    dal_system *forced = NULL;
+    def.potential = NULL;
+    def.force = uneven_weight;
+    def.positional = 1;
+    need(dal_system_new(&forced, &def, NULL), "forced", "");
+    for (size_t i = 0; i < DAL_LENGTH(schemes); i++)
+        for (way w = BY_LIBRARY; w <= BY_ANY_SIZES; w++) {
+            dal_stepper *const one = started(w, given, schemes[i], 0.05);
+            dal_stepper *const other = started(w, forced, schemes[i], 0.05);
+            CHECK(dal_advance(one, 100, NULL, NULL) == 0 && dal_advance(other, 100, NULL, NULL) == 0);
+            CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(other), 6 * sizeof(double)) == 0);
+            dal_stats of_one, of_other;
+            dal_stepper_stats(one, &of_one);
+            dal_stepper_stats(other, &of_other);
+            CHECK(of_one.potential_calls > 0 && of_other.potential_calls == 0);
+            CHECK(of_other.force_calls >= of_one.potential_calls);
+            dal_stepper_free(one);
+            dal_stepper_free(other);
+        }
+    double x[6];
+    dal_stepper *const away = started(BY_LIBRARY, forced, "midpoint", 0.05);
+    memcpy(x, dal_stepper_state(away), sizeof x);
+    x[0] = 1e6 - 0.01;
+    CHECK(dal_stepper_start(away, 0.0, 0.05, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+    CHECK(dal_step(away, NULL) == DAL_EDOMAIN);
+    CHECK(strstr(dal_stepper_error(away)->text, "force") != NULL);
+    dal_stepper_free(away);
+    dal_system_free(forced);
+    dal_system_free(given);
+}
+
+/* What is declared positional, and is not, is refused; and so is the declaration without a force. */
+static void test_false_declaration(void)
+{
+    dal_system *const cart = open_cart();
+    dal_system_def def = cart->def;
+    dal_system *system = NULL;
+    dal_error error;
+    const dal_scheme scheme = find_scheme("leapfrog");
+    def.positional = 1;
+    CHECK(dal_system_new(&system, &def, NULL) == 0);
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.1, def.state, DAL_CHECK, DAL_INITIAL_NONE)
+          == DAL_EINVAL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "positional, but f[0] is") != NULL);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+    def.positional = 2;
+    CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL);
+    CHECK(strstr(error.text, "positional = 2, and expected is 0 or 1") != NULL);
+    def.force = NULL;
+    def.inputs = 0;
+    def.positional = 1;
+    CHECK(dal_system_new(&system, &def, &error) == DAL_EINVAL);
+    CHECK(strstr(error.text, "positional = 1, and force is NULL") != NULL);
+    dal_system_free(cart);
+}
+
+/* An input that changes is that of the next step, also where forces are carried over from the step
+ * before; and the same again changes nothing. */
+static void test_change_of_input(void)
+{
+    dal_system *const system = open_cart();
+    for (size_t i = 0; i < DAL_LENGTH(schemes); i++) {
+        dal_stepper *const stepper = started(BY_LIBRARY, system, schemes[i], 0.05);
+        dal_stepper *const fresh = started(BY_LIBRARY, system, schemes[i], 0.05);
+        dal_stepper *const still = started(BY_LIBRARY, system, schemes[i], 0.05);
+        const double u[2] = {0.4, -1.3};
+        CHECK(dal_advance(stepper, 6, NULL, NULL) == 0 && dal_advance(still, 6, NULL, NULL) == 0);
+        dal_stepper_input(still, u);
+        CHECK(dal_step(still, NULL) == 0);
+        dal_stats calls, again;
+        dal_stepper_stats(still, &calls);
+        dal_stepper_input(still, u);
+        CHECK(dal_step(still, NULL) == 0);
+        dal_stepper_stats(still, &again);
+        CHECK(again.force_calls - calls.force_calls <= calls.force_calls / 7 + 1);
+        dal_stepper_input(stepper, u + 1);
+        dal_stepper_input(fresh, u + 1);
+        const bool kept = strcmp(schemes[i], "midpoint-nodes") == 0;
+        CHECK(dal_stepper_start(fresh, 0.0, 0.05, dal_stepper_state(stepper), DAL_ASSUME,
+                                kept ? DAL_INITIAL_D_EPS : DAL_INITIAL_NONE) == 0);
+        CHECK(dal_step(stepper, NULL) == 0 && dal_step(fresh, NULL) == 0);
+        CHECK_NEAR(largest_difference(6, dal_stepper_state(stepper), dal_stepper_state(fresh)), 0.0,
+                   200 * U);
+        dal_stepper_free(stepper);
+        dal_stepper_free(fresh);
+        dal_stepper_free(still);
+    }
+    dal_system_free(system);
+}
+
+int main(void)
+{
+    for (size_t i = 0; i < DAL_LENGTH(names); i++)
+        for (size_t j = 0; j < DAL_LENGTH(schemes); j++) {
+            test_same_steps(names[i], schemes[j], 0.01);
+            test_same_steps(names[i], schemes[j], -0.05);
+        }
+    test_cost(0.0);
+    test_cost(1e3);
+    test_cost(1e6);
+    test_units();
+    test_force_of_potential();
+    test_false_declaration();
+    test_change_of_input();
+    return check_done();
+}
