@@ -138,6 +138,14 @@ static bool has_step_routine(const dal_system *system)
     return system->mass && !system->def.force && system->def.kind == DAL_LINEAR;
 }
 
+/* Whether V, if there is one, acts at some q~ or q~'. */
+static bool acts_beside_nodes(const beta *self)
+{
+    for (size_t j = 0; j < self->kernel.stages; j++)
+        if (self->stage[j].start != 0.0 || self->stage[j].end != 0.0) return true;
+    return false;
+}
+
 /* Whether the step routine knows mu(q~') before v'. */
 static bool is_steady(const beta *self, const dal_system_def *def, bool kept)
 {
@@ -186,7 +194,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->stages = plan_stages(self->substep, self->substeps, self->stage);
     plan_predictions(self->stage, k->stages);
     k->kept = scheme->nodes == DAL_KEPT_NODES;
-    k->plain = !k->potential && !k->kept;
+    k->plain = !k->kept && !(k->potential && acts_beside_nodes(self));
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
     dal_kernel_share(k, k->at.x);
     k->impulse = motion->impulse;

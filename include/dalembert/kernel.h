@@ -131,7 +131,7 @@ struct dal_kernel {
     size_t stages;
     const dal_stage *stage;
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
-    bool plain;   /* V = 0, and moved nodes */
+    bool plain;   /* V = 0, or acts at nodes q_k only; and moved nodes */
     double shift; /* 1 - beta */
     /* What is left of a stage: the full Newton iteration from at.x, with kappa, if not solved; else
      * the residual of D at what is stored, evaluated, and mended.  In at.stored and at.w. */
@@ -161,7 +161,7 @@ typedef struct dal_traits {
     double number; /* of the step, from 0 */
     double t_end;  /* of the stage */
     dal_pattern has;
-    bool kept, potential, steady;
+    bool plain, kept, potential, steady;
     bool ends;     /* V_q acts at the unknown q~' */
     bool known;    /* mu(q~') needs no evaluation */
 } dal_traits;
@@ -430,13 +430,16 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_INSIDE 1
 #ifdef DAL_KERNEL_POTENTIAL
 #define DAL_KERNEL_PULLED true
+#define DAL_KERNEL_PLAIN false
 #else
 #define DAL_KERNEL_PULLED false
+#define DAL_KERNEL_PLAIN true
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) 0
 #endif
 #else
 #define DAL_KERNEL_INSIDE 0
 #define DAL_KERNEL_PULLED ((k)->potential != NULL)
+#define DAL_KERNEL_PLAIN false
 #define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) dal_kernel_constraint(k, t, q, v, mu, N)
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) dal_kernel_potential(k, t, q, V_q)
 #endif
@@ -493,18 +496,20 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
     for (size_t i = 0; i < n; i++) at->node[i] = x[i] + before * x[n + i];
     for (size_t i = 0; i < n; i++) at->base[i] = x[n + i];
     if (o->potential) {
-        double *const force = s->node != 0.0 ? k->force1 : k->force0;
-        if (s->node != 0.0 || !k->forced) {
+        const bool at_node = o->plain || s->node != 0.0;
+        double *const force = !at_node ? k->force0
+                            : o->plain && DAL_KERNEL_INSIDE ? at->seen : k->force1;
+        if (at_node || !k->forced) {
             const double shift = o->kept ? k->shift * h : 0.0;
             DAL_KERNEL_UNROLL
             for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
-                at->point[i] = s->node != 0.0 ? at->node[i] : x[i] - shift * x[n + i];
+                at->point[i] = at_node ? at->node[i] : x[i] - shift * x[n + i];
             const int returned = DAL_KERNEL_POTENTIAL(
-                k, dal_kernel_time(k, o->number, s->node != 0.0 ? s->t_node : s->t_start),
+                k, dal_kernel_time(k, o->number, at_node ? s->t_node : s->t_start),
                 at->point, force);
             if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         }
-        const double weight = h * (s->node != 0.0 ? s->node : s->start);
+        const double weight = h * (at_node ? s->node : s->start);
         dal_kernel_accelerate(k, n, o->has.inverse, force, at->step);
         for (size_t i = 0; i < n; i++) at->base[i] -= weight * at->step[i];
     }
@@ -668,11 +673,11 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *
         k->force0 = k->force1;
         k->force1 = force;
     }
-    if (o->potential) k->forced = o->ends && solved;
+    if (o->potential && !o->plain) k->forced = o->ends && solved;
 }
 
-/* A stage of step number, counted from 0.  plain is a constant where this is inlined: V = 0 and
- * moved nodes, so that what serves only the others costs nothing. */
+/* A stage of step number, counted from 0.  plain is a constant where this is inlined: moved nodes,
+ * and V = 0 or at nodes only, so that what serves only the others costs nothing. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double number,
                                              const dal_stage *const s, const bool plain,
                                              double *const x, double *const pull)
@@ -696,14 +701,15 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     const dal_arrays at = k->at;
 #endif
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
-    const bool potential = !plain && DAL_KERNEL_PULLED;
+    const bool potential = DAL_KERNEL_PULLED;
     const bool inside = DAL_KERNEL_STEADY && plain;
     const bool proved = inside || k->steady == DAL_STEADY_PROVED;
     dal_pattern has = DAL_KERNEL_PATTERN;
     if (inside) has.N = 0;
-    const dal_traits o = {.stage = s, .number = number, .has = has, .kept = kept,
+    const dal_traits o = {.stage = s, .number = number, .has = has, .plain = plain, .kept = kept,
                           .t_end = dal_kernel_time(k, number, s->t_end), .potential = potential,
-                          .ends = potential && s->end != 0.0, .steady = inside || k->steady,
+                          .ends = potential && !plain && s->end != 0.0,
+                          .steady = inside || k->steady,
                           .known = m == 0 || proved || (s->linear && !kept)};
 
     bool settled = false;
@@ -754,12 +760,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
             DAL_KERNEL_COPY(2 * n, x, k->saved);
             DAL_KERNEL_COPY(k->m, k->impulse, k->saved + 2 * n);
         }
-#if DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
-        do
-            status = DAL_KERNEL_PART(stage)(k, number, s, !DAL_KERNEL_PULLED, x, pull);
-        while (!status && ++s < end);
-#else
-        if (k->plain) {
+        if (DAL_KERNEL_PLAIN || k->plain) {
             do
                 status = DAL_KERNEL_PART(stage)(k, number, s, true, x, pull);
             while (!status && ++s < end);
@@ -768,7 +769,6 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
                 status = DAL_KERNEL_PART(stage)(k, number, s, false, x, pull);
             while (!status && ++s < end);
         }
-#endif
         if (status) break;
     }
 #if DAL_KERNEL_INSIDE
@@ -787,6 +787,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 
 #undef DAL_KERNEL_INSIDE
 #undef DAL_KERNEL_PULLED
+#undef DAL_KERNEL_PLAIN
 #undef DAL_KERNEL_SHARED
 #undef DAL_KERNEL_SIZES
 #undef DAL_KERNEL_UNROLL
