@@ -189,6 +189,9 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->mass_inverse = system->mass_inverse;
     k->unit = system->unit;
     k->per_unit = system->per_unit;
+    k->at.mass_inverse = k->mass_inverse;
+    k->at.unit = k->unit;
+    k->at.per_unit = k->per_unit;
     k->diagonal = system->diagonal;
     k->stage = self->stage;
     k->stages = plan_stages(self->substep, self->substeps, self->stage);

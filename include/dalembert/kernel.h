@@ -75,6 +75,7 @@ typedef struct dal_pattern {
     unsigned long long mu, Z;   /* and Z = mu M^-1 */
     unsigned long long N;
     unsigned long long pull;    /* [n] where v' is not known in advance: by Z, or V_q at q~' */
+    unsigned long long one;     /* [n] where M is 1, and couples with no other coordinate */
 } dal_pattern;
 
 #define DAL_KERNEL_ALL (~0ULL)
@@ -101,7 +102,13 @@ typedef struct dal_arrays {
     double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
     double *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
     size_t *row;                  /* [m] */
+    /* those of the dal_kernel; with constants for them where the compilation knows that M is 1 */
+    const double *mass_inverse, *unit, *per_unit;
 } dal_arrays;
+
+typedef struct dal_masses {
+    const double *mass_inverse, *unit, *per_unit;
+} dal_masses;
 
 /* Everything down to finish, the arrays, t0, h and x are set by the owner, who then calls
  * dal_kernel_forget; the rest belongs to the step routine. */
@@ -264,10 +271,10 @@ DAL_KERNEL_INLINE double dal_kernel_column(size_t n, size_t m, unsigned long lon
 }
 
 /* y <- M^-1 f. */
-DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, unsigned long long mask,
-                                             const double *f, double *y)
+DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, const dal_arrays *at, size_t n,
+                                             unsigned long long mask, const double *f, double *y)
 {
-    const double *const inverse = k->mass_inverse;
+    const double *const inverse = at->mass_inverse;
     if (mask == DAL_KERNEL_ALL && k->diagonal) {
         for (size_t i = 0; i < n; i++) y[i] = inverse[i * n + i] * f[i];
         return;
@@ -276,19 +283,19 @@ DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, unsi
 }
 
 /* |mu^a| of residual.h for row a of mu[m*n]. */
-DAL_KERNEL_INLINE double dal_kernel_form(const dal_kernel *k, size_t n, unsigned long long mask,
+DAL_KERNEL_INLINE double dal_kernel_form(const dal_arrays *at, size_t n, unsigned long long mask,
                                          const double *mu, size_t a)
 {
     double sum = -0.0;
     for (size_t i = 0; i < n; i++)
-        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += fabs(mu[a * n + i]) * k->unit[i];
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += fabs(mu[a * n + i]) * at->unit[i];
     return sum;
 }
 
 /* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu and b N in the metric, its
  * columns those of mu_node; or, where there is one entry, both together that of its terms. */
-DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
-                                        double b, const dal_arrays *at)
+DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, double b,
+                                        const dal_arrays *at)
 {
     double terms = -0.0;
     for (size_t a = 0; a < m; a++) {
@@ -299,7 +306,7 @@ DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m,
             if (!turns && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
             const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
             const double entry = turns ? fabs(mu) + fabs(row) : fabs(mu);
-            if (m > 1) size += entry * k->unit[i];
+            if (m > 1) size += entry * at->unit[i];
             for (size_t c = 0; c < m; c++) {
                 if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
                 const double term = row * at->Z[c * n + i];
@@ -308,7 +315,7 @@ DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m,
             }
         }
         at->sizes[a] = m > 1 ? size : terms;
-        at->sizes[m + a] = m > 1 ? dal_kernel_form(k, n, has.mu, at->mu_node, a) : 1.0;
+        at->sizes[m + a] = m > 1 ? dal_kernel_form(at, n, has.mu, at->mu_node, a) : 1.0;
     }
     return dal_lu_factor(m, at->S, at->sizes, at->row);
 }
@@ -331,12 +338,12 @@ DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s,
 DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                           const dal_arrays *at, double limit)
 {
-    const double speed = dal_residual_speed(n, k->per_unit, at->w), allowed = limit * speed;
+    const double speed = dal_residual_speed(n, at->per_unit, at->w), allowed = limit * speed;
     double largest = k->stats.worst_residual;
     bool settled = true;
     for (size_t a = 0; a < m; a++) {
         const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
-        const double form = dal_kernel_form(k, n, has.mu, at->mu, a), scale = form * speed;
+        const double form = dal_kernel_form(at, n, has.mu, at->mu, a), scale = form * speed;
         at->r[a] = -sum;
         /* nor if both are infinite; form * speed may overflow */
         if (!(form * allowed - fabs(sum) >= 0.0)) settled = false;
@@ -348,18 +355,18 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal
 
 /* Whether r may be all roundoff: of w, which is the sum of goal and Z^T kappa, and of q~', through
  * N.  No correction would make that smaller. */
-DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(const dal_kernel *k, size_t n, size_t m,
-                                              dal_pattern has, const dal_arrays *at)
+DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(size_t n, size_t m, dal_pattern has,
+                                              const dal_arrays *at)
 {
-    const double terms = dal_residual_speed(n, k->per_unit, at->w)
-                       + dal_residual_speed(n, k->per_unit, at->goal);
+    const double terms = dal_residual_speed(n, at->per_unit, at->w)
+                       + dal_residual_speed(n, at->per_unit, at->goal);
     bool roundoff = true;
     for (size_t a = 0; a < m; a++) {
         double shifted = 0.0;
         for (size_t i = 0; i < n; i++)
             if (DAL_KERNEL_HAS(has.N, a * n + i))
                 shifted += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
-        const double bound = 2.0 * (double)n * dal_kernel_form(k, n, has.mu, at->mu, a) * terms;
+        const double bound = 2.0 * (double)n * dal_kernel_form(at, n, has.mu, at->mu, a) * terms;
         if (!(2.0 * DAL_KERNEL_U * (bound + shifted) - fabs(at->r[a]) >= 0.0)) roundoff = false;
     }
     return roundoff;
@@ -373,7 +380,7 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
                                          const double *seen, const dal_arrays *at)
 {
     const double h = k->h, b = s->after * h;
-    if (ends) dal_kernel_accelerate(k, n, has.inverse, k->force1, at->goal);
+    if (ends) dal_kernel_accelerate(k, at, n, has.inverse, k->force1, at->goal);
     for (size_t i = 0; i < n; i++) {
         at->goal[i] = ends ? at->base[i] - h * s->end * at->goal[i] : at->base[i];
         at->step[i] = at->goal[i];
@@ -445,7 +452,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #endif
 #ifndef DAL_KERNEL_PATTERN
 #define DAL_KERNEL_PATTERN \
-    {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL}
+    {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, 0}
 #endif
 #ifndef DAL_KERNEL_STEADY
 #define DAL_KERNEL_STEADY 0
@@ -510,7 +517,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
             if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         }
         const double weight = h * (at_node ? s->node : s->start);
-        dal_kernel_accelerate(k, n, o->has.inverse, force, at->step);
+        dal_kernel_accelerate(k, at, n, o->has.inverse, force, at->step);
         for (size_t i = 0; i < n; i++) at->base[i] -= weight * at->step[i];
     }
     /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
@@ -545,7 +552,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o
                                                  at->node, at->x + n, at->mu_node, NULL);
         if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
         for (size_t a = 0; a < m; a++)
-            dal_kernel_accelerate(k, n, o->has.inverse, at->mu_node + a * n, at->Z + a * n);
+            dal_kernel_accelerate(k, at, n, o->has.inverse, at->mu_node + a * n, at->Z + a * n);
     }
     if (s->linear) DAL_KERNEL_COPY(m * n, at->mu_node, at->mu);
     if (s->linear || (o->steady && o->has.N)) {
@@ -555,7 +562,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o
     if (o->ends && returned == 0)
         returned = DAL_KERNEL_POTENTIAL(k, o->t_end, at->point, k->force1);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-    return returned > 0 || dal_kernel_factor(k, n, m, o->has, s->after * k->h, at) <= 0;
+    return returned > 0 || dal_kernel_factor(n, m, o->has, s->after * k->h, at) <= 0;
 }
 
 /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
@@ -578,8 +585,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
         if (!o->known || o->ends) {
             double size = -0.0;
             for (size_t i = 0; i < n; i++)
-                if (DAL_KERNEL_HAS(o->has.pull, i)) size += fabs(at->step[i]) * k->per_unit[i];
-            const double noise = 8.0 * DAL_KERNEL_U * dal_residual_extent(n, k->per_unit, at->goal);
+                if (DAL_KERNEL_HAS(o->has.pull, i)) size += fabs(at->step[i]) * at->per_unit[i];
+            const double noise = 8.0 * DAL_KERNEL_U * dal_residual_extent(n, at->per_unit, at->goal);
             if (o->ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
             if (!(anew || size <= 0.5 * last || size <= noise)) break;
             anew = passed && balanced;
@@ -597,7 +604,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
         if (returned > 0) break;
         if (!balanced) continue;
         *settled = dal_kernel_settled(k, n, m, o->has, at, DAL_KERNEL_LIMIT(n));
-        if (*settled || o->known || dal_kernel_is_roundoff(k, n, m, o->has, at)) return DAL_SUCCESS;
+        if (*settled || o->known || dal_kernel_is_roundoff(n, m, o->has, at)) return DAL_SUCCESS;
         if (o->steady) return dal_kernel_fail(k, DAL_EINVAL, DAL_FAILED_STEADY);
     }
     return 1;
@@ -680,9 +687,12 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *
  * and V = 0 or at nodes only, so that what serves only the others costs nothing. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double number,
                                              const dal_stage *const s, const bool plain,
-                                             double *const x, double *const pull)
+                                             const dal_masses *const masses, double *const x,
+                                             double *const pull)
 {
     DAL_KERNEL_SIZES;
+    (void)masses;
+    dal_pattern has = DAL_KERNEL_PATTERN;
 #ifdef DAL_N
     DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
     DAL_KERNEL_SHARED(point, DAL_N, 3 * n);
@@ -696,7 +706,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     double r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
     size_t row[DAL_KERNEL_M];
     const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
-                           Z, S, sizes, r, d, kappa, row};
+                           Z, S, sizes, r, d, kappa, row, masses->mass_inverse, masses->unit,
+                           masses->per_unit};
 #else
     const dal_arrays at = k->at;
 #endif
@@ -704,7 +715,6 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     const bool potential = DAL_KERNEL_PULLED;
     const bool inside = DAL_KERNEL_STEADY && plain;
     const bool proved = inside || k->steady == DAL_STEADY_PROVED;
-    dal_pattern has = DAL_KERNEL_PATTERN;
     if (inside) has.N = 0;
     const dal_traits o = {.stage = s, .number = number, .has = has, .plain = plain, .kept = kept,
                           .t_end = dal_kernel_time(k, number, s->t_end), .potential = potential,
@@ -747,6 +757,23 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const double first = (double)k->stats.steps, last = first + (double)steps;
     double number = first;
     int status = DAL_SUCCESS;
+    const dal_pattern has = DAL_KERNEL_PATTERN;
+#if DAL_KERNEL_INSIDE && DAL_N <= 8
+    double mass_inverse[DAL_N * DAL_N], unit[DAL_N], per_unit[DAL_N];
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < DAL_N * DAL_N; i++)
+        mass_inverse[i] = has.one >> i / DAL_N & 1 ? (double)(i % (DAL_N + 1) == 0)
+                                                   : k->mass_inverse[i];
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < DAL_N; i++) {
+        unit[i] = has.one >> i & 1 ? 1.0 : k->unit[i];
+        per_unit[i] = has.one >> i & 1 ? 1.0 : k->per_unit[i];
+    }
+    const dal_masses masses = {mass_inverse, unit, per_unit};
+#else
+    (void)has;
+    const dal_masses masses = {k->mass_inverse, k->unit, k->per_unit};
+#endif
 #if DAL_KERNEL_INSIDE
     double x[2 * DAL_N], pull[3 * DAL_N];
     DAL_KERNEL_COPY(2 * n, k->at.x, x);
@@ -762,11 +789,11 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         }
         if (DAL_KERNEL_PLAIN || k->plain) {
             do
-                status = DAL_KERNEL_PART(stage)(k, number, s, true, x, pull);
+                status = DAL_KERNEL_PART(stage)(k, number, s, true, &masses, x, pull);
             while (!status && ++s < end);
         } else {
             do
-                status = DAL_KERNEL_PART(stage)(k, number, s, false, x, pull);
+                status = DAL_KERNEL_PART(stage)(k, number, s, false, &masses, x, pull);
             while (!status && ++s < end);
         }
         if (status) break;

@@ -22,8 +22,25 @@
 #define DAL_LU_RARE static inline
 #endif
 
+/* Whether the compiler knows m, and it is small: then an index that is not known is asked for, so
+ * that every element has a place of its own, a register. */
+#if defined(__GNUC__)
+#define DAL_LU_SMALL(m) (__builtin_constant_p(m) && (m) <= 4)
+#else
+#define DAL_LU_SMALL(m) 0
+#endif
+
 /* From here on the solution would have no digits: 1e15 u is 0.1. */
 #define DAL_LU_CONDITION 1e15
+
+/* b[row], for row < m. */
+DAL_LU_INLINE double dal_lu_pick(size_t m, const double *b, size_t row)
+{
+    if (!DAL_LU_SMALL(m)) return b[row];
+    double found = b[0];
+    for (size_t i = 1; i < m; i++) found = row == i ? b[i] : found;
+    return found;
+}
 
 /* x[m] <- A^-1 b[m] from the factors; x and b may not overlap. */
 DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, const double *b,
@@ -34,7 +51,7 @@ DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, co
         return;
     }
     for (size_t i = 0; i < m; i++) {
-        double sum = b[row[i]];
+        double sum = dal_lu_pick(m, b, row[i]);
         for (size_t k = 0; k < i; k++) sum -= A[i * m + k] * x[k];
         x[i] = sum;
     }
@@ -103,12 +120,12 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
 {
     double *const x = scratch, largest = 1.0, bound = 0.0; /* largest: of the scaled U */
     for (size_t i = 0; i < m; i++) {
-        double sum = row_size[row[i]];
+        double sum = dal_lu_pick(m, row_size, row[i]);
         for (size_t k = 0; k < i; k++) sum += fabs(A[i * m + k]) * x[k];
         x[i] = sum;
     }
     for (size_t i = m; i-- > 0;) {
-        const double size = row_size[row[i]];
+        const double size = dal_lu_pick(m, row_size, row[i]);
         double sum = x[i];
         if (fabs(A[i * m + i]) * largest * size * column_size[i] < 1.0)
             largest = 1.0 / (fabs(A[i * m + i]) * size * column_size[i]);
@@ -123,6 +140,22 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
     const double most = DAL_LU_CONDITION / ((double)m * largest);
     return bound <= most
         || dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
+}
+
+/* Swaps rows j and best > j. */
+DAL_LU_INLINE void dal_lu_swap(size_t m, double *A, size_t *row, size_t j, size_t best)
+{
+    for (size_t i = DAL_LU_SMALL(m) ? j + 1 : best; i < m && i <= best; i++) {
+        if (i != best) continue;
+        for (size_t k = 0; k < m; k++) {
+            const double a = A[j * m + k];
+            A[j * m + k] = A[i * m + k];
+            A[i * m + k] = a;
+        }
+        const size_t swap = row[j];
+        row[j] = row[i];
+        row[i] = swap;
+    }
 }
 
 /* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  sizes[5*m]:
@@ -143,18 +176,13 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
     for (size_t i = 0; i < m; i++) row[i] = i;
     for (size_t j = 0; j < m; j++) {
         size_t best = j;
-        for (size_t i = j + 1; i < m; i++)
-            if (fabs(A[i * m + j]) * sizes[row[best]] > fabs(A[best * m + j]) * sizes[row[i]])
-                best = i;
+        double most = fabs(A[j * m + j]), size = dal_lu_pick(m, sizes, row[j]);
+        for (size_t i = j + 1; i < m; i++) {
+            const double entry = fabs(A[i * m + j]), other = dal_lu_pick(m, sizes, row[i]);
+            if (entry * size > most * other) best = i, most = entry, size = other;
+        }
         if (best != j) {
-            for (size_t k = 0; k < m; k++) {
-                const double a = A[j * m + k];
-                A[j * m + k] = A[best * m + k];
-                A[best * m + k] = a;
-            }
-            const size_t swap = row[j];
-            row[j] = row[best];
-            row[best] = swap;
+            dal_lu_swap(m, A, row, j, best);
             sign = -sign;
         }
         if (A[j * m + j] < 0.0) sign = -sign;

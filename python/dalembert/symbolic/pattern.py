@@ -21,8 +21,8 @@ class Pattern:
 
     Attributes
     ----------
-    inverse, mu, Z, N, pull : list of list of bool
-        Row by row; ``pull`` has one row.
+    inverse, mu, Z, N, pull, one : list of list of bool
+        Row by row; ``pull`` and ``one`` have one row.
     steady : bool
         Whether no reaction pushes a coordinate that mu depends on, and nothing depends on time.
     """
@@ -32,6 +32,7 @@ class Pattern:
     Z: Rows
     N: Rows
     pull: Rows
+    one: Rows
     steady: bool
 
     def initializer(self) -> str | None:
@@ -40,7 +41,7 @@ class Pattern:
             return None
         masks = [  # the bits a*n + i of the entries (a, i)
             sum(1 << int(k) for k in np.flatnonzero(rows))
-            for rows in (self.inverse, self.mu, self.Z, self.N, self.pull)
+            for rows in (self.inverse, self.mu, self.Z, self.N, self.pull, self.one)
         ]
         return "{" + ", ".join(f"{mask:#x}ULL" for mask in masks) + "}"
 
@@ -80,5 +81,7 @@ def pattern(model: Model) -> Pattern:
     bending = {s.name for e in forms for s in e.free_symbols}
     steady = model.m > 0 and not model.is_time_dependent
     steady = steady and not any(pushed[i] for i in range(n) if model.q[i].name in bending)
-    found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None]))
+    alone = inverse.sum(axis=0) == 1
+    one = np.array([derived.mass[i * n + i] == 1 for i in range(n)], dtype=bool) & alone
+    found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None], one[None]))
     return Pattern(*found, steady)
