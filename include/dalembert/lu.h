@@ -16,10 +16,12 @@
 /* Where m is a constant these have to be seen by the optimiser. */
 #if defined(__GNUC__)
 #define DAL_LU_INLINE static inline __attribute__((always_inline))
-#define DAL_LU_RARE static __attribute__((noinline, cold, unused))
+#define DAL_LU_RARE static __attribute__((noinline, unused))
+#define DAL_LU_MOSTLY(condition) __builtin_expect(!!(condition), 1)
 #else
 #define DAL_LU_INLINE static inline
 #define DAL_LU_RARE static inline
+#define DAL_LU_MOSTLY(condition) (condition)
 #endif
 
 /* Whether the compiler knows m, and it is small: then an index that is not known is asked for, so
@@ -138,8 +140,8 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
         if (!(x[i] * column_size[i] <= bound)) bound = x[i] * column_size[i]; /* also NaN */
     }
     const double most = DAL_LU_CONDITION / ((double)m * largest);
-    return bound <= most
-        || dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
+    if (DAL_LU_MOSTLY(bound <= most)) return 1;
+    return dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
 }
 
 /* Swaps rows j and best > j. */
