@@ -75,6 +75,7 @@ typedef struct dal_pattern {
     unsigned long long mu, Z;   /* and Z = mu M^-1 */
     unsigned long long N;
     unsigned long long pull;    /* [n] where v' is not known in advance: by Z, or V_q at q~' */
+    unsigned long long push;    /* [n] M^-1 V_q */
     unsigned long long one;     /* [n] where M is 1, and couples with no other coordinate */
 } dal_pattern;
 
@@ -382,7 +383,8 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
     const double h = k->h, b = s->after * h;
     if (ends) dal_kernel_accelerate(k, at, n, has.inverse, k->force1, at->goal);
     for (size_t i = 0; i < n; i++) {
-        at->goal[i] = ends ? at->base[i] - h * s->end * at->goal[i] : at->base[i];
+        at->goal[i] = ends && DAL_KERNEL_HAS(has.push, i) ? at->base[i] - h * s->end * at->goal[i]
+                                                          : at->base[i];
         at->step[i] = at->goal[i];
         if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
             at->step[i] += dal_kernel_column(n, m, has.Z, at->Z, i, at->kappa);
@@ -452,7 +454,8 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #endif
 #ifndef DAL_KERNEL_PATTERN
 #define DAL_KERNEL_PATTERN \
-    {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, 0}
+    {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, \
+     DAL_KERNEL_ALL, 0}
 #endif
 #ifndef DAL_KERNEL_STEADY
 #define DAL_KERNEL_STEADY 0
@@ -518,7 +521,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
         }
         const double weight = h * (at_node ? s->node : s->start);
         dal_kernel_accelerate(k, at, n, o->has.inverse, force, at->step);
-        for (size_t i = 0; i < n; i++) at->base[i] -= weight * at->step[i];
+        for (size_t i = 0; i < n; i++)
+            if (DAL_KERNEL_HAS(o->has.push, i)) at->base[i] -= weight * at->step[i];
     }
     /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
     for (size_t i = 0; i < n; i++) {

@@ -32,6 +32,12 @@
 #define DAL_LU_SMALL(m) 0
 #endif
 
+#if defined(__GNUC__)
+#define DAL_LU_UNROLL _Pragma("GCC unroll 4")
+#else
+#define DAL_LU_UNROLL
+#endif
+
 /* From here on the solution would have no digits: 1e15 u is 0.1. */
 #define DAL_LU_CONDITION 1e15
 
@@ -40,6 +46,7 @@ DAL_LU_INLINE double dal_lu_pick(size_t m, const double *b, size_t row)
 {
     if (!DAL_LU_SMALL(m)) return b[row];
     double found = b[0];
+    DAL_LU_UNROLL
     for (size_t i = 1; i < m; i++) found = row == i ? b[i] : found;
     return found;
 }
@@ -52,13 +59,17 @@ DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, co
         x[0] = b[0] * A[0];
         return;
     }
+    DAL_LU_UNROLL
     for (size_t i = 0; i < m; i++) {
         double sum = dal_lu_pick(m, b, row[i]);
+        DAL_LU_UNROLL
         for (size_t k = 0; k < i; k++) sum -= A[i * m + k] * x[k];
         x[i] = sum;
     }
+    DAL_LU_UNROLL
     for (size_t i = m; i-- > 0;) {
         double sum = x[i];
+        DAL_LU_UNROLL
         for (size_t k = i + 1; k < m; k++) sum -= A[i * m + k] * x[k];
         x[i] = sum * A[i * m + i];
     }
@@ -121,16 +132,20 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
                                     double *scratch)
 {
     double *const x = scratch, largest = 1.0, bound = 0.0; /* largest: of the scaled U */
+    DAL_LU_UNROLL
     for (size_t i = 0; i < m; i++) {
         double sum = dal_lu_pick(m, row_size, row[i]);
+        DAL_LU_UNROLL
         for (size_t k = 0; k < i; k++) sum += fabs(A[i * m + k]) * x[k];
         x[i] = sum;
     }
+    DAL_LU_UNROLL
     for (size_t i = m; i-- > 0;) {
         const double size = dal_lu_pick(m, row_size, row[i]);
         double sum = x[i];
         if (fabs(A[i * m + i]) * largest * size * column_size[i] < 1.0)
             largest = 1.0 / (fabs(A[i * m + i]) * size * column_size[i]);
+        DAL_LU_UNROLL
         for (size_t k = i + 1; k < m; k++) {
             sum += fabs(A[i * m + k]) * x[k];
             if (fabs(A[i * m + k]) > largest * size * column_size[k])
@@ -147,8 +162,10 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
 /* Swaps rows j and best > j. */
 DAL_LU_INLINE void dal_lu_swap(size_t m, double *A, size_t *row, size_t j, size_t best)
 {
+    DAL_LU_UNROLL
     for (size_t i = DAL_LU_SMALL(m) ? j + 1 : best; i < m && i <= best; i++) {
         if (i != best) continue;
+        DAL_LU_UNROLL
         for (size_t k = 0; k < m; k++) {
             const double a = A[j * m + k];
             A[j * m + k] = A[i * m + k];
@@ -175,10 +192,13 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
         return -pivot * DAL_LU_CONDITION > sizes[0] * sizes[1] ? -1 : 0;
     }
     int sign = 1;
+    DAL_LU_UNROLL
     for (size_t i = 0; i < m; i++) row[i] = i;
+    DAL_LU_UNROLL
     for (size_t j = 0; j < m; j++) {
         size_t best = j;
         double most = fabs(A[j * m + j]), size = dal_lu_pick(m, sizes, row[j]);
+        DAL_LU_UNROLL
         for (size_t i = j + 1; i < m; i++) {
             const double entry = fabs(A[i * m + j]), other = dal_lu_pick(m, sizes, row[i]);
             if (entry * size > most * other) best = i, most = entry, size = other;
@@ -190,9 +210,11 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
         if (A[j * m + j] < 0.0) sign = -sign;
         const double inverse = 1.0 / A[j * m + j];
         A[j * m + j] = inverse;
+        DAL_LU_UNROLL
         for (size_t i = j + 1; i < m; i++) {
             const double l = A[i * m + j] * inverse;
             A[i * m + j] = l;
+            DAL_LU_UNROLL
             for (size_t k = j + 1; k < m; k++) A[i * m + k] -= l * A[j * m + k];
         }
     }

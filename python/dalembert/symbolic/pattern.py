@@ -21,8 +21,8 @@ class Pattern:
 
     Attributes
     ----------
-    inverse, mu, Z, N, pull, one : list of list of bool
-        Row by row; ``pull`` and ``one`` have one row.
+    inverse, mu, Z, N, pull, push, one : list of list of bool
+        Row by row; the last three have one row.
     steady : bool
         Whether no reaction pushes a coordinate that mu depends on, and nothing depends on time.
     """
@@ -32,6 +32,7 @@ class Pattern:
     Z: Rows
     N: Rows
     pull: Rows
+    push: Rows
     one: Rows
     steady: bool
 
@@ -41,7 +42,7 @@ class Pattern:
             return None
         masks = [  # the bits a*n + i of the entries (a, i)
             sum(1 << int(k) for k in np.flatnonzero(rows))
-            for rows in (self.inverse, self.mu, self.Z, self.N, self.pull, self.one)
+            for rows in (self.inverse, self.mu, self.Z, self.N, self.pull, self.push, self.one)
         ]
         return "{" + ", ".join(f"{mask:#x}ULL" for mask in masks) + "}"
 
@@ -76,12 +77,13 @@ def pattern(model: Model) -> Pattern:
         inverse = inverse @ inverse
     Z = mu @ inverse
     pushed = Z.any(axis=0)
-    pull = pushed | (rows(derived.expressions("potential", "V_q")) @ inverse).any(axis=0)
+    push = (rows(derived.expressions("potential", "V_q")) @ inverse).any(axis=0)
+    pull = pushed | push
     # what mu depends on: not only where it has a derivative
     bending = {s.name for e in forms for s in e.free_symbols}
     steady = model.m > 0 and not model.is_time_dependent
     steady = steady and not any(pushed[i] for i in range(n) if model.q[i].name in bending)
     alone = inverse.sum(axis=0) == 1
     one = np.array([derived.mass[i * n + i] == 1 for i in range(n)], dtype=bool) & alone
-    found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None], one[None]))
+    found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None], push[None], one[None]))
     return Pattern(*found, steady)

@@ -76,7 +76,7 @@ static int inside_constraint(dal_kernel *k, double t, const double *q, const dou
 #define DAL_KERNEL blade_step
 #define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_constraint(k, t, q, v, mu, N)
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) inside_potential(k, t, q, V_q)
-#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x7ULL}
+#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x7ULL, 0x5ULL, 0x0ULL}
 #define DAL_KERNEL_STEADY 1
 #include "dalembert/kernel.h"
 
@@ -93,7 +93,7 @@ static int inside_constraint(dal_kernel *k, double t, const double *q, const dou
 #define DAL_M 1
 #define DAL_KERNEL free_blade_step
 #define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_constraint(k, t, q, v, mu, N)
-#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x3ULL}
+#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x3ULL, 0x0ULL, 0x0ULL}
 #define DAL_KERNEL_STEADY 1
 #include "dalembert/kernel.h"
 
@@ -294,7 +294,7 @@ static int inside_level(dal_kernel *k, double t, const double *q, const double *
 #define DAL_M 1
 #define DAL_KERNEL level_step
 #define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_level(k, t, q, v, mu, N)
-#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x0ULL, 0x3ULL}
+#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x0ULL, 0x3ULL, 0x0ULL, 0x0ULL}
 #include "dalembert/kernel.h"
 
 static void test_overflow(void)
