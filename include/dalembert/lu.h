@@ -41,6 +41,11 @@
 /* From here on the solution would have no digits: 1e15 u is 0.1. */
 #define DAL_LU_CONDITION 1e15
 
+/* Where m <= 4 and no scaled pivot is below 1/DAL_LU_EASY, the matrix is regular: |L| <= 1, and no
+ * entry of the scaled A is above 1, so that none of U is above 2^(m-1) = 8, and no entry of the
+ * inverse above 2^8 (1 + 2^8 2^3)^3 2^3 < 2^45, which times m = 4 and 8 is below 2^50. */
+#define DAL_LU_EASY 0x1p8
+
 /* b[row], for row < m. */
 DAL_LU_INLINE double dal_lu_pick(size_t m, const double *b, size_t row)
 {
@@ -127,25 +132,21 @@ DAL_LU_RARE double dal_lu_inverse_norm(size_t m, const double *A, const size_t *
  * where M has the sizes of the entries, those off the diagonal with a minus, is not smaller than
  * any row sum of the inverse.  For large m it is often far too large; then the inverse is
  * estimated. */
-DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row,
-                                    const double *row_size, const double *column_size,
-                                    double *scratch)
+DAL_LU_RARE int dal_lu_is_regular(size_t m, const double *A, const size_t *row,
+                                  const double *row_size, const double *column_size,
+                                  double *scratch)
 {
     double *const x = scratch, largest = 1.0, bound = 0.0; /* largest: of the scaled U */
-    DAL_LU_UNROLL
     for (size_t i = 0; i < m; i++) {
-        double sum = dal_lu_pick(m, row_size, row[i]);
-        DAL_LU_UNROLL
+        double sum = row_size[row[i]];
         for (size_t k = 0; k < i; k++) sum += fabs(A[i * m + k]) * x[k];
         x[i] = sum;
     }
-    DAL_LU_UNROLL
     for (size_t i = m; i-- > 0;) {
-        const double size = dal_lu_pick(m, row_size, row[i]);
+        const double size = row_size[row[i]];
         double sum = x[i];
         if (fabs(A[i * m + i]) * largest * size * column_size[i] < 1.0)
             largest = 1.0 / (fabs(A[i * m + i]) * size * column_size[i]);
-        DAL_LU_UNROLL
         for (size_t k = i + 1; k < m; k++) {
             sum += fabs(A[i * m + k]) * x[k];
             if (fabs(A[i * m + k]) > largest * size * column_size[k])
@@ -155,8 +156,23 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
         if (!(x[i] * column_size[i] <= bound)) bound = x[i] * column_size[i]; /* also NaN */
     }
     const double most = DAL_LU_CONDITION / ((double)m * largest);
-    if (DAL_LU_MOSTLY(bound <= most)) return 1;
-    return dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
+    return bound <= most
+        || dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
+}
+
+/* The same of a small matrix: of copies, so that the arrays themselves need no place in memory. */
+DAL_LU_INLINE int dal_lu_is_regular_apart(size_t m, const double *A, const size_t *row,
+                                          const double *sizes)
+{
+    double factors[16], all[20];
+    size_t rows[4];
+    DAL_LU_UNROLL
+    for (size_t i = 0; i < 2 * m; i++) all[i] = sizes[i];
+    DAL_LU_UNROLL
+    for (size_t i = 0; i < m; i++) rows[i] = row[i];
+    DAL_LU_UNROLL
+    for (size_t i = 0; i < m * m; i++) factors[i] = A[i];
+    return dal_lu_is_regular(m, factors, rows, all, all + m, all + 2 * m);
 }
 
 /* Swaps rows j and best > j. */
@@ -191,7 +207,7 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
         if (pivot * DAL_LU_CONDITION > sizes[0] * sizes[1]) return 1;
         return -pivot * DAL_LU_CONDITION > sizes[0] * sizes[1] ? -1 : 0;
     }
-    int sign = 1;
+    int sign = 1, easy = m <= 4;
     DAL_LU_UNROLL
     for (size_t i = 0; i < m; i++) row[i] = i;
     DAL_LU_UNROLL
@@ -207,6 +223,7 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
             dal_lu_swap(m, A, row, j, best);
             sign = -sign;
         }
+        if (!(most * DAL_LU_EASY - size * sizes[m + j] >= 0.0)) easy = 0; /* also Inf */
         if (A[j * m + j] < 0.0) sign = -sign;
         const double inverse = 1.0 / A[j * m + j];
         A[j * m + j] = inverse;
@@ -218,7 +235,11 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
             for (size_t k = j + 1; k < m; k++) A[i * m + k] -= l * A[j * m + k];
         }
     }
-    return dal_lu_is_regular(m, A, row, sizes, sizes + m, sizes + 2 * m) ? sign : 0;
+    if (DAL_LU_MOSTLY(easy)) return sign;
+    const int regular = DAL_LU_SMALL(m)
+                          ? dal_lu_is_regular_apart(m, A, row, sizes)
+                          : dal_lu_is_regular(m, A, row, sizes, sizes + m, sizes + 2 * m);
+    return regular ? sign : 0;
 }
 
 #endif /* DALEMBERT_LU_H */
