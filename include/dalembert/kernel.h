@@ -42,7 +42,8 @@
  *                                 routine then makes the steps of moved nodes only.  By default the
  *                                 pointers are called
  *     DAL_KERNEL_PATTERN          with these, if wanted: a dal_pattern, in braces
- *     DAL_KERNEL_STEADY           with these, if wanted: 1 if the system is steady
+ *     DAL_KERNEL_STEADY           with these, if wanted: 1 if the system is steady, 2 if also no V_q
+ *                                 pushes a coordinate that mu depends on
  * and includes this file once for each.  All compilations make the same operations in the same
  * order but for terms that are 0, so they give the same bits (build with -ffp-contract=off).
  * Nothing here allocates, and nothing here needs libdalembert or GSL. */
@@ -172,6 +173,7 @@ typedef struct dal_traits {
     bool plain, kept, potential, steady;
     bool ends;     /* V_q acts at the unknown q~' */
     bool known;    /* mu(q~') needs no evaluation */
+    bool apart;    /* nor V_q: that is evaluated after S, which then need not wait for the state */
 } dal_traits;
 
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
@@ -340,15 +342,23 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal
                                           const dal_arrays *at, double limit)
 {
     const double speed = dal_residual_speed(n, at->per_unit, at->w), allowed = limit * speed;
-    double largest = k->stats.worst_residual;
+    const double worst = k->stats.worst_residual, usual = worst < limit ? worst * speed : allowed;
+    double largest = worst;
     bool settled = true;
     for (size_t a = 0; a < m; a++) {
         const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
-        const double form = dal_kernel_form(at, n, has.mu, at->mu, a), scale = form * speed;
         at->r[a] = -sum;
+        if (!(dal_kernel_form(at, n, has.mu, at->mu, a) * usual - fabs(sum) >= 0.0))
+            settled = false;
+    }
+    if (settled) return true; /* and none larger than those before */
+    settled = true;
+    for (size_t a = 0; a < m; a++) {
+        const double lack = fabs(at->r[a]);
+        const double form = dal_kernel_form(at, n, has.mu, at->mu, a), scale = form * speed;
         /* nor if both are infinite; form * speed may overflow */
-        if (!(form * allowed - fabs(sum) >= 0.0)) settled = false;
-        if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
+        if (!(form * allowed - lack >= 0.0)) settled = false;
+        if (lack > largest * scale) largest = lack / scale;
     }
     if (settled) k->stats.worst_residual = largest;
     return settled;
@@ -494,6 +504,34 @@ DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
     for (size_t i = 0; i < n; i++) to[i] = from[i];
 }
 
+/* base -= what V adds at q_k, or at q~. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(push)(dal_kernel *k, const dal_traits *o,
+                                            const dal_arrays *at)
+{
+    const dal_stage *const s = o->stage;
+    DAL_KERNEL_SIZES;
+    const double *const x = at->x;
+    const double h = k->h;
+    const bool at_node = o->plain || s->node != 0.0;
+    double *const force = !at_node ? k->force0
+                        : o->plain && DAL_KERNEL_INSIDE ? at->seen : k->force1;
+    if (at_node || !k->forced) {
+        const double shift = o->kept ? k->shift * h : 0.0;
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
+            at->point[i] = at_node ? at->node[i] : x[i] - shift * x[n + i];
+        const int returned = DAL_KERNEL_POTENTIAL(
+            k, dal_kernel_time(k, o->number, at_node ? s->t_node : s->t_start),
+            at->point, force);
+        if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+    }
+    const double weight = h * (at_node ? s->node : s->start);
+    dal_kernel_accelerate(k, at, n, o->has.inverse, force, at->step);
+    for (size_t i = 0; i < n; i++)
+        if (DAL_KERNEL_HAS(o->has.push, i)) at->base[i] -= weight * at->step[i];
+    return DAL_SUCCESS;
+}
+
 /* ---- predict: the part of v' that is known, and the pull */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *o,
                                                const dal_arrays *at)
@@ -505,24 +543,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
     const double before = o->kept ? 0.0 : s->before * h; /* a kept node is the state */
     for (size_t i = 0; i < n; i++) at->node[i] = x[i] + before * x[n + i];
     for (size_t i = 0; i < n; i++) at->base[i] = x[n + i];
-    if (o->potential) {
-        const bool at_node = o->plain || s->node != 0.0;
-        double *const force = !at_node ? k->force0
-                            : o->plain && DAL_KERNEL_INSIDE ? at->seen : k->force1;
-        if (at_node || !k->forced) {
-            const double shift = o->kept ? k->shift * h : 0.0;
-            DAL_KERNEL_UNROLL
-            for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
-                at->point[i] = at_node ? at->node[i] : x[i] - shift * x[n + i];
-            const int returned = DAL_KERNEL_POTENTIAL(
-                k, dal_kernel_time(k, o->number, at_node ? s->t_node : s->t_start),
-                at->point, force);
-            if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-        }
-        const double weight = h * (at_node ? s->node : s->start);
-        dal_kernel_accelerate(k, at, n, o->has.inverse, force, at->step);
-        for (size_t i = 0; i < n; i++)
-            if (DAL_KERNEL_HAS(o->has.push, i)) at->base[i] -= weight * at->step[i];
+    if (o->potential && !o->apart) {
+        const int status = DAL_KERNEL_PART(push)(k, o, at);
+        if (status) return status;
     }
     /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
     for (size_t i = 0; i < n; i++) {
@@ -718,13 +741,15 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
     const bool potential = DAL_KERNEL_PULLED;
     const bool inside = DAL_KERNEL_STEADY && plain;
-    const bool proved = inside || k->steady == DAL_STEADY_PROVED;
+    const int declared = DAL_KERNEL_INSIDE && !DAL_KERNEL_STEADY ? 0 : k->steady;
+    const bool proved = inside || declared == DAL_STEADY_PROVED;
     if (inside) has.N = 0;
     const dal_traits o = {.stage = s, .number = number, .has = has, .plain = plain, .kept = kept,
                           .t_end = dal_kernel_time(k, number, s->t_end), .potential = potential,
                           .ends = potential && !plain && s->end != 0.0,
-                          .steady = inside || k->steady,
-                          .known = m == 0 || proved || (s->linear && !kept)};
+                          .steady = inside || declared,
+                          .known = m == 0 || proved || (s->linear && !kept),
+                          .apart = plain && DAL_KERNEL_STEADY > 1};
 
     bool settled = false;
     int status = DAL_KERNEL_PART(predict)(k, &o, &at);
@@ -733,6 +758,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     for (size_t a = 0; a < m; a++) at.kappa[a] = 0.0;
     status = DAL_KERNEL_PART(factor)(k, &o, &at);
     if (status < 0) return status;
+    if (o.apart) {
+        const int pushed = DAL_KERNEL_PART(push)(k, &o, &at);
+        if (pushed) return pushed;
+        DAL_KERNEL_COPY(n, at.base, at.w);
+    }
     if (status > 0) {
         DAL_KERNEL_COPY(n, at.node, at.stored);
         DAL_KERNEL_COPY(n, at.base, at.goal);

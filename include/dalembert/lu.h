@@ -16,7 +16,7 @@
 /* Where m is a constant these have to be seen by the optimiser. */
 #if defined(__GNUC__)
 #define DAL_LU_INLINE static inline __attribute__((always_inline))
-#define DAL_LU_RARE static __attribute__((noinline, unused))
+#define DAL_LU_RARE static __attribute__((noinline, unused)) /* if cold, so would be its callers */
 #define DAL_LU_MOSTLY(condition) __builtin_expect(!!(condition), 1)
 #else
 #define DAL_LU_INLINE static inline
@@ -24,37 +24,14 @@
 #define DAL_LU_MOSTLY(condition) (condition)
 #endif
 
-/* Whether the compiler knows m, and it is small: then an index that is not known is asked for, so
- * that every element has a place of its own, a register. */
-#if defined(__GNUC__)
-#define DAL_LU_SMALL(m) (__builtin_constant_p(m) && (m) <= 4)
-#else
-#define DAL_LU_SMALL(m) 0
-#endif
-
-#if defined(__GNUC__)
-#define DAL_LU_UNROLL _Pragma("GCC unroll 4")
-#else
-#define DAL_LU_UNROLL
-#endif
-
 /* From here on the solution would have no digits: 1e15 u is 0.1. */
 #define DAL_LU_CONDITION 1e15
 
-/* Where m <= 4 and no scaled pivot is below 1/DAL_LU_EASY, the matrix is regular: |L| <= 1, and no
- * entry of the scaled A is above 1, so that none of U is above 2^(m-1) = 8, and no entry of the
- * inverse above 2^8 (1 + 2^8 2^3)^3 2^3 < 2^45, which times m = 4 and 8 is below 2^50. */
+/* Where m <= 4 and no scaled pivot is below 1/DAL_LU_EASY, the matrix is regular, and the estimates
+ * need not be made: as |L| <= 1 and no entry of the scaled A is above 1, none of U is above 8, and
+ * the x of dal_lu_is_regular is at most 8 in the first loop and 2^8 8 (1 + 2^8 8)^3 < 2^44.01 in the
+ * second, times 4 and 8 less than 6e14. */
 #define DAL_LU_EASY 0x1p8
-
-/* b[row], for row < m. */
-DAL_LU_INLINE double dal_lu_pick(size_t m, const double *b, size_t row)
-{
-    if (!DAL_LU_SMALL(m)) return b[row];
-    double found = b[0];
-    DAL_LU_UNROLL
-    for (size_t i = 1; i < m; i++) found = row == i ? b[i] : found;
-    return found;
-}
 
 /* x[m] <- A^-1 b[m] from the factors; x and b may not overlap. */
 DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, const double *b,
@@ -64,17 +41,19 @@ DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, co
         x[0] = b[0] * A[0];
         return;
     }
-    DAL_LU_UNROLL
+    if (m == 2) {
+        const double upper = row[0] ? b[1] : b[0], lower = row[0] ? b[0] : b[1];
+        x[1] = (lower - A[2] * upper) * A[3];
+        x[0] = (upper - A[1] * x[1]) * A[0];
+        return;
+    }
     for (size_t i = 0; i < m; i++) {
-        double sum = dal_lu_pick(m, b, row[i]);
-        DAL_LU_UNROLL
+        double sum = b[row[i]];
         for (size_t k = 0; k < i; k++) sum -= A[i * m + k] * x[k];
         x[i] = sum;
     }
-    DAL_LU_UNROLL
     for (size_t i = m; i-- > 0;) {
         double sum = x[i];
-        DAL_LU_UNROLL
         for (size_t k = i + 1; k < m; k++) sum -= A[i * m + k] * x[k];
         x[i] = sum * A[i * m + i];
     }
@@ -160,37 +139,30 @@ DAL_LU_RARE int dal_lu_is_regular(size_t m, const double *A, const size_t *row,
         || dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
 }
 
-/* The same of a small matrix: of copies, so that the arrays themselves need no place in memory. */
-DAL_LU_INLINE int dal_lu_is_regular_apart(size_t m, const double *A, const size_t *row,
-                                          const double *sizes)
+/* dal_lu_factor for m = 2: the same operations, without an index that the optimiser does not know. */
+DAL_LU_INLINE int dal_lu_factor_two(double *A, const double *sizes, size_t *row)
 {
-    double factors[16], all[20];
-    size_t rows[4];
-    DAL_LU_UNROLL
-    for (size_t i = 0; i < 2 * m; i++) all[i] = sizes[i];
-    DAL_LU_UNROLL
-    for (size_t i = 0; i < m; i++) rows[i] = row[i];
-    DAL_LU_UNROLL
-    for (size_t i = 0; i < m * m; i++) factors[i] = A[i];
-    return dal_lu_is_regular(m, factors, rows, all, all + m, all + 2 * m);
-}
-
-/* Swaps rows j and best > j. */
-DAL_LU_INLINE void dal_lu_swap(size_t m, double *A, size_t *row, size_t j, size_t best)
-{
-    DAL_LU_UNROLL
-    for (size_t i = DAL_LU_SMALL(m) ? j + 1 : best; i < m && i <= best; i++) {
-        if (i != best) continue;
-        DAL_LU_UNROLL
-        for (size_t k = 0; k < m; k++) {
-            const double a = A[j * m + k];
-            A[j * m + k] = A[i * m + k];
-            A[i * m + k] = a;
-        }
-        const size_t swap = row[j];
-        row[j] = row[i];
-        row[i] = swap;
-    }
+    const int swap = fabs(A[2]) * sizes[0] > fabs(A[0]) * sizes[1];
+    const double a = swap ? A[2] : A[0], b = swap ? A[3] : A[1];
+    const double c = swap ? A[0] : A[2], d = swap ? A[1] : A[3];
+    const double upper = swap ? sizes[1] : sizes[0], lower = swap ? sizes[0] : sizes[1];
+    const double inverse = 1.0 / a, l = c * inverse, rest = d - l * b;
+    const int sign = (swap != (a < 0.0)) != (rest < 0.0) ? -1 : 1;
+    row[0] = (size_t)swap;
+    row[1] = (size_t)!swap;
+    A[0] = inverse;
+    A[1] = b;
+    A[2] = l;
+    A[3] = 1.0 / rest;
+    if (DAL_LU_MOSTLY(fabs(a) * DAL_LU_EASY - upper * sizes[2] >= 0.0 /* also if Inf */
+                      && fabs(rest) * DAL_LU_EASY - lower * sizes[3] >= 0.0))
+        return sign;
+    /* of copies, so that the arrays themselves need no place in memory */
+    const double factors[] = {A[0], A[1], A[2], A[3]};
+    const double all[] = {sizes[0], sizes[1], sizes[2], sizes[3]};
+    const size_t rows[] = {row[0], row[1]};
+    double scratch[6];
+    return dal_lu_is_regular(2, factors, rows, all, all + 2, scratch) ? sign : 0;
 }
 
 /* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  sizes[5*m]:
@@ -207,39 +179,37 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
         if (pivot * DAL_LU_CONDITION > sizes[0] * sizes[1]) return 1;
         return -pivot * DAL_LU_CONDITION > sizes[0] * sizes[1] ? -1 : 0;
     }
+    if (m == 2) return dal_lu_factor_two(A, sizes, row);
     int sign = 1, easy = m <= 4;
-    DAL_LU_UNROLL
     for (size_t i = 0; i < m; i++) row[i] = i;
-    DAL_LU_UNROLL
     for (size_t j = 0; j < m; j++) {
         size_t best = j;
-        double most = fabs(A[j * m + j]), size = dal_lu_pick(m, sizes, row[j]);
-        DAL_LU_UNROLL
-        for (size_t i = j + 1; i < m; i++) {
-            const double entry = fabs(A[i * m + j]), other = dal_lu_pick(m, sizes, row[i]);
-            if (entry * size > most * other) best = i, most = entry, size = other;
-        }
+        for (size_t i = j + 1; i < m; i++)
+            if (fabs(A[i * m + j]) * sizes[row[best]] > fabs(A[best * m + j]) * sizes[row[i]])
+                best = i;
         if (best != j) {
-            dal_lu_swap(m, A, row, j, best);
+            for (size_t k = 0; k < m; k++) {
+                const double a = A[j * m + k];
+                A[j * m + k] = A[best * m + k];
+                A[best * m + k] = a;
+            }
+            const size_t swap = row[j];
+            row[j] = row[best];
+            row[best] = swap;
             sign = -sign;
         }
-        if (!(most * DAL_LU_EASY - size * sizes[m + j] >= 0.0)) easy = 0; /* also Inf */
         if (A[j * m + j] < 0.0) sign = -sign;
+        if (!(fabs(A[j * m + j]) * DAL_LU_EASY - sizes[row[j]] * sizes[m + j] >= 0.0)) easy = 0;
         const double inverse = 1.0 / A[j * m + j];
         A[j * m + j] = inverse;
-        DAL_LU_UNROLL
         for (size_t i = j + 1; i < m; i++) {
             const double l = A[i * m + j] * inverse;
             A[i * m + j] = l;
-            DAL_LU_UNROLL
             for (size_t k = j + 1; k < m; k++) A[i * m + k] -= l * A[j * m + k];
         }
     }
     if (DAL_LU_MOSTLY(easy)) return sign;
-    const int regular = DAL_LU_SMALL(m)
-                          ? dal_lu_is_regular_apart(m, A, row, sizes)
-                          : dal_lu_is_regular(m, A, row, sizes, sizes + m, sizes + 2 * m);
-    return regular ? sign : 0;
+    return dal_lu_is_regular(m, A, row, sizes, sizes + m, sizes + 2 * m) ? sign : 0;
 }
 
 #endif /* DALEMBERT_LU_H */

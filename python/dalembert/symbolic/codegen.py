@@ -267,7 +267,7 @@ def _kernel(made: Program, model: Model) -> None:
     zeros = pattern(model)
     if initializer := zeros.initializer():
         made.add(f"#define DAL_KERNEL_PATTERN {initializer}")
-    made.add(f"#define DAL_KERNEL_STEADY {int(zeros.steady)}")
+    made.add(f"#define DAL_KERNEL_STEADY {int(zeros.steady) + int(zeros.apart)}")
     if potential:
         made.add("#define DAL_KERNEL_POTENTIAL(k, t, q, V_q) model_inside_potential(k, t, q, V_q)")
     made.add(

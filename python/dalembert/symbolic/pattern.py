@@ -25,6 +25,8 @@ class Pattern:
         Row by row; the last three have one row.
     steady : bool
         Whether no reaction pushes a coordinate that mu depends on, and nothing depends on time.
+    apart : bool
+        Whether it is steady, and V pushes no such coordinate either.
     """
 
     inverse: Rows
@@ -35,6 +37,7 @@ class Pattern:
     push: Rows
     one: Rows
     steady: bool
+    apart: bool
 
     def initializer(self) -> str | None:
         """Return the ``dal_pattern`` in C; None if there are too many coordinates for one."""
@@ -82,8 +85,9 @@ def pattern(model: Model) -> Pattern:
     # what mu depends on: not only where it has a derivative
     bending = {s.name for e in forms for s in e.free_symbols}
     steady = model.m > 0 and not model.is_time_dependent
-    steady = steady and not any(pushed[i] for i in range(n) if model.q[i].name in bending)
+    bends = np.array([q.name in bending for q in model.q], dtype=bool)
+    steady = steady and not (pushed & bends).any()
     alone = inverse.sum(axis=0) == 1
     one = np.array([derived.mass[i * n + i] == 1 for i in range(n)], dtype=bool) & alone
     found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None], push[None], one[None]))
-    return Pattern(*found, steady)
+    return Pattern(*found, bool(steady), bool(steady and not (push & bends).any()))
