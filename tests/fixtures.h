@@ -292,8 +292,8 @@ static inline void mixing(size_t m, const double *q, double *B, size_t j, double
 }
 
 /* The constraint of a blade in the plane, q = (x, y, heading). */
-static inline int blade(double t, const double *q, const double *v, double *phi, double *phi_v,
-                        double *phi_q, double *phi_t, void *ctx)
+static inline int plane_blade(double t, const double *q, const double *v, double *phi,
+                              double *phi_v, double *phi_q, double *phi_t, void *ctx)
 {
     const double sine = sin(q[2]), cosine = cos(q[2]);
     if (phi) *phi = sine * v[0] - cosine * v[1];

@@ -37,7 +37,8 @@ static int motors(double t, const double *q, const double *v, const double *u, d
 static dal_system *open_cart(const double *wrong)
 {
     static const char *const names[] = {"push", "turn", "wind"};
-    const dal_system_def def = {.n = N, .m = 1, .mass = mass, .constraint = blade, .force = motors,
+    const dal_system_def def = {.n = N, .m = 1, .mass = mass, .constraint = plane_blade,
+                                .force = motors,
                                 .inputs = INPUTS, .input_names = names, .name = "cart",
                                 .state = start, .ctx = (void *)wrong};
     dal_system *system = NULL;

@@ -53,7 +53,8 @@ static dal_system *open_cart(double heavier)
     double M[9];
     memcpy(M, mass, sizeof M);
     M[8] += heavier;
-    const dal_system_def def = {.n = N, .m = 1, .mass = M, .constraint = blade, .force = motors,
+    const dal_system_def def = {.n = N, .m = 1, .mass = M, .constraint = plane_blade,
+                                .force = motors,
                                 .inputs = WIDTH, .name = "cart", .state = start,
                                 .missing = DAL_MISSING_F_Q | DAL_MISSING_F_V};
     dal_system *system = NULL;
