@@ -121,10 +121,11 @@ void hand_knife_edge(size_t steps, size_t count, const hand_stage *stage, const 
 }
 
 /* v_x = R cos(phi) v_theta, v_y = R sin(phi) v_theta, M = diag(m, m, I, J), V = k sin(theta);
- * p = (m, I, J, R, k).  Without the reactions kappa = m (R v_theta' e' - v), e = (cos phi, sin phi),
+ * p = (m, I, J, R, k).  With e = (cos phi, sin phi) and kappa = m (R v_theta' e' - v)
  *     J (v_theta' - v_theta) = -(a+b) h k cos(theta_k) - R e_k . kappa,
  * and what is found lies in D, for v' is made from it. */
-void hand_robot(size_t steps, size_t count, const hand_stage *stage, const double *p, double *state)
+void hand_robot(size_t steps, size_t count, const hand_stage *stage, const double *p,
+                double *state)
 {
     const double J = p[2], R = p[3], k = p[4], mR = p[0] * R, mRR = mR * R;
     double x = state[0], y = state[1], phi = state[2], theta = state[3];

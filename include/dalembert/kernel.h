@@ -42,8 +42,8 @@
  *                                 routine then makes the steps of moved nodes only.  By default the
  *                                 pointers are called
  *     DAL_KERNEL_PATTERN          with these, if wanted: a dal_pattern, in braces
- *     DAL_KERNEL_STEADY           with these, if wanted: 1 if the system is steady, 2 if also no V_q
- *                                 pushes a coordinate that mu depends on
+ *     DAL_KERNEL_STEADY           with these, if wanted: 0 if the system is not steady, 1 if it is,
+ *                                 2 if besides V pushes no coordinate that mu depends on
  * and includes this file once for each.  All compilations make the same operations in the same
  * order but for terms that are 0, so they give the same bits (build with -ffp-contract=off).
  * Nothing here allocates, and nothing here needs libdalembert or GSL. */
@@ -342,23 +342,15 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal
                                           const dal_arrays *at, double limit)
 {
     const double speed = dal_residual_speed(n, at->per_unit, at->w), allowed = limit * speed;
-    const double worst = k->stats.worst_residual, usual = worst < limit ? worst * speed : allowed;
-    double largest = worst;
+    double largest = k->stats.worst_residual;
     bool settled = true;
     for (size_t a = 0; a < m; a++) {
         const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
-        at->r[a] = -sum;
-        if (!(dal_kernel_form(at, n, has.mu, at->mu, a) * usual - fabs(sum) >= 0.0))
-            settled = false;
-    }
-    if (settled) return true; /* and none larger than those before */
-    settled = true;
-    for (size_t a = 0; a < m; a++) {
-        const double lack = fabs(at->r[a]);
         const double form = dal_kernel_form(at, n, has.mu, at->mu, a), scale = form * speed;
+        at->r[a] = -sum;
         /* nor if both are infinite; form * speed may overflow */
-        if (!(form * allowed - lack >= 0.0)) settled = false;
-        if (lack > largest * scale) largest = lack / scale;
+        if (!(form * allowed - fabs(sum) >= 0.0)) settled = false;
+        if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
     }
     if (settled) k->stats.worst_residual = largest;
     return settled;
@@ -468,7 +460,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
      DAL_KERNEL_ALL, 0}
 #endif
 #ifndef DAL_KERNEL_STEADY
-#define DAL_KERNEL_STEADY 0
+#define DAL_KERNEL_STEADY -1
 #endif
 
 #define DAL_KERNEL_JOIN_(a, b) a##b
@@ -613,7 +605,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
             double size = -0.0;
             for (size_t i = 0; i < n; i++)
                 if (DAL_KERNEL_HAS(o->has.pull, i)) size += fabs(at->step[i]) * at->per_unit[i];
-            const double noise = 8.0 * DAL_KERNEL_U * dal_residual_extent(n, at->per_unit, at->goal);
+            const double noise =
+                8.0 * DAL_KERNEL_U * dal_residual_extent(n, at->per_unit, at->goal);
             if (o->ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
             if (!(anew || size <= 0.5 * last || size <= noise)) break;
             anew = passed && balanced;
@@ -740,8 +733,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
 #endif
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
     const bool potential = DAL_KERNEL_PULLED;
-    const bool inside = DAL_KERNEL_STEADY && plain;
-    const int declared = DAL_KERNEL_INSIDE && !DAL_KERNEL_STEADY ? 0 : k->steady;
+    const bool inside = DAL_KERNEL_STEADY > 0 && plain;
+    const int declared = DAL_KERNEL_STEADY == 0 ? 0 : k->steady;
     const bool proved = inside || declared == DAL_STEADY_PROVED;
     if (inside) has.N = 0;
     const dal_traits o = {.stage = s, .number = number, .has = has, .plain = plain, .kept = kept,

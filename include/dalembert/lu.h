@@ -16,7 +16,7 @@
 /* Where m is a constant these have to be seen by the optimiser. */
 #if defined(__GNUC__)
 #define DAL_LU_INLINE static inline __attribute__((always_inline))
-#define DAL_LU_RARE static __attribute__((noinline, unused)) /* if cold, so would be its callers */
+#define DAL_LU_RARE static __attribute__((noinline, unused)) /* cold would spread to its callers */
 #define DAL_LU_MOSTLY(condition) __builtin_expect(!!(condition), 1)
 #else
 #define DAL_LU_INLINE static inline
@@ -27,10 +27,9 @@
 /* From here on the solution would have no digits: 1e15 u is 0.1. */
 #define DAL_LU_CONDITION 1e15
 
-/* Where m <= 4 and no scaled pivot is below 1/DAL_LU_EASY, the matrix is regular, and the estimates
- * need not be made: as |L| <= 1 and no entry of the scaled A is above 1, none of U is above 8, and
- * the x of dal_lu_is_regular is at most 8 in the first loop and 2^8 8 (1 + 2^8 8)^3 < 2^44.01 in the
- * second, times 4 and 8 less than 6e14. */
+/* Where m = 2, and the pivots and the entry above the second are this close to their sizes, the
+ * matrix is regular, and that need not be computed: with |L| <= 1 the x of dal_lu_is_regular is at
+ * most 2^9 for the second row and 2^8 (1 + 2^8 2^9) for the first, times m and 2^8 below 2^36. */
 #define DAL_LU_EASY 0x1p8
 
 /* x[m] <- A^-1 b[m] from the factors; x and b may not overlap. */
@@ -111,9 +110,9 @@ DAL_LU_RARE double dal_lu_inverse_norm(size_t m, const double *A, const size_t *
  * where M has the sizes of the entries, those off the diagonal with a minus, is not smaller than
  * any row sum of the inverse.  For large m it is often far too large; then the inverse is
  * estimated. */
-DAL_LU_RARE int dal_lu_is_regular(size_t m, const double *A, const size_t *row,
-                                  const double *row_size, const double *column_size,
-                                  double *scratch)
+DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row,
+                                    const double *row_size, const double *column_size,
+                                    double *scratch)
 {
     double *const x = scratch, largest = 1.0, bound = 0.0; /* largest: of the scaled U */
     for (size_t i = 0; i < m; i++) {
@@ -139,7 +138,23 @@ DAL_LU_RARE int dal_lu_is_regular(size_t m, const double *A, const size_t *row,
         || dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
 }
 
-/* dal_lu_factor for m = 2: the same operations, without an index that the optimiser does not know. */
+/* The same for m = 2; of copies, so that the arrays of the caller need no place in memory. */
+DAL_LU_RARE int dal_lu_are_regular(double inverse, double b, double l, double rest, int swap,
+                                   double upper, double lower, double c, double d)
+{
+    const double A[] = {inverse, b, l, rest}, columns[] = {c, d};
+    const double rows[] = {swap ? lower : upper, swap ? upper : lower};
+    const size_t row[] = {swap ? 1 : 0, swap ? 0 : 1};
+    double scratch[6];
+    return dal_lu_is_regular(2, A, row, rows, columns, scratch);
+}
+
+DAL_LU_INLINE int dal_lu_is_easy(double entry, double size)
+{
+    return fabs(entry) < DAL_LU_EASY * size;
+}
+
+/* dal_lu_factor for m = 2: the same operations, with no index that the optimiser does not know. */
 DAL_LU_INLINE int dal_lu_factor_two(double *A, const double *sizes, size_t *row)
 {
     const int swap = fabs(A[2]) * sizes[0] > fabs(A[0]) * sizes[1];
@@ -148,21 +163,18 @@ DAL_LU_INLINE int dal_lu_factor_two(double *A, const double *sizes, size_t *row)
     const double upper = swap ? sizes[1] : sizes[0], lower = swap ? sizes[0] : sizes[1];
     const double inverse = 1.0 / a, l = c * inverse, rest = d - l * b;
     const int sign = (swap != (a < 0.0)) != (rest < 0.0) ? -1 : 1;
-    row[0] = (size_t)swap;
-    row[1] = (size_t)!swap;
+    const double first = upper * sizes[2], above = upper * sizes[3], second = lower * sizes[3];
+    row[0] = swap ? 1 : 0;
+    row[1] = swap ? 0 : 1;
     A[0] = inverse;
     A[1] = b;
     A[2] = l;
     A[3] = 1.0 / rest;
-    if (DAL_LU_MOSTLY(fabs(a) * DAL_LU_EASY - upper * sizes[2] >= 0.0 /* also if Inf */
-                      && fabs(rest) * DAL_LU_EASY - lower * sizes[3] >= 0.0))
+    if (DAL_LU_MOSTLY(fabs(a) * DAL_LU_EASY > first && fabs(rest) * DAL_LU_EASY > second
+                      && dal_lu_is_easy(a, first) && dal_lu_is_easy(b, above)
+                      && dal_lu_is_easy(rest, second)))
         return sign;
-    /* of copies, so that the arrays themselves need no place in memory */
-    const double factors[] = {A[0], A[1], A[2], A[3]};
-    const double all[] = {sizes[0], sizes[1], sizes[2], sizes[3]};
-    const size_t rows[] = {row[0], row[1]};
-    double scratch[6];
-    return dal_lu_is_regular(2, factors, rows, all, all + 2, scratch) ? sign : 0;
+    return dal_lu_are_regular(A[0], b, l, A[3], swap, upper, lower, sizes[2], sizes[3]) ? sign : 0;
 }
 
 /* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  sizes[5*m]:
@@ -180,7 +192,7 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
         return -pivot * DAL_LU_CONDITION > sizes[0] * sizes[1] ? -1 : 0;
     }
     if (m == 2) return dal_lu_factor_two(A, sizes, row);
-    int sign = 1, easy = m <= 4;
+    int sign = 1;
     for (size_t i = 0; i < m; i++) row[i] = i;
     for (size_t j = 0; j < m; j++) {
         size_t best = j;
@@ -199,7 +211,6 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
             sign = -sign;
         }
         if (A[j * m + j] < 0.0) sign = -sign;
-        if (!(fabs(A[j * m + j]) * DAL_LU_EASY - sizes[row[j]] * sizes[m + j] >= 0.0)) easy = 0;
         const double inverse = 1.0 / A[j * m + j];
         A[j * m + j] = inverse;
         for (size_t i = j + 1; i < m; i++) {
@@ -208,7 +219,6 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
             for (size_t k = j + 1; k < m; k++) A[i * m + k] -= l * A[j * m + k];
         }
     }
-    if (DAL_LU_MOSTLY(easy)) return sign;
     return dal_lu_is_regular(m, A, row, sizes, sizes + m, sizes + 2 * m) ? sign : 0;
 }
 

@@ -22,8 +22,8 @@
 /* |v|, with per_unit[n] the 1/d_i.  A NaN may be passed over: mu^a v shows it. */
 DAL_RESIDUAL_INLINE double dal_residual_speed(size_t n, const double *per_unit, const double *v)
 {
-    double most = n > 0 ? fabs(v[0]) * per_unit[0] : 0.0;
-    for (size_t i = 1; i < n; i++) {
+    double most = 0.0;
+    for (size_t i = 0; i < n; i++) {
         const double speed = fabs(v[i]) * per_unit[i];
         most = speed > most ? speed : most;
     }

@@ -11,6 +11,8 @@ from conftest import U
 from sympy import Rational, cos, sin
 
 import dalembert as dal
+from dalembert import core
+from dalembert.symbolic.evaluation import library
 
 
 def square(*components):
@@ -228,3 +230,29 @@ def test_twin(name):
         size = max(1.0, np.abs(runs[0].y).max())
         error = np.abs(runs[1].y - runs[0].y).max()
         assert error <= 64 * U * size * condition
+
+
+# ---- the step routine of a model ---------------------------------------------------------------
+
+
+# The systems of the catalogue that are written in SymPy only.
+MODELS = (
+    "steered_car", "roller_racer", "two_wheeled_robot", "cvt", "sleigh_with_rotor", "disguised",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*TWINS, *MODELS])
+@pytest.mark.parametrize("scheme", ["leapfrog", "leapfrog-kl8", "leapfrog-mirror", "midpoint"])
+def test_its_own_routine(name, scheme):
+    """What is generated, with constants for what is 0 or 1, has the bits of the library's text."""
+    system = pair_of(name)[1] if name in TWINS else getattr(dal.systems, name)()
+    if library(system._model).definition.compiled == core.ffi.NULL:
+        pytest.skip("its mass depends on q, or its constraints are not linear")
+    ends = []
+    for any_sizes in (False, True):
+        stepper = dal.Stepper(system, scheme, h=0.02)
+        if any_sizes:
+            core.lib.dal__beta_any_sizes(stepper._handle)
+        stepper.step(steps=200)
+        ends.append(np.concatenate([stepper.x, stepper.reaction]))
+    np.testing.assert_array_equal(*ends)
