@@ -245,12 +245,12 @@ MODELS = (
 @pytest.mark.parametrize("scheme", ["leapfrog", "leapfrog-kl8", "leapfrog-mirror", "midpoint"])
 def test_its_own_routine(name, scheme):
     """What is generated, with constants for what is 0 or 1, has the bits of the library's text."""
-    system = pair_of(name)[1] if name in TWINS else getattr(dal.systems, name)()
+    start, system = pair_of(name) if name in TWINS else [getattr(dal.systems, name)()] * 2
     if library(system._model).definition.compiled == core.ffi.NULL:
         pytest.skip("its mass depends on q, or its constraints are not linear")
     ends = []
     for any_sizes in (False, True):
-        stepper = dal.Stepper(system, scheme, h=0.02)
+        stepper = dal.Stepper(system, scheme, start.q0, start.v0, h=0.02)
         if any_sizes:
             core.lib.dal__beta_any_sizes(stepper._handle)
         stepper.step(steps=200)
