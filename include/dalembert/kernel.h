@@ -76,7 +76,7 @@ typedef struct dal_pattern {
     unsigned long long mu, Z;   /* and Z = mu M^-1 */
     unsigned long long N;
     unsigned long long pull;    /* [n] where v' is not known in advance: by Z, or V_q at q~' */
-    unsigned long long push;    /* [n] M^-1 V_q */
+    unsigned long long kick;    /* [n] M^-1 V_q */
     unsigned long long one;     /* [n] where M is 1, and couples with no other coordinate */
 } dal_pattern;
 
@@ -385,7 +385,7 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
     const double h = k->h, b = s->after * h;
     if (ends) dal_kernel_accelerate(k, at, n, has.inverse, k->force1, at->goal);
     for (size_t i = 0; i < n; i++) {
-        at->goal[i] = ends && DAL_KERNEL_HAS(has.push, i) ? at->base[i] - h * s->end * at->goal[i]
+        at->goal[i] = ends && DAL_KERNEL_HAS(has.kick, i) ? at->base[i] - h * s->end * at->goal[i]
                                                           : at->base[i];
         at->step[i] = at->goal[i];
         if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
@@ -497,7 +497,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
 }
 
 /* base -= what V adds at q_k, or at q~. */
-DAL_KERNEL_INLINE int DAL_KERNEL_PART(push)(dal_kernel *k, const dal_traits *o,
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel *k, const dal_traits *o,
                                             const dal_arrays *at)
 {
     const dal_stage *const s = o->stage;
@@ -507,6 +507,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(push)(dal_kernel *k, const dal_traits *o,
     const bool at_node = o->plain || s->node != 0.0;
     double *const force = !at_node ? k->force0
                         : o->plain && DAL_KERNEL_INSIDE ? at->seen : k->force1;
+    if (o->plain && DAL_KERNEL_INSIDE)
+        for (size_t i = 0; i < n; i++) force[i] = 0.0; /* or some compilers warn */
     if (at_node || !k->forced) {
         const double shift = o->kept ? k->shift * h : 0.0;
         DAL_KERNEL_UNROLL
@@ -520,7 +522,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(push)(dal_kernel *k, const dal_traits *o,
     const double weight = h * (at_node ? s->node : s->start);
     dal_kernel_accelerate(k, at, n, o->has.inverse, force, at->step);
     for (size_t i = 0; i < n; i++)
-        if (DAL_KERNEL_HAS(o->has.push, i)) at->base[i] -= weight * at->step[i];
+        if (DAL_KERNEL_HAS(o->has.kick, i)) at->base[i] -= weight * at->step[i];
     return DAL_SUCCESS;
 }
 
@@ -536,7 +538,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
     for (size_t i = 0; i < n; i++) at->node[i] = x[i] + before * x[n + i];
     for (size_t i = 0; i < n; i++) at->base[i] = x[n + i];
     if (o->potential && !o->apart) {
-        const int status = DAL_KERNEL_PART(push)(k, o, at);
+        const int status = DAL_KERNEL_PART(kick)(k, o, at);
         if (status) return status;
     }
     /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
@@ -752,8 +754,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     status = DAL_KERNEL_PART(factor)(k, &o, &at);
     if (status < 0) return status;
     if (o.apart) {
-        const int pushed = DAL_KERNEL_PART(push)(k, &o, &at);
-        if (pushed) return pushed;
+        const int kicked = DAL_KERNEL_PART(kick)(k, &o, &at);
+        if (kicked) return kicked;
         DAL_KERNEL_COPY(n, at.base, at.w);
     }
     if (status > 0) {

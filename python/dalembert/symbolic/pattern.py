@@ -21,7 +21,7 @@ class Pattern:
 
     Attributes
     ----------
-    inverse, mu, Z, N, pull, push, one : list of list of bool
+    inverse, mu, Z, N, pull, kick, one : list of list of bool
         Row by row; the last three have one row.
     steady : bool
         Whether no reaction pushes a coordinate that mu depends on, and nothing depends on time.
@@ -34,7 +34,7 @@ class Pattern:
     Z: Rows
     N: Rows
     pull: Rows
-    push: Rows
+    kick: Rows
     one: Rows
     steady: bool
     apart: bool
@@ -45,7 +45,7 @@ class Pattern:
             return None
         masks = [  # the bits a*n + i of the entries (a, i)
             sum(1 << int(k) for k in np.flatnonzero(rows))
-            for rows in (self.inverse, self.mu, self.Z, self.N, self.pull, self.push, self.one)
+            for rows in (self.inverse, self.mu, self.Z, self.N, self.pull, self.kick, self.one)
         ]
         return "{" + ", ".join(f"{mask:#x}ULL" for mask in masks) + "}"
 
@@ -80,8 +80,8 @@ def pattern(model: Model) -> Pattern:
         inverse = inverse @ inverse
     Z = mu @ inverse
     pushed = Z.any(axis=0)
-    push = (rows(derived.expressions("potential", "V_q")) @ inverse).any(axis=0)
-    pull = pushed | push
+    kick = (rows(derived.expressions("potential", "V_q")) @ inverse).any(axis=0)
+    pull = pushed | kick
     # what mu depends on: not only where it has a derivative
     bending = {s.name for e in forms for s in e.free_symbols}
     steady = model.m > 0 and not model.is_time_dependent
@@ -89,5 +89,5 @@ def pattern(model: Model) -> Pattern:
     steady = steady and not (pushed & bends).any()
     alone = inverse.sum(axis=0) == 1
     one = np.array([derived.mass[i * n + i] == 1 for i in range(n)], dtype=bool) & alone
-    found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None], push[None], one[None]))
-    return Pattern(*found, bool(steady), bool(steady and not (push & bends).any()))
+    found = (rows.tolist() for rows in (inverse, mu, Z, N, pull[None], kick[None], one[None]))
+    return Pattern(*found, bool(steady), bool(steady and not (kick & bends).any()))

@@ -71,12 +71,12 @@ def test_pull_and_steady():
 
 
 def test_what_v_pushes():
-    assert pattern(blade()).push == [[True, False, False]]
-    assert pattern(coupled()).push == [[False, True, False, False]]
-    assert pattern(sleigh()).push == [[False] * 3]
+    assert pattern(blade()).kick == [[True, False, False]]
+    assert pattern(coupled()).kick == [[False, True, False, False]]
+    assert pattern(sleigh()).kick == [[False] * 3]
     x, y, theta = q = dal.coordinates("x y theta")
     L, row = x.d**2 + x.d * y.d + y.d**2 + theta.d**2, sin(theta) * x.d - cos(theta) * y.d
-    assert pattern(model(L - x, [row], q)).push == [[True, True, False]]  # through M
+    assert pattern(model(L - x, [row], q)).kick == [[True, True, False]]  # through M
     assert pattern(blade()).apart
     turned = pattern(model(L - theta**2, [row], q))  # V turns the blade
     assert turned.steady and not turned.apart
