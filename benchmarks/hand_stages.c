@@ -140,8 +140,9 @@ void hand_robot(size_t steps, size_t count, const hand_stage *stage, const doubl
             const double sk = sin(phi), ck = cos(phi);
             phi += s->after * turn;
             const double s1 = sin(phi), c1 = cos(phi);
-            roll = (J * roll - s->span * k * cos(theta) + mR * (ck * vx + sk * vy))
-                 / (J + mRR * (ck * c1 + sk * s1));
+            const double lack_x = vx - R * c1 * roll, lack_y = vy - R * s1 * roll;
+            roll += (mR * (ck * lack_x + sk * lack_y) - s->span * k * cos(theta))
+                  / (J + mRR * (ck * c1 + sk * s1));
             vx = R * c1 * roll;
             vy = R * s1 * roll;
             x += s->after * vx;
