@@ -192,6 +192,14 @@ static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
     dal__reserve(a, &at->row, m, sizeof(size_t));
 }
 
+/* Whether V, if there is one, acts at some q~ or q~'. */
+static bool acts_beside_nodes(const beta *self)
+{
+    for (size_t j = 0; j < self->kernel.stages; j++)
+        if (self->stage[j].start != 0.0 || self->stage[j].end != 0.0) return true;
+    return false;
+}
+
 /* Whether the step routine knows mu(q~') before v'. */
 static bool is_steady(const beta *self, const dal_system_def *def, bool kept)
 {
@@ -248,13 +256,16 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->mass_inverse = system->mass_inverse;
     k->unit = system->unit;
     k->per_unit = system->per_unit;
+    k->at.mass_inverse = k->mass_inverse;
+    k->at.unit = k->unit;
+    k->at.per_unit = k->per_unit;
     k->diagonal = system->diagonal;
     k->stage = self->stage;
     k->stages = plan_stages(system, self->substep, self->substeps, self->stage);
     k->kinds = plan_kinds(self->substep, self->stage, k->stages);
     plan_predictions(self->stage, k->stages);
     k->kept = scheme->nodes == DAL_KEPT_NODES;
-    k->plain = !k->potential && !k->kept;
+    k->plain = !k->kept && !(k->potential && acts_beside_nodes(self));
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
     dal_kernel_share(k, k->at.x);
     k->impulse = motion->impulse;
@@ -387,9 +398,10 @@ static size_t save(const void *method, double *values)
 static int accepts(const void *method, const double *values)
 {
     const dal_kernel *const k = &((const beta *)method)->kernel;
-    for (size_t i = 0; i < 3 + k->kinds; i++)
-        if (!(values[i] >= 0.0 && values[i] <= (i < 3 ? 1.0 : 4.0)) || values[i] != floor(values[i]))
-            return false;
+    for (size_t i = 0; i < 3 + k->kinds; i++) {
+        const double most = i < 3 ? 1.0 : 4.0;
+        if (!(values[i] >= 0.0 && values[i] <= most && values[i] == floor(values[i]))) return false;
+    }
     return values[2] == 0.0 || k->momentum;
 }
 

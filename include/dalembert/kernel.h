@@ -42,7 +42,8 @@
  *                                 routine then makes the steps of moved nodes only.  By default the
  *                                 pointers are called
  *     DAL_KERNEL_PATTERN          with these, if wanted: a dal_pattern, in braces
- *     DAL_KERNEL_STEADY           with these, if wanted: 1 if the system is steady
+ *     DAL_KERNEL_STEADY           with these, if wanted: 0 if the system is not steady, 1 if it is,
+ *                                 2 if besides V pushes no coordinate that mu depends on
  * and includes this file once for each.  All compilations make the same operations in the same
  * order but for terms that are 0, so they give the same bits (build with -ffp-contract=off).
  * Nothing here allocates, and nothing here needs libdalembert or GSL. */
@@ -78,6 +79,8 @@ typedef struct dal_pattern {
     unsigned long long mu, Z;   /* and Z = mu M^-1 */
     unsigned long long N;
     unsigned long long pull;    /* [n] where v' is not known in advance: by Z, or V_q at q~' */
+    unsigned long long kick;    /* [n] M^-1 V_q */
+    unsigned long long one;     /* [n] where M is 1, and couples with no other coordinate */
     unsigned long long L_vq, F_q, F_v; /* of stages of momentum.h, where Z = mu K^-1, */
     unsigned long long K;       /* and the factors of K */
 } dal_pattern;
@@ -107,7 +110,13 @@ typedef struct dal_arrays {
     double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
     double *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
     size_t *row;                  /* [m] */
+    /* those of the dal_kernel; with constants for them where the compilation knows that M is 1 */
+    const double *mass_inverse, *unit, *per_unit;
 } dal_arrays;
+
+typedef struct dal_masses {
+    const double *mass_inverse, *unit, *per_unit;
+} dal_masses;
 
 /* What a stage of momentum.h has beside them. */
 typedef struct dal_balance {
@@ -160,7 +169,7 @@ struct dal_kernel {
     size_t stages;
     const dal_stage *stage;
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
-    bool plain;   /* V = 0, and moved nodes */
+    bool plain;   /* V = 0, or acts at nodes q_k only; and moved nodes */
     double shift; /* 1 - beta */
     /* What is left of a stage: the full Newton iteration from at.x, with kappa, if not solved; else
      * the residual of D at what is stored, evaluated, and mended.  In at.stored and at.w. */
@@ -197,9 +206,10 @@ typedef struct dal_traits {
     double number; /* of the step, from 0 */
     double t_end;  /* of the stage */
     dal_pattern has;
-    bool kept, potential, steady;
+    bool plain, kept, potential, steady;
     bool ends;     /* V_q acts at the unknown q~' */
     bool known;    /* mu(q~') needs no evaluation */
+    bool apart;    /* nor V_q: that is evaluated after S, which then need not wait for the state */
 } dal_traits;
 
 #define DAL_KERNEL_U (DBL_EPSILON / 2)
@@ -309,10 +319,10 @@ DAL_KERNEL_INLINE double dal_kernel_column(size_t n, size_t m, unsigned long lon
 }
 
 /* y <- M^-1 f. */
-DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, unsigned long long mask,
-                                             const double *f, double *y)
+DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, const dal_arrays *at, size_t n,
+                                             unsigned long long mask, const double *f, double *y)
 {
-    const double *const inverse = k->mass_inverse;
+    const double *const inverse = at->mass_inverse;
     if (mask == DAL_KERNEL_ALL && k->diagonal) {
         for (size_t i = 0; i < n; i++) y[i] = inverse[i * n + i] * f[i];
         return;
@@ -321,19 +331,19 @@ DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, size_t n, unsi
 }
 
 /* |mu^a| of residual.h for row a of mu[m*n]. */
-DAL_KERNEL_INLINE double dal_kernel_form(const dal_kernel *k, size_t n, unsigned long long mask,
+DAL_KERNEL_INLINE double dal_kernel_form(const dal_arrays *at, size_t n, unsigned long long mask,
                                          const double *mu, size_t a)
 {
     double sum = -0.0;
     for (size_t i = 0; i < n; i++)
-        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += fabs(mu[a * n + i]) * k->unit[i];
+        if (DAL_KERNEL_HAS(mask, a * n + i)) sum += fabs(mu[a * n + i]) * at->unit[i];
     return sum;
 }
 
 /* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu and b N in the metric, its
  * columns those of mu_node; or, where there is one entry, both together that of its terms. */
-DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m, dal_pattern has,
-                                        double b, const dal_arrays *at)
+DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, double b,
+                                        const dal_arrays *at)
 {
     double terms = -0.0;
     for (size_t a = 0; a < m; a++) {
@@ -344,7 +354,7 @@ DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m,
             if (!turns && !DAL_KERNEL_HAS(has.mu, a * n + i)) continue;
             const double mu = at->mu[a * n + i], row = turns ? mu + b * at->N[a * n + i] : mu;
             const double entry = turns ? fabs(mu) + fabs(row) : fabs(mu);
-            if (m > 1) size += entry * k->unit[i];
+            if (m > 1) size += entry * at->unit[i];
             for (size_t c = 0; c < m; c++) {
                 if (!DAL_KERNEL_HAS(has.Z, c * n + i)) continue;
                 const double term = row * at->Z[c * n + i];
@@ -353,7 +363,7 @@ DAL_KERNEL_INLINE int dal_kernel_factor(const dal_kernel *k, size_t n, size_t m,
             }
         }
         at->sizes[a] = m > 1 ? size : terms;
-        at->sizes[m + a] = m > 1 ? dal_kernel_form(k, n, has.mu, at->mu_node, a) : 1.0;
+        at->sizes[m + a] = m > 1 ? dal_kernel_form(at, n, has.mu, at->mu_node, a) : 1.0;
     }
     return dal_lu_factor(m, at->S, at->sizes, at->row);
 }
@@ -376,12 +386,12 @@ DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s,
 DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                           const dal_arrays *at, double limit)
 {
-    const double speed = dal_residual_speed(n, k->per_unit, at->w), allowed = limit * speed;
+    const double speed = dal_residual_speed(n, at->per_unit, at->w), allowed = limit * speed;
     double largest = k->stats.worst_residual;
     bool settled = true;
     for (size_t a = 0; a < m; a++) {
         const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
-        const double form = dal_kernel_form(k, n, has.mu, at->mu, a), scale = form * speed;
+        const double form = dal_kernel_form(at, n, has.mu, at->mu, a), scale = form * speed;
         at->r[a] = -sum;
         /* nor if both are infinite; form * speed may overflow */
         if (!(form * allowed - fabs(sum) >= 0.0)) settled = false;
@@ -393,18 +403,18 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal
 
 /* Whether r may be all roundoff: of w, which is the sum of goal and Z^T kappa, and of q~', through
  * N.  No correction would make that smaller. */
-DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(const dal_kernel *k, size_t n, size_t m,
-                                              dal_pattern has, const dal_arrays *at)
+DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(size_t n, size_t m, dal_pattern has,
+                                              const dal_arrays *at)
 {
-    const double terms = dal_residual_speed(n, k->per_unit, at->w)
-                       + dal_residual_speed(n, k->per_unit, at->goal);
+    const double terms = dal_residual_speed(n, at->per_unit, at->w)
+                       + dal_residual_speed(n, at->per_unit, at->goal);
     bool roundoff = true;
     for (size_t a = 0; a < m; a++) {
         double shifted = 0.0;
         for (size_t i = 0; i < n; i++)
             if (DAL_KERNEL_HAS(has.N, a * n + i))
                 shifted += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
-        const double bound = 2.0 * (double)n * dal_kernel_form(k, n, has.mu, at->mu, a) * terms;
+        const double bound = 2.0 * (double)n * dal_kernel_form(at, n, has.mu, at->mu, a) * terms;
         if (!(2.0 * DAL_KERNEL_U * (bound + shifted) - fabs(at->r[a]) >= 0.0)) roundoff = false;
     }
     return roundoff;
@@ -418,9 +428,10 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
                                          const double *seen, const dal_arrays *at)
 {
     const double h = k->h, b = s->after * h;
-    if (ends) dal_kernel_accelerate(k, n, has.inverse, k->force1, at->goal);
+    if (ends) dal_kernel_accelerate(k, at, n, has.inverse, k->force1, at->goal);
     for (size_t i = 0; i < n; i++) {
-        at->goal[i] = ends ? at->base[i] - h * s->end * at->goal[i] : at->base[i];
+        at->goal[i] = ends && DAL_KERNEL_HAS(has.kick, i) ? at->base[i] - h * s->end * at->goal[i]
+                                                          : at->base[i];
         at->step[i] = at->goal[i];
         if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
             at->step[i] += dal_kernel_column(n, m, has.Z, at->Z, i, at->kappa);
@@ -480,12 +491,14 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_INSIDE 1
 #ifdef DAL_KERNEL_POTENTIAL
 #define DAL_KERNEL_PULLED true
+#define DAL_KERNEL_PLAIN false
 #else
 #ifdef DAL_KERNEL_MOMENTA
 #define DAL_KERNEL_PULLED true
 #else
 #define DAL_KERNEL_PULLED false
 #endif
+#define DAL_KERNEL_PLAIN (!DAL_KERNEL_PULLED)
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) 0
 #endif
 #elif defined(DAL_KERNEL_MOMENTA)
@@ -503,16 +516,17 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #else
 #define DAL_KERNEL_INSIDE 0
 #define DAL_KERNEL_PULLED ((k)->potential != NULL)
+#define DAL_KERNEL_PLAIN false
 #define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) dal_kernel_constraint(k, t, q, v, mu, N)
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) dal_kernel_potential(k, t, q, V_q)
 #endif
 #ifndef DAL_KERNEL_PATTERN
 #define DAL_KERNEL_PATTERN \
     {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, \
-     DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL}
+     DAL_KERNEL_ALL, 0, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL}
 #endif
 #ifndef DAL_KERNEL_STEADY
-#define DAL_KERNEL_STEADY 0
+#define DAL_KERNEL_STEADY -1
 #endif
 
 #define DAL_KERNEL_JOIN_(a, b) a##b
@@ -548,6 +562,36 @@ DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
     for (size_t i = 0; i < n; i++) to[i] = from[i];
 }
 
+/* base -= what V adds at q_k, or at q~. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel *k, const dal_traits *o,
+                                            const dal_arrays *at)
+{
+    const dal_stage *const s = o->stage;
+    DAL_KERNEL_SIZES;
+    const double *const x = at->x;
+    const double h = k->h;
+    const bool at_node = o->plain || s->node != 0.0;
+    double *const force = !at_node ? k->force0
+                        : o->plain && DAL_KERNEL_INSIDE ? at->seen : k->force1;
+    if (o->plain && DAL_KERNEL_INSIDE)
+        for (size_t i = 0; i < n; i++) force[i] = 0.0; /* or some compilers warn */
+    if (at_node || !k->forced) {
+        const double shift = o->kept ? k->shift * h : 0.0;
+        DAL_KERNEL_UNROLL
+        for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
+            at->point[i] = at_node ? at->node[i] : x[i] - shift * x[n + i];
+        const int returned = DAL_KERNEL_POTENTIAL(
+            k, dal_kernel_time(k, o->number, at_node ? s->t_node : s->t_start),
+            at->point, force);
+        if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
+    }
+    const double weight = h * (at_node ? s->node : s->start);
+    dal_kernel_accelerate(k, at, n, o->has.inverse, force, at->step);
+    for (size_t i = 0; i < n; i++)
+        if (DAL_KERNEL_HAS(o->has.kick, i)) at->base[i] -= weight * at->step[i];
+    return DAL_SUCCESS;
+}
+
 /* ---- predict: the part of v' that is known, and the pull */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *o,
                                                const dal_arrays *at)
@@ -559,21 +603,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
     const double before = o->kept ? 0.0 : s->before * h; /* a kept node is the state */
     for (size_t i = 0; i < n; i++) at->node[i] = x[i] + before * x[n + i];
     for (size_t i = 0; i < n; i++) at->base[i] = x[n + i];
-    if (o->potential) {
-        double *const force = s->node != 0.0 ? k->force1 : k->force0;
-        if (s->node != 0.0 || !k->forced) {
-            const double shift = o->kept ? k->shift * h : 0.0;
-            DAL_KERNEL_UNROLL
-            for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
-                at->point[i] = s->node != 0.0 ? at->node[i] : x[i] - shift * x[n + i];
-            const int returned = DAL_KERNEL_POTENTIAL(
-                k, dal_kernel_time(k, o->number, s->node != 0.0 ? s->t_node : s->t_start),
-                at->point, force);
-            if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-        }
-        const double weight = h * (s->node != 0.0 ? s->node : s->start);
-        dal_kernel_accelerate(k, n, o->has.inverse, force, at->step);
-        for (size_t i = 0; i < n; i++) at->base[i] -= weight * at->step[i];
+    if (o->potential && !o->apart) {
+        const int status = DAL_KERNEL_PART(kick)(k, o, at);
+        if (status) return status;
     }
     /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
     for (size_t i = 0; i < n; i++) {
@@ -607,7 +639,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o
                                                  at->node, at->x + n, at->mu_node, NULL);
         if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
         for (size_t a = 0; a < m; a++)
-            dal_kernel_accelerate(k, n, o->has.inverse, at->mu_node + a * n, at->Z + a * n);
+            dal_kernel_accelerate(k, at, n, o->has.inverse, at->mu_node + a * n, at->Z + a * n);
     }
     if (s->linear) DAL_KERNEL_COPY(m * n, at->mu_node, at->mu);
     if (s->linear || (o->steady && o->has.N)) {
@@ -617,7 +649,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o
     if (o->ends && returned == 0)
         returned = DAL_KERNEL_POTENTIAL(k, o->t_end, at->point, k->force1);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-    return returned > 0 || dal_kernel_factor(k, n, m, o->has, s->after * k->h, at) <= 0;
+    return returned > 0 || dal_kernel_factor(n, m, o->has, s->after * k->h, at) <= 0;
 }
 
 /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
@@ -640,8 +672,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
         if (!o->known || o->ends) {
             double size = -0.0;
             for (size_t i = 0; i < n; i++)
-                if (DAL_KERNEL_HAS(o->has.pull, i)) size += fabs(at->step[i]) * k->per_unit[i];
-            const double noise = 8.0 * DAL_KERNEL_U * dal_residual_extent(n, k->per_unit, at->goal);
+                if (DAL_KERNEL_HAS(o->has.pull, i)) size += fabs(at->step[i]) * at->per_unit[i];
+            const double noise =
+                8.0 * DAL_KERNEL_U * dal_residual_extent(n, at->per_unit, at->goal);
             if (o->ends) balanced = dal_kernel_is_balanced(s, anew, size, last, noise);
             if (!(anew || size <= 0.5 * last || size <= noise)) break;
             anew = passed && balanced;
@@ -659,7 +692,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
         if (returned > 0) break;
         if (!balanced) continue;
         *settled = dal_kernel_settled(k, n, m, o->has, at, DAL_KERNEL_LIMIT(n));
-        if (*settled || o->known || dal_kernel_is_roundoff(k, n, m, o->has, at)) return DAL_SUCCESS;
+        if (*settled || o->known || dal_kernel_is_roundoff(n, m, o->has, at)) return DAL_SUCCESS;
         if (o->steady) return dal_kernel_fail(k, DAL_EINVAL, DAL_FAILED_STEADY);
     }
     return 1;
@@ -735,16 +768,19 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *
         k->force0 = k->force1;
         k->force1 = force;
     }
-    if (o->potential) k->forced = o->ends && solved;
+    if (o->potential && !o->plain) k->forced = o->ends && solved;
 }
 
-/* A stage of step number, counted from 0.  plain is a constant where this is inlined: V = 0 and
- * moved nodes, so that what serves only the others costs nothing. */
+/* A stage of step number, counted from 0.  plain is a constant where this is inlined: moved nodes,
+ * and V = 0 or at nodes only, so that what serves only the others costs nothing. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double number,
                                              const dal_stage *const s, const bool plain,
-                                             double *const x, double *const pull)
+                                             const dal_masses *const masses, double *const x,
+                                             double *const pull)
 {
     DAL_KERNEL_SIZES;
+    (void)masses;
+    dal_pattern has = DAL_KERNEL_PATTERN;
 #ifdef DAL_N
     DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
     DAL_KERNEL_SHARED(point, DAL_N, 3 * n);
@@ -758,20 +794,23 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     double r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
     size_t row[DAL_KERNEL_M];
     const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
-                           Z, S, sizes, r, d, kappa, row};
+                           Z, S, sizes, r, d, kappa, row, masses->mass_inverse, masses->unit,
+                           masses->per_unit};
 #else
     const dal_arrays at = k->at;
 #endif
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
-    const bool potential = !plain && DAL_KERNEL_PULLED;
-    const bool inside = DAL_KERNEL_STEADY && plain;
-    const bool proved = inside || k->steady == DAL_STEADY_PROVED;
-    dal_pattern has = DAL_KERNEL_PATTERN;
+    const bool potential = DAL_KERNEL_PULLED;
+    const bool inside = DAL_KERNEL_STEADY > 0 && plain;
+    const int declared = DAL_KERNEL_STEADY == 0 ? 0 : k->steady;
+    const bool proved = inside || declared == DAL_STEADY_PROVED;
     if (inside) has.N = 0;
-    const dal_traits o = {.stage = s, .number = number, .has = has, .kept = kept,
+    const dal_traits o = {.stage = s, .number = number, .has = has, .plain = plain, .kept = kept,
                           .t_end = dal_kernel_time(k, number, s->t_end), .potential = potential,
-                          .ends = potential && s->end != 0.0, .steady = inside || k->steady,
-                          .known = m == 0 || proved || (s->linear && !kept)};
+                          .ends = potential && !plain && s->end != 0.0,
+                          .steady = inside || declared,
+                          .known = m == 0 || proved || (s->linear && !kept),
+                          .apart = plain && DAL_KERNEL_STEADY > 1};
 
     bool settled = false;
     int status = DAL_KERNEL_PART(predict)(k, &o, &at);
@@ -780,6 +819,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     for (size_t a = 0; a < m; a++) at.kappa[a] = 0.0;
     status = DAL_KERNEL_PART(factor)(k, &o, &at);
     if (status < 0) return status;
+    if (o.apart) {
+        const int kicked = DAL_KERNEL_PART(kick)(k, &o, &at);
+        if (kicked) return kicked;
+        DAL_KERNEL_COPY(n, at.base, at.w);
+    }
     if (status > 0) {
         DAL_KERNEL_COPY(n, at.node, at.stored);
         DAL_KERNEL_COPY(n, at.base, at.goal);
@@ -819,7 +863,9 @@ static int DAL_KERNEL_PART(push)(dal_kernel *k, double number, const dal_stage *
 
 /* A stage of either kind. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double number,
-                                                       const dal_stage *s, double *x, double *pull)
+                                                       const dal_stage *s,
+                                                       const dal_masses *masses, double *x,
+                                                       double *pull)
 {
     DAL_KERNEL_SIZES;
     /* inside, what is known at the node need not be computed again if that is a constant */
@@ -834,7 +880,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double num
         DAL_KERNEL_COPY(2 * n, x, k->at.x);
         status = DAL_KERNEL_PART(push)(k, number, s, NULL, true);
     }
-    if (!status) status = DAL_KERNEL_PART(stage)(k, number, s, false, x, pull);
+    if (!status) status = DAL_KERNEL_PART(stage)(k, number, s, false, masses, x, pull);
     k->carried = false;
     return status;
 }
@@ -852,6 +898,23 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const double first = (double)k->stats.steps, last = first + (double)steps;
     double number = first;
     int status = DAL_SUCCESS;
+    const dal_pattern has = DAL_KERNEL_PATTERN;
+#if DAL_KERNEL_INSIDE && DAL_KERNEL_MASS && DAL_N <= 8
+    double mass_inverse[DAL_N * DAL_N], unit[DAL_N], per_unit[DAL_N];
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < DAL_N * DAL_N; i++)
+        mass_inverse[i] = has.one >> i / DAL_N & 1 ? (double)(i % (DAL_N + 1) == 0)
+                                                   : k->mass_inverse[i];
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < DAL_N; i++) {
+        unit[i] = has.one >> i & 1 ? 1.0 : k->unit[i];
+        per_unit[i] = has.one >> i & 1 ? 1.0 : k->per_unit[i];
+    }
+    const dal_masses masses = {mass_inverse, unit, per_unit};
+#else
+    (void)has;
+    const dal_masses masses = {k->mass_inverse, k->unit, k->per_unit};
+#endif
 #if DAL_KERNEL_INSIDE
     double x[2 * DAL_N], pull[3 * DAL_N];
     DAL_KERNEL_COPY(2 * n, k->at.x, x);
@@ -867,20 +930,16 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
         }
 #ifdef DAL_KERNEL_MOMENTA
         do
-            status = DAL_KERNEL_PART(stage_of_either)(k, number, s, x, pull);
-        while (!status && ++s < end);
-#elif DAL_KERNEL_INSIDE /* compiled once, when the user waits for it */
-        do
-            status = DAL_KERNEL_PART(stage)(k, number, s, !DAL_KERNEL_PULLED, x, pull);
+            status = DAL_KERNEL_PART(stage_of_either)(k, number, s, &masses, x, pull);
         while (!status && ++s < end);
 #else
-        if (k->plain) {
+        if (DAL_KERNEL_PLAIN || k->plain) {
             do
-                status = DAL_KERNEL_PART(stage)(k, number, s, true, x, pull);
+                status = DAL_KERNEL_PART(stage)(k, number, s, true, &masses, x, pull);
             while (!status && ++s < end);
         } else {
             do
-                status = DAL_KERNEL_PART(stage)(k, number, s, false, x, pull);
+                status = DAL_KERNEL_PART(stage)(k, number, s, false, &masses, x, pull);
             while (!status && ++s < end);
         }
 #endif
@@ -902,6 +961,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 
 #undef DAL_KERNEL_INSIDE
 #undef DAL_KERNEL_PULLED
+#undef DAL_KERNEL_PLAIN
 #undef DAL_KERNEL_SHARED
 #undef DAL_KERNEL_SIZES
 #undef DAL_KERNEL_UNROLL

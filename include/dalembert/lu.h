@@ -16,14 +16,21 @@
 /* Where m is a constant these have to be seen by the optimiser. */
 #if defined(__GNUC__)
 #define DAL_LU_INLINE static inline __attribute__((always_inline))
-#define DAL_LU_RARE static __attribute__((noinline, cold, unused))
+#define DAL_LU_RARE static __attribute__((noinline, unused)) /* cold would spread to its callers */
+#define DAL_LU_MOSTLY(condition) __builtin_expect(!!(condition), 1)
 #else
 #define DAL_LU_INLINE static inline
 #define DAL_LU_RARE static inline
+#define DAL_LU_MOSTLY(condition) (condition)
 #endif
 
 /* From here on the solution would have no digits: 1e15 u is 0.1. */
 #define DAL_LU_CONDITION 1e15
+
+/* Where m = 2, and the pivots and the entry above the second are this close to their sizes, the
+ * matrix is regular, and that need not be computed: with |L| <= 1 the x of dal_lu_is_regular is at
+ * most 2^9 for the second row and 2^8 (1 + 2^8 2^9) for the first, times m and 2^8 below 2^36. */
+#define DAL_LU_EASY 0x1p8
 
 /* x[m] <- A^-1 b[m] from the factors; x and b may not overlap. */
 DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, const double *b,
@@ -31,6 +38,12 @@ DAL_LU_INLINE void dal_lu_solve(size_t m, const double *A, const size_t *row, co
 {
     if (m == 1) { /* without the detour through row[], which the optimiser does not see through */
         x[0] = b[0] * A[0];
+        return;
+    }
+    if (m == 2) {
+        const double upper = row[0] ? b[1] : b[0], lower = row[0] ? b[0] : b[1];
+        x[1] = (lower - A[2] * upper) * A[3];
+        x[0] = (upper - A[1] * x[1]) * A[0];
         return;
     }
     for (size_t i = 0; i < m; i++) {
@@ -125,6 +138,45 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
         || dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
 }
 
+/* The same for m = 2; of copies, so that the arrays of the caller need no place in memory. */
+DAL_LU_RARE int dal_lu_are_regular(double inverse, double b, double l, double rest, int swap,
+                                   double upper, double lower, double c, double d)
+{
+    const double A[] = {inverse, b, l, rest}, columns[] = {c, d};
+    const double rows[] = {swap ? lower : upper, swap ? upper : lower};
+    const size_t row[] = {swap ? 1 : 0, swap ? 0 : 1};
+    double scratch[6];
+    return dal_lu_is_regular(2, A, row, rows, columns, scratch);
+}
+
+DAL_LU_INLINE int dal_lu_is_easy(double entry, double size)
+{
+    return fabs(entry) < DAL_LU_EASY * size;
+}
+
+/* dal_lu_factor for m = 2: the same operations, with no index that the optimiser does not know. */
+DAL_LU_INLINE int dal_lu_factor_two(double *A, const double *sizes, size_t *row)
+{
+    const int swap = fabs(A[2]) * sizes[0] > fabs(A[0]) * sizes[1];
+    const double a = swap ? A[2] : A[0], b = swap ? A[3] : A[1];
+    const double c = swap ? A[0] : A[2], d = swap ? A[1] : A[3];
+    const double upper = swap ? sizes[1] : sizes[0], lower = swap ? sizes[0] : sizes[1];
+    const double inverse = 1.0 / a, l = c * inverse, rest = d - l * b;
+    const int sign = (swap != (a < 0.0)) != (rest < 0.0) ? -1 : 1;
+    const double first = upper * sizes[2], above = upper * sizes[3], second = lower * sizes[3];
+    row[0] = swap ? 1 : 0;
+    row[1] = swap ? 0 : 1;
+    A[0] = inverse;
+    A[1] = b;
+    A[2] = l;
+    A[3] = 1.0 / rest;
+    if (DAL_LU_MOSTLY(fabs(a) * DAL_LU_EASY > first && fabs(rest) * DAL_LU_EASY > second
+                      && dal_lu_is_easy(a, first) && dal_lu_is_easy(b, above)
+                      && dal_lu_is_easy(rest, second)))
+        return sign;
+    return dal_lu_are_regular(A[0], b, l, A[3], swap, upper, lower, sizes[2], sizes[3]) ? sign : 0;
+}
+
 /* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  sizes[5*m]:
  * those of the rows, then of the columns; the rest is scratch.  Returns the sign of det A; or 0 if
  * A is singular or NaN.  With an Inf in A the residual of what dal_lu_solve returns is not finite
@@ -139,6 +191,7 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
         if (pivot * DAL_LU_CONDITION > sizes[0] * sizes[1]) return 1;
         return -pivot * DAL_LU_CONDITION > sizes[0] * sizes[1] ? -1 : 0;
     }
+    if (m == 2) return dal_lu_factor_two(A, sizes, row);
     int sign = 1;
     for (size_t i = 0; i < m; i++) row[i] = i;
     for (size_t j = 0; j < m; j++) {

@@ -26,8 +26,8 @@
  * of coordinates or forms changes a decision, nor a coordinate what is asked of another. */
 #ifndef DALEMBERT_MOMENTUM_H
 #define DALEMBERT_MOMENTUM_H
-/* A row of the balance is closed to so many u of its terms; and of what q~' is multiplied with, whose
- * roundings at the prediction and after the correction move the row by at most u each. */
+/* A row of the balance is closed to so many u of its terms; and of what q~' is multiplied with, the
+ * roundings of which at the prediction and after the correction move the row by at most u each. */
 #define DAL_MOMENTUM_NOISE (8.0 * DAL_KERNEL_U)
 #define DAL_MOMENTUM_GRID (4.0 * DAL_KERNEL_U)
 /* Where it no longer shrinks, so many times as much. */
@@ -189,9 +189,9 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(miss)(const dal_kernel *k, const dal_trai
         at->r[a] = of->linear ? -dal_kernel_dot(n, o->has.mu, at->mu, a, at->w) : -phi[a];
 }
 
-/* The same.  True if every residual is at most half of its bound; then the statistics know it.  With
- * the terms of phi, sum_i |mu^a_i v_i| + |phi^a - mu^a v|, in place of s^a of residual.h, which is
- * not less; unless exact. */
+/* The same.  True if every residual is at most half of its bound; then the statistics know it.
+ * Unless exact the terms of phi, sum_i |mu^a_i v_i| + |phi^a - mu^a v|, are in place of s^a of
+ * residual.h, which is not less. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_within)(dal_kernel *k, const dal_traits *o,
                                                   const dal_spans *of, const dal_arrays *at,
                                                   const dal_balance *balance, bool exact)
@@ -484,8 +484,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
     return 1;
 }
 
-/* ---- mend: the velocity, into D at the q~' that is stored, with the reaction that goes with it.  S
- * is for a q~' that moves, so each pass leaves a part B h N of the residual. */
+/* ---- mend: the velocity, into D at the q~' that is stored, with the reaction that goes with it.
+ * S is for a q~' that moves, so each pass leaves a part B h N of the residual. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(mend)(dal_kernel *k, const dal_traits *o,
                                              const dal_spans *of, const dal_arrays *at,
                                              const dal_balance *balance)
@@ -564,7 +564,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     double L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
     double K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
     const dal_arrays at = {x, NULL, node, point, w, mu_node, mu, N, known, goal, step, NULL,
-                           stored, Z, S, sizes, r, d, kappa, row};
+                           stored, Z, S, sizes, r, d, kappa, row, NULL, NULL, NULL};
     const dal_balance balance = {known, reaction, residual, share, phi, L_v, F, unit, per_unit,
                                  L_vq, L_vv, F_q, F_v, K, factors, NULL};
 #else
@@ -594,9 +594,9 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     if (status == 0) status = DAL_KERNEL_PART(close)(k, &o, &of, &at, &balance, &settled);
     if (status < 0) return status;
     bool solved = status == 0;
-    const int passes = solved && !kept ? DAL_MOMENTUM_PASSES : 0;
-    for (int pass = 0; DAL_KERNEL_RARE(!settled && pass < passes); pass++)
-        settled = DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance);
+    if (DAL_KERNEL_RARE(solved && !settled && !kept))
+        for (int pass = 0; !settled && pass < DAL_MOMENTUM_PASSES; pass++)
+            settled = DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance);
     if (solved && settled && DAL_KERNEL_PART(is_finite)(n, &at)) {
         DAL_KERNEL_PART(carry)(k, &of, &balance);
     } else {

@@ -20,7 +20,7 @@ from sympy.logic.boolalg import BooleanFalse, BooleanTrue
 from .model import FUNCTIONS, Function, Model, nearest
 from .pattern import pattern
 
-GENERATOR = 1  # changes with what is generated, as the files of this module do
+GENERATOR = 2  # changes with what is generated, as the files of this module do
 
 # Above this number of coordinates a step routine of the model's own, whose arrays are on the stack,
 # gains nothing over the library's.
@@ -274,7 +274,7 @@ def _kernel(made: Program, model: Model) -> None:
     macros["KERNEL_CONSTRAINT(k, t, q, v, mu, N)"] = constrain
     if initializer := zeros.initializer():
         macros["KERNEL_PATTERN"] = initializer
-    macros["KERNEL_STEADY"] = int(zeros.steady)
+    macros["KERNEL_STEADY"] = int(zeros.steady) + int(zeros.apart)
     counted = {"potential": derived.function("potential"), "force": derived.function("force")}
     counted["lagrangian"] = derived.function("lagrangian")
     count = "".join(f"    k->stats.{x}_calls++;\n" for x, there in counted.items() if there)
@@ -464,11 +464,7 @@ class Printer:
         sign = ""
         if coefficient.is_negative:
             sign, coefficient = "-", -coefficient
-        if coefficient.is_Rational and coefficient.q != 1 and _is_short(coefficient):
-            if coefficient.p != 1 or not above:
-                above.insert(0, self._number(sympy.Integer(coefficient.p)))
-            below.insert(0, self._number(sympy.Integer(coefficient.q)))
-        elif coefficient != 1 or not above:
+        if coefficient != 1 or not above:
             above.insert(0, self._number(coefficient))
         text = " * ".join(above)
         if below:
@@ -490,8 +486,6 @@ class Printer:
         return f"pow({self(base)}, {self(exponent)})"
 
     def _number(self, e: Any) -> str:
-        if e.is_Rational and e.q != 1 and _is_short(e):
-            return f"({self._number(sympy.Integer(e.p))} / {e.q}.0)"
         text = repr(nearest(e))
         return f"({text})" if text.startswith("-") else text
 
@@ -523,11 +517,6 @@ class Printer:
             sign = " && " if isinstance(e, sympy.And) else " || "
             return f"({sign.join(map(self._condition, e.args))})"
         raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
-
-
-def _is_short(e: Any) -> bool:
-    """Return whether a rational number is a quotient of two doubles."""
-    return bool(max(abs(e.p), e.q) < 2**53)
 
 
 def c_identifier(name: str | None, default: str) -> str:

@@ -21,10 +21,12 @@ class Pattern:
 
     Attributes
     ----------
-    inverse, mu, Z, N, pull, L_vq, F_q, F_v, K : list of list of bool
-        Row by row; ``pull`` has one row.
+    inverse, mu, Z, N, pull, kick, one, L_vq, F_q, F_v, K : list of list of bool
+        Row by row; ``pull``, ``kick`` and ``one`` have one row.
     steady : bool
         Whether no reaction pushes a coordinate that mu depends on, and nothing depends on time.
+    apart : bool
+        Whether it is steady, and V pushes no such coordinate either.
     """
 
     inverse: Rows
@@ -32,18 +34,22 @@ class Pattern:
     Z: Rows
     N: Rows
     pull: Rows
+    kick: Rows
+    one: Rows
     L_vq: Rows
     F_q: Rows
     F_v: Rows
     K: Rows
     steady: bool
+    apart: bool
 
     def initializer(self) -> str | None:
         """Return the ``dal_pattern`` in C; None if there are too many coordinates for one."""
         if len(self.inverse) > _MOST:
             return None
         matrices = (
-            self.inverse, self.mu, self.Z, self.N, self.pull, self.L_vq, self.F_q, self.F_v, self.K
+            self.inverse, self.mu, self.Z, self.N, self.pull, self.kick, self.one,
+            self.L_vq, self.F_q, self.F_v, self.K,
         )  # fmt: skip
         masks = [  # the bits a*n + i of the entries (a, i)
             sum(1 << int(k) for k in np.flatnonzero(rows)) for rows in matrices
@@ -88,13 +94,21 @@ def pattern(model: Model) -> Pattern:
     pushed = Z.any(axis=0)
     of_force = (("balance", "F"), ("pull", "V_q"), ("potential", "V_q"))
     force = next((x for name in of_force if (x := derived.expressions(*name))), ())
-    pull = pushed | (rows(force) @ inverse).any(axis=0)
+    kick = (rows(force) @ inverse).any(axis=0)
+    pull = pushed | kick
     # what mu depends on: not only where it has a derivative
     bending = {s.name for e in forms for s in e.free_symbols}
     steady = model.m > 0 and not model.is_time_dependent and not of_momenta
-    steady = steady and not any(pushed[i] for i in range(n) if model.q[i].name in bending)
-    matrices = (inverse, mu, Z, N, pull[None], *slopes, _filled(K) if of_momenta else none)
-    return Pattern(*(x.tolist() for x in matrices), steady)
+    bends = np.array([q.name in bending for q in model.q], dtype=bool)
+    steady = steady and not (pushed & bends).any()
+    alone, M = inverse.sum(axis=0) == 1, derived.mass or [0] * n * n
+    one = np.array([M[i * n + i] == 1 for i in range(n)], dtype=bool) & alone
+    matrices = (
+        inverse, mu, Z, N, pull[None], kick[None], one[None],
+        *slopes, _filled(K) if of_momenta else none,
+    )  # fmt: skip
+    apart = steady and not (kick & bends).any()
+    return Pattern(*(x.tolist() for x in matrices), bool(steady), bool(apart))
 
 
 def _closed(coupled: Any) -> Any:

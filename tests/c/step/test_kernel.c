@@ -4,6 +4,7 @@
 #include "check.h"
 
 #include "dalembert/kernel.h"
+#include "step/beta.h"
 
 /* What the callbacks of uneven_edge read; its kernel gets it as ctx. */
 typedef struct blade {
@@ -76,7 +77,7 @@ static int inside_constraint(dal_kernel *k, double t, const double *q, const dou
 #define DAL_KERNEL blade_step
 #define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_constraint(k, t, q, v, mu, N)
 #define DAL_KERNEL_POTENTIAL(k, t, q, V_q) inside_potential(k, t, q, V_q)
-#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x7ULL}
+#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x7ULL, 0x5ULL, 0x0ULL, 0, 0, 0, 0}
 #define DAL_KERNEL_STEADY 1
 #include "dalembert/kernel.h"
 
@@ -93,14 +94,30 @@ static int inside_constraint(dal_kernel *k, double t, const double *q, const dou
 #define DAL_M 1
 #define DAL_KERNEL free_blade_step
 #define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_constraint(k, t, q, v, mu, N)
-#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x3ULL}
+#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x4ULL, 0x3ULL, 0x0ULL, 0x0ULL, 0, 0, 0, 0}
 #define DAL_KERNEL_STEADY 1
 #include "dalembert/kernel.h"
 
+/* Of stages with V at nodes only, the general text. */
+static int blade_step_in_general(dal_kernel *k, size_t steps, size_t *done)
+{
+    k->plain = false;
+    return blade_step(k, steps, done);
+}
+
+static int step_in_general(dal_kernel *k, size_t steps, size_t *done)
+{
+    k->plain = false;
+    return dal__kernel_for(k->n, k->m)(k, steps, done);
+}
+
 static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), blade_step, 0, 0};
+static const dal_compiled compiled_in_general = {DAL_COMPILED_ABI, sizeof(dal_kernel),
+                                                 blade_step_in_general, 0, 0};
 static const dal_compiled compiled_in_full = {DAL_COMPILED_ABI, sizeof(dal_kernel),
                                               blade_step_in_full, 0, 0};
-static const dal_compiled compiled_free = {DAL_COMPILED_ABI, sizeof(dal_kernel), free_blade_step, 0, 0};
+static const dal_compiled compiled_free = {DAL_COMPILED_ABI, sizeof(dal_kernel), free_blade_step, 0,
+                                           0};
 
 static const double mass[9] = {2.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.75};
 static const double state[6] = {0.0, 0.0, 0.2, 0.49003328892062081, 0.099334665397530605, 1.2};
@@ -114,7 +131,7 @@ static dal_system_def blade_def(blade *b)
                             .steady = DAL_STEADY_PROVED};
 }
 
-typedef enum variety { STEADY, IN_FULL, FREE, TURNING } variety;
+typedef enum variety { STEADY, IN_FULL, FREE, TURNING, IN_GENERAL } variety;
 
 static dal_system *open_blade_as(variety kind, int refuses)
 {
@@ -124,6 +141,8 @@ static dal_system *open_blade_as(variety kind, int refuses)
         b.turn = def.time_dependent = kind == TURNING;
         def.compiled = &compiled_in_full;
         def.steady = 0;
+    } else if (kind == IN_GENERAL) {
+        def.compiled = &compiled_in_general;
     } else if (kind == FREE) {
         def.compiled = &compiled_free;
         def.potential = NULL;
@@ -172,6 +191,53 @@ static void test_same_bits(variety kind)
         dal_stepper_free(library);
     }
     dal_system_free(system);
+}
+
+/* Every built-in system has the same bits by the text for V at nodes only, or nowhere, and by the
+ * general one. */
+static void test_nodes_only(void)
+{
+    static const dal_compiled general = {DAL_COMPILED_ABI, sizeof(dal_kernel), step_in_general, 0,
+                                         0};
+    const char *const names[] = {"leapfrog", "leapfrog-suzuki4", "leapfrog-kl6", "leapfrog-kl8",
+                                 "leapfrog-mirror", "explicit"};
+    size_t compared = 0;
+    for (size_t which = 0; which < dal_builtin_count(); which++) {
+        dal_system *system = NULL, *other = NULL;
+        CHECK(dal_system_builtin(&system, dal_builtin_name(which), NULL, NULL, 0, NULL) == 0);
+        dal_system_def def = system->def;
+        const size_t n = def.n;
+        def.compiled = &general;
+        if (!def.mass || def.kind != DAL_LINEAR || def.force || n > 8) {
+            dal_system_free(system);
+            continue;
+        }
+        CHECK(dal_system_new(&other, &def, NULL) == 0);
+        for (size_t j = 0; j < sizeof names / sizeof *names; j++) {
+            const dal_scheme scheme = find_scheme(names[j]);
+            dal_stepper *const one = open_stepper(system, &scheme, NULL);
+            dal_stepper *const two = open_stepper(other, &scheme, NULL);
+            double x[8], y[8]; /* reactions */
+            dal_stats a, b;
+            CHECK(dal_stepper_start(one, 0.0, 0.05, def.state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            CHECK(dal_stepper_start(two, 0.0, 0.05, def.state, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+            CHECK(dal_advance(one, 300, x, NULL) == 0 && dal_advance(two, 300, y, NULL) == 0);
+            CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(two), 2 * n * sizeof(double))
+                  == 0);
+            CHECK(memcmp(x, y, def.m * sizeof *x) == 0);
+            dal_stepper_stats(one, &a);
+            dal_stepper_stats(two, &b);
+            CHECK(a.constraint_calls == b.constraint_calls && a.iterations == b.iterations);
+            CHECK(a.potential_calls == b.potential_calls);
+            CHECK(a.worst_residual == b.worst_residual);
+            dal_stepper_free(one);
+            dal_stepper_free(two);
+            compared++;
+        }
+        dal_system_free(other);
+        dal_system_free(system);
+    }
+    CHECK(compared >= 50);
 }
 
 /* The same where the full Newton iteration takes over, which sees only what it is handed, and where
@@ -294,7 +360,7 @@ static int inside_level(dal_kernel *k, double t, const double *q, const double *
 #define DAL_M 1
 #define DAL_KERNEL level_step
 #define DAL_KERNEL_CONSTRAINT(k, t, q, v, mu, N) inside_level(k, t, q, v, mu, N)
-#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x0ULL, 0x3ULL}
+#define DAL_KERNEL_PATTERN {0x111ULL, 0x3ULL, 0x3ULL, 0x0ULL, 0x3ULL, 0x0ULL, 0x0ULL, 0, 0, 0, 0}
 #include "dalembert/kernel.h"
 
 static void test_overflow(void)
@@ -573,6 +639,8 @@ int main(void)
     test_same_bits(IN_FULL);
     test_same_bits(FREE);
     test_same_bits(TURNING);
+    test_same_bits(IN_GENERAL);
+    test_nodes_only();
     test_handed_over();
     test_made_again();
     test_overflow();

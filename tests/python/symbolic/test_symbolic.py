@@ -279,6 +279,22 @@ def test_one_text_two_compilations(name, scheme):
     assert np.abs(ends[0][: system.n] - q0).max() > 0.1
 
 
+def test_factors_are_one_number():
+    """What is rational in a term is the double next to it; that costs no division."""
+    x, y = dal.coordinates("x y")
+    third, tenths = sympy.Rational(1, 3), sympy.Rational(3, 10)
+    L = (x.d**2 + y.d**2) / 2 - tenths * x**2 * y**2 / 2 - third * x * y - y / (7 * (3 + x**2))
+    system = dal.System.from_sympy(L, [y.d - x.d / 7], [x, y])
+    source = codegen.program(system._model).source
+    potential = source[source.index("model_potential") : source.index("model_call_potential")]
+    assert "10.0" not in source and " / 2.0" not in source and " / 3.0" not in source
+    assert "0.3 * " in potential and repr(1 / 3) in potential
+    at = {"x": 0.7, "y": -1.3}
+    exact = float(-L.subs({x.d: 0, y.d: 0, x: at["x"], y: at["y"]}))
+    energy = system.energy(np.array([at["x"], at["y"]]), np.zeros(2))
+    assert abs(energy - exact) <= 8 * U * (1 + abs(exact))
+
+
 def test_many_coordinates():
     """Too many for a step routine of their own; the run-time version makes the steps."""
     q = dal.coordinates(" ".join(f"x{i}" for i in range(40)))
