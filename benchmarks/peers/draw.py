@@ -14,6 +14,7 @@ from typing import Any
 
 OURS = ("leapfrog", "midpoint", "leapfrog-suzuki4", "leapfrog-kl6", "leapfrog-kl8", "ss10",
         "reference")  # fmt: skip
+IN_D = ("heyoka in D", "GSL rk8pd in D")
 ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-11)
 
 # Okabe and Ito's colours: one for each peer; what belongs together differs by its line.
@@ -57,6 +58,19 @@ def best(methods: dict[str, Any], accuracy: float, ours: bool,
              if (name in OURS) == ours and name not in but
              and (s := seconds_for(method, accuracy)) is not None]  # fmt: skip
     return min(found) if found else None
+
+
+def rivals(energy: dict[str, Any], T: float, but: tuple[str, ...],
+           ) -> list[tuple[float, str] | None]:  # fmt: skip
+    """The smallest error of the energy up to T, of dalembert and of others as fast."""
+    sides: list[tuple[float, str] | None] = []
+    for ours in (True, False):
+        found = [(e, name) for name, m in energy["methods"].items()
+                 if (name in OURS) == ours and name not in ("odelab energy", *but)
+                 and m.get("rate", 1e9) <= 2 * energy["target"]
+                 and (e := at(m, T)) is not None]  # fmt: skip
+        sides.append(min(found) if found else None)
+    return sides
 
 
 def at(method: dict[str, Any], T: float) -> float | None:
@@ -109,6 +123,45 @@ def duel(ours: tuple[float, str] | None, theirs: tuple[float, str] | None) -> st
     ratio = ours[0] / theirs[0]
     return (f"**{ours[1]}**, {1 / ratio:.1f} times faster than {theirs[1]}" if ratio < 1
             else f"{theirs[1]}, {ratio:.1f} times faster than {ours[1]}")  # fmt: skip
+
+
+def count(found: list[str]) -> str:
+    """"heyoka 3, GSL 1": how often each is there."""
+    numbers = sorted(((found.count(x), x) for x in set(found)), key=lambda x: (-x[0], x[1]))
+    return ", ".join(f"{x} {n}" for n, x in numbers) or "nobody"
+
+
+def summary(results: dict[str, Any]) -> Iterator[str]:
+    """Where dalembert wins and loses, counted."""
+    problems = results["problems"].values()
+    kinds = (((), "among all"), (IN_D, "without the equations in D, see below"))
+    yield "## In short"
+    yield ""
+    for but, what in kinds:
+        first = []
+        for p in problems:
+            for a in ACCURACIES:
+                found = [side for ours in (True, False)
+                         if (side := best(p["state"], a, ours, but))]  # fmt: skip
+                if found:
+                    name = min(found)[1]
+                    first.append("dalembert" if name in OURS else name)
+        yield (f"- **The state at t = 100**, {what}.  {len(first)} pairs of a problem and an "
+               f"accuracy; first in cpu time: {count(first)}.")  # fmt: skip
+    for but, what in kinds:
+        parts = []
+        for T in times_of(results):
+            first = []
+            for p in problems:
+                sides = rivals(p["energy"], T, but) if "energy" in p else [None, None]
+                if None not in sides:
+                    name = min(sides)[1]  # type: ignore[type-var,index]
+                    first.append("dalembert" if name in OURS else name)
+            if first:
+                parts.append(f"up to {power(T)}: {count(first)}")
+        yield (f"- **The energy over long times**, {what}.  The smallest error at equal cpu time "
+               f"has, {'; '.join(parts)}.")  # fmt: skip
+    yield ""
 
 
 def state_part(results: dict[str, Any]) -> Iterator[str]:
@@ -164,37 +217,33 @@ def energy_part(results: dict[str, Any]) -> Iterator[str]:
         return
     yield "## The energy over long times"
     yield ""
-    yield "![The largest error of the energy up to T, at about equal cpu time](peers-energy.png)"
+    yield "![The largest error of the energy up to T, at equal cpu time](peers-energy.png)"
     yield ""
     yield "Every method is given about the cpu time of heyoka with its default tolerance (or of"
     yield "`reference` with 1e-9, where heyoka is not installed), by the choice of its step or"
     yield "tolerance.  Those that cannot be as fast run as they are usually run, and their time is"
-    yield "in the last table.  Who has the smaller error of the energy, among methods that take at"
-    yield "most twice that time (`odelab energy` aside, which conserves the energy by construction,"
-    yield "but does not stay in D):"
+    yield "in the last table.  Who has the smaller error of the energy, dalembert (bold) or the"
+    yield "best of others, among methods that take at most twice that time (`odelab energy` aside,"
+    yield "which conserves the energy by construction, but does not stay in D):"
     yield ""
-    rows = []
-    for p in problems.values():
-        limit = 2 * p["energy"]["target"]
-        row = [p["title"], f"{1e6 * p['energy']['target']:.2g} µs"]
-        for T in times:
-            sides: list[tuple[float, str] | None] = []
-            for ours in (True, False):
-                found = [(e, name) for name, m in p["energy"]["methods"].items()
-                         if (name in OURS) == ours and name != "odelab energy"
-                         and m.get("rate", 1e9) <= limit
-                         and (e := at(m, T)) is not None]  # fmt: skip
-                sides.append(min(found) if found else None)
-            mine, other = sides
-            if mine and other:
-                first, second = (mine, other) if mine[0] < other[0] else (other, mine)
-                bold = f"**{first[1]}**" if first is mine else first[1]
-                row.append(f"{bold} {number(first[0])}; {second[1]} {number(second[0])}")
-            else:
-                found_one = mine or other
-                row.append(f"{found_one[1]} {number(found_one[0])}" if found_one else "-")
-        rows.append(row)
-    yield from table(["", "cpu for t = 1", *(power(T) for T in times)], rows)
+    for but in ((), IN_D):
+        if but:
+            yield "The same without the equations in D, for those who have no basis of it:"
+            yield ""
+        rows = []
+        for p in problems.values():
+            row = [p["title"], f"{1e6 * p['energy']['target']:.2g} µs"]
+            for T in times:
+                sides = rivals(p["energy"], T, but)
+                if None in sides:
+                    one = sides[0] or sides[1]
+                    row.append(f"{one[1]} {number(one[0])}" if one else "-")
+                    continue
+                (first, name), (second, other) = sorted(sides)  # type: ignore[type-var]
+                bold = f"**{name}**" if name in OURS else name
+                row.append(f"{bold} {number(first)}; {other} {number(second)}")
+            rows.append(row)
+        yield from table(["", "cpu for t = 1", *(power(T) for T in times)], rows)
     yield "The largest error of the energy up to T, and the cpu time for a unit of time.  The last"
     yield "column is the largest residual of the constraints in all these states."
     yield ""
@@ -263,7 +312,7 @@ def page(results: dict[str, Any]) -> str:
               f"{results['date']}; {results['seconds'] / 60:.0f} minutes.", ""]  # fmt: skip
     for missing in results["missing"].values():
         lines += [f"Skipped: {missing}.", ""]
-    lines += [*state_part(results), *energy_part(results)]
+    lines += [*summary(results), *state_part(results), *energy_part(results)]
     lines.append(HOW.rstrip("\n"))
     lines.append("")
     refused: dict[str, set[str]] = {}
@@ -280,6 +329,12 @@ def page(results: dict[str, Any]) -> str:
         f"- {name}, {p['title']}, setting {number(point['setting'], 3)}: {point['failed']}."
         for p in results["problems"].values() for name, m in p["state"].items()
         for point in m["points"] if "failed" in point
+    ]  # fmt: skip
+    failures += [
+        f"- {name}, {p['title']}, energy: {m['stopped']}."
+        for p in results["problems"].values() if "energy" in p
+        for name, m in p["energy"]["methods"].items()
+        if "stopped" in m and "would take" not in m["stopped"]
     ]  # fmt: skip
     if failures:
         lines += ["Runs that failed:", "", *failures, ""]

@@ -8,6 +8,8 @@ double *out)`. */
 
 #include "field.h"
 
+enum { NMAX = 2000000 };  /* steps to the next of the times: no step becomes ever smaller */
+
 static int rates(double t, const double y[], double out[], void *unused)
 {
   (void) unused;
@@ -25,6 +27,8 @@ int gsl_flow(double tolerance, const double *state, size_t count, const double *
   double t = times[0], y[SIZE];
   int status = driver == NULL ? GSL_ENOMEM : GSL_SUCCESS;
   memcpy(y, state, sizeof y);
+  if (driver != NULL)
+    gsl_odeiv2_driver_set_nmax(driver, NMAX);
   for (size_t i = 1; i < count && status == GSL_SUCCESS; i++) {
     status = gsl_odeiv2_driver_apply(driver, &t, times[i], y);
     memcpy(states + (i - 1) * SIZE, y, sizeof y);

@@ -38,7 +38,7 @@ def _method(ode: Ode) -> Method:
                                   times.ctypes.data_as(pointer),
                                   states.ctypes.data_as(pointer))  # fmt: skip
         if status != 0:
-            raise RuntimeError(f"GSL says {status}")
+            raise RuntimeError("too many steps" if status == 11 else f"GSL says {status}")
         return ode.out_of(states)
 
     return Method(f"GSL rk8pd{ode.name}", "tolerance",

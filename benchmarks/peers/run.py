@@ -41,6 +41,7 @@ HERE = Path(__file__).resolve().parent
 PEERS = ("dalembert", "heyoka", "gsl", "scipy", "sundials", "exudyn", "odelab")
 PACKAGES = ("dalembert", "heyoka", "scipy", "scikit-sundae", "exudyn", "numba", "numpy", "sympy")
 QUICK = ["springs", "rolling_disc"]  # the problems of --quick
+CALL = 20  # of these samples come from one call
 WARM = 0.02  # calls that take less are made once more before, so that caches are warm
 SAMPLES = 200  # of the energy, from each power of ten to the next
 
@@ -168,6 +169,24 @@ def setting_for(method: Method, target: float, problem: Problem, state: dict[str
     return setting, fine.get(setting) or rate(method, setting, problem, trial)
 
 
+def decade(method: Method, setting: float, y: np.ndarray, t: float, T: float, limit: float,
+           ) -> tuple[float, np.ndarray | str]:  # fmt: skip
+    """Go from t to T in some calls, and give up when they take too long."""
+    times = t + (T - t) / SAMPLES * np.arange(SAMPLES + 1)
+    assert abs((times[1] - t) / GRID - round((times[1] - t) / GRID)) < 1e-9
+    total, found = 0.0, []
+    for i in range(0, SAMPLES, CALL):
+        seconds, states = attempt(method, setting, y, times[i : i + CALL + 1])
+        total += seconds
+        if isinstance(states, str):
+            return total, states
+        if total > limit:
+            return total, "it becomes slower and slower"
+        found.append(states)
+        y = states[-1].copy()
+    return total, np.vstack(found)
+
+
 def energy_errors(problem: Problem, methods: list[Method], state: dict[str, Any],
                   effort: Effort) -> dict[str, Any]:  # fmt: skip
     """Follow the energy of every method, which all get about the same cpu time."""
@@ -193,9 +212,7 @@ def energy_errors(problem: Problem, methods: list[Method], state: dict[str, Any]
             if speed * (T - t) > cap:
                 entry["stopped"] = f"t = {T:.0e} would take {speed * T:.0f} s"
                 break
-            times = t + (T - t) / SAMPLES * np.arange(SAMPLES + 1)
-            assert abs((times[1] - t) / GRID - round((times[1] - t) / GRID)) < 1e-9
-            seconds, states = attempt(method, setting, y, times)
+            seconds, states = decade(method, setting, y, t, T, 3 * cap)
             if isinstance(states, str):
                 entry["stopped"] = f"before t = {T:.0e}: {states}"
                 break
