@@ -113,24 +113,28 @@ class Ode:
                  n: int, basis: sp.Matrix | None) -> None:  # fmt: skip
         self.name, self.symbols, self.rates, self.n = name, symbols, rates, n
         if basis is not None:
-            q, w = symbols[:n], symbols[n:]
-            self._basis = sp.lambdify([q], basis)
-            self._velocity = sp.lambdify([symbols], list(basis * sp.Matrix(w)))
+            q, w, v = symbols[:n], symbols[n:], sp.Matrix(sp.symbols(f"v0:{n}"))
+            gram = (basis.T * basis).applyfunc(sp.simplify)
+            within = gram.inv().applyfunc(sp.simplify) * basis.T * v
+            self._within = sp.lambdify([(*q, *v)], [*q, *within], cse=True)
+            self._velocity = sp.lambdify([symbols], list(basis * sp.Matrix(w)), cse=True)
         self._reduced = basis is not None
 
     def into(self, x: np.ndarray) -> np.ndarray:
         """Return y of a state x."""
         if not self._reduced:
             return x
-        q, v = x[: self.n], x[self.n :]
-        return np.append(q, np.linalg.lstsq(self._basis(q), v)[0])
+        return np.array(self._within(x.tolist()))
 
     def out_of(self, y: np.ndarray) -> np.ndarray:
         """Return the states of rows y."""
         if not self._reduced:
             return y
-        q, v = y[:, : self.n], self._velocity(y.T)
-        return np.hstack([q, np.transpose([np.broadcast_to(x, len(y)) for x in v])])
+        states = np.empty((len(y), 2 * self.n))
+        states[:, : self.n] = y[:, : self.n]
+        for i, x in enumerate(self._velocity(y.T), self.n):
+            states[:, i] = x
+        return states
 
 
 def _symbols(names: str) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Symbol, ...]]:
