@@ -232,7 +232,7 @@ def energy_part(results: dict[str, Any]) -> Iterator[str]:
             yield ""
         rows = []
         for p in problems.values():
-            row = [p["title"], f"{1e6 * p['energy']['target']:.2g} µs"]
+            row = [p["title"], f"{number(1e6 * p['energy']['target'])} µs"]
             for T in times:
                 sides = rivals(p["energy"], T, but)
                 if None in sides:
@@ -258,8 +258,8 @@ def energy_part(results: dict[str, Any]) -> Iterator[str]:
                 if p["state"][name]["kind"] == "steps"
                 else f"tolerance {number(setting)}")  # fmt: skip
             off = max((x["residual"] for x in m["points"]), default=None)
-            rows.append([f"`{name}`" if name in OURS else name, how,
-                         f"{1e6 * m['rate']:.2g} µs" if "rate" in m else "-",
+            cpu = f"{number(1e6 * m['rate'])} µs" if m.get("rate", math.inf) < math.inf else "-"
+            rows.append([f"`{name}`" if name in OURS else name, how, cpu,
                          *(number(at(m, T)) for T in times), number(off, 1)])  # fmt: skip
         yield from table(["", "setting", "cpu", *(power(T) for T in times), "off D"], rows)
 
@@ -340,8 +340,8 @@ def page(results: dict[str, Any]) -> str:
         lines += ["Runs that failed:", "", *failures, ""]
     lines += ["## Seconds until a model runs", "",
               "From the reduced equations, or the Lagrangian for dalembert, to something that runs:"
-              " derivatives, and the compilers of each.  With models in the cache dalembert needs"
-              " some hundredths.", ""]  # fmt: skip
+              " derivatives, and the compilers of each.  The caches of dalembert and heyoka are empty;"
+              " with the model in them both need some hundredths.", ""]  # fmt: skip
     rows = [[f"`{name}`" if name in OURS else name,
              *(number(p["state"][name]["compile"]) if name in p["state"] else "-"
                for p in results["problems"].values())]

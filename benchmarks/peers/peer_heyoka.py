@@ -32,6 +32,8 @@ def expression(hy: ModuleType, x: Any, known: dict[sp.Symbol, Any], bits: int = 
 
 def methods(problem: Problem) -> Iterator[Method | Refused]:
     hy = need("heyoka")
+    if hasattr(hy.llvm_state, "set_diskcache_enabled"):  # what compiling takes is reported
+        hy.llvm_state.set_diskcache_enabled(False)
     for ode in problem.odes:
         yield _method(hy, ode)
 

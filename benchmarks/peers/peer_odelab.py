@@ -29,6 +29,7 @@ from common import T_STATE, Method, Refused, need, python_function, stopwatch
 from problems import Problem
 
 ITERATIONS = 60
+SMALL = 1e-9  # the roundoff of a sine of an angle as large as 1e6, and more
 
 
 def lobatto(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -173,8 +174,8 @@ def _mclachlan_perlmutter(numba: Any, n: int, m: int, push: Any, hold: Any) -> A
                             for i in range(n):
                                 A[a, b] += h * (mu[a * n + i] + h / 2 * D[a * n + i]) * (
                                     pull[i * m + b])  # fmt: skip
-                    # Twice as small as roundoff, or at the level where it no longer falls
-                    if largest <= 1e-16 or (largest < 1e-14 and largest >= last / 2):
+                    # At the level of roundoff, where it no longer falls
+                    if largest <= 1e-16 or (largest < SMALL and largest >= last):
                         break
                     last = largest
                     if not eliminate(A, phi):
@@ -238,7 +239,7 @@ def _energy(numba: Any, n: int, m: int, push: Any, hold: Any) -> Any:
                             for i in range(n):
                                 A[a, b] += h / 2 * (mu[a * n + i] + h / 2 * D[a * n + i]) * (
                                     pull[i * m + b])  # fmt: skip
-                    if change <= 1e-16 or (change < 1e-14 and change >= last / 2):
+                    if change <= 1e-16 or (change < SMALL and change >= last):
                         break
                     last = change
                     if not eliminate(A, phi):
@@ -375,7 +376,7 @@ def _spark(numba: Any, n: int, m: int, push: Any, hold: Any) -> Any:
                             for j in range(s + 1):
                                 phi[r * m + a] -= rows[r, j] * one[j * m + a]
                             change = max(change, abs(phi[r * m + a]))
-                    if change <= 1e-16 or (change < 1e-13 and change >= last / 2):
+                    if change <= 1e-16 or (change < SMALL and change >= last):
                         break
                     last = change
                     for r in range(s):

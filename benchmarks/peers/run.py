@@ -205,7 +205,11 @@ def energy_errors(problem: Problem, methods: list[Method], state: dict[str, Any]
         except RuntimeError as error:
             found[name] = {"stopped": str(error), "points": []}
             continue
-        entry = found[name] = {"setting": setting, "rate": speed, "points": []}
+        entry = found[name] = {"setting": setting, "points": []}
+        if not np.isfinite(speed):
+            entry["stopped"] = "it fails before T = 1e3"
+            continue
+        entry["rate"] = speed
         cap = effort.cap if speed < 3 * target else effort.cap_slow
         y, t, total, worst, off, T = start, 0.0, 0.0, 0.0, 0.0, 1e3
         while T <= effort.horizon:

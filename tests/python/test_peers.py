@@ -27,7 +27,8 @@ def run(tmp_path_factory):
     done = subprocess.run(
         [sys.executable, str(PEERS / "run.py"), "--quick", "--problem", "springs",
          "--out", str(folder / "out")],
-        capture_output=True, text=True, env=os.environ | {"PYTHONPATH": os.pathsep.join(path), "NUMBA_OPT": "1"},
+        capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(path), "NUMBA_OPT": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     results = json.loads((folder / "out" / "peers.json").read_text())
