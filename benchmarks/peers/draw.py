@@ -340,8 +340,8 @@ def page(results: dict[str, Any]) -> str:
         lines += ["Runs that failed:", "", *failures, ""]
     lines += ["## Seconds until a model runs", "",
               "From the reduced equations, or the Lagrangian for dalembert, to something that runs:"
-              " derivatives, and the compilers of each.  Without the caches of dalembert and heyoka;"
-              " with them both need some hundredths.", ""]  # fmt: skip
+              " derivatives, and the compilers of each; without the caches of dalembert and"
+              " heyoka, with which both need some hundredths.", ""]  # fmt: skip
     rows = [[f"`{name}`" if name in OURS else name,
              *(number(p["state"][name]["compile"]) if name in p["state"] else "-"
                for p in results["problems"].values())]

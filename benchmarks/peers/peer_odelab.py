@@ -29,7 +29,7 @@ from common import T_STATE, Method, Refused, need, python_function, stopwatch
 from problems import Problem
 
 ITERATIONS = 60
-SMALL = 1e-9  # the roundoff of a sine of an angle as large as 1e6, and more
+SMALL = 2e-14  # of 1 + |q|: sines of large angles have the roundoff of the angles
 
 
 def lobatto(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -155,7 +155,7 @@ def _mclachlan_perlmutter(numba: Any, n: int, m: int, push: Any, hold: Any) -> A
                 for i in range(n):
                     half[i] = q[i] + h / 2 * v[i]
                 push(t0 + h * (row * stride + step + 0.5), half, v, free, pull)
-                last = 1e300
+                last, small = 1e300, SMALL * (1 + np.max(np.abs(q)))
                 for iteration in range(ITERATIONS):
                     for i in range(n):
                         new[i] = v[i] + h * free[i]
@@ -175,7 +175,7 @@ def _mclachlan_perlmutter(numba: Any, n: int, m: int, push: Any, hold: Any) -> A
                                 A[a, b] += h * (mu[a * n + i] + h / 2 * D[a * n + i]) * (
                                     pull[i * m + b])  # fmt: skip
                     # At the level of roundoff, where it no longer falls
-                    if largest <= 1e-16 or (largest < SMALL and largest >= last):
+                    if largest <= 1e-16 or (largest < small and largest >= last):
                         break
                     last = largest
                     if not eliminate(A, phi):
@@ -208,7 +208,7 @@ def _energy(numba: Any, n: int, m: int, push: Any, hold: Any) -> Any:
             for step in range(stride):
                 for i in range(n):
                     mean[i] = v[i]
-                last = 1e300
+                last, small = 1e300, SMALL * (1 + np.max(np.abs(q)))
                 for iteration in range(ITERATIONS):
                     total[:] = 0.0
                     for k in range(3):
@@ -239,7 +239,7 @@ def _energy(numba: Any, n: int, m: int, push: Any, hold: Any) -> Any:
                             for i in range(n):
                                 A[a, b] += h / 2 * (mu[a * n + i] + h / 2 * D[a * n + i]) * (
                                     pull[i * m + b])  # fmt: skip
-                    if change <= 1e-16 or (change < SMALL and change >= last):
+                    if change <= 1e-16 or (change < small and change >= last):
                         break
                     last = change
                     if not eliminate(A, phi):
@@ -340,7 +340,7 @@ def _spark(numba: Any, n: int, m: int, push: Any, hold: Any) -> Any:
                 time = t0 + h * (row * stride + step)
                 for j in range(s + 1):
                     V[j] = v
-                last = 1e300
+                last, small = 1e300, SMALL * (1 + np.max(np.abs(q)))
                 for iteration in range(ITERATIONS):
                     change = 0.0
                     for j in range(s):
@@ -376,7 +376,7 @@ def _spark(numba: Any, n: int, m: int, push: Any, hold: Any) -> Any:
                             for j in range(s + 1):
                                 phi[r * m + a] -= rows[r, j] * one[j * m + a]
                             change = max(change, abs(phi[r * m + a]))
-                    if change <= 1e-16 or (change < SMALL and change >= last):
+                    if change <= 1e-16 or (change < small and change >= last):
                         break
                     last = change
                     for r in range(s):
