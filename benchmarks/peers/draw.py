@@ -1,0 +1,502 @@
+"""From peers.json to peers.md and two pictures: ``python draw.py PEERS_JSON FOLDER``.
+
+Everything that the page says in numbers, and who wins where, is computed from the results.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+OURS = ("leapfrog", "midpoint", "leapfrog-suzuki4", "leapfrog-kl6", "leapfrog-kl8", "ss10",
+        "reference")  # fmt: skip
+IN_D = ("heyoka in D", "GSL rk8pd in D")
+ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-11)
+
+# Okabe and Ito's colours: one for each peer; what belongs together differs by its line.
+BLUE, SKY, GREEN, RED, ORANGE, PINK, BLACK, GREY = (
+    "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7", "#000000", "#777777",
+)  # fmt: skip
+STYLES = {
+    "leapfrog": (BLUE, ":", "o"), "leapfrog-kl6": (BLUE, "--", "s"),
+    "leapfrog-kl8": (BLUE, "-", "D"), "ss10": (BLUE, "-", "o"), "reference": (SKY, "-", "v"),
+    "heyoka": (RED, "--", "^"), "heyoka in D": (RED, "-", "^"),
+    "GSL rk8pd": (ORANGE, "--", "v"), "GSL rk8pd in D": (ORANGE, "-", "v"),
+    "SciPy DOP853": (GREEN, "-", "s"), "SciPy Radau": (GREEN, "--", "s"),
+    "CVODE Adams": (PINK, "-", "P"), "IDA index 1": (PINK, "--", "P"),
+    "Exudyn": (BLACK, "-", "X"), "SPARK 4": (GREY, "-", "*"),
+    "McLachlan-Perlmutter": (GREY, ":", "o"), "odelab energy": (GREY, "--", "d"),
+}  # fmt: skip
+
+
+# ---- numbers ---------------------------------------------------------------------------------
+
+
+def curve(method: dict[str, Any]) -> list[tuple[float, float]]:
+    """(seconds, error) of what worked, from coarse to fine."""
+    return [(p["median"], p["error"]) for p in method["points"] if "median" in p]
+
+
+def seconds_for(method: dict[str, Any], accuracy: float) -> float | None:
+    """Return the least time for an accuracy, between two settings by the logarithms."""
+    points = curve(method)
+    found = [s for s, error in points if error <= accuracy]
+    for (s, e), (s2, e2) in zip(points, points[1:]):
+        if e > accuracy >= e2 > 0:
+            part = math.log(accuracy / e) / math.log(e2 / e)
+            found.append(math.exp(math.log(s) + part * math.log(s2 / s)))
+    return min(found) if found else None
+
+
+def best(methods: dict[str, Any], accuracy: float, ours: bool,
+         but: tuple[str, ...] = ()) -> tuple[float, str] | None:  # fmt: skip
+    found = [(s, name) for name, method in methods.items()
+             if (name in OURS) == ours and name not in but
+             and (s := seconds_for(method, accuracy)) is not None]  # fmt: skip
+    return min(found) if found else None
+
+
+def rivals(energy: dict[str, Any], T: float, but: tuple[str, ...],
+           ) -> list[tuple[float, str] | None]:  # fmt: skip
+    """The smallest error of the energy up to T, of dalembert and of others as fast."""
+    sides: list[tuple[float, str] | None] = []
+    for ours in (True, False):
+        found = [(e, name) for name, m in energy["methods"].items()
+                 if (name in OURS) == ours and name not in ("odelab energy", *but)
+                 and m.get("rate", 1e9) <= 2 * energy["target"]
+                 and (e := at(m, T)) is not None]  # fmt: skip
+        sides.append(min(found) if found else None)
+    return sides
+
+
+def at(method: dict[str, Any], T: float) -> float | None:
+    return next((p["error"] for p in method["points"] if p["T"] == T), None)
+
+
+def times_of(results: dict[str, Any]) -> list[float]:
+    return sorted({p["T"] for problem in results["problems"].values()
+                   for method in problem.get("energy", {"methods": {}})["methods"].values()
+                   for p in method["points"]})  # fmt: skip
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    if value is None:
+        return "-"
+    if 100 <= value < 10000:
+        return f"{value:.0f}"
+    if value == 0:
+        return "0"
+    return f"{value:.{digits}g}" if 0.01 <= value < 100 else f"{value:.{digits - 1}e}".replace(
+        "e-0", "e-").replace("e+0", "e")  # fmt: skip
+
+
+def power(value: float) -> str:
+    return f"1e{round(math.log10(value))}"
+
+
+# ---- the page --------------------------------------------------------------------------------
+
+
+def table(head: list[str], rows: list[list[str]]) -> Iterator[str]:
+    yield "| " + " | ".join(head) + " |"
+    yield "|" + "---|" * len(head)
+    for row in rows:
+        yield "| " + " | ".join(row) + " |"
+    yield ""
+
+
+def names(results: dict[str, Any]) -> list[str]:
+    found: dict[str, None] = {}
+    for problem in results["problems"].values():
+        found |= dict.fromkeys(problem["state"]) | dict.fromkeys(problem["refused"])
+    return list(found)
+
+
+def duel(ours: tuple[float, str] | None, theirs: tuple[float, str] | None) -> str:
+    """Who is faster, and by how much."""
+    if ours is None or theirs is None:
+        return "-" if ours is theirs else f"only {(ours or theirs)[1]}"  # type: ignore[index]
+    ratio = ours[0] / theirs[0]
+    return (f"**{ours[1]}**, {1 / ratio:.1f} times faster than {theirs[1]}" if ratio < 1
+            else f"{theirs[1]}, {ratio:.1f} times faster than {ours[1]}")  # fmt: skip
+
+
+def count(found: list[str]) -> str:
+    """"heyoka 3, GSL 1": how often each is there."""
+    numbers = sorted(((found.count(x), x) for x in set(found)), key=lambda x: (-x[0], x[1]))
+    return ", ".join(f"{x} {n}" for n, x in numbers) or "nobody"
+
+
+def summary(results: dict[str, Any]) -> Iterator[str]:
+    """Where dalembert wins and loses, counted."""
+    problems = results["problems"].values()
+    kinds = (((), "among all"), (IN_D, "without the equations in D, see below"))
+    yield "## In short"
+    yield ""
+    for but, what in kinds:
+        first = []
+        for p in problems:
+            for a in ACCURACIES:
+                found = [side for ours in (True, False)
+                         if (side := best(p["state"], a, ours, but))]  # fmt: skip
+                if found:
+                    name = min(found)[1]
+                    first.append("dalembert" if name in OURS else name)
+        yield (f"- **The state at t = 100**, {what}.  {len(first)} pairs of a problem and an "
+               f"accuracy; first in cpu time: {count(first)}.")  # fmt: skip
+    for but, what in kinds:
+        parts = []
+        for T in times_of(results):
+            first = []
+            for p in problems:
+                sides = rivals(p["energy"], T, but) if "energy" in p else [None, None]
+                if None not in sides:
+                    name = min(sides)[1]  # type: ignore[type-var,index]
+                    first.append("dalembert" if name in OURS else name)
+            if first:
+                parts.append(f"up to {power(T)}: {count(first)}")
+        yield (f"- **The energy over long times**, {what}.  The smallest error at equal cpu time "
+               f"has, {'; '.join(parts)}.")  # fmt: skip
+    yield ""
+
+
+def state_part(results: dict[str, Any]) -> Iterator[str]:
+    problems = results["problems"]
+    yield "## The state at t = 100"
+    yield ""
+    yield "![The error of the state at t = 100 against the cpu time of a call](peers-state.png)"
+    yield ""
+    yield "Who reaches an accuracy first, of dalembert (bold where it wins) and of all others:"
+    yield ""
+    yield from table(
+        ["", *(power(a) for a in ACCURACIES)],
+        [[p["title"], *(duel(best(p["state"], a, True), best(p["state"], a, False))
+                        for a in ACCURACIES)] for p in problems.values()],
+    )  # fmt: skip
+    yield "The same, `reference` against the same integrator of GSL by hand in C, and the fastest"
+    yield "composition against `reference`:"
+    yield ""
+    rows = []
+    for p in problems.values():
+        row = [p["title"]]
+        for a in (1e-6, 1e-9):
+            s = p["state"]
+            pair = [(x, "reference") for x in [seconds_for(s["reference"], a)] if x]
+            row.append(duel(*pair, best({"GSL rk8pd": s["GSL rk8pd"]}, a, False))
+                       if pair and "GSL rk8pd" in s else "-")  # fmt: skip
+            other = best(s, a, True, ("reference",))
+            row.append(f"{other[1]}, {pair[0][0] / other[0]:.1f} times as fast"
+                       if pair and other else "-")  # fmt: skip
+        rows.append(row)
+    yield from table(["", "1e-6: GSL", "1e-6: compositions", "1e-9: GSL", "1e-9: compositions"],
+                     rows)  # fmt: skip
+    yield "Milliseconds of cpu time for an error of the state; - : not reached with the settings"
+    yield "that were tried, or the method does not do the problem."
+    yield ""
+    for accuracy in ACCURACIES[:3]:
+        yield f"### {power(accuracy)}"
+        yield ""
+        rows = []
+        for name in names(results):
+            row = [f"`{name}`" if name in OURS else name]
+            for p in problems.values():
+                s = seconds_for(p["state"][name], accuracy) if name in p["state"] else None
+                row.append(number(s and 1e3 * s))
+            rows.append(row)
+        yield from table(["", *(p["title"] for p in problems.values())], rows)
+
+
+def energy_part(results: dict[str, Any]) -> Iterator[str]:
+    problems = {k: p for k, p in results["problems"].items() if "energy" in p}
+    times = times_of(results)
+    if not problems or not times:
+        return
+    yield "## The energy over long times"
+    yield ""
+    yield "![The largest error of the energy up to T, at equal cpu time](peers-energy.png)"
+    yield ""
+    yield "Every method is given about the cpu time of heyoka with its default tolerance (or of"
+    yield "`reference` with 1e-9, where heyoka is not installed), by the choice of its step or"
+    yield "tolerance.  Those that cannot be as fast run as they are usually run, and their time is"
+    yield "in the last table.  Who has the smaller error of the energy, dalembert (bold) or the"
+    yield "best of others, among methods that take at most twice that time (`odelab energy` aside,"
+    yield "which conserves the energy by construction, but does not stay in D):"
+    yield ""
+    for but in ((), IN_D):
+        if but:
+            yield "The same without the equations in D, for those who have no basis of it:"
+            yield ""
+        rows = []
+        for p in problems.values():
+            row = [p["title"], f"{number(1e6 * p['energy']['target'])} µs"]
+            for T in times:
+                sides = rivals(p["energy"], T, but)
+                if None in sides:
+                    one = sides[0] or sides[1]
+                    row.append(f"{one[1]} {number(one[0])}" if one else "-")
+                    continue
+                (first, name), (second, other) = sorted(sides)  # type: ignore[type-var]
+                bold = f"**{name}**" if name in OURS else name
+                row.append(f"{bold} {number(first)}; {other} {number(second)}")
+            rows.append(row)
+        yield from table(["", "cpu for t = 1", *(power(T) for T in times)], rows)
+    yield "The largest error of the energy up to T, and the cpu time for a unit of time.  The last"
+    yield "column is the largest residual of the constraints in all these states."
+    yield ""
+    for p in problems.values():
+        yield f"### {p['title']}"
+        yield ""
+        rows = []
+        for name, m in p["energy"]["methods"].items():
+            setting = m.get("setting")
+            how = "-" if setting is None else (
+                f"h = {number(results['t_state'] / setting, 3)}"
+                if p["state"][name]["kind"] == "steps"
+                else f"tolerance {number(setting)}")  # fmt: skip
+            off = max((x["residual"] for x in m["points"]), default=None)
+            cpu = f"{number(1e6 * m['rate'])} µs" if m.get("rate", math.inf) < math.inf else "-"
+            rows.append([f"`{name}`" if name in OURS else name, how, cpu,
+                         *(number(at(m, T)) for T in times), number(off, 1)])  # fmt: skip
+        yield from table(["", "setting", "cpu", *(power(T) for T in times), "off D"], rows)
+
+
+INTRODUCTION = """\
+# dalembert and its peers
+
+The same problems, from the same lines of SymPy, in one process, with the peers in turn; made by
+
+    python benchmarks/peers/run.py
+
+which writes this page, its pictures and `peers.json` anew.  Peers that are not installed are left
+out: `pip install heyoka scipy numba scikit-sundae exudyn`.
+
+"""
+
+HOW = """\
+## How it was measured
+
+- Time is cpu time of the call that a user makes, from Python, with all that this costs (some 0.05
+  ms for `dal.integrate`); the median of rounds, in each of which every method runs with each of
+  its settings, in an order that changes.  Making and compiling models is not in it: see below.
+- The error is the largest difference of a coordinate or velocity, against a state of 21 digits:
+  extrapolation (Gragg) in 34 digits, done twice with other steps and orders, which agree to 1e-25,
+  and with heyoka in long double to 1e-15 (`benchmarks/peers/reference.py`).
+- All get the equations in (q, v) with the multipliers eliminated by SymPy, `v' = f(t, q, v)`;
+  heyoka and GSL also those *in D*, for which a person has found n - m velocities w with
+  `v = B(q) w` and the equations for (q, w): with these the motion cannot leave D.  The problems
+  here all have such a basis, for all q.  dalembert, Exudyn and the schemes of odelab get the
+  constraints.
+- heyoka with `compact_mode=False`; SciPy and scikit-sundae call right-hand sides and Jacobians
+  that numba has compiled; CVODE with Adams methods, IDA in the form of index 1 (that of index 2
+  needs an option that scikit-sundae does not have); GSL in C with `-O3 -march=native`; Exudyn with
+  `TrapezoidalIndex2` and a constraint on the level of velocities, whose functions are called in
+  Python; the schemes of odelab are written anew from their papers and compiled by numba.
+  `ss10` is a composition of leapfrog of order 10 that is not in the library, but a record of
+  sub-steps.
+- McLachlan and Perlmutter's scheme is `leapfrog`, written another way: the errors are the same.
+  The reflecting leapfrog and SPARK 2 have the same errors too.
+
+## Problems
+
+"""
+
+
+def page(results: dict[str, Any]) -> str:
+    machine, found = results["machine"], results["versions"]
+    lines = [INTRODUCTION + ", ".join(f"{k} {v}" for k, v in found.items()) + "."]
+    lines += [f"{machine['cpu']}, {machine['threads']} threads, {machine['system']}; "
+              f"{results['date']}; {results['seconds'] / 60:.0f} minutes.", ""]  # fmt: skip
+    for missing in results["missing"].values():
+        lines += [f"Skipped: {missing}.", ""]
+    lines += [*summary(results), *state_part(results), *energy_part(results)]
+    lines.append(HOW.rstrip("\n"))
+    lines.append("")
+    refused: dict[str, set[str]] = {}
+    for p in results["problems"].values():
+        lines.append(f"- **{p['title']}**, n = {p['n']}, m = {p['m']}: {p['text']}.")
+        for name, reason in p["refused"].items():
+            refused.setdefault(f"{name}: {reason}", set()).add(p["title"])
+    lines.append("")
+    if refused:
+        lines += ["Not done:", ""]
+        lines += [f"- {what} ({', '.join(sorted(where))})." for what, where in refused.items()]
+        lines.append("")
+    failures = [
+        f"- {name}, {p['title']}, setting {number(point['setting'], 3)}: {point['failed']}."
+        for p in results["problems"].values() for name, m in p["state"].items()
+        for point in m["points"] if "failed" in point
+    ]  # fmt: skip
+    failures += [
+        f"- {name}, {p['title']}, energy: {m['stopped']}."
+        for p in results["problems"].values() if "energy" in p
+        for name, m in p["energy"]["methods"].items()
+        if "stopped" in m and "would take" not in m["stopped"]
+    ]  # fmt: skip
+    if failures:
+        lines += ["Runs that failed:", "", *failures, ""]
+    lines += ["## Seconds until a model runs", "",
+              "From the reduced equations, or the Lagrangian for dalembert, to something that runs:"
+              " derivatives, and the compilers of each; without the caches of dalembert and"
+              " heyoka, with which both need some hundredths.", ""]  # fmt: skip
+    rows = [[f"`{name}`" if name in OURS else name,
+             *(number(p["state"][name]["compile"]) if name in p["state"] else "-"
+               for p in results["problems"].values())]
+            for name in names(results) if name not in OURS[1:]]  # fmt: skip
+    lines += table(["", *(p["title"] for p in results["problems"].values())], rows)
+    return "\n".join(wrapped(lines)).rstrip("\n") + "\n"
+
+
+def wrapped(lines: list[str]) -> Iterator[str]:
+    """Break what is longer than 100 columns, except tables."""
+    import textwrap
+
+    for line in "\n".join(lines).split("\n"):
+        if line.startswith("|") or len(line) <= 100:
+            yield line
+        else:
+            yield from textwrap.wrap(line, 100, subsequent_indent="  " * line.startswith("- "),
+                                     break_long_words=False, break_on_hyphens=False)  # fmt: skip
+
+
+# ---- pictures --------------------------------------------------------------------------------
+
+
+class Labels:
+    """Names at the ends of curves, where there is room: right, left, above or below an end."""
+
+    def __init__(self, axes: Any) -> None:
+        self.axes, self.renderer = axes, axes.figure.canvas.get_renderer()
+        self.taken: list[Any] = []
+        self.wanted: list[tuple[str, str, list[tuple[float, float]]]] = []
+
+    def add(self, text: str, color: str, points: list[tuple[float, float]]) -> None:
+        self.wanted.append((text, color, points))
+
+    def place(self) -> None:
+        from matplotlib.transforms import Bbox
+
+        transform, frame = self.axes.transData, self.axes.get_window_extent()
+        dots = []
+        for _, _, points in self.wanted:
+            pixels = [transform.transform(p) for p in points]
+            for a, b in zip(pixels, pixels[1:]):
+                dots += [a + (b - a) * k / 12 for k in range(12)]
+            dots += pixels[-1:]
+        around = [(dx, dy) for dy in (0, 9, -9, 18, -18, 27, -27, 36, -36, 48, -48, 62, -62)
+                  for dx in (7, -7)]  # fmt: skip
+        for text, color, points in self.wanted:
+            ends = [points[-1], points[0], points[len(points) // 2]]
+            choices = []
+            for rank, end in enumerate(ends):
+                for distance, (dx, dy) in enumerate(around):
+                    label = self.axes.annotate(
+                        text, end, (dx, dy), textcoords="offset points", fontsize=9, color=color,
+                        ha="left" if dx > 0 else "right", va="center", annotation_clip=False)
+                    box = label.get_window_extent(self.renderer).expanded(1.02, 1.05)
+                    label.remove()
+                    inside = frame.contains(box.x0, box.y0) and frame.contains(box.x1, box.y1)
+                    covered = sum(box.contains(x, y) for x, y in dots)
+                    overlap = sum(Bbox.intersection(box, other) is not None
+                                  for other in self.taken)  # fmt: skip
+                    choices.append((1000 * overlap + 1000 * (not inside) + 6 * covered
+                                    + 2.5 * distance + 8 * rank, dx, dy, end, box))  # fmt: skip
+            _, dx, dy, end, box = min(choices, key=lambda choice: choice[0])
+            self.taken.append(box)
+            far = abs(dy) > 12
+            self.axes.annotate(
+                text, end, (dx, dy), textcoords="offset points", fontsize=9, color=color,
+                ha="left" if dx > 0 else "right", va="center",
+                arrowprops={"arrowstyle": "-", "color": color, "lw": 0.5} if far else None)
+
+
+def figure_of(count: int, label_x: str, label_y: str, title: str) -> Any:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    columns = min(2, count)
+    rows = -(-count // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(7.2 * columns, 5.6 * rows),
+                                squeeze=False, layout="constrained", facecolor="white")  # fmt: skip
+    figure.suptitle(title, fontsize=13)
+    for i, ax in enumerate(axes.flat):
+        ax.set_visible(i < count)
+        ax.set(xscale="log", yscale="log", xlabel=label_x)
+        ax.set_ylabel(label_y if i % columns == 0 else "")
+        ax.grid(True, which="major", color="#e5e5e5", lw=0.6)
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure, list(axes.flat)[:count]
+
+
+def draw_curves(ax: Any, curves: dict[str, list[tuple[float, float]]], labels: Labels) -> None:
+    for name, points in curves.items():
+        color, line, marker = STYLES[name]
+        ax.plot(*zip(*points), color=color, ls=line, marker=marker, ms=4.5, lw=1.4,
+                mfc="white" if line in ("--", ":") else color, mew=1.0)  # fmt: skip
+        labels.add(name, color, points)
+
+
+def write(results: dict[str, Any], folder: Path) -> None:
+    """Write peers.md, peers-state.png and peers-energy.png."""
+    (folder / "peers.md").write_text(page(results), encoding="utf-8")
+    problems = list(results["problems"].values())
+    figure, axes = figure_of(len(problems), "cpu time of the call, ms",
+                             "largest error of q and v at t = 100",
+                             "The state at t = 100: blue is dalembert; left and low is good")
+    todo = []
+    for ax, p in zip(axes, problems):
+        ax.set_title(f"{p['title']} (n = {p['n']}, m = {p['m']})", fontsize=11)
+        curves = {name: [(1e3 * s, max(e, 1e-15)) for s, e in curve(p["state"][name]) if e < 3]
+                  for name in STYLES if name in p["state"]}  # fmt: skip
+        todo.append((ax, {k: v for k, v in curves.items() if v}))
+    save(figure, todo, folder / "peers-state.png", 2.2)
+    problems = [p for p in problems if "energy" in p]
+    if not problems:
+        return
+    figure, axes = figure_of(len(problems), "T", "largest error of the energy up to T",
+                             "The energy over long times, at about equal cpu time for a unit of "
+                             "time:\nblue is dalembert; (slower: ...) is how much more time a "
+                             "method took than it was given")
+    todo = []
+    for ax, p in zip(axes, problems):
+        target = p["energy"]["target"]
+        ax.set_title(f"{p['title']}: {1e6 * target:.2g} µs of cpu for t = 1", fontsize=11)
+        curves = {}
+        for name in STYLES:
+            m = p["energy"]["methods"].get(name, {"points": []})
+            points = [(x["T"], max(x["error"], 1e-15)) for x in m["points"]]
+            if points:
+                curves[name] = points
+        todo.append((ax, curves))
+        ax.slower = {name: m["rate"] / target for name, m in p["energy"]["methods"].items()
+                     if "rate" in m}  # fmt: skip
+    save(figure, todo, folder / "peers-energy.png", 12)
+
+
+def save(figure: Any, todo: list[Any], path: Path, room: float) -> None:
+    """Draw the curves, then place their names, which needs the scales."""
+    placed = []
+    for ax, curves in todo:
+        labels = Labels(ax)
+        draw_curves(ax, curves, labels)
+        slower = getattr(ax, "slower", {})
+        labels.wanted = [
+            (f"{text} (slower: {slower[text]:.0f}×)" if slower.get(text, 1) > 2 else text,
+             color, points) for text, color, points in labels.wanted
+        ]  # fmt: skip
+        low, high = ax.get_xlim()
+        ax.set_xlim(low / 1.3, high * room)
+        placed.append(labels)
+    figure.canvas.draw()
+    for labels in placed:
+        labels.place()
+    figure.savefig(path, dpi=90, metadata={"Software": None})
+
+
+if __name__ == "__main__":
+    write(json.loads(Path(sys.argv[1]).read_text()), Path(sys.argv[2]))

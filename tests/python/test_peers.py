@@ -1,0 +1,133 @@
+"""The comparison with other codes: what it solves is the same, and what runs converges."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+PEERS = Path(__file__).resolve().parents[2] / "benchmarks" / "peers"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A quick run on one problem, where heyoka is not installed."""
+    folder = tmp_path_factory.mktemp("peers")
+    (folder / "heyoka.py").write_text(
+        "raise ModuleNotFoundError(\"No module named 'heyoka'\", name='heyoka')\n"
+    )
+    path = [str(folder), os.environ.get("PYTHONPATH", "")]
+    done = subprocess.run(
+        [sys.executable, str(PEERS / "run.py"), "--quick", "--problem", "springs",
+         "--out", str(folder / "out")],
+        capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(path), "NUMBA_OPT": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    results = json.loads((folder / "out" / "peers.json").read_text())
+    return done.stdout, results, folder / "out"
+
+
+def test_what_is_not_installed_is_skipped_by_name(run):
+    printed, results, out = run
+    assert "skipped: heyoka is not installed" in printed
+    assert results["missing"]["heyoka"] == "heyoka is not installed"
+    page = (out / "peers.md").read_text()
+    assert "Skipped: heyoka is not installed." in page
+    assert not any(name.startswith("heyoka") for name in results["problems"]["springs"]["state"])
+
+
+def test_every_method_converges_to_the_reference(run):
+    methods = run[1]["problems"]["springs"]["state"]
+    assert {"leapfrog", "midpoint", "leapfrog-kl8", "ss10", "reference"} <= set(methods)
+    for name, method in methods.items():
+        points = method["points"]
+        assert not any("failed" in p for p in points), name
+        errors = [p["error"] for p in points]
+        assert errors == sorted(errors, reverse=True), name
+        (first, last), (e, f) = [p["setting"] for p in points[-2:]], errors[-2:]
+        if method["kind"] == "steps":
+            order = math.log(e / f) / math.log(last / first)
+            assert method["order"] - 0.3 < order < method["order"] + 3, (name, order)
+        else:
+            assert f < 1e4 * last, name
+        # Only the energy method leaves D by its order
+        if method["kind"] == "steps" and name != "odelab energy":
+            assert max(p["residual"] for p in points) < 1e-11, name
+
+
+def test_the_same_scheme_by_two_formulas(run):
+    methods = run[1]["problems"]["springs"]["state"]
+    for ours, theirs in (("leapfrog", "McLachlan-Perlmutter"), ("SPARK 2", "reflecting leapfrog")):
+        if {ours, theirs} <= set(methods):
+            errors = [{p["setting"]: p["error"] for p in methods[x]["points"]}
+                      for x in (ours, theirs)]  # fmt: skip
+            both = set(errors[0]) & set(errors[1])
+            assert both
+            for setting in both:
+                assert errors[0][setting] == pytest.approx(errors[1][setting], rel=2e-3)
+
+
+def test_tables_and_pictures_are_made(run):
+    _, results, out = run
+    problem = results["problems"]["springs"]
+    page = (out / "peers.md").read_text()
+    for name in problem["state"]:
+        assert re.search(rf"^\| `?{re.escape(name)}`? \|", page, re.MULTILINE), name
+    assert all(len(x) <= 100 or x.startswith("|") for x in page.splitlines())
+    for name in ("state", "energy"):
+        assert (out / f"peers-{name}.png").stat().st_size > 10_000
+    # Symmetric schemes keep the energy in a band, at about the cpu time that they were given
+    energy = problem["energy"]["methods"]
+    for name in ("leapfrog", "leapfrog-kl8"):
+        first, *_, last = (p["error"] for p in energy[name]["points"])
+        assert last < 2 * first + 1e-11
+
+
+@pytest.fixture(scope="module")
+def problems():
+    pytest.importorskip("sympy")
+    sys.path.insert(0, str(PEERS))
+    try:
+        import peer_dalembert
+        import problems
+
+        yield problems, peer_dalembert
+    finally:
+        sys.path.remove(str(PEERS))
+
+
+def test_all_equations_are_those_of_the_problem(problems):
+    """What SymPy eliminates, what a basis of D gives, and what dalembert solves."""
+    import sympy as sp
+
+    import dalembert as dal
+
+    digits = json.loads((PEERS / "references.json").read_text())
+    given, ours = problems
+    assert list(digits) == list(given.PROBLEMS)
+    for name, make in given.PROBLEMS.items():
+        problem = make()
+        n, model = len(problem.q), ours.system(problem)
+        start = np.array(problem.start)
+        run = dal.integrate(model, "reference", h=100.0, steps=1)
+        found = np.hstack([run.q[-1], run.v[-1]])
+        assert np.abs(found - np.array([float(x) for x in digits[name]])).max() < 2e-11, name
+        whole, in_D = problem.odes
+        rates = [sp.lambdify([given.t, ode.symbols], list(ode.rates)) for ode in (whole, in_D)]
+        y = in_D.into(start)
+        assert in_D.out_of(y[None])[0] == pytest.approx(start)
+        # d/dt of (q, B(q) w), against (q, v)' = f
+        direct = np.array(rates[0](0.5, start))
+        step = 1e-5
+        ahead, behind = (in_D.out_of((y + s * np.array(rates[1](0.5, y)))[None])[0]
+                         for s in (step, -step))  # fmt: skip
+        assert (ahead - behind) / (2 * step) == pytest.approx(direct, abs=1e-8)
+        assert model.acceleration(start[:n], start[n:], 0.5) == pytest.approx(direct[n:])
