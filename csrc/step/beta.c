@@ -124,7 +124,7 @@ static void guess(beta *self, const dal_stage *s)
     if (!solver->warm) return;
     const double *const past = k->history + 4 * s->kind * k->n, weight = s->past[1][0];
     for (size_t i = 0; i < k->n; i++) solver->rate[i] = weight * past[i] / (s->span * k->h);
-    for (size_t a = 0; a < k->m; a++) solver->lambda[a] = k->latest[a] / k->h;
+    for (size_t a = 0; a < k->m; a++) solver->lambda[a] = k->latest[a] / (k->latest_span * k->h);
 }
 
 /* As finish of a dal_kernel: the stage by the full Newton iteration from the state before it; or
@@ -168,8 +168,8 @@ static void reserve_momenta(dal_kernel *k, size_t n, size_t m, size_t kinds, are
     dal_balance *const of = &k->balance;
     DAL__RESERVE(a, n, &k->momentum, &of->reaction, &of->residual, &of->share, &of->L_v, &of->F,
                  &of->unit, &of->per_unit);
-    DAL__RESERVE(a, nn, &of->L_vq, &of->L_vv, &of->F_q, &of->F_v, &of->K, &of->factors,
-                 &of->scratch);
+    DAL__RESERVE(a, nn, &of->L_vq, &of->L_vv, &of->F_q, &of->F_v, &of->factors, &of->scratch);
+    DAL__RESERVE(a, dal__times(m, n), &k->forms);
     DAL__RESERVE(a, m, &of->phi, &k->latest);
     DAL__RESERVE(a, dal__times(dal__times(4, n), kinds), &k->history);
     dal__reserve(a, &k->known, kinds, 1);
@@ -376,7 +376,7 @@ static size_t save(const void *method, double *values)
     const beta *const self = method;
     const dal_kernel *const k = &self->kernel;
     const size_t n = k->n, flags = 3 + k->kinds;
-    const size_t count = flags + 4 * n + (k->momentum ? n + 4 * n * k->kinds + k->m : 0);
+    const size_t count = flags + 4 * n + (k->momentum ? n + 4 * n * k->kinds + k->m + 1 : 0);
     if (!values) return count;
     double *const vectors = values + flags;
     const bool forced = is_forced(self);
@@ -390,8 +390,9 @@ static size_t save(const void *method, double *values)
     if (k->carried) memcpy(vectors + 4 * n, k->momentum, n * sizeof *values);
     for (size_t i = 0; i < k->kinds; i++)
         memcpy(vectors + (5 + 4 * i) * n, k->history + 4 * i * n, k->known[i] * n * sizeof *values);
-    if (k->kinds > 0 && k->known[0] > 0) /* which the first stage makes so */
-        memcpy(values + count - k->m, k->latest, k->m * sizeof *values);
+    const bool begun = k->kinds > 0 && k->known[0] > 0; /* which the first stage makes so */
+    if (k->momentum) values[count - 1] = begun ? k->latest_span : 1.0;
+    if (begun) memcpy(values + count - 1 - k->m, k->latest, k->m * sizeof *values);
     return count;
 }
 
@@ -402,7 +403,8 @@ static int accepts(const void *method, const double *values)
         const double most = i < 3 ? 1.0 : 4.0;
         if (!(values[i] >= 0.0 && values[i] <= most && values[i] == floor(values[i]))) return false;
     }
-    return values[2] == 0.0 || k->momentum;
+    if (!k->momentum) return values[2] == 0.0;
+    return values[3 + k->kinds + (5 + 4 * k->kinds) * k->n + k->m] != 0.0; /* a span */
 }
 
 static void restore(void *method, const double *values)
@@ -422,6 +424,7 @@ static void restore(void *method, const double *values)
     memcpy(k->momentum, vectors + 4 * n, n * sizeof *values);
     memcpy(k->history, vectors + 5 * n, 4 * n * k->kinds * sizeof *values);
     memcpy(k->latest, vectors + (5 + 4 * k->kinds) * n, k->m * sizeof *values);
+    k->latest_span = vectors[(5 + 4 * k->kinds) * n + k->m];
 }
 
 void dal__beta_any_sizes(dal_stepper *stepper)

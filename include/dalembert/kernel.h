@@ -122,12 +122,12 @@ typedef struct dal_masses {
 typedef struct dal_balance {
     double *known;                /* [n] the part of p' that is known at the start */
     double *reaction, *residual;  /* [n] mu_k^T kappa; what is missing in the balance */
-    double *share;                /* [n] (L_vv)_ii / K_ii */
+    double *share;                /* [n] of the residual that is momentum */
     double *phi;                  /* [m] */
     double *L_v, *F;              /* [n] at the last evaluation, F = L_q + f */
     double *unit, *per_unit;      /* [n] of residual.h for L_vv */
     double *L_vq, *L_vv, *F_q, *F_v; /* [n*n] at the prediction */
-    double *K, *factors, *scratch; /* [n*n] */
+    double *factors, *scratch;    /* [n*n] of K */
 } dal_balance;
 
 /* L_v[n] and F[n], each or NULL; and, all of them or none, L_vq[n*n], L_vv[n*n], F_q[n*n] = dF/dq,
@@ -182,7 +182,9 @@ struct dal_kernel {
     double *force0, *force1;        /* [n] V_q at q~ and at q~' */
     bool carried;          /* momentum is known */
     double *momentum;               /* [n] p at q~ */
-    double *latest;                 /* [m] kappa of the last stage over its span */
+    double *forms;                  /* [m*n] mu at the node of a stage whose q~' is that node */
+    bool formed;           /* and so is that of the stage that follows in the same step */
+    double *latest, latest_span;    /* [m] kappa of the last stage, and its span */
     double *history;                /* [4*n] of each kind of stage: v' - v, the latest first */
     size_t kinds;
     unsigned char *known;           /* of each kind, how many of them there are */
@@ -622,6 +624,21 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
     return DAL_SUCCESS;
 }
 
+/* mu at the node, unless it is that of the stage before. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(form_node)(dal_kernel *k, const dal_traits *o,
+                                                 const dal_arrays *at)
+{
+    DAL_KERNEL_SIZES;
+#ifdef DAL_KERNEL_MOMENTA
+    if (k->formed && o->stage->before == 0.0) {
+        DAL_KERNEL_COPY(m * n, k->forms, at->mu_node);
+        return 0;
+    }
+#endif
+    return DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, o->number, o->stage->t_node), at->node,
+                                 at->x + n, at->mu_node, NULL);
+}
+
 /* ---- factor: S, with mu at the prediction, and then at the node: more has to wait for the first.
  * Like iterate it returns > 0 where the stage is left to k->finish. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o,
@@ -635,8 +652,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o
                                          o->steady ? NULL : at->N);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
     if (m > 0) {
-        const int status = DAL_KERNEL_CONSTRAINT(k, dal_kernel_time(k, o->number, s->t_node),
-                                                 at->node, at->x + n, at->mu_node, NULL);
+        const int status = DAL_KERNEL_PART(form_node)(k, o, at);
         if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
         for (size_t a = 0; a < m; a++)
             dal_kernel_accelerate(k, at, n, o->has.inverse, at->mu_node + a * n, at->Z + a * n);
@@ -881,7 +897,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double num
         status = DAL_KERNEL_PART(push)(k, number, s, NULL, true);
     }
     if (!status) status = DAL_KERNEL_PART(stage)(k, number, s, false, masses, x, pull);
-    k->carried = false;
+    k->carried = k->formed = false;
     return status;
 }
 #endif
@@ -929,6 +945,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
             DAL_KERNEL_COPY(k->m, k->impulse, k->saved + 2 * n);
         }
 #ifdef DAL_KERNEL_MOMENTA
+        k->formed = false;
         do
             status = DAL_KERNEL_PART(stage_of_either)(k, number, s, &masses, x, pull);
         while (!status && ++s < end);

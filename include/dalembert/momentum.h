@@ -18,8 +18,8 @@
  * extrapolated: what is stored was looked at.
  *
  * p is carried from stage to stage, so that what is left of the balance is not lost: p' = L_v(q~',
- * v') + theta r, where r is the residual and theta_i = (L_vv)_ii / K_ii the part of a row of K that
- * is momentum.  In stiff damping the rest of r is a rounding of F, which is no momentum.
+ * v') + theta r, where r is the residual and theta_i = (L_vv)_ii / U_ii, with K = L U, or 1, if that
+ * is less, the part of a row that is momentum.  In stiff damping the rest of r is a rounding of F, which is no momentum.
  *
  * What does not contract, an L_vv, K or S with a pivot that is not positive, and what is not finite
  * go to dal_kernel.finish, as in kernel.h.  Each row is judged by its own terms, so that no scaling
@@ -243,36 +243,65 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_in_D)(dal_kernel *k, const dal_traits 
     return DAL_KERNEL_PART(is_within)(k, o, of, at, balance, true);
 }
 
-/* K and S, factored, from what was evaluated at the prediction; Z.  False if one is not regular, or
- * L_vv is not positive definite. */
+/* Whether L_vv is positive definite: by the pivots of L D L^T, in scratch[n*n]. */
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_definite)(const dal_kernel *k, unsigned long long mask,
+                                                    const double *L_vv, double *scratch)
+{
+    DAL_KERNEL_SIZES;
+    (void)k;
+    bool definite = true;
+    DAL_KERNEL_COPY(n * n, L_vv, scratch);
+    DAL_KERNEL_UNROLL
+    for (size_t j = 0; j < n; j++) {
+        const double pivot = scratch[j * n + j];
+        if (!(pivot > DAL_MOMENTUM_PIVOT * L_vv[j * n + j])) definite = false;
+        if (j + 1 == n) break;
+        const double inverse = 1.0 / pivot;
+        DAL_KERNEL_UNROLL
+        for (size_t i = j + 1; i < n; i++) {
+            if (!DAL_KERNEL_HAS(mask, i * n + j)) continue;
+            const double l = scratch[i * n + j] * inverse;
+            DAL_KERNEL_UNROLL
+            for (size_t c = j + 1; c <= i; c++)
+                if (DAL_KERNEL_HAS(mask, c * n + j)) scratch[i * n + c] -= l * scratch[c * n + j];
+        }
+    }
+    return definite;
+}
+
+/* Entry ij of K without L_vv. */
+DAL_KERNEL_INLINE double DAL_KERNEL_PART(turn)(const dal_traits *o, const dal_spans *of,
+                                               const dal_balance *balance, size_t ij)
+{
+    double sum = -0.0;
+    if (!of->still && DAL_KERNEL_HAS(o->has.L_vq, ij)) sum += of->b * balance->L_vq[ij];
+    if (DAL_KERNEL_HAS(o->has.F_v, ij)) sum -= of->late * balance->F_v[ij];
+    if (!of->still && DAL_KERNEL_HAS(o->has.F_q, ij)) sum -= of->late * of->b * balance->F_q[ij];
+    return sum;
+}
+
+/* K and S, factored, from what was evaluated at the prediction; Z.  False if one is not regular. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(form)(const dal_kernel *k, const dal_traits *o,
                                              const dal_spans *of, const dal_arrays *at,
                                              const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
-    double *const K = balance->K, *const factors = balance->factors, *const terms = at->goal;
-    const double b = of->b, late = of->late;
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) terms[i] = fabs(balance->L_vv[i * n + i]);
-    if (!(DAL_KERNEL_MASS && k->mass)) {
-        DAL_KERNEL_COPY(n * n, balance->L_vv, factors);
-        if (!DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms)) return false;
-    }
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n * n; i++) {
-        double more = -0.0;
-        if (!of->still && DAL_KERNEL_HAS(o->has.L_vq, i)) more += b * balance->L_vq[i];
-        if (DAL_KERNEL_HAS(o->has.F_v, i)) more -= late * balance->F_v[i];
-        if (!of->still && DAL_KERNEL_HAS(o->has.F_q, i)) more -= late * b * balance->F_q[i];
-        K[i] = factors[i] = balance->L_vv[i] + more;
-        if (i % (n + 1) == 0) terms[i / n] += fabs(more);
-    }
+    double *const factors = balance->factors, *const terms = at->step;
+    const double *const L_vv = balance->L_vv, b = of->b;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        const double share = balance->L_vv[i * n + i] / K[i * n + i];
-        balance->share[i] = share < 1.0 ? share : 1.0;
+        terms[i] = L_vv[i * n + i] + fabs(DAL_KERNEL_PART(turn)(o, of, balance, i * n + i));
+        DAL_KERNEL_UNROLL
+        for (size_t j = 0; j < n; j++)
+            factors[i * n + j] =
+                L_vv[i * n + j] + DAL_KERNEL_PART(turn)(o, of, balance, i * n + j);
     }
     if (!DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms)) return false;
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) {
+        const double share = L_vv[i * n + i] * factors[i * n + i];
+        balance->share[i] = share < 1.0 ? share : 1.0;
+    }
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
         DAL_KERNEL_COPY(n, at->mu_node + a * n, at->Z + a * n);
@@ -313,6 +342,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(linearise)(dal_kernel *k, const dal_traits
                                     at->x + n, NULL, at->mu_node, NULL);
     if (returned) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
     if (of->known) {
+        if (DAL_KERNEL_MASS) DAL_KERNEL_COPY(m * n, at->mu_node, k->forms);
         DAL_KERNEL_COPY(m * n, at->mu_node, at->mu);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < m * n; i++) at->N[i] = 0.0;
@@ -400,16 +430,18 @@ DAL_KERNEL_INLINE double DAL_KERNEL_PART(imbalance)(const dal_kernel *k, const d
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
         const double left = fabs(balance->residual[i]);
-        const double own = fabs(balance->known[i]) + fabs(balance->L_v[i]);
+        const double own = fabs(balance->known[i]) + fabs(balance->reaction[i])
+                         + fabs(balance->L_v[i]);
         if (DAL_MOMENTUM_NOISE * own - left >= 0.0) continue; /* not if both are infinite */
         double terms = DBL_MIN, moved = -0.0;
         DAL_KERNEL_UNROLL
         for (size_t j = 0; j < n; j++) {
             const size_t ij = i * n + j;
-            if (DAL_KERNEL_HAS(o->has.K, ij))
-                terms += fabs(balance->K[ij])
-                       * (fabs(at->w[j]) + DBL_MIN
-                          + DAL_KERNEL_PART(pushes)(of, balance, j) / balance->K[j * n + j]);
+            if (DAL_KERNEL_HAS(o->has.K, ij)) {
+                const double K = balance->L_vv[ij] + DAL_KERNEL_PART(turn)(o, of, balance, ij);
+                const double push = DAL_KERNEL_PART(pushes)(of, balance, j) * balance->factors[j * n + j];
+                terms += fabs(K) * (fabs(at->w[j]) + push + DBL_MIN);
+            }
             if (DAL_KERNEL_HAS(o->has.L_vq, ij)) moved += fabs(balance->L_vq[ij] * at->point[j]);
             if (DAL_KERNEL_HAS(o->has.F_q, ij))
                 moved += fabs(of->late * balance->F_q[ij] * at->point[j]);
@@ -542,8 +574,9 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel *k, const dal_traits
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
         k->impulse[a] += at->kappa[a];
-        k->latest[a] = at->kappa[a] / o->stage->span;
+        k->latest[a] = at->kappa[a];
     }
+    k->latest_span = o->stage->span;
 }
 
 /* A stage of step number, counted from 0.  explicit is a constant where this is inlined, and may be
@@ -562,11 +595,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     double known[DAL_N], reaction[DAL_N], residual[DAL_N], share[DAL_N];
     double phi[DAL_KERNEL_M], L_v[DAL_N], F[DAL_N], unit[DAL_N], per_unit[DAL_N];
     double L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
-    double K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
+    double factors[DAL_N * DAL_N], scratch[DAL_N * DAL_N];
     const dal_arrays at = {x, NULL, node, point, w, mu_node, mu, N, known, goal, step, NULL,
                            stored, Z, S, sizes, r, d, kappa, row, NULL, NULL, NULL};
     const dal_balance balance = {known, reaction, residual, share, phi, L_v, F, unit, per_unit,
-                                 L_vq, L_vv, F_q, F_v, K, factors, NULL};
+                                 L_vq, L_vv, F_q, F_v, factors, scratch};
 #else
     const dal_arrays at = k->at;
     const dal_balance balance = k->balance;
@@ -597,6 +630,10 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     if (DAL_KERNEL_RARE(solved && !settled && !kept))
         for (int pass = 0; !settled && pass < DAL_MOMENTUM_PASSES; pass++)
             settled = DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance);
+    /* asked last, nothing waits for it; what the full Newton iteration then says is the reason */
+    if (solved && !(DAL_KERNEL_MASS && k->mass)
+        && DAL_KERNEL_RARE(!DAL_KERNEL_PART(is_definite)(k, has.K, balance.L_vv, balance.scratch)))
+        solved = false;
     if (solved && settled && DAL_KERNEL_PART(is_finite)(n, &at)) {
         DAL_KERNEL_PART(carry)(k, &of, &balance);
     } else {
@@ -605,5 +642,6 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
         k->carried = k->forced = false;
     }
     DAL_KERNEL_PART(conclude)(k, &o, &at);
+    k->formed = DAL_KERNEL_MASS && of.known;
     return DAL_SUCCESS;
 }

@@ -10,7 +10,7 @@
 
 #include <unistd.h>
 
-enum { MOST_SAVED = 128, MOST_M = 4, MOST_2N = 16, LEGS = 20 };
+enum { MOST_SAVED = 160, MOST_M = 4, MOST_2N = 16, LEGS = 20 };
 
 /* ---- what is stepped ------------------------------------------------------------------------ */
 
