@@ -18,8 +18,8 @@
  * extrapolated: what is stored was looked at.
  *
  * p is carried from stage to stage, so that what is left of the balance is not lost: p' = L_v(q~',
- * v') + theta r, where r is the residual and theta_i = (L_vv)_ii / U_ii, with K = L U, or 1, if that
- * is less, the part of a row that is momentum.  In stiff damping the rest of r is a rounding of F, which is no momentum.
+ * v') + theta r, where r is the residual and theta_i the part of a row that is momentum, at most 1:
+ * (L_vv)_ii / U_ii with K = L U.  In stiff damping the rest of r is a rounding of F, which is none.
  *
  * What does not contract, an L_vv, K or S with a pivot that is not positive, and what is not finite
  * go to dal_kernel.finish, as in kernel.h.  Each row is judged by its own terms, so that no scaling
@@ -439,7 +439,8 @@ DAL_KERNEL_INLINE double DAL_KERNEL_PART(imbalance)(const dal_kernel *k, const d
             const size_t ij = i * n + j;
             if (DAL_KERNEL_HAS(o->has.K, ij)) {
                 const double K = balance->L_vv[ij] + DAL_KERNEL_PART(turn)(o, of, balance, ij);
-                const double push = DAL_KERNEL_PART(pushes)(of, balance, j) * balance->factors[j * n + j];
+                const double push =
+                    DAL_KERNEL_PART(pushes)(of, balance, j) * balance->factors[j * n + j];
                 terms += fabs(K) * (fabs(at->w[j]) + push + DBL_MIN);
             }
             if (DAL_KERNEL_HAS(o->has.L_vq, ij)) moved += fabs(balance->L_vq[ij] * at->point[j]);

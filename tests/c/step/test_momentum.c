@@ -43,13 +43,16 @@ static dal_system *open_named(const char *name)
     return strcmp(name, "cart") == 0 ? open_cart() : open_system(name);
 }
 
-static dal_stepper *started(way by, const dal_system *system, const char *scheme, double h)
+/* From x, or where the system starts by default if it is NULL. */
+static dal_stepper *started(way by, const dal_system *system, const char *scheme, double h,
+                            const double *start)
 {
     const dal_scheme record = find_scheme(scheme);
     dal_stepper *const stepper = open_stepper_by(by, system, &record);
     double x[MOST_2N];
     const double u[1] = {0.4};
-    need(dal_system_state(system, x), "state", "");
+    if (start) memcpy(x, start, 2 * dal_system_n(system) * sizeof *x);
+    else need(dal_system_state(system, x), "state", "");
     if (dal_system_inputs(system) > 0) dal_stepper_input(stepper, u);
     need(dal_stepper_start(stepper, 0.0, h, x, DAL_CHECK,
                            record.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT : DAL_INITIAL_NONE),
@@ -65,7 +68,7 @@ static void test_same_steps(const char *name, const char *scheme, double h)
     dal_system *const system = open_named(name);
     const size_t N = 2 * dal_system_n(system);
     dal_stepper *by[WAYS];
-    for (way w = BY_LIBRARY; w < WAYS; w++) by[w] = started(w, system, scheme, h);
+    for (way w = BY_LIBRARY; w < WAYS; w++) by[w] = started(w, system, scheme, h, NULL);
     for (int k = 1; k <= STEPS; k++) {
         const double *x[WAYS];
         for (way w = BY_LIBRARY; w < WAYS; w++) {
@@ -91,7 +94,7 @@ static void test_cost(double turns)
     enum { STEPS = 2000, ANGLE = 2 }; /* the first coordinate that is one */
     for (int i = 0; i < 2; i++) {
         dal_system *const system = open_named(i == 0 ? "sleigh_contact" : "n_trailer");
-        dal_stepper *const stepper = started(BY_LIBRARY, system, "midpoint", 0.01);
+        dal_stepper *const stepper = started(BY_LIBRARY, system, "midpoint", 0.01, NULL);
         const size_t n = dal_system_n(system);
         double x[MOST_2N];
         dal_stats before, after;
@@ -121,8 +124,8 @@ static void test_units(void)
         const double unit = ldexp(1.0, powers[i]), values[] = {1.5 * unit, 0.8 * unit};
         dal_system *heavy = NULL, *const system = open_system("sleigh_contact");
         need(dal_system_builtin(&heavy, "sleigh_contact", parameters, values, 2, NULL), "", "");
-        dal_stepper *const one = started(BY_LIBRARY, system, "midpoint", 0.05);
-        dal_stepper *const other = started(BY_LIBRARY, heavy, "midpoint", 0.05);
+        dal_stepper *const one = started(BY_LIBRARY, system, "midpoint", 0.05, NULL);
+        dal_stepper *const other = started(BY_LIBRARY, heavy, "midpoint", 0.05, NULL);
         CHECK(dal_advance(one, 20, NULL, NULL) == 0 && dal_advance(other, 20, NULL, NULL) == 0);
         const double *const x = dal_stepper_state(one), *const y = dal_stepper_state(other);
         if (abs(powers[i]) <= 490) CHECK(memcmp(x, y, 6 * sizeof *x) == 0);
@@ -132,6 +135,146 @@ static void test_units(void)
         dal_system_free(heavy);
         dal_system_free(system);
     }
+}
+
+/* ---- guards ---------------------------------------------------------------------------------- */
+
+/* L = (1 + x^2/2) x'^2/2 - x^2 + y'^2/2: a pendulum of a kind, beside a wheel that it knows nothing
+ * of. */
+static int beside_a_wheel(double t, const double *q, const double *v, double *L, double *L_q,
+                          double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                          void *ctx)
+{
+    const double M = 1.0 + 0.5 * q[0] * q[0];
+    (void)t, (void)L_vt, (void)ctx;
+    if (L) *L = 0.5 * M * v[0] * v[0] + 0.5 * v[1] * v[1] - q[0] * q[0];
+    if (L_q) memcpy(L_q, (double[]){0.5 * q[0] * v[0] * v[0] - 2.0 * q[0], 0.0}, 2 * sizeof *L_q);
+    if (L_v) memcpy(L_v, (double[]){M * v[0], v[1]}, 2 * sizeof *L_v);
+    if (L_qq) memcpy(L_qq, (double[]){0.5 * v[0] * v[0] - 2.0, 0, 0, 0}, 4 * sizeof *L_qq);
+    if (L_vq) memcpy(L_vq, (double[]){q[0] * v[0], 0, 0, 0}, 4 * sizeof *L_vq);
+    if (L_vv) memcpy(L_vv, (double[]){M, 0, 0, 1}, 4 * sizeof *L_vv);
+    return 0;
+}
+
+/* However fast or far the wheel is, no bit of the pendulum changes. */
+static void test_rows_are_their_own(void)
+{
+    const dal_system_def def = {.n = 2, .lagrangian = beside_a_wheel, .name = "wheel"};
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "wheel", "");
+    const dal_scheme scheme = find_scheme("midpoint");
+    dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+    double bits[2] = {0.0, 0.0};
+    for (int power = 0; power <= 40; power += 10) {
+        const double far = power > 0 ? ldexp(1.0, power) : 0.0, x[4] = {0.3, far, 1.0, far};
+        CHECK(dal_stepper_start(stepper, 0.0, 0.25, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_advance(stepper, 40, NULL, NULL) == 0);
+        const double *const y = dal_stepper_state(stepper);
+        if (power > 0) CHECK(y[0] == bits[0] && y[2] == bits[1]);
+        bits[0] = y[0];
+        bits[1] = y[2];
+    }
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
+/* L = cos(x) x'^2/2 with a force 4 - 4 x', whose damping keeps K positive where L_vv is not. */
+static int falling_mass(double t, const double *q, const double *v, double *L, double *L_q,
+                        double *L_v, double *L_qq, double *L_vq, double *L_vv, double *L_vt,
+                        void *ctx)
+{
+    const double c = cos(q[0]), s = sin(q[0]);
+    (void)t, (void)L_vt, (void)ctx;
+    if (L) *L = 0.5 * c * v[0] * v[0];
+    if (L_q) *L_q = -0.5 * s * v[0] * v[0];
+    if (L_v) *L_v = c * v[0];
+    if (L_qq) *L_qq = -0.5 * c * v[0] * v[0];
+    if (L_vq) *L_vq = -s * v[0];
+    if (L_vv) *L_vv = c;
+    return 0;
+}
+
+static int damper(double t, const double *q, const double *v, const double *u, double *f,
+                  double *f_q, double *f_v, void *ctx)
+{
+    const double *const c = ctx;
+    (void)t, (void)q, (void)u;
+    if (f) *f = c[0] - c[1] * v[0];
+    if (f_q) *f_q = 0.0;
+    if (f_v) *f_v = -c[1];
+    return 0;
+}
+
+static void test_indefinite(void)
+{
+    static const char *const some[] = {"explicit", "midpoint", "0.3"};
+    double c[2] = {4.0, 4.0};
+    const dal_system_def def = {.n = 1, .lagrangian = falling_mass, .force = damper, .ctx = c};
+    const double x[2] = {1.2, 1.0};
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "falling", "");
+    for (size_t i = 0; i < DAL_LENGTH(some); i++) {
+        const dal_scheme scheme = find_scheme(some[i]);
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        size_t done = 0;
+        CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        CHECK(dal_advance(stepper, 20, NULL, &done) == DAL_ESINGULAR && done < 10);
+        CHECK(strstr(dal_stepper_error(stepper)->text, "not positive definite") != NULL);
+        dal_stepper_free(stepper);
+    }
+    dal_system_free(system);
+}
+
+/* v' (1 + c h/2) = v (1 - c h/2) with mass 1: of stiff damping the momentum keeps no rounding. */
+static void test_stiff_damping(void)
+{
+    const double mass = 1.0, h = 0.125, x[2] = {0.0, 1.0};
+    for (int power = 2; power <= 6; power++) {
+        double c[2] = {0.0, pow(10.0, power)}, v = 1.0;
+        const dal_system_def def = {.n = 1, .mass = &mass, .force = damper, .ctx = c};
+        dal_system *system = NULL;
+        need(dal_system_new(&system, &def, NULL), "damper", "");
+        dal_stepper *const stepper = started(BY_LIBRARY, system, "midpoint", h, x);
+        for (int k = 0; k < 50; k++) {
+            CHECK(dal_step(stepper, NULL) == 0);
+            v *= (1.0 - 0.5 * c[1] * h) / (1.0 + 0.5 * c[1] * h);
+            CHECK_NEAR(dal_stepper_state(stepper)[1], v, 16 * U * (k + 1) * fabs(v));
+        }
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
+static int light_brake(double t, const double *q, const double *v, const double *u, double *f,
+                       double *f_q, double *f_v, void *ctx)
+{
+    (void)t, (void)q, (void)u, (void)ctx;
+    if (f) memcpy(f, (double[]){-0.1 * v[0], 0, 0}, 3 * sizeof *f);
+    if (f_q) memset(f_q, 0, 9 * sizeof *f_q);
+    if (f_v) memcpy(f_v, (double[]){-0.1, 0, 0, 0, 0, 0, 0, 0, 0}, 9 * sizeof *f_v);
+    return 0;
+}
+
+/* Where steps are so large that all is left to the full Newton iteration, it begins where the last
+ * step leads; from the velocity before it would not end in step 23. */
+static void test_large_steps(void)
+{
+    const char *const springs[] = {"k1", "k2", "k3"};
+    const double k[] = {1.0, 1.0, 1e-300}, x[6] = {1.0, 0.2, 0.0, 0.5, 1.0, 0.1};
+    dal_system *base = NULL, *system = NULL;
+    need(dal_system_builtin(&base, "particle_oscillator", springs, k, 3, NULL), "base", "");
+    dal_system_def def = base->def;
+    def.force = light_brake;
+    def.exact = NULL;
+    need(dal_system_new(&system, &def, NULL), "braked", "");
+    dal_stepper *const stepper = started(BY_LIBRARY, system, "midpoint", 2.1328142859, x);
+    dal_stats stats;
+    CHECK(dal_advance(stepper, 60, NULL, NULL) == DAL_SUCCESS);
+    dal_stepper_stats(stepper, &stats);
+    CHECK(stats.full_newtons > 20);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+    dal_system_free(base);
 }
 
 /* ---- forces that are positional -------------------------------------------------------------- */
@@ -158,8 +301,8 @@ static void test_force_of_potential(void)
     need(dal_system_new(&forced, &def, NULL), "forced", "");
     for (size_t i = 0; i < DAL_LENGTH(schemes); i++)
         for (way w = BY_LIBRARY; w <= BY_ANY_SIZES; w++) {
-            dal_stepper *const one = started(w, given, schemes[i], 0.05);
-            dal_stepper *const other = started(w, forced, schemes[i], 0.05);
+            dal_stepper *const one = started(w, given, schemes[i], 0.05, NULL);
+            dal_stepper *const other = started(w, forced, schemes[i], 0.05, NULL);
             CHECK(dal_advance(one, 100, NULL, NULL) == 0);
             CHECK(dal_advance(other, 100, NULL, NULL) == 0);
             const double *const x = dal_stepper_state(one), *const y = dal_stepper_state(other);
@@ -173,7 +316,7 @@ static void test_force_of_potential(void)
             dal_stepper_free(other);
         }
     double x[6];
-    dal_stepper *const away = started(BY_LIBRARY, forced, "midpoint", 0.05);
+    dal_stepper *const away = started(BY_LIBRARY, forced, "midpoint", 0.05, NULL);
     memcpy(x, dal_stepper_state(away), sizeof x);
     x[0] = 1e6 - 0.01;
     CHECK(dal_stepper_start(away, 0.0, 0.05, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
@@ -217,9 +360,9 @@ static void test_change_of_input(void)
 {
     dal_system *const system = open_cart();
     for (size_t i = 0; i < DAL_LENGTH(schemes); i++) {
-        dal_stepper *const stepper = started(BY_LIBRARY, system, schemes[i], 0.05);
-        dal_stepper *const fresh = started(BY_LIBRARY, system, schemes[i], 0.05);
-        dal_stepper *const still = started(BY_LIBRARY, system, schemes[i], 0.05);
+        dal_stepper *const stepper = started(BY_LIBRARY, system, schemes[i], 0.05, NULL);
+        dal_stepper *const fresh = started(BY_LIBRARY, system, schemes[i], 0.05, NULL);
+        dal_stepper *const still = started(BY_LIBRARY, system, schemes[i], 0.05, NULL);
         const double u[2] = {0.4, -1.3};
         CHECK(dal_advance(stepper, 6, NULL, NULL) == 0 && dal_advance(still, 6, NULL, NULL) == 0);
         dal_stepper_input(still, u);
@@ -256,6 +399,10 @@ int main(void)
     test_cost(1e3);
     test_cost(1e6);
     test_units();
+    test_rows_are_their_own();
+    test_indefinite();
+    test_stiff_damping();
+    test_large_steps();
     test_force_of_potential();
     test_false_declaration();
     test_change_of_input();

@@ -464,6 +464,29 @@ def test_constant_mass_is_found():
     assert dal.System.from_sympy(turned + zero, (), [x, y, theta], {m: 3}).mass is not None
 
 
+def test_forces_without_velocities():
+    """A force enters as V_q does if it has no v in it; the derivative of dry friction is 0 too."""
+    x, y, z = q = dal.coordinates("x y z")
+    L, row = (x.d**2 + y.d**2 + z.d**2) / 2, z.d - y * x.d
+    u = sympy.Symbol("u")
+    driven = {x: u - x, y: sympy.sin(dal.time)}
+    spring = dal.System.from_sympy(L, [row], q, force=driven, inputs=[u])
+    friction = dal.System.from_sympy(L, [row], q, force={y: -sympy.sign(y.d) / 10})
+    potential = dal.System.from_sympy(L - x**2 / 2, [row], q)
+    assert spring._model.derived.is_positional and not spring._model.derived.has_momenta
+    assert not friction._model.derived.is_positional and friction._model.derived.has_momenta
+    slid = dal.integrate(friction, "leapfrog", [0, 1, 0], [1, 1, 1], h=0.01, steps=100)
+    np.testing.assert_allclose(slid.v[:, 1], 1 - slid.t / 10, rtol=0, atol=512 * U)
+    forced = dal.System.from_sympy(L, [row], q, force={x: -x})
+    for scheme in ("leapfrog", "midpoint", "leapfrog-kl6"):
+        runs = [
+            dal.integrate(s, scheme, [0, 1, 0], [1, 1, 1], h=0.05, steps=100)
+            for s in (forced, potential)
+        ]
+        np.testing.assert_array_equal(runs[0].x, runs[1].x)
+        np.testing.assert_array_equal(runs[0].reactions, runs[1].reactions)
+
+
 def test_kinds():
     x, y, z = dal.coordinates("x y z")
     L = (x.d**2 + y.d**2 + z.d**2) / 2
