@@ -1,7 +1,8 @@
-/* kernel.h - the step routine of every scheme, for every system with constant mass.
+/* kernel.h - the step routine of every scheme, for every system.
  *
  * A record of sub-steps {beta, fraction} becomes a list of stages.  With q~ and v the state, A, B
- * and the weights those of struct dal_stage, a stage is
+ * and the weights those of struct dal_stage, a stage of constant mass, linear constraints and no
+ * force that depends on v (V is then less what a force does) is
  *
  *     q_k = q~ + A h v
  *     M (v' - v) = -h [start V_q(q~) + node V_q(q_k) + end V_q(q~')] + mu(q_k)^T kappa
@@ -9,6 +10,7 @@
  *
  * which is the beta-scheme (DAELd1, DAELd2, Facil) for A = 1-beta, B = beta, and the fused pair
  * (0, a), (1, b) for A = a, B = b: V then enters at the node only, and kappa is the only unknown.
+ * Those of other systems are in momentum.h.
  * lambda = kappa / ((A+B) h).  What stands at q~, q_k, q~' is evaluated at the times t, t + A h and
  * t + (A+B) h; each is t0 + (k + c) h with the number k of the step and a constant c of the stage,
  * so that no rounding adds up, and the end of a step is the time of dal_stepper_time to the bit.
@@ -44,6 +46,10 @@
  *     DAL_KERNEL_PATTERN          with these, if wanted: a dal_pattern, in braces
  *     DAL_KERNEL_STEADY           with these, if wanted: 0 if the system is not steady, 1 if it is,
  *                                 2 if besides V pushes no coordinate that mu depends on
+ *     DAL_KERNEL_MOMENTA          for systems with stages of momentum.h; with the callbacks inside
+ *                                 also DAL_KERNEL_MASS, 0 if all stages are of these, and
+ *                                 DAL_KERNEL_KIND, _FORMS, _BALANCE, _VALUES, _START: how the
+ *                                 system is called, as they are written below for pointers
  * and includes this file once for each.  All compilations make the same operations in the same
  * order but for terms that are 0, so they give the same bits (build with -ffp-contract=off).
  * Nothing here allocates, and nothing here needs libdalembert or GSL. */
