@@ -63,6 +63,21 @@ static int hand_inputs(const dal_run *run)
                              dal_stepper_time(stepper));
 }
 
+/* For how many steps the inputs are what they are now, up to most: rows of a table that follow and
+ * are the same go in one. */
+static size_t steps_of_inputs(const dal_run *run, size_t most)
+{
+    const size_t hold = dal__hold(run), row = run->done / hold;
+    const size_t width = run->inputs ? run->stepper->motion.system->def.inputs : 0;
+    size_t steps = hold - run->done % hold;
+    if (!run->inputs) return most;
+    for (const double *u = run->inputs + row * width; !run->control && steps < most; u += width) {
+        if (memcmp(u, u + width, width * sizeof *u) != 0) break;
+        steps += hold;
+    }
+    return steps < most ? steps : most;
+}
+
 int dal__run_check(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;
@@ -103,14 +118,14 @@ int dal_run_go(dal_run *run, size_t budget)
     motion->watch = run->watch;
     motion->watch_ctx = run->watch_ctx;
     while (!status && budget > 0 && run->done < run->steps) {
-        const size_t hold = dal__hold(run), held = hold - run->done % hold;
         size_t made = 0, left = run->stride - run->done % run->stride;
         status = hand_inputs(run);
         if (status) break;
-        if (run->inputs && held < left) left = held;
+        if (left > budget) left = budget;
+        left = steps_of_inputs(run, left);
         if (run->journal && left > MOST_AT_ONCE) left = MOST_AT_ONCE;
         if (run->events) status = look_and_step(run, &made);
-        else status = dal__stepper_advance(run->stepper, left < budget ? left : budget, &made);
+        else status = dal__stepper_advance(run->stepper, left, &made);
         budget -= made;
         run->done += made;
         if (!status && is_due(run)) status = store(run);
