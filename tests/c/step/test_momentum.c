@@ -216,9 +216,13 @@ static void test_indefinite(void)
     for (size_t i = 0; i < DAL_LENGTH(some); i++) {
         const dal_scheme scheme = find_scheme(some[i]);
         dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
-        size_t done = 0;
-        CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
-        CHECK(dal_advance(stepper, 20, NULL, &done) == DAL_ESINGULAR && done < 10);
+        int status = dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE);
+        while (status == DAL_SUCCESS) { /* no step begins where there is no mass */
+            const double M = cos(dal_stepper_state(stepper)[0]);
+            status = dal_step(stepper, NULL);
+            CHECK(status != DAL_SUCCESS || M > 0.0);
+        }
+        CHECK(status == DAL_ESINGULAR);
         CHECK(strstr(dal_stepper_error(stepper)->text, "not positive definite") != NULL);
         dal_stepper_free(stepper);
     }
