@@ -877,17 +877,19 @@ static int call_stepper(world *w)
     const size_t n = w->n, m = w->m;
     if (which == 2) settle(w, CALL(dal_stepper_input, w->stepper, in(w, w->r.inputs)));
     const standing before = standing_of(w);
+    const bool reacts = !w->stepper->family->no_reaction; /* else reactions are NaN */
     size_t made = 0, asked = 1;
     if (which < 4) {
-        status = CALL(dal_step, w->stepper, out(w, m));
+        status = CALL(dal_step, w->stepper, out_of(w, m, reacts));
         made = status == 0;
     } else if (which < 6) {
         asked = 5 * some(w);
-        status = CALL(dal_advance, w->stepper, asked, out(w, m), &made);
+        status = CALL(dal_advance, w->stepper, asked, out_of(w, m, reacts), &made);
     } else {
         const size_t stride = 1 + next_below(&w->t, 3), count = some(w);
         asked = stride * count;
-        double *const x = out(w, (count + 1) * 2 * n), *const reactions = out(w, count * m);
+        double *const x = out(w, (count + 1) * 2 * n);
+        double *const reactions = out_of(w, count * m, reacts);
         for (size_t k = 0; k < w->used; k++) {
             const bool states = w->buffers[k].now == x;
             w->buffers[k].row = states ? 2 * n : m;
