@@ -166,7 +166,7 @@ static double least_of_cubic(double g0, double rate0, double g1, double rate1)
 static int uncertainty_at(dal_events *e, size_t event, double theta, double g, double *error)
 {
     const double t = dal__time_at(e, e->from), half = 0.5 * (theta - e->from) * e->h;
-    double again;
+    double again = g; /* where it cannot be evaluated status says so */
     memcpy(e->x, e->begin, 2 * e->n * sizeof *e->x);
     int status = dal__probe(e, t, half, e->x);
     if (!status) status = dal__probe(e, t + half, half, e->x);
