@@ -201,13 +201,13 @@ static bool acts_beside_nodes(const beta *self)
 }
 
 /* Whether the step routine knows mu(q~') before v'. */
-static bool is_steady(const beta *self, const dal_system_def *def, bool kept)
+static bool is_steady(const beta *self, const dal_system *system)
 {
+    const dal_kernel *const k = &self->kernel;
     bool ends = false; /* V acts at some q~' */
-    for (size_t j = 0; j < self->kernel.stages; j++)
+    for (size_t j = 0; j < k->stages; j++)
         if (self->stage[j].end != 0.0) ends = true;
-    return def->steady && !kept && !((def->potential || def->positional) && ends)
-        && !(def->force && !def->positional);
+    return system->def.steady && !k->kept && !has_momenta(system) && !(k->potential && ends);
 }
 
 /* A compiled step routine has to know the system as it is. */
@@ -270,7 +270,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     dal_kernel_share(k, k->at.x);
     k->impulse = motion->impulse;
     k->finish = finish;
-    k->steady = is_steady(self, &system->def, k->kept) ? system->def.steady : 0;
+    k->steady = is_steady(self, system) ? system->def.steady : 0;
     k->balance.known = k->at.base;
     self->advance = system->def.compiled && !k->kept ? system->def.compiled->advance
                   : has_momenta(system)              ? dal__kernel_with_momenta(k->n, k->m)

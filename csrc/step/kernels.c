@@ -1,29 +1,11 @@
 /* The compilations of the step routine: n <= 8, m <= 4 as constants, and any sizes. */
-#include "step/beta.h"
-
-#define DAL_KERNEL kernel_any
-#include "dalembert/kernel.h"
-
-#define DAL_ROW 1
-#include "step/kernel_row.h"
-#define DAL_ROW 2
-#include "step/kernel_row.h"
-#define DAL_ROW 3
-#include "step/kernel_row.h"
-#define DAL_ROW 4
-#include "step/kernel_row.h"
-#define DAL_ROW 5
-#include "step/kernel_row.h"
-#define DAL_ROW 6
-#include "step/kernel_row.h"
+#include "step/kernel_rows.h"
 
 dal_kernel_fn dal__kernel_any(void) { return kernel_any; }
 
 dal_kernel_fn dal__kernel_for(size_t n, size_t m)
 {
-    static const dal_kernel_fn *const rows[] = {row_1, row_2, row_3, row_4, row_5, row_6};
-    const dal_kernel_fn fixed = m > 4 ? NULL
-                                : n <= DAL_LENGTH(rows) ? rows[n - 1][m]
-                                                        : dal__kernel_of_many(n, m);
+    dal_kernel_fn fixed = kernel_for(n, m);
+    if (!fixed && m <= 4) fixed = dal__kernel_of_many(n, m);
     return fixed ? fixed : kernel_any;
 }
