@@ -96,7 +96,8 @@ typedef int (*dal_potential_fn)(double t, const double *q, double *V, double *V_
 
 /* phi[m], the constraint phi(t, q, v) = 0, which is mu(t, q) v for linear constraints; phi_v[m*n] =
  * dphi_a/dv_i, which is mu for them; phi_q[m*n] = dphi_a/dq_j, which is N(q, v) = d(mu v)/dq for
- * them; phi_t[m] = dphi_a/dt, which is d(mu v)/dt for them. */
+ * them; phi_t[m] = dphi_a/dt, which is d(mu v)/dt for them.  Of a system with a sparsity phi_v and
+ * phi_q have the entries of that alone. */
 typedef int (*dal_constraint_fn)(double t, const double *q, const double *v, double *phi,
                                  double *phi_v, double *phi_q, double *phi_t, void *ctx);
 
@@ -143,6 +144,13 @@ typedef enum dal_missing {
 
 struct dal_compiled; /* dalembert/kernel.h */
 
+/* Which entries of phi_v and of phi_q may be other than 0: those of both together, by rows, and in
+ * each row by columns, both ascending. */
+typedef struct dal_sparsity {
+    size_t entries;
+    const size_t *row, *column; /* [entries] */
+} dal_sparsity;
+
 /* In a steady system mu depends only on coordinates that no reaction pushes, those i with row i of
  * M^-1 mu^T zero, as on the heading of a blade.  Steps where V does not act at q~' are then
  * linear. */
@@ -152,16 +160,22 @@ typedef enum dal_steady {
 } dal_steady;
 
 /* The definition of a system, filled by the caller, zero-initialised.  dal_system_new copies the
- * struct, the mass matrix, the names and the state; ctx is borrowed, or copied if ctx_size says how
- * many bytes it has. */
+ * struct, the masses, the sparsity, the names and the state; ctx is borrowed, or copied if ctx_size
+ * says how many bytes it has. */
 typedef struct dal_system_def {
     size_t n;                       /* number of coordinates, n >= 1 */
     size_t m;                       /* number of constraints, 0 <= m < n */
     const double *mass;             /* M[n*n], constant, symmetric, positive definite; or NULL: */
+    const double *masses;           /* [n] of a diagonal M, instead of mass; or NULL: */
     dal_lagrangian_fn lagrangian;   /* instead of mass and potential, else NULL */
     dal_potential_fn potential;     /* or NULL: V = 0 */
     dal_constraint_fn constraint;   /* NULL if and only if m = 0 */
     dal_constraint_kind kind;
+    const dal_sparsity *sparsity;   /* or NULL: all entries may be other than 0.  With it steps take
+                                       time and memory in proportion to n where there are masses,
+                                       the constraints are linear and touch few coordinates each,
+                                       and no force depends on v; V_qq is then never asked for, so h
+                                       has to resolve what V makes oscillate */
     dal_force_fn force;             /* or NULL: none */
     size_t inputs;                  /* of the force: motors, steering, ... */
     unsigned missing;               /* sum of dal_missing */
@@ -196,8 +210,8 @@ typedef struct dal_system dal_system;
 
 /* *system <- a system, or untouched on failure.
  * DAL_EINVAL (sizes, missing or superfluous parts, mass matrix not finite, not symmetric or not
- * positive definite: the text names the entry; a kernel from another version of kernel.h; steady
- * where it may not be), DAL_ENOMEM. */
+ * positive definite, a sparsity out of order: the text names the entry; a kernel from another
+ * version of kernel.h; steady where it may not be), DAL_ENOMEM. */
 DAL_API int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error);
 
 /* NULL is allowed.  Objects made from a system must be freed before it. */
@@ -227,7 +241,10 @@ DAL_API const char *dal_system_formulas(const dal_system *system);
 DAL_API const char *dal_system_coordinate(const dal_system *system, size_t i); /* NULL: i >= n */
 DAL_API size_t dal_system_inputs(const dal_system *system);
 DAL_API const char *dal_system_input_name(const dal_system *system, size_t i); /* or NULL */
-DAL_API const double *dal_system_mass(const dal_system *system); /* [n*n]; NULL: not constant */
+/* M[n*n], which may be NULL, <- the mass matrix.  DAL_EUNSUPPORTED if it is not constant. */
+DAL_API int dal_system_mass(const dal_system *system, double *M);
+/* The sparsity of the definition, or NULL. */
+DAL_API const dal_sparsity *dal_system_sparsity(const dal_system *system);
 DAL_API dal_constraint_kind dal_system_kind(const dal_system *system);
 DAL_API int dal_system_is_forced(const dal_system *system); /* 1: there is a generalized force */
 DAL_API int dal_system_is_time_dependent(const dal_system *system); /* as of the definition */

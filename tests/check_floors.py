@@ -19,8 +19,8 @@ from check_symbols import declared, read
 
 # Headers that code of the user includes, and the folder where they belong.
 STEP_HEADERS = {
-    "deformation": "system", "lu": "algebra", "residual": "algebra", "kernel": "step",
-    "family": "step",
+    "deformation": "system", "lu": "algebra", "rows": "algebra", "residual": "algebra",
+    "kernel": "step", "family": "step",
 }  # fmt: skip
 
 

@@ -143,6 +143,15 @@ static inline double largest_difference(size_t count, const double *x, const dou
     return worst;
 }
 
+/* M of a system of constant mass, until the next call; or NULL. */
+static inline const double *mass_of(const dal_system *system)
+{
+    enum { MOST = 48 };
+    static double M[MOST * MOST];
+    if (dal_system_n(system) > MOST) exit(2);
+    return dal_system_mass(system, M) ? NULL : M;
+}
+
 /* (M^-1)_ii at (q, v), by elimination in M next to the identity. */
 static inline void inverse_diagonal(const dal_system *system, const double *x, double *diagonal)
 {
@@ -151,9 +160,7 @@ static inline void inverse_diagonal(const dal_system *system, const double *x, d
     double A[MOST][2 * MOST], M[MOST * MOST];
     dal_mechanics *mechanics = NULL;
     if (n > MOST) exit(2);
-    if (system->mass) {
-        memcpy(M, system->mass, n * n * sizeof *M);
-    } else {
+    if (dal_system_mass(system, M)) {
         if (dal_mechanics_new(&mechanics, system, NULL) || dal_metric(mechanics, 0.0, x, M))
             exit(2);
         dal_mechanics_free(mechanics);

@@ -2,6 +2,8 @@
 #ifndef DAL__ALGEBRA_H
 #define DAL__ALGEBRA_H
 
+#include "dalembert/lu.h"
+#include "dalembert/rows.h"
 #include "ground/ground.h"
 
 #include <math.h>
@@ -61,24 +63,63 @@ void dal__cholesky_solve(size_t n, const double *factor, double *x);
 
 /* ---- linear equations ---------------------------------------------------------------------- */
 
+/* Rows and columns that have nothing to do with those of other blocks, with all entries within
+ * width of the diagonal; or with width = size, all of them stored. */
+typedef struct dal__block {
+    size_t begin, size, width;
+    size_t offset; /* of its entries */
+} dal__block;
+
+/* Which entries of X Y^T may be other than 0, and where they are stored, for X and Y with the same
+ * rows. */
+typedef struct dal__pattern {
+    size_t size, blocks, stored;
+    dal__block *block;      /* [blocks] */
+    size_t *order;          /* [size] row, and column, order[k] comes k-th */
+    size_t *first, *column; /* [size+1] and [first[size]], as in a dal_rows; and */
+    size_t *place;          /* the places of these entries */
+    arena arena;
+} dal__pattern;
+
+/* DAL_ENOMEM. */
+int dal__pattern_new(dal__pattern **pattern, const dal_rows *rows, dal_error *error);
+void dal__pattern_free(dal__pattern *pattern);
+
+/* As dal_lu_factor, and the other two, of a matrix A[m*length], see band.c. */
+static inline size_t dal__band_length(size_t width) { return 3 * width + 1; }
+int dal__band_factor(size_t m, size_t width, double *A, double *sizes, size_t *row);
+void dal__band_solve(const dal_lu_factors *self, const double *b, double *x);
+void dal__band_solve_transposed(const dal_lu_factors *self, double *b, double *x);
+
 /* A regular matrix.  Whoever fills A says of what size its rows and columns are; or has them found
- * by dal__linear_balance.  A smaller size than was reserved may be set before. */
+ * by dal__linear_balance.  A smaller size than was reserved may be set before, but of a pattern. */
 typedef struct dal__linear {
     size_t size;
-    double *A;     /* [size*size] by rows; then its factors */
+    const dal__pattern *pattern; /* or NULL: all entries may be other than 0 */
+    double *A;     /* [size*size] by rows, or [stored] by the pattern; then its factors */
     double *sizes; /* [2*size] of rows, then of columns, see lu.h; [5*size] with the scratch */
     size_t *row;   /* [size] */
+    double *work;  /* [5*size] of a pattern */
 } dal__linear;
 
 void dal__linear_reserve(dal__linear *self, size_t size, arena *a);
+/* The same for a pattern, which it borrows; NULL: all entries. */
+void dal__linear_reserve_pattern(dal__linear *self, size_t size, const dal__pattern *pattern,
+                                 arena *a);
+/* A <- X Y^T, of these rows where there is a pattern, else X[size*n], Y[size*n]. */
+void dal__linear_multiply(dal__linear *self, const dal_rows *rows, size_t n, const double *X,
+                          const double *Y);
 /* The sizes of a matrix of which nothing is known but scale[size*size], the sums of the absolute
  * values of the terms of its entries. */
 void dal__linear_balance(dal__linear *self, const double *scale);
 /* The sign of the determinant; 0 if the matrix is singular, or NaN. */
 int dal__linear_factor(dal__linear *self);
-/* x[size] <- A^-1 b, or A^-T b, where b is destroyed; x and b may not overlap. */
+/* x[size] <- A^-1 b, or A^-T b, where b is destroyed; x and b may not overlap, but be the same
+ * where there is a pattern. */
 void dal__linear_solve(const dal__linear *self, const double *b, double *x);
 void dal__linear_solve_transposed(const dal__linear *self, double *b, double *x);
+/* About the 1-norm of the inverse of the scaled matrix, of a pattern. */
+double dal__linear_inverse_norm(const dal__linear *self);
 
 /* ---- Newton's iteration --------------------------------------------------------------------- */
 

@@ -25,6 +25,7 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
     arena memory = {0};
     dal_discrete shape = {.n = n, .m = m}, *self;
     dal__reserve(&memory, &self, 1, sizeof *self);
+    shape.mech.eval.dense = true;
     dal__mechanics_reserve(&shape.mech, system, &memory);
     dal__rho_reserve(&shape.lagrangian, lagrangian, n, &memory);
     dal__rho_reserve(&shape.constraint, of_constraint, n, &memory);

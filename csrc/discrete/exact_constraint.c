@@ -20,19 +20,20 @@ typedef struct search {
 static int shoot(search *s)
 {
     dal_mechanics *const mech = s->mech;
-    const size_t n = mech->n, m = mech->m;
+    const size_t n = mech->n;
     dal__copy(2 * n, s->x, s->end);
     int status = dal__flow_apply(s->flow, s->t0, s->h, s->end, false);
     if (status) return status;
     for (size_t i = 0; i < n; i++) s->miss[i] = s->end[i] = (s->q1[i] - s->end[i]) / s->h;
-    if (m == 0) return DAL_SUCCESS;
+    if (mech->m == 0) return DAL_SUCCESS;
     status = dal__forms_at(mech, s->t0, 0.0, s->x, false);
     if (!status) status = dal__factor_gram(mech);
     if (status) return status;
-    dal__apply(m, n, mech->forms.mu, s->miss, s->defect);
-    dal__copy(m, s->defect, mech->lambda);
+    for (size_t a = 0; a < mech->m; a++)
+        s->defect[a] = mech->lambda[a] = dal__row_dot(mech, mech->forms.mu, a, s->miss);
     dal__solve_gram(mech, mech->lambda);
-    dal__add_reaction(n, m, -1.0, mech->gram.Z, mech->lambda, s->end);
+    for (size_t a = 0; a < mech->m; a++)
+        dal__row_add(mech, -mech->lambda[a], mech->gram.Z, a, s->end);
     return DAL_SUCCESS;
 }
 

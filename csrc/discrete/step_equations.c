@@ -96,15 +96,17 @@ static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
     const double alpha = mech->start.alpha, t = mech->start.acts;
     const double *const place = place_of_L(mech, alpha * mech->start.h, w);
     const bool general = !mech->eval.constant_mass, ends = alpha != 1.0; /* F acts there */
+    const bool lean = mech->eval.lean;
     const dal__jet wanted = {.L_q = R1 && ends ? mech->force : NULL,
                              .L_v = R1 && general ? mech->w : NULL,
-                             .L_qq = K && ends && alpha != 0.0 ? mech->hessian : NULL,
+                             .L_qq = K && ends && alpha != 0.0 && !lean ? mech->hessian : NULL,
                              .L_vq = K && general ? mech->L_vq : NULL,
                              .L_vv = K && general ? mech->L_vv : NULL};
     int status = dal__lagrangian(&mech->eval, t, place, w, &wanted, &mech->error);
     if (!status && ends && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t, place, w, R1 ? mech->step : NULL,
-                            K ? mech->f_q : NULL, K ? mech->f_v : NULL, &mech->error);
+                            K && !lean ? mech->f_q : NULL, K && !lean ? mech->f_v : NULL,
+                            &mech->error);
         if (R1) dal__add(n, 1.0, mech->step, mech->force);
     }
     if (status || !R1) return status;
@@ -112,7 +114,7 @@ static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
         dal__add(n, -1.0, mech->momentum, mech->w);
     } else {
         dal__move(n, w, -1.0, mech->start.v, mech->step);
-        dal__apply(n, n, mech->metric.M, mech->step, mech->w);
+        dal__weigh(mech, mech->step, mech->w);
     }
     return DAL_SUCCESS;
 }
@@ -123,7 +125,7 @@ static void form_R1(const dal_mechanics *mech, const double *kappa, double *R1)
     const double weight = mech->start.h * (1.0 - mech->start.alpha);
     dal__move(n, mech->w, -1.0, mech->reach, R1);
     if (weight != 0.0) dal__add(n, -weight, mech->force, R1);
-    dal__add_reaction(n, mech->m, -1.0, mech->muk, kappa, R1);
+    for (size_t a = 0; a < mech->m; a++) dal__row_add(mech, -kappa[a], mech->muk, a, R1);
 }
 
 double dal__base_of_w(const dal_mechanics *mech, const double *v, size_t count,
@@ -136,7 +138,7 @@ double dal__base_of_w(const dal_mechanics *mech, const double *v, size_t count,
         if (term->weight != 0.0)
             base += term->weight * dal_residual_extent(n, mech->metric.unit, term->x);
     for (size_t a = 0; a < mech->m; a++)
-        base += fabs(kappa[a]) * dal_residual_form(n, mech->metric.unit, mu + a * n);
+        base += fabs(kappa[a]) * dal__row_extent(mech, mu, a, mech->metric.unit);
     return base;
 }
 
@@ -156,7 +158,18 @@ static void add_term(size_t n, double factor, const double *A, double *K, double
     for (size_t i = 0; sizes && i < n; i++) sizes[i] += fabs(factor * A[i * n + i]);
 }
 
-/* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend. */
+/* K[n*n] += M, the same. */
+static void add_mass(const dal_mechanics *mech, double *K, double *sizes)
+{
+    if (!mech->metric.masses) add_term(mech->n, 1.0, mech->metric.M, K, sizes);
+    for (size_t i = 0; mech->metric.masses && i < mech->n; i++) {
+        K[i * (mech->n + 1)] += mech->metric.M[i];
+        if (sizes) sizes[i] += mech->metric.M[i];
+    }
+}
+
+/* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend; but L_vv if
+ * mech is lean. */
 static void form_K(const dal_mechanics *mech, double *K, double *K_sizes)
 {
     const size_t n = mech->n;
@@ -165,16 +178,18 @@ static void form_K(const dal_mechanics *mech, double *K, double *K_sizes)
     const bool general = !mech->eval.constant_mass;
     dal__clear(n * n, K);
     dal__clear(n, K_sizes);
-    add_term(n, 1.0, general ? mech->L_vv : mech->metric.M, K, K_sizes);
-    if (general) {
+    if (!general) {
+        add_mass(mech, K, K_sizes);
+    } else {
+        add_term(n, 1.0, mech->L_vv, K, K_sizes);
         add_term(n, a, mech->L_vq, K, K_sizes);
         for (size_t i = 0; i < n; i++) {
             for (size_t j = 0; j < n; j++) K[i * n + j] -= b * mech->L_vq[j * n + i];
             if (K_sizes) K_sizes[i] += fabs(b * mech->L_vq[i * n + i]);
         }
     }
-    if (a * b != 0.0) add_term(n, -b * a, mech->hessian, K, K_sizes);
-    if (mech->eval.system->def.force && b != 0.0) {
+    if (a * b != 0.0 && mech->hessian) add_term(n, -b * a, mech->hessian, K, K_sizes);
+    if (mech->f_v && b != 0.0) {
         add_term(n, -b, mech->f_v, K, K_sizes);
         add_term(n, -b * a, mech->f_q, K, K_sizes);
     }
@@ -189,7 +204,7 @@ double dal__step_moves(const dal_mechanics *mech)
     const double alpha = mech->start.alpha, b = (1.0 - alpha) * mech->start.h;
     const double *const place = alpha == mech->start.beta ? mech->forms.q : mech->place;
     double sum = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q);
-    for (size_t k = 0; alpha != 0.0 && k < n * n; k++) {
+    for (size_t k = 0; alpha != 0.0 && !mech->eval.lean && k < n * n; k++) {
         double slope = mech->eval.constant_mass ? 0.0 : fabs(mech->L_vq[k]);
         if (b != 0.0) slope += fabs(b * mech->hessian[k]);
         if (b != 0.0 && mech->eval.system->def.force) slope += fabs(b * mech->f_q[k]);
@@ -201,7 +216,7 @@ double dal__step_moves(const dal_mechanics *mech)
 int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, double *R1, double *R2,
                  double *K, double *K_sizes, double *B)
 {
-    const size_t n = mech->n, m = mech->m;
+    const size_t n = mech->n, entries = dal__entries(&mech->eval);
     const double a = mech->start.beta * mech->start.h;
     const bool nonlinear = mech->eval.system->def.kind == DAL_NONLINEAR;
     int status = DAL_SUCCESS;
@@ -215,10 +230,10 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     if (status) return status;
     /* nothing is written before all of it is known */
     if (R1) form_R1(mech, kappa, R1);
-    if (R1 && K) mech->start.base = base_of_R1(mech, kappa);
-    if (R2) dal__copy(m, mech->forms.phi, R2);
+    if (R1 && (K || mech->eval.lean)) mech->start.base = base_of_R1(mech, kappa);
+    if (R2) dal__copy(mech->m, mech->forms.phi, R2);
     if (K) form_K(mech, K, K_sizes);
-    if (B) dal__move(m * n, mech->forms.mu, a, mech->forms.dmu, B);
+    if (B) dal__move(entries, mech->forms.mu, a, mech->forms.dmu, B);
     return DAL_SUCCESS;
 }
 
@@ -241,11 +256,29 @@ int dal__step_settle(dal_mechanics *mech, const double *w, double *x, double *wo
     return DAL_SUCCESS;
 }
 
+/* The same for a mechanics that is lean, by one that is not. */
+static int with_all_entries(dal_mechanics *lean, double t, double beta, double h, const double *x,
+                            const double *w, const double *kappa, double *R1, double *R2, double *K,
+                            double *B, double *muk)
+{
+    dal_mechanics *whole;
+    const dal_system *const system = lean->eval.system;
+    int status = dal__mechanics_new(&whole, system, true, &lean->error);
+    if (status) return status;
+    dal__copy(system->def.inputs, lean->eval.own_input, whole->eval.own_input);
+    status = dal_step_equations(whole, t, beta, h, x, w, kappa, R1, R2, K, B, muk);
+    lean->error = whole->error;
+    dal_mechanics_free(whole);
+    return status;
+}
+
 int dal_step_equations(dal_mechanics *mechanics, double t, double beta, double h, const double *x,
                        const double *w, const double *kappa, double *R1, double *R2, double *K,
                        double *B, double *muk)
 {
     if (!mechanics) return DAL_EINVAL;
+    if (mechanics->eval.lean)
+        return with_all_entries(mechanics, t, beta, h, x, w, kappa, R1, R2, K, B, muk);
     dal_mechanics *const mech = mechanics;
     const size_t n = mech->n, m = mech->m;
     int status = dal__require_beta(mech, beta);

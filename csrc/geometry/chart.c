@@ -20,6 +20,7 @@ void dal__chart_reserve(dal_chart *chart, const dal_system *system, arena *a)
     const size_t thrice = dal__times(3, n), nn = dal__times(n, n), mn = dal__times(m, n);
     size_t **const places[] = {&chart->other_place, &chart->last_place, &chart->place,
                                &chart->former, &chart->owner};
+    chart->mech.eval.dense = true;
     dal__mechanics_reserve(&chart->mech, system, a);
     DAL__RESERVE(a, n, &chart->w, &chart->R1, &chart->step);
     DAL__RESERVE(a, m, &chart->branch, &chart->right, &chart->solution, &chart->R2, &chart->kappa,
@@ -243,7 +244,7 @@ static int pivot_columns(dal_chart *chart)
     for (size_t b = 0; b < m; b++) { /* the size of a form means nothing */
         double most = 0.0;
         for (size_t k = 0; k < n; k++) {
-            T[b * n + k] = chart->mech.forms.mu[b * n + k] / sqrt(chart->mech.metric.M[k * n + k]);
+            T[b * n + k] = chart->mech.forms.mu[b * n + k] / sqrt(dal__mass_at(&chart->mech, k));
             most = fmax(most, fabs(T[b * n + k]));
         }
         for (size_t k = 0; most > 0.0 && k < n; k++) T[b * n + k] /= most;
@@ -324,8 +325,8 @@ int dal__chart_condition(dal_chart *chart, double t, const double *x, double *co
     for (size_t a = 0; a < m; a++)
         for (size_t j = 0; j < free; j++) {
             const size_t d = chart->place[a], i = chart->place[m + j];
-            chart->A[a * free + j] *= sqrt(chart->mech.metric.M[d * n + d]
-                                           / chart->mech.metric.M[i * n + i]);
+            chart->A[a * free + j] *= sqrt(dal__mass_at(&chart->mech, d)
+                                           / dal__mass_at(&chart->mech, i));
         }
     const double unit = dal__singular_values(m, free, chart->A, chart->right);
     *condition = hypot(1.0, unit * sqrt(dal__largest(m, chart->right)));

@@ -710,6 +710,7 @@ static void summarize(const examination *ex, dal_error *summary)
 static void reserve(examination *ex, arena *a)
 {
     const size_t n = ex->n, m = ex->m, nn = dal__times(n, n), mn = dal__times(m, n);
+    ex->mech.eval.dense = true;
     dal__mechanics_reserve(&ex->mech, ex->system, a);
     for (size_t k = 0; k < OUTPUTS; k++)
         DAL__RESERVE(a, outputs[k].found ? dal__times(rows_of(ex, outputs[k].of), n)

@@ -205,15 +205,12 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
  * reaction may take all that a force gives.  They are as dal_field left them. */
 static double largest_pull(dal_mechanics *mech)
 {
-    double largest = 0.0;
     dal__accelerate(mech, mech->force, mech->w);
-    for (size_t i = 0; i < mech->n; i++) {
-        double sum = fabs(mech->w[i]);
-        for (size_t a = 0; a < mech->m; a++)
-            sum += fabs(mech->gram.Z[a * mech->n + i] * mech->lambda[a]);
-        largest = fmax(largest, sum);
-    }
-    return largest;
+    for (size_t i = 0; i < mech->n; i++) mech->w[i] = fabs(mech->w[i]);
+    for (size_t e = 0; e < dal__entries(&mech->eval); e++) mech->gram.Z[e] = fabs(mech->gram.Z[e]);
+    for (size_t a = 0; a < mech->m; a++)
+        dal__row_add(mech, fabs(mech->lambda[a]), mech->gram.Z, a, mech->w);
+    return dal__largest(mech->n, mech->w);
 }
 
 /* *error <- what roundoff does at the least: to the result; all the time to velocity and
@@ -227,8 +224,9 @@ static int roundoff(dal_flow *flow, double t0, double t1, double *error)
     const double span = fabs(t1 - t0);
     const int status = dal_field(mech, t1, flow->result, flow->state);
     if (status) return status;
-    double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal */
-    for (size_t a = 0; a < m; a++)
+    double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal, or its norm */
+    if (C->pattern) inverse = dal__linear_inverse_norm(C);
+    for (size_t a = 0; !C->pattern && a < m; a++)
         inverse += C->sizes[a] * dal__dot(a + 1, C->A + a * m, C->A + a * m);
     const double drift =
         (dal__largest(n, flow->result + n) + 0.5 * span * largest_pull(mech)) * span;

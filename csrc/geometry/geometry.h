@@ -9,7 +9,8 @@
  * stands for ever, and nobody writes it.  Else it is that of the last function which says that it
  * forms the metric, and of no use after one of these has failed. */
 typedef struct dal__metric {
-    double *M;                    /* [n*n] */
+    double *M;                    /* [n*n], or [n] of masses */
+    bool masses;
     double *unit, *per_unit;      /* [n] d_i and 1/d_i of residual.h */
     double *factor;               /* [n*n] of Cholesky; NULL for constant mass, as the next */
     double *formed_at;            /* [2n+1] (q, v) and t, */
@@ -27,7 +28,8 @@ typedef struct dal__forms {
 
 /* Row a of Z[m*n] is M^-1 mu^a, as dal__form_Z left it, or another direction in which v may move.
  * C is mu Z^T and then its factors: those of Cholesky, with (C^-1)_aa in sizes, from
- * dal__factor_gram until the next dal__mend or projection, which leave those of LU. */
+ * dal__factor_gram until the next dal__mend or projection, which leave those of LU; but always of
+ * LU, if C has a pattern. */
 typedef struct dal__gram {
     double *Z;
     dal__linear C;
@@ -43,7 +45,9 @@ typedef struct dal__start {
 } dal__start;
 
 /* A dal_mechanics may be part of another object: reserve in its arena, bind after allocation.
- * First the values that belong together, then what any function here may overwrite. */
+ * First the values that belong together, then what any function here may overwrite.  Where there
+ * are eval.rows, mu and what has [m*n] here is stored by these rows; whoever wants all entries sets
+ * eval.dense before. */
 struct dal_mechanics {
     evaluator eval;
     size_t n, m;
@@ -56,10 +60,10 @@ struct dal_mechanics {
     double *w, *step;             /* [n] */
     double *point;                /* [2n] the state that is projected; of jump.c too */
     double t, shift, moves;       /* its time; the D or D_eps of this shift; see dal__forms_move */
-    double *hessian;              /* [n*n]: L_qq, or V_qq */
+    double *hessian;              /* [n*n]: L_qq, or V_qq; NULL if lean */
     double *L_vt;                 /* [n], and */
     double *L_vq, *L_vv;          /* [n*n]; NULL for constant mass */
-    double *f_q, *f_v;            /* [n*n]; NULL without a force */
+    double *f_q, *f_v;            /* [n*n]; NULL without a force, or if lean */
     /* of the equations of a step */
     double *momentum, *reach;     /* [n] L_v(q, v), h beta F(t, q, v) */
     double *node, *muk;           /* [n], [m*n] q_k, mu_k */
@@ -73,6 +77,45 @@ struct dal_mechanics {
 
 void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena *a);
 void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system);
+/* dal_mechanics_new; dense: with all entries of mu and all matrices of n rows. */
+int dal__mechanics_new(dal_mechanics **mechanics, const dal_system *system, bool dense,
+                       dal_error *error);
+
+/* Row a of A, stored as mu is: times x[n]; sum_i |A_ai x_i|; c times it added to y[n]. */
+static inline double dal__row_dot(const dal_mechanics *mech, const double *A, size_t a,
+                                  const double *x)
+{
+    const dal_rows *const rows = mech->eval.rows;
+    return rows ? dal_rows_dot(rows, A, a, x) : dal__dot(mech->n, A + a * mech->n, x);
+}
+
+static inline double dal__row_extent(const dal_mechanics *mech, const double *A, size_t a,
+                                     const double *x)
+{
+    const dal_rows *const rows = mech->eval.rows;
+    if (rows) return dal_rows_extent(rows, A, a, x);
+    double sum = 0.0;
+    for (size_t i = 0; i < mech->n; i++) sum += fabs(A[a * mech->n + i] * x[i]);
+    return sum;
+}
+
+static inline void dal__row_add(const dal_mechanics *mech, double c, const double *A, size_t a,
+                                double *y)
+{
+    const dal_rows *const rows = mech->eval.rows;
+    if (!rows) dal__add(mech->n, c, A + a * mech->n, y);
+    for (size_t e = rows ? rows->first[a] : 0; rows && e < rows->first[a + 1]; e++)
+        y[rows->column[e]] += c * A[e];
+}
+
+/* M_ii. */
+static inline double dal__mass_at(const dal_mechanics *mech, size_t i)
+{
+    return mech->metric.M[i * (mech->metric.masses ? 1 : mech->n + 1)];
+}
+
+/* y[n] <- M x, M that of the last dal__form_metric. */
+void dal__weigh(const dal_mechanics *mech, const double *x, double *y);
 
 /* The helpers of mechanics.c leave the text of their failure in mech->error. */
 

@@ -10,23 +10,23 @@
 void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m;
-    const size_t mn = dal__times(m, n), nn = dal__times(n, n), twice = dal__times(2, n);
-    const bool nonlinear = system->def.kind == DAL_NONLINEAR;
     dal__evaluator_reserve(&mech->eval, system, a);
+    const bool lean = mech->eval.lean, nonlinear = system->def.kind == DAL_NONLINEAR;
+    const size_t mn = dal__entries(&mech->eval), nn = dal__times(n, n), twice = dal__times(2, n);
     DAL__RESERVE(a, n, &mech->forms.q, &mech->force, &mech->w, &mech->step, &mech->momentum,
                  &mech->reach, &mech->node, &mech->trial, &mech->place);
     DAL__RESERVE(a, m, &mech->forms.phi, &mech->forms.phi_t, &mech->lambda);
     DAL__RESERVE(a, mn, &mech->forms.mu, &mech->forms.dmu, &mech->gram.Z, &mech->muk);
-    DAL__RESERVE(a, nn, &mech->hessian);
+    if (!lean) DAL__RESERVE(a, nn, &mech->hessian);
     DAL__RESERVE(a, twice, &mech->point);
-    dal__linear_reserve(&mech->gram.C, m, a);
+    dal__linear_reserve_pattern(&mech->gram.C, m, lean ? system->pattern : NULL, a);
     if (!system->mass) {
         dal__metric *const metric = &mech->metric;
         DAL__RESERVE(a, n, &metric->unit, &metric->per_unit, &mech->L_vt);
         DAL__RESERVE(a, nn, &metric->M, &metric->factor, &mech->L_vq, &mech->L_vv);
         DAL__RESERVE(a, twice + 1, &metric->formed_at);
     }
-    if (system->def.force) DAL__RESERVE(a, nn, &mech->f_q, &mech->f_v);
+    if (system->def.force && !lean) DAL__RESERVE(a, nn, &mech->f_q, &mech->f_v);
     if (nonlinear) DAL__RESERVE(a, mn, &mech->chetaev);
     if (nonlinear) DAL__RESERVE(a, nn, &mech->bend);
 }
@@ -36,14 +36,15 @@ void dal__mechanics_bind(dal_mechanics *mech, const dal_system *system)
     mech->n = system->def.n;
     mech->m = system->def.m;
     if (system->mass)
-        mech->metric = (dal__metric){.M = system->mass, .unit = system->unit,
-                                     .per_unit = system->per_unit};
+        mech->metric = (dal__metric){.M = system->mass, .masses = system->masses,
+                                     .unit = system->unit, .per_unit = system->per_unit};
     dal__evaluator_bind(&mech->eval, system);
 }
 
-int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *system, dal_error *error)
+int dal__mechanics_new(dal_mechanics **mechanics, const dal_system *system, bool dense,
+                       dal_error *error)
 {
-    dal_mechanics shape = {0}, *self;
+    dal_mechanics shape = {.eval.dense = dense}, *self;
     int status = DAL__REQUIRE(error, {"mechanics", mechanics}, {"system", system});
     if (status) return status;
     dal__reserve(&shape.arena, &self, 1, sizeof *self);
@@ -54,6 +55,11 @@ int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *system, dal_e
     dal__mechanics_bind(self, system);
     *mechanics = self;
     return DAL_SUCCESS;
+}
+
+int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *system, dal_error *error)
+{
+    return dal__mechanics_new(mechanics, system, false, error);
 }
 
 void dal_mechanics_free(dal_mechanics *mechanics)
@@ -137,16 +143,31 @@ int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const doub
 
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y)
 {
-    if (mech->eval.constant_mass) {
-        dal__apply(mech->n, mech->n, mech->eval.system->mass_inverse, f, y);
-        return;
+    const size_t n = mech->n;
+    const double *const inverse = mech->eval.system->mass_inverse;
+    if (!mech->eval.constant_mass) {
+        dal__copy(n, f, y);
+        dal__cholesky_solve(n, mech->metric.factor, y);
+    } else if (!mech->metric.masses) {
+        dal__apply(n, n, inverse, f, y);
+    } else {
+        for (size_t i = 0; i < n; i++) y[i] = inverse[i] * f[i];
     }
-    dal__copy(mech->n, f, y);
-    dal__cholesky_solve(mech->n, mech->metric.factor, y);
+}
+
+void dal__weigh(const dal_mechanics *mech, const double *x, double *y)
+{
+    if (mech->eval.constant_mass) dal__apply_mass(mech->eval.system, x, y);
+    else dal__apply(mech->n, mech->n, mech->metric.M, x, y);
 }
 
 void dal__form_Z(dal_mechanics *mech, const double *mu)
 {
+    const dal_rows *const rows = mech->eval.rows;
+    const double *const inverse = mech->eval.system->mass_inverse;
+    for (size_t e = 0; rows && e < dal_rows_entries(rows); e++)
+        mech->gram.Z[e] = inverse[rows->column[e]] * mu[e];
+    if (rows) return;
     for (size_t a = 0; a < mech->m; a++)
         dal__accelerate(mech, mu + a * mech->n, mech->gram.Z + a * mech->n);
 }
@@ -154,18 +175,17 @@ void dal__form_Z(dal_mechanics *mech, const double *mu)
 /* C <- mu Z^T of the forms. */
 static void form_gram(dal_mechanics *mech)
 {
-    const size_t n = mech->n, m = mech->m;
-    for (size_t a = 0; a < m; a++)
-        for (size_t b = 0; b < m; b++)
-            mech->gram.C.A[a * m + b] =
-                dal__dot(n, mech->forms.mu + a * n, mech->gram.Z + b * n);
+    dal__linear_multiply(&mech->gram.C, mech->eval.rows, mech->n, mech->forms.mu, mech->gram.Z);
 }
+
+static int factor_product(dal_mechanics *mech);
 
 int dal__factor_gram(dal_mechanics *mech)
 {
     dal__linear *const C = &mech->gram.C;
     size_t row = 0;
     dal__form_Z(mech, mech->forms.mu);
+    if (C->pattern) return factor_product(mech);
     form_gram(mech);
     if (dal__cholesky(mech->m, C->A, C->sizes, &row, NULL)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
@@ -174,16 +194,17 @@ int dal__factor_gram(dal_mechanics *mech)
 
 void dal__solve_gram(const dal_mechanics *mech, double *y)
 {
-    dal__cholesky_solve(mech->m, mech->gram.C.A, y);
+    const dal__linear *const C = &mech->gram.C;
+    if (C->pattern) dal__linear_solve(C, y, y);
+    else dal__cholesky_solve(mech->m, C->A, y);
 }
 
-/* The LU factors of mu Z^T, where Z need not be that of mu, and may leave coordinates out. */
-static int factor_product(dal_mechanics *mech)
+/* The sizes of mu Z^T for dal__linear. */
+static void size_product(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
     const double *const Z = mech->gram.Z, *const mu = mech->forms.mu;
     double *const sizes = mech->gram.C.sizes;
-    form_gram(mech);
     for (size_t a = 0; a < m; a++) {
         sizes[a] = 0.0;
         sizes[m + a] = dal_residual_speed(n, mech->metric.per_unit, Z + a * n);
@@ -194,6 +215,32 @@ static int factor_product(dal_mechanics *mech)
         for (size_t a = 0; moves && a < m; a++)
             sizes[a] += fabs(mu[a * n + i]) * mech->metric.unit[i];
     }
+}
+
+/* The same by rows. */
+static void size_product_of_rows(dal_mechanics *mech, const dal_rows *rows)
+{
+    const double *const Z = mech->gram.Z, *const mu = mech->forms.mu;
+    double *const sizes = mech->gram.C.sizes, *const columns = sizes + rows->m;
+    dal__clear(2 * rows->m, sizes);
+    for (size_t i = 0; i < rows->n; i++) {
+        bool moves = false;
+        for (size_t k = rows->above[i]; k < rows->above[i + 1]; k++) {
+            const double size = fabs(Z[rows->entry[k]]) * mech->metric.per_unit[i];
+            moves = moves || size != 0.0;
+            columns[rows->row[k]] = fmax(columns[rows->row[k]], size);
+        }
+        for (size_t k = rows->above[i]; moves && k < rows->above[i + 1]; k++)
+            sizes[rows->row[k]] += fabs(mu[rows->entry[k]]) * mech->metric.unit[i];
+    }
+}
+
+/* The LU factors of mu Z^T, where Z need not be that of mu, and may leave coordinates out. */
+static int factor_product(dal_mechanics *mech)
+{
+    form_gram(mech);
+    if (mech->eval.rows) size_product_of_rows(mech, mech->eval.rows);
+    else size_product(mech);
     if (dal__linear_factor(&mech->gram.C)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide");
@@ -203,8 +250,10 @@ int dal_metric(dal_mechanics *mech, double t, const double *x, double *M)
 {
     int status = require(mech, "M", M, 0.0, t, x);
     if (!status) status = dal__form_metric(mech, t, x, x + mech->n);
-    if (!status) dal__copy(mech->n * mech->n, mech->metric.M, M);
-    return status;
+    if (status) return status;
+    if (mech->eval.constant_mass) return dal_system_mass(mech->eval.system, M);
+    dal__copy(mech->n * mech->n, mech->metric.M, M);
+    return DAL_SUCCESS;
 }
 
 int dal_gram(dal_mechanics *mech, double t, const double *x, double *C)
@@ -218,7 +267,17 @@ int dal_gram(dal_mechanics *mech, double t, const double *x, double *C)
     dal__copy(mech->n, x, mech->forms.q);
     dal__form_Z(mech, mech->forms.mu);
     form_gram(mech);
-    return DAL__DELIVER(&mech->error, {"C", mech->m * mech->m, mech->gram.C.A, C});
+    const dal__linear *const gram = &mech->gram.C;
+    const dal__pattern *const pattern = gram->pattern;
+    const size_t m = mech->m;
+    if (!pattern) return DAL__DELIVER(&mech->error, {"C", m * m, gram->A, C});
+    status = dal__require_output(&mech->error, "C", pattern->stored, gram->A);
+    if (status) return status;
+    dal__clear(m * m, C);
+    for (size_t a = 0; a < m; a++)
+        for (size_t k = pattern->first[a]; k < pattern->first[a + 1]; k++)
+            C[a * m + pattern->column[k]] = gram->A[pattern->place[k]];
+    return DAL_SUCCESS;
 }
 
 /* ---- energy and power -------------------------------------------------------------------- */
@@ -232,7 +291,7 @@ int dal__energy(dal_mechanics *mech, double t, const double *x, double *E)
     if (mech->eval.constant_mass) {
         status = dal__potential(&mech->eval, t, x, &V, NULL, NULL, &mech->error);
         if (status) return status;
-        dal__apply(n, n, mech->metric.M, v, mech->step);
+        dal__weigh(mech, v, mech->step);
         *E = 0.5 * dal__dot(n, v, mech->step) + V;
         return DAL_SUCCESS;
     }
@@ -291,10 +350,10 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
     const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
     double worst = 0.0;
     for (size_t a = 0; a < mech->m; a++) {
-        const double form = dal_residual_form(n, mech->metric.unit, mu + a * n);
+        const double form = dal__row_extent(mech, mu, a, mech->metric.unit);
         const double unit = form * speed <= DBL_MAX ? 1.0 : DBL_MIN, size = unit * fabs(phi[a]);
         const double scale = unit * form * speed
-                           + unit * fabs(phi[a] - dal__dot(n, mu + a * n, v));
+                           + unit * fabs(phi[a] - dal__row_dot(mech, mu, a, v));
         if (!(fabs(phi[a]) <= DBL_MAX && scale <= DBL_MAX)) return HUGE_VAL;
         if (size > worst * scale) worst = size / scale;
     }
@@ -304,13 +363,10 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
 double dal__forms_move(const dal_mechanics *mech, const double *mu, const double *slope,
                        const double *q)
 {
-    const size_t n = mech->n;
     double moves = 0.0;
-    for (size_t a = 0; a < mech->m; a++) { /* as phi is a residual: by the size of its form */
-        double moved = 0.0;
-        for (size_t i = 0; i < n; i++) moved += fabs(slope[a * n + i] * q[i]);
-        moves += moved / dal_residual_form(n, mech->metric.unit, mu + a * n);
-    }
+    for (size_t a = 0; a < mech->m; a++) /* as phi is a residual: by the size of its form */
+        moves += dal__row_extent(mech, slope, a, q)
+               / dal__row_extent(mech, mu, a, mech->metric.unit);
     return moves;
 }
 
@@ -320,11 +376,10 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
     const size_t n = mech->n;
     const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
     for (size_t a = 0; a < mech->m; a++) {
-        const double *const form = mu + a * n;
-        double terms = fabs(phi[a] - dal__dot(n, form, v));
-        for (size_t i = 0; i < n; i++) terms += fabs(form[i] * v[i]);
-        if (!(fabs(phi[a]) <= DAL_CONSISTENT * terms
-              + DAL_RESIDUAL_BOUND(n) * dal_residual_form(n, mech->metric.unit, form) * speed))
+        const double form = dal__row_extent(mech, mu, a, mech->metric.unit);
+        const double terms = fabs(phi[a] - dal__row_dot(mech, mu, a, v))
+                           + dal__row_extent(mech, mu, a, v);
+        if (!(fabs(phi[a]) <= DAL_CONSISTENT * terms + DAL_RESIDUAL_BOUND(n) * form * speed))
             return false;
     }
     return true;
@@ -338,10 +393,10 @@ static bool is_rounding_of_node(dal_mechanics *mech, double t, double shift, con
     const double speed = dal_residual_speed(n, mech->metric.per_unit, x + n);
     if (dal__forms_at(mech, t, shift, x, true)) return false;
     for (size_t a = 0; a < mech->m; a++) {
-        double bound = DAL_RESIDUAL_BOUND(n) * speed
-                     * dal_residual_form(n, mech->metric.unit, at->mu + a * n);
-        for (size_t i = 0; i < n; i++)
-            bound += 2.0 * DAL_ROUNDOFF * fabs(at->dmu[a * n + i]) * (fabs(at->q[i]) + fabs(x[i]));
+        const double form = dal__row_extent(mech, at->mu, a, mech->metric.unit);
+        const double turned =
+            dal__row_extent(mech, at->dmu, a, at->q) + dal__row_extent(mech, at->dmu, a, x);
+        const double bound = DAL_RESIDUAL_BOUND(n) * speed * form + 2.0 * DAL_ROUNDOFF * turned;
         if (!(fabs(at->phi[a]) <= bound)) return false;
     }
     return true;
@@ -351,12 +406,11 @@ static bool is_rounding_of_node(dal_mechanics *mech, double t, double shift, con
 static void find_change(dal_mechanics *mech, double *change)
 {
     dal__linear_solve(&mech->gram.C, mech->forms.phi, mech->lambda);
-    for (size_t i = 0; i < mech->n; i++) {
-        double sum = 0.0;
-        for (size_t a = 0; a < mech->m; a++)
-            sum += mech->gram.Z[a * mech->n + i] * mech->lambda[a];
-        change[i] = -sum; /* where it is 0 a velocity of -0.0 stays one */
-    }
+    dal__clear(mech->n, change);
+    for (size_t a = 0; a < mech->m; a++)
+        dal__row_add(mech, mech->lambda[a], mech->gram.Z, a, change);
+    for (size_t i = 0; i < mech->n; i++)
+        change[i] = -change[i]; /* where it is 0 a velocity of -0.0 stays one */
 }
 
 int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double *x,
@@ -457,8 +511,8 @@ static int solve_multipliers(dal_mechanics *mech, const char *name, const double
     status = dal__factor_gram(mech);
     if (status) return status;
     for (size_t a = 0; a < m; a++)
-        mech->lambda[a] = -dal__dot(n, mech->gram.Z + a * n, mech->force)
-                        - dal__dot(n, at->dmu + a * n, v) - at->phi_t[a];
+        mech->lambda[a] = -dal__row_dot(mech, mech->gram.Z, a, mech->force)
+                        - dal__row_dot(mech, at->dmu, a, v) - at->phi_t[a];
     dal__solve_gram(mech, mech->lambda);
     return dal__require_output(&mech->error, "lambda", m, mech->lambda);
 }
@@ -469,7 +523,7 @@ static void form_field(dal_mechanics *mech, const double *x)
     const size_t n = mech->n;
     dal__copy(n, mech->force, mech->step);
     for (size_t a = 0; a < mech->m; a++)
-        dal__add(n, mech->lambda[a], mech->forms.mu + a * n, mech->step);
+        dal__row_add(mech, mech->lambda[a], mech->forms.mu, a, mech->step);
     dal__copy(n, x + n, mech->point);
     dal__accelerate(mech, mech->step, mech->point + n);
 }
@@ -509,8 +563,8 @@ int dal_perturbed(dal_mechanics *mech, double t, double weight, const double *x,
     if (!status) status = solve_multipliers(mech, "x", x, t, x);
     if (status) return status;
     for (size_t a = 0; a < m; a++) /* hatLambday: C is still factored */
-        at->phi[a] = -weight * (dal__dot(n, at->dmu + a * n, ghat)
-                                + dal__dot(n, at->mu + a * n, ghat + n));
+        at->phi[a] = -weight * (dal__row_dot(mech, at->dmu, a, ghat)
+                                + dal__row_dot(mech, at->mu, a, ghat + n));
     dal__solve_gram(mech, at->phi);
     dal__add(m, 1.0, at->phi, mech->lambda);
     form_field(mech, x);
@@ -527,7 +581,7 @@ int dal_power(dal_mechanics *mech, double t, const double *x, double *constraint
     const size_t n = mech->n;
     const double *const v = x + n;
     for (size_t a = 0; a < mech->m; a++)
-        of_constraint += mech->lambda[a] * dal__dot(n, mech->forms.mu + a * n, v);
+        of_constraint += mech->lambda[a] * dal__row_dot(mech, mech->forms.mu, a, v);
     status = dal__force(&mech->eval, t, x, v, mech->step, NULL, NULL, &mech->error);
     if (status) return status;
     const double of_force = dal__dot(n, mech->step, v);
@@ -542,7 +596,7 @@ static double mass_norm(dal_mechanics *mech, double *d)
 {
     const double largest = dal__largest(mech->n, d);
     for (size_t i = 0; largest > 0.0 && i < mech->n; i++) d[i] /= largest;
-    dal__apply(mech->n, mech->n, mech->metric.M, d, mech->step);
+    dal__weigh(mech, d, mech->step);
     return largest * sqrt(fmax(0.0, dal__dot(mech->n, d, mech->step)));
 }
 
@@ -559,7 +613,7 @@ static int find_step(dal__newton *equations)
     if (status) return status;
     if (shift != 0.0) {
         mech->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
-        dal__add(mech->m * mech->n, -shift, at->dmu, at->mu);
+        dal__add(dal__entries(&mech->eval), -shift, at->dmu, at->mu);
     }
     status = factor_product(mech);
     if (!status) find_change(mech, equations->step);
@@ -618,10 +672,17 @@ int dal_project(dal_mechanics *mech, double t, double shift, double *x, double *
 static size_t form_free_Z(dal_mechanics *mech, const unsigned char *keep)
 {
     const size_t n = mech->n;
+    const dal_rows *const rows = mech->eval.rows;
     double *const factor = mech->hessian;
     size_t free_count = 0;
+    for (size_t i = 0; i < n; i++) free_count += !keep[i];
+    if (mech->metric.masses) {
+        dal__form_Z(mech, mech->forms.mu);
+        for (size_t e = 0; e < dal__entries(&mech->eval); e++)
+            if (keep[rows ? rows->column[e] : e % n]) mech->gram.Z[e] = 0.0;
+        return free_count;
+    }
     for (size_t i = 0; i < n; i++) {
-        free_count += !keep[i];
         for (size_t j = 0; j < n; j++)
             factor[i * n + j] = keep[i] || keep[j] ? i == j : mech->metric.M[i * n + j];
     }

@@ -16,6 +16,8 @@ typedef struct beta {
     dal_motion *motion;
     double *scratch; /* [2n] of finish */
     double *input;   /* [inputs] that V_q at the start of the next step is of */
+    double *mass, *mass_inverse; /* [n*n]; NULL if slim */
+    double *turned;  /* [entries] mu + b N, if there are rows */
     arena arena;
 } beta;
 
@@ -23,6 +25,25 @@ typedef struct beta {
 static bool has_momenta(const dal_system *system)
 {
     return !system->mass || system->def.kind != DAL_LINEAR || dal__is_dragged(system);
+}
+
+/* Whether mu is stored by rows. */
+static bool has_rows(const dal_system *system) { return system->lean && system->rows; }
+
+/* The compilation of the step routine that makes the steps. */
+static dal_kernel_fn find_routine(const dal_system *system, const dal_scheme *scheme)
+{
+    const size_t n = system->def.n, m = system->def.m;
+    if (system->def.compiled && scheme->nodes == DAL_MOVED_NODES)
+        return system->def.compiled->advance;
+    if (has_momenta(system)) return dal__kernel_with_momenta(n, m);
+    return has_rows(system) ? dal__kernel_any() : dal__kernel_for(n, m);
+}
+
+/* Whether the step routine needs no matrix of n rows. */
+static bool is_slim(const dal_system *system, dal_kernel_fn routine)
+{
+    return system->lean && routine == dal__kernel_any();
 }
 
 /* A record as stages: one for each sub-step, but where there are no momenta a pair (0, a), (1, b),
@@ -161,6 +182,32 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
     return DAL_SUCCESS;
 }
 
+/* Where there are rows: as factor and solve of a dal_kernel, with the S of the full Newton
+ * iteration, which has no need of it at the same time. */
+static int factor_rows(dal_kernel *k, double b)
+{
+    beta *const self = (beta *)k;
+    const dal_arrays *const at = &k->at;
+    const dal_rows *const rows = at->rows;
+    dal__linear *const S = &self->newton.S;
+    for (size_t a = 0; a < k->m; a++) { /* the sizes of dal_kernel_factor */
+        double size = -0.0;
+        for (size_t e = rows->first[a]; e < rows->first[a + 1]; e++) {
+            self->turned[e] = at->mu[e] + b * at->N[e];
+            size += (fabs(at->mu[e]) + fabs(self->turned[e])) * at->unit[rows->column[e]];
+        }
+        S->sizes[a] = size;
+        S->sizes[k->m + a] = dal_rows_extent(rows, at->mu_node, a, at->unit);
+    }
+    dal__linear_multiply(S, rows, k->n, self->turned, at->Z);
+    return dal__linear_factor(S);
+}
+
+static void solve_rows(const dal_kernel *k)
+{
+    dal__linear_solve(&((const beta *)k)->newton.S, k->at.r, k->at.d);
+}
+
 /* What stages with momenta need. */
 static void reserve_momenta(dal_kernel *k, size_t n, size_t m, size_t kinds, arena *a)
 {
@@ -175,19 +222,26 @@ static void reserve_momenta(dal_kernel *k, size_t n, size_t m, size_t kinds, are
     dal__reserve(a, &k->known, kinds, 1);
 }
 
-static void reserve_kernel(dal_kernel *k, size_t n, size_t m, arena *a)
+/* Of mu, as callbacks of the step routine give it. */
+static size_t entries_of(const dal_system *system)
 {
-    const size_t mn = dal__times(m, n), mm = dal__times(m, m);
+    return has_rows(system) ? dal_rows_entries(system->rows)
+                            : dal__times(system->def.m, system->def.n);
+}
+
+static void reserve_kernel(dal_kernel *k, const dal_system *system, arena *a)
+{
+    const size_t n = system->def.n, m = system->def.m, entries = entries_of(system);
     dal_arrays *const at = &k->at;
     double **const vectors[] = {&k->force0, &k->force1, &at->base, &at->goal, &at->step,
                                 &at->seen, &at->stored};
     double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
-    dal__reserve(a, &at->x, dal__times(dal_kernel_shared(1, m), n), sizeof(double));
+    dal__reserve(a, &at->x, dal__times(8, n) + dal__times(3, entries), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(3, n), sizeof(double)); /* m < n */
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
-    dal__reserve(a, &at->Z, mn, sizeof(double));
-    dal__reserve(a, &at->S, mm, sizeof(double));
+    dal__reserve(a, &at->Z, entries, sizeof(double));
+    dal__reserve(a, &at->S, has_rows(system) ? 0 : dal__times(m, m), sizeof(double));
     dal__reserve(a, &at->sizes, dal__times(5, m), sizeof(double));
     dal__reserve(a, &at->row, m, sizeof(size_t));
 }
@@ -221,6 +275,9 @@ static int check_compiled(const dal_system *system, dal_error *error)
                          "bytes are not those of this library, %u and %zu; compile it with the "
                          "kernel.h of this library", compiled->abi, compiled->size,
                          DAL_COMPILED_ABI, sizeof(dal_kernel));
+    if (def->sparsity)
+        return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and there is a sparsity: a "
+                         "compiled step routine is for systems without");
     if (def->missing)
         return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and derivatives are missing: a "
                          "compiled step routine is for systems where nothing is");
@@ -242,6 +299,8 @@ static void bind_kernel(beta *self, dal_motion *motion)
     dal_kernel *const k = &self->kernel;
     evaluator *const e = &motion->mechanics->eval;
     self->motion = motion;
+    self->advance = find_routine(system, scheme);
+    const bool slim = is_slim(system, self->advance);
     k->n = system->def.n;
     k->m = system->def.m;
     k->constraint = e->constraint;
@@ -252,8 +311,18 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->balance_ctx = e;
     k->input = e->own_input;
     k->kind = system->def.kind;
-    k->mass = system->mass;
-    k->mass_inverse = system->mass_inverse;
+    if (self->mass) {
+        dal_system_mass(system, self->mass);
+        if (!system->masses) dal__copy(k->n * k->n, system->mass_inverse, self->mass_inverse);
+        for (size_t i = 0; system->masses && i < k->n; i++)
+            self->mass_inverse[i * (k->n + 1)] = system->mass_inverse[i];
+    }
+    k->mass = self->mass;
+    k->mass_inverse = slim ? system->mass_inverse : self->mass_inverse;
+    k->at.rows = has_rows(system) ? system->rows : NULL;
+    k->at.next = slim ? 1 : k->n + 1;
+    k->factor = factor_rows;
+    k->solve = solve_rows;
     k->unit = system->unit;
     k->per_unit = system->per_unit;
     k->at.mass_inverse = k->mass_inverse;
@@ -267,14 +336,11 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->kept = scheme->nodes == DAL_KEPT_NODES;
     k->plain = !k->kept && !(k->potential && acts_beside_nodes(self));
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
-    dal_kernel_share(k, k->at.x);
+    dal_kernel_share(k, entries_of(system), k->at.x);
     k->impulse = motion->impulse;
     k->finish = finish;
     k->steady = is_steady(self, system) ? system->def.steady : 0;
     k->balance.known = k->at.base;
-    self->advance = system->def.compiled && !k->kept ? system->def.compiled->advance
-                  : has_momenta(system)              ? dal__kernel_with_momenta(k->n, k->m)
-                                                     : dal__kernel_for(k->n, k->m);
     motion->x = k->at.x;
     motion->stats = &k->stats;
 }
@@ -290,7 +356,10 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     beta shape = {.substeps = count}, *self;
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
-    reserve_kernel(&shape.kernel, n, system->def.m, &memory);
+    reserve_kernel(&shape.kernel, system, &memory);
+    if (system->mass && !is_slim(system, find_routine(system, scheme)))
+        DAL__RESERVE(&memory, dal__times(n, n), &shape.mass, &shape.mass_inverse);
+    if (has_rows(system)) DAL__RESERVE(&memory, entries_of(system), &shape.turned);
     if (has_momenta(system)) reserve_momenta(&shape.kernel, n, system->def.m, count, &memory);
     dal__newton_reserve(&shape.newton, system, &memory);
     dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
@@ -430,8 +499,8 @@ static void restore(void *method, const double *values)
 void dal__beta_any_sizes(dal_stepper *stepper)
 {
     beta *const self = stepper->method;
-    self->advance = has_momenta(self->motion->system) ? dal__kernel_any_with_momenta()
-                                                      : dal__kernel_any();
+    const dal_system *const system = self->motion->system;
+    self->advance = has_momenta(system) ? dal__kernel_any_with_momenta() : dal__kernel_any();
 }
 
 const dal_family dal__family_beta = {

@@ -21,7 +21,7 @@ static int energies(dal_mechanics *mech, double shift, const double *x, double *
     }
     int status = dal__form_metric(mech, 0.0, y, y + n);
     if (!status) status = dal__energy(mech, 0.0, y, E);
-    dal__apply(n, n, mech->metric.M, y + n, mech->step);
+    dal__weigh(mech, y + n, mech->step);
     *kinetic = 0.5 * dal__dot(n, y + n, mech->step);
     e->potential_calls = calls[0];
     e->lagrangian_calls = calls[1];

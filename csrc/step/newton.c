@@ -12,7 +12,8 @@
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m;
-    const size_t mn = dal__times(m, n);
+    const bool lean = system->lean;
+    const size_t mn = lean && system->rows ? dal_rows_entries(system->rows) : dal__times(m, n);
     double **const vectors[] = {&solver->rate, &solver->R1, &solver->y};
     double **const multipliers[] = {&solver->lambda, &solver->R2, &solver->r};
     double **const unknowns[] = {&solver->z, &solver->step};
@@ -22,8 +23,8 @@ void dal__newton_reserve(newton *solver, const dal_system *system, arena *a)
     dal__reserve(a, &solver->x, dal__times(2, n), sizeof(double));
     dal__reserve(a, &solver->B, mn, sizeof(double));
     dal__reserve(a, &solver->KZ, mn, sizeof(double));
-    dal__linear_reserve(&solver->K, n, a);
-    dal__linear_reserve(&solver->S, m, a);
+    if (!lean) dal__linear_reserve(&solver->K, n, a);
+    dal__linear_reserve_pattern(&solver->S, m, lean ? system->pattern : NULL, a);
 }
 
 void dal__newton_bind(newton *solver, const dal_system *system, int max_iterations)
@@ -58,18 +59,42 @@ static void size_S(newton *s)
 {
     const dal_mechanics *const mech = s->mech;
     const size_t n = s->n, m = s->m;
+    const dal_rows *const rows = mech->eval.rows;
     for (size_t a = 0; a < m; a++) {
-        const double *const mu = mech->forms.mu + a * n, *const B = s->B + a * n;
-        const double *const KZ = s->KZ + a * n;
-        double row = 0.0, terms = 0.0;
-        for (size_t i = 0; i < n; i++) {
-            const double entry = fabs(mu[i]) + fabs(B[i] - mu[i]);
+        const size_t begin = rows ? rows->first[a] : a * n;
+        const size_t end = rows ? rows->first[a + 1] : begin + n;
+        double row = 0.0, terms = 0.0, most = 0.0;
+        for (size_t e = begin; e < end; e++) {
+            const size_t i = rows ? rows->column[e] : e - begin;
+            const double mu = mech->forms.mu[e], entry = fabs(mu) + fabs(s->B[e] - mu);
             row += entry * mech->metric.unit[i];
-            terms += entry * fabs(KZ[i]);
+            terms += entry * fabs(s->KZ[e]);
+            most = fmax(most, fabs(s->KZ[e]) * mech->metric.per_unit[i]);
         }
         s->S.sizes[a] = m > 1 ? row : terms;
-        s->S.sizes[m + a] = m > 1 ? dal_residual_speed(n, mech->metric.per_unit, KZ) : 1.0;
+        s->S.sizes[m + a] = m > 1 ? most : 1.0;
     }
+}
+
+/* y <- K^-1 R1 and KZ <- the rows K^-1 mu_k^a, where K = M is diagonal. */
+static void divide_by_mass(newton *s)
+{
+    const double *const inverse = s->mech->eval.system->mass_inverse;
+    const dal_rows *const rows = s->mech->eval.rows;
+    for (size_t i = 0; i < s->n; i++) s->y[i] = inverse[i] * s->R1[i];
+    for (size_t e = 0; e < dal__entries(&s->mech->eval); e++)
+        s->KZ[e] = inverse[rows ? rows->column[e] : e % s->n] * s->mech->muk[e];
+}
+
+/* The same by the factors of K; the sign of its determinant. */
+static int divide_by_K(newton *s)
+{
+    const int sign = dal__linear_factor(&s->K);
+    if (sign == 0) return 0;
+    dal__linear_solve(&s->K, s->R1, s->y);
+    for (size_t a = 0; a < s->m; a++)
+        dal__linear_solve(&s->K, s->mech->muk + a * s->n, s->KZ + a * s->n);
+    return sign;
 }
 
 /* step <- the Newton step of w and kappa, from R1, R2, K, B and mu_k; *sign <- that of the
@@ -80,32 +105,31 @@ static int solve_linear(newton *s, int *sign)
     const size_t n = s->n, m = s->m;
     double *const d = s->step + n;
     for (size_t i = 0; i < n; i++) s->R1[i] = -s->R1[i];
-    *sign = dal__linear_factor(&s->K);
+    *sign = 1;
+    if (mech->eval.lean) divide_by_mass(s);
+    else *sign = divide_by_K(s);
     if (*sign == 0)
         return dal__fail(&mech->error, DAL_ESINGULAR, "the derivative K of the equations of motion "
                          "in v' is singular: h is too large here");
-    dal__linear_solve(&s->K, s->R1, s->y);
-    for (size_t a = 0; a < m; a++) dal__linear_solve(&s->K, mech->muk + a * n, s->KZ + a * n);
-    for (size_t a = 0; a < m; a++)
-        for (size_t b = 0; b < m; b++)
-            s->S.A[a * m + b] = dal__dot(n, s->B + a * n, s->KZ + b * n);
+    dal__linear_multiply(&s->S, mech->eval.rows, n, s->B, s->KZ);
     size_S(s);
     *sign *= dal__linear_factor(&s->S);
     if (*sign == 0)
         return dal__fail(&mech->error, DAL_ESINGULAR, "the Schur complement B K^-1 mu_k^T is "
                          "singular: the constraints lose rank, or h is too large here");
-    for (size_t a = 0; a < m; a++) s->r[a] = -(s->R2[a] + dal__dot(n, s->B + a * n, s->y));
+    for (size_t a = 0; a < m; a++) s->r[a] = -(s->R2[a] + dal__row_dot(mech, s->B, a, s->y));
     dal__linear_solve(&s->S, s->r, d);
     memcpy(s->step, s->y, n * sizeof *s->step);
-    for (size_t a = 0; a < m; a++)
-        for (size_t i = 0; i < n; i++) s->step[i] += s->KZ[a * n + i] * d[a];
+    for (size_t a = 0; a < m; a++) dal__row_add(mech, d[a], s->KZ, a, s->step);
     return DAL_SUCCESS;
 }
 
 static int find_step(dal__newton *equations)
 {
     newton *const s = equations->ctx;
-    int status = dal__step_at(s->mech, s->z, s->z + s->n, s->R1, s->R2, s->K.A, s->K.sizes, s->B);
+    const bool lean = s->mech->eval.lean;
+    int status = dal__step_at(s->mech, s->z, s->z + s->n, s->R1, s->R2, lean ? NULL : s->K.A,
+                              lean ? NULL : s->K.sizes, s->B);
     if (!status) status = solve_linear(s, &equations->sign);
     if (status) return status;
     equations->base = s->mech->start.base;

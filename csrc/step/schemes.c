@@ -153,7 +153,12 @@ double dal__scheme_identify(const dal_system *system, const dal_scheme *scheme)
     hash = digest(hash, strlen(name) + 1, name);
     hash = digest(hash, sizeof kinds, kinds);
     hash = digest(hash, system->parameters * sizeof(double), system->parameter_values);
-    if (system->mass) hash = digest(hash, n * n * sizeof(double), system->mass);
+    const size_t masses = !system->mass ? 0 : system->masses ? n : n * n;
+    const dal_sparsity *const sparsity = system->def.sparsity;
+    const size_t entries = sparsity ? sparsity->entries : 0;
+    hash = digest(hash, masses * sizeof(double), system->mass);
+    hash = digest(hash, entries * sizeof(size_t), sparsity ? sparsity->row : NULL);
+    hash = digest(hash, entries * sizeof(size_t), sparsity ? sparsity->column : NULL);
     for (size_t j = 0; j < dal__scheme_count(scheme); j++) {
         const dal_substep s = dal__scheme_substep(scheme, j);
         hash = digest(hash, sizeof s, &s);

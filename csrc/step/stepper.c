@@ -172,12 +172,15 @@ static int make_consistent(dal_stepper *self, double t0, double shift, dal_consi
 static int check_steady(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
+    const dal_rows *const rows = mech->eval.rows;
     dal__form_Z(mech, mech->forms.mu);
     for (size_t i = 0; i < n; i++) {
         double pushed = 0.0, turns = 0.0;
-        for (size_t a = 0; a < m; a++) {
-            pushed = fmax(pushed, fabs(mech->gram.Z[a * n + i]));
-            turns = fmax(turns, fabs(mech->forms.dmu[a * n + i]));
+        const size_t begin = rows ? rows->above[i] : 0, end = rows ? rows->above[i + 1] : m;
+        for (size_t k = begin; k < end; k++) {
+            const size_t e = rows ? rows->entry[k] : k * n + i;
+            pushed = fmax(pushed, fabs(mech->gram.Z[e]));
+            turns = fmax(turns, fabs(mech->forms.dmu[e]));
         }
         if (pushed != 0.0 && turns != 0.0)
             return dal__fail(&mech->error, DAL_EINVAL, "the system is declared steady, but "

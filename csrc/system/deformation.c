@@ -52,6 +52,8 @@ static int base_constraint(const dal_system_def *base, double t, const double *q
     double *const mu = linear && phi && !phi_v ? forms : phi_v;
     const int returned =
         base->constraint(t, q, v, linear ? NULL : phi, mu, phi_q, phi_t, base->ctx);
+    if (!returned && base->sparsity && mu) dal__expand(base, mu);
+    if (!returned && base->sparsity && phi_q) dal__expand(base, phi_q);
     if (!returned && linear && phi) dal__apply(base->m, base->n, mu, v, phi);
     return returned;
 }
@@ -135,6 +137,7 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
     def.ctx = self;
     def.ctx_size = sizeof *self;
     def.compiled = NULL;
+    def.sparsity = NULL;
     def.steady = 0;
     return dal_system_new(system, &def, error);
 }

@@ -82,6 +82,17 @@ static const struct {
                             {"f_v", N, N, DAL_MISSING_F_V, 0, MOVES_V}}},
 };
 
+void dal__expand(const dal_system_def *def, double *A)
+{
+    const dal_sparsity *const given = def->sparsity;
+    size_t left = given->entries;
+    for (size_t k = def->m * def->n; k-- > 0;) { /* from behind: no entry moves forward */
+        const bool is_there =
+            left > 0 && given->row[left - 1] * def->n + given->column[left - 1] == k;
+        A[k] = is_there ? A[--left] : 0.0;
+    }
+}
+
 /* x: where the outputs go, in the order of the table.  phi of linear constraints is mu v. */
 static int call(evaluator *e, callback which, double t, const double *q, const double *v,
                 double *const *x)
@@ -96,7 +107,12 @@ static int call(evaluator *e, callback which, double t, const double *q, const d
     case CONSTRAINT:
         e->constraint_calls++;
         returned = def->constraint(t, q, v, linear ? NULL : x[3], x[0], x[1], x[2], def->ctx);
-        if (!returned && linear && x[3]) dal__apply(def->m, def->n, x[0], v, x[3]);
+        for (size_t k = 0; !returned && def->sparsity && !e->rows && k < 2; k++)
+            if (x[k]) dal__expand(def, x[k]);
+        if (returned || !linear || !x[3]) return returned;
+        if (!e->rows) dal__apply(def->m, def->n, x[0], v, x[3]);
+        for (size_t a = 0; e->rows && a < def->m; a++)
+            x[3][a] = 0.0 + dal_rows_dot(e->rows, x[0], a, v);
         return returned;
     case LAGRANGIAN:
         e->lagrangian_calls++;
@@ -128,7 +144,7 @@ static int value(const double *moved, double *result, void *ctx)
     x[d->from] = result;
     if (d->which == CONSTRAINT && e->system->def.kind == DAL_LINEAR) {
         x[0] = e->forms;
-        dal__forget(e->system->def.m * e->system->def.n, x[0]);
+        dal__forget(dal__entries(e), x[0]);
     }
     return call(e, d->which, d->moves == MOVES_T ? *moved : d->t,
                 d->moves == MOVES_Q ? moved : d->q, d->moves == MOVES_V ? moved : d->v, x);
@@ -240,14 +256,24 @@ static int complete_constraint(double t, const double *q, const double *v, doubl
     return complete(ctx, CONSTRAINT, t, q, v, x);
 }
 
+size_t dal__entries(const evaluator *e)
+{
+    const dal_system_def *const def = &e->system->def;
+    return e->rows ? dal_rows_entries(e->rows) : dal__times(def->m, def->n);
+}
+
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n;
+    const bool square = system->def.force && (e->dense || !system->lean);
+    e->system = system;
+    e->lean = system->lean && !e->dense;
     DAL__RESERVE(a, n, &e->point, &e->gradient, &e->nowhere);
     if (system->def.force) DAL__RESERVE(a, n, &e->force);
-    if (system->def.force) DAL__RESERVE(a, dal__times(n, n), &e->slopes, &e->drag);
+    if (square) DAL__RESERVE(a, dal__times(n, n), &e->slopes, &e->drag);
     DAL__RESERVE(a, system->def.inputs, &e->own_input);
-    DAL__RESERVE(a, dal__times(system->def.m, n), &e->forms);
+    e->rows = e->lean ? system->rows : NULL;
+    DAL__RESERVE(a, dal__entries(e), &e->forms);
 }
 
 void dal__evaluator_bind(evaluator *e, const dal_system *system)
@@ -264,6 +290,7 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
             const output *const out = &callbacks[i].outputs[k];
             e->sizes[i][k] = e->lengths[out->rows] * e->lengths[out->columns];
         }
+    e->sizes[CONSTRAINT][0] = e->sizes[CONSTRAINT][1] = dal__entries(e);
     dal__forget(def->n, e->nowhere);
     e->pull = def->potential;
     e->pull_ctx = def->ctx;
@@ -274,7 +301,8 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
         e->pull = pull;
         e->pull_ctx = e;
     }
-    if (def->constraint && (def->missing & (DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))) {
+    if (def->constraint && ((def->missing & (DAL_MISSING_PHI_Q | DAL_MISSING_PHI_T))
+                            || (def->sparsity && !e->rows))) {
         e->constraint = complete_constraint;
         e->constraint_ctx = e;
     }
@@ -303,9 +331,13 @@ static int refuse_output(const evaluator *e, callback which, size_t k, const dou
 {
     const output *const out = &callbacks[which].outputs[k];
     const size_t columns = e->lengths[out->columns];
+    const dal_sparsity *const sparsity =
+        e->rows && out->rows == M && out->columns == N ? e->system->def.sparsity : NULL;
     size_t i = 0;
     while (isfinite(x[i])) i++;
-    const dal__entry entry = {callbacks[which].name, out->name, i / columns, i % columns, x[i]};
+    const dal__entry entry = {callbacks[which].name, out->name,
+                              sparsity ? sparsity->row[i] : i / columns,
+                              sparsity ? sparsity->column[i] : i % columns, x[i]};
     return dal__fail_entry(error, DAL_EDOMAIN, &entry, " = %g is not finite, or was not written",
                            x[i]);
 }
@@ -346,8 +378,8 @@ int dal__balance(double t, const double *q, const double *v, double *L_v, double
     int returned = 0;
     if (e->constant_mass) {
         double *const x[] = {NULL, F, missing & DAL_MISSING_V_QQ ? NULL : F_q};
-        if (L_v) dal__apply(n, n, e->system->mass, v, L_v);
-        if (L_vv) memcpy(L_vv, e->system->mass, n * n * sizeof *L_vv);
+        if (L_v) dal__apply_mass(e->system, v, L_v);
+        if (L_vv) dal_system_mass(e->system, L_vv);
         dal__clear(n * n, L_vq);
         dal__clear(n * n, F_v);
         if (!def->potential || !x[2]) dal__clear(n * n, F_q);
@@ -414,18 +446,17 @@ static int simple_lagrangian(evaluator *e, double t, const double *q, const doub
                              const dal__jet *jet, dal_error *error)
 {
     const size_t n = e->system->def.n;
-    const double *const M = e->system->mass;
     double V;
     const int status = dal__potential(e, t, q, jet->L ? &V : NULL, jet->L_q, jet->L_qq, error);
     if (status) return status;
     negate(n, jet->L_q);
     negate(n * n, jet->L_qq);
-    if (jet->L_v) dal__apply(n, n, M, v, jet->L_v);
+    if (jet->L_v) dal__apply_mass(e->system, v, jet->L_v);
     dal__clear(n * n, jet->L_vq);
-    if (jet->L_vv) memcpy(jet->L_vv, M, n * n * sizeof *jet->L_vv);
+    if (jet->L_vv) dal_system_mass(e->system, jet->L_vv);
     dal__clear(n, jet->L_vt);
     if (!jet->L) return DAL_SUCCESS;
-    dal__apply(n, n, M, v, e->gradient);
+    dal__apply_mass(e->system, v, e->gradient);
     *jet->L = 0.5 * dal__dot(n, v, e->gradient) - V;
     return DAL_SUCCESS;
 }

@@ -11,6 +11,11 @@ static int check_mass(const dal_system_def *def, dal_error *error)
 {
     const size_t n = def->n;
     const double *M = def->mass;
+    for (size_t i = 0; !M && i < n; i++)
+        if (!isfinite(def->masses[i]))
+            return dal__fail(error, DAL_EINVAL, "masses[%zu] = %g is not finite", i,
+                             def->masses[i]);
+    if (!M) return DAL_SUCCESS;
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++)
             if (!isfinite(M[i * n + j]))
@@ -27,6 +32,8 @@ static int check_mass(const dal_system_def *def, dal_error *error)
     return DAL_SUCCESS;
 }
 
+static bool has_mass(const dal_system_def *def) { return def->mass || def->masses; }
+
 /* Either mass and potential, or a Lagrangian; and nothing is called missing that is not there. */
 static int check_lagrangian(const dal_system_def *def, dal_error *error)
 {
@@ -40,11 +47,14 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
     if (def->missing & ~known)
         return dal__fail(error, DAL_EINVAL, "missing = %#x has bits outside %#x", def->missing,
                          known);
-    if (def->lagrangian && (def->mass || def->potential))
+    if (def->mass && def->masses)
+        return dal__fail(error, DAL_EINVAL, "mass and masses are both given: expected one of the "
+                         "two");
+    if (def->lagrangian && (has_mass(def) || def->potential))
         return dal__fail(error, DAL_EINVAL, "lagrangian and %s are both given: a system has either "
                          "a Lagrangian, or a mass and perhaps a potential",
-                         def->mass ? "mass" : "potential");
-    if (!def->lagrangian && !def->mass)
+                         def->mass ? "mass" : def->masses ? "masses" : "potential");
+    if (!def->lagrangian && !has_mass(def))
         return dal__fail(error, DAL_EINVAL, "mass is NULL, and so is lagrangian");
     if (def->lagrangian && (def->missing & of_potential))
         return dal__fail(error, DAL_EINVAL, "missing = %#x: there is no potential, but a "
@@ -65,12 +75,36 @@ static int check_steady(const dal_system_def *def, dal_error *error)
     const char *const why = !def->steady ? NULL
                             : def->steady != DAL_STEADY_DECLARED && def->steady != DAL_STEADY_PROVED
                                 ? "that is not a dal_steady"
-                            : !def->mass ? "mass is NULL"
+                            : !has_mass(def) ? "mass is NULL"
                             : def->kind != DAL_LINEAR ? "the constraints are not linear"
                             : def->time_dependent ? "the system depends on time"
                                                   : NULL;
     if (!why) return DAL_SUCCESS;
     return dal__fail(error, DAL_EINVAL, "steady = %d, and %s", def->steady, why);
+}
+
+static int check_sparsity(const dal_system_def *def, dal_error *error)
+{
+    const dal_sparsity *const given = def->sparsity;
+    if (!given) return DAL_SUCCESS;
+    if (def->m == 0) return dal__fail(error, DAL_EINVAL, "sparsity with m = 0 constraints");
+    if (given->entries > 0 && !(given->row && given->column))
+        return dal__fail(error, DAL_EINVAL, "sparsity.%s is NULL", given->row ? "column" : "row");
+    if (def->missing & DAL_MISSING_PHI_Q)
+        return dal__fail(error, DAL_EINVAL, "missing = %#x: phi_q is needed where there is a "
+                         "sparsity", def->missing);
+    for (size_t e = 0; e < given->entries; e++) {
+        const size_t row = given->row[e], column = given->column[e];
+        if (row >= def->m || column >= def->n)
+            return dal__fail(error, DAL_EINVAL, "sparsity: entry %zu, (%zu, %zu), is outside a "
+                             "matrix of %zu rows and %zu columns", e, row, column, def->m, def->n);
+        if (e > 0 && !(given->row[e - 1] < row
+                       || (given->row[e - 1] == row && given->column[e - 1] < column)))
+            return dal__fail(error, DAL_EINVAL, "sparsity: entry %zu, (%zu, %zu), comes after "
+                             "(%zu, %zu): expected ascending rows, and ascending columns in each",
+                             e, row, column, given->row[e - 1], given->column[e - 1]);
+    }
+    return DAL_SUCCESS;
 }
 
 static int check_def(const dal_system_def *def, dal_error *error)
@@ -80,7 +114,7 @@ static int check_def(const dal_system_def *def, dal_error *error)
     if (m >= n)
         return dal__fail(error, DAL_EINVAL, "m = %zu constraints on n = %zu coordinates: m < n is "
                          "needed", m, n);
-    if (dal__times(dal__times(n, n), sizeof(double)) > PTRDIFF_MAX)
+    if (!def->sparsity && dal__times(dal__times(n, n), sizeof(double)) > PTRDIFF_MAX)
         return dal__fail(error, DAL_ENOMEM, "n = %zu: the size of an n x n matrix overflows", n);
     int status = check_lagrangian(def, error);
     if (status) return status;
@@ -107,8 +141,8 @@ static int check_def(const dal_system_def *def, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "time_dependent = %d: expected 0 or 1",
                          def->time_dependent);
     if (!status) status = check_steady(def, error);
-    if (!status && def->mass) status = check_mass(def, error);
-    return status;
+    if (!status && has_mass(def)) status = check_mass(def, error);
+    return status ? status : check_sparsity(def, error);
 }
 
 /* The memory that a system owns, apart from what struct dal_system names. */
@@ -119,6 +153,9 @@ typedef struct possessions {
     const char **coordinates, **input_names, **invariant_names;
     char *text;  /* NULL until its size is known, */
     size_t used; /* which is what was taken of it */
+    dal_sparsity *sparsity;
+    size_t *row, *column; /* of it */
+    size_t *first, *above, *entry, *owner; /* of the rows */
 } possessions;
 
 /* The copy of a text. */
@@ -159,13 +196,27 @@ static void take_texts(dal_system *self, possessions *own, const dal_system_def 
     self->def.invariant_names = own->invariant_names;
 }
 
+static void plan_sparsity(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
+{
+    const size_t entries = def->sparsity->entries;
+    size_t **const of_entries[] = {&own->row, &own->column, &own->entry, &own->owner};
+    dal__reserve(a, &own->sparsity, 1, sizeof *own->sparsity);
+    dal__reserve(a, &shape->rows, 1, sizeof *shape->rows);
+    for (size_t k = 0; k < DAL_LENGTH(of_entries); k++)
+        dal__reserve(a, of_entries[k], entries, sizeof(size_t));
+    dal__reserve(a, &own->first, def->m + 1, sizeof(size_t));
+    dal__reserve(a, &own->above, def->n + 1, sizeof(size_t));
+}
+
 static void plan(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
 {
-    const size_t n = def->n, square = def->mass ? dal__times(n, n) : 0;
+    const size_t n = def->n;
+    const size_t square = def->masses ? n : def->mass ? dal__times(n, n) : 0;
     take_texts(shape, own, def);
     dal__reserve(a, &own->self, 1, sizeof *own->self);
     DAL__RESERVE(a, square, &shape->mass, &shape->mass_inverse);
-    DAL__RESERVE(a, def->mass ? n : 0, &shape->unit, &shape->per_unit);
+    DAL__RESERVE(a, has_mass(def) ? n : 0, &shape->unit, &shape->per_unit);
+    if (def->sparsity) plan_sparsity(a, own, shape, def);
     dal__reserve(a, &own->ctx, def->ctx_size, 1);
     DAL__RESERVE(a, dal__times(2, n), &own->state);
     dal__reserve(a, &own->coordinates, n, sizeof *own->coordinates);
@@ -175,20 +226,26 @@ static void plan(arena *a, possessions *own, dal_system *shape, const dal_system
     own->used = 0;
 }
 
-static int not_definite(const dal_system *system, size_t row, double pivot, dal_error *error)
+static int not_definite(size_t row, double pivot, double entry, dal_error *error)
 {
     return dal__fail(error, DAL_EINVAL, "mass is not positive definite to working precision: pivot "
                      "%zu of its Cholesky factor is %g where mass[%zu,%zu] = %g", row, pivot, row,
-                     row, system->mass[row * system->def.n + row]);
+                     row, entry);
+}
+
+/* From an entry of its diagonal to the next. */
+static size_t next_mass(const dal_system *system)
+{
+    return system->masses ? 1 : system->def.n + 1;
 }
 
 static int invert_diagonal_mass(dal_system *system, dal_error *error)
 {
-    const size_t n = system->def.n;
-    for (size_t i = 0; i < n; i++) {
-        const double entry = system->mass[i * n + i];
-        if (!(entry > 0.0 && isfinite(1.0 / entry))) return not_definite(system, i, entry, error);
-        system->mass_inverse[i * n + i] = 1.0 / entry;
+    const size_t next = next_mass(system);
+    for (size_t i = 0; i < system->def.n; i++) {
+        const double entry = system->mass[i * next];
+        if (!(entry > 0.0 && isfinite(1.0 / entry))) return not_definite(i, entry, entry, error);
+        system->mass_inverse[i * next] = 1.0 / entry;
     }
     return DAL_SUCCESS;
 }
@@ -206,7 +263,7 @@ static int invert_mass(dal_system *system, dal_error *error)
     double pivot = 0.0;
     memcpy(factor, system->mass, n * n * sizeof *factor);
     if (!dal__cholesky(n, factor, system->unit, &row, &pivot))
-        status = not_definite(system, row, pivot, error);
+        status = not_definite(row, pivot, system->mass[row * n + row], error);
     for (size_t j = 0; !status && j < n; j++) {
         inverse[j * n + j] = 1.0;
         dal__cholesky_solve(n, factor, inverse + j * n);
@@ -216,27 +273,52 @@ static int invert_mass(dal_system *system, dal_error *error)
     return status;
 }
 
-static bool is_diagonal(size_t n, const double *A)
+static bool is_diagonal(const dal_system_def *def)
 {
-    for (size_t i = 0; i < n; i++)
+    const size_t n = def->n;
+    for (size_t i = 0; def->mass && i < n; i++)
         for (size_t j = 0; j < n; j++)
-            if (i != j && A[i * n + j] != 0.0) return false;
-    return true;
+            if (i != j && def->mass[i * n + j] != 0.0) return false;
+    return has_mass(def);
 }
 
 /* What follows from M: the text of a failure names where it is not positive definite. */
-static int bind_mass(dal_system *system, const double *M, dal_error *error)
+static int bind_mass(dal_system *system, const dal_system_def *def, dal_error *error)
 {
-    const size_t n = system->def.n;
-    system->diagonal = is_diagonal(n, M);
-    memcpy(system->mass, M, n * n * sizeof *M);
+    const size_t n = def->n;
+    if (def->masses) dal__copy(n, def->masses, system->mass);
+    else dal__copy(n * n, def->mass, system->mass);
     const int status =
         system->diagonal ? invert_diagonal_mass(system, error) : invert_mass(system, error);
     for (size_t i = 0; !status && i < n; i++) {
-        system->unit[i] = sqrt(system->mass_inverse[i * n + i]);
+        system->unit[i] = sqrt(system->mass_inverse[i * next_mass(system)]);
         system->per_unit[i] = 1.0 / system->unit[i];
     }
     return status;
+}
+
+/* The copy of the sparsity, and the same by rows. */
+static void bind_sparsity(dal_system *system, const possessions *own, const dal_sparsity *given)
+{
+    const size_t entries = given->entries, m = system->def.m, n = system->def.n;
+    for (size_t e = 0; e < entries; e++) {
+        own->row[e] = given->row[e];
+        own->column[e] = given->column[e];
+        own->first[given->row[e] + 1]++;
+        own->above[given->column[e] + 1]++;
+    }
+    for (size_t a = 0; a < m; a++) own->first[a + 1] += own->first[a];
+    for (size_t i = 0; i < n; i++) own->above[i + 1] += own->above[i];
+    for (size_t e = 0; e < entries; e++) { /* above[i]: where the next entry of column i goes */
+        const size_t k = own->above[given->column[e]]++;
+        own->entry[k] = e;
+        own->owner[k] = given->row[e];
+    }
+    for (size_t i = n; i > 0; i--) own->above[i] = own->above[i - 1];
+    own->above[0] = 0;
+    *own->sparsity = (dal_sparsity){entries, own->row, own->column};
+    *system->rows = (dal_rows){m, n, own->first, own->column, own->above, own->entry, own->owner};
+    system->def.sparsity = own->sparsity;
 }
 
 int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *error)
@@ -247,7 +329,9 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
 
     arena memory = {0};
     possessions own = {0};
-    dal_system shape = {.def = *def};
+    dal_system shape = {.def = *def, .diagonal = is_diagonal(def), .masses = def->masses};
+    shape.lean = shape.masses && def->kind == DAL_LINEAR && !dal__is_dragged(&shape)
+              && (def->sparsity || !(def->potential || def->force));
     plan(&memory, &own, &shape, def);
     status = dal__allocate(&memory, error);
     if (status) return status;
@@ -255,13 +339,17 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     dal_system *const self = own.self;
     *self = shape;
     self->arena = memory;
-    if (!def->mass) self->mass = self->mass_inverse = NULL;
-    self->def.mass = self->mass;
+    if (!has_mass(def)) self->mass = self->mass_inverse = NULL;
+    self->def.mass = self->masses ? NULL : self->mass;
+    self->def.masses = self->masses ? self->mass : NULL;
     if (def->state) self->def.state = memcpy(own.state, def->state, 2 * def->n * sizeof(double));
     if (def->ctx_size > 0) self->def.ctx = memcpy(own.ctx, def->ctx, def->ctx_size);
     self->def.ctx_size = 0; /* whoever takes the definition over borrows the copy */
     take_texts(self, &own, def);
-    if (def->mass) status = bind_mass(self, def->mass, error);
+    if (has_mass(def)) status = bind_mass(self, def, error);
+    if (def->sparsity) bind_sparsity(self, &own, def->sparsity);
+    if (!status && self->lean && self->rows)
+        status = dal__pattern_new(&self->pattern, self->rows, error);
     if (status) {
         dal_system_free(self);
         return status;
@@ -272,7 +360,9 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
 
 void dal_system_free(dal_system *system)
 {
-    if (system) dal__release(&system->arena);
+    if (!system) return;
+    dal__pattern_free(system->pattern);
+    dal__release(&system->arena);
 }
 
 size_t dal_system_n(const dal_system *system) { return system->def.n; }
@@ -283,7 +373,7 @@ const char *dal_system_help(const dal_system *system) { return system->def.help;
 const char *dal_system_description(const dal_system *system) { return system->def.description; }
 const char *dal_system_source(const dal_system *system) { return system->def.source; }
 const char *dal_system_formulas(const dal_system *system) { return system->def.formulas; }
-const double *dal_system_mass(const dal_system *system) { return system->mass; }
+const dal_sparsity *dal_system_sparsity(const dal_system *system) { return system->def.sparsity; }
 dal_constraint_kind dal_system_kind(const dal_system *system) { return system->def.kind; }
 int dal_system_is_forced(const dal_system *system) { return system->def.force != NULL; }
 int dal_system_is_time_dependent(const dal_system *system) { return system->def.time_dependent; }
@@ -315,6 +405,25 @@ double dal_system_parameter(const dal_system *system, size_t i)
 const char *dal_system_invariant_name(const dal_system *system, size_t i)
 {
     return i < system->def.invariants ? system->def.invariant_names[i] : NULL;
+}
+
+void dal__apply_mass(const dal_system *system, const double *x, double *y)
+{
+    const size_t n = system->def.n;
+    if (!system->masses) dal__apply(n, n, system->mass, x, y);
+    for (size_t i = 0; system->masses && i < n; i++) y[i] = system->mass[i] * x[i];
+}
+
+int dal_system_mass(const dal_system *system, double *M)
+{
+    if (!system) return DAL_EINVAL;
+    if (!system->mass) return DAL_EUNSUPPORTED;
+    if (!M) return DAL_SUCCESS;
+    const size_t n = system->def.n;
+    if (!system->masses) dal__copy(n * n, system->mass, M);
+    else dal__clear(n * n, M);
+    for (size_t i = 0; system->masses && i < n; i++) M[i * n + i] = system->mass[i];
+    return DAL_SUCCESS;
 }
 
 int dal_system_state(const dal_system *system, double *x)

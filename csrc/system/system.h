@@ -17,10 +17,16 @@ typedef struct parameter {
 
 struct dal_system {
     dal_system_def def;      /* the strings, mass and state point into the arena */
-    double *mass;            /* M[n*n]; NULL for a general Lagrangian, as the next */
-    double *mass_inverse;    /* M^-1[n*n] */
+    double *mass;            /* M[n*n], or [n] of masses; NULL for a general Lagrangian, as the */
+    double *mass_inverse;    /* next: M^-1, the same */
     double *unit, *per_unit; /* [n] d_i and 1/d_i of residual.h */
-    bool diagonal;           /* M is diagonal */
+    bool diagonal;           /* M is diagonal, and */
+    bool masses;             /* given so */
+    bool lean;               /* steps need no matrix of n rows: M is given by masses, constraints
+                                are linear, no force depends on v, and V = 0, or its Hessian is not
+                                asked for */
+    dal_rows *rows;          /* of the sparsity, or NULL */
+    dal__pattern *pattern;   /* of mu M^-1 mu^T for these rows, if lean */
     size_t parameters;       /* of a built-in system */
     const parameter *parameter;
     const double *parameter_values; /* its ctx */
@@ -43,6 +49,9 @@ typedef struct evaluator {
     dal_constraint_fn constraint;
     void *constraint_ctx;
     bool constant_mass;
+    bool dense;                 /* phi_v and phi_q with all entries, of any system: set before */
+    bool lean;                  /* of a lean system, unless dense; */
+    const dal_rows *rows;       /* phi_v and phi_q have the entries of these, then and if any */
     const char *refused;        /* the callback that made pull or dal__balance not return 0 */
     const double *input;        /* [inputs] of the force: */
     double *own_input;          /* these, which are 0 at first, or those of a row */
@@ -56,6 +65,11 @@ typedef struct evaluator {
 typedef struct dal__jet {
     double *L, *L_q, *L_v, *L_qq, *L_vq, *L_vv, *L_vt;
 } dal__jet;
+
+/* y[n] <- M x, for constant mass. */
+void dal__apply_mass(const dal_system *system, const double *x, double *y);
+/* A[m*n] <- itself, of which the entries of the sparsity stand at the beginning. */
+void dal__expand(const dal_system_def *def, double *A);
 
 void dal__evaluator_reserve(evaluator *e, const dal_system *system, arena *a);
 void dal__evaluator_bind(evaluator *e, const dal_system *system);
@@ -83,6 +97,9 @@ int dal__balance(double t, const double *q, const double *v, double *L_v, double
 
 /* Status of a callback that returned this, with a text that names it. */
 int dal__refuse(dal_error *error, const char *callback, int returned);
+
+/* How many entries phi_v has as the evaluator gives it. */
+size_t dal__entries(const evaluator *e);
 
 /* Whether nothing depends on time, as far as the definition says. */
 bool dal__is_autonomous(const dal_system *system);

@@ -59,6 +59,7 @@
 #include <dalembert.h>
 #include <dalembert/lu.h>
 #include <dalembert/residual.h>
+#include <dalembert/rows.h>
 
 #include <float.h>
 #include <math.h>
@@ -118,6 +119,8 @@ typedef struct dal_arrays {
     size_t *row;                  /* [m] */
     /* those of the dal_kernel; with constants for them where the compilation knows that M is 1 */
     const double *mass_inverse, *unit, *per_unit;
+    const dal_rows *rows;         /* which entries of [m*n] are stored; NULL: all.  Only for any */
+    size_t next;                  /* sizes; of mass_inverse to the next entry of the diagonal */
 } dal_arrays;
 
 typedef struct dal_masses {
@@ -180,6 +183,10 @@ struct dal_kernel {
     /* What is left of a stage: the full Newton iteration from at.x, with kappa, if not solved; else
      * the residual of D at what is stored, evaluated, and mended.  In at.stored and at.w. */
     int (*finish)(dal_kernel *k, double number, const dal_stage *s, bool solved);
+    /* Where there are at.rows: S of the stage from at.Z and mu + b N, factored; the sign of its
+     * determinant, 0 where it is singular.  And at.d <- S^-1 at.r. */
+    int (*factor)(dal_kernel *k, double b);
+    void (*solve)(const dal_kernel *k);
 
     double t0, h;          /* step k, counted in stats, begins at t0 + k h */
     double *impulse;       /* [m] sum of kappa since dal_advance began */
@@ -243,20 +250,18 @@ enum { DAL_KERNEL_CORRECTIONS = 16 };
 #define DAL_KERNEL_RARE(condition) (condition)
 #endif
 
-static inline size_t dal_kernel_shared(size_t n, size_t m) { return 8 * n + 3 * m * n; }
-
-/* Lays x ... N out in block[dal_kernel_shared(n, m)]. */
-static inline void dal_kernel_share(dal_kernel *k, double *block)
+/* Lays x ... N out in block[8*n + 3*entries], where mu has so many entries. */
+static inline void dal_kernel_share(dal_kernel *k, size_t entries, double *block)
 {
-    const size_t n = k->n, m = k->m;
+    const size_t n = k->n;
     k->at.x = block;
     k->at.node = block + 2 * n;
     k->at.point = block + 3 * n;
     k->at.w = block + 4 * n;
     k->at.pull = block + 5 * n;
     k->at.mu_node = block + 8 * n;
-    k->at.mu = k->at.mu_node + m * n;
-    k->at.N = k->at.mu + m * n;
+    k->at.mu = k->at.mu_node + entries;
+    k->at.N = k->at.mu + entries;
 }
 
 static inline int dal_kernel_fail(dal_kernel *k, int status, dal_failure kind)
@@ -332,7 +337,7 @@ DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, const dal_arra
 {
     const double *const inverse = at->mass_inverse;
     if (mask == DAL_KERNEL_ALL && k->diagonal) {
-        for (size_t i = 0; i < n; i++) y[i] = inverse[i * n + i] * f[i];
+        for (size_t i = 0; i < n; i++) y[i] = inverse[i * at->next] * f[i];
         return;
     }
     for (size_t i = 0; i < n; i++) y[i] = dal_kernel_dot(n, mask, inverse, i, f);
@@ -342,10 +347,50 @@ DAL_KERNEL_INLINE void dal_kernel_accelerate(const dal_kernel *k, const dal_arra
 DAL_KERNEL_INLINE double dal_kernel_form(const dal_arrays *at, size_t n, unsigned long long mask,
                                          const double *mu, size_t a)
 {
+    if (at->rows) return dal_rows_extent(at->rows, mu, a, at->unit);
     double sum = -0.0;
     for (size_t i = 0; i < n; i++)
         if (DAL_KERNEL_HAS(mask, a * n + i)) sum += fabs(mu[a * n + i]) * at->unit[i];
     return sum;
+}
+
+/* Row a of mu[m*n], or of what is like it, times x[n]; component i of Z^T c. */
+DAL_KERNEL_INLINE double dal_kernel_product(const dal_arrays *at, size_t n, unsigned long long mask,
+                                            const double *mu, size_t a, const double *x)
+{
+    return at->rows ? dal_rows_dot(at->rows, mu, a, x) : dal_kernel_dot(n, mask, mu, a, x);
+}
+
+DAL_KERNEL_INLINE double dal_kernel_reaction(const dal_arrays *at, size_t n, size_t m,
+                                             unsigned long long mask, size_t i, const double *c)
+{
+    return at->rows ? dal_rows_column(at->rows, at->Z, i, c)
+                    : dal_kernel_column(n, m, mask, at->Z, i, c);
+}
+
+/* How many entries of [m*n] are stored. */
+DAL_KERNEL_INLINE size_t dal_kernel_entries(const dal_arrays *at, size_t n, size_t m)
+{
+    return at->rows ? dal_rows_entries(at->rows) : m * n;
+}
+
+/* Z <- M^-1 mu_node. */
+DAL_KERNEL_INLINE void dal_kernel_direct(const dal_kernel *k, const dal_arrays *at, size_t n,
+                                         size_t m, unsigned long long mask)
+{
+    if (at->rows)
+        for (size_t e = 0; e < dal_rows_entries(at->rows); e++)
+            at->Z[e] = at->mass_inverse[at->rows->column[e]] * at->mu_node[e];
+    else
+        for (size_t a = 0; a < m; a++)
+            dal_kernel_accelerate(k, at, n, mask, at->mu_node + a * n, at->Z + a * n);
+}
+
+/* d <- S^-1 r. */
+DAL_KERNEL_INLINE void dal_kernel_solve(const dal_kernel *k, const dal_arrays *at, size_t m)
+{
+    if (at->rows) k->solve(k);
+    else dal_lu_solve(m, at->S, at->row, at->r, at->d);
 }
 
 /* S <- (mu + b N) Z^T, factored.  Its rows have the sizes of those of mu and b N in the metric, its
@@ -398,7 +443,7 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal
     double largest = k->stats.worst_residual;
     bool settled = true;
     for (size_t a = 0; a < m; a++) {
-        const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
+        const double sum = dal_kernel_product(at, n, has.mu, at->mu, a, at->w);
         const double form = dal_kernel_form(at, n, has.mu, at->mu, a), scale = form * speed;
         at->r[a] = -sum;
         /* nor if both are infinite; form * speed may overflow */
@@ -419,9 +464,12 @@ DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(size_t n, size_t m, dal_pattern ha
     bool roundoff = true;
     for (size_t a = 0; a < m; a++) {
         double shifted = 0.0;
-        for (size_t i = 0; i < n; i++)
+        for (size_t i = 0; !at->rows && i < n; i++)
             if (DAL_KERNEL_HAS(has.N, a * n + i))
                 shifted += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
+        if (at->rows)
+            shifted = dal_rows_extent(at->rows, at->N, a, at->point)
+                    + dal_rows_extent(at->rows, at->N, a, at->stored);
         const double bound = 2.0 * (double)n * dal_kernel_form(at, n, has.mu, at->mu, a) * terms;
         if (!(2.0 * DAL_KERNEL_U * (bound + shifted) - fabs(at->r[a]) >= 0.0)) roundoff = false;
     }
@@ -442,25 +490,28 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
                                                           : at->base[i];
         at->step[i] = at->goal[i];
         if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
-            at->step[i] += dal_kernel_column(n, m, has.Z, at->Z, i, at->kappa);
+            at->step[i] += dal_kernel_reaction(at, n, m, has.Z, i, at->kappa);
     }
     for (size_t a = 0; a < m; a++) {
-        double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->step);
+        double sum = dal_kernel_product(at, n, has.mu, at->mu, a, at->step);
         if (has.N) {
             double turn = -0.0;
-            for (size_t i = 0; i < n; i++)
+            if (at->rows)
+                for (size_t e = at->rows->first[a]; e < at->rows->first[a + 1]; e++)
+                    turn += at->N[e] * (at->step[at->rows->column[e]] - seen[at->rows->column[e]]);
+            for (size_t i = 0; !at->rows && i < n; i++)
                 if (DAL_KERNEL_HAS(has.N, a * n + i) && DAL_KERNEL_HAS(has.pull, i))
                     turn += at->N[a * n + i] * (at->step[i] - seen[i]);
             sum += b * turn;
         }
         at->r[a] = -sum;
     }
-    dal_lu_solve(m, at->S, at->row, at->r, at->d);
+    dal_kernel_solve(k, at, m);
     for (size_t a = 0; a < m; a++) /* 0 + d would be waited for */
         at->kappa[a] = first ? at->d[a] : at->kappa[a] + at->d[a];
     for (size_t i = 0; i < n; i++) {
         if (!DAL_KERNEL_HAS(has.pull, i)) continue;
-        const double reaction = m > 0 ? dal_kernel_column(n, m, has.Z, at->Z, i, at->kappa) : -0.0;
+        const double reaction = m > 0 ? dal_kernel_reaction(at, n, m, has.Z, i, at->kappa) : -0.0;
         const double next = at->goal[i] + reaction;
         at->step[i] = next - at->w[i];
         at->w[i] = next;
@@ -660,18 +711,20 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o
     if (m > 0) {
         const int status = DAL_KERNEL_PART(form_node)(k, o, at);
         if (status) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, status);
-        for (size_t a = 0; a < m; a++)
-            dal_kernel_accelerate(k, at, n, o->has.inverse, at->mu_node + a * n, at->Z + a * n);
+        dal_kernel_direct(k, at, n, m, o->has.inverse);
     }
-    if (s->linear) DAL_KERNEL_COPY(m * n, at->mu_node, at->mu);
+    const size_t entries = dal_kernel_entries(at, n, m);
+    if (s->linear) DAL_KERNEL_COPY(entries, at->mu_node, at->mu);
     if (s->linear || (o->steady && o->has.N)) {
         DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < m * n; i++) at->N[i] = 0.0;
+        for (size_t i = 0; i < entries; i++) at->N[i] = 0.0;
     }
     if (o->ends && returned == 0)
         returned = DAL_KERNEL_POTENTIAL(k, o->t_end, at->point, k->force1);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
-    return returned > 0 || dal_kernel_factor(n, m, o->has, s->after * k->h, at) <= 0;
+    if (returned > 0) return 1;
+    const double b = s->after * k->h;
+    return (at->rows ? k->factor(k, b) : dal_kernel_factor(n, m, o->has, b, at)) <= 0;
 }
 
 /* ---- iterate: Newton on (v', kappa), Hessian dropped, S frozen */
@@ -736,10 +789,10 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *
 {
     DAL_KERNEL_SIZES;
     if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !o->kept)) {
-        dal_lu_solve(m, at->S, at->row, at->r, at->d);
+        dal_kernel_solve(k, at, m);
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
-            at->w[i] += dal_kernel_column(n, m, o->has.Z, at->Z, i, at->d);
+            at->w[i] += dal_kernel_reaction(at, n, m, o->has.Z, i, at->d);
         settled = dal_kernel_settled(k, n, m, o->has, at, DAL_KERNEL_LIMIT(n));
     }
     return settled && DAL_KERNEL_PART(is_finite)(n, at);
@@ -817,7 +870,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     size_t row[DAL_KERNEL_M];
     const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
                            Z, S, sizes, r, d, kappa, row, masses->mass_inverse, masses->unit,
-                           masses->per_unit};
+                           masses->per_unit, NULL, n + 1};
 #else
     const dal_arrays at = k->at;
 #endif

@@ -72,38 +72,66 @@ static inline void dal_lu_solve_transposed(size_t m, const double *A, const size
     }
 }
 
-/* The 1-norm of the inverse of the scaled matrix, or a little less: that of the best column found
- * by going uphill from all columns at once (W. W. Hager, SIAM J. Sci. Stat. Comput. 5, 1984).
- * scratch[3*m]. */
-DAL_LU_RARE double dal_lu_inverse_norm(size_t m, const double *A, const size_t *row,
-                                       const double *row_size, const double *column_size,
-                                       double *scratch)
+/* The factors of a matrix, and what solves with them: as the two functions above. */
+typedef struct dal_lu_factors {
+    void (*solve)(const struct dal_lu_factors *self, const double *b, double *x);
+    void (*solve_transposed)(const struct dal_lu_factors *self, double *b, double *x);
+    size_t m;
+    const double *A;
+    const size_t *row;
+    size_t width; /* for the factors of others */
+} dal_lu_factors;
+
+static inline void dal_lu_solve_by(const dal_lu_factors *self, const double *b, double *x)
 {
+    dal_lu_solve(self->m, self->A, self->row, b, x);
+}
+
+static inline void dal_lu_solve_transposed_by(const dal_lu_factors *self, double *b, double *x)
+{
+    dal_lu_solve_transposed(self->m, self->A, self->row, b, x);
+}
+
+/* The 1-norm of the inverse of the scaled matrix, or a little less: that of the best column found
+ * by going uphill from all columns at once (W. W. Hager, SIAM J. Sci. Stat. Comput. 5, 1984), or of
+ * all with changing signs (N. J. Higham, ACM Trans. Math. Softw. 14, 1988): where two rows almost
+ * coincide the first way begins where neither is seen.  scratch[3*m]. */
+DAL_LU_RARE double dal_lu_inverse_norm(const dal_lu_factors *factors, const double *row_size,
+                                       const double *column_size, double *scratch)
+{
+    const size_t m = factors->m;
     enum { MOST = 5 };
-    double *const x = scratch, *const y = x + m, *const z = y + m, norm = 0.0;
+    double *const x = scratch, *const y = x + m, *const z = y + m, norm = 0.0, least = 0.0;
     size_t column = m; /* none: all at once */
+    for (size_t i = 0; i < m; i++)
+        x[i] = row_size[i] * (i % 2 ? -1.0 : 1.0) * (1.0 + (double)i / (double)m)
+             / (1.5 * (double)m);
+    factors->solve(factors, x, y);
+    for (size_t i = 0; i < m; i++) least += fabs(y[i] * column_size[i]);
+    if (isnan(least)) return least;
     for (int climb = 0; climb < MOST; climb++) {
         for (size_t i = 0; i < m; i++)
             x[i] = row_size[i] * (column == m ? 1.0 / (double)m : column == i ? 1.0 : 0.0);
-        dal_lu_solve(m, A, row, x, y);
+        factors->solve(factors, x, y);
         double sum = 0.0, most = 0.0, here = 0.0;
         for (size_t i = 0; i < m; i++) {
             sum += fabs(y[i] * column_size[i]);
             y[i] = copysign(column_size[i], y[i]);
         }
-        if (!(sum > norm)) return sum <= norm ? norm : sum; /* NaN is passed on */
+        if (isnan(sum)) return sum;
+        if (sum <= norm) break;
         norm = sum;
-        dal_lu_solve_transposed(m, A, row, y, z);
+        factors->solve_transposed(factors, y, z);
         size_t best = 0;
         for (size_t i = 0; i < m; i++) {
             const double slope = z[i] * row_size[i];
             here += slope * (column == m ? 1.0 / (double)m : column == i ? 1.0 : 0.0);
             if (fabs(slope) > most) most = fabs(slope), best = i;
         }
-        if (most <= here) return norm;
+        if (most <= here) break;
         column = best;
     }
-    return norm;
+    return norm > least ? norm : least;
 }
 
 /* Whether the scaled matrix is regular.  A bound costs O(m^2): the solution x of M(L) M(U) x = 1,
@@ -134,8 +162,9 @@ DAL_LU_INLINE int dal_lu_is_regular(size_t m, const double *A, const size_t *row
         if (!(x[i] * column_size[i] <= bound)) bound = x[i] * column_size[i]; /* also NaN */
     }
     const double most = DAL_LU_CONDITION / ((double)m * largest);
-    return bound <= most
-        || dal_lu_inverse_norm(m, A, row, row_size, column_size, scratch) <= most;
+    if (bound <= most) return 1;
+    const dal_lu_factors factors = {dal_lu_solve_by, dal_lu_solve_transposed_by, m, A, row, m};
+    return dal_lu_inverse_norm(&factors, row_size, column_size, scratch) <= most;
 }
 
 /* The same for m = 2; of copies, so that the arrays of the caller need no place in memory. */

@@ -42,7 +42,7 @@ FLAGS = ("-std=c11", "-O3", "-fno-tree-vectorize", "-fno-gcse", "-fno-schedule-i
          "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared",
          "-Werror=implicit-function-declaration")  # fmt: skip
 
-HEADERS = ("dalembert.h", "kernel.h", "lu.h", "momentum.h", "residual.h")
+HEADERS = ("dalembert.h", "kernel.h", "lu.h", "momentum.h", "residual.h", "rows.h")
 
 # Seconds after which a compiler is taken to hang; a large model takes some.
 LIMIT = 600.0

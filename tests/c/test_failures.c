@@ -1237,7 +1237,8 @@ static void test_bad_records(void)
 static void test_null_system(dal_system *system, const double *x)
 {
     const char *const names[1] = {NULL};
-    const dal_system_def def = {.n = 3, .mass = dal_system_mass(system)};
+    static const double unit[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    const dal_system_def def = {.n = 3, .mass = unit};
     const double value = 1.0;
     dal_system *none = NULL;
     double out[MOST];

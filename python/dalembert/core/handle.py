@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -107,8 +108,8 @@ class Handle(Constant):
     description: str
     source: str
     coordinates: tuple[str, ...]
-    mass: Array | None
     kind: str
+    has_constant_mass: bool
     is_forced: bool
     is_time_dependent: bool
     inputs: tuple[str, ...]
@@ -138,18 +139,29 @@ class Handle(Constant):
         }
         self.kind = {number: name for name, number in KINDS.items()}[lib.dal_system_kind(handle)]
         self.is_forced = bool(lib.dal_system_is_forced(handle))
+        constant = lib.dal_system_mass(handle, ffi.NULL) == lib.DAL_SUCCESS
+        self.has_constant_mass = constant  # without n^2 numbers
         self.is_time_dependent = bool(lib.dal_system_is_time_dependent(handle))
         self.differenced = differenced(lib.dal_system_missing(handle), self.kind)
-        mass, state = lib.dal_system_mass(handle), np.empty(2 * n)
-        self.mass = None if mass == ffi.NULL else doubles(mass, n**2).reshape(n, n)
+        state = np.empty(2 * n)
         has_state = lib.dal_system_state(handle, pointer(state)) == lib.DAL_SUCCESS
         self.q0, self.v0 = (state[:n], state[n:]) if has_state else (None, None)
-        for array in (self.mass, self.q0, self.v0):
+        for array in (self.q0, self.v0):
             if array is not None:
                 array.flags.writeable = False
         self._mechanics = Workspaces(
             lambda: make("mechanics", handle, owner=handle), self.kind
         )
+
+    @functools.cached_property
+    def mass(self) -> Array | None:
+        """The mass matrix, of shape (n, n); None if it is not constant."""
+        if not self.has_constant_mass:
+            return None
+        matrix = np.empty((self.n, self.n))
+        lib.dal_system_mass(self._handle, pointer(matrix))
+        matrix.flags.writeable = False
+        return matrix
 
     @property
     def parameters(self) -> dict[str, float]:

@@ -235,7 +235,7 @@ def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None, t: float =
     return Check(
         passed=bool(report.passed) and status == lib.DAL_SUCCESS,
         kind=system.kind,
-        general=system.mass is None,
+        general=not system.has_constant_mass,
         forced=system.is_forced,
         timed=system.is_time_dependent,
         **{name: Difference.read(ffi.addressof(report, name)) for name in DERIVATIVES},

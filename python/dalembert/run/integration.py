@@ -423,7 +423,7 @@ def _doubts(solution: Solution) -> Iterator[str]:
             f"largest kinetic energy is {stats.largest_kinetic:.3g}: nothing does work on this "
             "system, so h is too large, or gradient is not that of potential: see check()"
         )
-    simple = system.mass is not None and system.kind == "linear" and not system.is_forced
+    simple = system.has_constant_mass and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:
         yield (
             f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "

@@ -227,7 +227,7 @@ def _facts(system: System) -> list[tuple[str, str]]:
     rows = [
         ("coordinates n", str(system.n)),
         ("constraints m", f"{system.m}, {system.kind}" if system.m else "0"),
-        ("mass matrix", "constant" if system.mass is not None else "depends on the coordinates"),
+        ("mass matrix", "constant" if system.has_constant_mass else "depends on the coordinates"),
     ]
     if system.is_forced:
         rows.append(("force", "besides that of the Lagrangian"))

@@ -115,7 +115,7 @@ static int factor(const matrix *A, factors *f)
     static double scale[MOST * MOST];
     for (size_t k = 0; k < A->m * A->m; k++) scale[k] = fabs(A->entry[k]);
     memcpy(f->LU, A->entry, A->m * A->m * sizeof *scale);
-    dal__linear linear = {A->m, f->LU, f->sizes, f->row};
+    dal__linear linear = {.size = A->m, .A = f->LU, .sizes = f->sizes, .row = f->row};
     dal__linear_balance(&linear, scale);
     return dal__linear_factor(&linear);
 }
@@ -195,6 +195,12 @@ static void test_exact(void)
     CHECK(x[0] == 2.0 && x[1] == 2.0);
 }
 
+static double inverse_norm(size_t m, factors *f)
+{
+    const dal_lu_factors by = {dal_lu_solve_by, dal_lu_solve_transposed_by, m, f->LU, f->row, m};
+    return dal_lu_inverse_norm(&by, f->sizes, f->sizes + m, f->sizes + 2 * m);
+}
+
 /* Up to 1e12 there is an answer, in any units; beyond 1e15 there is none. */
 static void test_condition(void)
 {
@@ -209,12 +215,10 @@ static void test_condition(void)
             fill_with_condition(&A, m, condition, false, &seed);
             CHECK(factor(&A, &f) != 0);
             CHECK(solve_error(&A, &f, x) <= 100.0 * (double)m * U * condition);
-            const double estimate = dal_lu_inverse_norm(m, f.LU, f.row, f.sizes, f.sizes + m,
-                                                        f.sizes + 2 * m);
+            const double estimate = inverse_norm(m, &f);
             B = rescaled(&A, 20.0, &seed);
             CHECK(factor(&B, &f) != 0);
-            const double again = dal_lu_inverse_norm(m, f.LU, f.row, f.sizes, f.sizes + m,
-                                                     f.sizes + 2 * m);
+            const double again = inverse_norm(m, &f);
             CHECK(again < 16.0 * estimate && estimate < 16.0 * again);
         }
         fill_with_condition(&A, m, 1e18, false, &seed);
@@ -225,6 +229,26 @@ static void test_condition(void)
     A.m = 2;
     memcpy(A.entry, apart, sizeof apart);
     CHECK(factor(&A, &f) != 0);
+}
+
+/* Two rows, and columns, that are the same but for a rounding, which leaves a pivot of that size. */
+static void test_coincidence(void)
+{
+    unsigned seed = 29;
+    static matrix A;
+    static factors f;
+    for (int trial = 0; trial < 400; trial++) {
+        const size_t m = 2 + (size_t)trial % 20, j = (size_t)trial % (m - 1), k = j + 1;
+        double X[MOST][MOST];
+        for (size_t i = 0; i < m; i++)
+            for (size_t l = 0; l < m; l++) X[i][l] = next_number(&seed);
+        for (size_t l = 0; l < m; l++) X[k][l] = X[j][l];
+        A.m = m;
+        for (size_t i = 0; i < m; i++)
+            for (size_t l = 0; l < m; l++) A.entry[i * m + l] = dal__dot(m, X[i], X[l]);
+        A.entry[k * m + k] *= 1.0 + 2.0 * (1 + trial % 4) * U;
+        CHECK(factor(&A, &f) == 0);
+    }
 }
 
 /* Of the scaled matrix the estimate is below the norm of the inverse, and hardly ever far below. */
@@ -248,8 +272,7 @@ static void test_estimate(void)
             for (size_t i = 0; i < m; i++) column += fabs(y[i]) * f.sizes[m + i];
             norm = fmax(norm, column);
         }
-        const double found = dal_lu_inverse_norm(m, f.LU, f.row, f.sizes, f.sizes + m,
-                                                 f.sizes + 2 * m);
+        const double found = inverse_norm(m, &f);
         CHECK(found <= norm * (1.0 + 1e-9));
         worst = fmin(worst, found / norm);
         sum += found / norm;
@@ -527,6 +550,7 @@ int main(void)
     test_random();
     test_exact();
     test_condition();
+    test_coincidence();
     test_estimate();
     test_triangles();
     test_singular();

@@ -383,7 +383,7 @@ static void test_step(const dal_system *system, dal_difference_map lagrangian,
     const double t0 = 0.4;
     state_of(system, x);
     /* Newton converges quadratically: 5 iterations at most, with two evaluations of L each */
-    if (!dal_system_mass(system)) {
+    if (!mass_of(system)) {
         memcpy(y, x, sizeof y);
         GOOD(d, dal_discrete_advance(d, t0, h, y, NULL));
         CHECK(d->mech.eval.lagrangian_calls <= 1 + 5 * 2);
@@ -649,7 +649,7 @@ static double measured_order(const dal_system *system, dal_difference_map lagran
  * D_d decides.  Else both have to be symmetric. */
 static void test_orders(const dal_system *system)
 {
-    const bool simple = dal_system_mass(system) != NULL;
+    const bool simple = mass_of(system) != NULL;
     size_t size = dal_system_n(system);
     const dal_difference_map bent = {.map = bent_map, .ctx = &size, .beta = 0.5};
     const dal_difference_map mixed = {.map = mixed_map, .ctx = &size, .beta = 0.3};

@@ -698,7 +698,7 @@ static void test_degenerate(void)
 {
     const dal_system_def def = {.n = 2, .lagrangian = degenerate_lagrangian};
     dal_system *system = NULL;
-    CHECK(dal_system_new(&system, &def, NULL) == 0 && dal_system_mass(system) == NULL);
+    CHECK(dal_system_new(&system, &def, NULL) == 0 && mass_of(system) == NULL);
     dal_mechanics *const mech = open_mechanics(system);
     double out[4] = {7, 7, 7, 7}, x[4] = {0.0, 0.0, 1.0, 1.0};
     for (int sign = -1; sign <= 0; sign++) {

@@ -150,7 +150,7 @@ static void test_builtins(void)
         CHECK(report.L_q.error < 3e-12 * 10 && report.L_v.error < 3e-12 * 10);
         CHECK(report.L_qq.error < 3e-12 * 10 && report.L_vq.error < 3e-12 * 10);
         CHECK(report.L_vv.error < 3e-12 * 10);
-        CHECK(report.L_vq.checked == !dal_system_mass(system));
+        CHECK(report.L_vq.checked == !mass_of(system));
         CHECK(report.V_q.error < 3e-12 * 10 && report.V_qq.error < 3e-12 * 10); /* |V| <= 10 */
         CHECK(report.V_q.checked == report.V_qq.checked);
         CHECK(report.linearity == 0.0 && report.residual <= 4 * (double)n * DAL_ROUNDOFF);

@@ -72,7 +72,7 @@ static void test_particle(void)
 static void test_definitions(dal_mechanics *mech, const dal_system *system, const double *x)
 {
     const size_t n = dal_system_n(system), m = dal_system_m(system);
-    const double *const mass = dal_system_mass(system);
+    const double *const mass = mass_of(system);
     double E = NAN, V = 0.0, kinetic = 0.0, size = 0.0, C[M * M], mu[M * N], back[N];
     if (system->def.potential) system->def.potential(0.0, x, &V, NULL, NULL, system->def.ctx);
     for (size_t i = 0; i < n; i++)
@@ -113,7 +113,7 @@ static void test_ode(dal_mechanics *mech, const dal_system *system, const double
         1 + sum_of_sizes(n, vdot) + sum_of_sizes(n, force) + sum_of_sizes(m, lambda);
     for (size_t a = 0; a < m; a++)
         CHECK_NEAR(dot(n, mu + a * n, vdot) + dot(n, dmu + a * n, x + n), 0.0, ROUNDOFF * size);
-    dal__apply(n, n, dal_system_mass(system), vdot, balance);
+    dal__apply(n, n, mass_of(system), vdot, balance);
     for (size_t i = 0; i < n; i++) {
         double reaction = 0.0;
         for (size_t a = 0; a < m; a++) reaction += mu[a * n + i] * lambda[a];
@@ -122,7 +122,7 @@ static void test_ode(dal_mechanics *mech, const dal_system *system, const double
     memcpy(xd, x, 2 * n * sizeof *xd);
     CHECK(dal_project(mech, 0.0, 0.0, xd, NULL) == 0);
     CHECK(dal_acceleration(mech, 0.0, xd, vdot) == 0);
-    dal__apply(n, n, dal_system_mass(system), vdot, balance);
+    dal__apply(n, n, mass_of(system), vdot, balance);
     for (size_t i = 0; i < n; i++) balance[i] += force[i];
     CHECK_NEAR(dot(n, xd + n, balance), 0.0, 20 * ROUNDOFF * size * (1 + sum_of_sizes(n, xd + n)));
 }
@@ -133,7 +133,7 @@ static void test_ode(dal_mechanics *mech, const dal_system *system, const double
 static void test_perturbed(dal_mechanics *mech, const dal_system *system, const double *x)
 {
     const size_t n = dal_system_n(system), m = dal_system_m(system);
-    const double weight = 0.3, *const mass = dal_system_mass(system);
+    const double weight = 0.3, *const mass = mass_of(system);
     double mu[M * N], dmu[M * N], force[N] = {0}, ghat[2 * N], xdot[2 * N], other[2 * N];
     double lambda[M], shifted[M], free[N], balance[N], factor[N * N];
     if (system->def.potential) system->def.potential(0.0, x, NULL, force, NULL, system->def.ctx);
@@ -236,8 +236,8 @@ static void test_projection(dal_mechanics *mech, const dal_system *system, const
     CHECK_NEAR(largest_difference(2 * n, x, again), 0.0, ROUNDOFF * size);
     CHECK_NEAR(second, 0.0, ROUNDOFF * size);
     for (size_t i = 0; i < n; i++) d[i] = x[n + i] - x0[n + i];
-    dal__apply(n, n, dal_system_mass(system), d, Md);
-    dal__apply(n, n, dal_system_mass(system), x0 + n, Mv);
+    dal__apply(n, n, mass_of(system), d, Md);
+    dal__apply(n, n, mass_of(system), x0 + n, Mv);
     CHECK_NEAR(dot(n, x + n, Md), 0.0, 10 * ROUNDOFF * size * size);
     CHECK_NEAR(distance * distance, dot(n, d, Md), 10 * ROUNDOFF * size * size);
     CHECK_NEAR(dot(n, d, Mv), -distance * distance, 10 * ROUNDOFF * size * size);
@@ -259,7 +259,7 @@ static void test_deformed(dal_mechanics *mech, const dal_system *system, const d
         CHECK(memcmp(x, x0, n * sizeof *x) == 0);
         CHECK(residual_of(system, shift, x) <= ROUNDOFF);
         for (size_t i = 0; i < n; i++) d[i] = x[n + i] - x0[n + i];
-        dal__apply(n, n, dal_system_mass(system), d, Md);
+        dal__apply(n, n, mass_of(system), d, Md);
         CHECK_NEAR(distance * distance, dot(n, d, Md), ROUNDOFF * (1 + dot(n, d, Md)));
         for (unsigned seed = 1; seed < 4; seed++) {
             somewhere(n, seed, tangent);
@@ -278,7 +278,7 @@ static void test_consistent(void)
     wide w;
     dal_system *const system = open_wide(&w, SIZE, FORMS, true, false);
     dal_mechanics *const mech = open_mechanics(system);
-    const double *const mass = dal_system_mass(system);
+    const double *const mass = mass_of(system);
     for (unsigned pattern = 0; pattern < 1u << SIZE; pattern++) {
         unsigned char keep[SIZE];
         size_t kept = 0;

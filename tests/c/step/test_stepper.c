@@ -79,7 +79,7 @@ static void check_equations(dal_mechanics *mechanics, const dal_system *system, 
     }
     CHECK(dal_energy(mechanics, 0.0, x, &E0) == 0 && dal_energy(mechanics, 0.0, x1, &E1) == 0);
 
-    const double *const M = dal_system_mass(system);
+    const double *const M = mass_of(system);
     const double extent = sum_of_sizes(2 * n, x) + sum_of_sizes(2 * n, x1)
                         + fabs(h) * (sum_of_sizes(n, g0) + sum_of_sizes(n, g1))
                         + sum_of_sizes(m, kappa);
@@ -136,7 +136,7 @@ static void test_explicit_reaction(const dal_system *system, const double *x, do
     for (size_t i = 0; i < n; i++) y[i] = x[i] + h * x[n + i];
     if (system->def.potential) {
         CHECK(system->def.potential(0.0, y, NULL, kick, NULL, system->def.ctx) == 0);
-        memcpy(factor, dal_system_mass(system), n * n * sizeof *factor);
+        memcpy(factor, mass_of(system), n * n * sizeof *factor);
         CHECK(dal__cholesky(n, factor, inverse, NULL, NULL));
         dal__cholesky_solve(n, factor, kick);
     }

@@ -303,7 +303,7 @@ static void test_general_base(void)
     CHECK(dal_system_new(&base, &def, NULL) == 0);
     system = deform(base, product, &factor, 0.2, DAL_NONLINEAR);
     again = deform(system, product, &factor, -0.2, DAL_NONLINEAR); /* back to the base */
-    CHECK(dal_system_is_forced(system) && dal_system_mass(system) == NULL);
+    CHECK(dal_system_is_forced(system) && mass_of(system) == NULL);
     test_derivatives(system);
     dal_mechanics *const mech = open_mechanics(base), *const twice = open_mechanics(again);
     const double x[6] = {0.2, 0.4, 0.1, 0.5, -0.3, 0.7};

@@ -183,7 +183,7 @@ static void test_copies(void)
     CHECK(dal_system_coordinate(system, 2) == NULL);
     CHECK(dal_system_invariants(system) == 1 && dal_system_invariant_name(system, 1) == NULL);
     CHECK(strcmp(dal_system_invariant_name(system, 0), "c") == 0);
-    CHECK(dal_system_mass(system)[0] == 2.0 && dal_system_mass(system)[1] == 0.5);
+    CHECK(mass_of(system)[0] == 2.0 && mass_of(system)[1] == 0.5);
     CHECK(dal_system_parameters(system) == 0 && dal_system_parameter_name(system, 0) == NULL);
     CHECK(isnan(dal_system_parameter(system, 0)));
 
