@@ -17,11 +17,12 @@ double dal__spacing(double q)
 }
 
 /* f' = (8 (f(q+d) - f(q-d)) - (f(q+2d) - f(q-2d))) / 12d  +  O(d^4 f^(5)/30, 1.5 u f/d) */
+static const int offsets[4] = {1, -1, 2, -2};
+static const double weights[4] = {8.0, -8.0, -1.0, 1.0};
+
 int dal__difference(dal__function f, void *ctx, double *point, size_t j, size_t count,
                     double *value, double *slope, size_t stride)
 {
-    static const int offsets[4] = {1, -1, 2, -2};
-    static const double weights[4] = {8.0, -8.0, -1.0, 1.0};
     const double q = point[j], d = dal__spacing(q);
     int returned = 0;
     for (size_t i = 0; i < count; i++) slope[i * stride] = 0.0;
@@ -188,6 +189,34 @@ void dal__symmetrise(size_t n, double *A)
         }
 }
 
+/* slopes <- phi_q by rows.  Columns of a colour have no row in common, and are differenced at
+ * once. */
+static int differentiate_rows(difference *d, const dal_rows *rows, double *slopes)
+{
+    evaluator *const e = d->e;
+    const size_t n = rows->n, *const colour = e->system->colour;
+    double *const point = e->point, *const phi = e->gradient;
+    memcpy(point, d->q, n * sizeof *point);
+    dal__clear(dal_rows_entries(rows), slopes);
+    for (size_t c = 0; c < e->system->colours; c++)
+        for (int k = 0; k < 4; k++) {
+            for (size_t i = 0; i < n; i++)
+                if (colour[i] == c) point[i] = d->q[i] + offsets[k] * dal__spacing(d->q[i]);
+            dal__forget(rows->m, phi);
+            const int returned = value(point, phi, d);
+            if (returned) return returned;
+            for (size_t i = 0; i < n; i++) {
+                if (colour[i] != c) continue;
+                point[i] = d->q[i];
+                for (size_t j = rows->above[i]; j < rows->above[i + 1]; j++)
+                    slopes[rows->entry[j]] += weights[k] * phi[rows->row[j]];
+            }
+        }
+    for (size_t j = 0; j < dal_rows_entries(rows); j++)
+        slopes[j] /= 12.0 * dal__spacing(d->q[rows->column[j]]);
+    return 0;
+}
+
 /* slopes <- an output that is missing. */
 static int differentiate(difference *d, const output *out, double *slopes)
 {
@@ -198,6 +227,7 @@ static int differentiate(difference *d, const output *out, double *slopes)
     d->from = out->from;
     d->moves = out->moves;
     if (e->system->def.missing & base->missing) return hessian_of_V(d, slopes);
+    if (e->rows && out->missing == DAL_MISSING_PHI_Q) return differentiate_rows(d, e->rows, slopes);
     const double *const centre = d->moves == MOVES_T ? &d->t : d->moves == MOVES_Q ? d->q : d->v;
     memcpy(e->point, centre, columns * sizeof *centre);
     const int returned = dal__jacobian(value, d, columns, e->point, count, e->gradient, slopes);

@@ -90,9 +90,6 @@ static int check_sparsity(const dal_system_def *def, dal_error *error)
     if (def->m == 0) return dal__fail(error, DAL_EINVAL, "sparsity with m = 0 constraints");
     if (given->entries > 0 && !(given->row && given->column))
         return dal__fail(error, DAL_EINVAL, "sparsity.%s is NULL", given->row ? "column" : "row");
-    if (def->missing & DAL_MISSING_PHI_Q)
-        return dal__fail(error, DAL_EINVAL, "missing = %#x: phi_q is needed where there is a "
-                         "sparsity", def->missing);
     for (size_t e = 0; e < given->entries; e++) {
         const size_t row = given->row[e], column = given->column[e];
         if (row >= def->m || column >= def->n)
@@ -206,6 +203,8 @@ static void plan_sparsity(arena *a, possessions *own, dal_system *shape, const d
         dal__reserve(a, of_entries[k], entries, sizeof(size_t));
     dal__reserve(a, &own->first, def->m + 1, sizeof(size_t));
     dal__reserve(a, &own->above, def->n + 1, sizeof(size_t));
+    if (def->missing & DAL_MISSING_PHI_Q)
+        dal__reserve(a, &shape->colour, def->n, sizeof *shape->colour);
 }
 
 static void plan(arena *a, possessions *own, dal_system *shape, const dal_system_def *def)
@@ -297,6 +296,29 @@ static int bind_mass(dal_system *system, const dal_system_def *def, dal_error *e
     return status;
 }
 
+/* Each column in turn gets the first colour that no column has which it meets in a row. */
+static int colour_columns(dal_system *system, dal_error *error)
+{
+    const dal_rows *const rows = system->rows;
+    const size_t n = rows->n;
+    size_t *const colour = system->colour, *met; /* the last column that met a colour, plus 1 */
+    arena scratch = {0};
+    dal__reserve(&scratch, &met, n, sizeof *met);
+    const int status = dal__allocate(&scratch, error);
+    if (status) return status;
+    for (size_t i = 0; i < n; i++) {
+        for (size_t k = rows->above[i]; k < rows->above[i + 1]; k++) {
+            const size_t a = rows->row[k];
+            for (size_t e = rows->first[a]; e < rows->first[a + 1] && rows->column[e] < i; e++)
+                met[colour[rows->column[e]]] = i + 1;
+        }
+        while (met[colour[i]] == i + 1) colour[i]++;
+        if (colour[i] >= system->colours) system->colours = colour[i] + 1;
+    }
+    dal__release(&scratch);
+    return DAL_SUCCESS;
+}
+
 /* The copy of the sparsity, and the same by rows. */
 static void bind_sparsity(dal_system *system, const possessions *own, const dal_sparsity *given)
 {
@@ -348,6 +370,7 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     take_texts(self, &own, def);
     if (has_mass(def)) status = bind_mass(self, def, error);
     if (def->sparsity) bind_sparsity(self, &own, def->sparsity);
+    if (!status && self->colour) status = colour_columns(self, error);
     if (!status && self->lean && self->rows)
         status = dal__pattern_new(&self->pattern, self->rows, error);
     if (status) {

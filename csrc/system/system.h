@@ -26,6 +26,7 @@ struct dal_system {
                                 are linear, no force depends on v, and V = 0, or its Hessian is not
                                 asked for */
     dal_rows *rows;          /* of the sparsity, or NULL */
+    size_t *colour, colours; /* [n] and how many, if phi_q is missing too: see evaluator.c */
     dal__pattern *pattern;   /* of mu M^-1 mu^T for these rows, if lean */
     size_t parameters;       /* of a built-in system */
     const parameter *parameter;

@@ -26,16 +26,23 @@ class Callables:
     """A user's functions, and the shapes of what they return, of n coordinates, m constraints.
 
     The force takes inputs, if there are any, as its last argument.  ``timed``: all take the time as
-    their first.
+    their first.  ``entries``: of linear forms, which then are no matrix.
     """
 
     def __init__(
-        self, n: int, m: int, inputs: int = 0, timed: bool = False, **functions: Function | None
+        self,
+        n: int,
+        m: int,
+        inputs: int = 0,
+        timed: bool = False,
+        entries: int | None = None,
+        **functions: Function | None,
     ) -> None:
         self.__dict__.update(functions)
         self.timed = timed
         self.bytes, self.bytes_of_inputs = 8 * n, 8 * inputs
-        self.vector, self.multipliers, self.matrix, self.square = (n,), (m,), (m, n), (n, n)
+        self.vector, self.multipliers, self.square = (n,), (m,), (n, n)
+        self.matrix = (m, n) if entries is None else (entries,)
         self.plain = {
             callback: [(name, shape_of(x, n, m)) for x, name in OUTPUTS[callback].items()]
             for callback in _PLAIN

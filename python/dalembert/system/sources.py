@@ -24,8 +24,10 @@ from ..core import (
 )
 from ..core.functions import Function, OfPoint, OfState
 from ..symbolic import evaluation, given
+from . import sparsity
 
 _MOST_COORDINATES = 10_000  # of dense matrices: n^2 numbers each, n^3 operations in a step
+_MOST_OF_ALL = 10_000_000  # with a sparsity
 
 # What each function makes no sense without.
 _NEEDS = {
@@ -119,7 +121,10 @@ def _new(
     texts = [(key, ffi.new("char[]", arguments.text(x, key).encode())) for key, x in about.items()]
     for key, text in texts:
         setattr(definition, key, text)
-    definition.mass = ffi.NULL if mass is None else core.pointer(mass)
+    if mass is not None and mass.ndim == 1:
+        definition.masses = core.pointer(mass)
+    else:
+        definition.mass = ffi.NULL if mass is None else core.pointer(mass)
     definition.state = ffi.NULL if state is None else core.pointer(state)
     handle = core.make("system", definition, owner=owner)
     del c_names, c_inputs, texts
@@ -144,6 +149,8 @@ class Functions(Source):
     steady: bool
     inputs: list[str]
     time_dependent: bool
+    positional: bool
+    sparsity: sparsity.Sparsity | None
 
     def named(self) -> dict[str, Function | None]:
         return self.given | self.invariants
@@ -152,7 +159,9 @@ class Functions(Source):
         given = sorted(name for name, function in self.named().items() if function is not None)
         mass = None if self.mass is None else self.mass.tolist()
         numbers = [self.n, self.m, bool(self.steady), self.time_dependent]
-        return ["functions", given, numbers, mass, self.coordinates, self.inputs]
+        entries = self.sparsity and [x.tolist() for x in self.sparsity[:2]]
+        more = [self.positional, entries] if self.positional or entries else []
+        return ["functions", given, numbers, mass, self.coordinates, self.inputs, *more]
 
     def define(
         self, callbacks: dict[str, Any], kind: int, missing: int, ctx: Any, kept: Any
@@ -161,8 +170,14 @@ class Functions(Source):
         numbers = {"n": self.n, "m": self.m, "kind": kind, "missing": missing}
         numbers["inputs"] = len(self.inputs)
         numbers["time_dependent"] = int(self.time_dependent)
+        numbers["positional"] = int(self.positional)
         given = {**numbers, "steady": int(bool(self.steady)), "ctx": ctx, **callbacks}
         definition = ffi.new("dal_system_def *", given)
+        if self.sparsity is not None:
+            rows, columns, _ = self.sparsity
+            addresses = (ffi.from_buffer("size_t[]", x) for x in (rows, columns))
+            pattern = ffi.new("dal_sparsity *", [len(rows), *addresses])
+            definition.sparsity = pattern
         names = self.coordinates, self.inputs
         return _new(definition, *names, self.about, self.mass, self.state, (ctx, kept))
 
@@ -178,7 +193,8 @@ class PythonFunctions(Functions):
             kind = "affine" if given["affine"] is not None else kind
             kind = "nonlinear" if given["constraint"] is not None else kind
         timed = self.time_dependent
-        callables = core.Callables(self.n, self.m, len(self.inputs), timed, **given)
+        entries = None if self.sparsity is None else len(self.sparsity.rows)
+        callables = core.Callables(self.n, self.m, len(self.inputs), timed, entries, **given)
         callbacks = {
             key: getattr(lib, f"dal_py_{key}")
             for key in ("lagrangian", "potential", "force", "exact")
@@ -235,8 +251,17 @@ def functions(given: dict[str, Any]) -> Functions:
             if value is not None:
                 raise ValueError(f"{key} = {arguments.shown(value)}: only C functions take it")
     arguments.pair(given["q0"], given["v0"], ("q0", "v0"))
-    matrix, names = _mass_and_names(mass, n, given["coordinates"], given["q0"])
+    sparse = given["sparsity"] is not None
+    most = _MOST_OF_ALL if sparse else _MOST_COORDINATES
+    matrix, names = _mass_and_names(mass, n, given["coordinates"], given["q0"], most)
     size, state = len(names), None
+    pattern = sparsity.read(given["sparsity"], size, m) if sparse else None
+    positional = bool(given["positional"])
+    if positional and by_name["force"] is None:
+        raise ValueError("positional = True: there is no force")
+    if pattern is not None:
+        _require_linear(by_name, bool(compiled))
+        m = pattern.m
     if given["q0"] is not None:
         both = (arguments.array(given[key], key, (size,)) for key in ("q0", "v0"))
         state = np.concatenate([*both])
@@ -250,7 +275,10 @@ def functions(given: dict[str, Any]) -> Functions:
     about["formulas"] = "\n".join(lines)
     own = dict(invariants or {})
     steady = given["steady"]
-    common = (by_name, matrix, size, m, about, names, state, own, steady, inputs, timed)
+    common = (
+        by_name, matrix, size, m, about, names, state, own, steady, inputs, timed, positional,
+        pattern,
+    )  # fmt: skip
     return CFunctions(*common, **for_c) if compiled else PythonFunctions(*common)
 
 
@@ -269,12 +297,19 @@ def _input_names(given: Sequence[str] | int | None, force: Any) -> list[str]:
 
 
 def _mass_and_names(
-    mass: ArrayLike | None, n: int | None, coordinates: Sequence[str] | None, q0: ArrayLike | None
+    mass: ArrayLike | None,
+    n: int | None,
+    coordinates: Sequence[str] | None,
+    q0: ArrayLike | None,
+    most: int,
 ) -> tuple[Array | None, list[str]]:
-    """Return M, if it is given, and the names of the coordinates, which agree in their number."""
+    """Return M, if it is given, and the names of the coordinates, which agree in their number.
+
+    M may be its diagonal.
+    """
     if coordinates is not None:
         coordinates = arguments.names(coordinates, "coordinates", "several names, as ['x', 'y']")
-    told = _number_of_coordinates(n, coordinates, q0)
+    told = _number_of_coordinates(n, coordinates, q0, most)
     matrix = None if mass is None else _mass_matrix(mass, n, told)
     size = told if matrix is None else len(matrix)
     if size is None:
@@ -358,7 +393,7 @@ class Expressions(Source):
             names = list(model.coordinates)
             made = PythonFunctions(
                 found, mass, n, model.m, self.about, names, state, invariants, False,
-                list(model.inputs), model.is_time_dependent,
+                list(model.inputs), model.is_time_dependent, False, None,
             ).make()
         else:
             handle = self._from_library(library, numbers, mass, state, in_c)
@@ -501,30 +536,39 @@ def _require_compiled(
 
 
 def _number_of_coordinates(
-    n: int | None, coordinates: Sequence[str] | None, q0: ArrayLike | None
+    n: int | None, coordinates: Sequence[str] | None, q0: ArrayLike | None, most: int
 ) -> int | None:
     """Return n as given, or as the coordinates or q0 tell it; None if nothing does."""
     if n is not None:
-        return arguments.integer(n, "n", 1, _MOST_COORDINATES)
+        return arguments.integer(n, "n", 1, most)
     if coordinates is not None:
         return len(coordinates)
     return None if q0 is None else int(np.size(q0))
 
 
 def _mass_matrix(mass: ArrayLike, n: int | None, told: int | None) -> Array:
-    """Return M for a matrix, its diagonal, or one number; ValueError if n does not agree."""
+    """Return M for a matrix, or its diagonal for that or one number; ValueError if n is another."""
     matrix = arguments.array(mass, "mass", (None, None), (None,), ())
     if matrix.ndim == 0:
         if told is None:
             raise ValueError(f"n: needed, because mass = {mass!r} does not tell it")
         matrix = np.full(told, float(matrix))
-    if matrix.ndim == 1:
-        matrix = np.diag(matrix)
-    if matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
+    if matrix.shape[0] != matrix.shape[-1] or matrix.size == 0:
         raise ValueError(f"mass: expected a square matrix, got shape {matrix.shape}")
     if n is not None and len(matrix) != n:
-        raise ValueError(f"n = {n}: the mass matrix has shape {matrix.shape}")
+        raise ValueError(f"n = {n}: the mass has shape {matrix.shape}")
     return matrix.copy()
+
+
+def _require_linear(functions: dict[str, Function | None], compiled: bool) -> None:
+    """Raise ValueError unless functions of a system with a sparsity can return its entries."""
+    if compiled:
+        return
+    for key in ("affine", "constraint"):
+        if functions[key] is not None:
+            raise ValueError(f"sparsity with {key}: expected linear constraints, forms alone")
+    if functions["forms"] is None:
+        raise ValueError("sparsity without forms")
 
 
 def _number_of_constraints(

@@ -96,6 +96,13 @@ class System(Handle):
         Whether mu depends only on coordinates that no reaction pushes, those i with row i of
         M^-1 mu^T zero, as on the heading of a blade; only with ``mass`` and ``forms``.  Steps are
         then linear, without iteration; a step that finds it false ends the run.
+    positional : bool, optional
+        Whether the force depends on t, q and its inputs alone: it then enters steps as the gradient
+        of a potential does, which is faster, and gets NaN for v in them.
+    sparsity : array_like or sparse array, shape (m, n), or tuple (rows, columns), optional
+        The entries of mu and of d(mu v)/dq that may be other than 0: those of both together, by
+        rows, and in each by columns.  ``forms`` and ``forms_velocity_derivative`` then return an
+        array of these entries alone.  See below.
     kind : {"linear", "affine", "nonlinear"}, optional
         Of a ``constraint`` that is a C function; default "linear".
     missing : sequence of str, optional
@@ -141,6 +148,12 @@ class System(Handle):
 
     A system of constant mass without force and with linear constraints is integrated by the fastest
     step routine; all others by Newton's iteration on all n + m unknowns.
+
+    With a ``sparsity``, steps take time and memory in proportion to n where the mass is given by
+    numbers, not by a matrix, constraints touch few coordinates each, and the force, if any, is
+    ``positional``.  The Hessian of V is then not used, and h has to resolve what V makes oscillate.
+    Chains, trees and crowds of bodies have blocks and narrow bands; a constraint that has a
+    coordinate in common with all others costs as much as a dense matrix of m rows.
 
     ``potential``, ``constraint``, ``lagrangian`` and ``force`` may be C functions, with the
     arguments of ``dal_potential_fn`` and so on in ``dalembert.h``: a numba ``cfunc`` (see
@@ -250,6 +263,8 @@ class System(Handle):
         invariants: Mapping[str, Callable[[Array, Array], float]] | None = None,
         steady: bool = False,
         time_dependent: bool = False,
+        positional: bool = False,
+        sparsity: Any = None,
         kind: str | None = None,
         missing: Sequence[str] | None = None,
         ctx: Any = None,
@@ -862,7 +877,7 @@ class System(Handle):
         values = ", ".join(f"{key} = {value:g}" for key, value in self._parameters.items())
         names = ", ".join(self.coordinates[:8]) + ", ..." * (self.n > 8)
         traits = (
-            (", general Lagrangian" if self.mass is None else "")
+            ("" if self.has_constant_mass else ", general Lagrangian")
             + (f", {self.kind}" if self.kind != "linear" else "")
             + (", forced" if self.is_forced else "")
             + (", depends on time" if self.is_time_dependent else "")

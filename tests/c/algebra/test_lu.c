@@ -231,7 +231,7 @@ static void test_condition(void)
     CHECK(factor(&A, &f) != 0);
 }
 
-/* Two rows, and columns, that are the same but for a rounding, which leaves a pivot of that size. */
+/* Two rows, and columns, that are the same but for a rounding, which leaves a pivot as small. */
 static void test_coincidence(void)
 {
     unsigned seed = 29;
