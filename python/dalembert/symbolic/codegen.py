@@ -29,6 +29,9 @@ _LARGEST = 32
 # What the step routine alone calls.
 _OF_STEPS = ("balance", "pull")
 
+# Above this number of zeros they are written to an output by a loop.
+_MOST_ZEROS = 64
+
 # Above this number of operations a callback is a function that the step routine calls.
 _INLINED = 400
 
@@ -152,15 +155,12 @@ def _function(
     made: Program, model: Model, function: Function, fast: bool, powers: set[int]
 ) -> None:
     """Write a callback: what is common to its outputs, then each output that is wanted."""
-    give = function.engine.give
-    temporaries, reduced = function.engine.cse([*itertools.chain(*function.outputs.values())])
+    give, values = function.engine.give, _written(function)
+    temporaries, reduced = function.engine.cse([e for x in values.values() for e in x.values()])
     temporaries = [(give(s), give(e)) for s, e in temporaries]
     left = map(give, reduced)
-    values = {
-        output: [*itertools.islice(left, len(expressions))]
-        for output, expressions in function.outputs.items()
-    }
-    computed = [*itertools.chain(*values.values()), *(e for _, e in temporaries)]
+    values = {output: dict(zip(entries, left)) for output, entries in values.items()}
+    computed = [*(e for x in values.values() for e in x.values()), *(e for _, e in temporaries)]
     of_force = function.name in ("force", *_OF_STEPS)
     inline = fast and function.name in ("constraint", "potential", *_OF_STEPS)
     inline = inline and _are_few(computed)
@@ -180,7 +180,7 @@ def _function(
             made.add(f"    const double {symbol.name} = {place};")
     unused = [i for i in _names(signature) if i in ("t", "q", "v", "u", "start", "phi_t", "L_vt")]
     made.add("    " + ", ".join(f"(void){name}" for name in [*unused, "p"]) + ";")
-    _outputs(made, model, function.name, temporaries, values, Printer(powers))
+    _outputs(made, model, function, temporaries, values, Printer(powers))
     made.add("    return 0;\n}\n")
     if function.name not in ("mass", "state", *_OF_STEPS):
         names = ", ".join(_names(signature))
@@ -188,12 +188,22 @@ def _function(
         made.add(f"    return model_{function.name}({names}, ctx);\n}}\n")
 
 
+def _written(function: Function) -> dict[str, dict[int, Any]]:
+    """Return the entries of each output that are written one by one: not many zeros."""
+    found = {}
+    for output, expressions in function.outputs.items():
+        there = {k: e for k, e in enumerate(expressions) if e != 0}
+        few = len(expressions) - len(there) <= _MOST_ZEROS
+        found[output] = dict(enumerate(expressions)) if few else there
+    return found
+
+
 def _outputs(
     made: Program,
     model: Model,
-    name: str,
+    function: Function,
     temporaries: Sequence[tuple[Any, Any]],
-    values: dict[str, list[Any]],
+    values: dict[str, dict[int, Any]],
     print_c: Printer,
 ) -> None:
     """Write what computes the outputs; what several need stands before them."""
@@ -203,7 +213,7 @@ def _outputs(
         try:
             line = f"{left} = {print_c(expression)};"
         except ValueError as error:
-            raise ValueError(f"{what} of the {name}: {error}") from None
+            raise ValueError(f"{what} of the {function.name}: {error}") from None
         made.lines.append((line, functools.partial(_origin, what, expression, temporaries)))
 
     def parts(are_here: Callable[[set[str]], bool], indent: str) -> None:
@@ -213,12 +223,15 @@ def _outputs(
                 compute(f"{indent}const double {symbol.name}", expression, what)
 
     parts(lambda by: len(by) > 1, "    ")
-    for output, expressions in values.items():
+    for output, entries in values.items():
         made.add(f"    if ({output}) {{")
         parts(lambda by, output=output: by == {output}, "        ")
-        columns = model.n if len(expressions) > max(model.n, model.m) else len(expressions)
-        for k, expression in enumerate(expressions):
-            index = f"{k // columns}, {k % columns}" if columns < len(expressions) else f"{k}"
+        size = len(function.outputs[output])
+        if len(entries) < size:
+            made.add(f"        for (size_t i = 0; i < {size}; i++) {output}[i] = 0.0;")
+        columns = model.n if size > max(model.n, model.m) else size
+        for k, expression in entries.items():
+            index = f"{k // columns}, {k % columns}" if columns < size else f"{k}"
             compute(f"        {output}[{k}]", expression, f"{output}[{index}]")
         made.add("    }")
 
@@ -235,12 +248,12 @@ def _names(signature: str) -> list[str]:
 
 
 def _users(
-    temporaries: Sequence[tuple[Any, Any]], values: dict[str, list[Any]]
+    temporaries: Sequence[tuple[Any, Any]], values: dict[str, dict[int, Any]]
 ) -> dict[Any, set[str]]:
     """Return for each temporary the outputs that need it."""
     users: dict[Any, set[str]] = {symbol: set() for symbol, _ in temporaries}
-    for output, expressions in values.items():
-        for expression in expressions:
+    for output, entries in values.items():
+        for expression in entries.values():
             for symbol in expression.free_symbols & users.keys():
                 users[symbol].add(output)
     for symbol, expression in reversed(temporaries):
