@@ -500,6 +500,13 @@ class Model:
         """Kind, mass and derivatives; the expensive part."""
         return _derive(self)
 
+    @functools.cached_property
+    def sparsity(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Rows and columns, row by row, of the entries where phi_v or phi_q or both are not 0."""
+        jacobians = (self.derived.entries("constraint", x) for x in ("phi_v", "phi_q"))
+        there = [k for k, both in enumerate(zip(*jacobians)) if any(e != 0 for e in both)]
+        return tuple(k // self.n for k in there), tuple(k % self.n for k in there)
+
     def shown(self, expression: Expr) -> Expr:
         """Return an expression with the user's names, for people to read."""
         return expression.xreplace(self._names)

@@ -10,7 +10,7 @@ import numpy as np
 
 from .model import Model
 
-_MOST = 8  # coordinates; n*n bits have to fit into a word of 64
+MOST = 8  # coordinates; n*n bits have to fit into a word of 64
 
 Rows = list[list[bool]]
 
@@ -45,7 +45,7 @@ class Pattern:
 
     def initializer(self) -> str | None:
         """Return the ``dal_pattern`` in C; None if there are too many coordinates for one."""
-        if len(self.inverse) > _MOST:
+        if len(self.inverse) > MOST:
             return None
         matrices = (
             self.inverse, self.mu, self.Z, self.N, self.pull, self.kick, self.one,

@@ -1,5 +1,6 @@
 """Systems from SymPy: what is accepted and refused, what is generated, against exact arithmetic."""
 
+import ctypes
 import functools
 import itertools
 import json
@@ -21,7 +22,7 @@ from sympy.physics import mechanics
 from sympy.physics.mechanics import dynamicsymbols
 
 import dalembert as dal
-from dalembert import core
+from dalembert import compiler, core
 import dalembert.symbolic.codegen as codegen
 import dalembert.symbolic.given as symbolic
 import dalembert.symbolic.model as model
@@ -287,6 +288,60 @@ def test_work_grows_with_what_is_there(engine, monkeypatch):
     (derivatives, lines), (more, longer) = work
     # There are 11 and 47 springs.
     assert more <= 4.3 * derivatives and longer <= 4.3 * lines
+
+
+def test_constraints_with_the_entries_of_their_sparsity(tmp_path):
+    """What a compact program writes is what stands there in the matrices, and the rest is 0."""
+    L, rows, q = skates(4)
+    rows[1] += sympy.sin(q[0]) * q[11].d  # phi_q has an entry where phi_v has none
+    found, _ = symbolic.make_model(L, rows, q, None)
+    outputs = found.derived.function("constraint").outputs
+    pattern = [
+        (i, j) for i, j in itertools.product(range(4), range(12))
+        if outputs["phi_v"][12 * i + j] != 0 or outputs["phi_q"][12 * i + j] != 0
+    ]  # fmt: skip
+    row, column = found.sparsity
+    assert [*zip(row, column)] == pattern and len(pattern) == 4 * 3 + 2
+
+    source = codegen.program(found, compact=None).source
+    assert ".sparsity = &model_sparsity" in source and "kernel.h" not in source
+    assert "dal_sparsity model_sparsity = {14, model_row, model_column};" in source
+    for name, places in (("row", row), ("column", column)):
+        assert f"size_t model_{name}[] = {{{', '.join(map(str, places))}}};" in source
+    callbacks, _, _ = source.partition("static const dal_sparsity")
+    callbacks += """DAL_API void jacobians(const double *q, const double *v, double *a, double *b)
+    { model_constraint(0.0, q, v, NULL, a, b, NULL, NULL); }"""
+    made = compiler.compile_program(compiler.find(), callbacks, lambda line: "")
+    (tmp_path / "compact.so").write_bytes(made)
+    function = ctypes.CDLL(str(tmp_path / "compact.so")).jacobians
+
+    point = np.random.default_rng(2).uniform(0.2, 1.1, (2, 12))
+    compact = np.full((2, 14), np.nan)
+    function(*(ctypes.c_void_p(x.ctypes.data) for x in (*point, *compact)))
+    whole = evaluate(dal.System.from_sympy(L, rows, q), "constraint", 0.0, *point)
+    for key, values in zip(("phi_v", "phi_q"), compact):
+        dense = np.zeros((4, 12))
+        dense[row, column] = values
+        np.testing.assert_array_equal(dense.ravel(), whole[key])
+
+
+def test_which_constraints_are_sparse():
+    L, rows, q = skates(4)
+    full = sum((k + 2) * x.d for k, x in enumerate(q))
+
+    def is_compact(L, rows, q, force=None):
+        return codegen.is_compact(symbolic.make_model(L, rows, q, None, force)[0])
+
+    assert is_compact(L, rows, q) and is_compact(L, rows, q, {q[0]: -q[0]})
+    half = [*rows, full, full + q[0] * q[1].d]
+    assert is_compact(L, half, q)  # 36 entries of 72
+    assert not is_compact(L, [rows[0] + q[5].d, *half[1:]], q)
+    assert not is_compact(L, (), q)
+    assert not is_compact(L, rows, q, {q[0]: -q[0].d})
+    assert not is_compact(L + q[0].d * q[1].d / 9, rows, q)
+    assert not is_compact(L + sympy.sin(q[0]) * q[0].d ** 2 / 9, rows, q)
+    assert not is_compact(L, [rows[0] + 1, *rows[1:]], q)
+    assert is_compact(*skates(3)) and not is_compact(*skates(2))
 
 
 # ---- vectors -----------------------------------------------------------------------------------
