@@ -223,7 +223,7 @@ class Translation:
             return self(given, where, self.clock)
         if len(given) != n:
             raise ValueError(f"{where}: expected {n} coefficients, got {len(given)}")
-        return sympy.Add(*(self(c, where, self.clock) * v for c, v in zip(given, self.v)))
+        return sympy.Add(*(self(c, where, self.clock) * v for c, v in zip(given, self.v) if c != 0))
 
     def force(self, given: Rule) -> tuple[Expr, ...]:
         """Return the n components of a force."""

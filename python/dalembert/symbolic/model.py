@@ -15,7 +15,7 @@ import hashlib
 import itertools
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -156,13 +156,28 @@ class _Jump(Exception):
     """A derivative that needs a DiracDelta of args[1], by the symbol args[0]."""
 
 
-def _diff(expression: Expr, symbol: Expr, almost: bool = False) -> Expr:
-    """Return a derivative as a function.
+def _gradient(e: Expr, symbols: Collection[Expr]) -> Rule:
+    """Return the derivatives of an expression by those of the symbols that occur in it.
+
+    They are those of ``sympy.diff``, which for each symbol would go through all terms of all sums.
+    """
+    if not e.is_Add and not e.is_Mul:
+        return {s: sympy.diff(e, s) for s in e.free_symbols if s in symbols}
+    slopes: dict[Expr, list[Expr]] = {}
+    for i, part in enumerate(e.args):
+        for s, slope in _gradient(part, symbols).items():
+            slopes.setdefault(s, []).append(
+                slope if e.is_Add else sympy.Mul(*e.args[:i], slope, *e.args[i + 1 :])
+            )
+    return {s: sympy.Add(*found) for s, found in slopes.items()}
+
+
+def _as_function(found: Expr, symbol: Expr, almost: bool) -> Expr:
+    """Return a derivative by a symbol as a function.
 
     A DiracDelta is left out where its factor vanishes with its argument, as in the derivative of
     x^2 sign(x); and anywhere if `almost`, for a derivative that may be wrong where something jumps.
     """
-    found = sympy.diff(expression, symbol)
     for delta in found.atoms(sympy.DiracDelta):
         mark = sympy.Dummy(real=True)
         marked = found.xreplace({delta: mark})
@@ -260,7 +275,7 @@ _SMOOTH = of_sympy(
 
 
 class _SymPy:
-    """Derivatives and common subexpressions by SymPy."""
+    """Derivatives, by the symbols that occur, and common subexpressions by SymPy."""
 
     name = f"sympy {sympy.__version__}"
 
@@ -269,7 +284,11 @@ class _SymPy:
         return expression
 
     give = take
-    diff = staticmethod(_diff)
+
+    @staticmethod
+    def gradient(expression: Expr, symbols: Sequence[Expr], almost: bool = False) -> Rule:
+        slopes = _gradient(expression, {*symbols})
+        return {x: _as_function(slopes[x], x, almost) for x in symbols if x in slopes}
 
     @staticmethod
     def cse(expressions: list[Expr]) -> tuple[list[tuple[Expr, Expr]], list[Expr]]:
@@ -297,8 +316,9 @@ class _SymEngine:
         return symengine.sympify(expression)
 
     @staticmethod
-    def diff(expression: Expr, symbol: Expr, almost: bool = False) -> Expr:
-        return symengine.diff(expression, symbol)  # what is smooth has no jumps
+    def gradient(expression: Expr, symbols: Sequence[Expr], almost: bool = False) -> Rule:
+        occurring = expression.free_symbols  # and what is smooth has no jumps
+        return {x: symengine.diff(expression, x) for x in symbols if x in occurring}
 
     @staticmethod
     def cse(expressions: list[Expr]) -> tuple[list[tuple[Expr, Expr]], list[Expr]]:
@@ -336,6 +356,12 @@ def default_engine() -> str:
 
 
 # ---- the model -------------------------------------------------------------------------------
+
+
+def _of_each(f: Callable[[Expr], Expr], entries: Iterable[Expr]) -> list[Expr]:
+    """Return f of each entry; most entries may be 0, and f of that is found once."""
+    zero = f(sympy.Integer(0))
+    return [zero if e == 0 else f(e) for e in entries]
 
 
 @dataclass(frozen=True)
@@ -378,10 +404,15 @@ class Derived:
         """Return the function of this name, None if the model has none."""
         return next((f for f in self.functions if f.name == name), None)
 
+    def entries(self, name: str, output: str) -> Sequence[Expr]:
+        """Return an output of a function as its engine has it; nothing if there is no such one."""
+        function = self.function(name)
+        return [] if function is None else function.outputs[output]
+
     def expressions(self, name: str, output: str) -> list[Expr]:
         """Return an output of a function as SymPy has it; nothing if the model has no such one."""
         function = self.function(name)
-        return [] if function is None else [*map(function.engine.give, function.outputs[output])]
+        return [] if function is None else _of_each(function.engine.give, function.outputs[output])
 
 
 @dataclass(frozen=True, eq=False)
@@ -469,6 +500,13 @@ class Model:
         """Kind, mass and derivatives; the expensive part."""
         return _derive(self)
 
+    @functools.cached_property
+    def sparsity(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Rows and columns, row by row, of the entries where phi_v or phi_q or both are not 0."""
+        jacobians = (self.derived.entries("constraint", x) for x in ("phi_v", "phi_q"))
+        there = [k for k, both in enumerate(zip(*jacobians)) if any(e != 0 for e in both)]
+        return tuple(k // self.n for k in there), tuple(k % self.n for k in there)
+
     def shown(self, expression: Expr) -> Expr:
         """Return an expression with the user's names, for people to read."""
         return expression.xreplace(self._names)
@@ -498,7 +536,9 @@ class Model:
         return {
             output: sympy.lambdify(
                 arguments,
-                [with_default(in_doubles(function.engine.give(e), 17)) for e in expressions],
+                _of_each(
+                    lambda e: with_default(in_doubles(function.engine.give(e), 17)), expressions
+                ),
                 "math",
                 cse=True,
             )
@@ -596,7 +636,7 @@ def _derive(model: Model) -> Derived:
 
 def _jet(derived: Derived, engine: Any, name: str, *outputs: str) -> list[list[Expr]]:
     """Return outputs of a function, for another engine; nothing if the model has no such one."""
-    return [[*map(engine.take, derived.expressions(name, output))] for output in outputs]
+    return [_of_each(engine.take, derived.expressions(name, output)) for output in outputs]
 
 
 def _balance(model: Model, derived: Derived) -> Function:
@@ -611,11 +651,10 @@ def _balance(model: Model, derived: Derived) -> Function:
         )
         F_v = [L_vq[j * n + i] for i in range(n) for j in range(n)]
     else:
-        L_vv, L_vq, F_v = [*map(engine.take, derived.mass)], none, none
+        L_vv, L_vq, F_v = _of_each(engine.take, derived.mass), none, none
         v = [*map(engine.take, model.v)]
-        L_v = [
-            sum((L_vv[i * n + j] * v[j] for j in range(n)), engine.take(zero)) for i in range(n)
-        ]
+        rows = [L_vv[i * n : (i + 1) * n] for i in range(n)]
+        L_v = [sum((e * x for e, x in zip(row, v) if e != 0), engine.take(zero)) for row in rows]
         V_q, V_qq = _jet(derived, engine, "potential", "V_q", "V_qq")
         F, F_q = [-e for e in V_q] or none[:n], [-e for e in V_qq] or none
     if f:
@@ -639,8 +678,10 @@ def _pull(model: Model, derived: Derived) -> Function:
 def _slopes(
     engine: Any, expressions: Iterable[Expr], symbols: Iterable[Expr], almost: bool = False
 ) -> list[Expr]:
-    """Return the derivatives of expressions by symbols, row by row; see `_diff`."""
-    return [engine.diff(e, engine.take(x), almost) for e in expressions for x in symbols]
+    """Return the derivatives of expressions by symbols, row by row; see `_as_function`."""
+    symbols, zero = [*map(engine.take, symbols)], engine.take(sympy.Integer(0))
+    slopes = [engine.gradient(e, symbols, almost) for e in expressions]
+    return [row.get(x, zero) for row in slopes for x in symbols]
 
 
 def _energy(
@@ -723,19 +764,19 @@ def _symmetric(
     engine: Any, gradient: Sequence[Expr], x: Sequence[Expr], almost: bool = False
 ) -> list[Expr]:
     """Return the matrix of second derivatives; what is below the diagonal is what is above it."""
-    upper = {
-        (i, j): engine.diff(gradient[i], engine.take(x[j]), almost)
-        for i in range(len(x))
-        for j in range(i, len(x))
-    }
-    return [upper[min(i, j), max(i, j)] for i in range(len(x)) for j in range(len(x))]
+    x, zero = [*map(engine.take, x)], engine.take(sympy.Integer(0))
+    upper = [engine.gradient(e, x[i:], almost) for i, e in enumerate(gradient)]
+    return [
+        upper[min(i, j)].get(x[max(i, j)], zero) for i in range(len(x)) for j in range(len(x))
+    ]
 
 
-def _without(engine: Any, expression: Expr, values: Rule) -> Expr:
-    """Return an expression with some symbols replaced by numbers."""
+def _without(engine: Any, expressions: Iterable[Expr], values: Rule) -> list[Expr]:
+    """Return expressions with some symbols replaced by numbers."""
     if engine is _SymPy:
-        return expression.xreplace(values)
-    return expression.subs({engine.take(s): engine.take(x) for s, x in values.items()})
+        return _of_each(lambda e: e.xreplace(values), expressions)
+    taken = {engine.take(s): engine.take(x) for s, x in values.items()}
+    return _of_each(lambda e: engine.take(e).subs(taken), expressions)
 
 
 def _constant_mass(
@@ -744,13 +785,13 @@ def _constant_mass(
     """Return M if it is proved that L = v^T M v / 2 - V(q) with a constant M, else None; and V."""
     rest = dict.fromkeys(model.v, sympy.Integer(0))
     origin = rest | dict.fromkeys((*model.q, TIME), sympy.Integer(0))
-    given = [engine.give(e) for e in L_vv]
-    M = tuple(e.xreplace(origin) for e in given)  # if it is the same everywhere
+    given = _of_each(engine.give, L_vv)
+    M = tuple(_of_each(lambda e: e.xreplace(origin), given))  # if it is the same everywhere
     V = -L.xreplace(rest)
     if not all(e == c or is_zero(e - c) for e, c in zip(given, M)):
         return None, V  # which the whole would tell, but later
-    products = [a * b / 2 for a in model.v for b in model.v]
-    kinetic = sympy.Add(*(e * product for e, product in zip(M, products)))
+    pairs = itertools.product(model.v, repeat=2)
+    kinetic = sympy.Add(*(e * (a * b / 2) for e, (a, b) in zip(M, pairs) if e != 0))
     return M if is_zero(L + V - kinetic) else None, V
 
 
@@ -762,12 +803,13 @@ def _kind(
     They are affine if it is proved that phi = mu(q) v + a(q), linear if a is proved to be zero.
     """
     n, rest = model.n, dict.fromkeys(model.v, sympy.Integer(0))
-    given = [engine.give(e) for e in phi_v]
-    mu = [e.xreplace(rest) for e in given]
+    given = _of_each(engine.give, phi_v)
+    mu = _of_each(lambda e: e.xreplace(rest), given)
     shift = [e.xreplace(rest) for e in phi]
+    rows = [zip(mu[a * n : (a + 1) * n], model.v) for a in range(model.m)]
     affine = all(
-        is_zero(e - b - sympy.Add(*(c * x for c, x in zip(mu[a * n : (a + 1) * n], model.v))))
-        for a, (e, b) in enumerate(zip(phi, shift))
+        is_zero(e - b - sympy.Add(*(c * x for c, x in row if c != 0)))
+        for e, b, row in zip(phi, shift, rows)
     )
     for a in range(model.m):
         if all(map(is_zero, (mu if affine else given)[a * n : (a + 1) * n])):
@@ -781,7 +823,7 @@ def _kind(
             )
     if not affine:
         return "nonlinear", phi_v
-    phi_v = [_without(engine, e, rest) for e in phi_v]
+    phi_v = _without(engine, phi_v, rest)
     return "linear" if all(map(is_zero, shift)) else "affine", phi_v
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .model import Model
 
-_MOST = 8  # coordinates; n*n bits have to fit into a word of 64
+MOST = 8  # coordinates; n*n bits have to fit into a word of 64
 
 Rows = list[list[bool]]
 
@@ -45,7 +45,7 @@ class Pattern:
 
     def initializer(self) -> str | None:
         """Return the ``dal_pattern`` in C; None if there are too many coordinates for one."""
-        if len(self.inverse) > _MOST:
+        if len(self.inverse) > MOST:
             return None
         matrices = (
             self.inverse, self.mu, self.Z, self.N, self.pull, self.kick, self.one,
@@ -80,20 +80,20 @@ def pattern(model: Model) -> Pattern:
     def rows(entries: Sequence[Any]) -> Any:
         return np.array([e != 0 for e in entries], dtype=bool).reshape(-1, n)
 
-    forms = derived.expressions("constraint", "phi_v")
-    mu, N = rows(forms), rows(derived.expressions("constraint", "phi_q"))
-    mass = rows(derived.expressions("balance", "L_vv") if of_momenta else derived.mass or ())
+    forms = derived.entries("constraint", "phi_v")
+    mu, N = rows(forms), rows(derived.entries("constraint", "phi_q"))
+    mass = rows(derived.entries("balance", "L_vv") if of_momenta else derived.mass or ())
     none = np.zeros((n, n), dtype=bool)
     slopes = [none] * 3
     if of_momenta:
-        slopes = [rows(derived.expressions("balance", x)) for x in ("L_vq", "F_q", "F_v")]
+        slopes = [rows(derived.entries("balance", x)) for x in ("L_vq", "F_q", "F_v")]
     K = np.any([mass, *slopes], axis=0)
     # coordinates that M, or K, couples, through others too, fill a block
     inverse, inverse_of_K = _closed(mass), _closed(K)
     Z = mu @ inverse_of_K.T
     pushed = Z.any(axis=0)
     of_force = (("balance", "F"), ("pull", "V_q"), ("potential", "V_q"))
-    force = next((x for name in of_force if (x := derived.expressions(*name))), ())
+    force = next((x for name in of_force if (x := derived.entries(*name))), ())
     kick = (rows(force) @ inverse).any(axis=0)
     pull = pushed | kick
     # what mu depends on: not only where it has a derivative

@@ -196,13 +196,13 @@ class _Form:
             shift = -(least // degree) * degree if least < 0 else 0
             if not shift and max(exponents, default=0) < degree:
                 continue
-            found: Polynomial = {}
+            found: list[tuple[Monomial, Any]] = []
             for (term, x), exponent in zip(a.items(), exponents):
                 whole, rest = divmod(exponent + shift, degree)
                 others = dict(term) | {g: rest}
                 kept = tuple(sorted((letter, k) for letter, k in others.items() if k))
-                found = _sum(found, self.times({kept: x}, self.power(base, whole)), 1)
-            a = found
+                found += self.times({kept: x}, self.power(base, whole)).items()
+            a = _collected(found)
         return a
 
 

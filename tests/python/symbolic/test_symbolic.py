@@ -1,9 +1,11 @@
 """Systems from SymPy: what is accepted and refused, what is generated, against exact arithmetic."""
 
+import ctypes
 import functools
 import itertools
 import json
 import pickle
+import random
 import re
 import subprocess
 import sys
@@ -20,7 +22,7 @@ from sympy.physics import mechanics
 from sympy.physics.mechanics import dynamicsymbols
 
 import dalembert as dal
-from dalembert import core
+from dalembert import compiler, core
 import dalembert.symbolic.codegen as codegen
 import dalembert.symbolic.given as symbolic
 import dalembert.symbolic.model as model
@@ -66,6 +68,18 @@ def trailer(count, **options):
         rows.append(sympy.sin(angle) * X - sympy.cos(angle) * Y)
     L = (x.d**2 + y.d**2 + sum(a.d**2 for a in angles)) / 2
     return dal.System.from_sympy(L, rows, coordinates=[x, y, *angles], **options)
+
+
+def skates(count):
+    """Return L, constraints and coordinates of skates in a row, a spring between neighbours."""
+    q = dal.coordinates(" ".join(f"x{i} y{i} a{i}" for i in range(count)))
+    places = [*zip(q[::3], q[1::3])]
+    V = sum(
+        (sympy.sqrt((x - u) ** 2 + (y - w) ** 2) - 1) ** 2 / 2
+        for (x, y), (u, w) in itertools.pairwise(places)
+    )
+    rows = [sympy.cos(a) * y.d - sympy.sin(a) * x.d for (x, y), a in zip(places, q[2::3])]
+    return sum(x.d**2 for x in q) / 2 - V, rows, q
 
 
 def rich():
@@ -151,6 +165,7 @@ def evaluate(system, name, t, q, v):
 MAKERS = {
     **{name: (lambda name=name: from_strings(name)) for name in VECTORS["systems"]},
     "trailer3": lambda: trailer(3),
+    "skates4": lambda: dal.System.from_sympy(*skates(4)),
     "rich": rich,
 }
 
@@ -216,6 +231,117 @@ def test_sympy_and_symengine_give_the_same(name, monkeypatch):
         for key, expected in two.items():
             size = max(1.0, np.abs(expected).max())
             np.testing.assert_allclose(one[key], expected, rtol=0, atol=64 * U * size)
+
+
+def random_expression(source, symbols, depth):
+    """Return a sum, product, power or function of some of the symbols; it may have jumps."""
+    if depth == 0:
+        return source.choice(symbols)
+    parts = [random_expression(source, symbols, depth - 1) for _ in range(source.randint(2, 4))]
+    one, two, *_ = parts
+    return source.choice([
+        lambda: sympy.Add(*(source.randint(-3, 3) * e for e in parts)),
+        lambda: sympy.Add(*parts, source.randint(-1, 1)),
+        lambda: sympy.Mul(*parts, sympy.Rational(source.randint(-3, 3), 2)),
+        lambda: one * (two - 1) ** source.choice([2, 3, -1]) + one,
+        lambda: sympy.sqrt(1 + one**2) * two,
+        lambda: source.choice([sympy.sin, sympy.exp, sympy.atan, sympy.tanh])(one) - two,
+        lambda: source.choice([sympy.Abs, sympy.sign, sympy.Heaviside])(one) * two**2,
+        lambda: sympy.Piecewise((one, one > two), (two, True)) + sympy.Max(0, one),
+    ])()  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_derivatives_are_those_by_each_symbol(seed):
+    """Those by the symbols that occur are the same expressions; all others are 0."""
+    source, symbols = random.Random(seed), model.canonical("q", 6)
+    e = model._exact(random_expression(source, symbols, 3))
+    for x in symbols:
+        assert model._gradient(e, symbols).get(x, 0) == sympy.diff(e, x)
+    some = symbols[::2]
+    assert model._gradient(e, some).keys() <= {*some}
+    engine = model.engine_for([e])
+    taken = [*map(engine.take, symbols)]
+    if engine is model._SymEngine:
+        found = engine.gradient(engine.take(e), taken)
+        for x in taken:
+            assert found.get(x, 0) == model.symengine.diff(engine.take(e), x)
+
+
+@pytest.mark.parametrize("engine", ["sympy", "symengine"])
+def test_work_grows_with_what_is_there(engine, monkeypatch):
+    """Of four times as many skates: the derivatives that are taken, and the lines of the program.
+
+    Their matrices grow sixteenfold.
+    """
+    package = getattr(model, engine)
+    taken, diff = [], package.diff
+    monkeypatch.setattr(package, "diff", lambda *given: taken.append(given) or diff(*given))
+    if engine == "sympy":
+        monkeypatch.setattr(model, "symengine", None)
+    work = []
+    for count in (12, 48):
+        taken.clear()
+        found, _ = symbolic.make_model(*skates(count), None)
+        lines = codegen.program(found).source.count("\n")
+        work.append((len(taken), lines))
+    (derivatives, lines), (more, longer) = work
+    # There are 11 and 47 springs.
+    assert more <= 4.3 * derivatives and longer <= 4.3 * lines
+
+
+def test_constraints_with_the_entries_of_their_sparsity(tmp_path):
+    """What a compact program writes is what stands there in the matrices, and the rest is 0."""
+    L, rows, q = skates(4)
+    rows[1] += sympy.sin(q[0]) * q[11].d  # phi_q has an entry where phi_v has none
+    found, _ = symbolic.make_model(L, rows, q, None)
+    outputs = found.derived.function("constraint").outputs
+    pattern = [
+        (i, j) for i, j in itertools.product(range(4), range(12))
+        if outputs["phi_v"][12 * i + j] != 0 or outputs["phi_q"][12 * i + j] != 0
+    ]  # fmt: skip
+    row, column = found.sparsity
+    assert [*zip(row, column)] == pattern and len(pattern) == 4 * 3 + 2
+
+    source = codegen.program(found, compact=None).source
+    assert ".sparsity = &model_sparsity" in source and "kernel.h" not in source
+    assert "dal_sparsity model_sparsity = {14, model_row, model_column};" in source
+    for name, places in (("row", row), ("column", column)):
+        assert f"size_t model_{name}[] = {{{', '.join(map(str, places))}}};" in source
+    callbacks, _, _ = source.partition("static const dal_sparsity")
+    callbacks += """DAL_API void jacobians(const double *q, const double *v, double *a, double *b)
+    { model_constraint(0.0, q, v, NULL, a, b, NULL, NULL); }"""
+    made = compiler.compile_program(compiler.find(), callbacks, lambda line: "")
+    (tmp_path / "compact.so").write_bytes(made)
+    function = ctypes.CDLL(str(tmp_path / "compact.so")).jacobians
+
+    point = np.random.default_rng(2).uniform(0.2, 1.1, (2, 12))
+    compact = np.full((2, 14), np.nan)
+    function(*(ctypes.c_void_p(x.ctypes.data) for x in (*point, *compact)))
+    whole = evaluate(dal.System.from_sympy(L, rows, q), "constraint", 0.0, *point)
+    for key, values in zip(("phi_v", "phi_q"), compact):
+        dense = np.zeros((4, 12))
+        dense[row, column] = values
+        np.testing.assert_array_equal(dense.ravel(), whole[key])
+
+
+def test_which_constraints_are_sparse():
+    L, rows, q = skates(4)
+    full = sum((k + 2) * x.d for k, x in enumerate(q))
+
+    def is_compact(L, rows, q, force=None):
+        return codegen.is_compact(symbolic.make_model(L, rows, q, None, force)[0])
+
+    assert is_compact(L, rows, q) and is_compact(L, rows, q, {q[0]: -q[0]})
+    half = [*rows, full, full + q[0] * q[1].d]
+    assert is_compact(L, half, q)  # 36 entries of 72
+    assert not is_compact(L, [rows[0] + q[5].d, *half[1:]], q)
+    assert not is_compact(L, (), q)
+    assert not is_compact(L, rows, q, {q[0]: -q[0].d})
+    assert not is_compact(L + q[0].d * q[1].d / 9, rows, q)
+    assert not is_compact(L + sympy.sin(q[0]) * q[0].d ** 2 / 9, rows, q)
+    assert not is_compact(L, [rows[0] + 1, *rows[1:]], q)
+    assert is_compact(*skates(3)) and not is_compact(*skates(2))
 
 
 # ---- vectors -----------------------------------------------------------------------------------
