@@ -98,7 +98,7 @@ def is_compact(model: Model) -> bool:
 
 
 def program(
-    model: Model, name: str | None = None, system: Any = None, compact: bool | None = False
+    model: Model, name: str | None = None, system: Any = None, compact: bool | None = None
 ) -> Program:
     """Return the program of a model.
 
@@ -125,7 +125,7 @@ def program(
     )  # fmt: skip
     powers: set[int] = set()
     for function in derived.functions:
-        if compact and function.name == "constraint":
+        if compact and function.name in ("mass", "constraint"):
             function = _alone(model, function)
         if fast or function.name not in _OF_STEPS:
             _function(body, model, function, fast, powers)
@@ -141,7 +141,7 @@ def program(
     if name is None:
         _for_the_package(made, model, definition)
     else:
-        _constructor(made, model, definition, name, system)
+        _constructor(made, model, definition, name, system, compact)
     return made
 
 
@@ -212,11 +212,16 @@ def _function(
         made.add(f"    return model_{function.name}({names}, ctx);\n}}\n")
 
 
-def _alone(model: Model, constraint: Function) -> Function:
-    """Return the constraints whose Jacobians have the entries of the declared sparsity alone."""
-    kept = [i * model.n + j for i, j in zip(*model.sparsity)]
-    jacobians = {x: [constraint.outputs[x][k] for k in kept] for x in ("phi_v", "phi_q")}
-    return dataclasses.replace(constraint, outputs=constraint.outputs | jacobians)
+def _alone(model: Model, function: Function) -> Function:
+    """Return the mass with its diagonal, or the constraints with the entries of the sparsity."""
+    n = model.n
+    kept = [i * n + j for i, j in zip(*model.sparsity)]
+    of_matrices = {"M": range(0, n * n, n + 1), "phi_v": kept, "phi_q": kept}
+    outputs = {
+        x: [entries[k] for k in of_matrices[x]] if x in of_matrices else entries
+        for x, entries in function.outputs.items()
+    }
+    return dataclasses.replace(function, outputs=outputs)
 
 
 def _written(function: Function) -> dict[str, dict[int, Any]]:
@@ -428,7 +433,7 @@ def c_string(text: str) -> str:
 
 
 def _constructor(
-    made: Program, model: Model, definition: list[str], name: str, system: Any
+    made: Program, model: Model, definition: list[str], name: str, system: Any, compact: bool
 ) -> None:
     """Write the function with which a C program makes the system."""
     count, n = len(model.parameters), model.n
@@ -453,10 +458,11 @@ def _constructor(
     members = [*definition, *(f".{key} = {c_string(x)}" for key, x in texts.items())]
     members += [".coordinates = coordinates", ".ctx = p", ".ctx_size = sizeof p"]
     members += [".input_names = input_names"] * bool(model.inputs)
-    for what, size in (("mass", n * n), ("state", 2 * n)):
+    sizes = {"mass": n if compact else n * n, "state": 2 * n}
+    for what, size in sizes.items():
         if model.derived.function(what) is not None:
             made.add(f"    double {what}[{size}];\n    model_{what}({what}, p);")
-            members.append(f".{what} = {what}")
+            members.append(f".{what}{'es' * (compact and what == 'mass')} = {what}")
     if model.state is None and system.q0 is not None:
         numbers = ", ".join(repr(float(x)) for x in [*system.q0, *system.v0])
         made.add(f"    static const double state[] = {{{numbers}}};")
