@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .arguments import Array, shown
 from .errors import call, make, verify
@@ -162,6 +163,17 @@ class Handle(Constant):
         lib.dal_system_mass(self._handle, pointer(matrix))
         matrix.flags.writeable = False
         return matrix
+
+    @property
+    def sparsity(self) -> tuple[NDArray[np.uintp], NDArray[np.uintp]] | None:
+        """Rows and columns of the entries of mu that may be other than 0; None: all."""
+        given = lib.dal_system_sparsity(self._handle)
+        if given == ffi.NULL:
+            return None
+        size = given.entries * ffi.sizeof("size_t")
+        both = (ffi.buffer(x, size)[:] for x in (given.row, given.column))
+        rows, columns = (np.frombuffer(x, dtype=np.uintp) for x in both)
+        return rows, columns
 
     @property
     def parameters(self) -> dict[str, float]:

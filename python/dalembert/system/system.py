@@ -120,6 +120,11 @@ class System(Handle):
         Names of the n coordinates.
     mass : ndarray, shape (n, n), or None
         M, read-only; None if it is not constant, see `metric`.
+    has_constant_mass : bool
+        Whether it is, without n^2 numbers.
+    sparsity : tuple of ndarray, or None
+        Rows and columns of the entries of mu that may be other than 0, of a system with a sparsity:
+        one that was given, or found in expressions with more than 8 coordinates.
     kind : {"linear", "affine", "nonlinear"}
         Of the constraints.
     is_forced : bool

@@ -159,6 +159,12 @@ def evaluate(system, name, t, q, v):
         wanted = [core.pointer(alone) if k == key else core.ffi.NULL for k in shapes]
         assert function(*inputs, *wanted, *rates, ctx) == 0
         np.testing.assert_array_equal(alone, together[key])
+    if name == "constraint" and system.sparsity is not None:
+        for key in ("phi_v", "phi_q"):
+            matrix = np.zeros((m, n))
+            matrix[system.sparsity] = together[key][: len(system.sparsity[0])]
+            assert np.isnan(together[key][len(system.sparsity[0]) :]).all()
+            together[key] = matrix.ravel()
     return together
 
 
