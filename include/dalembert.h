@@ -173,9 +173,10 @@ typedef struct dal_system_def {
     dal_constraint_kind kind;
     const dal_sparsity *sparsity;   /* or NULL: all entries may be other than 0.  With it steps take
                                        time and memory in proportion to n where there are masses,
-                                       the constraints are linear and touch few coordinates each,
-                                       and no force depends on v; V_qq is then never asked for, so h
-                                       has to resolve what V makes oscillate */
+                                       and the constraints are linear and touch few coordinates
+                                       each.  V_qq, f_q and f_v then serve only steps that do not
+                                       converge without, where all are given and n <= 500; else h
+                                       has to resolve what V and f make oscillate or decay */
     dal_force_fn force;             /* or NULL: none */
     size_t inputs;                  /* of the force: motors, steering, ... */
     unsigned missing;               /* sum of dal_missing */

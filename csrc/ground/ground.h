@@ -117,7 +117,7 @@ typedef struct arena {
     struct {
         void *slot; /* address of the pointer to set */
         size_t offset;
-    } part[128];
+    } part[192];
     size_t parts, size;
     bool overflow;
     void *block;

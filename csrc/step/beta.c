@@ -17,13 +17,15 @@ typedef struct beta {
     double *scratch; /* [2n] of finish */
     double *input;   /* [inputs] that V_q at the start of the next step is of */
     double *mass, *mass_inverse; /* [n*n]; NULL if slim */
-    double *turned;  /* [entries] mu + b N, if there are rows */
+    double *turned;  /* [entries] mu + b N, if there are rows, and */
+    dal__linear S;   /* its product with Z^T */
     arena arena;
 } beta;
 
 /* Whether momenta enter the steps: see momentum.h. */
 static bool has_momenta(const dal_system *system)
 {
+    if (system->lean) return false;
     return !system->mass || system->def.kind != DAL_LINEAR || dal__is_dragged(system);
 }
 
@@ -46,23 +48,23 @@ static bool is_slim(const dal_system *system, dal_kernel_fn routine)
     return system->lean && routine == dal__kernel_any();
 }
 
-/* A record as stages: one for each sub-step, but where there are no momenta a pair (0, a), (1, b),
- * a + b not 0, is one (see kernel.h).  Of constant mass, stages without a force at q~' need no
- * momenta either. */
+/* A record as stages: one for each sub-step, but where no force depends on v, nor are there momenta,
+ * a pair (0, a), (1, b), a + b not 0, is one (see kernel.h).  Of constant mass, stages without a
+ * force at q~' need no momenta either. */
 static size_t plan_stages(const dal_system *system, const dal_substep *substep, size_t count,
                           dal_stage *stage)
 {
-    const bool momenta = has_momenta(system);
+    const bool momenta = has_momenta(system), apart = momenta || dal__is_dragged(system);
     const bool all = !system->mass || system->def.kind != DAL_LINEAR;
     size_t stages = 0;
     double passed = 0.0; /* of the step */
     for (size_t j = 0; j < count; j++) {
         const double beta = substep[j].beta, f = substep[j].fraction;
-        const bool pair = !momenta && j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0
+        const bool pair = !apart && j + 1 < count && beta == 0.0 && substep[j + 1].beta == 1.0
                           && f + substep[j + 1].fraction != 0.0;
         const double g = pair ? substep[++j].fraction : 0.0;
         dal_stage s = {.before = (1.0 - beta) * f, .after = beta * f + g, .span = f + g};
-        if (beta == 0.0 && !momenta) {
+        if (beta == 0.0 && !apart) {
             s.node = f + g;
         } else {
             s.start = beta * f;
@@ -182,14 +184,13 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
     return DAL_SUCCESS;
 }
 
-/* Where there are rows: as factor and solve of a dal_kernel, with the S of the full Newton
- * iteration, which has no need of it at the same time. */
+/* Where there are rows: as factor and solve of a dal_kernel. */
 static int factor_rows(dal_kernel *k, double b)
 {
     beta *const self = (beta *)k;
     const dal_arrays *const at = &k->at;
     const dal_rows *const rows = at->rows;
-    dal__linear *const S = &self->newton.S;
+    dal__linear *const S = &self->S;
     for (size_t a = 0; a < k->m; a++) { /* the sizes of dal_kernel_factor */
         double size = -0.0;
         for (size_t e = rows->first[a]; e < rows->first[a + 1]; e++) {
@@ -205,7 +206,7 @@ static int factor_rows(dal_kernel *k, double b)
 
 static void solve_rows(const dal_kernel *k)
 {
-    dal__linear_solve(&((const beta *)k)->newton.S, k->at.r, k->at.d);
+    dal__linear_solve(&((const beta *)k)->S, k->at.r, k->at.d);
 }
 
 /* What stages with momenta need. */
@@ -259,9 +260,10 @@ static bool is_steady(const beta *self, const dal_system *system)
 {
     const dal_kernel *const k = &self->kernel;
     bool ends = false; /* V acts at some q~' */
+    const bool pulled = k->potential || k->at.dragged;
     for (size_t j = 0; j < k->stages; j++)
         if (self->stage[j].end != 0.0) ends = true;
-    return system->def.steady && !k->kept && !has_momenta(system) && !(k->potential && ends);
+    return system->def.steady && !k->kept && !has_momenta(system) && !(pulled && ends);
 }
 
 /* A compiled step routine has to know the system as it is. */
@@ -321,6 +323,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->mass_inverse = slim ? system->mass_inverse : self->mass_inverse;
     k->at.rows = has_rows(system) ? system->rows : NULL;
     k->at.next = slim ? 1 : k->n + 1;
+    k->at.dragged = system->lean && dal__is_dragged(system);
     k->factor = factor_rows;
     k->solve = solve_rows;
     k->unit = system->unit;
@@ -334,7 +337,8 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->kinds = plan_kinds(self->substep, self->stage, k->stages);
     plan_predictions(self->stage, k->stages);
     k->kept = scheme->nodes == DAL_KEPT_NODES;
-    k->plain = !k->kept && !(k->potential && acts_beside_nodes(self));
+    const bool pulled = k->potential || k->at.dragged;
+    k->plain = !k->kept && !(pulled && acts_beside_nodes(self));
     k->shift = k->kept ? 1.0 - self->substep[0].beta : 0.0;
     dal_kernel_share(k, entries_of(system), k->at.x);
     k->impulse = motion->impulse;
@@ -360,6 +364,8 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     if (system->mass && !is_slim(system, find_routine(system, scheme)))
         DAL__RESERVE(&memory, dal__times(n, n), &shape.mass, &shape.mass_inverse);
     if (has_rows(system)) DAL__RESERVE(&memory, entries_of(system), &shape.turned);
+    if (has_rows(system))
+        dal__linear_reserve_pattern(&shape.S, system->def.m, system->pattern, &memory);
     if (has_momenta(system)) reserve_momenta(&shape.kernel, n, system->def.m, count, &memory);
     dal__newton_reserve(&shape.newton, system, &memory);
     dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
@@ -399,7 +405,8 @@ static void explain(const beta *self, dal_error *error, int status)
 {
     const dal_kernel *const k = &self->kernel;
     const evaluator *const e = &self->motion->mechanics->eval;
-    const bool alone = k->failure.kind == DAL_FAILED_POTENTIAL && k->potential_ctx != e;
+    const bool alone =
+        k->failure.kind == DAL_FAILED_POTENTIAL && k->potential_ctx != e && !k->at.dragged;
     switch (k->failure.kind) {
     case DAL_FAILED_CONSTRAINT:
         dal__refuse(error, "constraint", k->failure.returned);

@@ -12,7 +12,9 @@
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a)
 {
     const size_t n = system->def.n, m = system->def.m;
-    const bool lean = system->lean;
+    const bool lean = system->lean && !system->curved;
+    solver->whole.eval.dense = true;
+    if (system->curved) dal__mechanics_reserve(&solver->whole, system, a);
     const size_t mn = lean && system->rows ? dal_rows_entries(system->rows) : dal__times(m, n);
     double **const vectors[] = {&solver->rate, &solver->R1, &solver->y};
     double **const multipliers[] = {&solver->lambda, &solver->R2, &solver->r};
@@ -32,6 +34,7 @@ void dal__newton_bind(newton *solver, const dal_system *system, int max_iteratio
     solver->n = system->def.n;
     solver->m = system->def.m;
     solver->max_iterations = max_iterations;
+    if (system->curved) dal__mechanics_bind(&solver->whole, system);
 }
 
 void dal__newton_forget(newton *solver) { solver->warm = false; }
@@ -151,14 +154,14 @@ static int iterate(newton *s)
     return status;
 }
 
-int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double alpha,
-                     double beta, double h, bool kept, double *x, double *kappa, dal_stats *stats)
+/* dal__newton_step, by s->mech. */
+static int make_step(newton *s, double t, double end, double alpha, double beta, double h,
+                     bool kept, double *x, double *kappa)
 {
-    newton *const s = solver;
     const size_t n = s->n, m = s->m;
     const double *const v = x + n;
-    s->mech = mech;
-    s->stats = stats;
+    dal_mechanics *const mech = s->mech;
+    dal_stats *const stats = s->stats;
     int status = dal__step_begin(mech, t, end, alpha, beta, h, kept, x);
     if (status) return status;
     bool solved = false;
@@ -183,4 +186,25 @@ int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, 
     memcpy(x, s->x, 2 * n * sizeof *x);
     memcpy(kappa, s->z + n, m * sizeof *kappa);
     return DAL_SUCCESS;
+}
+
+int dal__newton_step(newton *solver, dal_mechanics *mech, double t, double end, double alpha,
+                     double beta, double h, bool kept, double *x, double *kappa, dal_stats *stats)
+{
+    newton *const s = solver;
+    evaluator *const given = &mech->eval, *const own = &s->whole.eval;
+    const bool curved = given->system->curved;
+    s->mech = curved ? &s->whole : mech;
+    s->stats = stats;
+    if (!curved) return make_step(s, t, end, alpha, beta, h, kept, x, kappa);
+    own->input = given->input;
+    own->potential_calls = given->potential_calls;
+    own->constraint_calls = given->constraint_calls;
+    own->force_calls = given->force_calls;
+    const int status = make_step(s, t, end, alpha, beta, h, kept, x, kappa);
+    given->potential_calls = own->potential_calls;
+    given->constraint_calls = own->constraint_calls;
+    given->force_calls = own->force_calls;
+    mech->error = s->whole.error;
+    return status;
 }

@@ -33,6 +33,7 @@ typedef struct newton {
     double *y, *KZ, *r;             /* [n], [m*n], [m] */
     dal_mechanics *mech;            /* of the step that is being solved */
     dal_stats *stats;
+    dal_mechanics whole;            /* which makes it, with all entries and K, of curved systems */
 } newton;
 
 void dal__newton_reserve(newton *solver, const dal_system *system, arena *a);

@@ -272,6 +272,17 @@ static int invert_mass(dal_system *system, dal_error *error)
     return status;
 }
 
+/* Whether V_qq, f_q and f_v are given, as far as there is something to differentiate, and matrices
+ * of n rows cost no more than some megabytes and milliseconds. */
+static bool is_curved(const dal_system_def *def)
+{
+    enum { MOST = 500 };
+    const unsigned of_force = DAL_MISSING_F_Q | (def->positional ? 0 : DAL_MISSING_F_V);
+    const unsigned of_potential = DAL_MISSING_V_Q | DAL_MISSING_V_QQ;
+    const unsigned wanted = (def->potential ? of_potential : 0) | (def->force ? of_force : 0);
+    return wanted && !(def->missing & wanted) && def->n <= MOST;
+}
+
 static bool is_diagonal(const dal_system_def *def)
 {
     const size_t n = def->n;
@@ -352,8 +363,9 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     arena memory = {0};
     possessions own = {0};
     dal_system shape = {.def = *def, .diagonal = is_diagonal(def), .masses = def->masses};
-    shape.lean = shape.masses && def->kind == DAL_LINEAR && !dal__is_dragged(&shape)
+    shape.lean = shape.masses && def->kind == DAL_LINEAR
               && (def->sparsity || !(def->potential || def->force));
+    shape.curved = shape.lean && is_curved(def);
     plan(&memory, &own, &shape, def);
     status = dal__allocate(&memory, error);
     if (status) return status;

@@ -23,8 +23,10 @@ struct dal_system {
     bool diagonal;           /* M is diagonal, and */
     bool masses;             /* given so */
     bool lean;               /* steps need no matrix of n rows: M is given by masses, constraints
-                                are linear, no force depends on v, and V = 0, or its Hessian is not
-                                asked for */
+                                are linear, and there is neither V nor a force, or their derivatives
+                                are not asked for */
+    bool curved;             /* but for a step that does not contract: these derivatives are given,
+                                and n is small */
     dal_rows *rows;          /* of the sparsity, or NULL */
     size_t *colour, colours; /* [n] and how many, if phi_q is missing too: see evaluator.c */
     dal__pattern *pattern;   /* of mu M^-1 mu^T for these rows, if lean */

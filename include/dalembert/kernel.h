@@ -119,8 +119,11 @@ typedef struct dal_arrays {
     size_t *row;                  /* [m] */
     /* those of the dal_kernel; with constants for them where the compilation knows that M is 1 */
     const double *mass_inverse, *unit, *per_unit;
-    const dal_rows *rows;         /* which entries of [m*n] are stored; NULL: all.  Only for any */
-    size_t next;                  /* sizes; of mass_inverse to the next entry of the diagonal */
+    size_t next;                  /* of mass_inverse to the next entry of the diagonal */
+    /* only for any sizes: which entries of [m*n] are stored, NULL: all; V_q stands for -(L_q + f) at
+     * the velocity too */
+    const dal_rows *rows;
+    bool dragged;
 } dal_arrays;
 
 typedef struct dal_masses {
@@ -287,6 +290,15 @@ static inline int dal_kernel_potential(dal_kernel *k, double t, const double *q,
 {
     k->stats.potential_calls++;
     return k->potential(t, q, NULL, V_q, NULL, k->potential_ctx);
+}
+
+static inline int dal_kernel_drag(dal_kernel *k, double t, const double *q, const double *v,
+                                  double *V_q)
+{
+    const int returned =
+        k->balance_of(t, q, v, NULL, V_q, NULL, NULL, NULL, NULL, k->balance_ctx);
+    for (size_t i = 0; i < k->n; i++) V_q[i] = -V_q[i];
+    return returned;
 }
 
 static inline int dal_kernel_forms(dal_kernel *k, double t, const double *q, const double *v,
@@ -621,6 +633,14 @@ DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
     for (size_t i = 0; i < n; i++) to[i] = from[i];
 }
 
+/* V_q at q, and at the velocity v for a force that depends on it. */
+DAL_KERNEL_INLINE int DAL_KERNEL_PART(pull)(dal_kernel *k, const dal_arrays *at, double t,
+                                            const double *q, const double *v, double *V_q)
+{
+    (void)t, (void)q, (void)V_q;
+    return at->dragged ? dal_kernel_drag(k, t, q, v, V_q) : DAL_KERNEL_POTENTIAL(k, t, q, V_q);
+}
+
 /* base -= what V adds at q_k, or at q~. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel *k, const dal_traits *o,
                                             const dal_arrays *at)
@@ -639,9 +659,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel *k, const dal_traits *o,
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++) /* q_k; or q~, where q~' will be */
             at->point[i] = at_node ? at->node[i] : x[i] - shift * x[n + i];
-        const int returned = DAL_KERNEL_POTENTIAL(
-            k, dal_kernel_time(k, o->number, at_node ? s->t_node : s->t_start),
-            at->point, force);
+        const double t = dal_kernel_time(k, o->number, at_node ? s->t_node : s->t_start);
+        const int returned = DAL_KERNEL_PART(pull)(k, at, t, at->point, x + n, force);
         if (returned) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
     }
     const double weight = h * (at_node ? s->node : s->start);
@@ -720,7 +739,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(factor)(dal_kernel *k, const dal_traits *o
         for (size_t i = 0; i < entries; i++) at->N[i] = 0.0;
     }
     if (o->ends && returned == 0)
-        returned = DAL_KERNEL_POTENTIAL(k, o->t_end, at->point, k->force1);
+        returned = DAL_KERNEL_PART(pull)(k, at, o->t_end, at->point, at->w, k->force1);
     if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
     if (returned > 0) return 1;
     const double b = s->after * k->h;
@@ -762,7 +781,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
             if (o->ends) DAL_KERNEL_COPY(n, at->w, at->seen);
         }
         if (!balanced && returned == 0)
-            returned = DAL_KERNEL_POTENTIAL(k, o->t_end, at->point, k->force1);
+            returned = DAL_KERNEL_PART(pull)(k, at, o->t_end, at->point, at->w, k->force1);
         if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         if (returned > 0) break;
         if (!balanced) continue;
@@ -870,12 +889,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     size_t row[DAL_KERNEL_M];
     const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
                            Z, S, sizes, r, d, kappa, row, masses->mass_inverse, masses->unit,
-                           masses->per_unit, NULL, n + 1};
+                           masses->per_unit, n + 1, NULL, false};
 #else
     const dal_arrays at = k->at;
 #endif
     const bool kept = !plain && !DAL_KERNEL_INSIDE && k->kept;
-    const bool potential = DAL_KERNEL_PULLED;
+    const bool potential = DAL_KERNEL_PULLED || at.dragged;
     const bool inside = DAL_KERNEL_STEADY > 0 && plain;
     const int declared = DAL_KERNEL_STEADY == 0 ? 0 : k->steady;
     const bool proved = inside || declared == DAL_STEADY_PROVED;

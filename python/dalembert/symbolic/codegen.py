@@ -91,9 +91,9 @@ def is_compact(model: Model) -> bool:
     They are the library's, so that the program needs no step routine of its own.
     """
     derived, n = model.derived, model.n
-    if n <= MOST or model.m == 0 or derived.has_momenta:
+    if n <= MOST or model.m == 0 or derived.mass is None or derived.kind != "linear":
         return False
-    is_diagonal = all(e == 0 for k, e in enumerate(derived.mass or ()) if k % (n + 1) != 0)
+    is_diagonal = all(e == 0 for k, e in enumerate(derived.mass) if k % (n + 1) != 0)
     return is_diagonal and 2 * len(model.sparsity[0]) <= model.m * n
 
 

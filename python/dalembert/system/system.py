@@ -155,8 +155,9 @@ class System(Handle):
     step routine; all others by Newton's iteration on all n + m unknowns.
 
     With a ``sparsity``, steps take time and memory in proportion to n where the mass is given by
-    numbers, not by a matrix, constraints touch few coordinates each, and the force, if any, is
-    ``positional``.  The Hessian of V is then not used, and h has to resolve what V makes oscillate.
+    numbers, not by a matrix, and constraints touch few coordinates each.  The Hessian of V and the
+    derivatives of the force then serve only steps that do not converge without, where they are
+    given and n <= 500; else h has to resolve what V and the force make oscillate or decay.
     Chains, trees and crowds of bodies have blocks and narrow bands; a constraint that has a
     coordinate in common with all others costs as much as a dense matrix of m rows.
 

@@ -343,7 +343,7 @@ def test_which_constraints_are_sparse():
     assert is_compact(L, half, q)  # 36 entries of 72
     assert not is_compact(L, [rows[0] + q[5].d, *half[1:]], q)
     assert not is_compact(L, (), q)
-    assert not is_compact(L, rows, q, {q[0]: -q[0].d})
+    assert is_compact(L, rows, q, {q[0]: -q[0].d})
     assert not is_compact(L + q[0].d * q[1].d / 9, rows, q)
     assert not is_compact(L + sympy.sin(q[0]) * q[0].d ** 2 / 9, rows, q)
     assert not is_compact(L, [rows[0] + 1, *rows[1:]], q)

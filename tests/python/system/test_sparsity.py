@@ -6,6 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import sympy
 from scipy.integrate import solve_ivp
 from scipy.sparse import coo_array
 
@@ -182,8 +183,8 @@ def drag(t, q, v):
     return -0.1 * v
 
 
-def test_what_is_not_lean_has_the_same_results():
-    """A matrix for the mass, or a force of v: all entries of mu are formed then."""
+def test_forces_of_velocity():
+    """With masses by numbers; by a matrix, all entries of mu are formed then."""
     skates = Skates(4)
     dense = skates.systems(force=drag)[0]
     sparse = skates.systems(force=drag)[1]
@@ -198,6 +199,26 @@ def test_what_is_not_lean_has_the_same_results():
     ]
     for run in runs[1:]:
         np.testing.assert_allclose(run.v, runs[0].v, rtol=0, atol=1e-13)
+    with pytest.raises(dal.ConvergenceError, match="try a smaller h"):
+        stiff = skates.systems(force=lambda t, q, v: -100 * v)[1]
+        dal.integrate(stiff, "midpoint", *start, h=0.1, steps=20)
+
+
+def test_expressions_with_friction():
+    """More than 8 coordinates: by rows; where steps do not contract the derivatives serve."""
+    count = 4
+    q = dal.coordinates(" ".join(f"x{i} y{i} a{i}" for i in range(count)))
+    x, y, a = q[::3], q[1::3], q[2::3]
+    L = sum(c.d**2 for c in q) / 2 - sum((x[i + 1] - x[i] - 1) ** 2 for i in range(count - 1))
+    rows = [-sympy.sin(a[i]) * x[i].d + sympy.cos(a[i]) * y[i].d for i in range(count)]
+    friction = {c: -100 * c.d for c in q}
+    system = dal.System.from_sympy(L, rows, q, force=friction)
+    dense = dal.System.from_sympy(L + q[0].d * q[1].d * 1e-200, rows, q, force=friction)
+    assert system.sparsity is not None and dense.sparsity is None
+    start = np.arange(12) * 0.4, system.consistent(np.arange(12) * 0.4, np.cos(np.arange(12)))
+    runs = [dal.integrate(s, "midpoint", *start, h=0.1, steps=20) for s in (system, dense)]
+    np.testing.assert_allclose(runs[0].v, runs[1].v, rtol=0, atol=1e-12)
+    assert runs[0].stats.full_newtons > 10
 
 
 def test_the_rest_of_the_library():
