@@ -1,7 +1,7 @@
 """A thousand skates in a row on springs: 3000 coordinates, 1000 constraints.
 
-Each blade touches its own three coordinates, and the system says so: ``forms`` returns these entries
-alone.  A step then takes time and memory in proportion to the number of skates.
+Each blade touches its own three coordinates, and the system says so: ``forms`` returns these
+entries alone.  A step then takes time and memory in proportion to the number of skates.
 """
 
 import sys

@@ -48,9 +48,9 @@ static bool is_slim(const dal_system *system, dal_kernel_fn routine)
     return system->lean && routine == dal__kernel_any();
 }
 
-/* A record as stages: one for each sub-step, but where no force depends on v, nor are there momenta,
- * a pair (0, a), (1, b), a + b not 0, is one (see kernel.h).  Of constant mass, stages without a
- * force at q~' need no momenta either. */
+/* A record as stages: one for each sub-step, but where no force depends on v, nor are there
+ * momenta, a pair (0, a), (1, b), a + b not 0, is one (see kernel.h).  Of constant mass, stages
+ * without a force at q~' need no momenta either. */
 static size_t plan_stages(const dal_system *system, const dal_substep *substep, size_t count,
                           dal_stage *stage)
 {

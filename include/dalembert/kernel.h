@@ -120,10 +120,9 @@ typedef struct dal_arrays {
     /* those of the dal_kernel; with constants for them where the compilation knows that M is 1 */
     const double *mass_inverse, *unit, *per_unit;
     size_t next;                  /* of mass_inverse to the next entry of the diagonal */
-    /* only for any sizes: which entries of [m*n] are stored, NULL: all; V_q stands for -(L_q + f) at
-     * the velocity too */
-    const dal_rows *rows;
-    bool dragged;
+    /* only for any sizes: */
+    const dal_rows *rows;         /* which entries of [m*n] are stored; NULL: all */
+    bool dragged;                 /* V_q stands for -(L_q + f), f at the velocity there */
 } dal_arrays;
 
 typedef struct dal_masses {
