@@ -120,6 +120,8 @@ typedef struct recipe {
     double drag, drive;
     size_t inputs;           /* of the force: each pushes all coordinates */
     double speed;            /* all but the force is what it was at time 0 at q + speed t */
+    dal_sparsity sparsity;   /* of linear constraints of our own; or no entries: all */
+    size_t row[MOST_M * MOST_N], column[MOST_M * MOST_N];
     faults fault;
     bool quiet;              /* no fault, no end: the checks look at the state */
 } recipe;
@@ -287,26 +289,40 @@ static void own_constraint(const recipe *r, const double *q, const double *v, do
     }
 }
 
+/* The entries of the sparsity, of A[m*n] that has all. */
+static void compress(const recipe *r, const double *A, double *entries)
+{
+    for (size_t e = 0; entries && e < r->sparsity.entries; e++)
+        entries[e] = A[r->row[e] * r->n + r->column[e]];
+}
+
 static int constraint(double t, const double *place, const double *v, double *phi, double *phi_v,
                       double *phi_q, double *phi_t, void *ctx)
 {
     recipe *const r = ctx;
     const fault_kind fault = strike(r);
     double q[MOST_N + 2], turns[(MOST_N + 2) * (MOST_N + 2)];
-    double *const slopes = phi_t && !phi_q ? turns : phi_q;
+    double *slopes = phi_t && !phi_q ? turns : phi_q;
     if (fault == WRITE_NOTHING) return 0;
     move(r, t, place, q);
     if (r->inner) {
         const dal_system_def *const def = &r->inner->def;
         const int returned = def->constraint(0.0, q, v, phi, phi_v, slopes, NULL, def->ctx);
         if (returned) return returned;
+    } else if (r->sparsity.entries > 0) {
+        double mu[MOST_M * MOST_N];
+        own_constraint(r, q, v, phi, mu, turns);
+        compress(r, mu, phi_v);
+        compress(r, turns, phi_q);
+        slopes = turns;
     } else {
         own_constraint(r, q, v, phi, phi_v, slopes);
     }
+    const size_t entries = r->sparsity.entries > 0 ? r->sparsity.entries : r->m * r->n;
     if (phi_t) add_up(r, r->m, slopes, phi_t);
     spoil(fault, r->m, phi);
-    spoil(fault, r->m * r->n, phi_v);
-    spoil(fault, r->m * r->n, phi_q);
+    spoil(fault, entries, phi_v);
+    spoil(fault, entries, phi_q);
     spoil(fault, r->m, phi_t);
     return answer(fault);
 }
@@ -1085,7 +1101,26 @@ static int make_builtin(world *w, dal_system_def *def)
     return 0;
 }
 
-static void make_own(world *w, dal_system_def *def, double *mass)
+/* Some two thirds of the entries, each a function of its own coordinate. */
+static void make_sparse(recipe *r, dal_system_def *def)
+{
+    size_t entries = 0;
+    if (r->m == 0 || r->kind != DAL_LINEAR) return;
+    for (size_t a = 0; a < r->m; a++)
+        for (size_t i = 0; i < r->n; i++) {
+            r->form[a][i].j = (unsigned)i;
+            if ((a + i) % 3 == 2) {
+                r->constant[a][i] = r->form[a][i].c = 0.0;
+                continue;
+            }
+            r->row[entries] = a;
+            r->column[entries++] = i;
+        }
+    r->sparsity = (dal_sparsity){entries, r->row, r->column};
+    def->sparsity = &r->sparsity;
+}
+
+static void make_own(world *w, dal_system_def *def, double *mass, unsigned how)
 {
     tape *const given = &w->t;
     recipe *const r = &w->r;
@@ -1121,6 +1156,11 @@ static void make_own(world *w, dal_system_def *def, double *mass)
     def->time_dependent = (shape & 192) == 192;
     if (def->time_dependent) r->speed = next_ordinary(given);
     if ((shape & 48) == 48) def->missing = next_byte(given);
+    if (how > 0 && def->mass) {
+        def->mass = NULL;
+        def->masses = r->mass;
+    }
+    if (how > 1) make_sparse(r, def);
 }
 
 /* The system of the tape and what stands on it; false if there is none. */
@@ -1133,7 +1173,7 @@ static bool make_world(world *w)
     if (kind % 3 == 0) {
         if (make_builtin(w, &def)) return false;
     } else {
-        make_own(w, &def, mass);
+        make_own(w, &def, mass, kind / 24 % 4);
     }
     def.ctx = &w->r;
     def.ctx_size = 0;
