@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-OURS = ("leapfrog", "midpoint", "leapfrog-suzuki4", "leapfrog-kl6", "leapfrog-kl8", "ss10",
+OURS = ("leapfrog", "midpoint", "suzuki4", "kl6", "kl8", "ss10",
         "reference")  # fmt: skip
 IN_D = ("heyoka in D", "GSL rk8pd in D")
 ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-11)
@@ -22,8 +22,8 @@ BLUE, SKY, GREEN, RED, ORANGE, PINK, BLACK, GREY = (
     "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7", "#000000", "#777777",
 )  # fmt: skip
 STYLES = {
-    "leapfrog": (BLUE, ":", "o"), "leapfrog-kl6": (BLUE, "--", "s"),
-    "leapfrog-kl8": (BLUE, "-", "D"), "ss10": (BLUE, "-", "o"), "reference": (SKY, "-", "v"),
+    "leapfrog": (BLUE, ":", "o"), "kl6": (BLUE, "--", "s"),
+    "kl8": (BLUE, "-", "D"), "ss10": (BLUE, "-", "o"), "reference": (SKY, "-", "v"),
     "heyoka": (RED, "--", "^"), "heyoka in D": (RED, "-", "^"),
     "GSL rk8pd": (ORANGE, "--", "v"), "GSL rk8pd in D": (ORANGE, "-", "v"),
     "SciPy DOP853": (GREEN, "-", "s"), "SciPy Radau": (GREEN, "--", "s"),
@@ -295,8 +295,8 @@ HOW = """\
   needs an option that scikit-sundae does not have); GSL in C with `-O3 -march=native`; Exudyn with
   `TrapezoidalIndex2` and a constraint on the level of velocities, whose functions are called in
   Python; the schemes of odelab are written anew from their papers and compiled by numba.
-  `ss10` is a composition of leapfrog of order 10 that is not in the library, but a record of
-  sub-steps.
+  `suzuki4`, `kl6` and `kl8` are those of leapfrog; of midpoint where M depends on q or a force on
+  v.  `ss10` is one of order 10 that is not in the library, but a record of sub-steps.
 - McLachlan and Perlmutter's scheme is `leapfrog`, written another way: the errors are the same.
   The reflecting leapfrog and SPARK 2 have the same errors too.
 

@@ -3,8 +3,8 @@
 Usage: ``python run.py [--quick | --long] [--problem NAME]... [--out FOLDER]``
 
 Writes peers.json, peers.md, peers-state.png and peers-energy.png into FOLDER, by default docs/ of
-this checkout, and, with --quick, nowhere: then the table is printed only.  A default run takes a
-quarter of an hour, --quick a minute, --long (energy up to t = 1e7) an hour or more.
+this checkout, and, with --quick, nowhere: then the table is printed only.  A default run takes half
+an hour, --quick a minute, --long, which gives slow methods more time, some hours.
 
 Times are those of the process during the call that a user makes, medians over rounds in each of
 which every method runs once with each of its settings, in another order.  What is done before, such
@@ -60,7 +60,7 @@ class Effort:
 
 
 EFFORTS = {
-    "default": Effort(5, 3.0, 1e6, 20.0, 4.0),
+    "default": Effort(5, 3.0, 1e7, 25.0, 4.0),
     "quick": Effort(2, 0.2, 1e4, 0.2, 0.2, 100.0, 3),
     "long": Effort(7, 4.0, 1e7, 200.0, 20.0),
 }
@@ -130,7 +130,7 @@ def state_errors(problem: Problem, methods: list[Method], effort: Effort) -> dic
     }  # fmt: skip
 
 
-# ---- the energy up to t = 1e6 ----------------------------------------------------------------
+# ---- the energy up to t = 1e7 ----------------------------------------------------------------
 
 
 def rate(method: Method, setting: float, problem: Problem, until: float) -> float:

@@ -23,38 +23,37 @@ static bool has_partner(const chain *c, size_t a)
 
 static size_t partner(const chain *c, size_t a) { return a > 0 ? a - 1 : c->links - 1; }
 
-/* The entries of row a, in these columns. */
-static size_t row_of(const chain *c, size_t a, const double *q, const double *v, size_t *column,
-                     double *mu, double *N)
+/* The entries of a row, in these columns, as they are written one after the other. */
+typedef struct entries {
+    size_t count, column[8];
+    double mu[8], N[8];
+} entries;
+
+static void write(entries *row, size_t column, double mu, double N)
 {
-    size_t count = 0;
+    row->column[row->count] = column;
+    row->mu[row->count] = mu;
+    row->N[row->count++] = N;
+}
+
+static void write_partner(const chain *c, size_t b, const double *q, const double *v, entries *row)
+{
+    const double heading = q[3 * b + 2];
+    write(row, 3 * b, c->coupling * cos(heading), 0.0);
+    write(row, 3 * b + 2, 0.0, -c->coupling * sin(heading) * v[3 * b]);
+}
+
+static entries row_of(const chain *c, size_t a, const double *q, const double *v)
+{
+    entries row = {0};
     const double heading = q[3 * a + 2];
-    const double own[3][2] = {
-        {-sin(heading), 0.0}, {cos(heading), 0.0},
-        {0.3, -cos(heading) * v[3 * a] - sin(heading) * v[3 * a + 1]}};
     const size_t b = partner(c, a);
-    for (int after = 0; after < 2; after++) {
-        if (has_partner(c, a) && after == (b > a)) {
-            const double turn = q[3 * b + 2];
-            column[count] = 3 * b;
-            mu[count] = c->coupling * cos(turn);
-            N[count++] = 0.0;
-            column[count] = 3 * b + 2;
-            mu[count] = 0.0;
-            N[count++] = -c->coupling * sin(turn) * v[3 * b];
-        }
-        for (size_t i = 0; after == 0 && has_partner(c, a) && b > a && i < 3; i++) {
-            column[count] = 3 * a + i;
-            mu[count] = own[i][0];
-            N[count++] = own[i][1];
-        }
-        for (size_t i = 0; after == 1 && !(has_partner(c, a) && b > a) && i < 3; i++) {
-            column[count] = 3 * a + i;
-            mu[count] = own[i][0];
-            N[count++] = own[i][1];
-        }
-    }
-    return count;
+    if (has_partner(c, a) && b < a) write_partner(c, b, q, v, &row);
+    write(&row, 3 * a, -sin(heading), 0.0);
+    write(&row, 3 * a + 1, cos(heading), 0.0);
+    write(&row, 3 * a + 2, 0.3, -cos(heading) * v[3 * a] - sin(heading) * v[3 * a + 1]);
+    if (has_partner(c, a) && b > a) write_partner(c, b, q, v, &row);
+    return row;
 }
 
 static int chain_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
@@ -62,23 +61,21 @@ static int chain_constraint(double t, const double *q, const double *v, double *
 {
     const chain *const c = ctx;
     const size_t n = 3 * c->links;
-    size_t entries = 0;
+    size_t before = 0;
     (void)t, (void)phi, (void)phi_t;
     for (size_t k = 0; !c->sparse && k < c->links * n; k++) {
         if (phi_v) phi_v[k] = 0.0;
         if (phi_q) phi_q[k] = 0.0;
     }
     for (size_t a = 0; a < c->links; a++) {
-        size_t column[8];
-        double mu[8], N[8];
         const double still[MOST_COORDINATES] = {0.0};
-        const size_t count = row_of(c, a, q, phi_q ? v : still, column, mu, N);
-        for (size_t k = 0; k < count; k++) {
-            const size_t place = c->sparse ? entries : a * n + column[k];
-            if (phi_v) phi_v[place] = mu[k];
-            if (phi_q) phi_q[place] = N[k];
-            entries++;
+        const entries row = row_of(c, a, q, phi_q ? v : still);
+        for (size_t k = 0; k < row.count; k++) {
+            const size_t place = c->sparse ? before + k : a * n + row.column[k];
+            if (phi_v) phi_v[place] = row.mu[k];
+            if (phi_q) phi_q[place] = row.N[k];
         }
+        before += row.count;
     }
     return q[0] > 50.0;
 }
@@ -133,15 +130,17 @@ static dal_system *open_chain(chain *c, unsigned missing)
 {
     const size_t n = 3 * c->links;
     double masses[MOST_COORDINATES], mass[MOST_COORDINATES * MOST_COORDINATES] = {0.0};
-    double mu[8], N[8], zero[MOST_COORDINATES] = {0.0};
-    size_t row[8 * MOST_LINKS], column[8 * MOST_LINKS], entries = 0;
+    const double zero[MOST_COORDINATES] = {0.0};
+    size_t row[8 * MOST_LINKS], column[8 * MOST_LINKS], count = 0;
     for (size_t i = 0; i < n; i++) masses[i] = mass[i * n + i] = 1.0 + 0.1 * (double)(i % 7);
     for (size_t a = 0; a < c->links; a++) {
-        const size_t count = row_of(c, a, zero, zero, column + entries, mu, N);
-        for (size_t k = 0; k < count; k++) row[entries + k] = a;
-        entries += count;
+        const entries found = row_of(c, a, zero, zero);
+        for (size_t k = 0; k < found.count; k++) {
+            row[count] = a;
+            column[count++] = found.column[k];
+        }
     }
-    const dal_sparsity sparsity = {entries, row, column};
+    const dal_sparsity sparsity = {count, row, column};
     const bool forced = c->wind != 0.0 || c->drag != 0.0;
     const dal_system_def def = {
         .n = n, .m = c->links, .ctx = c, .ctx_size = sizeof *c, .constraint = chain_constraint,
