@@ -16,7 +16,7 @@ typedef struct beta {
     dal_motion *motion;
     double *scratch; /* [2n] of finish */
     double *input;   /* [inputs] that V_q at the start of the next step is of */
-    double *mass, *mass_inverse; /* [n*n]; NULL if slim */
+    double *mass, *mass_inverse; /* [n*n] of masses, unless it is slim; else NULL */
     double *turned;  /* [entries] mu + b N, if there are rows, and */
     dal__linear S;   /* its product with Z^T */
     arena arena;
@@ -313,14 +313,12 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->balance_ctx = e;
     k->input = e->own_input;
     k->kind = system->def.kind;
-    if (self->mass) {
-        dal_system_mass(system, self->mass);
-        if (!system->masses) dal__copy(k->n * k->n, system->mass_inverse, self->mass_inverse);
-        for (size_t i = 0; system->masses && i < k->n; i++)
-            self->mass_inverse[i * (k->n + 1)] = system->mass_inverse[i];
+    for (size_t i = 0; self->mass && i < k->n; i++) {
+        self->mass[i * (k->n + 1)] = system->mass[i];
+        self->mass_inverse[i * (k->n + 1)] = system->mass_inverse[i];
     }
-    k->mass = self->mass;
-    k->mass_inverse = slim ? system->mass_inverse : self->mass_inverse;
+    k->mass = self->mass ? self->mass : system->mass;
+    k->mass_inverse = self->mass ? self->mass_inverse : system->mass_inverse;
     k->at.rows = has_rows(system) ? system->rows : NULL;
     k->at.next = slim ? 1 : k->n + 1;
     k->at.dragged = system->lean && dal__is_dragged(system);
@@ -361,7 +359,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     arena memory = {0};
     dal__reserve(&memory, &self, 1, sizeof *self);
     reserve_kernel(&shape.kernel, system, &memory);
-    if (system->mass && !is_slim(system, find_routine(system, scheme)))
+    if (system->masses && !is_slim(system, find_routine(system, scheme)))
         DAL__RESERVE(&memory, dal__times(n, n), &shape.mass, &shape.mass_inverse);
     if (has_rows(system)) DAL__RESERVE(&memory, entries_of(system), &shape.turned);
     if (has_rows(system))
