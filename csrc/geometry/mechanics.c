@@ -227,7 +227,7 @@ static void size_product_of_rows(dal_mechanics *mech, const dal_rows *rows)
         bool moves = false;
         for (size_t k = rows->above[i]; k < rows->above[i + 1]; k++) {
             const double size = fabs(Z[rows->entry[k]]) * mech->metric.per_unit[i];
-            moves = moves || size != 0.0;
+            moves = moves || Z[rows->entry[k]] != 0.0;
             columns[rows->row[k]] = fmax(columns[rows->row[k]], size);
         }
         for (size_t k = rows->above[i]; moves && k < rows->above[i + 1]; k++)
