@@ -390,20 +390,24 @@ DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s,
 }
 
 /* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is at most limit
- * for every constraint, and then the statistics know it; never if r is not finite. */
+ * for every constraint, and then the statistics know it, which mostly have seen a larger one; never
+ * if r is not finite. */
 DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                           const dal_arrays *at, double limit)
 {
-    const double speed = dal_residual_speed(n, at->per_unit, at->w), allowed = limit * speed;
     double largest = k->stats.worst_residual;
+    const double speed = dal_residual_speed(n, at->per_unit, at->w);
+    const double seen = (largest < limit ? largest : limit) * speed;
     bool settled = true;
     for (size_t a = 0; a < m; a++) {
         const double sum = dal_kernel_dot(n, has.mu, at->mu, a, at->w);
-        const double form = dal_kernel_form(at, n, has.mu, at->mu, a), scale = form * speed;
+        const double form = dal_kernel_form(at, n, has.mu, at->mu, a);
         at->r[a] = -sum;
         /* nor if both are infinite; form * speed may overflow */
-        if (!(form * allowed - fabs(sum) >= 0.0)) settled = false;
-        if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
+        if (DAL_KERNEL_RARE(!(form * seen > fabs(sum)))) {
+            if (!(form * (limit * speed) - fabs(sum) >= 0.0)) settled = false;
+            if (fabs(sum) > largest * (form * speed)) largest = fabs(sum) / (form * speed);
+        }
     }
     if (settled) k->stats.worst_residual = largest;
     return settled;
