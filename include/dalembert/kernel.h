@@ -921,6 +921,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const size_t n = k->n;
 #endif
     const size_t stages = k->stages;
+    const dal_stage *s = k->stage, *const end = s + stages;
     const double first = (double)k->stats.steps, last = first + (double)steps;
     double number = first;
     int status = DAL_SUCCESS;
@@ -948,29 +949,25 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #else
     double *const x = k->at.x, *const pull = x + 5 * n;
 #endif
-    for (; number < last; number += 1.0) {
-        const dal_stage *s = k->stage, *const end = s + stages;
-        if (DAL_KERNEL_RARE(stages > 1)) {
+    /* one loop for steps and stages: two would carry the state through memory */
+    while (number < last) {
+        if (DAL_KERNEL_RARE(stages > 1) && s == k->stage) {
             DAL_KERNEL_COPY(2 * n, x, k->saved);
             DAL_KERNEL_COPY(k->m, k->impulse, k->saved + 2 * n);
         }
 #ifdef DAL_KERNEL_MOMENTA
-        k->formed = false;
-        do
-            status = DAL_KERNEL_PART(stage_of_either)(k, number, s, &masses, x, pull);
-        while (!status && ++s < end);
+        if (s == k->stage) k->formed = false;
+        status = DAL_KERNEL_PART(stage_of_either)(k, number, s, &masses, x, pull);
 #else
-        if (DAL_KERNEL_PLAIN || k->plain) {
-            do
-                status = DAL_KERNEL_PART(stage)(k, number, s, true, &masses, x, pull);
-            while (!status && ++s < end);
-        } else {
-            do
-                status = DAL_KERNEL_PART(stage)(k, number, s, false, &masses, x, pull);
-            while (!status && ++s < end);
-        }
+        if (DAL_KERNEL_PLAIN || k->plain)
+            status = DAL_KERNEL_PART(stage)(k, number, s, true, &masses, x, pull);
+        else
+            status = DAL_KERNEL_PART(stage)(k, number, s, false, &masses, x, pull);
 #endif
         if (status) break;
+        if (++s < end) continue;
+        s = k->stage;
+        number += 1.0;
     }
 #if DAL_KERNEL_INSIDE
     DAL_KERNEL_COPY(2 * n, x, k->at.x);
