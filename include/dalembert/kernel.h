@@ -133,7 +133,7 @@ typedef struct dal_balance {
     double *L_v, *F;              /* [n] at the last evaluation, F = L_q + f */
     double *unit, *per_unit;      /* [n] of residual.h for L_vv */
     double *L_vq, *L_vv, *F_q, *F_v; /* [n*n] at the prediction */
-    double *factors, *scratch;    /* [n*n] of K */
+    double *K, *factors;          /* [n*n] */
 } dal_balance;
 
 /* L_v[n] and F[n], each or NULL; and, all of them or none, L_vq[n*n], L_vv[n*n], F_q[n*n] = dF/dq,
@@ -567,6 +567,13 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_UNROLL
 #endif
 
+/* The same for triangles, which stay loops also where callbacks are outside. */
+#if defined(DAL_N) && DAL_N <= 8 && defined(__GNUC__)
+#define DAL_KERNEL_UNFOLD _Pragma("GCC unroll 64")
+#else
+#define DAL_KERNEL_UNFOLD
+#endif
+
 /* memcpy would want arrays in memory too. */
 DAL_KERNEL_INLINE void DAL_KERNEL_COPY(size_t n, const double *from, double *to)
 {
@@ -989,6 +996,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_KERNEL_SHARED
 #undef DAL_KERNEL_SIZES
 #undef DAL_KERNEL_UNROLL
+#undef DAL_KERNEL_UNFOLD
 #undef DAL_KERNEL_M
 #undef DAL_KERNEL_COPY
 #undef DAL_KERNEL_PART
