@@ -216,7 +216,7 @@ static void reserve_momenta(dal_kernel *k, size_t n, size_t m, size_t kinds, are
     dal_balance *const of = &k->balance;
     DAL__RESERVE(a, n, &k->momentum, &of->reaction, &of->residual, &of->share, &of->L_v, &of->F,
                  &of->unit, &of->per_unit);
-    DAL__RESERVE(a, nn, &of->L_vq, &of->L_vv, &of->F_q, &of->F_v, &of->factors, &of->scratch);
+    DAL__RESERVE(a, nn, &of->L_vq, &of->L_vv, &of->F_q, &of->F_v, &of->K, &of->factors);
     DAL__RESERVE(a, dal__times(m, n), &k->forms);
     DAL__RESERVE(a, m, &of->phi, &k->latest);
     DAL__RESERVE(a, dal__times(dal__times(4, n), kinds), &k->history);

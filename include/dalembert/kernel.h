@@ -138,7 +138,7 @@ typedef struct dal_balance {
     double *L_v, *F;              /* [n] at the last evaluation, F = L_q + f */
     double *unit, *per_unit;      /* [n] of residual.h for L_vv */
     double *L_vq, *L_vv, *F_q, *F_v; /* [n*n] at the prediction */
-    double *factors, *scratch;    /* [n*n] of K */
+    double *K, *factors;          /* [n*n] */
 } dal_balance;
 
 /* L_v[n] and F[n], each or NULL; and, all of them or none, L_vq[n*n], L_vv[n*n], F_q[n*n] = dF/dq,
@@ -446,20 +446,24 @@ DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s,
 }
 
 /* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is at most limit
- * for every constraint, and then the statistics know it; never if r is not finite. */
+ * for every constraint, and then the statistics know it, which mostly have seen a larger one; never
+ * if r is not finite. */
 DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal_pattern has,
                                           const dal_arrays *at, double limit)
 {
-    const double speed = dal_residual_speed(n, at->per_unit, at->w), allowed = limit * speed;
     double largest = k->stats.worst_residual;
+    const double speed = dal_residual_speed(n, at->per_unit, at->w);
+    const double seen = (largest < limit ? largest : limit) * speed;
     bool settled = true;
     for (size_t a = 0; a < m; a++) {
         const double sum = dal_kernel_product(at, n, has.mu, at->mu, a, at->w);
-        const double form = dal_kernel_form(at, n, has.mu, at->mu, a), scale = form * speed;
+        const double form = dal_kernel_form(at, n, has.mu, at->mu, a);
         at->r[a] = -sum;
         /* nor if both are infinite; form * speed may overflow */
-        if (!(form * allowed - fabs(sum) >= 0.0)) settled = false;
-        if (fabs(sum) > largest * scale) largest = fabs(sum) / scale;
+        if (DAL_KERNEL_RARE(!(form * seen > fabs(sum)))) {
+            if (!(form * (limit * speed) - fabs(sum) >= 0.0)) settled = false;
+            if (fabs(sum) > largest * (form * speed)) largest = fabs(sum) / (form * speed);
+        }
     }
     if (settled) k->stats.worst_residual = largest;
     return settled;
@@ -623,6 +627,13 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_UNROLL _Pragma("GCC unroll 64")
 #else
 #define DAL_KERNEL_UNROLL
+#endif
+
+/* The same for triangles, which stay loops also where callbacks are outside. */
+#if defined(DAL_N) && DAL_N <= 8 && defined(__GNUC__)
+#define DAL_KERNEL_UNFOLD _Pragma("GCC unroll 64")
+#else
+#define DAL_KERNEL_UNFOLD
 #endif
 
 /* memcpy would want arrays in memory too. */
@@ -988,6 +999,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const size_t n = k->n;
 #endif
     const size_t stages = k->stages;
+    const dal_stage *s = k->stage, *const end = s + stages;
     const double first = (double)k->stats.steps, last = first + (double)steps;
     double number = first;
     int status = DAL_SUCCESS;
@@ -1015,29 +1027,25 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #else
     double *const x = k->at.x, *const pull = x + 5 * n;
 #endif
-    for (; number < last; number += 1.0) {
-        const dal_stage *s = k->stage, *const end = s + stages;
-        if (DAL_KERNEL_RARE(stages > 1)) {
+    /* one loop for steps and stages: two would carry the state through memory */
+    while (number < last) {
+        if (DAL_KERNEL_RARE(stages > 1) && s == k->stage) {
             DAL_KERNEL_COPY(2 * n, x, k->saved);
             DAL_KERNEL_COPY(k->m, k->impulse, k->saved + 2 * n);
         }
 #ifdef DAL_KERNEL_MOMENTA
-        k->formed = false;
-        do
-            status = DAL_KERNEL_PART(stage_of_either)(k, number, s, &masses, x, pull);
-        while (!status && ++s < end);
+        if (s == k->stage) k->formed = false;
+        status = DAL_KERNEL_PART(stage_of_either)(k, number, s, &masses, x, pull);
 #else
-        if (DAL_KERNEL_PLAIN || k->plain) {
-            do
-                status = DAL_KERNEL_PART(stage)(k, number, s, true, &masses, x, pull);
-            while (!status && ++s < end);
-        } else {
-            do
-                status = DAL_KERNEL_PART(stage)(k, number, s, false, &masses, x, pull);
-            while (!status && ++s < end);
-        }
+        if (DAL_KERNEL_PLAIN || k->plain)
+            status = DAL_KERNEL_PART(stage)(k, number, s, true, &masses, x, pull);
+        else
+            status = DAL_KERNEL_PART(stage)(k, number, s, false, &masses, x, pull);
 #endif
         if (status) break;
+        if (++s < end) continue;
+        s = k->stage;
+        number += 1.0;
     }
 #if DAL_KERNEL_INSIDE
     DAL_KERNEL_COPY(2 * n, x, k->at.x);
@@ -1059,6 +1067,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_KERNEL_SHARED
 #undef DAL_KERNEL_SIZES
 #undef DAL_KERNEL_UNROLL
+#undef DAL_KERNEL_UNFOLD
 #undef DAL_KERNEL_M
 #undef DAL_KERNEL_COPY
 #undef DAL_KERNEL_PART

@@ -27,9 +27,11 @@
 /* From here on the solution would have no digits: 1e15 u is 0.1. */
 #define DAL_LU_CONDITION 1e15
 
-/* Where m = 2, and the pivots and the entry above the second are this close to their sizes, the
- * matrix is regular, and that need not be computed: with |L| <= 1 the x of dal_lu_is_regular is at
- * most 2^9 for the second row and 2^8 (1 + 2^8 2^9) for the first, times m and 2^8 below 2^36. */
+/* Where m = 2, and the product of the pivots, which is positive, and the entry above the second are
+ * this close to their sizes, the matrix is regular, and that need not be computed.  With |L| <= 1
+ * and pivots not above 2^4 of their sizes they are above 2^-12, and the x of dal_lu_is_regular is
+ * at most 2^13 for the second row and 2^12 (1 + 2^8 2^13) for the first, times m and 2^8 below
+ * 2^43. */
 #define DAL_LU_EASY 0x1p8
 
 /* x[m] <- A^-1 b[m] from the factors; x and b may not overlap. */
@@ -178,32 +180,24 @@ DAL_LU_RARE int dal_lu_are_regular(double inverse, double b, double l, double re
     return dal_lu_is_regular(2, A, row, rows, columns, scratch);
 }
 
-DAL_LU_INLINE int dal_lu_is_easy(double entry, double size)
+/* dal_lu_factor for m = 2, of the rows (a, b) and (c, d) as they are pivoted: the same operations,
+ * with no index that the optimiser does not know. */
+DAL_LU_INLINE int dal_lu_factor_rows(double a, double b, double c, double d, double upper,
+                                     double lower, int swap, double *A, const double *sizes,
+                                     size_t *row)
 {
-    return fabs(entry) < DAL_LU_EASY * size;
-}
-
-/* dal_lu_factor for m = 2: the same operations, with no index that the optimiser does not know. */
-DAL_LU_INLINE int dal_lu_factor_two(double *A, const double *sizes, size_t *row)
-{
-    const int swap = fabs(A[2]) * sizes[0] > fabs(A[0]) * sizes[1];
-    const double a = swap ? A[2] : A[0], b = swap ? A[3] : A[1];
-    const double c = swap ? A[0] : A[2], d = swap ? A[1] : A[3];
-    const double upper = swap ? sizes[1] : sizes[0], lower = swap ? sizes[0] : sizes[1];
     const double inverse = 1.0 / a, l = c * inverse, rest = d - l * b;
-    const int sign = (swap != (a < 0.0)) != (rest < 0.0) ? -1 : 1;
-    const double first = upper * sizes[2], above = upper * sizes[3], second = lower * sizes[3];
     row[0] = swap ? 1 : 0;
     row[1] = swap ? 0 : 1;
     A[0] = inverse;
     A[1] = b;
     A[2] = l;
     A[3] = 1.0 / rest;
-    if (DAL_LU_MOSTLY(fabs(a) * DAL_LU_EASY > first && fabs(rest) * DAL_LU_EASY > second
-                      && dal_lu_is_easy(a, first) && dal_lu_is_easy(b, above)
-                      && dal_lu_is_easy(rest, second)))
-        return sign;
-    return dal_lu_are_regular(A[0], b, l, A[3], swap, upper, lower, sizes[2], sizes[3]) ? sign : 0;
+    if (DAL_LU_MOSTLY(a * rest * DAL_LU_EASY > upper * sizes[2] * (lower * sizes[3])
+                      && fabs(b) < DAL_LU_EASY * (upper * sizes[3])))
+        return swap ? -1 : 1;
+    if (!dal_lu_are_regular(A[0], b, l, A[3], swap, upper, lower, sizes[2], sizes[3])) return 0;
+    return (swap != (a < 0.0)) != (rest < 0.0) ? -1 : 1;
 }
 
 /* A[m*m] becomes its factors, rows permuted as in row[m], the diagonal of U inverted.  sizes[5*m]:
@@ -220,7 +214,11 @@ DAL_LU_INLINE int dal_lu_factor(size_t m, double *A, double *sizes, size_t *row)
         if (pivot * DAL_LU_CONDITION > sizes[0] * sizes[1]) return 1;
         return -pivot * DAL_LU_CONDITION > sizes[0] * sizes[1] ? -1 : 0;
     }
-    if (m == 2) return dal_lu_factor_two(A, sizes, row);
+    if (m == 2) {
+        const double a = A[0], b = A[1], c = A[2], d = A[3], r = sizes[0], s = sizes[1];
+        return fabs(c) * r > fabs(a) * s ? dal_lu_factor_rows(c, d, a, b, s, r, 1, A, sizes, row)
+                                         : dal_lu_factor_rows(a, b, c, d, r, s, 0, A, sizes, row);
+    }
     int sign = 1;
     for (size_t i = 0; i < m; i++) row[i] = i;
     for (size_t j = 0; j < m; j++) {

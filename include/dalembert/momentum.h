@@ -39,34 +39,11 @@ enum { DAL_MOMENTUM_PASSES = 4 };
 /* What a stage here has beside the traits of every stage. */
 typedef struct dal_spans {
     double b, early, late;  /* B h, h start, h end */
+    bool constant;          /* M */
     bool linear, nonlinear; /* the constraints */
     bool still;             /* q~' is q_k, */
     bool known;             /* and mu(q~') is mu_k */
 } dal_spans;
-
-/* unit[n], per_unit[n] <- those of residual.h for the metric M[n*n], which is positive definite;
- * scratch[n*n]. */
-DAL_KERNEL_APART void dal_momentum_units(size_t n, const double *M, double *scratch, double *unit,
-                                         double *per_unit)
-{
-    double *const L = scratch; /* M = L D L^T with the diagonal 1 of L, and D in its place */
-    for (size_t j = 0; j < n; j++)
-        for (size_t i = j; i < n; i++) {
-            double sum = M[i * n + j];
-            for (size_t c = 0; c < j; c++) sum -= L[i * n + c] * L[c * n + c] * L[j * n + c];
-            L[i * n + j] = i == j ? sum : sum / L[j * n + j];
-        }
-    for (size_t j = 0; j < n; j++) {
-        double sum = 0.0; /* (M^-1)_jj, from column j of L^-1 in per_unit */
-        for (size_t i = j; i < n; i++) {
-            per_unit[i] = i == j ? 1.0 : 0.0;
-            for (size_t c = j; c < i; c++) per_unit[i] -= L[i * n + c] * per_unit[c];
-            sum += per_unit[i] * per_unit[i] / L[i * n + i];
-        }
-        unit[j] = sqrt(sum);
-    }
-    for (size_t j = 0; j < n; j++) per_unit[j] = 1.0 / unit[j];
-}
 #endif /* DALEMBERT_MOMENTUM_H */
 
 /* ---- once for each inclusion of kernel.h ---------------------------------------------------- */
@@ -124,7 +101,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel *k, const dal_traits *o,
     DAL_KERNEL_SIZES;
     const double *const x = at->x;
     const bool pushed = of->early != 0.0;
-    if (DAL_KERNEL_MASS && k->mass && !k->carried) {
+    if (of->constant && !k->carried) {
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
             k->momentum[i] = dal_kernel_dot(n, o->has.inverse, k->mass, i, x + n);
@@ -198,8 +175,8 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_within)(dal_kernel *k, const dal_trait
 {
     DAL_KERNEL_SIZES;
     const double limit = DAL_KERNEL_LIMIT(n);
-    const double *const unit = DAL_KERNEL_MASS && k->mass ? k->unit : balance->unit;
-    const double *const per_unit = DAL_KERNEL_MASS && k->mass ? k->per_unit : balance->per_unit;
+    const double *const unit = of->constant ? k->unit : balance->unit;
+    const double *const per_unit = of->constant ? k->per_unit : balance->per_unit;
     const double speed = exact ? dal_residual_speed(n, per_unit, at->w) : 0.0;
     double largest = k->stats.worst_residual;
     bool settled = true;
@@ -223,50 +200,64 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_within)(dal_kernel *k, const dal_trait
     return settled;
 }
 
-DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_in_D)(dal_kernel *k, const dal_traits *o,
-                                                const dal_spans *of, const dal_arrays *at,
-                                                const dal_balance *balance)
-{
-    DAL_KERNEL_SIZES;
-    if (DAL_KERNEL_PART(is_within)(k, o, of, at, balance, false)) return true;
-    if (!(DAL_KERNEL_MASS && k->mass)) {
-#ifdef DAL_N
-        double M[DAL_N * DAL_N], scratch[DAL_N * DAL_N], unit[DAL_N], per_unit[DAL_N];
-        DAL_KERNEL_COPY(n * n, balance->L_vv, M); /* so that it need not be in memory but here */
-        dal_momentum_units(n, M, scratch, unit, per_unit);
-        DAL_KERNEL_COPY(n, unit, balance->unit);
-        DAL_KERNEL_COPY(n, per_unit, balance->per_unit);
-#else
-        dal_momentum_units(n, balance->L_vv, balance->scratch, balance->unit, balance->per_unit);
-#endif
-    }
-    return DAL_KERNEL_PART(is_within)(k, o, of, at, balance, true);
-}
-
-/* Whether L_vv is positive definite: by the pivots of L D L^T, in scratch[n*n]. */
+/* Whether A[n*n] is positive definite: by the pivots of L D L^T, beside its diagonal.  In the lower
+ * half of A are then L, and D^-1. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_definite)(const dal_kernel *k, unsigned long long mask,
-                                                    const double *L_vv, double *scratch)
+                                                    double *A, const double *diagonal)
 {
     DAL_KERNEL_SIZES;
     (void)k;
     bool definite = true;
-    DAL_KERNEL_COPY(n * n, L_vv, scratch);
-    DAL_KERNEL_UNROLL
+    DAL_KERNEL_UNFOLD
     for (size_t j = 0; j < n; j++) {
-        const double pivot = scratch[j * n + j];
-        if (!(pivot > DAL_MOMENTUM_PIVOT * L_vv[j * n + j])) definite = false;
-        if (j + 1 == n) break;
-        const double inverse = 1.0 / pivot;
-        DAL_KERNEL_UNROLL
+        const double pivot = A[j * n + j], inverse = 1.0 / pivot;
+        if (!(pivot > DAL_MOMENTUM_PIVOT * diagonal[j])) definite = false;
+        A[j * n + j] = inverse;
+        DAL_KERNEL_UNFOLD
         for (size_t i = j + 1; i < n; i++) {
             if (!DAL_KERNEL_HAS(mask, i * n + j)) continue;
-            const double l = scratch[i * n + j] * inverse;
-            DAL_KERNEL_UNROLL
+            const double entry = A[i * n + j];
+            A[i * n + j] *= inverse;
+            DAL_KERNEL_UNFOLD
             for (size_t c = j + 1; c <= i; c++)
-                if (DAL_KERNEL_HAS(mask, c * n + j)) scratch[i * n + c] -= l * scratch[c * n + j];
+                if (DAL_KERNEL_HAS(mask, c * n + j)) A[i * n + c] -= entry * A[c * n + j];
         }
     }
     return definite;
+}
+
+/* unit, per_unit <- those of residual.h for the metric L_vv, of which is_definite has left L and
+ * D^-1: (M^-1)_jj from column j of L^-1. */
+DAL_KERNEL_INLINE void DAL_KERNEL_PART(measure)(const dal_kernel *k, unsigned long long mask,
+                                                const dal_balance *balance)
+{
+    DAL_KERNEL_SIZES;
+    const double *const L = balance->L_vv;
+    double *const column = balance->per_unit;
+    DAL_KERNEL_UNFOLD
+    for (size_t j = 0; j < n; j++) {
+        double sum = L[j * n + j];
+        DAL_KERNEL_UNFOLD
+        for (size_t i = j + 1; i < n; i++) {
+            column[i] = DAL_KERNEL_HAS(mask, i * n + j) ? -L[i * n + j] : 0.0;
+            DAL_KERNEL_UNFOLD
+            for (size_t c = j + 1; c < i; c++)
+                if (DAL_KERNEL_HAS(mask, i * n + c)) column[i] -= L[i * n + c] * column[c];
+            sum += column[i] * column[i] * L[i * n + i];
+        }
+        balance->unit[j] = sqrt(sum);
+    }
+    DAL_KERNEL_UNFOLD
+    for (size_t j = 0; j < n; j++) balance->per_unit[j] = 1.0 / balance->unit[j];
+}
+
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_in_D)(dal_kernel *k, const dal_traits *o,
+                                                const dal_spans *of, const dal_arrays *at,
+                                                const dal_balance *balance)
+{
+    if (DAL_KERNEL_PART(is_within)(k, o, of, at, balance, false)) return true;
+    if (!of->constant) DAL_KERNEL_PART(measure)(k, o->has.K, balance);
+    return DAL_KERNEL_PART(is_within)(k, o, of, at, balance, true);
 }
 
 /* Entry ij of K without L_vv. */
@@ -280,27 +271,30 @@ DAL_KERNEL_INLINE double DAL_KERNEL_PART(turn)(const dal_traits *o, const dal_sp
     return sum;
 }
 
-/* K and S, factored, from what was evaluated at the prediction; Z.  False if one is not regular. */
+/* K and S, factored, from what was evaluated at the prediction; Z; L_vv becomes its factors.  False
+ * if one is not regular. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(form)(const dal_kernel *k, const dal_traits *o,
                                              const dal_spans *of, const dal_arrays *at,
                                              const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
-    double *const factors = balance->factors, *const terms = at->step;
-    const double *const L_vv = balance->L_vv, b = of->b;
+    double *const factors = balance->factors, *const share = balance->share;
+    double *const K = balance->K, *const terms = at->step, b = of->b;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        terms[i] = L_vv[i * n + i] + fabs(DAL_KERNEL_PART(turn)(o, of, balance, i * n + i));
+        share[i] = balance->L_vv[i * n + i];
+        terms[i] = share[i] + fabs(DAL_KERNEL_PART(turn)(o, of, balance, i * n + i));
         DAL_KERNEL_UNROLL
-        for (size_t j = 0; j < n; j++)
-            factors[i * n + j] =
-                L_vv[i * n + j] + DAL_KERNEL_PART(turn)(o, of, balance, i * n + j);
+        for (size_t ij = i * n; ij < (i + 1) * n; ij++)
+            factors[ij] = K[ij] = balance->L_vv[ij] + DAL_KERNEL_PART(turn)(o, of, balance, ij);
     }
+    if (!of->constant && !DAL_KERNEL_PART(is_definite)(k, o->has.K, balance->L_vv, share))
+        return false;
     if (!DAL_KERNEL_PART(eliminate)(n, o->has.K, factors, terms)) return false;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        const double share = L_vv[i * n + i] * factors[i * n + i];
-        balance->share[i] = share < 1.0 ? share : 1.0;
+        share[i] *= factors[i * n + i];
+        if (!(share[i] < 1.0)) share[i] = 1.0;
     }
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) {
@@ -438,10 +432,9 @@ DAL_KERNEL_INLINE double DAL_KERNEL_PART(imbalance)(const dal_kernel *k, const d
         for (size_t j = 0; j < n; j++) {
             const size_t ij = i * n + j;
             if (DAL_KERNEL_HAS(o->has.K, ij)) {
-                const double K = balance->L_vv[ij] + DAL_KERNEL_PART(turn)(o, of, balance, ij);
                 const double push =
                     DAL_KERNEL_PART(pushes)(of, balance, j) * balance->factors[j * n + j];
-                terms += fabs(K) * (fabs(at->w[j]) + push + DBL_MIN);
+                terms += fabs(balance->K[ij]) * (fabs(at->w[j]) + push + DBL_MIN);
             }
             if (DAL_KERNEL_HAS(o->has.L_vq, ij)) moved += fabs(balance->L_vq[ij] * at->point[j]);
             if (DAL_KERNEL_HAS(o->has.F_q, ij))
@@ -596,11 +589,11 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     double known[DAL_N], reaction[DAL_N], residual[DAL_N], share[DAL_N];
     double phi[DAL_KERNEL_M], L_v[DAL_N], F[DAL_N], unit[DAL_N], per_unit[DAL_N];
     double L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
-    double factors[DAL_N * DAL_N], scratch[DAL_N * DAL_N];
+    double K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
     const dal_arrays at = {x, NULL, node, point, w, mu_node, mu, N, known, goal, step, NULL,
                            stored, Z, S, sizes, r, d, kappa, row, NULL, NULL, NULL, 0, NULL, false};
     const dal_balance balance = {known, reaction, residual, share, phi, L_v, F, unit, per_unit,
-                                 L_vq, L_vv, F_q, F_v, factors, scratch};
+                                 L_vq, L_vv, F_q, F_v, K, factors};
 #else
     const dal_arrays at = k->at;
     const dal_balance balance = k->balance;
@@ -608,6 +601,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     const dal_constraint_kind kind = DAL_KERNEL_KIND(k);
     const bool linear = kind == DAL_LINEAR, kept = !DAL_KERNEL_INSIDE && k->kept;
     const dal_spans of = {.b = s->after * k->h, .early = k->h * s->start, .late = k->h * s->end,
+                          .constant = DAL_KERNEL_INSIDE ? DAL_KERNEL_MASS : k->mass != NULL,
                           .linear = linear, .nonlinear = kind == DAL_NONLINEAR,
                           .still = explicit && !kept,
                           .known = explicit && linear && !kept};
@@ -631,10 +625,6 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     if (DAL_KERNEL_RARE(solved && !settled && !kept))
         for (int pass = 0; !settled && pass < DAL_MOMENTUM_PASSES; pass++)
             settled = DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance);
-    /* asked last, nothing waits for it; what the full Newton iteration then says is the reason */
-    if (solved && !(DAL_KERNEL_MASS && k->mass)
-        && DAL_KERNEL_RARE(!DAL_KERNEL_PART(is_definite)(k, has.K, balance.L_vv, balance.scratch)))
-        solved = false;
     if (solved && settled && DAL_KERNEL_PART(is_finite)(n, &at)) {
         DAL_KERNEL_PART(carry)(k, &of, &balance);
     } else {

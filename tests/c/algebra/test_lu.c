@@ -366,6 +366,8 @@ static void test_singular(void)
     /* rows that change places take their sizes along: 1e-16 of 1, beside 1 of 1e-10 */
     double crossed[4] = {0, 1e-16, 1e-10, 0}, crossed_sizes[10] = {1, 1e-10, 1, 1};
     CHECK(dal_lu_factor(2, crossed, crossed_sizes, f.row) == 0);
+    double nothing[4] = {1, 1, 0, 0}, nothing_sizes[10] = {1, 0, 1, 1};
+    CHECK(dal_lu_factor(2, nothing, nothing_sizes, f.row) == 0);
     /* Two constraints that coincide, with coefficients that are not exact in binary. */
     const double mu[6] = {0.1, 0.7, 0.3, 0.3, 2.1, 0.9};
     CHECK(factor_product(2, 3, mu, mu, &f) == 0);
