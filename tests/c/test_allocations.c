@@ -172,9 +172,9 @@ static dal_flow *reference;
 static double state[MOST];
 
 typedef enum maker {
-    SYSTEM, SYSTEM_DIAGONAL, BUILTIN, DEFORMED, DEFORMED_NODES, MECHANICS, CHART, FLOW_RK8PD,
-    FLOW_MSADAMS, FLOW_RODAS, FLOW_IN_XI, STEPPER, STEPPER_PAIR, STEPPER_FLOW, DISCRETE, EMBEDDING,
-    CHECK_SYSTEM, STUDY, STUDY_EXACT, EXACT, INVARIANT, VELOCITY, MAKERS
+    SYSTEM, SYSTEM_DIAGONAL, SYSTEM_SPARSE, BUILTIN, DEFORMED, DEFORMED_NODES, MECHANICS, CHART,
+    FLOW_RK8PD, FLOW_MSADAMS, FLOW_RODAS, FLOW_IN_XI, STEPPER, STEPPER_PAIR, STEPPER_FLOW, DISCRETE,
+    EMBEDDING, CHECK_SYSTEM, STUDY, STUDY_EXACT, EXACT, INVARIANT, VELOCITY, MAKERS
 } maker;
 
 static const unsigned char untouched = 0x55;
@@ -212,7 +212,13 @@ static int make_study(outputs *out, const dal_system *system, dal_error *error)
     return dal_order_study(system, &scheme, &def, out->points, &out->order, error);
 }
 
-/* Never called. */
+/* Never called, as the next. */
+static int no_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, double *phi_t, void *ctx)
+{
+    return -1;
+}
+
 static int no_deformation(double t, const double *q, const double *v, double *g, double *g_v,
                           double *g_q, double *g_t, void *ctx)
 {
@@ -236,11 +242,17 @@ static int make_embedding(outputs *out, dal_error *error)
 static int make(maker what, outputs *out, dal_error *error)
 {
     static const double diagonal[4] = {1.0, 0.0, 0.0, 2.0};
+    static const size_t row[3] = {0, 0, 1}, column[3] = {0, 1, 2};
+    static const double masses[3] = {1.0, 2.0, 1.0};
+    static const dal_sparsity sparsity = {3, row, column};
     const dal_system_def plane = {.n = 2, .mass = diagonal};
+    const dal_system_def sparse = {.n = 3, .m = 2, .masses = masses, .constraint = no_constraint,
+                                   .sparsity = &sparsity, .missing = DAL_MISSING_PHI_Q};
     const dal_difference_map map = {.beta = 0.5};
     switch (what) {
     case SYSTEM: return generic4_new(&out->system, error);
     case SYSTEM_DIAGONAL: return dal_system_new(&out->system, &plane, error);
+    case SYSTEM_SPARSE: return dal_system_new(&out->system, &sparse, error);
     case BUILTIN: return dal_system_builtin(&out->system, "chaotic", NULL, NULL, 0, error);
     case DEFORMED:
         return dal_system_deform(&out->system, generic4, no_deformation, NULL, 0.5, DAL_LINEAR, 0,
