@@ -94,7 +94,9 @@ static int is_regular(const band *of, const dal_lu_factors *factors, const doubl
         if (isnan(x[i])) return 0; /* no row above need know */
         bound = fmax(bound, x[i] * column_size[i]);
     }
-    const double most = DAL_LU_CONDITION / ((double)m * largest);
+    /* a column of A has no more entries than this: m itself would refuse long chains */
+    const double entries = fmin((double)m, 2.0 * (double)of->width + 1.0);
+    const double most = DAL_LU_CONDITION / (entries * largest);
     return bound <= most || dal_lu_inverse_norm(factors, row_size, column_size, x) <= most;
 }
 

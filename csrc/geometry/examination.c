@@ -317,6 +317,36 @@ static int examine_derivatives(examination *ex, callback of)
     return DAL_SUCCESS;
 }
 
+/* A derivative phi_q that is not given is 0 in the entries that a sparsity leaves out, or steps
+ * would difference some columns for others. */
+static int examine_sparsity(examination *ex)
+{
+    const dal_system_def *const def = &ex->system->def;
+    const output *const d = &outputs[PHI_Q];
+    dal_difference *const worst = difference_of(ex, d);
+    if (!def->sparsity || !(def->missing & d->missing)) return DAL_SUCCESS;
+    for (int k = 0; k < VELOCITIES; k++) {
+        double *const y[OUTPUTS] = {[PHI_V] = ex->given[PHI_V], [PHI_Q] = ex->given[PHI_Q]};
+        const size_t *row = def->sparsity->row, *column = def->sparsity->column;
+        const size_t *const end = row + def->sparsity->entries;
+        stand_at(ex, k);
+        int status = call(ex, CONSTRAINT, ex->time, ex->q, ex->velocity, y);
+        for (size_t i = 0; !status && i < ex->m * ex->n; i++) {
+            const bool is_there = row < end && *row * ex->n + *column == i;
+            if (is_there) row++, column++;
+            else y[PHI_Q][i] = 0.0;
+        }
+        if (!status) status = compare(ex, d, y[PHI_Q]);
+        if (status && !(def->kind == DAL_NONLINEAR && passed_over(k, status))) return status;
+    }
+    if (worst->wrong)
+        dal__fail(open_finding(ex), DAL_EINVAL, "sparsity: entry (%zu, %zu) is left out, but "
+                  "differences of %s in q are %.10g", worst->row, worst->column,
+                  def->kind == DAL_LINEAR ? "phi_v v" : "phi", worst->expected);
+    else *worst = (dal_difference){0}; /* nothing was given */
+    return DAL_SUCCESS;
+}
+
 /* ---- time -------------------------------------------------------------------------------- */
 
 /* L and phi with what y asks for, at the velocity where the examination stands. */
@@ -657,6 +687,7 @@ static int examine_constraint(examination *ex)
     /* phi_q of linear constraints is that of phi_v v, so phi_v comes first */
     int status = linear ? examine_linearity(ex) : examine_derivatives(ex, CONSTRAINT);
     if (!status) status = linear ? examine_derivatives(ex, CONSTRAINT) : examine_linearity(ex);
+    if (!status) status = examine_sparsity(ex);
     if (!status) status = examine_rank(ex);
     bool consistent = true;
     if (!status && found->mass_min > 0.0) /* else there is no metric to measure in */

@@ -94,46 +94,55 @@ static inline void dal_lu_solve_transposed_by(const dal_lu_factors *self, double
     dal_lu_solve_transposed(self->m, self->A, self->row, b, x);
 }
 
+/* Component i of a vector of 1-norm 1 or less: a column; or for m all columns at once; or for m + 1
+ * all, with weights from -1 to 1 that have nothing to do with one another. */
+static inline double dal_lu_start(size_t m, size_t column, size_t i)
+{
+    if (column < m) return column == i ? 1.0 : 0.0;
+    if (column == m) return 1.0 / (double)m;
+    unsigned long mixed = (i + 1) * 2654435761UL & 0xffffffffUL;
+    mixed = (mixed ^ mixed >> 15) * 2246822519UL & 0xffffffffUL;
+    return ((double)(mixed >> 8) * 0x1p-23 - 1.0) / (double)m;
+}
+
 /* The 1-norm of the inverse of the scaled matrix, or a little less: that of the best column found
- * by going uphill from all columns at once (W. W. Hager, SIAM J. Sci. Stat. Comput. 5, 1984), or of
- * all with changing signs (N. J. Higham, ACM Trans. Math. Softw. 14, 1988): where two rows almost
- * coincide the first way begins where neither is seen.  scratch[3*m]. */
+ * by going uphill (W. W. Hager, SIAM J. Sci. Stat. Comput. 5, 1984), from all columns at once, then
+ * from all with weights.  Where two rows almost coincide, or the sums of two pairs, the first way
+ * begins where that is not seen, nor with signs that change from row to row (N. J. Higham, ACM
+ * Trans. Math. Softw. 14, 1988) where the rows have one row between them.  scratch[3*m]. */
 DAL_LU_RARE double dal_lu_inverse_norm(const dal_lu_factors *factors, const double *row_size,
                                        const double *column_size, double *scratch)
 {
     const size_t m = factors->m;
     enum { MOST = 5 };
-    double *const x = scratch, *const y = x + m, *const z = y + m, norm = 0.0, least = 0.0;
-    size_t column = m; /* none: all at once */
-    for (size_t i = 0; i < m; i++)
-        x[i] = row_size[i] * (i % 2 ? -1.0 : 1.0) * (1.0 + (double)i / (double)m)
-             / (1.5 * (double)m);
-    factors->solve(factors, x, y);
-    for (size_t i = 0; i < m; i++) least += fabs(y[i] * column_size[i]);
-    if (isnan(least)) return least;
-    for (int climb = 0; climb < MOST; climb++) {
-        for (size_t i = 0; i < m; i++)
-            x[i] = row_size[i] * (column == m ? 1.0 / (double)m : column == i ? 1.0 : 0.0);
-        factors->solve(factors, x, y);
-        double sum = 0.0, most = 0.0, here = 0.0;
-        for (size_t i = 0; i < m; i++) {
-            sum += fabs(y[i] * column_size[i]);
-            y[i] = copysign(column_size[i], y[i]);
+    double *const x = scratch, *const y = x + m, *const z = y + m, norm = 0.0;
+    for (size_t start = m; start <= m + 1; start++) {
+        size_t column = start;
+        double last = 0.0;
+        for (int climb = 0; climb < MOST; climb++) {
+            for (size_t i = 0; i < m; i++) x[i] = row_size[i] * dal_lu_start(m, column, i);
+            factors->solve(factors, x, y);
+            double sum = 0.0, most = 0.0, here = 0.0;
+            for (size_t i = 0; i < m; i++) {
+                sum += fabs(y[i] * column_size[i]);
+                y[i] = copysign(column_size[i], y[i]);
+            }
+            if (isnan(sum)) return sum;
+            if (sum <= last) break;
+            last = sum;
+            factors->solve_transposed(factors, y, z);
+            size_t best = 0;
+            for (size_t i = 0; i < m; i++) {
+                const double slope = z[i] * row_size[i];
+                here += slope * dal_lu_start(m, column, i);
+                if (fabs(slope) > most) most = fabs(slope), best = i;
+            }
+            if (most <= here) break;
+            column = best;
         }
-        if (isnan(sum)) return sum;
-        if (sum <= norm) break;
-        norm = sum;
-        factors->solve_transposed(factors, y, z);
-        size_t best = 0;
-        for (size_t i = 0; i < m; i++) {
-            const double slope = z[i] * row_size[i];
-            here += slope * (column == m ? 1.0 / (double)m : column == i ? 1.0 : 0.0);
-            if (fabs(slope) > most) most = fabs(slope), best = i;
-        }
-        if (most <= here) break;
-        column = best;
+        if (last > norm) norm = last;
     }
-    return norm > least ? norm : least;
+    return norm;
 }
 
 /* Whether the scaled matrix is regular.  A bound costs O(m^2): the solution x of M(L) M(U) x = 1,

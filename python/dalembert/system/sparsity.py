@@ -40,7 +40,7 @@ def read(value: Any, n: int, m: int | None) -> Sparsity:
         if given.ndim != 2 or given.dtype.kind not in "biuf":
             raise ValueError(f"sparsity = {arguments.shown(value)}: {_EXPECTED}")
         shape, (rows, columns) = given.shape, np.nonzero(given)
-    if shape and shape[1] != n:
+    if shape and (len(shape) != 2 or shape[1] != n):
         raise ValueError(f"sparsity: expected shape (m, {n}), got {shape}")
     if m is None:
         m = shape[0] if shape else int(max(rows, default=-1)) + 1

@@ -251,6 +251,32 @@ static void test_coincidence(void)
     }
 }
 
+/* Rows that a vector of ones, or of changing signs, does not tell apart: two with others between
+ * them, and e1 + e2 = e3 + e4 for unit vectors; but for 2e-8. */
+static void test_hidden_coincidence(void)
+{
+    static const double unit[4][3] = {{3, 4, 0}, {3, -4, 0}, {3, 0, 4}, {3, 0, -4}};
+    static matrix A;
+    static factors f;
+    for (size_t m = 8; m <= MOST; m += 4)
+        for (size_t first = 0; first + 7 <= m; first++)
+            for (int pairs = 0; pairs < 2; pairs++) {
+                double X[MOST][MOST + 4] = {{0.0}};
+                for (size_t i = 0; i < m; i++) X[i][i] = 1.0, X[i][i + 1] = 0.25;
+                for (size_t k = 0; k < (pairs ? 4 : 2); k++) {
+                    const size_t i = first + (size_t[]){0, 6, 2, 4}[k];
+                    for (size_t l = 0; l < m + 4; l++) X[i][l] = 0.0;
+                    for (size_t l = 0; l < 3; l++) X[i][m + l] = unit[pairs ? k : 0][l];
+                }
+                X[first + (pairs ? 4 : 6)][m + 3] = 1e-7;
+                A.m = m;
+                for (size_t i = 0; i < m; i++)
+                    for (size_t l = 0; l < m; l++)
+                        A.entry[i * m + l] = dal__dot(m + 4, X[i], X[l]);
+                CHECK(factor(&A, &f) == 0);
+            }
+}
+
 /* Of the scaled matrix the estimate is below the norm of the inverse, and hardly ever far below. */
 static void test_estimate(void)
 {
@@ -553,6 +579,7 @@ int main(void)
     test_exact();
     test_condition();
     test_coincidence();
+    test_hidden_coincidence();
     test_estimate();
     test_triangles();
     test_singular();

@@ -2,6 +2,7 @@
 integration of the reduced equations, and what is refused."""
 
 import pickle
+import re
 import tracemalloc
 
 import numpy as np
@@ -247,6 +248,26 @@ def test_the_rest_of_the_library():
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("given", [True, False])
+def test_check_finds_what_a_sparsity_leaves_out(given):
+    def forms(q):
+        return [-np.sin(q[2]), np.cos(q[2]), -np.sin(q[5]), np.cos(q[5]), 0]
+
+    def derivative(q, v):
+        return [0, 0, 0, 0, -np.cos(q[5]) * v[3] - np.sin(q[5]) * v[4]]
+
+    q, v = [0, 0, 0.3, 1, 1, 0.5], [np.cos(0.3), np.sin(0.3), 1, np.cos(0.5), np.sin(0.5), 1]
+    rows, columns = [0, 0, 1, 1, 1], [0, 1, 3, 4, 5]  # without the heading of the first
+    system = dal.System(mass=np.ones(6), forms=forms, sparsity=(rows, columns),
+                        forms_velocity_derivative=derivative if given else None)
+    text = r"forms_velocity_derivative\[0,2\]" if given else r"sparsity: entry \(0, 2\) is left out"
+    assert re.search(text, str(system.check(q, v)))
+    whole = dal.System(mass=np.ones(6), forms=lambda q: np.insert(forms(q), 2, 0),
+                       sparsity=([0, 0, 0, 1, 1, 1], range(6)))
+    assert str(whole.check(q, v)).startswith("passed")
+    assert not whole.check(q, v).phi_q.checked
+
+
 class Module(Skates):
     """Picklable."""
 
@@ -274,6 +295,7 @@ def test_journals_and_pickles(tmp_path):
     ({"sparsity": ([0, -1], [2, 3])}, "sparsity: row -1 is negative"),
     ({"sparsity": ([0, 0], [3, 2])}, r"entry 1, \(0, 2\), comes after \(0, 3\)"),
     ({"sparsity": ([0, 0], [3, 7])}, r"entry 1, \(0, 7\), is outside"),
+    ({"sparsity": coo_array(np.ones(6))}, r"expected shape \(m, 6\), got \(6,\)"),
     ({"sparsity": np.ones((2, 6)), "affine": lambda q: [0, 0]}, "sparsity with affine"),
     ({"sparsity": np.ones((2, 6)), "forms": None}, "sparsity without forms"),
 ])  # fmt: skip
