@@ -160,7 +160,8 @@ class System(Handle):
     given and n <= 500; else h has to resolve what V and the force make oscillate or decay.
     Chains and crowds of bodies have blocks and narrow bands; a constraint that has a coordinate in
     common with all others, and a tree that branches everywhere, cost as much as a dense matrix of m
-    rows.
+    rows.  What is not a step of a beta-scheme or of the reference has matrices of n rows: `check`,
+    `Chart`, `Discrete`, pairs, and ``run(t)``, instead of which there is ``t_eval``.
 
     ``potential``, ``constraint``, ``lagrangian`` and ``force`` may be C functions, with the
     arguments of ``dal_potential_fn`` and so on in ``dalembert.h``: a numba ``cfunc`` (see
