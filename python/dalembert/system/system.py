@@ -158,8 +158,10 @@ class System(Handle):
     numbers, not by a matrix, and constraints touch few coordinates each.  The Hessian of V and the
     derivatives of the force then serve only steps that do not converge without, where they are
     given and n <= 500; else h has to resolve what V and the force make oscillate or decay.
-    Chains, trees and crowds of bodies have blocks and narrow bands; a constraint that has a
-    coordinate in common with all others costs as much as a dense matrix of m rows.
+    Chains and crowds of bodies have blocks and narrow bands; a constraint that has a coordinate in
+    common with all others, and a tree that branches everywhere, cost as much as a dense matrix of m
+    rows.  What is not a step of a beta-scheme or of the reference has matrices of n rows: `check`,
+    `Chart`, `Discrete`, pairs, and ``run(t)``, instead of which there is ``t_eval``.
 
     ``potential``, ``constraint``, ``lagrangian`` and ``force`` may be C functions, with the
     arguments of ``dal_potential_fn`` and so on in ``dalembert.h``: a numba ``cfunc`` (see
