@@ -172,9 +172,9 @@ static dal_flow *reference;
 static double state[MOST];
 
 typedef enum maker {
-    SYSTEM, SYSTEM_DIAGONAL, BUILTIN, DEFORMED, DEFORMED_NODES, MECHANICS, CHART, FLOW_RK8PD,
-    FLOW_MSADAMS, FLOW_RODAS, FLOW_IN_XI, STEPPER, STEPPER_PAIR, STEPPER_FLOW, DISCRETE, EMBEDDING,
-    CHECK_SYSTEM, STUDY, STUDY_EXACT, EXACT, INVARIANT, VELOCITY, MAKERS
+    SYSTEM, SYSTEM_DIAGONAL, SYSTEM_SPARSE, BUILTIN, DEFORMED, DEFORMED_NODES, MECHANICS, CHART,
+    FLOW_RK8PD, FLOW_MSADAMS, FLOW_RODAS, FLOW_IN_XI, STEPPER, STEPPER_PAIR, STEPPER_FLOW, DISCRETE,
+    EMBEDDING, CHECK_SYSTEM, STUDY, STUDY_EXACT, EXACT, INVARIANT, VELOCITY, MAKERS
 } maker;
 
 static const unsigned char untouched = 0x55;
@@ -233,6 +233,23 @@ static int make_embedding(outputs *out, dal_error *error)
     return dal_embedding_new(&out->embedding, generic4, &def, error);
 }
 
+/* Never called. */
+static int no_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, double *phi_t, void *ctx)
+{
+    return -1;
+}
+
+static int make_sparse(outputs *out, dal_error *error)
+{
+    static const double masses[4] = {1.0, 2.0, 3.0, 4.0};
+    static const size_t row[4] = {0, 0, 1, 1}, column[4] = {0, 1, 1, 3};
+    const dal_sparsity sparsity = {4, row, column};
+    const dal_system_def def = {.n = 4, .m = 2, .masses = masses, .sparsity = &sparsity,
+                                .constraint = no_constraint, .missing = DAL_MISSING_PHI_Q};
+    return dal_system_new(&out->system, &def, error);
+}
+
 static int make(maker what, outputs *out, dal_error *error)
 {
     static const double diagonal[4] = {1.0, 0.0, 0.0, 2.0};
@@ -241,6 +258,7 @@ static int make(maker what, outputs *out, dal_error *error)
     switch (what) {
     case SYSTEM: return generic4_new(&out->system, error);
     case SYSTEM_DIAGONAL: return dal_system_new(&out->system, &plane, error);
+    case SYSTEM_SPARSE: return make_sparse(out, error);
     case BUILTIN: return dal_system_builtin(&out->system, "chaotic", NULL, NULL, 0, error);
     case DEFORMED:
         return dal_system_deform(&out->system, generic4, no_deformation, NULL, 0.5, DAL_LINEAR, 0,
