@@ -108,7 +108,6 @@ DAL_LU_RARE double dal_lu_inverse_norm(const dal_lu_factors *factors, const doub
              / (1.5 * (double)m);
     factors->solve(factors, x, y);
     for (size_t i = 0; i < m; i++) least += fabs(y[i] * column_size[i]);
-    if (isnan(least)) return least;
     for (int climb = 0; climb < MOST; climb++) {
         for (size_t i = 0; i < m; i++)
             x[i] = row_size[i] * (column == m ? 1.0 / (double)m : column == i ? 1.0 : 0.0);
@@ -131,7 +130,7 @@ DAL_LU_RARE double dal_lu_inverse_norm(const dal_lu_factors *factors, const doub
         if (most <= here) break;
         column = best;
     }
-    return norm > least ? norm : least;
+    return norm > least ? norm : least; /* also NaN */
 }
 
 /* Whether the scaled matrix is regular.  A bound costs O(m^2): the solution x of M(L) M(U) x = 1,
