@@ -17,7 +17,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-enum { N = 3, MOST_ROWS = 80, MOST_EVENTS = 100, WIDTH = 2, IMAGES = 2000 };
+enum { N = 3, MOST_ROWS = 80, MOST_EVENTS = 40, WIDTH = 2, IMAGES = 2000 };
 
 static char folder[64];
 
@@ -109,13 +109,6 @@ static int turned(double t, const double *x, double *g, void *ctx)
     return 0;
 }
 
-/* In most steps; so also in those that begin where a reset has left the state. */
-static int turned_often(double t, const double *x, double *g, void *ctx)
-{
-    *g = sin(40.0 * x[2]);
-    return 0;
-}
-
 static int late(double t, const double *x, double *g, void *ctx)
 {
     *g = t - 1.87;
@@ -135,7 +128,7 @@ static int control(size_t step, double t, const double *x, double *u, void *ctx)
 typedef struct plan {
     const char *system, *scheme;
     size_t steps, stride, hold;
-    bool table, controlled, watched, terminal, timed, often;
+    bool table, controlled, watched, terminal, timed;
 } plan;
 
 static const plan plans[] = {
@@ -148,7 +141,7 @@ static const plan plans[] = {
     {"disk", "leapfrog-kl6", 60, 2, 0, .table = false},
     {"particle", "midpoint-nodes", 60, 3, 0, .table = false},
     {"cart", "0.3-nodes", 60, 2, 0, .watched = true},
-    {"wagon", "0.3-nodes", 60, 2, 0, .watched = true, .often = true},
+    {"wagon", "0.3-nodes", 60, 2, 0, .watched = true},
     {"wagon", "leapfrog", 60, 2, 1, .controlled = true, .watched = true},
     {"disk", "pair:0:1", 40, 1, 0, .table = false},
     {"sleigh", "reference", 20, 1, 0, .table = false},
@@ -204,7 +197,7 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
                                scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT
                                                               : DAL_INITIAL_NONE),
              p->scheme, dal_stepper_error(o->stepper)->text);
-    const dal_event list[] = {{.g = wall, .direction = 1, .reset = bounce}, {.g = p->often ? turned_often : turned},
+    const dal_event list[] = {{.g = wall, .direction = 1, .reset = bounce}, {.g = turned},
                               {.g = late, .terminal = 1}};
     dal_error error = {0};
     const size_t count = !p->watched ? 0 : p->terminal ? 3 : 2;
