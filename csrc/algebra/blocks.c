@@ -167,8 +167,7 @@ int dal__pattern_new(dal__pattern **made, const dal_rows *rows, dal_error *error
     status = dal__allocate(&shape.arena, error);
     if (!status) {
         *self = shape;
-        for (size_t a = 0; a < m; a++) met[a] = m;
-        for (size_t a = 0; a < m; a++) {
+        for (size_t a = 0; a < m; a++) { /* for b > a the last to meet b was b, or came later */
             const size_t count = meet(&look, a, self->column + self->first[a]);
             self->first[a + 1] = self->first[a] + count;
             qsort(self->column + self->first[a], count, sizeof *self->column, by_size);

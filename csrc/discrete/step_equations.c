@@ -96,17 +96,15 @@ static int evaluate(dal_mechanics *mech, const double *w, bool R1, bool K)
     const double alpha = mech->start.alpha, t = mech->start.acts;
     const double *const place = place_of_L(mech, alpha * mech->start.h, w);
     const bool general = !mech->eval.constant_mass, ends = alpha != 1.0; /* F acts there */
-    const bool lean = mech->eval.lean;
     const dal__jet wanted = {.L_q = R1 && ends ? mech->force : NULL,
                              .L_v = R1 && general ? mech->w : NULL,
-                             .L_qq = K && ends && alpha != 0.0 && !lean ? mech->hessian : NULL,
+                             .L_qq = K && ends && alpha != 0.0 ? mech->hessian : NULL,
                              .L_vq = K && general ? mech->L_vq : NULL,
                              .L_vv = K && general ? mech->L_vv : NULL};
     int status = dal__lagrangian(&mech->eval, t, place, w, &wanted, &mech->error);
     if (!status && ends && mech->eval.system->def.force) {
         status = dal__force(&mech->eval, t, place, w, R1 ? mech->step : NULL,
-                            K && !lean ? mech->f_q : NULL, K && !lean ? mech->f_v : NULL,
-                            &mech->error);
+                            K ? mech->f_q : NULL, K ? mech->f_v : NULL, &mech->error);
         if (R1) dal__add(n, 1.0, mech->step, mech->force);
     }
     if (status || !R1) return status;
@@ -168,8 +166,8 @@ static void add_mass(const dal_mechanics *mech, double *K, double *sizes)
     }
 }
 
-/* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend; but L_vv if
- * mech is lean. */
+/* K = L_vv + alpha h L_vq - h (1-alpha) [L_vq^T + f_v + alpha h (L_qq + f_q)] - bend; never asked
+ * for if mech is lean. */
 static void form_K(const dal_mechanics *mech, double *K, double *K_sizes)
 {
     const size_t n = mech->n;
@@ -188,8 +186,8 @@ static void form_K(const dal_mechanics *mech, double *K, double *K_sizes)
             if (K_sizes) K_sizes[i] += fabs(b * mech->L_vq[i * n + i]);
         }
     }
-    if (a * b != 0.0 && mech->hessian) add_term(n, -b * a, mech->hessian, K, K_sizes);
-    if (mech->f_v && b != 0.0) {
+    if (a * b != 0.0) add_term(n, -b * a, mech->hessian, K, K_sizes);
+    if (mech->eval.system->def.force && b != 0.0) {
         add_term(n, -b, mech->f_v, K, K_sizes);
         add_term(n, -b * a, mech->f_q, K, K_sizes);
     }

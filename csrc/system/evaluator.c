@@ -189,8 +189,8 @@ void dal__symmetrise(size_t n, double *A)
         }
 }
 
-/* slopes <- phi_q by rows.  Columns of a colour have no row in common, and are differenced at
- * once. */
+/* slopes <- phi_q by rows, of linear constraints.  Columns of a colour have no row in common, and
+ * are differenced at once. */
 static int differentiate_rows(difference *d, const dal_rows *rows, double *slopes)
 {
     evaluator *const e = d->e;
@@ -202,7 +202,6 @@ static int differentiate_rows(difference *d, const dal_rows *rows, double *slope
         for (int k = 0; k < 4; k++) {
             for (size_t i = 0; i < n; i++)
                 if (colour[i] == c) point[i] = d->q[i] + offsets[k] * dal__spacing(d->q[i]);
-            dal__forget(rows->m, phi);
             const int returned = value(point, phi, d);
             if (returned) return returned;
             for (size_t i = 0; i < n; i++) {

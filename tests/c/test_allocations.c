@@ -212,13 +212,7 @@ static int make_study(outputs *out, const dal_system *system, dal_error *error)
     return dal_order_study(system, &scheme, &def, out->points, &out->order, error);
 }
 
-/* Never called, as the next. */
-static int no_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
-                         double *phi_q, double *phi_t, void *ctx)
-{
-    return -1;
-}
-
+/* Never called. */
 static int no_deformation(double t, const double *q, const double *v, double *g, double *g_v,
                           double *g_q, double *g_t, void *ctx)
 {
@@ -239,20 +233,32 @@ static int make_embedding(outputs *out, dal_error *error)
     return dal_embedding_new(&out->embedding, generic4, &def, error);
 }
 
+/* Never called. */
+static int no_constraint(double t, const double *q, const double *v, double *phi, double *phi_v,
+                         double *phi_q, double *phi_t, void *ctx)
+{
+    return -1;
+}
+
+static int make_sparse(outputs *out, dal_error *error)
+{
+    static const double masses[4] = {1.0, 2.0, 3.0, 4.0};
+    static const size_t row[4] = {0, 0, 1, 1}, column[4] = {0, 1, 1, 3};
+    const dal_sparsity sparsity = {4, row, column};
+    const dal_system_def def = {.n = 4, .m = 2, .masses = masses, .sparsity = &sparsity,
+                                .constraint = no_constraint, .missing = DAL_MISSING_PHI_Q};
+    return dal_system_new(&out->system, &def, error);
+}
+
 static int make(maker what, outputs *out, dal_error *error)
 {
     static const double diagonal[4] = {1.0, 0.0, 0.0, 2.0};
-    static const size_t row[3] = {0, 0, 1}, column[3] = {0, 1, 2};
-    static const double masses[3] = {1.0, 2.0, 1.0};
-    static const dal_sparsity sparsity = {3, row, column};
     const dal_system_def plane = {.n = 2, .mass = diagonal};
-    const dal_system_def sparse = {.n = 3, .m = 2, .masses = masses, .constraint = no_constraint,
-                                   .sparsity = &sparsity, .missing = DAL_MISSING_PHI_Q};
     const dal_difference_map map = {.beta = 0.5};
     switch (what) {
     case SYSTEM: return generic4_new(&out->system, error);
     case SYSTEM_DIAGONAL: return dal_system_new(&out->system, &plane, error);
-    case SYSTEM_SPARSE: return dal_system_new(&out->system, &sparse, error);
+    case SYSTEM_SPARSE: return make_sparse(out, error);
     case BUILTIN: return dal_system_builtin(&out->system, "chaotic", NULL, NULL, 0, error);
     case DEFORMED:
         return dal_system_deform(&out->system, generic4, no_deformation, NULL, 0.5, DAL_LINEAR, 0,

@@ -1,11 +1,11 @@
 /* Matrices X Y^T of sparse rows, by blocks and bands, against the dense solver: patterns that fall
- * apart, chains in any order, hubs, and rows at random. */
+ * apart, chains in any order, combs, hubs, and rows at random. */
 #include "fixtures.h"
 #include "check.h"
 
 enum { MOST = 60, WIDTH = 3 * MOST };
 
-typedef enum kind { APART, CHAIN, SHUFFLED, LATTICE, HUB, RANDOM, KINDS } kind;
+typedef enum kind { APART, CHAIN, SHUFFLED, COMB, LATTICE, HUB, RANDOM, KINDS } kind;
 
 /* Rows with room for any. */
 typedef struct room {
@@ -26,6 +26,8 @@ static void choose(room *r, kind which, size_t a, size_t m, size_t place, unsign
     const size_t side = 7, n = 3 * m;
     for (size_t k = 0; k < 3; k++) r->there[a][3 * place + k] = true;
     if ((which == CHAIN || which == SHUFFLED) && place > 0) r->there[a][3 * place - 1] = true;
+    if (which == COMB && place % 2 == 0 && place > 0) r->there[a][3 * place - 6] = true;
+    if (which == COMB && place % 2 == 1) r->there[a][3 * place - 2] = true; /* a tooth */
     if (which == LATTICE && place % side > 0) r->there[a][3 * place - 1] = true;
     if (which == LATTICE && place >= side) r->there[a][3 * (place - side)] = true;
     if (which == HUB && a == m / 2)
@@ -96,9 +98,13 @@ static void check_pattern(const room *r, const dal__pattern *pattern, kind which
         stored += block->size * (block->width == block->size ? block->size
                                                              : dal__band_length(block->width));
     }
-    CHECK(rows == m && stored == pattern->stored);
+    for (size_t a = 0; a < m; a++)
+        for (size_t e = pattern->first[a]; e + 1 < pattern->first[a + 1]; e++)
+            CHECK(pattern->column[e] < pattern->column[e + 1]);
+    CHECK(rows == m && stored == pattern->stored && stored <= m * m);
     if (which == APART) CHECK(stored == m);
     if (which == CHAIN || which == SHUFFLED) CHECK(stored <= 4 * m);
+    if (which == COMB) CHECK(stored <= 7 * m);
     if (which == LATTICE && m > 40) CHECK(stored <= 30 * m);
 }
 
@@ -119,17 +125,20 @@ typedef struct subject {
     double x[MOST * WIDTH], y[MOST * WIDTH], X[MOST * WIDTH], Y[MOST * WIDTH];
 } subject;
 
+/* X is Y, or near it or -Y row by row, so that the determinant has either sign. */
 static void fill_values(subject *s, const room *r, bool same, unsigned *seed)
 {
     const size_t m = r->rows.m, n = r->rows.n;
     memset(s->X, 0, sizeof s->X);
     memset(s->Y, 0, sizeof s->Y);
-    for (size_t a = 0; a < m; a++)
+    for (size_t a = 0; a < m; a++) {
+        const double sign = same || next_number(seed) > 0.0 ? 1.0 : -1.0;
         for (size_t e = r->first[a]; e < r->first[a + 1]; e++) {
             s->y[e] = s->Y[a * n + r->column[e]] = next_number(seed);
-            s->x[e] = same ? s->y[e] : s->y[e] + 0.3 * next_number(seed);
+            s->x[e] = same ? s->y[e] : sign * (s->y[e] + 0.3 * next_number(seed));
             s->X[a * n + r->column[e]] = s->x[e];
         }
+    }
 }
 
 /* A <- X Y^T and its sizes; then its factors, with the same sign; but the dense matrix, of which a
@@ -299,6 +308,59 @@ static void test_long_chain(void)
     free(row);
 }
 
+/* A band matrix, with sizes that need not be those of its entries, has the pivots that it has as a
+ * dense one, and is as singular. */
+static void check_band(size_t m, size_t width, const double *A, const double *sizes)
+{
+    double dense[MOST * MOST], band[MOST * 3 * MOST] = {0.0};
+    double of_dense[5 * MOST], of_band[5 * MOST];
+    size_t row[MOST], swaps[MOST];
+    const size_t length = dal__band_length(width);
+    memcpy(dense, A, m * m * sizeof *A);
+    memcpy(of_dense, sizes, 2 * m * sizeof *sizes);
+    memcpy(of_band, sizes, 2 * m * sizeof *sizes);
+    for (size_t i = 0; i < m; i++)
+        for (size_t j = 0; j < m; j++)
+            if (j + width >= i && j <= i + width) band[i * length + width + j - i] = A[i * m + j];
+    const int sign = dal_lu_factor(m, dense, of_dense, row);
+    CHECK(dal__band_factor(m, width, band, of_band, swaps) == sign);
+    for (size_t i = 0; i < m; i++) CHECK(band[i * length + width] == dense[i * (m + 1)]);
+}
+
+static void test_bands(void)
+{
+    enum { N = 8 };
+    unsigned seed = 13;
+    double A[MOST * MOST], sizes[2 * MOST];
+    size_t regular = 0, singular = 0;
+    for (int trial = 0; trial < 300; trial++) {
+        const size_t m = 4 + below(MOST - 3, &seed), width = 1 + below(4, &seed);
+        for (size_t k = 0; k < 2 * m; k++) sizes[k] = pow(2.0, 20.0 * next_number(&seed));
+        for (size_t i = 0; i < m; i++)
+            for (size_t j = 0; j < m; j++)
+                A[i * m + j] = j + width >= i && j <= i + width
+                             ? next_number(&seed) * sizes[i] * sizes[m + j] : 0.0;
+        check_band(m, width, A, sizes);
+    }
+    for (int power = 0; power < 20; power++) /* where sizes are too small, U itself is large */
+        for (int which = 0; which < 3; which++) {
+            const double large = pow(10.0, power);
+            double unit[2 * N], B[N * N] = {0.0};
+            for (size_t k = 0; k < 2 * N; k++) unit[k] = 1.0;
+            for (size_t i = 0; i < N; i++) B[i * (N + 1)] = which == 1 ? sqrt(large) : 1.0;
+            if (which == 0) B[3 * (N + 1)] = large;
+            if (which == 1) B[3 * (N + 1) + 1] = large;
+            if (which == 2) B[4 * (N + 1)] = 1.0 / large;
+            check_band(N, 1, B, unit);
+            double C[N * N], of[5 * N];
+            size_t row[N];
+            memcpy(C, B, sizeof C);
+            memcpy(of, unit, sizeof unit);
+            *(dal_lu_factor(N, C, of, row) ? &regular : &singular) += 1;
+        }
+    CHECK(regular > 20 && singular > 10);
+}
+
 int main(void)
 {
     unsigned seed = 3;
@@ -306,5 +368,6 @@ int main(void)
         for (size_t m = 1; m <= MOST; m += 1 + m / 4) test_kind(which, m, &seed);
     test_singular();
     test_long_chain();
+    test_bands();
     return check_done();
 }

@@ -135,6 +135,7 @@ def test_against_the_reduced_equations():
     lambda s: s.pattern.astype(int).tolist(),
     lambda s: coo_array(s.pattern),
     lambda s: coo_array(s.pattern).tocsc(),
+    lambda s: coo_array((np.ones(42), tuple(np.tile(x, 2) for x in s.entries)), (4, 12)),
     lambda s: s.entries,
     lambda s: tuple(x.astype(np.int32) for x in s.entries),
 ])  # fmt: skip
@@ -145,6 +146,8 @@ def test_ways_to_say_it(given):
     for one, other in zip(system.sparsity, skates.entries):
         np.testing.assert_array_equal(one, other)
     assert dal.System(mass=1, n=2).sparsity is None
+    large = dal.System(mass=1, n=20_001, forms=lambda q: [1], sparsity=([0], [0]))
+    assert (large.n, large.m) == (20_001, 1)
 
 
 def test_derivatives_by_differences():
@@ -233,7 +236,8 @@ def test_the_rest_of_the_library():
     np.testing.assert_allclose(errors[0], errors[1], rtol=1e-6, atol=1e-13)
     assert studies[0].verdict == studies[1].verdict
     deformed = [
-        s.deformed(lambda q, v: 0 * v[:4] + v[0], 0.1, g_v=lambda q, v: np.eye(4, 12)[[0] * 4])
+        s.deformed(lambda q, v: 0 * v[:4] + v[0], 0.1, g_v=lambda q, v: np.eye(4, 12)[[0] * 4],
+                   g_q=lambda q, v: np.zeros((4, 12)))
         for s in (dense, sparse)
     ]
     np.testing.assert_allclose(
@@ -284,6 +288,13 @@ def test_journals_and_pickles(tmp_path):
     others = Module(5, coupling=0).systems()[1]
     with pytest.raises(ValueError):
         dal.resume(journal, system=others, steps=70)
+    told = [
+        dal.System(mass=1, n=3, forms=lambda q: [1], sparsity=([0], [column]), force=drag,
+                   positional=positional)
+        for column, positional in ((0, False), (1, False), (0, True))
+    ]  # fmt: skip
+    first, *rest = (system._identity for system in told)
+    assert first not in rest and rest[0] != rest[1]
 
 
 @pytest.mark.parametrize(("given", "text"), [
