@@ -36,11 +36,25 @@ from .core import DalembertError, DalembertWarning, files
 
 __all__ = ["Compiler", "CompilerError", "Library", "clear", "entries", "find", "folder", "library"]
 
+
+def _for_processor() -> tuple[str, ...]:
+    """Return the flags for what this processor has; it is part of the key of what is kept.
+
+    AVX has instructions with a result of their own, which save a sixth of those of a step.  It has
+    none that round once where others round twice, so the bits are the same.
+    """
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ()
+    return ("-mavx2",) if re.search(r"^flags\s*:.*\bavx2\b", text, flags=re.M) else ()
+
+
 # Measured: -O3 makes the fastest step, without vectorisation, which packs what was just stored, and
 # without two passes that take a quarter of the time of compiling.  Contraction would change bits.
 FLAGS = ("-std=c11", "-O3", "-fno-tree-vectorize", "-fno-gcse", "-fno-schedule-insns2",
          "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared",
-         "-Werror=implicit-function-declaration")  # fmt: skip
+         "-Werror=implicit-function-declaration", *_for_processor())  # fmt: skip
 
 HEADERS = ("dalembert.h", "kernel.h", "lu.h", "momentum.h", "residual.h", "rows.h")
 

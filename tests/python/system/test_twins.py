@@ -11,7 +11,7 @@ from conftest import U
 from sympy import Rational, cos, sin
 
 import dalembert as dal
-from dalembert import core
+from dalembert import compiler, core
 from dalembert.symbolic.evaluation import library
 
 
@@ -262,3 +262,20 @@ def test_its_own_routine(name, scheme):
         np.testing.assert_allclose(*ends, rtol=0, atol=2**14 * U * size)
     else:
         np.testing.assert_array_equal(*ends)
+
+
+@pytest.mark.parametrize("name", ["snakeboard", "sleigh_contact", "n_trailer"])
+def test_what_the_processor_has_changes_no_bit(name, monkeypatch, tmp_path):
+    """A library that is compiled for this processor makes the steps of one for any."""
+    monkeypatch.setenv("DALEMBERT_CACHE", str(tmp_path))
+    runs = []
+    for flags in (compiler.FLAGS, [flag for flag in compiler.FLAGS if "avx" not in flag]):
+        monkeypatch.setattr(compiler, "FLAGS", tuple(flags))
+        compiler._generator.cache_clear()
+        built_in, twin = pair_of(name)
+        start = built_in.q0, built_in.v0
+        runs.append(dal.integrate(twin, "midpoint", *start, h=0.02, steps=500, stride=10))
+    monkeypatch.undo()
+    compiler._generator.cache_clear()
+    np.testing.assert_array_equal(runs[0].q, runs[1].q)
+    np.testing.assert_array_equal(runs[0].v, runs[1].v)
