@@ -148,8 +148,9 @@ def integrate(
     -----
     DalembertWarning
         If the result may be doubtful: the energy has jumped where nothing does work, or many steps
-        took the full Newton iteration, so that h is large for this system; or if it cannot be told
-        whether an event happens; or if the journal could not be written to the end.
+        took the full Newton iteration, so that h is large for this system, or its constraints are
+        nearly dependent; or if it cannot be told whether an event happens; or if the journal could
+        not be written to the end.
 
     Notes
     -----
@@ -427,5 +428,6 @@ def _doubts(solution: Solution) -> Iterator[str]:
     if simple and stats.full_newtons > 0.1 * stats.substeps:
         yield (
             f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
-            f"as the simpler one did not converge: h = {h:g} is large for this system"
+            f"as the simpler one did not converge: h = {h:g} is large for this system, or its "
+            "constraints are nearly dependent"
         )
