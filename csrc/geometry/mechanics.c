@@ -178,27 +178,6 @@ static void form_gram(dal_mechanics *mech)
     dal__linear_multiply(&mech->gram.C, mech->eval.rows, mech->n, mech->forms.mu, mech->gram.Z);
 }
 
-static int factor_product(dal_mechanics *mech);
-
-int dal__factor_gram(dal_mechanics *mech)
-{
-    dal__linear *const C = &mech->gram.C;
-    size_t row = 0;
-    dal__form_Z(mech, mech->forms.mu);
-    if (C->pattern) return factor_product(mech);
-    form_gram(mech);
-    if (dal__cholesky(mech->m, C->A, C->sizes, &row, NULL)) return DAL_SUCCESS;
-    return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
-                     "rank, or two constraints coincide (pivot %zu of %zu)", row, mech->m);
-}
-
-void dal__solve_gram(const dal_mechanics *mech, double *y)
-{
-    const dal__linear *const C = &mech->gram.C;
-    if (C->pattern) dal__linear_solve(C, y, y);
-    else dal__cholesky_solve(mech->m, C->A, y);
-}
-
 /* The sizes of mu Z^T for dal__linear. */
 static void size_product(dal_mechanics *mech)
 {
@@ -244,6 +223,25 @@ static int factor_product(dal_mechanics *mech)
     if (dal__linear_factor(&mech->gram.C)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide");
+}
+
+int dal__factor_gram(dal_mechanics *mech)
+{
+    dal__linear *const C = &mech->gram.C;
+    size_t row = 0;
+    dal__form_Z(mech, mech->forms.mu);
+    if (C->pattern) return factor_product(mech);
+    form_gram(mech);
+    if (dal__cholesky(mech->m, C->A, C->sizes, &row, NULL)) return DAL_SUCCESS;
+    return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
+                     "rank, or two constraints coincide (pivot %zu of %zu)", row, mech->m);
+}
+
+void dal__solve_gram(const dal_mechanics *mech, double *y)
+{
+    const dal__linear *const C = &mech->gram.C;
+    if (C->pattern) dal__linear_solve(C, y, y);
+    else dal__cholesky_solve(mech->m, C->A, y);
 }
 
 int dal_metric(dal_mechanics *mech, double t, const double *x, double *M)
