@@ -312,8 +312,9 @@ int dal_embedding_limit(dal_embedding *self, const double *z, double *d)
     if (!status) status = flow(self, self->h, z, self->F1);
     if (status) return status;
     const double scale = pow(self->h, self->order + 1);
-    for (size_t i = 0; i < self->width; i++) d[i] = (self->F2[i] - self->F1[i]) / scale;
-    return DAL_SUCCESS;
+    for (size_t i = 0; i < self->width; i++)
+        self->F1[i] = (self->F2[i] - self->F1[i]) / scale; /* which may underflow */
+    return DAL__DELIVER(&self->error, {"d", self->width, self->F1, d});
 }
 
 /* ---- the perturbed flow ------------------------------------------------------------------ */

@@ -324,6 +324,12 @@ static void test_failures(void)
     CHECK(dal_embedding_limit(embedding, z, g) == DAL_EINVAL && g[0] == 7.0);
     CHECK(dal_embedding_field(NULL, 0.5, z, g) == DAL_EINVAL);
     dal_embedding_free(embedding);
+    const dal_scheme midpoint = find_scheme("midpoint");
+    const dal_embedding_def tiny = {.scheme = &midpoint, .h = 1e-120}; /* h^3 is 0 */
+    embedding = open_embedding(system, &tiny, NULL, z);
+    g[0] = 7.0;
+    CHECK(dal_embedding_limit(embedding, z, g) == DAL_EDOMAIN && g[0] == 7.0);
+    dal_embedding_free(embedding);
     dal_embedding_free(NULL);
     dal_system_free(system);
 }
