@@ -108,6 +108,12 @@ static inline void dal__row_add(const dal_mechanics *mech, double c, const doubl
         y[rows->column[e]] += c * A[e];
 }
 
+/* That of the residual: of n, or where there are rows of the most terms that are added up. */
+static inline double dal__residual_bound(const dal_mechanics *mech)
+{
+    return DAL_RESIDUAL_BOUND(mech->eval.rows ? mech->eval.rows->terms : mech->n);
+}
+
 /* M_ii. */
 static inline double dal__mass_at(const dal_mechanics *mech, size_t i)
 {

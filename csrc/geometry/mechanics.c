@@ -377,7 +377,7 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
         const double form = dal__row_extent(mech, mu, a, mech->metric.unit);
         const double terms = fabs(phi[a] - dal__row_dot(mech, mu, a, v))
                            + dal__row_extent(mech, mu, a, v);
-        if (!(fabs(phi[a]) <= DAL_CONSISTENT * terms + DAL_RESIDUAL_BOUND(n) * form * speed))
+        if (!(fabs(phi[a]) <= DAL_CONSISTENT * terms + dal__residual_bound(mech) * form * speed))
             return false;
     }
     return true;
@@ -394,7 +394,7 @@ static bool is_rounding_of_node(dal_mechanics *mech, double t, double shift, con
         const double form = dal__row_extent(mech, at->mu, a, mech->metric.unit);
         const double turned =
             dal__row_extent(mech, at->dmu, a, at->q) + dal__row_extent(mech, at->dmu, a, x);
-        const double bound = DAL_RESIDUAL_BOUND(n) * speed * form + 2.0 * DAL_ROUNDOFF * turned;
+        const double bound = dal__residual_bound(mech) * speed * form + 2.0 * DAL_ROUNDOFF * turned;
         if (!(fabs(at->phi[a]) <= bound)) return false;
     }
     return true;
@@ -423,7 +423,7 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
         int status = dal__forms_at(mech, t, shift, x, false);
         if (status) return status;
         *relative = dal__relative_residual(mech, at->mu, at->phi, v);
-        if (*relative <= DAL_RESIDUAL_BOUND(n) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
+        if (*relative <= dal__residual_bound(mech) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
         if (pass > MOST && shift != 0.0 && is_rounding_of_node(mech, t, shift, x))
             return DAL_SUCCESS;
         if (pass > MOST)
@@ -436,7 +436,7 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
         dal__add(n, 1.0, mech->step, v);
         /* A velocity across D, of which each pass leaves its own roundoff, is zero. */
         const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
-        if (pass == MOST && speed <= DAL_RESIDUAL_BOUND(n) * before)
+        if (pass == MOST && speed <= dal__residual_bound(mech) * before)
             dal__clear(n, v);
         if (shift != 0.0) dal__move(n, at->q, shift, v, x);
     }

@@ -350,7 +350,14 @@ static void bind_sparsity(dal_system *system, const possessions *own, const dal_
     for (size_t i = n; i > 0; i--) own->above[i] = own->above[i - 1];
     own->above[0] = 0;
     *own->sparsity = (dal_sparsity){entries, own->row, own->column};
-    *system->rows = (dal_rows){m, n, own->first, own->column, own->above, own->entry, own->owner};
+    size_t most = 0;
+    for (size_t a = 0; a < m; a++)
+        if (own->first[a + 1] - own->first[a] > most) most = own->first[a + 1] - own->first[a];
+    for (size_t i = 0; i < n; i++)
+        if (own->above[i + 1] - own->above[i] > most) most = own->above[i + 1] - own->above[i];
+    *system->rows = (dal_rows){.m = m, .n = n, .first = own->first, .column = own->column,
+                               .above = own->above, .entry = own->entry, .row = own->owner,
+                               .terms = most + 1 < n ? most + 1 : n};
     system->def.sparsity = own->sparsity;
 }
 

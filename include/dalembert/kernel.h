@@ -385,6 +385,12 @@ DAL_KERNEL_INLINE size_t dal_kernel_entries(const dal_arrays *at, size_t n, size
     return at->rows ? dal_rows_entries(at->rows) : m * n;
 }
 
+/* How many terms are added up in mu w at most: n of the bound of the residual. */
+DAL_KERNEL_INLINE size_t dal_kernel_terms(const dal_arrays *at, size_t n)
+{
+    return at->rows ? at->rows->terms : n;
+}
+
 /* Z <- M^-1 mu_node. */
 DAL_KERNEL_INLINE void dal_kernel_direct(const dal_kernel *k, const dal_arrays *at, size_t n,
                                          size_t m, unsigned long long mask)
@@ -445,12 +451,13 @@ DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s,
     }
 }
 
-/* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is at most limit
- * for every constraint, and then the statistics know it, which mostly have seen a larger one; never
- * if r is not finite. */
+/* r <- -mu w, where mu is that of the q~' that is stored.  True if the residual is within half of
+ * its bound for every constraint, and then the statistics know it, which mostly have seen a larger
+ * one; never if r is not finite. */
 DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal_pattern has,
-                                          const dal_arrays *at, double limit)
+                                          const dal_arrays *at)
 {
+    const double limit = DAL_KERNEL_LIMIT(dal_kernel_terms(at, n));
     double largest = k->stats.worst_residual;
     const double speed = dal_residual_speed(n, at->per_unit, at->w);
     const double seen = (largest < limit ? largest : limit) * speed;
@@ -485,7 +492,8 @@ DAL_KERNEL_INLINE bool dal_kernel_is_roundoff(size_t n, size_t m, dal_pattern ha
         if (at->rows)
             shifted = dal_rows_extent(at->rows, at->N, a, at->point)
                     + dal_rows_extent(at->rows, at->N, a, at->stored);
-        const double bound = 2.0 * (double)n * dal_kernel_form(at, n, has.mu, at->mu, a) * terms;
+        const double form = dal_kernel_form(at, n, has.mu, at->mu, a);
+        const double bound = 2.0 * (double)dal_kernel_terms(at, n) * form * terms;
         if (!(2.0 * DAL_KERNEL_U * (bound + shifted) - fabs(at->r[a]) >= 0.0)) roundoff = false;
     }
     return roundoff;
@@ -795,7 +803,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
         if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_POTENTIAL, returned);
         if (returned > 0) break;
         if (!balanced) continue;
-        *settled = dal_kernel_settled(k, n, m, o->has, at, DAL_KERNEL_LIMIT(n));
+        *settled = dal_kernel_settled(k, n, m, o->has, at);
         if (*settled || o->known || dal_kernel_is_roundoff(n, m, o->has, at)) return DAL_SUCCESS;
         if (o->steady) return dal_kernel_fail(k, DAL_EINVAL, DAL_FAILED_STEADY);
     }
@@ -822,7 +830,7 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
             at->w[i] += dal_kernel_reaction(at, n, m, o->has.Z, i, at->d);
-        settled = dal_kernel_settled(k, n, m, o->has, at, DAL_KERNEL_LIMIT(n));
+        settled = dal_kernel_settled(k, n, m, o->has, at);
     }
     return settled && DAL_KERNEL_PART(is_finite)(n, at);
 }

@@ -16,6 +16,8 @@ typedef struct dal_rows {
     const size_t *above;  /* [n+1] column i has those from above[i] to above[i+1] of */
     const size_t *entry;  /* [entries] these entries, */
     const size_t *row;    /* [entries] in these rows */
+    size_t terms;         /* the most entries of a row or column, and 1: what takes the place of n
+                             in the bound of the residual, see docs/residual.md */
 } dal_rows;
 
 static inline size_t dal_rows_entries(const dal_rows *rows) { return rows->first[rows->m]; }

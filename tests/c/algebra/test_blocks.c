@@ -58,7 +58,7 @@ static void fill_rows(room *r, kind which, size_t m, unsigned *seed)
                 if (r->column[e] == i) r->entry[k] = e, r->row[k++] = a;
         r->above[i + 1] = k;
     }
-    r->rows = (dal_rows){m, n, r->first, r->column, r->above, r->entry, r->row};
+    r->rows = (dal_rows){m, n, r->first, r->column, r->above, r->entry, r->row, n};
 }
 
 static size_t root_of(const size_t *owner, size_t a)
