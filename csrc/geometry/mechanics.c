@@ -178,48 +178,32 @@ static void form_gram(dal_mechanics *mech)
     dal__linear_multiply(&mech->gram.C, mech->eval.rows, mech->n, mech->forms.mu, mech->gram.Z);
 }
 
-/* The sizes of mu Z^T for dal__linear. */
+/* The sizes of mu Z^T for dal__linear: a coordinate that no row of Z moves counts for nothing. */
 static void size_product(dal_mechanics *mech)
 {
     const size_t n = mech->n, m = mech->m;
+    const dal_rows *const rows = mech->eval.rows;
     const double *const Z = mech->gram.Z, *const mu = mech->forms.mu;
-    double *const sizes = mech->gram.C.sizes;
+    double *const sizes = mech->gram.C.sizes, *const moves = mech->w;
+    dal__clear(n, moves);
     for (size_t a = 0; a < m; a++) {
-        sizes[a] = 0.0;
-        sizes[m + a] = dal_residual_speed(n, mech->metric.per_unit, Z + a * n);
-    }
-    for (size_t i = 0; i < n; i++) {
-        bool moves = false;
-        for (size_t a = 0; a < m; a++) moves = moves || Z[a * n + i] != 0.0;
-        for (size_t a = 0; moves && a < m; a++)
-            sizes[a] += fabs(mu[a * n + i]) * mech->metric.unit[i];
-    }
-}
-
-/* The same by rows. */
-static void size_product_of_rows(dal_mechanics *mech, const dal_rows *rows)
-{
-    const double *const Z = mech->gram.Z, *const mu = mech->forms.mu;
-    double *const sizes = mech->gram.C.sizes, *const columns = sizes + rows->m;
-    dal__clear(2 * rows->m, sizes);
-    for (size_t i = 0; i < rows->n; i++) {
-        bool moves = false;
-        for (size_t k = rows->above[i]; k < rows->above[i + 1]; k++) {
-            const double size = fabs(Z[rows->entry[k]]) * mech->metric.per_unit[i];
-            moves = moves || Z[rows->entry[k]] != 0.0;
-            columns[rows->row[k]] = fmax(columns[rows->row[k]], size);
+        const size_t begin = rows ? rows->first[a] : a * n;
+        const size_t end = rows ? rows->first[a + 1] : begin + n;
+        sizes[m + a] = 0.0;
+        for (size_t e = begin; e < end; e++) {
+            const size_t i = rows ? rows->column[e] : e - begin;
+            if (Z[e] != 0.0) moves[i] = mech->metric.unit[i];
+            sizes[m + a] = fmax(sizes[m + a], fabs(Z[e]) * mech->metric.per_unit[i]);
         }
-        for (size_t k = rows->above[i]; moves && k < rows->above[i + 1]; k++)
-            sizes[rows->row[k]] += fabs(mu[rows->entry[k]]) * mech->metric.unit[i];
     }
+    for (size_t a = 0; a < m; a++) sizes[a] = dal__row_extent(mech, mu, a, moves);
 }
 
 /* The LU factors of mu Z^T, where Z need not be that of mu, and may leave coordinates out. */
 static int factor_product(dal_mechanics *mech)
 {
     form_gram(mech);
-    if (mech->eval.rows) size_product_of_rows(mech, mech->eval.rows);
-    else size_product(mech);
+    size_product(mech);
     if (dal__linear_factor(&mech->gram.C)) return DAL_SUCCESS;
     return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
                      "rank, or two constraints coincide");
