@@ -137,6 +137,8 @@ def program(
     made.lines += body.lines
     if compact:
         _sparsity(made, model)
+    if model.parameters:
+        _parameters(made, model)
     definition = _definition(model, fast, compact)
     if name is None:
         _for_the_package(made, model, definition)
@@ -395,6 +397,18 @@ def _sparsity(made: Program, model: Model) -> None:
     made.add(f"static const dal_sparsity model_sparsity = {{{count}, model_row, model_column}};\n")
 
 
+def _parameters(made: Program, model: Model) -> None:
+    """Write what mass and initial data are with other parameters."""
+    made.add(
+        "static int model_parameters(double *mass, double *state, const void *ctx)\n{\n"
+        "    (void)mass, (void)state, (void)ctx;"
+    )
+    for name in ("mass", "state"):
+        if model.derived.function(name) is not None:
+            made.add(f"    if ({name}) model_{name}({name}, ctx);")
+    made.add("    return 0;\n}\n")
+
+
 def _definition(model: Model, fast: bool, compact: bool) -> list[str]:
     """Return the initializers of a dal_system_def that do not depend on parameters."""
     derived = model.derived
@@ -406,6 +420,8 @@ def _definition(model: Model, fast: bool, compact: bool) -> list[str]:
         found.append(f".inputs = {len(model.inputs)}")
     if model.is_time_dependent:
         found.append(".time_dependent = 1")
+    if model.parameters:
+        found.append(".parameters = model_parameters")
     if derived.is_positional:
         found.append(".positional = 1")
     if fast:
