@@ -19,6 +19,7 @@ typedef struct worker {
     int refused;              /* what measuring it has failed with */
     size_t piece;             /* steps between two looks at the clock */
     dal__watch watch;
+    int stopped;              /* DAL_STOPPED or DAL_EUSER: by the watch */
     arena arena;
 } worker;
 
@@ -75,6 +76,7 @@ static void forget_results(const worker *self)
     if (members->stats) members->stats[k] = (dal_stats){0};
     if (members->done) members->done[k] = 0;
     if (members->ended_by) members->ended_by[k] = members->event_count;
+    if (members->doubts) members->doubts[k] = 0;
     for (size_t i = 0; members->happened && i < members->event_count; i++)
         members->happened[k * members->event_count + i] = 0;
 }
@@ -109,6 +111,14 @@ static int observe(size_t step, double t, const double *x, void *ctx)
     return self->refused ? -1 : 0;
 }
 
+/* How often each event has happened: guards do not know of the step in which a member ended. */
+static void count_events(const worker *self, size_t *happened)
+{
+    const dal_events *const e = self->events;
+    for (size_t i = 0; i < self->members->event_count; i++) happened[i] = e->guards[i].happened;
+    for (size_t j = 0; self->run.ended && j < e->happenings; j++) happened[e->happened[j].event]++;
+}
+
 /* What is known when the member is over. */
 static void conclude(worker *self)
 {
@@ -122,8 +132,9 @@ static void conclude(worker *self)
     if (members->t_end) members->t_end[k] = t;
     if (members->done) members->done[k] = run->done;
     if (members->stats) dal_stepper_stats(self->stepper, &members->stats[k]);
-    for (size_t i = 0; members->happened && i < members->event_count; i++)
-        members->happened[k * members->event_count + i] = self->events->guards[i].happened;
+    if (members->happened) count_events(self, members->happened + k * members->event_count);
+    if (members->doubts && self->events)
+        members->doubts[k] = dal_events_doubts(self->events, NULL, NULL, NULL);
     if (run->ended && members->ended_by)
         members->ended_by[k] = self->events->happened[self->events->happenings - 1].event;
     if (members->stride == 0 && is_over && members->states)
@@ -152,6 +163,15 @@ static int begin(worker *self)
                              members->consistency, members->initial);
 }
 
+/* A dal_watch_fn of what takes long within a step. */
+static int relay(double far, void *ctx)
+{
+    worker *const self = ctx;
+    const int returned = dal__relay(far, &self->watch);
+    if (returned) self->stopped = dal__heed(&self->run, "watch", returned);
+    return returned;
+}
+
 static void prepare_run(worker *self)
 {
     const dal_members *const members = self->members;
@@ -160,8 +180,8 @@ static void prepare_run(worker *self)
     dal_run *const run = &self->run;
     *run = (dal_run){.stepper = self->stepper, .steps = steps, .events = self->events,
                      .stride = stride > 0 ? stride : steps > 0 ? steps : 1,
-                     .hold = members->hold, .watch = self->watch.function ? dal__relay : NULL,
-                     .watch_ctx = &self->watch};
+                     .hold = members->hold, .watch = self->watch.function ? relay : NULL,
+                     .watch_ctx = self};
     if (members->inputs) run->inputs = (double *)ROW_OF(members, inputs, k); /* which are read */
     if (members->reactions) run->reactions = members->reactions + k * self->reactions * m;
     if (stride > 0 && members->states) run->x = members->states + k * self->rows * 2 * n;
@@ -171,22 +191,21 @@ static void prepare_run(worker *self)
     }
 }
 
-/* Whether somebody wants to stop, who is asked some twenty times a second. */
-static int ask(worker *self, size_t first, double began)
+/* Whether the watch wants to stop, which is asked some twenty times a second. */
+static void ask(worker *self, size_t first, double began)
 {
     const dal_run *const run = &self->run;
     const double part = run->steps > 0 ? (double)run->done / (double)run->steps : 1.0;
-    if (!self->watch.function) return DAL_SUCCESS;
-    if (dal__clock() - began < DAL_WATCH_SECONDS / 4.0) self->piece *= 2;
-    else if (self->piece > 1) self->piece /= 2;
-    if (self->piece > SIZE_MAX / 4) self->piece /= 2;
+    const bool soon = dal__clock() - began < DAL_WATCH_SECONDS / 4.0;
+    if (soon && self->piece < SIZE_MAX / 2) self->piece *= 2;
+    else if (!soon && self->piece > 1) self->piece /= 2;
     self->watch.made = (double)(self->member - first) + part;
-    return dal__ask(&self->watch, self->watch.made, &self->stepper->error);
+    self->stopped = dal__ask(&self->watch, self->watch.made, &self->stepper->error);
 }
 
-/* *stopped <- what the watch wants. */
-static int make_member(worker *self, size_t first, int *stopped)
+static int make_member(worker *self, size_t first)
 {
+    const bool watched = self->watch.function;
     dal_run *const run = &self->run;
     forget_results(self);
     self->refused = DAL_SUCCESS;
@@ -194,26 +213,25 @@ static int make_member(worker *self, size_t first, int *stopped)
     if (status) return status;
     prepare_run(self);
     do {
-        const double began = self->watch.function ? dal__clock() : 0.0;
-        status = dal_run_go(run, self->watch.function ? self->piece : SIZE_MAX);
-        *stopped = ask(self, first, began);
-    } while (!status && !*stopped && run->done < run->steps);
+        const double began = watched ? dal__clock() : 0.0;
+        status = dal_run_go(run, watched ? self->piece : SIZE_MAX);
+        if (watched && !status && !self->stopped) ask(self, first, began);
+    } while (!status && !self->stopped && run->done < run->steps);
     if (run->ended) status = DAL_SUCCESS;
-    if (status == DAL_STOPPED) *stopped = DAL_STOPPED; /* within a step */
-    if (!status && !run->ended && run->done < run->steps) status = DAL_STOPPED;
+    else if (self->stopped && run->done < run->steps) status = DAL_STOPPED;
     conclude(self);
     if (!self->refused) return status;
     self->stepper->error = self->mech->error;
     return self->refused;
 }
 
-static void make_range(worker *self, size_t first, size_t count, int *stopped)
+static void make_range(worker *self, size_t first, size_t count)
 {
     const dal_members *const members = self->members;
     for (self->member = first; self->member < first + count; self->member++) {
         int status = DAL_STOPPED;
-        if (*stopped) forget_results(self);
-        else status = make_member(self, first, stopped);
+        if (self->stopped) forget_results(self);
+        else status = make_member(self, first);
         if (members->status) members->status[self->member] = status;
         dal_error *const error = members->errors ? &members->errors[self->member] : NULL;
         if (error && status < 0) *error = self->stepper->error;
@@ -271,12 +289,11 @@ int dal_ensemble_run(const dal_system *system, const dal_scheme *scheme, const d
     if (!status) status = check_members(system, members, first, count, error);
     if (status) return status;
     const size_t stride = members->stride, rows = stride > 0 ? *members->steps / stride + 1 : 1;
-    worker self = {.members = members, .rows = rows, .reactions = rows > 1 ? rows - 1 : 1,
+    worker self = {.members = members, .rows = rows, .reactions = stride > 0 ? rows - 1 : 1,
                    .piece = 1, .watch = {.function = watch, .ctx = ctx}};
-    int stopped = DAL_SUCCESS;
     status = hire(&self, system, scheme, options, error);
-    if (!status) make_range(&self, first, count, &stopped);
-    if (stopped) status = dal__fail(error, stopped, "%s", self.stepper->error.text);
+    if (!status) make_range(&self, first, count);
+    if (self.stopped) status = dal__fail(error, self.stopped, "%s", self.stepper->error.text);
     dismiss(&self);
     return status;
 }

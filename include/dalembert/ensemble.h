@@ -41,11 +41,12 @@ typedef struct dal_members {
     double *states;             /* [count*rows*2n]; at the end of a member that a terminal event has */
     double *energy, *residual;  /* [count*rows]           ended the state there, and NaN after it */
     double *multipliers;        /* [count*rows*m] as of dal_trajectory; residual: its relative */
-    double *reactions;          /* [count*max(rows-1, 1)*m] as of a dal_run */
+    double *reactions;          /* [count*(rows-1)*m] as of a dal_run, [count*m] for stride = 0 */
     double *t_end;              /* [count] the time of the last row */
     size_t *done;               /* [count] steps made */
     size_t *happened;           /* [count*event_count] how often each event has */
     size_t *ended_by;           /* [count] the event that has ended the member, else event_count */
+    size_t *doubts;             /* [count] as of dal_events_doubts */
     int *status;                /* [count] 0; or what it has failed with; DAL_STOPPED: unfinished */
     dal_stats *stats;           /* [count] */
     dal_error *errors;          /* [count] in words; text is empty where nothing has failed */

@@ -27,6 +27,7 @@ from .core import (
     pointers,
 )
 from .discrete import DifferenceMap, Discrete, NodeRun, Regularity, exact_velocity
+from .ensembles import Design, Ensemble, StoreError, ensemble, grid, open_ensemble, sample
 from .geometry import Chart, Check, Difference
 from .run import (
     Event,
@@ -53,6 +54,7 @@ __all__ = [
     "Chart",
     "Check",
     "ConvergenceError",
+    "Design",
     "DalembertError",
     "DalembertWarning",
     "Difference",
@@ -60,6 +62,7 @@ __all__ = [
     "Discrete",
     "DomainError",
     "Embedding",
+    "Ensemble",
     "Event",
     "Fit",
     "JournalError",
@@ -73,6 +76,7 @@ __all__ = [
     "States",
     "Statistics",
     "Stepper",
+    "StoreError",
     "Studies",
     "Study",
     "System",
@@ -80,15 +84,19 @@ __all__ = [
     "convergence",
     "coordinates",
     "embedding",
+    "ensemble",
     "exact_velocity",
     "geometry",
+    "grid",
     "integrate",
     "load",
+    "open_ensemble",
     "pages",
     "plot",
     "reference",
     "report",
     "resume",
+    "sample",
     "schemes",
     "studies",
     "systems",

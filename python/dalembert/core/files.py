@@ -79,6 +79,11 @@ def replace(target: Path, content: bytes, mode: int | None = None) -> None:
         raise
 
 
+def is_draft(path: Path) -> bool:
+    """Return whether a file is what `replace` was writing, or has left where it was killed."""
+    return path.name.startswith(".") and path.suffix == ".new"
+
+
 def _is_device(target: Path) -> bool:
     """Return whether this is a pipe, a terminal or the like, which cannot be replaced."""
     return target.exists() and not target.is_file() and not target.is_dir()

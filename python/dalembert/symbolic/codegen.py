@@ -397,15 +397,29 @@ def _sparsity(made: Program, model: Model) -> None:
     made.add(f"static const dal_sparsity model_sparsity = {{{count}, model_row, model_column}};\n")
 
 
+# What may be assumed of a parameter.
+_ASSUMED = {
+    "positive": "{p} > 0.0",
+    "negative": "{p} < 0.0",
+    "nonnegative": "{p} >= 0.0",
+    "nonpositive": "{p} <= 0.0",
+    "nonzero": "{p} != 0.0",
+    "integer": "{p} == floor({p})",
+}
+
+
 def _parameters(made: Program, model: Model) -> None:
     """Write what mass and initial data are with other parameters."""
     made.add(
         "static int model_parameters(double *mass, double *state, const void *ctx)\n{\n"
-        "    (void)mass, (void)state, (void)ctx;"
+        "    const double *const p = ctx;\n    (void)mass, (void)state, (void)p;"
     )
+    for k, words in enumerate(model.assumptions):
+        for word in words:
+            made.add(f"    if (!({_ASSUMED[word].format(p=f'p[{k}]')})) return 1;")
     for name in ("mass", "state"):
         if model.derived.function(name) is not None:
-            made.add(f"    if ({name}) model_{name}({name}, ctx);")
+            made.add(f"    if ({name}) model_{name}({name}, p);")
     made.add("    return 0;\n}\n")
 
 

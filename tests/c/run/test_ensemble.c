@@ -299,6 +299,14 @@ static int turned(double t, const double *x, double *g, void *ctx)
     return 0;
 }
 
+static int count_turn(size_t event, size_t step, double t, const double *x, const double *after,
+                      void *ctx)
+{
+    (void)step, (void)t, (void)x, (void)after;
+    *(size_t *)ctx += event;
+    return 0;
+}
+
 /* A member ends where its own run does; what an event remembers does not reach the next member. */
 static void test_events(void)
 {
@@ -331,14 +339,16 @@ static void test_events(void)
             need(dal_stepper_start(stepper, 0.0, h[k], x0[k], DAL_CHECK, DAL_INITIAL_SHIFT),
                  "start", "");
             need(dal_events_new(&own, stepper, &scheme, events, 2, NULL), "events", "");
+            size_t turns = 0;
             dal_run run = {.stepper = stepper, .steps = steps[k], .stride = steps[k], .x = rows,
-                           .events = own};
+                           .events = own, .happened = count_turn, .happened_ctx = &turns};
             const int ends = dal_run_go(&run, SIZE_MAX);
             CHECK(status[k] == 0 && done[k] == run.done);
             CHECK((ends == DAL_STOPPED) == (ended_by[k] == 0) && (ends || ended_by[k] == 2));
             CHECK(t_end[k] == (run.ended ? run.t_end : dal_stepper_time(stepper)));
             CHECK(same(6, states[k], rows + 6) && isfinite(energy[k]));
             CHECK(happened[k][0] <= 2 && (happened[k][0] == 2) == (ended_by[k] == 0));
+            CHECK(happened[k][1] == turns);
             dal_events_free(own);
             dal_stepper_free(stepper);
         }
