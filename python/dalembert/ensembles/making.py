@@ -102,7 +102,7 @@ def ensemble(
     block : int, optional
         Members of a block; default: as many as some seconds take.
     progress : bool or callable, optional
-        As of `integrate`, with numbers of members.
+        As of `integrate`, with numbers of members; the bar is shown where tqdm is installed.
 
     Returns
     -------
@@ -150,11 +150,12 @@ def ensemble(
     else:
         about = _about(ask, pieces.size)
         pieces.size = stores.create(path, about, _arrays_of(ask))["block"]
-        data = Stored(path, about["mark"], ask.count, pieces.size)
+        data = Stored(path, about["mark"], ask, pieces.size)
     left = [k for k in range(len(pieces)) if not data.has(k)]
     before = ask.count - sum(end - begin for begin, end in map(pieces.range, left))
     try:
-        with extras.progress(progress, ask.count, "member") as show:
+        bar = progress is not True or extras.is_there("tqdm")
+        with extras.progress(progress if bar else False, ask.count, "member") as show:
             def tell(done: float) -> None:
                 show(min(before + int(done), ask.count))
 
@@ -197,7 +198,7 @@ def open_ensemble(path: str | os.PathLike[str], system: System | None = None) ->
     path = os.fspath(path)
     about = stores.read_about(path)
     ask = _ask_of(about, stores.read_members(path), require_same(system, about["system"], path))
-    return Ensemble(ask, Stored(path, about["mark"], ask.count, about["block"]))
+    return Ensemble(ask, Stored(path, about["mark"], ask, about["block"]))
 
 
 # ---- arguments -----------------------------------------------------------------------------------

@@ -16,6 +16,9 @@ from .ask import Ask, Given
 _ALWAYS = ("status", "done", "t_end", "doubtful", *work.STATISTICS)
 
 
+_SMALL = 2**26  # bytes of an array that is kept when it was read from a store
+
+
 class Memory:
     """Blocks of an ensemble, put together in memory."""
 
@@ -71,9 +74,11 @@ def _blank(name: str, kind: np.dtype[Any]) -> tuple[Any, Any]:
 class Stored:
     """Blocks of an ensemble in a store, read when they are asked for."""
 
-    def __init__(self, path: str, mark: str, count: int, size: int) -> None:
-        self.path, self.mark, self._count, self._size = path, mark, count, size
-        self._there = store.there(path, mark, -(-count // size))
+    def __init__(self, path: str, mark: str, ask: Ask, size: int) -> None:
+        self.path, self.mark, self._count, self._size = path, mark, ask.count, size
+        self._reduces = ask.setting.kept.reduce is not None or "keep" in ask.lacks
+        self._there = store.there(path, mark, -(-self._count // size))
+        self._read: dict[str, Array] = {}  # small arrays that were read
 
     def put(self, index: int, made: work.Block) -> None:
         """Write a block, unless it was stopped."""
@@ -84,6 +89,7 @@ class Stored:
     def know(self, index: int) -> None:
         """Take note of a block that somebody has written."""
         self._there = sorted({*self._there, index})
+        self._read.clear()
 
     def has(self, index: int) -> bool:
         """Return whether a block is there."""
@@ -100,14 +106,19 @@ class Stored:
 
     def names(self) -> list[str]:
         """Return the names of the arrays."""
-        found: dict[str, None] = {}
-        for index in self._there[:1]:
-            found |= dict.fromkeys(store.read(self.path, index, self.mark))
-        return [name for name in found if name != "messages"]
+        found: list[str] = []
+        for index in self._there:  # a block whose members have all failed may lack some
+            if len(more := store.names(self.path, index)) > len(found):
+                found = more
+            if found and not self._reduces:
+                break
+        return found
 
     def array(self, name: str) -> Array:
         """Return an array, shape (K, ...)."""
         found: Array | None = None
+        if name in self._read:
+            return self._read[name]
         for index in self._there:
             x = store.read_some(self.path, index, self.mark, name)
             if x is None:  # all of its members have failed
@@ -118,6 +129,8 @@ class Stored:
         if found is None:
             raise KeyError(name)
         found.flags.writeable = False
+        if found.nbytes <= _SMALL:
+            self._read[name] = found
         return found
 
     def by_dask(self, name: str, n: int) -> Any:

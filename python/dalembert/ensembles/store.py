@@ -68,7 +68,8 @@ def create(
         files.replace(root / ABOUT, text.encode())
     found = read_about(directory)
     if found["mark"] != about["mark"]:
-        differs = [key for key in about if key != "mark" and found.get(key) != about[key]]
+        here = json.loads(json.dumps(about))
+        differs = [key for key in here if key not in ("mark", "block") and found.get(key) != here[key]]
         raise ValueError(
             f"store = {directory!r}: it is of another ensemble, which differs in "
             f"{', '.join(differs) or 'what was given for its members'}"
@@ -151,6 +152,13 @@ def read(directory: str, index: int, mark: str) -> work.Block:
     return {**arrays, "messages": messages}
 
 
+def names(directory: str, index: int) -> list[str]:
+    """Return the names of the arrays of a block."""
+    with zipfile.ZipFile(_path(directory, index)) as file:
+        found = [name.removesuffix(".npy") for name in file.namelist()]
+    return [name for name in found if name not in ("mark", "failed", "messages")]
+
+
 def read_some(directory: str, index: int, mark: str, name: str) -> Any:
     """Return an array of a block, None if it has none of this name; or its messages."""
     path = _path(directory, index)
@@ -178,7 +186,8 @@ def _require(path: Path, found: Any, mark: str, index: int) -> None:
 
 
 def _damaged(path: Path, error: Exception) -> StoreError:
-    return StoreError(f"{path} is damaged ({error}): remove it, and it is made again")
+    why = "it holds no arrays" if isinstance(error, ValueError) else error
+    return StoreError(f"{path} is damaged ({why}): remove it, and it is made again")
 
 
 def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
