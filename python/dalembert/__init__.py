@@ -43,6 +43,7 @@ from .run import (
     resume,
     schemes,
 )
+from .show import ensembles as pictures
 from .show import pages, plot, report, table
 from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
 from .symbolic import coordinates
@@ -107,6 +108,7 @@ table.attach(Study, table.study_lines, table.of_study)
 table.attach(Studies, table.studies_lines, table.overview)
 Study.plot = Studies.plot = plot.convergence
 Embedding.plot = plot.embedded
+Ensemble.plot, Ensemble._repr_html_ = pictures.draw, pictures.page
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 

@@ -156,11 +156,14 @@ class Ask:
         Of what was broadcast; the members are numbered in C order.
     axes : tuple of str
         Names of its axes.
+    ticks : dict of ndarray
+        Values along axes, by their names, where they have any.
     """
 
     setting: Setting
     shape: tuple[int, ...]
     axes: tuple[str, ...]
+    ticks: dict[str, Array]
     q0: Given | None
     v0: Given | None
     parameters: dict[str, Given]
@@ -254,8 +257,22 @@ def _inputs(inputs: Any, system: System, holds: int) -> Given:
     return _given(inputs, "inputs", holds, len(system.inputs))
 
 
-def axes_of(shape: tuple[int, ...], parameters: Any) -> tuple[str, ...]:
-    """Return names of the axes: those of a grid, where it has this shape."""
-    if isinstance(parameters, Design) and parameters.shape == shape:
-        return parameters.axes
-    return ("member",) if len(shape) <= 1 else tuple(f"axis_{k}" for k in range(len(shape)))
+def axes_of(
+    shape: tuple[int, ...], given: Any, parameters: Any
+) -> tuple[tuple[str, ...], dict[str, Array]]:
+    """Return names of the axes, and values along them: as given, or those of a grid."""
+    if given is None and isinstance(parameters, Design) and parameters.shape == shape:
+        ticks = {x: parameters.compact(x).reshape(-1) for x in parameters.axes if x in parameters}
+        return parameters.axes, ticks
+    if given is None:
+        names = ["member"] if len(shape) == 1 else [f"axis_{k}" for k in range(len(shape))]
+        return tuple(names), {}
+    names = arguments.names(given, "axes", "names of the axes of the members")
+    if len(names) != len(shape) or len({*names}) != len(names):
+        raise ValueError(f"axes = {names!r}: expected {len(shape)} names, for members {shape}")
+    if not isinstance(given, Mapping):
+        return tuple(names), {}
+    return tuple(names), {
+        name: arguments.array(given[name], f"axes[{name!r}]", (size,))
+        for name, size in zip(names, shape)
+    }

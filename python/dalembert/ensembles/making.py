@@ -56,6 +56,7 @@ def ensemble(
     max_iterations: int = 50,
     method: str = "rk8pd",
     tolerance: float = 1e-13,
+    axes: Any = None,
     executor: Any = None,
     threads: int | None = None,
     store: str | os.PathLike[str] | None = None,
@@ -91,6 +92,9 @@ def ensemble(
         Of the force, as of `integrate`; or with axes in front, shape (..., holds, k).
     hold, events, consistent, initial, max_iterations, method, tolerance : optional
         As of `integrate`.  Events that are expressions, without a reset, are looked for in C.
+    axes : sequence of str, or mapping of str to array_like, optional
+        Names of the axes of the members, and values along them, for pictures and xarray.  Default:
+        those of a `grid`.
     executor : concurrent.futures.Executor, or function that returns one, optional
         Who makes the members, in blocks of some seconds: a ``ProcessPoolExecutor``, dask's
         ``client.get_executor(pure=False)``, ...  Default: threads of this process.
@@ -207,7 +211,7 @@ def open_ensemble(path: str | os.PathLike[str], system: System | None = None) ->
 def _ask(
     system: System, scheme: Any, q0: Any, v0: Any, parameters: Any, h: Any, t_end: Any, steps: Any,
     t0: Any, stride: Any, keep: Any, inputs: Any, hold: Any, events: Any, consistent: Any,
-    initial: Any, max_iterations: Any, method: Any, tolerance: Any,
+    initial: Any, max_iterations: Any, method: Any, tolerance: Any, axes: Any,
 ) -> Ask:  # fmt: skip
     """Return what is asked for, or raise ValueError."""
     require_system(system)
@@ -246,9 +250,10 @@ def _ask(
         control=inputs if callable(inputs) else None,
     )  # fmt: skip
     shape = shape or (1,)
+    names, ticks = axes_of(shape, axes, parameters)
     return Ask(
-        setting=setting, shape=shape, axes=axes_of(shape, parameters), h=Given(sizes),
-        steps=Given(number), **given,
+        setting=setting, shape=shape, axes=names, ticks=ticks, h=Given(sizes), steps=Given(number),
+        **given,
     )  # fmt: skip
 
 
@@ -384,6 +389,7 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
         "scheme": scheme,
         "shape": list(ask.shape),
         "axes": list(ask.axes),
+        "ticks": {name: x.tolist() for name, x in ask.ticks.items()},
         "t0": setting.t0,
         "stride": setting.stride,
         "keep": [kept.at_end, kept.states, list(kept.measures), dict(kept.columns),
@@ -417,6 +423,7 @@ def _ask_of(about: Mapping[str, Any], arrays: Mapping[str, Array], system: Syste
     )  # fmt: skip
     return Ask(
         setting=setting, shape=tuple(about["shape"]), axes=tuple(about["axes"]),
+        ticks={name: np.array(x) for name, x in about["ticks"].items()},
         **{name: given.get(name) for name in ("q0", "v0", "inputs", "h", "steps")},
         parameters={
             name.removeprefix("parameters."): x

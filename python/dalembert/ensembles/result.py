@@ -181,6 +181,8 @@ class Ensemble(Mapping[str, Any]):
         Of what was given for members, broadcast; they are numbered in C order.
     axes : tuple of str
         Names of these axes.
+    ticks : dict of ndarray
+        Values along axes that have any, by their names.
     parameters : dict of ndarray, shape (K,)
         Of each member, those that were given.
     q0, v0 : ndarray, shape (K, n), or None
@@ -195,7 +197,7 @@ class Ensemble(Mapping[str, Any]):
         self._ask, self._data = ask, data
         setting = ask.setting
         self.system, self.scheme = setting.system, setting.scheme
-        self.shape, self.axes = ask.shape, ask.axes
+        self.shape, self.axes, self.ticks = ask.shape, ask.axes, ask.ticks
         self.t0, self.stride = setting.t0, setting.stride
 
     # ---- what was given ------------------------------------------------------------------------
@@ -359,13 +361,14 @@ class Ensemble(Mapping[str, Any]):
             values = self._lazy(name)
             dims = (*self.axes, *self._inner(name, values.ndim - 1))
             found[name] = dims, values.reshape((*self.shape, *values.shape[1:]))
-        for name, given in self._ask.parameters.items():
-            grid = np.reshape(self.parameters[name], self.shape)
-            axis = self.axes.index(name) if name in self.axes else None
-            if axis is not None:
-                found = found.assign_coords({name: given.values.reshape(-1)})
-            else:
-                found = found.assign_coords({name: (self.axes, grid)})
+        found = found.assign_coords(self.ticks)
+        for name, x in self.parameters.items():
+            if name not in self.ticks:
+                found = found.assign_coords({name: (self.axes, x.reshape(self.shape))})
+        for name, of in (("q0", self.q0), ("v0", self.v0)):
+            if of is not None:
+                rows = of.reshape(*self.shape, -1)
+                found = found.assign_coords({name: ((*self.axes, "coordinate"), rows)})
         if {"q", "v"} & {*self}:
             found = found.assign_coords(coordinate=list(self.system.coordinates))
         if self.stride > 0:
@@ -395,6 +398,11 @@ class Ensemble(Mapping[str, Any]):
             return self[name]
         return self._data.by_dask(name, self.system.n)
 
+    @property
+    def kept(self) -> list[str]:
+        """The names of what was kept, besides what every ensemble has."""
+        return [name for name in self if name not in _ALWAYS]
+
     def __repr__(self) -> str:
         status = self["status"]
         good, failed = int((status == 0).sum()), int((status < 0).sum())
@@ -409,5 +417,5 @@ class Ensemble(Mapping[str, Any]):
             lines.append(f"  {left} were not finished")
         if doubtful := int(self["doubtful"].sum()):
             lines.append(f"  {doubtful} are doubtful, see doubtful and member(k)")
-        lines.append(f"  kept: {', '.join(name for name in self if name not in _ALWAYS)}")
+        lines.append(f"  kept: {', '.join(self.kept)}")
         return "\n".join(lines) + ">"
