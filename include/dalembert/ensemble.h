@@ -15,8 +15,8 @@ extern "C" {
 /* <cdef> */
 /* ---- ensembles ------------------------------------------------------------------------- */
 
-/* Members: zero-initialise, then set what is wanted.  What is given for them is rows, `next` numbers
- * apart; next = 0: the first row is that of all of them. */
+/* Members: zero-initialise, then set what is wanted.  What is given for them is rows, `next`
+ * numbers apart; next = 0: the first row is that of all of them. */
 typedef struct dal_members {
     size_t count;
     const double *x;            /* [2n] initial data; NULL: those of the system by default, with */
@@ -32,14 +32,15 @@ typedef struct dal_members {
     double t0;
     dal_consistency consistency;
     dal_initial initial;
-    const dal_event *events;    /* [event_count] or NULL; a ctx that is NULL is that of the member's */
-    size_t event_count;         /* system: its parameters */
-    size_t stride;              /* 0: one row of results for each member, its end; else steps/stride
-                                   + 1, the first that of its beginning */
+    const dal_event *events;    /* [event_count] or NULL; a ctx that is NULL is that of the */
+    size_t event_count;         /* member's system: its parameters */
+    size_t stride;              /* 0: one row of results for each member, its end; else
+                                   steps/stride + 1, the first that of its beginning */
     /* Results, each NULL if it is not wanted, and NaN where the member has not come to.  In D_eps
      * for kept nodes. */
-    double *states;             /* [count*rows*2n]; at the end of a member that a terminal event has */
-    double *energy, *residual;  /* [count*rows]           ended the state there, and NaN after it */
+    double *states;             /* [count*rows*2n]; the last row of a member that a terminal event
+                                   has ended is the state there */
+    double *energy, *residual;  /* [count*rows] */
     double *multipliers;        /* [count*rows*m] as of dal_trajectory; residual: its relative */
     double *reactions;          /* [count*(rows-1)*m] as of a dal_run, [count*m] for stride = 0 */
     double *t_end;              /* [count] the time of the last row */
@@ -52,10 +53,11 @@ typedef struct dal_members {
     dal_error *errors;          /* [count] in words; text is empty where nothing has failed */
 } dal_members;
 
-/* Runs the members first, ..., first + count - 1.  Threads may do so at once with ranges that do not
- * meet, as far as the callbacks of the system may.  Memory is allocated once a call, not for
- * members.  watch (or NULL) sees how many members of the range are done; what it stops leaves the
- * others DAL_STOPPED, with what the one that was being made has.  options may be NULL.
+/* Runs the members first, ..., first + count - 1.  Threads may do so at once with ranges that do
+ * not meet, as far as the callbacks of the system may.  Memory is allocated once a call, not for
+ * members.  watch (or NULL) sees how many members of the range are done; those that it does not let
+ * go on are DAL_STOPPED, and the one that was being made has its rows until then.  options may be
+ * NULL.
  * DAL_EINVAL (an argument that is wrong for all: the text names it; a system without parameters),
  * DAL_ENOMEM, DAL_EUNSUPPORTED (events with a scheme that cannot be resumed), DAL_STOPPED,
  * DAL_EUSER (of the watch); DAL_SUCCESS also where members fail. */

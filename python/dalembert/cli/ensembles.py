@@ -19,7 +19,7 @@ from ..run.scheme import INITIAL
 from ..system import System
 from . import runs
 
-_GRID = "a parameter, coordinate or velocity (v_NAME) and its values: from A to B, or each by itself"
+_GRID = "a parameter, coordinate or velocity (v_NAME), and its values: from A to B, or one by one"
 
 
 def add(commands: Any, numbers: Any, parameter: Any) -> None:

@@ -84,10 +84,11 @@ def ensemble(
     stride : int, optional
         From row to row of what is kept; default 1.  The end alone has none.
     keep : str, sequence of str or callable, optional
-        "end": the last state, as ``q`` and ``v``.  "all": every stride-th state.  Names: coordinates
-        ("theta"), velocities ("v_theta"), "energy", "residual", "multipliers", "reactions", every
-        stride steps, or at the end if "end" is among them.  A function of a `Solution` that returns
-        a number, an array, or a mapping from names to such: it is what is kept instead.
+        "end": the last state, as ``q`` and ``v``.  "all": every stride-th state.  Names: of
+        coordinates ("theta") and velocities ("v_theta"), "energy", "residual", "multipliers",
+        "reactions", every stride steps, or at the end if "end" is among them.  A function of a
+        `Solution` that returns a number, an array, or a mapping from names to such: that is kept
+        instead.
     inputs : array_like, mapping or callable, optional
         Of the force, as of `integrate`; or with axes in front, shape (..., holds, k).
     hold, events, consistent, initial, max_iterations, method, tolerance : optional
@@ -406,7 +407,7 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
     whole.update(json.dumps(told, sort_keys=True).encode())
     for name, x in sorted(_arrays_of(ask).items()):
         whole.update(f"{name} {x.dtype} {x.shape}".encode())
-        whole.update(np.ascontiguousarray(x).tobytes())
+        whole.update(np.ascontiguousarray(x))
     return about | {"mark": whole.hexdigest(), "block": size}
 
 

@@ -69,7 +69,8 @@ def create(
     found = read_about(directory)
     if found["mark"] != about["mark"]:
         here = json.loads(json.dumps(about))
-        differs = [key for key in here if key not in ("mark", "block") and found.get(key) != here[key]]
+        compared = here.keys() - {"mark", "block"}
+        differs = [key for key in here if key in compared and found.get(key) != here[key]]
         raise ValueError(
             f"store = {directory!r}: it is of another ensemble, which differs in "
             f"{', '.join(differs) or 'what was given for its members'}"

@@ -26,8 +26,8 @@ def draw(
     Parameters
     ----------
     what : str, optional
-        A coordinate, a velocity ("v_theta"), or anything else that was kept as one number.  Default:
-        which event has ended the members of a grid, if there are events; else the first
+        A coordinate, a velocity ("v_theta"), or anything else that was kept as one number.
+        Default: which event has ended the members of a grid, if there are events; else the first
         coordinate.
     ax : matplotlib axes, optional
     y : str, optional

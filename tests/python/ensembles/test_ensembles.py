@@ -23,7 +23,7 @@ ALWAYS = {"status", "done", "t_end", "doubtful", *work.STATISTICS}
 
 
 def skate(**values):
-    """Return a skate with a spring, friction, two motors, and a mass matrix that is not diagonal."""
+    """Return a skate with a spring, friction, two motors, and a mass that is not diagonal."""
     x, y, theta = dal.coordinates("x y theta")
     k, c, w = sympy.symbols("k c w")
     m = sympy.Symbol("m", positive=True)
@@ -35,7 +35,8 @@ def skate(**values):
     return dal.System.from_sympy(
         L, [x.d * sympy.sin(theta) - y.d * sympy.cos(theta)], coordinates=[x, y, theta],
         parameters={"m": 1.0, "k": 2.0, "c": 0.1, "w": 0.5} | values,
-        force={x: -c * x.d + u, theta: s}, inputs=[u, s], q0=[0.0, 0.0, 0.3], v0=[np.cos(0.3), np.sin(0.3), 0.7], name="skate",
+        force={x: -c * x.d + u, theta: s}, inputs=[u, s], q0=[0.0, 0.0, 0.3],
+        v0=[np.cos(0.3), np.sin(0.3), 0.7], name="skate",
     )  # fmt: skip
 
 
@@ -193,13 +194,16 @@ def test_reductions():
     one = many(dal.systems.sleigh(), parameters=values, h=0.01, steps=50,
                keep=lambda run: run.q[-1, 0])  # fmt: skip
     assert (one.value == found.last[:, 0]).all()
+
+    def of_any_length(run):
+        return np.zeros(int(10 * run.system.parameters["a"] + 0.5))
+
+    odd = {"parameters": values, "h": 0.01, "steps": 50, "keep": of_any_length}
     with pytest.warns(dal.DalembertWarning, match="2 of 3 members failed.*shape"):
-        odd = many(dal.systems.sleigh(), parameters=values, h=0.01, steps=50, block=3,
-                   keep=lambda run: np.zeros(int(10 * run.system.parameters["a"] + 0.5)))  # fmt: skip
-    assert odd.failed.tolist() == [1, 2]
+        found = many(dal.systems.sleigh(), block=3, **odd)
+    assert found.failed.tolist() == [1, 2]
     with pytest.raises(ValueError, match="of shape"):
-        many(dal.systems.sleigh(), parameters=values, h=0.01, steps=50, block=1,
-             keep=lambda run: np.zeros(int(10 * run.system.parameters["a"] + 0.5)))  # fmt: skip
+        many(dal.systems.sleigh(), block=1, **odd)
 
 
 def test_any_order_threads_and_blocks():
@@ -384,7 +388,8 @@ def test_grid():
 def test_sample():
     stats = pytest.importorskip("scipy.stats")
     design = dal.sample(64, seed=3, a=(0.1, 0.3), J=stats.norm(1, 0.1))
-    assert design.shape == (64,) and (design["a"] == dal.sample(64, seed=3, a=(0.1, 0.3), J=(0, 1))["a"]).all()
+    again = dal.sample(64, seed=3, a=(0.1, 0.3), J=(0, 1))
+    assert design.shape == (64,) and (design["a"] == again["a"]).all()
     counts, _ = np.histogram(design["a"], 8, (0.1, 0.3))
     assert (counts == 8).all()
     assert abs(design["J"].mean() - 1) < 0.01
