@@ -314,13 +314,15 @@ class Ensemble(Mapping[str, Any]):
     def _number(self, k: int) -> int:
         return arguments.integer(k, "k", -len(self), len(self) - 1) % len(self)
 
-    def member(self, k: int, *, throw: bool = False) -> Solution:
+    def member(self, k: int, *, stride: int | None = None, throw: bool = False) -> Solution:
         """Return the run of member k, made again: bit for bit what was kept of it.
 
         Parameters
         ----------
         k : int
             Its number; from the end if it is negative.
+        stride : int, optional
+            As of `integrate`.  Default: that of the ensemble, 1 where the end alone was kept.
         throw : bool, optional
             True: of a member that failed in a step, the exception instead of what there is.
 
@@ -334,7 +336,8 @@ class Ensemble(Mapping[str, Any]):
                 f"member({k}): a store does not keep functions, and this ensemble has "
                 f"{', '.join(self._ask.lacks)}; dal.ensemble with the same arguments has them"
             )
-        return work.member(self._ask, self._number(k), throw=throw)
+        stride = self.stride or 1 if stride is None else stride
+        return work.member(self._ask, self._number(k), stride=stride, throw=throw)
 
     def blocks(self) -> Iterator[tuple[int, dict[str, Array]]]:
         """Yield parts of the ensemble: the number of the first member, and its arrays by name.

@@ -266,10 +266,9 @@ def one(setting: Setting, rows: Mapping[str, Array], k: int, **how: Any) -> Solu
     mine = {name: x[k % len(x)] for name, x in rows.items()}
     system = _with_parameters(setting.system, rows, k)
     q0, v0 = np.split(mine["x"], 2) if "x" in mine else (None, None)
-    steps = int(mine["steps"])
     return integrate(
-        system, setting.scheme, q0, v0, h=float(mine["h"]), steps=steps, t0=setting.t0,
-        stride=setting.stride or max(steps, 1), consistent=setting.consistent,
+        system, setting.scheme, q0, v0, h=float(mine["h"]), steps=int(mine["steps"]),
+        t0=setting.t0, consistent=setting.consistent,
         initial=setting.initial, max_iterations=setting.max_iterations, hold=setting.hold,
         events=setting.events,
         inputs=mine["inputs"] if "inputs" in mine else setting.control, **how,
@@ -301,7 +300,8 @@ def _keep(
     kept = setting.kept
     with quietly() as found:
         try:
-            run = one(setting, rows, k, throw=False, progress=progress)
+            stride = setting.stride or max(1, int(rows["steps"][k % len(rows["steps"])]))
+            run = one(setting, rows, k, stride=stride, throw=False, progress=progress)
         except Exception as error:
             if isinstance(partial := getattr(error, "partial", None), Solution):
                 _count(setting, made, k, partial)  # a function of the user has raised

@@ -63,7 +63,7 @@ def check_members(found, at_end=True, only=None):
     """Compare all that was kept with runs of `integrate`."""
     names = [name for name in found if name not in (*ALWAYS, "ended_by", "happened")]
     for k in range(len(found)) if only is None else only:
-        run = found.member(k)
+        run = found.member(k, stride=max(1, int(found.steps[k])) if at_end else None)
         assert run.success == bool(found.success[k]), found.message(k)
         assert found.message(k) == run.message
         assert found.done[k] == run.stats.steps

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -132,21 +133,22 @@ dal.ensemble(dal.systems.sleigh(), "midpoint", parameters=values, h=0.01, steps=
 
 def test_killed_again_and_again(path):
     values = {"a": np.linspace(0.1, 0.4, 60)}
-    made, kills = 0, 0
-    for wait in np.random.default_rng(2).uniform(0.25, 0.6, 40):
+    kills, status, source = 0, -1, np.random.default_rng(2)
+
+    def made():
+        return len([*Path(path).glob("block-*.npz")])
+
+    while status != 0:
+        before = made()
         process = subprocess.Popen([sys.executable, "-c", SCRIPT, path])
-        try:
-            status = process.wait(wait)
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            status = process.wait()
-            kills += 1
-        now = len([*Path(path).glob("block-*.npz")])
-        assert now >= made
-        made = now
-        if status == 0:
-            break
-    assert status == 0 and kills > 0
+        while process.poll() is None and made() == before:
+            time.sleep(0.001)
+        time.sleep(source.uniform(0, 0.05))
+        process.send_signal(signal.SIGKILL)
+        status = process.wait()
+        kills += status != 0
+        assert made() > before or status == 0
+    assert kills > 3
     there = dal.open_ensemble(path)
     here = dal.ensemble(dal.systems.sleigh(), "midpoint", parameters=values, h=0.01, steps=40_000,
                         progress=False)  # fmt: skip
