@@ -60,7 +60,7 @@ def write(path: str | Path, text: str) -> None:
             replace(target.resolve(), text.encode())
 
 
-def replace(target: Path, content: bytes, mode: int | None = None) -> None:
+def replace(target: Path, content: bytes | memoryview, mode: int | None = None) -> None:
     """Write a file under another name, with permissions if they are given, and rename it."""
     draft = target.with_name(f".{target.name[:64]}.{secrets.token_hex(8)}.new")
     try:

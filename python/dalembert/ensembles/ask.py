@@ -25,6 +25,9 @@ TAKEN = {"status", "done", "t_end", "doubtful", "ended_by", "happened", "message
 MEASURES = {"energy": 0, "residual": 0, "multipliers": 1}
 
 
+_TAILS = {"q0": 1, "v0": 1, "inputs": 2}  # how many axes a member has, of what has any
+
+
 # ---- what is given for members -----------------------------------------------------------------
 
 
@@ -171,6 +174,23 @@ class Ask:
     steps: Given
     inputs: Given | None
     lacks: tuple[str, ...] = ()  # functions of it that a store does not keep
+
+    def arrays(self) -> dict[str, Array]:
+        """Return what was given for members, by names from which `of_arrays` knows it."""
+        found = {name: getattr(self, name) for name in (*_TAILS, "h", "steps")}
+        found |= {f"parameters.{name}": x for name, x in self.parameters.items()}
+        return {name: x.values for name, x in found.items() if x is not None}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, Array], **more: Any) -> Ask:
+        """Return an ask from what `arrays` has returned, and all else."""
+        given = {name: Given(x, _TAILS.get(name, 0)) for name, x in arrays.items()}
+        parameters = {
+            name.removeprefix("parameters."): x
+            for name, x in given.items() if name.startswith("parameters.")
+        }  # fmt: skip
+        plain = {name: given.get(name) for name in (*_TAILS, "h", "steps")}
+        return cls(parameters=parameters, **plain, **more)
 
     @property
     def count(self) -> int:

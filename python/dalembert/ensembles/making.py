@@ -33,6 +33,7 @@ from .result import Ensemble, Memory, Stored
 _THREAD_SECONDS = 0.2  # of a block that a thread makes: short, for balance and Ctrl-C
 _TASK_SECONDS = 2.0  # of one that is sent elsewhere, or written to a store
 _MOST_BYTES, _MOST = 2**26, 100_000  # of a block, members
+_MOST_BLOCKS = 100_000  # what schedulers and file systems bear
 
 
 def ensemble(
@@ -154,7 +155,7 @@ def ensemble(
         data = Memory(ask.count, pieces.size)
     else:
         about = _about(ask, pieces.size)
-        pieces.size = stores.create(path, about, _arrays_of(ask))["block"]
+        pieces.size = stores.create(path, about, ask.arrays())["block"]
         data = Stored(path, about["mark"], ask, pieces.size)
     left = [k for k in range(len(pieces)) if not data.has(k)]
     before = ask.count - sum(end - begin for begin, end in map(pieces.range, left))
@@ -294,7 +295,8 @@ def _size(ask: Ask, block: int | None, is_sent: bool) -> int:
         return arguments.integer(block, "block", 1)
     seconds = _TASK_SECONDS if is_sent else _THREAD_SECONDS
     wanted = min(seconds / _seconds_of_member(ask), _MOST_BYTES / _bytes_of_member(ask), _MOST)
-    return max(1, min(int(wanted), ask.count))
+    least = -(-ask.count // _MOST_BLOCKS) if is_sent else 1
+    return max(least, min(int(wanted), ask.count))
 
 
 def _seconds_of_member(ask: Ask) -> float:
@@ -354,16 +356,6 @@ def _warn(found: Ensemble) -> None:
 # ---- the store -----------------------------------------------------------------------------------
 
 
-def _arrays_of(ask: Ask) -> dict[str, Array]:
-    """Return what was given for members, by names that a store keeps."""
-    given = {"q0": ask.q0, "v0": ask.v0, "inputs": ask.inputs, "h": ask.h, "steps": ask.steps}
-    given |= {f"parameters.{name}": x for name, x in ask.parameters.items()}
-    return {name: x.values for name, x in given.items() if x is not None}
-
-
-_TAILS = {"q0": 1, "v0": 1, "inputs": 2}
-
-
 def _name_of(function: Any) -> str:
     """Return what tells a function from others, as far as its name does; "" for none."""
     if function is None:
@@ -405,7 +397,7 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
     whole = hashlib.sha256()
     told = about | {"system": [setting.system.name, setting.system._identity]}
     whole.update(json.dumps(told, sort_keys=True).encode())
-    for name, x in sorted(_arrays_of(ask).items()):
+    for name, x in sorted(ask.arrays().items()):
         whole.update(f"{name} {x.dtype} {x.shape}".encode())
         whole.update(np.ascontiguousarray(x))
     return about | {"mark": whole.hexdigest(), "block": size}
@@ -414,7 +406,6 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
 def _ask_of(about: Mapping[str, Any], arrays: Mapping[str, Array], system: System) -> Ask:
     """Return what was asked for, from a store; without functions, which it does not keep."""
     at_end, states, measures, columns, reduce = about["keep"]
-    given = {name: Given(x, _TAILS.get(name, 0)) for name, x in arrays.items()}
     lacks = {"events": about["events"], "inputs": about["control"], "keep": reduce}
     setting = Setting(
         system=system, scheme=Scheme._from_data(about["scheme"]), t0=about["t0"],
@@ -422,13 +413,8 @@ def _ask_of(about: Mapping[str, Any], arrays: Mapping[str, Array], system: Syste
         consistent=about["consistent"], initial=about["initial"],
         max_iterations=about["max_iterations"], hold=about["hold"], events=(), control=None,
     )  # fmt: skip
-    return Ask(
-        setting=setting, shape=tuple(about["shape"]), axes=tuple(about["axes"]),
+    return Ask.of_arrays(
+        arrays, setting=setting, shape=tuple(about["shape"]), axes=tuple(about["axes"]),
         ticks={name: np.array(x) for name, x in about["ticks"].items()},
-        **{name: given.get(name) for name in ("q0", "v0", "inputs", "h", "steps")},
-        parameters={
-            name.removeprefix("parameters."): x
-            for name, x in given.items() if name.startswith("parameters.")
-        },
         lacks=tuple(name for name, there in lacks.items() if there),
     )  # fmt: skip

@@ -151,14 +151,41 @@ def _setting(pickled: bytes) -> Setting:
     return setting
 
 
+@functools.lru_cache(maxsize=4)
+def _stored_ask(pickled: bytes, path: str, mark: str, shape: tuple[int, ...]) -> Ask:
+    """Return the ask of a store that is seen from here; its arrays are mapped, not read."""
+    return Ask.of_arrays(
+        store.read_members(path), setting=_setting(pickled), shape=shape, axes=(), ticks={}
+    )
+
+
+class Unseen(Exception):
+    """The store is not seen from the worker."""
+
+
 def remote(
-    pickled: bytes, rows: Any, count: int, index: int, place: tuple[str, str] | None
+    pickled: bytes,
+    index: int,
+    begin: int,
+    end: int,
+    place: tuple[str, str, tuple[int, ...]] | None,
+    rows: Any,
 ) -> work.Block | None:
-    """Make a block in another process; None if it went into the store, which is seen from there."""
-    made = work.make(_setting(pickled), rows, count, threading.Event(), lambda far: None)
-    if place is None or not store.is_that(*place):
+    """Make a block in another process.
+
+    ``place`` is the path of the store, the mark of the ensemble and its shape.  Where it is seen,
+    what is given for members is read there, and the block is written there: nothing is returned.
+    Where it is not, ``rows`` are needed.
+    """
+    seen = place is not None and store.is_that(*place[:2])
+    if rows is None and not seen:
+        raise Unseen
+    if rows is None:
+        rows = _stored_ask(pickled, *place).block(begin, end)  # type: ignore[misc]
+    made = work.make(_setting(pickled), rows, end - begin, threading.Event(), lambda far: None)
+    if not seen:
         return made
-    store.write(place[0], index, made)
+    store.write(place[0], index, made)  # type: ignore[index]
     return None
 
 
@@ -176,7 +203,8 @@ def by_executor(
     """
     ask, tried, remaining = blocks.ask, dict.fromkeys(left, 0), dict.fromkeys(left)
     pickled = pickle.dumps(ask.setting)
-    place = (data.path, data.mark) if isinstance(data, Stored) else None
+    place = (data.path, data.mark, ask.shape) if isinstance(data, Stored) else None
+    sends = place is None
     under_way: set[int] = set()
 
     def took(index: int, made: work.Block | None) -> None:
@@ -193,9 +221,9 @@ def by_executor(
 
             def submit(index: int) -> futures.Future[Any]:
                 begin, end = blocks.range(index)
-                rows = ask.block(begin, end)
                 under_way.add(index)
-                return executor.submit(remote, pickled, rows, end - begin, index, place)
+                rows = ask.block(begin, end) if sends else None
+                return executor.submit(remote, pickled, index, begin, end, place, rows)
 
             now = [index for index in remaining if tried[index] < _ATTEMPTS]
             alone = not now
@@ -205,6 +233,9 @@ def by_executor(
                     took, lambda: tell((len(left) - len(remaining)) * blocks.size),
                     lost=lambda index: _lost(ask, blocks, index),
                 )  # fmt: skip
+            except Unseen:
+                sends = True
+                under_way.clear()
             except futures.BrokenExecutor:
                 if not pools.renew():
                     raise
@@ -242,8 +273,10 @@ class _Pools:
     @property
     def window(self) -> int:
         """How many blocks to submit at a time: enough for all workers, and for memory."""
-        workers = getattr(self.current, "_max_workers", None) or 16
-        return max(64, 4 * int(workers))
+        workers = getattr(self.current, "_max_workers", None)
+        if (client := getattr(self.current, "_client", None)) is not None:  # of dask
+            workers = sum(client.nthreads().values())
+        return max(64, 4 * int(workers or 16))
 
     def renew(self) -> bool:
         """Go on with a new one; return whether that can be."""

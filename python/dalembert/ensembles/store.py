@@ -11,6 +11,7 @@ import io
 import json
 import re
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from . import work
 
 VERSION = 1
 ABOUT = "ensemble.json"
-_MEMBERS = "members.npz"  # what was given for them
+_GIVEN = re.compile(r"given-(.+)\.npy")  # what was given for the members
 _BLOCK = re.compile(r"block-(\d{9})\.npz")
 
 
@@ -58,12 +59,13 @@ def create(
     root.mkdir(parents=True, exist_ok=True)
     if not (root / ABOUT).exists():
         for path in sorted(root.iterdir()):
-            if path.name not in (ABOUT, _MEMBERS) and not files.is_draft(path):
+            if not _GIVEN.fullmatch(path.name) and not files.is_draft(path):
                 raise ValueError(
                     f"store = {directory!r}: expected a new or empty directory, or a store; there "
                     f"is {path.name!r} in it"
                 )
-        _save(root / _MEMBERS, given)
+        for name, x in given.items():
+            _save(root / f"given-{name}.npy", x)
         text = json.dumps({"format": "dalembert ensemble", "version": VERSION, **about}, indent=1)
         files.replace(root / ABOUT, text.encode())
     found = read_about(directory)
@@ -104,8 +106,13 @@ def is_that(directory: str, mark: str) -> bool:
 
 
 def read_members(directory: str) -> dict[str, np.ndarray]:
-    """Return what was given for the members."""
-    return _load(Path(directory) / _MEMBERS)
+    """Return what was given for the members, which is read when it is asked for."""
+    found = {}
+    for path in sorted(Path(directory).iterdir()):
+        if match := _GIVEN.fullmatch(path.name):
+            with _reading(path):
+                found[match[1]] = np.load(path, mmap_mode="r", allow_pickle=False)
+    return found
 
 
 # ---- blocks ------------------------------------------------------------------------------------
@@ -173,11 +180,8 @@ def read_some(directory: str, index: int, mark: str, name: str) -> Any:
 
 def _check(path: Path, mark: str, index: int) -> None:
     """Raise StoreError unless a file is a whole block, as far as its directory tells."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            found = file["mark"] if "mark" in file.files else None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise _damaged(path, error) from None
+    with _reading(path), np.load(path, allow_pickle=False) as file:
+        found = file["mark"] if "mark" in file.files else None
     _require(path, found, mark, index)
 
 
@@ -186,23 +190,28 @@ def _require(path: Path, found: Any, mark: str, index: int) -> None:
         raise StoreError(f"{path} is no block of this ensemble: remove it, and it is made again")
 
 
-def _damaged(path: Path, error: Exception) -> StoreError:
-    why = "it holds no arrays" if isinstance(error, ValueError) else error
-    return StoreError(f"{path} is damaged ({why}): remove it, and it is made again")
-
-
-def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write arrays, whole or not at all, and onto the disk."""
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
-    files.replace(path, buffer.getvalue())
-
-
-def _load(path: Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Raise StoreError where a file is not there, or holds no arrays."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files if names is None or name in names}
+        yield
     except FileNotFoundError:
         raise StoreError(f"{path} is not there") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise _damaged(path, error) from None
+        why = "it holds no arrays" if isinstance(error, ValueError) else error
+        raise StoreError(f"{path} is damaged ({why}): remove it, and it is made again") from None
+
+
+def _save(path: Path, arrays: Any) -> None:
+    """Write an array, or several by name, whole or not at all, and onto the disk."""
+    buffer = io.BytesIO()
+    if isinstance(arrays, dict):
+        np.savez(buffer, **arrays)
+    else:
+        np.save(buffer, arrays)
+    files.replace(path, buffer.getbuffer())
+
+
+def _load(path: Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+    with _reading(path), np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files if names is None or name in names}

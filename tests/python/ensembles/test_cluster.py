@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import dalembert as dal
+from dalembert.ensembles import store
 
 VALUES = {"a": np.linspace(0.1, 0.4, 24)}
 GIVEN = {"parameters": VALUES, "h": 0.01, "steps": 20, "progress": False, "block": 3}
@@ -103,6 +104,27 @@ def test_ctrl_c_with_processes():
     partial = raised.value.partial
     made = np.flatnonzero(partial.success)
     assert 0 < len(made) and (partial.q[made] == make(steps=20_000).q[made]).all()
+
+
+class Elsewhere(futures.ThreadPoolExecutor):
+    """Workers that see no store."""
+
+    def submit(self, function, *given):
+        def blind(*given):
+            plain, store.is_that = store.is_that, lambda *given: False
+            try:
+                return function(*given)
+            finally:
+                store.is_that = plain
+
+        return super().submit(blind, *given)
+
+
+def test_a_store_that_workers_do_not_see(tmp_path):
+    with Elsewhere(1) as executor:
+        there = make(executor=executor, store=str(tmp_path / "store"))
+    same(make(), there)
+    same(there, dal.open_ensemble(tmp_path / "store"))
 
 
 # ---- dask --------------------------------------------------------------------------------------
