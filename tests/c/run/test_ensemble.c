@@ -376,6 +376,74 @@ static void test_parameters_of_events(void)
     dal_system_free(system);
 }
 
+/* ---- inputs, what is measured --------------------------------------------------------------- */
+
+enum { PUSHES = 3 };
+
+/* f = (u, 0) on a particle in the plane; not defined where a member starts, unless u is 0. */
+static int pushed(double t, const double *q, const double *v, const double *u, double *f,
+                  double *f_q, double *f_v, void *ctx)
+{
+    (void)t, (void)v, (void)ctx;
+    if (f) f[0] = u[0], f[1] = 0.0;
+    if (f_q) memset(f_q, 0, 4 * sizeof *f_q);
+    if (f_v) memset(f_v, 0, 4 * sizeof *f_v);
+    return q[0] == 0.0 && u[0] != 0.0;
+}
+
+/* V = -log(1 - q_1)/100: a wall, which the run may be beyond after a step that is too large. */
+static int walled(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    (void)t, (void)ctx;
+    if (V) *V = -log(1.0 - q[1]) / 100.0;
+    if (V_q) V_q[0] = 0.0, V_q[1] = 0.01 / (1.0 - q[1]);
+    if (V_qq) memset(V_qq, 0, 4 * sizeof *V_qq), V_qq[3] = 0.01 / ((1.0 - q[1]) * (1.0 - q[1]));
+    return 0;
+}
+
+/* Each member has its inputs, and starts with none; where a row cannot be measured it fails, with
+ * the rows before. */
+static void test_inputs(void)
+{
+    enum { COUNT = 4, ROWS = 1 + 2 * PUSHES };
+    static const double mass[4] = {1.0, 0.0, 0.0, 2.0};
+    const dal_system_def def = {.n = 2, .mass = mass, .force = pushed, .inputs = 1,
+                                .positional = 1, .potential = walled};
+    const dal_scheme scheme = find_scheme("explicit");
+    const double h = 0.25;
+    const size_t steps = 2 * PUSHES;
+    double u[COUNT][PUSHES], x[COUNT][4], states[COUNT][4 * ROWS], energy[COUNT][ROWS];
+    int status[COUNT];
+    static dal_error errors[COUNT];
+    dal_system *system;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "pushed", error.text);
+    for (size_t k = 0; k < COUNT; k++) {
+        for (size_t i = 0; i < PUSHES; i++) u[k][i] = 1.0 + (double)(k + i);
+        memcpy(x[k], (double[4]){0.0, 0.0, 1.0, k == 2 ? 1.5 : 0.1}, sizeof x[k]);
+    }
+    const dal_members members = {.count = COUNT, .x = x[0], .x_next = 4, .h = &h, .steps = &steps,
+                                 .inputs = u[0], .inputs_next = PUSHES, .hold = 2, .stride = 1,
+                                 .states = states[0], .energy = energy[0], .status = status,
+                                 .errors = errors};
+    CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, COUNT, NULL, NULL, NULL));
+    for (size_t k = 0; k < COUNT; k++) {
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        double rows[4 * ROWS];
+        need(dal_stepper_start(stepper, 0.0, h, x[k], DAL_CHECK, DAL_INITIAL_NONE), "start", "");
+        dal_run run = {.stepper = stepper, .steps = steps, .stride = 1, .hold = 2, .x = rows,
+                       .inputs = u[k]};
+        CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
+        const size_t good = k == 2 ? 3 : ROWS; /* at t = 3/4 it is beyond the wall, and goes on */
+        CHECK(status[k] == (k == 2 ? DAL_EDOMAIN : DAL_SUCCESS));
+        CHECK((strstr(errors[k].text, "potential") != NULL) == (k == 2));
+        CHECK(same(4 * good, states[k], rows));
+        CHECK(isfinite(energy[k][good - 1]) && (k != 2 || isnan(energy[k][good])));
+        dal_stepper_free(stepper);
+    }
+    dal_system_free(system);
+}
+
 /* ---- stopping, threads, refusals ------------------------------------------------------------ */
 
 static int stop_at(double far, void *ctx) { return far >= *(const double *)ctx; }
@@ -503,6 +571,7 @@ int main(void)
     test_ranges();
     test_events();
     test_parameters_of_events();
+    test_inputs();
     test_stopping();
     test_threads();
     test_refusals();
