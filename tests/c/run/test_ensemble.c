@@ -285,10 +285,17 @@ static void test_ranges(void)
 
 /* ---- events, step sizes, inputs ------------------------------------------------------------ */
 
-static int beyond(double t, const double *x, double *g, void *ctx)
+static int past(double t, const double *x, double *g, void *ctx)
 {
     (void)t;
-    *g = x[0] - *(const double *)ctx;
+    *g = x[0] - ((const double *)ctx)[1];
+    return 0;
+}
+
+static int headed(double t, const double *x, double *g, void *ctx)
+{
+    (void)t;
+    *g = x[2] - *(const double *)ctx;
     return 0;
 }
 
@@ -310,21 +317,23 @@ static int count_turn(size_t event, size_t step, double t, const double *x, cons
 /* A member ends where its own run does; what an event remembers does not reach the next member. */
 static void test_events(void)
 {
-    static const double walls[] = {0.3, 9.0, 0.05};
+    static const double walls[] = {1.1, 99.0, 0.35};
     enum { COUNT = 9 };
     dal_system *const system = open_system("sleigh");
     const dal_scheme scheme = find_scheme("midpoint-nodes");
     double x0[COUNT][6], h[COUNT], states[COUNT][6], energy[COUNT], t_end[COUNT];
     size_t steps[COUNT], done[COUNT], happened[COUNT][2], ended_by[COUNT];
     int status[COUNT];
+    size_t ended = 0;
     for (size_t wall = 0; wall < 3; wall++) {
-        const dal_event events[2] = {{.g = beyond, .terminal = 2, .ctx = (void *)&walls[wall]},
+        const dal_event events[2] = {{.g = headed, .terminal = 1 + (wall == 2),
+                                      .ctx = (void *)&walls[wall]},
                                      {.g = turned, .ctx = (void *)walls}};
         for (size_t k = 0; k < COUNT; k++) {
             need(dal_system_state(system, x0[k]), "state", "");
             for (size_t i = 3; i < 6; i++) x0[k][i] *= 1.0 + (double)k;
             h[k] = 0.01 / (double)(k + 1);
-            steps[k] = 100 * (k + 1);
+            steps[k] = k == 5 ? 0 : 100 * (k + 1);
         }
         const dal_members members = {
             .count = COUNT, .x = x0[0], .x_next = 6, .h = h, .h_next = 1, .steps = steps,
@@ -340,39 +349,43 @@ static void test_events(void)
                  "start", "");
             need(dal_events_new(&own, stepper, &scheme, events, 2, NULL), "events", "");
             size_t turns = 0;
-            dal_run run = {.stepper = stepper, .steps = steps[k], .stride = steps[k], .x = rows,
-                           .events = own, .happened = count_turn, .happened_ctx = &turns};
+            dal_run run = {.stepper = stepper, .steps = steps[k], .stride = k == 5 ? 1 : steps[k],
+                           .x = rows, .events = own, .happened = count_turn, .happened_ctx = &turns};
             const int ends = dal_run_go(&run, SIZE_MAX);
             CHECK(status[k] == 0 && done[k] == run.done);
             CHECK((ends == DAL_STOPPED) == (ended_by[k] == 0) && (ends || ended_by[k] == 2));
             CHECK(t_end[k] == (run.ended ? run.t_end : dal_stepper_time(stepper)));
-            CHECK(same(6, states[k], rows + 6) && isfinite(energy[k]));
-            CHECK(happened[k][0] <= 2 && (happened[k][0] == 2) == (ended_by[k] == 0));
+            CHECK(same(6, states[k], k == 5 ? rows : rows + 6) && isfinite(energy[k]));
+            CHECK((happened[k][0] == events[0].terminal) == (ended_by[k] == 0));
             CHECK(happened[k][1] == turns);
+            ended += ended_by[k] == 0;
             dal_events_free(own);
             dal_stepper_free(stepper);
         }
     }
+    CHECK(ended > 0 && ended < 2 * COUNT);
     dal_system_free(system);
 }
 
-/* Where a ctx is NULL an event has the parameters of its member. */
+/* Where a ctx is NULL an event has the parameters of its member.  The first ends within a step, and
+ * the others begin in the same state. */
 static void test_parameters_of_events(void)
 {
-    static const double p[][2] = {{1.0, 0.5}, {1.0, 0.6}, {1.0, 0.7}};
+    static const double p[][2] = {{1.0, 0.005}, {1.0, 0.006}, {1.0, -0.5}, {1.0, 0.7}};
     const dal_scheme scheme = find_scheme("leapfrog");
     dal_system *const system = open_own(p[0]);
-    const dal_event event = {.g = beyond, .terminal = 1};
+    const dal_event event = {.g = past, .terminal = 1};
     const double h = 0.01, x0[6] = {0.0, 0.0, 0.0, 1.0, 0.0, 0.0};
     const size_t steps = 1000;
-    double states[3][6];
-    const double walls[3] = {1.0, 1.0, 1.0}; /* beyond p[0] */
-    const dal_members members = {.count = 3, .x = x0, .parameters = p,
+    double states[4][6];
+    const dal_members members = {.count = 4, .x = x0, .parameters = p,
                                  .parameters_next = sizeof p[0], .h = &h, .steps = &steps,
                                  .consistency = DAL_PROJECT, .events = &event, .event_count = 1,
                                  .states = states[0]};
-    CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, 3, NULL, NULL, NULL));
-    for (size_t k = 0; k < 3; k++) CHECK_NEAR(states[k][0], walls[k], 1e-12);
+    CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, 4, NULL, NULL, NULL));
+    for (size_t k = 0; k < 4; k++)
+        if (p[k][1] > 0.0) CHECK_NEAR(states[k][0], p[k][1], 1e-12);
+        else CHECK(states[k][0] > 2.0); /* it began behind its wall */
     dal_system_free(system);
 }
 
@@ -439,8 +452,13 @@ static void test_inputs(void)
         CHECK((strstr(errors[k].text, "potential") != NULL) == (k == 2));
         CHECK(same(4 * good, states[k], rows));
         CHECK(isfinite(energy[k][good - 1]) && (k != 2 || isnan(energy[k][good])));
+        CHECK(k != 2 || isnan(states[k][4 * (good + 1)]));
         dal_stepper_free(stepper);
     }
+    dal_members at_end = members;
+    at_end.stride = 0;
+    CHECK(!dal_ensemble_run(system, &scheme, NULL, &at_end, 0, COUNT, NULL, NULL, NULL));
+    for (size_t k = 0; k < COUNT; k++) CHECK(status[k] == (k == 2 ? DAL_EDOMAIN : DAL_SUCCESS));
     dal_system_free(system);
 }
 
@@ -448,12 +466,12 @@ static void test_inputs(void)
 
 static int stop_at(double far, void *ctx) { return far >= *(const double *)ctx; }
 
-static void test_stopping(void)
+/* Within a step that takes long, or between steps. */
+static void test_stopping(const char *name, double h)
 {
     static results found;
     dal_system *const system = open_system("knife_edge");
-    const dal_scheme scheme = find_scheme("reference");
-    const double h = 1e3;
+    const dal_scheme scheme = find_scheme(name);
     const size_t steps = 100000000;
     double part = 0.0;
     dal_error error = {0};
@@ -517,6 +535,15 @@ static void test_threads(void)
     dal_system_free(system);
 }
 
+static dal_system *open_stateless(void)
+{
+    static const double mass[1] = {1.0};
+    const dal_system_def def = {.n = 1, .mass = mass};
+    dal_system *system;
+    need(dal_system_new(&system, &def, NULL), "stateless", "");
+    return system;
+}
+
 static void test_refusals(void)
 {
     dal_system *const system = open_system("particle"), *const own = open_system("generic4");
@@ -549,8 +576,11 @@ static void test_refusals(void)
     REFUSED(DAL_EINVAL, system, &scheme, "multiple of stride = 3", wrong.stride = 3);
     REFUSED(DAL_EUNSUPPORTED, system, &flow, "cannot be resumed", wrong.events = &event;
             wrong.event_count = 1);
+    dal_system *const nameless = open_stateless();
+    REFUSED(DAL_EINVAL, nameless, &scheme, "no initial data", (void)wrong);
 #undef REFUSED
     CHECK(status[0] == 9);
+    dal_system_free(nameless);
     dal_error error = {0};
     CHECK(dal_ensemble_run(system, &scheme, NULL, &good, 1, 2, NULL, NULL, &error) == DAL_EINVAL);
     CHECK(dal_ensemble_run(system, &scheme, NULL, NULL, 0, 2, NULL, NULL, &error) == DAL_EINVAL);
@@ -572,7 +602,8 @@ int main(void)
     test_events();
     test_parameters_of_events();
     test_inputs();
-    test_stopping();
+    test_stopping("reference", 1e3);
+    test_stopping("leapfrog", 1e-3);
     test_threads();
     test_refusals();
     return check_done();

@@ -150,6 +150,19 @@ def test_step_sizes_of_members():
     check_members(rows, at_end=False)
 
 
+def test_time():
+    """Rows are measured at the times of a trajectory, to the bit."""
+    x, y = dal.coordinates("x y")
+    push = sympy.Symbol("push")
+    system = dal.System.from_sympy(
+        (x.d**2 + y.d**2) / 2 - push * x * sympy.sin(7 * dal.time), [y.d - x * x.d * dal.time],
+        parameters={push: 1.0}, q0=[0.0, 0.0], v0=[1.0, 0.0],
+    )  # fmt: skip
+    found = many(system, parameters={"push": [1.0, 2.0]}, t0=0.3, h=0.07, steps=90, stride=3,
+                 keep=["all", "energy", "residual", "multipliers"])  # fmt: skip
+    check_members(found, at_end=False)
+
+
 @pytest.mark.parametrize("is_compiled", [True, False])
 def test_events(is_compiled):
     system = skate()
@@ -315,6 +328,18 @@ def test_doubtful_members():
     assert found.doubtful.tolist() == expected
     if any(expected):
         assert any("doubtful" in str(w.message) for w in caught)
+
+
+def test_doubtful_events():
+    """A ball that just reaches a height within a step, one that does not, one that is above it."""
+    (x,) = dal.coordinates(["x"])
+    ball = dal.System.from_sympy(x.d**2 / 2 - 9 * x)
+    for event in (x - sympy.Rational(1, 2), lambda t, q, v: q[0] - 0.5):
+        with pytest.warns(dal.DalembertWarning, match="1 of 4 members are doubtful"):
+            found = many(ball, "midpoint", [0.0], [[2.0], [3.0], [2.5], [4.0]], h=0.31, steps=3,
+                         events=[event])  # fmt: skip
+        assert found.doubtful.tolist() == [False, True, False, False]
+        assert found.happened[:, 0].tolist() == [0, 0, 0, 2]
 
 
 # ---- what is refused ---------------------------------------------------------------------------
