@@ -29,6 +29,7 @@ from . import pool, work
 from . import store as stores
 from .ask import Ask, Given, Kept, Setting, axes_of, members_shape, read_members
 from .result import Ensemble, Memory, Stored
+from .store import StoreError
 
 _THREAD_SECONDS = 0.2  # of a block that a thread makes: short, for balance and Ctrl-C
 _TASK_SECONDS = 2.0  # of one that is sent elsewhere, or written to a store
@@ -202,8 +203,10 @@ def open_ensemble(path: str | os.PathLike[str], system: System | None = None) ->
         If a file is damaged, or not of this ensemble.
     """
     path = os.fspath(path)
-    about = stores.read_about(path)
-    ask = _ask_of(about, stores.read_members(path), require_same(system, about["system"], path))
+    about, arrays = stores.read_about(path), stores.read_members(path)
+    if about["mark"] != _mark(about, arrays):
+        raise StoreError(f"{path}: what was given for its members is not what it was made for")
+    ask = _ask_of(about, arrays, require_same(system, about["system"], path))
     return Ensemble(ask, Stored(path, about["mark"], ask, about["block"]))
 
 
@@ -394,13 +397,21 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
         "events": events,
         "control": _name_of(setting.control),
     }  # fmt: skip
-    whole = hashlib.sha256()
-    told = about | {"system": [setting.system.name, setting.system._identity]}
-    whole.update(json.dumps(told, sort_keys=True).encode())
-    for name, x in sorted(ask.arrays().items()):
+    return about | {"mark": _mark(about, ask.arrays()), "block": size}
+
+
+def _mark(about: Mapping[str, Any], arrays: Mapping[str, Array]) -> str:
+    """Return a digest of what an ensemble is, and of what was given for its members."""
+    system = [about["system"][key] for key in ("name", "identity")]
+    told = {key: x for key, x in about.items() if key not in _NOT_TOLD} | {"system": system}
+    whole = hashlib.sha256(json.dumps(told, sort_keys=True).encode())
+    for name, x in sorted(arrays.items()):
         whole.update(f"{name} {x.dtype} {x.shape}".encode())
         whole.update(np.ascontiguousarray(x))
-    return about | {"mark": whole.hexdigest(), "block": size}
+    return whole.hexdigest()
+
+
+_NOT_TOLD = ("format", "version", "mark", "block")
 
 
 def _ask_of(about: Mapping[str, Any], arrays: Mapping[str, Array], system: System) -> Ask:

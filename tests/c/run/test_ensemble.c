@@ -205,10 +205,11 @@ static dal_system *open_own(const double *p)
 static void test_own(void)
 {
     static const double p[][2] = {{1.0, 0.5}, {0.0, 0.5}, {2.0, -0.3}, {91.0, 1.0}, {96.0, 1.0},
-                                  {1e-3, 0.0}, {9.0, 1.0}, {1.0, NAN}, {1.5, 0.25}, {1.0, 0.5}};
+                                  {1e-3, 0.0}, {9.0, 1.0}, {1.0, NAN}, {NAN, 0.25}, {1.5, 0.25},
+                                  {1.0, 0.5}};
     enum { COUNT = sizeof p / sizeof *p };
     static const int expected[COUNT] = {0, DAL_EINVAL, 0, DAL_EDOMAIN, DAL_EUSER,
-                                        0, DAL_EINVAL, DAL_EINVAL, 0, 0};
+                                        0, DAL_EINVAL, DAL_EINVAL, DAL_EINVAL, 0, 0};
     const dal_scheme scheme = find_scheme("midpoint");
     dal_system *const system = open_own(p[0]);
     const double h = 0.02;
@@ -245,6 +246,7 @@ static void test_own(void)
     CHECK(strstr(errors[1].text, "not positive definite"));
     CHECK(strstr(errors[3].text, "parameters returned 1"));
     CHECK(strstr(errors[7].text, "state has an entry that is not finite"));
+    CHECK(strstr(errors[8].text, "mass[0,1] = nan is not finite"));
     dal_system_free(system);
 }
 

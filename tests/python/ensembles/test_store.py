@@ -289,6 +289,21 @@ def test_damaged_blocks_are_named(path):
         dal.open_ensemble(path)
 
 
+def test_what_was_given_is_not_changed(path):
+    make(path)
+    name = Path(path) / "given-parameters.a.npy"
+    for values in (VALUES["a"][::-1], VALUES["a"][:-1], VALUES["a"].astype("f4")):
+        np.save(name, values)
+        with pytest.raises(StoreError, match="what was given"):
+            dal.open_ensemble(path)
+    name.write_bytes(b"not an array")
+    with pytest.raises(StoreError, match="given-parameters.a.npy"):
+        dal.open_ensemble(path)
+    name.unlink()
+    with pytest.raises(StoreError, match="what was given"):
+        dal.open_ensemble(path)
+
+
 def test_pickled_objects_are_not_loaded(path):
     make(path, block=6)
     with np.load(block(path, 2)) as file:
