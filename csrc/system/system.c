@@ -385,6 +385,7 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     self->def.masses = self->masses ? self->mass : NULL;
     if (def->state) self->def.state = memcpy(own.state, def->state, 2 * def->n * sizeof(double));
     if (def->ctx_size > 0) self->def.ctx = memcpy(own.ctx, def->ctx, def->ctx_size);
+    self->context = def->ctx_size;
     self->def.ctx_size = 0; /* whoever takes the definition over borrows the copy */
     take_texts(self, &own, def);
     if (has_mass(def)) status = bind_mass(self, def, error);

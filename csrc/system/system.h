@@ -33,6 +33,7 @@ struct dal_system {
     size_t parameters;       /* of a built-in system */
     const parameter *parameter;
     const double *parameter_values; /* its ctx */
+    size_t context;          /* bytes of def.ctx, if it is our copy */
     arena arena;
 };
 
