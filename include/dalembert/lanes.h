@@ -121,24 +121,46 @@ DAL_KERNEL_INLINE bool DAL_LANES(any)(dal_mask which)
         return x; \
     }
 
-/* The same functions of libmvec, for all lanes at once: they depend on nothing in other lanes either,
- * and are off by at most 4 units in the last place. */
-#undef DAL_LANES_OF_LIBMVEC
-#if DAL_LANES_VECTOR == 8
-#define DAL_LANES_OF_LIBMVEC(kind, f) _ZGVeN8##kind##_##f
-#elif DAL_LANES_VECTOR == 4
-#define DAL_LANES_OF_LIBMVEC(kind, f) _ZGVdN4##kind##_##f
+/* The same functions of libmvec, which depend on nothing in other lanes either, and are off by at
+ * most 4 units in the last place.  Where clang passes a vector depends on its command line, and only
+ * for two lanes it is always where libmvec looks. */
+#undef DAL_LANES_LIBRARY
+#if DAL_LANES_VECTOR == 8 && !defined(__clang__)
+#define DAL_LANES_LIBRARY "_ZGVeN8"
+#define DAL_LANES_PASSED 8
+#elif DAL_LANES_VECTOR == 4 && !defined(__clang__)
+#define DAL_LANES_LIBRARY "_ZGVdN4"
+#define DAL_LANES_PASSED 4
 #else
-#define DAL_LANES_OF_LIBMVEC(kind, f) _ZGVbN2##kind##_##f
+#define DAL_LANES_LIBRARY "_ZGVbN2"
+#define DAL_LANES_PASSED 2
 #endif
+typedef double DAL_LANES(passed) __attribute__((vector_size(8 * DAL_LANES_PASSED)));
+enum { DAL_LANES(parts) = DAL_LANES_VECTOR / DAL_LANES_PASSED };
+#undef DAL_LANES_PASSED
+
+typedef union DAL_LANES(divided) {
+    dal_vec whole;
+    DAL_LANES(passed) part[DAL_LANES(parts)];
+} DAL_LANES(divided);
+
 #define DAL_LANES_AT_ONCE(f) \
-    dal_vec DAL_LANES_OF_LIBMVEC(v, f)(dal_vec x); \
-    DAL_KERNEL_INLINE dal_vec DAL_LANES(f)(dal_vec x) { return DAL_LANES_OF_LIBMVEC(v, f)(x); }
+    DAL_LANES(passed) DAL_LANES(all_##f)(DAL_LANES(passed)) __asm__(DAL_LANES_LIBRARY "v_" #f); \
+    DAL_KERNEL_INLINE dal_vec DAL_LANES(f)(dal_vec x) \
+    { \
+        DAL_LANES(divided) d = {x}; \
+        for (int i = 0; i < DAL_LANES(parts); i++) d.part[i] = DAL_LANES(all_##f)(d.part[i]); \
+        return d.whole; \
+    }
 #define DAL_LANES_AT_ONCE_OF_TWO(f) \
-    dal_vec DAL_LANES_OF_LIBMVEC(vv, f)(dal_vec x, dal_vec y); \
+    DAL_LANES(passed) DAL_LANES(all_##f)(DAL_LANES(passed), DAL_LANES(passed)) \
+        __asm__(DAL_LANES_LIBRARY "vv_" #f); \
     DAL_KERNEL_INLINE dal_vec DAL_LANES(f)(dal_vec x, dal_vec y) \
     { \
-        return DAL_LANES_OF_LIBMVEC(vv, f)(x, y); \
+        DAL_LANES(divided) d = {x}, e = {y}; \
+        for (int i = 0; i < DAL_LANES(parts); i++) \
+            d.part[i] = DAL_LANES(all_##f)(d.part[i], e.part[i]); \
+        return d.whole; \
     }
 
 #endif /* DAL_LANES && !DAL_N */
@@ -286,7 +308,7 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(is_regular)(const dal_vec *A, const dal_vec
         for (size_t k = 0; k < i; k++) x[i] += DAL_LANES(fabs)(A[i * m + k]) * x[k];
     }
     for (size_t i = m; i-- > 0;) {
-        const dal_vec pivot = DAL_LANES(fabs)(A[i * m + i]) , *const column = sizes + m;
+        const dal_vec pivot = DAL_LANES(fabs)(A[i * m + i]), *const column = sizes + m;
         largest = DAL_LANES(choose)(pivot * largest * sizes[i] * column[i] < 1.0,
                                     1.0 / (pivot * sizes[i] * column[i]), largest);
         for (size_t k = i + 1; k < m; k++) {
@@ -366,7 +388,6 @@ DAL_KERNEL_INLINE void DAL_LANES(kick)(const DAL_LANES(traits) *o, DAL_LANES(sta
     const bool at_node = o->plain || s->node != 0.0;
     const dal_vec *force = at->force;
     dal_vec y[DAL_N];
-    for (size_t i = 0; i < DAL_N; i++) at->force[i] = DAL_LANES(all_of)(0.0);
     if (at_node) {
         DAL_LANES_PULL(DAL_LANES(time)(o->given, c, s->t_node), at->node, at->force, o->given->p);
         at->pull_calls += 1.0;
@@ -446,7 +467,7 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(factor)(const DAL_LANES(traits) *o, DAL_LAN
         if (!s->linear)
             DAL_LANES_CONSTRAINT(o->t_end, at->stored, at->w, at->mu, o->steady ? NULL : at->N, p);
         DAL_LANES_CONSTRAINT(DAL_LANES(time)(o->given, c, s->t_node), at->node, c->x + DAL_N,
-                              at->mu_node, NULL, p);
+                             at->mu_node, NULL, p);
         at->constraint_calls += s->linear ? 1.0 : 2.0;
         for (size_t a = 0; a < DAL_M; a++)
             DAL_LANES(accelerate)(o, at->mu_node + a * DAL_N, at->Z + a * DAL_N);
@@ -543,11 +564,11 @@ DAL_KERNEL_INLINE void DAL_LANES(newton)(const DAL_LANES(traits) *o, DAL_LANES(a
     }
     if (DAL_M > 0) DAL_LANES(solve)(at, r, d);
     for (size_t a = 0; a < DAL_M; a++)
-        at->kappa[a] = first ? d[a] : DAL_LANES_TAKE(all, at->open, at->kappa[a] + d[a], at->kappa[a]);
+        at->kappa[a] = first ? d[a]
+                     : DAL_LANES_TAKE(all, at->open, at->kappa[a] + d[a], at->kappa[a]);
     for (size_t i = 0; i < DAL_N; i++) {
         if (!DAL_KERNEL_HAS(o->has.pull, i)) continue;
-        const dal_vec next =
-            at->goal[i] + DAL_LANES(column)(o->has.Z, at->Z, i, at->kappa);
+        const dal_vec next = at->goal[i] + DAL_LANES(column)(o->has.Z, at->Z, i, at->kappa);
         at->step[i] = next - at->w[i];
         at->w[i] = DAL_LANES_TAKE(all, at->open, next, at->w[i]);
     }
@@ -649,32 +670,33 @@ DAL_KERNEL_INLINE void DAL_LANES(settle)(const DAL_LANES(traits) *o, DAL_LANES(s
 DAL_KERNEL_INLINE void DAL_LANES(commit)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
                                          const DAL_LANES(arrays) *at, bool all)
 {
-    dal_vec *const x = c->x, *const pull = c->pull, zero = DAL_LANES(all_of)(0.0);
-    const dal_mask fresh = c->pulled == 0.0;
+    const dal_mask made = at->settled, fresh = made & (c->pulled == 0.0);
+    const dal_vec zero = DAL_LANES(all_of)(0.0);
+    dal_vec *const latest = c->pull, *const past = latest + DAL_N, *const first = past + DAL_N;
     for (size_t i = 0; i < DAL_N; i++) {
         if (!o->steady && DAL_KERNEL_HAS(o->has.pull, i)) {
-            pull[2 * DAL_N + i] = DAL_LANES_TAKE(all, at->settled, pull[DAL_N + i], pull[2 * DAL_N + i]);
-            pull[DAL_N + i] = DAL_LANES_TAKE(all, at->settled, pull[i], pull[DAL_N + i]);
-            pull[i] = DAL_LANES_TAKE(all, at->settled, at->w[i] - at->base[i], pull[i]);
+            first[i] = DAL_LANES_TAKE(all, made, past[i], first[i]);
+            past[i] = DAL_LANES_TAKE(all, made, latest[i], past[i]);
+            latest[i] = DAL_LANES_TAKE(all, made, at->w[i] - at->base[i], latest[i]);
         }
-        x[i] = DAL_LANES_TAKE(all, at->settled, at->stored[i], x[i]);
-        x[DAL_N + i] = DAL_LANES_TAKE(all, at->settled, at->w[i], x[DAL_N + i]);
-        if (o->ends) c->force[i] = DAL_LANES_TAKE(all, at->settled, at->force[i], c->force[i]);
+        c->x[i] = DAL_LANES_TAKE(all, made, at->stored[i], c->x[i]);
+        c->x[DAL_N + i] = DAL_LANES_TAKE(all, made, at->w[i], c->x[DAL_N + i]);
+        if (o->ends) c->force[i] = DAL_LANES_TAKE(all, made, at->force[i], c->force[i]);
     }
-    if (!o->steady && DAL_LANES(any)(fresh & at->settled)) {
-        for (size_t i = 0; i < DAL_N; i++)
-            for (size_t past = 1; past < 3; past++)
-                pull[past * DAL_N + i] =
-                    DAL_LANES(choose)(fresh & at->settled, pull[i], pull[past * DAL_N + i]);
-        c->pulled = DAL_LANES(choose)(at->settled, DAL_LANES(all_of)(1.0), c->pulled);
+    if (!o->steady && DAL_LANES(any)(fresh)) {
+        for (size_t i = 0; i < DAL_N; i++) {
+            past[i] = DAL_LANES(choose)(fresh, latest[i], past[i]);
+            first[i] = DAL_LANES(choose)(fresh, latest[i], first[i]);
+        }
+        c->pulled = DAL_LANES(choose)(fresh, DAL_LANES(all_of)(1.0), c->pulled);
     }
     for (size_t a = 0; a < DAL_M; a++)
-        c->impulse[a] += all ? at->kappa[a] : DAL_LANES(choose)(at->settled, at->kappa[a], zero);
+        c->impulse[a] = DAL_LANES_TAKE(all, made, c->impulse[a] + at->kappa[a], c->impulse[a]);
     if (DAL_LANES_HAS_PULL && !o->plain)
-        c->forced = DAL_LANES_TAKE(all, at->settled, DAL_LANES(all_of)(o->ends), c->forced);
-    c->iterations += DAL_LANES_TAKE(all, at->settled, at->iterations, zero);
-    c->constraint_calls += DAL_LANES_TAKE(all, at->settled, at->constraint_calls, zero);
-    c->pull_calls += DAL_LANES_TAKE(all, at->settled, at->pull_calls, zero);
+        c->forced = DAL_LANES_TAKE(all, made, DAL_LANES(all_of)(o->ends), c->forced);
+    c->iterations += DAL_LANES_TAKE(all, made, at->iterations, zero);
+    c->constraint_calls += DAL_LANES_TAKE(all, made, at->constraint_calls, zero);
+    c->pull_calls += DAL_LANES_TAKE(all, made, at->pull_calls, zero);
 }
 
 /* A stage of the lanes that go; those that have made it. */
@@ -704,11 +726,9 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(stage)(const dal_lanes_block *block,
     if (o.ends)
         for (size_t i = 0; i < DAL_N; i++) at.seen[i] = at.w[i];
     DAL_LANES(correct)(&o, c, &at, true, true);
-    int i = 2;
-    for (; i <= DAL_KERNEL_CORRECTIONS && !DAL_LANES(any)(at.solved); i++)
-        DAL_LANES(correct)(&o, c, &at, false, true);
-    for (; i <= DAL_KERNEL_CORRECTIONS && DAL_LANES(any)(at.open); i++)
-        DAL_LANES(correct)(&o, c, &at, false, false);
+    for (int i = 2; i <= DAL_KERNEL_CORRECTIONS && DAL_LANES(any)(at.open); i++)
+        if (!DAL_LANES(any)(at.solved)) DAL_LANES(correct)(&o, c, &at, false, true);
+        else DAL_LANES(correct)(&o, c, &at, false, false);
     DAL_LANES(settle)(&o, c, &at);
     if (!DAL_LANES(any)(~at.settled)) DAL_LANES(commit)(&o, c, &at, true);
     else DAL_LANES(commit)(&o, c, &at, false);
@@ -761,9 +781,10 @@ static void DAL_LANES(advance)(const dal_lanes_block *block, size_t steps)
         }
         for (const dal_stage *s = block->stage; s < block->stage + block->stages; s++)
             for (size_t b = 0; b < TURNS; b++)
-                going[b] = plain
-                    ? DAL_LANES(stage_at_nodes)(block, given[b], s, &state[b], going[b])
-                    : DAL_LANES(stage_in_general)(block, given[b], s, &state[b], going[b]);
+                if (DAL_LANES(any)(going[b]))
+                    going[b] = plain
+                        ? DAL_LANES(stage_at_nodes)(block, given[b], s, &state[b], going[b])
+                        : DAL_LANES(stage_in_general)(block, given[b], s, &state[b], going[b]);
         for (size_t b = 0; b < TURNS; b++) {
             if (block->stages > 1 && DAL_LANES(any)(began[b] & ~going[b]))
                 DAL_LANES(take_back)(&state[b], &saved[b], going[b]);
