@@ -51,7 +51,7 @@ def members(system: dal.System, scheme: str, count: int) -> list[dal.Stepper]:
 
 
 def measured(system: dal.System, scheme: str) -> dict[int, float]:
-    """Return the seconds for a step of a member, by the lanes of a vector; 1: of the scalar step."""
+    """Return the seconds for a step of a member by lanes of a vector; 1: of the scalar step."""
     together = type(system)._of(dataclasses.replace(system._source, lanes=True))
     alone = members(system, scheme, MOST)
     side_by_side = members(together, scheme, MOST)

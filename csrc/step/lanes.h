@@ -2,8 +2,8 @@
  *
  * A member is what a stepper is: its state, t0, h and step, its predictor, and of its system the
  * parameters and M.  It is loaded from a stepper into a lane, makes steps there, and is unloaded
- * into a stepper, which then stands where the lane does and may go on by itself.  What a member does
- * depends neither on its lane nor on the others. */
+ * into a stepper, which then stands where the lane does and may go on by itself.  What a member
+ * does depends neither on its lane nor on the others. */
 #ifndef DAL__LANES_H
 #define DAL__LANES_H
 
@@ -42,7 +42,7 @@ void dal__lanes_forget_impulses(dal__lanes *lanes);
  * are: the caller has to see that they are those of the member. */
 void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *stepper);
 
-/* For tests and benchmarks: takes the routine with so many lanes in a vector, and empties all lanes.
+/* For tests and benchmarks: takes the routine with so many lanes in a vector, and empties them all.
  * The width then; 0 if this machine or the system has no such routine, and nothing is changed. */
 size_t dal__lanes_use(dal__lanes *lanes, size_t vector);
 

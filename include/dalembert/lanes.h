@@ -122,8 +122,8 @@ DAL_KERNEL_INLINE bool DAL_LANES(any)(dal_mask which)
     }
 
 /* The same functions of libmvec, which depend on nothing in other lanes either, and are off by at
- * most 4 units in the last place.  Where clang passes a vector depends on its command line, and only
- * for two lanes it is always where libmvec looks. */
+ * most 4 units in the last place.  Where clang passes a vector depends on its command line: only
+ * that of two lanes is always where libmvec looks for it. */
 #undef DAL_LANES_LIBRARY
 #if DAL_LANES_VECTOR == 8 && !defined(__clang__)
 #define DAL_LANES_LIBRARY "_ZGVeN8"
@@ -209,7 +209,7 @@ typedef struct DAL_LANES(arrays) {
     dal_vec r[DAL_LANES_ROWS], d[DAL_LANES_ROWS], kappa[DAL_LANES_ROWS];
     dal_vec last;
     dal_mask anew, passed;
-    dal_mask open, solved, settled; /* being iterated; done, and with the residual as it has to be */
+    dal_mask open, solved, settled; /* being iterated; done; and with the residual that it needs */
     dal_vec iterations, constraint_calls, pull_calls;
 } DAL_LANES(arrays);
 
@@ -533,7 +533,7 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(is_roundoff)(const DAL_LANES(traits) *o,
     return roundoff;
 }
 
-/* The new value in these lanes; in all where no other one matters, which need not wait for which. */
+/* The new value in these lanes; in all where no others matter, and nothing waits for which. */
 #define DAL_LANES_TAKE(all, which, value, old) \
     ((all) ? (value) : DAL_LANES(choose)(which, value, old))
 

@@ -1,5 +1,5 @@
-/* Members stepped together, with callbacks inside as a program does that brings its own: the bits of
- * the scalar step routine, whoever the neighbours are, and what stops a lane. */
+/* Members stepped together, with callbacks inside as a program does that brings its own: the bits
+ * of the scalar step routine, whoever the neighbours are, and what stops a lane. */
 #include "fixtures.h"
 #include "check.h"
 
@@ -146,7 +146,7 @@ enum { LANES = 2 * DAL_LANES_TURNS, SIZE = 8, STEPS = 200 };
 
 static const double masses[][4] = {{2.0, 2.0, 0.75, 1.0}, {1.0, 1.5, 0.5, 0.25}};
 
-/* A member: with its own parameters, masses, step, time and state, behind the wall or far from it. */
+/* A member, with parameters, masses, step, time and state of its own. */
 typedef struct one {
     dal_system *system;
     dal_stepper *stepper;
@@ -193,7 +193,8 @@ static bool are_alike(dal_stepper *a, dal_stepper *b)
 }
 
 static const char *const names[] = {"explicit", "midpoint", "endpoint", "0.3", "leapfrog",
-                                    "leapfrog-mirror", "leapfrog-kl8", "midpoint-suzuki4", "leapfrog-yoshida4"};
+                                    "leapfrog-mirror", "leapfrog-kl8", "midpoint-suzuki4",
+                                    "leapfrog-yoshida4"};
 
 /* Lanes in any order, some of them empty, in one call or in several. */
 static void test_same_bits(size_t loaded, size_t shift, double h)
@@ -283,7 +284,8 @@ static void test_stopped(void)
 static void test_again(void)
 {
     const dal_scheme scheme = find_scheme("midpoint");
-    one alone = open_member(&scheme, 1, 0.02, INFINITY), member = open_member(&scheme, 1, 0.02, 9.0);
+    one alone = open_member(&scheme, 1, 0.02, INFINITY);
+    one member = open_member(&scheme, 1, 0.02, INFINITY);
     one gone = open_member(&scheme, 3, 0.02, 0.31);
     dal__lanes *lanes;
     double impulse[2], reaction[2];

@@ -1,6 +1,7 @@
 """Members stepped together by a compiled model: as each alone, whoever its neighbours are."""
 
 import dataclasses
+import shutil
 
 import numpy as np
 import pytest
@@ -158,9 +159,13 @@ def vectors(system):
     return [vector for vector in (8, 4, 2) if Lanes(like, vector).width]
 
 
-@pytest.fixture(params=["libmvec", "libm"])
+@pytest.fixture
 def flags(request, monkeypatch, tmp_path):
-    """With and without the vector math library."""
+    """With and without the vector math library, and by a compiler that passes vectors otherwise."""
+    if request.param == "clang":
+        if shutil.which("clang") is None:
+            pytest.skip("there is no clang")
+        monkeypatch.setenv("CC", "clang")
     if request.param == "libm":
         monkeypatch.setenv("DALEMBERT_CACHE", str(tmp_path))
         monkeypatch.setattr(compiler, "_libraries", {})
@@ -168,7 +173,12 @@ def flags(request, monkeypatch, tmp_path):
     return request.param
 
 
-@pytest.mark.parametrize("make", SYSTEMS, ids=lambda make: make.__name__)
+CASES = [(make, flags) for flags in ("libmvec", "libm") for make in SYSTEMS]
+CASES += [(make, "clang") for make in (pivoting, robot, timed)]
+
+
+@pytest.mark.parametrize("make, flags", CASES, indirect=["flags"],
+                         ids=lambda x: getattr(x, "__name__", x))  # fmt: skip
 def test_as_alone(make, flags):
     """1000 steps of all lanes, by each set of instructions: the bits of the steps of each member
     alone, but where sin is another one; and D is kept."""
