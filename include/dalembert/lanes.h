@@ -109,13 +109,13 @@ DAL_KERNEL_INLINE bool DAL_LANES(any)(dal_mask which)
 
 /* Functions of the math library, for lane after lane. */
 #define DAL_LANES_EACH(f) \
-    DAL_KERNEL_INLINE dal_vec DAL_LANES(f)(dal_vec x) \
+    DAL_KERNEL_APART dal_vec DAL_LANES(f)(dal_vec x) \
     { \
         for (int i = 0; i < DAL_LANES_VECTOR; i++) x[i] = f(x[i]); \
         return x; \
     }
 #define DAL_LANES_EACH_OF_TWO(f) \
-    DAL_KERNEL_INLINE dal_vec DAL_LANES(f)(dal_vec x, dal_vec y) \
+    DAL_KERNEL_APART dal_vec DAL_LANES(f)(dal_vec x, dal_vec y) \
     { \
         for (int i = 0; i < DAL_LANES_VECTOR; i++) x[i] = f(x[i], y[i]); \
         return x; \
@@ -487,7 +487,7 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(factor)(const DAL_LANES(traits) *o, DAL_LAN
 
 /* ---- iterate */
 
-/* r <- -mu w in these lanes; of them those whose residual is within half of its bound. */
+/* r <- -mu w; of these lanes those whose residual is within half of its bound. */
 DAL_KERNEL_INLINE dal_mask DAL_LANES(find_settled)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
                                                    DAL_LANES(arrays) *at, dal_mask which)
 {
@@ -500,7 +500,7 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(find_settled)(const DAL_LANES(traits) *o, D
     for (size_t a = 0; a < DAL_M; a++) {
         const dal_vec product = DAL_LANES(dot)(o->has.mu, at->mu, a, at->w);
         form[a] = DAL_LANES(form)(o, at->mu, a);
-        at->r[a] = DAL_LANES(choose)(which, -product, at->r[a]);
+        at->r[a] = -product;
         sum[a] = DAL_LANES(fabs)(product);
         rare[a] = which & ~(form[a] * seen > sum[a]);
         some |= rare[a];
@@ -570,7 +570,7 @@ DAL_KERNEL_INLINE void DAL_LANES(newton)(const DAL_LANES(traits) *o, DAL_LANES(a
         if (!DAL_KERNEL_HAS(o->has.pull, i)) continue;
         const dal_vec next = at->goal[i] + DAL_LANES(column)(o->has.Z, at->Z, i, at->kappa);
         at->step[i] = next - at->w[i];
-        at->w[i] = DAL_LANES_TAKE(all, at->open, next, at->w[i]);
+        at->w[i] = next; /* of a lane that is frozen the same again */
     }
     for (size_t i = 0; i < DAL_N; i++) at->stored[i] = at->node[i] + b * at->w[i];
 }
@@ -775,10 +775,12 @@ static void DAL_LANES(advance)(const dal_lanes_block *block, size_t steps)
         going[b] = state[b].going != 0.0;
     }
     for (size_t k = 0; k < steps; k++) {
+        dal_mask some = {0};
         for (size_t b = 0; b < TURNS; b++) {
-            began[b] = going[b];
+            some |= began[b] = going[b];
             if (block->stages > 1) saved[b] = state[b];
         }
+        if (!DAL_LANES(any)(some)) break;
         for (const dal_stage *s = block->stage; s < block->stage + block->stages; s++)
             for (size_t b = 0; b < TURNS; b++)
                 if (DAL_LANES(any)(going[b]))
