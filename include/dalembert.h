@@ -25,7 +25,8 @@
  *
  * This header has systems, schemes, steppers and runs; dalembert/deformation.h has systems made of
  * others, geometry.h the mechanics on D and the reference flow, discrete.h the discrete mechanics,
- * study.h what measures orders, family.h how to make steps of your own. */
+ * ensemble.h many runs at once, study.h what measures orders, family.h how to make steps of your
+ * own. */
 #ifndef DALEMBERT_H
 #define DALEMBERT_H
 
@@ -111,6 +112,10 @@ typedef int (*dal_lagrangian_fn)(double t, const double *q, const double *v, dou
  * f[n]; f_q[i*n+j] = df_i/dq_j; f_v[i*n+j] = df_i/dv_j. */
 typedef int (*dal_force_fn)(double t, const double *q, const double *v, const double *u, double *f,
                             double *f_q, double *f_v, void *ctx);
+
+/* mass[n*n] (or [n] of masses) and state[2n] <- those of the definition for the parameters at ctx.
+ * One that it does not have is NULL; one that does not depend on them may be left as it is. */
+typedef int (*dal_parameters_fn)(double *mass, double *state, const void *ctx);
 
 /* x[2n] <- the exact state at time t of the solution that starts in x0[2n] at time 0. */
 typedef int (*dal_exact_fn)(double t, const double *x0, double *x, void *ctx);
@@ -205,6 +210,8 @@ typedef struct dal_system_def {
                                        are then asked for, and 0 otherwise */
     int positional;                 /* 1: the force depends on t, q and u alone.  It enters steps
                                        as V_q does; they call it with NaN for v, and without f_v */
+    dal_parameters_fn parameters;   /* what else depends on ctx, for ensembles, which copy it; or
+                                       NULL: nothing does */
 } dal_system_def;
 
 typedef struct dal_system dal_system;
@@ -254,6 +261,9 @@ DAL_API int dal_system_is_time_dependent(const dal_system *system); /* as of the
 DAL_API size_t dal_system_parameters(const dal_system *system);
 DAL_API const char *dal_system_parameter_name(const dal_system *system, size_t i); /* or NULL */
 DAL_API double dal_system_parameter(const dal_system *system, size_t i);           /* or NaN */
+/* Bytes of what ensembles may give for each member instead: ctx, if it was copied; the values of
+ * the parameters, in their order, of a built-in system; else 0. */
+DAL_API size_t dal_system_parameter_size(const dal_system *system);
 
 /* x[2n] <- the default initial data.  DAL_EUNSUPPORTED if there are none. */
 DAL_API int dal_system_state(const dal_system *system, double *x);

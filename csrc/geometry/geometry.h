@@ -14,7 +14,8 @@ typedef struct dal__metric {
     double *unit, *per_unit;      /* [n] d_i and 1/d_i of residual.h */
     double *factor;               /* [n*n] of Cholesky; NULL for constant mass, as the next */
     double *formed_at;            /* [2n+1] (q, v) and t, */
-    bool formed;                  /* if there are any */
+    bool formed;                  /* if there are any, */
+    size_t age;                   /* of the system then */
 } dal__metric;
 
 /* phi and its derivatives at the node q, of the last dal__forms_at or dal__step_at, or where

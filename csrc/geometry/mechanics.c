@@ -115,6 +115,7 @@ static int factor_metric(dal_mechanics *mech, double t, const double *q, const d
     dal__copy(n, q, metric->formed_at);
     dal__copy(n, v, metric->formed_at + n);
     metric->formed_at[2 * n] = t;
+    metric->age = mech->eval.system->age;
     metric->formed = true;
     return DAL_SUCCESS;
 }
@@ -131,10 +132,12 @@ int dal__form_metric(dal_mechanics *mech, double t, const double *q, const doubl
 int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const double *v)
 {
     const size_t n = mech->n, calls = mech->eval.lagrangian_calls;
-    const double *const at = mech->metric.formed_at;
+    const dal__metric *const metric = &mech->metric;
+    const double *const at = metric->formed_at;
     if (mech->eval.constant_mass) return DAL_SUCCESS;
-    if (mech->metric.formed && memcmp(at, q, n * sizeof *q) == 0
-        && memcmp(at + n, v, n * sizeof *v) == 0 && at[2 * n] == t)
+    if (metric->formed && metric->age == mech->eval.system->age
+        && memcmp(at, q, n * sizeof *q) == 0 && memcmp(at + n, v, n * sizeof *v) == 0
+        && at[2 * n] == t)
         return DAL_SUCCESS;
     const int status = dal__form_metric(mech, t, q, v);
     mech->eval.lagrangian_calls = calls;

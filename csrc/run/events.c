@@ -92,6 +92,13 @@ void dal_events_free(dal_events *events)
     dal__release(&memory);
 }
 
+void dal__events_forget(dal_events *events)
+{
+    for (size_t i = 0; i < events->count; i++) events->guards[i] = (guard){0};
+    events->known = events->valued = false;
+    events->doubts = events->timed = events->step = 0;
+}
+
 size_t dal_events_doubts(const dal_events *events, size_t *event, double *t, double *g)
 {
     if (event) *event = events->doubt_event;

@@ -14,6 +14,8 @@
 int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made);
 /* The states at the times of a run that makes no steps. */
 void dal__events_no_steps(dal_run *run);
+/* As they were when they were made: for a new run. */
+void dal__events_forget(dal_events *events);
 /* DAL_EINVAL for what is wrong with the events and the times of a run. */
 int dal__events_check(const dal_run *run);
 

@@ -294,6 +294,18 @@ static int check_compiled(const dal_system *system, dal_error *error)
                      compiled->forced ? "with" : "without");
 }
 
+/* What the step routine does not find where the system has it. */
+static void take_mass(beta *self)
+{
+    const dal_system *const system = self->motion->system;
+    dal_kernel *const k = &self->kernel;
+    for (size_t i = 0; self->mass && i < k->n; i++) {
+        self->mass[i * (k->n + 1)] = system->mass[i];
+        self->mass_inverse[i * (k->n + 1)] = system->mass_inverse[i];
+    }
+    k->diagonal = system->diagonal;
+}
+
 static void bind_kernel(beta *self, dal_motion *motion)
 {
     const dal_system *const system = motion->system;
@@ -313,10 +325,6 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->balance_ctx = e;
     k->input = e->own_input;
     k->kind = system->def.kind;
-    for (size_t i = 0; self->mass && i < k->n; i++) {
-        self->mass[i * (k->n + 1)] = system->mass[i];
-        self->mass_inverse[i * (k->n + 1)] = system->mass_inverse[i];
-    }
     k->mass = self->mass ? self->mass : system->mass;
     k->mass_inverse = self->mass ? self->mass_inverse : system->mass_inverse;
     k->at.rows = has_rows(system) ? system->rows : NULL;
@@ -329,7 +337,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->at.mass_inverse = k->mass_inverse;
     k->at.unit = k->unit;
     k->at.per_unit = k->per_unit;
-    k->diagonal = system->diagonal;
+    take_mass(self);
     k->stage = self->stage;
     k->stages = plan_stages(system, self->substep, self->substeps, self->stage);
     k->kinds = plan_kinds(self->substep, self->stage, k->stages);
@@ -393,6 +401,7 @@ static void start(void *method, dal_motion *motion)
     beta *const self = method;
     self->kernel.t0 = motion->t0;
     self->kernel.h = motion->h;
+    take_mass(self);
     dal_kernel_forget(&self->kernel);
 }
 

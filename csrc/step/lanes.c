@@ -42,7 +42,7 @@ static const dal_lanes_routine *find_routine(const dal_system *system, size_t ve
 {
     const dal_compiled *const compiled = system->def.compiled;
     const dal_lanes_routine *routine = compiled ? compiled->lanes : NULL;
-    if (!routine || system->context < routine->parameters * sizeof(double)) return NULL;
+    if (!routine || system->ctx_size < routine->parameters * sizeof(double)) return NULL;
     while (routine->vector > 0 && !(runs(routine) && (vector == 0 || routine->vector == vector)))
         routine++;
     return routine->vector > 0 ? routine : NULL;

@@ -152,7 +152,7 @@ double dal__scheme_identify(const dal_system *system, const dal_scheme *scheme)
     hash = digest(hash, strlen(family) + 1, family);
     hash = digest(hash, strlen(name) + 1, name);
     hash = digest(hash, sizeof kinds, kinds);
-    hash = digest(hash, system->parameters * sizeof(double), system->parameter_values);
+    hash = digest(hash, system->parameters * sizeof(double), system->def.ctx);
     const size_t masses = !system->mass ? 0 : system->masses ? n : n * n;
     const dal_sparsity *const sparsity = system->def.sparsity;
     const size_t entries = sparsity ? sparsity->entries : 0;

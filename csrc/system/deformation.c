@@ -139,6 +139,7 @@ static int make(dal_system **system, const dal_system *base, deformation *self,
     def.compiled = NULL;
     def.sparsity = NULL;
     def.steady = 0;
+    def.parameters = NULL;
     return dal_system_new(system, &def, error);
 }
 

@@ -131,6 +131,9 @@ static int check_def(const dal_system_def *def, dal_error *error)
         return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
     if (def->ctx_size > 0 && !def->ctx)
         return dal__fail(error, DAL_EINVAL, "ctx_size = %zu and ctx is NULL", def->ctx_size);
+    if (def->parameters && def->ctx_size == 0)
+        return dal__fail(error, DAL_EINVAL, "parameters is not NULL, and ctx_size is 0: expected a "
+                         "ctx that is copied");
     if (def->positional != 0 && (def->positional != 1 || !def->force))
         return dal__fail(error, DAL_EINVAL, "positional = %d, and %s", def->positional,
                          def->force ? "expected is 0 or 1" : "force is NULL");
@@ -214,6 +217,7 @@ static void plan(arena *a, possessions *own, dal_system *shape, const dal_system
     take_texts(shape, own, def);
     dal__reserve(a, &own->self, 1, sizeof *own->self);
     DAL__RESERVE(a, square, &shape->mass, &shape->mass_inverse);
+    if (def->mass && def->parameters) DAL__RESERVE(a, square, &shape->factor);
     DAL__RESERVE(a, has_mass(def) ? n : 0, &shape->unit, &shape->per_unit);
     if (def->sparsity) plan_sparsity(a, own, shape, def);
     dal__reserve(a, &own->ctx, def->ctx_size, 1);
@@ -255,9 +259,10 @@ static int invert_mass(dal_system *system, dal_error *error)
     const size_t n = system->def.n;
     double *const inverse = system->mass_inverse, *factor;
     arena scratch = {0};
-    DAL__RESERVE(&scratch, n * n, &factor);
+    DAL__RESERVE(&scratch, system->factor ? 0 : n * n, &factor);
     int status = dal__allocate(&scratch, error);
     if (status) return status;
+    if (system->factor) factor = system->factor;
     size_t row = 0;
     double pivot = 0.0;
     memcpy(factor, system->mass, n * n * sizeof *factor);
@@ -293,11 +298,11 @@ static bool is_diagonal(const dal_system_def *def)
 }
 
 /* What follows from M: the text of a failure names where it is not positive definite. */
-static int bind_mass(dal_system *system, const dal_system_def *def, dal_error *error)
+static int bind_mass(dal_system *system, dal_error *error)
 {
-    const size_t n = def->n;
-    if (def->masses) dal__copy(n, def->masses, system->mass);
-    else dal__copy(n * n, def->mass, system->mass);
+    const size_t n = system->def.n;
+    dal__clear(system->masses ? n : n * n, system->mass_inverse);
+    system->diagonal = is_diagonal(&system->def);
     const int status =
         system->diagonal ? invert_diagonal_mass(system, error) : invert_mass(system, error);
     for (size_t i = 0; !status && i < n; i++) {
@@ -369,7 +374,7 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
 
     arena memory = {0};
     possessions own = {0};
-    dal_system shape = {.def = *def, .diagonal = is_diagonal(def), .masses = def->masses};
+    dal_system shape = {.def = *def, .masses = def->masses, .ctx_size = def->ctx_size};
     shape.lean = shape.masses && def->kind == DAL_LINEAR
               && (def->sparsity || !(def->potential || def->force));
     shape.curved = shape.lean && is_curved(def);
@@ -385,10 +390,11 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     self->def.masses = self->masses ? self->mass : NULL;
     if (def->state) self->def.state = memcpy(own.state, def->state, 2 * def->n * sizeof(double));
     if (def->ctx_size > 0) self->def.ctx = memcpy(own.ctx, def->ctx, def->ctx_size);
-    self->context = def->ctx_size;
     self->def.ctx_size = 0; /* whoever takes the definition over borrows the copy */
     take_texts(self, &own, def);
-    if (has_mass(def)) status = bind_mass(self, def, error);
+    if (def->mass) dal__copy(def->n * def->n, def->mass, self->mass);
+    if (def->masses) dal__copy(def->n, def->masses, self->mass);
+    if (has_mass(def)) status = bind_mass(self, error);
     if (def->sparsity) bind_sparsity(self, &own, def->sparsity);
     if (!status && self->colour) status = colour_columns(self, error);
     if (!status && self->lean && self->rows)
@@ -399,6 +405,42 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     }
     *system = self;
     return DAL_SUCCESS;
+}
+
+int dal__system_copy(dal_system **copy, const dal_system *system, dal_error *error)
+{
+    dal_system_def def = system->def;
+    def.ctx_size = system->ctx_size;
+    const int status = dal_system_new(copy, &def, error);
+    if (status) return status;
+    (*copy)->record = system->record;
+    (*copy)->parameters = system->parameters;
+    return DAL_SUCCESS;
+}
+
+int dal__system_change(dal_system *system, const void *parameters, dal_error *error)
+{
+    dal_system_def *const def = &system->def;
+    double *const state = (double *)def->state; /* which lies in the arena */
+    int status = system->record ? dal__builtin_check(system, parameters, error) : DAL_SUCCESS;
+    if (status) return status;
+    memcpy(def->ctx, parameters, dal_system_parameter_size(system));
+    system->age++;
+    const int returned = def->parameters(system->mass, state, def->ctx);
+    if (returned)
+        return dal__fail(error, dal__callback_status(returned), "the callback parameters returned "
+                         "%d", returned);
+    if (state && !dal__all_finite(2 * def->n, state))
+        return dal__fail(error, DAL_EINVAL, "state has an entry that is not finite");
+    if (!system->mass) return DAL_SUCCESS;
+    status = check_mass(def, error);
+    return status ? status : bind_mass(system, error);
+}
+
+size_t dal_system_parameter_size(const dal_system *system)
+{
+    if (system->record) return system->parameters * sizeof(double);
+    return system->def.parameters ? system->ctx_size : 0;
 }
 
 void dal_system_free(dal_system *system)
@@ -420,7 +462,6 @@ const dal_sparsity *dal_system_sparsity(const dal_system *system) { return syste
 dal_constraint_kind dal_system_kind(const dal_system *system) { return system->def.kind; }
 int dal_system_is_forced(const dal_system *system) { return system->def.force != NULL; }
 int dal_system_is_time_dependent(const dal_system *system) { return system->def.time_dependent; }
-size_t dal_system_parameters(const dal_system *system) { return system->parameters; }
 size_t dal_system_invariants(const dal_system *system) { return system->def.invariants; }
 
 const char *dal_system_coordinate(const dal_system *system, size_t i)
@@ -433,16 +474,6 @@ size_t dal_system_inputs(const dal_system *system) { return system->def.inputs; 
 const char *dal_system_input_name(const dal_system *system, size_t i)
 {
     return i < system->def.inputs ? system->def.input_names[i] : NULL;
-}
-
-const char *dal_system_parameter_name(const dal_system *system, size_t i)
-{
-    return i < system->parameters ? system->parameter[i].name : NULL;
-}
-
-double dal_system_parameter(const dal_system *system, size_t i)
-{
-    return i < system->parameters ? system->parameter_values[i] : (double)NAN;
 }
 
 const char *dal_system_invariant_name(const dal_system *system, size_t i)

@@ -30,10 +30,11 @@ struct dal_system {
     dal_rows *rows;          /* of the sparsity, or NULL */
     size_t *colour, colours; /* [n] and how many, if phi_q is missing too: see evaluator.c */
     dal__pattern *pattern;   /* of mu M^-1 mu^T for these rows, if lean */
-    size_t parameters;       /* of a built-in system */
-    const parameter *parameter;
-    const double *parameter_values; /* its ctx */
-    size_t context;          /* bytes of def.ctx, if it is our copy */
+    const struct builtin *record; /* of a built-in system, or NULL */
+    size_t parameters;       /* of it: so many doubles at the beginning of ctx */
+    size_t ctx_size;         /* of the copy */
+    double *factor;          /* [n*n] of a mass that depends on ctx, or NULL */
+    size_t age;              /* how often ctx was changed */
     arena arena;
 };
 
@@ -69,6 +70,15 @@ typedef struct evaluator {
 typedef struct dal__jet {
     double *L, *L_q, *L_v, *L_qq, *L_vq, *L_vv, *L_vt;
 } dal__jet;
+
+/* A system of its own with the same definition, whose ctx may be changed. */
+int dal__system_copy(dal_system **copy, const dal_system *system, dal_error *error);
+/* ctx of such a copy <- parameters[dal_system_parameter_size].  Steppers and what else was made of
+ * it know it from their next start.  On failure it is of no use until the next success.
+ * DAL_EINVAL, DAL_EDOMAIN, DAL_EUSER. */
+int dal__system_change(dal_system *system, const void *parameters, dal_error *error);
+/* DAL_EINVAL if values[parameters] are out of their ranges, or change n or m of the system. */
+int dal__builtin_check(const dal_system *system, const double *values, dal_error *error);
 
 /* y[n] <- M x, for constant mass. */
 void dal__apply_mass(const dal_system *system, const double *x, double *y);

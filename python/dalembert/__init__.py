@@ -27,6 +27,7 @@ from .core import (
     pointers,
 )
 from .discrete import DifferenceMap, Discrete, NodeRun, Regularity, exact_velocity
+from .ensembles import Design, Ensemble, StoreError, ensemble, grid, open_ensemble, sample
 from .geometry import Chart, Check, Difference
 from .run import (
     Event,
@@ -42,6 +43,7 @@ from .run import (
     resume,
     schemes,
 )
+from .show import ensembles as pictures
 from .show import pages, plot, report, table
 from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
 from .symbolic import coordinates
@@ -53,6 +55,7 @@ __all__ = [
     "Chart",
     "Check",
     "ConvergenceError",
+    "Design",
     "DalembertError",
     "DalembertWarning",
     "Difference",
@@ -60,6 +63,7 @@ __all__ = [
     "Discrete",
     "DomainError",
     "Embedding",
+    "Ensemble",
     "Event",
     "Fit",
     "JournalError",
@@ -73,6 +77,7 @@ __all__ = [
     "States",
     "Statistics",
     "Stepper",
+    "StoreError",
     "Studies",
     "Study",
     "System",
@@ -80,15 +85,19 @@ __all__ = [
     "convergence",
     "coordinates",
     "embedding",
+    "ensemble",
     "exact_velocity",
     "geometry",
+    "grid",
     "integrate",
     "load",
+    "open_ensemble",
     "pages",
     "plot",
     "reference",
     "report",
     "resume",
+    "sample",
     "schemes",
     "studies",
     "systems",
@@ -99,6 +108,7 @@ table.attach(Study, table.study_lines, table.of_study)
 table.attach(Studies, table.studies_lines, table.overview)
 Study.plot = Studies.plot = plot.convergence
 Embedding.plot = plot.embedded
+Ensemble.plot, Ensemble._repr_html_ = pictures.draw, pictures.page
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 

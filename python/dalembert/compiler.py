@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import functools
 import hashlib
 import importlib.resources
@@ -27,7 +28,7 @@ import tempfile
 import time
 import warnings
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -384,12 +385,37 @@ def _load_or_compile(
 ) -> Library:
     """Load a library from the cache, or make it and put it there."""
     path = folder() / f"{key}.so"
+    found = _load(path, key)
+    if found is not None:
+        return found
+    with _alone(path):  # of several processes that want the same one compiles
+        found = _load(path, key)
+        return _compile(compiler, key, program) if found is None else found
+
+
+def _load(path: Path, key: str) -> Library | None:
+    """Return a library of the cache; None if it is not there, or not to be trusted."""
     try:
         _require_private(path.parent)
-        if _is_sound(path, key):
-            return Library(path)
+        return Library(path) if _is_sound(path, key) else None
     except OSError:  # not there; or what others can write, or the loader refuses: made again
-        pass
+        return None
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Wait until no other process is here for the same file; at once where that cannot be seen."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            lock = stack.enter_context(open(path.with_suffix(".lock"), "w"))
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _compile(compiler: Compiler, key: str, program: Program) -> Library:
+    """Make a library, and put it into the cache."""
+    path = folder() / f"{key}.so"
     source, origin = program()
     content = compile_program(compiler, source, origin, lanes)
     try:

@@ -5,6 +5,7 @@
  * those of the C library for the whole process, GSL included; there they are counted. */
 #define _GNU_SOURCE /* RTLD_NEXT */
 #include "check.h"
+#include "dalembert/ensemble.h"
 #include "dalembert/study.h"
 #include "generic4.h"
 #include "oracle/multiroot.h"
@@ -166,7 +167,7 @@ static void test_counters(void)
 enum { MOST = 8, COUNT = 3 };
 
 /* What the makers are made from. */
-static dal_system *particle, *generic4;
+static dal_system *particle, *generic4, *sleigh;
 static dal_mechanics *mechanics;
 static dal_flow *reference;
 static double state[MOST];
@@ -174,7 +175,7 @@ static double state[MOST];
 typedef enum maker {
     SYSTEM, SYSTEM_DIAGONAL, SYSTEM_SPARSE, BUILTIN, DEFORMED, DEFORMED_NODES, MECHANICS, CHART,
     FLOW_RK8PD, FLOW_MSADAMS, FLOW_RODAS, FLOW_IN_XI, STEPPER, STEPPER_PAIR, STEPPER_FLOW, DISCRETE,
-    EMBEDDING, CHECK_SYSTEM, STUDY, STUDY_EXACT, EXACT, INVARIANT, VELOCITY, MAKERS
+    EMBEDDING, CHECK_SYSTEM, STUDY, STUDY_EXACT, EXACT, INVARIANT, VELOCITY, ENSEMBLE, MAKERS
 } maker;
 
 static const unsigned char untouched = 0x55;
@@ -250,6 +251,34 @@ static int make_sparse(outputs *out, dal_error *error)
     return dal_system_new(&out->system, &def, error);
 }
 
+static int beyond(double t, const double *x, double *g, void *ctx)
+{
+    *g = x[0] - 100.0;
+    return 0;
+}
+
+/* So many sleighs with parameters of their own, an event that does not happen, and all results. */
+static int make_ensemble(size_t count, const char *name, dal_error *error)
+{
+    enum { MEMBERS = 50, STEPS = 10 };
+    static double values[MEMBERS][3], states[MEMBERS][6], energy[MEMBERS], residual[MEMBERS];
+    static double multipliers[MEMBERS], reactions[MEMBERS];
+    static dal_stats stats[MEMBERS];
+    const double h = 0.01;
+    const size_t steps = STEPS;
+    const dal_event event = {.g = beyond};
+    dal_scheme scheme;
+    for (size_t k = 0; k < MEMBERS; k++)
+        for (size_t i = 0; i < 3; i++) values[k][i] = 1.0 + 0.01 * (double)(k + i);
+    const dal_members members = {
+        .count = MEMBERS, .parameters = values, .parameters_next = sizeof values[0], .h = &h,
+        .steps = &steps, .events = &event, .event_count = 1, .states = states[0],
+        .energy = energy, .residual = residual, .multipliers = multipliers,
+        .reactions = reactions, .stats = stats};
+    CHECK(dal_scheme_find(&scheme, name, NULL) == 0);
+    return dal_ensemble_run(sleigh, &scheme, NULL, &members, 0, count, NULL, NULL, error);
+}
+
 static int make(maker what, outputs *out, dal_error *error)
 {
     static const double diagonal[4] = {1.0, 0.0, 0.0, 2.0};
@@ -283,6 +312,7 @@ static int make(maker what, outputs *out, dal_error *error)
     case INVARIANT: return dal_system_invariant(particle, 0.0, state, out->x);
     case VELOCITY:
         return dal_exact_velocity(reference, 0.0, 0.1, state, state, out->x, NULL);
+    case ENSEMBLE: return make_ensemble(2, "midpoint", error);
     case MAKERS: break;
     }
     return DAL_EINVAL;
@@ -512,9 +542,22 @@ static void test_flow(dal_flow_method method)
     dal_flow_free(flow);
 }
 
+/* Memory is asked for once, however many members there are. */
+static void test_ensemble(const char *scheme)
+{
+    size_t calls[2];
+    for (size_t i = 0; i < 2; i++) {
+        const size_t before = process.calls;
+        CHECK(make_ensemble(i == 0 ? 1 : 50, scheme, NULL) == 0);
+        calls[i] = process.calls - before;
+    }
+    CHECK(calls[0] > 0 && calls[0] == calls[1]);
+}
+
 int main(void)
 {
     test_counters();
+    CHECK(dal_system_builtin(&sleigh, "sleigh", NULL, NULL, 0, NULL) == 0);
     CHECK(dal_system_builtin(&particle, "particle", NULL, NULL, 0, NULL) == 0);
     CHECK(generic4_new(&generic4, NULL) == 0);
     CHECK(dal_mechanics_new(&mechanics, generic4, NULL) == 0);
@@ -558,9 +601,14 @@ int main(void)
     test_discrete();
     test_chart();
     test_embedding();
+    test_ensemble("midpoint");
+    test_ensemble("leapfrog-kl6");
+    test_ensemble("pair:0.25:0.5");
+    test_ensemble("reference");
     for (dal_flow_method method = DAL_FLOW_RK8PD; method <= DAL_FLOW_RODAS; method++)
         test_flow(method);
 
+    dal_system_free(sleigh);
     dal_flow_free(reference);
     dal_mechanics_free(mechanics);
     dal_system_free(generic4);

@@ -98,12 +98,44 @@ static int set_parameter(const builtin *record, const char *name, double value, 
     return require_in_range(record, &record->parameters[i], value, error);
 }
 
-/* A system from its record and its parameters p[MAX_PARAMETERS]; dal_system_new copies what depends
- * on them. */
-static int make(dal_system **system, const builtin *record, double *p, dal_error *error)
+/* The ctx of a system, of which its callbacks know the parameters alone. */
+typedef struct context {
+    double p[MAX_PARAMETERS];
+    const builtin *record;
+} context;
+
+static void find_sizes(const builtin *record, const double *p, size_t *n, size_t *m)
 {
-    size_t n = count_names(record->coordinates), m = record->m;
-    if (record->sizes) record->sizes(p, &n, &m);
+    *n = count_names(record->coordinates);
+    *m = record->m;
+    if (record->sizes) record->sizes(p, n, m);
+}
+
+/* A dal_parameters_fn. */
+static int fill(double *mass, double *state, const void *ctx)
+{
+    const context *const of = ctx;
+    const builtin *const record = of->record;
+    size_t n, m;
+    find_sizes(record, of->p, &n, &m);
+    if (mass) dal__clear(n * n, mass);
+    if (state) dal__clear(2 * n, state);
+    if (state && record->state) record->state(of->p, state);
+    else if (state) set(state, 2 * n, record->start);
+    if (mass && record->mass) record->mass(of->p, mass);
+    for (size_t i = 0; mass && !record->mass && i < n; i++) {
+        const size_t number = i < MAX_COORDINATES ? record->diagonal[i] : 0;
+        mass[i * n + i] = number ? of->p[number - 1] : 1.0;
+    }
+    return 0;
+}
+
+/* A system from its record and its parameters; dal_system_new copies what depends on them. */
+static int make(dal_system **system, context *of, dal_error *error)
+{
+    const builtin *const record = of->record;
+    size_t n, m;
+    find_sizes(record, of->p, &n, &m);
     arena a = {0};
     double *mass, *state;
     const char **names;
@@ -115,13 +147,9 @@ static int make(dal_system **system, const builtin *record, double *p, dal_error
     int status = dal__allocate(&a, error);
     if (status) return status;
 
-    if (record->mass) record->mass(p, mass);
-    if (record->state) record->state(p, state);
-    else set(state, 2 * n, record->start);
+    fill(mass, state, of);
     for (size_t i = 0; i < n; i++) {
-        const size_t number = i < MAX_COORDINATES ? record->diagonal[i] : 0;
-        if (!record->mass) mass[i * n + i] = number ? p[number - 1] : 1.0;
-        if (record->coordinate) record->coordinate(p, i, text[i]);
+        if (record->coordinate) record->coordinate(of->p, i, text[i]);
         names[i] = record->coordinate ? text[i] : record->coordinates[i];
     }
     const dal_system_def def = {
@@ -130,18 +158,45 @@ static int make(dal_system **system, const builtin *record, double *p, dal_error
         .constraint = record->constraint, .kind = record->kind, .steady = record->steady,
         .name = record->name, .help = record->help, .description = record->description,
         .source = record->source, .formulas = record->formulas,
-        .coordinates = names, .state = state, .ctx = p, .ctx_size = MAX_PARAMETERS * sizeof *p,
-        .exact = record->exact,
+        .coordinates = names, .state = state, .ctx = of, .ctx_size = sizeof *of,
+        .parameters = fill, .exact = record->exact,
         .invariants = count_names(record->invariants),
         .invariant_names = record->invariants, .invariant = record->invariant,
     };
     status = dal_system_new(system, &def, error);
     dal__release(&a);
     if (status) return status;
+    (*system)->record = record;
     (*system)->parameters = count_parameters(record);
-    (*system)->parameter = record->parameters;
-    (*system)->parameter_values = (*system)->def.ctx;
     return DAL_SUCCESS;
+}
+
+int dal__builtin_check(const dal_system *system, const double *values, dal_error *error)
+{
+    const builtin *const record = system->record;
+    int status = DAL_SUCCESS;
+    for (size_t i = 0; !status && i < system->parameters; i++)
+        status = require_in_range(record, &record->parameters[i], values[i], error);
+    if (!status && record->check) status = record->check(values, error);
+    if (status) return status;
+    size_t n, m;
+    find_sizes(record, values, &n, &m);
+    if (n == system->def.n && m == system->def.m) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "these parameters of %s make a system of n = %zu "
+                     "coordinates and m = %zu constraints; expected n = %zu, m = %zu, as the "
+                     "system has", record->name, n, m, system->def.n, system->def.m);
+}
+
+size_t dal_system_parameters(const dal_system *system) { return system->parameters; }
+
+const char *dal_system_parameter_name(const dal_system *system, size_t i)
+{
+    return i < system->parameters ? system->record->parameters[i].name : NULL;
+}
+
+double dal_system_parameter(const dal_system *system, size_t i)
+{
+    return i < system->parameters ? ((const context *)system->def.ctx)->p[i] : (double)NAN;
 }
 
 int dal_system_builtin(dal_system **system, const char *name, const char *const *names,
@@ -157,13 +212,13 @@ int dal_system_builtin(dal_system **system, const char *name, const char *const 
         if (same_name(name, table[i]->name)) record = table[i];
     if (!record) return fail_unknown_system(name, error);
 
-    double p[MAX_PARAMETERS];
-    for (size_t i = 0; i < MAX_PARAMETERS; i++) p[i] = record->parameters[i].value;
+    context of = {.record = record};
+    for (size_t i = 0; i < MAX_PARAMETERS; i++) of.p[i] = record->parameters[i].value;
     for (size_t i = 0; i < count; i++) {
         if (!names[i]) return dal__fail(error, DAL_EINVAL, "names[%zu] is NULL", i);
-        status = set_parameter(record, names[i], values[i], p, error);
+        status = set_parameter(record, names[i], values[i], of.p, error);
         if (status) return status;
     }
-    if (record->check) status = record->check(p, error);
-    return status ? status : make(system, record, p, error);
+    if (record->check) status = record->check(of.p, error);
+    return status ? status : make(system, &of, error);
 }

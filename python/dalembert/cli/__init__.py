@@ -24,7 +24,7 @@ from ..run.scheme import schemes as named_schemes
 from ..show import pages, report, web
 from ..study.refinement import MOST_STEPS, studies
 from ..systems import catalogue
-from . import runs
+from . import ensembles, runs
 
 __all__ = ["main"]
 
@@ -116,9 +116,11 @@ def _parser() -> argparse.ArgumentParser:
         "not deliver what it promises.",
     )
     _add_study_options(study)
-    runs.add(
-        commands, _read("numbers and commas", _list_of(float)), _read("NAME=NUMBER", _parameter)
-    )
+    for module in (runs, ensembles):
+        module.add(
+            commands, _read("numbers and commas", _list_of(float)),
+            _read("NAME=NUMBER", _parameter),
+        )  # fmt: skip
     book = commands.add_parser(
         "catalogue",
         help="a page for each system, with its formulas and a run, and an index",

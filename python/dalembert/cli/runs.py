@@ -19,7 +19,7 @@ from ..run.scheme import INITIAL
 from ..run.storage import SUFFIXES
 from ..system import System
 
-_MODEL = "a name of `dalembert systems`; or FILE.py:NAME, a System or a function that returns one"
+MODEL = "a name of `dalembert systems`; or FILE.py:NAME, a System or a function that returns one"
 _OUTPUT = f"write the run to a file that ends in {', '.join(SUFFIXES)}"
 
 
@@ -29,7 +29,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
         "run", help="one run of a system, perhaps with a journal that survives anything",
         description="Integrate a system with a fixed step and print what came of it.",
     )  # fmt: skip
-    run.add_argument("model", metavar="MODEL", help=_MODEL)
+    run.add_argument("model", metavar="MODEL", help=MODEL)
     run.add_argument("--scheme", default="leapfrog", metavar="NAME",
                      help="a name of `dalembert schemes`, or beta (default: leapfrog)")
     run.add_argument("--q0", type=numbers, metavar="X,Y,...",
@@ -37,7 +37,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     run.add_argument("--v0", type=numbers, metavar="X,Y,...",
                      help="velocities at the start, in D (write --v0=-1,... for a minus)")
     run.add_argument("--h", type=float, required=True, metavar="H", help="the step")
-    _add_end(run, required=True)
+    add_end(run, required=True)
     run.add_argument("--t0", type=float, default=0.0, metavar="T", help="the time of the start")
     run.add_argument("--stride", type=int, default=1, metavar="K", help="store every K-th state")
     run.add_argument("--initial", choices=list(INITIAL), help="how kept nodes start")
@@ -48,7 +48,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
         description="Go on with a run from its journal, bit for bit as if it had not stopped.",
     )  # fmt: skip
     _add_file(goes_on)
-    _add_end(goes_on, required=False)
+    add_end(goes_on, required=False)
     for command in (run, goes_on):
         command.add_argument("--journal-errors", choices=list(ERRORS), default="warn",
                              help="when the journal cannot be written: go on, or stop")
@@ -69,7 +69,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
         command.set_defaults(run=function)
 
 
-def _add_end(command: Any, *, required: bool) -> None:
+def add_end(command: Any, *, required: bool) -> None:
     end = command.add_mutually_exclusive_group(required=required)
     end.add_argument("--t-end", type=float, metavar="T", help="the time of the end")
     end.add_argument("--steps", type=int, metavar="N", help="the number of steps")
@@ -77,7 +77,7 @@ def _add_end(command: Any, *, required: bool) -> None:
 
 def _add_model(command: Any) -> None:
     command.add_argument("model", metavar="MODEL", nargs="?",
-                         help=f"the system, if it does not come with the library: {_MODEL}")
+                         help=f"the system, if it does not come with the library: {MODEL}")
 
 
 def _add_file(command: Any) -> None:
@@ -119,7 +119,7 @@ def _system(given: argparse.Namespace) -> System | None:
     return None if given.model is None else model(given.model, values)
 
 
-def _progress() -> bool:
+def progress() -> bool:
     return sys.stderr.isatty() and extras.is_there("tqdm")
 
 
@@ -150,7 +150,7 @@ def _run(given: argparse.Namespace) -> int:
     return _finish(given, lambda: integrate(
         system, given.scheme, given.q0, given.v0, h=given.h, t_end=given.t_end,
         steps=given.steps, t0=given.t0, stride=given.stride, initial=given.initial,
-        journal=given.journal, journal_errors=given.journal_errors, progress=_progress(),
+        journal=given.journal, journal_errors=given.journal_errors, progress=progress(),
     ), given.journal)  # fmt: skip
 
 
@@ -158,7 +158,7 @@ def _resume(given: argparse.Namespace) -> int:
     system = _system(given)
     return _finish(given, lambda: resume(
         given.file, system, t_end=given.t_end, steps=given.steps,
-        journal_errors=given.journal_errors, progress=_progress(),
+        journal_errors=given.journal_errors, progress=progress(),
     ), given.file)  # fmt: skip
 
 

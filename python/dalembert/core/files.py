@@ -60,7 +60,7 @@ def write(path: str | Path, text: str) -> None:
             replace(target.resolve(), text.encode())
 
 
-def replace(target: Path, content: bytes, mode: int | None = None) -> None:
+def replace(target: Path, content: bytes | memoryview, mode: int | None = None) -> None:
     """Write a file under another name, with permissions if they are given, and rename it."""
     draft = target.with_name(f".{target.name[:64]}.{secrets.token_hex(8)}.new")
     try:
@@ -77,6 +77,11 @@ def replace(target: Path, content: bytes, mode: int | None = None) -> None:
         with contextlib.suppress(OSError):
             draft.unlink()
         raise
+
+
+def is_draft(path: Path) -> bool:
+    """Return whether a file is what `replace` was writing, or has left where it was killed."""
+    return path.name.startswith(".") and path.suffix == ".new"
 
 
 def _is_device(target: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -106,6 +107,22 @@ def _event(one: Any, name: str) -> Event:
 def _is_expression(g: Any) -> bool:
     """Return whether it is of SymPy, which need not be there."""
     return hasattr(g, "free_symbols")
+
+
+def compiled(system: System, one: Event, name: str = "event") -> tuple[Any, Any] | None:
+    """Return the address of an event, and what it needs to stay alive; None if Python makes it.
+
+    Its context is the parameters of the system.
+    """
+    if not _is_expression(one.g) or one.reset is not None:
+        return None
+    address, kept = _compile(system, one.g, name)
+    return None if address == ffi.NULL else (address, kept)
+
+
+@functools.lru_cache(maxsize=64)
+def _compile(system: System, g: Any, name: str) -> tuple[Any, Any]:
+    return event.function(system, g, name)[:2]
 
 
 class Watch:

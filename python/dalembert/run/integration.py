@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -168,7 +169,7 @@ def integrate(
     record = Scheme.of(scheme)
     t0 = arguments.number(t0, "t0")
     h = arguments.step_size(h, t0)
-    steps = _number_of_steps(t0, h, t_end, steps)
+    steps = number_of_steps(t0, h, t_end, steps)
     stride = arguments.integer(stride, "stride", 1)
     if steps % stride:
         raise ValueError(
@@ -179,7 +180,7 @@ def integrate(
     start = record._initial(initial)
     options = ffi.new("dal_options *")
     options.max_iterations = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
-    chosen = _with_method(record, method, tolerance)
+    chosen = with_method(record, method, tolerance)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     listed = take_events(events)
     times = None if t_eval is None else _times(t_eval, t0, h, steps)
@@ -278,7 +279,7 @@ def resume(
     arguments.function(observer, "observer", "step, t, q, v")
     t0, h, stride = float(info.t0), float(info.h), int(info.stride)
     if t_end is not None or steps is not None:
-        steps = _number_of_steps(t0, h, t_end, steps)
+        steps = number_of_steps(t0, h, t_end, steps)
     else:
         steps = int(info.steps)
     if steps % stride:
@@ -321,7 +322,7 @@ def _make(
 # ---- arguments -----------------------------------------------------------------------------
 
 
-def _with_method(record: Scheme, method: str, tolerance: float) -> Scheme:
+def with_method(record: Scheme, method: str, tolerance: float) -> Scheme:
     """Return a scheme; "reference" with this method and tolerance, unless it has its own."""
     plain, given = Scheme.find("reference"), (method, tolerance) != ("rk8pd", 1e-13)
     if not given and record.name != plain.name:
@@ -337,7 +338,7 @@ def _with_method(record: Scheme, method: str, tolerance: float) -> Scheme:
     return record
 
 
-def _number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None) -> int:
+def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None) -> int:
     """Return the number of steps; h is never changed to make it an integer."""
     if (t_end is None) == (steps is None):
         given = "none" if steps is None else "both"
@@ -367,7 +368,7 @@ def _number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None
 def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
     """Refuse a run whose arrays do not fit, before anything is allocated."""
     size = 8 * ((rows + 1) * (2 * system.n + 1) + rows * system.m)
-    memory = _available_memory() if size > 2**24 else sys.maxsize  # which takes a while to ask
+    memory = available_memory() if size > 2**24 else sys.maxsize  # which takes a while to ask
     if size > memory:
         raise MemoryError(
             f"steps = {steps} with stride = {stride} are {rows + 1} stored states, {size} bytes "
@@ -376,7 +377,7 @@ def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
         )
 
 
-def _available_memory() -> int:
+def available_memory() -> int:
     """Return the bytes that can be had without swapping, as far as the machine tells."""
     with contextlib.suppress(OSError, StopIteration, ValueError):
         with open("/proc/meminfo", encoding="ascii") as lines:
@@ -403,13 +404,36 @@ def _times(given: ArrayLike, t0: float, h: float, steps: int) -> Array:
     return times
 
 
+class _Quiet(threading.local):
+    """Where warnings of this thread go instead."""
+
+    warned: list[str] | None = None
+
+
+_quiet = _Quiet()
+
+
+@contextlib.contextmanager
+def quietly() -> Iterator[list[str]]:
+    """Give a list that gets what runs of this thread would have warned of."""
+    before, _quiet.warned = _quiet.warned, []
+    try:
+        yield _quiet.warned
+    finally:
+        _quiet.warned = before
+
+
 def _warn(solution: Solution, watch: Watch | None = None) -> None:
     """Warn where a run that went through is doubtful."""
-    for doubt in [*_doubts(solution), *(watch.doubts() if watch else ())]:
-        warnings.warn(doubt, DalembertWarning, stacklevel=4)
+    for doubt in [*doubts(solution), *(watch.doubts() if watch else ())]:
+        if _quiet.warned is None:
+            warnings.warn(doubt, DalembertWarning, stacklevel=4)
+        else:
+            _quiet.warned.append(doubt)
 
 
-def _doubts(solution: Solution) -> Iterator[str]:
+def doubts(solution: Any) -> Iterator[str]:
+    """Yield why a run that went through is doubtful, as far as its statistics tell."""
     system, stats, h = solution.system, solution.stats, solution.h
     bound = core.residual_bound(system.n)
     if stats.worst_residual > bound:

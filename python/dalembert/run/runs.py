@@ -16,6 +16,7 @@ from .scheme import Scheme
 from .events import Watch, split
 from .solution import Solution, Statistics
 
+OFF_D = "; consistent='project' would project v0"
 PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
 
 
@@ -37,7 +38,7 @@ def started_stepper(
     record, kept = scheme._record_of(system)
     stepper = core.make("stepper", system._handle, record, options, owner=(system._handle, kept))
     status = core.attempt(lib.dal_stepper_start, stepper, t0, h, x0, consistency, initial)
-    hint = "; consistent='project' would project v0" if status == lib.DAL_EOFFD else ""
+    hint = OFF_D if status == lib.DAL_EOFFD else ""
     core.verify(status, stepper, system.kind, hint=hint, step=0, t=t0)
     return stepper
 

@@ -120,7 +120,7 @@ def convergence(
         raise ValueError(f"quantity is {quantity!r}; expected one of {', '.join(QUANTITIES)}")
     name, key, loss, words = QUANTITIES[quantity]
     studies = _several(study, "study", Study)
-    ax = _axes(ax)
+    ax = axes_for(ax)
     from matplotlib.ticker import LogLocator, NullFormatter
 
     styles = _styles(studies, styles)
@@ -193,7 +193,7 @@ def drift(
     axes = np.asarray(ax, dtype=object).ravel()
     if len(axes) != 2:
         raise ValueError(f"ax has {len(axes)} axes; expected two, for D and for D_eps")
-    axes = np.array([_axes(axis) for axis in axes])
+    axes = np.array([axes_for(axis) for axis in axes])
     styles = _styles(solutions, styles)
     for run in solutions:
         style = _over_time(styles[run.scheme.name], min(len(run.t), STRETCHES))
@@ -250,7 +250,7 @@ def energy(
     >>> ax = dal.plot.energy(run)
     """
     solutions = _several(solution, "solution", Solution)
-    ax = _axes(ax)
+    ax = axes_for(ax)
     styles = _styles(solutions, styles)
     for run in solutions:
         scale = max(abs(run.energy[0]), 1.0)
@@ -303,7 +303,7 @@ def path(
         i = j = -1
     if not (0 <= i < n and 0 <= j < n):
         raise ValueError(f"coordinates is {coordinates!r}; expected two of 0 to {n - 1}")
-    ax = _axes(ax)
+    ax = axes_for(ax)
     first, second = solution.q[:, i], solution.q[:, j]
     ax.plot(first, second, color=COLOURS[0])
     ax.plot(first[:1], second[:1], color=COLOURS[1], marker="o", linestyle="none", label="start")
@@ -352,7 +352,7 @@ def perturbation(
     'time in units of the period, tau = t/h'
     """
     _require(embedding, "embedding", Embedding)
-    ax = _axes(ax)
+    ax = axes_for(ax)
     steps = [embedding.h / 2**k for k in range(3)] if hs is None else list(hs)
     if not steps:
         raise ValueError("hs is empty; expected at least one step")
@@ -480,7 +480,8 @@ def _legend(ax: Axes, title: str | None, entries: tuple[Any, Any] | None = None)
     return ax
 
 
-def _axes(ax: Axes | None) -> Axes:
+def axes_for(ax: Axes | None) -> Axes:
+    """Return axes for a picture: as given, or new ones."""
     if ax is None:
         ax = _subplots()
     _require(ax, "ax", extras.require("matplotlib.axes", "a picture").Axes)

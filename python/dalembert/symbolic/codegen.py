@@ -144,6 +144,8 @@ def program(
     made.lines += body.lines
     if compact:
         _sparsity(made, model)
+    if model.parameters:
+        _parameters(made, model)
     definition = _definition(model, fast, compact)
     if name is None:
         _for_the_package(made, model, definition)
@@ -523,6 +525,32 @@ def _sparsity(made: Program, model: Model) -> None:
     made.add(f"static const dal_sparsity model_sparsity = {{{count}, model_row, model_column}};\n")
 
 
+# What may be assumed of a parameter.
+_ASSUMED = {
+    "positive": "{p} > 0.0",
+    "negative": "{p} < 0.0",
+    "nonnegative": "{p} >= 0.0",
+    "nonpositive": "{p} <= 0.0",
+    "nonzero": "{p} != 0.0",
+    "integer": "{p} == floor({p})",
+}
+
+
+def _parameters(made: Program, model: Model) -> None:
+    """Write what mass and initial data are with other parameters."""
+    made.add(
+        "static int model_parameters(double *mass, double *state, const void *ctx)\n{\n"
+        "    const double *const p = ctx;\n    (void)mass, (void)state, (void)p;"
+    )
+    for k, words in enumerate(model.assumptions):
+        for word in words:
+            made.add(f"    if (!({_ASSUMED[word].format(p=f'p[{k}]')})) return 1;")
+    for name in ("mass", "state"):
+        if model.derived.function(name) is not None:
+            made.add(f"    if ({name}) model_{name}({name}, p);")
+    made.add("    return 0;\n}\n")
+
+
 def _definition(model: Model, fast: bool, compact: bool) -> list[str]:
     """Return the initializers of a dal_system_def that do not depend on parameters."""
     derived = model.derived
@@ -534,6 +562,8 @@ def _definition(model: Model, fast: bool, compact: bool) -> list[str]:
         found.append(f".inputs = {len(model.inputs)}")
     if model.is_time_dependent:
         found.append(".time_dependent = 1")
+    if model.parameters:
+        found.append(".parameters = model_parameters")
     if derived.is_positional:
         found.append(".positional = 1")
     if fast:

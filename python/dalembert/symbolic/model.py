@@ -492,7 +492,7 @@ class Model:
             (self.L,), self.constraints, self.force, self.state, self.exact, self.invariants
         ]  # fmt: skip
         texts = [None if part is None else [_structure(e) for e in part] for part in parts]
-        text = repr((self.n, len(self.parameters), len(self.inputs), texts))
+        text = repr((self.n, len(self.parameters), len(self.inputs), texts, self.assumptions))
         return hashlib.sha256(text.encode()).hexdigest()
 
     @functools.cached_property

@@ -1,0 +1,298 @@
+"""What an ensemble is asked for: its members, and what is kept of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core import Array, arguments
+from ..run.events import Event
+from ..run.scheme import Scheme
+from ..system import System
+from .design import Design
+
+# What every ensemble has.
+TAKEN = {"status", "done", "t_end", "doubtful", "ended_by", "happened", "messages", "failed",
+         "mark", "states"}  # fmt: skip
+
+# What C stores of each row besides states, and the numbers of each: 0 for one, else m.
+MEASURES = {"energy": 0, "residual": 0, "multipliers": 1}
+
+
+_TAILS = {"q0": 1, "v0": 1, "inputs": 2}  # how many axes a member has, of what has any
+
+
+# ---- what is given for members -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Given:
+    """Values for members: the last axes are those of one member, those before are broadcast."""
+
+    values: Array
+    tail: int = 0  # how many axes one member has
+
+    @property
+    def leading(self) -> tuple[int, ...]:
+        """The shape of what is broadcast."""
+        return self.values.shape[: self.values.ndim - self.tail]
+
+    @property
+    def varies(self) -> bool:
+        """Whether members may have different values."""
+        return math.prod(self.leading) > 1
+
+    def rows(self, shape: tuple[int, ...], begin: int, end: int) -> Array:
+        """Return the values of the members begin .. end - 1 of an ensemble of this shape.
+
+        One row stands for all members where they have the same.
+        """
+        leading, tail = self.leading, self.values.shape[len(self.leading) :]
+        if not self.varies:
+            return self.values.reshape(1, *tail)
+        if leading == shape:
+            return np.ascontiguousarray(self.values.reshape(-1, *tail)[begin:end])
+        places = np.unravel_index(np.arange(begin, end), shape)[len(shape) - len(leading) :]
+        index = tuple(k if size > 1 else 0 * k for k, size in zip(places, leading))
+        return np.ascontiguousarray(self.values[index])
+
+
+def _given(value: ArrayLike, name: str, *tail: int | None) -> Given:
+    """Return values whose last axes are these; None for any length."""
+    shape = np.shape(value) if arguments.shape(value) == np.shape(value) else None
+    if shape is None or len(shape) < len(tail):
+        arguments.array(value, name, tuple(tail))
+    found = arguments.array(value, name, (*[None] * (len(shape) - len(tail)), *tail))
+    if found.size == 0:
+        raise ValueError(f"{name}: expected at least one member, got shape {found.shape}")
+    return Given(found, len(tail))
+
+
+# ---- what is kept ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What is kept of each member.
+
+    Attributes
+    ----------
+    at_end : bool
+        Its last state alone; else a row for each stride steps.
+    states : bool
+        Its states.
+    measures : tuple of str
+        "energy", "residual", "multipliers", "reactions".
+    columns : mapping of str to int
+        Coordinates and velocities by name, and which number of a state they are.
+    reduce : callable or None
+        A function of its `Solution`, instead of all that.
+    """
+
+    at_end: bool
+    states: bool = False
+    measures: tuple[str, ...] = ()
+    columns: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    reduce: Callable[[Any], Any] | None = None
+
+    @classmethod
+    def of(cls, keep: Any, system: System) -> Kept:
+        """Return what the argument ``keep`` asks for."""
+        if callable(keep):
+            arguments.function(keep, "keep", "run")
+            return cls(at_end=False, reduce=keep)
+        names = [keep] if isinstance(keep, str) else keep
+        names = arguments.names(names, "keep", "'end', 'all', names, or a function of a Solution")
+        if not names:
+            raise ValueError("keep = []: expected at least one name")
+        velocities = [f"v_{name}" for name in system.coordinates]
+        places = {name: k for k, name in enumerate((*system.coordinates, *velocities))}
+        measures = (*MEASURES, "reactions")
+        known = dict.fromkeys(("end", "all", "q", "v", *measures, *places), 0)
+        for name in names:
+            arguments.choice(name, "keep", known)
+        if {"end", "all"} <= {*names}:
+            raise ValueError("keep: 'end' and 'all' are both in it, expected one of them")
+        plain = {"end", "all", "q", "v", *measures}
+        columns = {name: places[name] for name in names if name in places and name not in plain}
+        for name in columns:
+            if name in TAKEN:
+                raise ValueError(f"keep: {name!r} is something else too; keep 'q' and 'v' instead")
+        chosen = tuple(name for name in measures if name in names)
+        whole = bool({"all", "q", "v"} & {*names}) or not (columns or chosen)
+        return cls("end" in names, whole, chosen, columns)
+
+
+# ---- all of it ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all members have in common."""
+
+    system: System
+    scheme: Scheme
+    t0: float
+    stride: int  # 0: the end alone
+    kept: Kept
+    consistent: str
+    initial: str | None
+    max_iterations: int
+    hold: int
+    events: tuple[Event, ...]
+    control: Callable[..., Any] | None  # inputs that are a function
+
+
+@dataclass(frozen=True)
+class Ask:
+    """An ensemble before it is made.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Of what was broadcast; the members are numbered in C order.
+    axes : tuple of str
+        Names of its axes.
+    ticks : dict of ndarray
+        Values along axes, by their names, where they have any.
+    """
+
+    setting: Setting
+    shape: tuple[int, ...]
+    axes: tuple[str, ...]
+    ticks: dict[str, Array]
+    q0: Given | None
+    v0: Given | None
+    parameters: dict[str, Given]
+    h: Given
+    steps: Given
+    inputs: Given | None
+    lacks: tuple[str, ...] = ()  # functions of it that a store does not keep
+
+    def arrays(self) -> dict[str, Array]:
+        """Return what was given for members, by names from which `of_arrays` knows it."""
+        found = {name: getattr(self, name) for name in (*_TAILS, "h", "steps")}
+        found |= {f"parameters.{name}": x for name, x in self.parameters.items()}
+        return {name: x.values for name, x in found.items() if x is not None}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, Array], **more: Any) -> Ask:
+        """Return an ask from what `arrays` has returned, and all else."""
+        given = {name: Given(x, _TAILS.get(name, 0)) for name, x in arrays.items()}
+        parameters = {
+            name.removeprefix("parameters."): x
+            for name, x in given.items() if name.startswith("parameters.")
+        }  # fmt: skip
+        plain = {name: given.get(name) for name in (*_TAILS, "h", "steps")}
+        return cls(parameters=parameters, **plain, **more)
+
+    @property
+    def count(self) -> int:
+        """The number of members."""
+        return math.prod(self.shape)
+
+    @property
+    def rows(self) -> int:
+        """The number of rows that are kept of each member."""
+        stride = self.setting.stride
+        return 1 if stride == 0 else int(self.steps.values.flat[0]) // stride + 1
+
+    def block(self, begin: int, end: int) -> dict[str, Array]:
+        """Return what is given for the members begin .. end - 1: one row where all have the same.
+
+        "x" and "parameters" are not there where they are those of the system.
+        """
+        setting, shape, count = self.setting, self.shape, end - begin
+        found = {"h": self.h.rows(shape, begin, end), "steps": self.steps.rows(shape, begin, end)}
+        if self.q0 is not None and self.v0 is not None:
+            halves = [x.rows(shape, begin, end) for x in (self.q0, self.v0)]
+            rows = max(map(len, halves))
+            wide = [np.broadcast_to(x, (rows, x.shape[1])) for x in halves]
+            found["x"] = np.concatenate(wide, axis=1)
+        if self.parameters:
+            values = {name: x.rows(shape, begin, end) for name, x in self.parameters.items()}
+            table = np.empty((count, len(setting.system.parameters)))
+            table[:] = list(setting.system.parameters.values())
+            for k, name in enumerate(setting.system.parameters):
+                if name in values:
+                    table[:, k] = values[name]
+            found["parameters"] = table
+        if self.inputs is not None:
+            found["inputs"] = self.inputs.rows(shape, begin, end)
+        return found
+
+
+def members_shape(given: Mapping[str, Given | None]) -> tuple[int, ...]:
+    """Return what the leading axes are broadcast to; ValueError if they do not go together."""
+    leading = {name: x.leading for name, x in given.items() if x is not None and x.leading}
+    try:
+        return np.broadcast_shapes(*leading.values())
+    except ValueError:
+        shown = ", ".join(f"{name}: {shape}" for name, shape in leading.items())
+        raise ValueError(f"members: the leading axes do not broadcast together: {shown}") from None
+
+
+def read_members(
+    system: System,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    parameters: Mapping[str, ArrayLike] | None,
+    inputs: Any,
+    holds: int,
+) -> dict[str, Any]:
+    """Return what was given for members, each as `Given`, or None."""
+    n = system.n
+    arguments.pair(q0, v0, ("q0", "v0"), " for those of the system")
+    if q0 is None and system.q0 is None:
+        raise ValueError(f"q0: needed, the system {system.name!r} has no initial data")
+    found: dict[str, Any] = {
+        name: None if x is None else _given(x, name, n) for name, x in (("q0", q0), ("v0", v0))
+    }
+    values = parameters if isinstance(parameters, Design) else arguments.mapping(
+        parameters, "parameters"
+    )
+    found["parameters"] = {
+        name: _given(values.compact(name) if isinstance(values, Design) else values[name],
+                     f"parameters[{name!r}]")
+        for name in values
+    }
+    found["inputs"] = None
+    if inputs is not None and not callable(inputs):
+        found["inputs"] = _inputs(inputs, system, holds)
+    return found
+
+
+def _inputs(inputs: Any, system: System, holds: int) -> Given:
+    """Return rows of inputs: those of all members, or with axes in front for each."""
+    if isinstance(inputs, Mapping) or np.ndim(inputs) <= 2:
+        return Given(arguments.inputs(inputs, system.inputs, holds), 2)
+    if not system.inputs:
+        raise ValueError("inputs: the system takes no inputs")
+    return _given(inputs, "inputs", holds, len(system.inputs))
+
+
+def axes_of(
+    shape: tuple[int, ...], given: Any, parameters: Any
+) -> tuple[tuple[str, ...], dict[str, Array]]:
+    """Return names of the axes, and values along them: as given, or those of a grid."""
+    if given is None and isinstance(parameters, Design) and parameters.shape == shape:
+        ticks = {x: parameters.compact(x).reshape(-1) for x in parameters.axes if x in parameters}
+        return parameters.axes, ticks
+    if given is None:
+        names = ["member"] if len(shape) == 1 else [f"axis_{k}" for k in range(len(shape))]
+        return tuple(names), {}
+    names = arguments.names(given, "axes", "names of the axes of the members")
+    if len(names) != len(shape) or len({*names}) != len(names):
+        raise ValueError(f"axes = {names!r}: expected {len(shape)} names, for members {shape}")
+    if not isinstance(given, Mapping):
+        return tuple(names), {}
+    return tuple(names), {
+        name: arguments.array(given[name], f"axes[{name!r}]", (size,))
+        for name, size in zip(names, shape)
+    }

@@ -1,0 +1,147 @@
+"""Designs: which values the parameters, or whatever has a name, take in an ensemble."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core import Array, arguments, extras
+
+_METHODS = {"sobol": "Sobol", "halton": "Halton", "lhs": "LatinHypercube"}
+
+
+class Design(Mapping[str, Array]):
+    """Values by name, arrays of one shape, as the ``parameters`` of `dalembert.ensemble`.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Of each of them; an ensemble has its product of members.
+    axes : tuple of str
+        What the axes are called: the names of a grid, or "member".
+    """
+
+    def __init__(self, values: Mapping[str, Array], axes: tuple[str, ...]) -> None:
+        self._values = dict(values)  # an axis along which one does not change has length 1
+        self.axes = axes
+        self.shape = np.broadcast_shapes(*(x.shape for x in self._values.values()))
+
+    def __getitem__(self, name: str) -> Array:
+        return np.broadcast_to(self._values[name], self.shape)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def compact(self, name: str) -> Array:
+        """Return values of a name with axes of length 1 where they do not change."""
+        return self._values[name]
+
+    def __repr__(self) -> str:
+        parts = [f"{name}: {x.min():g} .. {x.max():g}" for name, x in self._values.items()]
+        return f"<Design of shape {self.shape}; {', '.join(parts)}>"
+
+
+def grid(**values: ArrayLike) -> Design:
+    """Return all combinations of values.
+
+    Parameters
+    ----------
+    **values : array_like, shape (N,)
+        The values of each name.
+
+    Returns
+    -------
+    Design
+        A mapping from names to arrays with an axis for each name, in their order.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or they are not finite numbers in one row.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> design = dal.grid(a=[0.1, 0.2, 0.3], J=[1, 2])
+    >>> design.shape
+    (3, 2)
+    >>> design["J"]
+    array([[1., 2.],
+           [1., 2.],
+           [1., 2.]])
+    """
+    if not values:
+        raise ValueError("grid(): expected names with values, as grid(a=[0.1, 0.2])")
+    rows = {name: arguments.array(given, name, (None,)) for name, given in values.items()}
+    for name, row in rows.items():
+        if len(row) == 0:
+            raise ValueError(f"{name}: expected at least one value")
+    count = len(rows)
+    found = {
+        name: row.reshape([-1 if k == axis else 1 for k in range(count)])
+        for axis, (name, row) in enumerate(rows.items())
+    }
+    return Design(found, tuple(rows))
+
+
+def sample(count: int, *, seed: int = 0, method: str = "sobol", **ranges: Any) -> Design:
+    """Return values that fill ranges evenly, by a quasi-random sequence of ``scipy.stats.qmc``.
+
+    Parameters
+    ----------
+    count : int
+        How many; a power of 2 is best for "sobol".
+    seed : int, optional
+        The same seed gives the same values.
+    method : {"sobol", "halton", "lhs"}, optional
+        The sequence, scrambled; "lhs" is Latin hypercube sampling.
+    **ranges : pair of float, or distribution
+        For each name the least and the largest value, or a distribution of ``scipy.stats``, as
+        ``norm(1, 0.1)``.
+
+    Returns
+    -------
+    Design
+        A mapping from names to arrays of shape (count,).
+
+    Raises
+    ------
+    ValueError
+        If a range is not one.
+    ImportError
+        If SciPy is not installed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> design = dal.sample(8, seed=1, a=(0.1, 0.2), J=(1, 3))
+    >>> design.shape, bool((design["J"] >= 1).all() and (design["J"] <= 3).all())
+    ((8,), True)
+    """
+    count = arguments.integer(count, "count", 1)
+    arguments.choice(method, "method", dict.fromkeys(_METHODS, 0))
+    if not ranges:
+        raise ValueError("sample(): expected names with ranges, as sample(100, a=(0.1, 0.2))")
+    qmc = extras.require("scipy.stats.qmc", "sample")
+    sequence = getattr(qmc, _METHODS[method])(len(ranges), seed=arguments.integer(seed, "seed", 0))
+    power = (count - 1).bit_length()
+    # of Sobol's points all powers of 2 are balanced, and others would be warned of
+    points = sequence.random(1 << power if method == "sobol" else count)[:count]
+    found = {}
+    for name, column in zip(ranges, points.T):
+        given = ranges[name]
+        if hasattr(given, "ppf"):
+            values = np.asarray(given.ppf(column), dtype=float)
+        else:
+            low, high = arguments.array(given, name, (2,))
+            if low > high:
+                raise ValueError(f"{name} = {arguments.shown(given)}: expected (least, largest)")
+            values = low + (high - low) * column
+        found[name] = arguments.array(values, name, (count,))
+    return Design(found, ("member",))

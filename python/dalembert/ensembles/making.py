@@ -1,0 +1,420 @@
+"""An ensemble from its arguments, and from its store."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import time
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import core
+from ..core import Array, DalembertWarning, arguments, extras, lib, require_system
+from ..core.extras import Progress
+from ..run.events import CONSISTENCY
+from ..run.events import take as take_events
+from ..run.integration import available_memory, number_of_steps, with_method
+from ..run.journal import of_system, require_same
+from ..run.runs import started_stepper
+from ..run.scheme import Scheme
+from ..system import System, require_parameters
+from . import pool, work
+from . import store as stores
+from .ask import Ask, Given, Kept, Setting, axes_of, members_shape, read_members
+from .result import Ensemble, Memory, Stored
+
+_THREAD_SECONDS = 0.2  # of a block that a thread makes: short, for balance and Ctrl-C
+_TASK_SECONDS = 2.0  # of one that is sent elsewhere, or written to a store
+_MOST_BYTES, _MOST = 2**26, 100_000  # of a block, members
+_MOST_BLOCKS = 100_000  # what schedulers and file systems bear
+
+
+def ensemble(
+    system: System,
+    scheme: Scheme | str | float = "leapfrog",
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    parameters: Mapping[str, ArrayLike] | None = None,
+    *,
+    h: ArrayLike,
+    t_end: float | None = None,
+    steps: int | None = None,
+    t0: float = 0.0,
+    stride: int | None = None,
+    keep: Any = "end",
+    inputs: Any = None,
+    hold: int = 1,
+    events: Any = (),
+    consistent: str = "check",
+    initial: str | None = None,
+    max_iterations: int = 50,
+    method: str = "rk8pd",
+    tolerance: float = 1e-13,
+    axes: Any = None,
+    executor: Any = None,
+    threads: int | None = None,
+    store: str | os.PathLike[str] | None = None,
+    block: int | None = None,
+    progress: Progress = True,
+) -> Ensemble:
+    """Integrate many runs of a system: other initial data, parameters, step sizes.
+
+    Each member has the bits that `integrate` gives it by itself, whoever makes it and in whatever
+    order.  What fails is one entry.
+
+    Parameters
+    ----------
+    system : System
+    scheme : Scheme, str or float, optional
+    q0, v0 : array_like, shape (..., n), optional
+        Initial data, both; neither: those of the system with the parameters of each member.  The
+        axes in front are those of the members, and are broadcast, as all that is given for them.
+    parameters : mapping of str to array_like, shape (...), or Design, optional
+        Values of parameters; see `grid` and `sample`.  Others are those of the system.
+    h : array_like, shape (...)
+        Step size.
+    t_end, steps, t0 : float, int, float, optional
+        As of `integrate`; the same for all.
+    stride : int, optional
+        From row to row of what is kept; default 1.  The end alone has none.
+    keep : str, sequence of str or callable, optional
+        "end": the last state, as ``q`` and ``v``.  "all": every stride-th state.  Names: of
+        coordinates ("theta") and velocities ("v_theta"), "energy", "residual", "multipliers",
+        "reactions", every stride steps, or at the end if "end" is among them.  A function of a
+        `Solution` that returns a number, an array, or a mapping from names to such: that is kept
+        instead.
+    inputs : array_like, mapping or callable, optional
+        Of the force, as of `integrate`; or with axes in front, shape (..., holds, k).
+    hold, events, consistent, initial, max_iterations, method, tolerance : optional
+        As of `integrate`.  Events that are expressions, without a reset, are looked for in C.
+    axes : sequence of str, or mapping of str to array_like, optional
+        Names of the axes of the members, and values along them, for pictures and xarray.  Default:
+        those of a `grid`.
+    executor : concurrent.futures.Executor, or function that returns one, optional
+        Who makes the members, in blocks of some seconds: a ``ProcessPoolExecutor``, dask's
+        ``client.get_executor(pure=False)``, ...  Default: threads of this process.
+    threads : int, optional
+        How many; default: one for each processor.
+    store : str or path, optional
+        A directory that gets the results, a file for each block.  Called again with the same
+        arguments, what is there is not made again, whatever ended the process.
+    block : int, optional
+        Members of a block; default: as many as some seconds take.
+    progress : bool or callable, optional
+        As of `integrate`, with numbers of members; the bar is shown where tqdm is installed.
+
+    Returns
+    -------
+    Ensemble
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range; the text names it.  What is wrong with one member, as
+        initial data that are not in D, is its entry.
+    StoreError
+        If a file of the store is damaged, or of another ensemble.
+    KeyboardInterrupt
+        With ``.partial``, what was made before Ctrl-C.
+
+    Warns
+    -----
+    DalembertWarning
+        If members are doubtful, for a reason that `integrate` would warn of.
+
+    Notes
+    -----
+    A block is made in C, without the interpreter's lock, unless functions of Python are called: in
+    the system, as events or controllers, or to reduce runs.  Then its members are made one by one.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> many = dal.ensemble(dal.systems.sleigh(), parameters=dal.grid(a=[0.1, 0.2], J=[1, 2, 3]),
+    ...                     h=0.01, t_end=1, progress=False)
+    >>> many.q.shape, many.shape
+    ((6, 3), (2, 3))
+    >>> bool((many.member(4).q[-1] == many.q[4]).all())
+    True
+    """
+    ask = _ask(**{name: value for name, value in locals().items() if name not in _HOW})
+    if executor is not None and threads is not None:
+        raise ValueError(f"threads = {threads} with an executor: expected one of the two")
+    path, count = None if store is None else os.fspath(store), pool.threads_of(threads)
+    pieces = pool.Blocks(ask, _size(ask, block, path is not None or executor is not None))
+    data: Memory | Stored
+    if path is None:
+        _require_memory(ask)
+        data = Memory(ask.count, pieces.size)
+    else:
+        about = _about(ask, pieces.size)
+        pieces.size = stores.create(path, about, ask.arrays())["block"]
+        data = Stored(path, about["mark"], ask, pieces.size)
+    left = [k for k in range(len(pieces)) if not data.has(k)]
+    before = ask.count - sum(end - begin for begin, end in map(pieces.range, left))
+    try:
+        bar = progress is not True or extras.is_there("tqdm")
+        with extras.progress(progress if bar else False, ask.count, "member") as show:
+            def tell(done: float) -> None:
+                show(min(before + int(done), ask.count))
+
+            if executor is None:
+                pool.by_threads(pieces, left, data, tell, count)
+            else:
+                pool.by_executor(executor, pieces, left, data, tell)
+            show(ask.count)
+    except BaseException as error:
+        with contextlib.suppress(AttributeError, TypeError):
+            error.partial = Ensemble(ask, data)  # type: ignore[attr-defined]
+        raise
+    found = Ensemble(ask, data)
+    _warn(found)
+    return found
+
+
+_HOW = ("executor", "threads", "store", "block", "progress")
+
+
+def open_ensemble(path: str | os.PathLike[str], system: System | None = None) -> Ensemble:
+    """Return the ensemble in a store, finished or not, as far as its members are there.
+
+    Nothing of it is read before it is asked for.
+
+    Parameters
+    ----------
+    path : str or path
+        The directory.
+    system : System, optional
+        Its system; not needed for one that comes with the library.
+
+    Raises
+    ------
+    ValueError
+        If there is no store, or it is of another version or system.
+    StoreError
+        If a file is damaged, or not of this ensemble.
+    """
+    path = os.fspath(path)
+    about = stores.read_about(path)
+    ask = _ask_of(about, stores.read_members(path), require_same(system, about["system"], path))
+    return Ensemble(ask, Stored(path, about["mark"], ask, about["block"]))
+
+
+# ---- arguments -----------------------------------------------------------------------------------
+
+
+def _ask(
+    system: System, scheme: Any, q0: Any, v0: Any, parameters: Any, h: Any, t_end: Any, steps: Any,
+    t0: Any, stride: Any, keep: Any, inputs: Any, hold: Any, events: Any, consistent: Any,
+    initial: Any, max_iterations: Any, method: Any, tolerance: Any, axes: Any,
+) -> Ask:  # fmt: skip
+    """Return what is asked for, or raise ValueError."""
+    require_system(system)
+    record = Scheme.of(scheme)
+    t0 = arguments.number(t0, "t0")
+    kept = Kept.of(keep, system)
+    sizes = arguments.array(h, "h", *[(None,) * k for k in range(33)])
+    many = np.unique(sizes)
+    if sizes.size == 0:
+        raise ValueError("h: expected at least one step size")
+    counts = [number_of_steps(t0, arguments.step_size(x, t0), t_end, steps) for x in many.tolist()]
+    number = np.array(counts)[np.searchsorted(many, sizes)]
+    stride = _stride(stride, kept, counts)
+    hold = arguments.integer(hold, "hold", 1)
+    if hold > 1 and inputs is None:
+        raise ValueError(f"hold = {hold} without inputs")
+    if inputs is not None and not callable(inputs) and len(set(counts)) > 1:
+        raise ValueError("inputs: step sizes differ, and so do the numbers of steps; expected a "
+                         "function, or one number of steps")
+    if callable(inputs):
+        arguments.function(inputs, "inputs", "t, q, v")
+        if not system.inputs:
+            raise ValueError("inputs: the system takes no inputs")
+    given = read_members(system, q0, v0, parameters, inputs, -(-counts[0] // hold))
+    require_parameters(system.name, given["parameters"], system.parameters)
+    all_given = {**{k: x for k, x in given.items() if k != "parameters"}, "h": Given(sizes),
+                 **{f"parameters[{k!r}]": x for k, x in given["parameters"].items()}}
+    shape = members_shape(all_given)
+    arguments.choice(consistent, "consistent", CONSISTENCY)
+    record._initial(initial)
+    setting = Setting(
+        system=system, scheme=with_method(record, method, tolerance), t0=t0, stride=stride,
+        kept=kept, consistent=consistent, initial=initial,
+        max_iterations=arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1),
+        hold=hold, events=tuple(take_events(events)),
+        control=inputs if callable(inputs) else None,
+    )  # fmt: skip
+    shape = shape or (1,)
+    names, ticks = axes_of(shape, axes, parameters)
+    return Ask(
+        setting=setting, shape=shape, axes=names, ticks=ticks, h=Given(sizes), steps=Given(number),
+        **given,
+    )  # fmt: skip
+
+
+def _stride(stride: Any, kept: Kept, counts: list[int]) -> int:
+    """Return the stride, 0 for the end alone."""
+    if kept.at_end:
+        if stride is not None:
+            raise ValueError(f"stride = {stride}: the end alone is kept, which has none")
+        return 0
+    found = 1 if stride is None else arguments.integer(stride, "stride", 1)
+    if kept.reduce is None and len(set(counts)) > 1:
+        raise ValueError(
+            "keep: step sizes differ, and so do the numbers of steps and of rows; expected 'end' "
+            "with it, or a function of a Solution"
+        )
+    for count in counts:
+        if count % found:
+            raise ValueError(
+                f"steps = {count}: expected a multiple of stride = {found}, "
+                f"{count - count % found} or {count - count % found + found}"
+            )
+    return found
+
+
+# ---- blocks --------------------------------------------------------------------------------------
+
+
+def _bytes_of_member(ask: Ask) -> int:
+    """Return about how many bytes the results of a member take."""
+    parts = work.layout(ask.setting, ask.rows).values()
+    return sum(math.prod(shape) * np.dtype(kind).itemsize for shape, kind, _ in parts)
+
+
+def _size(ask: Ask, block: int | None, is_sent: bool) -> int:
+    """Return the number of members of a block."""
+    if block is not None:
+        return arguments.integer(block, "block", 1)
+    seconds = _TASK_SECONDS if is_sent else _THREAD_SECONDS
+    wanted = min(seconds / _seconds_of_member(ask), _MOST_BYTES / _bytes_of_member(ask), _MOST)
+    least = -(-ask.count // _MOST_BLOCKS) if is_sent else 1
+    return max(least, min(int(wanted), ask.count))
+
+
+def _seconds_of_member(ask: Ask) -> float:
+    """Return about how long a member takes, by some steps of the first."""
+    setting, rows = ask.setting, ask.block(0, 1)
+    steps, made, piece, elapsed = int(rows["steps"][0]), 0, 1, 1e-6
+    with contextlib.suppress(Exception):  # it may fail, as any other
+        stepper = started_stepper(
+            setting.system, setting.scheme, _first_state(ask), t0=setting.t0,
+            h=float(rows["h"][0]), consistency=CONSISTENCY["project"],
+            initial=setting.scheme._initial(setting.initial),
+        )  # fmt: skip
+        began = time.perf_counter()
+        while made < steps and elapsed < 2e-3:
+            core.check(lib.dal_advance(stepper, piece, core.ffi.NULL, core.ffi.NULL))
+            made, piece = made + piece, 2 * piece
+            elapsed = time.perf_counter() - began
+    around = 1e-6 if work.is_in_c(setting) else 2e-4
+    return around + elapsed / max(made, 1) * steps
+
+
+def _first_state(ask: Ask) -> Array:
+    """Return the initial data of the first member."""
+    rows, system = ask.block(0, 1), ask.setting.system
+    if "x" in rows:
+        return rows["x"][0]
+    return np.concatenate([system.q0, system.v0])
+
+
+def _require_memory(ask: Ask) -> None:
+    """Raise MemoryError where the results would not fit."""
+    size = _bytes_of_member(ask) * ask.count
+    memory = available_memory() if size > 2**24 else size
+    if size > memory:
+        raise MemoryError(
+            f"{ask.count} members of {ask.rows} rows are {size} bytes ({size / 2**30:.4g} GiB); "
+            f"this machine has {memory / 2**30:.4g} GiB: keep less of them, or give a store"
+        )
+
+
+def _warn(found: Ensemble) -> None:
+    """Warn where members failed, or are doubtful."""
+    failed, doubtful = found.failed, np.flatnonzero(found["doubtful"])
+    if len(failed):
+        first = int(failed[0])
+        warnings.warn(
+            f"{len(failed)} of {len(found)} members failed, see failed and message(k); the first, "
+            f"{first}: {found.message(first)}", DalembertWarning, stacklevel=3,
+        )  # fmt: skip
+    if len(doubtful):
+        warnings.warn(
+            f"{len(doubtful)} of {len(found)} members are doubtful, see doubtful; "
+            f"member({int(doubtful[0])}) says why", DalembertWarning, stacklevel=3,
+        )  # fmt: skip
+
+
+# ---- the store -----------------------------------------------------------------------------------
+
+
+def _name_of(function: Any) -> str:
+    """Return what tells a function from others, as far as its name does; "" for none."""
+    if function is None:
+        return ""
+    return f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', function)}"
+
+
+def _about(ask: Ask, size: int) -> dict[str, Any]:
+    """Return what tells an ensemble from others, for JSON."""
+    setting = ask.setting
+    scheme, kept = setting.scheme._data(), setting.kept
+    if scheme is None:
+        raise ValueError(
+            f"store: the scheme {setting.scheme.name!r} has functions, which a store cannot keep"
+        )
+    events = [
+        [str(one.g) if hasattr(one.g, "free_symbols") else _name_of(one.g), float(one.direction),
+         int(one.terminal), _name_of(one.reset), one.consistent]
+        for one in setting.events
+    ]  # fmt: skip
+    about = {
+        "dalembert": core.version(),
+        "system": of_system(setting.system, _first_state(ask), setting.t0),
+        "scheme": scheme,
+        "shape": list(ask.shape),
+        "axes": list(ask.axes),
+        "ticks": {name: x.tolist() for name, x in ask.ticks.items()},
+        "t0": setting.t0,
+        "stride": setting.stride,
+        "keep": [kept.at_end, kept.states, list(kept.measures), dict(kept.columns),
+                 _name_of(kept.reduce)],
+        "consistent": setting.consistent,
+        "initial": setting.initial,
+        "max_iterations": setting.max_iterations,
+        "hold": setting.hold,
+        "events": events,
+        "control": _name_of(setting.control),
+    }  # fmt: skip
+    whole = hashlib.sha256()
+    told = about | {"system": [setting.system.name, setting.system._identity]}
+    whole.update(json.dumps(told, sort_keys=True).encode())
+    for name, x in sorted(ask.arrays().items()):
+        whole.update(f"{name} {x.dtype} {x.shape}".encode())
+        whole.update(np.ascontiguousarray(x))
+    return about | {"mark": whole.hexdigest(), "block": size}
+
+
+def _ask_of(about: Mapping[str, Any], arrays: Mapping[str, Array], system: System) -> Ask:
+    """Return what was asked for, from a store; without functions, which it does not keep."""
+    at_end, states, measures, columns, reduce = about["keep"]
+    lacks = {"events": about["events"], "inputs": about["control"], "keep": reduce}
+    setting = Setting(
+        system=system, scheme=Scheme._from_data(about["scheme"]), t0=about["t0"],
+        stride=about["stride"], kept=Kept(at_end, states, tuple(measures), columns),
+        consistent=about["consistent"], initial=about["initial"],
+        max_iterations=about["max_iterations"], hold=about["hold"], events=(), control=None,
+    )  # fmt: skip
+    return Ask.of_arrays(
+        arrays, setting=setting, shape=tuple(about["shape"]), axes=tuple(about["axes"]),
+        ticks={name: np.array(x) for name, x in about["ticks"].items()},
+        lacks=tuple(name for name, there in lacks.items() if there),
+    )  # fmt: skip

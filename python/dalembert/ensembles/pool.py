@@ -1,0 +1,305 @@
+"""Who makes the blocks of an ensemble: threads of this process, or an executor of the user."""
+
+from __future__ import annotations
+
+import concurrent.futures as futures
+import contextlib
+import functools
+import os
+import pickle
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from ..core import arguments
+from . import store, work
+from .ask import Ask, Setting
+from .result import Memory, Stored
+
+PIECE_SECONDS = 0.1  # after which the progress is shown
+_ATTEMPTS = 3  # of a block that more than one worker has died with, before it is tried alone
+
+Take = Callable[[int, work.Block | None], None]
+
+
+def threads_of(threads: int | None) -> int:
+    """Return how many threads to use: one for each processor that this process may use."""
+    if threads is not None:
+        return arguments.integer(threads, "threads", 1, 10_000)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class Blocks:
+    """The members of an ensemble in blocks of one size.
+
+    Attributes
+    ----------
+    size : int
+        Members of each block; the last may have fewer.
+    """
+
+    def __init__(self, ask: Ask, size: int) -> None:
+        self.ask, self.size = ask, size
+
+    def __len__(self) -> int:
+        return -(-self.ask.count // self.size)
+
+    def range(self, index: int) -> tuple[int, int]:
+        """Return the first member of a block, and that after its last."""
+        return index * self.size, min((index + 1) * self.size, self.ask.count)
+
+
+# ---- here --------------------------------------------------------------------------------------
+
+
+def by_threads(
+    blocks: Blocks,
+    left: list[int],
+    data: Memory | Stored,
+    tell: Callable[[float], None],
+    threads: int,
+) -> None:
+    """Make blocks by threads of this process.
+
+    Parameters
+    ----------
+    blocks : Blocks
+    left : list of int
+        Which of them.
+    data : Memory or Stored
+        What gets them.
+    tell : callable
+        ``tell(done)`` is called some times a second with the number of members that were made.
+    threads : int
+        How many.
+    """
+    stop, under_way = threading.Event(), dict.fromkeys(left, 0.0)
+
+    def job(index: int) -> work.Block:
+        begin, end = blocks.range(index)
+        ask = blocks.ask
+
+        def show(done: float) -> None:
+            under_way[index] = done
+
+        made = work.make(ask.setting, ask.block(begin, end), end - begin, stop, show)
+        under_way[index] = end - begin
+        return made
+
+    with futures.ThreadPoolExecutor(threads) as executor:
+        _run(
+            executor, left, 2 * threads, lambda index: executor.submit(job, index), data.put,
+            lambda: tell(sum(under_way.values())), stop,
+        )  # fmt: skip
+
+
+def _run(
+    executor: futures.Executor,
+    todo: list[int],
+    window: int,
+    submit: Callable[[int], futures.Future[Any]],
+    take: Take,
+    tell: Callable[[], None],
+    stop: threading.Event | None = None,
+    lost: Callable[[int], work.Block] | None = None,
+) -> None:
+    """Submit blocks, a window of them at a time, and take what they return, as it comes.
+
+    ``lost(index)`` stands for a block that an executor has given up, since its workers die.
+    """
+    todo, pending = list(reversed(todo)), dict[futures.Future[Any], int]()
+
+    def finish(future: futures.Future[Any]) -> None:
+        try:
+            made = future.result()
+        except Exception as error:
+            if lost is None or type(error).__name__ != "KilledWorker":  # of dask, after 4 workers
+                raise
+            made = lost(pending[future])
+        take(pending[future], made)
+        del pending[future]
+
+    try:
+        while todo or pending:
+            while todo and len(pending) < window:
+                pending[submit(todo[-1])] = todo[-1]
+                todo.pop()
+            done, _ = futures.wait(pending, PIECE_SECONDS, futures.FIRST_COMPLETED)
+            for future in done:
+                finish(future)
+            tell()
+    except BaseException:
+        if stop is not None:
+            stop.set()
+        for future in pending:
+            future.cancel()
+        for future in [*pending] if stop is not None else []:  # what was made is not lost
+            with contextlib.suppress(BaseException):
+                finish(future)
+        raise
+
+
+# ---- elsewhere ---------------------------------------------------------------------------------
+
+
+@functools.lru_cache(maxsize=4)
+def _setting(pickled: bytes) -> Setting:
+    """Return what was pickled: a system is made once for each process."""
+    setting: Setting = pickle.loads(pickled)
+    return setting
+
+
+@functools.lru_cache(maxsize=4)
+def _stored_ask(pickled: bytes, path: str, mark: str, shape: tuple[int, ...]) -> Ask:
+    """Return the ask of a store that is seen from here; its arrays are mapped, not read."""
+    return Ask.of_arrays(
+        store.read_members(path), setting=_setting(pickled), shape=shape, axes=(), ticks={}
+    )
+
+
+class Unseen(Exception):
+    """The store is not seen from the worker."""
+
+
+def remote(
+    pickled: bytes,
+    index: int,
+    begin: int,
+    end: int,
+    place: tuple[str, str, tuple[int, ...]] | None,
+    rows: Any,
+) -> work.Block | None:
+    """Make a block in another process.
+
+    ``place`` is the path of the store, the mark of the ensemble and its shape.  Where it is seen,
+    what is given for members is read there, and the block is written there: nothing is returned.
+    Where it is not, ``rows`` are needed.
+    """
+    seen = place is not None and store.is_that(*place[:2])
+    if rows is None and not seen:
+        raise Unseen
+    if rows is None:
+        rows = _stored_ask(pickled, *place).block(begin, end)  # type: ignore[misc]
+    made = work.make(_setting(pickled), rows, end - begin, threading.Event(), lambda far: None)
+    if not seen:
+        return made
+    store.write(place[0], index, made)  # type: ignore[index]
+    return None
+
+
+def by_executor(
+    given: Any,
+    blocks: Blocks,
+    left: list[int],
+    data: Memory | Stored,
+    tell: Callable[[float], None],
+) -> None:
+    """Make blocks by an executor, or by one that a function returns; the arguments as above.
+
+    Where the processes of a pool die, their blocks are submitted again, to a pool like it.  A block
+    that three pools have died with is tried alone, and if that dies too its members have failed.
+    """
+    ask, tried, remaining = blocks.ask, dict.fromkeys(left, 0), dict.fromkeys(left)
+    pickled = pickle.dumps(ask.setting)
+    place = (data.path, data.mark, ask.shape) if isinstance(data, Stored) else None
+    sends = place is None
+    under_way: set[int] = set()
+
+    def took(index: int, made: work.Block | None) -> None:
+        if made is not None:
+            data.put(index, made)
+        elif isinstance(data, Stored):
+            data.know(index)
+        del remaining[index]
+        under_way.discard(index)
+
+    with _Pools(given) as pools:
+        while remaining:
+            executor = pools.current
+
+            def submit(index: int) -> futures.Future[Any]:
+                begin, end = blocks.range(index)
+                under_way.add(index)
+                rows = ask.block(begin, end) if sends else None
+                return executor.submit(remote, pickled, index, begin, end, place, rows)
+
+            now = [index for index in remaining if tried[index] < _ATTEMPTS]
+            alone = not now
+            try:
+                _run(
+                    executor, now or [next(iter(remaining))], 1 if alone else pools.window, submit,
+                    took, lambda: tell((len(left) - len(remaining)) * blocks.size),
+                    lost=lambda index: _lost(ask, blocks, index),
+                )  # fmt: skip
+            except Unseen:
+                sends = True
+                under_way.clear()
+            except futures.BrokenExecutor:
+                if not pools.renew():
+                    raise
+                for index in [*under_way]:
+                    tried[index] += 1
+                    if alone:
+                        took(index, _lost(ask, blocks, index))
+                under_way.clear()
+
+
+def _lost(ask: Ask, blocks: Blocks, index: int) -> work.Block:
+    """Return a block whose workers die: all of its members have failed."""
+    begin, end = blocks.range(index)
+    made = work.empty(ask.setting, ask.rows, end - begin)
+    made["status"][:] = work.LOST
+    made["messages"] = dict.fromkeys(
+        range(end - begin), "the process that made this block of members died, again and again"
+    )
+    return made
+
+
+class _Pools:
+    """An executor, and others like it where it breaks."""
+
+    def __init__(self, given: Any) -> None:
+        self._own = not isinstance(given, futures.Executor)
+        self._make = given if self._own else _like(given)
+        self.current = given() if callable(given) else given
+        if not isinstance(self.current, futures.Executor):
+            raise ValueError(
+                f"executor = {arguments.shown(given)}: expected a concurrent.futures.Executor, or "
+                "a function that returns one"
+            )
+
+    @property
+    def window(self) -> int:
+        """How many blocks to submit at a time: enough for all workers, and for memory."""
+        workers = getattr(self.current, "_max_workers", None)
+        if (client := getattr(self.current, "_client", None)) is not None:  # of dask
+            workers = sum(client.nthreads().values())
+        return max(64, 4 * int(workers or 16))
+
+    def renew(self) -> bool:
+        """Go on with a new one; return whether that can be."""
+        if self._make is None:
+            return False
+        if self._own:
+            self.current.shutdown(wait=False, cancel_futures=True)
+        self.current, self._own = self._make(), True
+        return True
+
+    def __enter__(self) -> _Pools:
+        return self
+
+    def __exit__(self, *of: Any) -> None:
+        if self._own:
+            self.current.shutdown(wait=of[0] is None, cancel_futures=True)
+
+
+def _like(executor: Any) -> Callable[[], futures.Executor] | None:
+    """Return what makes a pool of processes as this one; None for any other executor."""
+    if not isinstance(executor, futures.ProcessPoolExecutor):
+        return None
+    names = {"max_workers": "_max_workers", "mp_context": "_mp_context",
+             "initializer": "_initializer", "initargs": "_initargs"}  # fmt: skip
+    given = {name: getattr(executor, x) for name, x in names.items() if hasattr(executor, x)}
+    return functools.partial(futures.ProcessPoolExecutor, **given)

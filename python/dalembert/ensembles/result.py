@@ -1,0 +1,424 @@
+"""What an ensemble returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..core import Array, arguments, extras, lib
+from ..run import Solution
+from . import store, work
+from .ask import Ask, Given
+
+# What every ensemble has, whatever is kept.
+_ALWAYS = ("status", "done", "t_end", "doubtful", *work.STATISTICS)
+
+
+_SMALL = 2**26  # bytes of an array that is kept when it was read from a store
+
+
+class Memory:
+    """Blocks of an ensemble, put together in memory."""
+
+    def __init__(self, count: int, size: int) -> None:
+        self._count, self._size = count, size
+        self._arrays: dict[str, Array] = {}
+        self.messages: dict[int, str] = {}
+
+    def put(self, index: int, made: work.Block) -> None:
+        """Take a block."""
+        begin = index * self._size
+        for name, x in made.items():
+            if name == "messages":
+                self.messages |= {begin + k: text for k, text in x.items()}
+                continue
+            if name not in self._arrays:
+                self._arrays[name] = np.full((self._count, *x.shape[1:]), *_blank(name, x.dtype))
+            if self._arrays[name].shape[1:] != x.shape[1:]:
+                raise ValueError(
+                    f"keep returned {name!r} of shape {x.shape[1:]}, and of another member of "
+                    f"shape {self._arrays[name].shape[1:]}: expected the same"
+                )
+            self._arrays[name][begin : begin + len(x)] = x
+
+    def has(self, index: int) -> bool:
+        """Return whether a block is there."""
+        return False
+
+    def names(self) -> list[str]:
+        """Return the names of the arrays."""
+        return [*self._arrays]
+
+    def array(self, name: str) -> Array:
+        """Return an array, shape (K, ...)."""
+        found = self._arrays[name]
+        found.flags.writeable = False
+        return found
+
+    def blocks(self) -> Iterator[tuple[int, work.Block]]:
+        """Yield the first member of each block, and its arrays."""
+        for begin in range(0, self._count, self._size):
+            end = min(begin + self._size, self._count)
+            yield begin, {name: x[begin:end] for name, x in self._arrays.items()}
+
+
+def _blank(name: str, kind: np.dtype[Any]) -> tuple[Any, Any]:
+    """Return what stands for members that were not made, and its type."""
+    if name == "status":
+        return lib.DAL_STOPPED, kind
+    return (np.nan if kind.kind == "f" else -1 if name == "ended_by" else 0), kind
+
+
+class Stored:
+    """Blocks of an ensemble in a store, read when they are asked for."""
+
+    def __init__(self, path: str, mark: str, ask: Ask, size: int) -> None:
+        self.path, self.mark, self._count, self._size = path, mark, ask.count, size
+        self._reduces = ask.setting.kept.reduce is not None or "keep" in ask.lacks
+        self._there = store.there(path, mark, -(-self._count // size))
+        self._read: dict[str, Array] = {}  # small arrays that were read
+
+    def put(self, index: int, made: work.Block) -> None:
+        """Write a block, unless it was stopped."""
+        if (made["status"] != lib.DAL_STOPPED).all():
+            store.write(self.path, index, made)
+            self.know(index)
+
+    def know(self, index: int) -> None:
+        """Take note of a block that somebody has written."""
+        self._there = sorted({*self._there, index})
+        self._read.clear()
+
+    def has(self, index: int) -> bool:
+        """Return whether a block is there."""
+        return index in self._there
+
+    @property
+    def messages(self) -> dict[int, str]:
+        """What is said of members that failed."""
+        return {
+            index * self._size + k: text
+            for index in self._there
+            for k, text in store.read_some(self.path, index, self.mark, "messages").items()
+        }
+
+    def names(self) -> list[str]:
+        """Return the names of the arrays."""
+        found: list[str] = []
+        for index in self._there:  # a block whose members have all failed may lack some
+            if len(more := store.names(self.path, index)) > len(found):
+                found = more
+            if found and not self._reduces:
+                break
+        return found
+
+    def array(self, name: str) -> Array:
+        """Return an array, shape (K, ...)."""
+        found: Array | None = None
+        if name in self._read:
+            return self._read[name]
+        for index in self._there:
+            x = store.read_some(self.path, index, self.mark, name)
+            if x is None:  # all of its members have failed
+                continue
+            if found is None:
+                found = np.full((self._count, *x.shape[1:]), *_blank(name, x.dtype))
+            found[index * self._size : index * self._size + len(x)] = x
+        if found is None:
+            raise KeyError(name)
+        found.flags.writeable = False
+        if found.nbytes <= _SMALL:
+            self._read[name] = found
+        return found
+
+    def by_dask(self, name: str, n: int) -> Any:
+        """Return an array that is read block by block, when it is computed."""
+        da = extras.require("dask.array", "a lazy array")
+        delayed = extras.require("dask", "a lazy array").delayed
+        whole = {"q": "states", "v": "states"}.get(name, name)
+        part = {"q": slice(None, n), "v": slice(n, None)}.get(name, slice(None))
+        example = store.read_some(self.path, self._there[0], self.mark, whole)
+        shape = example[..., part].shape[1:] if whole == "states" else example.shape[1:]
+
+        def of_block(index: int) -> Array:
+            begin, end = index * self._size, min((index + 1) * self._size, self._count)
+            x = store.read_some(self.path, index, self.mark, whole) if index in there else None
+            if x is None:
+                return np.full((end - begin, *shape), *_blank(whole, example.dtype))
+            return x[..., part] if whole == "states" else x
+
+        there = {*self._there}
+        parts = [
+            da.from_delayed(
+                delayed(of_block)(index),
+                (min(self._size, self._count - index * self._size), *shape), example.dtype,
+            )
+            for index in range(-(-self._count // self._size))
+        ]  # fmt: skip
+        return da.concatenate(parts)
+
+    def blocks(self) -> Iterator[tuple[int, work.Block]]:
+        """Yield the first member of each block, and its arrays."""
+        for index in self._there:
+            made = store.read(self.path, index, self.mark)
+            yield index * self._size, {name: x for name, x in made.items() if name != "messages"}
+
+
+class Ensemble(Mapping[str, Any]):
+    """Many runs: what was kept of each, which failed and why, and each of them again.
+
+    It is a mapping from names to arrays, whose first axis is that of the members; those that are
+    named below are attributes too.  A member that failed has NaN where it has not come to.
+
+    Attributes
+    ----------
+    system : System
+        That of all members, but for their parameters.
+    scheme : Scheme
+    shape : tuple of int
+        Of what was given for members, broadcast; they are numbered in C order.
+    axes : tuple of str
+        Names of these axes.
+    ticks : dict of ndarray
+        Values along axes that have any, by their names.
+    parameters : dict of ndarray, shape (K,)
+        Of each member, those that were given.
+    q0, v0 : ndarray, shape (K, n), or None
+        Initial data that were given.
+    h, steps : ndarray, shape (K,)
+    t0 : float
+    stride : int
+        From row to row; 0 where the end alone was kept.
+    """
+
+    def __init__(self, ask: Ask, data: Memory | Stored) -> None:
+        self._ask, self._data = ask, data
+        setting = ask.setting
+        self.system, self.scheme = setting.system, setting.scheme
+        self.shape, self.axes, self.ticks = ask.shape, ask.axes, ask.ticks
+        self.t0, self.stride = setting.t0, setting.stride
+
+    # ---- what was given ------------------------------------------------------------------------
+
+    def _of_members(self, given: Given) -> Array:
+        rows = given.rows(self.shape, 0, len(self))
+        return np.broadcast_to(rows, (len(self), *rows.shape[1:]))
+
+    def __len__(self) -> int:
+        return self._ask.count
+
+    @property
+    def parameters(self) -> dict[str, Array]:
+        """Values of the parameters that were given, shape (K,)."""
+        return {name: self._of_members(x) for name, x in self._ask.parameters.items()}
+
+    @property
+    def q0(self) -> Array | None:
+        """Positions at the beginning, shape (K, n); None where they are the system's."""
+        return None if self._ask.q0 is None else self._of_members(self._ask.q0)
+
+    @property
+    def v0(self) -> Array | None:
+        """Velocities at the beginning, shape (K, n); None where they are the system's."""
+        return None if self._ask.v0 is None else self._of_members(self._ask.v0)
+
+    @property
+    def h(self) -> Array:
+        """Step sizes, shape (K,)."""
+        return self._of_members(self._ask.h)
+
+    @property
+    def steps(self) -> Array:
+        """Numbers of steps that were asked for, shape (K,)."""
+        return self._of_members(self._ask.steps)
+
+    # ---- what was made -------------------------------------------------------------------------
+
+    def __getitem__(self, name: str) -> Any:
+        n = self.system.n
+        if name in ("q", "v") and "states" in self._data.names():
+            x = self._data.array("states")
+            return x[..., :n] if name == "q" else x[..., n:]
+        if name not in self._data.names():
+            raise KeyError(
+                f"{name!r} was not kept: keep={name!r} of dal.ensemble does; there are "
+                f"{', '.join(self)}"
+            )
+        return self._data.array(name)
+
+    def __iter__(self) -> Iterator[str]:
+        names = self._data.names()
+        own = [name for name in names if name != "states"]
+        return iter([*["q", "v"] * ("states" in names), *own])
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        try:
+            return self[name]
+        except KeyError as error:
+            raise AttributeError(error.args[0]) from None
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self})
+
+    __eq__ = object.__eq__  # arrays have no truth value
+    __hash__ = object.__hash__
+
+    @property
+    def t(self) -> Array:
+        """Times of the rows, (rows,) or (K, rows) where step sizes differ; of the end: (K,)."""
+        if self.stride == 0:
+            return self["t_end"]  # type: ignore[no-any-return]
+        rows = np.arange(self._ask.rows) * self.stride
+        if not self._ask.h.varies:
+            return self.t0 + rows * float(self._ask.h.values.flat[0])
+        return self.t0 + rows * self.h[:, None]
+
+    @property
+    def success(self) -> Array:
+        """Whether each member went through, shape (K,)."""
+        return self["status"] == lib.DAL_SUCCESS  # type: ignore[no-any-return]
+
+    @property
+    def failed(self) -> Array:
+        """The numbers of the members that failed."""
+        return np.flatnonzero(self["status"] < 0)
+
+    @property
+    def unfinished(self) -> Array:
+        """The numbers of the members that were not made, as somebody stopped."""
+        return np.flatnonzero(self["status"] == lib.DAL_STOPPED)
+
+    @property
+    def stats(self) -> dict[str, Array]:
+        """What each member has cost, by the names of `Statistics`, shape (K,) each."""
+        return {name: self[name] for name in work.STATISTICS}
+
+    def message(self, k: int) -> str:
+        """Return what became of a member, in words."""
+        k = self._number(k)
+        status = int(self["status"][k])
+        if status < 0:
+            return self._data.messages[k]
+        t = float(self["t_end"][k])
+        if status == lib.DAL_STOPPED:
+            return "not finished: the ensemble was stopped"
+        ended_by = int(self["ended_by"][k]) if "ended_by" in self else -1
+        if ended_by >= 0:
+            return f"events[{ended_by}] ended the run at t = {t:g}"
+        return f"{int(self['done'][k])} steps to t = {t:g}"
+
+    def _number(self, k: int) -> int:
+        return arguments.integer(k, "k", -len(self), len(self) - 1) % len(self)
+
+    def member(self, k: int, *, stride: int | None = None, throw: bool = False) -> Solution:
+        """Return the run of member k, made again: bit for bit what was kept of it.
+
+        Parameters
+        ----------
+        k : int
+            Its number; from the end if it is negative.
+        stride : int, optional
+            As of `integrate`.  Default: that of the ensemble, 1 where the end alone was kept.
+        throw : bool, optional
+            True: of a member that failed in a step, the exception instead of what there is.
+
+        Raises
+        ------
+        ValueError
+            If its initial data or parameters were refused, or there is no such member.
+        """
+        if self._ask.lacks:
+            raise ValueError(
+                f"member({k}): a store does not keep functions, and this ensemble has "
+                f"{', '.join(self._ask.lacks)}; dal.ensemble with the same arguments has them"
+            )
+        stride = self.stride or 1 if stride is None else stride
+        return work.member(self._ask, self._number(k), stride=stride, throw=throw)
+
+    def blocks(self) -> Iterator[tuple[int, dict[str, Array]]]:
+        """Yield parts of the ensemble: the number of the first member, and its arrays by name.
+
+        An ensemble in a store is read part by part, so that memory is bounded.
+        """
+        return self._data.blocks()
+
+    # ---- as something else ---------------------------------------------------------------------
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset``, with parameters as coordinates.
+
+        A grid has an axis for each of its names.  One in a store is lazy where dask is installed.
+
+        Raises
+        ------
+        ImportError
+            If xarray is not installed.
+        """
+        xarray = extras.require("xarray", "to_xarray")
+        found = xarray.Dataset(attrs=self._attributes())
+        for name in self:
+            values = self._lazy(name)
+            dims = (*self.axes, *self._inner(name, values.ndim - 1))
+            found[name] = dims, values.reshape((*self.shape, *values.shape[1:]))
+        found = found.assign_coords(self.ticks)
+        for name, x in self.parameters.items():
+            if name not in self.ticks:
+                found = found.assign_coords({name: (self.axes, x.reshape(self.shape))})
+        for name, of in (("q0", self.q0), ("v0", self.v0)):
+            if of is not None:
+                rows = of.reshape(*self.shape, -1)
+                found = found.assign_coords({name: ((*self.axes, "coordinate"), rows)})
+        if {"q", "v"} & {*self}:
+            found = found.assign_coords(coordinate=list(self.system.coordinates))
+        if self.stride > 0:
+            dims = ("time",) if self.t.ndim == 1 else (*self.axes, "time")
+            t = self.t if self.t.ndim == 1 else self.t.reshape(*self.shape, -1)
+            found = found.assign_coords(t=(dims, t))
+        return found
+
+    def _attributes(self) -> dict[str, Any]:
+        return {"system": self.system.name, "scheme": self.scheme.name, "t0": self.t0}
+
+    def _inner(self, name: str, count: int) -> tuple[str, ...]:
+        """Return the names of the axes of one member."""
+        rows = ("interval" if name == "reactions" else "time",) * (self.stride > 0)
+        known = {
+            "q": ("coordinate",), "v": ("coordinate",), "multipliers": ("constraint",),
+            "reactions": ("constraint",), "happened": ("event",),
+        }  # fmt: skip
+        if name in (*_ALWAYS, "ended_by"):
+            return ()
+        names = (*(() if name == "happened" else rows), *known.get(name, ()))
+        return names if len(names) == count else tuple(f"{name}_{k}" for k in range(count))
+
+    def _lazy(self, name: str) -> Any:
+        """Return an array, by dask where it is in a store and dask is there."""
+        if isinstance(self._data, Memory) or not extras.is_there("dask") or name in _ALWAYS:
+            return self[name]
+        return self._data.by_dask(name, self.system.n)
+
+    @property
+    def kept(self) -> list[str]:
+        """The names of what was kept, besides what every ensemble has."""
+        return [name for name in self if name not in _ALWAYS]
+
+    def __repr__(self) -> str:
+        status = self["status"]
+        good, failed = int((status == 0).sum()), int((status < 0).sum())
+        shape = "" if len(self.shape) < 2 else f" ({' x '.join(map(str, self.shape))})"
+        lines = [
+            f"<Ensemble of {len(self)} runs{shape} of {self.system.name} by {self.scheme.name}: "
+            f"{good} went through",
+        ]
+        if failed:
+            lines.append(f"  {failed} failed, see failed and message(k)")
+        if left := len(self) - good - failed:
+            lines.append(f"  {left} were not finished")
+        if doubtful := int(self["doubtful"].sum()):
+            lines.append(f"  {doubtful} are doubtful, see doubtful and member(k)")
+        lines.append(f"  kept: {', '.join(self.kept)}")
+        return "\n".join(lines) + ">"

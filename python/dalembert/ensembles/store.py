@@ -1,0 +1,217 @@
+"""The store of an ensemble: a directory with a description, and one sealed file for each block.
+
+A block is written under another name, synced, and renamed: whatever ends the process, each file is
+whole or not there.  It holds arrays alone, in NumPy's own format; loading one runs nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core import DalembertError, files
+from . import work
+
+VERSION = 1
+ABOUT = "ensemble.json"
+_GIVEN = re.compile(r"given-(.+)\.npy")  # what was given for the members
+_BLOCK = re.compile(r"block-(\d{9})\.npz")
+
+
+class StoreError(DalembertError):
+    """The store of an ensemble cannot be read, or is not what it has to be."""
+
+
+def _path(directory: str, index: int) -> Path:
+    return Path(directory) / f"block-{index:09d}.npz"
+
+
+# ---- the description ---------------------------------------------------------------------------
+
+
+def create(
+    directory: str, about: dict[str, Any], given: dict[str, np.ndarray]
+) -> dict[str, Any]:
+    """Make a store, unless it is there, and return its description.
+
+    Parameters
+    ----------
+    directory : str
+    about : dict
+        What the ensemble is, for JSON; "mark" tells it from others.
+    given : dict of arrays
+        What was given for its members.
+
+    Raises
+    ------
+    ValueError
+        If something else is there.
+    """
+    root = Path(directory)
+    root.mkdir(parents=True, exist_ok=True)
+    if not (root / ABOUT).exists():
+        for path in sorted(root.iterdir()):
+            if not _GIVEN.fullmatch(path.name) and not files.is_draft(path):
+                raise ValueError(
+                    f"store = {directory!r}: expected a new or empty directory, or a store; there "
+                    f"is {path.name!r} in it"
+                )
+        for name, x in given.items():
+            _save(root / f"given-{name}.npy", x)
+        text = json.dumps({"format": "dalembert ensemble", "version": VERSION, **about}, indent=1)
+        files.replace(root / ABOUT, text.encode())
+    found = read_about(directory)
+    if found["mark"] != about["mark"]:
+        here = json.loads(json.dumps(about))
+        compared = here.keys() - {"mark", "block"}
+        differs = [key for key in here if key in compared and found.get(key) != here[key]]
+        raise ValueError(
+            f"store = {directory!r}: it is of another ensemble, which differs in "
+            f"{', '.join(differs) or 'what was given for its members'}"
+        )
+    return found
+
+
+def read_about(directory: str) -> dict[str, Any]:
+    """Return the description of a store; ValueError if it is none, or of another version."""
+    path = Path(directory) / ABOUT
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+        is_store = about["format"] == "dalembert ensemble"
+        version = about["version"]
+    except FileNotFoundError:
+        raise ValueError(f"{directory!r} is no store of an ensemble: it has no {ABOUT}") from None
+    except (ValueError, KeyError, TypeError, UnicodeDecodeError):
+        is_store, version = False, None
+    if not is_store:
+        raise ValueError(f"{str(path)!r} is no description of an ensemble")
+    if version != VERSION:
+        raise ValueError(f"{str(path)!r} has version {version!r}: this dalembert reads {VERSION}")
+    return about  # type: ignore[no-any-return]
+
+
+def is_that(directory: str, mark: str) -> bool:
+    """Return whether the store is seen from here."""
+    with contextlib.suppress(ValueError, OSError):
+        return bool(read_about(directory)["mark"] == mark)
+    return False
+
+
+def read_members(directory: str) -> dict[str, np.ndarray]:
+    """Return what was given for the members, which is read when it is asked for."""
+    found = {}
+    for path in sorted(Path(directory).iterdir()):
+        if match := _GIVEN.fullmatch(path.name):
+            with _reading(path):
+                found[match[1]] = np.load(path, mmap_mode="r", allow_pickle=False)
+    return found
+
+
+# ---- blocks ------------------------------------------------------------------------------------
+
+
+def write(directory: str, index: int, made: work.Block) -> None:
+    """Seal a block."""
+    messages = made["messages"]
+    arrays = {name: x for name, x in made.items() if name != "messages"}
+    arrays["failed"] = np.array(sorted(messages), np.int64)
+    arrays["messages"] = np.array([messages[k] for k in sorted(messages)], np.str_)
+    arrays["mark"] = np.array([read_about(directory)["mark"], str(index)])
+    _save(_path(directory, index), arrays)
+
+
+def there(directory: str, mark: str, count: int) -> list[int]:
+    """Return the numbers of the blocks that are there.
+
+    Raises
+    ------
+    StoreError
+        If a file is not a block of this ensemble.
+    """
+    found = []
+    for path in sorted(Path(directory).iterdir()):
+        match = _BLOCK.fullmatch(path.name)
+        if match and int(match[1]) < count:
+            _check(path, mark, int(match[1]))
+            found.append(int(match[1]))
+    return found
+
+
+def read(directory: str, index: int, mark: str) -> work.Block:
+    """Return a block.
+
+    Raises
+    ------
+    StoreError
+        If its file is damaged, or not of this ensemble.
+    """
+    path = _path(directory, index)
+    arrays = _load(path)
+    _require(path, arrays.pop("mark", None), mark, index)
+    messages = dict(zip(arrays.pop("failed").tolist(), arrays.pop("messages").tolist()))
+    return {**arrays, "messages": messages}
+
+
+def names(directory: str, index: int) -> list[str]:
+    """Return the names of the arrays of a block."""
+    with zipfile.ZipFile(_path(directory, index)) as file:
+        found = [name.removesuffix(".npy") for name in file.namelist()]
+    return [name for name in found if name not in ("mark", "failed", "messages")]
+
+
+def read_some(directory: str, index: int, mark: str, name: str) -> Any:
+    """Return an array of a block, None if it has none of this name; or its messages."""
+    path = _path(directory, index)
+    wanted = ("failed", "messages") if name == "messages" else (name,)
+    found = _load(path, ("mark", *wanted))
+    _require(path, found.get("mark"), mark, index)
+    if name == "messages":
+        return dict(zip(found["failed"].tolist(), found["messages"].tolist()))
+    return found.get(name)
+
+
+def _check(path: Path, mark: str, index: int) -> None:
+    """Raise StoreError unless a file is a whole block, as far as its directory tells."""
+    with _reading(path), np.load(path, allow_pickle=False) as file:
+        found = file["mark"] if "mark" in file.files else None
+    _require(path, found, mark, index)
+
+
+def _require(path: Path, found: Any, mark: str, index: int) -> None:
+    if found is None or list(map(str, np.ravel(found))) != [mark, str(index)]:
+        raise StoreError(f"{path} is no block of this ensemble: remove it, and it is made again")
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Raise StoreError where a file is not there, or holds no arrays."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise StoreError(f"{path} is not there") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        why = "it holds no arrays" if isinstance(error, ValueError) else error
+        raise StoreError(f"{path} is damaged ({why}): remove it, and it is made again") from None
+
+
+def _save(path: Path, arrays: Any) -> None:
+    """Write an array, or several by name, whole or not at all, and onto the disk."""
+    buffer = io.BytesIO()
+    if isinstance(arrays, dict):
+        np.savez(buffer, **arrays)
+    else:
+        np.save(buffer, arrays)
+    files.replace(path, buffer.getbuffer())
+
+
+def _load(path: Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+    with _reading(path), np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files if names is None or name in names}

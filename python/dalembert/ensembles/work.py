@@ -1,0 +1,390 @@
+"""Members in the making: a block of them, in C where it can be, else one by one."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from .. import core
+from ..core import Array, DalembertError, ffi, lib
+from ..core.errors import raised
+from ..run import Solution, integrate
+from ..run.events import CONSISTENCY, compiled
+from ..run.integration import doubts, quietly
+from ..run.runs import OFF_D
+from ..run.scheme import INITIAL
+from ..system import System
+from .ask import TAKEN, Ask, Setting
+
+LOST = lib.DAL_EUSER  # the status of a member whose process died
+
+# What is kept of a `Statistics`, with what to say of it.
+STATISTICS = {
+    "iterations": np.int64,
+    "full_newtons": np.int64,
+    "halvings": np.int64,
+    "corrections": np.int64,
+    "worst_residual": np.float64,
+    "initial_correction": np.float64,
+    "jump_step": np.int64,
+}
+
+# Names that nothing else can have.
+RESERVED = {*TAKEN, *STATISTICS, "q", "v"}
+
+Block = dict[str, Any]  # arrays with a row for each member; and "messages", of those that failed
+Show = Callable[[float], Any]
+
+
+class Stopped(Exception):
+    """The ensemble is to end now."""
+
+
+# ---- one block ---------------------------------------------------------------------------------
+
+
+def make(
+    setting: Setting, rows: Mapping[str, Array], count: int, stop: threading.Event, show: Show
+) -> Block:
+    """Make a block of members.
+
+    Parameters
+    ----------
+    setting : Setting
+    rows : dict
+        As `Ask.block`.
+    count : int
+        How many members.
+    stop : threading.Event
+        Ends it soon: what is not made then has the status DAL_STOPPED.
+    show : callable
+        ``show(done)`` is called some times a second with the number of members that are done.
+    """
+
+    def watch(far: float) -> None:
+        if stop.is_set():
+            raise Stopped
+        show(far)
+
+    if is_in_c(setting):
+        return _by_c(setting, rows, count, watch)
+    return _one_by_one(setting, rows, count, watch)
+
+
+def is_in_c(setting: Setting) -> bool:
+    """Return whether C makes blocks without Python."""
+    return (
+        not setting.system._source.calls_python
+        and setting.scheme._maps is None
+        and setting.kept.reduce is None
+        and setting.control is None
+        and all(compiled(setting.system, one) is not None for one in setting.events)
+    )
+
+
+def layout(setting: Setting, rows: int) -> dict[str, tuple[tuple[int, ...], Any, Any]]:
+    """Return shape, type, and the value before it is made, of each array of a member."""
+    n, m, kept = setting.system.n, setting.system.m, setting.kept
+    found: dict[str, tuple[tuple[int, ...], Any, Any]] = {
+        "status": ((), np.int32, lib.DAL_STOPPED),
+        "done": ((), np.int64, 0),
+        "t_end": ((), np.float64, np.nan),
+        "doubtful": ((), np.bool_, False),
+        **{name: ((), kind, 0) for name, kind in STATISTICS.items()},
+    }
+    if setting.events:
+        found["ended_by"] = (), np.int64, -1
+        found["happened"] = (len(setting.events),), np.int64, 0
+    shape, intervals = ((), ()) if kept.at_end else ((rows,), (rows - 1,))
+    shapes = {name: shape for name in (*kept.columns, "energy", "residual")}
+    shapes |= {"multipliers": (*shape, m), "reactions": (*intervals, m),
+               "states": (*shape, 2 * n)}  # fmt: skip
+    names = (*kept.columns, *kept.measures, *["states"] * kept.states)
+    return found | {name: (shapes[name], np.float64, np.nan) for name in names}
+
+
+def empty(setting: Setting, rows: int, count: int) -> Block:
+    """Return the arrays of so many members, with so many rows each, before they are made."""
+    arrays = {
+        name: np.full((count, *shape), value, kind)
+        for name, (shape, kind, value) in layout(setting, rows).items()
+    }
+    return {**arrays, "messages": {}}
+
+
+# ---- in C --------------------------------------------------------------------------------------
+
+
+def _by_c(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
+    system, kept = setting.system, setting.kept
+    stride = setting.stride
+    made = empty(setting, 1 if stride == 0 else int(rows["steps"][0]) // stride + 1, count)
+    members, alive = _members(setting, rows, count, made)
+    record, record_kept = setting.scheme._record_of(system)
+    options = ffi.new("dal_options *", {"max_iterations": setting.max_iterations})
+    error, context = ffi.new("dal_error *"), ffi.new_handle(watch)
+    status = core.attempt(
+        lib.dal_ensemble_run, system._handle, record, options, members, 0, count,
+        lib.dal_py_watch, context, error,
+    )  # fmt: skip
+    if status != lib.DAL_SUCCESS and not isinstance(raised.exception, Stopped):
+        raise core.failure(status, core.words(error, system.kind))
+    raised.exception = None
+    for name, place in kept.columns.items():
+        made[name] = alive["states"][..., place].copy()
+    if "ended_by" in made:
+        made["ended_by"][made["ended_by"] == len(setting.events)] = -1
+    stats = alive["stats"]
+    for name in STATISTICS:
+        made[name] = stats[name].astype(STATISTICS[name])
+    for k in map(int, np.flatnonzero(made["status"] < 0)):
+        error = _refused(system, rows, k) if np.isnan(made["t_end"][k]) else None
+        if error is None:
+            status, words = int(made["status"][k]), core.words(alive["errors"] + k, system.kind)
+            error = core.failure(status, words + OFF_D * (status == lib.DAL_EOFFD))
+        made["status"][k], made["messages"][k] = status_of(error), _message(error)
+    _doubt(setting, rows, stats, alive["doubts"], made)
+    del record_kept
+    return made
+
+
+def _refused(system: System, rows: Mapping[str, Array], k: int) -> Exception | None:
+    """Return what is wrong with the parameters of a member, if they are."""
+    try:
+        _with_parameters(system, rows, k)
+    except Exception as error:
+        return error
+    return None
+
+
+def _with_parameters(system: System, rows: Mapping[str, Array], k: int) -> System:
+    """Return the system of a member."""
+    if "parameters" not in rows:
+        return system
+    values = rows["parameters"][k % len(rows["parameters"])].tolist()
+    return system.with_parameters(**dict(zip(system.parameters, values)))
+
+
+def _members(
+    setting: Setting, rows: Mapping[str, Array], count: int, made: Block
+) -> tuple[Any, dict[str, Any]]:
+    """Return the ``dal_members``, and what it needs to stay alive, by name."""
+    system, kept = setting.system, setting.kept
+    given = {name: x for name, x in rows.items() if name != "steps"}
+    steps = rows["steps"][: 1 if setting.stride else None].astype(np.uintp)
+    members = ffi.new("dal_members *")
+    for name, x in given.items():
+        setattr(members, name, core.pointer(x))
+        size = x.nbytes if name == "parameters" else x.size
+        setattr(members, f"{name}_next", 0 if len(x) == 1 and count > 1 else size // len(x))
+    members.steps = ffi.from_buffer("size_t[]", steps)
+    members.steps_next = int(len(steps) > 1)
+    members.count, members.t0, members.hold = count, setting.t0, setting.hold
+    members.stride = setting.stride
+    members.consistency = CONSISTENCY[setting.consistent]
+    members.initial = INITIAL[setting.initial] if setting.initial else lib.DAL_INITIAL_NONE
+    states = made.get("states")
+    if states is None and kept.columns:
+        shape = made[next(iter(kept.columns))].shape
+        states = np.empty((*shape, 2 * system.n))
+    if states is not None:
+        members.states = core.pointer(states, output=True)
+    for name in kept.measures:
+        setattr(members, name, core.pointer(made[name], output=True))
+    members.t_end = core.pointer(made["t_end"], output=True)
+    members.status = ffi.from_buffer("int[]", made["status"], True)
+    stats = np.zeros(count, _stats_type())
+    members.stats = ffi.from_buffer("dal_stats[]", stats, True)
+    doubts_of = np.zeros(count, np.uintp)
+    errors = ffi.new("dal_error[]", count)
+    members.errors = errors
+    buffers = {"done": made["done"], "doubts": doubts_of}
+    events, alive_events = _events(setting)
+    if setting.events:
+        members.events, members.event_count = events, len(setting.events)
+        buffers |= {"happened": made["happened"], "ended_by": made["ended_by"]}
+    for name, x in buffers.items():
+        setattr(members, name, ffi.from_buffer("size_t[]", x, True))
+    return members, {
+        "given": given, "steps": steps, "states": states, "stats": stats, "doubts": doubts_of,
+        "errors": errors, "events": (events, alive_events),
+    }  # fmt: skip
+
+
+def _events(setting: Setting) -> tuple[Any, list[Any]]:
+    """Return the ``dal_event[]``; each has the parameters of its member."""
+    found = ffi.new("dal_event[]", max(1, len(setting.events)))
+    alive = []
+    for k, one in enumerate(setting.events):
+        address, kept = compiled(setting.system, one, f"events[{k}]")
+        found[k].g = ffi.cast("dal_event_fn", address)
+        found[k].direction, found[k].terminal = int(np.sign(one.direction)), int(one.terminal)
+        found[k].consistency = CONSISTENCY[one.consistent]
+        alive.append(kept)
+    return found, alive
+
+
+def _stats_type() -> np.dtype[Any]:
+    """Return ``dal_stats`` as NumPy has it."""
+    fields = ffi.typeof("dal_stats").fields
+    kinds = {"size_t": np.uintp, "double": np.float64, "unsigned int": np.uintc}
+    return np.dtype({
+        "names": [name for name, _ in fields],
+        "formats": [kinds[field.type.cname] for _, field in fields],
+        "offsets": [field.offset for _, field in fields],
+        "itemsize": ffi.sizeof("dal_stats"),
+    })
+
+
+def _doubt(
+    setting: Setting, rows: Mapping[str, Array], stats: Any, doubts_of: Array, made: Block
+) -> None:
+    """Mark members whose run would have been warned of."""
+    system = setting.system
+    suspect = (
+        (stats["jump_step"] > 0)
+        | (stats["full_newtons"] * 10 > stats["substeps"])
+        | (stats["worst_residual"] > core.residual_bound(system.n))
+    )
+    made["doubtful"] = doubts_of > 0
+    for k in np.flatnonzero(suspect & (made["status"] == 0)):
+        of = SimpleNamespace(**{name: stats[name][k] for name in stats.dtype.names})
+        h = rows["h"][k % len(rows["h"])]
+        run = SimpleNamespace(system=system, stats=of, h=float(h), t0=setting.t0)
+        made["doubtful"][k] |= any(True for _ in doubts(run))
+
+
+# ---- one by one --------------------------------------------------------------------------------
+
+
+def one(setting: Setting, rows: Mapping[str, Array], k: int, **how: Any) -> Solution:
+    """Return the run of member k of a block, as `integrate` makes it."""
+    mine = {name: x[k % len(x)] for name, x in rows.items()}
+    system = _with_parameters(setting.system, rows, k)
+    q0, v0 = np.split(mine["x"], 2) if "x" in mine else (None, None)
+    return integrate(
+        system, setting.scheme, q0, v0, h=float(mine["h"]), steps=int(mine["steps"]),
+        t0=setting.t0, consistent=setting.consistent,
+        initial=setting.initial, max_iterations=setting.max_iterations, hold=setting.hold,
+        events=setting.events,
+        inputs=mine["inputs"] if "inputs" in mine else setting.control, **how,
+    )  # fmt: skip
+
+
+def _one_by_one(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
+    stride = setting.stride
+    made = empty(setting, 1 if stride == 0 else int(rows["steps"][0]) // stride + 1, count)
+    for k in range(count):
+        def progress(done: int, total: int, k: int = k) -> None:
+            watch(k + done / max(total, 1))
+
+        try:
+            watch(k)
+            _keep(setting, made, k, rows, progress)
+        except Stopped:
+            break
+        except Exception as error:  # of a member: its entry
+            made["status"][k] = status_of(error)
+            made["messages"][k] = _message(error)
+    return made
+
+
+def _keep(
+    setting: Setting, made: Block, k: int, rows: Mapping[str, Array], progress: Any
+) -> None:
+    """Make member k, and write what is kept of it."""
+    kept = setting.kept
+    with quietly() as found:
+        try:
+            stride = setting.stride or max(1, int(rows["steps"][k % len(rows["steps"])]))
+            run = one(setting, rows, k, stride=stride, throw=False, progress=progress)
+        except Exception as error:
+            if isinstance(partial := getattr(error, "partial", None), Solution):
+                _count(setting, made, k, partial)  # a function of the user has raised
+            raise
+    _count(setting, made, k, run)
+    made["doubtful"][k] = bool(found)
+    for name in STATISTICS:
+        made[name][k] = getattr(run.stats, name)
+    made["status"][k] = run.status
+    if run.status < 0:
+        made["messages"][k] = run.message
+    else:
+        made["status"][k] = lib.DAL_SUCCESS
+    if kept.reduce is not None:
+        if run.status >= 0:
+            _reduce(kept.reduce(run), made, k, len(made["status"]))
+        return
+    is_over = run.status >= 0
+    arrays = {name: getattr(run, name) for name in kept.measures}
+    arrays |= {name: run.x[:, place] for name, place in kept.columns.items()}
+    if kept.states:
+        arrays["states"] = run.x
+    for name, values in arrays.items():
+        if not kept.at_end:
+            made[name][k, : len(values)] = values
+        elif is_over and len(values):
+            made[name][k] = values[-1]
+
+
+def _count(setting: Setting, made: Block, k: int, run: Solution) -> None:
+    """Write how far a run has come."""
+    made["done"][k] = run.stats.steps
+    made["t_end"][k] = setting.t0 + run.stats.steps * run.h
+    for i, times in enumerate(run.t_events):
+        made["happened"][k, i] = len(times)
+    if run.times is not None:
+        made["t_end"][k] = run.t[-1]
+        made["ended_by"][k] = _ended_by(setting, run)
+
+
+def _ended_by(setting: Setting, run: Solution) -> int:
+    """Return which terminal event has ended the run."""
+    last = [times[-1] if len(times) else -np.inf for times in run.t_events]
+    ends = [
+        k for k, (one_, times) in enumerate(zip(setting.events, run.t_events))
+        if one_.terminal and len(times) >= int(one_.terminal) and times[-1] == run.t[-1]
+    ]  # fmt: skip
+    return ends[0] if ends else int(np.argmax(last))
+
+
+def _reduce(value: Any, made: Block, k: int, count: int) -> None:
+    """Write what a function of a run returned."""
+    found = value if isinstance(value, Mapping) else {"value": value}
+    for name, x in found.items():
+        x = np.asarray(x, dtype=float)
+        if name in RESERVED:
+            raise ValueError(f"keep returned {name!r}: expected another name, for this is taken")
+        if name not in made:
+            made[name] = np.full((count, *x.shape), np.nan)
+        if made[name].shape[1:] != x.shape:
+            raise ValueError(
+                f"keep returned {name!r} of shape {x.shape}, and of another member of shape "
+                f"{made[name].shape[1:]}: expected the same"
+            )
+        made[name][k] = x
+
+
+def _message(error: BaseException) -> str:
+    """Return what an entry says of an exception, as the message of a `Solution` does."""
+    return f"{type(error).__name__}: {error}"
+
+
+def status_of(error: BaseException) -> int:
+    """Return the status of an exception."""
+    if isinstance(error, DalembertError):
+        return int(error.status)
+    kinds = {
+        MemoryError: lib.DAL_ENOMEM, NotImplementedError: lib.DAL_EUNSUPPORTED,
+        ValueError: lib.DAL_EINVAL,
+    }  # fmt: skip
+    return int(next((x for kind, x in kinds.items() if isinstance(error, kind)), lib.DAL_EUSER))
+
+
+def member(ask: Ask, k: int, **how: Any) -> Solution:
+    """Return the run of a member, made again."""
+    return one(ask.setting, ask.block(k, k + 1), 0, **how)

@@ -1,0 +1,323 @@
+"""Ensembles in a store: gone on with after any kill, and what else may lie in a directory."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+from dalembert.core import files
+from dalembert.ensembles import StoreError
+
+VALUES = {"a": np.linspace(0.1, 0.4, 23), "J": np.linspace(0.5, 2.0, 23)}
+GIVEN = {"parameters": VALUES, "h": 0.01, "steps": 20, "progress": False, "threads": 2}
+
+
+def make(path=None, **more):
+    return dal.ensemble(dal.systems.sleigh(), "midpoint", store=path, **GIVEN | more)
+
+
+def same(one, other):
+    assert [*one] == [*other]
+    for name in one:
+        assert np.array_equal(one[name], other[name], equal_nan=True), name
+
+
+def block(path, index):
+    return Path(path) / f"block-{index:09d}.npz"
+
+
+@pytest.fixture
+def path(tmp_path):
+    return str(tmp_path / "store")
+
+
+# ---- what it is for ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("keep", ["end", ["all", "energy"], ["theta", "reactions"]])
+def test_a_store_has_the_same_bits(path, keep):
+    here = make(keep=keep)
+    there = make(path, keep=keep, block=5)
+    same(here, there)
+    assert len([*Path(path).glob("block-*.npz")]) == 5
+    before = {one: os.stat(one).st_mtime_ns for one in Path(path).iterdir()}
+    same(here, make(path, keep=keep, block=7))  # nothing is made again
+    assert before == {one: os.stat(one).st_mtime_ns for one in Path(path).iterdir()}
+    opened = dal.open_ensemble(path)
+    same(here, opened)
+    assert opened.shape == here.shape and opened.scheme == here.scheme
+    assert (opened.parameters["a"] == VALUES["a"]).all()
+    assert np.array_equal(opened.member(3).q[-1], here.member(3).q[-1])
+    for begin, part in opened.blocks():
+        for name, x in part.items():
+            if name in opened:
+                assert np.array_equal(x, here[name][begin : begin + len(x)], equal_nan=True)
+
+
+def test_what_is_missing_is_made(path):
+    here = make()
+    make(path, block=4)
+    for index in (0, 3, 5):
+        block(path, index).unlink()
+    partial = dal.open_ensemble(path)
+    assert partial.unfinished.tolist() == [*range(4), *range(12, 16), *range(20, 23)]
+    assert np.isnan(partial.q[0]).all() and (partial.q[4] == here.q[4]).all()
+    kept = os.stat(block(path, 1)).st_mtime_ns
+    same(here, make(path))
+    assert os.stat(block(path, 1)).st_mtime_ns == kept
+
+
+def test_failed_members_and_functions(path):
+    system = dal.systems.sleigh()
+    v0 = np.tile(system.v0, (6, 1))
+    v0[2] = [0, 1, 0]
+    wall = dal.Event(lambda t, q, v: q[0] - 0.05, terminal=True)
+    given = {"h": 0.01, "steps": 40, "progress": False, "events": [wall], "block": 2}
+    with pytest.warns(dal.DalembertWarning, match="1 of 6"):
+        here = dal.ensemble(system, "leapfrog", system.q0, v0, **given)
+    with pytest.warns(dal.DalembertWarning, match="1 of 6"):
+        there = dal.ensemble(system, "leapfrog", system.q0, v0, store=path, **given)
+    same(here, there)
+    opened = dal.open_ensemble(path)
+    for k in range(6):
+        assert opened.message(k) == here.message(k)
+    assert there.member(0).t[-1] == here.t[0]
+    with pytest.raises(ValueError, match="a store does not keep functions.*events"):
+        opened.member(0)
+
+
+def test_a_reduction_in_a_store(path):
+    def last(run):
+        return {"end": run.q[-1], "drift": np.ptp(run.energy)}
+
+    here = make(keep=last)
+    there = make(path, keep=last, block=4)
+    same(here, there)
+    same(here, dal.open_ensemble(path))
+
+
+def test_xarray_is_lazy(path):
+    pytest.importorskip("dask")
+    here = make(keep=["all", "energy"]).to_xarray()
+    make(path, keep=["all", "energy"], block=6)
+    there = dal.open_ensemble(path).to_xarray()
+    assert there.q.chunks is not None and there.q.chunks[0] == (6, 6, 6, 5)
+    assert there.compute().identical(here.drop_vars([])) or there.equals(here)
+    for name in here:
+        assert np.array_equal(here[name].values, there[name].values, equal_nan=True)
+
+
+# ---- kills -------------------------------------------------------------------------------------
+
+
+SCRIPT = """
+import sys
+import numpy as np
+import dalembert as dal
+
+values = {"a": np.linspace(0.1, 0.4, 60)}
+dal.ensemble(dal.systems.sleigh(), "midpoint", parameters=values, h=0.01, steps=40_000,
+             progress=False, threads=2, block=2, store=sys.argv[1])
+"""
+
+
+def test_killed_again_and_again(path):
+    values = {"a": np.linspace(0.1, 0.4, 60)}
+    kills, status, source = 0, -1, np.random.default_rng(2)
+
+    def made():
+        return len([*Path(path).glob("block-*.npz")])
+
+    while status != 0:
+        before = made()
+        process = subprocess.Popen([sys.executable, "-c", SCRIPT, path])
+        while process.poll() is None and made() == before:
+            time.sleep(0.001)
+        time.sleep(source.uniform(0, 0.05))
+        process.send_signal(signal.SIGKILL)
+        status = process.wait()
+        kills += status != 0
+        assert made() > before or status == 0
+    assert kills > 3
+    there = dal.open_ensemble(path)
+    here = dal.ensemble(dal.systems.sleigh(), "midpoint", parameters=values, h=0.01, steps=40_000,
+                        progress=False)  # fmt: skip
+    same(here, there)
+
+
+CALLS = ["open", "fsync", "replace"]
+
+
+@pytest.mark.parametrize("call", CALLS)
+@pytest.mark.parametrize("late", [False, True])
+def test_killed_at_every_point_of_a_file(path, call, late):
+    """A process dies before or after each call that makes a sealed file; the next goes on."""
+    here = make()
+    for number in range(100):
+        child = os.fork()
+        if child == 0:
+            _die_at(call, late, number)
+            try:
+                make(path, block=6, threads=1)
+            finally:
+                os._exit(0)
+        _, status = os.waitpid(child, 0)
+        if os.path.exists(os.path.join(path, "ensemble.json")):
+            for index in range(4):
+                if block(path, index).exists():
+                    with np.load(block(path, index)) as file:
+                        assert all(np.isfinite(file["states"]).ravel())
+        same(here, make(path, block=6))
+        if os.waitstatus_to_exitcode(status) == 0:
+            break
+        shutil.rmtree(path)
+    assert number == 9  # what was given, the description, four blocks
+
+
+def _die_at(call, late, number):
+    """End this process, without a word, at a call of the number."""
+    import builtins
+
+    where = {"open": builtins, "fsync": os, "replace": os}[call]
+    plain, count = getattr(where, call), iter(range(10**6))
+
+    def dying(*given, **named):
+        counts = call != "open" or str(given[0]).endswith(".new")
+        now = next(count) if counts else -1
+        if now == number and not late:
+            os._exit(9)
+        result = plain(*given, **named)
+        if now == number:
+            os._exit(9)
+        return result
+
+    setattr(where, call, dying)
+
+
+# ---- what else may be there --------------------------------------------------------------------
+
+
+def test_other_ensembles_are_refused(path):
+    make(path)
+    for more, words in (
+        ({"h": 0.02}, "what was given for its members"),
+        ({"steps": 40}, "what was given"),
+        ({"keep": "all"}, "stride, keep"),
+        ({"consistent": "project"}, "consistent"),
+        ({"t0": 1.0}, "t0"),
+        ({"parameters": {"a": VALUES["a"] + 1e-16 * (VALUES["a"] > 0.3), "J": VALUES["J"]}},
+         "what was given"),
+        ({"parameters": {"a": VALUES["a"][:5]}}, "shape"),
+    ):  # fmt: skip
+        if more.get("parameters", {}).get("J") is not None:
+            more["parameters"]["a"] = np.nextafter(VALUES["a"], 1)
+        with pytest.raises(ValueError, match=f"another ensemble.*{words}"):
+            make(path, **more)
+    with pytest.raises(ValueError, match="another ensemble.*scheme"):
+        dal.ensemble(dal.systems.sleigh(), "leapfrog", store=path, **GIVEN)
+    with pytest.raises(ValueError, match="another ensemble.*system"):
+        dal.ensemble(dal.systems.sleigh(m=2), "midpoint", store=path, **GIVEN)
+    with pytest.raises(ValueError, match="system"):
+        dal.open_ensemble(path, dal.systems.knife_edge())
+
+
+def test_foreign_directories(path, tmp_path):
+    with pytest.raises(ValueError, match="is no store"):
+        dal.open_ensemble(tmp_path)
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
+    with pytest.raises(ValueError, match="cat.jpg"):
+        make(tmp_path / "photos")
+    assert [x.name for x in (tmp_path / "photos").iterdir()] == ["cat.jpg"]
+    (tmp_path / "file").write_text("")
+    with pytest.raises((OSError, ValueError), match="file"):
+        make(tmp_path / "file")
+    make(path)
+    (Path(path) / "notes.txt").write_text("mine")  # beside what is a store it is let alone
+    (Path(path) / "block-1.npz").write_text("not one")
+    (Path(path) / ".block-000000000.npz.0011223344556677.new").write_bytes(b"half")
+    same(make(), make(path))
+    assert (Path(path) / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format": "other", "version": 1}', "\0\1",
+                                  '{"format": "dalembert ensemble", "version": 99}'])  # fmt: skip
+def test_strange_descriptions(path, text):
+    make(path)
+    (Path(path) / "ensemble.json").write_text(text)
+    for again in (lambda: make(path), lambda: dal.open_ensemble(path)):
+        with pytest.raises(ValueError, match="ensemble.json"):
+            again()
+
+
+def test_damaged_blocks_are_named(path):
+    here = make()
+    make(path, block=6)
+    whole = block(path, 1).read_bytes()
+    for content in (b"", whole[:100], whole[:-30], b"PK" + whole, os.urandom(500)):
+        block(path, 1).write_bytes(content)
+        with pytest.raises(StoreError, match="block-000000001.npz.*remove it"):
+            dal.open_ensemble(path)
+        with pytest.raises(StoreError, match="block-000000001.npz"):
+            make(path)
+    middle = bytearray(whole)
+    place = whole.index(here.q[6].tobytes()[:8])
+    middle[place] ^= 1
+    block(path, 1).write_bytes(middle)
+    opened = dal.open_ensemble(path)  # which reads no numbers
+    with pytest.raises(StoreError, match="block-000000001.npz is damaged"):
+        opened.q
+    shutil.copy(block(path, 0), block(path, 1))
+    with pytest.raises(StoreError, match="is no block of this ensemble"):
+        make(path)
+    block(path, 1).unlink()
+    same(here, make(path))
+    other = path + "-other"
+    make(other, block=6, h=0.02)
+    shutil.copy(block(other, 1), block(path, 1))
+    with pytest.raises(StoreError, match="is no block of this ensemble"):
+        dal.open_ensemble(path)
+
+
+def test_pickled_objects_are_not_loaded(path):
+    make(path, block=6)
+    with np.load(block(path, 2)) as file:
+        arrays = dict(file)
+    arrays["q"] = np.array([print], dtype=object)
+    np.savez(block(path, 2), **arrays)
+    with pytest.raises(StoreError):
+        [*dal.open_ensemble(path).blocks()]
+
+
+def test_a_full_disk(path, monkeypatch):
+    here = make()
+    plain, calls = files.replace, []
+
+    def failing(target, content, mode=None):
+        calls.append(target)
+        if len(calls) == 7:  # four given, the description, a block
+            raise OSError(28, "No space left on device", str(target))
+        plain(target, content, mode)
+
+    monkeypatch.setattr(files, "replace", failing)
+    with pytest.raises(OSError, match="No space left"):
+        make(path, block=6, threads=1)
+    monkeypatch.undo()
+    assert len(dal.open_ensemble(path).unfinished) > 0
+    same(here, make(path))
+
+
+def test_about_is_text(path):
+    make(path)
+    about = json.loads((Path(path) / "ensemble.json").read_text())
+    assert about["format"] == "dalembert ensemble" and about["system"]["name"] == "sleigh"
