@@ -390,7 +390,7 @@ def _load_or_compile(
         return found
     with _alone(path):  # of several processes that want the same one compiles
         found = _load(path, key)
-        return _compile(compiler, key, program) if found is None else found
+        return _compile(compiler, key, program, lanes) if found is None else found
 
 
 def _load(path: Path, key: str) -> Library | None:
@@ -413,7 +413,7 @@ def _alone(path: Path) -> Iterator[None]:
         yield
 
 
-def _compile(compiler: Compiler, key: str, program: Program) -> Library:
+def _compile(compiler: Compiler, key: str, program: Program, lanes: bool) -> Library:
     """Make a library, and put it into the cache."""
     path = folder() / f"{key}.so"
     source, origin = program()

@@ -331,6 +331,21 @@ def test_singular(x):
         np.testing.assert_array_equal(lanes.state(1), state(alone))
 
 
+def test_overflow():
+    """A lane stops before the step whose position is not finite, as the scalar step does."""
+    x, y = q = dal.coordinates("x y")
+    system = together(dal.System.from_sympy(free(q)))
+    far = {"h": 1.0, "q0": [1.7e308, 0], "v0": [1e307, 1]}
+    stepper, alone = (dal.Stepper(system, "midpoint", **far) for _ in range(2))
+    lanes = Lanes(stepper, vectors(system)[0])
+    lanes.load(0, stepper)
+    lanes.advance(20)
+    with pytest.raises(dal.DalembertError, match="not finite"):
+        alone.step(steps=20)
+    assert 0 < lanes.made(0) < 20
+    np.testing.assert_array_equal(lanes.state(0), state(alone))
+
+
 def width(system, scheme="midpoint"):
     q = np.zeros(system.n)
     record = dal.Stepper(system, scheme, h=0.01, q0=q, v0=system.project(q, q))
