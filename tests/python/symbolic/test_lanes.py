@@ -335,12 +335,12 @@ def test_overflow():
     """A lane stops before the step whose position is not finite, as the scalar step does."""
     x, y = q = dal.coordinates("x y")
     system = together(dal.System.from_sympy(free(q)))
-    far = {"h": 1.0, "q0": [1.7e308, 0], "v0": [1e307, 1]}
+    far = {"h": 1.0, "q0": [1.7e308, 0], "v0": [1e306, 1]}
     stepper, alone = (dal.Stepper(system, "midpoint", **far) for _ in range(2))
     lanes = Lanes(stepper, vectors(system)[0])
     lanes.load(0, stepper)
     lanes.advance(20)
-    with pytest.raises(dal.DalembertError, match="not finite"):
+    with pytest.raises(dal.DalembertError, match="overflows"):
         alone.step(steps=20)
     assert 0 < lanes.made(0) < 20
     np.testing.assert_array_equal(lanes.state(0), state(alone))
