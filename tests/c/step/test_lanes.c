@@ -308,6 +308,13 @@ static void test_again(void)
     dal__lanes_unload(lanes, 1, member.stepper);
     CHECK(are_alike(alone.stepper, member.stepper));
     CHECK(dal_stepper_time(member.stepper) == dal_stepper_time(alone.stepper));
+    /* with what only the stepper knew that was loaded */
+    member.stepper->jump.energy = 7.0;
+    member.stepper->mech.eval.constraint_calls = 3;
+    dal__lanes_load(lanes, 2, member.stepper);
+    dal__lanes_unload(lanes, 2, gone.stepper);
+    CHECK(gone.stepper->jump.energy == 7.0);
+    CHECK(gone.stepper->mech.eval.constraint_calls == 3);
     dal__lanes_stop(lanes);
     dal__lanes_advance(lanes, 20);
     CHECK(dal__lanes_made(lanes, 1) == 30);
