@@ -377,6 +377,12 @@ def test_models_without_lanes():
     assert width(together(system), "reference") == lib.DAL_EUNSUPPORTED
 
 
+def test_with_libmvec():
+    """The library names it: another one of the process, as NumPy, may have loaded it, or none."""
+    content = library(sleigh()._model, lanes=True).path.read_bytes()
+    assert (b"libmvec.so" in content) == (b"_ZGVbN2v_sin" in content)
+
+
 def test_without_libmvec(monkeypatch, tmp_path):
     """A linker that does not find it: functions are called for lane after lane."""
     found = compiler.find()
