@@ -120,13 +120,13 @@ def find() -> Compiler | None:
     return None
 
 
-def _flags_for_lanes(compiler: Compiler) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return what stands before a program with lanes, and after it: libmvec, as far as it is there.
+def _flags_for_lanes(compiler: Compiler) -> tuple[str, ...]:
+    """Return the flags of a program with lanes, which say how much of libmvec there is.
 
-    Its functions came with glibc 2.22 and 2.35; some of them are tried.
+    It belongs to libm; its functions came with glibc 2.22 and 2.35, and some of them are tried.
     """
     if platform.machine() != "x86_64":
-        return COMMON, ()
+        return COMMON
     for version in (2, 1):
         functions = [name for names in _LIBMVEC[:version] for name in names]
         names = [f"_ZGV{x}{name}" for name in functions for x in ("bN2", "dN4", "eN8")]
@@ -136,10 +136,10 @@ def _flags_for_lanes(compiler: Compiler) -> tuple[tuple[str, ...], tuple[str, ..
             root = Path(directory)
             (root / "tried.c").write_text(tried)
             command = [*compiler.command, "-fPIC", "-shared", "-Wl,-z,defs", "tried.c"]
-            status, _ = _run([*command, "-o", "tried.so", "-lmvec", "-lm"], root)
+            status, _ = _run([*command, "-o", "tried.so", "-lm"], root)
         if status == 0:
-            return (*COMMON, f"-DDAL_LANES_LIBMVEC={version}"), ("-lmvec",)
-    return COMMON, ()
+            return (*COMMON, f"-DDAL_LANES_LIBMVEC={version}")
+    return COMMON
 
 
 def compile_program(
@@ -154,14 +154,14 @@ def compile_program(
         generated from.
     """
     _remove_left()
-    flags, libraries = _flags_for_lanes(compiler) if lanes else (FLAGS, ())
+    flags = _flags_for_lanes(compiler) if lanes else FLAGS
     with tempfile.TemporaryDirectory(prefix=_PLACE) as directory:
         root = Path(directory)
         (root / "dalembert").mkdir()
         for name, text in _headers().items():
             (root / ("" if name == "dalembert.h" else "dalembert") / name).write_text(text)
         (root / "model.c").write_text(source, encoding="ascii")
-        command = [*compiler.command, *flags, "-I.", "model.c", "-o", "model.so", *libraries, "-lm"]
+        command = [*compiler.command, *flags, "-I.", "model.c", "-o", "model.so", "-lm"]
         status, printed = _run(command, root)
         if status != 0 or not (root / "model.so").exists():
             raise CompilerError(_explain(command, source, printed, origin))
