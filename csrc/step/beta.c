@@ -510,6 +510,11 @@ static void restore(void *method, const double *values)
     k->latest_span = vectors[(5 + 4 * k->kinds) * n + k->m];
 }
 
+dal_kernel *dal__beta_kernel(const dal_stepper *stepper)
+{
+    return stepper->family->advance == advance ? &((beta *)stepper->method)->kernel : NULL;
+}
+
 void dal__beta_any_sizes(dal_stepper *stepper)
 {
     beta *const self = stepper->method;

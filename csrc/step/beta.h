@@ -12,6 +12,9 @@ int dal__beta_parse(dal_scheme *scheme, const char *name);
 /* DAL_EINVAL if the record is not valid; the text says why. */
 int dal__beta_check(const dal_scheme *scheme, dal_error *error);
 
+/* What makes the steps of a stepper of this family; NULL for those of others. */
+dal_kernel *dal__beta_kernel(const dal_stepper *stepper);
+
 /* The compilation of the step routine to use for these sizes; the one for any. */
 dal_kernel_fn dal__kernel_for(size_t n, size_t m);
 dal_kernel_fn dal__kernel_any(void);

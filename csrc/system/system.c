@@ -374,7 +374,8 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
 
     arena memory = {0};
     possessions own = {0};
-    dal_system shape = {.def = *def, .masses = def->masses, .ctx_size = def->ctx_size};
+    dal_system shape = {.def = *def, .masses = def->masses, .ctx_size = def->ctx_size,
+                        .refill = def->parameters};
     shape.lean = shape.masses && def->kind == DAL_LINEAR
               && (def->sparsity || !(def->potential || def->force));
     shape.curved = shape.lean && is_curved(def);
@@ -390,7 +391,8 @@ int dal_system_new(dal_system **system, const dal_system_def *def, dal_error *er
     self->def.masses = self->masses ? self->mass : NULL;
     if (def->state) self->def.state = memcpy(own.state, def->state, 2 * def->n * sizeof(double));
     if (def->ctx_size > 0) self->def.ctx = memcpy(own.ctx, def->ctx, def->ctx_size);
-    self->def.ctx_size = 0; /* whoever takes the definition over borrows the copy */
+    self->def.ctx_size = 0; /* whoever takes the definition over borrows the copy, as it is */
+    self->def.parameters = NULL;
     take_texts(self, &own, def);
     if (def->mass) dal__copy(def->n * def->n, def->mass, self->mass);
     if (def->masses) dal__copy(def->n, def->masses, self->mass);
@@ -411,6 +413,7 @@ int dal__system_copy(dal_system **copy, const dal_system *system, dal_error *err
 {
     dal_system_def def = system->def;
     def.ctx_size = system->ctx_size;
+    def.parameters = system->refill;
     const int status = dal_system_new(copy, &def, error);
     if (status) return status;
     (*copy)->record = system->record;
@@ -426,7 +429,7 @@ int dal__system_change(dal_system *system, const void *parameters, dal_error *er
     if (status) return status;
     memcpy(def->ctx, parameters, dal_system_parameter_size(system));
     system->age++;
-    const int returned = def->parameters(system->mass, state, def->ctx);
+    const int returned = system->refill(system->mass, state, def->ctx);
     if (returned)
         return dal__fail(error, dal__callback_status(returned), "the callback parameters returned "
                          "%d", returned);
@@ -440,7 +443,7 @@ int dal__system_change(dal_system *system, const void *parameters, dal_error *er
 size_t dal_system_parameter_size(const dal_system *system)
 {
     if (system->record) return system->parameters * sizeof(double);
-    return system->def.parameters ? system->ctx_size : 0;
+    return system->refill ? system->ctx_size : 0;
 }
 
 void dal_system_free(dal_system *system)

@@ -32,7 +32,8 @@ struct dal_system {
     dal__pattern *pattern;   /* of mu M^-1 mu^T for these rows, if lean */
     const struct builtin *record; /* of a built-in system, or NULL */
     size_t parameters;       /* of it: so many doubles at the beginning of ctx */
-    size_t ctx_size;         /* of the copy */
+    size_t ctx_size;         /* of the copy, and */
+    dal_parameters_fn refill; /* what else depends on it; NULL: it does not change */
     double *factor;          /* [n*n] of a mass that depends on ctx, or NULL */
     size_t age;              /* how often ctx was changed */
     arena arena;

@@ -155,13 +155,15 @@ typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
 
 /* A step routine that was compiled for one system: what compiled of its dal_system_def points
  * to. */
-#define DAL_COMPILED_ABI 5u
+#define DAL_COMPILED_ABI 6u
+typedef struct dal_lanes_routine dal_lanes_routine;
 typedef struct dal_compiled {
     unsigned abi;  /* DAL_COMPILED_ABI, */
     size_t size;   /* and sizeof(dal_kernel), as its compiler saw them */
     dal_kernel_fn advance;
     int momenta;   /* 1: with DAL_KERNEL_MOMENTA, */
     int forced;    /* 1: with a force */
+    const dal_lanes_routine *lanes; /* see lanes.h; NULL: there are none */
 } dal_compiled;
 
 struct dal_kernel {

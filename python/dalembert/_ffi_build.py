@@ -43,8 +43,23 @@ extern "Python" int dal_py_happened(size_t event, size_t step, double t, const d
                                     const double *after, void *ctx);
 """
 
-# For tests alone: the steps of a stepper are made by the compilation for any sizes.
-FOR_TESTS = "void dal__beta_any_sizes(dal_stepper *stepper);\n"
+# For tests and benchmarks alone: the steps of a stepper are made by the compilation for any sizes;
+# members that are stepped together.
+FOR_TESTS = """
+void dal__beta_any_sizes(dal_stepper *stepper);
+typedef struct dal__lanes dal__lanes;
+size_t dal__lanes_width(const dal_system *system, const dal_scheme *scheme);
+int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error);
+void dal__lanes_free(dal__lanes *lanes);
+void dal__lanes_load(dal__lanes *lanes, size_t lane, const dal_stepper *stepper);
+void dal__lanes_stop(dal__lanes *lanes);
+void dal__lanes_advance(dal__lanes *lanes, size_t steps);
+size_t dal__lanes_made(const dal__lanes *lanes, size_t lane);
+void dal__lanes_state(const dal__lanes *lanes, size_t lane, double *x);
+void dal__lanes_impulse(const dal__lanes *lanes, size_t lane, double *impulse);
+void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *stepper);
+size_t dal__lanes_use(dal__lanes *lanes, size_t vector);
+"""
 
 
 def declarations(header: str) -> str:

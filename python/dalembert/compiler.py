@@ -54,11 +54,15 @@ def _for_processor() -> tuple[str, ...]:
 
 # Measured: -O3 makes the fastest step, without vectorisation, which packs what was just stored, and
 # without two passes that take a quarter of the time of compiling.  Contraction would change bits.
-FLAGS = ("-std=c11", "-O3", "-fno-tree-vectorize", "-fno-gcse", "-fno-schedule-insns2",
-         "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared",
-         "-Werror=implicit-function-declaration", *_for_processor())  # fmt: skip
+COMMON = ("-std=c11", "-O3", "-fno-tree-vectorize", "-fno-gcse", "-fno-schedule-insns2",
+          "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared",
+          "-Werror=implicit-function-declaration")  # fmt: skip
+FLAGS = (*COMMON, *_for_processor())
 
-HEADERS = ("dalembert.h", "kernel.h", "lu.h", "momentum.h", "residual.h", "rows.h")
+# With lanes a program has parts for each processor, and what they share is for all of them.
+_LIBMVEC = (("v_sin", "v_cos", "v_exp", "v_log", "vv_pow"), ("v_tan", "v_erf", "vv_atan2"))
+
+HEADERS = ("dalembert.h", "kernel.h", "lanes.h", "lu.h", "momentum.h", "residual.h", "rows.h")
 
 # Seconds after which a compiler is taken to hang; a large model takes some.
 LIMIT = 600.0
@@ -116,7 +120,31 @@ def find() -> Compiler | None:
     return None
 
 
-def compile_program(compiler: Compiler, source: str, origin: Origin) -> bytes:
+def _flags_for_lanes(compiler: Compiler) -> tuple[str, ...]:
+    """Return the flags of a program with lanes, which say how much of libmvec there is.
+
+    It belongs to libm; its functions came with glibc 2.22 and 2.35, and some of them are tried.
+    """
+    if platform.machine() != "x86_64":
+        return COMMON
+    for version in (2, 1):
+        functions = [name for names in _LIBMVEC[:version] for name in names]
+        names = [f"_ZGV{x}{name}" for name in functions for x in ("bN2", "dN4", "eN8")]
+        tried = "".join(f"void {x}(void);\n" for x in names)
+        tried += "void all(void);\nvoid all(void) { " + " ".join(f"{x}();" for x in names) + " }\n"
+        with tempfile.TemporaryDirectory(prefix=_PLACE) as directory:
+            root = Path(directory)
+            (root / "tried.c").write_text(tried)
+            command = [*compiler.command, "-fPIC", "-shared", "-Wl,-z,defs", "tried.c"]
+            status, _ = _run([*command, "-o", "tried.so", "-lm"], root)
+        if status == 0:
+            return (*COMMON, f"-DDAL_LANES_LIBMVEC={version}")
+    return COMMON
+
+
+def compile_program(
+    compiler: Compiler, source: str, origin: Origin, lanes: bool = False
+) -> bytes:
     """Return the shared library made from a source.
 
     Raises
@@ -126,13 +154,14 @@ def compile_program(compiler: Compiler, source: str, origin: Origin) -> bytes:
         generated from.
     """
     _remove_left()
+    flags = _flags_for_lanes(compiler) if lanes else FLAGS
     with tempfile.TemporaryDirectory(prefix=_PLACE) as directory:
         root = Path(directory)
         (root / "dalembert").mkdir()
         for name, text in _headers().items():
             (root / ("" if name == "dalembert.h" else "dalembert") / name).write_text(text)
         (root / "model.c").write_text(source, encoding="ascii")
-        command = [*compiler.command, *FLAGS, "-I.", "model.c", "-o", "model.so", "-lm"]
+        command = [*compiler.command, *flags, "-I.", "model.c", "-o", "model.so", "-lm"]
         status, printed = _run(command, root)
         if status != 0 or not (root / "model.so").exists():
             raise CompilerError(_explain(command, source, printed, origin))
@@ -320,7 +349,7 @@ _libraries: weakref.WeakValueDictionary[str, Library] = weakref.WeakValueDiction
 
 
 def library(
-    key: str, versions: str, program: Program
+    key: str, versions: str, program: Program, lanes: bool = False
 ) -> Library | None:
     """Return the library of a model, compiled now or before; None without a compiler.
 
@@ -332,6 +361,8 @@ def library(
         Of what derives the program from the model.
     program : callable
         ``program() -> (source, origin)``, called only if the library has to be compiled.
+    lanes : bool, optional
+        Whether it has lanes, and is for all processors.
 
     Raises
     ------
@@ -341,16 +372,16 @@ def library(
     compiler = find()
     if compiler is None:
         return None
-    parts = (key, versions, _generator(), compiler.identity)
+    parts = (key, versions, _generator(), compiler.identity, "lanes" * lanes)
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()
     found = _libraries.get(key)
     if found is None:  # two threads may find the same: either is as good
-        found = _libraries[key] = _load_or_compile(compiler, key, program)
+        found = _libraries[key] = _load_or_compile(compiler, key, program, lanes)
     return found
 
 
 def _load_or_compile(
-    compiler: Compiler, key: str, program: Program
+    compiler: Compiler, key: str, program: Program, lanes: bool
 ) -> Library:
     """Load a library from the cache, or make it and put it there."""
     path = folder() / f"{key}.so"
@@ -359,7 +390,7 @@ def _load_or_compile(
         return found
     with _alone(path):  # of several processes that want the same one compiles
         found = _load(path, key)
-        return _compile(compiler, key, program) if found is None else found
+        return _compile(compiler, key, program, lanes) if found is None else found
 
 
 def _load(path: Path, key: str) -> Library | None:
@@ -377,16 +408,18 @@ def _alone(path: Path) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            lock = stack.enter_context(open(path.with_suffix(".lock"), "w"))
+            name = path.with_suffix(".lock")
+            lock = stack.enter_context(open(name, "w"))
             fcntl.flock(lock, fcntl.LOCK_EX)
+            stack.callback(name.unlink, missing_ok=True)  # who waits for it finds what was made
         yield
 
 
-def _compile(compiler: Compiler, key: str, program: Program) -> Library:
+def _compile(compiler: Compiler, key: str, program: Program, lanes: bool) -> Library:
     """Make a library, and put it into the cache."""
     path = folder() / f"{key}.so"
     source, origin = program()
-    content = compile_program(compiler, source, origin)
+    content = compile_program(compiler, source, origin, lanes)
     try:
         return Library(_store(path.parent, key, source, content))
     except OSError as error:

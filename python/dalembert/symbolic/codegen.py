@@ -98,8 +98,9 @@ def is_compact(model: Model) -> bool:
 
 
 def program(
-    model: Model, name: str | None = None, system: Any = None, compact: bool | None = None
-) -> Program:
+    model: Model, name: str | None = None, system: Any = None, compact: bool | None = None,
+    lanes: bool = False,
+) -> Program:  # fmt: skip
     """Return the program of a model.
 
     Parameters
@@ -111,6 +112,8 @@ def program(
     compact : bool, optional
         Whether the system declares the sparsity of its constraints, and leaves the steps to the
         library; None: if it `is_compact`.
+    lanes : bool, optional
+        Whether the program also has the step routine of several members at once, see `has_lanes`.
     """
     made, body = Program(), Program()
     derived = model.derived
@@ -121,6 +124,7 @@ def program(
         " * constraints.  Compile with -ffp-contract=off: then all compilations of the step\n"
         " * routine give the same bits. */\n"
         "#include <dalembert.h>" + "\n#include <dalembert/kernel.h>" * fast
+        + "\n#include <dalembert/lanes.h>" * lanes
         + "\n#include <math.h>\n#include <stddef.h>\n"
     )  # fmt: skip
     powers: set[int] = set()
@@ -128,9 +132,12 @@ def program(
         if compact and function.name in ("mass", "constraint"):
             function = _alone(model, function)
         if fast or function.name not in _OF_STEPS:
-            _function(body, model, function, fast, powers)
+            _function(body, model, function, fast, Printer(powers))
     if fast:
         _kernel(body, model)
+        if lanes:
+            _lanes(body, model)
+        _compiled(body, model, lanes)
     for exponent in sorted(powers):
         _power(made, exponent)
     made.add(_HELPERS)
@@ -161,7 +168,7 @@ static inline double model_smaller(double a, double b) { return a < b || a != a 
 """
 
 
-def _power(made: Program, exponent: int) -> None:
+def _power(made: Program, exponent: int, vector: bool = False) -> None:
     """Write x^exponent as products, by repeated squaring."""
     steps, name, have = [], "x", 1
     for bit in bin(exponent)[3:]:
@@ -170,15 +177,19 @@ def _power(made: Program, exponent: int) -> None:
         if bit == "1":
             steps.append(f"const double s{have + 1} = {name} * x;")
             name, have = f"s{have + 1}", have + 1
-    text = " ".join(steps)
-    made.add(f"static inline double model_power_{exponent}(double x) {{ {text} return {name}; }}")
+    text = f"static inline double model_power_{exponent}(double x) {{ "
+    text += " ".join(steps) + f" return {name}; }}"
+    if vector:
+        text = text.replace("double", "dal_vec")
+        text = text.replace(f"model_power_{exponent}", f"DAL_LANES(model_power_{exponent})")
+    made.add(text)
 
 
 # ---- callbacks ---------------------------------------------------------------------------------
 
 
 def _function(
-    made: Program, model: Model, function: Function, fast: bool, powers: set[int]
+    made: Program, model: Model, function: Function, fast: bool, print_c: Printer
 ) -> None:
     """Write a callback: what is common to its outputs, then each output that is wanted."""
     give, values = function.engine.give, _written(function)
@@ -192,9 +203,10 @@ def _function(
     inline = inline and _are_few(computed)
     used = {s.name for e in computed for s in e.free_symbols}
 
-    signature = _SIGNATURES[function.name]
+    signature, real = _SIGNATURES[function.name], print_c.real
     made.add("DAL_KERNEL_INLINE int" if inline else "static int")
-    made.add(f"model_{function.name}({signature}, const double *p)\n{{")
+    name = print_c.name(f"model_{function.name}")
+    made.add(f"{name}({signature}, const double *p)\n{{".replace("double", real))
     n = model.n
     arrays = [("start", 2 * n)] if "start" in signature else [("q", n), ("v", n)]
     arrays += [("u", len(model.u))] if of_force else []
@@ -203,12 +215,12 @@ def _function(
     inputs = model.u if of_force else ()
     for symbol, place in zip((*model.q, *model.v, *inputs, *model.p), places):
         if symbol.name in used:
-            made.add(f"    const double {symbol.name} = {place};")
+            made.add(f"    const {real} {symbol.name} = {place};")
     unused = [i for i in _names(signature) if i in ("t", "q", "v", "u", "start", "phi_t", "L_vt")]
     made.add("    " + ", ".join(f"(void){name}" for name in [*unused, "p"]) + ";")
-    _outputs(made, model, function, temporaries, values, Printer(powers))
+    _outputs(made, model, function, temporaries, values, print_c)
     made.add("    return 0;\n}\n")
-    if function.name not in ("mass", "state", *_OF_STEPS):
+    if function.name not in ("mass", "state", *_OF_STEPS) and real == "double":
         names = ", ".join(_names(signature))
         made.add(f"static int model_call_{function.name}({signature}, void *ctx)\n{{")
         made.add(f"    return model_{function.name}({names}, ctx);\n}}\n")
@@ -249,7 +261,7 @@ def _outputs(
 
     def compute(left: str, expression: Any, what: str) -> None:
         try:
-            line = f"{left} = {print_c(expression)};"
+            line = f"{left} = {print_c.whole(expression)};"
         except ValueError as error:
             raise ValueError(f"{what} of the {function.name}: {error}") from None
         made.lines.append((line, functools.partial(_origin, what, expression, temporaries)))
@@ -258,7 +270,7 @@ def _outputs(
         for symbol, expression in temporaries:
             if are_here(users[symbol]):
                 what = f"a part of {' and '.join(sorted(users[symbol]))}"
-                compute(f"{indent}const double {symbol.name}", expression, what)
+                compute(f"{indent}const {print_c.real} {symbol.name}", expression, what)
 
     parts(lambda by: len(by) > 1, "    ")
     for output, entries in values.items():
@@ -266,7 +278,8 @@ def _outputs(
         parts(lambda by, output=output: by == {output}, "        ")
         size = len(function.outputs[output])
         if len(entries) < size:
-            made.add(f"        for (size_t i = 0; i < {size}; i++) {output}[i] = 0.0;")
+            zero = print_c.whole(sympy.Integer(0))
+            made.add(f"        for (size_t i = 0; i < {size}; i++) {output}[i] = {zero};")
         is_matrix = size > model.n and size in (model.n**2, model.n * model.m)
         for k, expression in entries.items():
             index = f"{k // model.n}, {k % model.n}" if is_matrix else f"{k}"
@@ -349,10 +362,16 @@ def _kernel(made: Program, model: Model) -> None:
         macros["KERNEL_POTENTIAL(k, t, q, V_q)"] = "model_inside_pull(k, t, q, V_q)"
     for name, text in macros.items():
         made.add(f"#define DAL_{name} {text}".rstrip())
+    made.add("#include <dalembert/kernel.h>\n")
+
+
+def _compiled(made: Program, model: Model, lanes: bool) -> None:
+    """Write what compiled of the definition points to."""
     made.add(
-        "#include <dalembert/kernel.h>\n\nstatic const dal_compiled model_compiled = {\n"
+        "static const dal_compiled model_compiled = {\n"
         "    DAL_COMPILED_ABI, sizeof(dal_kernel), model_steps, "
-        f"{int(derived.has_momenta)}, {int(model.force is not None)}}};\n"
+        f"{int(model.derived.has_momenta)}, {int(model.force is not None)}, "
+        f"{'model_lanes' if lanes else 'NULL'}}};\n"
     )
 
 
@@ -384,6 +403,115 @@ DAL_KERNEL_APART int model_start(dal_kernel *k, double t, const double *q, const
 }}
 """,
 }
+
+
+# ---- the step routine of several members at once -----------------------------------------------
+
+
+# How many lanes there are in a vector, and what the compiler is told to use for them.
+_SETS = {8: "avx512f,avx512dq", 4: "avx2", 2: ""}
+
+_BEGIN = """#ifdef __clang__
+#pragma clang attribute push(__attribute__((target("{target}"))), apply_to = function)
+#else
+#pragma GCC push_options
+#pragma GCC target("{target}")
+#endif"""
+
+_END = """#ifdef __clang__
+#pragma clang attribute pop
+#else
+#pragma GCC pop_options
+#endif"""
+
+_VECTOR_HELPERS = """DAL_KERNEL_INLINE dal_vec DAL_LANES(model_sign)(dal_vec x)
+{
+    return DAL_LANES(choose)(x > 0.0, DAL_LANES(all_of)(1.0),
+                             DAL_LANES(choose)(x < 0.0, DAL_LANES(all_of)(-1.0), x));
+}
+DAL_KERNEL_INLINE dal_vec DAL_LANES(model_step)(dal_vec x, dal_vec at_zero)
+{
+    return DAL_LANES(choose)(x > 0.0, DAL_LANES(all_of)(1.0), DAL_LANES(choose)(x < 0.0,
+        DAL_LANES(all_of)(0.0), DAL_LANES(choose)(x == 0.0, at_zero, x)));
+}
+DAL_KERNEL_INLINE dal_vec DAL_LANES(model_larger)(dal_vec a, dal_vec b)
+{
+    return DAL_LANES(choose)((a > b) | (a != a), a, b);
+}
+DAL_KERNEL_INLINE dal_vec DAL_LANES(model_smaller)(dal_vec a, dal_vec b)
+{
+    return DAL_LANES(choose)((a < b) | (a != a), a, b);
+}
+"""
+
+# What libmvec has had from its beginning; sqrt, which is rounded right, it has not at all.
+_EARLY = ("sin", "cos", "exp", "log", "pow")
+
+
+def has_lanes(model: Model) -> bool:
+    """Return whether several members can be stepped at once: by steps without momenta or inputs."""
+    return model.n <= MOST and not model.derived.has_momenta and not model.inputs
+
+
+def _lanes(made: Program, model: Model) -> None:
+    """Include lanes.h for each set of instructions, with the sizes and callbacks of the model."""
+    derived = model.derived
+    made.add("#ifdef __GNUC__")
+    for vector, target in _SETS.items():
+        if target:
+            made.add("#ifdef __x86_64__\n" + _BEGIN.format(target=target))
+        made.add(f"#define DAL_LANES(name) name##_{vector}\n#define DAL_LANES_VECTOR {vector}")
+        made.add("#include <dalembert/lanes.h>\n")
+        _vector_callbacks(made, model)
+        macros = {"N": model.n, "M": model.m}
+        zeros = pattern(model)
+        macros["LANES_PATTERN"] = zeros.initializer()
+        macros["LANES_STEADY"] = int(zeros.steady) + int(zeros.apart)
+        if model.m > 0:
+            macros["LANES_CONSTRAINT(t, q, v, mu, N, p)"] = (
+                "(void)DAL_LANES(model_constraint)(t, q, v, NULL, mu, N, NULL, p)"
+            )
+        if pull := _pull(model):
+            arguments = "t, q, NULL, V_q" if pull == "pull" else "t, q, NULL, V_q, NULL"
+            macros["LANES_PULL(t, q, V_q, p)"] = f"(void)DAL_LANES(model_{pull})({arguments}, p)"
+        for name, text in macros.items():
+            made.add(f"#define DAL_{name} {text}")
+        made.add("#include <dalembert/lanes.h>")
+        if target:
+            made.add(_END + "\n#endif")
+    made.add("#endif\n\nstatic const dal_lanes_routine model_lanes[] = {")
+    made.add("#ifdef __GNUC__")
+    for vector, target in _SETS.items():
+        entry = f"    {{{vector}, {len(model.p)}, advance_{vector}}},"
+        made.add(f"#ifdef __x86_64__\n{entry}\n#endif" if target else entry)
+    made.add("#endif\n    {0, 0, NULL}};\n")
+
+
+def _pull(model: Model) -> str | None:
+    """Return the function that gives the V_q of the steps without momenta, if there is one."""
+    if model.derived.is_positional:
+        return "pull"
+    return "potential" if model.derived.function("potential") is not None else None
+
+
+def _vector_callbacks(made: Program, model: Model) -> None:
+    """Write what the steps call, for vectors, after what that calls."""
+    powers: set[int] = set()
+    body, print_c = Program(), VectorPrinter(powers)
+    for function in model.derived.functions:
+        if function.name in ("constraint", _pull(model)):
+            _function(body, model, function, True, print_c)
+    for name in sorted(print_c.called):
+        ending = f"_OF_TWO({name})" if name in ("pow", "atan2") else f"({name})"
+        if name == "sqrt":
+            made.add(f"DAL_LANES_EACH{ending}")
+            continue
+        made.add(f"#if DAL_LANES_LIBMVEC >= {1 if name in _EARLY else 2}")
+        made.add(f"DAL_LANES_AT_ONCE{ending}\n#else\nDAL_LANES_EACH{ending}\n#endif")
+    for exponent in sorted(powers):
+        _power(made, exponent, vector=True)
+    made.add(_VECTOR_HELPERS)
+    made.lines += body.lines
 
 
 # ---- the system --------------------------------------------------------------------------------
@@ -519,10 +647,34 @@ _INVERSE = {sympy.sec: "cos", sympy.csc: "sin", sympy.cot: "tan"}
 
 
 class Printer:
-    """Expressions as C, over a closed list of what there may be."""
+    """Expressions as C, over a closed list of what there may be.
+
+    Attributes
+    ----------
+    powers : set of int
+        What `_power` has to be written for.
+    real, nowhere : str
+        The type of a number, and the number that is none.
+    """
+
+    real, nowhere = "double", "NAN"
 
     def __init__(self, powers: set[int]) -> None:
         self.powers = powers
+
+    def name(self, name: str) -> str:
+        """Return the name of a function that is generated."""
+        return name
+
+    def whole(self, e: Any) -> str:
+        """Return an expression that stands alone, or as an argument."""
+        return self(e)
+
+    def call(self, name: str, *arguments: str) -> str:
+        return f"{name}({', '.join(arguments)})"
+
+    def choice(self, condition: str, value: str, other: str) -> str:
+        return f"({condition} ? {value} : {other})"
 
     def __call__(self, e: Any) -> str:
         if e.is_Symbol:
@@ -565,50 +717,88 @@ class Printer:
 
     def _power(self, base: Any, exponent: Any) -> str:
         if base == sympy.E:
-            return f"exp({self(exponent)})"
+            return self.call("exp", self.whole(exponent))
         if exponent.is_Rational and exponent.is_negative:
             return f"(1.0 / {self._power(base, -exponent)})"
         if exponent == 1:
             return self(base)
         if exponent == sympy.Rational(1, 2):
-            return f"sqrt({self(base)})"
+            return self.call("sqrt", self.whole(base))
         if exponent.is_Integer and 2 <= exponent <= 64:
             self.powers.add(int(exponent))
-            return f"model_power_{int(exponent)}({self(base)})"
-        return f"pow({self(base)}, {self(exponent)})"
+            return self.call(f"model_power_{int(exponent)}", self.whole(base))
+        return self.call("pow", self.whole(base), self.whole(exponent))
 
     def _number(self, e: Any) -> str:
         text = repr(nearest(e))
         return f"({text})" if text.startswith("-") else text
 
     def _function(self, e: Any) -> str:
-        parts = map(self, e.args)
-        if name := FUNCTIONS.get(e.func) or _OWN.get(e.func):
-            return f"{name}({', '.join(parts)})"
-        if name := _OF_TWO.get(e.func):
-            return functools.reduce(lambda one, other: f"{name}({one}, {other})", parts)
-        if name := _INVERSE.get(e.func):
-            return f"(1.0 / {name}({next(parts)}))"
         if isinstance(e, sympy.Piecewise):
-            text = "NAN"
+            text = self.nowhere
             for value, condition in reversed(e.args):
-                text = self(value) if condition == sympy.true else (
-                    f"({self._condition(condition)} ? {self(value)} : {text})"
+                text = self.whole(value) if condition == sympy.true else (
+                    self.choice(self._condition(condition), self.whole(value), text)
                 )
             return text
+        parts = map(self.whole, e.args)
+        if name := FUNCTIONS.get(e.func) or _OWN.get(e.func):
+            return self.call(name, *parts)
+        if name := _OF_TWO.get(e.func):
+            return functools.reduce(lambda one, other: self.call(name, one, other), parts)
+        if name := _INVERSE.get(e.func):
+            return f"(1.0 / {self.call(name, next(parts))})"
         raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
+
+    _signs = {"and": " && ", "or": " || ", "not": "!", True: "1", False: "0"}
 
     def _condition(self, e: Any) -> str:
         if isinstance(e, BooleanTrue | BooleanFalse):
-            return "1" if e else "0"
+            return self._signs[bool(e)]
         if isinstance(e, sympy.core.relational.Relational):
-            return f"({self(e.lhs)} {e.rel_op} {self(e.rhs)})"
+            return f"({self.whole(e.lhs)} {e.rel_op} {self.whole(e.rhs)})"
         if isinstance(e, sympy.Not):
-            return f"!{self._condition(e.args[0])}"
+            return f"{self._signs['not']}{self._condition(e.args[0])}"
         if isinstance(e, sympy.And | sympy.Or):
-            sign = " && " if isinstance(e, sympy.And) else " || "
+            sign = self._signs["and" if isinstance(e, sympy.And) else "or"]
             return f"({sign.join(map(self._condition, e.args))})"
         raise ValueError(f"{e} ({type(e).__name__}) cannot be written in C")
+
+
+class VectorPrinter(Printer):
+    """The same for vectors; what has no symbol in it is a number, which their operators take too.
+
+    Attributes
+    ----------
+    called : set of str
+        The functions of the math library that occur.
+    """
+
+    real, nowhere = "dal_vec", "DAL_LANES(all_of)(NAN)"
+    _signs = {
+        "and": " & ", "or": " | ", "not": "~", True: "~(dal_mask){0}", False: "(dal_mask){0}",
+    }  # fmt: skip
+
+    def __init__(self, powers: set[int]) -> None:
+        super().__init__(powers)
+        self.called: set[str] = set()
+
+    def __call__(self, e: Any) -> str:
+        return super().__call__(e) if e.free_symbols else Printer(set())(e)
+
+    def name(self, name: str) -> str:
+        return f"DAL_LANES({name})"
+
+    def whole(self, e: Any) -> str:
+        return self(e) if e.free_symbols else f"DAL_LANES(all_of)({self(e)})"
+
+    def call(self, name: str, *arguments: str) -> str:
+        if name != "fabs" and not name.startswith("model_"):
+            self.called.add(name)
+        return super().call(self.name(name), *arguments)
+
+    def choice(self, condition: str, value: str, other: str) -> str:
+        return super().call("DAL_LANES(choose)", condition, value, other)
 
 
 def c_identifier(name: str | None, default: str) -> str:

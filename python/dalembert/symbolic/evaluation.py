@@ -35,14 +35,19 @@ def _generator() -> str:
     return hashlib.sha256(b"".join(here.joinpath(name).read_bytes() for name in names)).hexdigest()
 
 
-def library(model: Model) -> Library | None:
-    """Return the compiled model; None if there is no compiler."""
+def library(model: Model, lanes: bool = False) -> Library | None:
+    """Return the compiled model; None if there is no compiler.
+
+    With ``lanes`` it is another one, whose steps can also be made for several members at once, if
+    the model has such steps.
+    """
+    lanes = lanes and codegen.has_lanes(model)
 
     def program() -> tuple[str, compiler.Origin]:
-        made = codegen.program(model)
+        made = codegen.program(model, lanes=lanes)
         return made.source, lambda line: made.origin(line, model.shown)
 
-    return compiler.library(model.key, f"{default_engine()}, {_generator()}", program)
+    return compiler.library(model.key, f"{default_engine()}, {_generator()}", program, lanes)
 
 
 class Evaluation:

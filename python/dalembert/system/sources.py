@@ -355,7 +355,8 @@ class BuiltIn(Source):
 class Expressions(Source):
     """A system of expressions: a model, and values of its parameters.
 
-    An invariant that is None is an expression of the model.
+    An invariant that is None is an expression of the model.  With ``lanes`` steps can also be made
+    for several members of an ensemble at once.
     """
 
     model: Any
@@ -365,6 +366,7 @@ class Expressions(Source):
     exact: Function | None
     invariants: dict[str, Function | None]
     of_library: bool = False
+    lanes: bool = False
 
     def named(self) -> dict[str, Function | None]:
         return {"exact": self.exact, **self.invariants}
@@ -377,7 +379,7 @@ class Expressions(Source):
         model, state, n = self.model, self.state, self.model.n
         given.require_assumed(model, self.values)
         numbers = evaluation.Evaluation(model, self.values)
-        library = evaluation.library(model)
+        library = evaluation.library(model, self.lanes)
         if model.state is not None:
             state = numbers.matrix(library, "state", (2 * n,))
         if state is not None and len(state) != 2 * n:

@@ -111,13 +111,14 @@ static int step_in_general(dal_kernel *k, size_t steps, size_t *done)
     return dal__kernel_for(k->n, k->m)(k, steps, done);
 }
 
-static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), blade_step, 0, 0};
+static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), blade_step, 0, 0,
+                                      NULL};
 static const dal_compiled compiled_in_general = {DAL_COMPILED_ABI, sizeof(dal_kernel),
-                                                 blade_step_in_general, 0, 0};
+                                                 blade_step_in_general, 0, 0, NULL};
 static const dal_compiled compiled_in_full = {DAL_COMPILED_ABI, sizeof(dal_kernel),
-                                              blade_step_in_full, 0, 0};
+                                              blade_step_in_full, 0, 0, NULL};
 static const dal_compiled compiled_free = {DAL_COMPILED_ABI, sizeof(dal_kernel), free_blade_step, 0,
-                                           0};
+                                           0, NULL};
 
 static const double mass[9] = {2.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.75};
 static const double state[6] = {0.0, 0.0, 0.2, 0.49003328892062081, 0.099334665397530605, 1.2};
@@ -198,7 +199,7 @@ static void test_same_bits(variety kind)
 static void test_nodes_only(void)
 {
     static const dal_compiled general = {DAL_COMPILED_ABI, sizeof(dal_kernel), step_in_general, 0,
-                                         0};
+                                         0, NULL};
     const char *const names[] = {"leapfrog", "leapfrog-suzuki4", "leapfrog-kl6", "leapfrog-kl8",
                                  "leapfrog-mirror", "explicit"};
     size_t compared = 0;
@@ -365,7 +366,8 @@ static int inside_level(dal_kernel *k, double t, const double *q, const double *
 
 static void test_overflow(void)
 {
-    static const dal_compiled level = {DAL_COMPILED_ABI, sizeof(dal_kernel), level_step, 0, 0};
+    static const dal_compiled level = {DAL_COMPILED_ABI, sizeof(dal_kernel), level_step, 0, 0,
+                                       NULL};
     const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = level_constraint,
                                 .compiled = &level};
     const double x[6] = {0.0, 0.0, 0.0, 1.0, -2.0, 1e307};
@@ -495,7 +497,8 @@ static int count_steps(dal_kernel *k, size_t steps, size_t *done)
 
 static void test_it_is_used(void)
 {
-    static const dal_compiled counting = {DAL_COMPILED_ABI, sizeof(dal_kernel), count_steps, 0, 0};
+    static const dal_compiled counting = {DAL_COMPILED_ABI, sizeof(dal_kernel), count_steps, 0, 0,
+                                          NULL};
     blade b = {.slope = 5.0, .wobble = 0.1};
     dal_system_def def = blade_def(&b);
     dal_system *system = NULL;
@@ -580,14 +583,16 @@ static void refused_at_once(const dal_system_def *def, const char *words)
 static void test_bad_definitions(void)
 {
     blade b = {.slope = 5.0, .wobble = 0.1};
-    const dal_compiled larger = {DAL_COMPILED_ABI, sizeof(dal_kernel) + 8, blade_step, 0, 0};
-    const dal_compiled older = {DAL_COMPILED_ABI - 1, sizeof(dal_kernel), blade_step, 0, 0};
+    const dal_compiled larger = {DAL_COMPILED_ABI, sizeof(dal_kernel) + 8, blade_step, 0, 0,
+                                 NULL};
+    const dal_compiled older = {DAL_COMPILED_ABI - 1, sizeof(dal_kernel), blade_step, 0, 0,
+                                NULL};
     const dal_system_def good = blade_def(&b);
     dal_system_def def = good;
     def.compiled = &larger;
     refused(&def, "compile it with the kernel.h of this library");
     def.compiled = &older;
-    refused(&def, "its number 4");
+    refused(&def, "its number 5");
     def = good;
     def.steady = 0;
     def.force = no_force;
