@@ -2,9 +2,17 @@
 #include "dalembert/ensemble.h"
 #include "run/events.h"
 #include "run/run.h"
+#include "step/lanes.h"
 
 #include <math.h>
 #include <string.h>
+
+/* A member in a lane. */
+typedef struct lane {
+    bool goes;
+    size_t expected; /* steps that it has made, if it has not stopped */
+    dal_run run;
+} lane;
 
 /* What makes the members of a range. */
 typedef struct worker {
@@ -14,6 +22,9 @@ typedef struct worker {
     dal_stepper *stepper;
     dal_mechanics *mech;      /* what measures the states; NULL where nothing is measured */
     dal_events *events;       /* or NULL */
+    dal__lanes *lanes;        /* or NULL, and */
+    size_t width;             /* how many there are */
+    lane *lane;               /* [width] */
     size_t member, rows, reactions; /* of each member */
     dal_run run;              /* of the member */
     int refused;              /* what measuring it has failed with */
@@ -145,16 +156,21 @@ static void conclude(worker *self)
 
 /* ---- a member ------------------------------------------------------------------------------ */
 
+static int bind_parameters(worker *self)
+{
+    const dal_members *const members = self->members;
+    const char *const all = members->parameters;
+    return dal__system_change(self->own, all + self->member * members->parameters_next,
+                              &self->stepper->error);
+}
+
 /* The stepper at the beginning of the member, as if it were new. */
 static int begin(worker *self)
 {
     const dal_members *const members = self->members;
     dal_stepper *const stepper = self->stepper;
     const size_t k = self->member;
-    int status = DAL_SUCCESS;
-    if (self->own)
-        status = dal__system_change(self->own, (const char *)members->parameters
-                                               + k * members->parameters_next, &stepper->error);
+    const int status = self->own ? bind_parameters(self) : DAL_SUCCESS;
     if (status) return status;
     dal__clear(self->system->def.inputs, stepper->mech.eval.own_input);
     if (self->events) dal__events_forget(self->events);
@@ -191,32 +207,21 @@ static void prepare_run(worker *self)
     }
 }
 
-/* Whether the watch wants to stop, which is asked some twenty times a second. */
-static void ask(worker *self, size_t first, double began)
+/* Whether the watch wants to stop, which is asked some twenty times a second.  far: how many members
+ * are done. */
+static void ask(worker *self, double far, double began)
 {
-    const dal_run *const run = &self->run;
-    const double part = run->steps > 0 ? (double)run->done / (double)run->steps : 1.0;
     const bool soon = dal__clock() - began < DAL_WATCH_SECONDS / 4.0;
     if (soon && self->piece < SIZE_MAX / 2) self->piece *= 2;
     else if (!soon && self->piece > 1) self->piece /= 2;
-    self->watch.made = (double)(self->member - first) + part;
+    self->watch.made = far;
     self->stopped = dal__ask(&self->watch, self->watch.made, &self->stepper->error);
 }
 
-static int make_member(worker *self, size_t first)
+/* The member is over, or cannot go on: what it has failed with, if it has. */
+static int finish(worker *self, int status)
 {
-    const bool watched = self->watch.function;
-    dal_run *const run = &self->run;
-    forget_results(self);
-    self->refused = DAL_SUCCESS;
-    int status = begin(self);
-    if (status) return status;
-    prepare_run(self);
-    do {
-        const double began = watched ? dal__clock() : 0.0;
-        status = dal_run_go(run, watched ? self->piece : SIZE_MAX);
-        if (watched && !status && !self->stopped) ask(self, first, began);
-    } while (!status && !self->stopped && run->done < run->steps);
+    const dal_run *const run = &self->run;
     if (run->ended) status = DAL_SUCCESS;
     else if (self->stopped && run->done < run->steps) status = DAL_STOPPED;
     conclude(self);
@@ -225,17 +230,152 @@ static int make_member(worker *self, size_t first)
     return self->refused;
 }
 
-static void make_range(worker *self, size_t first, size_t count)
+/* Part of the steps that are made. */
+static double part_of(const dal_run *run)
+{
+    return run->steps > 0 ? (double)run->done / (double)run->steps : 1.0;
+}
+
+/* The rest of a member, from where its run is. */
+static int go_on(worker *self, size_t first)
+{
+    dal_run *const run = &self->run;
+    const bool watched = self->watch.function;
+    int status = DAL_SUCCESS;
+    do {
+        const double began = watched ? dal__clock() : 0.0;
+        status = dal_run_go(run, self->stopped ? 0 : watched ? self->piece : SIZE_MAX);
+        if (watched && !status && !self->stopped)
+            ask(self, (double)(self->member - first) + part_of(run), began);
+    } while (!status && !self->stopped && run->done < run->steps);
+    return finish(self, status);
+}
+
+/* What has become of a member. */
+static void tell(const worker *self, int status)
 {
     const dal_members *const members = self->members;
+    if (members->status) members->status[self->member] = status;
+    dal_error *const error = members->errors ? &members->errors[self->member] : NULL;
+    if (error && status < 0) *error = self->stepper->error;
+    else if (error) error->status = DAL_SUCCESS, error->text[0] = '\0';
+}
+
+/* The member at its beginning, with its run; else what is the matter with it. */
+static int open_member(worker *self)
+{
+    forget_results(self);
+    self->refused = DAL_SUCCESS;
+    if (self->stopped) return DAL_STOPPED;
+    const int status = begin(self);
+    if (!status) prepare_run(self);
+    return status;
+}
+
+static void make_range(worker *self, size_t first, size_t count)
+{
     for (self->member = first; self->member < first + count; self->member++) {
-        int status = DAL_STOPPED;
-        if (self->stopped) forget_results(self);
-        else status = make_member(self, first);
-        if (members->status) members->status[self->member] = status;
-        dal_error *const error = members->errors ? &members->errors[self->member] : NULL;
-        if (error && status < 0) *error = self->stepper->error;
-        else if (error) error->status = DAL_SUCCESS, error->text[0] = '\0';
+        const int status = open_member(self);
+        tell(self, status ? status : go_on(self, first));
+    }
+}
+
+/* ---- lanes --------------------------------------------------------------------------------- */
+
+/* Steps from where a lane is to its next row. */
+static size_t to_next_row(const lane *one)
+{
+    return one->run.stored * one->run.stride - one->expected;
+}
+
+/* The stepper, and the system, are those of a lane where it is now. */
+static void take_out(worker *self, size_t first, size_t number)
+{
+    self->member = first + number;
+    if (self->own) bind_parameters(self); /* which it had before, without fault */
+    dal__lanes_unload(self->lanes, number, self->stepper);
+    self->run = self->lane[number].run;
+    self->run.done = dal__lanes_made(self->lanes, number);
+    self->refused = DAL_SUCCESS;
+}
+
+/* A lane that is at a row, or has stopped before a step, or is to stop.  What has stopped goes on by
+ * itself. */
+static void attend(worker *self, size_t begin, size_t first, size_t number)
+{
+    lane *const one = &self->lane[number];
+    dal_run *const run = &self->run;
+    int status = DAL_SUCCESS;
+    take_out(self, first, number);
+    const bool goes = run->done == one->expected && run->done < run->steps && !self->stopped;
+    if (goes) status = dal_run_go(run, 0); /* which stores the row */
+    one->run = *run;
+    one->goes = goes && !status;
+    if (!one->goes) tell(self, status ? finish(self, status) : go_on(self, begin));
+}
+
+/* So many members from the first on, at their beginning. */
+static void fill_lanes(worker *self, size_t first, size_t count)
+{
+    dal__lanes_stop(self->lanes);
+    for (size_t i = 0; i < self->width; i++) {
+        self->lane[i].goes = false;
+        if (i >= count) continue;
+        self->member = first + i;
+        int status = open_member(self);
+        bool goes = false;
+        if (!status) {
+            status = dal_run_go(&self->run, 0);
+            goes = !status && self->run.steps > 0;
+            if (!goes) status = finish(self, status);
+        }
+        self->lane[i] = (lane){.goes = goes, .run = self->run};
+        if (goes) dal__lanes_load(self->lanes, i, self->stepper);
+        else tell(self, status);
+    }
+}
+
+/* Steps until the next of the lanes is at a row, or until it is time to look at the clock; 0 if
+ * none goes. */
+static size_t plan_steps(const worker *self)
+{
+    size_t steps = 0;
+    for (size_t i = 0; i < self->width; i++) {
+        const size_t next = self->lane[i].goes ? to_next_row(&self->lane[i]) : 0;
+        if (next > 0 && (steps == 0 || next < steps)) steps = next;
+    }
+    return self->watch.function && steps > self->piece ? self->piece : steps;
+}
+
+static void make_lanes(worker *self, size_t begin, size_t first, size_t count)
+{
+    size_t steps;
+    fill_lanes(self, first, count);
+    while ((steps = plan_steps(self)) > 0) {
+        const double began = self->watch.function ? dal__clock() : 0.0;
+        bool at_row = false;
+        dal__lanes_advance(self->lanes, steps);
+        if (self->watch.function && !self->stopped) ask(self, (double)(first - begin), began);
+        for (size_t i = 0; i < self->width; i++) {
+            lane *const one = &self->lane[i];
+            if (!one->goes) continue;
+            one->expected += steps;
+            const bool here = to_next_row(one) == 0;
+            at_row = at_row || here;
+            if (here || self->stopped || dal__lanes_made(self->lanes, i) < one->expected)
+                attend(self, begin, first, i);
+        }
+        /* rows are those of all lanes at once, or the ends of some */
+        if (at_row && self->members->stride > 0) dal__lanes_forget_impulses(self->lanes);
+    }
+}
+
+static void make_range_in_lanes(worker *self, size_t first, size_t count)
+{
+    for (size_t made = 0; made < count;) {
+        const size_t left = count - made, some = left < self->width ? left : self->width;
+        make_lanes(self, first, first + made, some);
+        made += some;
     }
 }
 
@@ -243,6 +383,7 @@ static void make_range(worker *self, size_t first, size_t count)
 
 static void dismiss(worker *self)
 {
+    dal__lanes_free(self->lanes);
     dal_events_free(self->events);
     dal_mechanics_free(self->mech);
     dal_stepper_free(self->stepper);
@@ -261,12 +402,19 @@ static int make_events(worker *self, const dal_scheme *scheme, dal_event *list, 
     return dal_events_new(&self->events, self->stepper, scheme, list, members->event_count, error);
 }
 
+static bool use_lanes(const dal_members *members)
+{
+    return members->lanes && members->event_count == 0 && !members->inputs;
+}
+
 static int hire(worker *self, const dal_system *system, const dal_scheme *scheme,
                 const dal_options *options, dal_error *error)
 {
     const dal_members *const members = self->members;
     dal_event *list;
+    self->width = use_lanes(members) ? dal__lanes_width(system, scheme) : 0;
     dal__reserve(&self->arena, &list, members->event_count, sizeof *list);
+    dal__reserve(&self->arena, &self->lane, self->width, sizeof *self->lane);
     int status = dal__allocate(&self->arena, error);
     self->system = system;
     if (!status && members->parameters) {
@@ -276,6 +424,8 @@ static int hire(worker *self, const dal_system *system, const dal_scheme *scheme
     if (!status) status = dal_stepper_new(&self->stepper, self->system, scheme, options, error);
     if (!status && (members->energy || members->residual || members->multipliers))
         status = dal_mechanics_new(&self->mech, self->system, error);
+    if (!status && self->width > 0)
+        status = dal__lanes_new(&self->lanes, self->stepper, error);
     if (!status && members->event_count > 0) status = make_events(self, scheme, list, error);
     return status;
 }
@@ -292,7 +442,8 @@ int dal_ensemble_run(const dal_system *system, const dal_scheme *scheme, const d
     worker self = {.members = members, .rows = rows, .reactions = stride > 0 ? rows - 1 : 1,
                    .piece = 1, .watch = {.function = watch, .ctx = ctx}};
     status = hire(&self, system, scheme, options, error);
-    if (!status) make_range(&self, first, count);
+    if (!status && self.lanes) make_range_in_lanes(&self, first, count);
+    else if (!status) make_range(&self, first, count);
     if (self.stopped) status = dal__fail(error, self.stopped, "%s", self.stepper->error.text);
     dismiss(&self);
     return status;

@@ -34,6 +34,10 @@ typedef struct dal_members {
     dal_initial initial;
     const dal_event *events;    /* [event_count] or NULL; a ctx that is NULL is that of the */
     size_t event_count;         /* member's system: its parameters */
+    int lanes;                  /* 1: several members are stepped at once by vector instructions,
+                                   where the system was compiled for it and there are neither
+                                   events nor inputs.  A member then does not depend on the others
+                                   either, but its bits are of this kind of machine */
     size_t stride;              /* 0: one row of results for each member, its end; else
                                    steps/stride + 1, the first that of its beginning */
     /* Results, each NULL if it is not wanted, and NaN where the member has not come to.  In D_eps
