@@ -147,6 +147,7 @@ class Setting:
     hold: int
     events: tuple[Event, ...]
     control: Callable[..., Any] | None  # inputs that are a function
+    lanes: bool = False
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,7 @@ def ensemble(
     axes: Any = None,
     executor: Any = None,
     threads: int | None = None,
+    lanes: bool = False,
     store: str | os.PathLike[str] | None = None,
     block: int | None = None,
     progress: Progress = True,
@@ -103,6 +104,12 @@ def ensemble(
         ``client.get_executor(pure=False)``, ...  Default: threads of this process.
     threads : int, optional
         How many; default: one for each processor.
+    lanes : bool, optional
+        Whether several members are stepped at once by vector instructions, 3 to 6 times as many in
+        the same time: of systems with constant mass, linear constraints, and no forces of v, with
+        n <= 8, without events and inputs; others as without.  A member then has the same bits
+        whatever the order, the threads and its neighbours on the same kind of machine; those of
+        `integrate` to about 1e-12 over 1000 steps, as vector sines differ in the last bit.
     store : str or path, optional
         A directory that gets the results, a file for each block.  Called again with the same
         arguments, what is there is not made again, whatever ended the process.
@@ -216,7 +223,7 @@ def open_ensemble(path: str | os.PathLike[str], system: System | None = None) ->
 def _ask(
     system: System, scheme: Any, q0: Any, v0: Any, parameters: Any, h: Any, t_end: Any, steps: Any,
     t0: Any, stride: Any, keep: Any, inputs: Any, hold: Any, events: Any, consistent: Any,
-    initial: Any, max_iterations: Any, method: Any, tolerance: Any, axes: Any,
+    initial: Any, max_iterations: Any, method: Any, tolerance: Any, axes: Any, lanes: Any,
 ) -> Ask:  # fmt: skip
     """Return what is asked for, or raise ValueError."""
     require_system(system)
@@ -252,7 +259,7 @@ def _ask(
         kept=kept, consistent=consistent, initial=initial,
         max_iterations=arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1),
         hold=hold, events=tuple(take_events(events)),
-        control=inputs if callable(inputs) else None,
+        control=inputs if callable(inputs) else None, lanes=bool(lanes),
     )  # fmt: skip
     shape = shape or (1,)
     names, ticks = axes_of(shape, axes, parameters)
@@ -396,6 +403,7 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
         "hold": setting.hold,
         "events": events,
         "control": _name_of(setting.control),
+        "lanes": setting.lanes,
     }  # fmt: skip
     return about | {"mark": _mark(about, ask.arrays()), "block": size}
 
@@ -423,6 +431,7 @@ def _ask_of(about: Mapping[str, Any], arrays: Mapping[str, Array], system: Syste
         stride=about["stride"], kept=Kept(at_end, states, tuple(measures), columns),
         consistent=about["consistent"], initial=about["initial"],
         max_iterations=about["max_iterations"], hold=about["hold"], events=(), control=None,
+        lanes=about["lanes"],
     )  # fmt: skip
     return Ask.of_arrays(
         arrays, setting=setting, shape=tuple(about["shape"]), axes=tuple(about["axes"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from collections.abc import Callable, Mapping
 from types import SimpleNamespace
@@ -17,8 +18,9 @@ from ..run.events import CONSISTENCY, compiled
 from ..run.integration import doubts, quietly
 from ..run.runs import OFF_D
 from ..run.scheme import INITIAL
-from ..system import System
-from .ask import TAKEN, Ask, Setting
+from ..system import Expressions, System
+from . import lanes
+from .ask import TAKEN, Ask, Kept, Setting
 
 LOST = lib.DAL_EUSER  # the status of a member whose process died
 
@@ -120,6 +122,31 @@ def empty(setting: Setting, rows: int, count: int) -> Block:
 
 
 def _by_c(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
+    other = lanes.twin(setting.system) if has_lanes(setting, rows) else None
+    if other is None:
+        return _in_one_call(setting, rows, count, watch)
+    if isinstance(setting.system._source, Expressions):
+        return _in_one_call(dataclasses.replace(setting, system=other), rows, count, watch)
+    # of a system that is written in C, what it refuses, and from what its members start
+    kept = Kept(at_end=True, states=True)
+    start = dataclasses.replace(setting, kept=kept, stride=0, lanes=False)
+    none = {**rows, "steps": np.zeros(1, np.int64)}
+    begun = _in_one_call(start, none, count, watch)
+    setting = dataclasses.replace(setting, system=other, consistent="assume")
+    made = _in_one_call(setting, {**rows, "x": begun["states"]}, count, watch)
+    made["initial_correction"] = begun["initial_correction"]
+    for k, text in begun["messages"].items():
+        made["status"][k], made["messages"][k] = begun["status"][k], text
+    return made
+
+
+def has_lanes(setting: Setting, rows: Mapping[str, Array]) -> bool:
+    """Return whether members may be stepped together."""
+    plain = setting.scheme.nodes == "moved" and setting.scheme.family == "beta"
+    return setting.lanes and plain and not setting.events and "inputs" not in rows
+
+
+def _in_one_call(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
     system, kept = setting.system, setting.kept
     stride = setting.stride
     made = empty(setting, 1 if stride == 0 else int(rows["steps"][0]) // stride + 1, count)
@@ -184,7 +211,7 @@ def _members(
     members.steps = ffi.from_buffer("size_t[]", steps)
     members.steps_next = int(len(steps) > 1)
     members.count, members.t0, members.hold = count, setting.t0, setting.hold
-    members.stride = setting.stride
+    members.stride, members.lanes = setting.stride, int(setting.lanes)
     members.consistency = CONSISTENCY[setting.consistent]
     members.initial = INITIAL[setting.initial] if setting.initial else lib.DAL_INITIAL_NONE
     states = made.get("states")

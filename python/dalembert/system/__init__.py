@@ -1,4 +1,4 @@
 """The systems that users make, and where they come from."""
 
-from .sources import BuiltIn
+from .sources import BuiltIn, Expressions
 from .system import System, require_parameters

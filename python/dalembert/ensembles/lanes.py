@@ -1,0 +1,54 @@
+"""Systems whose steps are made for several members at once."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+
+import numpy as np
+
+from .. import geometry
+from ..core import DalembertError, extras
+from ..symbolic import codegen, expressions
+from ..system import BuiltIn, Expressions, System
+
+_CLOSE = 1e-10  # of two ways to compute the field, relative to its largest component
+
+
+@functools.lru_cache(maxsize=8)
+def twin(system: System) -> System | None:
+    """Return a system with the same steps that has them in lanes; None if there is none.
+
+    That of a system of expressions is the same, compiled again.  One that is written in C has
+    formulas, which are compiled; whether they say the same is seen from the field.
+    """
+    if not extras.is_there("sympy"):
+        return None
+    source = system._source
+    if isinstance(source, Expressions):
+        return System._of(dataclasses.replace(source, lanes=True)) if _fits(source.model) else None
+    if not isinstance(source, BuiltIn) or system.q0 is None:
+        return None
+    with contextlib.suppress(ValueError, ArithmeticError, DalembertError):
+        model = expressions.model(system)
+        if _fits(model):
+            state = np.concatenate([system.q0, system.v0])
+            about = {name: "" for name in ("help", "description", "source")}
+            made = System._of(
+                Expressions(model, system.parameters, {"name": system.name, **about}, state, None,
+                            {}, lanes=True)  # fmt: skip
+            )
+            if _same(system, made):
+                return made
+    return None
+
+
+def _fits(model: object) -> bool:
+    return bool(codegen.has_lanes(model))
+
+
+def _same(system: System, other: System) -> bool:
+    """Return whether two systems have the same field."""
+    one, two = (geometry.field(x, system.q0, system.v0) for x in (system, other))
+    return bool(abs(one - two).max() <= _CLOSE * max(1.0, abs(one).max()))
