@@ -1,0 +1,151 @@
+"""Members in lanes: the runs of `integrate` to roundoff, the same whatever lies beside them."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+from dalembert.ensembles import lanes
+
+sympy = pytest.importorskip("sympy")
+U = 2.0**-53
+RNG = np.random.default_rng(8)
+
+
+def many(system, *given, **more):
+    return dal.ensemble(system, *given, **{"progress": False, "threads": 2, "lanes": True} | more)
+
+
+def skate():
+    x, y, theta = dal.coordinates("x y theta")
+    k, b = sympy.symbols("k b")
+    m = sympy.Symbol("m", positive=True)
+    return dal.System.from_sympy(
+        m * (x.d**2 + y.d**2) / 2 + theta.d**2 / 2 - k * x**2 / 2 + sympy.sqrt(1 - b * y) / 8,
+        [x.d * sympy.sin(theta) - y.d * sympy.cos(theta)],
+        parameters={m: 1.0, k: 1.0, b: 0.0}, name="skate",
+    )  # fmt: skip
+
+
+def data(K):
+    """Return initial data and parameters, of which some are refused or leave the domain."""
+    v0 = np.tile([1.0, 0.0, 0.4], (K, 1)) * RNG.uniform(0.5, 1.5, (K, 1))
+    values = {"m": RNG.uniform(0.5, 2, K), "k": RNG.uniform(0, 2, K), "b": np.zeros(K)}
+    v0[3] = [0.0, 1.0, 0.0]
+    values["m"][7] = -1.0
+    values["b"][11] = 20.0  # a root, until y = 1/20
+    values["k"][13] = 1e5
+    return np.zeros(3), v0, values
+
+
+@pytest.mark.parametrize("scheme", ["leapfrog", "midpoint", "explicit", "leapfrog-kl6"])
+def test_lanes_are_runs(scheme):
+    q0, v0, values = data(37)
+    keep = ["all", "energy", "residual", "multipliers", "reactions", "theta"]
+    given = {"h": 0.02, "steps": 100, "stride": 20, "keep": keep}
+    with pytest.warns(dal.DalembertWarning, match="of 37 members failed"):
+        plain = many(skate(), scheme, q0, v0, values, lanes=False, **given)
+    with pytest.warns(dal.DalembertWarning, match="of 37 members failed"):
+        there = many(skate(), scheme, q0, v0, values, **given)
+    assert (there.status == plain.status).all() and (there.done == plain.done).all()
+    assert {3, 7, 11} <= {*there.failed.tolist()}
+    for k in there.failed.tolist():
+        assert there.message(k) == plain.message(k)
+    for name in plain.kept:
+        size = np.nanmax(abs(plain[name]), initial=1e-3)
+        assert np.isnan(there[name]).sum() == np.isnan(plain[name]).sum(), name
+        error = abs(there[name] - plain[name])
+        error[13] = 0  # which is stiff
+        assert np.nanmax(error) <= 1e-11 * max(size, 1), name
+    good = there.success
+    assert there.worst_residual[good].max() <= 4 * 3 * U
+
+
+def test_order_threads_and_blocks_change_no_bit():
+    q0, v0, values = data(61)
+    given = {"h": 0.03, "steps": 60, "keep": ["all", "energy", "reactions"], "stride": 15}
+    with pytest.warns(dal.DalembertWarning):
+        one = many(skate(), "midpoint", q0, v0, values, threads=1, block=61, **given)
+        for threads, block in ((2, 1), (2, 7), (3, 16), (2, 40)):
+            other = many(skate(), "midpoint", q0, v0, values, threads=threads, block=block, **given)
+            for name in one:
+                assert np.array_equal(one[name], other[name], equal_nan=True), (name, block)
+        order = RNG.permutation(61)
+        moved = {name: x[order] for name, x in values.items()}
+        other = many(skate(), "midpoint", q0, v0[order], moved, **given)
+    for name in one:
+        assert np.array_equal(one[name][order], other[name], equal_nan=True), name
+
+
+def test_systems_of_the_library(tmp_path):
+    """They are made in lanes from their formulas, and refuse what they refuse."""
+    values = {"a": np.linspace(0.1, 0.3, 20), "J": np.linspace(0.5, 1, 20)}
+    values["J"][4] = -1.0
+    given = {"parameters": values, "h": 0.01, "steps": 1000}
+    with pytest.warns(dal.DalembertWarning, match="1 of 20 members failed.*parameter J of sleigh"):
+        plain = many(dal.systems.sleigh(), lanes=False, **given)
+        there = many(dal.systems.sleigh(), **given)
+        kept = many(dal.systems.sleigh(), store=tmp_path / "store", **given)
+    assert lanes.twin(dal.systems.sleigh()) is not None
+    good = there.success
+    assert there.message(4) == plain.message(4) and good.sum() == 19
+    size = abs(plain.q[good]).max()
+    assert 0 < abs(there.q - plain.q)[good].max() <= 1e-12 * size
+    assert (there.steps == plain.steps).all() and np.array_equal(there.q, kept.q, equal_nan=True)
+    assert np.array_equal(dal.open_ensemble(tmp_path / "store").q, kept.q, equal_nan=True)
+    wild = dal.systems.sleigh()
+    q0, v0 = wild.q0, wild.v0 + np.outer(np.linspace(0, 1, 5), [0, 0, 1e-9])
+    off = many(wild, "midpoint", q0, v0, h=0.01, steps=10)
+    assert (off.initial_correction[1:] > 0).all() and off.initial_correction[0] == 0
+
+
+def test_what_has_no_lanes():
+    """It is made as without, to the bit."""
+    disc = dal.systems.rolling_disc()
+    assert lanes.twin(disc) is None
+    values = {"r": np.linspace(0.9, 1.1, 5)}
+    given = {"parameters": values, "h": 0.01, "steps": 20}
+    for system, scheme, more in (
+        (disc, "midpoint", {}),
+        (dal.systems.sleigh(), "midpoint-nodes", {"initial": "shift"}),
+        (dal.systems.sleigh(), "pair:0.5:0.5", {}),
+        (dal.systems.sleigh(), "reference", {}),
+        (dal.systems.sleigh(), "midpoint", {"events": [lambda t, q, v: q[0] - 0.01]}),
+        (dal.systems.sleigh(), "midpoint", {"keep": lambda run: run.q[-1]}),
+    ):
+        chosen = given if system is disc else given | {"parameters": {"a": values["r"] / 5}}
+        one = many(system, scheme, lanes=False, **chosen, **more)
+        two = many(system, scheme, **chosen, **more)
+        for name in one:
+            assert np.array_equal(one[name], two[name], equal_nan=True), (scheme, name)
+
+
+def test_steps_and_step_sizes_of_members():
+    h = 0.1 / 2.0 ** np.arange(6)
+    given = {"h": h, "t_end": 1}
+    there, plain = (many(dal.systems.sleigh(), "midpoint", lanes=x, **given) for x in (True, False))
+    assert there.done.tolist() == (10 * 2 ** np.arange(6)).tolist()
+    assert abs(there.q - plain.q).max() < 1e-13
+    none = many(dal.systems.sleigh(), "midpoint", parameters={"a": [0.1, 0.2]}, h=0.1, steps=0)
+    assert (none.done == 0).all() and (none.q == dal.systems.sleigh().q0).all()
+
+
+def test_energy_jumps_are_seen():
+    system = dal.systems.particle_oscillator()
+    v0 = np.array([0.1, 100.0])[:, None] * system.v0
+    given = {"h": 1.99, "steps": 500, "consistent": "project"}
+    plain, there = (
+        _quietly(many, system, "midpoint", system.q0, v0, lanes=x, **given) for x in (False, True)
+    )
+    assert (plain.doubtful == there.doubtful).all()
+
+
+def _quietly(function, *given, **more):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return function(*given, **more)
+
+
