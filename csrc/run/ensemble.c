@@ -207,8 +207,8 @@ static void prepare_run(worker *self)
     }
 }
 
-/* Whether the watch wants to stop, which is asked some twenty times a second.  far: how many members
- * are done. */
+/* Whether the watch wants to stop, which is asked some twenty times a second.  far: how many
+ * members are done. */
 static void ask(worker *self, double far, double began)
 {
     const bool soon = dal__clock() - began < DAL_WATCH_SECONDS / 4.0;
@@ -299,8 +299,8 @@ static void take_out(worker *self, size_t first, size_t number)
     self->refused = DAL_SUCCESS;
 }
 
-/* A lane that is at a row, or has stopped before a step, or is to stop.  What has stopped goes on by
- * itself. */
+/* A lane that is at a row, or has stopped before a step, or is to stop.  What has stopped goes on
+ * by itself. */
 static void attend(worker *self, size_t begin, size_t first, size_t number)
 {
     lane *const one = &self->lane[number];

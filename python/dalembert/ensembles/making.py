@@ -208,6 +208,16 @@ def open_ensemble(path: str | os.PathLike[str], system: System | None = None) ->
         If there is no store, or it is of another version or system.
     StoreError
         If a file is damaged, or not of this ensemble.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import dalembert as dal
+    >>> path = os.path.join(tempfile.mkdtemp(), "sweep")
+    >>> many = dal.ensemble(dal.systems.sleigh(), parameters={"a": [0.1, 0.2]}, h=0.01, steps=10,
+    ...                     store=path, progress=False)
+    >>> bool((dal.open_ensemble(path).q == many.q).all())
+    True
     """
     path = os.fspath(path)
     about, arrays = stores.read_about(path), stores.read_members(path)

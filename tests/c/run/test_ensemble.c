@@ -352,7 +352,8 @@ static void test_events(void)
             need(dal_events_new(&own, stepper, &scheme, events, 2, NULL), "events", "");
             size_t turns = 0;
             dal_run run = {.stepper = stepper, .steps = steps[k], .stride = k == 5 ? 1 : steps[k],
-                           .x = rows, .events = own, .happened = count_turn, .happened_ctx = &turns};
+                           .x = rows, .events = own, .happened = count_turn,
+                           .happened_ctx = &turns};
             const int ends = dal_run_go(&run, SIZE_MAX);
             CHECK(status[k] == 0 && done[k] == run.done);
             CHECK((ends == DAL_STOPPED) == (ended_by[k] == 0) && (ends || ended_by[k] == 2));
