@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import dalembert as dal
 from dalembert.ensembles import lanes
+from dalembert.symbolic import expressions
 
 sympy = pytest.importorskip("sympy")
 U = 2.0**-53
@@ -100,6 +102,12 @@ def test_systems_of_the_library(tmp_path):
     q0, v0 = wild.q0, wild.v0 + np.outer(np.linspace(0, 1, 5), [0, 0, 1e-9])
     off = many(wild, "midpoint", q0, v0, h=0.01, steps=10)
     assert (off.initial_correction[1:] > 0).all() and off.initial_correction[0] == 0
+
+
+def test_formulas_that_do_not_say_the_same(monkeypatch):
+    other = expressions.model(dal.systems.knife_edge())
+    monkeypatch.setattr(lanes, "expressions", SimpleNamespace(model=lambda system: other))
+    assert lanes.twin(dal.systems.sleigh()) is None
 
 
 def test_what_has_no_lanes():
