@@ -438,7 +438,7 @@ def test_interrupt_keeps_what_was_made():
     timer.start()
     began = time.perf_counter()
     with pytest.raises(KeyboardInterrupt) as raised:
-        many(system, parameters={"a": np.full(K, 0.2)}, h=0.001, steps=1_000_000, block=4)
+        many(system, parameters={"a": np.full(K, 0.2)}, h=0.001, steps=1_000_000, block=400)
     assert time.perf_counter() - began < 3.0
     partial = raised.value.partial
     made = np.flatnonzero(partial.status == 0)
