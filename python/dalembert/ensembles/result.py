@@ -79,6 +79,7 @@ class Stored:
         self._reduces = ask.setting.kept.reduce is not None or "keep" in ask.lacks
         self._there = store.there(path, mark, -(-self._count // size))
         self._read: dict[str, Array] = {}  # small arrays that were read
+        self._layout = work.layout(ask.setting, ask.rows)
 
     def put(self, index: int, made: work.Block) -> None:
         """Write a block, unless it was stopped."""
@@ -120,7 +121,7 @@ class Stored:
         if name in self._read:
             return self._read[name]
         for index in self._there:
-            x = store.read_some(self.path, index, self.mark, name)
+            x = self._of_block(index, name)
             if x is None:  # all of its members have failed
                 continue
             if found is None:
@@ -133,18 +134,37 @@ class Stored:
             self._read[name] = found
         return found
 
+    def _of_block(self, index: int, name: str) -> Array | None:
+        """Return an array of a block; StoreError if it is not what a block has."""
+        return self._checked(index, name, store.read_some(self.path, index, self.mark, name))
+
+    def _checked(self, index: int, name: str, x: Array | None) -> Array | None:
+        shape, kind, _ = self._layout.get(name, (None, None, None))
+        if x is None and shape is None:
+            return None
+        size = min(self._size, self._count - index * self._size)
+        if (
+            x is None
+            or x.shape[:1] != (size,)
+            or (shape is not None and (x.shape[1:] != shape or x.dtype != kind))
+        ):
+            raise store.damaged(self.path, index, f"it is not as it should be: {name}")
+        return x
+
     def by_dask(self, name: str, n: int) -> Any:
         """Return an array that is read block by block, when it is computed."""
         da = extras.require("dask.array", "a lazy array")
         delayed = extras.require("dask", "a lazy array").delayed
         whole = {"q": "states", "v": "states"}.get(name, name)
         part = {"q": slice(None, n), "v": slice(n, None)}.get(name, slice(None))
-        example = store.read_some(self.path, self._there[0], self.mark, whole)
+        example = next(
+            x for index in self._there if (x := self._of_block(index, whole)) is not None
+        )
         shape = example[..., part].shape[1:] if whole == "states" else example.shape[1:]
 
         def of_block(index: int) -> Array:
             begin, end = index * self._size, min((index + 1) * self._size, self._count)
-            x = store.read_some(self.path, index, self.mark, whole) if index in there else None
+            x = self._of_block(index, whole) if index in there else None
             if x is None:
                 return np.full((end - begin, *shape), *_blank(whole, example.dtype))
             return x[..., part] if whole == "states" else x
@@ -163,7 +183,11 @@ class Stored:
         """Yield the first member of each block, and its arrays."""
         for index in self._there:
             made = store.read(self.path, index, self.mark)
-            yield index * self._size, {name: x for name, x in made.items() if name != "messages"}
+            names = {*made, *self._layout} - {"messages"}
+            yield index * self._size, {
+                name: x for name in names
+                if (x := self._checked(index, name, made.get(name))) is not None
+            }  # fmt: skip
 
 
 class Ensemble(Mapping[str, Any]):

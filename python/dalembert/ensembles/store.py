@@ -202,6 +202,12 @@ def _reading(path: Path) -> Iterator[None]:
         raise StoreError(f"{path} is damaged ({why}): remove it, and it is made again") from None
 
 
+def damaged(directory: str, index: int, why: str) -> StoreError:
+    """Return what is said of a block that is no good."""
+    path = _path(directory, index)
+    return StoreError(f"{path} is damaged ({why}): remove it, and it is made again")
+
+
 def _save(path: Path, arrays: Any) -> None:
     """Write an array, or several by name, whole or not at all, and onto the disk."""
     buffer = io.BytesIO()

@@ -289,6 +289,22 @@ def test_damaged_blocks_are_named(path):
         dal.open_ensemble(path)
 
 
+@pytest.mark.parametrize("change", ["shape", "type", "missing", "count"])
+def test_blocks_of_another_form(path, change):
+    make(path, block=6)
+    with np.load(block(path, 2)) as file:
+        arrays = dict(file)
+    x = arrays.pop("states")
+    if change != "missing":
+        form = {"shape": x[:, :5], "type": x.astype("f4"), "count": x[:-1]}
+        arrays["states"] = form[change]
+    np.savez(block(path, 2), **arrays)
+    opened = dal.open_ensemble(path)
+    for read in (lambda: opened.q, lambda: [*opened.blocks()], lambda: opened.to_xarray().load()):
+        with pytest.raises(StoreError, match="block-000000002.npz"):
+            read()
+
+
 def test_what_was_given_is_not_changed(path):
     make(path)
     name = Path(path) / "given-parameters.a.npy"
