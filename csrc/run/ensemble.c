@@ -27,7 +27,6 @@ typedef struct worker {
     lane *lane;               /* [width] */
     size_t member, rows, reactions; /* of each member */
     dal_run run;              /* of the member */
-    int refused;              /* what measuring it has failed with */
     size_t piece;             /* steps between two looks at the clock */
     dal__watch watch;
     int stopped;              /* DAL_STOPPED or DAL_EUSER: by the watch */
@@ -92,7 +91,8 @@ static void forget_results(const worker *self)
         members->happened[k * members->event_count + i] = 0;
 }
 
-/* Energy, residual and multipliers of a row, whose state x[2n] is that after so many steps. */
+/* Energy, residual and multipliers of a row, whose state x[2n] is that after so many steps.  What is
+ * not finite there, or not defined, stays NaN. */
 static void measure(worker *self, size_t row, size_t step, double t, const double *x)
 {
     const dal_members *const members = self->members;
@@ -105,10 +105,12 @@ static void measure(worker *self, size_t row, size_t step, double t, const doubl
     if (!self->mech) return;
     if (u) u += (step < run->steps || step == 0 ? step : step - 1) / hold * width;
     const double shift = self->stepper->shift * self->stepper->motion.h;
-    self->refused = dal__trajectory(self->mech, t, 0.0, 0, shift, 1, x, u,
-                                    energy ? energy + at : NULL,
-                                    multipliers ? multipliers + at * m : NULL, NULL,
-                                    residual ? residual + at : NULL, NULL);
+    if (energy) dal__trajectory(self->mech, t, 0.0, 0, shift, 1, x, u, energy + at, NULL, NULL,
+                                NULL, NULL);
+    if (residual) dal__trajectory(self->mech, t, 0.0, 0, shift, 1, x, u, NULL, NULL, NULL,
+                                  residual + at, NULL);
+    if (multipliers) dal__trajectory(self->mech, t, 0.0, 0, shift, 1, x, u, NULL,
+                                     multipliers + at * m, NULL, NULL, NULL);
 }
 
 /* A dal_observer_fn: the row that was stored last, at its time as that of a trajectory. */
@@ -119,7 +121,7 @@ static int observe(size_t step, double t, const double *x, void *ctx)
     const size_t row = self->run.stored - 1;
     (void)t;
     measure(self, row, step, motion->t0 + (double)row * ((double)self->run.stride * motion->h), x);
-    return self->refused ? -1 : 0;
+    return 0;
 }
 
 /* How often each event has happened: guards do not know of the step in which a member ended. */
@@ -150,7 +152,7 @@ static void conclude(worker *self)
         members->ended_by[k] = self->events->happened[self->events->happenings - 1].event;
     if (members->stride == 0 && is_over && members->states)
         memcpy(members->states + k * N, x, N * sizeof *x);
-    if (!self->refused && (run->ended || (members->stride == 0 && is_over)))
+    if (run->ended || (members->stride == 0 && is_over))
         measure(self, run->ended ? last * (members->stride > 0) : 0, run->done, t, x);
 }
 
@@ -225,9 +227,7 @@ static int finish(worker *self, int status)
     if (run->ended) status = DAL_SUCCESS;
     else if (self->stopped && run->done < run->steps) status = DAL_STOPPED;
     conclude(self);
-    if (!self->refused) return status;
-    self->stepper->error = self->mech->error;
-    return self->refused;
+    return status;
 }
 
 /* Part of the steps that are made. */
@@ -265,7 +265,6 @@ static void tell(const worker *self, int status)
 static int open_member(worker *self)
 {
     forget_results(self);
-    self->refused = DAL_SUCCESS;
     if (self->stopped) return DAL_STOPPED;
     const int status = begin(self);
     if (!status) prepare_run(self);
@@ -296,7 +295,6 @@ static void take_out(worker *self, size_t first, size_t number)
     dal__lanes_unload(self->lanes, number, self->stepper);
     self->run = self->lane[number].run;
     self->run.done = dal__lanes_made(self->lanes, number);
-    self->refused = DAL_SUCCESS;
 }
 
 /* A lane that is at a row, or has stopped before a step, or is to stop.  What has stopped goes on

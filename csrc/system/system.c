@@ -418,6 +418,7 @@ int dal__system_copy(dal_system **copy, const dal_system *system, dal_error *err
     if (status) return status;
     (*copy)->record = system->record;
     (*copy)->parameters = system->parameters;
+    (*copy)->like = system;
     return DAL_SUCCESS;
 }
 
@@ -429,6 +430,10 @@ int dal__system_change(dal_system *system, const void *parameters, dal_error *er
     if (status) return status;
     memcpy(def->ctx, parameters, dal_system_parameter_size(system));
     system->age++;
+    /* what the callback leaves as it is, is that of the definition, not of the member before */
+    if (system->mass)
+        dal__copy(system->masses ? def->n : def->n * def->n, system->like->mass, system->mass);
+    if (state) dal__copy(2 * def->n, system->like->def.state, state);
     const int returned = system->refill(system->mass, state, def->ctx);
     if (returned)
         return dal__fail(error, dal__callback_status(returned), "the callback parameters returned "

@@ -33,6 +33,7 @@ struct dal_system {
     const struct builtin *record; /* of a built-in system, or NULL */
     size_t parameters;       /* of it: so many doubles at the beginning of ctx */
     size_t ctx_size;         /* of the copy, and */
+    const dal_system *like;  /* what a copy was made from, which has to stay */
     dal_parameters_fn refill; /* what else depends on it; NULL: it does not change */
     double *factor;          /* [n*n] of a mass that depends on ctx, or NULL */
     size_t age;              /* how often ctx was changed */

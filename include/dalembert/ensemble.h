@@ -40,14 +40,14 @@ typedef struct dal_members {
                                    either, but its bits are of this kind of machine */
     size_t stride;              /* 0: one row of results for each member, its end; else
                                    steps/stride + 1, the first that of its beginning */
-    /* Results, each NULL if it is not wanted, and NaN where the member has not come to.  In D_eps
-     * for kept nodes. */
+    /* Results, each NULL if it is not wanted, and NaN where the member has not come to, or where
+     * energy, residual or multipliers are not defined.  In D_eps for kept nodes. */
     double *states;             /* [count*rows*2n]; the last row of a member that a terminal event
                                    has ended is the state there */
     double *energy, *residual;  /* [count*rows] */
     double *multipliers;        /* [count*rows*m] as of dal_trajectory; residual: its relative */
     double *reactions;          /* [count*(rows-1)*m] as of a dal_run, [count*m] for stride = 0 */
-    double *t_end;              /* [count] the time of the last row */
+    double *t_end;              /* [count] the time that the member has come to */
     size_t *done;               /* [count] steps made */
     size_t *happened;           /* [count*event_count] how often each event has */
     size_t *ended_by;           /* [count] the event that has ended the member, else event_count */

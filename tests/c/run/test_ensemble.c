@@ -183,7 +183,7 @@ static int own_parameters(double *mass, double *state, const void *ctx)
     if (p[0] > 90.0) return p[0] > 95.0 ? -1 : 1;
     const double M[9] = {2.0, 0.3 * p[0] - 0.3, 0.0, 0.3 * p[0] - 0.3, 2.0, 0.0, 0.0, 0.0, p[0]};
     if (mass) memcpy(mass, M, sizeof M);
-    if (state) state[0] = p[1]; /* the rest is always the same */
+    if (state && p[1] != 0.0) state[0] = p[1]; /* the rest is that of the definition */
     return 0;
 }
 
@@ -211,7 +211,8 @@ static void test_own(void)
     static const int expected[COUNT] = {0, DAL_EINVAL, 0, DAL_EDOMAIN, DAL_EUSER,
                                         0, DAL_EINVAL, DAL_EINVAL, DAL_EINVAL, 0, 0};
     const dal_scheme scheme = find_scheme("midpoint");
-    dal_system *const system = open_own(p[0]);
+    static const double without[2] = {1.0, 0.0};
+    dal_system *const system = open_own(without);
     const double h = 0.02;
     const size_t steps = STEPS;
     double states[COUNT][6], t_end[COUNT];
@@ -236,7 +237,7 @@ static void test_own(void)
         dal_stepper *const stepper = open_stepper(own, &scheme, NULL);
         double x[6];
         need(dal_system_state(own, x), "state", "");
-        CHECK(x[0] == p[k][1]);
+        CHECK(x[0] == (p[k][1] != 0.0 ? p[k][1] : 0.0));
         CHECK(!dal_stepper_start(stepper, 0.0, h, x, DAL_PROJECT, DAL_INITIAL_NONE));
         CHECK(!dal_advance(stepper, STEPS, NULL, NULL));
         CHECK(same(6, states[k], dal_stepper_state(stepper)));
@@ -417,8 +418,7 @@ static int walled(double t, const double *q, double *V, double *V_q, double *V_q
     return 0;
 }
 
-/* Each member has its inputs, and starts with none; where a row cannot be measured it fails, with
- * the rows before. */
+/* Each member has its inputs, and starts with none; what is not defined at a row is NaN there. */
 static void test_inputs(void)
 {
     enum { COUNT = 4, ROWS = 1 + 2 * PUSHES };
@@ -451,17 +451,14 @@ static void test_inputs(void)
                        .inputs = u[k]};
         CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
         const size_t good = k == 2 ? 3 : ROWS; /* at t = 3/4 it is beyond the wall, and goes on */
-        CHECK(status[k] == (k == 2 ? DAL_EDOMAIN : DAL_SUCCESS));
-        CHECK((strstr(errors[k].text, "potential") != NULL) == (k == 2));
-        CHECK(same(4 * good, states[k], rows));
+        CHECK(status[k] == DAL_SUCCESS && same(4 * ROWS, states[k], rows));
         CHECK(isfinite(energy[k][good - 1]) && (k != 2 || isnan(energy[k][good])));
-        CHECK(k != 2 || isnan(states[k][4 * (good + 1)]));
         dal_stepper_free(stepper);
     }
     dal_members at_end = members;
     at_end.stride = 0;
     CHECK(!dal_ensemble_run(system, &scheme, NULL, &at_end, 0, COUNT, NULL, NULL, NULL));
-    for (size_t k = 0; k < COUNT; k++) CHECK(status[k] == (k == 2 ? DAL_EDOMAIN : DAL_SUCCESS));
+    for (size_t k = 0; k < COUNT; k++) CHECK(status[k] == 0 && isnan(energy[0][k]) == (k == 2));
     dal_system_free(system);
 }
 
