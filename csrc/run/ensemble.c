@@ -91,8 +91,8 @@ static void forget_results(const worker *self)
         members->happened[k * members->event_count + i] = 0;
 }
 
-/* Energy, residual and multipliers of a row, whose state x[2n] is that after so many steps.  What is
- * not finite there, or not defined, stays NaN. */
+/* Energy, residual and multipliers of a row, whose state x[2n] is that after so many steps.  What
+ * is not finite there, or not defined, stays NaN. */
 static void measure(worker *self, size_t row, size_t step, double t, const double *x)
 {
     const dal_members *const members = self->members;

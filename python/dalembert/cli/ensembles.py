@@ -108,6 +108,8 @@ def _given(system: System, given: argparse.Namespace) -> tuple[Any, Any, Any, An
     design = grid(**axes)
     places = (*system.coordinates, *(f"v_{name}" for name in system.coordinates))
     for name in axes:
+        if any(name == other for other, _ in given.parameter):
+            raise ValueError(f"{name}: expected --parameter or --grid, not both")
         arguments.choice(name, "--grid", dict.fromkeys((*system.parameters, *places), 0))
     chosen = {name: design.compact(name) for name in axes if name in system.parameters}
     moved = [name for name in axes if name not in system.parameters]

@@ -79,6 +79,20 @@ def replace(target: Path, content: bytes | memoryview, mode: int | None = None) 
         raise
 
 
+def create(target: Path, content: bytes) -> None:
+    """Write a new file under another name, and give it its own; FileExistsError if it is there."""
+    draft = target.with_name(f".{target.name[:64]}.{secrets.token_hex(8)}.new")
+    try:
+        with open(draft, "xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.link(draft, target)
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+
+
 def is_draft(path: Path) -> bool:
     """Return whether a file is what `replace` was writing, or has left where it was killed."""
     return path.name.startswith(".") and path.suffix == ".new"

@@ -57,7 +57,8 @@ class Given:
         if not self.varies:
             return self.values.reshape(1, *tail)
         if leading == shape:
-            return np.ascontiguousarray(self.values.reshape(-1, *tail)[begin:end])
+            whole = self.values.reshape(math.prod(leading), *tail)
+            return np.ascontiguousarray(whole[begin:end])
         places = np.unravel_index(np.arange(begin, end), shape)[len(shape) - len(leading) :]
         index = tuple(k if size > 1 else 0 * k for k, size in zip(places, leading))
         return np.ascontiguousarray(self.values[index])
@@ -69,7 +70,7 @@ def _given(value: ArrayLike, name: str, *tail: int | None) -> Given:
     if shape is None or len(shape) < len(tail):
         arguments.array(value, name, tuple(tail))
     found = arguments.array(value, name, (*[None] * (len(shape) - len(tail)), *tail))
-    if found.size == 0:
+    if 0 in found.shape[: found.ndim - len(tail)]:
         raise ValueError(f"{name}: expected at least one member, got shape {found.shape}")
     return Given(found, len(tail))
 
@@ -119,11 +120,14 @@ class Kept:
             arguments.choice(name, "keep", known)
         if {"end", "all"} <= {*names}:
             raise ValueError("keep: 'end' and 'all' are both in it, expected one of them")
-        plain = {"end", "all", "q", "v", *measures}
-        columns = {name: places[name] for name in names if name in places and name not in plain}
+        taken = {"end", "all", "q", "v", *measures, *TAKEN}
+        columns = {name: places[name] for name in names if name in places}
         for name in columns:
-            if name in TAKEN:
-                raise ValueError(f"keep: {name!r} is something else too; keep 'q' and 'v' instead")
+            if name in taken or (name in velocities and name in system.coordinates):
+                raise ValueError(
+                    f"keep: {name!r} is a coordinate and something else; keep 'all', which has "
+                    "them by number"
+                )
         chosen = tuple(name for name in measures if name in names)
         whole = bool({"all", "q", "v"} & {*names}) or not (columns or chosen)
         return cls("end" in names, whole, chosen, columns)
@@ -259,10 +263,10 @@ def read_members(
         parameters, "parameters"
     )
     found["parameters"] = {
-        name: _given(values.compact(name) if isinstance(values, Design) else values[name],
-                     f"parameters[{name!r}]")
+        str(name): _given(values.compact(name) if isinstance(values, Design) else values[name],
+                          f"parameters[{str(name)!r}]")
         for name in values
-    }
+    }  # fmt: skip
     found["inputs"] = None
     if inputs is not None and not callable(inputs):
         found["inputs"] = _inputs(inputs, system, holds)

@@ -28,6 +28,7 @@ from ..system import System, require_parameters
 from . import pool, work
 from . import store as stores
 from .ask import Ask, Given, Kept, Setting, axes_of, members_shape, read_members
+from .functions import digest
 from .result import Ensemble, Memory, Stored
 from .store import StoreError
 
@@ -155,15 +156,17 @@ def ensemble(
     ask = _ask(**{name: value for name, value in locals().items() if name not in _HOW})
     if executor is not None and threads is not None:
         raise ValueError(f"threads = {threads} with an executor: expected one of the two")
-    path, count = None if store is None else os.fspath(store), pool.threads_of(threads)
+    path, count = None if store is None else _folder(store), pool.threads_of(threads)
     pieces = pool.Blocks(ask, _size(ask, block, path is not None or executor is not None))
     data: Memory | Stored
     if path is None:
         _require_memory(ask)
-        data = Memory(ask.count, pieces.size)
+        data = Memory(ask, pieces.size)
     else:
         about = _about(ask, pieces.size)
-        pieces.size = stores.create(path, about, ask.arrays())["block"]
+        there = stores.create(path, about, ask.arrays())
+        require_same(system, there["system"], path)
+        pieces.size = there["block"]
         data = Stored(path, about["mark"], ask, pieces.size)
     left = [k for k in range(len(pieces)) if not data.has(k)]
     before = ask.count - sum(end - begin for begin, end in map(pieces.range, left))
@@ -182,9 +185,19 @@ def ensemble(
         with contextlib.suppress(AttributeError, TypeError):
             error.partial = Ensemble(ask, data)  # type: ignore[attr-defined]
         raise
+    if path is not None:
+        stores.tidy(path)
     found = Ensemble(ask, data)
     _warn(found)
     return found
+
+
+def _folder(path: str | os.PathLike[str]) -> str:
+    """Return the path of a store, wherever the process goes."""
+    found = os.fspath(path)
+    if not isinstance(found, str) or not found:
+        raise ValueError(f"store = {path!r}: expected the name of a directory")
+    return os.path.abspath(found)
 
 
 _HOW = ("executor", "threads", "store", "block", "progress")
@@ -219,8 +232,9 @@ def open_ensemble(path: str | os.PathLike[str], system: System | None = None) ->
     >>> bool((dal.open_ensemble(path).q == many.q).all())
     True
     """
-    path = os.fspath(path)
-    about, arrays = stores.read_about(path), stores.read_members(path)
+    path = _folder(path)
+    about = stores.read_about(path)
+    arrays = stores.read_members(path, about["mark"])
     if about["mark"] != _mark(about, arrays):
         raise StoreError(f"{path}: what was given for its members is not what it was made for")
     ask = _ask_of(about, arrays, require_same(system, about["system"], path))
@@ -323,6 +337,8 @@ def _seconds_of_member(ask: Ask) -> float:
     """Return about how long a member takes, by some steps of the first."""
     setting, rows = ask.setting, ask.block(0, 1)
     steps, made, piece, elapsed = int(rows["steps"][0]), 0, 1, 1e-6
+    if setting.system._source.calls_python or setting.control or not work.is_in_c(setting):
+        return 2e-4 + 5e-5 * steps  # whose functions are called for members alone
     with contextlib.suppress(Exception):  # it may fail, as any other
         stepper = started_stepper(
             setting.system, setting.scheme, _first_state(ask), t0=setting.t0,
@@ -330,12 +346,21 @@ def _seconds_of_member(ask: Ask) -> float:
             initial=setting.scheme._initial(setting.initial),
         )  # fmt: skip
         began = time.perf_counter()
+
+        def enough(t: float) -> None:
+            if time.perf_counter() - began > 0.05:
+                raise TimeoutError  # a step that takes long
+
+        context = core.ffi.new_handle(enough)
+        run = core.ffi.new("dal_run *", {"stepper": stepper, "steps": steps, "stride": steps})
+        run.watch, run.watch_ctx = lib.dal_py_watch, context
         while made < steps and elapsed < 2e-3:
-            core.check(lib.dal_advance(stepper, piece, core.ffi.NULL, core.ffi.NULL))
-            made, piece = made + piece, 2 * piece
+            status = core.attempt(lib.dal_run_go, run, piece)
             elapsed = time.perf_counter() - began
-    around = 1e-6 if work.is_in_c(setting) else 2e-4
-    return around + elapsed / max(made, 1) * steps
+            if status:
+                raise core.failure(status)
+            made, piece = int(run.done), 2 * piece
+    return 1e-6 + elapsed / max(made, 1) * steps
 
 
 def _first_state(ask: Ask) -> Array:
@@ -376,13 +401,6 @@ def _warn(found: Ensemble) -> None:
 # ---- the store -----------------------------------------------------------------------------------
 
 
-def _name_of(function: Any) -> str:
-    """Return what tells a function from others, as far as its name does; "" for none."""
-    if function is None:
-        return ""
-    return f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', function)}"
-
-
 def _about(ask: Ask, size: int) -> dict[str, Any]:
     """Return what tells an ensemble from others, for JSON."""
     setting = ask.setting
@@ -392,10 +410,11 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
             f"store: the scheme {setting.scheme.name!r} has functions, which a store cannot keep"
         )
     events = [
-        [str(one.g) if hasattr(one.g, "free_symbols") else _name_of(one.g), float(one.direction),
-         int(one.terminal), _name_of(one.reset), one.consistent]
+        [str(one.g) if hasattr(one.g, "free_symbols") else digest(one.g), float(one.direction),
+         int(one.terminal), digest(one.reset), one.consistent]
         for one in setting.events
     ]  # fmt: skip
+    named = setting.system._source.named()
     about = {
         "dalembert": core.version(),
         "system": of_system(setting.system, _first_state(ask), setting.t0),
@@ -406,16 +425,18 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
         "t0": setting.t0,
         "stride": setting.stride,
         "keep": [kept.at_end, kept.states, list(kept.measures), dict(kept.columns),
-                 _name_of(kept.reduce)],
+                 digest(kept.reduce)],
+        "functions": {name: digest(f) for name, f in named.items() if f is not None},
         "consistent": setting.consistent,
         "initial": setting.initial,
         "max_iterations": setting.max_iterations,
         "hold": setting.hold,
         "events": events,
-        "control": _name_of(setting.control),
+        "control": digest(setting.control),
         "lanes": setting.lanes,
     }  # fmt: skip
-    return about | {"mark": _mark(about, ask.arrays()), "block": size}
+    mark = _mark(about, ask.arrays())
+    return about | {"mark": mark, "block": size, "seal": stores.seal(mark, size)}
 
 
 def _mark(about: Mapping[str, Any], arrays: Mapping[str, Array]) -> str:
@@ -429,7 +450,7 @@ def _mark(about: Mapping[str, Any], arrays: Mapping[str, Array]) -> str:
     return whole.hexdigest()
 
 
-_NOT_TOLD = ("format", "version", "mark", "block")
+_NOT_TOLD = ("format", "version", "mark", "block", "seal")
 
 
 def _ask_of(about: Mapping[str, Any], arrays: Mapping[str, Array], system: System) -> Ask:

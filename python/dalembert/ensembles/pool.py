@@ -135,9 +135,10 @@ def _run(
             stop.set()
         for future in pending:
             future.cancel()
-        for future in [*pending] if stop is not None else []:  # what was made is not lost
-            with contextlib.suppress(BaseException):
-                finish(future)
+        for future in [*pending]:  # what was made is not lost
+            if stop is not None or (future.done() and not future.cancelled()):
+                with contextlib.suppress(BaseException):
+                    finish(future)
         raise
 
 
@@ -155,7 +156,7 @@ def _setting(pickled: bytes) -> Setting:
 def _stored_ask(pickled: bytes, path: str, mark: str, shape: tuple[int, ...]) -> Ask:
     """Return the ask of a store that is seen from here; its arrays are mapped, not read."""
     return Ask.of_arrays(
-        store.read_members(path), setting=_setting(pickled), shape=shape, axes=(), ticks={}
+        store.read_members(path, mark), setting=_setting(pickled), shape=shape, axes=(), ticks={}
     )
 
 
@@ -185,7 +186,7 @@ def remote(
     made = work.make(_setting(pickled), rows, end - begin, threading.Event(), lambda far: None)
     if not seen:
         return made
-    store.write(place[0], index, made)  # type: ignore[index]
+    store.write(place[0], index, place[1], made)  # type: ignore[index]
     return None
 
 
@@ -291,8 +292,12 @@ class _Pools:
         return self
 
     def __exit__(self, *of: Any) -> None:
-        if self._own:
-            self.current.shutdown(wait=of[0] is None, cancel_futures=True)
+        if not self._own:
+            return
+        if of[0] is not None:  # what its processes are at is not wanted any more
+            for process in [*(getattr(self.current, "_processes", None) or {}).values()]:
+                process.terminate()
+        self.current.shutdown(wait=of[0] is None, cancel_futures=True)
 
 
 def _like(executor: Any) -> Callable[[], futures.Executor] | None:

@@ -22,9 +22,9 @@ _SMALL = 2**26  # bytes of an array that is kept when it was read from a store
 class Memory:
     """Blocks of an ensemble, put together in memory."""
 
-    def __init__(self, count: int, size: int) -> None:
-        self._count, self._size = count, size
-        self._arrays: dict[str, Array] = {}
+    def __init__(self, ask: Ask, size: int) -> None:
+        self._count, self._size = ask.count, size
+        self._arrays = _blanks(ask)
         self.messages: dict[int, str] = {}
 
     def put(self, index: int, made: work.Block) -> None:
@@ -71,6 +71,15 @@ def _blank(name: str, kind: np.dtype[Any]) -> tuple[Any, Any]:
     return (np.nan if kind.kind == "f" else -1 if name == "ended_by" else 0), kind
 
 
+def _blanks(ask: Ask) -> dict[str, Array]:
+    """Return the arrays of an ensemble of which no member is made."""
+    layout = work.layout(ask.setting, ask.rows)
+    return {
+        name: np.full((ask.count, *shape), value, kind)
+        for name, (shape, kind, value) in layout.items()
+    }
+
+
 class Stored:
     """Blocks of an ensemble in a store, read when they are asked for."""
 
@@ -84,7 +93,7 @@ class Stored:
     def put(self, index: int, made: work.Block) -> None:
         """Write a block, unless it was stopped."""
         if (made["status"] != lib.DAL_STOPPED).all():
-            store.write(self.path, index, made)
+            store.write(self.path, index, self.mark, made)
             self.know(index)
 
     def know(self, index: int) -> None:
@@ -107,11 +116,11 @@ class Stored:
 
     def names(self) -> list[str]:
         """Return the names of the arrays."""
-        found: list[str] = []
+        found = [*self._layout]
         for index in self._there:  # a block whose members have all failed may lack some
             if len(more := store.names(self.path, index)) > len(found):
                 found = more
-            if found and not self._reduces:
+            if not self._reduces:
                 break
         return found
 
@@ -128,7 +137,8 @@ class Stored:
                 found = np.full((self._count, *x.shape[1:]), *_blank(name, x.dtype))
             found[index * self._size : index * self._size + len(x)] = x
         if found is None:
-            raise KeyError(name)
+            shape, kind, value = self._layout[name]
+            found = np.full((self._count, *shape), value, kind)
         found.flags.writeable = False
         if found.nbytes <= _SMALL:
             self._read[name] = found
@@ -384,22 +394,29 @@ class Ensemble(Mapping[str, Any]):
         """
         xarray = extras.require("xarray", "to_xarray")
         found = xarray.Dataset(attrs=self._attributes())
-        for name in self:
-            values = self._lazy(name)
-            dims = (*self.axes, *self._inner(name, values.ndim - 1))
-            found[name] = dims, values.reshape((*self.shape, *values.shape[1:]))
-        found = found.assign_coords(self.ticks)
+        values = {name: self._lazy(name) for name in self}
+        inner = {name: self._inner(name, x.ndim - 1) for name, x in values.items()}
+        used = {*values, "t", "q0", "v0", *(dim for dims in inner.values() for dim in dims)}
+        axes = tuple(f"{name}_axis" if name in used else name for name in self.axes)
+        for name, x in values.items():
+            dims = (*axes, *inner[name])
+            found[name] = dims, x.reshape((*self.shape, *x.shape[1:]))
+        given = {name: x for name, x in self.ticks.items() if name in self.axes}
+        for name, axis in zip(self.axes, axes):
+            if name in given:
+                found = found.assign_coords({axis: given[name]})
         for name, x in self.parameters.items():
             if name not in self.ticks:
-                found = found.assign_coords({name: (self.axes, x.reshape(self.shape))})
+                label = f"{name}_parameter" if name in used or name in axes else name
+                found = found.assign_coords({label: (axes, x.reshape(self.shape))})
         for name, of in (("q0", self.q0), ("v0", self.v0)):
             if of is not None:
                 rows = of.reshape(*self.shape, -1)
-                found = found.assign_coords({name: ((*self.axes, "coordinate"), rows)})
+                found = found.assign_coords({name: ((*axes, "coordinate"), rows)})
         if {"q", "v"} & {*self}:
             found = found.assign_coords(coordinate=list(self.system.coordinates))
-        if self.stride > 0:
-            dims = ("time",) if self.t.ndim == 1 else (*self.axes, "time")
+        if self.stride > 0 and "time" in {dim for dims in inner.values() for dim in dims}:
+            dims = ("time",) if self.t.ndim == 1 else (*axes, "time")
             t = self.t if self.t.ndim == 1 else self.t.reshape(*self.shape, -1)
             found = found.assign_coords(t=(dims, t))
         return found
@@ -416,6 +433,8 @@ class Ensemble(Mapping[str, Any]):
         }  # fmt: skip
         if name in (*_ALWAYS, "ended_by"):
             return ()
+        if self._ask.setting.kept.reduce is not None or "keep" in self._ask.lacks:
+            return tuple(f"{name}_{k}" for k in range(count))
         names = (*(() if name == "happened" else rows), *known.get(name, ()))
         return names if len(names) == count else tuple(f"{name}_{k}" for k in range(count))
 

@@ -7,9 +7,11 @@ whole or not there.  It holds arrays alone, in NumPy's own format; loading one r
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import json
 import re
+import time
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +24,7 @@ from . import work
 
 VERSION = 1
 ABOUT = "ensemble.json"
-_GIVEN = re.compile(r"given-(.+)\.npy")  # what was given for the members
+_GIVEN = re.compile(r"given-([0-9a-f]{12})-(.+)\.npy")  # for the members of a mark
 _BLOCK = re.compile(r"block-(\d{9})\.npz")
 
 
@@ -57,6 +59,7 @@ def create(
     """
     root = Path(directory)
     root.mkdir(parents=True, exist_ok=True)
+    mark = about["mark"]
     if not (root / ABOUT).exists():
         for path in sorted(root.iterdir()):
             if not _GIVEN.fullmatch(path.name) and not files.is_draft(path):
@@ -65,13 +68,14 @@ def create(
                     f"is {path.name!r} in it"
                 )
         for name, x in given.items():
-            _save(root / f"given-{name}.npy", x)
+            _save(root / f"given-{mark[:12]}-{name}.npy", x)
         text = json.dumps({"format": "dalembert ensemble", "version": VERSION, **about}, indent=1)
-        files.replace(root / ABOUT, text.encode())
+        with contextlib.suppress(FileExistsError):  # of a process that was first
+            files.create(root / ABOUT, text.encode())
     found = read_about(directory)
     if found["mark"] != about["mark"]:
         here = json.loads(json.dumps(about))
-        compared = here.keys() - {"mark", "block"}
+        compared = here.keys() - {"mark", "block", "seal"}
         differs = [key for key in here if key in compared and found.get(key) != here[key]]
         raise ValueError(
             f"store = {directory!r}: it is of another ensemble, which differs in "
@@ -95,7 +99,24 @@ def read_about(directory: str) -> dict[str, Any]:
         raise ValueError(f"{str(path)!r} is no description of an ensemble")
     if version != VERSION:
         raise ValueError(f"{str(path)!r} has version {version!r}: this dalembert reads {VERSION}")
+    mark, size = about.get("mark"), about.get("block")
+    if not isinstance(size, int) or size < 1 or about.get("seal") != seal(str(mark), size):
+        raise ValueError(f"{str(path)!r} was changed by hand, or is damaged")
     return about  # type: ignore[no-any-return]
+
+
+def seal(mark: str, size: int) -> str:
+    """Return what ties the size of blocks to an ensemble."""
+    return hashlib.sha256(f"{mark} {size}".encode()).hexdigest()
+
+
+def tidy(directory: str) -> None:
+    """Remove what processes that were killed have left, an hour ago or more."""
+    for path in Path(directory).iterdir():
+        if files.is_draft(path):
+            with contextlib.suppress(OSError):
+                if time.time() - path.stat().st_mtime > 3600:
+                    path.unlink()
 
 
 def is_that(directory: str, mark: str) -> bool:
@@ -105,26 +126,34 @@ def is_that(directory: str, mark: str) -> bool:
     return False
 
 
-def read_members(directory: str) -> dict[str, np.ndarray]:
+def read_members(directory: str, mark: str) -> dict[str, np.ndarray]:
     """Return what was given for the members, which is read when it is asked for."""
     found = {}
     for path in sorted(Path(directory).iterdir()):
-        if match := _GIVEN.fullmatch(path.name):
+        if (match := _GIVEN.fullmatch(path.name)) and match[1] == mark[:12]:
             with _reading(path):
-                found[match[1]] = np.load(path, mmap_mode="r", allow_pickle=False)
+                found[match[2]] = np.load(path, mmap_mode="r", allow_pickle=False)
     return found
 
 
 # ---- blocks ------------------------------------------------------------------------------------
 
 
-def write(directory: str, index: int, made: work.Block) -> None:
-    """Seal a block."""
+def write(directory: str, index: int, mark: str, made: work.Block) -> None:
+    """Seal a block of the ensemble with this mark.
+
+    Raises
+    ------
+    StoreError
+        If the store is of another one now.
+    """
+    if read_about(directory)["mark"] != mark:
+        raise StoreError(f"{directory} is not the store of this ensemble any more")
     messages = made["messages"]
     arrays = {name: x for name, x in made.items() if name != "messages"}
     arrays["failed"] = np.array(sorted(messages), np.int64)
     arrays["messages"] = np.array([messages[k] for k in sorted(messages)], np.str_)
-    arrays["mark"] = np.array([read_about(directory)["mark"], str(index)])
+    arrays["mark"] = np.array([mark, str(index)])
     _save(_path(directory, index), arrays)
 
 

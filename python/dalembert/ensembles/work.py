@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import threading
 from collections.abc import Callable, Mapping
@@ -10,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import core
-from ..core import Array, DalembertError, ffi, lib
+from .. import core, geometry
+from ..core import Array, DalembertError, arguments, ffi, lib
 from ..core.errors import raised
 from ..run import Solution, integrate
 from ..run.events import CONSISTENCY, compiled
@@ -20,7 +21,7 @@ from ..run.runs import OFF_D
 from ..run.scheme import INITIAL
 from ..system import Expressions, System
 from . import lanes
-from .ask import TAKEN, Ask, Kept, Setting
+from .ask import MEASURES, TAKEN, Ask, Kept, Setting
 
 LOST = lib.DAL_EUSER  # the status of a member whose process died
 
@@ -35,8 +36,12 @@ STATISTICS = {
     "jump_step": np.int64,
 }
 
+MEASURED = {*MEASURES}
+
 # Names that nothing else can have.
-RESERVED = {*TAKEN, *STATISTICS, "q", "v"}
+RESERVED = {*TAKEN, *STATISTICS, "q", "v", "file"}  # NumPy's savez has a file
+
+_NEVER = np.int64(-1)  # no event has ended it
 
 Block = dict[str, Any]  # arrays with a row for each member; and "messages", of those that failed
 Show = Callable[[float], Any]
@@ -271,13 +276,16 @@ def _doubt(
     setting: Setting, rows: Mapping[str, Array], stats: Any, doubts_of: Array, made: Block
 ) -> None:
     """Mark members whose run would have been warned of."""
-    system = setting.system
+    system, names = setting.system, MEASURED & {*setting.kept.measures}
     suspect = (
         (stats["jump_step"] > 0)
         | (stats["full_newtons"] * 10 > stats["substeps"])
         | (stats["worst_residual"] > core.residual_bound(system.n))
     )
     made["doubtful"] = doubts_of > 0
+    for name in names:
+        lacks = np.isnan(made[name]).reshape(len(stats), -1).any(axis=1)
+        made["doubtful"] |= lacks & (made["status"] == 0) & (made.get("ended_by", _NEVER) < 0)
     for k in np.flatnonzero(suspect & (made["status"] == 0)):
         of = SimpleNamespace(**{name: stats[name][k] for name in stats.dtype.names})
         h = rows["h"][k % len(rows["h"])]
@@ -347,15 +355,34 @@ def _keep(
             _reduce(kept.reduce(run), made, k, len(made["status"]))
         return
     is_over = run.status >= 0
-    arrays = {name: getattr(run, name) for name in kept.measures}
+    arrays = {name: _measured(run, name) for name in kept.measures}
     arrays |= {name: run.x[:, place] for name, place in kept.columns.items()}
     if kept.states:
         arrays["states"] = run.x
     for name, values in arrays.items():
+        undefined = name in MEASURED and np.isnan(values).any()
+        made["doubtful"][k] |= undefined and is_over
         if not kept.at_end:
             made[name][k, : len(values)] = values
         elif is_over and len(values):
             made[name][k] = values[-1]
+
+
+def _measured(run: Solution, name: str) -> Array:
+    """Return a quantity of the rows of a run; where it is not defined it is NaN."""
+    try:
+        return getattr(run, name)  # type: ignore[no-any-return]
+    except (DalembertError, ArithmeticError, ValueError):
+        shape = (run.system.m,) if name == "multipliers" else ()
+        values = np.full((len(run.t), *shape), np.nan)
+    output, shift = ("relative", run.shift) if name == "residual" else (name, 0.0)
+    inputs = run._inputs_of_rows()
+    for k, t in enumerate(run.t.tolist()):
+        with contextlib.suppress(DalembertError, ArithmeticError, ValueError):
+            values[k] = geometry.trajectory(
+                run.system, run.x[k : k + 1], output, t0=t, shift=shift, inputs=inputs[k : k + 1]
+            )[0]
+    return values
 
 
 def _count(setting: Setting, made: Block, k: int, run: Solution) -> None:
@@ -382,10 +409,15 @@ def _ended_by(setting: Setting, run: Solution) -> int:
 def _reduce(value: Any, made: Block, k: int, count: int) -> None:
     """Write what a function of a run returned."""
     found = value if isinstance(value, Mapping) else {"value": value}
-    for name, x in found.items():
-        x = np.asarray(x, dtype=float)
-        if name in RESERVED:
-            raise ValueError(f"keep returned {name!r}: expected another name, for this is taken")
+    for name, given in found.items():
+        if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED:
+            raise ValueError(
+                f"keep returned the name {name!r}: expected an identifier that is not taken"
+            )
+        shape = arguments.shape(given)
+        if not isinstance(shape, tuple):
+            raise ValueError(f"keep returned {name!r} as {shape}: expected a number or an array")
+        x = arguments.returned(given, shape, f"keep ({name})")
         if name not in made:
             made[name] = np.full((count, *x.shape), np.nan)
         if made[name].shape[1:] != x.shape:
@@ -398,7 +430,10 @@ def _reduce(value: Any, made: Block, k: int, count: int) -> None:
 
 def _message(error: BaseException) -> str:
     """Return what an entry says of an exception, as the message of a `Solution` does."""
-    return f"{type(error).__name__}: {error}"
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:  # of a user's exception that cannot be shown
+        return type(error).__name__
 
 
 def status_of(error: BaseException) -> int:

@@ -387,6 +387,75 @@ def test_memory():
              keep="all")  # fmt: skip
 
 
+def test_names_that_mean_two_things():
+    system = dal.System(mass=[1, 1], coordinates=["u", "v_u"], q0=[0, 50], v0=[1, 0])
+    energy = dal.System(mass=[1], coordinates=["energy"], q0=[0], v0=[1])
+    for one, name in ((system, "v_u"), (energy, "energy")):
+        with pytest.raises(ValueError, match="a coordinate and something else"):
+            many(one, h=0.1, steps=1, keep=name)
+
+
+@pytest.mark.parametrize("returned", [{1: 2.0}, {"a b": 1.0}, {"file": 1.0}, {"status": 1.0}, None,
+                                      "text", np.ma.masked_array([1.0], [True]),
+                                      np.datetime64("2020-01-01"), [[1.0], 2.0]])  # fmt: skip
+def test_what_reductions_may_not_return(returned):
+    with pytest.warns(dal.DalembertWarning, match="1 of 1 members failed"):
+        found = many(dal.systems.sleigh(), h=0.1, steps=1, keep=lambda run: returned)
+    assert "ValueError: keep" in found.message(0) and repr(found)
+
+
+def test_an_exception_that_cannot_be_shown():
+    class Silent(Exception):
+        def __str__(self):
+            raise KeyError
+
+    def fail(run):
+        raise Silent
+
+    with pytest.warns(dal.DalembertWarning, match="Silent"):
+        found = many(dal.systems.sleigh(), h=0.1, steps=1, keep=fail)
+    assert found.message(0) == "Silent"
+
+
+@pytest.mark.parametrize("is_compiled", [True, False])
+def test_what_is_not_defined_at_a_row(is_compiled):
+    """The run goes on, as by itself; the quantity is NaN there, and the member doubtful."""
+    x, y = dal.coordinates("x y")
+    system = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - sympy.log(y) / 100)
+    events = [] if is_compiled else [lambda t, q, v: q[0] - 100]
+    with pytest.warns(dal.DalembertWarning, match="1 of 2 members are doubtful"):
+        found = many(system, "explicit", [0.0, 1.0], [[1.0, 0.0], [1.0, -0.6]], h=0.5, steps=6,
+                     keep=["all", "energy"], events=events)  # fmt: skip
+    assert found.success.all() and found.doubtful.tolist() == [False, True]
+    assert (found.q[1] == found.member(1).q).all()
+    assert np.isnan(found.energy[1]).sum() == (found.q[1, :, 1] <= 0).sum() > 0
+
+
+def test_partial_of_nothing():
+    def fail(run):
+        raise SystemExit
+
+    with pytest.raises(SystemExit) as raised:
+        many(dal.systems.sleigh(), h=0.1, steps=1, keep=fail)
+    partial = raised.value.partial
+    assert len(partial.unfinished) == 1 and "1 were not finished" in repr(partial)
+
+
+def test_xarray_of_names_that_collide():
+    pytest.importorskip("xarray")
+    found = many(dal.systems.sleigh(), h=0.1, steps=4, parameters={"a": [0.1, 0.2]},
+                 axes=["status"], keep=["all"])  # fmt: skip
+    dataset = found.to_xarray()
+    assert (dataset.status.values == 0).all() and dataset.status.dims == ("status_axis",)
+    vector = many(dal.systems.sleigh(), h=0.1, steps=2, keep=lambda run: np.ones((3, 2)))
+    assert vector.to_xarray().value.shape == (1, 3, 2)
+
+
+def test_steps_zero_with_inputs_of_members():
+    found = many(skate(), h=0.1, steps=0, inputs=np.zeros((3, 0, 2)))
+    assert len(found) == 3 and (found.done == 0).all()
+
+
 # ---- designs -----------------------------------------------------------------------------------
 
 
