@@ -126,8 +126,9 @@ def ensemble(
     Raises
     ------
     ValueError
-        If an argument is out of range; the text names it.  What is wrong with one member, as
-        initial data that are not in D, is its entry.
+        If an argument is out of range, or any number is not finite; the text names it.  What a
+        member by itself is refused for, as initial data that are not in D or a parameter out of
+        its range, is its entry.
     StoreError
         If a file of the store is damaged, or of another ensemble.
     KeyboardInterrupt

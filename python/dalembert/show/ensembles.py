@@ -56,8 +56,8 @@ def draw(
     elif len(self.shape) == 2 and y is None:
         _map(self, what, ax)
     else:
-        _states(self, what, self.system.coordinates[min(1, self.system.n - 1)] if y is None else y,
-                ax)  # fmt: skip
+        second = self.system.coordinates[min(1, self.system.n - 1)] if "q" in self else what
+        _states(self, what, second if y is None else y, ax)
     ax.set_title(plain(f"{self.system.name}: {len(self)} runs, {self.scheme.name}"))
     return ax
 
@@ -66,7 +66,7 @@ def _first(found: Ensemble) -> str:
     """Return a name that can be drawn."""
     if "q" in found:
         return found.system.coordinates[0]
-    return next((name for name in found if found[name].dtype.kind == "f"), "t_end")
+    return found.kept[0] if found.kept else "t_end"
 
 
 def values_of(found: Ensemble, name: str) -> Array:
