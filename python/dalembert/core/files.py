@@ -60,37 +60,35 @@ def write(path: str | Path, text: str) -> None:
             replace(target.resolve(), text.encode())
 
 
-def replace(target: Path, content: bytes | memoryview, mode: int | None = None) -> None:
-    """Write a file under another name, with permissions if they are given, and rename it."""
+@contextlib.contextmanager
+def _draft(target: Path, content: bytes | memoryview) -> Iterator[Path]:
+    """Give a file with this content beside a target, on the disk; it is removed if it is left."""
     draft = target.with_name(f".{target.name[:64]}.{secrets.token_hex(8)}.new")
     try:
         with open(draft, "xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
+        yield draft
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+
+
+def replace(target: Path, content: bytes | memoryview, mode: int | None = None) -> None:
+    """Write a file under another name, with permissions if they are given, and rename it."""
+    with _draft(target, content) as draft:
         if mode is not None:
             draft.chmod(mode)
         elif target.exists():
             shutil.copymode(target, draft)
         os.replace(draft, target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            draft.unlink()
-        raise
 
 
 def create(target: Path, content: bytes) -> None:
     """Write a new file under another name, and give it its own; FileExistsError if it is there."""
-    draft = target.with_name(f".{target.name[:64]}.{secrets.token_hex(8)}.new")
-    try:
-        with open(draft, "xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
+    with _draft(target, content) as draft:
         os.link(draft, target)
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink()
 
 
 def is_draft(path: Path) -> bool:

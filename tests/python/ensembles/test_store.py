@@ -117,6 +117,31 @@ def test_xarray_is_lazy(path):
         assert np.array_equal(here[name].values, there[name].values, equal_nan=True)
 
 
+MANY = """
+import resource
+import sys
+import numpy as np
+import dalembert as dal
+
+K = int(sys.argv[2])
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+found = dal.ensemble(dal.systems.sleigh(), parameters={"a": np.linspace(0.1, 0.3, K)}, h=0.01,
+                     steps=2, block=2000, progress=False, store=sys.argv[1])
+total = sum(part["states"][:, 0].sum() for _, part in found.blocks())
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024, total)
+"""
+
+
+def test_memory_does_not_grow_with_what_is_kept(path):
+    """A hundred thousand members have 13 MB of results; what was given for them has one."""
+    command = [sys.executable, "-c", MANY, path, "100000"]
+    grown, total = map(float, subprocess.run(command, check=True, capture_output=True,
+                                             text=True).stdout.split())  # fmt: skip
+    whole = dal.ensemble(dal.systems.sleigh(), parameters={"a": np.linspace(0.1, 0.3, 100_000)},
+                         h=0.01, steps=2, progress=False)  # fmt: skip
+    assert grown < 30 and abs(total - whole.q[:, 0].sum()) < 1e-9 * abs(total)
+
+
 # ---- kills -------------------------------------------------------------------------------------
 
 
