@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -132,13 +133,18 @@ def _run(given: argparse.Namespace) -> int:
             raise ValueError(f"--output {given.output}: expected a name that ends in .nc or .npz")
         files.require_writable(given.output)
     q0, v0, parameters, axes = _given(system, given)
-    with _workers(given.executor) as executor:
-        found = ensemble(
-            system, given.scheme, q0, v0, parameters, h=given.h, t_end=given.t_end,
-            steps=given.steps, t0=given.t0, stride=given.stride, keep=given.keep.split(","),
-            consistent=given.consistent, initial=given.initial, axes=axes, executor=executor,
-            threads=given.threads, store=given.store, progress=runs.progress(),
-        )  # fmt: skip
+    try:
+        with _workers(given.executor) as executor:
+            found = ensemble(
+                system, given.scheme, q0, v0, parameters, h=given.h, t_end=given.t_end,
+                steps=given.steps, t0=given.t0, stride=given.stride, keep=given.keep.split(","),
+                consistent=given.consistent, initial=given.initial, axes=axes, executor=executor,
+                threads=given.threads, store=given.store, progress=runs.progress(),
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        if given.store is not None:
+            print(f"{given.store} has what there is; the same command goes on", file=sys.stderr)
+        raise
     print(found)
     if given.output is not None:
         _write(found, given.output)

@@ -67,17 +67,19 @@ def test_all_fail(capsys):
 
 
 @pytest.mark.parametrize("who", [["--executor", "processes:2"], ["--threads", "2"]])
-def test_ctrl_c(who):
+def test_ctrl_c(who, tmp_path):
     command = [sys.executable, "-m", "dalembert", "ensemble", "sleigh", "--grid", "a=0.1:0.3:8",
-               "--h", "0.0001", "--steps", "2000000000", *who]  # fmt: skip
+               "--h", "0.0001", "--steps", "2000000000", "--store", str(tmp_path / "store"),
+               *who]  # fmt: skip
     process = subprocess.Popen(
-        command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     try:
         time.sleep(3)
         process.send_signal(signal.SIGINT)
         assert process.wait(10) == 130
+        assert b"the same command goes on" in process.stderr.read()
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
