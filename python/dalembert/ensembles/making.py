@@ -32,7 +32,7 @@ from .functions import digest
 from .result import Ensemble, Memory, Stored
 from .store import StoreError
 
-_THREAD_SECONDS = 0.2  # of a block that a thread makes: short, for balance and Ctrl-C
+_THREAD_SECONDS = 0.05  # of a block that a thread makes: short, so that all end together
 _TASK_SECONDS = 2.0  # of one that is sent elsewhere, or written to a store
 _MOST_BYTES, _MOST = 2**26, 100_000  # of a block, members
 _MOST_BLOCKS = 100_000  # what schedulers and file systems bear
