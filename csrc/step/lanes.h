@@ -9,6 +9,9 @@
 
 #include "step/step.h"
 
+/* What stands between the two cdef marks the Python package reads too, for tests. */
+
+/* <cdef> */
 typedef struct dal__lanes dal__lanes;
 
 /* How many lanes there are on this machine; 0 if the steps of the scheme are not made so. */
@@ -45,5 +48,6 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
 /* For tests and benchmarks: takes the routine with so many lanes in a vector, and empties them all.
  * The width then; 0 if this machine or the system has no such routine, and nothing is changed. */
 size_t dal__lanes_use(dal__lanes *lanes, size_t vector);
+/* </cdef> */
 
 #endif /* DAL__LANES_H */

@@ -231,14 +231,11 @@ DAL_KERNEL_INLINE dal_vec DAL_LANES(mass_inverse)(const DAL_LANES(traits) *o, si
     return o->given->mass_inverse[e];
 }
 
-DAL_KERNEL_INLINE dal_vec DAL_LANES(unit)(const DAL_LANES(traits) *o, size_t i)
+/* Number i of unit or per_unit. */
+DAL_KERNEL_INLINE dal_vec DAL_LANES(scale)(const DAL_LANES(traits) *o, const dal_vec *scales,
+                                           size_t i)
 {
-    return o->has.one >> i & 1 ? DAL_LANES(all_of)(1.0) : o->given->unit[i];
-}
-
-DAL_KERNEL_INLINE dal_vec DAL_LANES(per_unit)(const DAL_LANES(traits) *o, size_t i)
-{
-    return o->has.one >> i & 1 ? DAL_LANES(all_of)(1.0) : o->given->per_unit[i];
+    return o->has.one >> i & 1 ? DAL_LANES(all_of)(1.0) : scales[i];
 }
 
 DAL_KERNEL_INLINE dal_vec DAL_LANES(dot)(unsigned long long mask, const dal_vec *A, size_t a,
@@ -275,7 +272,7 @@ DAL_KERNEL_INLINE dal_vec DAL_LANES(form)(const DAL_LANES(traits) *o, const dal_
     dal_vec sum = DAL_LANES(all_of)(-0.0);
     for (size_t i = 0; i < DAL_N; i++)
         if (DAL_KERNEL_HAS(o->has.mu, a * DAL_N + i))
-            sum += DAL_LANES(fabs)(mu[a * DAL_N + i]) * DAL_LANES(unit)(o, i);
+            sum += DAL_LANES(fabs)(mu[a * DAL_N + i]) * DAL_LANES(scale)(o, o->given->unit, i);
     return sum;
 }
 
@@ -283,7 +280,7 @@ DAL_KERNEL_INLINE dal_vec DAL_LANES(speed)(const DAL_LANES(traits) *o, const dal
 {
     dal_vec most = DAL_LANES(all_of)(0.0);
     for (size_t i = 0; i < DAL_N; i++) {
-        const dal_vec speed = DAL_LANES(fabs)(v[i]) * DAL_LANES(per_unit)(o, i);
+        const dal_vec speed = DAL_LANES(fabs)(v[i]) * DAL_LANES(scale)(o, o->given->per_unit, i);
         most = DAL_LANES(choose)(speed > most, speed, most);
     }
     return most;
@@ -445,7 +442,7 @@ DAL_KERNEL_INLINE void DAL_LANES(form_S)(const DAL_LANES(traits) *o, DAL_LANES(a
             const dal_vec row = turns ? mu + b * at->N[a * DAL_N + i] : mu;
             const dal_vec entry =
                 turns ? DAL_LANES(fabs)(mu) + DAL_LANES(fabs)(row) : DAL_LANES(fabs)(mu);
-            if (m > 1) size += entry * DAL_LANES(unit)(o, i);
+            if (m > 1) size += entry * DAL_LANES(scale)(o, o->given->unit, i);
             for (size_t c = 0; c < m; c++) {
                 if (!DAL_KERNEL_HAS(o->has.Z, c * DAL_N + i)) continue;
                 const dal_vec Z = at->Z[c * DAL_N + i], term = row * Z;
@@ -582,7 +579,7 @@ DAL_KERNEL_INLINE void DAL_LANES(judge)(const DAL_LANES(traits) *o, DAL_LANES(ar
     const dal_stage *const s = o->stage;
     dal_vec size = DAL_LANES(all_of)(-0.0), extent = DAL_LANES(all_of)(-0.0);
     for (size_t i = 0; i < DAL_N; i++) {
-        const dal_vec per_unit = DAL_LANES(per_unit)(o, i);
+        const dal_vec per_unit = DAL_LANES(scale)(o, o->given->per_unit, i);
         if (DAL_KERNEL_HAS(o->has.pull, i)) size += DAL_LANES(fabs)(at->step[i]) * per_unit;
         extent += DAL_LANES(fabs)(at->goal[i]) * per_unit;
     }

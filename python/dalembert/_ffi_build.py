@@ -43,23 +43,9 @@ extern "Python" int dal_py_happened(size_t event, size_t step, double t, const d
                                     const double *after, void *ctx);
 """
 
-# For tests and benchmarks alone: the steps of a stepper are made by the compilation for any sizes;
-# members that are stepped together.
-FOR_TESTS = """
-void dal__beta_any_sizes(dal_stepper *stepper);
-typedef struct dal__lanes dal__lanes;
-size_t dal__lanes_width(const dal_system *system, const dal_scheme *scheme);
-int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error);
-void dal__lanes_free(dal__lanes *lanes);
-void dal__lanes_load(dal__lanes *lanes, size_t lane, const dal_stepper *stepper);
-void dal__lanes_stop(dal__lanes *lanes);
-void dal__lanes_advance(dal__lanes *lanes, size_t steps);
-size_t dal__lanes_made(const dal__lanes *lanes, size_t lane);
-void dal__lanes_state(const dal__lanes *lanes, size_t lane, double *x);
-void dal__lanes_impulse(const dal__lanes *lanes, size_t lane, double *impulse);
-void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *stepper);
-size_t dal__lanes_use(dal__lanes *lanes, size_t vector);
-"""
+# For tests and benchmarks alone, as is what private headers have between the marks: the steps of a
+# stepper are made by the compilation for any sizes.
+FOR_TESTS = "void dal__beta_any_sizes(dal_stepper *stepper);\n"
 
 
 def declarations(header: str) -> str:
@@ -79,12 +65,18 @@ def declarations(header: str) -> str:
 
 
 def write_extension(headers: list[Path], output: Path) -> None:
-    """Write to ``output`` the C source of the extension over the functions of ``headers``."""
+    """Write to ``output`` the C source of the extension over the functions of ``headers``.
+
+    The public ones, beside the first or below it, are included by the source, private ones not.
+    """
     ffi = FFI()
-    texts = [declarations(header.read_text(encoding="utf-8")) for header in headers]
-    ffi.cdef("".join(texts) + TRAMPOLINES + FOR_TESTS)
-    names = [header.relative_to(headers[0].parent) for header in headers]
-    ffi.set_source("dalembert._core", "".join(f"#include <{name}>\n" for name in names) + FOR_TESTS)
+    root = headers[0].parent
+    public = [header for header in headers if header.is_relative_to(root)]
+    texts = {header: declarations(header.read_text(encoding="utf-8")) for header in headers}
+    own = "".join(text for header, text in texts.items() if header not in public) + FOR_TESTS
+    ffi.cdef("".join(texts[header] for header in public) + TRAMPOLINES + own)
+    names = [header.relative_to(root) for header in public]
+    ffi.set_source("dalembert._core", "".join(f"#include <{name}>\n" for name in names) + own)
     ffi.emit_c_code(str(output))
 
 

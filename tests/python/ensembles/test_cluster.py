@@ -8,6 +8,7 @@ import os
 import signal
 from pathlib import Path
 
+import distributed
 import numpy as np
 import pytest
 
@@ -132,7 +133,6 @@ def test_a_store_that_workers_do_not_see(tmp_path):
 
 @pytest.fixture(scope="module")
 def client():
-    distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
     ) as cluster, distributed.Client(cluster) as client:  # fmt: skip

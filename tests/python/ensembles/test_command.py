@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+import xarray
 
 import dalembert as dal
 from dalembert.cli import main
@@ -18,7 +19,6 @@ RUN = ["ensemble", "sleigh", "--h", "0.01", "--t-end", "0.5"]
 
 
 def test_grid_and_files(tmp_path, capsys):
-    pytest.importorskip("xarray")
     grid = ["--grid", "a=0.1:0.3:3", "--grid", "v_theta=1,2", "--consistent", "project"]
     for name in ("o.npz", "o.nc"):
         assert main([*RUN, *grid, "--output", str(tmp_path / name)]) == 0
@@ -29,8 +29,6 @@ def test_grid_and_files(tmp_path, capsys):
     v0[:2] = dal.systems.sleigh().v0[:2]
     run = dal.integrate(system, q0=system.q0, v0=v0, consistent="project", h=0.01, t_end=0.5)
     assert (found["q"][3] == run.q[-1]).all() and found["parameter_a"][3] == 0.2
-    import xarray
-
     with xarray.open_dataset(tmp_path / "o.nc") as dataset:
         assert dataset.q.dims == ("a", "v_theta", "coordinate")
         assert (dataset.q.values.reshape(6, 3) == found["q"]).all()
@@ -90,7 +88,6 @@ def many(**more):
 
 
 def test_pictures():
-    pytest.importorskip("matplotlib")
     x = dal.coordinates("x y theta")[0]
     values = {"a": np.linspace(0.1, 0.3, 8)}
     bands = many(parameters=values, keep="all", stride=10).plot("theta")
@@ -111,7 +108,6 @@ def test_pictures():
 
 
 def test_page():
-    pytest.importorskip("jinja2")
     with pytest.warns(dal.DalembertWarning):
         found = many(parameters={"J": [1.0, -1.0]})
     page = found._repr_html_()

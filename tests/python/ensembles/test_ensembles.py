@@ -11,11 +11,12 @@ import warnings
 
 import numpy as np
 import pytest
+import sympy
+from scipy import stats
 
 import dalembert as dal
 from dalembert.ensembles import work
 
-sympy = pytest.importorskip("sympy")
 ALWAYS = {"status", "done", "t_end", "doubtful", *work.STATISTICS}
 
 
@@ -442,7 +443,6 @@ def test_partial_of_nothing():
 
 
 def test_xarray_of_names_that_collide():
-    pytest.importorskip("xarray")
     found = many(dal.systems.sleigh(), h=0.1, steps=4, parameters={"a": [0.1, 0.2]},
                  axes=["status"], keep=["all"])  # fmt: skip
     dataset = found.to_xarray()
@@ -465,7 +465,7 @@ def test_grid():
     assert found.shape == (2, 3) and found.axes == ("a", "J")
     assert (found.parameters["J"] == [1, 2, 3, 1, 2, 3]).all()
     check_members(found)
-    dataset = pytest.importorskip("xarray") and found.to_xarray()
+    dataset = found.to_xarray()
     assert dataset.q.dims == ("a", "J", "coordinate")
     assert (dataset.q.sel(a=0.2, J=3).values == found.q[5]).all()
     q0 = np.zeros((4, 1, 1, 3))
@@ -480,7 +480,6 @@ def test_grid():
 
 
 def test_sample():
-    stats = pytest.importorskip("scipy.stats")
     design = dal.sample(64, seed=3, a=(0.1, 0.3), J=stats.norm(1, 0.1))
     again = dal.sample(64, seed=3, a=(0.1, 0.3), J=(0, 1))
     assert design.shape == (64,) and (design["a"] == again["a"]).all()

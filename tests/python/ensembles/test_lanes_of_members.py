@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import sympy
 
 import dalembert as dal
 from dalembert.ensembles import lanes
 from dalembert.symbolic import expressions
 
-sympy = pytest.importorskip("sympy")
 U = 2.0**-53
 RNG = np.random.default_rng(8)
 

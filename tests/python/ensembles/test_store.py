@@ -107,7 +107,6 @@ def test_a_reduction_in_a_store(path):
 
 
 def test_xarray_is_lazy(path):
-    pytest.importorskip("dask")
     here = make(keep=["all", "energy"]).to_xarray()
     make(path, keep=["all", "energy"], block=6)
     there = dal.open_ensemble(path).to_xarray()
