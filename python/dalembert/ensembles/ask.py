@@ -21,8 +21,8 @@ from .design import Design
 TAKEN = {"status", "done", "t_end", "doubtful", "ended_by", "happened", "messages", "failed",
          "mark", "states"}  # fmt: skip
 
-# What C stores of each row besides states, and the numbers of each: 0 for one, else m.
-MEASURES = {"energy": 0, "residual": 0, "multipliers": 1}
+# What is computed from states, and may not be defined at some.
+MEASURES = ("energy", "residual", "multipliers")
 
 
 _TAILS = {"q0": 1, "v0": 1, "inputs": 2}  # how many axes a member has, of what has any

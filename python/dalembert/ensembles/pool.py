@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from ..core import arguments
+from ..core import arguments, lib
 from . import store, work
 from .ask import Ask, Setting
 from .result import Memory, Stored
@@ -251,7 +251,7 @@ def _lost(ask: Ask, blocks: Blocks, index: int) -> work.Block:
     """Return a block whose workers die: all of its members have failed."""
     begin, end = blocks.range(index)
     made = work.empty(ask.setting, ask.rows, end - begin)
-    made["status"][:] = work.LOST
+    made["status"][:] = lib.DAL_EUSER
     made["messages"] = dict.fromkeys(
         range(end - begin), "the process that made this block of members died, again and again"
     )

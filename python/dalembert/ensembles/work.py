@@ -23,8 +23,6 @@ from ..system import Expressions, System
 from . import lanes
 from .ask import MEASURES, TAKEN, Ask, Kept, Setting
 
-LOST = lib.DAL_EUSER  # the status of a member whose process died
-
 # What is kept of a `Statistics`, with what to say of it.
 STATISTICS = {
     "iterations": np.int64,
@@ -35,8 +33,6 @@ STATISTICS = {
     "initial_correction": np.float64,
     "jump_step": np.int64,
 }
-
-MEASURED = {*MEASURES}
 
 # Names that nothing else can have.
 RESERVED = {*TAKEN, *STATISTICS, "q", "v", "file"}  # NumPy's savez has a file
@@ -276,7 +272,7 @@ def _doubt(
     setting: Setting, rows: Mapping[str, Array], stats: Any, doubts_of: Array, made: Block
 ) -> None:
     """Mark members whose run would have been warned of."""
-    system, names = setting.system, MEASURED & {*setting.kept.measures}
+    system, names = setting.system, {*MEASURES} & {*setting.kept.measures}
     suspect = (
         (stats["jump_step"] > 0)
         | (stats["full_newtons"] * 10 > stats["substeps"])
@@ -360,7 +356,7 @@ def _keep(
     if kept.states:
         arrays["states"] = run.x
     for name, values in arrays.items():
-        undefined = name in MEASURED and np.isnan(values).any()
+        undefined = name in MEASURES and np.isnan(values).any()
         made["doubtful"][k] |= undefined and is_over
         if not kept.at_end:
             made[name][k, : len(values)] = values
