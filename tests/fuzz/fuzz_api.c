@@ -8,7 +8,7 @@
  *   - after a successful one what was put out is finite where it has to be,
  *   - after successful steps the state lies in the set that the scheme keeps, see check_residual.
  * The sanitizers and GSL's handler, which aborts, see the rest. */
-#include "dalembert/events.h"
+#include "dalembert/ensemble.h"
 #include "dalembert/study.h"
 #include "step/step.h"
 
@@ -1003,6 +1003,65 @@ static int call_run(world *w)
     return status;
 }
 
+/* A member of an ensemble by itself, without faults: the same rows. */
+static void check_member(world *w, const dal_scheme *scheme, const dal_members *members, size_t k,
+                         const double *rows)
+{
+    const size_t N = 2 * w->n, stride = members->stride;
+    double alone[MOST_ROWS * 2 * (MOST_N + 2)];
+    dal_stepper *stepper;
+    size_t done = 0;
+    MUST(dal_stepper_new(&stepper, w->system, scheme, NULL, NULL) == 0, "member %zu", k);
+    int status = dal_stepper_start(stepper, members->t0, *members->h, members->x + k * N,
+                                   members->consistency, members->initial);
+    const bool started = status == 0;
+    if (started)
+        status = dal_integrate(stepper, *members->steps, stride, alone, NULL, NULL, NULL, &done);
+    MUST(status == members->status[k], "member %zu: %d alone, %d", k, status, members->status[k]);
+    const size_t good = started ? done / stride + 1 : 0;
+    MUST(memcmp(alone, rows, good * N * sizeof *rows) == 0, "member %zu", k);
+    dal_stepper_free(stepper);
+}
+
+/* Members with other initial data, with and without faults of the callbacks. */
+static int call_ensemble(world *w)
+{
+    enum { MEMBERS = 3 };
+    const size_t N = 2 * w->n, stride = 1 + next_below(&w->t, 3);
+    const size_t steps = stride * next_below(&w->t, 4), rows = steps / stride + 1;
+    double x[MEMBERS * 2 * (MOST_N + 2)], states[MEMBERS * MOST_ROWS * 2 * (MOST_N + 2)];
+    double energy[MEMBERS * MOST_ROWS];
+    size_t done[MEMBERS];
+    int statuses[MEMBERS];
+    dal_scheme scheme = {0};
+    int status = CALL(choose_scheme, w, &scheme);
+    if (status) return status;
+    const double h = step_size(w), t0 = next_ordinary(&w->t);
+    for (size_t k = 0; k < MEMBERS; k++) {
+        const double factor = next_below(&w->t, 4) ? 1.0 + (double)k / 8.0 : next_number(&w->t);
+        for (size_t i = 0; i < N; i++) x[k * N + i] = i < w->n ? w->x[i] : factor * w->x[i];
+    }
+    const dal_members members = {
+        .count = MEMBERS, .x = x, .x_next = N, .h = &h, .steps = &steps, .t0 = t0,
+        .stride = stride, .consistency = (dal_consistency)next_below(&w->t, 3),
+        .initial = scheme.nodes == DAL_KEPT_NODES ? (dal_initial)(1 + next_below(&w->t, 4))
+                                                  : DAL_INITIAL_NONE,
+        .states = states, .energy = energy, .done = done, .status = statuses};
+    const bool calm = !scheme.family && next_below(&w->t, 2); /* flows may be long */
+    w->r.quiet = calm;
+    status = CALL(dal_ensemble_run, w->system, &scheme, NULL, &members, 0, MEMBERS, NULL, NULL,
+                  NULL);
+    for (size_t k = 0; !status && k < MEMBERS; k++) {
+        const double *const own = states + k * rows * N;
+        MUST(statuses[k] <= 0 && done[k] <= steps, "member %zu: %d", k, statuses[k]);
+        MUST((statuses[k] == 0) == (done[k] == steps && isfinite(own[rows * N - 1])) || steps == 0,
+             "member %zu: %d after %zu steps", k, statuses[k], done[k]);
+        if (calm) check_member(w, &scheme, &members, k, own);
+    }
+    w->r.quiet = false;
+    return status;
+}
+
 static int call_study(world *w)
 {
     dal_order_point points[6] = {0};
@@ -1224,7 +1283,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     static int (*const calls[])(world *) = {
         call_stepper, call_stepper, call_run,     call_mechanics, call_mechanics, call_chart,
         call_chart,   call_flow,    call_discrete, call_discrete, call_system,    call_study,
-        call_embedding};
+        call_embedding, call_ensemble};
     world w = {.t = {.at = data, .end = data + size}};
     if (make_world(&w))
         for (size_t k = 0; k < MOST_CALLS && w.t.at < w.t.end; k++)
