@@ -5,8 +5,8 @@ F. Jimenez, J. Scheurle: On the discretization of nonholonomic dynamics in R^n, 
 
 System: L = (x'^2 + y'^2 + z'^2)/2, z' = y x'.  The paper has no tables.  It claims order (p, s) =
 (2, 0) of beta = 1/2 at the moved nodes and (1, 0) at the kept nodes, (1, 0) of beta = 0, closed
-forms of a step, and that in all cases the constraint turned out to be preserved "up to small bounded
-oscillatory variations"; of the energy it says nothing.
+forms of a step, and that in all cases the constraint turned out to be preserved "up to small
+bounded oscillatory variations"; of the energy it says nothing.
 
 Here: the orders from runs, against the solution in closed form; steps by the closed form against
 steps of the library; residual and energy over a long run, of the particle on springs, x^2/2 + y^2/2
