@@ -1,0 +1,164 @@
+"""Energy of a chaotic system over 1e8 steps: a random walk.
+
+R. McLachlan, M. Perlmutter: Integrators for nonholonomic mechanical systems, J. Nonlinear Sci. 16
+(2006) 283-328, doi:10.1007/s00332-005-0698-1.  The system and the ten initial data are those of the
+authors' code, https://github.com/olivierverdier/odelab (`ChaoticOscillator`, its test); the
+statement that the energy error is a random walk, whose mean square grows linearly with t, is quoted
+from memory.
+
+System: q = (x, y_1 ... y_3, z_1 ... z_3), x' + sum y_i z_i' = 0, and
+L = |q'|^2/2 - (|q|^2 + z_1^2 z_2^2 + sum y_i^2 z_i^2)/2.  Initial data on E = 3.06, j = 0 ... 9:
+x = cos(alpha), y_1' = sin(alpha), alpha = j pi/18, y = (0.6, 0.4, 0.2), z = (1, 1, 1), else 0.
+
+Here: ensembles of 64 with alpha = k pi/126, which have the ten among them.  The mean square of
+E(t + tau) - E(t), over members and t, less that of one stored row, 1/2000 of a run, which is the
+bounded oscillation, is fitted by a power of tau from 1/40 to 1/4 of a run.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import common
+import numpy as np
+
+import dalembert as dal
+
+ROWS = 2000
+BETWEEN = np.unique(np.geomspace(ROWS // 40, ROWS // 4, 12).astype(int))  # lags of the fit
+LAGS = np.unique(np.geomspace(1, ROWS // 4, 30).astype(int))  # lags of the picture
+ORDER = {"leapfrog": 2, "midpoint": 2, "leapfrog-suzuki4": 4}
+FULL = [("leapfrog", 0.05, 10**8), ("leapfrog", 0.1, 10**7), ("leapfrog", 0.2, 10**6),
+        ("midpoint", 0.1, 10**6), ("midpoint", 0.2, 2 * 10**5),
+        ("leapfrog-suzuki4", 0.3, 4 * 10**6), ("leapfrog-suzuki4", 0.4, 10**6)]  # fmt: skip
+QUICK = [("leapfrog", 0.1, 10**6), ("leapfrog", 0.2, 2 * 10**5), ("midpoint", 0.2, 6 * 10**4),
+         ("leapfrog-suzuki4", 0.4, 10**5)]  # fmt: skip
+
+
+def quartic() -> dal.System:
+    """Return the system, compiled."""
+    q = dal.coordinates("x y1 y2 y3 z1 z2 z3")
+    x, y, z = q[0], q[1:4], q[4:]
+    springs = sum(c**2 for c in q) + z[0] ** 2 * z[1] ** 2
+    coupling = sum(a**2 * b**2 for a, b in zip(y, z))
+    L = sum(c.d**2 for c in q) / 2 - (springs + coupling) / 2
+    return dal.System.from_sympy(L, [x.d + sum(a * b.d for a, b in zip(y, z))])
+
+
+def data(alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return initial data q0, v0, shape (..., 7), on E = 3.06."""
+    q0, v0 = np.zeros((2, *np.shape(alpha), 7))
+    q0[..., 0], v0[..., 1] = np.cos(alpha), np.sin(alpha)
+    q0[..., 1:] = 0.6, 0.4, 0.2, 1, 1, 1
+    return q0, v0
+
+
+def squares(energy: np.ndarray, lags: Sequence[int]) -> np.ndarray:
+    """Return the mean square over t of E(t + lag) - E(t), shape (members, lags)."""
+    return np.array([((energy[:, lag:] - energy[:, :-lag]) ** 2).mean(axis=1) for lag in lags]).T
+
+
+def exponent(energy: np.ndarray) -> tuple[float, float]:
+    """Return the power of the lag in the mean square, and its deviation by bootstrap of members."""
+    of_members, random = squares(energy, BETWEEN) - squares(energy, [1]), np.random.default_rng(1)
+
+    def fit(chosen: Any) -> float:
+        return np.polyfit(np.log(BETWEEN - 1), np.log(of_members[chosen].mean(axis=0)), 1)[0]
+
+    members = len(of_members)
+    again = [fit(random.integers(members, size=members)) for _ in range(200)]
+    return float(fit(slice(None))), float(np.std(again))
+
+
+def lyapunov(system: dal.System) -> np.ndarray:
+    """Return the growth rates of a distance of 1e-10 up to t = 100, one for each of the ten."""
+    alpha = np.arange(10) * np.pi / 18
+    q0, v0 = data(np.stack([alpha, alpha + 1e-10]))
+    ends = dal.ensemble(system, "leapfrog-kl6", q0, v0, h=0.1, t_end=100, progress=False)
+    away = np.hstack([ends.q[10:] - ends.q[:10], ends.v[10:] - ends.v[:10]])
+    return np.log(np.linalg.norm(away, axis=1) / 1e-10) / 100
+
+
+def run(quick: bool) -> tuple[list[common.Row], Any]:
+    """Return the rows, and what is drawn."""
+    system, alpha = quartic(), np.arange(64) * np.pi / 126
+    q0, v0 = data(alpha)
+    rates, rows = lyapunov(system), []
+    rows.append(common.near("E of the ten initial data", 3.06, float(
+        system.energy(q0[::7], v0[::7]).max()), 1e-14))  # fmt: skip
+    rows.append(common.holds(
+        "growth of a distance of 1e-10 to t = 100, exp(a t), the ten", "chaotic",
+        f"a from {rates.min():.2f} to {rates.max():.2f}", rates.min() > 0.05,
+        "all above 0.05"))  # fmt: skip
+
+    found, constants = {}, {}
+    for scheme, h, steps in QUICK if quick else FULL:
+        with warnings.catch_warnings():  # energies that have changed by much, which is the subject
+            warnings.simplefilter("ignore", dal.DalembertWarning)
+            many = dal.ensemble(system, scheme, q0, v0, h=h, steps=steps, stride=steps // ROWS,
+                                keep=["energy"], lanes=True, progress=False)  # fmt: skip
+        energy = many["energy"] - many["energy"][:, :1]
+        power, deviation = exponent(energy)
+        found[scheme, h] = many.t, energy
+        middle = ROWS // 10
+        constants[scheme, h] = (
+            squares(energy, [middle]) - squares(energy, [1])
+        ).mean() / (many.t[middle] - many.t[1])
+        rows.append(common.near(
+            f"{scheme}, h = {h:g}, {steps:.0e} steps: mean square like tau^a, a", 1, power,
+            0.3 if quick else 0.15, digits=3,
+            note=f"deviation {deviation:.2f}; to t = {many.t[-1]:g}: mean square "
+            f"{(energy[:, -1] ** 2).mean():.1e}, mean {energy[:, -1].mean():.1e}, "
+            f"all {np.count_nonzero(many.success)} members there"))  # fmt: skip
+    for scheme, order in ORDER.items():
+        h = sorted(step for name, step in constants if name == scheme)
+        if len(h) > 1:
+            power = np.polyfit(np.log(h), np.log([constants[scheme, step] for step in h]), 1)[0]
+            rows.append(common.near(
+                f"{scheme}: mean square / t like h^b, b = 2 p", 2 * order, power,
+                0.25 * order, digits=3,
+                note="mean square / t = " + ", ".join(
+                    f"{constants[scheme, step]:.1e} (h = {step:g})" for step in h)))  # fmt: skip
+
+    scheme, h = "leapfrog", 0.1 if quick else 0.05
+    short = dal.ensemble(system, scheme, q0[::7], v0[::7], h=h, t_end=200, keep=["energy"], stride=5,
+                         progress=False)  # fmt: skip
+    square = ((short["energy"] - short["energy"][:, :1]) ** 2).mean(axis=0)
+    early, late = (square[(short.t > a) & (short.t <= 2 * a)].mean() for a in (50, 100))
+    rows.append(common.holds(
+        f"the ten, {scheme}, h = {h:g}: mean square to t = 200", "-",
+        f"{early:.1e} in (50, 100), {late:.1e} in (100, 200)", 0.5 < late / early < 1.5,
+        "not seen to grow: less than 1.5 times"))  # fmt: skip
+    t, energy = found[scheme, h]
+    of_ten = (energy[::7] ** 2).mean(axis=0)
+    parts = [ROWS // 100, ROWS // 10, ROWS]
+    rows.append(common.holds(
+        f"the ten, {scheme}, h = {h:g}: mean square to a 100th, a 10th, all of t = {t[-1]:g}",
+        "grows", ", ".join(f"{of_ten[i]:.1e}" for i in parts),
+        of_ten[-1] > 10 * late, "at the end 10 times that of t <= 200"))  # fmt: skip
+    return rows, (found, (scheme, h))
+
+
+def draw(found: Any) -> Any:
+    """Draw the energy errors of the ten, and the mean squares of all against the time between."""
+    import matplotlib.pyplot as plt
+
+    runs, ten = found
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    t, energy = runs[ten]
+    left.plot(t[::10], energy[::7, ::10].T, lw=0.6)
+    left.set(xlabel="t", ylabel="E(t) - E(0)", title=f"the ten, {ten[0]}, h = {ten[1]:g}")
+    for (scheme, h), (t, energy) in runs.items():
+        tau = t[LAGS] - t[0]
+        right.loglog(tau, squares(energy, LAGS).mean(axis=0), ".-", ms=3, lw=0.8,
+                     label=f"{scheme}, h = {h:g}")  # fmt: skip
+    right.plot(tau, 1e-8 * tau, "k:", lw=1, label="like t")
+    right.set(xlabel="time between", ylabel="mean square of the change of E", title="64 members")
+    right.legend(fontsize=7)
+    return figure
+
+
+if __name__ == "__main__":
+    common.main(run, draw)
