@@ -24,6 +24,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dalembert.show.table import Table, text
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "evidence"
@@ -72,6 +74,11 @@ def holds(quantity: str, claim: str, here: str, test: bool, criterion: str, *,
           differs: str = "") -> Row:  # fmt: skip
     """Compare a claim in words with a measured property, ``test`` by ``criterion``."""
     return Row(quantity, claim, here, bool(test), criterion, differs)
+
+
+def slope(h: Sequence[float], errors: Sequence[float]) -> float:
+    """Return the least squares slope of log errors over log h: the order."""
+    return float(np.polyfit(np.log(h), np.log(errors), 1)[0])
 
 
 def table(rows: Sequence[Row]) -> str:
