@@ -93,7 +93,8 @@ def picture(figure: Any) -> bytes:
 
     raw, small = io.BytesIO(), io.BytesIO()
     figure.savefig(raw, format="png", dpi=100)
-    Image.open(raw).convert("RGB").quantize(96).save(small, format="png", optimize=True)
+    few = Image.open(raw).convert("RGB").quantize(160, method=Image.Quantize.MAXCOVERAGE)
+    few.save(small, format="png", optimize=True)
     return small.getvalue()
 
 

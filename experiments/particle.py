@@ -9,8 +9,8 @@ forms of a step, and that in all cases the constraint turned out to be preserved
 bounded oscillatory variations"; of the energy it says nothing.
 
 Here: the orders from runs, against the solution in closed form; steps by the closed form against
-steps of the library; residual and energy over a long run, of the particle on springs, x^2/2 + y^2/2
-(without springs it never turns round, and there is no oscillation to see).
+steps of the library; residual and energy over a long run, of the particle on springs, V = (x^2 +
+2 y^2 + 1.5 z^2)/2 (without them it never turns round, and there is no oscillation to see).
 """
 
 from __future__ import annotations
