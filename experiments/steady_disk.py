@@ -130,7 +130,7 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
     off = max(abs(ours - places).max(),
               abs(newton_euler.attitude(*found.q[:, 2:].T) - turns).max())  # fmt: skip
     rows.append(common.holds(
-        f"perturbed, beta' = 0.5, to t = {t_end:.3g}: place and attitude", "Newton and Euler",
+        f"perturbed, beta' = 0.5, to t = {t_end:.3g}: place and attitude", "independent: Newton and Euler",
         f"off by {off:.1e}", off < 1e-8, "below 1e-8"))  # fmt: skip
     lean = np.rad2deg(found.q[:, 3])
     rows.append(common.holds(
