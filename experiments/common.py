@@ -24,6 +24,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dalembert.show.table import Table, text
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "evidence"
@@ -74,6 +76,11 @@ def holds(quantity: str, claim: str, here: str, test: bool, criterion: str, *,
     return Row(quantity, claim, here, bool(test), criterion, differs)
 
 
+def slope(h: Sequence[float], errors: Sequence[float]) -> float:
+    """Return the least squares slope of log errors over log h: the order."""
+    return float(np.polyfit(np.log(h), np.log(errors), 1)[0])
+
+
 def table(rows: Sequence[Row]) -> str:
     """Return the rows as text."""
     cells = [(row.quantity, row.printed, row.here, row.verdict) for row in rows]
@@ -86,7 +93,8 @@ def picture(figure: Any) -> bytes:
 
     raw, small = io.BytesIO(), io.BytesIO()
     figure.savefig(raw, format="png", dpi=100)
-    Image.open(raw).convert("RGB").quantize(96).save(small, format="png", optimize=True)
+    few = Image.open(raw).convert("RGB").quantize(160, method=Image.Quantize.MAXCOVERAGE)
+    few.save(small, format="png", optimize=True)
     return small.getvalue()
 
 

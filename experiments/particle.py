@@ -9,8 +9,8 @@ forms of a step, and that in all cases the constraint turned out to be preserved
 bounded oscillatory variations"; of the energy it says nothing.
 
 Here: the orders from runs, against the solution in closed form; steps by the closed form against
-steps of the library; residual and energy over a long run, of the particle on springs, x^2/2 + y^2/2
-(without springs it never turns round, and there is no oscillation to see).
+steps of the library; residual and energy over a long run, of the particle on springs, V = (x^2 +
+2 y^2 + 1.5 z^2)/2 (without them it never turns round, and there is no oscillation to see).
 """
 
 from __future__ import annotations
@@ -51,11 +51,6 @@ def closed_form(h: float, steps: int, printed: bool) -> np.ndarray:
     return np.array([x, y, z, vx, vy, vz])
 
 
-def slope(h: np.ndarray, errors: list[float]) -> float:
-    """Return the least squares slope of the errors over h."""
-    return float(np.polyfit(np.log(h), np.log(errors), 1)[0])
-
-
 def run(quick: bool) -> tuple[list[common.Row], Any]:
     """Return the rows, and what is drawn."""
     free, springs = dal.systems.particle(), dal.systems.particle_oscillator()
@@ -76,10 +71,10 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
             at_end = free.multipliers(end[:3], end[3:])
             reactions.append(abs(found.reactions[-1] - at_end).max())
         rows += [
-            common.near(f"{names[scheme]}: order p of the state", order, slope(h, errors[scheme]),
+            common.near(f"{names[scheme]}: order p of the state", order, common.slope(h, errors[scheme]),
                         0.1, digits=3),
             common.near(f"{names[scheme]}: order of the multiplier, s + 1 with s = 0", 1,
-                        slope(h, reactions), 0.1, digits=3),
+                        common.slope(h, reactions), 0.1, digits=3),
         ]  # fmt: skip
 
     steps_once = 1000
@@ -91,7 +86,7 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
         f"after {steps_once} steps off by {off:.0e}", off < 1e-11, "below 1e-11"))  # fmt: skip
     errors["printed"] = [abs(closed_form(t_end / n, n, printed=True) - end).max() for n in steps]
     rows.append(common.near(
-        "the same with x and z moved by h v', as printed: order", 2, slope(h, errors["printed"]),
+        "the same with x and z moved by h v', as printed: order", 2, common.slope(h, errors["printed"]),
         0.1, digits=3, differs="a slip of the print, E7 of the errata"))  # fmt: skip
 
     long = 1e3 if quick else 1e5
