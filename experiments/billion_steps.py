@@ -25,7 +25,7 @@ from chaotic_walk import data, quartic
 import dalembert as dal
 
 UNIT = 4 * 7 * 2.0**-53
-WALKS = {("leapfrog", 0.05): 7e-10, ("leapfrog-suzuki4", 0.2): 5e-12}  # D, of chaotic_walk.py
+WALKS = {("leapfrog", 0.05): 6e-10, ("leapfrog-suzuki4", 0.2): 1.5e-11}  # D, of chaotic_walk.py
 
 
 def residuals(found: dal.Solution) -> np.ndarray:

@@ -1,18 +1,19 @@
 """Energy and Poincare section of the contact oscillator.
 
 R. McLachlan, M. Perlmutter: Integrators for nonholonomic mechanical systems, J. Nonlinear Sci. 16
-(2006) 283-328, doi:10.1007/s00332-005-0698-1, section 5.2.  Data of the authors' code,
-https://github.com/olivierverdier/odelab (`ContactOscillator` and its tests), which has been run
-for the numbers under "printed": the paper has pictures.
+(2006) 283-328, doi:10.1007/s00332-005-0698-1, section 5.2. Data of the authors' code,
+https://github.com/olivierverdier/odelab (`ContactOscillator` and its tests), which has been run for
+the numbers under "printed": the paper has pictures.
 
-System: L = (x'^2 + y'^2 + z'^2)/2 - (x^2 + y^2 + z^2 + eps x^2 z^2)/2, x' + y z' = 0; E = 3/2,
-H_y = (y'^2 + y^2)/2 = 1/2, h = 2 sin(pi/N), with which y of leapfrog comes back after N steps, so that
-a section needs no interpolation.  eps = 0: N = 40, start at y = 1, z = -sqrt(1/2) (100 returns), and
+System: L = (x'^2 + y'^2 + z'^2)/2 - (x^2 + y^2 + z^2 + eps x^2 z^2)/2, x' + y z' = 0; E = 3/2, H_y
+= (y'^2 + y^2)/2 = 1/2, h = 2 sin(pi/N), with which y of leapfrog comes back after N steps, so that
+a section needs no interpolation. eps = 0: N = 40, start at y = 1, z = -sqrt(1/2) (100 returns), and
 ten z in +-0.9 sqrt(2); eps = 0.3: N = 15, start at y = 0, y' = 1, the same ten.
 
-Here also: for eps = 0 the equations of (x, z, z') for given y(t) are linear, so the section of the flow,
-and that of leapfrog, is a linear map of R^3.  Reversible, it has eigenvalues 1 and exp(+-ia) where they
-are not real: then nothing grows, ever.  The map is measured; that of the flow is from DOP853 in (z, z').
+Here also: for eps = 0 the equations of (x, z, z') for given y(t) are linear, so the section of the
+flow, and that of leapfrog, is a linear map of R^3. Reversible, it has eigenvalues 1 and exp(+-ia)
+where they are not real: then nothing grows, ever. The map is measured; that of the flow is from
+DOP853 in (z, z').
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ def exact_map() -> np.ndarray:
         y, s = np.cos(t), -np.sin(t)
         return [-y * u, u, (y * x - z - y * s * u) / (1 + y * y)]
 
-    return np.array([solve_ivp(rate, (0, 2 * np.pi), unit, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    once = 0, 2 * np.pi
+    return np.array([solve_ivp(rate, once, unit, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
                      for unit in np.eye(3)]).T  # fmt: skip
 
 
@@ -64,45 +66,53 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
 
     # (scheme here, what was run of odelab, its max |E - E(0)|, that of the radius, within)
     same = [("leapfrog", "odelab's McLachlan", 1.45e-2, 1.15e-2, 1e-4),
-            ("midpoint", "midpoint in NumPy, not by this library", 7.09e-3, 7.09e-3, 1e-5)]  # fmt: skip
+            ("midpoint", "a midpoint in NumPy", 7.09e-3, 7.09e-3, 1e-5)]  # fmt: skip
     for scheme, other, printed, radius, within in same:
         found = dal.integrate(plain, scheme, *start(-np.sqrt(0.5), 0, 1), h=h, steps=100 * steps)
         error = found.energy - found.energy[0]
         pair = found.energy - (found.v[:, 1] ** 2 + found.q[:, 1] ** 2) / 2
         what = f"eps = 0, 100 returns, {scheme}"
         rows += [
-            common.near(f"{what}: max |E - E(0)|; {other}", printed, abs(error).max(), within, digits=3),
+            common.near(f"{what}: max |E - E(0)|; {other}", printed, abs(error).max(), within,
+                        digits=3),
             common.near(f"{what}: the same of E - H_y", radius, abs(pair - pair[0]).max(), within,
                         digits=3),
         ]  # fmt: skip
     worst = abs(found.constraint).max()
     rows.append(common.holds(f"{what}: max |mu v|", "3e-16 (McLachlan)", f"{worst:.0e}",
                              worst < 1e-14, "below 1e-14"))  # fmt: skip
-    for scheme, other, printed in [("leapfrog-suzuki4", "Spark 3 of odelab, also of order 4", 8.8e-6),
-                                   ("leapfrog-kl6", "-", None)]:  # fmt: skip
+    for scheme, other, printed in [
+        ("leapfrog-suzuki4", "; Spark 3 of odelab, also of order 4", 8.8e-6),
+        ("leapfrog-kl6", "", None),
+    ]:
         found = dal.integrate(plain, scheme, *start(-np.sqrt(0.5), 0, 1), h=h, steps=100 * steps)
         error = abs(found.energy - found.energy[0]).max()
         limit = 3e-5 if printed else 1e-7
         rows.append(common.holds(
-            f"eps = 0, 100 returns, {scheme}: max |E - E(0)|; {other}",
+            f"eps = 0, 100 returns, {scheme}: max |E - E(0)|{other}",
             f"{printed:.1e}" if printed else "-", f"{error:.1e}", error < limit,
             f"below {limit:.0e}; a step is that of leapfrog"))  # fmt: skip
 
     # Ten orbits: the section, its map, and the energy over long times.
     sections = {}
-    for name, system, eps, n, y in [("eps = 0", plain, 0.0, 40, 1), ("eps = 0.3", perturbed, 0.3, 15, 0)]:
+    for name, system, eps, n, y in [
+        ("eps = 0", plain, 0.0, 40, 1),
+        ("eps = 0.3", perturbed, 0.3, 15, 0),
+    ]:
         h = 2 * np.sin(np.pi / n)
-        many = dal.ensemble(system, "leapfrog", *start(TEN, eps, y), h=h, steps=long * n, stride=n,
-                            keep=["x", "z", "v_z", "y", "v_y", "energy"], progress=False)  # fmt: skip
+        many = dal.ensemble(
+            system, "leapfrog", *start(TEN, eps, y), h=h, steps=long * n, stride=n,
+            keep=["x", "z", "v_z", "y", "v_y", "energy"], progress=False)  # fmt: skip
         error = abs(many["energy"] - many["energy"][:, :1])
         early = error[:, :101].max()
         rows.append(common.holds(
-            f"{name}, N = {n}, ten orbits, leapfrog: max |E - E(0)| on the section, 100 and {long} returns",
-            "bounded", f"{early:.4e}, {error.max():.4e}", error.max() < 1.05 * early,
-            "grows by less than 5 %"))  # fmt: skip
+            f"{name}, N = {n}, ten orbits, leapfrog: max |E - E(0)| on the section, in 100 and "
+            f"{long} returns", "bounded", f"{early:.4e}, {error.max():.4e}",
+            error.max() < 1.05 * early, "grows by less than 5 %"))  # fmt: skip
         back = max(abs(many["y"] - y).max(), abs(many["v_y"] - (1 - y)).max())
-        rows.append(common.holds(f"{name}: y and y' come back after N steps", "exactly",
-                                 f"off by {back:.0e} in {long} returns", back < 1e-8, "below 1e-8"))  # fmt: skip
+        rows.append(common.holds(
+            f"{name}: y and y' come back after N steps", "exactly",
+            f"off by {back:.0e} in {long} returns", back < 1e-8, "below 1e-8"))  # fmt: skip
         sections[name] = many["z"], many["v_z"], many["energy"] - many["energy"][:, :1], many["x"]
 
     z, u, _, x = sections["eps = 0"]
