@@ -63,15 +63,17 @@ class Row:
 
 
 def near(quantity: str, printed: float, here: float, within: float, *, digits: int = 6,
-         source: str = "", differs: str = "") -> Row:  # fmt: skip
+         source: str = "", note: str = "", differs: str = "") -> Row:  # fmt: skip
     """Compare two numbers: they agree where they differ by at most ``within``.
 
-    ``source`` says where a number is from that the publication does not print.
+    ``source`` says where a number is from that the publication does not print, ``note`` what else
+    belongs to the verdict.
     """
     off = abs(here - printed)
     said = (f"{source}: " if source else "") + f"{printed:.{digits}g}"
     return Row(quantity, said, f"{here:.{digits}g}", bool(off <= within),
-               f"off by {off:.1e}, at most {within:.0e}", differs)  # fmt: skip
+               f"off by {off:.1e}, at most {within:.0e}" + (f"; {note}" if note else ""),
+               differs)  # fmt: skip
 
 
 def holds(quantity: str, claim: str, here: str, test: bool, criterion: str, *,
