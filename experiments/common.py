@@ -1,7 +1,7 @@
 """What the experiments share: rows that compare, and what a script does with its arguments.
 
 An experiment NAME.py has a docstring about the publication, a function ``run(quick)`` that returns
-its rows and what is drawn, and a function ``draw(data)`` that returns a figure of matplotlib.  It
+its rows and what is drawn, and a function ``draw(data)`` that returns a figure of matplotlib. It
 ends in ``common.main(run, draw)``:
 
     python experiments/NAME.py                   # the table; docs/evidence/NAME.json and NAME.png
@@ -55,18 +55,24 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """Say in words how the two compare."""
+        """Say in words how the two compare, or that what was found holds: nothing was printed."""
+        word = "holds" if self.printed == "-" else "agrees"
         if self.good:
-            return f"differs: {self.differs}" if self.differs else f"agrees: {self.note}"
-        return f"UNEXPECTED, {'agrees' if self.agrees else 'does not agree'}: {self.note}"
+            return f"differs: {self.differs}" if self.differs else f"{word}: {self.note}"
+        return f"UNEXPECTED, {word}: {self.note}" if self.agrees else f"FAILS: {self.note}"
 
 
 def near(quantity: str, printed: float, here: float, within: float, *, digits: int = 6,
-         note: str = "", differs: str = "") -> Row:  # fmt: skip
-    """Compare two numbers: they agree where they differ by at most ``within``."""
+         source: str = "", note: str = "", differs: str = "") -> Row:  # fmt: skip
+    """Compare two numbers: they agree where they differ by at most ``within``.
+
+    ``source`` says where a number is from that the publication does not print, ``note`` what else
+    belongs to the verdict.
+    """
     off = abs(here - printed)
-    said = f"off by {off:.1e}, at most {within:.0e}" + (f"; {note}" if note else "")
-    return Row(quantity, f"{printed:.{digits}g}", f"{here:.{digits}g}", bool(off <= within), said,
+    said = (f"{source}: " if source else "") + f"{printed:.{digits}g}"
+    return Row(quantity, said, f"{here:.{digits}g}", bool(off <= within),
+               f"off by {off:.1e}, at most {within:.0e}" + (f"; {note}" if note else ""),
                differs)  # fmt: skip
 
 

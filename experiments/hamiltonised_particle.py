@@ -5,16 +5,16 @@ Hamiltonian systems with application to nonholonomic mechanics, J. Comput. Dyn. 
 and its notebook nonholonomic_particle.ipynb (github.com/mvermeeren/conf-ham-sys-2020), from which
 the data are.
 
-System: L = |v|^2/2 - V, z' = y x', with V = (x^2 + y^2)/2 or 0; z is left out.  In p_x = sqrt(1 +
-y^2) x', p_y = y'/sqrt(1 + y^2) it is conformally Hamiltonian with the factor N = 1/sqrt(1 + y^2), and
-dp_x dx dp_y dy/N is preserved.  From (p_x, x, p_y, y) = (1, 0, 1, 0) with h = 0.25 to t = 10; and
-the vertices of a 600-cell of radius 0.01 around it to t = 30.  The paper has pictures: H in a band,
-and the volume of the convex hull of the vertices, times the mean of 1/N, which is constant up to small
-oscillations for variational integrators of L_d = N (L + E) at a fixed E.
+System: L = |v|^2/2 - V, z' = y x', with V = (x^2 + y^2)/2 or 0; z is left out. In p_x = sqrt(1 +
+y^2) x', p_y = y'/sqrt(1 + y^2) it is conformally Hamiltonian with the factor N = 1/sqrt(1 + y^2),
+and dp_x dx dp_y dy/N is preserved. From (p_x, x, p_y, y) = (1, 0, 1, 0) with h = 0.25 to t = 10;
+and the vertices of a 600-cell of radius 0.01 around it to t = 30. The paper has pictures: H in a
+band, and the volume of the convex hull of the vertices, times the mean of 1/N, which is constant
+up to small oscillations for variational integrators of L_d = N (L + E) at a fixed E.
 
-Here: schemes of the library on the same data, and the integrator called M there, the variational one
-at midpoints with E = H at the start, written out again.  The volume is measured as in the paper, and
-by the determinant of the derivative of all steps, which needs no hull.
+Here: schemes of the library on the same data, and the integrator called M there, the variational
+one at midpoints with E = H at the start, written out again. The volume is measured as in the
+paper, and by the determinant of the derivative of all steps, which needs no hull.
 """
 
 from __future__ import annotations
@@ -151,12 +151,20 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
             bound = {"explicit": 1.0, "leapfrog-kl6": 1e-3}.get(scheme, 0.05)
             who = "M of the paper" if scheme == "M" else scheme
             claim = "in a band" if scheme == "M" else "-"
-            rows.append(common.holds(
-                f"{name}, {who}: max |H - 1|, max |error|", claim,
-                f"{band:.2e}, {errors[scheme]:.2e}", band < bound, f"|H - 1| below {bound:g}"))
+            rows.append(
+                common.holds(
+                    f"{name}, {who}: max |H - 1|, max |error|",
+                    claim,
+                    f"{band:.2e}, {errors[scheme]:.2e}",
+                    band < bound,
+                    f"|H - 1| below {bound:g}",
+                )
+            )
     # figures 5.2 and 5.4: the volume, to t = 30
     shell = START + RADIUS * six_hundred_cell()
-    rows.append(common.near("vertices of the 600-cell", 120, len(shell), 0, digits=3))
+    rows.append(
+        common.near("vertices of the 600-cell", 120, len(shell), 0, digits=3, source="notebook")
+    )
     every, volumes = 8 if quick else 1, {}
     times = H * np.arange(0, round(T_CLOUD / H) + 1, every)
     for scheme in ("reference", *(() if quick else ("M",)), *SCHEMES):
@@ -187,11 +195,13 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
         if scheme == "explicit":
             test, criterion = change[-1] < -0.95, "all but lost"
         else:
-            test, criterion = np.ptp(change) < 1.2 * np.ptp(early), "a band, wider by less than 20 %"
+            test = np.ptp(change) < 1.2 * np.ptp(early)
+            criterion = "a band, wider by less than 20 %"
         rows.append(common.holds(
             f"springs, {scheme}: the same by the determinant", "-",
-            f"{early.min():+.1e} to {early.max():+.1e} to t = {long / 10:g}, {change.min():+.1e} to "
-            f"{change.max():+.1e} to t = {long:g}", test, criterion))  # fmt: skip
+            f"{early.min():+.1e} to {early.max():+.1e} to t = {long / 10:g}, "
+            f"{change.min():+.1e} to {change.max():+.1e} to t = {long:g}",
+            test, criterion))  # fmt: skip
     return rows, (times, volumes)
 
 
@@ -205,7 +215,7 @@ def draw(data: Any) -> Any:
     for k, (name, change) in enumerate(volumes.items()):
         (left if name == "explicit" else right).plot(times, change, f"C{k}", lw=1, label=name)
     for ax in (left, right):
-        ax.set(xlabel="t", ylabel="volume of the 600-cell, relative change")
+        ax.set(xlabel="t", title="relative change of the volume, 600-cell")
         ax.legend(fontsize="small")
     return figure
 

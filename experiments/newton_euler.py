@@ -1,7 +1,7 @@
 """A thin disk that rolls, by Newton and Euler with a rotation matrix: the independent solution.
 
 The state is (centre, rotation matrix by rows, body's angular velocity); the third body axis is the
-axis of the disk.  Nothing of the library enters, and there are no angles that could be singular.
+axis of the disk. Nothing of the library enters, and there are no angles that could be singular.
 """
 
 from __future__ import annotations

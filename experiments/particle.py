@@ -3,14 +3,14 @@
 F. Jimenez, J. Scheurle: On the discretization of nonholonomic dynamics in R^n, J. Geom. Mech. 7
 (2015) 43-80, doi:10.3934/jgm.2015.7.43, arXiv:1407.2116; the example of the particle.
 
-System: L = (x'^2 + y'^2 + z'^2)/2, z' = y x'.  The paper has no tables.  It claims order (p, s) =
+System: L = (x'^2 + y'^2 + z'^2)/2, z' = y x'. The paper has no tables. It claims order (p, s) =
 (2, 0) of beta = 1/2 at the moved nodes and (1, 0) at the kept nodes, (1, 0) of beta = 0, closed
 forms of a step, and that in all cases the constraint turned out to be preserved "up to small
 bounded oscillatory variations"; of the energy it says nothing.
 
 Here: the orders from runs, against the solution in closed form; steps by the closed form against
-steps of the library; residual and energy over a long run, of the particle on springs, V = (x^2 +
-2 y^2 + 1.5 z^2)/2 (without them it never turns round, and there is no oscillation to see).
+steps of the library; residual and energy over a long run, of the particle on springs, V = (x^2 + 2
+y^2 + 1.5 z^2)/2 (without them it never turns round, and there is no oscillation to see).
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
             at_end = free.multipliers(end[:3], end[3:])
             reactions.append(abs(found.reactions[-1] - at_end).max())
         rows += [
-            common.near(f"{names[scheme]}: order p of the state", order, common.slope(h, errors[scheme]),
-                        0.1, digits=3),
+            common.near(f"{names[scheme]}: order p of the state", order,
+                        common.slope(h, errors[scheme]), 0.1, digits=3),
             common.near(f"{names[scheme]}: order of the multiplier, s + 1 with s = 0", 1,
                         common.slope(h, reactions), 0.1, digits=3),
         ]  # fmt: skip
@@ -86,8 +86,9 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
         f"after {steps_once} steps off by {off:.0e}", off < 1e-11, "below 1e-11"))  # fmt: skip
     errors["printed"] = [abs(closed_form(t_end / n, n, printed=True) - end).max() for n in steps]
     rows.append(common.near(
-        "the same with x and z moved by h v', as printed: order", 2, common.slope(h, errors["printed"]),
-        0.1, digits=3, differs="a slip of the print, E7 of the errata"))  # fmt: skip
+        "the same with x and z moved by h v', as printed: order", 2,
+        common.slope(h, errors["printed"]), 0.1, digits=3,
+        differs="a slip of the print, E7 of the errata"))  # fmt: skip
 
     long = 1e3 if quick else 1e5
     curves = {}

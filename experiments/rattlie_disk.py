@@ -6,18 +6,19 @@ of S. Hante (github.com/StHante), from which the data are: the files config.lua 
 
 System: a disk m = 15, r = 1, J = m (1/4, 1/4, 1/2), g = 9.81, with the body's angular velocity (0,
 15, 5) at the start, upright with its centre at (0, 0, 1) (config.lua), or leaning by 15 degrees
-(diss_conf.lua); t_end = 2, 2 * 2^8 to 2 * 2^21 steps, states compared at multiples of 1/128 with the
-run of most steps: max over t of |error|/sqrt(number of components) of q (quaternion and place), of v
-(angular and linear velocity in the body), of the holonomic multiplier l and the two nonholonomic ones
-lnh.  The scheme is claimed to have order 2 in all of them (from memory of the paper; the programs
-print no numbers).
+(diss_conf.lua); t_end = 2, 2 * 2^8 to 2 * 2^21 steps, states compared at multiples of 1/128 with
+the run of most steps: max over t of |error|/sqrt(number of components) of q (quaternion and
+place), of v (angular and linear velocity in the body), of the holonomic multiplier l and the two
+nonholonomic ones lnh. The scheme is claimed to have order 2 in all of them (from memory of the
+paper; the programs print no numbers).
 
-Here: yaw alpha, lean beta and spin gamma instead of quaternions; at the start alpha = 0, beta = 0 or
-15 degrees, gamma = 0, alpha' cos(beta) = 15, beta' = 0, gamma' + alpha' sin(beta) = 5.  They are
-singular where the disk lies flat, which the motion does not come near.  From them q and v of RATTLie
-are computed.  Its multipliers are the force of the ground divided by minus the height of the centre:
-lnh the horizontal components, l the vertical one; the horizontal force is lambda of the library.  Errors
-are those against Newton and Euler with a rotation matrix, not against the own finest run.
+Here: yaw alpha, lean beta and spin gamma instead of quaternions; at the start alpha = 0, beta = 0
+or 15 degrees, gamma = 0, alpha' cos(beta) = 15, beta' = 0, gamma' + alpha' sin(beta) = 5. They are
+singular where the disk lies flat, which the motion does not come near. From them q and v of
+RATTLie are computed. Its multipliers are the force of the ground divided by minus the height of
+the centre: lnh the horizontal components, l the vertical one; the horizontal force is lambda of
+the library. Errors are those against Newton and Euler with a rotation matrix, not against the own
+finest run.
 """
 
 from __future__ import annotations
@@ -107,7 +108,8 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
                 clear = column > 1e-9 * abs(values).max()
                 if clear.sum() < 3:
                     raise RuntimeError("too few errors are clear of roundoff")
-                slope, last = common.slope(h[clear][-4:], column[clear][-4:]), np.nonzero(clear)[0][-1]
+                slope = common.slope(h[clear][-4:], column[clear][-4:])
+                last = np.nonzero(clear)[0][-1]
                 rows.append(common.holds(
                     f"{name}, {scheme}: order of {what}", "order 2" if order == 2 else "-",
                     f"{slope:.3f}; error {column[last]:.1e} at h = 2^-{powers[order][last]}",

@@ -1,7 +1,7 @@
 """The mobile robot by the discrete Lagrange-d'Alembert equations on nodes, without the library.
 
-L = |v|^2/2 - 10 sin(theta), x' = theta' cos(phi), y' = theta' sin(phi).  L_d = h L at
-q + beta_L (q' - q), the constraint at q + beta_D (q' - q), the reaction acts at the node.
+L = |v|^2/2 - 10 sin(theta), x' = theta' cos(phi), y' = theta' sin(phi). L_d = h L at q + beta_L
+(q' - q), the constraint at q + beta_D (q' - q), the reaction acts at the node.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ def nodes(beta_L: float, beta_D: float, h: float, steps: int) -> np.ndarray:
 
         def equations(u: np.ndarray, q: np.ndarray = now, p: np.ndarray = before) -> np.ndarray:
             r, multipliers = u[:4], u[4:]
-            forces = (1 - beta_L) * slope(q + beta_L * (r - q)) + beta_L * slope(p + beta_L * (q - p))
+            ahead, behind = slope(q + beta_L * (r - q)), slope(p + beta_L * (q - p))
+            forces = (1 - beta_L) * ahead + beta_L * behind
             balance = (r - 2 * q + p) / h + h * forces - forms(q).T @ multipliers
             return np.concatenate([balance, forms(q + beta_D * (r - q)) @ (r - q)])
 

@@ -1,18 +1,18 @@
 """A disk that rolls in a steady circle.
 
-C. Le Saux, R. I. Leine, C. Glocker: Dynamics of a rolling disk in the presence of dry friction,
-J. Nonlinear Sci. 15 (2005) 27-61, doi:10.1007/s00332-004-0655-4, section 5.
+C. Le Saux, R. I. Leine, C. Glocker: Dynamics of a rolling disk in the presence of dry friction, J.
+Nonlinear Sci. 15 (2005) 27-61, doi:10.1007/s00332-004-0655-4, section 5.
 
 System: a thin disk of mass m = 0.3048 and radius r = 0.05, g = 9.81, inertia m r^2/4 and m r^2/2,
 which rolls without slip; the contact runs on a circle of radius R = 10 r, the lean is beta = 5
-degrees (these values as in an example of the program cardillo, which follows the paper).  Printed are
-equations: with rho = r/R (5.10) the spin is alpha' = -rho gamma' (5.11) and gamma'^2 = 4 (g/r)
+degrees (these values as in an example of the program cardillo, which follows the paper). Printed
+are equations: with rho = r/R (5.10) the spin is alpha' = -rho gamma' (5.11) and gamma'^2 = 4 (g/r)
 sin(beta)/((6 - 5 rho sin(beta)) rho cos(beta)) (5.12); their values stand in the table.
 
-Here: the spin for which the lean stays, found from accelerations of the library and from Newton and
-Euler; the circle, its period and its closing from runs; a perturbed circle against an independent
-solution; the speed above which upright rolling is stable, gamma'^2 = g/(3 r), which is a result of
-the textbooks (for example Neimark and Fufaev 1972).
+Here: the spin for which the lean stays, found from accelerations of the library and from Newton
+and Euler; the circle, its period and its closing from runs; a perturbed circle against an
+independent solution; the speed above which upright rolling is stable, gamma'^2 = g/(3 r), which is
+a result of the textbooks (for example Neimark and Fufaev 1972).
 """
 
 from __future__ import annotations
@@ -97,18 +97,34 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
         longer = dal.integrate(disc, scheme, Q0, v0, h=PERIOD / steps, steps=steps + 10,
                                events=[around])  # fmt: skip
         if scheme == "midpoint-kl8":
-            rows.append(common.near(
-                "alpha': (5.11)", -RHO * SPIN, circle.v[:, 2].mean(), 1e-10, digits=12))
-            rows.append(common.near(
-                "period, 2 pi/|alpha'|", PERIOD, longer.t_events[0][0], 1e-10, digits=12))
+            rows.append(
+                common.near("alpha': (5.11)", -RHO * SPIN, circle.v[:, 2].mean(), 1e-10, digits=12)
+            )
+            rows.append(
+                common.near(
+                    "period, 2 pi/|alpha'|", PERIOD, longer.t_events[0][0], 1e-10, digits=12
+                )
+            )
             radius = np.hypot(circle.q[:, 0], circle.q[:, 1])
-            rows.append(common.near(
-                "radius of the circle of the centre, R - r sin(beta)",
-                CIRCLE - R * np.sin(BETA), radius.mean(), 1e-11, digits=12))
+            rows.append(
+                common.near(
+                    "radius of the circle of the centre, R - r sin(beta)",
+                    CIRCLE - R * np.sin(BETA),
+                    radius.mean(),
+                    1e-11,
+                    digits=12,
+                )
+            )
         gap = np.hypot(*(circle.q[-1] - circle.q[0])[:2])
-        rows.append(common.holds(
-            f"{scheme}, {steps} steps a turn: the circle closes", "closed",
-            f"open by {gap:.1e}", gap < within, f"below {within:.0e} (order of the scheme)"))
+        rows.append(
+            common.holds(
+                f"{scheme}, {steps} steps a turn: the circle closes",
+                "closed",
+                f"open by {gap:.1e}",
+                gap < within,
+                f"below {within:.0e} (order of the scheme)",
+            )
+        )
         runs[scheme] = circle  # fmt: skip
 
     orders = []
@@ -130,15 +146,16 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
     off = max(abs(ours - places).max(),
               abs(newton_euler.attitude(*found.q[:, 2:].T) - turns).max())  # fmt: skip
     rows.append(common.holds(
-        f"perturbed, beta' = 0.5, to t = {t_end:.3g}: place and attitude", "independent: Newton and Euler",
+        f"perturbed, beta' = 0.5, to t = {t_end:.3g}: place and attitude",
+        "independent: Newton and Euler",
         f"off by {off:.1e}", off < 1e-8, "below 1e-8"))  # fmt: skip
     lean = np.rad2deg(found.q[:, 3])
     rows.append(common.holds(
         "the same: the lean", "-", f"between {lean.min():.3f} and {lean.max():.3f} degrees",
         0 < lean.min() and lean.max() < 15, "stays between 0 and 15 degrees"))  # fmt: skip
     rows.append(common.near(
-        "upright rolling is stable above gamma'^2 = g/(3 r), of the textbooks", G / (3 * R),
-        critical(disc), 1e-4, digits=8))  # fmt: skip
+        "upright rolling is stable above gamma'^2 = g/(3 r)", G / (3 * R), critical(disc), 1e-4,
+        digits=8, source="textbooks"))  # fmt: skip
     return rows, (runs["midpoint-kl8"], found)
 
 
