@@ -1,4 +1,4 @@
-"""Energy over long times: a band on reversible systems, a drift on others.
+"""Energy over long times: in a band, and with a drift where a term is not reversible.
 
 The particle (dz = y dx) on springs is reversible: a motion run backwards is a motion again.  With a
 gyroscopic term, which is linear in v, it is not.  D is kept to roundoff on both.

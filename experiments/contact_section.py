@@ -64,33 +64,33 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
     steps, h, rows = 40, 2 * np.sin(np.pi / 40), []
     long = 1000 if quick else 100_000
 
-    # (scheme here, what was run of odelab, its max |E - E(0)|, that of the radius, within)
-    same = [("leapfrog", "odelab's McLachlan", 1.45e-2, 1.15e-2, 1e-4),
-            ("midpoint", "a midpoint in NumPy", 7.09e-3, 7.09e-3, 1e-5)]  # fmt: skip
+    # scheme here, of which the numbers are: max |E - E(0)|, the same of E - H_y, within
+    same = [("leapfrog", "odelab, McLachlan", 1.45e-2, 1.15e-2, 1e-4),
+            ("midpoint", "another code", 7.09e-3, 7.09e-3, 1e-5)]  # fmt: skip
     for scheme, other, printed, radius, within in same:
         found = dal.integrate(plain, scheme, *start(-np.sqrt(0.5), 0, 1), h=h, steps=100 * steps)
         error = found.energy - found.energy[0]
         pair = found.energy - (found.v[:, 1] ** 2 + found.q[:, 1] ** 2) / 2
         what = f"eps = 0, 100 returns, {scheme}"
         rows += [
-            common.near(f"{what}: max |E - E(0)|; {other}", printed, abs(error).max(), within,
-                        digits=3),
+            common.near(f"{what}: max |E - E(0)|", printed, abs(error).max(), within,
+                        digits=3, source=other),
             common.near(f"{what}: the same of E - H_y", radius, abs(pair - pair[0]).max(), within,
-                        digits=3),
+                        digits=3, source=other),
         ]  # fmt: skip
     worst = abs(found.constraint).max()
-    rows.append(common.holds(f"{what}: max |mu v|", "3e-16 (McLachlan)", f"{worst:.0e}",
+    rows.append(common.holds(f"{what}: max |mu v|", "odelab, McLachlan: 3e-16", f"{worst:.0e}",
                              worst < 1e-14, "below 1e-14"))  # fmt: skip
     for scheme, other, printed in [
-        ("leapfrog-suzuki4", "; Spark 3 of odelab, also of order 4", 8.8e-6),
+        ("leapfrog-suzuki4", "odelab, Spark 3, order 4", 8.8e-6),
         ("leapfrog-kl6", "", None),
     ]:
         found = dal.integrate(plain, scheme, *start(-np.sqrt(0.5), 0, 1), h=h, steps=100 * steps)
         error = abs(found.energy - found.energy[0]).max()
         limit = 3e-5 if printed else 1e-7
         rows.append(common.holds(
-            f"eps = 0, 100 returns, {scheme}: max |E - E(0)|{other}",
-            f"{printed:.1e}" if printed else "-", f"{error:.1e}", error < limit,
+            f"eps = 0, 100 returns, {scheme}: max |E - E(0)|",
+            f"{other}: {printed:.1e}" if printed else "-", f"{error:.1e}", error < limit,
             f"below {limit:.0e}; a step is that of leapfrog"))  # fmt: skip
 
     # Ten orbits: the section, its map, and the energy over long times.
@@ -129,7 +129,7 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
         common.holds("eps = 0: its eigenvalues, 1 and exp(+-ia)", "on the unit circle",
                      f"moduli off by {off:.0e}, a = {angle:.5f}", off < 1e-11 and angle > 0.1,
                      "below 1e-11, a not 0"),
-        common.near("eps = 0: a, that of the flow by DOP853", of_flow, angle, 0.025, digits=5,
+        common.near("eps = 0: a", of_flow, angle, 0.025, digits=5, source="flow, independent",
                     note="h^2 = 0.025"),
     ]  # fmt: skip
     return rows, sections

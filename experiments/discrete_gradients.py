@@ -168,7 +168,7 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
             "leapfrog above 0.3: drifts" if drifts
             else "leapfrog below 0.2, above 1e-9"))  # fmt: skip
         rows.append(common.holds(
-            f"{what}: error of q at t = {check:g}, DOP853", "-",
+            f"{what}: error of q at t = {check:g}, against DOP853", "independent",
             ", ".join(f"{s} {e:.1e}" for s, e in off.items()),
             off["discrete gradient"] > 10 * off["leapfrog-suzuki4"],
             "discrete gradient above 10 times suzuki4"))  # fmt: skip
@@ -177,7 +177,8 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
             w = dual.step(w, h / 2)
         rows.append(common.near(
             f"{what}: order of the discrete gradient, from h and h/2", 2,
-            np.log2(off["discrete gradient"] / abs(w[:n] - exact[:n]).max()), 0.3, digits=3))
+            np.log2(off["discrete gradient"] / abs(w[:n] - exact[:n]).max()), 0.3, digits=3,
+            source="p"))  # fmt: skip
         if part is not None:
             moves = {s: np.ptp(e) for s, e in slips.items()}
             rows.append(common.holds(

@@ -144,7 +144,7 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
             for scheme in SCHEMES}  # fmt: skip
     rows.append(common.holds(
         f"{case.name}; N = 40, 100 periods: max |E - E(0)|",
-        "McLachlan 0.29, Spark 2 0.70, Spark 3 2.2e-3",
+        "odelab: McLachlan 0.29, Spark 2 0.70, Spark 3 2.2e-3",
         ", ".join(f"{s} {e:.1e}" for s, e in most.items()), most["leapfrog"] > 0.1,
         "leapfrog, which is McLachlan's scheme without the term, above 0.1"))  # fmt: skip
 
@@ -165,7 +165,8 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
             slopes = rate(*wide[:2]), rate(*fine[:2])
             rows.append(common.near(
                 f"{case.name}: dE/dt of {scheme} like h^b, b", order,
-                np.log2(slopes[0] / slopes[1]), 0.15 * order + 0.2, digits=3, note="; ".join(
+                np.log2(slopes[0] / slopes[1]), 0.15 * order + 0.2, digits=3, source="p",
+                note="; ".join(
                     f"h = {step:g}: {slope:.1e} at {run[2] * 1e6:.2g} us a unit of t"
                     for step, slope, run in zip(steps, slopes, (wide, fine)))))  # fmt: skip
     return rows, drawn

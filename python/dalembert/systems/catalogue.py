@@ -287,8 +287,7 @@ def cvt(*, c: float = 0.2) -> None:
         x' + y z' = 0
 
     Nothing acts upon the driver: its energy is constant, and that of the pair x, z.  With `c = 0`
-    it is `contact_oscillator`; otherwise the driver swings out of centre, by which the energy of
-    the pair drifts under most integrators.
+    it is `contact_oscillator`; otherwise the driver swings out of centre.
 
     Parameters
     ----------
