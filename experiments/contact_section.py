@@ -11,8 +11,8 @@ a section needs no interpolation. eps = 0: N = 40, start at y = 1, z = -sqrt(1/2
 ten z in +-0.9 sqrt(2); eps = 0.3: N = 15, start at y = 0, y' = 1, the same ten.
 
 Here also: for eps = 0 the equations of (x, z, z') for given y(t) are linear, so the section of the
-flow, and that of leapfrog, is a linear map of R^3. Reversible, it has eigenvalues 1 and exp(+-ia)
-where they are not real: then nothing grows, ever. The map is measured; that of the flow is from
+flow, and that of leapfrog, is a linear map of R^3. Reversible, it has eigenvalues 1 and exp(+-ia),
+or c and 1/c; with the former nothing grows, ever. The map is measured; that of the flow is from
 DOP853 in (z, z').
 """
 
