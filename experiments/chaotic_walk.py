@@ -152,7 +152,7 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
             constants[scheme, h] = diffusion(energy, many.t)
         rows.append(common.near(
             f"{who}, {scheme}, h = {h:g}, {steps:.0e} steps: mean square like tau^a, a", 1, power,
-            0.3 if quick or every > 1 else 0.15, digits=3, source="linear",
+            0.3 if quick or every > 1 else 0.1, digits=3, source="linear",
             note=f"deviation {deviation:.2f}; to t = {many.t[-1]:g}: mean square "
             f"{(energy[:, -1] ** 2).mean():.1e}, mean {energy[:, -1].mean():.1e}"))  # fmt: skip
     for scheme, order in ORDER.items():

@@ -165,7 +165,7 @@ def run(quick: bool) -> tuple[list[common.Row], Any]:
             slopes = rate(*wide[:2]), rate(*fine[:2])
             rows.append(common.near(
                 f"{case.name}: dE/dt of {scheme} like h^b, b", order,
-                np.log2(slopes[0] / slopes[1]), 0.15 * order + 0.2, digits=3, source="p",
+                np.log2(slopes[0] / slopes[1]), 0.1 * order, digits=3, source="p",
                 note="; ".join(
                     f"h = {step:g}: {slope:.1e} at {run[2] * 1e6:.2g} us a unit of t"
                     for step, slope, run in zip(steps, slopes, (wide, fine)))))  # fmt: skip
