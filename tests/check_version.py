@@ -88,6 +88,7 @@ def cases(work: Path, source: Path) -> list[tuple[str, str, str]]:
     case("GIT_DIR of another", "1.2.4", here, GIT_DIR=str(other / ".git"))
     for text in "two", "three":
         git(here, "commit", "--quiet", "--allow-empty", "-m", text)
+    git(here, "tag", "as-submitted")
     place = "g" + git(here, "rev-parse", "--short", "HEAD").decode().strip()
     case("commits after a tag", f"1.2.4+2.{place}", here)
     case("an archive after a tag", f"1.2.4+2.{place}", archive(here, work / "a3"))
@@ -114,10 +115,9 @@ def releases(source: Path) -> str | None:
     changes = (source / "CHANGELOG.md").read_text(encoding="utf-8")
     cited = (source / "CITATION.cff").read_text(encoding="utf-8")
     newest = re.search(r"^## \[(\d\S+)\] - (\S+)$", changes, re.MULTILINE)
-    software = [re.search(rf"^{key}: ['\"]?([^'\"\s]+)", cited, re.MULTILINE)
-                for key in ("version", "date-released")]  # fmt: skip
-    if newest is None or list(newest.groups()) != [x and x[1] for x in software]:
-        return f"CHANGELOG.md has {newest}, and CITATION.cff has {software}"
+    fields = dict(re.findall(r"^(version|date-released): (\S+)$", cited, re.MULTILINE))
+    if newest is None or list(newest.groups()) != [*fields.values()]:
+        return f"CHANGELOG.md begins with {newest and newest[0]}, and CITATION.cff has {fields}"
     own = version(source)
     if FORM.fullmatch(own) is None:
         return f"{own} is not of the form of a version"
