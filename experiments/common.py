@@ -72,7 +72,7 @@ def near(quantity: str, printed: float, here: float, within: float, *, digits: i
     off = abs(here - printed)
     said = (f"{source}: " if source else "") + f"{printed:.{digits}g}"
     return Row(quantity, said, f"{here:.{digits}g}", bool(off <= within),
-               f"off by {off:.1e}, at most {within:.0e}" + (f"; {note}" if note else ""),
+               f"off by {off:.1e}, at most {within:g}" + (f"; {note}" if note else ""),
                differs)  # fmt: skip
 
 

@@ -45,7 +45,7 @@ common.main(run, draw)
 @pytest.mark.parametrize(
     ("row", "status", "verdict"),
     [
-        ("common.near('a', 1.0, 1.1, 0.2)", 0, "agrees: off by 1.0e-01, at most 2e-01"),
+        ("common.near('a', 1.0, 1.1, 0.2)", 0, "agrees: off by 1.0e-01, at most 0.2"),
         ("common.near('a', 1.0, 1.1, 0.05)", 1, "FAILS: off by 1.0e-01"),
         ("common.near('a', 1.0, float('nan'), 9.0)", 1, "FAILS: off by nan"),
         ("common.near('a', 1.0, 1.1, 0.05, differs='a slip')", 0, "differs: a slip"),
@@ -54,7 +54,7 @@ common.main(run, draw)
         ("common.holds('a', 'a band', '5', False, 'below 4')", 1, "FAILS: below 4"),
         ("common.holds('a', '-', '3', True, 'below 4')", 0, "holds: below 4"),
         ("common.near('a', 1, 1.1, 0.2, source='by hand')", 0, "by hand: 1"),
-        ("common.near('a', 1, 1.1, 0.2, note='h = 1')", 0, "at most 2e-01; h = 1"),
+        ("common.near('a', 1, 1.1, 0.2, note='h = 1')", 0, "at most 0.2; h = 1"),
     ],
 )
 def test_rows_and_exit_status(experiment, tmp_path, row, status, verdict):
