@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 
 COLUMNS = 100
-FOLDERS = ("benchmarks", "csrc", "docs", "examples", "include", "python", "tests")
+FOLDERS = (
+    "benchmarks", "csrc", "docs", "examples", "experiments", "include", "python", "tests",
+)  # fmt: skip
 ENDINGS = {".c", ".h", ".py", ".pyi", ".build"}
 
 
