@@ -82,9 +82,9 @@ def _kept(self: Solution) -> str:
         return "no constraints"
     size, where = self.stats.worst_residual, "after every step"
     if math.isnan(size) or self.scheme.is_reference:
-        rows = panels.some(self)
-        size = float(_residual(self, rows).max())
-        where = "at all states" if len(rows) == len(self.x) else f"at {len(rows)} states"
+        rows = panels.some(self)[int(self.nodes == "kept") :]  # which may start in D
+        size = float(max(_residual(self, rows), default=0.0))
+        where = f"at {len(rows)} of {len(self.x)} states"
     bound = residual_bound(self.system.n)
     kept = "kept to roundoff" if size <= bound else "not kept to roundoff"
     return f"{kept}: relative residual at most {number(size)} {where}"

@@ -17,7 +17,6 @@ from . import plot, web
 from .table import Table, number
 
 WIDTH = 4.2  # inches: what is written stays readable on 360 points of a screen
-LEGEND = 0.5  # inches for up to four curves
 COORDINATES = 8  # over time, at most
 LONG = 1000  # letters of a formula that SymPy still writes in a moment
 ROWS = 1000  # of a run, of which more than these are drawn by some of them
@@ -67,7 +66,8 @@ def _formula(text: str) -> str:
 
 def _range(name: str, values: Array, unit: str = "") -> str:
     low, high = float(np.min(values)), float(np.max(values))
-    return f"{name} from {values[0]:.3g} to {values[-1]:.3g}{unit}, between {low:.3g} and {high:.3g}"
+    ends = f"from {values[0]:.3g} to {values[-1]:.3g}{unit}"
+    return f"{name} {ends}, between {low:.3g} and {high:.3g}"
 
 
 def unit(system: System, name: str) -> str:
@@ -119,7 +119,6 @@ def coordinates(run: Solution, name: str, caption: str = "") -> web.HTML:
     system, rows = run.system, some(run)
     shown = system.coordinates[:COORDINATES]
     figure = web.figure(WIDTH, 0.8 + 0.85 * len(shown))
-    figure.subplots_adjust(hspace=0.55)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     for k, (x, ax) in enumerate(zip(shown, axes)):
         ax.plot(run.t[rows], run.q[rows, k], color=plot.COLOURS[0])
@@ -135,6 +134,7 @@ def coordinates(run: Solution, name: str, caption: str = "") -> web.HTML:
 def small(run: Solution, name: str) -> web.HTML:
     """Return the path, or some coordinates over time, without axes."""
     figure = web.figure(3.2, 2.2)
+    figure.set_layout_engine("none")
     ax = figure.add_axes((0.02, 0.02, 0.96, 0.96))
     if where := plane(run.system):
         plot.path(run, ax, where).legend().remove()
@@ -152,7 +152,7 @@ def convergence(
     studies: Sequence[Study], name: str, styles: Mapping[str, Any], caption: str = ""
 ) -> web.HTML:
     """Return errors over step sizes."""
-    figure = web.figure(WIDTH, 4.2, LEGEND)
+    figure = web.figure(WIDTH, 4.2)
     ax = plot.convergence(studies, figure.subplots(), styles=styles)
     ax.set_title("")
     _legend_below(figure, ax)
@@ -168,10 +168,15 @@ def _falls(study: Study) -> str:
         return f"{who} has no errors that are known"
     if fit.exact:
         return f"{who} is exact to roundoff, {number(float(error.max()))} at most"
-    first, last = int(h.argmax()), int(h.argmin())
+    clear = np.array(fit.counted)[drawn]
+    least = number(float(error.min()))
+    rest = "" if clear.all() else f"; the others are at roundoff, {least} at least"
+    if clear.sum() < 2:
+        return f"{who} has errors from {number(float(error.max()))} down to {least}"
+    first, last = (int(f(np.where(clear, h, np.nan))) for f in (np.nanargmax, np.nanargmin))
     at = [f"{number(error[k])} at h = {h[k]:.2g}" for k in (first, last)]
     verb = "falls" if error[last] < error[first] else "goes"
-    return f"{who} {verb} with slope {fit.order()} from {at[0]} to {at[1]}"
+    return f"{who} {verb} with slope {fit.order()} from {at[0]} to {at[1]}{rest}"
 
 
 def residuals(
@@ -181,7 +186,7 @@ def residuals(
 
     With one caption the former alone.
     """
-    figures = [web.figure(WIDTH, 3.4, LEGEND * (len(runs) > 1)) for _ in range(2)]
+    figures = [web.figure(WIDTH, 3.4) for _ in range(2)]
     axes = [figure.subplots() for figure in figures]
     plot.drift(runs, axes, styles=styles)
     low, high = zip(*(ax.get_ylim() for ax in axes))
@@ -207,14 +212,13 @@ def energies(
 ) -> web.HTML:
     """Return the relative change of the energy over time, each scheme on an axis of its own."""
     figure = web.figure(WIDTH, 3.4 if len(runs) < 3 else 4.2)
-    figure.subplots_adjust(hspace=0.75)
     axes = figure.subplots(len(runs), 1, sharex=True, squeeze=False)[:, 0]
     for run, ax in zip(runs, axes):
         plot.energy([run], ax, styles=styles).get_legend().remove()
         ax.set_title("")
         name_of = plot.plain(run.scheme.name) if len(runs) > 1 else ""
         ax.set_title(name_of, loc="right", fontsize="medium", pad=4)
-        figure.supylabel(ax.get_ylabel(), x=0.01, fontsize="medium")
+        figure.supylabel(ax.get_ylabel(), fontsize="medium")
         ax.set(ylabel="", xlabel=ax.get_xlabel() if ax is axes[-1] else "")
     what = "error" if runs[0].system.conserves_energy else "change"
     said = "; ".join(map(_swings, runs))
@@ -233,4 +237,4 @@ def _legend_below(figure: Any, ax: Any) -> None:
     if ax.get_legend() is not None:
         ax.get_legend().remove()
     entries = ax.get_legend_handles_labels()
-    figure.legend(*entries, loc="lower center", ncols=2, frameon=False, fontsize=9)
+    figure.legend(*entries, loc="outside lower center", ncols=2, frameon=False, fontsize=9)

@@ -136,10 +136,10 @@ def _about(studies: Studies) -> str:
 
 _WORDS = (
     "Errors are the largest of (q, v) at the end of the interval; triangles have whole slopes, and "
-    "hollow markers lie too close to roundoff to count for the fitted order in the legend. A scheme "
-    "with moved nodes keeps D, one with kept nodes D_eps; schemes with several sub-steps have no "
-    "D_eps. Of each run the largest residual in each of 50 stretches is drawn; exact zeros are drawn "
-    "at 1e-17, and the dashed line is the unit roundoff u."
+    "hollow markers lie too close to roundoff to count for the fitted order in the legend. A "
+    "scheme with moved nodes keeps D, one with kept nodes D_eps; schemes with several sub-steps "
+    "have no D_eps. Of each run the largest residual in each of 50 stretches is drawn; exact zeros "
+    "are drawn at 1e-17, and the dashed line is the unit roundoff u."
 )
 
 

@@ -16,8 +16,8 @@ from ..symbolic import formula
 from ..system import System
 
 HTML = Any  # markupsafe.Markup: text that is not escaped again
-# Its title, prose, and what is below it: a table, a picture, a program, or a list of sections, which
-# are folded; "" is left out.
+# Its title, prose, and what is below it: a table, a picture, a program, or a list of sections,
+# which are folded; "" is left out.
 Section = tuple[str, str, Any]
 
 OF_THE_USER = (
@@ -102,16 +102,11 @@ def paragraph(words: str, kind: str = "") -> HTML:
     return _mark('<p class="{}">{}</p>').format(kind, words)
 
 
-def figure(width: float, height: float, below: float = 0.0) -> Any:
-    """Return a figure of matplotlib of this size in inches, with room for a legend below.
-
-    The margins are fixed: to find them takes half of the time of a page.
-    """
+def figure(width: float, height: float) -> Any:
+    """Return a figure of matplotlib of this size in inches."""
     from matplotlib.figure import Figure
 
-    found = Figure(figsize=(width, height))
-    found.subplots_adjust(0.7 / width, (0.5 + below) / height, 1 - 0.15 / width, 1 - 0.3 / height)
-    return found
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def svg(figure: Any, name: str, label: str, caption: str = "") -> HTML:

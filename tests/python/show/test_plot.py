@@ -58,7 +58,7 @@ def test_convergence_draws_the_errors_and_says_the_orders(studies):
         (line,) = (x for x in ax.lines if x.get_label() == f"{study.scheme.name}: {order:.2f}")
         np.testing.assert_array_equal(line.get_xdata(), study.h)
         np.testing.assert_array_equal(line.get_ydata(), np.maximum(study.q_error, study.v_error))
-    assert ax.get_xlabel() == "step h (user's units of time)"
+    assert ax.get_xlabel() == "step h (user's units)"
     assert ax.get_ylabel() == "error of (q, v) at t = 1 (user's units)"
     assert ax.get_title() == "particle: convergence"
     assert ax.get_legend().get_title().get_text() == "scheme: fitted order"
