@@ -215,12 +215,14 @@ def _sections(system: System, run: Solution) -> Iterator[web.Section]:
 def _pictures(system: System, run: Solution) -> Iterator[web.HTML]:
     """What the run keeps, and its coordinates over time unless they were shown already."""
     slug, styles = _slug(system), plot.styles([run.scheme.name])
-    change = "The error of the energy." if system.conserves_energy else (
-        "The change of the energy, no error here."
-    )
+    drift = "The error of the energy."
+    if not system.conserves_energy:
+        drift = "The change of the energy, which is no error here."
     words = "The relative residual of the constraints; the dashed line is the unit roundoff u."
-    kept = panels.residuals([run], f"residual-{slug}", styles, [words])
-    yield kept[0] + panels.energies([run], f"energy-{slug}", styles, change)
+    below = panels.energies([run], f"energy-{slug}", styles, drift)
+    for kept in panels.residuals([run], f"residual-{slug}", styles, [words]):
+        below = kept + below
+    yield below
     if panels.plane(system) is not None:
         some = f"The first {panels.COORDINATES} coordinates" * (system.n > panels.COORDINATES)
         yield panels.coordinates(run, f"q-{slug}", f"{some or 'The coordinates'} over time.")

@@ -107,9 +107,7 @@ def motion(run: Solution, name: str, caption: str = "") -> web.HTML:
     ax = plot.path(run, figure.subplots(), where)
     ax.set_title("")
     ax.get_legend().set_loc("best")
-    said = (
-        _range(x, run.q[:, k], unit(run.system, x)) for k, x in zip(where, ("x", "y"))
-    )
+    said = (_range(x, run.q[:, k], unit(run.system, x)) for k, x in zip(where, ("x", "y")))
     words = f"Path of {run.system.name} in the plane of x and y: {'; '.join(said)}."
     return web.svg(figure, name, words, caption)
 
@@ -184,8 +182,10 @@ def residuals(
 ) -> list[web.HTML]:
     """Return the relative residuals of D, and those of D_eps if one of the schemes has them.
 
-    With one caption the former alone.
+    With one caption the former alone; none if there are no constraints.
     """
+    if runs[0].system.m == 0:
+        return []
     figures = [web.figure(WIDTH, 3.4) for _ in range(2)]
     axes = [figure.subplots() for figure in figures]
     plot.drift(runs, axes, styles=styles)

@@ -208,9 +208,11 @@ def drift(
         rows = _stretches(run.t[jump:], in_D_eps[jump:])
         (line,) = axes[1].plot(*rows, label=plain(run.scheme.name), **style)
         _hollow(axes[1], run.t[:jump], in_D_eps[:jump], line)
-    for axis, title in zip(
-        axes, (r"$D$:  $\mu(q)\,v = 0$", r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$")
-    ):
+    linear = all(run.system.kind == "linear" for run in solutions)
+    before, after = (r"\mu(", r")\,v") if linear else (r"\varphi(", ", v)")
+    sets = (("D", "q"), (r"D_\varepsilon", r"q - (1-\beta) h v"))
+    titles = (f"${name}$:  ${before}{place}{after} = 0$" for name, place in sets)
+    for axis, title in zip(axes, titles):
         axis.axhline(ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)), zorder=1)
         _beside(axis, "u", (1, ROUNDOFF), xycoords=("axes fraction", "data"))
         axis.set(yscale="log", title=title, xlabel=_time(solutions))

@@ -117,9 +117,7 @@ def _about(studies: Studies) -> str:
     """What was studied, from where to where, and what it is compared with."""
     first = studies[0]
     system, unit = first.system, panels.unit
-    start = ", ".join(
-        f"{x} = {q:g}{unit(system, x)}" for x, q in zip(system.coordinates, first.q0)
-    )
+    start = ", ".join(f"{x} = {q:g}{unit(system, x)}" for x, q in zip(system.coordinates, first.q0))
     velocity = ", ".join(
         f"{v:g}{unit(system, f'v_{x}')}" for x, v in zip(system.coordinates, first.v0)
     )

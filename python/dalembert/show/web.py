@@ -20,9 +20,7 @@ HTML = Any  # markupsafe.Markup: text that is not escaped again
 # which are folded; "" is left out.
 Section = tuple[str, str, Any]
 
-OF_THE_USER = (
-    "The system is one of the user's own: the program that made it belongs to this page."
-)
+OF_THE_USER = "The system is one of the user's own: the program that made it belongs to this page."
 
 
 def require() -> None:
@@ -113,7 +111,7 @@ def svg(figure: Any, name: str, label: str, caption: str = "") -> HTML:
     """Return a figure as inline SVG: ids that begin with the name, a fixed salt, no date.
 
     The label is what a reader hears who does not see it.  What is black has the colour of the text,
-    and what is white that of the page, which may be dark.
+    and what is white that of the page, which may be dark; the blue is then lighter.
     """
     import matplotlib
 
@@ -125,6 +123,7 @@ def svg(figure: Any, name: str, label: str, caption: str = "") -> HTML:
     text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", text)
     text = re.sub(r": #000000\b", ": currentColor", text)
     text = re.sub(r": #ffffff\b", ": var(--paper, #fff)", text)
+    text = re.sub(r": #0072b2\b", ": var(--blue, #0072b2)", text)
     text = f'{tag}role="img" fill="currentColor" aria-label="{html.escape(label)}" {text}'
     frame = _mark("<figure>\n{}<figcaption>{}</figcaption></figure>")
     return frame.format(_mark(text), caption)

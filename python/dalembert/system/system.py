@@ -136,6 +136,8 @@ class System(Handle):
         True if constraints or Lagrangian depend on time.  Its energy is then no first integral.
     inputs : tuple of str
         Names of the inputs of the force.
+    units : dict of str to str
+        As given; `unit` has those of velocities too.
     q0, v0 : ndarray, shape (n,), or None
         Default initial data, read-only; None if there are none.
     differenced : tuple of str

@@ -320,6 +320,7 @@ def test_other_kinds(kind):
     system = dal.System(mass=[1, 1], q0=[0, 0], v0=[1, 1], name=kind, **more)
     page = Page(dal.pages.page(system))
     assert page.cell("constraints m") == ("1, nonlinear" if kind == "nonlinear" else "0")
+    assert ("relative residual of the constraints" in page.words) == (kind == "nonlinear")
     reason = {"free": "", "forced": "there is a force", "nonlinear": "the constraints do work"}
     assert ("The energy is not among them" in page.words) == bool(reason[kind])
     assert reason[kind] in page.words

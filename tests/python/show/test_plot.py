@@ -199,6 +199,16 @@ def test_drift_has_both_sets_on_log_axes():
     assert min(map(np.min, [*of.values(), *of_eps.values()])) >= 1e-17
 
 
+def test_drift_says_which_constraint():
+    """Those that are not linear are no mu(q) v."""
+    for system in (dal.systems.ball_on_table(), dal.systems.particle().at_kept_nodes(0.1)):
+        run = dal.integrate(system, "midpoint", [0.1] * system.n, system.project(
+            [0.1] * system.n, [0.5] * system.n), h=0.01, steps=5)  # fmt: skip
+        titles = [axis.get_title() for axis in dal.plot.drift(run)]
+        assert titles[0] == r"$D$:  $\varphi(q, v) = 0$"
+        assert titles[1] == r"$D_\varepsilon$:  $\varphi(q - (1-\beta) h v, v) = 0$"
+
+
 def test_drift_of_a_long_run_shows_the_largest_of_each_stretch():
     system = dal.systems.particle_oscillator()
     run = dal.integrate(system, "midpoint-nodes", h=0.05, steps=1000, initial="project")

@@ -11,6 +11,7 @@ import re
 import shlex
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -139,6 +140,17 @@ def test_four_schemes_at_most_in_a_picture(tmp_path):
     ]  # fmt: skip
     ids = Page(text).ids
     assert len(ids) == len(set(ids))
+
+
+def test_many_schemes_of_a_kind_are_several_pictures():
+    names = [scheme.name for scheme in dal.schemes() if scheme.order > 0]
+    some = [SimpleNamespace(scheme=dal.Scheme.find(name), holds=True) for name in names]
+    found = [[x.scheme.name for x in four] for four in dal.report._in_fours(some)]
+    assert sorted(sum(found, [])) == sorted(names) and max(map(len, found)) == 4
+    kinds = {dal.report._kind(x) for x in some if x.scheme.name in found[0]}
+    assert len(kinds) == 4
+    for four in found[1:]:
+        assert len({dal.report._kind(x) for x in some if x.scheme.name in four}) == 1
 
 
 def test_the_path_is_that_of_the_best_run(tmp_path):
