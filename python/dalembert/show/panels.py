@@ -116,13 +116,16 @@ def coordinates(run: Solution, name: str, caption: str = "") -> web.HTML:
     """Return the coordinates over time, one below the other."""
     system, rows = run.system, some(run)
     shown = system.coordinates[:COORDINATES]
-    figure = web.figure(WIDTH, 0.8 + 0.85 * len(shown))
+    height = 0.8 + 0.75 * len(shown)
+    figure = web.figure(WIDTH, height, layout=None)  # which takes half of the time
+    figure.subplots_adjust(0.65 / WIDTH, 0.45 / height, 0.97, 1 - 0.25 / height, hspace=0.5)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     for k, (x, ax) in enumerate(zip(shown, axes)):
         ax.plot(run.t[rows], run.q[rows, k], color=plot.COLOURS[0])
         ax.plot(run.t[:1], run.q[:1, k], color=plot.COLOURS[1], marker="o")
         ax.set_title(label(system, x), loc="right", fontsize="medium", pad=4)
         ax.margins(x=0.02)
+        plot.scientific(ax)
     axes[-1].set_xlabel(label(system, "t"))
     said = "; ".join(_range(x, run.q[:, k], unit(system, x)) for k, x in enumerate(shown))
     words = f"Coordinates of {system.name} from t = {run.t[0]:g} to {run.t[-1]:g}: {said}."
@@ -131,8 +134,7 @@ def coordinates(run: Solution, name: str, caption: str = "") -> web.HTML:
 
 def small(run: Solution, name: str) -> web.HTML:
     """Return the path, or some coordinates over time, without axes."""
-    figure = web.figure(3.2, 2.2)
-    figure.set_layout_engine("none")
+    figure = web.figure(3.2, 2.2, layout=None)
     ax = figure.add_axes((0.02, 0.02, 0.96, 0.96))
     if where := plane(run.system):
         plot.path(run, ax, where).legend().remove()

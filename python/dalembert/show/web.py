@@ -100,11 +100,11 @@ def paragraph(words: str, kind: str = "") -> HTML:
     return _mark('<p class="{}">{}</p>').format(kind, words)
 
 
-def figure(width: float, height: float) -> Any:
+def figure(width: float, height: float, layout: str | None = "constrained") -> Any:
     """Return a figure of matplotlib of this size in inches."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width, height), layout=layout)
 
 
 def svg(figure: Any, name: str, label: str, caption: str = "") -> HTML:

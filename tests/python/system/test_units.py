@@ -9,10 +9,17 @@ import re
 import numpy as np
 import pytest
 import sympy
+from matplotlib import pyplot
 
 import dalembert as dal
 
 UNITS = {"x": "m", "y": "m", "theta": "rad", "t": "s", "energy": "J"}
+
+
+@pytest.fixture(autouse=True)
+def no_windows():
+    yield
+    pyplot.close("all")
 
 
 @pytest.fixture(scope="module")
