@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -19,7 +20,7 @@ from .table import Table, number
 WIDTH = 4.2  # inches: what is written stays readable on 360 points of a screen
 COORDINATES = 8  # over time, at most
 LONG = 1000  # letters of a formula that SymPy still writes in a moment
-ROWS = 1000  # of a run, of which more than these are drawn by some of them
+ROWS = 2000  # of a run, of which more than these are drawn by some of them
 
 
 # ---- words -----------------------------------------------------------------------------------
@@ -95,41 +96,71 @@ def plane(system: System) -> tuple[int, int] | None:
 
 
 def some(run: Solution) -> Any:
-    """Return indices of rows that show the run."""
+    """Return indices of rows all over a run."""
     return np.unique(np.linspace(0, len(run.x) - 1, min(len(run.x), ROWS)).astype(int))
+
+
+def _drawn(run: Solution) -> tuple[Solution, str]:
+    """Return what is drawn of a run, and in words what is left out.
+
+    Of a long run these are rows all over it, if lines between them are the others to 1 %; else it
+    would look slower than it is, and its beginning is drawn.
+    """
+    count = len(run.x)
+    if count <= ROWS:
+        return run, ""
+    rows, words = some(run), ""
+    for values in run.q.T[:COORDINATES]:
+        between = np.interp(np.arange(count), rows, values[rows])
+        if np.abs(between - values).max() > 0.01 * np.ptp(values):
+            rows, words = np.arange(ROWS), f"The first {ROWS} of {count} states."
+            break
+    reactions = np.zeros((len(rows) - 1, run.system.m))
+    part = {"x": np.array(run.x[rows]), "reactions": reactions, "times": run.t[rows]}
+    return dataclasses.replace(run, **part), words
 
 
 def motion(run: Solution, name: str, caption: str = "") -> web.HTML:
     """Return the path in the plane of x and y, or the coordinates over time where there is none."""
     if (where := plane(run.system)) is None:
         return coordinates(run, name, caption)
+    run, left = _drawn(run)
     figure = web.figure(WIDTH, 3.6)
     ax = plot.path(run, figure.subplots(), where)
     ax.set_title("")
     ax.get_legend().set_loc("best")
-    said = (_range(x, run.q[:, k], unit(run.system, x)) for k, x in zip(where, ("x", "y")))
-    words = f"Path of {run.system.name} in the plane of x and y: {'; '.join(said)}."
-    return web.svg(figure, name, words, caption)
+    return web.svg(figure, name, _seen(run, where), f"{caption} {left}".strip())
 
 
 def coordinates(run: Solution, name: str, caption: str = "") -> web.HTML:
     """Return the coordinates over time, one below the other."""
-    system, rows = run.system, some(run)
+    run, left = _drawn(run)
+    system = run.system
     shown = system.coordinates[:COORDINATES]
     height = 0.8 + 0.75 * len(shown)
     figure = web.figure(WIDTH, height, layout=None)  # which takes half of the time
     figure.subplots_adjust(0.65 / WIDTH, 0.45 / height, 0.97, 1 - 0.25 / height, hspace=0.5)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     for k, (x, ax) in enumerate(zip(shown, axes)):
-        ax.plot(run.t[rows], run.q[rows, k], color=plot.COLOURS[0])
+        ax.plot(run.t, run.q[:, k], color=plot.COLOURS[0])
         ax.plot(run.t[:1], run.q[:1, k], color=plot.COLOURS[1], marker="o")
         ax.set_title(label(system, x), loc="right", fontsize="medium", pad=4)
         ax.margins(x=0.02)
         plot.scientific(ax)
     axes[-1].set_xlabel(label(system, "t"))
-    said = "; ".join(_range(x, run.q[:, k], unit(system, x)) for k, x in enumerate(shown))
-    words = f"Coordinates of {system.name} from t = {run.t[0]:g} to {run.t[-1]:g}: {said}."
-    return web.svg(figure, name, words, caption)
+    return web.svg(figure, name, _seen(run), f"{caption} {left}".strip())
+
+
+def _seen(run: Solution, where: Sequence[int] | None = None) -> str:
+    """Where the path goes in a plane, or the coordinates over time."""
+    system, times = run.system, f"from t = {run.t[0]:g} to {run.t[-1]:g}"
+    names = system.coordinates
+    said = "; ".join(
+        _range(names[k], run.q[:, k], unit(system, names[k]))
+        for k in where or range(min(system.n, COORDINATES))
+    )
+    what = "Coordinates" if where is None else "Path in the plane of x and y"
+    return f"{what} of {system.name} {times}: {said}."
 
 
 def small(run: Solution, name: str) -> web.HTML:
@@ -142,7 +173,7 @@ def small(run: Solution, name: str) -> web.HTML:
     else:
         ax.plot(run.t[:500], run.q[:500, :4])
     ax.axis("off")
-    return web.svg(figure, name, f"A run of {run.system.name}.")
+    return web.svg(figure, name, _seen(run, where))
 
 
 # ---- several ---------------------------------------------------------------------------------

@@ -83,7 +83,7 @@ def test_a_run(shown, run):
     assert float(change) == pytest.approx(run.energy[-1] - run.energy[0], rel=0.06)
     assert page.cell("steps") == "200" and page.tags.count("svg") == 1
     assert int(page.cell("constraint calls")) == run.stats.constraint_calls
-    assert 'aria-label="Path of sleigh' in text
+    assert 'aria-label="Path in the plane of x and y of sleigh' in text
 
 
 def test_other_runs():
@@ -120,6 +120,22 @@ def test_a_long_run_is_looked_at_in_places(monkeypatch):
     text = run._repr_html_()
     assert "at 100 of 3001 states" in text and len(text) < 60_000
     assert not run._computed.keys() - {"t"}
+    (seen,) = re.findall('aria-label="([^"]*)"', text)
+    assert "from t = 0 to 3:" in seen and f"q0 from 0 to {run.q[-1, 0]:.3g}, " in seen
+    assert "The first" not in text
+
+
+@pytest.mark.parametrize("names", ["xy", "ab"])
+def test_a_fast_run_does_not_look_slow(names, monkeypatch):
+    """A spring with some 160 oscillations: 100 rows all over would show others."""
+    spring = dal.System(
+        mass=[1, 1], potential=lambda q: 50 * q @ q, gradient=lambda q: 100 * q,
+        coordinates=names, q0=[1, 0], v0=[0, 1],
+    )  # fmt: skip
+    run = dal.integrate(spring, h=0.02, t_end=100)
+    monkeypatch.setattr(panels, "ROWS", 100)
+    text = run._repr_html_()
+    assert "The first 100 of 5001 states." in text and "from t = 0 to 1.98:" in text
 
 
 def test_a_journal_of_kept_nodes(tmp_path):
