@@ -6,9 +6,9 @@ energy, bounded for the discrete Lagrange-d'Alembert algorithm, decaying for the
 and Kutta of order 4).
 
 Systems: the mobile robot, L = (x'^2 + y'^2 + phi'^2 + theta'^2)/2 - 10 sin(theta), x' = theta'
-cos(phi), y' = theta' sin(phi), with h = 0.2 from q = 0, v = (1, 0, 0, 1) to t = 10, as in the
-tests of the program odelab of O. Verdier, which name the paper's system; the same turning, v = (1,
-0, 1/2, 1); and the particle z' = y x' with V = x^2 + y^2 (from memory; data of our own).
+cos(phi), y' = theta' sin(phi), with h = 0.2 from q = 0, v = (1, 0, 0, 1) to t = 10, as in a test
+of the program odelab of O. Verdier; the same turning, v = (1, 0, 1/2, 1); and the particle z' = y
+x' with V = x^2 + y^2 (from memory; data of our own).
 
 Their algorithm, with L_d = h L((q + q')/2, (q' - q)/h) and the constraint at (q + q')/2, is
 `midpoint` of the library seen at its nodes; here it is also solved on nodes without the library,

@@ -1,7 +1,7 @@
 """The vertical rolling disk: a variational integrator of another Lagrangian against ours.
 
 O. E. Fernandez, A. M. Bloch, P. J. Olver: Variational integrators for Hamiltonizable nonholonomic
-systems, J. Geom. Mech. 4 (2012) 137-163, which sets variational integrators beside nonholonomic
+systems, J. Geom. Mech. 4 (2012), number 2, which sets variational integrators beside nonholonomic
 ones (the abstract; its data could not be had), with the Lagrangian of O. E. Fernandez, A. M.
 Bloch: Equivalence of the dynamics of nonholonomic and variational nonholonomic systems for certain
 initial data, J. Phys. A 41 (2008) 344005 (from memory of the paper; checked here).

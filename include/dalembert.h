@@ -75,7 +75,8 @@ typedef struct dal_error {
     double value;
 } dal_error;
 
-/* "major.minor.patch" of the library that is running; a line of text for a dal_status. */
+/* "major.minor.patch" of the library that is running, between releases with "+" and the commit;
+   a line of text for a dal_status. */
 DAL_API const char *dal_version(void);
 DAL_API const char *dal_strerror(int status);
 

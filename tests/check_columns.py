@@ -19,7 +19,7 @@ def complaints(root: Path) -> list[str]:
     """What is wrong, one line each."""
     found = []
     files = [path for folder in FOLDERS for path in sorted((root / folder).rglob("*"))]
-    for path in [root / "meson.build", *files]:
+    for path in [root / "meson.build", root / "version.py", *files]:
         if path.suffix not in ENDINGS:
             continue
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):

@@ -1,9 +1,10 @@
-"""What `meson install` gives a C user: library, header and dalembert.pc, and examples that build.
+"""What `meson install` gives a C user: library, header and dalembert.pc, and programs that build.
 
-Usage: ``python check_install.py BUILD MESON COMPILER... -- EXAMPLE.c...``
+Usage: ``python check_install.py BUILD VERSION README MESON COMPILER... -- EXAMPLE.c...``
 
-Installs into a temporary directory, then does what the README tells a C user to do:
-``cc example.c $(pkg-config --cflags --libs dalembert)``, and runs the result.
+Installs into a temporary directory, then does what the README tells a C user to do with its own
+program and the examples: ``cc example.c $(pkg-config --cflags --libs dalembert)``, and runs the
+result.  All name the same version.
 """
 
 from __future__ import annotations
@@ -15,6 +16,12 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+
+PRINT_VERSION = """#include <dalembert.h>
+#include <stdio.h>
+int main(void) { return puts(dal_version()) < 0; }
+"""
 
 
 def output(command: list[str], **options) -> str:
@@ -34,9 +41,15 @@ def only(root: Path, name: str) -> Path:
     return found[0]
 
 
-def main(build: str, meson: str, *rest: str) -> None:
+def blocks(page: Path) -> list[str]:
+    """The programs in C in a page."""
+    found = re.findall(r"^```c\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
+    return found or sys.exit(f"{page} has no block of C")
+
+
+def main(build: str, version: str, readme: str, meson: str, *rest: str) -> None:
     split = rest.index("--")
-    compiler, examples = list(rest[:split]), rest[split + 1 :]
+    compiler, examples = list(rest[:split]), list(rest[split + 1 :])
     pkg_config = os.environ.get("PKG_CONFIG", "pkg-config")
     with tempfile.TemporaryDirectory() as directory:
         root = Path(directory)
@@ -58,11 +71,20 @@ def main(build: str, meson: str, *rest: str) -> None:
         kernel = root / "own_kernel.c"
         kernel.write_text("#define DAL_KERNEL own_kernel\n#include <dalembert/kernel.h>\n")
         output([*compiler, "-c", str(kernel), "-o", str(root / "own_kernel.o"), *flags], env=env)
+        programs = [PRINT_VERSION, *blocks(Path(readme))]
+        for k, text in enumerate(programs):
+            path = root / f"program-{k}.c"
+            path.write_text(text, encoding="utf-8")
+            examples.append(str(path))
         for example in examples:
             program = str(root / Path(example).stem)
             output([*compiler, "-Wall", "-Werror", example, "-o", program, *flags], env=env)
             output([program], env=env, cwd=directory)
-            print(f"{example}: built and run")
+            print(f"{Path(example).name}: built and run")
+        found = [output([str(root / "program-0")], env=env).strip(),
+                 output([pkg_config, "--modversion", "dalembert"], env=env).strip()]
+        if found != [version, version]:
+            sys.exit(f"expected version {version}, found {found} of the library and dalembert.pc")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 /* Status codes in words, the error record, and watches. */
 #include "ground/ground.h"
+#include "version.h"
 
 #include <math.h>
 #include <stdarg.h>

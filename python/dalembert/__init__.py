@@ -44,7 +44,7 @@ from .run import (
     schemes,
 )
 from .show import ensembles as pictures
-from .show import pages, plot, report, table
+from .show import notebook, pages, plot, report, table
 from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
 from .symbolic import coordinates
 from .system import System
@@ -109,6 +109,7 @@ table.attach(Studies, table.studies_lines, table.overview)
 Study.plot = Studies.plot = plot.convergence
 Embedding.plot = plot.embedded
 Ensemble.plot, Ensemble._repr_html_ = pictures.draw, pictures.page
+notebook.attach()
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 

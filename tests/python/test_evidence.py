@@ -23,17 +23,19 @@ def run(script, *arguments):
 def experiment(tmp_path):
     """An experiment of one row, in its own folder."""
 
-    def write(row):
+    def write(row, pixels=2):
         (tmp_path / "common.py").write_text((EXPERIMENTS / "common.py").read_text())
         path = tmp_path / "made_up.py"
         path.write_text(f'''"""Made up, for the test."""
 import common
+import numpy as np
 def run(quick):
     return {row}, 2 if quick else 3
 def draw(data):
     from matplotlib.figure import Figure
     figure = Figure()
-    figure.subplots().plot(range(data))
+    noise = np.random.default_rng(0).random(({pixels}, {pixels}))
+    figure.subplots().imshow(noise, interpolation="nearest")
     return figure
 common.main(run, draw)
 ''')
@@ -45,7 +47,7 @@ common.main(run, draw)
 @pytest.mark.parametrize(
     ("row", "status", "verdict"),
     [
-        ("common.near('a', 1.0, 1.1, 0.2)", 0, "agrees: off by 1.0e-01, at most 2e-01"),
+        ("common.near('a', 1.0, 1.1, 0.2)", 0, "agrees: off by 1.0e-01, at most 0.2"),
         ("common.near('a', 1.0, 1.1, 0.05)", 1, "FAILS: off by 1.0e-01"),
         ("common.near('a', 1.0, float('nan'), 9.0)", 1, "FAILS: off by nan"),
         ("common.near('a', 1.0, 1.1, 0.05, differs='a slip')", 0, "differs: a slip"),
@@ -54,7 +56,7 @@ common.main(run, draw)
         ("common.holds('a', 'a band', '5', False, 'below 4')", 1, "FAILS: below 4"),
         ("common.holds('a', '-', '3', True, 'below 4')", 0, "holds: below 4"),
         ("common.near('a', 1, 1.1, 0.2, source='by hand')", 0, "by hand: 1"),
-        ("common.near('a', 1, 1.1, 0.2, note='h = 1')", 0, "at most 2e-01; h = 1"),
+        ("common.near('a', 1, 1.1, 0.2, note='h = 1')", 0, "at most 0.2; h = 1"),
     ],
 )
 def test_rows_and_exit_status(experiment, tmp_path, row, status, verdict):
@@ -68,6 +70,12 @@ def test_rows_and_exit_status(experiment, tmp_path, row, status, verdict):
 def test_an_experiment_without_rows_is_an_error(experiment):
     done = run(experiment("[]"), "--quick")
     assert done.returncode == 1 and "no rows" in done.stderr
+
+
+def test_a_large_picture_is_an_error(experiment, tmp_path):
+    path = experiment("[common.near('a', 1.0, 1.0, 0.1)]", pixels=400)
+    done = run(path, "--folder", tmp_path / "out")
+    assert done.returncode == 1 and "bytes, more than 60000" in done.stderr
 
 
 def test_quick_writes_nothing_unless_told(experiment, tmp_path):

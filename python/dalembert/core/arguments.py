@@ -180,6 +180,23 @@ def mapping(value: Any, name: str) -> dict[Any, Any]:
     return dict(value or {})
 
 
+def units(value: Any, coordinates: Sequence[str]) -> dict[str, str]:
+    """Return units of coordinates, of the time "t" and of the "energy"; ValueError otherwise.
+
+    A name that stands for two of these has no unit.
+    """
+    found, known = mapping(value, "units"), [*coordinates, "t", "energy"]
+    for key, unit in found.items():
+        if known.count(key) != 1:
+            what = "is a coordinate, too" if key in known else "is not there"
+            expected = ", ".join(x for x in known if known.count(x) == 1)
+            hint = "" if key in known else suggestion(key, known)
+            raise ValueError(f"units: {shown(key)} {what}; {hint}expected some of {expected}")
+        if not isinstance(unit, str) or not unit.strip() or not unit.isprintable():
+            raise ValueError(f"units[{key!r}] = {shown(unit)}: expected the name of a unit, as 'm'")
+    return found
+
+
 def parameter(value: Any, name: str) -> float:
     """Return the value of a parameter, which may be a number of SymPy; ValueError otherwise."""
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -118,6 +118,7 @@ class Handle(Constant):
     v0: Array | None
     differenced: tuple[str, ...]
     _model: Any = None  # the expressions that it was made from
+    _units: Mapping[str, str] = {}
     _identity: Any  # what tells it from others, for JSON
 
     def _adopt(self, handle: Any) -> None:
@@ -179,6 +180,35 @@ class Handle(Constant):
     def parameters(self) -> dict[str, float]:
         """Parameters of a system that comes with the library; empty for a user's own."""
         return dict(self._parameters)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units that were given, of coordinates, of the time "t" and of the "energy"."""
+        return dict(self._units)
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a coordinate, a velocity, the time or the energy; "" if unknown.
+
+        Parameters
+        ----------
+        name : str
+            A coordinate; ``v_`` and a coordinate, whose velocity has its unit by that of the time;
+            "t"; or "energy".  Nothing else has a known unit.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> sleigh = dal.systems.sleigh().with_units(x="m", theta="rad", t="s")
+        >>> sleigh.unit("v_x"), sleigh.unit("v_theta"), sleigh.unit("y")
+        ('m/s', 'rad/s', '')
+        """
+        base = name.removeprefix("v_")
+        if name in self._units or name in self.coordinates or base not in self.coordinates:
+            return self._units.get(name, "")
+        if not {base, "t"} <= self._units.keys():
+            return ""
+        time = self._units["t"]
+        return f"{self._units[base]}/{time if time.isalnum() else f'({time})'}"
 
     @property
     def formulas(self) -> tuple[str, ...]:

@@ -184,9 +184,11 @@ class Check:
         text = self.text.removesuffix(self.text_on_D) + said
         return dataclasses.replace(self, **(known | {"text": text, "text_on_D": said}))
 
-    def __str__(self) -> str:
+    def _lines(self) -> list[tuple[str, Any]]:
+        """Return what was found, each with its name; first the verdict."""
         curvature = f"{self.curvature:.3g}" + (", integrable" * self.integrable)
         lines: list[tuple[str, Any]] = [
+            ("passed" if self.passed else "FAILED", self.text),
             *self._derivatives(),
             ("change of mu with v", f"{self.linearity:.1e}"),
             ("rank of mu", self.rank),
@@ -203,9 +205,11 @@ class Check:
             lines.append(("growth vector of D", f"not known; {self.growth_note}"))
         if self.general_growth != self.growth:
             lines.append(("at a general point", self.general_growth))
-        lines += [("holonomic in disguise", text) for text in self.holonomic]
-        head = ("passed: " if self.passed else "FAILED: ") + self.text
-        return "\n".join([head, *(f"{name:20} {value}" for name, value in lines)])
+        return lines + [("holonomic in disguise", text) for text in self.holonomic]
+
+    def __str__(self) -> str:
+        (verdict, text), *lines = self._lines()
+        return "\n".join([f"{verdict}: {text}", *(f"{name:20} {x}" for name, x in lines)])
 
     def __repr__(self) -> str:
         return f"<Check: {'passed' if self.passed else 'FAILED'}: {self.text}>"

@@ -27,7 +27,7 @@ def to_pandas(run: Solution) -> Any:
     """Return the states as a ``pandas.DataFrame``, a row for each, with the time as its index.
 
     Columns: the coordinates, their velocities ``v_...``, the multipliers ``lambda_0`` and so
-    on, energy and residual.
+    on, energy and residual.  Its ``attrs["units"]`` has the units that are known, by column.
 
     Raises
     ------
@@ -42,7 +42,9 @@ def to_pandas(run: Solution) -> Any:
     """
     pandas = extras.require("pandas", "to_pandas")
     head, values = columns(run)
-    return pandas.DataFrame(values, pandas.Index(run.t, name="t"), head)
+    frame = pandas.DataFrame(values, pandas.Index(run.t, name="t"), head)
+    frame.attrs["units"] = {name: x for name in ("t", *head) if (x := run.system.unit(name))}
+    return frame
 
 
 def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
@@ -54,8 +56,8 @@ def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
     Parameters
     ----------
     units : mapping, optional
-        From "t" and the names of coordinates to their units, as {"t": "s", "x": "m"}: they
-        become the attribute ``units`` of the time, and the coordinate ``unit`` of coordinates.
+        As of `System`, instead of those of the system: that of the time and that of the energy
+        become their attribute ``units``, the others the coordinate ``unit`` of the coordinates.
 
     Raises
     ------
@@ -71,10 +73,7 @@ def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
     """
     xarray = extras.require("xarray", "to_xarray")
     names, along = run.system.coordinates, ("time", "coordinate")
-    units = arguments.mapping(units, "units")
-    for name in units:
-        if name not in ("t", *names):
-            raise ValueError(f"units: there is no {name!r}; expected t, {', '.join(names)}")
+    units = {**run.system.units, **arguments.units(units, names)}
     axes = {
         "q": (along, "coordinates"),
         "v": (along, "velocities, in units of the coordinates by that of the time"),
@@ -94,6 +93,8 @@ def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
         name: (of, getattr(run, name), {"long_name": words})
         for name, (of, words) in axes.items()
     }
+    if "energy" in units:
+        data["energy"][2]["units"] = units["energy"]
     if run.system.inputs:
         words = f"of the force, each row for {run.hold} steps"
         data["inputs"] = (("hold", "input"), run.inputs, {"long_name": words})

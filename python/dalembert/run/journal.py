@@ -58,6 +58,7 @@ def of_system(system: System, x: Array, t: float) -> dict[str, Any]:
         "state": x.tolist(),
         "t": t,
         "field": field,
+        **({"units": system.units} if system.units else {}),
     }
 
 
@@ -88,7 +89,11 @@ def require_same(system: System | None, about: Mapping[str, Any], path: str) -> 
                 f"system: {path} is of another one: at its first state the field was {expected}, "
                 f"and is {found} now"
             )
-    return system
+    units = about.get("units", {}) | system.units
+    for name, unit in about.get("units", {}).items():
+        if units[name] != unit:
+            raise ValueError(f"system: {path} has {name} in {unit}, this one in {units[name]}")
+    return system if units == system.units else system.with_units(**units)
 
 
 # ---- the file ------------------------------------------------------------------------------------

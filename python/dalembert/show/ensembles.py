@@ -8,7 +8,8 @@ import numpy as np
 
 from ..core import Array, arguments, extras
 from ..ensembles import Ensemble
-from .plot import COLOURS, Axes, axes_for, plain
+from .plot import COLOURS, Axes, axes_for, plain, unit
+from . import web
 from .table import Table
 
 _BANDS = ((5, 95, 0.2), (25, 75, 0.35))  # percentiles, and how dense they are drawn
@@ -82,8 +83,11 @@ def values_of(found: Ensemble, name: str) -> Array:
     return values
 
 
-def _label(name: str) -> str:
-    return plain(f"{name} (user's units)")
+def _label(found: Ensemble, name: str, at: str = "") -> str:
+    of = name
+    if name not in found.system.coordinates:  # a parameter may have any name
+        of = "" if name in found.system.parameters else {"t_end": "t", "h": "t"}.get(name, name)
+    return f"{plain(name)}{at} ({unit([found], of)})"
 
 
 def _bands(found: Ensemble, what: str, ax: Axes) -> None:
@@ -96,7 +100,7 @@ def _bands(found: Ensemble, what: str, ax: Axes) -> None:
                         label=f"{high - low} % of the members")  # fmt: skip
     ax.plot(t[: values.shape[1]], np.nanmedian(values[good], axis=0), color=COLOURS[0],
             label="median")  # fmt: skip
-    ax.set(xlabel="t (user's units)", ylabel=_label(what))
+    ax.set(xlabel=_label(found, "t"), ylabel=_label(found, what))
     ax.legend(frameon=False, fontsize="small")
 
 
@@ -119,8 +123,8 @@ def _map(found: Ensemble, what: str, ax: Axes) -> None:
         bar.set_ticks(range(-1, colors.N - 1), labels=["none", *events])
         bar.set_label("what ended the run")
     else:
-        bar.set_label(_label(f"{what} at the end"))
-    ax.set(xlabel=_label(found.axes[0]), ylabel=_label(found.axes[1]))
+        bar.set_label(_label(found, what, " at the end"))
+    ax.set(xlabel=_label(found, found.axes[0]), ylabel=_label(found, found.axes[1]))
 
 
 def _states(found: Ensemble, x: str, y: str, ax: Axes) -> None:
@@ -131,8 +135,8 @@ def _states(found: Ensemble, x: str, y: str, ax: Axes) -> None:
         colour = {"c": found.parameters[varied[0]]}
     points = ax.scatter(first, second, s=max(2.0, 40.0 / len(found) ** 0.25), linewidth=0, **colour)
     if len(varied) == 1:
-        ax.figure.colorbar(points, ax=ax).set_label(_label(varied[0]))
-    ax.set(xlabel=_label(f"{x} at the end"), ylabel=_label(f"{y} at the end"))
+        ax.figure.colorbar(points, ax=ax).set_label(_label(found, varied[0]))
+    ax.set(xlabel=_label(found, x, " at the end"), ylabel=_label(found, y, " at the end"))
 
 
 # ---- notebooks ---------------------------------------------------------------------------------
@@ -140,8 +144,6 @@ def _states(found: Ensemble, x: str, y: str, ax: Axes) -> None:
 
 def page(self: Ensemble) -> str | None:
     """Return the ensemble for a notebook: what was given, what went through, what was kept."""
-    if not extras.is_there("jinja2"):
-        return None
     status = self["status"]
     shape = " × ".join(map(str, self.shape))
     rows = [
@@ -157,4 +159,4 @@ def page(self: Ensemble) -> str | None:
     ]  # fmt: skip
     first = [[f"member {k}", self.message(int(k))] for k in self.failed[:5]]
     title = f"{self.system.name} by {self.scheme.name}"
-    return str(Table(["Ensemble", title], [*rows, *first]).html())
+    return web.notebook([("", "", Table(["Ensemble", title], [*rows, *first], 2, style="facts"))])

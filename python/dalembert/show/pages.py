@@ -21,7 +21,7 @@ from ..geometry import Check
 from ..run import Solution
 from ..symbolic import formula
 from ..system import System
-from . import plot, web
+from . import panels, plot, web
 from .table import Table, number
 
 __all__ = ["available", "page", "write"]
@@ -30,7 +30,6 @@ __all__ = ["available", "page", "write"]
 END, TIMES = 20, (1, 10)
 SCHEME, STEP = "leapfrog", 0.02
 FINE, FINE_STEP = "leapfrog-kl8", 0.05
-SHOWN = 8  # coordinates over time, at most
 
 
 def write(
@@ -107,7 +106,7 @@ def write(
             run = web.run(system, SCHEME, h=STEP, t_end=END)
             paths.append(place / f"{name}.html")
             files.write(paths[-1], _page(system, run, names))
-            cards.append((name, system, _small(system, run)))
+            cards.append((name, system, panels.small(run, f"small-{_slug(system)}")))
         files.write(index, _index(cards))
         show(len(names))
     return paths
@@ -194,31 +193,53 @@ def _page(system: System, run: Solution, names: Sequence[str]) -> str:
 
 def _sections(system: System, run: Solution) -> Iterator[web.Section]:
     runs = (run, web.run(system, FINE, h=FINE_STEP, t_end=END))
-    yield "", web.sentence(system.help), ""
+    unit = panels.unit(system, "t")
+    broken = "" if run.success else f" It broke off at t = {run.t[-1]:g}{unit}: {run.message}."
+    caption = f"A typical run: {SCHEME} with h = {STEP:g}{unit} to t = {END}{unit}.{broken}"
+    path = panels.motion(run, f"run-{_slug(system)}", caption)
+    yield "", web.sentence(system.help), web.side_by_side([panels.equations(system), path])
     yield "", system.description, ""
     yield "", f"Source: {web.sentence(system.source)}" if system.source else "", ""
-    if system.formulas:
-        rows = [
-            ("where" * line.startswith("where "), f"`{line.removeprefix('where ')}`")
-            for line in system.formulas
-        ]
-        yield "Formulas", "", Table(["", ""], rows, 2, style="formulas")
-    yield "", "", _picture(system, run)
-    yield "What it is", "", Table(["", ""], _facts(system), 2, style="facts")
-    values = [(f"`{key}`", f"{x:.15g}") for key, x in system.parameters.items()]
-    yield "Parameters and initial data", "", Table(["parameter", "value"], values)
-    assert system.q0 is not None and system.v0 is not None
-    rows = [
-        (f"`{name}`", f"{q:.15g}", f"{v:.15g}")
-        for name, q, v in zip(system.coordinates, system.q0, system.v0)
-    ]
-    yield "", "", Table(["coordinate", "at the start", "its velocity"], rows)
-    yield _invariants(system, runs)
-    yield from _known(system)
-    yield from _accuracy(system, runs)
+    yield "The run", "", web.side_by_side(_pictures(system, run))
+    yield "What it is", "", [("", "", Table(["", ""], _facts(system), 2, style="facts"))]
+    yield "Parameters and initial data", "", [*_given(system)]
+    invariants, words, table = _invariants(system, runs)
+    yield invariants, words, [("", "", table)]
+    for title, words, table in (*_known(system), *_accuracy(system, runs)):
+        yield title, words, [("", "", table)]
     yield "How to make it", "" if system._source.of_library else web.OF_THE_USER, ""
     if system._source.of_library:
         yield from _programs(system, run)
+
+
+def _pictures(system: System, run: Solution) -> Iterator[web.HTML]:
+    """What the run keeps, and its coordinates over time unless they were shown already."""
+    slug, styles = _slug(system), plot.styles([run.scheme.name])
+    drift = "The error of the energy."
+    if not system.conserves_energy:
+        drift = "The change of the energy, which is no error here."
+    words = "The relative residual of the constraints; the dashed line is the unit roundoff u."
+    below = panels.energies([run], f"energy-{slug}", styles, drift)
+    for kept in panels.residuals([run], f"residual-{slug}", styles, [words]):
+        below = kept + below
+    yield below
+    if panels.plane(system) is not None:
+        some = f"The first {panels.COORDINATES} coordinates" * (system.n > panels.COORDINATES)
+        yield panels.coordinates(run, f"q-{slug}", f"{some or 'The coordinates'} over time.")
+
+
+def _given(system: System) -> Iterator[web.Section]:
+    """The parameters and the initial data, with units that are known."""
+    values = [(f"`{key}`", f"{x:.15g}") for key, x in system.parameters.items()]
+    if values:
+        yield "", "", Table(["parameter", "value"], values)
+    assert system.q0 is not None and system.v0 is not None
+    rows = [
+        (f"`{name}`", f"{q:.15g}{panels.unit(system, name)}",
+         f"{v:.15g}{panels.unit(system, f'v_{name}')}")
+        for name, q, v in zip(system.coordinates, system.q0, system.v0)
+    ]  # fmt: skip
+    yield "", "", Table(["coordinate", "at the start", "its velocity"], rows)
 
 
 def _facts(system: System) -> list[tuple[str, str]]:
@@ -351,92 +372,20 @@ def _distance(run: Solution, at: Callable[[float], Any], t: float) -> str:
     return number(float(np.abs(run.x[k] - at(t)).max())) if k < len(run.x) else "-"
 
 
-# ---- the picture of a run ------------------------------------------------------------------------
-
-
-def _plane(system: System) -> tuple[int, int] | None:
-    """Where x and y are among the coordinates, if they are."""
-    with contextlib.suppress(ValueError):
-        return system.coordinates.index("x"), system.coordinates.index("y")
-    return None
-
-
-def _label(name: str) -> str:
-    """The name of a coordinate for matplotlib: theta_x as a letter with an index."""
-    with contextlib.suppress(ImportError, ValueError):
-        if name.isidentifier():
-            return f"${formula.latex(name)[0]}$"
-    return plot.plain(name)
-
-
-def _small(system: System, run: Solution) -> web.HTML:
-    """The path, or some coordinates over time, for the index."""
-    figure = web.figure(3.2, 2.2, layout=None)
-    ax = figure.add_axes((0.02, 0.02, 0.96, 0.96))
-    if plane := _plane(system):
-        plot.path(run, ax, plane).legend().remove()
-        ax.set_title("")
-    else:
-        ax.plot(run.t[:500], run.q[:500, :4])
-    ax.axis("off")
-    return web.svg(figure, f"small-{_slug(system)}", f"A run of {system.name}.")
-
-
-def _picture(system: System, run: Solution) -> web.HTML:
-    """The path, the coordinates over time, and below the residual and the energy."""
-    names, plane = system.coordinates[:SHOWN], _plane(system)
-    figure = web.figure(11.0, 6.0 + 0.3 * len(names), layout=None)  # which takes half of the time
-    figure.subplots_adjust(left=0.07, right=0.99, bottom=0.08, top=0.98)
-    rows: list[list[Any]] = [["path" if plane else k, k] for k in range(len(names))]
-    axes = figure.subplot_mosaic(
-        [*rows, [".", "."], ["residual", "energy"]],
-        height_ratios=[*[1] * len(names), 0.3, 1 + len(names) / 3],
-    )
-    if plane:
-        plot.path(run, axes["path"], plane).set_title("")
-    for k, name in enumerate(names):
-        axes[k].plot(run.t, run.q[:, k], marker="o", markevery=[0])
-        axes[k].set_ylabel(_label(name), rotation=0, ha="right")
-        axes[k].tick_params(labelbottom=name == names[-1])
-    residual, energy = axes["residual"], axes["energy"]
-    residual.semilogy(*plot._stretches(run.t, run.residual))
-    residual.axhline(core.ROUNDOFF, color="black", linestyle="--")
-    top = max(plot.NOT_ROUNDOFF, 2 * float(run.residual.max()))
-    residual.set(ylim=(plot.ZERO / 4, top), ylabel="residual of $D$", xlabel="$t$")
-    energy.plot(run.t, run.energy - run.energy[0])
-    energy.set(ylabel="$E - E_0$", xlabel="$t$")
-    plot.scientific(energy)
-    about = f"A run of {system.name}."
-    return web.svg(figure, f"run-{_slug(system)}", about, _caption(system, run))
-
-
-def _caption(system: System, run: Solution) -> str:
-    broken = "" if run.success else f" It broke off at t = {run.t[-1]:g}: {run.message}."
-    path = "the path and " * bool(_plane(system)) + f"the first {SHOWN} " * (system.n > SHOWN)
-    conserved = system.conserves_energy
-    change = "error of the energy" if conserved else "change of the energy, no error here"
-    return (
-        f"A typical run: {SCHEME} with h = {STEP:g} to t = {END}.{broken} Shown are {path}"
-        "coordinates over time; below, the relative residual of the constraints, with the unit "
-        f"roundoff as the dashed line, and the {change}."
-    )
-
-
 # ---- how to make it ------------------------------------------------------------------------------
 
 
 def _programs(system: System, run: Solution) -> Iterator[web.Section]:
     yield "", "In Python, system and run:", python_lines(system)
-    words = "In C:"
+    words = "In C"
     if system._model is not None:
-        words = "In C, with the file that Python writes, `system.c_source()`:"
-    yield "", words, c_lines(system)
+        words = "In C, with the file that Python writes, system.c_source()"
     end = "\n".join(
         f"{name:12} {q: .17g}  {v: .17g}"
         for name, q, v in zip(system.coordinates, run.q[-1], run.v[-1])
     )
-    words = f"Both end at t = {run.t[-1]:g} in (coordinate, its velocity):"
-    yield "", words, end
+    both = f"Both end at t = {run.t[-1]:g} in (coordinate, its velocity):"
+    yield words, "", [("", "", c_lines(system)), ("", both, end)]
 
 
 def _changed(system: System) -> dict[str, float]:

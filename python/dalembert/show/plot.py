@@ -35,17 +35,18 @@ NOT_ROUNDOFF = 1e-8  # the axis of residuals reaches here, so that roundoff look
 STRETCHES = 50  # of a run, for the drift: roundoff of every step would hide what is beneath it
 
 QUANTITIES = {
-    "state": ("state_error", "global_state", 0, "error of (q, v) at t = {t_end:g}"),
-    "q": ("q_error", "global_q", 0, "error of q at t = {t_end:g}"),
-    "v": ("v_error", "global_v", 0, "error of v at t = {t_end:g}"),
+    "state": ("state_error", "global_state", 0, "error of (q, v) at t = {t_end:g}", ("", "v_")),
+    "q": ("q_error", "global_q", 0, "error of q at t = {t_end:g}", ("",)),
+    "v": ("v_error", "global_v", 0, "error of v at t = {t_end:g}", ("v_",)),
     "multipliers": (
-        "multiplier_error", "global_multipliers", 0, "error of lambda at t = {t_end:g}"
+        "multiplier_error", "global_multipliers", 0, "error of lambda at t = {t_end:g}", ()
     ),
-    "local": ("local_error", "state", 1, "error of (q, v) after one step"),
+    "local": ("local_error", "state", 1, "error of (q, v) after one step", ("", "v_")),
     "reactions": (
-        "local_reaction_error", "reaction", 1, "error of the scheme's multiplier after one step"
+        "local_reaction_error", "reaction", 1, "error of the scheme's multiplier after one step", ()
     ),
 }  # fmt: skip
+USERS = "user's units"  # where a unit is not known, or several are mixed
 
 
 def styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -118,7 +119,7 @@ def convergence(
     """
     if quantity not in QUANTITIES:
         raise ValueError(f"quantity is {quantity!r}; expected one of {', '.join(QUANTITIES)}")
-    name, key, loss, words = QUANTITIES[quantity]
+    name, key, loss, words, of = QUANTITIES[quantity]
     studies = _several(study, "study", Study)
     ax = axes_for(ax)
     from matplotlib.ticker import LogLocator, NullFormatter
@@ -141,9 +142,10 @@ def convergence(
     ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if longest < 100 * shortest else (1,)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter(NullFormatter())
+    parts = [before + x for item in studies for x in item.system.coordinates for before in of]
     ax.set(
-        xlabel="step h (user's units of time)",
-        ylabel=f"{words.format(t_end=studies[0].t_end)} (user's units)",
+        xlabel=f"step h ({unit(studies, 't')})",
+        ylabel=f"{words.format(t_end=studies[0].t_end)} ({unit(studies, *parts)})",
         title=f"{_systems(studies)}: convergence",
     )
     return _legend(ax, "scheme: fitted order")
@@ -203,14 +205,17 @@ def drift(
             continue
         # Kept nodes may start in D and jump to D_eps in the first step: that start is a point.
         jump = int(run.nodes == "kept" and in_D_eps[0] > residual_bound(run.system.n))
-        (line,) = axes[1].plot(*_stretches(run.t[jump:], in_D_eps[jump:]), **style)
+        rows = _stretches(run.t[jump:], in_D_eps[jump:])
+        (line,) = axes[1].plot(*rows, label=plain(run.scheme.name), **style)
         _hollow(axes[1], run.t[:jump], in_D_eps[:jump], line)
-    for axis, title in zip(
-        axes, (r"$D$:  $\mu(q)\,v = 0$", r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$")
-    ):
+    linear = all(run.system.kind == "linear" for run in solutions)
+    before, after = (r"\mu(", r")\,v") if linear else (r"\varphi(", ", v)")
+    sets = (("D", "q"), (r"D_\varepsilon", r"q - (1-\beta) h v"))
+    titles = (f"${name}$:  ${before}{place}{after} = 0$" for name, place in sets)
+    for axis, title in zip(axes, titles):
         axis.axhline(ROUNDOFF, color="black", linewidth=1, linestyle=(0, (5, 3)), zorder=1)
         _beside(axis, "u", (1, ROUNDOFF), xycoords=("axes fraction", "data"))
-        axis.set(yscale="log", title=title, xlabel="time t (user's units)")
+        axis.set(yscale="log", title=title, xlabel=_time(solutions))
     for axis in axes:
         lowest, highest = axis.get_ylim()
         axis.set_ylim(min(lowest, ZERO / 4), max(highest, NOT_ROUNDOFF))
@@ -259,7 +264,7 @@ def energy(
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
     what = "error" if all(run.system.conserves_energy for run in solutions) else "change"
     ax.set(
-        xlabel="time t (user's units)",
+        xlabel=_time(solutions),
         ylabel=rf"energy {what}  $(E - E_0) / \max(|E_0|, 1)$",
         title=f"{_systems(solutions)}: energy",
     )
@@ -308,7 +313,8 @@ def path(
     ax.plot(first, second, color=COLOURS[0])
     ax.plot(first[:1], second[:1], color=COLOURS[1], marker="o", linestyle="none", label="start")
     ax.set_aspect("equal", adjustable="datalim")
-    x, y = (f"{plain(solution.system.coordinates[k])} (user's units)" for k in (i, j))
+    names = (solution.system.coordinates[k] for k in (i, j))
+    x, y = (f"{plain(name)} ({unit([solution], name)})" for name in names)
     title = f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}"
     ax.set(xlabel=x, ylabel=y, title=plain(title))
     ax.legend(frameon=False)
@@ -399,7 +405,7 @@ def _triangle(ax: Axes, slope: int, h: Array, error: Array) -> None:
     left, right = middle / 1.2, middle * 1.2
     top = math.exp(np.interp(math.log(right), np.log(h), np.log(error))) / 2.0
     bottom = top * (left / right) ** slope
-    grey = {"facecolor": "0.85", "edgecolor": "0.3"}
+    grey = {"facecolor": (0.5, 0.5, 0.5, 0.3), "edgecolor": "0.5"}
     ax.fill([left, right, right], [bottom, bottom, top], **grey, linewidth=0.8, zorder=1)
     _beside(ax, str(slope), (right, math.sqrt(top * bottom)), fontsize="small")
 
@@ -451,6 +457,16 @@ def _systems(items: Sequence[Any]) -> str:
 def plain(text: str) -> str:
     """Return a text of the user as Matplotlib draws it letter by letter: a $ begins no formula."""
     return text.replace("$", r"\$")
+
+
+def unit(items: Iterable[Any], *names: str) -> str:
+    """Return the one unit of quantities of the systems of some runs or studies, if it is known."""
+    found = {item.system.unit(name) for item in items for name in names}
+    return plain(found.pop() or USERS) if len(found) == 1 else USERS
+
+
+def _time(items: Iterable[Any]) -> str:
+    return f"time t ({unit(items, 't')})"
 
 
 def _several(item: Any, what: str, kind: type) -> list[Any]:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import platform
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +16,21 @@ from .. import core
 from ..core import files
 from ..run import Solution
 from ..study import Studies, Study
-from . import plot, web
+from . import panels, plot, web
 from .table import Table, of_study, overview
 
 __all__ = ["write"]
+
+MOST = 4  # schemes in one picture
 
 
 def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
     """Write the report of studies on one system as an HTML page.
 
-    The verdict is the first sentence; then come the convergence picture, the drift of D and
-    D_eps, the energy, the tables, and how to reproduce all this.  For the drift and the energy
-    every scheme runs once more, 400 steps of a twentieth of the interval each.
+    The equations and a path come first, then the verdict, then pictures of the errors, of the drift
+    of D and D_eps and of the energy; folded are pictures of more than four schemes, tables, and how
+    to reproduce all this.  For the drift and the energy every scheme runs once more, 400 steps of a
+    twentieth of the interval each.
 
     Parameters
     ----------
@@ -74,94 +77,118 @@ def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
 
 def page(studies: Studies) -> str:
     """Return the HTML page of `write`."""
-    name = studies[0].system.name
-    title = f"{name}: {'fails' if studies.holds is False else 'study'}"
-    above, heading = f"dalembert study: {name}", studies.sentence()
-    return web.page(title, above, _sections(studies), heading=heading)
+    system = studies[0].system
+    title = f"{system.name}: {'fails' if studies.holds is False else 'study'}"
+    runs = {id(study): _run(study) for study in studies}
+    sections = _sections(studies, runs)
+    return web.page(title, "dalembert study", sections, heading=system.name)
 
 
-def _sections(studies: Studies) -> Iterator[web.Section]:
+def _sections(studies: Studies, runs: dict[int, Solution]) -> Iterator[web.Section]:
+    system = studies[0].system
+    best = max(runs.values(), key=lambda run: (run.success, run.scheme.order))
+    caption = f"A run: {best.scheme.name}, {len(best.x) - 1} steps of h = {_time(best, best.h)}."
+    path = panels.motion(best, "path", caption)
+    yield "", web.sentence(system.help), web.side_by_side([panels.equations(system), path])
+    kind = "fails" if studies.holds is False else "holds" if studies.holds else ""
+    yield "", "", web.paragraph(studies.sentence(), f"verdict {kind}")
+    for study in studies:
+        if study.holds is False:
+            yield "", "", web.paragraph(f"{study.scheme.name}: {study.text}")
     yield "", _about(studies), ""
-    yield from _pictures(studies)
+    styles = plot.styles(study.scheme.name for study in studies)
+    first, *more = _in_fours(studies)
+    yield "Errors, constraints, energy", _WORDS, _pictures(first, runs, styles, "first")
+    for k, some in enumerate(more):
+        title = f"{_kind(some[0])}: {', '.join(study.scheme.name for study in some)}"
+        yield title, "", [("", "", _pictures(some, runs, styles, f"more{k}"))]
     words = (
         "p and s are slopes of the one-step errors from exact data, minus 1, over the points at "
         "least 100 times above the round-off floor; s is the order of the scheme's own "
         "multipliers. A scheme holds if p, or the order at the end, and s are at least the "
         "promised ones minus 0.2 and its set is kept to roundoff."
     )
-    yield "Tables", words, overview(studies)
-    for study in studies:
-        yield "", "", of_study(study)
-    yield from _reproduce(studies)
+    tables = [("", "", of_study(study)) for study in studies]
+    yield "Tables", words, [("", "", overview(studies)), *tables]
+    yield "How to reproduce", "", [*_reproduce(studies)]
 
 
 def _about(studies: Studies) -> str:
     """What was studied, from where to where, and what it is compared with."""
     first = studies[0]
-    start = ", ".join(f"{x} = {q:g}" for x, q in zip(first.system.coordinates, first.q0))
-    velocity = ", ".join(f"{v:g}" for v in first.v0)
+    system, unit = first.system, panels.unit
+    start = ", ".join(f"{x} = {q:g}{unit(system, x)}" for x, q in zip(system.coordinates, first.q0))
+    velocity = ", ".join(
+        f"{v:g}{unit(system, f'v_{x}')}" for x, v in zip(system.coordinates, first.v0)
+    )
     exact = first.reference == 0
     other = "the exact solution" if exact else f"a reference flow good to {first.reference:.1e}"
     initial = _initial(studies)
     kept = f" Schemes with kept nodes start with `initial={initial!r}`." if initial else ""
+    units = "Other numbers" if system.units else "All numbers"
     return (
-        f"{web.sentence(first.system.help)} Runs go from t = {first.t0:g} to {first.t_end:g}, "
-        f"start in {start}, v = ({velocity}), and are compared with {other}.{kept} All numbers "
-        "are in the user's units."
+        f"Runs go from t = {first.t0:g} to {first.t_end:g}{unit(system, 't')}, start in {start}, "
+        f"v = ({velocity}), and are compared with {other}.{kept} {units} are in the user's units."
     )
 
 
-def _pictures(studies: Studies) -> Iterator[web.Section]:
-    styles = plot.styles(study.scheme.name for study in studies)
-    yield "Convergence", "", web.svg(
-        _by_order(studies, plot.convergence, styles),
-        "convergence",
-        "Errors at the end over the step size, log-log.",
-        "The largest error of (q, v) at the end of the interval. Triangles have whole slopes; "
-        "hollow markers lie too close to roundoff to count for the fitted order in the legend.",
+_WORDS = (
+    "Errors are the largest of (q, v) at the end of the interval; triangles have whole slopes, and "
+    "hollow markers lie too close to roundoff to count for the fitted order in the legend. A "
+    "scheme with moved nodes keeps D, one with kept nodes D_eps; schemes with several sub-steps "
+    "have no D_eps. Of each run the largest residual in each of 50 stretches is drawn; exact zeros "
+    "are drawn at 1e-17, and the dashed line is the unit roundoff u."
+)
+
+
+def _kind(study: Study) -> str:
+    """What kind of scheme it is of."""
+    order = study.scheme.order
+    if study.scheme.nodes == "kept":
+        return "Kept nodes"
+    return "Order 1 or none" if order < 2 else "Order 2" if order == 2 else "Order 4 and more"
+
+
+def _in_fours(studies: Studies) -> list[list[Study]]:
+    """What stands in one picture: first the failing ones and one of each kind, then the others."""
+    kinds: dict[str, list[int]] = {}
+    for k, study in enumerate(studies):
+        kinds.setdefault(_kind(study), []).append(k)
+    failing = [k for k, study in enumerate(studies) if study.holds is False]
+    wanted = [*failing, *(few[0] for few in kinds.values()), *range(len(studies))]
+    first = sorted([*dict.fromkeys(wanted)][:MOST])
+    fours = [first]
+    for few in kinds.values():
+        left = [k for k in few if k not in first]
+        fours += [left[k : k + MOST] for k in range(0, len(left), MOST)]
+    return [[studies[k] for k in some] for some in fours]
+
+
+def _pictures(
+    studies: Sequence[Study], runs: dict[int, Solution], styles: dict[str, Any], name: str
+) -> web.HTML:
+    """The errors, the drift and the energy of some schemes."""
+    these = [runs[id(study)] for study in studies]
+    longest = max(these, key=lambda run: run.t[-1])
+    short = ", ".join(run.scheme.name for run in these if run.t[-1] != longest.t[-1])
+    what = "error" if studies[0].system.conserves_energy else "change"
+    energy = (
+        f"The {what} of the energy over 400 steps of {_time(longest, abs(longest.h))}, each scheme "
+        f"on its own axis.{f' Runs that broke off: {short}.' if short else ''}"
     )
-    runs = [_run(study) for study in studies]
-    figure = web.figure(12.0, 4.4)
-    plot.drift(runs, figure.subplots(1, 2, sharey=True), styles=styles)
-    yield "Drift of D and D_eps", "", web.svg(
-        figure,
-        "drift",
-        "Relative residuals of D and of D_eps over time.",
-        "The relative residual of the constraint in D (left) and in D_eps (right). A scheme with "
-        "moved nodes keeps D, one with kept nodes D_eps. Of each run the largest residual in each "
-        "of 50 stretches is drawn; exact zeros are drawn at 1e-17, the dashed line is the unit "
-        "roundoff u. Schemes with several sub-steps have no D_eps.",
-    )
-    longest = max(runs, key=lambda run: run.t[-1])
-    short = ", ".join(run.scheme.name for run in runs if run.t[-1] != longest.t[-1])
-    what = "error" if all(run.system.conserves_energy for run in runs) else "change"
-    yield "Energy", "", web.svg(
-        _by_order(runs, plot.energy, styles),
-        "energy",
-        f"Relative energy {what} over time.",
-        f"The {what} of the energy over 400 steps of {abs(longest.h):g}, each panel on its own "
-        f"linear axis.{f' Runs that broke off: {short}.' if short else ''}",
+    return web.side_by_side(
+        [
+            panels.convergence(studies, f"{name}-errors", styles, "Errors over the step size."),
+            panels.energies(these, f"{name}-energy", styles, energy),
+            *panels.residuals(
+                these, name, styles, ["The constraint in D.", "The constraint in D_eps."]
+            ),
+        ]
     )
 
 
-def _by_order(items: Sequence[Any], draw: Callable[..., Any], styles: dict[str, Any]) -> Any:
-    """A figure with a panel for each kind of schemes that there is."""
-    groups: dict[str, list[Any]] = {}
-    for item in items:
-        order = item.scheme.order
-        key = "order 1 or none" if order < 2 else "order 2" if order == 2 else "order 4 and more"
-        groups.setdefault(key, []).append(item)
-    figure = web.figure(max(4.0 * len(groups), 8.0), 5.0)
-    axes = figure.subplots(1, len(groups), squeeze=False)[0]
-    for title, ax in zip(sorted(groups), axes):
-        draw(groups[title], ax, styles=styles)
-        ax.set_title(title)
-        ax.legend(
-            loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False, fontsize="small"
-        )
-        if ax is not axes[0]:
-            ax.set_ylabel("")
-    return figure
+def _time(run: Solution, t: float) -> str:
+    return f"{t:g}{panels.unit(run.system, 't')}"
 
 
 def _run(study: Study) -> Solution:
@@ -197,10 +224,9 @@ def _reproduce(studies: Studies) -> Iterator[web.Section]:
         "SHA-256 of the description": hashlib.sha256(data.encode()).hexdigest(),
     }
     ours = studies[0].system._source.of_library
-    words, line = ("", command(studies)) if ours else (web.OF_THE_USER, "")
-    yield "How to reproduce", words, line
+    yield "", "" if ours else web.OF_THE_USER, command(studies) if ours else ""
     yield "", "", Table(["", ""], [*facts.items()], 2, style="facts")
-    yield "", "", data
+    yield "Description", "", [("", "", data)]
 
 
 def _initial(studies: Studies) -> str | None:

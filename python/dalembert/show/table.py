@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TextIO
 
-from ..core import Array, arguments, extras
+from ..core import Array, arguments
 from ..study.study import Fit, Studies, Study, order, worst
 from . import web
 
@@ -206,7 +206,7 @@ def attach(
         return rich(lines(self, options.max_width))
 
     def notebook(self: Any) -> str | None:
-        return str(page(self).html()) if extras.is_there("jinja2") else None
+        return web.notebook([("", "", page(self))])
 
     methods = {"table": table, "__str__": lambda self: table(self), "show": shown,
                "__rich_console__": console, "_repr_html_": notebook}  # fmt: skip

@@ -16,12 +16,11 @@ from ..symbolic import formula
 from ..system import System
 
 HTML = Any  # markupsafe.Markup: text that is not escaped again
-# Its title, prose, and what is below it: a table, a picture, or a program; "" is left out.
+# Its title, prose, and what is below it: a table, a picture, a program, or a list of sections,
+# which are folded; "" is left out.
 Section = tuple[str, str, Any]
 
-OF_THE_USER = (
-    "The system is one of the user's own: the program that made it belongs to this page."
-)
+OF_THE_USER = "The system is one of the user's own: the program that made it belongs to this page."
 
 
 def require() -> None:
@@ -85,6 +84,22 @@ def sentence(words: str) -> str:
     return f"{words[:1].upper()}{words[1:].removesuffix('.')}." if words else ""
 
 
+def side_by_side(parts: Iterable[HTML]) -> HTML:
+    """Return parts beside each other where there is room, below each other where there is none."""
+    whole = _mark("\n").join(_mark("<div>{}</div>").format(part) for part in parts)
+    return _mark('<div class="panels">\n{}\n</div>').format(whole)
+
+
+def equation(mathml: str) -> HTML:
+    """Return what stands in an element ``math`` as a displayed equation."""
+    return _mark(f'<math display="inline"><mrow>{mathml}</mrow></math>')
+
+
+def paragraph(words: str, kind: str = "") -> HTML:
+    """Return a paragraph; its kind is a class of the stylesheet."""
+    return _mark('<p class="{}">{}</p>').format(kind, words)
+
+
 def figure(width: float, height: float, layout: str | None = "constrained") -> Any:
     """Return a figure of matplotlib of this size in inches."""
     from matplotlib.figure import Figure
@@ -95,16 +110,27 @@ def figure(width: float, height: float, layout: str | None = "constrained") -> A
 def svg(figure: Any, name: str, label: str, caption: str = "") -> HTML:
     """Return a figure as inline SVG: ids that begin with the name, a fixed salt, no date.
 
-    The label is what a reader hears who does not see it.
+    The label is what a reader hears who does not see it.  What is black has the colour of the text,
+    and what is white that of the page, which may be dark; the blue is then lighter.
     """
     import matplotlib
 
     buffer = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", metadata=nothing)
+        figure.savefig(buffer, format="svg", metadata=nothing, transparent=True)
     _, tag, text = buffer.getvalue().partition("<svg ")
     text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", text)
-    text = f'{tag}role="img" aria-label="{html.escape(label)}" {text}'
+    text = re.sub(r": #000000\b", ": currentColor", text)
+    text = re.sub(r": #ffffff\b", ": var(--paper, #fff)", text)
+    text = re.sub(r": #0072b2\b", ": var(--blue, #0072b2)", text)
+    text = f'{tag}role="img" fill="currentColor" aria-label="{html.escape(label)}" {text}'
     frame = _mark("<figure>\n{}<figcaption>{}</figcaption></figure>")
     return frame.format(_mark(text), caption)
+
+
+def notebook(sections: Iterable[Section], **more: Any) -> str | None:
+    """Return sections for a notebook, in its colours; None if Jinja2 is not installed."""
+    if not extras.is_there("jinja2"):
+        return None
+    return str(render("notebook.html", sections=sections, **more))

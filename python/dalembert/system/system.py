@@ -92,6 +92,9 @@ class System(Handle):
         depends on time, the solution that starts at time 0.
     invariants : mapping of str to callable, optional
         ``invariant(q, v) -> float`` by name: first integrals besides the energy.
+    units : mapping of str to str, optional
+        Units, as {"x": "m", "theta": "rad", "t": "s", "energy": "J"}: of coordinates, of the time
+        and of the energy.  Pictures, pages and files show them; nothing is converted.
     steady : bool, optional
         Whether mu depends only on coordinates that no reaction pushes, those i with row i of
         M^-1 mu^T zero, as on the heading of a blade; only with ``mass`` and ``forms``.  Steps are
@@ -133,6 +136,8 @@ class System(Handle):
         True if constraints or Lagrangian depend on time.  Its energy is then no first integral.
     inputs : tuple of str
         Names of the inputs of the force.
+    units : dict of str to str
+        As given; `unit` has those of velocities too.
     q0, v0 : ndarray, shape (n,), or None
         Default initial data, read-only; None if there are none.
     differenced : tuple of str
@@ -269,6 +274,7 @@ class System(Handle):
         v0: ArrayLike | None = None,
         exact: OfTimeTwo | None = None,
         invariants: Mapping[str, Callable[[Array, Array], float]] | None = None,
+        units: Mapping[str, str] | None = None,
         steady: bool = False,
         time_dependent: bool = False,
         positional: bool = False,
@@ -280,21 +286,22 @@ class System(Handle):
         if hasattr(self, "_handle"):
             raise TypeError("a System does not change: __init__ is called once")
         given = locals()
-        del given["self"]
-        self._take(sources.functions(given))
+        del given["self"], given["units"]
+        self._take(sources.functions(given), units)
 
     @classmethod
-    def _of(cls, source: Source) -> System:
+    def _of(cls, source: Source, units: Mapping[str, str] | None = None) -> System:
         """Return the system of a source."""
         self = cls.__new__(cls)
-        self._take(source)
+        self._take(source, units)
         return self
 
-    def _take(self, source: Source) -> None:
+    def _take(self, source: Source, units: Mapping[str, str] | None) -> None:
         made = source.make()
         self._source = source
         self._exact, self._invariants, self._has_exact, self._model = made[1:]
         self._adopt(made.handle)
+        self._units = arguments.units(units, self.coordinates)
         if made.model is not None:
             self._parameters = source.values
         self.invariants = tuple(self._invariants) or tuple(
@@ -320,6 +327,7 @@ class System(Handle):
         v0: Any = None,
         exact: Any = None,
         invariants: Mapping[str, Any] | None = None,
+        units: Mapping[str, str] | None = None,
     ) -> System:
         """Return the system of a Lagrangian and constraints that are SymPy expressions.
 
@@ -365,6 +373,8 @@ class System(Handle):
         invariants : mapping, optional
             Name to expression, or to ``invariant(q, v, **parameters) -> float``; of a system that
             depends on time ``invariant(t, q, v, **parameters)``.
+        units : mapping, optional
+            As of `System`.
 
         Returns
         -------
@@ -405,7 +415,7 @@ class System(Handle):
             force=force, inputs=inputs, q0=q0, v0=v0, exact=exact, invariants=invariants,
         )  # fmt: skip
         about = {"name": name, "help": help, "description": description, "source": source}
-        return cls._of(sources.Expressions(about=about, **taken))
+        return cls._of(sources.Expressions(about=about, **taken), units)
 
     @classmethod
     def from_lagranges_method(
@@ -708,7 +718,32 @@ class System(Handle):
         require_parameters(self.name, parameters, self._parameters)
         new = {key: arguments.parameter(x, key) for key, x in parameters.items()}
         source = self._source.with_values(self._parameters | new)
-        return self if source is self._source else type(self)._of(source)
+        return self if source is self._source else type(self)._of(source, self._units)
+
+    def with_units(self, **units: str) -> System:
+        """Return the system with other units of some coordinates, of the time or of the energy.
+
+        Parameters
+        ----------
+        **units : str
+            As of `System`; ``**{"name": unit}`` for a name that is no word of Python.
+
+        Returns
+        -------
+        System
+
+        Raises
+        ------
+        ValueError
+            If the system has no such coordinate, or the unit is no text.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> dal.systems.disk().with_units(x="m", y="m", t="s").units
+        {'x': 'm', 'y': 'm', 't': 's'}
+        """
+        return type(self)._of(self._source, {**self._units, **units})
 
     def c_source(self, name: str | None = None) -> str:
         """Return a C file with the system, for a program that is linked with libdalembert.
@@ -838,7 +873,8 @@ class System(Handle):
                 f"kind = {kind!r}: the constraints of the system are {self.kind} already"
             )
         delta = arguments.number(delta, "delta")
-        return type(self)._of(sources.Deformed(self, g, delta, g_v, g_q, g_t, kind))
+        source = sources.Deformed(self, g, delta, g_v, g_q, g_t, kind)
+        return type(self)._of(source, self._units)
 
     def at_kept_nodes(self, shift: float) -> System:
         """Return the system with phi(q - shift v, v) = 0 as constraints (deformedCons).
@@ -877,7 +913,7 @@ class System(Handle):
         if lib.dal_system_missing(self._handle) & lib.DAL_MISSING_PHI_Q:
             needed = "constraint_q" if self.kind == "nonlinear" else "forms_velocity_derivative"
             raise ValueError(f"{needed}: needed, the system {self.name!r} does not provide it")
-        return type(self)._of(sources.AtKeptNodes(self, shift))
+        return type(self)._of(sources.AtKeptNodes(self, shift), self._units)
 
     # ---- as an object --------------------------------------------------------------------
 
@@ -915,7 +951,7 @@ class System(Handle):
 
     def __reduce__(self) -> tuple[Any, ...]:
         self._source.require_picklable(self.name)
-        return System._of, (self._source,)
+        return System._of, (self._source, self._units)
 
 
 def require_parameters(name: str, given: Iterable[str], known: Iterable[str]) -> None:

@@ -88,7 +88,7 @@ def test_xarray_units():
     assert data.unit.sel(coordinate="y").item() == ""
     assert "coordinates" in data.q.attrs["long_name"]
     np.testing.assert_array_equal(data.inputs.sel(input="turn"), run.inputs[:, 1])
-    with pytest.raises(ValueError, match="units: there is no 'z'; expected t, x, y, theta"):
+    with pytest.raises(ValueError, match="units: 'z' is not there; expected some of x, y, theta"):
         run.to_xarray(units={"z": "m"})
 
 

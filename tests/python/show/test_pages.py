@@ -46,7 +46,7 @@ def subject(request, folder):
 
 
 def test_a_page_stands_alone(subject):
-    _, text, page = subject
+    system, text, page = subject
     assert not {"script", "link", "img", "iframe", "object"} & set(page.tags)
     assert not re.search(r"(?:src|action)\s*=|@import|url\((?!#)", text)
     assert set(re.findall(r"http[^\s\"]*", text)) <= VOCABULARIES
@@ -55,7 +55,12 @@ def test_a_page_stands_alone(subject):
     assert len(page.ids) == len(set(page.ids))
     used = set(re.findall(r'href="#([^"]+)"', text)) | set(re.findall(r"url\(#([^)]+)\)", text))
     assert used and used <= set(page.ids)
-    assert page.tags.count("svg") == 1 and len(text) < 400_000
+    assert page.tags.count("svg") == (4 if {"x", "y"} <= {*system.coordinates} else 3)
+    assert len(text) < 400_000 and "prefers-color-scheme: dark" in text
+    for picture in re.findall(r"<svg .*?</svg>", text, re.S):  # in the colours of the page
+        assert not re.search(r"(?:fill|stroke): (?:#000000|#ffffff|black|white)", picture)
+        width = float(re.search(r'width="([\d.]+)pt"', picture)[1])
+        assert width < 320, "it is not readable on a telephone"
 
 
 def test_a_page_says_what_the_system_says(subject):
@@ -76,6 +81,28 @@ def test_a_page_says_what_the_system_says(subject):
         assert any(row[1:] == [f"{x:.15g}", f"{v:.15g}"] for row in shown)
     for value in system.parameters.values():
         assert any(row[1:] == [f"{value:.15g}"] for row in page.rows)
+
+
+def test_what_is_seen_is_said(subject):
+    """The largest residual and the range of each coordinate, from another run."""
+    system, text, _ = subject
+    run = dal.integrate(system, "leapfrog", h=0.02, t_end=20)
+    said = " ".join(re.findall(r'aria-label="([^"]*)"', text))
+    found = re.search(r"Relative residual of D .*?: leapfrog (\S+) at most", said)[1]
+    assert float(found) == pytest.approx(max(run.residual.max(), 1e-17), rel=0.06)
+    for name, q in zip(system.coordinates, run.q.T):
+        ends = re.search(rf"[:;] {name} from (\S+) to (\S+), between (\S+) and (\S+)", said)
+        numbers = [float(x.rstrip(";.")) for x in ends.groups()]
+        expected = [q[0], q[-1], q.min(), q.max()]
+        np.testing.assert_allclose(numbers, expected, rtol=6e-3, atol=1e-12)
+
+
+def test_equations_and_the_path_come_first_and_tables_are_folded(subject):
+    _, text, page = subject
+    places = [text.index(x) for x in ("<math", "<svg", "<h2>The run", "<details>")]
+    assert places == sorted(places)
+    folded = "".join(re.findall(r"<details>.*?</details>", text, re.S))
+    assert folded.count("<table") == text.count("<table") - 1  # that of the formulas
 
 
 GROWTH = {
@@ -261,6 +288,7 @@ def test_a_system_of_the_users_own(tmp_path):
     page = Page(path.read_text("utf-8"))
     Page(index.read_text("utf-8"))
     assert "A thing." in page.words and "Source: Nowhere." in page.words
+    assert "No formulas are known" not in page.words
     assert "It has x and <b>." in page.words and "alert(1); = 0" in page.words
     assert "one of the user's own" in page.words and "Reference" not in page.words
     cell = page.cell("growth vector")  # which the formulas do not say
@@ -292,6 +320,7 @@ def test_other_kinds(kind):
     system = dal.System(mass=[1, 1], q0=[0, 0], v0=[1, 1], name=kind, **more)
     page = Page(dal.pages.page(system))
     assert page.cell("constraints m") == ("1, nonlinear" if kind == "nonlinear" else "0")
+    assert ("relative residual of the constraints" in page.words) == (kind == "nonlinear")
     reason = {"free": "", "forced": "there is a force", "nonlinear": "the constraints do work"}
     assert ("The energy is not among them" in page.words) == bool(reason[kind])
     assert reason[kind] in page.words

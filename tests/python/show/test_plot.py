@@ -58,7 +58,7 @@ def test_convergence_draws_the_errors_and_says_the_orders(studies):
         (line,) = (x for x in ax.lines if x.get_label() == f"{study.scheme.name}: {order:.2f}")
         np.testing.assert_array_equal(line.get_xdata(), study.h)
         np.testing.assert_array_equal(line.get_ydata(), np.maximum(study.q_error, study.v_error))
-    assert ax.get_xlabel() == "step h (user's units of time)"
+    assert ax.get_xlabel() == "step h (user's units)"
     assert ax.get_ylabel() == "error of (q, v) at t = 1 (user's units)"
     assert ax.get_title() == "particle: convergence"
     assert ax.get_legend().get_title().get_text() == "scheme: fitted order"
@@ -197,6 +197,16 @@ def test_drift_has_both_sets_on_log_axes():
     assert left.get_title() == r"$D$:  $\mu(q)\,v = 0$"
     assert right.get_title() == r"$D_\varepsilon$:  $\mu(q - (1-\beta) h v)\,v = 0$"
     assert min(map(np.min, [*of.values(), *of_eps.values()])) >= 1e-17
+
+
+def test_drift_says_which_constraint():
+    """Those that are not linear are no mu(q) v."""
+    for system in (dal.systems.ball_on_table(), dal.systems.particle().at_kept_nodes(0.1)):
+        run = dal.integrate(system, "midpoint", [0.1] * system.n, system.project(
+            [0.1] * system.n, [0.5] * system.n), h=0.01, steps=5)  # fmt: skip
+        titles = [axis.get_title() for axis in dal.plot.drift(run)]
+        assert titles[0] == r"$D$:  $\varphi(q, v) = 0$"
+        assert titles[1] == r"$D_\varepsilon$:  $\varphi(q - (1-\beta) h v, v) = 0$"
 
 
 def test_drift_of_a_long_run_shows_the_largest_of_each_stretch():

@@ -11,6 +11,7 @@ import re
 import shlex
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ def text(studies, tmp_path_factory):
 def test_the_page_stands_alone(text):
     page = Page(text)
     assert "script" not in page.tags and "link" not in page.tags and "img" not in page.tags
-    assert page.tags.count("svg") == 3
+    assert page.tags.count("svg") == 5  # the path, errors, energies, D, D_eps
     # Names of XML vocabularies and of the maker of the pictures are no addresses that are fetched.
     assert not re.search(r"(?:src|action)\s*=|@import|url\((?!#)", text)
     assert all(ref.startswith("#") for ref in re.findall(r'href="([^"]*)"', text))
@@ -54,10 +55,11 @@ def test_ids_are_unique_and_references_resolve(text):
     assert used and used <= set(ids)
 
 
-def test_the_verdict_is_the_first_sentence(studies, text):
-    words = " ".join(Page(text).words.split())
-    assert words.startswith(f"dalembert study: particle {studies.sentence()}")
-    assert re.search(r"<h1>([^<]*)</h1>", text)[1] == studies.sentence()
+def test_equations_and_a_path_come_first_then_the_verdict(studies, text):
+    sentence = f'<p class="verdict holds">{studies.sentence()}</p>'
+    found = ["<h1>particle</h1>", "<math", 'aria-label="Path', sentence, 'aria-label="Errors']
+    places = [text.index(x) for x in found]
+    assert places == sorted(places)
 
 
 def test_what_runs_are_compared_with(text):
@@ -67,10 +69,99 @@ def test_what_runs_are_compared_with(text):
 def test_the_parts_stand_in_order(text):
     places = [
         text.index(f'aria-label="{word}')
-        for word in ("Errors", "Relative residuals", "Relative energy")
+        for word in ("Errors", "Relative error", "Relative residual of D ",
+                     "Relative residual of D_eps")
     ]
-    places += [text.index("<h2>Tables"), text.index("<h2>How to reproduce")]
+    folded = [text.index(f"<summary>{word}") for word in ("Tables", "How to reproduce")]
+    places += folded
     assert places == sorted(places)
+    assert text.index("<caption>") > folded[0]
+
+
+def said(text, what):
+    """What the pictures of a kind say to those who do not see them."""
+    return [html.unescape(x) for x in re.findall(rf'aria-label="({what}[^"]*)"', text)]
+
+
+def test_what_is_seen_is_said(studies, text):
+    """Slopes, errors, residuals and energies in words, computed another way."""
+    (errors,), (in_D,), (in_D_eps,) = (
+        said(text, x) for x in ("Errors", "Relative residual of D ", "Relative residual of D_eps")
+    )
+    (energy,) = said(text, "Relative error of the energy")
+    for study in studies:
+        name = study.scheme.name
+        counted = np.array(study.fits["global_state"].counted)
+        h, error = study.h[counted], study.state_error[counted]
+        line = rf"{name} falls with slope (\S+) from (\S+) at h = (\S+) to (\S+) at h = ([\d.]+\d)"
+        slope, *numbers = re.search(line, errors).groups()
+        assert float(slope) == pytest.approx(np.polyfit(np.log(h), np.log(error), 1)[0], abs=0.006)
+        expected = [error[0], h[0], error[-1], h[-1]]
+        np.testing.assert_allclose([*map(float, numbers)], expected, rtol=0.06)
+        run = dal.integrate(
+            study.system, study.scheme, study.q0, study.v0, h=0.05, steps=400,
+            initial="project" if study.initial else None,
+        )  # fmt: skip
+        largest = study.system.relative_residual(run.q, run.v).max()
+        found = re.search(rf"{name} (\S+) at most", in_D)[1]
+        assert float(found) == pytest.approx(largest, rel=0.06)
+        change = (run.energy - run.energy[0]) / max(abs(run.energy[0]), 1)
+        found = re.search(rf"{name} between (\S+) and (\S+), (\S+) at the end", energy)
+        expected = change.min(), change.max(), change[-1]
+        np.testing.assert_allclose([*map(float, found.groups())], expected, rtol=0.06)
+    assert "; the others are at roundoff" in errors.partition("leapfrog-suzuki4")[2]
+    names = re.findall(r"([\w-]+) \S+ at most", in_D_eps)
+    assert names == ["midpoint", "explicit", "midpoint-nodes"]
+
+
+def test_pictures_follow_the_colours_of_the_page(text):
+    assert "prefers-color-scheme: dark" in text and "color-scheme: light dark" in text
+    pictures = re.findall(r"<svg .*?</svg>", text, re.S)
+    for picture in pictures:
+        assert not re.search(r"(?:fill|stroke): (?:#000000|#ffffff|black|white)", picture)
+        assert 'fill="currentColor"' in picture and "stroke: currentColor" in picture
+        assert float(re.search(r'width="([\d.]+)pt"', picture)[1]) < 320
+    assert "var(--paper, #fff)" in "".join(pictures)  # hollow markers
+
+
+def test_four_schemes_at_most_in_a_picture(tmp_path):
+    """What fails first, and one of each kind; each scheme once."""
+    claims = [dal.Scheme([(0.3, 1.0)], name=f"claim{k}", order=2) for k in range(2)]
+    names = ["midpoint", "leapfrog", "explicit", "endpoint", "midpoint-nodes"]
+    studies = dal.studies(dal.systems.particle(), [*names, *claims], steps=STEPS[:3])
+    text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
+    Page(text)
+    every = [re.findall(r"[:;] ([\w.-]+) (?:falls|goes|has|is)", x) for x in said(text, "Errors")]
+    assert every[0] == ["midpoint", "explicit", "claim0", "claim1"]
+    assert max(map(len, every)) <= 4
+    assert sorted(sum(every, [])) == sorted(study.scheme.name for study in studies)
+    assert re.findall(r"<summary>(.*?)</summary>", text)[:3] == [
+        "Order 2: leapfrog", "Order 1 or none: endpoint", "Kept nodes: midpoint-nodes",
+    ]  # fmt: skip
+    ids = Page(text).ids
+    assert len(ids) == len(set(ids))
+
+
+def test_many_schemes_of_a_kind_are_several_pictures():
+    names = [scheme.name for scheme in dal.schemes() if scheme.order > 0]
+    some = [SimpleNamespace(scheme=dal.Scheme.find(name), holds=True) for name in names]
+    found = [[x.scheme.name for x in four] for four in dal.report._in_fours(some)]
+    assert sorted(sum(found, [])) == sorted(names) and max(map(len, found)) == 4
+    kinds = {dal.report._kind(x) for x in some if x.scheme.name in found[0]}
+    assert len(kinds) == 4
+    for four in found[1:]:
+        assert len({dal.report._kind(x) for x in some if x.scheme.name in four}) == 1
+
+
+def test_the_path_is_that_of_the_best_run(tmp_path):
+    """Not of one that broke off."""
+    claim = dal.Scheme([(1.0, 1.0)], name="claim", order=3)
+    studies = dal.studies(
+        dal.systems.particle(), [claim, "midpoint"], [0, -1, 0], [1, 1, -1], t_end=40,
+        steps=(4000, 6000, 8000),
+    )  # fmt: skip
+    text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "A run: midpoint, 400 steps of h = 2." in text
 
 
 def test_every_number_of_the_tables_is_there(studies, text):
@@ -236,6 +327,8 @@ def test_a_failure_is_said_first(tmp_path):
     text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
     Page(text)
     assert "&lt;claims&gt; 3 does not deliver what is promised" in text
+    verdict = text.index('<p class="verdict fails">')
+    assert verdict < text.index("does not hold") < text.index("<h2>")
     assert '<td class="fails">fails</td>' in text and "<claims>" not in text
 
 
@@ -248,6 +341,8 @@ def test_a_system_of_the_users_own(name, tmp_path):
     text = dal.report.write(studies, tmp_path / "report.html").read_text(encoding="utf-8")
     words = Page(text).words
     assert "one of the user's own" in words and f"dalembert study {name}" not in words
+    assert "No formulas are known: the system is made of a constant mass, forms." in words
+    assert "constraints: 1 linear constraint." in words and "<math" in text
 
 
 def test_a_run_that_breaks_off_is_named(tmp_path):

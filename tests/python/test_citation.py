@@ -1,0 +1,126 @@
+"""How to cite the library: the citation file is valid, and the paper says what was measured."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from cffconvert import Citation
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def paper():
+    """The text of the paper, without what stands before it."""
+    return (ROOT / "paper" / "paper.md").read_text(encoding="utf-8").split("\n---\n", 1)[1]
+
+
+@pytest.fixture(scope="module")
+def entries():
+    """The entries of the bibliography, as dictionaries."""
+    text = (ROOT / "paper" / "paper.bib").read_text(encoding="utf-8")
+    found = {}
+    for entry in re.finditer(r"^@\w+\{(\w+),\n(.*?)^\}$", text, re.MULTILINE | re.DOTALL):
+        fields = re.findall(r"^ *(\w+) *= *\{(.*)\},?$", entry[2], re.MULTILINE)
+        assert entry[1] not in found
+        found[entry[1]] = dict(fields)
+    assert len(found) == text.count("@")
+    return found
+
+
+def test_citation_file():
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    Citation(text).validate()
+    with pytest.raises(Exception, match="Additional properties"):
+        Citation(text + "unknown: 1\n").validate()
+
+
+def test_citation_file_cites_the_paper_of_the_bibliography(entries):
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"doi: {entries['jimenez2015']['doi']}\n" in cited
+    assert entries["jimenez2015"]["doi"] in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_every_entry_is_cited_and_every_citation_has_one(paper, entries):
+    assert set(re.findall(r"@(\w+)", paper)) == set(entries)
+    for key, entry in entries.items():
+        assert {"author", "title", "year"} <= set(entry), key
+        assert key.endswith(entry["year"]), key
+
+
+def test_length(paper):
+    words = paper.split("# References")[0].split()
+    assert 750 <= len(words) <= 1000, len(words)
+
+
+def measured():
+    """What the paper says of the comparison, from its results."""
+    import draw
+
+    results = json.loads((ROOT / "docs" / "peers.json").read_text())
+    problems = list(results["problems"].values())
+    assert draw.page(results) == (ROOT / "docs" / "peers.md").read_text(encoding="utf-8")
+
+    firsts = [min(draw.best(p["state"], a, ours) for ours in (True, False))[1]
+              for p in problems for a in draw.ACCURACIES]  # fmt: skip
+
+    def count(words, names=firsts):
+        return sum(words in name for name in names)
+
+    assert len(firsts) == count("heyoka") + count("GSL")
+    ours = [draw.best(p["state"], 1e-6, True)[0] for p in problems]
+    theirs = [draw.best(p["state"], 1e-6, False)[0] for p in problems]
+
+    def between(times, others):
+        ratios = [t / o for t, o in zip(times, others)]
+        return f"between {min(ratios):.2g} and {max(ratios):.3g}"
+
+    def times(name):
+        return [draw.seconds_for(p["state"][name], 1e-6) for p in problems]
+
+    energies = [p["energy"] for p in problems if "energy" in p]
+
+    def kept(T, but=draw.IN_D):
+        best = [min(draw.rivals(energy, T, but))[1] for energy in energies]
+        return [name for name in best if name in draw.OURS]
+
+    def residual(*names):
+        largest = max(p["residual"] for energy in energies for name in names
+                      for p in energy["methods"][name]["points"])  # fmt: skip
+        return f"{largest:.0e}".replace("e-0", "e-")
+
+    assert not any(kept(T, ()) for T in (1e3, 1e4, 1e5))
+    compositions = ("leapfrog", "midpoint", "suzuki4", "kl6", "kl8", "ss10")
+    n = len(energies)
+    often = "mostly" if 2 * count("ss10", kept(1e5)) > len(kept(1e5)) else "rarely"
+    return [
+        f"The state at t = {results['t_state']:g}",
+        "errors of {}, {}, {} and {}:".format(*map(draw.power, draw.ACCURACIES)),
+        f"{len(firsts)} pairs of a problem and an accuracy",
+        f"first in {count('heyoka')} of them",
+        f"method of GSL in {count('GSL')},",
+        f"in {count('in D')} cases with independent velocities",
+        "For an error of 1e-6",
+        f"fastest scheme of `dalembert` took {between(ours, theirs)} times",
+        f"DOP853 of SciPy took {between(times('SciPy DOP853'), ours)} times",
+        f"CVODE with Adams methods {between(times('CVODE Adams'), ours)} times",
+        f"up to t = 1e5 was that of `dalembert` on {len(kept(1e5))} of {n},",
+        f"{often} with a composition of order 10",
+        f"up to t = 1e3 on {len(kept(1e3))} of {n}.",
+        f"was {residual(*compositions)} with compositions",
+        f"{residual('heyoka')} with heyoka",
+        f"{residual('GSL rk8pd')} with GSL",
+        f"on all {n}.",
+    ]  # fmt: skip
+
+
+def test_every_number_of_the_comparison_is_measured(paper, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks" / "peers")
+    monkeypatch.delitem(sys.modules, "draw", raising=False)
+    text = " ".join(re.search(r"# Comparison\n(.*?)\n# ", paper, re.DOTALL)[1].split())
+    for words in measured():
+        assert words in text, words
+        text = text.replace(words, "", 1)
+    assert re.findall(r"\d\S*", text) == []
