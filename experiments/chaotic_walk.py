@@ -192,7 +192,7 @@ def draw(found: Any) -> Any:
     """Draw the energy errors of the ten, and the mean squares of all against the time between."""
     import matplotlib.pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
     for (who, scheme, h), (t, energy) in found.items():
         if who == "the ten":
             left.plot(t[::10], energy[:, ::10].T, lw=0.6)
@@ -203,7 +203,7 @@ def draw(found: Any) -> Any:
                          label=f"{scheme}, h = {h:g}")  # fmt: skip
     right.plot([1e3, 1e5], [1e-5, 1e-3], "k:", lw=1, label="like t")
     right.set(xlabel="time between", ylabel="mean square of the change of E", title="64 members")
-    right.legend(fontsize=7)
+    figure.legend(loc="outside right center", fontsize=7)
     return figure
 
 
