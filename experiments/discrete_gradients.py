@@ -21,7 +21,7 @@ from typing import Any
 import common
 import numpy as np
 import sympy as sp
-from chaotic_walk import data
+from chaotic_walk import data, quartic
 from scipy.integrate import solve_ivp
 
 import dalembert as dal
@@ -89,14 +89,12 @@ class OnDual:
 def systems() -> dict[str, tuple[Any, ...]]:
     """Return name: (system, the same on the dual, q0, v0, h, an energy of a part, or None)."""
     q = dal.coordinates("x y1 y2 y3 z1 z2 z3")
-    x, y, z = q[0], q[1:4], q[4:]
+    y, z = q[1:4], q[4:]
     V = (sum(c**2 for c in q) + z[0] ** 2 * z[1] ** 2 + sum(a**2 * b**2 for a, b in zip(y, z))) / 2
     unit = sp.eye(7)
     basis = [list(unit.row(i)) for i in (1, 2, 3)]
     basis += [[-y[i], 0, 0, 0, *unit.row(4 + i)[4:]] for i in range(3)]
-    quartic = dal.System.from_sympy(
-        sum(c.d**2 for c in q) / 2 - V, [x.d + sum(a * b.d for a, b in zip(y, z))])  # fmt: skip
-    out = {"chaotic quartic": (quartic, OnDual(q, [1] * 7, V, basis),
+    out = {"chaotic quartic": (quartic(), OnDual(q, [1] * 7, V, basis),
                                *data(np.arange(10) * np.pi / 18), 0.1, None)}  # fmt: skip
 
     q = x, y, s = dal.coordinates("x y theta")  # of the centre of mass, the blade 1 behind it

@@ -35,6 +35,7 @@ from .store import StoreError
 _THREAD_SECONDS = 0.05  # of a block that a thread makes: short, so that all end together
 _TASK_SECONDS = 2.0  # of one that is sent elsewhere, or written to a store
 _MOST_BYTES, _MOST = 2**26, 100_000  # of a block, members
+_LANES = 16  # members that are stepped at once, at most: fewer in a block would leave lanes empty
 _MOST_BLOCKS = 100_000  # what schedulers and file systems bear
 
 
@@ -329,7 +330,8 @@ def _size(ask: Ask, block: int | None, is_sent: bool) -> int:
     if block is not None:
         return arguments.integer(block, "block", 1)
     seconds = _TASK_SECONDS if is_sent else _THREAD_SECONDS
-    wanted = min(seconds / _seconds_of_member(ask), _MOST_BYTES / _bytes_of_member(ask), _MOST)
+    wanted = max(seconds / _seconds_of_member(ask), _LANES if ask.setting.lanes else 0)
+    wanted = min(wanted, _MOST_BYTES / _bytes_of_member(ask), _MOST)
     least = -(-ask.count // _MOST_BLOCKS) if is_sent else 1
     return max(least, min(int(wanted), ask.count))
 

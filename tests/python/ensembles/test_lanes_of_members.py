@@ -10,7 +10,7 @@ import pytest
 import sympy
 
 import dalembert as dal
-from dalembert.ensembles import lanes
+from dalembert.ensembles import lanes, making
 from dalembert.symbolic import expressions
 
 U = 2.0**-53
@@ -139,6 +139,14 @@ def test_steps_and_step_sizes_of_members():
     assert abs(there.q - plain.q).max() < 1e-13
     none = many(dal.systems.sleigh(), "midpoint", parameters={"a": [0.1, 0.2]}, h=0.1, steps=0)
     assert (none.done == 0).all() and (none.q == dal.systems.sleigh().q0).all()
+
+
+@pytest.mark.parametrize(("lane", "blocks"), [(True, 1), (False, 16)])
+def test_long_members_fill_the_lanes(lane, blocks, monkeypatch, tmp_path):
+    monkeypatch.setattr(making, "_seconds_of_member", lambda ask: 1e3)  # a block of its own
+    particle = dal.systems.particle()
+    many(particle, h=np.full(16, 0.1), steps=1, lanes=lane, store=tmp_path / "of", threads=1)
+    assert len(list((tmp_path / "of").glob("block-*.npz"))) == blocks
 
 
 def test_energy_jumps_are_seen():
