@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .. import core, geometry
 from ..core import Array, arguments, ffi, functions, lib, require_system
@@ -324,11 +324,12 @@ class Solution(Mapping[str, Any]):
 
     def _inputs_of_rows(self) -> Array:
         """Return the inputs that begin, or go on, at each stored state."""
-        if self.times is None:
-            return self._inputs_at(np.arange(len(self.x)) * self.stride)
-        return self._inputs_at(np.floor((self.times - self.t0) / self.h + 1e-9).astype(int))
+        steps = np.arange(len(self.x)) * self.stride
+        if self.times is not None:
+            steps = np.floor((self.times - self.t0) / self.h + 1e-9).astype(int)
+        return self._inputs_at(steps)
 
-    def _inputs_at(self, steps: Any) -> Array:
+    def _inputs_at(self, steps: NDArray[np.int_]) -> Array:
         """Return the inputs over steps of these numbers."""
         assert self.inputs is not None
         if len(self.inputs) == 0:

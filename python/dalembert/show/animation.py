@@ -33,24 +33,22 @@ from .plot import COLOURS, ZERO, Axes, _require, axes_for, plain
 __all__ = ["Animation", "animate", "snapshots"]
 
 MOST_FRAMES = 5000
-TRAIL = 600, 20_000  # points of a trail: at least, and at most unless there are more frames
+TRAIL = 600, 5000  # points of a trail: at least, and at most unless there are more frames
 CURVE = 200  # stretches of a curve of a page, with two points each
-LONGEST = 0.22  # of an arrow, in sizes of the picture
+ARROWS = ("velocity", "reaction")
+LONGEST, HEAD = 0.22, 0.035  # of an arrow, in sizes of the picture
 NOTEBOOK = 10_000_000  # characters that a film may put into one
 
 _BLUE, _ORANGE, _GREEN, _PINK = COLOURS[:4]
 _LINES: dict[str, dict[str, Any]] = {
     "ground": {"color": "0.82", "linewidth": 0.8},
     "bar": {"color": "0.25", "linewidth": 1.6},
-    "blade": {"color": _ORANGE, "linewidth": 3.6, "solid_capstyle": "butt"},
-    "dot": {"color": "0.1", "marker": "o", "markersize": 4},
+    "blade": {"color": _ORANGE, "linewidth": 3.6, "capstyle": "butt"},
+    "dot": {"color": "0.1", "marker": "o", "markersize": 4, "linestyle": "none"},
     "velocity": {"color": _BLUE, "linewidth": 1.6},
     "reaction": {"color": _PINK, "linewidth": 2.0},
 }
-_FILLS: dict[str, dict[str, Any]] = {  # the colour of the edge, thinner inside
-    "plane": {"color": _GREEN, "linewidth": 0.8},
-    "body": {"color": _BLUE, "linewidth": 1.4},
-}
+_FILLS = {"plane": (_GREEN, 0.8), "body": (_BLUE, 1.4)}  # the colour, and the width of the edge
 
 
 # ---- states of a run at any time -----------------------------------------------------------------
@@ -91,15 +89,13 @@ class _Camera:
     elevation: float = math.radians(24)
 
     def __call__(self, points: Array) -> Array:
-        """Project points, shape (K, 3), to the plane through the centre; (K, 2) as they are."""
-        if points.shape[1] == 2:
-            return points
+        """Project points to the plane through the centre."""
         c, s = math.cos(self.azimuth), math.sin(self.azimuth)
         low, high = math.cos(self.elevation), math.sin(self.elevation)
         right = np.array([-s, c, 0])
         up = np.array([-high * c, -high * s, low])
         near = np.array([low * c, low * s, high])
-        at = points - self.centre
+        at = _lifted(points) - self.centre
         depth = self.distance / np.maximum(self.distance - at @ near, 1e-3 * self.distance)
         return np.column_stack([at @ right, at @ up]) * depth[:, None]
 
@@ -160,7 +156,9 @@ def _flat(points: Array) -> Array:
 
 
 def _seen(shapes: Iterable[Shape], look: Any) -> list[Shape]:
-    return [replace(shape, points=look(shape.points)) for shape in shapes]
+    """Return shapes in the plane of the picture, in the order in which they are drawn."""
+    found = [replace(shape, points=look(shape.points)) for shape in shapes]
+    return sorted(found, key=lambda shape: ROLES.index(shape.role))
 
 
 def _forces(run: Solution, t: Array, x: Array, columns: Sequence[int]) -> Array:
@@ -260,7 +258,7 @@ def _scene(
     many = min(map(len, marks))
     trails = [np.array([shapes[k].middle for shapes in marks]) for k in range(many)]
     # A point of the plane lies on the ground of space.
-    in_space = any(shape.points.shape[1] == 3 for shape in frames[0])
+    in_space = any(s.points.shape[1] == 3 for shapes in all_shapes for s in shapes)
     of_body = [s.points for shapes in frames for s in shapes]
     if in_space:
         trails = [_lifted(p) for p in trails]
@@ -288,8 +286,8 @@ def _scene(
             if len(p) > 1 and np.ptp(p[:, 2]) > 0
         ]
         ground = _seen([*ground, *shadows], look)
-        frames = [_seen(shapes, look) for shapes in frames]
         trails = [look(p) for p in trails]
+    frames = [_seen(shapes, look) for shapes in frames]
     points = [s.points for shapes in [*frames, ground] for s in shapes]
     cloud = np.concatenate([*points, *trails])
     middle = (cloud.min(axis=0) + cloud.max(axis=0)) / 2
@@ -305,9 +303,7 @@ def _lifted(points: Array) -> Array:
     return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
 
 
-def _scale(
-    run: Solution, frames: list[list[Shape]], forces: Array, size: float
-) -> float | None:
+def _scale(run: Solution, frames: list[list[Shape]], forces: Array, size: float) -> float | None:
     """Return a round number of units of force for one of length; None where all are roundoff."""
     largest = max(
         (
@@ -337,19 +333,36 @@ def _head(points: Array, size: float) -> Array:
     return np.array([tail, tip, tip - back + side, tip, tip - back - side])
 
 
-def _draw(ax: Axes, shapes: Iterable[Shape], size: float, alpha: float = 1.0) -> list[Any]:
-    """Draw shapes on axes; return what was put there."""
-    found = []
-    for shape in shapes:
-        if shape.role in _FILLS:
-            style = _FILLS[shape.role]
-            colours = {"facecolor": (style["color"], 0.2 * alpha), "edgecolor": (style["color"], alpha)}
-            found += ax.fill(*shape.points.T, linewidth=style["linewidth"], **colours)
+def _draw(ax: Axes, shapes: Sequence[Shape], size: float, alpha: float = 1.0) -> list[Any]:
+    """Draw shapes on axes, of each role in one piece; return what was put there."""
+    from matplotlib import collections
+
+    found: list[Any] = []
+    for role in ROLES:
+        points = [shape.points for shape in shapes if shape.role == role]
+        if not points:
+            continue
+        if role == "dot":
+            found += ax.plot(*np.concatenate(points).T, alpha=alpha, **_LINES[role])
+            continue
+        if role in _FILLS:
+            colour, width = _FILLS[role]
+            colours = {"facecolors": [(colour, 0.2 * alpha)], "edgecolors": [(colour, alpha)]}
+            piece = collections.PolyCollection(points, linewidths=width, **colours)
         else:
-            is_arrow = shape.role in ("velocity", "reaction")
-            points = _head(shape.points, 0.035 * size) if is_arrow else shape.points
-            found += ax.plot(*points.T, alpha=alpha, **_LINES[shape.role])
+            if role in ARROWS:
+                points = [_head(x, HEAD * size) for x in points]
+            piece = collections.LineCollection(points, alpha=alpha, **_LINES[role])
+        piece.set_zorder(2)
+        found.append(ax.add_collection(piece, autolim=False))
     return found
+
+
+def _draw_trails(ax: Axes, trails: Sequence[Array]) -> list[Any]:
+    from matplotlib.collections import LineCollection
+
+    lines = LineCollection(trails, color=_BLUE, linewidth=1.1, alpha=0.75, zorder=2)
+    return [ax.add_collection(lines, autolim=False)]
 
 
 def _stage(scene: _Scene, ax: Axes | None) -> Axes:
@@ -363,9 +376,11 @@ def _stage(scene: _Scene, ax: Axes | None) -> Axes:
         inner = width - 2 * margin
         high = float(np.clip(inner * span[1] / span[0], 1.8, 4.6))
         height = round((high + top + bottom) * 50) / 50  # an even number of pixels
-        figure = web.figure(width, height, layout=None)
         high = height - top - bottom
-        ax = figure.add_axes((margin / width, bottom / height, inner / width, high / height))
+        # The colours of a film are for a white ground, whatever the user's style is.
+        with extras.require("matplotlib.style", "a film").context("default"):
+            figure = web.figure(width, height, layout=None)
+            ax = figure.add_axes((margin / width, bottom / height, inner / width, high / height))
         # The axes fill their place: more is seen above and below, or at the sides.
         box = np.array([inner, high])
         limits = limits.mean(axis=0) + np.outer([-0.5, 0.5], box * (span / box).max())
@@ -395,17 +410,17 @@ def _key(scene: _Scene, ax: Axes) -> None:
     roles = {shape.role for shapes in scene.frames for shape in shapes}
     words = _words(scene)
     entries = [
-        (ax.plot([], [], **_LINES[role])[0], words[role])
-        for role in ("velocity", "reaction")
-        if role in roles
+        (ax.plot([], [], **_LINES[role])[0], words[role]) for role in ARROWS if role in roles
     ]
     if scene.in_space:
         entries.append((ax.plot([], [], **_LINES["ground"])[0], words["ground"]))
     if entries:
-        below = 0.0 if scene.in_space else -0.18 / ax.get_position().height / ax.figure.get_figheight()
+        below = (
+            0.0 if scene.in_space else -0.18 / ax.get_position().height / ax.figure.get_figheight()
+        )
         ax.legend(
             *zip(*entries), loc="upper center", bbox_to_anchor=(0.5, below), ncols=3,
-            frameon=False, fontsize="small", handlelength=1.2, columnspacing=1.2,
+            frameon=False, fontsize="small", labelcolor=ax.title.get_color(), handlelength=1.2, columnspacing=1.2,
             borderaxespad=0.2,
         )  # fmt: skip
 
@@ -419,7 +434,7 @@ def _words(scene: _Scene) -> dict[str, str]:
 def _clock(t: Array) -> str:
     """Return the format of the time: with digits to tell frames apart, and no more than 6."""
     gap = float(np.abs(np.diff(t)).min()) if len(t) > 1 else 0.0
-    digits = min(max(0, math.ceil(-math.log10(gap))), 6) if gap > 0 else 2
+    digits = min(max(1, math.ceil(-math.log10(gap))), 6) if gap > 0 else 2
     return f"t = {{:.{digits}f}}"
 
 
@@ -481,9 +496,10 @@ class Animation:
         first, last = sorted(self.run.t[[0, -1]].tolist())
         if not first <= t <= last:
             raise ValueError(f"t = {t:g}: expected a time of the run, {first:g} to {last:g}")
+        t, shapes = self._scene.shapes(t)
         forward = 1 if self.run.t[-1] >= self.run.t[0] else -1
         past = int(np.searchsorted(forward * self.t, forward * t, side="right")) - 1
-        self._put(*self._scene.shapes(t), past)
+        self._put(t, shapes, past)
         return self.ax
 
     def _show(self, k: int) -> None:
@@ -496,9 +512,8 @@ class Animation:
         scene = self._scene
         self._there = []
         if self._trail:
-            for trail in scene.trails:
-                part = trail[: k * scene.per_frame + 1]
-                self._there += self.ax.plot(*part.T, color=_BLUE, linewidth=1.1, alpha=0.75)
+            past = k * scene.per_frame + 1
+            self._there += _draw_trails(self.ax, [trail[:past] for trail in scene.trails])
         self._there += _draw(self.ax, shapes, float(np.ptp(scene.limits, axis=0).max()))
         self.ax.set_title(self._format.format(t), loc="right", fontsize="medium", color="0.3")
 
@@ -539,9 +554,13 @@ class Animation:
         b'GIF'
         """
         target = Path(path)
-        make = {".gif": self._gif, ".mp4": self._mp4, ".html": self._page}.get(target.suffix.lower())
+        make = {".gif": self._gif, ".mp4": self._mp4, ".html": self._page}.get(
+            target.suffix.lower()
+        )
         if make is None:
-            raise ValueError(f"path = {str(path)!r}: expected a name that ends in .gif, .mp4, .html")
+            raise ValueError(
+                f"path = {str(path)!r}: expected a name that ends in .gif, .mp4, .html"
+            )
         files.require_writable(target)
         with extras.progress(progress, len(self), "frame") as show:
             content = make(show)
@@ -635,17 +654,17 @@ class Animation:
             return [round(x) for x in ((points - low) * unit).ravel().tolist()]
 
         def sent(shapes: Iterable[Shape]) -> list[list[Any]]:
-            head = 0.035 * float(span.max())
+            head = HEAD * float(span.max())
             return [
                 [ROLES.index(x.role), *whole(_head(x.points, head))]
-                if x.role in ("velocity", "reaction")
+                if x.role in ARROWS
                 else [ROLES.index(x.role), *whole(x.points)]
                 for x in shapes
             ]
 
         words = _words(scene)
         roles = {shape.role for shapes in scene.frames for shape in shapes}
-        said = [role for role in ("velocity", "reaction") if role in roles]
+        said = [role for role in ARROWS if role in roles]
         change = "E − E₀" if run.system.conserves_energy else "E − E₀, no error here"
         residual = np.maximum(run.residual, ZERO)
         data = {
@@ -693,7 +712,7 @@ def _ticks(scene: _Scene, whole: Any) -> list[list[Any]]:
         for k in range(math.ceil(low), math.floor(high) + 1):
             place = np.tile(scene.limits[0], 1)
             place[axis] = k * scene.grid
-            found.append([axis, whole(place[None])[axis], f"{k * scene.grid:.6g}"])
+            found.append([axis, whole(place[None])[axis], f"{k * scene.grid:.12g}"])
     return found
 
 
@@ -846,8 +865,7 @@ def snapshots(
     scene = _scene(run, body, coordinates, count, multipliers, scale)
     ax = _stage(scene, ax)
     size = float(np.ptp(scene.limits, axis=0).max())
-    for trail in scene.trails:
-        ax.plot(*trail.T, color=_BLUE, linewidth=1.1, alpha=0.75)
+    _draw_trails(ax, scene.trails)
     for shapes, alpha in zip(scene.frames, np.linspace(0.35, 1.0, len(scene.frames))):
         if alpha < 1:
             shapes = [shape for shape in shapes if shape.role != "ground"]

@@ -176,7 +176,7 @@ def arrow(place: ArrayLike, vector: ArrayLike) -> Shape:
     Examples
     --------
     >>> arrow((1, 0), (2, 1)).points.tolist()
-    [[1, 0], [3, 1]]
+    [[1.0, 0.0], [3.0, 1.0]]
     """
     return Shape("velocity", [place, np.asarray(place) + vector])
 
@@ -222,14 +222,15 @@ def forms(run: Solution, t: Array, q: Array, v: Array, columns: Sequence[int]) -
 
     Differences of phi are exact but for roundoff where it is affine in v.
     """
-    found = np.empty((len(q), run.system.m, len(columns)))
     step = 1e-5 * np.maximum(1, np.abs(v).max(axis=1))
+    pushes = np.zeros((len(columns), *v.shape))
     for k, column in enumerate(columns):
-        push = np.zeros_like(v)
-        push[:, column] = step
-        ahead, behind = (residual(run.system, q, v + sign * push, t=t) for sign in (1, -1))
-        found[:, :, k] = (ahead - behind) / (2 * step[:, None])
-    return found
+        pushes[k, :, column] = step
+    around = np.concatenate([v + pushes, v - pushes]).reshape(-1, run.system.n)
+    many = 2 * len(columns)
+    phi = residual(run.system, np.tile(q, (many, 1)), around, t=np.tile(t, many))
+    ahead, behind = phi.reshape(2, len(columns), len(q), run.system.m)
+    return np.asarray(np.moveaxis((ahead - behind) / (2 * step[:, None]), 0, 2))
 
 
 # ---- points --------------------------------------------------------------------------------------
