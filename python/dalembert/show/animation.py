@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core import Array, arguments, extras, files, residual_bound
 from ..core.extras import Progress
@@ -73,6 +74,7 @@ def _states(run: Solution, t: Array) -> tuple[Array, Array]:
     for first, rows, these in pieces:
         x[these] = run._interpolate(t[these], first, rows)[0]
         times[these] = t[these]
+    x.flags.writeable = False  # a body sees views
     return times, x
 
 
@@ -137,6 +139,7 @@ class _Scene:
     scale: float | None  # units of force for one of length
     look: Any  # from space to the plane
     limits: Array  # shape (2, 2): lowest and highest x and y
+    names: list[str]  # of the axes in the plane, if they are known
 
     @property
     def in_space(self) -> bool:
@@ -237,8 +240,10 @@ def _scene(
     _require(run, "run", Solution)
     columns = _columns(run, coordinates)
     arguments.function(body, "body", "t, q, v")
+    names = [run.system.coordinates[k] for k in columns] if body is None else []
     if body is None and coordinates is None:
         body = bodies.of(run)
+        names = ["y", "z"] if body and run.system.name in bodies.PAIRS else names
     if body is None:
         body = bodies.point(run, columns)
     if scale is not None and arguments.number(scale, "scale") <= 0:
@@ -275,7 +280,8 @@ def _scene(
         if drawn:
             for shapes, force in zip(frames, forces):
                 shapes += _arrows(shapes, force, drawn)
-    look, ground, grid = _flat, [], _round_number(size / 4)
+    ground: list[Shape] = []
+    look, grid = _flat, _round_number(size / 4)
     if in_space:
         ground, grid = _floor(cloud)
         look = _Camera((cloud.min(axis=0) + cloud.max(axis=0)) / 2, 3.5 * size)
@@ -294,7 +300,7 @@ def _scene(
     half = np.maximum(np.ptp(cloud, axis=0) / 2, 0.25 * bodies.size(cloud)) * 1.06
     return _Scene(
         run, body, columns, t[::per_frame], frames, trails, per_frame, ground, grid, drawn, look,
-        np.array([middle - half, middle + half]),
+        np.array([middle - half, middle + half]), names[:2] if not in_space else [],
     )  # fmt: skip
 
 
@@ -347,8 +353,8 @@ def _draw(ax: Axes, shapes: Sequence[Shape], size: float, alpha: float = 1.0) ->
             continue
         if role in _FILLS:
             colour, width = _FILLS[role]
-            colours = {"facecolors": [(colour, 0.2 * alpha)], "edgecolors": [(colour, alpha)]}
-            piece = collections.PolyCollection(points, linewidths=width, **colours)
+            colours: Any = {"facecolors": [(colour, 0.2 * alpha)], "edgecolors": [(colour, alpha)]}
+            piece: Any = collections.PolyCollection(points, linewidths=width, **colours)
         else:
             if role in ARROWS:
                 points = [_head(x, HEAD * size) for x in points]
@@ -400,6 +406,11 @@ def _stage(scene: _Scene, ax: Axes | None) -> Axes:
             axis.set_major_locator(MultipleLocator(scene.grid))
         ax.grid(color="0.92", linewidth=0.8)
         ax.set_axisbelow(True)
+        for name, (x, y) in zip(scene.names, ((0.99, 0.01), (0.01, 0.99))):
+            where = {"ha": "right", "va": "bottom"} if x > y else {"ha": "left", "va": "top"}
+            ax.text(
+                x, y, plain(name), transform=ax.transAxes, color="0.45", fontsize="small", **where
+            )
     _draw(ax, scene.ground, float(span.max()))
     _key(scene, ax)
     return ax
@@ -420,8 +431,8 @@ def _key(scene: _Scene, ax: Axes) -> None:
         )
         ax.legend(
             *zip(*entries), loc="upper center", bbox_to_anchor=(0.5, below), ncols=3,
-            frameon=False, fontsize="small", labelcolor=ax.title.get_color(), handlelength=1.2, columnspacing=1.2,
-            borderaxespad=0.2,
+            frameon=False, fontsize="small", labelcolor=ax.title.get_color(),
+            handlelength=1.2, columnspacing=1.2, borderaxespad=0.2,
         )  # fmt: skip
 
 
@@ -566,7 +577,7 @@ class Animation:
             content = make(show)
         files.replace(target.resolve(), content)
 
-    def _pixels(self, show: extras.Show) -> Iterator[Array]:
+    def _pixels(self, show: extras.Show) -> Iterator[NDArray[np.uint8]]:
         """Yield the frames as arrays of bytes, shape (height, width, 4)."""
         import matplotlib
 
@@ -613,8 +624,8 @@ class Animation:
             first = next(frames)
             command = [
                 ffmpeg, "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgba",
-                "-s", f"{first.shape[1]}x{first.shape[0]}", "-framerate", f"{self.fps!r}", "-i", "-",
-                "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", str(film),
+                "-s", f"{first.shape[1]}x{first.shape[0]}", "-framerate", f"{self.fps!r}",
+                "-i", "-", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", str(film),
             ]  # fmt: skip
             # In a session of its own: Ctrl-C is for this process, which then ends the other.
             with subprocess.Popen(
@@ -677,6 +688,7 @@ class Animation:
             "trails": [whole(x) for x in scene.trails] if self._trail else [],
             "each": scene.per_frame,
             "ground": sent(scene.ground),
+            "names": scene.names,
             "grid": [] if scene.in_space else _ticks(scene, whole),
             "key": [[ROLES.index(role), words[role]] for role in said],
             "squares": words["ground"] if scene.in_space else "",
@@ -861,7 +873,7 @@ def snapshots(
     >>> dal.plot.snapshots(run).get_title(loc="left")
     'sleigh'
     """
-    count = arguments.integer(count, "count", 1, MOST_FRAMES)
+    count = arguments.integer(count, "count", 2, MOST_FRAMES)
     scene = _scene(run, body, coordinates, count, multipliers, scale)
     ax = _stage(scene, ax)
     size = float(np.ptp(scene.limits, axis=0).max())

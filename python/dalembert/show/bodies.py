@@ -107,7 +107,8 @@ def circle(centre: ArrayLike, radius: float) -> Shape:
     >>> circle((1, 2), 0.5).middle.round(9).tolist()
     [1.0, 2.0]
     """
-    return Shape("body", np.asarray(centre) + radius * _ROUND)
+    centre = arguments.array(centre, "centre", (2,))
+    return Shape("body", centre + arguments.number(radius, "radius") * _ROUND)
 
 
 def line(*points: ArrayLike) -> Shape:
@@ -144,8 +145,9 @@ def blade(
     >>> blade((0, 0), 0.0, 2.0).points.tolist()
     [[-1.0, 0.0], [1.0, 0.0]]
     """
-    half = length / 2 * direction(heading)
-    return Shape("blade", np.asarray(centre) + [-half, half], _numbers(constraints))
+    centre = arguments.array(centre, "centre", (2,))
+    half = arguments.number(length, "length") / 2 * direction(arguments.number(heading, "heading"))
+    return Shape("blade", centre + [-half, half], _numbers(constraints))
 
 
 def dot(place: ArrayLike, constraints: int | Sequence[int] = ()) -> Shape:
@@ -162,6 +164,7 @@ def dot(place: ArrayLike, constraints: int | Sequence[int] = ()) -> Shape:
     >>> dot((1, 2), constraints=[0, 1]).constraints
     (0, 1)
     """
+    place = arguments.array(place, "place", (2,), (3,))
     return Shape("dot", [place], _numbers(constraints))
 
 
@@ -178,7 +181,8 @@ def arrow(place: ArrayLike, vector: ArrayLike) -> Shape:
     >>> arrow((1, 0), (2, 1)).points.tolist()
     [[1.0, 0.0], [3.0, 1.0]]
     """
-    return Shape("velocity", [place, np.asarray(place) + vector])
+    place = arguments.array(place, "place", (2,), (3,))
+    return Shape("velocity", [place, place + arguments.array(vector, "vector", place.shape)])
 
 
 def _numbers(constraints: int | Sequence[int]) -> tuple[int, ...]:
@@ -502,6 +506,9 @@ _MADE: dict[str, Callable[[Solution], Body]] = {
     "roller_racer": _roller_racer,
     "two_wheeled_robot": _two_wheeled_robot,
 }
+
+
+PAIRS = tuple(name for name, make in _MADE.items() if make is _pairs)
 
 
 def of(run: Solution) -> Body | None:

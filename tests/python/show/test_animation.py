@@ -166,7 +166,14 @@ def test_shapes_are_what_they_should_be():
         (lambda: Shape("blob", [[0, 0]]), "role = 'blob': .*expected one of"),
         (lambda: polygon([(0, 0), (1, 1)]), "expected at least 3 for a body, got 2"),
         (lambda: line((0, 0)), "expected at least 2 for a bar, got 1"),
-        (lambda: dot((0, np.nan)), r"points\[0, 1\] = nan: expected finite numbers"),
+        (lambda: line((0, 0), (0, np.nan)), r"points\[1, 1\] = nan: expected finite numbers"),
+        (lambda: dot((0, 0, 0, 0)), r"place: expected shape \(2,\) or \(3,\), got \(4,\)"),
+        (lambda: circle((0, 0, 0), 1), r"centre: expected shape \(2,\), got \(3,\)"),
+        (lambda: circle((0, 0), "a"), "radius = 'a': expected a finite number"),
+        (lambda: blade((0, 0), None, 1), "heading = None: expected a finite number"),
+        (lambda: blade(0, 0, 1), r"centre: expected shape \(2,\)"),
+        (lambda: blade((0, 0), 0, "b"), "length = 'b': expected a finite number"),
+        (lambda: arrow((0, 0), (0, 0, 0)), r"vector: expected shape \(2,\), got \(3,\)"),
         (lambda: dot((0, 0), -1), "constraints = -1: expected at least 0"),
     ):
         with pytest.raises(ValueError, match=text):
@@ -423,6 +430,7 @@ def test_a_body_of_ones_own(run):
         (lambda t, q, v: [], "there is nothing to draw"),
         (lambda t, q, v: [dot(q[:2], 1)], r"has constraints = \(1,\), the system has m = 1"),
         (lambda t, q, v: [dot(q[:2] * np.nan)], "expected finite numbers"),
+        (lambda t, q, v: [dot(q.__iadd__(1)[:2])], "read-only"),
     ],
 )
 def test_bodies_that_are_none(run, body, text):
@@ -443,8 +451,8 @@ def test_arguments_that_are_wrong(run):
             dal.plot.animate(run, **options)
     with pytest.raises(ValueError, match="run is a System; expected a dalembert.Solution"):
         dal.plot.animate(run.system)
-    with pytest.raises(ValueError, match="count = 0: expected at least 1"):
-        dal.plot.snapshots(run, count=0)
+    with pytest.raises(ValueError, match="count = 1: expected at least 2"):
+        dal.plot.snapshots(run, count=1)
 
 
 def test_an_error_of_the_body_comes_out_as_it_is(run):
@@ -480,6 +488,18 @@ def test_axes_of_ones_own_stay_in_their_figure(run, tmp_path):
         assert image.size == tuple(figure.bbox.size)
 
 
+def test_the_axes_have_names_where_they_are_known(run):
+    def names(film):
+        return [x.get_text() for x in film.ax.texts]
+
+    assert names(dal.plot.animate(run)) == ["x", "y"]
+    assert names(dal.plot.animate(run, coordinates=(2, 1))) == ["theta", "y"]
+    assert names(dal.plot.animate(run, lambda t, q, v: [dot(q[1:])])) == []
+    assert names(dal.plot.animate(made("chaotic"))) == ["y", "z"]
+    assert names(dal.plot.animate(made("disk"))) == []
+    assert data_of(dal.plot.animate(run, coordinates=(2, 1)))["names"] == ["theta", "y"]
+
+
 def test_space_is_seen_from_above_with_the_near_larger():
     look = animation._Camera(np.zeros(3), 10.0)
     near, far, high = (look(np.array([x]))[0] for x in ([1.0, -2, 0], [-1.0, 2, 0], [0, 0, 1.0]))
@@ -510,7 +530,8 @@ def test_snapshots_show_the_whole_trail_and_each_outline(run):
     assert shades == sorted(shades) and shades[-1] == 1
     assert max(len(x.vertices) for piece in ax.collections for x in piece.get_paths()) >= 600
     assert ax.get_title(loc="right") == "t = 0.0 to 4.0"
-    assert dal.plot.snapshots(run, count=1, multipliers=True) is not None
+    (force,) = dal.plot.snapshots(run, count=2, multipliers=True).get_legend().get_texts()
+    assert force.get_text().startswith("reaction: length 1 is a force of ")
     table = dal.plot.snapshots(made("ball_on_table"), count=3)
     assert drawn(table, 41) == 1 + 3  # the table once, the ball three times
 

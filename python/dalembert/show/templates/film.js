@@ -70,6 +70,11 @@
       if (axis) pen.fillText(text, x(0) + 2, y(at) - 3);
       else pen.fillText(text, x(at), y(0) + 14);
     }
+    const [right, up] = data.names;
+    pen.textAlign = "right";
+    if (right) pen.fillText(right, x(w) - 4, y(0) - 4);
+    pen.textAlign = "left";
+    if (up) pen.fillText(up, x(0) + 30, y(h) + 12);
     data.ground.forEach(shape);
     for (const trail of data.trails) {
       path(trail, 0, 2 * (now * data.each + 1));
