@@ -694,7 +694,12 @@ class Animation:
             "squares": words["ground"] if scene.in_space else "",
             "curves": [
                 _curve(change, run.t, run.energy - run.energy[0]),
-                _curve("log₁₀ residual", run.t, np.log10(residual), residual_bound(run.system.n)),
+                _curve(
+                    "log₁₀ residual; roundoff is below the dashed line",
+                    run.t,
+                    np.log10(residual),
+                    residual_bound(run.system.n),
+                ),
             ],
         }
         text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
@@ -811,9 +816,9 @@ def animate(
 
     With a body of one's own, for a system of one's own:
 
-    >>> from dalembert.show.bodies import blade, circle
+    >>> draw = dal.plot.bodies
     >>> def skate(t, q, v):
-    ...     return [circle(q[:2], 0.2), blade(q[:2], q[2], 0.6, constraints=0)]
+    ...     return [draw.circle(q[:2], 0.2), draw.blade(q[:2], q[2], 0.6, constraints=0)]
     >>> film = dal.plot.animate(run, skate, fps=25, seconds=4)
     """
     fps, seconds = (

@@ -5,15 +5,17 @@ in the plane or in space.  The catalogue's systems have one each; for a system o
 write a function:
 
 >>> import dalembert as dal
->>> from dalembert.show.bodies import blade, circle, dot
+>>> draw = dal.plot.bodies
 >>> def skater(t, q, v):
 ...     x, y, theta = q
-...     return [circle((x, y), 0.3), blade((x, y), theta, 1.0, constraints=0)]
+...     return [draw.circle((x, y), 0.3), draw.blade((x, y), theta, 1.0, constraints=0)]
 >>> run = dal.integrate(dal.systems.knife_edge(), "leapfrog", h=0.02, t_end=5)
 >>> film = dal.plot.animate(run, skater)
 
 A shape with ``constraints`` is a contact: its middle leaves a trail, and the reaction of these
-constraints is drawn there.  Where no shape is one, the dots leave trails.
+constraints is drawn there.  Where no shape is one, the dots leave trails.  The bodies of the
+library are drawn to scale; what has no size in the model (a blade, a sledge around it) is as large
+as can be seen.
 """
 
 from __future__ import annotations
