@@ -341,7 +341,7 @@ def _head(points: Array, size: float) -> Array:
 
 def _draw(ax: Axes, shapes: Sequence[Shape], size: float, alpha: float = 1.0) -> list[Any]:
     """Draw shapes on axes, of each role in one piece; return what was put there."""
-    from matplotlib import collections
+    from matplotlib import collections, colors
 
     found: list[Any] = []
     for role in ROLES:
@@ -353,8 +353,10 @@ def _draw(ax: Axes, shapes: Sequence[Shape], size: float, alpha: float = 1.0) ->
             continue
         if role in _FILLS:
             colour, width = _FILLS[role]
-            colours: Any = {"facecolors": [(colour, 0.2 * alpha)], "edgecolors": [(colour, alpha)]}
-            piece: Any = collections.PolyCollection(points, linewidths=width, **colours)
+            piece: Any = collections.PolyCollection(
+                points, linewidths=width, edgecolors=colors.to_rgba(colour, alpha),
+                facecolors=colors.to_rgba(colour, 0.2 * alpha),
+            )  # fmt: skip
         else:
             if role in ARROWS:
                 points = [_head(x, HEAD * size) for x in points]
@@ -677,6 +679,7 @@ class Animation:
         roles = {shape.role for shapes in scene.frames for shape in shapes}
         said = [role for role in ARROWS if role in roles]
         change = "E − E₀" if run.system.conserves_energy else "E − E₀, no error here"
+        below = "log₁₀ residual; roundoff is below the dashed line"
         residual = np.maximum(run.residual, ZERO)
         data = {
             "size": [round(x) for x in (span * unit).tolist()],
