@@ -43,8 +43,8 @@ from .run import (
     resume,
     schemes,
 )
+from .show import animation, bodies, notebook, pages, plot, report, table
 from .show import ensembles as pictures
-from .show import notebook, pages, plot, report, table
 from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
 from .symbolic import coordinates
 from .system import System
@@ -106,6 +106,7 @@ __all__ = [
 # What objects show of themselves: below `show` nothing knows of tables and pictures.
 table.attach(Study, table.study_lines, table.of_study)
 table.attach(Studies, table.studies_lines, table.overview)
+plot.animate, plot.snapshots, plot.bodies = animation.animate, animation.snapshots, bodies
 Study.plot = Studies.plot = plot.convergence
 Embedding.plot = plot.embedded
 Ensemble.plot, Ensemble._repr_html_ = pictures.draw, pictures.page

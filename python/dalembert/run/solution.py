@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .. import core, geometry
 from ..core import Array, arguments, ffi, functions, lib, require_system
@@ -324,12 +324,16 @@ class Solution(Mapping[str, Any]):
 
     def _inputs_of_rows(self) -> Array:
         """Return the inputs that begin, or go on, at each stored state."""
-        assert self.inputs is not None
-        if len(self.inputs) == 0:
-            return np.zeros((len(self.x), len(self.system.inputs)))
         steps = np.arange(len(self.x)) * self.stride
         if self.times is not None:
             steps = np.floor((self.times - self.t0) / self.h + 1e-9).astype(int)
+        return self._inputs_at(steps)
+
+    def _inputs_at(self, steps: NDArray[np.int_]) -> Array:
+        """Return the inputs over steps of these numbers."""
+        assert self.inputs is not None
+        if len(self.inputs) == 0:
+            return np.zeros((len(steps), len(self.system.inputs)))
         return self.inputs[np.minimum(steps // self.hold, len(self.inputs) - 1)]
 
     def _once(self, name: str, compute: Callable[[], Array]) -> Array:
