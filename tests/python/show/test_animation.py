@@ -336,6 +336,8 @@ def test_rows_of_t_eval_are_drawn_with_their_own_times():
     np.testing.assert_allclose(film._scene.frames[4][1].middle,
                                shapes_of(run, run.q[3], run.v[3])[1].middle)  # fmt: skip
     assert film.frame(1.2).get_title(loc="right") == film._format.format(2.0)
+    back = made("sleigh", h=-0.02, t_end=-4, t_eval=[-x for x in t])
+    np.testing.assert_array_equal(dal.plot.animate(back, fps=9, seconds=1).t, -film.t)
 
 
 def test_resets_and_the_end_by_an_event_are_not_interpolated_across():
