@@ -1,6 +1,6 @@
 """The code of a page runs, and prints what the page says.
 
-Usage: ``python check_blocks.py PAGE.md...``
+Usage: ``python check_blocks.py [--pictures] PAGE.md...``
 
 The blocks of a Markdown page run in their order, in a folder of their own:
 
@@ -14,6 +14,8 @@ The blocks of a Markdown page run in their order, in a folder of their own:
   line, which is that of the exception.
 - ``sh`` and others: not run; what a reader types once, to install something.
 
+With ``--pictures`` the PNG files that the blocks of a page write replace those beside the page.
+
 Words are compared exactly, numbers that are not whole to two parts in a hundred, those below 1e-11,
 which are roundoff, not at all.  ``...`` stands for the rest of a line; alone, for any lines.
 """
@@ -26,6 +28,7 @@ import linecache
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -205,13 +208,16 @@ def put_in_path(folder: Path) -> None:
 
 def main(*pages: str) -> None:
     os.environ.setdefault("MPLBACKEND", "Agg")
-    for page in map(Path, pages):
+    takes_pictures = pages[:1] == ("--pictures",)
+    for page in map(Path, pages[takes_pictures:]):
         text, here = page.read_text(encoding="utf-8"), Path.cwd()
         with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as commands:
             put_in_path(Path(commands))
             os.chdir(folder)
             ran = Page(page.name).run(text)
             os.chdir(here)
+            for picture in Path(folder).glob("*.png") if takes_pictures else ():
+                shutil.copy(picture, page.parent)
         print(f"{page}: {ran} blocks ran")
 
 

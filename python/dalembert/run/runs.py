@@ -17,6 +17,7 @@ from .events import Watch, split
 from .solution import Solution, Statistics
 
 OFF_D = "; consistent='project' would project v0"
+RESET_OFF_D = "; consistent='project' of the event would project v"
 PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
 
 
@@ -133,6 +134,7 @@ class Run:
                 self.journal.close(run, saves=interrupted)
         if self.status < 0:
             message = core.words(self.stepper, self.system.kind)
+            message += RESET_OFF_D if self.status == lib.DAL_EOFFD else ""
             t = lib.dal_stepper_time(self.stepper)
             self.error = core.failure(self.status, message, step=int(run.done), t=t)
 
