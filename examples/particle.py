@@ -1,13 +1,18 @@
-"""The free particle with a nonholonomic constraint, by the midpoint scheme.
+"""
+The nonholonomic particle
+=========================
+
+A free particle in space with one velocity constraint, by the midpoint scheme::
 
     L = (v_x^2 + v_y^2 + v_z^2)/2,   v_z = y v_x,   that is mu(q) = (-y, 0, 1)
     q = (0, 1, 0), v = (1, 1, 1) at t = 0;  h = 0.01, 1000 steps
 
-Prints the end point beside the exact one, the band in which the energy stays, and how well the
-constraint is kept: the largest |mu v| / sum |mu_i v_i|.
-
-    python particle.py
+``python particle.py [PICTURE.png]`` prints the end point beside the exact one, the band in which
+the energy stays, and how well the constraint is kept: the largest ``|mu v| / sum |mu_i v_i|``.
+``examples/particle.c`` prints the same in C.
 """
+
+import sys
 
 import dalembert as dal
 
@@ -21,3 +26,10 @@ print("q(10)  ", *(f"{x:.9f}" for x in run.q[-1]))
 print("exact  ", *(f"{x:.9f}" for x in exact))
 print(f"energy  from {run.energy.min():.12f} to {run.energy.max():.12f}")
 print(f"largest |mu v| / sum |mu_i v_i| {run.residual.max():.1e}")
+
+# %%
+# How far D is missed stays at roundoff:
+
+ax = dal.plot.drift(run)
+if len(sys.argv) > 1:
+    ax.figure.savefig(sys.argv[1], dpi=110)

@@ -144,8 +144,8 @@ typedef enum dal_missing {
     DAL_MISSING_L_VV = 32, /* the same, and the metric of projections */
     DAL_MISSING_F_Q = 64,  /* costs Newton's speed only */
     DAL_MISSING_F_V = 128, /* costs Newton's speed only */
-    DAL_MISSING_PHI_T = 256, /* as phi_q, and for functions that vary over 1 or more in t; so the */
-    DAL_MISSING_L_VT = 512   /* next */
+    DAL_MISSING_PHI_T = 256, /* as phi_q, and for functions that vary over 1 or more in t */
+    DAL_MISSING_L_VT = 512   /* the same */
 } dal_missing;
 
 struct dal_compiled; /* dalembert/kernel.h */
@@ -171,9 +171,9 @@ typedef enum dal_steady {
 typedef struct dal_system_def {
     size_t n;                       /* number of coordinates, n >= 1 */
     size_t m;                       /* number of constraints, 0 <= m < n */
-    const double *mass;             /* M[n*n], constant, symmetric, positive definite; or NULL: */
-    const double *masses;           /* [n] of a diagonal M, instead of mass; or NULL: */
-    dal_lagrangian_fn lagrangian;   /* instead of mass and potential, else NULL */
+    const double *mass;             /* M[n*n], constant, symmetric, positive definite; or NULL */
+    const double *masses;           /* [n] of a diagonal M, instead of mass; or NULL */
+    dal_lagrangian_fn lagrangian;   /* instead of mass and potential; or NULL */
     dal_potential_fn potential;     /* or NULL: V = 0 */
     dal_constraint_fn constraint;   /* NULL if and only if m = 0 */
     dal_constraint_kind kind;
@@ -187,7 +187,7 @@ typedef struct dal_system_def {
     size_t inputs;                  /* of the force: motors, steering, ... */
     unsigned missing;               /* sum of dal_missing */
     void *ctx;
-    const char *name;               /* or NULL: "system"; what follows may all be left out */
+    const char *name;               /* or NULL: "system".  What follows may all be left out */
     const char *help;               /* one line */
     const char *description;        /* some sentences: what coordinates and parameters are */
     const char *source;             /* where it is from, in the literature */
@@ -238,6 +238,7 @@ DAL_API size_t dal_builtin_count(void);
 DAL_API const char *dal_builtin_name(size_t i);
 DAL_API const char *dal_builtin_help(size_t i);
 
+/* n and m; the sum of dal_missing; its name, and one line about it. */
 DAL_API size_t dal_system_n(const dal_system *system);
 DAL_API size_t dal_system_m(const dal_system *system);
 DAL_API unsigned dal_system_missing(const dal_system *system);
@@ -500,8 +501,9 @@ typedef struct dal_run {
     size_t done;            /* steps made */
     size_t stored;          /* rows of x that are valid */
     size_t timed;           /* rows of at that are valid */
-    int ended;              /* 1: a terminal event has ended the run at t_end; the state there is */
-    double t_end;           /* the last row of x, the stepper stands before the step */
+    int ended;              /* 1: a terminal event has ended the run: the state there is the last
+                               row of x, and the stepper stands before the step */
+    double t_end;           /* when it did */
 } dal_run;
 
 /* At most budget steps more of the run: so the caller can look at clocks and signals in between.

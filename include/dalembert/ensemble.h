@@ -19,21 +19,24 @@ extern "C" {
  * numbers apart; next = 0: the first row is that of all of them. */
 typedef struct dal_members {
     size_t count;
-    const double *x;            /* [2n] initial data; NULL: those of the system by default, with */
-    size_t x_next;              /* the parameters of the member */
+    const double *x;            /* [2n] initial data; NULL: those of the system by default, with
+                                   the parameters of the member */
+    size_t x_next;
     const void *parameters;     /* [dal_system_parameter_size] bytes; NULL: those of the system */
     size_t parameters_next;     /* in bytes */
     const double *h;            /* [1] */
     size_t h_next;
-    const size_t *steps;        /* [1], multiples of stride, if that is not 0, and then all the */
-    size_t steps_next;          /* same */
+    const size_t *steps;        /* [1], multiples of stride, if that is not 0, and then all the
+                                   same */
+    size_t steps_next;
     const double *inputs;       /* [ceil(steps/hold)*inputs] as of a dal_run; NULL: 0 */
     size_t inputs_next, hold;
     double t0;
     dal_consistency consistency;
     dal_initial initial;
-    const dal_event *events;    /* [event_count] or NULL; a ctx that is NULL is that of the */
-    size_t event_count;         /* member's system: its parameters */
+    const dal_event *events;    /* [event_count] or NULL; a ctx that is NULL is that of the
+                                   member's system: its parameters */
+    size_t event_count;
     int lanes;                  /* 1: several members are stepped at once by vector instructions,
                                    where the system was compiled for it and there are neither
                                    events nor inputs.  A member then does not depend on the others

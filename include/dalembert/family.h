@@ -52,6 +52,7 @@ typedef struct dal_family {
     int no_reaction;           /* 1: its steps have no multiplier; reactions are NaN */
 } dal_family;
 
+/* What save returns where steps cannot be resumed. */
 #define DAL_NOT_RESUMABLE ((size_t)-1)
 
 #endif /* DALEMBERT_FAMILY_H */

@@ -61,6 +61,7 @@ DAL_API int dal_system_check(const dal_system *system, double t, const double *x
 /* Mechanics on D: a system with the workspace to evaluate it. */
 typedef struct dal_mechanics dal_mechanics;
 
+/* DAL_EINVAL, DAL_ENOMEM.  To free NULL is allowed. */
 DAL_API int dal_mechanics_new(dal_mechanics **mechanics, const dal_system *system,
                               dal_error *error);
 DAL_API void dal_mechanics_free(dal_mechanics *mechanics);
@@ -172,6 +173,7 @@ DAL_API int dal_trajectory(dal_mechanics *mechanics, double t0, double h, double
  * DAL_EDOMAIN; DAL_ESINGULAR where B is singular; for nonlinear constraints DAL_ENOCONV. */
 typedef struct dal_chart dal_chart;
 
+/* DAL_EINVAL, DAL_ENOMEM.  To free NULL is allowed. */
 DAL_API int dal_chart_new(dal_chart **chart, const dal_system *system, dal_error *error);
 DAL_API void dal_chart_free(dal_chart *chart);
 /* What the last failure was, with the numbers, or the last change that dal_chart_renew made; "" if

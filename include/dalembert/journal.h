@@ -40,9 +40,9 @@ typedef enum dal_record_kind {
     DAL_RECORD_END = 2,   /* the same of the row at t_end, where a terminal event has ended the run,
                              also of one that stores no rows */
     DAL_RECORD_TIME = 3,  /* the state at times[number]: t, x */
-    DAL_RECORD_EVENT = 4, /* event `number` of the list: t, x; after a reset led elsewhere: */
-    DAL_RECORD_RESET = 5, /* that event: t, x; the record that follows has the state after it: */
-    DAL_RECORD_AFTER = 6
+    DAL_RECORD_EVENT = 4, /* event `number` of the list: t, x */
+    DAL_RECORD_RESET = 5, /* the same of one whose reset led elsewhere */
+    DAL_RECORD_AFTER = 6  /* the state after that reset: the record that follows */
 } dal_record_kind;
 
 /* Of `size` bytes in the file: a checksum and the kind, of 4 bytes each; number and step, of 8; t;
@@ -97,6 +97,7 @@ DAL_API int dal_journal_save(dal_run *run);
 /* Writes what is left.  NULL is allowed. */
 DAL_API void dal_journal_free(dal_journal *journal);
 
+/* *info <- what the journal is of. */
 DAL_API void dal_journal_describe(const dal_journal *journal, dal_journal_info *info);
 
 /* Why the file is no longer written; status 0 if it is. */

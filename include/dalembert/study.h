@@ -52,8 +52,8 @@ typedef struct dal_order {
     dal_fit reaction;     /* slope - 1 is s of (p, s), as in the paper; over the finer half of the
                              steps, because its h^2 term is there at any order */
     dal_fit midpoint;     /* slope of the reaction at the middle of the step, minus 1 */
-    dal_fit global_q, global_v, global_multipliers; /* slopes at t_end, */
-    dal_fit global_state;                           /* and of the larger error of q and v */
+    dal_fit global_q, global_v, global_multipliers; /* slopes at t_end */
+    dal_fit global_state;                           /* that of the larger error of q and v */
     double p, s;          /* state.slope - 1, reaction.slope - 1 (firstorder, secondorder) */
     double floor;         /* of the errors at t_end: those below 100 floor do not count; it is
                              higher for runs of many sub-steps, and lower for one-step errors */

@@ -103,7 +103,7 @@ class Regularity(NamedTuple):
     sign : int
         Of the determinant; 0 where it vanishes to working precision.
     logarithm : float
-        log |determinant|, -inf where it vanishes.
+        log ``|determinant|``, -inf where it vanishes.
     condition : float
         Of the matrix with its first n columns multiplied by h; inf where the determinant vanishes.
     """

@@ -117,7 +117,7 @@ class Check:
         Growth vector of D: dimensions of D, D + [D, D], ...  At q, if q was given; else at a
         general point near the initial data.
         Its end is n if D is bracket generating; n - k, twice, if there are k holonomic constraints
-        in disguise; for anything else see `growth_note`.  None if it is not known, or the
+        in disguise; for anything else see ``growth_note``.  None if it is not known, or the
         constraints are not linear.
     general_growth : tuple of int or None
         At a general point, the largest of some that are looked at, most of them near the state;

@@ -248,12 +248,12 @@ def residual(
 def relative_residual(
     system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0, t: ArrayLike = 0.0
 ) -> Any:
-    """Return max_a |phi^a| / (|mu^a| |v| + |phi^a - mu^a v|) at (q - shift v, v).
+    """Return ``max_a |phi^a| / (|mu^a| |v| + |phi^a - mu^a v|)`` at (q - shift v, v).
 
-    Here |mu^a| = sum_i |mu^a_i| d_i and |v| = max_j |v_j| / d_j with d_i = sqrt((M^-1)_ii), which
-    is the largest |v_i| of a velocity with v^T M v = 1; phi^a - mu^a v is 0 for linear constraints.
-    It does not change when forms or coordinates are rescaled; on D it is at the level of roundoff,
-    at most 4 n 2^-53 at what a run stores.
+    Here ``|mu^a| = sum_i |mu^a_i| d_i`` and ``|v| = max_j |v_j| / d_j`` with ``d_i =
+    sqrt((M^-1)_ii)``, which is the largest ``|v_i|`` of a velocity with ``v^T M v = 1``; ``phi^a -
+    mu^a v`` is 0 for linear constraints.  It does not change when forms or coordinates are
+    rescaled; on D it is at the level of roundoff, at most ``4 n 2^-53`` at what a run stores.
 
     Parameters
     ----------

@@ -101,7 +101,7 @@ def convergence(
         scheme's own multipliers.  The order in the legend is that of the
         scheme, slope - 1 of the latter two.
     styles : mapping of scheme names to properties of a line, optional
-        See `styles`.
+        See `dalembert.plot.styles`.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def drift(
     ax : two matplotlib axes, optional
         For D and for D_eps.
     styles : mapping of scheme names to properties of a line, optional
-        See `styles`.
+        See `dalembert.plot.styles`.
 
     Returns
     -------
@@ -239,7 +239,7 @@ def energy(
     solution : Solution or sequence of Solution
     ax : matplotlib axes, optional
     styles : mapping of scheme names to properties of a line, optional
-        See `styles`.
+        See `dalembert.plot.styles`.
 
     Raises
     ------
@@ -328,7 +328,7 @@ def perturbation(
     hs: Sequence[float] | None = None,
     z: ArrayLike | None = None,
 ) -> Axes:
-    """Draw the largest component of |g| over tau for several h.
+    """Draw the largest component of ``|g|`` over tau for several h.
 
     With the order of the scheme the curves nearly lie on each other; with one more they double as
     h is halved.  A thin horizontal line is the noise of the curve of the same style, below which
@@ -384,7 +384,7 @@ def embedded(
     z: ArrayLike | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw |g| over tau for several h, as `perturbation`: the method ``plot`` of an Embedding."""
+    """Draw ``|g|`` over tau for several h, see `dalembert.plot.perturbation`."""
     return perturbation(self, ax, hs=hs, z=z)
 
 

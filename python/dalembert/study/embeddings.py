@@ -41,8 +41,8 @@ CLEAR = 100  # as many times g stands above its noise, if it is meaningful
 class Embedding(core.Constant):
     """A scheme with the step h as the time-h map of xidot = f(xi) + h^p g(t/h, xi).
 
-    `embedding` makes it.  What the methods take as ``z`` and return are coordinates xi of `chart`,
-    (q, v of the independent coordinates), shape (2n-m,); where ``z`` is left out it is `start`.
+    `embedding` makes it.  What the methods take as ``z`` and return are coordinates xi of ``chart``,
+    (q, v of the independent coordinates), shape (2n-m,); where ``z`` is left out it is ``start``.
     Phi is the scheme, F the flow of the ODE on D, and tau = t/h the time in units of the period.
     Of kept nodes the map of moved nodes is embedded, which is theirs seen from (q - (1-beta) h v,
     v).
@@ -164,7 +164,7 @@ class Embedding(core.Constant):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates xi: those of q, and v_ with those that are independent."""
+        """Names of the coordinates xi: those of q, and ``v_`` with those that are independent."""
         return (*self.system.coordinates, *(f"v_{name}" for name in self.chart.independent))
 
     @property
@@ -422,7 +422,7 @@ class Embedding(core.Constant):
     # ---- how large g is --------------------------------------------------------------------
 
     def bound(self, z: ArrayLike | None = None) -> float:
-        """Return the largest component of |g(tau, z)| over a period.
+        """Return the largest component of ``|g(tau, z)|`` over a period.
 
         Parameters
         ----------
@@ -451,7 +451,7 @@ class Embedding(core.Constant):
         return float(np.abs(self.g(TAUS, self._point(z, "z"))).max())
 
     def meaningful(self, z: ArrayLike | None = None) -> bool:
-        """Return whether |g| is at least 100 times as large as its noise somewhere in a period.
+        """Return whether ``|g|`` is at least 100 times as large as its noise somewhere in a period.
 
         Where it is not, say for p = 4 and small h, g says nothing.
 
@@ -478,7 +478,7 @@ class Embedding(core.Constant):
         return self.bound(z) > CLEAR * self.noise
 
     def measured_order(self, hs: Sequence[float] | None = None, z: ArrayLike | None = None) -> Fit:
-        """Return the order of the scheme as the slope of h^p |g| over h, log-log.
+        """Return the order of the scheme as the slope of ``h^p |g|`` over h, log-log.
 
         It does not depend on the p with which g is made.
 

@@ -115,7 +115,7 @@ class Study:
         Worst relative residual of D and of D_eps over the run; the latter is NaN for a scheme
         with several sub-steps, which has no D_eps.
     energy_error : ndarray
-        max |E - E0| / max(|E0|, 1) over the run.
+        ``max |E - E0| / max(|E0|, 1)`` over the run.
     failed : ndarray of int
         Status of each run, 0 if it went through.
     fits : dict of str to Fit

@@ -151,7 +151,7 @@ class System(Handle):
 
     Notes
     -----
-    Derivatives that are not given are replaced by central differences, see `differenced`.  Where
+    Derivatives that are not given are replaced by central differences, see ``differenced``.  Where
     ``gradient``, ``lagrangian_vq``, ``lagrangian_vv``, ``lagrangian_vt`` or that of the constraints
     by q or t is missing, accelerations and multipliers are good to about 1e-12; the others cost
     Newton's speed only.
@@ -346,7 +346,7 @@ class System(Handle):
             The Lagrangian.  If it is v^T M v / 2 - V(q) with a constant M, the fast step routine is
             used.
         constraints : sequence, optional
-            What vanishes, or an ``Eq``; linear, affine or nonlinear in the velocities, see `kind`.
+            What vanishes, or an ``Eq``; linear, affine or nonlinear in the velocities, see ``kind``.
             A list of n coefficients, and a row of a matrix, is a one-form mu(q).  The time in L and
             here is `dalembert.time`, or ``dynamicsymbols._t`` beside dynamicsymbols.
         coordinates : sequence, optional
@@ -361,7 +361,7 @@ class System(Handle):
             coordinates, velocities, the inputs and the time.
         inputs : sequence, optional
             Symbols or dynamicsymbols of the force that a run changes from step to step, as torques
-            of motors; they become `System.inputs` by their names.
+            of motors; they become ``System.inputs`` by their names.
         name, help, description, source : str, optional
             As of `System`.
         q0, v0 : sequence, optional
@@ -826,7 +826,7 @@ class System(Handle):
             ``g_v(q, v) -> (m, n)``: entry [a, i] is dg^a/dv_i.
         g_q : callable, optional
             ``g_q(q, v) -> (m, n)``: entry [a, j] is dg^a/dq_j.  None: d(phi + delta g)/dq is
-            replaced by central differences, see `differenced`.
+            replaced by central differences, see ``differenced``.
         g_t : callable, optional
             Of a system that depends on time: ``g_t(t, q, v) -> (m,)``: dg^a/dt, or differences; the
             others take t first, too.
