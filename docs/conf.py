@@ -85,6 +85,7 @@ sphinx_gallery_conf = {
     "backreferences_dir": None,
     "abort_on_example_error": True,
     "download_all_examples": False,
+    "write_computation_times": False,
     "notebook_extensions": [],
     "show_memory": False,
     "show_signature": False,
@@ -116,6 +117,6 @@ html_theme_options = {
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
-html_sidebars = {"index": [], "evidence": [], "catalogue/index": []}
+html_sidebars = {"index": [], "catalogue/index": []}
 copybutton_prompt_text = r"\$ |>>> |\.\.\. "
 copybutton_prompt_is_regexp = True

@@ -22,7 +22,7 @@ import dalembert
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs" / "extensions"))
 import comments  # noqa: E402
 
-ELSEWHERE = {"arxiv.org", "doi.org"}
+ELSEWHERE = {"arxiv.org", "doi.org", "github.com"}
 LOADS = {"script": "src", "img": "src", "link": "href", "source": "src", "iframe": "src"}
 MODULES = ("plot", "report", "pages", "systems")  # whose __all__ is public too
 

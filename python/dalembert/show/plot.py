@@ -300,7 +300,7 @@ def path(
     >>> dal.plot.path(run).get_xlabel()
     "x (user's units)"
     """
-    _require(solution, "solution", Solution)
+    require_kind(solution, "solution", Solution)
     n = solution.system.n
     try:
         i, j = map(operator.index, coordinates)
@@ -357,7 +357,7 @@ def perturbation(
     >>> dal.plot.perturbation(midpoint).get_xlabel()
     'time in units of the period, tau = t/h'
     """
-    _require(embedding, "embedding", Embedding)
+    require_kind(embedding, "embedding", Embedding)
     ax = axes_for(ax)
     steps = [embedding.h / 2**k for k in range(3)] if hs is None else list(hs)
     if not steps:
@@ -474,11 +474,11 @@ def _several(item: Any, what: str, kind: type) -> list[Any]:
     if not items:
         raise ValueError(f"{what} is empty; expected at least one")
     for one in items:
-        _require(one, what, kind, " or several")
+        require_kind(one, what, kind, " or several")
     return items
 
 
-def _require(item: Any, what: str, kind: type, more: str = "") -> None:
+def require_kind(item: Any, what: str, kind: type, more: str = "") -> None:
     if not isinstance(item, kind):
         package = kind.__module__.partition(".")[0]
         raise ValueError(
@@ -500,7 +500,7 @@ def axes_for(ax: Axes | None) -> Axes:
     """Return axes for a picture: as given, or new ones."""
     if ax is None:
         ax = _subplots()
-    _require(ax, "ax", extras.require("matplotlib.axes", "a picture").Axes)
+    require_kind(ax, "ax", extras.require("matplotlib.axes", "a picture").Axes)
     return ax
 
 

@@ -16,7 +16,7 @@ from matplotlib.colors import to_hex  # noqa: E402
 from PIL import Image  # noqa: E402
 
 import dalembert as dal  # noqa: E402
-from dalembert.show import animation, bodies  # noqa: E402
+from dalembert.show import animation, bodies, film_page, scene  # noqa: E402
 from dalembert.show.bodies import Shape, arrow, blade, circle, dot, line, polygon  # noqa: E402
 
 EVERY = (*dal.systems.names(), *dal.systems.names_in_sympy())
@@ -202,8 +202,8 @@ def test_the_reactions_move_the_whole(name):
 
 def reactions(run, state, t, scale):
     x = np.concatenate([state.q, state.v])
-    force = animation._forces(run, np.array([t]), x[None], (0, 1))[0]
-    return animation._arrows(bodies.of(run)(float(t), state.q, state.v), force, scale)
+    force = scene.forces_at(run, np.array([t]), x[None], (0, 1))[0]
+    return scene.arrows(bodies.of(run)(float(t), state.q, state.v), force, scale)
 
 
 def mu_of(system, q, k):
@@ -338,6 +338,16 @@ def test_rows_of_t_eval_are_drawn_with_their_own_times():
     assert film.frame(1.2).get_title(loc="right") == film._format.format(2.0)
     back = made("sleigh", h=-0.02, t_end=-4, t_eval=[-x for x in t])
     np.testing.assert_array_equal(dal.plot.animate(back, fps=9, seconds=1).t, -film.t)
+
+
+def test_snapshots_are_shown_by_pyplot_and_films_are_not():
+    run, plt = made("sleigh"), matplotlib.pyplot
+    plt.close("all")
+    dal.plot.animate(run)
+    assert plt.get_fignums() == []
+    ax = dal.plot.snapshots(run)
+    assert plt.gcf() is ax.figure
+    plt.close("all")
 
 
 def test_resets_and_the_end_by_an_event_are_not_interpolated_across():
@@ -503,7 +513,7 @@ def test_the_axes_have_names_where_they_are_known(run):
 
 
 def test_space_is_seen_from_above_with_the_near_larger():
-    look = animation._Camera(np.zeros(3), 10.0)
+    look = scene.Camera(np.zeros(3), 10.0)
     near, far, high = (look(np.array([x]))[0] for x in ([1.0, -2, 0], [-1.0, 2, 0], [0, 0, 1.0]))
     assert near[1] < 0 < far[1] and high[1] > 0 == high[0]
     assert np.hypot(*near) > np.hypot(*far)
@@ -671,11 +681,11 @@ def test_long_curves_are_thinned_to_what_they_reach(run):
     t = np.arange(100_000.0)
     y = np.sin(t)
     y[77_777] = 9.0
-    points = np.array(animation._curve("E", t, y)["points"])
+    points = np.array(film_page._curve("E", t, y)["points"])
     assert len(points) <= 400 and points[:, 1].max() == 9.0
     assert [77_777.0, 9.0] in points.tolist()
     assert (np.diff(points[:, 0]) > 0).all()
-    holes = animation._curve("E", t[:3], np.array([1.0, np.nan, 2.0]))["points"]
+    holes = film_page._curve("E", t[:3], np.array([1.0, np.nan, 2.0]))["points"]
     assert holes == [[0.0, 1.0], [2.0, 2.0]]
 
 

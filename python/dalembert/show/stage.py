@@ -1,0 +1,161 @@
+"""A film on the axes of Matplotlib: the ground, shapes, trails and what the arrows are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..core import Array, extras
+from . import web
+from .bodies import ROLES, Shape
+from .plot import COLOURS, Axes, axes_for, plain
+from .scene import Scene
+
+ARROWS = ("velocity", "reaction")
+HEAD = 0.035  # of an arrow, in sizes of the picture
+
+_BLUE, _ORANGE, _GREEN, _PINK = COLOURS[:4]
+_LINES: dict[str, dict[str, Any]] = {
+    "ground": {"color": "0.82", "linewidth": 0.8},
+    "bar": {"color": "0.25", "linewidth": 1.6},
+    "blade": {"color": _ORANGE, "linewidth": 3.6, "capstyle": "butt"},
+    "dot": {"color": "0.1", "marker": "o", "markersize": 4, "linestyle": "none"},
+    "velocity": {"color": _BLUE, "linewidth": 1.6},
+    "reaction": {"color": _PINK, "linewidth": 2.0},
+}
+_FILLS = {"plane": (_GREEN, 0.8), "body": (_BLUE, 1.4)}  # the colour, and the width of the edge
+
+
+def arrow(points: Array, size: float) -> Array:
+    """Return an arrow as one line: shaft, and head of this size, or less for a short arrow."""
+    tail, tip = points
+    along = tip - tail
+    length = float(np.hypot(*along))
+    if length == 0:
+        return points
+    back = along / length * min(size, 0.5 * length)
+    side = 0.5 * np.array([-back[1], back[0]])
+    return np.array([tail, tip, tip - back + side, tip, tip - back - side])
+
+
+def draw(ax: Axes, shapes: Sequence[Shape], size: float, alpha: float = 1.0) -> list[Any]:
+    """Draw shapes on axes, of each role in one piece; return what was put there."""
+    from matplotlib import collections, colors
+
+    found: list[Any] = []
+    for role in ROLES:
+        points = [shape.points for shape in shapes if shape.role == role]
+        if not points:
+            continue
+        if role == "dot":
+            found += ax.plot(*np.concatenate(points).T, alpha=alpha, **_LINES[role])
+            continue
+        if role in _FILLS:
+            colour, width = _FILLS[role]
+            piece: Any = collections.PolyCollection(
+                points, linewidths=width, edgecolors=colors.to_rgba(colour, alpha),
+                facecolors=colors.to_rgba(colour, 0.2 * alpha),
+            )  # fmt: skip
+        else:
+            if role in ARROWS:
+                points = [arrow(x, HEAD * size) for x in points]
+            piece = collections.LineCollection(points, alpha=alpha, **_LINES[role])
+        piece.set_zorder(2)
+        found.append(ax.add_collection(piece, autolim=False))
+    return found
+
+
+def draw_trails(ax: Axes, trails: Sequence[Array]) -> list[Any]:
+    from matplotlib.collections import LineCollection
+
+    lines = LineCollection(trails, color=_BLUE, linewidth=1.1, alpha=0.75, zorder=2)
+    return [ax.add_collection(lines, autolim=False)]
+
+
+def stage(scene: Scene, ax: Axes | None, *, shown: bool = False) -> Axes:
+    """Return axes with limits and ground: those given, or some of a figure of their own.
+
+    It is ``shown`` by pyplot, and by notebooks, if its axes are what the user gets.
+    """
+    limits = scene.limits
+    span = limits[1] - limits[0]
+    if ax is None:
+        width, margin, top, bottom = 4.8, 0.42, 0.3, 0.55
+        if scene.in_space:
+            margin, bottom = 0.1, 0.35
+        inner = width - 2 * margin
+        high = float(np.clip(inner * span[1] / span[0], 1.8, 4.6))
+        height = round((high + top + bottom) * 50) / 50  # an even number of pixels
+        high = height - top - bottom
+        # The colours of a film are for a white ground, whatever the user's style is.
+        with extras.require("matplotlib.style", "a film").context("default"):
+            if shown:
+                figure = extras.require("matplotlib.pyplot", "a picture").figure(
+                    figsize=(width, height)
+                )
+            else:
+                figure = web.figure(width, height, layout=None)
+            ax = figure.add_axes((margin / width, bottom / height, inner / width, high / height))
+        # The axes fill their place: more is seen above and below, or at the sides.
+        box = np.array([inner, high])
+        limits = limits.mean(axis=0) + np.outer([-0.5, 0.5], box * (span / box).max())
+    ax = axes_for(ax)
+    ax.set(xlim=limits[:, 0], ylim=limits[:, 1], autoscale_on=False)
+    ax.set_aspect("equal", adjustable="box")
+    ax.set_title(plain(scene.run.system.name), loc="left", fontsize="medium")
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+    ax.tick_params(length=0, labelsize="small", labelcolor="0.45")
+    if scene.in_space:
+        ax.set(xticks=[], yticks=[])
+    else:
+        from matplotlib.ticker import MultipleLocator
+
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.set_major_locator(MultipleLocator(scene.grid))
+        ax.grid(color="0.92", linewidth=0.8)
+        ax.set_axisbelow(True)
+        for name, (x, y) in zip(scene.names, ((0.99, 0.01), (0.01, 0.99))):
+            where = {"ha": "right", "va": "bottom"} if x > y else {"ha": "left", "va": "top"}
+            ax.text(
+                x, y, plain(name), transform=ax.transAxes, color="0.45", fontsize="small", **where
+            )
+    draw(ax, scene.ground, float(span.max()))
+    _key(scene, ax)
+    return ax
+
+
+def _key(scene: Scene, ax: Axes) -> None:
+    """Say below what the arrows are."""
+    roles = {shape.role for shapes in scene.frames for shape in shapes}
+    words = words_of(scene)
+    entries = [
+        (ax.plot([], [], **_LINES[role])[0], words[role]) for role in ARROWS if role in roles
+    ]
+    if scene.in_space:
+        entries.append((ax.plot([], [], **_LINES["ground"])[0], words["ground"]))
+    if entries:
+        below = (
+            0.0 if scene.in_space else -0.18 / ax.get_position().height / ax.figure.get_figheight()
+        )
+        ax.legend(
+            *zip(*entries), loc="upper center", bbox_to_anchor=(0.5, below), ncols=3,
+            frameon=False, fontsize="small", labelcolor=ax.title.get_color(),
+            handlelength=1.2, columnspacing=1.2, borderaxespad=0.2,
+        )  # fmt: skip
+
+
+def words_of(scene: Scene) -> dict[str, str]:
+    """What the legend says."""
+    force = f"reaction: length 1 is a force of {scene.scale or 0:g}"
+    return {"velocity": "velocity", "reaction": force, "ground": f"squares of {scene.grid:g}"}
+
+
+def clock(t: Array) -> str:
+    """Return the format of the time: with digits to tell frames apart, and no more than 6."""
+    gap = float(np.abs(np.diff(t)).min()) if len(t) > 1 else 0.0
+    digits = min(max(1, math.ceil(-math.log10(gap))), 6) if gap > 0 else 2
+    return f"t = {{:.{digits}f}}"
