@@ -1,13 +1,21 @@
-"""A sleigh in a box: its blade keeps it from slipping sideways, the walls throw it back.
+"""
+A sleigh in a box
+=================
 
-At a wall an impulse acts on the runner, along the wall's normal and across the blade, so that the
-velocity after it lies in D again: it is the one before it, with the part towards the wall reversed,
-as far as D allows.  Both are solved for in the metric of the mass, so that the energy is kept.
+The blade of a sleigh keeps it from slipping sideways, and the walls of a box throw it back: events
+with resets.
 
-Prints the walls in the order in which they were hit, how exactly the sleigh touches them, and what
-is kept: D to roundoff, and the energy, which neither blade nor walls change.
+On the runner acts the blade's constraint; the box stands on an incline, x downhill::
 
-    python bouncing_sleigh.py [PICTURE.png]
+    sin(theta) v_x - cos(theta) v_y = 0
+
+At a wall an impulse acts along the wall's normal and across the blade, so that the velocity after
+it lies in D again: it is the one before it, with the part towards the wall reversed, as far as D
+allows.  Both are solved for in the metric of the mass, so that the energy is kept.
+
+``python bouncing_sleigh.py [PICTURE.png]`` prints the walls in the order in which they were hit,
+how exactly the sleigh touches them, and what is kept: D to roundoff, and the energy, which neither
+blade nor walls change.
 """
 
 import sys
@@ -15,10 +23,18 @@ import sys
 import numpy as np
 
 import dalembert as dal
+from dalembert.show.plot import COLOURS
 
 system = dal.systems.knife_edge(gs=0.25)
 M = system.mass
 walls = {"left": (0, -1.0), "right": (0, 1.0), "bottom": (1, -1.0), "top": (1, 1.0)}
+
+# %%
+# What a wall does
+# ----------------
+# A reset takes the state in which a wall is met and returns the one that the run goes on with.
+# The normal of the wall is a covector; what is left of it in D, orthogonal in the metric M, is the
+# direction of the impulse.  A state that were not in D would be refused.
 
 
 def bounce(coordinate):
@@ -41,9 +57,15 @@ def event(coordinate, at):
     )  # fmt: skip
 
 
+# %%
+# The run
+# -------
+# The instant of a bounce is found by steps of the scheme itself, so the sleigh is at its wall to
+# roundoff, and in D.
+
 start = [0.0, 0.0, 0.2], [1.5 * np.cos(0.2), 1.5 * np.sin(0.2), 0.7]
-given = {"h": 0.02, "t_end": 20.0, "events": [event(*wall) for wall in walls.values()]}
-run = dal.integrate(system, "leapfrog-kl6", *start, **given)
+given = {"h": 0.02, "events": [event(*wall) for wall in walls.values()]}
+run = dal.integrate(system, "leapfrog-kl6", *start, t_end=20.0, **given)
 hits = sorted((t, name) for name, times in zip(walls, run.t_events) for t in times)
 print("walls:", " ".join(name for _, name in hits))
 touch = max(
@@ -61,17 +83,35 @@ if not (len(hits) > 5 and touch < 1e-12 and run.residual.max() < 1e-14 and drift
 if abs(run.q[:, :2]).max() > 1.0 + 1e-12:
     sys.exit("the sleigh was expected to stay in the box")
 
+# %%
+# The motion
+# ----------
+# What is drawn of a state is a function of one's own: the sledge, its blade, whose middle leaves
+# the trail, and the box.  Move the slider:
+
+draw = dal.plot.bodies
+sledge = 0.2 * np.array([(-0.6, -0.3), (0.3, -0.35), (0.8, 0), (0.3, 0.35), (-0.6, 0.3)])
+
+
+def in_box(t, q, v):
+    """Return the shapes of the sledge at q, and of the box."""
+    cos, sin = np.cos(q[2]), np.sin(q[2])
+    return [
+        draw.line((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)),
+        draw.polygon(q[:2] + sledge @ [[cos, sin], [-sin, cos]]),
+        draw.blade(q[:2], q[2], 0.2, constraints=0),
+    ]
+
+
+dal.plot.animate(run, in_box, fps=12, seconds=12, multipliers=False)
+
+# %%
+# The first bounces in one picture, with the places where the walls were hit:
+
+first = dal.integrate(system, "leapfrog-kl6", *start, t_end=8.0, **given)
+ax = dal.plot.snapshots(first, in_box, count=15)
+ax.set_title("a sleigh in a box, x downhill", loc="left", fontsize="medium")
+for q in first.q_events:
+    ax.plot(q[:, 0], q[:, 1], "o", color=COLOURS[3], markersize=6)
 if len(sys.argv) > 1:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    times = np.linspace(0.0, 20.0, 8001)
-    fine = dal.integrate(system, "leapfrog-kl6", *start, t_eval=times, **given)
-    figure, ax = plt.subplots(figsize=(5.5, 5.0), layout="constrained")
-    ax.plot(fine.q[:, 0], fine.q[:, 1], linewidth=0.8, color="#0072B2")
-    for q in run.q_events:
-        ax.plot(q[:, 0], q[:, 1], "o", color="#D55E00", markersize=4)
-    ax.set(xlabel="x, downhill", ylabel="y", aspect="equal", title="a sleigh in a box")
-    figure.savefig(sys.argv[1], dpi=110)
+    ax.figure.savefig(sys.argv[1], dpi=110)
