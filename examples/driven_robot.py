@@ -1,23 +1,31 @@
-"""A robot on two driven wheels finds its way by a feedback law, and stops at a wall.
+"""
+A robot finds its way
+=====================
+
+A robot on two driven wheels finds its way by a feedback law that sets the torques, and stops at a
+wall.
+
+The wheels roll without slipping, in SymPy's formulas::
 
     L = m (v_x^2 + v_y^2)/2 + I v_theta^2/2 + J (v_left^2 + v_right^2)/2
-    both wheels roll without slipping:  v_forward -+ b v_theta = r v_left, r v_right
+    both wheels:  v_forward -+ b v_theta = r v_left, r v_right
 
 The torques of the wheels are inputs, constant over 10 steps: a computer looks at the state 100
 times a second and aims at a target behind the wall.  The run ends at the wall, in D to roundoff.
 
-Prints where the robot hits the wall, and the energy balance: the work of the torques is what the
-energy has changed by, and the wheels' constraints do none.
-
-    python driven_robot.py [PICTURE.png]
+``python driven_robot.py [PICTURE.png]`` prints where the robot hits the wall, and the energy
+balance: the work of the torques is what the energy has changed by, and the wheels' constraints do
+none.
 """
 
 import sys
 
+import matplotlib.pyplot as plt
 import numpy as np
 import sympy
 
 import dalembert as dal
+from dalembert.show.plot import COLOURS
 
 x, y, theta, left, right = dal.coordinates("x y theta left right")
 torques = sympy.symbols("torque_left torque_right")
@@ -38,6 +46,13 @@ robot = dal.System.from_sympy(
     q0=np.zeros(5),
     v0=np.zeros(5),
 )
+
+# %%
+# The controller
+# --------------
+# It is a function of (t, q, v), called once for every ten steps; between, its torques are held, as
+# the amplifiers of a real robot hold them.
+
 target, wall = np.array([4.0, 3.0]), 3.0
 h, hold, t_end = 1e-3, 10, 20.0
 
@@ -51,10 +66,14 @@ def feedback(t, q, v):
     return np.array([push - twist, push + twist])
 
 
+# %%
+# The run
+# -------
+# The event ends it where x reaches the wall; the last state is that of the instant, not of the
+# step after it.
+
 hit = dal.Event(x - wall, direction=1, terminal=True)
-run = dal.integrate(
-    robot, "leapfrog", h=h, t_end=t_end, inputs=feedback, hold=hold, events=[hit]
-)
+run = dal.integrate(robot, "leapfrog", h=h, t_end=t_end, inputs=feedback, hold=hold, events=[hit])
 # The torques are constant over a step: their work in it is that times the turn of the wheels.
 steps = np.minimum(np.arange(len(run.t) - 1) // hold, len(run.inputs) - 1)
 turned = np.diff(run.q[:, 3:], axis=0)
@@ -68,21 +87,53 @@ if not (run.status == 1 and abs(run.q[-1, 0] - wall) < 1e-12 and run.residual.ma
 if not error < 1e-4 * work[-1]:
     sys.exit("the work of the torques was expected to be what the energy changes by")
 
+# %%
+# The way to the wall
+# -------------------
+# The robot from above, its hull and its wheels.  The trails are where the wheels have rolled: the
+# length of each is r times the angle by which its wheel has turned.
+
+draw = dal.plot.bodies
+radius = 0.2
+bricks = np.array([(0.0, -0.4), (0.12, -0.4), (0.12, 3.4), (0.0, 3.4)]) + [wall + radius, 0.0]
+
+
+def seen(t, q, v):
+    """Return the robot at q, the target, and the wall, which the hull touches at the end."""
+    ahead = np.array([np.cos(q[2]), np.sin(q[2])])
+    side = 0.15 * np.array([-ahead[1], ahead[0]])
+    return [
+        draw.polygon(bricks),
+        draw.dot(target),
+        draw.circle(q[:2], radius),
+        draw.line(q[:2], q[:2] + radius * ahead),
+        draw.blade(q[:2] + side, q[2], 0.16, constraints=1),
+        draw.blade(q[:2] - side, q[2], 0.16, constraints=2),
+    ]
+
+
+dal.plot.animate(run, seen, fps=12, seconds=6, multipliers=False)
+
+# %%
+
+ax = dal.plot.snapshots(run, seen, count=8)
+figure = ax.figure
+note = ax.annotate("target", target, (0, -16), textcoords="offset points", ha="center")
+
+# %%
+# The inputs
+# ----------
+# The torques that the feedback law has asked for, and with them the balance of the energy:
+
+other, (torque, balance) = plt.subplots(2, 1, figsize=(7.0, 5.0), sharex=True, layout="constrained")
+for k, name in enumerate(("left", "right")):
+    t = np.arange(len(run.inputs)) * hold * h
+    torque.step(t, run.inputs[:, k], where="post", color=COLOURS[k], label=name)
+torque.set(ylabel="torque (N m)", title="inputs, held for 10 steps")
+balance.plot(run.t, run.energy - run.energy[0], color=COLOURS[0], label="energy")
+balance.plot(run.t, work, "--", color=COLOURS[1], label="work of the torques")
+balance.set(xlabel="t (s)", ylabel="energy, work (J)")
+for axis in (torque, balance):
+    axis.legend(frameon=False)
 if len(sys.argv) > 1:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (way, torque) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
-    way.plot(run.q[:, 0], run.q[:, 1], color="#0072B2")
-    way.axvline(wall, color="black", linewidth=3.0)
-    way.plot(*target, "x", color="#D55E00")
-    way.text(*target - [0.1, 0.0], "target", color="#D55E00", ha="right", va="center")
-    way.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="the way to the wall")
-    for k, (name, colour) in enumerate(zip(("left", "right"), ("#0072B2", "#D55E00"))):
-        t = np.arange(len(run.inputs)) * hold * h
-        torque.step(t, run.inputs[:, k], where="post", color=colour, label=name)
-    torque.set(xlabel="t (s)", ylabel="torque (N m)", title="inputs, held for 10 steps")
-    torque.legend()
     figure.savefig(sys.argv[1], dpi=110)

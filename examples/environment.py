@@ -1,21 +1,26 @@
-"""A robot as an environment for learning: reset and step, as Gymnasium has them.
+"""
+An environment for learning
+===========================
 
-The class has the two methods of a `gymnasium.Env` and needs nothing but dalembert and NumPy.  An
+A robot as an environment for reinforcement learning, with reset and step as Gymnasium has them,
+whose episodes are runs of the integrator, bit for bit.
+
+The class has the two methods of a ``gymnasium.Env`` and needs nothing but dalembert and NumPy.  An
 agent pushes and turns a cart on a blade, which cannot slip sideways, towards the origin; an action
 lasts for 20 steps of the scheme.  An episode can be saved in the middle and gone on with.
 
-Prints the rewards of some episodes with a simple rule, and checks that the episode is, bit for
-bit, the run with the same inputs.
-
-    python environment.py [PICTURE.png]
+``python environment.py [PICTURE.png]`` prints the rewards of some episodes with a simple rule, and
+checks that each episode is, bit for bit, the run with the same inputs.
 """
 
 import sys
 
+import matplotlib.pyplot as plt
 import numpy as np
 import sympy
 
 import dalembert as dal
+from dalembert.show.plot import COLOURS
 
 
 def make_cart():
@@ -32,6 +37,13 @@ def make_cart():
         inputs=[push, turn],
         name="cart",
     )  # fmt: skip
+
+
+# %%
+# The environment
+# ---------------
+# A `dalembert.Stepper` is the state of a run, and makes steps with the inputs that it is given.
+# It is made once; what an agent calls a million times is only its ``step``.
 
 
 class CartEnv:
@@ -62,6 +74,13 @@ class CartEnv:
         return x, reward, bool(np.hypot(x[0], x[1]) < 0.05), self.actions == self.longest, {}
 
 
+# %%
+# An agent
+# --------
+# In place of a network that has been trained: a rule that drives to the origin, forwards or
+# backwards, whichever is nearer.
+
+
 def rule(x):
     """Return an action: turn towards the origin, and drive as far as that is ahead."""
     ahead = -(np.cos(x[2]) * x[0] + np.sin(x[2]) * x[1])
@@ -71,7 +90,13 @@ def rule(x):
     return np.array([2.0 * ahead - 1.5 * speed, 2.0 * aim - 0.7 * x[5]])
 
 
-env, ways = CartEnv(), []
+# %%
+# Episodes
+# --------
+# What the agent has done is a table of inputs, and the run with this table has the bits of the
+# episode.
+
+env, runs = CartEnv(), []
 for seed in range(5):
     x, _ = env.reset(seed)
     total, done, states, inputs = 0.0, False, [x], []
@@ -81,25 +106,46 @@ for seed in range(5):
         total, done = total + reward, terminated or truncated
         states.append(x)
         inputs.append(action)
-    ways.append(np.array(states))
     print(f"episode {seed}: {len(inputs):3d} actions, reward {total:8.4f}, arrived: {terminated}")
     run = dal.integrate(
         env.system, "midpoint", *np.split(states[0], 2), h=env.h, stride=env.actions_last,
         steps=len(inputs) * env.actions_last, inputs=inputs, hold=env.actions_last,
     )  # fmt: skip
-    if not np.array_equal(run.x, ways[-1]):
+    if not np.array_equal(run.x, np.array(states)):
         sys.exit("the episode was expected to be the run with these inputs, bit for bit")
+    runs.append(run)
 
+# %%
+# The longest episode
+# -------------------
+# Since an episode is a run, all that is known of runs can be had of it, a film for instance.
+
+draw = dal.plot.bodies
+outline = np.array([(-0.16, -0.1), (0.12, -0.1), (0.2, 0.0), (0.12, 0.1), (-0.16, 0.1)])
+
+
+def cart(t, q, v):
+    """Return the cart at q, and the place where it is to go."""
+    cos, sin = np.cos(q[2]), np.sin(q[2])
+    return [
+        draw.circle((0, 0), 0.05),
+        draw.polygon(q[:2] + outline @ [[cos, sin], [-sin, cos]]),
+        draw.blade(q[:2], q[2], 0.2, constraints=0),
+    ]
+
+
+dal.plot.animate(max(runs, key=len), cart, fps=12, seconds=4, multipliers=False)
+
+# %%
+# All of them: the later, the darker.  Some carts drive backwards.
+
+figure, ax = plt.subplots(figsize=(6.0, 5.4), layout="constrained")
+for seed, run in enumerate(runs):
+    dal.plot.snapshots(run, cart, ax, count=5)
+    ax.plot(run.q[:, 0], run.q[:, 1], color=COLOURS[seed], linewidth=2.5, label=f"episode {seed}")
+ax.set(xlim=(-2.1, 2.1), ylim=(-1.5, 2.2), xlabel="x (user's units)", ylabel="y (user's units)")
+ax.set_title("from five places to the origin", loc="left")
+ax.set_title("", loc="right")
+ax.legend(frameon=False, loc="upper right")
 if len(sys.argv) > 1:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, ax = plt.subplots(figsize=(5.5, 5.0), layout="constrained")
-    for way in ways:
-        ax.plot(way[:, 0], way[:, 1])
-        ax.plot(*way[0, :2], "o", color="black", markersize=4)
-    ax.plot(0, 0, "x", color="black")
-    ax.set(xlabel="x", ylabel="y", aspect="equal", title="episodes, from the dots to the cross")
     figure.savefig(sys.argv[1], dpi=110)
