@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
+import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -75,7 +76,9 @@ def progress(
             f"progress = {arguments.shown(wanted)}: expected True, False or a function"
         )
     elif wanted:
-        tqdm = require("tqdm.auto", "progress=True").tqdm
+        with warnings.catch_warnings():  # that a notebook without ipywidgets shows a plain bar
+            warnings.filterwarnings("ignore", "IProgress not found")
+            tqdm = require("tqdm.auto", "progress=True").tqdm
         with tqdm(total=total, unit=unit, unit_scale=True) as bar:
             yield lambda done: bar.update(done - bar.n)
     else:

@@ -331,8 +331,8 @@ class Ensemble(Mapping[str, Any]):
         """What each member has cost, by the names of `Statistics`, shape (K,) each."""
         return {name: self[name] for name in work.STATISTICS}
 
-    def message(self, k: int) -> str:
-        """Return what became of a member, in words."""
+    def message(self, k: int | tuple[int, ...]) -> str:
+        """Return what became of a member, in words; ``k`` as of `member`."""
         k = self._number(k)
         status = int(self["status"][k])
         if status < 0:
@@ -345,16 +345,26 @@ class Ensemble(Mapping[str, Any]):
             return f"events[{ended_by}] ended the run at t = {t:g}"
         return f"{int(self['done'][k])} steps to t = {t:g}"
 
-    def _number(self, k: int) -> int:
-        return arguments.integer(k, "k", -len(self), len(self) - 1) % len(self)
+    def _number(self, k: int | tuple[int, ...]) -> int:
+        if not isinstance(k, tuple):
+            return arguments.integer(k, "k", -len(self), len(self) - 1) % len(self)
+        if len(k) != len(self.shape):
+            raise ValueError(f"k = {k}: expected a number or, of the axes, {len(self.shape)} numbers")
+        where = [
+            arguments.integer(one, f"k[{axis}]", -size, size - 1) % size
+            for axis, (one, size) in enumerate(zip(k, self.shape))
+        ]
+        return int(np.ravel_multi_index(where, self.shape))
 
-    def member(self, k: int, *, stride: int | None = None, throw: bool = False) -> Solution:
+    def member(
+        self, k: int | tuple[int, ...], *, stride: int | None = None, throw: bool = False
+    ) -> Solution:
         """Return the run of member k, made again: bit for bit what was kept of it.
 
         Parameters
         ----------
-        k : int
-            Its number; from the end if it is negative.
+        k : int or tuple of int
+            Its number, or its place along the axes of ``shape``; from the end if negative.
         stride : int, optional
             As of `integrate`.  Default: that of the ensemble, 1 where the end alone was kept.
         throw : bool, optional

@@ -266,9 +266,9 @@ def animate(
     ----------
     run : Solution
     body : callable, optional
-        ``body(t, q, v)`` returns the shapes to draw, see `dalembert.plot.bodies`.  Default: the body of
-        a system of the library, else a point with its velocity, and in space, for one constraint,
-        with the plane of D.
+        ``body(t, q, v)`` returns the shapes to draw, see `dalembert.plot.bodies`.  Default: the
+        body of a system of the library, else a point with its velocity, and in space, for one
+        constraint, with the plane of D.
     coordinates : sequence of int, optional
         Which of q are places, two in the plane or three in space: for the point, which is then
         drawn instead of the library's body, and for the components of the reactions.  Default:

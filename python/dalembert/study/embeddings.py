@@ -41,8 +41,9 @@ CLEAR = 100  # as many times g stands above its noise, if it is meaningful
 class Embedding(core.Constant):
     """A scheme with the step h as the time-h map of xidot = f(xi) + h^p g(t/h, xi).
 
-    `embedding` makes it.  What the methods take as ``z`` and return are coordinates xi of ``chart``,
-    (q, v of the independent coordinates), shape (2n-m,); where ``z`` is left out it is ``start``.
+    `embedding` makes it.  What the methods take as ``z`` and return are coordinates xi of
+    ``chart``, (q, v of the independent coordinates), shape (2n-m,); where ``z`` is left out it is
+    ``start``.
     Phi is the scheme, F the flow of the ODE on D, and tau = t/h the time in units of the period.
     Of kept nodes the map of moved nodes is embedded, which is theirs seen from (q - (1-beta) h v,
     v).

@@ -346,9 +346,9 @@ class System(Handle):
             The Lagrangian.  If it is v^T M v / 2 - V(q) with a constant M, the fast step routine is
             used.
         constraints : sequence, optional
-            What vanishes, or an ``Eq``; linear, affine or nonlinear in the velocities, see ``kind``.
-            A list of n coefficients, and a row of a matrix, is a one-form mu(q).  The time in L and
-            here is `dalembert.time`, or ``dynamicsymbols._t`` beside dynamicsymbols.
+            What vanishes, or an ``Eq``; linear, affine or nonlinear in the velocities, see
+            ``kind``.  A list of n coefficients, and a row of a matrix, is a one-form mu(q).  The
+            time in L and here is `dalembert.time`, or ``dynamicsymbols._t`` beside dynamicsymbols.
         coordinates : sequence, optional
             Of `dalembert.coordinates`; of dynamicsymbols, whose velocities are their derivatives;
             or pairs (q, v) of symbols.  Default: all that occur, those of `dalembert.coordinates`

@@ -547,3 +547,20 @@ def test_what_does_not_pickle():
     with futures.ProcessPoolExecutor(1) as executor:
         with pytest.raises(pickle.PicklingError, match="forms"):
             many(in_python(), h=0.1, steps=1, executor=executor, threads=None)
+
+
+def test_a_member_is_named_by_its_number_or_its_place_along_the_axes():
+    sleigh = dal.systems.sleigh()
+    speeds = np.array([0.5, 1.0, 2.0])[:, None, None] * sleigh.v0
+    found = dal.ensemble(sleigh, "midpoint", sleigh.q0, speeds, h=[0.01, 0.02], steps=5)
+    assert found.shape == (3, 2)
+    for place, k in (((0, 0), 0), ((0, 1), 1), ((2, 1), 5), ((-1, 0), 4), ((np.int64(1), -1), 3)):
+        run = found.member(place)
+        assert (run.q[-1] == found.q[k]).all() and run.h == found.h[k]
+        assert found.message(place) == found.message(k)
+    for place, text in (((3, 0), r"k\[0\] = 3: expected at most 2"),
+                        ((0, -3), r"k\[1\] = -3: expected at least -2"),
+                        ((0, 0.5), r"k\[1\] = 0.5: expected an integer"),
+                        ((1,), r"k = \(1,\): expected a number or, of the axes, 2 numbers")):  # fmt: skip
+        with pytest.raises(ValueError, match=text):
+            found.member(place)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -40,6 +41,10 @@ def made(name, **options):
 @pytest.fixture(scope="module")
 def run():
     return made("sleigh")
+
+
+def page_of(film):
+    return film_page.html(film._scene, film.fps, film._trail)
 
 
 def shapes_of(run, q, v, t=0.0):
@@ -378,7 +383,7 @@ def test_a_run_of_one_state_and_one_that_broke_off():
     assert not part.success
     film = dal.plot.animate(part)
     assert film.t[-1] == part.t[-1] < 1.1
-    assert "it broke off: " in film._html()
+    assert "it broke off: " in page_of(film)
 
 
 def test_a_body_at_rest_and_a_path_along_an_axis():
@@ -554,7 +559,7 @@ def test_names_are_drawn_letter_by_letter():
     film = dal.plot.animate(run)
     film.ax.figure.canvas.draw()
     assert film.ax.get_title(loc="left") == r"\$x^\$</script>"
-    page = film._html()
+    page = page_of(film)
     assert page.count("</script>") == 2 and "$x^$&lt;/script&gt;" in page
 
 
@@ -591,6 +596,17 @@ def test_the_size_of_frames_does_not_depend_on_the_users_defaults(run, tmp_path)
         assert image.convert("RGB").getpixel((1, 1)) == (255, 255, 255)
 
 
+@pytest.fixture
+def ffmpeg(tmp_path_factory, monkeypatch):
+    """One that takes what it is given as it is, so that no program has to be installed."""
+    program = tmp_path_factory.mktemp("bin") / "ffmpeg"
+    program.write_text('#!/bin/sh\nfor film; do :; done\necho "$@" >"$0.said"\ncat >"$film"\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent), prepend=":")
+    return program
+
+
+@pytest.mark.usefixtures("ffmpeg")
 def test_ctrl_c_leaves_what_was_there(run, tmp_path):
     film = dal.plot.animate(run, fps=5, seconds=1)
 
@@ -620,21 +636,16 @@ def test_files_that_cannot_be(run, tmp_path):
         film.save(tmp_path / "folder.gif")
 
 
-def test_mp4_is_made_by_ffmpeg(run, tmp_path, monkeypatch):
-    """With one that takes what it is given as it is, so that no program has to be installed."""
-    program = tmp_path / "ffmpeg"
-    program.write_text('#!/bin/sh\nfor film; do :; done\necho "$@" >"$0.said"\ncat >"$film"\n')
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+def test_mp4_is_made_by_ffmpeg(run, tmp_path, monkeypatch, ffmpeg):
     film = dal.plot.animate(run, fps=5, seconds=1)
     film.save(tmp_path / "a.MP4")
     width, height = (int(x) for x in film.ax.figure.bbox.size)
     content = (tmp_path / "a.MP4").read_bytes()
     assert len(content) == 5 * width * height * 4
     assert content[:4] == b"\xff\xff\xff\xff"
-    said = (tmp_path / "ffmpeg.said").read_text()
+    said = Path(f"{ffmpeg}.said").read_text()
     assert f"-s {width}x{height} -framerate 5.0" in said
-    program.write_text("#!/bin/sh\necho no such codec >&2\nexit 3\n")
+    ffmpeg.write_text("#!/bin/sh\necho no such codec >&2\nexit 3\n")
     (tmp_path / "a.MP4").write_text("before")
     with pytest.raises(RuntimeError, match="ffmpeg failed: no such codec"):
         film.save(tmp_path / "a.MP4")
@@ -649,14 +660,14 @@ def test_mp4_is_made_by_ffmpeg(run, tmp_path, monkeypatch):
 
 
 def data_of(film):
-    return json.loads(re.search(r'type="application/json">(.*?)</script>', film._html())[1])
+    return json.loads(re.search(r'type="application/json">(.*?)</script>', page_of(film))[1])
 
 
 def test_a_page_has_the_frames_the_trail_and_the_curves(run, tmp_path):
     film = dal.plot.animate(run, fps=5, seconds=1)
     film.save(tmp_path / "a.html")
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
-    assert text == film._html()
+    assert text == page_of(film)
     assert not re.search(r"https?://|src=|@import", text)
     assert "leapfrog, h = 0.02: 5 frames of 201 states" in text
     data = data_of(film)
