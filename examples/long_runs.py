@@ -70,15 +70,17 @@ for name, term in terms.items():
 # from nowhere.  Below, the largest error of the energy so far: level in a band, and in proportion
 # to the time in a drift.  A higher order makes the drift small, and does not stop it.
 
-figure, axes = plt.subplots(2, 2, sharey="row", figsize=(8.6, 6.8), layout="constrained")
+figure, axes = plt.subplots(
+    2, 2, sharex="row", sharey="row", figsize=(8.6, 6.8), layout="constrained"
+)
 for (above, below), name in zip(axes.T, terms, strict=True):
     run = runs[name, "leapfrog"]
-    part = max(1, len(run.t) // 10)
+    part = int(np.clip(len(run.t) // 10, 1, 800))
     late = f"t = {run.t[-part]:.0f} to {run.t[-1]:.0f}"
     above.plot(*run.q[-part:, [0, 2]].T, color="#D55E00", linewidth=1.1, label=late)
     early = f"t = 0 to {run.t[part]:.0f}"
     above.plot(*run.q[:part, [0, 2]].T, color="#0072B2", linewidth=1.1, label=early)
-    above.set(xlabel="x", title=name, xlim=(-1.75, 1.75))
+    above.set(xlabel="x", title=name)
     for scheme, colour in zip(schemes, dal.plot.COLOURS[1:], strict=False):
         run = runs[name, scheme]
         error = np.maximum.accumulate(abs(run.energy - run.energy[0]))
