@@ -1,23 +1,25 @@
-"""A snakeboard whose rider turns rotor and axles as told: constraints and Lagrangian of the time.
+"""
+Three gaits of a snakeboard
+===========================
+
+A rider swings arms and axles in sines of the time: with equal frequencies the board drives, with
+2 : 1 it turns on the spot, with 3 : 2 it parks sideways.
+
+The angles psi of the rotor and phi of the axles are told, so that constraints and Lagrangian depend
+on the time (Lewis, Ostrowski, Murray and Burdick 1994; Bloch, Krishnaprasad, Marsden and Murray
+1996)::
 
     L = m (v_x^2 + v_y^2)/2 + (m r^2 - J0) v_theta^2/2 + J0 (v_theta + psi')^2/2
     front axle:   sin(theta + phi) v_x - cos(theta + phi) v_y - r cos(phi) v_theta = 0
     back axle:    sin(theta - phi) v_x - cos(theta - phi) v_y + r cos(phi) v_theta = 0
 
-The angles psi of the rotor and phi of the axles are gaits, sines of the time (Lewis, Ostrowski,
-Murray and Burdick 1994; Bloch, Krishnaprasad, Marsden and Murray 1996).  With equal frequencies the
-board drives, with 2 : 1 it turns on the spot, with 3 : 2 it parks sideways.
-
-Prints how far the board has gone after the gait.  It is checked against the reduced equation: on D
-the board has a single velocity u, forwards, v_theta = u k with k = tan(phi)/r, and
-
-    (m + m r^2 k^2) u' + m r^2 k k' u + J0 k psi'' = 0.
-
-    python snakeboard_gait.py [PICTURE.png]
+``python snakeboard_gait.py [PICTURE.png]`` prints how far the board has gone after four periods,
+which is checked against the reduced equation, and how well the wheels roll.
 """
 
 import sys
 
+import matplotlib.pyplot as plt
 import numpy as np
 import sympy
 
@@ -40,8 +42,15 @@ board = dal.System.from_sympy(
     parameters={m: 6.0, r: 0.2, J0: 0.1, rotor: 1.0, axles: 0.5, w_rotor: 1.0, w_axles: 1.0},
     name="board",
 )
-gaits = {"drive": (1.0, 1.0), "rotate": (2.0, 1.0), "park": (3.0, 2.0)}
-h, periods = 2 * np.pi / 500, 4
+
+# %%
+# Another way to the same end
+# ---------------------------
+# On D the board has a single velocity u, forwards, and ``v_theta = u k`` with ``k = tan(phi)/r``::
+#
+#     (m + m r^2 k^2) u' + m r^2 k k' u + J0 k psi'' = 0
+#
+# This equation shares nothing with the run but the parameters.
 
 
 def reduced(values, t_end, steps):
@@ -66,11 +75,17 @@ def reduced(values, t_end, steps):
     return state[1:]
 
 
+# %%
+# The runs
+# --------
+
+gaits = {"drive": (1.0, 1.0), "rotate": (2.0, 1.0), "park": (3.0, 2.0)}
+h, periods = 2 * np.pi / 500, 4
 runs = {}
 for name, (fast, slow) in gaits.items():
     gait = board.with_parameters(w_rotor=fast, w_axles=slow)
     run = runs[name] = dal.integrate(
-        gait, "leapfrog-kl6", [0, 0, 0], [0, 0, 0], h=h, steps=500 * periods
+        gait, "leapfrog-kl6", [0, 0, 0], [0, 0, 0], h=h, steps=500 * periods, stride=5
     )
     expected = reduced(gait.parameters.values(), run.t[-1], 8000)
     error = abs(run.q[-1] - expected).max()
@@ -79,17 +94,48 @@ for name, (fast, slow) in gaits.items():
     if not (error < 1e-10 and run.residual.max() < 1e-14):
         sys.exit(f"expected the end of the reduced equation, and D(t) to roundoff: off by {error}")
 
+# %%
+# What one sees
+# -------------
+# A body for the pictures, to scale: the board, its axles, and the arms of the rider.
+
+draw = dal.plot.bodies
+
+
+def rider(gait):
+    """Return the function of (t, q, v) that draws the board with this gait."""
+    _, r, _, rotor, axles, w_rotor, w_axles = gait.parameters.values()
+
+    def placed(q, angle, points):
+        c, s = np.cos(angle), np.sin(angle)
+        return q[:2] + r * np.array(points) @ [[c, s], [-s, c]]
+
+    def shapes(t, q, v):
+        psi, phi = rotor * np.sin(w_rotor * t), axles * np.sin(w_axles * t)
+        deck = [(-1.05, -0.15), (1.05, -0.15), (1.05, 0.15), (-1.05, 0.15)]
+        found = [draw.polygon(placed(q, q[2], deck))]
+        for constraint, side in enumerate((1, -1)):
+            axle = placed(q, q[2], (side, 0.0))
+            ends = axle + placed(0 * q, q[2] + side * phi, [(0, -0.32), (0, 0.32)])
+            found += [draw.line(*ends), draw.dot(axle, constraint)]
+            found += [draw.blade(end, q[2] + side * phi, 0.4 * r) for end in ends]
+        arms = placed(q, q[2] + psi, [(-0.45, 0.0), (0.45, 0.0)])
+        return [*found, draw.line(*arms), *map(draw.dot, arms)]
+
+    return shapes
+
+
+figure = plt.figure(figsize=(9.0, 7.0), layout="constrained")
+axes = figure.subplot_mosaic([["drive", "drive"], ["rotate", "park"]], height_ratios=(1, 1.7))
+for (name, run), count in zip(runs.items(), (11, 5, 9), strict=True):
+    ax = dal.plot.snapshots(run, rider(run.system), axes[name], count=count)
+    ax.set_title("{}, {:g} : {:g}".format(name, *gaits[name]), loc="left")
+    ax.set(xlabel="x (m)", ylabel="y (m)")
+axes["drive"].set_ylim(-0.75, 0.75)
 if len(sys.argv) > 1:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, 3, figsize=(12.0, 4.0), layout="constrained")
-    for ax, (name, run) in zip(axes, runs.items()):
-        ax.plot(run.q[:, 0], run.q[:, 1], color="#0072B2")
-        for px, py, angle in run.q[::100]:
-            along = 0.02 * np.array([np.cos(angle), np.sin(angle)])
-            ax.plot([px - along[0], px + along[0]], [py - along[1], py + along[1]], color="#D55E00")
-        ax.set(xlabel="x (m)", ylabel="y (m)", title=name, aspect="equal")
     figure.savefig(sys.argv[1], dpi=110)
+
+# %%
+# The gait that drives as a film, with the reactions at the axles, which push the board.
+
+dal.plot.animate(runs["drive"], rider(runs["drive"].system), fps=12, seconds=8)
