@@ -1,23 +1,55 @@
-"""A scheme as the time-h map of a perturbed flow, and the order that this measures.
+"""
+A scheme as a flow
+==================
 
-One step of a scheme of order p is the time-h map of
+The steps of a scheme lie on a solution of a differential equation near the one that it solves,
+with a right hand side of period h; how near it is measures the order.
+
+One step of a scheme of order p is the time-h map of ::
 
     xidot = f(xi) + h^p g(t/h, xi)
 
-with a periodic g that stays bounded as h -> 0.  On the left |g| over one period for the particle by
-midpoint, p = 2: the curves for three steps h nearly agree.  On the right its maximum over h with
-p - 1, p and p + 1 in the formula: only with the true p it neither vanishes nor grows.
+in coordinates xi of D, with a periodic g that stays bounded as h -> 0.  For the particle by
+midpoint, p = 2: the curves of ``|g|`` over one period nearly agree for three steps h.  Of p - 1, p
+and p + 1 in the formula, only with the true p its maximum neither vanishes nor grows with h -> 0.
 
-Prints the maxima, the measured order, and how far the time-h map is from the scheme.
-
-    python embedding.py [PICTURE.png]
+``python embedding.py [PICTURE.png]`` prints the maxima, the measured order, and how far the time-h
+map is from the scheme.
 """
 
 import sys
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
+from dalembert.show.plot import COLOURS
+
+# %%
+# A curve through the steps
+# -------------------------
+# A particle in a harmonic potential, with steps so large that one sees what they do.  The curve is
+# smooth, a motion in D, and goes through each state that the scheme computes.
+
+oscillator, h, steps = dal.systems.particle_oscillator(), 0.7, 10
+flow = dal.embedding(oscillator, "leapfrog", h=h)
+curve = flow.curve(np.linspace(0.0, steps, 40 * steps + 1))
+made = dal.integrate(oscillator, "leapfrog", h=h, steps=steps)
+exact = dal.integrate(oscillator, "reference", h=h / 40, steps=40 * steps)
+
+figure, ax = plt.subplots(figsize=(6.0, 4.0), layout="constrained")
+ax.plot(exact.q[:, 0], exact.q[:, 1], "--", color="0.55", label="exact motion")
+ax.plot(curve[:, 0], curve[:, 1], color=COLOURS[0], linewidth=2, label="perturbed flow")
+ax.plot(made.q[:, 0], made.q[:, 1], "o", color=COLOURS[1], markersize=9, label="leapfrog, h = 0.7")
+ax.set(xlabel="x (user's units)", ylabel="y (user's units)", aspect="equal")
+ax.legend(frameon=False)
+if abs(curve[::40, :3] - made.q).max() > 1e-10:
+    sys.exit("the curve was expected to go through the states of the scheme")
+
+# %%
+# How large g is
+# --------------
+# The maximum of ``|g|`` over a period, for nine steps and three p in the formula:
 
 particle = dal.systems.particle()
 scheme = dal.Scheme.find("midpoint")
@@ -40,6 +72,9 @@ for p, values in bounds.items():
     if abs(slope - (scheme.order - p)) > 0.05:
         sys.exit(f"max |g| for p = {p} was expected to behave as h^{scheme.order - p}")
 
+# %%
+# The time-h map is the scheme, up to the accuracy of the flow:
+
 run = dal.integrate(particle, scheme, h=embedding.h, steps=1)
 end = embedding.chart.drop(run.q[-1], run.v[-1])
 miss = abs(embedding.flow(0.0, embedding.h) - end).max()
@@ -47,19 +82,17 @@ print(f"time-h map against the scheme {miss:.1e}")
 if miss > 1e-10:
     sys.exit("the time-h map was expected to be the scheme")
 
+# %%
+# On the left the shape of g over a period; on the right the three p.
+
+study, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), layout="constrained")
+embedding.plot(hs=[0.2, 0.1, 0.05], ax=axes[0])
+for (p, values), marker, line in zip(bounds.items(), "os^", ("--", "-", ":")):
+    role = {-1: " (too small)", 0: " (the order)", 1: " (too large)"}[p - scheme.order]
+    axes[1].loglog(steps, values, marker=marker, linestyle=line, label=f"p = {p}{role}")
+axes[1].set_xlabel("step h (user's units of time)")
+axes[1].set_ylabel("largest |g| over a period (user's units)")
+axes[1].set_title("particle: midpoint, which order?")
+axes[1].legend(frameon=False)
 if len(sys.argv) > 1:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
-    embedding.plot(hs=[0.2, 0.1, 0.05], ax=axes[0])
-    for (p, values), marker, line in zip(bounds.items(), "os^", ("--", "-", ":")):
-        role = {-1: " (too small)", 0: " (the order)", 1: " (too large)"}[p - scheme.order]
-        axes[1].loglog(steps, values, marker=marker, linestyle=line, label=f"p = {p}{role}")
-    axes[1].set_xlabel("step h (user's units of time)")
-    axes[1].set_ylabel("largest |g| over a period (user's units)")
-    axes[1].set_title("particle: midpoint, which order?")
-    axes[1].legend(frameon=False)
     figure.savefig(sys.argv[1], dpi=110)
