@@ -87,7 +87,8 @@ def check_names(found: set[str]) -> list[str]:
     wanted -= {"dalembert.geometry"}  # its functions are methods of System
     for name, module in modules.items():
         wanted |= {f"dalembert.{name}.{one}" for one in module.__all__}
-    for one in ("Study.plot", "Studies.plot", "Embedding.plot", "Ensemble.plot", "Study.show"):
+    for one in ("Study.plot", "Studies.plot", "Embedding.plot", "Ensemble.plot", "Study.show",
+                "plot.animate", "plot.snapshots", "plot.bodies.Shape"):  # fmt: skip
         wanted.add(f"dalembert.{one}")
     for header in comments.HEADERS:
         wanted |= {x for entry in comments.read(header)[1] for x in entry.names}

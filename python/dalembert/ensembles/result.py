@@ -349,7 +349,9 @@ class Ensemble(Mapping[str, Any]):
         if not isinstance(k, tuple):
             return arguments.integer(k, "k", -len(self), len(self) - 1) % len(self)
         if len(k) != len(self.shape):
-            raise ValueError(f"k = {k}: expected a number or, of the axes, {len(self.shape)} numbers")
+            raise ValueError(
+                f"k = {k}: expected a number or, of the axes, {len(self.shape)} numbers"
+            )
         where = [
             arguments.integer(one, f"k[{axis}]", -size, size - 1) % size
             for axis, (one, size) in enumerate(zip(k, self.shape))

@@ -1,4 +1,4 @@
-"""Bodies: what is drawn of a system at a state, for `dal.plot.animate` and `dal.plot.snapshots`.
+"""Bodies: what is drawn of a system at a state, in films and snapshots of runs.
 
 A body is a function of ``(t, q, v)`` that returns shapes: outlines, bars, blades, dots and arrows,
 in the plane or in space.  The catalogue's systems have one each; for a system of your own you
@@ -44,9 +44,9 @@ class Shape:
     Attributes
     ----------
     role : str
-        One of `ROLES`: "body" and "plane" are closed and filled, "ground", "bar" and "blade" are
-        lines, "dot" is one point, "velocity" and "reaction" are arrows from the first point to
-        the second.
+        One of ``bodies.ROLES``: "body" and "plane" are closed and filled, "ground", "bar" and
+        "blade" are lines, "dot" is one point, "velocity" and "reaction" are arrows from the first
+        point to the second.
     points : ndarray, shape (K, 2) or (K, 3)
         In the user's units of length.
     constraints : tuple of int
