@@ -1,23 +1,71 @@
-"""The exact discrete constraint D_d^E of the Chaplygin sleigh against D_d of rho^beta.
+"""
+Exact discrete constraints
+==========================
+
+A pair of places that a sleigh connects in time h is not quite a pair that a scheme connects: the
+exact discrete constraint beside the discretized one.
+
+For the Chaplygin sleigh, and the schemes of the family rho^beta::
 
     D_d^E = {(q0, q(h)) : v0 in D}           pairs on solutions in D
     D_d   = {mu(g) (q1 - q0)/h = 0}          with g = (1 - beta) q0 + beta q1
 
-Neither contains the other.  Prints how far a pair of D_d^E is from D_d, |phi_d|, and how far a
-pair of D_d is from D_d^E: |mu (q1 - q(h))/h|, where q(h) comes from the velocity in D at q0 that
+Neither contains the other.  How far a pair of D_d^E is from D_d is ``|phi_d|``; how far a pair of
+D_d is from D_d^E is ``|mu (q1 - q(h))/h|``, where q(h) comes from the velocity in D at q0 that
 leads as close to q1 as D allows.  Both are O(h), and O(h^2) for beta = 1/2.
 
-    python exact_constraints.py [PICTURE.png]
+``python exact_constraints.py [PICTURE.png]`` prints both distances for several h and beta.
 """
 
 import re
 import sys
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import dalembert as dal
+from dalembert.show.plot import COLOURS
 
 sleigh = dal.systems.sleigh()
+
+# %%
+# Where the sleigh may be
+# -----------------------
+# From one place q0 the velocities of D lead to a surface in the space of (x, y, theta).  Here are
+# its sections with planes in which the sleigh has turned by so much in h = 1: the places where its
+# centre of mass may be then.  The sleigh itself is drawn at q0.
+
+a = sleigh.parameters["a"]
+rates = np.linspace(-4.0, 4.0, 81)
+ends = np.array(
+    [
+        [sleigh.exact(1.0, [0, 0, 0], [speed, a * rate, rate])[0] for rate in rates]
+        for speed in np.linspace(-2.0, 2.6, 47)
+    ]
+)
+figure, ax = plt.subplots(figsize=(6.0, 4.6), layout="constrained")
+for turn, colour in zip((-1.6, -0.8, 0.0, 0.8, 1.6), COLOURS):
+    x, y = ([np.interp(turn, row[:, 2], row[:, k]) for row in ends] for k in (0, 1))
+    ax.plot(x, y, color=colour, linewidth=2.5, label=f"{turn:g}")
+    along = np.array([np.cos(turn / 2), np.sin(turn / 2)])
+    across = a * turn * np.array([-along[1], along[0]])
+    ax.plot(*(across + np.outer([-2.0, 2.6], along)).T, "--", color=colour)
+sledge = a * np.array([(-1.7, -0.4), (-0.2, -0.5), (0.7, 0.0), (-0.2, 0.5), (-1.7, 0.4)])
+ax.fill(*sledge.T, color="0.85", edgecolor="0.3", zorder=2)
+ax.plot([-1.4 * a, -0.6 * a], [0, 0], color="0.3", linewidth=4)
+ax.set(xlim=(-2.0, 4.4), ylim=(-2.4, 2.4), aspect="equal")
+ax.set(xlabel="x (user's units)", ylabel="y (user's units)")
+angles = ax.legend(frameon=False, loc="upper right", title="turned by (rad)")
+ax.add_artist(angles)
+kinds = [ax.plot([], [], line, color="black")[0] for line in ("-", "--")]
+ax.legend(kinds, ["exact, $D_d^E$", r"$D_d$, $\beta$ = 0.5"], frameon=False, loc="lower right")
+if not (np.diff(ends[:, :, 2]) > 0).all():
+    sys.exit("the faster it turns at first, the farther the sleigh was expected to turn")
+
+# %%
+# How far apart they are
+# ----------------------
+
 q0, v0 = sleigh.q0, sleigh.v0
 betas = [0.0, 0.5, 1.0]
 steps = [0.4 / 2**k for k in range(7)]
@@ -55,24 +103,21 @@ for title, values in found.items():
     if abs(slopes - expected).max() > 0.1:
         sys.exit(f"slopes {expected} were expected")
 
+# %%
+# The steep curve of either picture is that of beta = 1/2.
+
+study, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), sharey=True, layout="constrained")
+for ax, (title, values) in zip(axes, found.items()):
+    for beta, row, marker, colour in zip(betas, values, "os^", COLOURS):
+        ax.loglog(steps, row, marker=marker, color=colour, label=rf"$\beta$ = {beta:g}")
+    for order, at in ((1, values[0]), (2, values[1])):
+        guide = 0.4 * at[-1] * (np.array(steps) / steps[-1]) ** order
+        ax.loglog(steps, guide, color="0.6", linewidth=0.8, linestyle="--")
+        ax.annotate(f"slope {order}", (steps[3], guide[3]), (4, -10),
+                    textcoords="offset points", color="0.4", fontsize=8)  # fmt: skip
+    ax.set_title(re.sub(r"D_d(\^E)?", r"$D_d\1$", title), fontsize="medium")
+    ax.set_xlabel("step h (user's units)")
+axes[0].set_ylabel("defect (user's units)")
+axes[0].legend(frameon=False)
 if len(sys.argv) > 1:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, 2, figsize=(10.0, 4.2), sharey=True, layout="constrained")
-    for ax, (title, values) in zip(axes, found.items()):
-        for beta, row, marker in zip(betas, values, "os^"):
-            ax.loglog(steps, row, marker=marker, markersize=5, label=f"$\\beta$ = {beta:g}")
-        for order, at in ((1, values[0]), (2, values[1])):
-            guide = 0.4 * at[-1] * (np.array(steps) / steps[-1]) ** order
-            ax.loglog(steps, guide, color="0.6", linewidth=0.8, linestyle="--")
-            ax.annotate(f"slope {order}", (steps[3], guide[3]), (4, -10),
-                        textcoords="offset points", color="0.4", fontsize=8)  # fmt: skip
-        ax.set_title(re.sub(r"D_d(\^E)?", r"$D_d\1$", title))
-        ax.set_xlabel("step h")
-    axes[0].set_ylabel("defect")
-    axes[0].legend(frameon=False)
-    figure.suptitle("Chaplygin sleigh")
     figure.savefig(sys.argv[1], dpi=110)
