@@ -118,7 +118,10 @@ def stage(scene: Scene, ax: Axes | None, *, shown: bool = False) -> Axes:
             axis.set_major_locator(MultipleLocator(scene.grid))
         ax.grid(color="0.92", linewidth=0.8)
         ax.set_axisbelow(True)
-        for name, (x, y) in zip(scene.names, ((0.99, 0.01), (0.01, 0.99))):
+        labels = ax.get_xlabel(), ax.get_ylabel()
+        for name, label, (x, y) in zip(scene.names, labels, ((0.99, 0.01), (0.01, 0.99))):
+            if label:
+                continue
             where = {"ha": "right", "va": "bottom"} if x > y else {"ha": "left", "va": "top"}
             ax.text(
                 x, y, plain(name), transform=ax.transAxes, color="0.45", fontsize="small", **where

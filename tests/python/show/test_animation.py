@@ -553,6 +553,17 @@ def test_snapshots_show_the_whole_trail_and_each_outline(run):
     assert drawn(table, 41) == 1 + 3  # the table once, the ball three times
 
 
+def test_axes_that_have_labels_get_no_other_names(run):
+    def names(ax):
+        return [x.get_text() for x in ax.texts]
+
+    axes = matplotlib.figure.Figure().subplots(1, 2)
+    axes[0].set(xlabel="x (m)")
+    assert names(dal.plot.snapshots(run, ax=axes[0])) == ["y"]
+    assert axes[0].get_xlabel() == "x (m)"
+    assert names(dal.plot.snapshots(run, ax=axes[1])) == ["x", "y"]
+
+
 def test_names_are_drawn_letter_by_letter():
     own = dal.System(mass=[1, 1], name="$x^$</script>")
     run = dal.integrate(own, "leapfrog", [0, 0], [1, 0], h=0.1, steps=5)
