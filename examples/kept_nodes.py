@@ -51,7 +51,7 @@ for (scheme, h), (_, residuals) in runs.items():
 # %%
 # Two axes of a cross
 # -------------------
-# Each dot is a state, one of every four: how far from D, and how far from D_eps.  Moved nodes lie on
+# Each dot is a state, one of every four: how far from D and how far from D_eps.  Moved nodes lie on
 # one axis and kept nodes on the other, to roundoff, and not on both; halving h halves the cross.
 
 figure, axes = plt.subplots(1, 2, figsize=(8, 4.2), sharex=True, sharey=True, layout="constrained")
