@@ -118,6 +118,7 @@ dal.plot.animate(run, seen, fps=12, seconds=6, multipliers=False)
 
 ax = dal.plot.snapshots(run, seen, count=8)
 figure = ax.figure
+ax.set_title("the way to the wall; lengths in m", loc="left", fontsize="medium")
 note = ax.annotate("target", target, (0, -16), textcoords="offset points", ha="center")
 
 # %%

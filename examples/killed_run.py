@@ -1,11 +1,16 @@
-"""A run that is killed, and goes on as if nothing had been.
+"""
+A run that is killed
+====================
+
+A run that is killed in the middle goes on from its journal as if nothing had been: the end has the
+bits of the run that nobody has killed.
 
 A robot drives by a feedback law and is thrown back by a wall; its run keeps a journal.  A child
-process is killed in the middle, as by `kill -9`, a power cut of the batch system, or no memory.
-What it has left is read and drawn, and gone on with: the end has the bits of the run that nobody
-has killed.
+process is killed in the middle, as by ``kill -9``, a power cut of the batch system, or no memory.
+What it has left is read and drawn, and gone on with.
 
-    python killed_run.py [PICTURE.png]
+``python killed_run.py [PICTURE.png]`` prints how far the killed run was, and whether the one that
+goes on has the bits of the whole one.
 """
 
 import os
@@ -18,8 +23,9 @@ import time
 import numpy as np
 
 import dalembert as dal
+from dalembert.show.plot import COLOURS
 
-h, steps = 2e-3, 10_000
+h, steps = 4e-3, 5_000
 
 
 def forms(q):
@@ -36,10 +42,10 @@ def force(t, q, v, u):
 
 robot = dal.System(
     mass=[8.0, 8.0, 0.3], forms=forms, forms_velocity_derivative=turning, force=force,
-    inputs=["push", "turn"], coordinates=["x", "y", "theta"], name="robot", q0=[0, 0, 0.3],
+    inputs=["push", "turn"], coordinates=["x", "y", "theta"], name="robot", q0=[0, 0, -1.27],
     v0=[0, 0, 0],
 )  # fmt: skip
-wall = dal.Event(lambda t, q, v: q[0] - 0.8, direction=1, reset=lambda q, v: (q, -v))
+wall = dal.Event(lambda t, q, v: q[1] + 0.8, direction=-1, reset=lambda q, v: (q, -v))
 
 
 def feedback(t, q, v):
@@ -48,16 +54,27 @@ def feedback(t, q, v):
     return [4.0 * (0.5 - ahead), 0.3 * (np.cos(0.6 * t) - v[2])]
 
 
+# %%
+# The run that will be killed
+# ---------------------------
+# The journal is an argument of `dalembert.integrate`: a file to which each stored state is written
+# when it is computed.  The script starts itself once more, as the child that runs this.
+
 given = {"inputs": feedback, "events": [wall]}
-options = {"h": h, "steps": steps, "stride": 10, "hold": 50}
+options = {"h": h, "steps": steps, "stride": 5, "hold": 25}
 
 if len(sys.argv) > 2 and sys.argv[1] == "--child":  # this is the run that will be killed
     dal.integrate(robot, "leapfrog", **options, **given, journal=sys.argv[2])
     sys.exit()
 
+# %%
+# Kill it, and go on
+# ------------------
+# The file has no callbacks in it: they are given again.
+
 with tempfile.TemporaryDirectory() as folder:
     path = os.path.join(folder, "run.dal")
-    child = subprocess.Popen([sys.executable, __file__, "--child", path])
+    child = subprocess.Popen([sys.executable, sys.argv[0], "--child", path])
     left = None
     while left is None or left.t[-1] < 4.0:  # anybody may read it meanwhile
         time.sleep(0.05)
@@ -77,17 +94,30 @@ print(f"gone on: {run.message}, {len(run.t_events[0])} times at the wall; the sa
 if not (same and len(t_left) < len(run.t) and np.array_equal(q_left, run.q[: len(q_left)])):
     sys.exit("expected the bits of the run that was never killed")
 
+# %%
+# What the killed process has left, and what was made of it:
+
+draw = dal.plot.bodies
+
+
+def seen(t, q, v):
+    """Return the robot at q, and the wall that its hull touches when y is -0.8."""
+    ahead = np.array([np.cos(q[2]), np.sin(q[2])])
+    side = 0.1 * np.array([-ahead[1], ahead[0]])
+    return [
+        draw.line((-0.2, -0.95), (4.0, -0.95)),
+        draw.circle(q[:2], 0.15),
+        draw.line(q[:2], q[:2] + 0.15 * ahead),
+        draw.blade(q[:2] + side, q[2], 0.12),
+        draw.blade(q[:2] - side, q[2], 0.12),
+        draw.dot(q[:2], constraints=0),
+    ]
+
+
+ax = dal.plot.snapshots(run, seen, count=10)
+ax.plot(q_left[:, 0], q_left[:, 1], color=COLOURS[3], linewidth=4.0)
+ax.plot(*q_left[-1, :2], "X", color=COLOURS[3], markersize=14)
+ax.annotate("killed", q_left[-1, :2], (0, 14), textcoords="offset points", ha="center")
+ax.set_title("a run that was killed; lengths in m", loc="left", fontsize="medium")
 if len(sys.argv) > 1:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, ax = plt.subplots(figsize=(7.0, 5.0), layout="constrained")
-    ax.plot(run.q[:, 0], run.q[:, 1], color="#0072B2", label="gone on with")
-    ax.plot(q_left[:, 0], q_left[:, 1], color="#D55E00", linewidth=2.0, label="before the kill")
-    ax.plot(*q_left[-1, :2], "o", color="#D55E00")
-    ax.axvline(0.8, color="black", linewidth=3.0)
-    ax.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="a run that was killed")
-    ax.legend(loc="center left", bbox_to_anchor=(1.1, 0.5))
-    figure.savefig(sys.argv[1], dpi=110)
+    ax.figure.savefig(sys.argv[1], dpi=110)
