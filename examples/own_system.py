@@ -1,7 +1,12 @@
-"""A system of one's own: a cart with two wheels on an incline.
+"""
+A system of one's own
+=====================
+
+A system of one's own from formulas in plain Python: a cart with two wheels on an incline, which
+rolls sideways along a cycloid.
 
 q = (x, y, phi, left, right): the middle of the axle, which is the centre of mass, with x
-downhill; the heading; the angles by which the wheels have turned.
+downhill; the heading; the angles by which the wheels have turned::
 
     L = m (v_x^2 + v_y^2)/2 + J v_phi^2/2 + I (v_left^2 + v_right^2)/2 + m g x
     -sin(phi) v_x + cos(phi) v_y                       = 0    the wheels do not slip sideways
@@ -13,13 +18,16 @@ First integrals: the energy, v_phi, and R (right - left) - 2 b phi.  The exact m
 cycloid: with a = g m/(m + 2 I/R^2) the cart never rolls down by more than a/(2 w^2), and drifts
 sideways by pi a/w^2 in each turn.
 
-Prints what System.check finds, these two lengths for ten turns beside the exact ones, and how
-far energy, first integrals and constraints are off.
-
-    python own_system.py
+``python own_system.py [PICTURE.png]`` prints what System.check finds, these two lengths for ten
+turns beside the exact ones, and how far energy, first integrals and constraints are off.
+``examples/own_system.c`` prints the same in C.
 """
 
+import sys
 from math import cos, pi, sin
+
+import matplotlib.pyplot as plt
+import numpy as np
 
 import dalembert as dal
 
@@ -43,6 +51,12 @@ def forms_velocity_derivative(q, v):
     return [[0, 0, sideways, 0, 0], [0, 0, along, 0, 0], [0, 0, along, 0, 0]]
 
 
+# %%
+# The system
+# ----------
+# The derivative of the forms could be left out, and would be differenced; with it a step is faster.
+# The check compares it with differences, and looks whether the constraints are nonholonomic at all.
+
 cart = dal.System(
     mass=[m, m, J, I, I],
     forms=forms,
@@ -62,7 +76,11 @@ cart = dal.System(
 check = cart.check()
 print(f"check: {check.text}")
 if not check:
-    raise SystemExit(1)
+    sys.exit(1)
+
+# %%
+# Ten turns
+# ---------
 
 h = 2 * pi / (w * steps_a_turn)
 run = dal.integrate(cart, "leapfrog", h=h, steps=turns * steps_a_turn)
@@ -81,3 +99,36 @@ print(f"energy               {run.energy[0]:.6f}, off by {off(run.energy):.3e}")
 print(f"v_phi                {v_phi[0]:.6f}, off by {off(v_phi):.1e}")
 print(f"R (right - left) - 2 b phi    off by {off(slip):.1e}")
 print(f"largest |mu v| / sum |mu_i v_i|      {run.residual.max():.1e}")
+
+# %%
+# How it looks
+# ------------
+# From above, with the way downhill drawn downwards.  The middle of the axle goes along the cycloid,
+# and after each half turn is at the height again at which it was let go.
+
+draw = dal.plot.bodies
+
+
+def seen(t, q, v):
+    """Return the cart from above: a wedge between the wheels, and the wheels."""
+    middle = np.array([q[1], -q[0]])
+    ahead = np.array([sin(q[2]), -cos(q[2])])
+    side = b * np.array([-ahead[1], ahead[0]])
+    return [
+        draw.polygon([middle + side, middle - side, middle + 0.4 * ahead]),
+        draw.blade(middle + side, q[2] - pi / 2, 2 * R, constraints=1),
+        draw.blade(middle - side, q[2] - pi / 2, 2 * R, constraints=2),
+        draw.dot(middle, constraints=0),
+    ]
+
+
+short = dal.integrate(cart, "leapfrog", h=h, steps=3 * steps_a_turn // 2)
+dal.plot.animate(short, seen, fps=12, seconds=5, multipliers=False)
+
+# %%
+
+figure, ax = plt.subplots(figsize=(7.2, 3.6), layout="constrained")
+ax = dal.plot.snapshots(short, seen, ax, count=6)
+ax.set(xlabel="y, sideways (user's units)", ylabel="-x, uphill (user's units)")
+if len(sys.argv) > 1:
+    figure.savefig(sys.argv[1], dpi=110)
