@@ -229,16 +229,13 @@ class Animation:
         """Return the page in a frame, for notebooks."""
         if not extras.is_there("jinja2"):
             return None
-        page = film_page.html(self._scene, self.fps, self._trail)
+        page = film_page.frame(self._scene, self.fps, self._trail)
         if len(page) > NOTEBOOK:
             return (
                 f"<p>{html.escape(repr(self))}: its page has {len(page) / 1e6:.0f} MB, too much "
                 "for a notebook; <code>.save('film.html')</code> writes it.</p>"
             )
-        return (
-            f'<iframe srcdoc="{html.escape(page)}" title="{html.escape(self.run.system.name)}" '
-            'style="width:100%;max-width:46rem;height:44rem;border:0"></iframe>'
-        )
+        return str(page)
 
 
 # ---- the functions of dal.plot -------------------------------------------------------------------

@@ -30,6 +30,12 @@ def html(scene: Scene, fps: float, trail: bool) -> str:
     return str(web.render("film.html", title=run.system.name, about=about, data=data))
 
 
+def frame(scene: Scene, fps: float, trail: bool) -> web.HTML:
+    """Return the page in a frame, as part of another page."""
+    page = html(scene, fps, trail)
+    return web.render("frame.html", title=scene.run.system.name, page=page)
+
+
 def _data(scene: Scene, fps: float, trail: bool) -> str:
     """Return what the script of a page draws, as JSON that may stand in HTML."""
     run = scene.run

@@ -1,6 +1,6 @@
 """The pages of systems: what each says about itself, and a typical run, as HTML.
 
-A page is self-contained: no script, no network, the same bytes every time.
+A page is self-contained: no network, the same bytes every time, and no script but that of its film.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from ..geometry import Check
 from ..run import Solution
 from ..symbolic import formula
 from ..system import System
-from . import panels, plot, web
+from . import film_page, panels, plot, web
+from .scene import make_scene
 from .table import Table, number
 
 __all__ = ["available", "page", "write"]
@@ -30,6 +31,7 @@ __all__ = ["available", "page", "write"]
 END, TIMES = 20, (1, 10)
 SCHEME, STEP = "leapfrog", 0.02
 FINE, FINE_STEP = "leapfrog-kl8", 0.05
+FPS, FRAMES = 20, 120  # of the film
 
 
 def write(
@@ -200,6 +202,8 @@ def _sections(system: System, run: Solution) -> Iterator[web.Section]:
     yield "", web.sentence(system.help), web.side_by_side([panels.equations(system), path])
     yield "", system.description, ""
     yield "", f"Source: {web.sentence(system.source)}" if system.source else "", ""
+    scene = make_scene(run, None, None, FRAMES, multipliers=True, scale=None)
+    yield "In motion", "", film_page.frame(scene, FPS, trail=True)
     yield "The run", "", web.side_by_side(_pictures(system, run))
     yield "What it is", "", [("", "", Table(["", ""], _facts(system), 2, style="facts"))]
     yield "Parameters and initial data", "", [*_given(system)]

@@ -1,4 +1,4 @@
-"""HTML pages by the templates of the package: self-contained, no script, no network, no date."""
+"""HTML pages by the templates of the package: self-contained, no network, no date, no script but in films."""
 
 from __future__ import annotations
 

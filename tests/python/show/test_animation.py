@@ -720,7 +720,7 @@ def test_the_page_of_a_forced_run_calls_no_change_of_energy_an_error():
 def test_a_notebook_shows_the_page_in_a_frame(run, monkeypatch):
     film = dal.plot.animate(run, fps=5, seconds=1)
     text = film._repr_html_()
-    assert text.startswith("<iframe srcdoc=") and text.count('"') == 6
+    assert text.startswith("<iframe srcdoc=") and text.count('"') == 8
     monkeypatch.setattr(animation, "NOTEBOOK", 1000)
     assert "too much for a notebook" in film._repr_html_()
     monkeypatch.setattr(dal.core.extras, "is_there", lambda name: False)

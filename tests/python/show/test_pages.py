@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import html
+import json
 import os
 import pickle
 import re
@@ -47,7 +48,11 @@ def subject(request, folder):
 
 def test_a_page_stands_alone(subject):
     system, text, page = subject
-    assert not {"script", "link", "img", "iframe", "object"} & set(page.tags)
+    assert not {"script", "link", "img", "object"} & set(page.tags)
+    assert len(text) < 600_000
+    (film,) = re.findall(r'<iframe srcdoc="([^"]*)"', text)
+    assert not re.search(r"(?:src|href|action)\s*=|@import|url\(|http", film)
+    text = text.replace(film, "").replace("srcdoc=", "")
     assert not re.search(r"(?:src|action)\s*=|@import|url\((?!#)", text)
     assert set(re.findall(r"http[^\s\"]*", text)) <= VOCABULARIES
     for address in re.findall(r'href="([^"]*)"', text):
@@ -56,11 +61,21 @@ def test_a_page_stands_alone(subject):
     used = set(re.findall(r'href="#([^"]+)"', text)) | set(re.findall(r"url\(#([^)]+)\)", text))
     assert used and used <= set(page.ids)
     assert page.tags.count("svg") == (4 if {"x", "y"} <= {*system.coordinates} else 3)
-    assert len(text) < 400_000 and "prefers-color-scheme: dark" in text
+    assert "prefers-color-scheme: dark" in text
     for picture in re.findall(r"<svg .*?</svg>", text, re.S):  # in the colours of the page
         assert not re.search(r"(?:fill|stroke): (?:#000000|#ffffff|black|white)", picture)
         width = float(re.search(r'width="([\d.]+)pt"', picture)[1])
         assert width < 320, "it is not readable on a telephone"
+
+
+def test_the_film_of_a_page_is_that_of_its_run(subject):
+    system, text, _ = subject
+    film = html.unescape(re.search(r'<iframe srcdoc="([^"]*)"', text)[1])
+    shown = json.loads(re.search(r'type="application/json">(.*?)</script>', film)[1])
+    run = dal.integrate(system, "leapfrog", h=0.02, t_end=20)
+    assert shown["t"] == pytest.approx(np.linspace(0, 20, 120))
+    energy = np.array(shown["curves"][0]["points"])
+    assert energy[:, 1].max() == pytest.approx((run.energy - run.energy[0]).max(), rel=1e-3)
 
 
 def test_a_page_says_what_the_system_says(subject):
