@@ -49,7 +49,7 @@ if study.holds is False:
 # motion the smaller they are.  Right the errors of the study: a slope of 2 says that half the step
 # makes a quarter of the error, and it holds for the multiplier too.
 
-figure, (way, errors) = plt.subplots(1, 2, figsize=(9.0, 4.2), layout="constrained")
+figure, (way, errors) = plt.subplots(1, 2, figsize=(8.0, 4.2), layout="constrained")
 for steps, colour, marker in zip((4, 6, 10), COLOURS[1:], "os^"):
     run = dal.integrate(knife_edge, scheme, h=3.0 / steps, steps=steps)
     way.plot(run.q[:, 1], run.q[:, 0], marker=marker, color=colour, label=f"h = {run.h:g}")
