@@ -14,7 +14,7 @@ The blocks of a Markdown page run in their order, in a folder of their own:
   line, which is that of the exception.
 - ``sh`` and others: not run; what a reader types once, to install something.
 
-With ``--pictures`` the PNG files that the blocks of a page write replace those beside the page.
+With ``--pictures`` the pictures that the blocks of a page write replace those that it shows.
 
 Words are compared exactly, numbers that are not whole to two parts in a hundred, those below 1e-11,
 which are roundoff, not at all.  ``...`` stands for the rest of a line; alone, for any lines.
@@ -216,8 +216,10 @@ def main(*pages: str) -> None:
             os.chdir(folder)
             ran = Page(page.name).run(text)
             os.chdir(here)
-            for picture in Path(folder).glob("*.png") if takes_pictures else ():
-                shutil.copy(picture, page.parent)
+            for picture in Path(folder).iterdir() if takes_pictures else ():
+                shown = re.search(rf"(?:\]\(|{{image}} )([\w/-]*{re.escape(picture.name)})\b", text)
+                if shown:
+                    shutil.copy(picture, page.parent / shown[1])
         print(f"{page}: {ran} blocks ran")
 
 
