@@ -34,7 +34,7 @@ walls = {"left": (0, -1.0), "right": (0, 1.0), "bottom": (1, -1.0), "top": (1, 1
 # ----------------
 # A reset takes the state in which a wall is met and returns the one that the run goes on with.
 # The normal of the wall is a covector; what is left of it in D, orthogonal in the metric M, is the
-# direction of the impulse.  A state that were not in D would be refused.
+# direction of the impulse.  A state that is not in D would be refused.
 
 
 def bounce(coordinate):
@@ -106,7 +106,8 @@ def in_box(t, q, v):
 dal.plot.animate(run, in_box, fps=12, seconds=12, multipliers=False)
 
 # %%
-# The first bounces in one picture, with the places where the walls were hit:
+# The first bounces in one picture.  It is the middle of the blade that meets the walls; a sledge
+# that comes steeply goes back as it came.
 
 first = dal.integrate(system, "leapfrog-kl6", *start, t_end=8.0, **given)
 ax = dal.plot.snapshots(first, in_box, count=15)

@@ -57,8 +57,8 @@ def feedback(t, q, v):
 # %%
 # The run that will be killed
 # ---------------------------
-# The journal is an argument of `dalembert.integrate`: a file to which each stored state is written
-# when it is computed.  The script starts itself once more, as the child that runs this.
+# The journal is an argument of `dalembert.integrate`: a file that gets, some times a second, all
+# that the run stores.  The script starts itself once more, as the child that runs this.
 
 given = {"inputs": feedback, "events": [wall]}
 options = {"h": h, "steps": steps, "stride": 5, "hold": 25}
