@@ -106,8 +106,9 @@ def in_box(t, q, v):
 dal.plot.animate(run, in_box, fps=12, seconds=12, multipliers=False)
 
 # %%
-# The first bounces in one picture.  It is the middle of the blade that meets the walls; a sledge
-# that comes steeply goes back as it came.
+# The first bounces in one picture.  It is the middle of the blade that meets the walls.  There the
+# speed along the blade is reversed, as D allows no other; the sledge goes on turning as before, and
+# so comes back on another curve.
 
 first = dal.integrate(system, "leapfrog-kl6", *start, t_end=8.0, **given)
 ax = dal.plot.snapshots(first, in_box, count=15)
