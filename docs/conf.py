@@ -86,6 +86,7 @@ sphinx_gallery_conf = {
     "abort_on_example_error": True,
     "download_all_examples": False,
     "write_computation_times": False,
+    "remove_config_comments": True,
     "notebook_extensions": [],
     "show_memory": False,
     "show_signature": False,

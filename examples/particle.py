@@ -30,6 +30,6 @@ print(f"largest |mu v| / sum |mu_i v_i| {run.residual.max():.1e}")
 # %%
 # How far D is missed stays at roundoff:
 
-ax = dal.plot.drift(run)
+axes = dal.plot.drift(run)
 if len(sys.argv) > 1:
-    ax.figure.savefig(sys.argv[1], dpi=110)
+    axes[0].figure.savefig(sys.argv[1], dpi=110)

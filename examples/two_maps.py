@@ -27,7 +27,7 @@ h, steps = 0.05, 2000
 pairs = [(0.5, 0.5), (0.25, 0.5), (0.0, 0.5), (0.5, 0.0), (0.5, 1.0)]
 
 # %%
-# ``Scheme.pair`` steps by two maps.  `dal.Discrete` does the same on nodes, one step at a time, and
+# ``Scheme.pair`` steps by two maps.  `dalembert.Discrete` does the same on nodes, one step at a time, and
 # shows all that is in between; here it checks the last step of each run.
 
 runs, errors = {}, {}

@@ -1,15 +1,16 @@
 """Examples do what they say.
 
-Usage: ``python check_examples.py PROGRAM EXAMPLE.py``: a C example and its Python twin print the
-same words and the same numbers.
+Usage: ``python check_examples.py PROGRAM EXAMPLE.py [ARGUMENT...]``: a C example and its Python
+twin print the same words and the same numbers.
 
 Usage: ``python check_examples.py EXAMPLE.py``: a script finds what it expects, which its exit
-status tells, and draws a picture if it is given a name for it and there is matplotlib.
+status tells.
+
+Both draw a picture, whose name is the last argument.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import subprocess
 import sys
@@ -46,26 +47,29 @@ def numbers(words: list[str]) -> int:
     return sum(any(c.isdigit() for c in word) for word in words)
 
 
+def drawn(script: str, *arguments: str) -> list[str]:
+    """Run a script that is to draw a picture too; the words that it prints."""
+    with tempfile.TemporaryDirectory() as folder:
+        picture = Path(folder) / "picture.png"
+        words = output(sys.executable, script, *arguments, str(picture))
+        if not picture.read_bytes().startswith(b"\x89PNG"):
+            sys.exit(f"{script}: the picture is no PNG")
+    return words
+
+
 def alone(script: str) -> str | None:
-    """Run a script without a twin, with a picture where matplotlib can draw it."""
-    if importlib.util.find_spec("matplotlib") is None:
-        words = output(sys.executable, script)
-    else:
-        with tempfile.TemporaryDirectory() as folder:
-            picture = Path(folder) / "picture.png"
-            words = output(sys.executable, script, str(picture))
-            if not picture.read_bytes().startswith(b"\x89PNG"):
-                return f"{script}: the picture is no PNG"
+    """Run a script without a twin."""
+    words = drawn(script)
     if numbers(words) == 0:
         return f"{script} prints no number"
     print(f"{numbers(words)} numbers")
     return None
 
 
-def twins(program: str, script: str) -> str | None:
+def twins(program: str, script: str, *arguments: str) -> str | None:
     """Compare what a C program and its Python twin print."""
     in_c = output(str(Path(program).resolve()))
-    in_python = output(sys.executable, script)
+    in_python = drawn(script, *arguments)
     for k, (one, other) in enumerate(zip(in_c, in_python)):
         if not same(one, other):
             return f"word {k}: {program} prints {one!r}, {script} prints {other!r}"

@@ -1,4 +1,6 @@
-"""HTML pages by the templates of the package: self-contained, no network, no date, no script but in films."""
+"""HTML pages by the templates of the package: self-contained, no network, no date, and no script
+but that of films.
+"""
 
 from __future__ import annotations
 
