@@ -59,7 +59,7 @@ def contact(e, rate=None):
 
 
 def newton_euler(t, state):
-    c, e, omega = np.split(state, 3)
+    _, e, omega = np.split(state, 3)
     turned = np.cross(omega, e)
     to_foot, moved = contact(e), contact(e, turned)
     square = np.eye(3) * r**2 - np.outer(to_foot, to_foot)
