@@ -71,16 +71,13 @@ python_use_unqualified_type_names = True
 python_maximum_signature_line_length = c_maximum_signature_line_length = 96
 toc_object_entries_show_parents = "hide"
 
-# ---- the gallery: each script of examples/ that is written for it ----
+# ---- the gallery: the scripts of examples/ ----
 
-examples = (here.parent / "examples").resolve()
-other = [path.stem for path in examples.glob("*.py") if "\n# %%" not in path.read_text()]
 sphinx_gallery_conf = {
-    "examples_dirs": str(examples),
+    "examples_dirs": str((here.parent / "examples").resolve()),
     "gallery_dirs": "gallery",
     "filename_pattern": r"\.py$",
-    "ignore_pattern": rf"^({'|'.join(other)})\.py$" if other else r"^$",
-    "within_subsection_order": "FileNameSortKey",
+    "within_subsection_order": "gallery.place",
     "reference_url": {"dalembert": None},
     "backreferences_dir": None,
     "abort_on_example_error": True,

@@ -49,7 +49,7 @@ def style_sheet() -> str:
 
 def mathml(node: nodes.Element, display: str) -> str:
     """Return the formula of a node; one that cannot be read is a warning, and stands as it is."""
-    formula = node.astext().replace("{aligned}", "{align}")
+    formula = node.astext().replace("{aligned}", "{align*}")
     try:
         found = convert(formula, display=display)
         if left := re.search(r"\\\w*|&amp;", re.sub("<[^>]*>", "", found)):
