@@ -48,7 +48,7 @@ print(f"the disc leans by {lean.min():.3f} to {lean.max():.3f} degrees")
 
 
 def contact(e, rate=None):
-    """Return the vector from the centre to the contact; its rate of change if that of e is given."""
+    """Return the vector from the centre to the contact, or its rate if that of e is given."""
     up = np.array([0.0, 0.0, 1.0])
     w = up - e[2] * e
     length = np.linalg.norm(w)

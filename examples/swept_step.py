@@ -72,25 +72,25 @@ if __name__ == "__main__":
                 sys.exit(f"order {order} was expected")
 
 # %%
-# Above, the skates of two members with ``midpoint``, which go down the slope, are turned by their
-# spin and come up again; with long steps they are late, and end elsewhere.  Below, the errors of
+# Above, the last arc of the way by two members with ``midpoint``: the skate goes down the slope, is
+# turned by its spin and comes up again; with long steps it ends elsewhere.  Below, the errors of
 # all members.
 
 if __name__ == "__main__":
     figure, (way, ax) = plt.subplots(
-        2, 1, figsize=(7.6, 6.4), height_ratios=(1, 2.6), layout="constrained"
+        2, 1, figsize=(7.6, 6.8), height_ratios=(1, 1.25), layout="constrained"
     )
     path = np.array([edge.exact(t)[0] for t in np.linspace(0, t_end, 500)])
     way.plot(path[:, 1], path[:, 0], color="0.6", linewidth=1, label="exact")
     for k, colour in ((0, "#E69F00"), (2, "#000000")):
         x, y, heading = ensembles["midpoint"].member(k).q.T[:, :: 1 if k == 0 else 4]
-        along = 0.13 * np.array([np.cos(heading), np.sin(heading)])
+        along = 0.12 * np.array([np.cos(heading), np.sin(heading)])
         blades = [y - along[1], y + along[1]], [x - along[0], x + along[0]]
         label = [f"h = {h[k]:g} s"] + [None] * (len(x) - 1)
-        way.plot(*blades, color=colour, linewidth=3.5, label=label)
-    way.plot(path[-1, 1], path[-1, 0], "*", color="#D55E00", markersize=14, label="exact end")
-    way.invert_yaxis()
+        way.plot(*blades, color=colour, linewidth=5, label=label)
+    way.plot(path[-1, 1], path[-1, 0], "*", color="#D55E00", markersize=18, label="exact end")
     way.set(xlabel="y, across the slope (m)", ylabel="x, downhill (m)", aspect="equal")
+    way.set(xlim=(5.2, 8.85), ylim=(1.1, -0.3))
     way.legend(frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     for style, (scheme, error) in zip(dal.plot.styles(errors).values(), errors.items()):
         ax.loglog(h, error, label=f"{scheme}, order {schemes[scheme]}", **style)
