@@ -27,8 +27,8 @@ h, steps = 0.05, 2000
 pairs = [(0.5, 0.5), (0.25, 0.5), (0.0, 0.5), (0.5, 0.0), (0.5, 1.0)]
 
 # %%
-# ``Scheme.pair`` steps by two maps.  `dalembert.Discrete` does the same on nodes, one step at a time, and
-# shows all that is in between; here it checks the last step of each run.
+# ``Scheme.pair`` steps by two maps.  `dalembert.Discrete` does the same on nodes, one step at a
+# time, and shows all that is in between; here it checks the last step of each run.
 
 runs, errors = {}, {}
 print("beta_L  beta_D    min E - E(0)    max E - E(0)      of mu v")
