@@ -28,6 +28,7 @@ extensions = [
     "headers",
     "mathml",
     "names",
+    "wrapping",
 ]
 exclude_patterns = ["_static"]
 nitpicky = True
@@ -84,6 +85,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "write_computation_times": False,
     "remove_config_comments": True,
+    "thumbnail_size": (480, 280),
     "notebook_extensions": [],
     "show_memory": False,
     "show_signature": False,

@@ -168,8 +168,12 @@ class Scheme:
             one if isinstance(one, DifferenceMap) else DifferenceMap(one)
             for one in (lagrangian, lagrangian if constraint is None else constraint)
         ]
-        name = f"pair:{maps[0].beta!r}:{maps[1].beta!r}"
-        self = cls._of_family(name, ("pair", *maps))
+        first, second = (one.beta for one in maps)
+        name = f"pair:{first!r}:{second!r}"
+        if len(name) > 39:  # of a dal_scheme; the numbers themselves are in its data
+            name = f"pair:{first:.14g}:{second:.14g}"
+        data = ffi.new("dal_pair *", {"lagrangian": {"beta": first}, "constraint": {"beta": second}})
+        self = cls._of_family(name, ("pair", *maps), data)
         self._set(_maps=maps if any(one.map for one in maps) else None)
         return self
 

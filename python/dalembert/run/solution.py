@@ -314,10 +314,11 @@ class Solution(Mapping[str, Any]):
     def _evaluate(self, name: str, output: str, shift: float = 0.0) -> Array:
         """Return a quantity of the stored states."""
         given: dict[str, Any] = {"shift": shift, "inputs": self._inputs_of_rows()}
-        if self.times is None:
+        timeless = not (self.system.is_forced or self.system.is_time_dependent)
+        if self.times is None and (timeless or self.stride == 1):
             given |= {"t0": self.t0, "h": self.stride * self.h}
-        else:
-            given["times"] = self.times
+        else:  # t0 + k (stride h) and t0 + (k stride) h may differ in their last bit
+            given["times"] = self.t
         return self._once(
             name, lambda: geometry.trajectory(self.system, self.x, output, **given)
         )

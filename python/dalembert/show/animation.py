@@ -20,7 +20,7 @@ from ..core.extras import Progress
 from ..run import Solution
 from . import film_page
 from .bodies import Body, Shape
-from .plot import Axes
+from .plot import Axes, plain
 from .scene import Scene, make_scene
 from .stage import clock, draw, draw_trails, stage
 
@@ -50,7 +50,7 @@ class Animation:
         self._scene, self._trail = scene, trail
         self.ax = stage(scene, ax)
         self._there: list[Any] = []
-        self._format = clock(self.t)
+        self._clock = clock(scene)
         self._show(0)
 
     def __len__(self) -> int:
@@ -107,7 +107,7 @@ class Animation:
             past = k * scene.per_frame + 1
             self._there += draw_trails(self.ax, [trail[:past] for trail in scene.trails])
         self._there += draw(self.ax, shapes, float(np.ptp(scene.limits, axis=0).max()))
-        self.ax.set_title(self._format.format(t), loc="right", fontsize="medium", color="0.3")
+        self.ax.set_title(plain(self._clock(t)), loc="right", fontsize="medium", color="0.3")
 
     # ---- files -----------------------------------------------------------------------------------
 
@@ -378,7 +378,7 @@ def snapshots(
         if alpha < 1:
             shapes = [shape for shape in shapes if shape.role != "ground"]
         draw(ax, shapes, size, float(alpha))
-    first, last = (clock(scene.t).format(float(x)) for x in scene.t[[0, -1]])
-    ax.set_title(f"{first} to {last.removeprefix('t = ')}", loc="right", fontsize="medium",
-                 color="0.3")  # fmt: skip
+    first, last = map(clock(scene), scene.t[[0, -1]].tolist())
+    span = f"{first.removesuffix(scene.unit('t'))} to {last.removeprefix('t = ')}"
+    ax.set_title(plain(span), loc="right", fontsize="medium", color="0.3")
     return ax

@@ -54,10 +54,12 @@ def _data(scene: Scene, fps: float, trail: bool) -> str:
             for x in shapes
         ]
 
-    words, written = words_of(scene), clock(scene.t)
+    words, written = words_of(scene), clock(scene)
     roles = {shape.role for shapes in scene.frames for shape in shapes}
     said = [role for role in ARROWS if role in roles]
-    change = "E − E₀" if run.system.conserves_energy else "E − E₀, no error here"
+    change = f"E − E₀ ({x})" if (x := run.system.unit("energy")) else "E − E₀"
+    if not run.system.conserves_energy:
+        change += ", no error here"
     below = "log₁₀ residual; roundoff is below the dashed line"
     residual = np.maximum(run.residual, ZERO)
     data = {
@@ -65,7 +67,7 @@ def _data(scene: Scene, fps: float, trail: bool) -> str:
         "roles": ROLES,
         "fps": fps,
         "t": [float(f"{x:.12g}") for x in scene.t.tolist()],
-        "clock": [written.format(x) for x in scene.t.tolist()],
+        "clock": [written(x) for x in scene.t.tolist()],
         "frames": [sent(shapes) for shapes in scene.frames],
         "trails": [whole(x) for x in scene.trails] if trail else [],
         "each": scene.per_frame,

@@ -118,6 +118,10 @@ class Scene:
     def in_space(self) -> bool:
         return self.look is not _flat
 
+    def unit(self, name: str) -> str:
+        """Return a unit as it stands behind a number, or nothing."""
+        return f" {unit}" if (unit := self.run.system.unit(name)) else ""
+
     def shapes(self, t: float) -> tuple[float, list[Shape]]:
         """Return the time and the shapes of one instant."""
         times, x = _states(self.run, np.array([t]))
@@ -213,7 +217,7 @@ def make_scene(
     require_kind(run, "run", Solution)
     columns = _columns(run, coordinates)
     arguments.function(body, "body", "t, q, v")
-    names = [run.system.coordinates[k] for k in columns] if body is None else []
+    names = [_with_unit(run, run.system.coordinates[k]) for k in columns] if body is None else []
     if body is None and coordinates is None:
         body = bodies.of(run)
         names = ["y", "z"] if body and run.system.name in bodies.PAIRS else names
@@ -275,6 +279,10 @@ def make_scene(
         run, body, columns, t[::per_frame], frames, trails, per_frame, ground, grid, drawn, look,
         np.array([middle - half, middle + half]), names[:2] if not in_space else [],
     )  # fmt: skip
+
+
+def _with_unit(run: Solution, name: str) -> str:
+    return f"{name} ({unit})" if (unit := run.system.unit(name)) else name
 
 
 def _lifted(points: Array) -> Array:

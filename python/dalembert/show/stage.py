@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -136,10 +136,10 @@ def _key(scene: Scene, ax: Axes) -> None:
     roles = {shape.role for shapes in scene.frames for shape in shapes}
     words = words_of(scene)
     entries = [
-        (ax.plot([], [], **_LINES[role])[0], words[role]) for role in ARROWS if role in roles
+        (ax.plot([], [], **_LINES[role])[0], plain(words[role])) for role in ARROWS if role in roles
     ]
     if scene.in_space:
-        entries.append((ax.plot([], [], **_LINES["ground"])[0], words["ground"]))
+        entries.append((ax.plot([], [], **_LINES["ground"])[0], plain(words["ground"])))
     if entries:
         below = (
             0.0 if scene.in_space else -0.18 / ax.get_position().height / ax.figure.get_figheight()
@@ -154,11 +154,14 @@ def _key(scene: Scene, ax: Axes) -> None:
 def words_of(scene: Scene) -> dict[str, str]:
     """What the legend says."""
     force = f"reaction: length 1 is a force of {scene.scale or 0:g}"
-    return {"velocity": "velocity", "reaction": force, "ground": f"squares of {scene.grid:g}"}
+    length = scene.unit(scene.run.system.coordinates[scene.columns[0]])
+    squares = f"squares of {scene.grid:g}{length}"
+    return {"velocity": "velocity", "reaction": force, "ground": squares}
 
 
-def clock(t: Array) -> str:
-    """Return the format of the time: with digits to tell frames apart, and no more than 6."""
-    gap = float(np.abs(np.diff(t)).min()) if len(t) > 1 else 0.0
+def clock(scene: Scene) -> Callable[[float], str]:
+    """Return how a time is written: with digits to tell frames apart, and no more than 6."""
+    gap = float(np.abs(np.diff(scene.t)).min()) if len(scene.t) > 1 else 0.0
     digits = min(max(1, math.ceil(-math.log10(gap))), 6) if gap > 0 else 2
-    return f"t = {{:.{digits}f}}"
+    unit = scene.unit("t")
+    return lambda t: f"t = {t:.{digits}f}{unit}"

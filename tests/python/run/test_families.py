@@ -47,6 +47,17 @@ def test_pair_makes_the_steps_of_the_discrete_mechanics(name, betas):
     assert not np.array_equal(run.x, dal.integrate(system, 0.3, h=h, steps=20).x)
 
 
+@pytest.mark.parametrize("betas", [(1 / 3, 2 / 3), (0.35000000000000003, 0.15000000000000002)])
+def test_pair_of_numbers_with_many_digits(betas):
+    system, scheme = dal.systems.robot(), dal.Scheme.pair(*betas)
+    run = dal.integrate(system, scheme, h=0.05, steps=20)
+    expected = stepped(system, betas, 0.05, 20)
+    np.testing.assert_allclose(run.x, expected, rtol=0, atol=1e-12 * abs(expected).max())
+    assert scheme.name.startswith(f"pair:{betas[0]:.10g}") and pickle.loads(pickle.dumps(scheme))
+    near = dal.integrate(system, dal.Scheme.pair(*(x + 1e-9 for x in betas)), h=0.05, steps=20)
+    assert 1e-12 < abs(near.x - run.x).max() < 1e-7
+
+
 def test_pair_of_equal_maps_is_the_beta_scheme():
     system = dal.systems.knife_edge()
     run = dal.integrate(system, dal.Scheme.pair(0.5), h=0.1, steps=50)

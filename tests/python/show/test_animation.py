@@ -340,7 +340,7 @@ def test_rows_of_t_eval_are_drawn_with_their_own_times():
     np.testing.assert_array_equal(film.t, [t[k] for k in (0, 2, 2, 3, 3, 3, 4, 4, 5)])
     np.testing.assert_allclose(film._scene.frames[4][1].middle,
                                shapes_of(run, run.q[3], run.v[3])[1].middle)  # fmt: skip
-    assert film.frame(1.2).get_title(loc="right") == film._format.format(2.0)
+    assert film.frame(1.2).get_title(loc="right") == "t = 2.0"
     back = made("sleigh", h=-0.02, t_end=-4, t_eval=[-x for x in t])
     np.testing.assert_array_equal(dal.plot.animate(back, fps=9, seconds=1).t, -film.t)
 
@@ -515,6 +515,22 @@ def test_the_axes_have_names_where_they_are_known(run):
     assert names(dal.plot.animate(made("chaotic"))) == ["y", "z"]
     assert names(dal.plot.animate(made("disk"))) == []
     assert data_of(dal.plot.animate(run, coordinates=(2, 1)))["names"] == ["theta", "y"]
+
+
+def test_units_stand_on_axes_clock_and_curves(run):
+    units = {"x": "m", "y": "$k{0}m$", "t": "s", "energy": "J"}
+    film = dal.plot.animate(
+        dal.integrate(dal.systems.sleigh().with_units(**units), h=0.02, t_end=4), fps=5, seconds=1
+    )
+    assert [x.get_text() for x in film.ax.texts] == ["x (m)", r"y (\$k{0}m\$)"]
+    assert film.frame(2).get_title(loc="right") == "t = 2.0 s"
+    data = data_of(film)
+    assert data["names"] == ["x (m)", "y ($k{0}m$)"] and data["clock"][-1] == "t = 4.0 s"
+    assert data["curves"][0]["name"] == "E − E₀ (J)"
+    assert dal.plot.snapshots(film.run).get_title(loc="right") == "t = 0.0 to 4.0 s"
+    disk = dal.integrate(dal.systems.disk().with_units(x="m", y="m"), h=0.02, t_end=4)
+    assert data_of(dal.plot.animate(disk))["squares"].endswith(" m")
+    assert data_of(dal.plot.animate(run))["clock"][-1] == "t = 4.00"
 
 
 def test_space_is_seen_from_above_with_the_near_larger():

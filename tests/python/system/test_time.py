@@ -239,6 +239,10 @@ def test_quantities_of_a_run():
             np.testing.assert_allclose(run.energy[k], energy, rtol=1e-13)
     state = plain(0.333)
     assert system.relative_residual(state.q, state.v, t=0.333) < 1e-15
+    some = dal.integrate(system, "leapfrog", *start(SWAY), h=0.05, steps=200, stride=5)
+    every = dal.integrate(system, "leapfrog", *start(SWAY), h=0.05, steps=200)
+    for name in ("energy", "residual", "multipliers"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[::5])
 
 
 def test_stepper_and_events():
