@@ -1,6 +1,7 @@
 """The site: how Sphinx makes it.  ``./dev docs`` builds it, by build_site.py."""
 
 import logging
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -50,13 +51,17 @@ logging.getLogger("sphinx.sphinx.directives.other").addFilter(
 
 
 
-def links_to_files(app, name, source):
-    """Make a link to the README, which is no page of the site, one to the file."""
-    source[0] = source[0].replace("](../README.md)", "](path:../README.md)")
+def prepare(app, name, source):
+    """Make a link to the README, which is no page of the site, one to the file.
+
+    And put what pictures show on one line, as MyST joins lines without a space there.
+    """
+    text = source[0].replace("](../README.md)", "](path:../README.md)")
+    source[0] = re.sub(r"!\[[^\]]*\]\(", lambda found: found[0].replace("\n", " "), text)
 
 
 def setup(app):
-    app.connect("source-read", links_to_files)
+    app.connect("source-read", prepare)
 
 
 # ---- Python ----

@@ -29,6 +29,25 @@ CHARACTERS = [
     (0x2100, 0x214F), (0x2190, 0x21FF), (0x2200, 0x22FF), (0x2308, 0x230B), (0x27E8, 0x27E9),
     (0x1D400, 0x1D467), (0x1D49C, 0x1D4CF), (0x1D538, 0x1D56B), (0x1D6A8, 0x1D71B),
 ]  # fmt: skip
+# Bars without space; primes, which fonts have raised and small already; a minus after another
+# operator or a bracket, which is a sign; and a space after a function without brackets.
+PRIME = "&#x02032;"
+IMPROVED = [
+    (r"<mo([^>]*)>(?:\||&#x0007C;)</mo>", r'<mo\1 lspace="0" rspace="0">|</mo>'),
+    (
+        rf"<msup>(<m[ion][^>]*>[^<]*</m[ion]>|<mover>(?:(?!</mover>).)*</mover>)"
+        rf"<mi>{PRIME}</mi></msup>",
+        rf'<mrow>\1<mo lspace="0" rspace="0">{PRIME}</mo></mrow>',
+    ),
+    (
+        r"(?<=&#x000(?:3D|28|5B|2C);</mo>)<mo>&#x02212;</mo>",
+        '<mo form="prefix">&#x02212;</mo>',
+    ),
+    (
+        r"(?<!<msup>)(?<!<msub>)(<mi>(?:sin|cos|tan|log|exp)</mi>)(?=<m(?!o))",
+        r'\1<mspace width="0.167em" />',
+    ),
+]
 
 
 def style_sheet() -> str:
@@ -57,7 +76,9 @@ def mathml(node: nodes.Element, display: str) -> str:
     except Exception as error:
         logger.warning("formula %r: %r", formula, error, location=node)
         return f"<code>{formula}</code>"
-    return re.sub(r"<mo([^>]*)>(\||&#x0007C;)</mo>", r'<mo\1 lspace="0" rspace="0">|</mo>', found)
+    for pattern, text in IMPROVED:
+        found = re.sub(pattern, text, found)
+    return found
 
 
 def inline(translator: HTML5Translator, node: nodes.math) -> None:
