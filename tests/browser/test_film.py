@@ -232,6 +232,37 @@ def test_a_film_in_a_notebook_waits(visit, run, tmp_path):
     assert frame.locator("#play").text_content() == "Pause"
 
 
+@pytest.mark.parametrize("chosen", ["light", "dark"])
+def test_a_film_in_a_page_has_the_colours_of_the_page(visit, run, tmp_path, chosen):
+    path = tmp_path / "page.html"
+    text = dal.plot.animate(run, fps=10, seconds=2)._repr_html_()
+    path.write_text(
+        f"<!DOCTYPE html><html style='color-scheme:{chosen}'><meta charset=utf-8>{text}",
+        encoding="utf-8",
+    )
+    papers = {"light": "rgb(255, 255, 255)", "dark": "rgb(22, 24, 27)"}
+    other = "light" if chosen == "dark" else "dark"
+    page = visit(path, color_scheme=other, reduced_motion="reduce")
+    body = page.frame_locator("iframe").locator("body")
+    paper = "document => getComputedStyle(document).backgroundColor"
+    assert body.evaluate(paper) == papers[chosen]
+    page.evaluate(f"document.documentElement.style.colorScheme = '{other}'")
+    page.wait_for_timeout(100)
+    assert body.evaluate(paper) == papers[other]
+
+
+@pytest.mark.parametrize("width", [360, 900])
+@pytest.mark.parametrize("name", ["sleigh", "knife_edge", "particle"])
+def test_a_film_fits_in_its_frame(visit, tmp_path, name, width):
+    run = dal.integrate(dal.systems.get(name), "leapfrog", h=0.02, t_end=4)
+    path = tmp_path / "page.html"
+    text = dal.plot.animate(run, fps=10, seconds=1)._repr_html_()
+    path.write_text(f"<!DOCTYPE html><meta charset=utf-8>{text}", encoding="utf-8")
+    page = visit(path, width, reduced_motion="reduce")
+    inner = page.frame_locator("iframe").locator("html")
+    assert inner.evaluate("x => x.scrollHeight <= innerHeight && x.scrollWidth <= innerWidth")
+
+
 @pytest.mark.parametrize("name", ["rolling_disc", "ball_on_table", "particle", "chaotic"])
 def test_films_in_space_and_of_several_points(visit, tmp_path, name):
     run = dal.integrate(dal.systems.get(name), "leapfrog", h=0.02, t_end=4)

@@ -10,8 +10,13 @@
   const dark = matchMedia("(prefers-color-scheme: dark)");
   let colours = {}, now = 0, began = null, from = 0;
 
+  // Of a film in a page the frame says whether this is dark; elsewhere it is what is preferred.
   const readColours = () => {
-    const style = getComputedStyle(document.documentElement);
+    const root = document.documentElement;
+    const around = frameElement ? getComputedStyle(frameElement).colorScheme : "";
+    const chosen = around === "light" || around === "dark";
+    root.classList.toggle("dark", chosen ? around === "dark" : dark.matches);
+    const style = getComputedStyle(root);
     for (const name of [...data.roles, "trail", "ink", "quiet", "rule"])
       colours[name] = style.getPropertyValue("--" + name);
   };
@@ -100,7 +105,8 @@
       pen.stroke();
     };
     pen.fillStyle = colours.ink;
-    pen.fillText(curve.name, 62, 12);
+    const room = width - pen.measureText(curve.name).width;
+    pen.fillText(curve.name, Math.max(0, Math.min(62, room)), 12);
     pen.fillStyle = colours.quiet;
     pen.textAlign = "right";
     for (const v of [low, high]) {
@@ -194,10 +200,15 @@
     keys[event.key]();
   });
   addEventListener("resize", draw);
-  dark.addEventListener("change", () => {
+  const recolour = () => {
     readColours();
     draw();
-  });
+  };
+  dark.addEventListener("change", recolour);
+  if (frameElement) {
+    const changes = new MutationObserver(recolour);
+    changes.observe(parent.document.documentElement, {attributes: true});
+  }
 
   readColours();
   draw();
