@@ -5,6 +5,7 @@ Usage: ``python check_site.py HTML``
 - Every link inside leads to a page that is there, with the anchor that it names.
 - No page loads anything from elsewhere: scripts, style sheets, pictures, fonts.
 - Links to elsewhere are those listed here.
+- Pictures say in words what they show.
 - Every public name of the package, and every function of the headers, has an entry.
 """
 
@@ -33,6 +34,7 @@ class Page(HTMLParser):
     def __init__(self, path: Path) -> None:
         super().__init__()
         self.anchors, self.links, self.loads = {""}, [], []
+        self.silent: list[str] = []  # pictures without words, but for those beside a link
         self.text = path.read_text(encoding="utf-8")
         self.feed(self.text)
 
@@ -41,6 +43,10 @@ class Page(HTMLParser):
         self.anchors |= {x for x in (given.get("id"), given.get("name")) if x}
         if tag == "a" and given.get("href"):
             self.links.append(given["href"])
+        source, shown = given.get("src") or "", given.get("alt") or ""
+        if tag == "img" and "_images/" in source and not source.endswith("_thumb.png"):
+            if len(shown) < 40 or "$" in shown:
+                self.silent.append(f"{source} is described as {shown!r}")
         if given.get(LOADS.get(tag, "")):
             self.loads.append(given[LOADS[tag]])
 
@@ -99,6 +105,7 @@ def main(folder: str) -> str | None:
     root = Path(folder).resolve()
     pages = {path: Page(path) for path in root.rglob("*.html") if "_static" not in path.parts}
     wrong = check_links(root, pages) + check_names(entries(root))
+    wrong += [f"{path.relative_to(root)}: {x}" for path in pages for x in pages[path].silent]
     if not wrong:
         links = sum(len(page.links) for page in pages.values())
         print(f"{len(pages)} pages, {links} links")

@@ -161,7 +161,7 @@ def test_version():
     "arguments, message",
     [
         ((), "COMMAND"),
-        (("study",), "SYSTEM"),
+        (("study",), "MODEL"),
         (("stduy", "particle"), "no 'stduy'; did you mean 'study'? there are study, run"),
         (("study", "pendulum"), "knife_edge"),
         (("study", "partcle"), "did you mean 'particle'"),
@@ -359,6 +359,29 @@ def test_a_model_of_ones_own(tmp_path, capsys):
         assert "expected a dalembert.System, or a function" in capsys.readouterr().err
 
 
+def test_a_model_of_ones_own_has_studies_and_pages(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(MODEL)
+    assert cli.main(["study", "own.py:system", "--scheme", "midpoint", "--no-report"]) == 0
+    assert "midpoint" in capsys.readouterr().out
+    assert cli.main(["catalogue", "book", "--system", "own.py:system"]) == 0
+    assert [x.name for x in (tmp_path / "book").glob("*.html") if x.name != "index.html"]
+
+
+def test_a_file_that_cannot_be_is_refused_before_the_run(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(cli.runs, "integrate", lambda *_, **__: pytest.fail("it has run"))
+    asked = ["run", "sleigh", "--h", "0.1", "--steps", "3", "--output", str(tmp_path / "a.mat")]
+    assert cli.main(asked) == 2
+    assert "expected a name that ends in .npz, .nc or .csv" in capsys.readouterr().err
+
+
+def test_a_velocity_that_is_not_in_D_may_be_projected(capsys):
+    asked = ["run", "particle", "--h", "0.1", "--steps", "3", "--q0=0,1,0", "--v0=1,1,0"]
+    assert cli.main(asked) == 2
+    assert "consistent='project' would project v0" in capsys.readouterr().err
+    assert cli.main([*asked, "--consistent", "project"]) == 0
+
+
 def test_a_run_that_fails_says_how_to_go_on(tmp_path, capsys):
     from dalembert.cli import main
 
@@ -393,6 +416,7 @@ system = dal.System(mass=[1, 1, 1], force=fails, q0=[0, 1, 0], v0=[1, 1, 1])
         (["resume", "run.dal", "--parameter", "a=1"], "--parameter without MODEL"),
         (["run", "slegh", "--h", "0.1", "--steps", "3"], "did you mean 'sleigh'?"),
         (["run", "sleigh", "--h", "0.1", "--steps", "3", "--output", "a.txt"], "ends in .npz"),
+        (["run", "own.py", "--h", "0.1", "--steps", "3"], "expected own.py:NAME"),
         (["export", "none.dal", "a.csv"], "none.dal: No such file or directory"),
         (["info", __file__], "neither the journal of a run nor"),
     ],

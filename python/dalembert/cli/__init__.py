@@ -135,8 +135,8 @@ def _parser() -> argparse.ArgumentParser:
         help="where to, made if it is not there (default: catalogue)",
     )  # fmt: skip
     book.add_argument(
-        "--system", action="append", metavar="NAME",
-        help="see `dalembert systems`; again for more (default: all)",
+        "--system", action="append", metavar="MODEL",
+        help=f"{runs.MODEL}; again for more (default: all)",
     )  # fmt: skip
     listed = commands.add_parser("systems", help="list the built-in systems")
     schemes = commands.add_parser("schemes", help="list the named schemes")
@@ -157,7 +157,7 @@ def _add_study_options(study: argparse.ArgumentParser) -> None:
     numbers = _read("numbers and commas", _list_of(float))
     counts = _read("whole numbers and commas", _list_of(int))
     add, written = study.add_argument, study.add_mutually_exclusive_group()
-    add("system", metavar="SYSTEM", help="see `dalembert systems`")
+    add("system", metavar="MODEL", help=runs.MODEL)
     add("--scheme", action="append", metavar="NAME",
         help="a name of `dalembert schemes`, or beta; again for more (default: all)")
     add("--parameter", action="append", default=[], type=_read("NAME=NUMBER", _parameter),
@@ -198,7 +198,7 @@ def _list_of(kind: type) -> Callable[[str], list[Any]]:
 
 
 def _study(given: argparse.Namespace) -> int:
-    system = systems.get(given.system, **runs.parameters(given))
+    system = runs.model(given.system, runs.parameters(given))
     output = _output(given)
     if sys.stderr.isatty() and (missing := [x for x in ("rich", "tqdm") if not extras.is_there(x)]):
         _say(given, f"for colours and a progress bar: pip install {' '.join(missing)}")
@@ -260,13 +260,14 @@ def _require(check: Callable[[Path], None], path: str | Path) -> None:
 
 def _catalogue(given: argparse.Namespace) -> int:
     names = given.system or pages.available()
+    chosen = [runs.model(name, {}) if ".py" in name else name for name in names]
     _require(files.require_folder, given.folder)
 
     def show(done: int, total: int) -> None:
         if done < total:
             print(f"page {done + 1} of {total}: {names[done]}", file=sys.stderr)
 
-    index, *_ = pages.write(given.folder, names, progress=show)
+    index, *_ = pages.write(given.folder, chosen, progress=show)
     print(f"catalogue: {index}", file=sys.stderr)
     left_out = ", ".join(x for x in systems.names_in_sympy() if x not in pages.available())
     if left_out and not given.system:

@@ -14,9 +14,10 @@ from .. import systems
 from ..core import extras, files, lib, string
 from ..core.errors import DalembertError
 from ..run import Solution, integrate, load, resume
+from ..run.events import CONSISTENCY
 from ..run.journal import ERRORS, Journal, is_journal
 from ..run.scheme import INITIAL
-from ..run.storage import SUFFIXES
+from ..run.storage import SUFFIXES, require_suffix
 from ..system import System
 
 MODEL = "a name of `dalembert systems`; or FILE.py:NAME, a System or a function that returns one"
@@ -40,6 +41,8 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     add_end(run, required=True)
     run.add_argument("--t0", type=float, default=0.0, metavar="T", help="the time of the start")
     run.add_argument("--stride", type=int, default=1, metavar="K", help="store every K-th state")
+    run.add_argument("--consistent", choices=list(CONSISTENCY), default="check",
+                     help="velocities that are not in D: refuse, project, or use them")
     run.add_argument("--initial", choices=list(INITIAL), help="how kept nodes start")
     run.add_argument("--journal", type=Path, metavar="FILE",
                      help="a new file, for `dalembert resume` and `dalembert info`")
@@ -88,6 +91,8 @@ def _add_file(command: Any) -> None:
 def model(text: str, parameters: dict[str, float]) -> System:
     """Return the system of an argument MODEL; ValueError if there is none."""
     path, colon, name = text.rpartition(":")
+    if text.endswith(".py"):
+        raise ValueError(f"{text}: expected {text}:NAME, the name of a System in it")
     if not colon or not path.endswith(".py"):
         return systems.get(text, **parameters)
     spec = importlib.util.spec_from_file_location(Path(path).stem, path)
@@ -126,6 +131,7 @@ def progress() -> bool:
 def _finish(given: argparse.Namespace, make: Callable[[], Solution], journal: Path | None) -> int:
     """Make a run, print it, and write it; say how to go on if it breaks off."""
     if given.output is not None:
+        require_suffix(given.output)
         files.require_writable(given.output)
     try:
         run = make()
@@ -149,7 +155,8 @@ def _run(given: argparse.Namespace) -> int:
     system = model(given.model, parameters(given))
     return _finish(given, lambda: integrate(
         system, given.scheme, given.q0, given.v0, h=given.h, t_end=given.t_end,
-        steps=given.steps, t0=given.t0, stride=given.stride, initial=given.initial,
+        steps=given.steps, t0=given.t0, stride=given.stride,
+        consistent=given.consistent, initial=given.initial,
         journal=given.journal, journal_errors=given.journal_errors, progress=progress(),
     ), given.journal)  # fmt: skip
 

@@ -271,7 +271,13 @@ def dal_py_control(step: int, t: float, x: Any, u: Any, ctx: Any) -> int:
 @_trampoline()
 def dal_py_event(t: float, x: Any, g: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
-    _write(g, call.g(t, *_halves(call, x)), (), call.name)
+    value = call.g(t, *_halves(call, x))
+    if isinstance(value, (bool, np.bool_)):
+        raise ValueError(
+            f"{call.name} returned {value}, a condition: expected a number that changes its sign "
+            "where it happens, as q[0] - 1 for q[0] > 1"
+        )
+    _write(g, value, (), call.name)
     return 0
 
 

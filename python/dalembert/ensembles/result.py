@@ -277,8 +277,8 @@ class Ensemble(Mapping[str, Any]):
             return x[..., :n] if name == "q" else x[..., n:]
         if name not in self._data.names():
             raise KeyError(
-                f"{name!r} was not kept: keep={name!r} of dal.ensemble does; there are "
-                f"{', '.join(self)}"
+                f"there is no {name!r}; there are {', '.join(self)}; what keep= of dal.ensemble "
+                "names is kept too, and to_xarray() is written to files"
             )
         return self._data.array(name)
 

@@ -133,6 +133,9 @@ class Check:
         at random points.
     digits : int
         With which it was seen there: 30 with expressions, 16 with functions.
+    still : tuple of str
+        Of affine constraints made by `System.from_sympy`: their terms without a velocity, among
+        which is what was to have one.
     """
 
     passed: bool
@@ -169,6 +172,7 @@ class Check:
     holonomic: tuple[str, ...] = ()
     exact: bool = False
     digits: int = 16
+    still: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
         return self.passed
@@ -205,6 +209,7 @@ class Check:
             lines.append(("growth vector of D", f"not known; {self.growth_note}"))
         if self.general_growth != self.growth:
             lines.append(("at a general point", self.general_growth))
+        lines += [("without a velocity", text) for text in self.still]
         return lines + [("holonomic in disguise", text) for text in self.holonomic]
 
     def __str__(self) -> str:

@@ -31,8 +31,9 @@ class Event:
     Parameters
     ----------
     g : callable or sympy.Expr
-        ``g(t, q, v) -> float``; or an expression in coordinates, velocities, parameters and the
-        time, which is compiled.
+        ``g(t, q, v) -> float``, a number that changes its sign where the event is, as q[0] - 1,
+        and no condition as q[0] > 1; or an expression in coordinates, velocities, parameters and
+        the time, which is compiled.
     direction : float, optional
         > 0: only where g grows along the run; < 0: where it falls; 0: both.
     terminal : bool or int, optional
@@ -92,6 +93,11 @@ def _event(one: Any, name: str) -> Event:
     if not isinstance(one, Event):
         fields = ("direction", "terminal", "reset", "consistent")
         one = Event(one, **{key: getattr(one, key) for key in fields if hasattr(one, key)})
+    if getattr(one.g, "is_Relational", False) or getattr(one.g, "is_Boolean", False):
+        raise ValueError(
+            f"{name} = {one.g}: a condition; expected an expression that changes its sign where it "
+            "happens, as x - 1 for x > 1"
+        )
     if not (_is_expression(one.g) or callable(one.g)):
         raise ValueError(f"{name} = {arguments.shown(one.g)}: expected g(t, q, v) or an expression")
     if not _is_expression(one.g):

@@ -70,7 +70,7 @@ def require_same(system: System | None, about: Mapping[str, Any], path: str) -> 
     if system is None:
         raise ValueError(
             f"system: needed, {path} is of one that does not come with the library, {name!r} "
-            f"({', '.join(about['coordinates'])})"
+            f"({', '.join(about['coordinates'])}); on the command line, MODEL: FILE.py:NAME"
         )
     core.require_system(system)
     if system.parameters != parameters and system.parameters.keys() == parameters.keys():

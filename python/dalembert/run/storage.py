@@ -28,6 +28,12 @@ _ARRAYS = ("x", "reactions", "inputs", "times")
 _NUMBERS = ("t0", "h", "stride", "hold", "status", "message")
 
 
+def require_suffix(path: Path) -> None:
+    """Raise ValueError for a name that says no kind of file that can be written."""
+    if path.suffix not in SUFFIXES:
+        raise ValueError(f"path = {str(path)!r}: expected a name that ends in .npz, .nc or .csv")
+
+
 def save(run: Solution, path: str | os.PathLike[str]) -> None:
     """Write the run to a file, which appears when it is complete.
 
@@ -57,8 +63,7 @@ def save(run: Solution, path: str | os.PathLike[str]) -> None:
         >>> run.save(os.path.join(tempfile.mkdtemp(), "run.csv"))
         """
     target = Path(os.fsdecode(path))
-    if target.suffix not in SUFFIXES:
-        raise ValueError(f"path = {str(target)!r}: expected a name that ends in .npz, .nc or .csv")
+    require_suffix(target)
     files.require_writable(target)
     if target.suffix == ".csv":
         content = _csv(run)

@@ -120,7 +120,7 @@ def convergence(
     if quantity not in QUANTITIES:
         raise ValueError(f"quantity is {quantity!r}; expected one of {', '.join(QUANTITIES)}")
     name, key, loss, words, of = QUANTITIES[quantity]
-    studies = _several(study, "study", Study)
+    studies = several(study, "study", Study)
     ax = axes_for(ax)
     from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -189,7 +189,7 @@ def drift(
     >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=100)
     >>> left, right = dal.plot.drift(run)
     """
-    solutions = _several(solution, "solution", Solution)
+    solutions = several(solution, "solution", Solution)
     if ax is None:
         ax = _subplots(1, 2, sharey=True, figsize=(9, 3.8))
     axes = np.asarray(ax, dtype=object).ravel()
@@ -254,7 +254,7 @@ def energy(
     >>> run = dal.integrate(dal.systems.particle(), "midpoint", h=0.05, steps=100)
     >>> ax = dal.plot.energy(run)
     """
-    solutions = _several(solution, "solution", Solution)
+    solutions = several(solution, "solution", Solution)
     ax = axes_for(ax)
     styles = _styles(solutions, styles)
     for run in solutions:
@@ -469,7 +469,7 @@ def _time(items: Iterable[Any]) -> str:
     return f"time t ({unit(items, 't')})"
 
 
-def _several(item: Any, what: str, kind: type) -> list[Any]:
+def several(item: Any, what: str, kind: type) -> list[Any]:
     items = list(item) if isinstance(item, Sequence) and not isinstance(item, str) else [item]
     if not items:
         raise ValueError(f"{what} is empty; expected at least one")

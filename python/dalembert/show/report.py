@@ -24,7 +24,7 @@ __all__ = ["write"]
 MOST = 4  # schemes in one picture
 
 
-def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
+def write(studies: Study | Studies | Sequence[Study], path: str | Path) -> Path:
     """Write the report of studies on one system as an HTML page.
 
     The equations and a path come first, then the verdict, then pictures of the errors, of the drift
@@ -34,7 +34,7 @@ def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
 
     Parameters
     ----------
-    studies : Studies or sequence of Study
+    studies : Study, Studies or sequence of Study
         At least one, all on the same system from the same data.
     path : str or Path
         The file to write; one that is there is replaced when the page is complete.
@@ -63,9 +63,7 @@ def write(studies: Studies | Sequence[Study], path: str | Path) -> Path:
     True
     """
     web.require()
-    studies = Studies(studies)
-    if not studies:
-        raise ValueError("studies is empty; expected at least one")
+    studies = Studies(plot.several(studies, "studies", Study))
     names = sorted({study.system.name for study in studies})
     if len(names) > 1:
         raise ValueError(f"studies are on {', '.join(names)}; expected one system")

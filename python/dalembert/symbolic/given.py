@@ -85,7 +85,8 @@ def make_model(
     L = _expression(L, "L")
     given = _constraints(constraints)
     forces = None if force is None else _force(force)
-    pairs = _pairs(coordinates, L, [*_flat(given), *(forces or {}).values(), *(forces or {})])
+    pairs = _pairs(coordinates, L, [*_flat(given), *(forces or {}).values(),
+                                           *(x for x in forces or {} if isinstance(x, sympy.Expr))])
     n = len(pairs)
     names = [name for name, _, _ in pairs]
     if n == 0:
@@ -151,7 +152,7 @@ class Translation:
         self.q, self.v = models.canonical("q", n), models.canonical("v", n)
         self.rule = dict(zip(values, models.canonical("p", len(values))))
         self.used = {symbol.name: {symbol} for symbol in symbols}  # of each parameter
-        self.velocities = velocities
+        self.positions, self.velocities = positions, velocities
         self.inputs = dict(zip(inputs.values(), models.canonical("u", len(inputs))))
         self.states = dict(zip([*positions, *velocities], [*self.q, *self.v]))
         times = [q.args[0] for q in positions if not q.is_Symbol]
@@ -214,6 +215,7 @@ class Translation:
             raise ValueError(
                 f"{where}: {', '.join(left)} is neither a coordinate ({', '.join(self.names)}) nor "
                 f"a parameter ({', '.join(self.values) or 'there are none'})"
+                + (", nor in inputs=" if where.startswith("force") else "")
             )
 
     def constraint(self, a: int, given: Any) -> Expr:
@@ -223,12 +225,22 @@ class Translation:
             return self(given, where, self.clock)
         if len(given) != n:
             raise ValueError(f"{where}: expected {n} coefficients, got {len(given)}")
-        return sympy.Add(*(self(c, where, self.clock) * v for c, v in zip(given, self.v) if c != 0))
+        row = [self(c, where, self.clock) for c in given]
+        for i, c in enumerate(row):
+            if c.free_symbols & set(self.v):
+                raise ValueError(
+                    f"{where}: coefficient {i}, {given[i]}, has a velocity in it; a list is a "
+                    "one-form mu(q), whose coefficients are multiplied by the velocities; an "
+                    "equation is given as one expression"
+                )
+        return sympy.Add(*(c * v for c, v in zip(row, self.v)))
 
     def force(self, given: Rule) -> tuple[Expr, ...]:
         """Return the n components of a force."""
         components = dict.fromkeys(self.q, sympy.Integer(0))
         for key, expression in given.items():
+            if key in self.names:
+                key = self.positions[self.names.index(key)]
             position = self.states.get(key, self.same.get(_kind_and_name(key)))
             if position not in components:
                 raise ValueError(f"force: {key} is no coordinate ({', '.join(self.names)})")
@@ -345,7 +357,7 @@ def _force(given: Any) -> Rule:
     """Return the components of a force that are given, by the coordinate."""
     found = {}
     for key, value in arguments.mapping(given, "force").items():
-        if not isinstance(key, sympy.Expr):
+        if not isinstance(key, sympy.Expr | str):
             raise ValueError(f"force: {key!r}: expected a coordinate, as the key of its component")
         found[key] = _expression(value, f"force[{key}]")
     return found

@@ -564,6 +564,12 @@ class Model:
         text = " + ".join(texts).replace("+ -", "- ")
         return text.replace("**", "^").replace("*", " ")
 
+    def still(self) -> tuple[str, ...]:
+        """Return the terms without a velocity of each constraint that has some, as plain text."""
+        at_rest = dict.fromkeys(self.v, 0)
+        found = ((a, phi.xreplace(at_rest)) for a, phi in enumerate(self.constraints))
+        return tuple(f"{self.formula(e)}, in constraints[{a}]" for a, e in found if e != 0)
+
     def formulas(self) -> tuple[str, ...]:
         """Return L, the constraints and the force as plain text, a line each."""
         force = zip(self.coordinates, self.force or ())

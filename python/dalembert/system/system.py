@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -670,6 +671,8 @@ class System(Handle):
         if q is None and v is None and self.q0 is None and self._model is not None:
             q, v = self._general_state()
         found = examine(self, q, v, arguments.number(t, "t"))
+        if self.kind == "affine" and self._model is not None:
+            found = dataclasses.replace(found, still=self._model.still())
         if self.m == 0 or self.kind != "linear" or self.is_time_dependent:
             return found
         place, _ = geometry.initial(self, q, v, "q", "v")

@@ -362,9 +362,17 @@ def test_a_run_that_breaks_off_is_named(tmp_path):
 def test_bad_arguments_are_named(studies, tmp_path):
     with pytest.raises(ValueError, match="studies is empty"):
         dal.report.write([], tmp_path / "report.html")
+    with pytest.raises(ValueError, match="studies is a System; expected a dalembert.Study or"):
+        dal.report.write(dal.systems.sleigh(), tmp_path / "report.html")
     other = dal.convergence(dal.systems.knife_edge(), "midpoint")
     with pytest.raises(ValueError, match="knife_edge, particle; expected one system"):
         dal.report.write([studies[0], other], tmp_path / "report.html")
     with pytest.raises(OSError):
         dal.report.write(studies, tmp_path / "nowhere" / "report.html")
     assert not (tmp_path / "report.html").exists()
+
+
+def test_one_study_is_enough(studies, tmp_path):
+    one = dal.report.write(studies[0], tmp_path / "one.html")
+    same = dal.report.write([studies[0]], tmp_path / "same.html")
+    assert one.read_bytes() == same.read_bytes()

@@ -732,6 +732,23 @@ def test_exact_and_invariants_by_expressions():
     assert mixed.invariant([0, 0], [1, 2]) == {"p": 3.0, "r": 6.0, "s": 2.0}
 
 
+def test_a_force_by_names_of_coordinates():
+    x, y = dal.coordinates("x y")
+    L = (x.d**2 + y.d**2) / 2
+    by_name = dal.System.from_sympy(L, force={"y": -x, x: y})
+    assert by_name.formulas == dal.System.from_sympy(L, force={y: -x, x: y}).formulas
+
+
+def test_the_check_names_terms_without_a_velocity():
+    x, y, z = dal.coordinates("x y z")
+    L = (x.d**2 + y.d**2 + z.d**2) / 2
+    slip = dal.System.from_sympy(L, [x.d - y.d, z.d - y * x + 2])  # y x.d was meant
+    found = slip.check([0, 0, 0], [1, 1, -2])
+    assert found.still == ("-x y + 2, in constraints[1]",)
+    assert "without a velocity   -x y + 2, in constraints[1]" in str(found)
+    assert dal.System.from_sympy(L, [z.d - y * x.d]).check([0, 0, 0], [1, 0, 0]).still == ()
+
+
 def test_refused_by_name():
     x, y, z = dal.coordinates("x y z")
     m, t = sympy.symbols("m t")
@@ -754,6 +771,9 @@ def test_refused_by_name():
         (lambda: from_sympy(L, coordinates=[x, x, y]), "expected different names"),
         (lambda: from_sympy(L, [sympy.true]), "does not depend on anything"),
         (lambda: from_sympy(L, [[1, 2, 3]]), "expected 2 coefficients, got 3"),
+        (lambda: from_sympy(L, [[1, x * y.d]]), r"0\]: coefficient 1, x\*y.d, has a velocity in it"),
+        (lambda: from_sympy(L, force={x: m}), r"force\[x\]: m is neither .*, nor in inputs="),
+        (lambda: from_sympy(L, force={"m": 1}), "force: m is no coordinate"),
         (lambda: from_sympy(L, parameters={m: "heavy"}), "m = 'heavy'"),
         (lambda: from_sympy(L, parameters={m: 10**400}), "m = 10{50}.*: expected a finite number"),
         (lambda: from_sympy(L, parameters={m: sympy.Integer(10) ** 400}), "m = inf"),
