@@ -84,6 +84,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": "gallery",
     "filename_pattern": r"\.py$",
     "within_subsection_order": "gallery.place",
+    "image_scrapers": ("gallery.described",),
     "reference_url": {"dalembert": None},
     "backreferences_dir": None,
     "abort_on_example_error": True,
