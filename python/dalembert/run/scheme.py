@@ -172,7 +172,8 @@ class Scheme:
         name = f"pair:{first!r}:{second!r}"
         if len(name) > 39:  # of a dal_scheme; the numbers themselves are in its data
             name = f"pair:{first:.14g}:{second:.14g}"
-        data = ffi.new("dal_pair *", {"lagrangian": {"beta": first}, "constraint": {"beta": second}})
+        betas = {"lagrangian": {"beta": first}, "constraint": {"beta": second}}
+        data = ffi.new("dal_pair *", betas)
         self = cls._of_family(name, ("pair", *maps), data)
         self._set(_maps=maps if any(one.map for one in maps) else None)
         return self
