@@ -60,8 +60,14 @@ def prepare(app, name, source):
     source[0] = re.sub(r"!\[[^\]]*\]\(", lambda found: found[0].replace("\n", " "), text)
 
 
+def skip(app, what, name, member, skipped, options):
+    """Leave out the fields of named tuples: the class lists them, and they say nothing more."""
+    return True if type(member).__name__ == "_tuplegetter" else None
+
+
 def setup(app):
     app.connect("source-read", prepare)
+    app.connect("autodoc-skip-member", skip)
 
 
 # ---- Python ----
