@@ -17,6 +17,10 @@ QUERIES = {
     "convergence": "reference/python/studies.html",
     "Chaplygin sleigh": "catalogue/sleigh.html",
     "journal": "reference/files.html",
+    # Words of the index of a page, which are not in its text.
+    "crash": "howto/journal.html",
+    "step length": "howto/study.html",
+    "license": "howto/cite.html",
 }
 
 
