@@ -14,7 +14,8 @@ import re
 import subprocess
 from pathlib import Path
 
-ARCHIVE = "$Format:%(describe:tags=true,match=v[0-9]*) %h$"  # see .gitattributes
+# See .gitattributes.
+ARCHIVE = "$Format:%(describe:tags=true,match=v[0-9]*.[0-9]*.[0-9]*,exclude=*-*) %h$"
 ROOT = Path(__file__).resolve().parent
 
 
@@ -42,7 +43,7 @@ def version(described: str, commit: str, changes: str) -> str:
 
 def main() -> None:
     if ARCHIVE.startswith("$"):
-        described = git("describe", "--tags", "--match=v[0-9]*")
+        described = git("describe", "--tags", "--match=v[0-9]*.[0-9]*.[0-9]*", "--exclude=*-*")
         commit = git("rev-parse", "--short", "HEAD")
     else:
         *rest, commit = ARCHIVE.split()

@@ -88,7 +88,8 @@ def cases(work: Path, source: Path) -> list[tuple[str, str, str]]:
     case("GIT_DIR of another", "1.2.4", here, GIT_DIR=str(other / ".git"))
     for text in "two", "three":
         git(here, "commit", "--quiet", "--allow-empty", "-m", text)
-    git(here, "tag", "as-submitted")
+    for tag in "as-submitted", "v2.0.0-rc1", "v3":
+        git(here, "tag", tag)
     place = "g" + git(here, "rev-parse", "--short", "HEAD").decode().strip()
     case("commits after a tag", f"1.2.4+2.{place}", here)
     case("an archive after a tag", f"1.2.4+2.{place}", archive(here, work / "a3"))

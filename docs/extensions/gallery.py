@@ -8,8 +8,8 @@ from typing import Any
 from sphinx_gallery.scrapers import matplotlib_scraper
 
 ORDER = [
-    "particle", "own_system", "falling_disc", "snakeboard_gait", "roller_racer", "reversing_trailers",
-    "ball_on_turntable", "bouncing_sleigh", "driven_robot", "environment",
+    "particle", "own_system", "falling_disc", "snakeboard_gait", "roller_racer",
+    "reversing_trailers", "ball_on_turntable", "bouncing_sleigh", "driven_robot", "environment",
     "which_wall", "uncertain_car", "swept_step", "many_skates", "killed_run",
     "order", "kept_nodes", "order_lost", "long_runs", "two_maps",
     "embedding", "deformed", "exact_constraints", "charts",

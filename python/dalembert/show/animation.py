@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..core import arguments, extras, files
 from ..core.extras import Progress
 from ..run import Solution
-from . import film_page
+from . import film_page, web
 from .bodies import Body, Shape
 from .plot import Axes, plain
 from .scene import Scene, make_scene
@@ -160,29 +160,34 @@ class Animation:
 
     def _pixels(self, show: extras.Show) -> Iterator[NDArray[np.uint8]]:
         """Yield the frames as arrays of bytes, shape (height, width, 4)."""
-        import matplotlib
-
         figure = self.ax.figure
-        options: dict[str, Any] = {"format": "raw", "dpi": figure.dpi, "transparent": False}
-        with matplotlib.rc_context({"savefig.bbox": None}):
-            for k in range(len(self)):
-                show(k)
+        options: dict[str, Any] = {"format": "raw", "dpi": figure.dpi, "transparent": False,
+                                   "facecolor": figure.get_facecolor()}  # fmt: skip
+        for k in range(len(self)):
+            show(k)
+            buffer = io.BytesIO()
+            with web.default_style():
                 self._show(k)
-                buffer = io.BytesIO()
                 figure.savefig(buffer, **options)
-                width, height = (int(x) for x in figure.bbox.size)
-                yield np.frombuffer(buffer.getvalue(), np.uint8).reshape(height, width, 4)
+            width, height = (int(x) for x in figure.bbox.size)
+            yield np.frombuffer(buffer.getvalue(), np.uint8).reshape(height, width, 4)
         show(len(self))
 
     def _gif(self, show: extras.Show) -> bytes:
-        if self.fps > 50:
-            raise ValueError(f"fps = {self.fps:g}: a GIF has at most 50 frames a second")
+        if not 0.002 <= self.fps <= 50:
+            raise ValueError(f"fps = {self.fps:g}: a GIF has 0.002 to 50 frames a second")
         image = extras.require("PIL.Image", "a GIF")
-        frames = [image.fromarray(x[:, :, :3]) for x in self._pixels(show)]
-        # One palette for all, of the frames at both ends and in the middle.
-        some = np.concatenate([np.asarray(frames[k]) for k in (0, len(frames) // 2, -1)])
-        palette = image.fromarray(some).quantize(32, image.Quantize.MAXCOVERAGE)
-        frames = [x.quantize(palette=palette, dither=image.Dither.NONE) for x in frames]
+        pixels = [x[:, :, :3] for x in self._pixels(show)]
+        # One palette for all, of the frames at both ends and in the middle: the colours of lines
+        # and areas as they are, and some between them for their edges.
+        some = np.concatenate([pixels[k] for k in (0, len(pixels) // 2, -1)])
+        colours, counts = np.unique(_packed(some), return_counts=True)
+        often = colours[np.argsort(counts)[-24:]].tolist()
+        between = image.fromarray(some).quantize(32, image.Quantize.MAXCOVERAGE).getpalette()
+        palette = [x for c in often for x in c.to_bytes(3, "big")] + between[: 3 * 32]
+        frames = [image.fromarray(_nearest(x, palette), "P") for x in pixels]
+        for frame in frames:
+            frame.putpalette(palette)
         # Durations are whole hundredths of a second; their sum is right.
         ends = np.rint(100 * np.arange(len(frames) + 1) / self.fps).astype(int)
         buffer = io.BytesIO()
@@ -218,12 +223,14 @@ class Animation:
                         process.stdin.write(frame.tobytes())
                     process.stdin.close()
                 said = process.stderr.read().decode(errors="replace")
-            if process.returncode != 0:
+            if process.returncode != 0 or said:  # of a full disk it says no more than that
                 raise RuntimeError(f"ffmpeg failed: {said.strip()}")
             return film.read_bytes()
 
     def _page(self, show: extras.Show) -> bytes:
-        return film_page.html(self._scene, self.fps, self._trail).encode()
+        page = film_page.html(self._scene, self.fps, self._trail).encode()
+        show(len(self))
+        return page
 
     def _repr_html_(self) -> str | None:
         """Return the page in a frame, for notebooks."""
@@ -236,6 +243,20 @@ class Animation:
                 "for a notebook; <code>.save('film.html')</code> writes it.</p>"
             )
         return str(page)
+
+
+def _packed(pixels: NDArray[np.uint8]) -> NDArray[np.int_]:
+    """Return each colour as a number, shape (pixels,)."""
+    return pixels.reshape(-1, 3) @ np.array([1 << 16, 1 << 8, 1])
+
+
+def _nearest(pixels: NDArray[np.uint8], palette: list[int]) -> NDArray[np.uint8]:
+    """Return for each pixel the number of the nearest colour of a palette."""
+    colours, where = np.unique(_packed(pixels), return_inverse=True)
+    known = np.reshape(palette, (-1, 3))
+    apart = np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=1)[:, None] - known
+    best = (apart**2).sum(axis=2).argmin(axis=1).astype(np.uint8)
+    return np.asarray(best[where].reshape(pixels.shape[:2]))
 
 
 # ---- the functions of dal.plot -------------------------------------------------------------------

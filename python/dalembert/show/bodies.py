@@ -226,9 +226,12 @@ def size(points: Array) -> float:
 def forms(run: Solution, t: Array, q: Array, v: Array, columns: Sequence[int]) -> Array:
     """Return some columns of mu = phi_v at states, shape (N, m, number of columns).
 
-    Differences of phi are exact but for roundoff where it is affine in v.
+    Differences of phi are exact but for roundoff where it is affine in v; else the step is small
+    against v.
     """
-    step = 1e-5 * np.maximum(1, np.abs(v).max(axis=1))
+    speed = np.abs(v).max(axis=1)
+    at_least = np.finfo(float).tiny if run.system.kind == "nonlinear" else 1.0
+    step = 1e-5 * np.maximum(at_least, speed)
     pushes = np.zeros((len(columns), *v.shape))
     for k, column in enumerate(columns):
         pushes[k, :, column] = step
@@ -246,7 +249,8 @@ def point(run: Solution, coordinates: Sequence[int]) -> Body:
     """Return a dot at some coordinates, with its velocity; in space with the plane of D."""
     places = list(coordinates)
     where, v = run.q[:, places], run.v[:, places]
-    scale = 0.15 * size(where) / max(float(np.abs(v).max()), 1e-300)
+    whole = size(where)
+    scale = 0.15 * whole / max(float(np.abs(v).max()), 1e-300)
     every = range(run.system.m)
     flat = len(places) == 1
     tangent = len(places) == 3 == run.system.n and run.system.m == 1
@@ -260,7 +264,7 @@ def point(run: Solution, coordinates: Sequence[int]) -> Body:
             mu = forms(run, np.array([t]), q[None], v[None], places)[0, 0]
             # The columns behind the first are orthogonal to it, and span the plane.
             plane = np.linalg.svd(mu[None])[2][1:]
-            found.insert(0, Shape("plane", at + 0.12 * size(where) * _ROUND @ plane))
+            found.insert(0, Shape("plane", at + 0.12 * whole * _ROUND @ plane))
         return found
 
     return shapes
@@ -511,6 +515,7 @@ _MADE: dict[str, Callable[[Solution], Body]] = {
 
 
 PAIRS = tuple(name for name, make in _MADE.items() if make is _pairs)
+IN_SPACE = tuple(name for name, make in _MADE.items() if make is _in_space)
 
 
 def of(run: Solution) -> Body | None:

@@ -66,7 +66,7 @@ def _data(scene: Scene, fps: float, trail: bool) -> str:
         "size": [round(x) for x in (span * unit).tolist()],
         "roles": ROLES,
         "fps": fps,
-        "t": [float(f"{x:.12g}") for x in scene.t.tolist()],
+        "t": [float(f"{x:.9g}") for x in (scene.t - run.t[0]).tolist()],  # since the beginning
         "clock": [written(x) for x in scene.t.tolist()],
         "frames": [sent(shapes) for shapes in scene.frames],
         "trails": [whole(x) for x in scene.trails] if trail else [],
@@ -77,8 +77,8 @@ def _data(scene: Scene, fps: float, trail: bool) -> str:
         "key": [[ROLES.index(role), words[role]] for role in said],
         "squares": words["ground"] if scene.in_space else "",
         "curves": [
-            _curve(change, run.t, run.energy - run.energy[0]),
-            _curve(below, run.t, np.log10(residual), residual_bound(run.system.n)),
+            _curve(change, run.t - run.t[0], run.energy - run.energy[0]),
+            _curve(below, run.t - run.t[0], np.log10(residual), residual_bound(run.system.n)),
         ],
     }
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))

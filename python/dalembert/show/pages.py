@@ -19,6 +19,7 @@ from ..core import extras, files, require_system
 from ..core.extras import Progress
 from ..geometry import Check
 from ..run import Solution
+from ..run.integration import doubts
 from ..symbolic import formula
 from ..system import System
 from . import film_page, panels, plot, web
@@ -162,7 +163,7 @@ def _require_start(system: System) -> None:
 
 def _slug(system: System) -> str:
     """Return the name of a system as that of a file."""
-    return re.sub(r"[^A-Za-z0-9_-]", "_", system.name)
+    return re.sub(r"[^\w-]", "_", system.name)
 
 
 def _index(cards: Sequence[tuple[str, System, web.HTML]]) -> str:
@@ -198,6 +199,7 @@ def _sections(system: System, run: Solution) -> Iterator[web.Section]:
     unit = panels.unit(system, "t")
     broken = "" if run.success else f" It broke off at t = {run.t[-1]:g}{unit}: {run.message}."
     caption = f"A typical run: {SCHEME} with h = {STEP:g}{unit} to t = {END}{unit}.{broken}"
+    caption += "".join(f" Doubtful: {x}." for x in doubts(run))
     path = panels.motion(run, f"run-{_slug(system)}", caption)
     yield "", web.sentence(system.help), web.side_by_side([panels.equations(system), path])
     yield "", system.description, ""

@@ -120,6 +120,7 @@ def _drawn(run: Solution) -> tuple[Solution, str]:
     return dataclasses.replace(run, **part), words
 
 
+@web.default_style()
 def motion(run: Solution, name: str, caption: str = "") -> web.HTML:
     """Return the path in the plane of x and y, or the coordinates over time where there is none."""
     if (where := plane(run.system)) is None:
@@ -132,6 +133,7 @@ def motion(run: Solution, name: str, caption: str = "") -> web.HTML:
     return web.svg(figure, name, _seen(run, where), f"{caption} {left}".strip())
 
 
+@web.default_style()
 def coordinates(run: Solution, name: str, caption: str = "") -> web.HTML:
     """Return the coordinates over time, one below the other."""
     run, left = _drawn(run)
@@ -163,6 +165,7 @@ def _seen(run: Solution, where: Sequence[int] | None = None) -> str:
     return f"{what} of {system.name} {times}: {said}."
 
 
+@web.default_style()
 def small(run: Solution, name: str) -> web.HTML:
     """Return the path, or some coordinates over time, without axes."""
     figure = web.figure(3.2, 2.2, layout=None)
@@ -179,6 +182,7 @@ def small(run: Solution, name: str) -> web.HTML:
 # ---- several ---------------------------------------------------------------------------------
 
 
+@web.default_style()
 def convergence(
     studies: Sequence[Study], name: str, styles: Mapping[str, Any], caption: str = ""
 ) -> web.HTML:
@@ -210,6 +214,7 @@ def _falls(study: Study) -> str:
     return f"{who} {verb} with slope {fit.order()} from {at[0]} to {at[1]}{rest}"
 
 
+@web.default_style()
 def residuals(
     runs: Sequence[Solution], name: str, styles: Mapping[str, Any], captions: Sequence[str]
 ) -> list[web.HTML]:
@@ -240,6 +245,7 @@ def residuals(
     return found
 
 
+@web.default_style()
 def energies(
     runs: Sequence[Solution], name: str, styles: Mapping[str, Any], caption: str = ""
 ) -> web.HTML:

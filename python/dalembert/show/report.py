@@ -15,6 +15,7 @@ import numpy as np
 from .. import core
 from ..core import files
 from ..run import Solution
+from ..run.integration import doubts
 from ..study import Studies, Study
 from . import panels, plot, web
 from .table import Table, of_study, overview
@@ -93,6 +94,9 @@ def _sections(studies: Studies, runs: dict[int, Solution]) -> Iterator[web.Secti
     for study in studies:
         if study.holds is False:
             yield "", "", web.paragraph(f"{study.scheme.name}: {study.text}")
+    for study in studies:
+        for doubt in doubts(runs[id(study)]):
+            yield "", "", web.paragraph(f"{study.scheme.name}, in a longer run: {doubt}")
     yield "", _about(studies), ""
     styles = plot.styles(study.scheme.name for study in studies)
     first, *more = _in_fours(studies)

@@ -161,7 +161,7 @@ def arrows(shapes: Iterable[Shape], forces: Array, scale: float) -> list[Shape]:
     for contact in _contacts(shapes):
         middle = contact.middle
         force = np.zeros(len(middle))
-        total = forces[list(contact.constraints)].sum(axis=0)[: len(middle)]
+        total = forces[sorted(set(contact.constraints))].sum(axis=0)[: len(middle)]
         force[: len(total)] = total
         found.append(Shape("reaction", [middle, middle + force / scale]))
     return found
@@ -220,7 +220,10 @@ def make_scene(
     names = [_with_unit(run, run.system.coordinates[k]) for k in columns] if body is None else []
     if body is None and coordinates is None:
         body = bodies.of(run)
-        names = ["y", "z"] if body and run.system.name in bodies.PAIRS else names
+        if body and run.system.name in bodies.PAIRS:
+            names = ["y", "z"]
+        if body and run.system.name in bodies.IN_SPACE:
+            columns = (0, 1, 2)
     if body is None:
         body = bodies.point(run, columns)
     if scale is not None and arguments.number(scale, "scale") <= 0:
@@ -253,7 +256,7 @@ def make_scene(
     drawn: float | None = None
     if multipliers and m > 0:
         forces = forces_at(run, t[::per_frame], x[::per_frame], columns)
-        drawn = scale or _scale(run, frames, forces, size)
+        drawn = scale or _scale(run, t[::per_frame], x[::per_frame], frames, forces, size)
         if drawn:
             for shapes, force in zip(frames, forces):
                 shapes += arrows(shapes, force, drawn)
@@ -290,16 +293,24 @@ def _lifted(points: Array) -> Array:
     return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
 
 
-def _scale(run: Solution, frames: list[list[Shape]], forces: Array, size: float) -> float | None:
-    """Return a round number of units of force for one of length; None where all are roundoff."""
+def _scale(
+    run: Solution, t: Array, x: Array, frames: list[list[Shape]], forces: Array, size: float
+) -> float | None:
+    """Return a round number of units of force for one of length; None where all are roundoff.
+
+    That is so where a force, over the size of the picture, would change the kinetic energy by
+    nothing that counts.
+    """
     largest = max(
         (
-            float(np.linalg.norm(force[list(contact.constraints)].sum(axis=0)))
+            float(np.linalg.norm(force[sorted(set(contact.constraints))].sum(axis=0)))
             for shapes, force in zip(frames, forces)
             for contact in _contacts(shapes)
         ),
         default=0.0,
     )
-    if largest <= 1e-10 * float(np.abs(run.energy).max()) / size:
+    q, v = np.split(x, 2, axis=1)
+    kinetic = run.system.energy(q, v, t) - run.system.energy(q, 0 * v, t)
+    if largest <= 1e-10 * float(np.abs(kinetic).max()) / size:
         return None
     return 1 / _round_number(LONGEST * size / largest)

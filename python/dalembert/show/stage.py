@@ -91,7 +91,7 @@ def stage(scene: Scene, ax: Axes | None, *, shown: bool = False) -> Axes:
         height = round((high + top + bottom) * 50) / 50  # an even number of pixels
         high = height - top - bottom
         # The colours of a film are for a white ground, whatever the user's style is.
-        with extras.require("matplotlib.style", "a film").context("default"):
+        with web.default_style():
             if shown:
                 figure = extras.require("matplotlib.pyplot", "a picture").figure(
                     figsize=(width, height)
@@ -103,6 +103,8 @@ def stage(scene: Scene, ax: Axes | None, *, shown: bool = False) -> Axes:
         box = np.array([inner, high])
         limits = limits.mean(axis=0) + np.outer([-0.5, 0.5], box * (span / box).max())
     ax = axes_for(ax)
+    if ax.name != "rectilinear":
+        raise ValueError(f"ax has the projection {ax.name!r}; expected axes of the plane")
     ax.set(xlim=limits[:, 0], ylim=limits[:, 1], autoscale_on=False)
     ax.set_aspect("equal", adjustable="box")
     ax.set_title(plain(scene.run.system.name), loc="left", fontsize="medium")
@@ -142,7 +144,8 @@ def _key(scene: Scene, ax: Axes) -> None:
         entries.append((ax.plot([], [], **_LINES["ground"])[0], plain(words["ground"])))
     if entries:
         below = (
-            0.0 if scene.in_space else -0.18 / ax.get_position().height / ax.figure.get_figheight()
+            0.0 if scene.in_space else -0.18 / (ax.get_position().height * ax.figure.bbox.height)
+            * ax.figure.dpi
         )
         ax.legend(
             *zip(*entries), loc="upper center", bbox_to_anchor=(0.5, below), ncols=3,
@@ -160,8 +163,10 @@ def words_of(scene: Scene) -> dict[str, str]:
 
 
 def clock(scene: Scene) -> Callable[[float], str]:
-    """Return how a time is written: with digits to tell frames apart, and no more than 6."""
-    gap = float(np.abs(np.diff(scene.t)).min()) if len(scene.t) > 1 else 0.0
-    digits = min(max(1, math.ceil(-math.log10(gap))), 6) if gap > 0 else 2
+    """Return how a time is written: with digits to tell frames apart."""
+    gaps = np.abs(np.diff(scene.t))
+    gap = float(gaps[gaps > 0].min()) if gaps.any() else 0.01
+    digits = max(1, math.ceil(-math.log10(gap)))
+    form = f".{digits}f" if digits <= 6 else f".{digits + 2}g"
     unit = scene.unit("t")
-    return lambda t: f"t = {t:.{digits}f}{unit}"
+    return lambda t: f"t = {t:{form}}{unit}"

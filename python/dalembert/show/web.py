@@ -4,12 +4,14 @@ but that of films.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import html
 import io
 import re
+import threading
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from ..core import DalembertWarning, extras
@@ -77,7 +79,7 @@ def _prose(context: Mapping[str, Any], words: str) -> HTML:
 def run(system: System, scheme: Scheme | str, **options: Any) -> Solution:
     """Return a run, or as much of it as there is."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DalembertWarning)  # the page shows what it would say
+        warnings.simplefilter("ignore", DalembertWarning)  # the page says the same
         return integrate(system, scheme, throw=False, **options)
 
 
@@ -100,6 +102,17 @@ def equation(mathml: str) -> HTML:
 def paragraph(words: str, kind: str = "") -> HTML:
     """Return a paragraph; its kind is a class of the stylesheet."""
     return _mark('<p class="{}">{}</p>').format(kind, words)
+
+
+# Of Matplotlib all threads share the parameters, and the code that draws.
+_drawing = threading.RLock()
+
+
+@contextlib.contextmanager
+def default_style() -> Iterator[None]:
+    """Draw as Matplotlib does by default, whatever the user's style is; one thread at a time."""
+    with _drawing, extras.require("matplotlib.style", "a picture").context("default"):
+        yield
 
 
 def figure(width: float, height: float, layout: str | None = "constrained") -> Any:

@@ -205,6 +205,53 @@ def test_the_reactions_move_the_whole(name):
         np.testing.assert_allclose(drawn[:2], push, rtol=1e-6, atol=1e-8)
 
 
+def test_a_reaction_in_space_has_all_three_components():
+    """Where the places have other names than x, y, z: M a - f of two accelerations."""
+    run = made("genmass")
+    film = dal.plot.animate(run, fps=5, seconds=1)
+    assert film._scene.columns == (0, 1, 2)
+    state = run(film.t[2])
+    forces = scene.forces_at(run, film.t[2:3], np.append(state.q, state.v)[None], (0, 1, 2))[0]
+    mu = [mu_of(run.system, state.q, k) for k in range(3)]
+    push = np.array(mu) @ run.system.multipliers(state.q, state.v)
+    (tail, tip) = next(
+        x for x in scene.arrows(bodies.of(run)(0.0, state.q, state.v), forces, film.scale)
+    ).points
+    np.testing.assert_allclose((tip - tail) * film.scale, push, rtol=1e-6)
+
+
+@pytest.mark.parametrize("c", [1.0, 1e-4, 1e-8])
+def test_the_reaction_of_a_nonlinear_constraint_at_any_speed(c):
+    """|v| = c under a force F of size c/2: what acts is -(F.u) u, u = v/|v|."""
+    F = c * np.array([0.3, -0.4])
+    system = dal.System(
+        mass=[1, 1], coordinates="xy", potential=lambda q: -F @ q, gradient=lambda q: -F,
+        constraint=lambda q, v: [np.hypot(*v) - c], constraint_v=lambda q, v: [v / np.hypot(*v)],
+        constraint_q=lambda q, v: [[0, 0]],
+    )  # fmt: skip
+    run = dal.integrate(system, h=0.01, q0=[0, 0], v0=[c, 0], t_end=3)
+    film = dal.plot.animate(run, fps=5, seconds=1)
+    state = run(film.t[2])
+    (arrow_,) = (x for x in film._scene.frames[2] if x.role == "reaction")
+    u = state.v / np.hypot(*state.v)
+    np.testing.assert_allclose(np.diff(arrow_.points, axis=0)[0] * film.scale, -(F @ u) * u,
+                               rtol=1e-5)  # fmt: skip
+
+
+def test_roundoff_of_a_fall_from_rest_has_no_arrow_and_a_force_on_a_hill_has_one():
+    fall = made("knife_edge", q0=[0, 0, np.pi], v0=[0, 0, 0])
+    assert abs(fall.multipliers).max() > 0 and dal.plot.animate(fall).scale is None
+    hill = dal.System(
+        mass=[1, 1, 1], coordinates=["x", "y", "theta"], potential=lambda q: 1e12,
+        gradient=lambda q: 0 * q, forms=lambda q: [[np.sin(q[2]), -np.cos(q[2]), 0]],
+    )  # fmt: skip
+    run = dal.integrate(hill, q0=[0, 0, 0], v0=[1, 0, 1], h=0.02, t_end=4)
+    assert dal.plot.animate(run).scale is not None
+    twice = [dot((0, 0), (0, 0))]
+    (one,) = scene.arrows(twice, np.array([[1.0, 0.0]]), 1.0)
+    np.testing.assert_array_equal(one.points[1], [1, 0])
+
+
 def reactions(run, state, t, scale):
     x = np.concatenate([state.q, state.v])
     force = scene.forces_at(run, np.array([t]), x[None], (0, 1))[0]
@@ -517,6 +564,34 @@ def test_the_axes_have_names_where_they_are_known(run):
     assert data_of(dal.plot.animate(run, coordinates=(2, 1)))["names"] == ["theta", "y"]
 
 
+def test_the_clock_tells_frames_apart():
+    short = made("sleigh", h=1e-10, t_end=1e-9)
+    film = dal.plot.animate(short, fps=5, seconds=1)
+    assert len({film._clock(t) for t in film.t}) == 5
+    assert film._clock(1e-9) == "t = 1e-09"
+    few = made("sleigh", h=1e-3, t_end=2e-3, t_eval=[0, 1e-3, 1.7e-3, 2e-3])
+    film = dal.plot.animate(few, fps=9, seconds=1)
+    assert {film._clock(t) for t in film.t} == {f"t = {t}" for t in ("0.0000", "0.0010", "0.0017",
+                                                                     "0.0020")}  # fmt: skip
+
+
+def test_curves_of_a_run_at_a_late_time():
+    late = made("sleigh", t0=1.7e9, t_end=1.7e9 + 4)
+    data = data_of(dal.plot.animate(late, fps=5, seconds=1))
+    assert data["t"] == pytest.approx(np.linspace(0, 4, 5), abs=1e-6)
+    t = np.array(data["curves"][0]["points"])[:, 0]
+    assert len(set(t)) == len(late.t) and t[-1] == pytest.approx(4, abs=1e-6)
+
+
+def test_axes_that_are_no_plane(run):
+    figure = pyplot.figure()
+    for projection in ("3d", "polar"):
+        with pytest.raises(ValueError, match=f"projection '{projection}'; expected axes of the"):
+            dal.plot.animate(run, ax=figure.add_subplot(projection=projection))
+    part, _ = figure.subfigures(1, 2)
+    dal.plot.snapshots(run, ax=part.subplots())
+
+
 def test_units_stand_on_axes_clock_and_curves(run):
     units = {"x": "m", "y": "$k{0}m$", "t": "s", "energy": "J"}
     film = dal.plot.animate(
@@ -607,16 +682,18 @@ def test_a_gif_has_the_frames_and_lasts_as_long_as_said(run, tmp_path):
             image.seek(k)
             durations.append(image.info["duration"])
             assert image.convert("RGB").getpixel((1, 1)) == (255, 255, 255)
+        drawn = np.asarray(image.convert("RGB")).reshape(-1, 3).tolist()
+        assert [235, 235, 235] in drawn and [0, 114, 178] in drawn  # the grid, and an outline
         assert image.info["loop"] == 0
     assert sum(durations) == 500 and set(durations) == {30, 40}
-    with pytest.raises(ValueError, match="fps = 60: a GIF has at most 50 frames a second"):
+    with pytest.raises(ValueError, match="fps = 60: a GIF has 0.002 to 50 frames a second"):
         dal.plot.animate(run, fps=60).save(file)
 
 
 def test_the_size_of_frames_does_not_depend_on_the_users_defaults(run, tmp_path):
     film = dal.plot.animate(run, fps=2, seconds=1)
     with matplotlib.rc_context({"savefig.bbox": "tight", "savefig.transparent": True,
-                                "savefig.dpi": 33}):  # fmt: skip
+                                "savefig.facecolor": "black", "savefig.dpi": 33}):  # fmt: skip
         film.save(tmp_path / "a.gif")
     with Image.open(tmp_path / "a.gif") as image:
         assert image.size == tuple(film.ax.figure.bbox.size)
@@ -631,6 +708,15 @@ def ffmpeg(tmp_path_factory, monkeypatch):
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(program.parent), prepend=":")
     return program
+
+
+def test_a_film_that_ffmpeg_did_not_finish_is_none(run, tmp_path, ffmpeg):
+    """It says so, and exits with 0."""
+    ffmpeg.write_text(ffmpeg.read_text() + "echo no space left on device >&2\n")
+    (tmp_path / "a.mp4").write_text("before")
+    with pytest.raises(RuntimeError, match="ffmpeg failed: no space left"):
+        dal.plot.animate(run, fps=5, seconds=1).save(tmp_path / "a.mp4")
+    assert (tmp_path / "a.mp4").read_text() == "before"
 
 
 @pytest.mark.usefixtures("ffmpeg")

@@ -450,5 +450,24 @@ def test_command_refuses(arguments, status, text, tmp_path):
 def test_help_of_the_command(tmp_path):
     done = command("--help", cwd=tmp_path)
     assert done.returncode == 0
-    for word in ("DIR", "--system NAME", "index.html", "default: catalogue", "formulas"):
+    for word in ("DIR", "--system MODEL", "index.html", "default: catalogue", "formulas"):
         assert word in done.stdout
+
+
+def test_a_page_is_the_same_whatever_the_users_style_is():
+    from matplotlib import pyplot
+
+    sleigh = dal.systems.sleigh()
+    plain = dal.pages.page(sleigh)
+    with pyplot.style.context("dark_background"), pyplot.rc_context({"font.size": 5}):
+        assert dal.pages.page(sleigh) == plain
+
+
+def test_a_page_says_what_is_doubtful():
+    """A spring with h omega = 2.02, which leapfrog multiplies."""
+    spring = dal.System(
+        mass=[1, 1], coordinates="xy", potential=lambda q: 101**2 * q @ q / 2,
+        gradient=lambda q: 101**2 * q, hessian=lambda q: 101**2 * np.eye(2), q0=[1, 0], v0=[0, 0],
+    )  # fmt: skip
+    assert "Doubtful: the energy has changed by" in dal.pages.page(spring)
+    assert "Doubtful" not in dal.pages.page(dal.systems.sleigh())
