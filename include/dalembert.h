@@ -326,9 +326,9 @@ typedef struct dal_scheme {
 
 /* *scheme <- the record called name: "explicit", "midpoint", "endpoint", a number in [0, 1] (beta),
  * "leapfrog", "leapfrog-mirror", BASE"-nodes" (kept nodes; BASE one of the first four), and
- * BASE"-suzuki4", "-yoshida4", "-kl6", "-kl8" (BASE leapfrog or midpoint); "pair:A:B", the
- * velocity integrator of two maps rho^A for L_d and rho^B for D_d; "reference", the flow of the ODE
- * on D.  - and _ are the same.
+ * BASE"-suzuki4", "-yoshida4", "-kl6", "-kl8", "-ss10" (BASE leapfrog or midpoint); "bm4", "bm6";
+ * "pair:A:B", the velocity integrator of two maps rho^A for L_d and rho^B for D_d; "reference", the
+ * flow of the ODE on D.  - and _ are the same.
  * DAL_EINVAL: there is no such scheme, the text lists what there is. */
 DAL_API int dal_scheme_find(dal_scheme *scheme, const char *name, dal_error *error);
 
@@ -357,6 +357,10 @@ typedef struct dal_flow_scheme {
 /* Zero-initialised: the defaults. */
 typedef struct dal_options {
     int max_iterations; /* of the full Newton in a step; 0: 50 */
+    double tolerance;   /* 0: steps of h.  Else error-controlled steps, of compositions with moved
+                           nodes: the estimated error of each, relative to 1 + |x_i|, is at most
+                           this, at most 0.1; at least some 1e-12, as its roundoff allows */
+    double h_max;       /* the longest of them; 0: any */
 } dal_options;
 
 /* What is done with initial data (dal_stepper_start). */
@@ -388,6 +392,7 @@ typedef struct dal_stats {
     size_t corrections;         /* final corrections that took an evaluation of their own */
     size_t full_newtons;        /* sub-steps that the modified Newton handed to the full one; where
                                    all are solved by the full one, that had to start anew */
+    size_t rejected;            /* error-controlled steps that were made again, shorter */
     size_t halvings;            /* Newton steps halved because a callback left its domain */
     double worst_residual;      /* largest residual, as dal_relative_residual, after any step of
                                    the set that the scheme keeps */
@@ -419,6 +424,8 @@ DAL_API const dal_error *dal_stepper_error(const dal_stepper *stepper);
 /* Start from x[2n] (InitialData) at time t0 with step h (negative: backwards; 0 is DAL_EINVAL).  x
  * is not changed; the state used is that of dal_stepper_state.  A change of h or of the state is a
  * new start.  On failure the stepper is as it was.
+ * Error-controlled steps begin with h; if that is infinite they find their first size, in its
+ * direction.
  * DAL_EINVAL (also a system declared steady that is seen not to be), DAL_EOFFD, DAL_ESINGULAR,
  * DAL_ENOCONV, DAL_EUSER, DAL_EDOMAIN. */
 DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
@@ -430,7 +437,13 @@ DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const d
  * DAL_EINVAL (NULL, not finite), and the stepper is as it was. */
 DAL_API int dal_stepper_input(dal_stepper *stepper, const double *u);
 
-/* The inputs of the next step, u[inputs]; the current state x[2n]; its time t0 + k h; h.  Arrays
+/* Error-controlled steps do not go beyond the time t, and one of them ends there to the bit; until
+ * another time, or an infinite one, is given.  A step from there is DAL_EINVAL.
+ * DAL_EINVAL (not started; t lies behind), DAL_EUNSUPPORTED (steps of h). */
+DAL_API int dal_stepper_until(dal_stepper *stepper, double t);
+
+/* The inputs of the next step, u[inputs]; the current state x[2n]; its time, t0 + k h; h, of the
+ * last step if they are error-controlled.  Arrays
  * are borrowed, and valid until the stepper is freed; where the state stands may change with steps.
  */
 DAL_API const double *dal_stepper_inputs(const dal_stepper *stepper);
@@ -498,6 +511,13 @@ typedef struct dal_run {
     size_t time_count;
     double *at;             /* [time_count*2n]: the states at times, in the set the scheme keeps */
     struct dal_journal *journal; /* see dalembert/journal.h; or NULL */
+    double until;           /* of error-controlled steps: the run ends there, or after `steps`; x
+                               has room for one row more, the last, which is stored in any case */
+    double held;            /* of error-controlled steps, instead of hold: row k of inputs is for
+                               the time from t_begin + k held to t_begin + (k+1) held */
+    double *row_times;      /* of error-controlled steps, or NULL: the times of the rows of x */
+    double t_begin, row_time; /* theirs, set by the run: where it began; of the last row, */
+    size_t row_step, handed;  /* its step; rows of inputs that were handed over */
     size_t done;            /* steps made */
     size_t stored;          /* rows of x that are valid */
     size_t timed;           /* rows of at that are valid */

@@ -256,6 +256,14 @@ static void pass(guard *g)
     g->waits = g->crossed = false;
 }
 
+/* An error-controlled step ends at a reset: what follows has steps of its own. */
+static void end_step(dal_run *run, double t)
+{
+    dal_motion *const motion = &run->stepper->motion;
+    motion->t0 = t;
+    motion->first = motion->steps;
+}
+
 /* The span from the event on; happening has the state before and after it. */
 static int begin_anew(dal_events *e, const crossing *c, const happening *now)
 {
@@ -325,6 +333,7 @@ static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, 
     if (status || !now->reset) return status;
     for (size_t k = 1; k <= later; k++)
         e->guards[c[k].event].due = c[k].theta <= c->theta + TOGETHER;
+    if (run->stepper->pace.q > 0) end_step(run, now->t);
     return begin_anew(e, c, now);
 }
 
@@ -406,7 +415,8 @@ static int land(dal_events *e, dal_run *run)
 static void end_run(const dal_events *e, const dal_run *run, double *end, double *reaction)
 {
     const size_t since = run->done - (run->stored - 1) * run->stride;
-    const double elapsed = (double)since * e->h + (run->t_end - e->t);
+    const double elapsed = run->stepper->pace.q > 0 ? run->t_end - run->row_time
+                                                    : (double)since * e->h + (run->t_end - e->t);
     move(e, e->shift, e->happened[e->happenings - 1].x, end);
     for (size_t a = 0; reaction && a < e->m; a++)
         reaction[a] = run->stepper->family->no_reaction || elapsed == 0.0
@@ -459,6 +469,7 @@ int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made)
     if (!status) {
         status = dal__stepper_advance(stepper, 1, made);
         if (status) error = stepper->error;
+        e->h = stepper->motion.h;
     }
     if (!status) {
         move(e, -e->shift, stepper->motion.x, e->end);
@@ -503,7 +514,8 @@ int dal__events_check(const dal_run *run)
     if (!run->times || !run->at)
         return dal__fail(error, DAL_EINVAL, "%s is NULL", run->times ? "at" : "times");
     const double begin = dal_stepper_time(run->stepper), ahead = motion->h > 0.0 ? 1.0 : -1.0;
-    const double end = motion->t0 + (double)(motion->steps + run->steps) * motion->h;
+    const double end = run->stepper->pace.q > 0
+        ? run->until : motion->t0 + (double)(motion->steps + run->steps) * motion->h;
     double before = begin;
     for (size_t k = 0; k < run->time_count; k++) {
         const double t = run->times[k];

@@ -1,12 +1,26 @@
 /* A run: what comes in, what is stored, and who watches. */
 #include "run/run.h"
 
+#include <math.h>
 #include <string.h>
 
 enum { MOST_AT_ONCE = 4096 }; /* steps, after which a journal looks at the time */
 
+static bool is_controlled(const dal_run *run) { return run->stepper->pace.q > 0; }
+
+static bool is_over(const dal_run *run)
+{
+    return run->done == run->steps
+        || (is_controlled(run) && dal_stepper_time(run->stepper) == run->until);
+}
+
 /* Whether the state now is to be stored, and is not yet. */
-static bool is_due(const dal_run *run) { return run->done == run->stored * run->stride; }
+static bool is_due(const dal_run *run)
+{
+    if (!is_controlled(run)) return run->done == run->stored * run->stride;
+    const size_t since = run->done - run->row_step;
+    return run->stored == 0 || since >= run->stride || (since > 0 && is_over(run));
+}
 
 /* Where the mean reaction since the row before goes; NULL if there is none, or nobody wants it. */
 static double *reaction_of_row(const dal_run *run)
@@ -32,25 +46,51 @@ static int store(dal_run *run)
     const dal_motion *const motion = &stepper->motion;
     const size_t N = 2 * stepper->mech.n;
     double *const reaction = reaction_of_row(run);
-    int status = reaction ? dal__stepper_reaction(stepper, run->stride, reaction) : DAL_SUCCESS;
+    const double t = dal_stepper_time(stepper);
+    const double elapsed =
+        is_controlled(run) ? t - run->row_time : (double)run->stride * motion->h;
+    int status = reaction ? dal__stepper_reaction(stepper, elapsed, reaction) : DAL_SUCCESS;
     if (!status) status = dal__journal_row(run, motion->x, reaction);
     if (status) return status;
     dal__stepper_forget_impulse(stepper);
     if (run->x) memcpy(run->x + run->stored * N, motion->x, N * sizeof *run->x);
+    if (run->row_times) run->row_times[run->stored] = t;
+    if (run->stored == 0) run->t_begin = t;
+    run->row_time = t;
+    run->row_step = run->done;
     run->stored++;
     if (!run->observer) return DAL_SUCCESS;
-    return dal__heed(run, "observer", run->observer(motion->steps, dal_stepper_time(stepper),
-                                                    motion->x, run->observer_ctx));
+    return dal__heed(run, "observer", run->observer(motion->steps, t, motion->x,
+                                                    run->observer_ctx));
+}
+
+/* The time where row k of inputs begins, of error-controlled steps. */
+static double begin_of_inputs(const dal_run *run, size_t k)
+{
+    return run->t_begin + (double)k * run->held;
+}
+
+/* Whether the inputs change here; *row <- to which. */
+static bool inputs_change(const dal_run *run, size_t *row)
+{
+    const size_t hold = dal__hold(run);
+    if (!run->inputs) return false;
+    *row = is_controlled(run) ? run->handed : run->done / hold;
+    if (!is_controlled(run)) return run->done % hold == 0;
+    const double ahead = run->stepper->pace.h > 0.0 ? 1.0 : -1.0;
+    return ahead * (dal_stepper_time(run->stepper) - begin_of_inputs(run, *row)) >= 0.0;
 }
 
 /* Where the inputs change, those of the steps that follow. */
-static int hand_inputs(const dal_run *run)
+static int hand_inputs(dal_run *run)
 {
     dal_stepper *const stepper = run->stepper;
     const dal_motion *const motion = &stepper->motion;
-    const size_t width = motion->system->def.inputs, hold = dal__hold(run);
-    if (!run->inputs || run->done % hold > 0) return DAL_SUCCESS;
-    double *const u = run->inputs + run->done / hold * width;
+    const size_t width = motion->system->def.inputs;
+    size_t row;
+    if (!inputs_change(run, &row)) return DAL_SUCCESS;
+    run->handed = row + 1;
+    double *const u = run->inputs + row * width;
     int status = DAL_SUCCESS;
     if (run->control) {
         dal__forget(width, u);
@@ -63,10 +103,19 @@ static int hand_inputs(const dal_run *run)
                              dal_stepper_time(stepper));
 }
 
+/* Where the next error-controlled step is to end at the latest. */
+static int limit_steps(const dal_run *run)
+{
+    const double change = run->inputs ? begin_of_inputs(run, run->handed) : run->until;
+    const bool sooner = run->stepper->pace.h > 0.0 ? change < run->until : change > run->until;
+    return dal_stepper_until(run->stepper, sooner ? change : run->until);
+}
+
 /* For how many steps the inputs are what they are now, up to most: rows of a table that follow and
  * are the same go in one. */
 static size_t steps_of_inputs(const dal_run *run, size_t most)
 {
+    if (is_controlled(run)) return most;
     const size_t hold = dal__hold(run), row = run->done / hold;
     const size_t width = run->inputs ? run->stepper->motion.system->def.inputs : 0;
     size_t steps = hold - run->done % hold;
@@ -78,10 +127,25 @@ static size_t steps_of_inputs(const dal_run *run, size_t most)
     return steps < most ? steps : most;
 }
 
+/* What is wrong with a run of error-controlled steps. */
+static int check_controlled(const dal_run *run)
+{
+    dal_error *const error = &run->stepper->error;
+    const double ahead = run->stepper->pace.h > 0.0 ? 1.0 : -1.0;
+    const double t = dal_stepper_time(run->stepper);
+    if (!isfinite(run->until) || ahead * (run->until - t) < 0.0)
+        return dal__fail(error, DAL_EINVAL, "until = %g: expected a time from t = %g on, in the "
+                         "direction of the steps", run->until, t);
+    if (run->inputs && !(ahead * run->held > 0.0 && isfinite(run->held)))
+        return dal__fail(error, DAL_EINVAL, "held = %g: expected for how long a row of inputs is, "
+                         "in the direction of the steps", run->held);
+    return DAL_SUCCESS;
+}
+
 int dal__run_check(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;
-    if (run->stride == 0 || run->steps % run->stride > 0)
+    if (run->stride == 0 || (run->steps % run->stride > 0 && !is_controlled(run)))
         return dal__fail(error, DAL_EINVAL, "steps = %zu is not a multiple of stride = %zu",
                          run->steps, run->stride);
     if (run->control && !run->inputs)
@@ -89,7 +153,8 @@ int dal__run_check(const dal_run *run)
                          "for what it writes");
     if (run->inputs && run->stepper->motion.system->def.inputs == 0)
         return dal__fail(error, DAL_EINVAL, "inputs is not NULL, but the system has none");
-    const int status = dal__stepper_started(run->stepper);
+    int status = dal__stepper_started(run->stepper);
+    if (!status && is_controlled(run)) status = check_controlled(run);
     return status ? status : dal__events_check(run);
 }
 
@@ -101,6 +166,7 @@ static int look_and_step(dal_run *run, size_t *made)
     double *const reaction = reaction_of_row(run);
     int status = dal__events_step(run, row, reaction, made);
     if (!run->ended) return status;
+    if (run->row_times) run->row_times[run->stored] = run->t_end;
     if (!status) status = dal__journal_row(run, row, reaction);
     run->stored++;
     return status ? status : DAL_STOPPED;
@@ -117,9 +183,13 @@ int dal_run_go(dal_run *run, size_t budget)
     if (!status && is_due(run)) status = store(run);
     motion->watch = run->watch;
     motion->watch_ctx = run->watch_ctx;
-    while (!status && budget > 0 && run->done < run->steps) {
-        size_t made = 0, left = run->stride - run->done % run->stride;
+    while (!status && budget > 0 && !is_over(run)) {
+        const size_t since = is_controlled(run) ? run->done - run->row_step
+                                                : run->done % run->stride;
+        size_t made = 0, left = run->stride - since;
+        if (left > run->steps - run->done) left = run->steps - run->done;
         status = hand_inputs(run);
+        if (!status && is_controlled(run)) status = limit_steps(run);
         if (status) break;
         if (left > budget) left = budget;
         left = steps_of_inputs(run, left);
@@ -133,7 +203,7 @@ int dal_run_go(dal_run *run, size_t budget)
     }
     motion->watch = NULL;
     if (!status && run->steps == 0) dal__events_no_steps(run);
-    if (!status && run->done == run->steps) status = dal__stepper_look(run->stepper);
+    if (!status && is_over(run)) status = dal__stepper_look(run->stepper);
     if (!run->journal) return status;
     const dal_error error = run->stepper->error;
     const int kept = dal__journal_pause(run, status);

@@ -1,6 +1,7 @@
 /* The family beta: beta-schemes one after the other (DAELd1, DAELd2, Facil), by the step routine of
  * kernel.h, which leaves to the full Newton iteration what it does not solve. */
 #include "step/beta.h"
+#include "step/embedded.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -13,6 +14,8 @@ typedef struct beta {
     size_t substeps;
     dal_substep *substep;
     dal_stage *stage;
+    size_t *ends;    /* sub-steps up to the end of each stage */
+    double *weight;  /* [stages+1] of the embedded estimate, once it was asked for */
     dal_motion *motion;
     double *scratch; /* [2n] of finish */
     double *input;   /* [inputs] that V_q at the start of the next step is of */
@@ -52,7 +55,7 @@ static bool is_slim(const dal_system *system, dal_kernel_fn routine)
  * momenta, a pair (0, a), (1, b), a + b not 0, is one (see kernel.h).  Of constant mass, stages
  * without a force at q~' need no momenta either. */
 static size_t plan_stages(const dal_system *system, const dal_substep *substep, size_t count,
-                          dal_stage *stage)
+                          dal_stage *stage, size_t *ends)
 {
     const bool momenta = has_momenta(system), apart = momenta || dal__is_dragged(system);
     const bool all = !system->mass || system->def.kind != DAL_LINEAR;
@@ -75,6 +78,7 @@ static size_t plan_stages(const dal_system *system, const dal_substep *substep, 
         s.linear = s.after == 0.0;
         s.t_node = s.linear ? s.t_end : s.t_start + s.before;
         s.momentum = momenta && (all || s.end != 0.0);
+        ends[stages] = j + 1;
         stage[stages++] = s;
     }
     for (size_t j = 0; j < stages; j++)
@@ -339,7 +343,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->at.per_unit = k->per_unit;
     take_mass(self);
     k->stage = self->stage;
-    k->stages = plan_stages(system, self->substep, self->substeps, self->stage);
+    k->stages = plan_stages(system, self->substep, self->substeps, self->stage, self->ends);
     k->kinds = plan_kinds(self->substep, self->stage, k->stages);
     plan_predictions(self->stage, k->stages);
     k->kept = scheme->nodes == DAL_KEPT_NODES;
@@ -376,6 +380,8 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     dal__newton_reserve(&shape.newton, system, &memory);
     dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
     dal__reserve(&memory, &shape.stage, count, sizeof *shape.stage);
+    dal__reserve(&memory, &shape.ends, count, sizeof *shape.ends);
+    dal__reserve(&memory, &shape.weight, count + 1, sizeof *shape.weight);
     dal__reserve(&memory, &shape.scratch, dal__times(2, n), sizeof(double));
     dal__reserve(&memory, &shape.input, system->def.inputs, sizeof(double));
     status = dal__allocate(&memory, error);
@@ -445,10 +451,30 @@ static int advance(void *method, dal_motion *motion, size_t steps, size_t *done)
 {
     beta *const self = method;
     self->kernel.forced = is_forced(self);
+    self->kernel.t0 = motion->t0;
+    self->kernel.h = motion->h;
+    self->kernel.first = motion->first;
+    self->kernel.estimate = motion->estimate;
     dal__copy(motion->system->def.inputs, self->kernel.input, self->input);
     const int status = self->advance(&self->kernel, steps, done);
     if (status) explain(self, motion->error, status);
     return status;
+}
+
+static int estimates(void *method, int *q, double *noise, dal_error *error)
+{
+    beta *const self = method;
+    const dal__composition of = {.substep = self->substep, .stages = self->kernel.stages,
+                                .ends = self->ends, .order = self->motion->scheme->order};
+    const int status = dal__embedded_weights(&of, self->weight, q, error);
+    self->kernel.weight = self->weight;
+    *noise = *q > 0 ? dal__sum_of_sizes(self->kernel.stages + 1, self->weight) : 0.0;
+    return status;
+}
+
+static void rescale(void *method, double ratio)
+{
+    dal_kernel_rescale(&((beta *)method)->kernel, ratio);
 }
 
 /* The predictor of the step routine: the pulls and V_q of the last stages, and, where there are
@@ -535,4 +561,6 @@ const dal_family dal__family_beta = {
     .save = save,
     .accepts = accepts,
     .restore = restore,
+    .estimates = estimates,
+    .rescale = rescale,
 };

@@ -32,6 +32,48 @@
     STEP(-0.395903894133237577336231539022), STEP(0.15884190655515560089621074563), \
     STEP(-0.389474962644847286408078598646), STEP(0.561162981775108384561964407702), \
     STEP(0.130202483088890080878817632263)
+#define SS10(STEP) \
+    STEP(0.0787957225216864192639076793383), STEP(0.313096103415108527764812471920), \
+    STEP(0.0279183832350780661095202732659), STEP(-0.229592841593907094151213396801), \
+    STEP(0.130962061077164863174656859292), STEP(-0.269733405654510714344609732217), \
+    STEP(0.0749733431558914356661371056391), STEP(0.111993423999810204889575080737), \
+    STEP(0.366133449546226751193148123537), STEP(-0.399105630136035897878629810584), \
+    STEP(0.103087398527471077315802769995), STEP(0.411430873955890237820704118977), \
+    STEP(-0.00486636058313526176219565930774), STEP(-0.392033353708639906448081936430), \
+    STEP(0.0519425029624496470371829048314), STEP(0.0506650907599244963358743425097), \
+    STEP(0.0496743706397298790545688006667), STEP(0.0493177357595945379176800092605), \
+    STEP(0.0496743706397298790545688006667), STEP(0.0506650907599244963358743425097), \
+    STEP(0.0519425029624496470371829048314), STEP(-0.392033353708639906448081936430), \
+    STEP(-0.00486636058313526176219565930774), STEP(0.411430873955890237820704118977), \
+    STEP(0.103087398527471077315802769995), STEP(-0.399105630136035897878629810584), \
+    STEP(0.366133449546226751193148123537), STEP(0.111993423999810204889575080737), \
+    STEP(0.0749733431558914356661371056391), STEP(-0.269733405654510714344609732217), \
+    STEP(0.130962061077164863174656859292), STEP(-0.229592841593907094151213396801), \
+    STEP(0.0279183832350780661095202732659), STEP(0.313096103415108527764812471920), \
+    STEP(0.0787957225216864192639076793383)
+
+/* Symmetric compositions of explicit and endpoint, its adjoint, in turn. */
+#define IN_TURN(a, b) {0.0, a}, {1.0, b}
+static const dal_substep bm4[] = {
+    IN_TURN(0.0792036964311956694336634958883, 0.130311410182166351840409144141),
+    IN_TURN(0.222861495867607636640652167432, -0.366713269047425644915767225288),
+    IN_TURN(0.324648188689706109547656926986, 0.109688477876749877453385490841),
+    IN_TURN(0.109688477876749877453385490841, 0.324648188689706109547656926986),
+    IN_TURN(-0.366713269047425644915767225288, 0.222861495867607636640652167432),
+    IN_TURN(0.130311410182166351840409144141, 0.0792036964311956694336634958883),
+};
+static const dal_substep bm6[] = {
+    IN_TURN(0.0502627644003926860212216544021, 0.0985536835006505458996793511335),
+    IN_TURN(0.314960616927693269163384369000, -0.447346482695476916612229795599),
+    IN_TURN(0.492426372489874979581126847724, -0.425118767797690521430868951131),
+    IN_TURN(0.237063913978121606631740462212, 0.195602488600051990895927508671),
+    IN_TURN(0.346358189850728143935487232262, -0.362762779254345784085468678675),
+    IN_TURN(-0.362762779254345784085468678675, 0.346358189850728143935487232262),
+    IN_TURN(0.195602488600051990895927508671, 0.237063913978121606631740462212),
+    IN_TURN(-0.425118767797690521430868951131, 0.492426372489874979581126847724),
+    IN_TURN(-0.447346482695476916612229795599, 0.314960616927693269163384369000),
+    IN_TURN(0.0985536835006505458996793511335, 0.0502627644003926860212216544021),
+};
 
 static const dal_substep leapfrog[] = {LEAPFROG(1.0)};
 static const dal_substep leapfrog_mirror[] = {{1.0, 0.5}, {0.0, 0.5}};
@@ -39,10 +81,12 @@ static const dal_substep leapfrog_suzuki4[] = {SUZUKI4(LEAPFROG)};
 static const dal_substep leapfrog_yoshida4[] = {YOSHIDA4(LEAPFROG)};
 static const dal_substep leapfrog_kl6[] = {KL6(LEAPFROG)};
 static const dal_substep leapfrog_kl8[] = {KL8(LEAPFROG)};
+static const dal_substep leapfrog_ss10[] = {SS10(LEAPFROG)};
 static const dal_substep midpoint_suzuki4[] = {SUZUKI4(MIDPOINT)};
 static const dal_substep midpoint_yoshida4[] = {YOSHIDA4(MIDPOINT)};
 static const dal_substep midpoint_kl6[] = {KL6(MIDPOINT)};
 static const dal_substep midpoint_kl8[] = {KL8(MIDPOINT)};
+static const dal_substep midpoint_ss10[] = {SS10(MIDPOINT)};
 
 #define SUBSTEPS(array) .count = sizeof(array) / sizeof(array)[0], .substeps = array
 
@@ -50,6 +94,8 @@ static const char paper[] = "Jimenez and Scheurle, arXiv 1407.2116";
 static const char suzuki[] = "Suzuki, Phys. Lett. A 146 (1990) 319";
 static const char yoshida[] = "Yoshida, Phys. Lett. A 150 (1990) 262";
 static const char kahan_li[] = "Kahan and Li, Math. Comp. 66 (1997) 1089";
+static const char blanes_moan[] = "Blanes and Moan, J. Comput. Appl. Math. 142 (2002) 313";
+static const char sofroniou[] = "Sofroniou and Spaletta, Optim. Methods Softw. 20 (2005) 597";
 
 /* s = 0 throughout: a scheme's own multiplier is a mean over the step, so it differs from lambda at
  * the end of the step by O(h). */
@@ -79,6 +125,12 @@ const dal_scheme dal__beta_records[DAL__BETA_RECORDS] = {
      .reference = kahan_li, .help = "order 6 from 9 leapfrog steps"},
     {.name = "leapfrog-kl8", SUBSTEPS(leapfrog_kl8), .order = 8, .symmetric = 1,
      .reference = kahan_li, .help = "order 8 from 17 leapfrog steps: for high accuracy"},
+    {.name = "leapfrog-ss10", SUBSTEPS(leapfrog_ss10), .order = 10, .symmetric = 1,
+     .reference = sofroniou, .help = "order 10 from 35 leapfrog steps: to roundoff, at large h"},
+    {.name = "bm4", SUBSTEPS(bm4), .order = 4, .symmetric = 1, .reference = blanes_moan,
+     .help = "order 4 from 6 pairs of explicit and endpoint: small error constant"},
+    {.name = "bm6", SUBSTEPS(bm6), .order = 6, .symmetric = 1, .reference = blanes_moan,
+     .help = "order 6 from 10 pairs of explicit and endpoint: small error constant"},
     {.name = "midpoint-suzuki4", SUBSTEPS(midpoint_suzuki4), .order = 4, .symmetric = 1,
      .reference = suzuki, .help = "order 4 from 5 midpoint steps, small error constant"},
     {.name = "midpoint-yoshida4", SUBSTEPS(midpoint_yoshida4), .order = 4, .symmetric = 1,
@@ -87,6 +139,8 @@ const dal_scheme dal__beta_records[DAL__BETA_RECORDS] = {
      .reference = kahan_li, .help = "order 6 from 9 midpoint steps"},
     {.name = "midpoint-kl8", SUBSTEPS(midpoint_kl8), .order = 8, .symmetric = 1,
      .reference = kahan_li, .help = "order 8 from 17 midpoint steps"},
+    {.name = "midpoint-ss10", SUBSTEPS(midpoint_ss10), .order = 10, .symmetric = 1,
+     .reference = sofroniou, .help = "order 10 from 35 midpoint steps"},
 };
 
 /* "0.3" or "0.3-nodes": the beta-scheme of that number. */

@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 3, OF = 4, FIELDS = 25, HEAD = OF + FIELDS };
+enum { VERSION = 4, OF = 6, FIELDS = 29, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -35,6 +35,8 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.counter = &e->potential_calls}, {.counter = &e->lagrangian_calls},
         {.counter = &e->force_calls}, {.counter = &stats->evaluations},
         {.counter = &stats->lagrangian_calls}, {.counter = &stats->force_calls},
+        {.counter = &motion->first}, {.real = &self->pace.h}, {.real = &self->pace.error},
+        {.counter = &stats->rejected},
     };
     memcpy(fields, list, sizeof list);
 }
@@ -60,6 +62,12 @@ static const char *fault(const field *f, double value)
     if (f->counter && !(value >= 0.0 && value <= 0x1p53 && value == floor(value)))
         return "no counter";
     return f->flag && value != 0.0 && value != 1.0 ? "neither 0 nor 1" : NULL;
+}
+
+/* The longest error-controlled step; 0: none. */
+static double longest(const dal_stepper *self)
+{
+    return isfinite(self->pace.h_max) ? self->pace.h_max : 0.0;
 }
 
 /* How many numbers the family keeps. */
@@ -97,7 +105,8 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
     if (!status) status = dal__stepper_started(stepper);
     if (status) return status;
     field fields[FIELDS];
-    const double of[OF] = {VERSION, (double)n, (double)stepper->mech.m, stepper->identity};
+    const double of[OF] = {VERSION, (double)n, (double)stepper->mech.m, stepper->identity,
+                           stepper->pace.tolerance, longest(stepper)};
     list_fields(stepper, fields);
     memcpy(values, of, sizeof of);
     for (size_t i = 0; i < FIELDS; i++) values[OF + i] = read(&fields[i]);
@@ -120,6 +129,10 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
         return dal__fail(error, DAL_EINVAL, "what was saved is of another system or scheme: n = "
                          "%g, m = %g; here n = %zu, m = %zu and scheme \"%s\"", values[1],
                          values[2], n, m, self->scheme.name);
+    if (count > 5 && (values[4] != self->pace.tolerance || values[5] != longest(self)))
+        return dal__fail(error, DAL_EINVAL, "what was saved has tolerance = %g and h_max = %g; here "
+                         "tolerance = %g and h_max = %g", values[4], values[5],
+                         self->pace.tolerance, longest(self));
     if (count != expected)
         return dal__fail(error, DAL_EINVAL, "count = %zu: expected %zu numbers", count, expected);
     field fields[FIELDS];
@@ -129,12 +142,18 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
         if (wrong)
             return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is %s", i, values[i], wrong);
     }
-    const double t = values[4], h = values[5];
+    const double t = values[OF], h = values[OF + 1], steps = values[OF + 2];
+    const double first = values[HEAD - 4], next = values[HEAD - 3];
     const int status = dal__stepper_check_times(self, t, h);
     if (status) return status;
-    if (!isfinite(t + (values[6] + 1.0) * h))
-        return dal__fail(error, DAL_EINVAL, "values[6] = %g steps of h = %g lead from t = %g to no "
-                         "finite time", values[6], h, t);
+    if (!isfinite(t + (steps - first + 1.0) * h))
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g steps of h = %g lead from t = %g to no "
+                         "finite time", OF + 2, steps, h, t);
+    if (self->pace.q > 0 ? !(next * h > 0.0 && steps >= first && values[HEAD - 2] > 0.0)
+                         : first != 0.0 || next != 0.0)
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g and values[%d] = %g are not of steps "
+                         "of %s", HEAD - 4, first, HEAD - 3, next,
+                         self->pace.q > 0 ? "controlled size" : "one size");
     const size_t of_family = before_family(self);
     if (family->accepts && !family->accepts(self->method, values + of_family))
         return dal__fail(error, DAL_EINVAL, "values[%zu] and what follows is not of the scheme "
@@ -158,6 +177,7 @@ int dal_stepper_restore(dal_stepper *stepper, const double *values, size_t count
     if (stepper->family->start) stepper->family->start(stepper->method, &stepper->motion);
     if (stepper->family->restore)
         stepper->family->restore(stepper->method, values + before_family(stepper));
+    if (stepper->pace.q > 0) stepper->pace.until = copysign((double)INFINITY, stepper->motion.h);
     stepper->started = true;
     dal__fail(&stepper->error, DAL_SUCCESS, "%s", "");
     return DAL_SUCCESS;

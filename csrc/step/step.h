@@ -62,6 +62,27 @@ int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shif
                     const double *x);
 int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
 
+/* Error-controlled steps (pace.c); q = 0: there are none. */
+typedef struct dal__pace {
+    int q;                   /* the estimate is O(h^(q+1)) */
+    double tolerance, h_max;
+    double noise;            /* the roundoff of the estimate, in tolerances */
+    double h, error;         /* the next step to be tried; the error of the last, in tolerances */
+    double until;            /* a time at which a step is to end, or infinite */
+    double *estimate, *field; /* [2n] */
+    double *before, worst;   /* [2n+m] x, impulse and worst_residual before a step */
+    double *memory;          /* what the family saves */
+    arena arena;
+} dal__pace;
+/* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */
+int dal__pace_make(dal_stepper *stepper, const dal_options *options, dal_error *error);
+/* From a new start, with the h of the motion. */
+void dal__pace_start(dal_stepper *stepper);
+/* *h <- a first step from x[2n] at t, ahead (1) or back (-1).  The errors of the field. */
+int dal__pace_first(dal_stepper *stepper, double t, double ahead, const double *x, double *h);
+/* One step; the caller counts it.  The error is in motion->error. */
+int dal__pace_step(dal_stepper *stepper);
+
 struct dal_stepper {
     dal_motion motion;
     const dal_family *family;
@@ -73,6 +94,7 @@ struct dal_stepper {
     dal_stats stats;
     double *fresh;         /* [2n] initial data being examined */
     dal__jump jump;
+    dal__pace pace;
     bool started;
     dal_error error;
     arena arena;
@@ -81,11 +103,11 @@ struct dal_stepper {
 /* DAL_EINVAL unless it is started; unless steps of h lead on from t0. */
 int dal__stepper_started(dal_stepper *stepper);
 int dal__stepper_check_times(dal_stepper *stepper, double t0, double h);
-/* dal_advance in parts, of a stepper that is started: the steps, whose impulses are added up; the
- * mean reaction over so many of them. */
+/* dal_advance in parts, of a stepper that is started: the steps, whose impulses are added up, fewer
+ * where error-controlled ones are to end; the mean reaction over the time that has passed. */
 void dal__stepper_forget_impulse(dal_stepper *stepper);
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made);
-int dal__stepper_reaction(dal_stepper *stepper, size_t steps, double *reaction);
+int dal__stepper_reaction(dal_stepper *stepper, double elapsed, double *reaction);
 /* The state after the last step becomes x[2n], from where the motion is another one: the predictor
  * is forgotten, and the energy is that from now on.  The errors of the callbacks. */
 int dal__stepper_land(dal_stepper *stepper, const double *x);

@@ -51,6 +51,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     status = allocate(&self, system, scheme, options, error);
     if (status) return status;
     if (family->make) status = family->make(&self->method, &self->motion, error);
+    if (!status) status = dal__pace_make(self, options, error);
     if (status) {
         dal_stepper_free(self);
         return status;
@@ -65,6 +66,7 @@ void dal_stepper_free(dal_stepper *stepper)
 {
     if (!stepper) return;
     if (stepper->method && stepper->family->free) stepper->family->free(stepper->method);
+    dal__release(&stepper->pace.arena);
     arena memory = stepper->arena; /* the object lies inside it */
     dal__release(&memory);
 }
@@ -77,7 +79,8 @@ double dal_stepper_h(const dal_stepper *stepper) { return stepper->motion.h; }
 
 double dal_stepper_time(const dal_stepper *stepper)
 {
-    return stepper->motion.t0 + (double)stepper->motion.steps * stepper->motion.h;
+    const dal_motion *const motion = &stepper->motion;
+    return motion->t0 + (double)(motion->steps - motion->first) * motion->h;
 }
 
 void dal_stepper_stats(const dal_stepper *stepper, dal_stats *stats)
@@ -127,7 +130,9 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     const bool kept = self->scheme.nodes == DAL_KEPT_NODES;
     dal_error *const error = &self->error;
     if (!x) return dal__fail(error, DAL_EINVAL, "x is NULL");
-    const int status = dal__stepper_check_times(self, t0, h);
+    const bool found = self->pace.q > 0 && isinf(h); /* by the step itself */
+    const int status =
+        dal__stepper_check_times(self, t0, found ? copysign(fmax(1.0, fabs(t0)), h) : h);
     if (status) return status;
     for (size_t i = 0; i < 2 * n; i++)
         if (!isfinite(x[i]))
@@ -245,7 +250,8 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     dal_stepper *const self = stepper;
     dal_motion *const motion = &self->motion;
     const size_t n = self->mech.n;
-    const double shift = self->shift * h;
+    const double shift = self->shift != 0.0 ? self->shift * h : 0.0; /* h may be infinite */
+    double first = h;
     dal_stats stats = {0};
     int status = check_start(self, t0, h, x, consistency, initial);
     if (status) return status;
@@ -263,6 +269,8 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     dal__jump jump = {0};
     if (!status)
         status = dal__jump_start(&jump, &self->mech, self->scheme.order, shift, self->fresh);
+    if (!status && isinf(h))
+        status = dal__pace_first(self, t0, copysign(1.0, h), self->fresh, &first);
     if (status) {
         self->error = self->mech.error;
         return status;
@@ -270,8 +278,9 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
 
     memcpy(motion->x, self->fresh, 2 * n * sizeof *x);
     motion->t0 = t0;
-    motion->h = h;
-    motion->steps = 0;
+    motion->h = first;
+    motion->steps = motion->first = 0;
+    dal__pace_start(self);
     *motion->stats = stats;
     self->jump = jump;
     self->started = true;
@@ -321,8 +330,14 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
         const size_t left = steps - *made, next = BETWEEN_LOOKS - motion->steps % BETWEEN_LOOKS;
         size_t done = 0;
         motion->error->text[0] = '\0';
-        const int status =
-            self->family->advance(self->method, motion, next < left ? next : left, &done);
+        int status;
+        if (self->pace.q > 0) {
+            if (dal_stepper_time(self) == self->pace.until) return DAL_SUCCESS;
+            status = dal__pace_step(self);
+            done = !status;
+        } else {
+            status = self->family->advance(self->method, motion, next < left ? next : left, &done);
+        }
         motion->steps += done;
         *made += done;
         if (status && !motion->error->text[0]) /* a family of the user's that says nothing */
@@ -342,14 +357,14 @@ void dal__stepper_forget_impulse(dal_stepper *stepper)
     memset(stepper->motion.impulse, 0, stepper->mech.m * sizeof *stepper->motion.impulse);
 }
 
-int dal__stepper_reaction(dal_stepper *stepper, size_t steps, double *reaction)
+int dal__stepper_reaction(dal_stepper *stepper, double elapsed, double *reaction)
 {
     dal_stepper *const self = stepper;
     const dal_motion *const motion = &self->motion;
     double *const mean = self->mech.lambda;
     for (size_t a = 0; a < self->mech.m; a++) {
         const bool none = self->family->no_reaction;
-        mean[a] = none ? (double)NAN : motion->impulse[a] / ((double)steps * motion->h);
+        mean[a] = none ? (double)NAN : motion->impulse[a] / elapsed;
         if (!none && !isfinite(mean[a]))
             return dal__fail(&self->error, DAL_EDOMAIN, "reaction[%zu] = %g is not finite after "
                              "step %zu (t = %g, h = %g)", a, mean[a], motion->steps,
@@ -366,11 +381,17 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
     int status = dal__stepper_started(stepper);
     if (status) return status;
     size_t made = 0;
+    const double begin = dal_stepper_time(stepper);
     dal__stepper_forget_impulse(stepper);
     status = dal__stepper_advance(stepper, steps, &made);
     if (done) *done = made;
+    if (!status && made < steps)
+        return dal__fail(&stepper->error, DAL_EINVAL, "the stepper is at t = %g, where its steps "
+                         "were to end", dal_stepper_time(stepper));
     if (status || !reaction || steps == 0) return status;
-    return dal__stepper_reaction(stepper, steps, reaction);
+    const double elapsed = stepper->pace.q > 0 ? dal_stepper_time(stepper) - begin
+                                               : (double)steps * stepper->motion.h;
+    return dal__stepper_reaction(stepper, elapsed, reaction);
 }
 
 int dal_step(dal_stepper *stepper, double *reaction)

@@ -155,7 +155,7 @@ typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
 
 /* A step routine that was compiled for one system: what compiled of its dal_system_def points
  * to. */
-#define DAL_COMPILED_ABI 6u
+#define DAL_COMPILED_ABI 7u
 typedef struct dal_lanes_routine dal_lanes_routine;
 typedef struct dal_compiled {
     unsigned abi;  /* DAL_COMPILED_ABI, */
@@ -192,7 +192,10 @@ struct dal_kernel {
     int (*factor)(dal_kernel *k, double b);
     void (*solve)(const dal_kernel *k);
 
-    double t0, h;          /* step k, counted in stats, begins at t0 + k h */
+    double t0, h;          /* step k, counted in stats, begins at t0 + (k - first) h */
+    size_t first;
+    const double *weight;  /* [stages+1] and where the sum of weight[i] (Y_i - Y_0) over the states */
+    double *estimate;      /* Y_i between the stages of a step is to go, [2n]; or NULL */
     double *impulse;       /* [m] sum of kappa since dal_advance began */
     bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */
@@ -210,7 +213,7 @@ struct dal_kernel {
      * by constant offsets, and callbacks see the same addresses at every call. */
     dal_arrays at;
     dal_balance balance;
-    double *saved;                     /* [2n+m] x and impulse before a step of several stages */
+    double *saved;         /* [2n+m] x and impulse before a step of several stages */
 
     dal_stats stats;
     struct {
@@ -550,6 +553,24 @@ DAL_KERNEL_INLINE bool dal_kernel_is_balanced(const dal_stage *s, bool first, do
 {
     if (first || size <= noise) return size <= noise;
     return DAL_KERNEL_SAFETY * size * (size / last) * s->reuse <= noise * fabs(s->end);
+}
+
+/* Adds what the state x[2n] after a stage contributes to the estimate; index: of the stage. */
+static inline void dal_kernel_estimate(dal_kernel *k, size_t index, size_t n, const double *x)
+{
+    const double weight = k->weight[index + 1];
+    for (size_t i = 0; i < 2 * n; i++) {
+        const double term = weight * (x[i] - k->saved[i]);
+        k->estimate[i] = index == 0 ? term : k->estimate[i] + term;
+    }
+}
+
+/* The predictor for steps of another size, ratio times the last. */
+static inline void dal_kernel_rescale(dal_kernel *k, double ratio)
+{
+    for (size_t i = 0; i < 3 * k->n; i++) k->at.pull[i] *= ratio;
+    for (size_t i = 0; i < 4 * k->n * k->kinds; i++) k->history[i] *= ratio;
+    for (size_t a = 0; k->kinds > 0 && a < k->m; a++) k->latest[a] *= ratio;
 }
 
 /* The state of the predictor, as after a start. */
@@ -1010,7 +1031,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #endif
     const size_t stages = k->stages;
     const dal_stage *s = k->stage, *const end = s + stages;
-    const double first = (double)k->stats.steps, last = first + (double)steps;
+    const double first = (double)(k->stats.steps - k->first), last = first + (double)steps;
     double number = first;
     int status = DAL_SUCCESS;
     const dal_pattern has = DAL_KERNEL_PATTERN;
@@ -1053,6 +1074,8 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
             status = DAL_KERNEL_PART(stage)(k, number, s, false, &masses, x, pull);
 #endif
         if (status) break;
+        if (DAL_KERNEL_RARE(k->estimate != NULL))
+            dal_kernel_estimate(k, (size_t)(s - k->stage), n, x);
         if (++s < end) continue;
         s = k->stage;
         number += 1.0;

@@ -176,6 +176,8 @@ static const struct order_case {
     {"leapfrog-yoshida4", 4, true, 1.0, 9, {12, 16, 20, 25, 32, 50, 100, 200, 400}},
     {"midpoint-suzuki4", 4, true, 1.0, 9, {8, 10, 12, 16, 20, 30, 100, 200, 400}},
     {"leapfrog-suzuki4", 4, true, 1.0, 9, {8, 10, 12, 16, 20, 30, 100, 200, 400}},
+    {"bm4", 4, true, 2.0, 9, {8, 10, 12, 16, 20, 25, 100, 200, 400}},
+    {"bm6", 6, true, 3.0, 11, {4, 5, 6, 8, 10, 12, 14, 16, 100, 200, 400}},
     {"midpoint-kl6", 6, true, 2.0, 11, {4, 5, 6, 8, 10, 12, 16, 20, 100, 200, 400}},
     {"leapfrog-kl6", 6, true, 2.0, 11, {4, 5, 6, 8, 10, 12, 16, 20, 100, 200, 400}},
     {"midpoint-kl8", 8, true, 2.0, 12, {3, 4, 5, 6, 7, 8, 10, 12, 14, 100, 200, 400}},
@@ -225,6 +227,22 @@ static void test_general_systems(void)
                 expect_equal(&result, &result.order.global_state, scheme.order,
                              "the state at t_end");
         }
+    }
+}
+
+/* Order 10 shows between h so large that errors are no power of it yet, and roundoff; where steps
+ * are all too fine for that there is no verdict. */
+static void test_order_ten(void)
+{
+    static const size_t coarse[] = {4, 5, 6, 7, 8, 9}, fine[] = {40, 60, 80, 100, 120, 160};
+    const char *const names[] = {"leapfrog-ss10", "midpoint-ss10"};
+    for (size_t i = 0; i < 2; i++) {
+        const dal_scheme scheme = find_scheme(names[i]);
+        measurement result = measure("knife_edge", &scheme, DAL_INITIAL_NONE, 6.0, 6, coarse);
+        expect_at_least(&result, &result.order.global_state, 10, "the state at t_end");
+        expect_flag(&result, result.order.keeps_D && result.order.holds != 0, result.order.text);
+        result = measure("knife_edge", &scheme, DAL_INITIAL_NONE, 2.0, 6, fine);
+        expect_flag(&result, result.order.keeps_D && result.order.holds == -2, result.order.text);
     }
 }
 
@@ -718,6 +736,7 @@ int main(void)
 {
     test_orders();
     test_general_systems();
+    test_order_ten();
     test_midpoint_reactions();
     test_kept_nodes("explicit-nodes", true);
     test_kept_nodes("midpoint-nodes", true);

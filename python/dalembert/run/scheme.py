@@ -117,9 +117,9 @@ class Scheme:
         name : str
             "explicit", "midpoint", "endpoint", a number in [0, 1] (beta), "leapfrog",
             "leapfrog-mirror"; with "-nodes" for kept nodes; "leapfrog" and "midpoint" with
-            "-suzuki4", "-yoshida4", "-kl6", "-kl8"; "pair:A:B", see `pair`; "reference", the
-            adaptive flow of the ODE on D; or ``"FILE:SYMBOL"``, see `from_library`.  ``-`` and
-            ``_`` are the same.
+            "-suzuki4", "-yoshida4", "-kl6", "-kl8", "-ss10"; "bm4", "bm6"; "pair:A:B", see `pair`;
+            "reference", the adaptive flow of the ODE on D; or ``"FILE:SYMBOL"``, see
+            `from_library`.  ``-`` and ``_`` are the same.
 
         Raises
         ------

@@ -30,6 +30,8 @@ class Statistics:
         Calls of the system's functions.
     corrections : int
         Final corrections onto D that took an evaluation of their own.
+    rejected : int
+        Error-controlled steps that were made again, shorter.
     full_newtons : int
         Sub-steps solved by the full Newton iteration: all of a general system, and those that
         needed the Hessian of V.
@@ -67,6 +69,7 @@ class Statistics:
     jump_step: int = 0
     jump: float = 0.0
     largest_kinetic: float = 0.0
+    rejected: int = 0
 
     @classmethod
     def _read(cls, stepper: Any, kind: str) -> Statistics:
