@@ -592,7 +592,7 @@ static void test_bad_definitions(void)
     def.compiled = &larger;
     refused(&def, "compile it with the kernel.h of this library");
     def.compiled = &older;
-    refused(&def, "its number 5");
+    refused(&def, "its number 6");
     def = good;
     def.steady = 0;
     def.force = no_force;
