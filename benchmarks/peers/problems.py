@@ -174,7 +174,7 @@ def sleigh() -> Problem:
     return Problem(
         "sleigh", "sleigh in a well",
         "`L = (x'² + y'²)/2 + theta'²/4 - (x² + y²)/2`, "
-        "`cos(theta) y' - sin(theta) x' = theta'/5`",
+        "`cos(theta) y' = sin(theta) x' + theta'/5`",
         q, vel, (u**2 + v**2) / 2 + omega**2 / 4 - (x**2 + y**2) / 2,
         (-sp.sin(theta) * u + sp.cos(theta) * v - omega / 5,),
         (R(1, 2), 0, 0), (R(1, 2), R(1, 5), 1),

@@ -38,8 +38,9 @@ class Entry:
 def plain(comment: str) -> str:
     """Return the text of a comment without the stars in front of its lines."""
     first, *rest = comment.strip().splitlines() or [""]
-    rest = [re.sub(r"^\s*\* ?", "", line) if "*" in line[:4] else line for line in rest]
-    if all(line.startswith(" " * 12) for line in rest if line.strip()):  # behind a member
+    starred = any(re.match(r"\s*\*( |$)", line) for line in rest)
+    rest = [re.sub(r"^\s*\*( |$)", "", line) for line in rest]
+    if not starred and all(line.startswith("   ") for line in rest if line.strip()):
         rest = textwrap.dedent("\n".join(rest)).splitlines()
     return "\n".join([first, *rest])
 

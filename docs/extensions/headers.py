@@ -37,13 +37,15 @@ def inline(text: str, kinds: dict[str, str]) -> str:
 
     def replace(match: re.Match[str]) -> str:
         name = match[0]
+        if re.match(r"`\w", name):
+            return f"`{name}`\\ "
         if not re.match(r"(dal|DAL)_", name):
             return "\\" + name
         if name not in kinds:
             return f"``{name}``" if name[-1] != "_" else name[:-1] + "\\_"
         return f":c:{roles.get(kinds[name], 'type')}:`{name}`\\ "
 
-    return re.sub(r"\b(?:dal|DAL)_\w*|[\\*_|`]", replace, text)
+    return re.sub(r"\b(?:dal|DAL)_\w*|`\w+`|[\\*_|`]", replace, text)
 
 
 def prose(text: str, kinds: dict[str, str]) -> list[str]:
