@@ -12,8 +12,8 @@ typedef struct dal__composition {
     int order;          /* that the whole has */
 } dal__composition;
 
-/* weight[stages+1] <- w_i, and the largest *q < order for which E is O(h^(q+1)); 0 if there is none:
- * one stage, sub-steps of several maps, no order.  DAL_ENOMEM. */
+/* weight[stages+1] <- w_i, and the largest *q < order for which E is O(h^(q+1)); 0 if there is
+ * none: one stage, sub-steps of several maps, no order.  DAL_ENOMEM. */
 int dal__embedded_weights(const dal__composition *of, double *weight, int *q, dal_error *error);
 
 #endif /* DAL__EMBEDDED_H */

@@ -48,8 +48,8 @@ int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *err
                          self->scheme.name);
     noise *= ROUNDOFF * DAL_ROUNDOFF;
     if (!(tolerance >= 4.0 * noise && tolerance <= MOST_TOLERANCE))
-        return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected %.2g, below which the "
-                         "estimate of \"%s\" is roundoff, to %g", tolerance, 4.0 * noise,
+        return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected %.2g, below which "
+                         "the estimate of \"%s\" is roundoff, to %g", tolerance, 4.0 * noise,
                          self->scheme.name, MOST_TOLERANCE);
     pace->q = q;
     pace->noise = noise / tolerance;

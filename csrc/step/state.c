@@ -130,8 +130,8 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
                          "%g, m = %g; here n = %zu, m = %zu and scheme \"%s\"", values[1],
                          values[2], n, m, self->scheme.name);
     if (count > 5 && (values[4] != self->pace.tolerance || values[5] != longest(self)))
-        return dal__fail(error, DAL_EINVAL, "what was saved has tolerance = %g and h_max = %g; here "
-                         "tolerance = %g and h_max = %g", values[4], values[5],
+        return dal__fail(error, DAL_EINVAL, "what was saved has tolerance = %g and h_max = %g; "
+                         "here tolerance = %g and h_max = %g", values[4], values[5],
                          self->pace.tolerance, longest(self));
     if (count != expected)
         return dal__fail(error, DAL_EINVAL, "count = %zu: expected %zu numbers", count, expected);
@@ -147,8 +147,8 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
     const int status = dal__stepper_check_times(self, t, h);
     if (status) return status;
     if (!isfinite(t + (steps - first + 1.0) * h))
-        return dal__fail(error, DAL_EINVAL, "values[%d] = %g steps of h = %g lead from t = %g to no "
-                         "finite time", OF + 2, steps, h, t);
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g steps of h = %g lead from t = %g to "
+                         "no finite time", OF + 2, steps, h, t);
     if (self->pace.q > 0 ? !(next * h > 0.0 && steps >= first && values[HEAD - 2] > 0.0)
                          : first != 0.0 || next != 0.0)
         return dal__fail(error, DAL_EINVAL, "values[%d] = %g and values[%d] = %g are not of steps "

@@ -17,7 +17,7 @@ typedef struct dal_motion {
     int max_iterations;        /* of Newton in a step */
     double t0, h;              /* x is the state at t0 + (steps - first) h */
     size_t steps;              /* made since the start; the stepper counts them */
-    size_t first;              /* 0; of error-controlled steps, each of which has its own h, steps */
+    size_t first;              /* 0; of error-controlled steps, which have an h each, steps */
     double *x;                 /* [2n] */
     const double *input;       /* [inputs] of the force over the next step; mechanics has them */
     double *impulse;           /* [m] h lambda of every step is added */
@@ -42,8 +42,8 @@ typedef struct dal_family {
     void (*free)(void *method);
     /* x is new: forget what was remembered of steps. */
     void (*start)(void *method, dal_motion *motion);
-    /* steps steps from x at t0 + (motion->steps - first) h; *done <- how many succeeded.  On failure x and
-     * impulse are those after the last good one. */
+    /* steps steps from x at t0 + (motion->steps - first) h; *done <- how many succeeded.  On
+     * failure x and impulse are those after the last good one. */
     int (*advance)(void *method, dal_motion *motion, size_t steps, size_t *done);
     /* What the next step depends on beside x, to values and from them; save returns how many they
      * are, also for values NULL, or DAL_NOT_RESUMABLE. */
@@ -52,9 +52,9 @@ typedef struct dal_family {
     int (*accepts)(const void *method, const double *values);
     void (*restore)(void *method, const double *values);
     /* For error-controlled steps: *q <- advance puts an estimate of the error of q and v, which is
-     * O(h^(q+1)), to motion->estimate if that is not NULL; 0: it has none.  *noise <- the roundoff in
-     * it, in units of that of a state.  And motion->h is ratio times that of the step before: what is
-     * remembered of steps is for this h from now on. */
+     * O(h^(q+1)), to motion->estimate if that is not NULL; 0: it has none.  *noise <- the roundoff
+     * in it, in units of that of a state.  And motion->h is ratio times that of the step before:
+     * what is remembered of steps is for this h from now on. */
     int (*estimates)(void *method, int *q, double *noise, dal_error *error);
     void (*rescale)(void *method, double ratio);
     int no_reaction;           /* 1: its steps have no multiplier; reactions are NaN */

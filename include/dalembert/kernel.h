@@ -194,8 +194,8 @@ struct dal_kernel {
 
     double t0, h;          /* step k, counted in stats, begins at t0 + (k - first) h */
     size_t first;
-    const double *weight;  /* [stages+1] and where the sum of weight[i] (Y_i - Y_0) over the states */
-    double *estimate;      /* Y_i between the stages of a step is to go, [2n]; or NULL */
+    const double *weight;  /* [stages+1], and where the sum of weight[i] (Y_i - Y_0) over the */
+    double *estimate;      /* states Y_i between the stages of a step is to go, [2n]; or NULL */
     double *impulse;       /* [m] sum of kappa since dal_advance began */
     bool pulled;           /* the history of pulls is known */
     bool forced;           /* force0 is known */

@@ -351,7 +351,8 @@ static void test_rows(void)
             double middle[MOST_2N], lambda[1];
             CHECK(times[k] < times[k + 1]);
             if (stride > 1) continue;
-            for (size_t i = 0; i < N; i++) middle[i] = 0.5 * (rows[k * N + i] + rows[(k + 1) * N + i]);
+            for (size_t i = 0; i < N; i++)
+                middle[i] = 0.5 * (rows[k * N + i] + rows[(k + 1) * N + i]);
             CHECK(dal_multipliers(mechanics, 0.0, middle, lambda) == DAL_SUCCESS);
             const double h = times[k + 1] - times[k];
             CHECK_NEAR(reactions[k], lambda[0], 3.0 * h * h);
