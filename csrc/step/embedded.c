@@ -1,8 +1,8 @@
 /* The error of a step, from the states between its stages: E = sum_i w_i (Y_i - Y_0) = O(h^(q+1)).
  *
- * A first order map of step g is a series 1 + g D_1 + g^2 D_2 + ... in operators of which nothing is
- * known, its adjoint the inverse of that at -g, and Y_i has a coefficient for each word of them.  E
- * is O(h^(q+1)) if the weights cancel all words of degree q and less, which are linear equations;
+ * A first order map of step g is a series 1 + g D_1 + g^2 D_2 + ... in operators of which nothing
+ * is known, its adjoint the inverse of that at -g, and Y_i has a coefficient for each word of them.
+ * E is O(h^(q+1)) if the weights cancel all words of degree q and less, which are linear equations;
  * of their solutions with w = 1 for the last state the shortest is taken.  A symmetric map is a
  * first order map of half the step and then its adjoint: no word tells one from the other. */
 #include "step/embedded.h"

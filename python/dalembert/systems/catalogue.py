@@ -181,7 +181,7 @@ def roller_racer(
         -sin(theta + phi) x' + cos(theta + phi) y' + (d1 cos(phi) + d2) theta' + d2 phi' = 0
 
     Beside the energy there is one more invariant, which is not among those of the system because
-    there is an elliptic integral in it.  In it u is the speed along the
+    there is an elliptic integral in it.  It stands in the docstring, where u is the speed along the
     heading, and N is `sin(phi)^2/m + d1^2 cos(phi)^2/J`::
 
         atan2(sqrt(1 + K N/d2^2) (u sin(phi) - d1 theta' cos(phi)),
