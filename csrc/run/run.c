@@ -64,10 +64,12 @@ static int store(dal_run *run)
                                                     run->observer_ctx));
 }
 
-/* The time where row k of inputs begins, of error-controlled steps. */
+/* The time where row k of inputs begins, of error-controlled steps; a row of roundoff at the end of
+ * the run is none. */
 static double begin_of_inputs(const dal_run *run, size_t k)
 {
-    return run->t_begin + (double)k * run->held;
+    const double t = run->t_begin + (double)k * run->held;
+    return fabs(t - run->until) <= 8.0 * DAL_ROUNDOFF * fabs(run->until) ? run->until : t;
 }
 
 /* Whether the inputs change here; *row <- to which. */
@@ -89,7 +91,6 @@ static int hand_inputs(dal_run *run)
     const size_t width = motion->system->def.inputs;
     size_t row;
     if (!inputs_change(run, &row)) return DAL_SUCCESS;
-    run->handed = row + 1;
     double *const u = run->inputs + row * width;
     int status = DAL_SUCCESS;
     if (run->control) {
@@ -98,7 +99,9 @@ static int hand_inputs(dal_run *run)
                                                         motion->x, u, run->control_ctx));
     }
     if (status) return status;
-    return dal__fail_because(&stepper->error, dal_stepper_input(stepper, u), &stepper->error,
+    status = dal_stepper_input(stepper, u);
+    if (!status) run->handed = row + 1; /* else it is handed over again */
+    return dal__fail_because(&stepper->error, status, &stepper->error,
                              "the inputs of step %zu (t = %g): ", motion->steps + 1,
                              dal_stepper_time(stepper));
 }

@@ -150,7 +150,7 @@ static int attempt(dal_stepper *self, double t, double h, double *error)
     *error = 0.0;
     for (size_t i = 0; i < N; i++) {
         const double e = fabs(pace->estimate[i]) / (1.0 + fabs(motion->x[i]));
-        if (!(e <= *error)) *error = e; /* NaN stays */
+        if (!(e <= *error)) *error = isnan(e) ? HUGE_VAL : e;
     }
     *error /= pace->tolerance;
     return DAL_SUCCESS;

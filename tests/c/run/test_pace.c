@@ -386,6 +386,16 @@ static int count_control(size_t step, double t, const double *x, double *u, void
     return 0;
 }
 
+/* Stops the run once, at the second switch. */
+static int stop_once(size_t step, double t, const double *x, double *u, void *ctx)
+{
+    size_t *const calls = ctx;
+    (void)step, (void)t, (void)x;
+    if (++*calls == 2) return 1;
+    u[0] = *calls == 1 ? 1.0 : (double)(*calls - 1);
+    return 0;
+}
+
 static void test_inputs(void)
 {
     const double mass[4] = {1.0, 0.0, 0.0, 1.0}, state[4] = {0.0, 0.0, 0.0, 1.0};
@@ -413,6 +423,24 @@ static void test_inputs(void)
             v += 0.3 * (k + 1);
         }
         CHECK_NEAR(dal_stepper_state(stepper)[2], 3.0 + 0.15 * 5.0, 1e-13);
+        dal_stepper_free(stepper);
+    }
+    /* 3 * 0.3 is less than 0.9: there are three rows all the same; and a controller that stopped is
+     * asked again */
+    for (int stops = 0; stops < 2; stops++) {
+        dal_stepper *const stepper = controlled(system, "midpoint-suzuki4", 1e-6);
+        double u[4] = {1.0, 2.0, 3.0, 1e9};
+        size_t calls = 0;
+        begin(stepper, system, 0.0, (double)INFINITY);
+        dal_run run = {.stepper = stepper, .steps = MOST, .stride = 1, .until = 0.9, .inputs = u,
+                       .held = 0.3};
+        if (stops) {
+            run.control = stop_once;
+            run.control_ctx = &calls;
+            CHECK(dal_run_go(&run, SIZE_MAX) == DAL_STOPPED && run.handed == 1);
+        }
+        CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS && run.handed == 3);
+        CHECK_NEAR(dal_stepper_state(stepper)[2], 0.3 * (1.0 + 2.0 + 3.0), 1e-13);
         dal_stepper_free(stepper);
     }
     dal_system_free(system);
