@@ -517,7 +517,8 @@ typedef struct dal_run {
                                the time from t_begin + k held to t_begin + (k+1) held */
     double *row_times;      /* of error-controlled steps, or NULL: the times of the rows of x */
     double t_begin, row_time; /* theirs, set by the run: where it began; of the last row, */
-    size_t row_step, handed;  /* its step; rows of inputs that were handed over */
+    size_t row_step;          /* its step; */
+    size_t handed, row_inputs; /* rows of inputs that were handed over, and before that row */
     size_t done;            /* steps made */
     size_t stored;          /* rows of x that are valid */
     size_t timed;           /* rows of at that are valid */

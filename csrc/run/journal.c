@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-enum { DOUBTS = 4, UNSEEN = 4096 };
+enum { DOUBTS = 4, OF_ROW = 5, UNSEEN = 4096 };
 
 #define SECONDS 5.0 /* from snapshot to snapshot */
 
@@ -22,15 +22,18 @@ static size_t inputs_of(const dal_run *run)
 static dal__head head_of(const dal_run *run)
 {
     const dal_stepper *const stepper = run->stepper;
-    const size_t m = stepper->mech.m, holds = quotient_up(run->stride, dal__hold(run));
+    const bool controlled = dal__run_is_controlled(run);
+    const size_t m = stepper->mech.m; /* of a controlled step, a row of inputs at most begins */
+    const size_t holds = controlled ? run->stride : quotient_up(run->stride, dal__hold(run));
     const size_t events = run->events ? run->events->count : 0;
     const size_t guards = run->events ? dal_events_saved(run->events) : 0;
     dal__head head = {
         .has_rows = run->x || run->inputs || !run->times, .has_times = run->times != NULL,
         .n = stepper->mech.n, .m = m, .inputs = inputs_of(run), .stride = run->stride,
-        .hold = dal__hold(run), .holds = holds, .events = events};
-    head.snapshot =
-        dal_stepper_saved(stepper) + guards + DOUBTS + m + dal__times(holds, head.inputs);
+        .hold = dal__hold(run), .holds = holds, .events = events,
+        .held = controlled && run->inputs ? run->held : 0.0};
+    head.snapshot = dal_stepper_saved(stepper) + guards + DOUBTS + OF_ROW + m
+                  + dal__times(holds, head.inputs);
     return head;
 }
 
@@ -38,6 +41,11 @@ static dal__head head_of(const dal_run *run)
 static void pending_inputs(const dal_run *run, size_t steps, size_t *first, size_t *count)
 {
     const size_t hold = dal__hold(run), row = run->stored > 0 ? run->stored - 1 : 0;
+    if (dal__run_is_controlled(run)) {
+        *first = run->row_inputs;
+        *count = run->handed - run->row_inputs;
+        return;
+    }
     *first = quotient_up(row * run->stride, hold);
     *count = quotient_up(steps, hold) - *first;
 }
@@ -128,8 +136,12 @@ static int save(const dal_run *run)
         memcpy(to + dal_events_saved(e), doubts, sizeof doubts);
         to += dal_events_saved(e);
     }
-    memcpy(to + DOUBTS, run->stepper->motion.impulse, m * sizeof *to);
-    if (!run->ended) take_inputs(run, run->done, to + DOUBTS + m);
+    to += DOUBTS;
+    const double of_row[OF_ROW] = {run->t_begin, run->row_time, (double)run->row_step,
+                                   (double)run->handed, (double)run->row_inputs};
+    memcpy(to, of_row, sizeof of_row);
+    memcpy(to + OF_ROW, run->stepper->motion.impulse, m * sizeof *to);
+    if (!run->ended) take_inputs(run, run->done, to + OF_ROW + m);
     self->mark.steps = run->steps;
     self->mark.done = run->done;
     self->mark.stored = run->stored;
@@ -170,7 +182,7 @@ int dal__journal_look(const dal_run *run, size_t made)
 int dal__journal_pause(const dal_run *run, int status)
 {
     dal_journal *const self = run->journal;
-    const bool is_over = status == DAL_STOPPED || run->done == run->steps;
+    const bool is_over = status == DAL_STOPPED || dal__run_is_over(run);
     self->failed = status < 0;
     if (status >= 0 && (is_over || is_due(self))) return take_snapshot(run);
     return refuse(run, dal__journal_flush(self));
@@ -206,9 +218,6 @@ static int check_new(const dal_run *run, const dal_scheme *scheme,
     }
     if (dal__scheme_identify(run->stepper->motion.system, scheme) != run->stepper->identity)
         return dal__fail(error, DAL_EINVAL, "scheme is not that of the stepper");
-    if (run->stepper->pace.q > 0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "a journal keeps no times, and the steps of the "
-                         "stepper are error-controlled: there is no journal of them");
     if (dal_stepper_saved(run->stepper) == 0)
         return dal__fail(error, DAL_EUNSUPPORTED, "the steps of \"%s\" cannot be resumed: there is "
                          "no journal of them", scheme->name);
@@ -227,7 +236,7 @@ int dal_journal_new(dal_journal **journal, const char *path, dal_run *run,
     dal__head head = head_of(run);
     dal_journal *self;
     head.t0 = dal_stepper_time(run->stepper);
-    head.h = run->stepper->motion.h;
+    head.h = dal__run_is_controlled(run) ? 0.0 : run->stepper->motion.h;
     head.description_size = with->description_size;
     memcpy(head.fingerprint, with->fingerprint, sizeof head.fingerprint);
     memcpy(head.scheme, scheme->name, sizeof head.scheme);
@@ -342,6 +351,9 @@ static int compare(dal_journal *self, const dal_run *run, dal_error *error)
             return dal__fail(error, DAL_EINVAL, "%s: %s is %llu there, and %llu in the run",
                              self->path, numbers[i].name, (unsigned long long)numbers[i].here,
                              (unsigned long long)numbers[i].there);
+    if (here->held != there->held)
+        return dal__fail(error, DAL_EINVAL, "%s: held is %.17g there, and %.17g in the run",
+                         self->path, here->held, there->held);
     size_t steps;
     const int status = last_row(self, &steps, error);
     if (status) return status;
@@ -368,6 +380,13 @@ static int give_inputs(const dal_journal *self, const dal_run *run, size_t first
     return DAL_SUCCESS;
 }
 
+/* Up to a time of a run with error-controlled steps, the rows of inputs that were handed over. */
+static void count_inputs(dal_run *run, double t)
+{
+    const double ahead = run->held > 0.0 ? 1.0 : -1.0;
+    while (ahead * (t - dal__run_begin_of_inputs(run, run->handed)) > 0.0) run->handed++;
+}
+
 static int give_row(const dal_journal *self, dal_run *run, const dal_record *r, dal_error *error)
 {
     const size_t N = 2 * run->stepper->mech.n, m = run->stepper->mech.m;
@@ -383,11 +402,15 @@ static int give_row(const dal_journal *self, dal_run *run, const dal_record *r, 
         return dal__fail(error, DAL_EIO, "%s: row %zu stands where row %zu should", self->path,
                          r->number, run->stored);
     if (run->x) memcpy(run->x + r->number * N, r->x, N * sizeof *r->x);
+    if (run->row_times) run->row_times[r->number] = r->t;
+    if (r->number == 0) run->t_begin = r->t;
+    if (dal__run_is_controlled(run) && run->inputs) count_inputs(run, r->t);
     if (run->reactions && r->number > 0)
         memcpy(run->reactions + (r->number - 1) * m, r->reaction, m * sizeof *r->reaction);
     pending_inputs(run, steps, &first, &count);
     const int status = give_inputs(self, run, first, count, r->input, error);
     run->stored++;
+    run->row_inputs = run->handed;
     return status;
 }
 
@@ -442,7 +465,14 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
         e->doubt_g = from[3];
     }
     if (status) return status;
-    memcpy(stepper->motion.impulse, from + DOUBTS, m * sizeof *from);
+    from += DOUBTS;
+    run->t_begin = from[0];
+    run->row_time = from[1];
+    run->row_step = (size_t)from[2];
+    run->handed = (size_t)from[3];
+    run->row_inputs = (size_t)from[4];
+    from += OF_ROW;
+    memcpy(stepper->motion.impulse, from, m * sizeof *from);
     run->done = (size_t)self->mark.done;
     run->stored = (size_t)self->mark.stored;
     run->timed = (size_t)self->mark.timed;
@@ -452,7 +482,7 @@ static int restore(const dal_journal *self, dal_run *run, dal_error *error)
     size_t first, count;
     if (inputs_of(run) == 0 || run->ended) return DAL_SUCCESS;
     pending_inputs(run, run->done, &first, &count);
-    return give_inputs(self, run, first, count, from + DOUBTS + m, error);
+    return give_inputs(self, run, first, count, from + m, error);
 }
 
 int dal_journal_resume(dal_journal *journal, dal_run *run, dal_error *error)
@@ -475,7 +505,7 @@ int dal_journal_resume(dal_journal *journal, dal_run *run, dal_error *error)
         status = journal->error.status;
     }
     if (status) {
-        run->done = run->stored = run->timed = 0;
+        run->done = run->stored = run->timed = run->handed = run->row_inputs = 0;
         run->ended = 0;
         return status;
     }

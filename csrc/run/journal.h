@@ -23,7 +23,7 @@ typedef struct dal__head {
     uint64_t n, m, inputs, stride, hold, holds, events;
     uint64_t description_size;
     uint64_t snapshot;       /* doubles of a snapshot */
-    double t0, h, made;      /* made: when, so that no two are alike */
+    double t0, h, held, made; /* made: when, so that no two are alike */
     char scheme[40];
     unsigned char fingerprint[32];
 } dal__head;

@@ -6,20 +6,18 @@
 
 enum { MOST_AT_ONCE = 4096 }; /* steps, after which a journal looks at the time */
 
-static bool is_controlled(const dal_run *run) { return run->stepper->pace.q > 0; }
-
-static bool is_over(const dal_run *run)
+bool dal__run_is_over(const dal_run *run)
 {
     return run->done == run->steps
-        || (is_controlled(run) && dal_stepper_time(run->stepper) == run->until);
+        || (dal__run_is_controlled(run) && dal_stepper_time(run->stepper) == run->until);
 }
 
 /* Whether the state now is to be stored, and is not yet. */
 static bool is_due(const dal_run *run)
 {
-    if (!is_controlled(run)) return run->done == run->stored * run->stride;
+    if (!dal__run_is_controlled(run)) return run->done == run->stored * run->stride;
     const size_t since = run->done - run->row_step;
-    return run->stored == 0 || since >= run->stride || (since > 0 && is_over(run));
+    return run->stored == 0 || since >= run->stride || (since > 0 && dal__run_is_over(run));
 }
 
 /* Where the mean reaction since the row before goes; NULL if there is none, or nobody wants it. */
@@ -48,7 +46,7 @@ static int store(dal_run *run)
     double *const reaction = reaction_of_row(run);
     const double t = dal_stepper_time(stepper);
     const double elapsed =
-        is_controlled(run) ? t - run->row_time : (double)run->stride * motion->h;
+        dal__run_is_controlled(run) ? t - run->row_time : (double)run->stride * motion->h;
     int status = reaction ? dal__stepper_reaction(stepper, elapsed, reaction) : DAL_SUCCESS;
     if (!status) status = dal__journal_row(run, motion->x, reaction);
     if (status) return status;
@@ -58,15 +56,15 @@ static int store(dal_run *run)
     if (run->stored == 0) run->t_begin = t;
     run->row_time = t;
     run->row_step = run->done;
+    run->row_inputs = run->handed;
     run->stored++;
     if (!run->observer) return DAL_SUCCESS;
     return dal__heed(run, "observer", run->observer(motion->steps, t, motion->x,
                                                     run->observer_ctx));
 }
 
-/* The time where row k of inputs begins, of error-controlled steps; a row of roundoff at the end of
- * the run is none. */
-static double begin_of_inputs(const dal_run *run, size_t k)
+/* A row of roundoff at the end of the run is none. */
+double dal__run_begin_of_inputs(const dal_run *run, size_t k)
 {
     const double t = run->t_begin + (double)k * run->held;
     return fabs(t - run->until) <= 8.0 * DAL_ROUNDOFF * fabs(run->until) ? run->until : t;
@@ -77,10 +75,10 @@ static bool inputs_change(const dal_run *run, size_t *row)
 {
     const size_t hold = dal__hold(run);
     if (!run->inputs) return false;
-    *row = is_controlled(run) ? run->handed : run->done / hold;
-    if (!is_controlled(run)) return run->done % hold == 0;
+    *row = dal__run_is_controlled(run) ? run->handed : run->done / hold;
+    if (!dal__run_is_controlled(run)) return run->done % hold == 0;
     const double ahead = run->stepper->pace.h > 0.0 ? 1.0 : -1.0;
-    return ahead * (dal_stepper_time(run->stepper) - begin_of_inputs(run, *row)) >= 0.0;
+    return ahead * (dal_stepper_time(run->stepper) - dal__run_begin_of_inputs(run, *row)) >= 0.0;
 }
 
 /* Where the inputs change, those of the steps that follow. */
@@ -109,7 +107,7 @@ static int hand_inputs(dal_run *run)
 /* Where the next error-controlled step is to end at the latest. */
 static int limit_steps(const dal_run *run)
 {
-    const double change = run->inputs ? begin_of_inputs(run, run->handed) : run->until;
+    const double change = run->inputs ? dal__run_begin_of_inputs(run, run->handed) : run->until;
     const bool sooner = run->stepper->pace.h > 0.0 ? change < run->until : change > run->until;
     return dal_stepper_until(run->stepper, sooner ? change : run->until);
 }
@@ -118,7 +116,7 @@ static int limit_steps(const dal_run *run)
  * are the same go in one. */
 static size_t steps_of_inputs(const dal_run *run, size_t most)
 {
-    if (is_controlled(run)) return most;
+    if (dal__run_is_controlled(run)) return most;
     const size_t hold = dal__hold(run), row = run->done / hold;
     const size_t width = run->inputs ? run->stepper->motion.system->def.inputs : 0;
     size_t steps = hold - run->done % hold;
@@ -148,7 +146,7 @@ static int check_controlled(const dal_run *run)
 int dal__run_check(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;
-    if (run->stride == 0 || (run->steps % run->stride > 0 && !is_controlled(run)))
+    if (run->stride == 0 || (run->steps % run->stride > 0 && !dal__run_is_controlled(run)))
         return dal__fail(error, DAL_EINVAL, "steps = %zu is not a multiple of stride = %zu",
                          run->steps, run->stride);
     if (run->control && !run->inputs)
@@ -157,7 +155,7 @@ int dal__run_check(const dal_run *run)
     if (run->inputs && run->stepper->motion.system->def.inputs == 0)
         return dal__fail(error, DAL_EINVAL, "inputs is not NULL, but the system has none");
     int status = dal__stepper_started(run->stepper);
-    if (!status && is_controlled(run)) status = check_controlled(run);
+    if (!status && dal__run_is_controlled(run)) status = check_controlled(run);
     return status ? status : dal__events_check(run);
 }
 
@@ -186,13 +184,13 @@ int dal_run_go(dal_run *run, size_t budget)
     if (!status && is_due(run)) status = store(run);
     motion->watch = run->watch;
     motion->watch_ctx = run->watch_ctx;
-    while (!status && budget > 0 && !is_over(run)) {
-        const size_t since = is_controlled(run) ? run->done - run->row_step
+    while (!status && budget > 0 && !dal__run_is_over(run)) {
+        const size_t since = dal__run_is_controlled(run) ? run->done - run->row_step
                                                 : run->done % run->stride;
         size_t made = 0, left = run->stride - since;
         if (left > run->steps - run->done) left = run->steps - run->done;
         status = hand_inputs(run);
-        if (!status && is_controlled(run)) status = limit_steps(run);
+        if (!status && dal__run_is_controlled(run)) status = limit_steps(run);
         if (status) break;
         if (left > budget) left = budget;
         left = steps_of_inputs(run, left);
@@ -205,8 +203,8 @@ int dal_run_go(dal_run *run, size_t budget)
         if (!status && run->journal) status = dal__journal_look(run, made);
     }
     motion->watch = NULL;
-    if (!status && run->steps == 0) dal__events_no_steps(run);
-    if (!status && is_over(run)) status = dal__stepper_look(run->stepper);
+    if (!status && run->done == 0 && dal__run_is_over(run)) dal__events_no_steps(run);
+    if (!status && dal__run_is_over(run)) status = dal__stepper_look(run->stepper);
     if (!run->journal) return status;
     const dal_error error = run->stepper->error;
     const int kept = dal__journal_pause(run, status);

@@ -19,6 +19,16 @@ void dal__events_forget(dal_events *events);
 /* DAL_EINVAL for what is wrong with the events and the times of a run. */
 int dal__events_check(const dal_run *run);
 
+/* Whether its steps are error-controlled; whether they are all made. */
+static inline bool dal__run_is_controlled(const dal_run *run)
+{
+    return run->stepper->pace.q > 0;
+}
+bool dal__run_is_over(const dal_run *run);
+
+/* The time where row k of inputs begins, of error-controlled steps. */
+double dal__run_begin_of_inputs(const dal_run *run, size_t k);
+
 /* For how many steps a row of inputs is. */
 static inline size_t dal__hold(const dal_run *run) { return run->hold > 0 ? run->hold : 1; }
 

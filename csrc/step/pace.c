@@ -1,4 +1,11 @@
-/* Error-controlled steps: each as long as its embedded estimate of the error allows.
+/* Error-controlled steps: each as long as its estimated error allows.
+ *
+ * The embedded estimate e = O(h^(q+1)) costs nothing, and says too much: the error of a step is
+ * O(h^(p+1)), some 1e2 to 1e6 times less, as the system and its motion want it.  So the error is
+ * taken as c e^a, a = (p+1)/(q+1), with a factor c that is measured now and then: two steps are
+ * compared with one of twice the length, whose error is 2^p times theirs, far above roundoff.
+ *
+ * The tolerance is that of the state after some hundred steps: of one step it is a part.
  *
  * A step begins where the one before ended, at t0, and its h is the difference of two times, t0 and
  * the rounded t0 + h: so times do not gather roundoff, whatever the steps. */
@@ -7,8 +14,8 @@
 #include <math.h>
 #include <string.h>
 
-/* h changes by SAFETY e^-(GAIN/(q+1)) of the error e in units of the tolerance, and the memory of
- * the step before; within limits. */
+/* h changes by SAFETY r^-(GAIN/(p+1)) of the error r of a step in units of what it may be, and the
+ * memory of the step before; within limits. */
 #define SAFETY 0.9
 #define GAIN 0.7
 #define MEMORY 0.4
@@ -19,10 +26,18 @@
 #define SMALLEST 1e-4
 #define FAILED 1e10
 enum { ATTEMPTS = 60 };
+#define LEAST_TOLERANCE 1e-14
 #define MOST_TOLERANCE 0.1
+/* A step may have this part of tolerance^((p+1)/p): a motion takes some tolerance^(-1/p) steps.
+ * Measured: so the state at t = 100 is mostly within a factor 30 of the tolerance. */
+#define PART 0.5
 /* The roundoff of an estimate is below so many u, times the sum of its weights: twice of what was
- * seen.  The tolerance is at least four times that. */
+ * seen; and that of the difference of two states. */
 #define ROUNDOFF 64.0
+/* Steps after which c is measured: some at the beginning, then every so many.  It grows at once
+ * and falls slowly, and until it is known it is large. */
+enum { EARLY = 8, OFTEN = 64 };
+#define FIRST_SHARE 1.0
 
 int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *error)
 {
@@ -46,18 +61,21 @@ int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *err
         return dal__fail(error, DAL_EUNSUPPORTED, "error-controlled steps of \"%s\": it has no "
                          "estimate of its error; compositions have one, as leapfrog-kl8",
                          self->scheme.name);
-    noise *= ROUNDOFF * DAL_ROUNDOFF;
-    if (!(tolerance >= 4.0 * noise && tolerance <= MOST_TOLERANCE))
-        return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected %.2g, below which "
-                         "the estimate of \"%s\" is roundoff, to %g", tolerance, 4.0 * noise,
-                         self->scheme.name, MOST_TOLERANCE);
+    if (!(tolerance >= LEAST_TOLERANCE && tolerance <= MOST_TOLERANCE))
+        return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected %g, below which "
+                         "errors are roundoff, to %g", tolerance, LEAST_TOLERANCE,
+                         MOST_TOLERANCE);
     pace->q = q;
-    pace->noise = noise / tolerance;
+    pace->order = self->scheme.order > q ? self->scheme.order : q;
+    pace->noise = noise * ROUNDOFF * DAL_ROUNDOFF;
     const size_t N = 2 * self->mech.n, kept = family->save ? family->save(self->method, NULL) : 0;
     DAL__RESERVE(&pace->arena, N, &pace->estimate, &pace->field);
-    DAL__RESERVE(&pace->arena, N + self->mech.m, &pace->before);
-    DAL__RESERVE(&pace->arena, kept, &pace->memory);
+    for (int k = 0; k < 2; k++) {
+        DAL__RESERVE(&pace->arena, N + self->mech.m, &pace->places[k].x);
+        DAL__RESERVE(&pace->arena, kept, &pace->places[k].memory);
+    }
     pace->tolerance = tolerance;
+    pace->allowed = PART * pow(tolerance, (pace->order + 1.0) / pace->order);
     pace->h_max = h_max > 0.0 ? h_max : (double)INFINITY;
     return dal__allocate(&pace->arena, error);
 }
@@ -67,18 +85,21 @@ void dal__pace_start(dal_stepper *self)
     if (self->pace.q == 0) return;
     self->pace.h = self->motion.h;
     self->pace.error = 1.0;
+    self->pace.share = FIRST_SHARE;
     self->pace.until = copysign((double)INFINITY, self->motion.h);
 }
 
 /* ---- the first step ------------------------------------------------------------------------- */
 
-/* The largest component of a rate of x[2n], in units of the tolerance of a step. */
-static double size(const dal_stepper *self, const double *x, const double *rate)
+/* The largest component of a change of x[2n], relative to 1 + |x_i|; infinite for NaN. */
+static double size(size_t N, const double *x, const double *change)
 {
-    const size_t N = 2 * self->mech.n;
     double largest = 0.0;
-    for (size_t i = 0; i < N; i++) largest = fmax(largest, fabs(rate[i]) / (1.0 + fabs(x[i])));
-    return largest / self->pace.tolerance;
+    for (size_t i = 0; i < N; i++) {
+        const double part = fabs(change[i]) / (1.0 + fabs(x[i]));
+        if (!(part <= largest)) largest = isnan(part) ? HUGE_VAL : part;
+    }
+    return largest;
 }
 
 /* A first step by the rates of x and of its rates (Hairer, Norsett, Wanner 1993, II.4). */
@@ -86,10 +107,12 @@ int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, 
 {
     dal__pace *const pace = &self->pace;
     const size_t N = 2 * self->mech.n;
-    double *const f = pace->estimate, *const there = pace->before, *const change = pace->field;
+    double *const f = pace->estimate, *const there = pace->places[0].x;
+    double *const change = pace->field;
     int status = dal_field(&self->mech, t, x, f);
     if (status) return status;
-    const double place = size(self, x, x), speed = size(self, x, f);
+    const double tolerance = pace->tolerance;
+    const double place = size(N, x, x) / tolerance, speed = size(N, x, f) / tolerance;
     const double small = place > 1e-5 && speed > 1e-5 ? 0.01 * place / speed : 1e-6;
     const double one = ahead * fmin(small, pace->h_max);
     dal__move(N, x, one, f, there);
@@ -97,7 +120,7 @@ int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, 
     status = dal_field(&self->mech, t + one, there, change);
     if (status == DAL_EUSER) return status;
     for (size_t i = 0; i < N; i++) change[i] -= f[i];
-    if (!status) turn = size(self, x, change) / fabs(one);
+    if (!status) turn = size(N, x, change) / tolerance / fabs(one);
     const double rate = fmax(speed, turn);
     const double two = rate > 1e-15 ? pow(0.01 / rate, 1.0 / (pace->q + 1.0)) : 1e3 * small;
     *h = ahead * fmin(fmin(100.0 * small, two), pace->h_max);
@@ -106,36 +129,38 @@ int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, 
 
 /* ---- a step --------------------------------------------------------------------------------- */
 
-/* What is remembered of the steps before, to begin one again. */
-static void remember(dal_stepper *self)
+/* Where the motion is, to come back to. */
+static void remember(dal_stepper *self, dal__place *place)
 {
-    dal__pace *const pace = &self->pace;
     const dal_motion *const motion = &self->motion;
     const size_t N = 2 * self->mech.n;
-    memcpy(pace->before, motion->x, N * sizeof *pace->before);
-    memcpy(pace->before + N, motion->impulse, self->mech.m * sizeof *pace->before);
-    pace->worst = motion->stats->worst_residual;
-    if (self->family->save) self->family->save(self->method, pace->memory);
+    memcpy(place->x, motion->x, N * sizeof *place->x);
+    memcpy(place->x + N, motion->impulse, self->mech.m * sizeof *place->x);
+    place->t = motion->t0;
+    place->h = motion->h;
+    place->steps = motion->stats->steps;
+    place->worst = motion->stats->worst_residual;
+    if (self->family->save) self->family->save(self->method, place->memory);
 }
 
-static void take_back(dal_stepper *self)
+static void go_back(dal_stepper *self, const dal__place *place)
+{
+    dal_motion *const motion = &self->motion;
+    const size_t N = 2 * self->mech.n;
+    memcpy(motion->x, place->x, N * sizeof *place->x);
+    memcpy(motion->impulse, place->x + N, self->mech.m * sizeof *place->x);
+    motion->t0 = place->t;
+    motion->h = place->h;
+    motion->stats->steps = place->steps;
+    motion->stats->worst_residual = place->worst;
+    if (self->family->restore) self->family->restore(self->method, place->memory);
+}
+
+/* One step from t; *estimate <- the size of the embedded estimate. */
+static int attempt(dal_stepper *self, double t, double h, double *estimate)
 {
     dal__pace *const pace = &self->pace;
     dal_motion *const motion = &self->motion;
-    const size_t N = 2 * self->mech.n;
-    memcpy(motion->x, pace->before, N * sizeof *pace->before);
-    memcpy(motion->impulse, pace->before + N, self->mech.m * sizeof *pace->before);
-    motion->stats->steps = motion->steps;
-    motion->stats->worst_residual = pace->worst;
-    if (self->family->restore) self->family->restore(self->method, pace->memory);
-}
-
-/* One attempt from t; *error <- in units of the tolerance. */
-static int attempt(dal_stepper *self, double t, double h, double *error)
-{
-    dal__pace *const pace = &self->pace;
-    dal_motion *const motion = &self->motion;
-    const size_t N = 2 * self->mech.n;
     size_t done = 0;
     if (self->family->rescale) self->family->rescale(self->method, h / motion->h);
     motion->t0 = t;
@@ -145,15 +170,58 @@ static int attempt(dal_stepper *self, double t, double h, double *error)
     motion->error->text[0] = '\0';
     const int status = self->family->advance(self->method, motion, 1, &done);
     motion->estimate = NULL;
-    *error = FAILED;
-    if (status) return status;
-    *error = 0.0;
-    for (size_t i = 0; i < N; i++) {
-        const double e = fabs(pace->estimate[i]) / (1.0 + fabs(motion->x[i]));
-        if (!(e <= *error)) *error = isnan(e) ? HUGE_VAL : e;
+    if (!status) *estimate = size(2 * self->mech.n, motion->x, pace->estimate);
+    return status;
+}
+
+/* The error of a step by its estimate, in units of what it may be. */
+static double error_of(const dal__pace *pace, double estimate)
+{
+    const double power = (pace->order + 1.0) / (pace->q + 1.0);
+    return pace->share * pow(estimate, power) / pace->allowed;
+}
+
+/* Whether a step failed for a reason that a shorter one would not have. */
+static bool is_final(int status)
+{
+    return status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL;
+}
+
+/* After a step of h from t = places[0]: c by two steps and one of twice the length, whose error is
+ * its difference to theirs; the motion stays where it is.  What is all roundoff, or cannot be made,
+ * says nothing. */
+static int measure_share(dal_stepper *self, double t, double h)
+{
+    dal__pace *const pace = &self->pace;
+    dal_motion *const motion = &self->motion;
+    const size_t N = 2 * self->mech.n;
+    double *const difference = pace->field;
+    double estimate;
+    remember(self, &pace->places[1]);
+    int status = attempt(self, t + h, h, &estimate);
+    if (!status) {
+        memcpy(difference, motion->x, N * sizeof *difference);
+        go_back(self, &pace->places[0]);
+        status = attempt(self, t, 2.0 * h, &estimate);
     }
-    *error /= pace->tolerance;
-    return DAL_SUCCESS;
+    if (!status) {
+        for (size_t i = 0; i < N; i++) difference[i] -= motion->x[i];
+        const double error = size(N, motion->x, difference);
+        const double share = error / pow(estimate, (pace->order + 1.0) / (pace->q + 1.0));
+        if (estimate > pace->noise && error > ROUNDOFF * DAL_ROUNDOFF && share < HUGE_VAL)
+            pace->share = pace->share == FIRST_SHARE || share > pace->share
+                              ? share : sqrt(share * pace->share);
+    }
+    go_back(self, &pace->places[1]);
+    return is_final(status) ? status : DAL_SUCCESS;
+}
+
+/* Whether c is measured after this step, where there is room for another. */
+static bool is_time(const dal_stepper *self, double t, double h)
+{
+    const size_t steps = self->motion.steps;
+    const double left = self->pace.until - t;
+    return (steps == 0 || steps == EARLY || steps % OFTEN == 0) && 2.0 * fabs(h) <= fabs(left);
 }
 
 /* The length of a step of about h from t: not beyond the end, nor so that a short one is left. */
@@ -175,7 +243,7 @@ static double fit(const dal__pace *pace, double t, double h)
 /* The change of h after an error, of which the step before had another. */
 static double change(const dal__pace *pace, double error)
 {
-    const double power = 1.0 / (pace->q + 1.0);
+    const double power = 1.0 / (pace->order + 1.0);
     return fmin(fmax(SAFETY * pow(fmax(error, SMALLEST), -GAIN * power)
                          * pow(pace->error, MEMORY * power), LEAST), MOST);
 }
@@ -184,34 +252,36 @@ int dal__pace_step(dal_stepper *self)
 {
     dal__pace *const pace = &self->pace;
     dal_motion *const motion = &self->motion;
-    const double t = dal_stepper_time(self), last = motion->h;
-    double h = pace->h, error = 0.0, power = 1.0 / (pace->q + 1.0);
-    remember(self);
+    const double t = dal_stepper_time(self), power = 1.0 / (pace->order + 1.0);
+    double h = pace->h;
+    remember(self, &pace->places[0]);
     for (int k = 1;; k++) {
         const double length = fit(pace, t, h);
         const bool whole = fabs(length) >= fabs(h) * (1.0 - 1e-9);
+        double estimate = 0.0, error = FAILED;
         int status = length == 0.0 || !isfinite(length) ? DAL_ENOCONV
-                                                       : attempt(self, t, length, &error);
-        if (!status && error <= 1.0) {
+                                                       : attempt(self, t, length, &estimate);
+        if (!status && is_time(self, t, length)) status = measure_share(self, t, length);
+        if (!status) error = error_of(pace, estimate);
+        const bool rounded = estimate <= pace->noise; /* a shorter step would gain nothing */
+        if (!status && (error <= 1.0 || rounded)) {
             const double wanted = change(pace, error);
-            /* where it is all roundoff a shorter step would gain nothing */
-            const double factor = error <= pace->noise ? fmax(wanted, 1.0) : wanted;
+            const double factor = rounded ? fmax(wanted, 1.0) : wanted;
             const double next = length * (k > 1 ? fmin(factor, 1.0) : factor);
             /* a step that was cut short says less than the size that was meant */
             pace->h = whole || fabs(next) > fabs(h) ? next : h;
-            pace->error = fmax(error, SMALLEST);
+            pace->error = fmin(fmax(error, SMALLEST), 1.0);
             return DAL_SUCCESS;
         }
         const bool hopeless = k == ATTEMPTS || fabs(length) <= 16.0 * DAL_ROUNDOFF * fabs(t);
-        take_back(self);
+        go_back(self, &pace->places[0]);
         motion->t0 = t;
-        motion->h = last;
         motion->first = motion->steps;
-        if (status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL) return status;
-        if (hopeless && status) return status;
+        if (is_final(status) || (hopeless && status)) return status;
         if (hopeless)
             return dal__fail(motion->error, DAL_ENOCONV, "a step of h = %g has an estimated error "
-                             "of %g times the tolerance %g", length, error, pace->tolerance);
+                             "of %g times what the tolerance %g allows", length, error,
+                             pace->tolerance);
         if (!(error < FAILED)) error = FAILED;
         h = length * fmax(LEAST_AFTER_FAILURE, SAFETY * pow(error, -power));
         motion->stats->rejected++;

@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 4, OF = 6, FIELDS = 29, HEAD = OF + FIELDS };
+enum { VERSION = 5, OF = 6, FIELDS = 30, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -35,8 +35,8 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.counter = &e->potential_calls}, {.counter = &e->lagrangian_calls},
         {.counter = &e->force_calls}, {.counter = &stats->evaluations},
         {.counter = &stats->lagrangian_calls}, {.counter = &stats->force_calls},
-        {.counter = &motion->first}, {.real = &self->pace.h}, {.real = &self->pace.error},
-        {.counter = &stats->rejected},
+        {.counter = &stats->rejected}, {.counter = &motion->first}, {.real = &self->pace.share},
+        {.real = &self->pace.h}, {.real = &self->pace.error},
     };
     memcpy(fields, list, sizeof list);
 }
@@ -143,16 +143,17 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
             return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is %s", i, values[i], wrong);
     }
     const double t = values[OF], h = values[OF + 1], steps = values[OF + 2];
-    const double first = values[HEAD - 4], next = values[HEAD - 3];
+    const double first = values[HEAD - 4], share = values[HEAD - 3], next = values[HEAD - 2];
     const int status = dal__stepper_check_times(self, t, h);
     if (status) return status;
     if (!isfinite(t + (steps - first + 1.0) * h))
         return dal__fail(error, DAL_EINVAL, "values[%d] = %g steps of h = %g lead from t = %g to "
                          "no finite time", OF + 2, steps, h, t);
-    if (self->pace.q > 0 ? !(next * h > 0.0 && steps >= first && values[HEAD - 2] > 0.0)
-                         : first != 0.0 || next != 0.0)
+    if (self->pace.q > 0
+            ? !(next * h > 0.0 && steps >= first && share > 0.0 && values[HEAD - 1] > 0.0)
+            : first != 0.0 || next != 0.0)
         return dal__fail(error, DAL_EINVAL, "values[%d] = %g and values[%d] = %g are not of steps "
-                         "of %s", HEAD - 4, first, HEAD - 3, next,
+                         "of %s", HEAD - 4, first, HEAD - 2, next,
                          self->pace.q > 0 ? "controlled size" : "one size");
     const size_t of_family = before_family(self);
     if (family->accepts && !family->accepts(self->method, values + of_family))

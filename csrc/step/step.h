@@ -62,16 +62,26 @@ int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shif
                     const double *x);
 int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const double *x);
 
+/* Where a motion was. */
+typedef struct dal__place {
+    double t, h, worst;      /* worst_residual */
+    size_t steps;
+    double *x;               /* [2n+m] with the impulse */
+    double *memory;          /* what the family saves */
+} dal__place;
+
 /* Error-controlled steps (pace.c); q = 0: there are none. */
 typedef struct dal__pace {
-    int q;                   /* the estimate is O(h^(q+1)) */
+    int q, order;            /* the estimate is O(h^(q+1)), the error O(h^(order+1)) */
     double tolerance, h_max;
-    double noise;            /* the roundoff of the estimate, in tolerances */
-    double h, error;         /* the next step to be tried; the error of the last, in tolerances */
+    double allowed;          /* what the error of a step may be */
+    double noise;            /* the roundoff of the estimate */
+    double h, error;         /* the next step to be tried; the error of the last, in units of what
+                                it may be */
+    double share;            /* by which the error of a step follows from its estimate */
     double until;            /* a time at which a step is to end, or infinite */
     double *estimate, *field; /* [2n] */
-    double *before, worst;   /* [2n+m] x, impulse and worst_residual before a step */
-    double *memory;          /* what the family saves */
+    dal__place places[2];    /* before a step, and after it */
     arena arena;
 } dal__pace;
 /* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */

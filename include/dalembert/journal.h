@@ -58,10 +58,12 @@ typedef struct dal_record {
 typedef struct dal_journal_info {
     size_t n, m, inputs;       /* inputs: 0 if the run was given none */
     size_t stride, hold;
-    size_t holds;              /* the most rows of inputs that begin in an interval of the run */
+    size_t holds;              /* the most rows of inputs that begin in an interval of the run; as
+                                  many as its steps of error-controlled ones */
     size_t events;             /* how many there are in the list */
     int has_rows, has_times;   /* which of them there are: rows also for their inputs */
-    double t0, h;              /* of the run's first row, which may be a later step of a stepper */
+    double t0, h;              /* of the run's first row, which may be a later step of a stepper;
+                                  h: 0 of error-controlled steps */
     const char *scheme;        /* its name */
     const char *description;
     size_t description_size;

@@ -13,8 +13,8 @@ from . import arguments
 
 
 # Whether a bar is wanted, or a function of what is done and of all.
-Progress = bool | Callable[[int, int], Any]
-Show = Callable[[int], Any]
+Progress = bool | Callable[[Any, Any], Any]
+Show = Callable[[Any], Any]
 
 
 def require(module: str, purpose: str) -> Any:
@@ -58,7 +58,7 @@ def is_there(package: str) -> bool:
 
 @contextlib.contextmanager
 def progress(
-    wanted: Progress, total: int, unit: str
+    wanted: Progress, total: float, unit: str
 ) -> Iterator[Show]:
     """Give a function of how much is done that shows it: by a bar, to a function, or not at all.
 

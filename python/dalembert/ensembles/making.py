@@ -20,7 +20,9 @@ from ..core import Array, DalembertWarning, arguments, extras, lib, require_syst
 from ..core.extras import Progress
 from ..run.events import CONSISTENCY
 from ..run.events import take as take_events
-from ..run.integration import available_memory, number_of_steps, with_method
+from ..core.memory import available_memory
+from ..run.integration import with_method
+from ..run.steps import number_of_steps
 from ..run.journal import of_system, require_same
 from ..run.runs import started_stepper
 from ..run.scheme import Scheme

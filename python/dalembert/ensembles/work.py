@@ -285,7 +285,9 @@ def _doubt(
     for k in np.flatnonzero(suspect & (made["status"] == 0)):
         of = SimpleNamespace(**{name: stats[name][k] for name in stats.dtype.names})
         h = rows["h"][k % len(rows["h"])]
-        run = SimpleNamespace(system=system, stats=of, h=float(h), t0=setting.t0)
+        run = SimpleNamespace(
+            system=system, stats=of, h=float(h), t0=setting.t0, control={}, _how=f"h = {h:g}"
+        )
         made["doubtful"][k] |= any(True for _ in doubts(run))
 
 

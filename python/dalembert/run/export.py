@@ -96,7 +96,7 @@ def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
     if "energy" in units:
         data["energy"][2]["units"] = units["energy"]
     if run.system.inputs:
-        words = f"of the force, each row for {run.hold} steps"
+        words = f"of the force, each row for {run.hold:g} {'of time' if run.control else 'steps'}"
         data["inputs"] = (("hold", "input"), run.inputs, {"long_name": words})
         coordinates["input"] = list(run.system.inputs)
     return xarray.Dataset(
@@ -107,6 +107,7 @@ def to_xarray(run: Solution, units: Mapping[str, str] | None = None) -> Any:
             **{f"parameter_{key}": x for key, x in run.system.parameters.items()},
             "scheme": run.scheme.name,
             **{x: getattr(run, x) for x in ("nodes", "h", "stride", "status", "message")},
+            **{f"control_{key}": x for key, x in run.control.items()},
             "dalembert": core.version(),
         },
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import sys
 import threading
@@ -26,6 +25,7 @@ from ..core import (
     require_system,
 )
 from ..core.extras import Progress
+from ..core.memory import available_memory
 from ..system import System
 from .events import CONSISTENCY, Watch
 from .events import take as take_events
@@ -33,15 +33,16 @@ from .journal import Journal, describe
 from .runs import Run, started_stepper
 from .scheme import Scheme
 from .solution import Solution
+from .steps import Steps, options_of
 
 
 def integrate(
     system: System,
-    scheme: Scheme | str | float = "leapfrog",
+    scheme: Scheme | str | float | None = None,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     *,
-    h: float,
+    h: float | str,
     t_end: float | None = None,
     steps: int | None = None,
     t0: float = 0.0,
@@ -53,34 +54,40 @@ def integrate(
     throw: bool = True,
     max_iterations: int = 50,
     method: str = "rk8pd",
-    tolerance: float = 1e-13,
+    tolerance: float | None = None,
+    h_max: float | None = None,
     inputs: Any = None,
-    hold: int = 1,
+    hold: float | None = None,
     events: Any = (),
     t_eval: ArrayLike | None = None,
     journal: str | os.PathLike[str] | None = None,
     journal_errors: str = "warn",
 ) -> Solution:
-    """Integrate a system with a fixed step size.
+    """Integrate a system, with steps of one size or of controlled error.
 
     Parameters
     ----------
     system : System
     scheme : Scheme, str or float, optional
         A record, the name of one, or beta.  "reference" is the adaptive flow of the ODE on D,
-        observed every ``h * stride``: the best choice for short accurate runs.
+        observed every ``h * stride``: the best choice for short accurate runs.  Default:
+        "leapfrog", and "leapfrog-kl8" for ``h="auto"``.
     q0, v0 : array_like, shape (n,), optional
         Initial data in the user's units, both; neither: those of the system.
-    h : float
-        Step size, negative to integrate backwards.  It is never changed.
+    h : float or "auto"
+        Step size, negative to integrate backwards; it is never changed.  "auto": each step is as
+        long as the tolerance allows, by an estimate of its error that costs no evaluation, for
+        compositions of moved nodes.  That pays where the motion changes its pace.
     t_end : float
-        End of the run; ``(t_end - t0) / h`` has to be an integer to 1e-9 of it.
+        End of the run; ``(t_end - t0) / h`` has to be an integer to 1e-9 of it.  The last of steps
+        of "auto" ends there, to the bit.
     steps : int
-        Number of steps, 0 is allowed.  Exactly one of t_end and steps is given.
+        Number of steps, 0 is allowed.  Exactly one of t_end and steps is given; with "auto" t_end.
     t0 : float, optional
         Initial time.
     stride : int, optional
-        Every stride-th state is stored; the number of steps is a multiple of it.
+        Every stride-th state is stored; the number of steps is a multiple of it.  With "auto" the
+        last state is stored in any case.
     consistent : {"check", "project", "assume"}, optional
         Initial data that are not in D are refused, projected in the mass metric, or used.
     initial : {"D", "D_eps", "project", "shift"}, optional
@@ -91,8 +98,8 @@ def integrate(
     observer : callable, optional
         ``observer(step, t, q, v)`` is called at every stored state; true stops the run.
     progress : bool or callable, optional
-        True: a bar of tqdm.  A function is called as ``progress(done, total)`` with numbers of
-        steps, some times a second.
+        True: a bar of tqdm.  A function is called as ``progress(done, total)``, some times a
+        second, with numbers of steps; with "auto" times that have passed.
     throw : bool, optional
         False: a step that fails ends the run, and the Solution says so, instead of an exception.
     max_iterations : int, optional
@@ -100,14 +107,20 @@ def integrate(
     method : {"rk8pd", "msadams", "rodas"}, optional
         Of the reference flow.
     tolerance : float, optional
-        Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1].
+        Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1];
+        default 1e-13.  Of "auto", what the error of the state may be after a time of about 100,
+        relative to 1 + |x_i|, where the motion is not chaotic; default 1e-9.
+    h_max : float, optional
+        The longest step of "auto".
     inputs : array_like, mapping or callable, optional
         Of the force of a system that takes k of them, constant over a step.  An array, shape
         (steps, k), or (k,) for all steps; a mapping from their names to numbers or arrays of shape
         (steps,); or a controller ``inputs(t, q, v) -> (k,)``, called where the steps begin.
         Default: 0.  They come back as ``run.inputs``.
-    hold : int, optional
+    hold : int or float, optional
         Each row of inputs is for so many steps: an array then has ceil(steps / hold) rows.
+        Default: 1.  With "auto" for so long a time, and steps end where the inputs change: an array
+        has ceil((t_end - t0) / hold) rows.  Default: the whole run.
     events : sequence, optional
         Functions ``g(t, q, v)``, expressions, or `Event`: where they change their sign.  Functions
         may have the attributes ``terminal``, ``direction``, ``reset`` and ``consistent``.
@@ -166,43 +179,47 @@ def integrate(
     True
     """
     require_system(system)
-    record = Scheme.of(scheme)
     t0 = arguments.number(t0, "t0")
-    h = arguments.step_size(h, t0)
-    steps = number_of_steps(t0, h, t_end, steps)
+    sizes = Steps.of(h, t0, t_end, steps, tolerance, h_max)
+    record = Scheme.of(sizes.usual_scheme if scheme is None else scheme)
     stride = arguments.integer(stride, "stride", 1)
-    if steps % stride:
+    if not sizes.varies and sizes.count % stride:
         raise ValueError(
-            f"steps = {steps}: expected a multiple of stride = {stride}, "
-            f"{steps - steps % stride} or {steps - steps % stride + stride}"
+            f"steps = {sizes.count}: expected a multiple of stride = {stride}, "
+            f"{sizes.count - sizes.count % stride} or {sizes.count - sizes.count % stride + stride}"
         )
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     start = record._initial(initial)
-    options = ffi.new("dal_options *")
-    options.max_iterations = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
-    chosen = with_method(record, method, tolerance)
+    most = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
+    chosen = record if sizes.varies else with_method(record, method, tolerance)
+    if sizes.varies and record.is_reference:
+        raise ValueError(
+            f"h = {h!r} with the scheme \"reference\", which chooses its own steps: expected the "
+            "distance of the states that it stores"
+        )
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     listed = take_events(events)
-    times = None if t_eval is None else _times(t_eval, t0, h, steps)
-    hold = arguments.integer(hold, "hold", 1)
-    if hold > 1 and inputs is None:
-        raise ValueError(f"hold = {hold} without inputs")
+    times = None if t_eval is None else _times(t_eval, sizes)
+    hold = sizes.hold(hold, inputs)
     arguments.function(observer, "observer", "step, t, q, v")
     if callable(inputs):
         arguments.function(inputs, "inputs", "t, q, v")
-    _require_memory(system, steps // stride if times is None else len(times), steps, stride)
+    if not sizes.varies:
+        rows = sizes.count // stride if times is None else len(times)
+        _require_memory(system, rows, sizes.count, stride)
 
     stepper = started_stepper(
-        system, chosen, x0, t0=t0, h=h, consistency=consistency, initial=start, options=options
-    )
+        system, chosen, x0, t0=t0, h=sizes.first, consistency=consistency, initial=start,
+        options=options_of(sizes.control, most),
+    )  # fmt: skip
 
     def begin(run: Run) -> None:
         if journal is not None:
-            about = describe(system, chosen, run, options.max_iterations)
+            about = describe(system, chosen, run, most)
             run.journal = Journal.create(journal, run, chosen, about, journal_errors)
 
     return _make(
-        begin, progress, throw, system, record, stepper, t0=t0, h=h, steps=steps, stride=stride,
+        begin, progress, throw, system, record, stepper, steps=sizes, stride=stride,
         observer=observer, inputs=inputs, hold=hold,
         watch=Watch.of(system, stepper, chosen, listed, times),
     )  # fmt: skip
@@ -274,36 +291,32 @@ def resume(
     True
     """
     journal = Journal.open(path, writes=True, errors=journal_errors)
-    info, about = journal.info, journal.about
+    about, stride = journal.about, int(journal.info.stride)
     system, record = journal.system(system), journal.scheme(scheme)
     arguments.function(observer, "observer", "step, t, q, v")
-    t0, h, stride = float(info.t0), float(info.h), int(info.stride)
-    if t_end is not None or steps is not None:
-        steps = number_of_steps(t0, h, t_end, steps)
-    else:
-        steps = int(info.steps)
-    if steps % stride:
-        raise ValueError(f"steps = {steps}: expected a multiple of stride = {stride}")
+    sizes = journal.steps(t_end, steps)
+    if not sizes.varies and sizes.count % stride:
+        raise ValueError(f"steps = {sizes.count}: expected a multiple of stride = {stride}")
     listed = take_events(events)
     if about["inputs"] and inputs is None:
         raise ValueError(f"inputs: needed, the run of {journal.path} has some")
-    options = ffi.new("dal_options *", {"max_iterations": about["max_iterations"]})
+    options = options_of(sizes.control, about["max_iterations"])
     c_record, kept = record._record_of(system)
     stepper = core.make("stepper", system._handle, c_record, options, owner=(system._handle, kept))
     times = journal.times()
     return _make(
-        journal.resume, progress, throw, system, record, stepper, t0=t0, h=h, steps=steps,
-        stride=stride, observer=observer, inputs=inputs, hold=int(info.hold),
+        journal.resume, progress, throw, system, record, stepper, steps=sizes, stride=stride,
+        observer=observer, inputs=inputs, hold=about["hold"],
         watch=Watch.of(system, stepper, record, listed, times),
     )  # fmt: skip
 
 
 def _make(
-    begin: Callable[[Run], None], progress: Progress, throw: bool, *of: Any, steps: int, **how: Any
+    begin: Callable[[Run], None], progress: Progress, throw: bool, *of: Any, **how: Any
 ) -> Solution:
     """Return what a `Run` of these arguments has made, or raise what ended it, with that."""
-    with extras.progress(progress, steps, "step") as show:
-        run = Run(*of, steps=steps, show=show, **how)
+    with extras.progress(progress, *how["steps"].progress) as show:
+        run = Run(*of, show=show, **how)
         begin(run)
         run.make()
     solution, error = run.solution(), run.error
@@ -322,8 +335,9 @@ def _make(
 # ---- arguments -----------------------------------------------------------------------------
 
 
-def with_method(record: Scheme, method: str, tolerance: float) -> Scheme:
+def with_method(record: Scheme, method: str, tolerance: float | None) -> Scheme:
     """Return a scheme; "reference" with this method and tolerance, unless it has its own."""
+    tolerance = 1e-13 if tolerance is None else tolerance
     plain, given = Scheme.find("reference"), (method, tolerance) != ("rk8pd", 1e-13)
     if not given and record.name != plain.name:
         return record
@@ -338,33 +352,6 @@ def with_method(record: Scheme, method: str, tolerance: float) -> Scheme:
     return record
 
 
-def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None) -> int:
-    """Return the number of steps; h is never changed to make it an integer."""
-    if (t_end is None) == (steps is None):
-        given = "none" if steps is None else "both"
-        raise ValueError(f"t_end and steps: expected one of them, got {given}")
-    if t_end is None:
-        steps = arguments.integer(steps, "steps", 0)
-        arguments.step_size(h, t0 + steps * h)
-        return steps
-    t_end = arguments.number(t_end, "t_end")
-    ratio = (t_end - t0) / h
-    if ratio < 0.0:
-        raise ValueError(f"t_end = {t_end:g} lies before t0 = {t0:g} in the direction of h = {h:g}")
-    if not ratio < 2**63:
-        raise ValueError(f"h = {h:g} is too small for t_end - t0 = {t_end - t0:g}")
-    arguments.step_size(h, t_end)
-    steps = round(ratio)
-    if abs(ratio - steps) > 1e-9 * max(1.0, ratio):
-        few, many = math.floor(ratio), math.ceil(ratio)
-        sizes = [f"{(t_end - t0) / k!r}" for k in (many, few) if k > 0]
-        raise ValueError(
-            f"t_end = {t_end!r} is {ratio:.10g} steps of h = {h!r} from t0 = {t0!r}: take "
-            f"t_end = {t0 + few * h!r} or {t0 + many * h!r}, or h = {' or '.join(sizes)}"
-        )
-    return steps
-
-
 def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
     """Refuse a run whose arrays do not fit, before anything is allocated."""
     size = 8 * ((rows + 1) * (2 * system.n + 1) + rows * system.m)
@@ -377,24 +364,13 @@ def _require_memory(system: System, rows: int, steps: int, stride: int) -> None:
         )
 
 
-def available_memory() -> int:
-    """Return the bytes that can be had without swapping, as far as the machine tells."""
-    with contextlib.suppress(OSError, StopIteration, ValueError):
-        with open("/proc/meminfo", encoding="ascii") as lines:
-            line = next(line for line in lines if line.startswith("MemAvailable:"))
-        return int(line.split()[1]) * 1024
-    with contextlib.suppress(AttributeError, OSError, ValueError):
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return sys.maxsize
-
-
-def _times(given: ArrayLike, t0: float, h: float, steps: int) -> Array:
+def _times(given: ArrayLike, steps: Steps) -> Array:
     """Return t_eval; ValueError for times that are not in the run, or not in its order."""
     times = np.ascontiguousarray(arguments.array(given, "t_eval", (None,)))
-    end = t0 + steps * h
+    t0, end = steps.t0, steps.t_end
     if len(times) == 0:
         raise ValueError("t_eval: expected at least one time")
-    ahead = np.sign(h)
+    ahead = steps.direction
     outside = (ahead * (times - t0) < 0) | (ahead * (times - end) > 4e-16 * abs(end))
     if outside.any():
         t = float(times[outside][0])
@@ -432,9 +408,17 @@ def _warn(solution: Solution, watch: Watch | None = None) -> None:
             _quiet.warned.append(doubt)
 
 
+def _at(solution: Any) -> str:
+    """Return when the step was after which the energy had jumped, where it is known."""
+    if solution.control:
+        return f" ({solution._how})"
+    t = solution.t0 + solution.stats.jump_step * solution.h
+    return f" (t = {t:g}, h = {solution.h:g})"
+
+
 def doubts(solution: Any) -> Iterator[str]:
     """Yield why a run that went through is doubtful, as far as its statistics tell."""
-    system, stats, h = solution.system, solution.stats, solution.h
+    system, stats, how = solution.system, solution.stats, solution._how
     bound = core.residual_bound(system.n)
     if stats.worst_residual > bound:
         yield (
@@ -443,15 +427,15 @@ def doubts(solution: Any) -> Iterator[str]:
         )
     if stats.jump_step:
         yield (
-            f"the energy has changed by {stats.jump:.3g} at step {stats.jump_step} (t = "
-            f"{solution.t0 + stats.jump_step * h:g}, h = {h:g}), where the "
-            f"largest kinetic energy is {stats.largest_kinetic:.3g}: nothing does work on this "
-            "system, so h is too large, or gradient is not that of potential: see check()"
+            f"the energy has changed by {stats.jump:.3g} at step {stats.jump_step}"
+            f"{_at(solution)}, where the largest kinetic energy is {stats.largest_kinetic:.3g}: "
+            "nothing does work on this system, so the steps are too long, or gradient is not that "
+            "of potential: see check()"
         )
     simple = system.has_constant_mass and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:
         yield (
             f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
-            f"as the simpler one did not converge: h = {h:g} is large for this system, or its "
-            "constraints are nearly dependent"
+            f"as the simpler one did not converge: the steps are long for this system ({how}), or "
+            "its constraints are nearly dependent"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 import os
 import warnings
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ from .events import Happened, split
 from .runs import Run
 from .scheme import Scheme
 from .solution import Solution, Statistics
+from .steps import MOST, Steps, number_of_steps
 
 SECONDS = 5.0  # from snapshot to snapshot
 ERRORS = {"stop": 0, "warn": 1}
@@ -38,6 +40,9 @@ def describe(system: System, scheme: Scheme, run: Run, max_iterations: int) -> d
         "scheme": scheme._data(),
         "max_iterations": max_iterations,
         "inputs": run.inputs is not None,
+        "hold": run.hold,
+        "t_end": run.steps.t_end,
+        "control": run.steps.control,
         "times": None if times is None else base64.b64encode(times.tobytes()).decode(),
     }
 
@@ -179,8 +184,23 @@ class Journal:
         text = self.about["times"]
         return None if text is None else np.frombuffer(base64.b64decode(text)).copy()
 
+    def steps(self, t_end: float | None = None, steps: int | None = None) -> Steps:
+        """Return the steps of the run, to another end if there is one."""
+        t0, h, about = float(self.info.t0), float(self.info.h), self.about
+        if about["control"]:
+            if steps is not None:
+                raise ValueError(f"steps = {steps}: expected t_end, each step has its own size")
+            end = about["t_end"] if t_end is None else arguments.number(t_end, "t_end")
+            return Steps(t0, end, math.nan, MOST, about["control"])
+        if t_end is None and steps is None:
+            steps = int(self.info.steps)
+        count = number_of_steps(t0, h, t_end, steps)
+        return Steps(t0, t0 + count * h, h, count, {})
+
     def resume(self, run: Run) -> None:
         """Bring a run to where the last snapshot has left it."""
+        if run.steps.varies:
+            run.make_room(int(self.info.records) + 1)
         run.x[0] = self.about["system"]["state"]  # of output times, C has no rows
         error = ffi.new("dal_error *")
         status = core.attempt(lib.dal_journal_resume, self._handle, run.run, error)
@@ -223,7 +243,8 @@ class Journal:
     def solution(self, system: System | None, scheme: Scheme | None) -> Solution:
         """Return the run as far as it is in the file, whose states stay there."""
         system, scheme, info = self.system(system), self.scheme(scheme), self.info
-        t0, h, stride = float(info.t0), float(info.h), int(info.stride)
+        steps, stride = self.steps(), int(info.stride)
+        t0, h = steps.t0, steps.h
         records = self.records()
         kinds = records["kind"]
         is_end = kinds == lib.DAL_RECORD_END
@@ -237,29 +258,45 @@ class Journal:
         if info.has_times:
             times = np.array(states["t"]) if len(states) else np.array([t0])
             reactions = np.full((len(x) - 1, system.m), np.nan)
+        elif steps.varies:
+            times = np.array(rows["t"]) if len(rows) else np.array([t0])
         elif ended:
             times = np.append(t0 + np.arange(len(rows) - 1) * stride * h, rows["t"][-1])
         done = max(int(info.done), (len(rows) - 1 - ended) * stride)
-        over = ended or done >= info.steps
-        end = states["t"][-1] if ended else t0 + done * h
-        words = f"{done} steps" if over else f"{done} of {info.steps} steps"
+        if steps.varies:
+            done = int(rows["step"][-1]) if len(rows) else 0
+            end = float(rows["t"][-1]) if len(rows) else t0
+            over = ended or end == steps.t_end
+            words, rest = f"{done} steps", "" if over else f" of {steps.t_end:g}"
+        else:
+            over = ended or done >= info.steps
+            end = states["t"][-1] if ended else t0 + done * h
+            words, rest = f"{done} steps" if over else f"{done} of {info.steps} steps", ""
         happened = dict(zip(("t_events", "x_events", "x_after"), split(*self._events(records))))
         return Solution(
             system=system, scheme=scheme, t0=t0, h=h, stride=stride, x=x, times=times,
             reactions=reactions,
             status=lib.DAL_SUCCESS if over and not ended else lib.DAL_STOPPED,
-            message=f"{words} to t = {end:g}, from {self.path}",
-            inputs=self._inputs(rows, done + ended), hold=int(info.hold),
+            message=f"{words} to t = {end:g}{rest}, from {self.path}",
+            inputs=self._inputs(rows, done + ended, steps), hold=self.about["hold"],
+            control=steps.control,
             stats=Statistics(steps=done, worst_residual=np.nan), **happened,
         )  # fmt: skip
 
-    def _inputs(self, rows: Any, steps: int) -> Array:
+    def _inputs(self, rows: Any, done: int, steps: Steps) -> Array:
         """Return the rows of inputs of so many steps, as far as they are there."""
         info = self.info
         if info.inputs == 0:
             return np.zeros((0, len(self.about["system"]["inputs"])))
+        if steps.varies:  # the row after each begins, and which it is of those
+            ahead, hold = steps.direction, self.about["hold"]
+            begins = steps.t0 + ahead * hold * np.arange(steps.holds(hold))  # as C has them
+            row = np.searchsorted(ahead * rows["t"], ahead * begins, side="right")
+            row = row[row < len(rows)]
+            place = np.arange(len(row)) - np.searchsorted(row, row)
+            return np.array(rows["input"][row, place])
         hold, stride = int(info.hold), int(info.stride)
-        first = np.arange(-(-steps // hold)) * hold  # step of each
+        first = np.arange(-(-done // hold)) * hold  # step of each
         row = first // stride + 1
         there = row < len(rows)
         place = first[there] // hold - -(-(row[there] - 1) * stride // hold)

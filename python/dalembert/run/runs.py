@@ -11,13 +11,16 @@ import numpy as np
 from .. import core, geometry
 from ..core import Array, arguments, ffi, lib
 from ..core.extras import Show
+from ..core.memory import available_memory
 from ..system import System
 from .scheme import Scheme
 from .events import Watch, split
 from .solution import Solution, Statistics
+from .steps import Steps
 
 OFF_D = "; consistent='project' would project v0"
 RESET_OFF_D = "; consistent='project' of the event would project v"
+_FIRST_ROWS = 1024  # of a run whose number of steps nobody knows
 PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
 
 
@@ -60,40 +63,63 @@ class Run:
         scheme: Scheme,
         stepper: Any,
         *,
-        t0: float,
-        h: float,
-        steps: int,
+        steps: Steps,
         stride: int,
         observer: Callable[..., Any] | None,
         show: Show,
         inputs: Array | Callable[..., Any] | None = None,
-        hold: int = 1,
+        hold: float = 1,
         watch: Watch | None = None,
     ) -> None:
-        timed = watch is not None and watch.times is not None
-        rows = 0 if timed else steps // stride
-        self.system, self.scheme, self.stepper = system, scheme, stepper
-        self.t0, self.h = t0, h
+        self.timed = watch is not None and watch.times is not None
+        self.system, self.scheme, self.stepper, self.steps = system, scheme, stepper, steps
+        self.t0, self.h = steps.t0, steps.h
         self.show, self.shown_at = show, -np.inf
         self.watch, self.hold = watch, hold
         self.journal: Any = None
-        self.inputs = _input_buffer(system, steps, hold, inputs)
-        self.x = np.empty((rows + 1, 2 * system.n))
-        self.x[0] = core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
-        self.reactions = np.empty((rows, system.m))
+        self.inputs = _input_buffer(system, steps.holds(hold), inputs)
+        self.x = np.empty((0, 2 * system.n))
+        self.reactions, self.times = np.empty((0, system.m)), np.empty(0)
         self.status = lib.DAL_SUCCESS
         self.error: BaseException | None = None
         self.run = run = ffi.new("dal_run *")
-        run.stepper, run.steps, run.stride, run.hold = stepper, steps, stride, hold
+        run.stepper, run.steps, run.stride = stepper, steps.count, stride
+        if steps.varies:
+            run.until, run.held = steps.t_end, steps.direction * hold
+        else:
+            run.hold = int(hold)
         run.watch, run.watch_ctx = lib.dal_py_watch, _NOBODY
-        if not timed:
-            run.x, run.reactions = core.pointer(self.x), core.pointer(self.reactions)
+        self.make_room(_FIRST_ROWS if steps.varies else steps.count // stride + 1)
+        self.x[0] = core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
         if self.inputs is not None:
             run.inputs = core.pointer(self.inputs)
         if observer is not None or callable(inputs):
             self._call_back(observer, inputs)
         if watch is not None:
             watch.join(run)
+
+    def make_room(self, rows: int) -> None:
+        """Have C store up to so many rows; a run of output times has none but the first."""
+        rows, run, system = 1 if self.timed else rows, self.run, self.system
+        if rows <= len(self.x):
+            return
+        if self.steps.varies:  # nobody knows how many there will be
+            rows = max(rows, 2 * len(self.x))
+            size = 8 * rows * (2 * system.n + system.m + 1)
+            if size > 2**24 and size > available_memory():
+                raise MemoryError(
+                    f"{rows} stored states are {size} bytes, more than this machine has left: "
+                    "store fewer with a larger stride, or with t_eval"
+                )
+        x, reactions, times = self.x, self.reactions, self.times
+        self.x = np.empty((rows, 2 * system.n))
+        self.reactions = np.empty((rows - 1, system.m))
+        self.times = np.empty(rows if self.steps.varies else 0)
+        self.x[: len(x)], self.times[: len(times)] = x, times
+        self.reactions[: len(reactions)] = reactions
+        if not self.timed:
+            run.x, run.reactions = core.pointer(self.x), core.pointer(self.reactions)
+            run.row_times = core.pointer(self.times) if self.steps.varies else ffi.NULL
 
     def _call_back(self, observer: Any, inputs: Any) -> None:
         """Have C call an observer, or a controller."""
@@ -116,13 +142,15 @@ class Run:
             piece = max(1, geometry.most_in_a_call(self.system) // 64)
         try:
             while True:
+                if self.steps.varies:
+                    self.make_room(int(run.stored) + piece // int(run.stride) + 3)
                 began = time.perf_counter()
                 self.status = core.attempt(lib.dal_run_go, run, piece)
                 elapsed = time.perf_counter() - began
                 self.tell(began + elapsed)
                 if self.journal is not None:
                     self.journal.tell()
-                if self.status != lib.DAL_SUCCESS or run.done == run.steps:
+                if self.status != lib.DAL_SUCCESS or self.is_over:
                     break
                 piece = max(1, int(piece * min(8.0, PIECE_SECONDS / max(elapsed, 1e-9))))
         except BaseException as error:  # KeyboardInterrupt too: what was computed goes with it
@@ -138,11 +166,19 @@ class Run:
             t = lib.dal_stepper_time(self.stepper)
             self.error = core.failure(self.status, message, step=int(run.done), t=t)
 
+    @property
+    def is_over(self) -> bool:
+        """Whether all its steps are made."""
+        if self.steps.varies:
+            return bool(lib.dal_stepper_time(self.stepper) == self.steps.t_end)
+        return bool(self.run.done == self.run.steps)
+
     def tell(self, now: float) -> None:
         """Show the progress, some times a second and at the end."""
-        if now - self.shown_at > PIECE_SECONDS or self.run.done == self.run.steps:
+        if now - self.shown_at > PIECE_SECONDS or self.is_over:
             self.shown_at = now
-            self.show(int(self.run.done))
+            passed = abs(lib.dal_stepper_time(self.stepper) - self.t0)
+            self.show(passed if self.steps.varies else int(self.run.done))
 
     def _at_times(self) -> tuple[Array, Array]:
         """Return the states at output times, and where an event has ended the run.
@@ -154,7 +190,7 @@ class Run:
         x, times = watch.at[: run.timed], watch.times[: run.timed]
         if run.ended:
             kept = self.scheme.nodes == "kept"
-            shift = self.scheme.shift(self.h) if kept else 0.0
+            shift = self.scheme.shift(self.h) if kept else 0.0  # such steps have one size
             x = np.vstack([x, _end(watch.happened.x[-1], self.system.n, shift)])
             times = np.append(times, run.t_end)
         return (x, times) if len(x) else (self.x, np.array([self.t0]))
@@ -163,15 +199,20 @@ class Run:
         """Return the rows that are good."""
         run, rows = self.run, max(int(self.run.stored), 1)
         t = self.t0 + (rows - 1) * int(run.stride) * self.h
+        rows = min(rows, len(self.x))  # that of output times has none
         x, reactions, times = self.x[:rows], self.reactions[: rows - 1], None
+        if self.steps.varies:
+            t = lib.dal_stepper_time(self.stepper)
+            times = self.times[:rows] if run.stored else np.array([self.t0])
         happened: dict[str, Any] = {}
         if self.watch is not None:
             names = ("t_events", "x_events", "x_after")
             happened = dict(zip(names, split(self.watch.happened, self.system.n)))
             if run.ended:
                 t = run.t_end
-                times = self.t0 + np.arange(rows) * int(run.stride) * self.h
-                times[-1] = t
+                if not self.steps.varies:
+                    times = self.t0 + np.arange(rows) * int(run.stride) * self.h
+                    times[-1] = t
             if self.watch.times is not None:
                 x, times = self._at_times()
                 reactions = np.full((len(x) - 1, self.system.m), np.nan)
@@ -183,13 +224,15 @@ class Run:
             message = f"an observer stopped the run at t = {t:g}"
         if self.status < 0:
             message = f"{type(self.error).__name__}: {self.error}"
-        holds = -(-int(run.done + run.ended) // self.hold)
+        holds = int(run.handed)
+        if not self.steps.varies:
+            holds = -(-int(run.done + run.ended) // int(self.hold))
         inputs = np.zeros((0, len(self.system.inputs))) if self.inputs is None else self.inputs
         return Solution._made(
             system=self.system, scheme=self.scheme, t0=self.t0, h=self.h, stride=int(run.stride),
             x=x[:], reactions=reactions[:], status=self.status, times=times, inputs=inputs[:holds],
-            hold=self.hold, stats=Statistics._read(self.stepper, self.system.kind),
-            message=message, **happened,
+            hold=self.hold, control=self.steps.control, message=message,
+            stats=Statistics._read(self.stepper, self.system.kind), **happened,
         )  # fmt: skip
 
 
@@ -206,12 +249,11 @@ def one_row(value: Any, names: tuple[str, ...]) -> Array:
 
 
 def _input_buffer(
-    system: System, steps: int, hold: int, given: Array | Callable[..., Any] | None
+    system: System, holds: int, given: Array | Callable[..., Any] | None
 ) -> Array | None:
     """Return the rows of inputs that C reads, or that a controller is to fill."""
     if given is None:
         return None
-    holds = -(-steps // hold)
     if not callable(given):
         return arguments.inputs(given, system.inputs, holds)
     if not system.inputs:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import core, geometry
 from ..core import Array, arguments, ffi, functions, lib, require_system
 from ..system import System
+from . import between
 from .scheme import Scheme
 
 
@@ -112,8 +113,9 @@ class Solution(Mapping[str, Any]):
     Attributes
     ----------
     t : ndarray, shape (N+1,)
-        Times ``t0 + k * h * stride``, in the user's units; those of ``t_eval`` where it was given;
-        and at the end that of the terminal event, where one has ended the run.
+        Times ``t0 + k * h * stride``, in the user's units; those of ``t_eval`` where it was given,
+        and of the steps where each has its own size; and at the end that of the terminal event,
+        where one has ended the run.
     q, v : ndarray, shape (N+1, n)
         Views of ``x``.
     x : ndarray, shape (N+1, 2n)
@@ -146,7 +148,12 @@ class Solution(Mapping[str, Any]):
     system : System
     scheme : Scheme
     h : float
-        Step size; between stored states lie ``stride`` steps.
+        Step size; between stored states lie ``stride`` steps.  NaN where each step has its own.
+    control : dict
+        What has chosen the sizes of the steps, as ``{"h": "auto", "tolerance": 1e-9}``; empty for
+        steps of one size.
+    hold : float
+        For how many steps a row of ``inputs`` is, or how long where steps have their own sizes.
     stride : int
     nodes : {"moved", "kept"}
     shift : float
@@ -184,7 +191,8 @@ class Solution(Mapping[str, Any]):
     message: str
     times: Array | None = None
     inputs: Array | None = None
-    hold: int = 1
+    hold: float = 1
+    control: Mapping[str, Any] = field(default_factory=dict)
     t_events: tuple[Array, ...] = ()
     x_events: tuple[Array, ...] = ()
     x_after: tuple[Array, ...] = ()
@@ -210,7 +218,9 @@ class Solution(Mapping[str, Any]):
         if not isinstance(self.scheme, Scheme):
             raise ValueError(f"scheme = {self.scheme!r}: expected a dalembert.Scheme")
         arguments.number(self.t0, "t0")
-        arguments.number(self.h, "h")
+        if not self.control:
+            arguments.number(self.h, "h")
+            arguments.integer(self.hold, "hold", 1)
         arguments.integer(self.stride, "stride", 1)
         n, m = self.system.n, self.system.m
         x = self.x  # that of a file is as it was checked there, and stays there
@@ -228,7 +238,8 @@ class Solution(Mapping[str, Any]):
             "x": x, "reactions": reactions,
             "inputs": arguments.array(inputs, "inputs", (None, width)),
         }  # fmt: skip
-        arguments.integer(self.hold, "hold", 1)
+        if self.control and self.times is None:
+            raise ValueError("times: needed where each step has its own size")
         if self.times is not None:
             arrays["times"] = arguments.array(self.times, "times", (len(x),))
         for name, array in arrays.items():
@@ -328,17 +339,24 @@ class Solution(Mapping[str, Any]):
 
     def _inputs_of_rows(self) -> Array:
         """Return the inputs that begin, or go on, at each stored state."""
-        steps = np.arange(len(self.x)) * self.stride
         if self.times is not None:
-            steps = np.floor((self.times - self.t0) / self.h + 1e-9).astype(int)
-        return self._inputs_at(steps)
+            return self._inputs_at(self.times)
+        return self._rows_of_inputs(np.arange(len(self.x)) * self.stride // int(self.hold))
 
-    def _inputs_at(self, steps: NDArray[np.int_]) -> Array:
-        """Return the inputs over steps of these numbers."""
+    def _inputs_at(self, times: Array) -> Array:
+        """Return the inputs that begin, or go on, at times."""
+        if self.control:  # their rows are as long as the steps of others
+            passed = np.abs(times - self.t0) / self.hold
+            return self._rows_of_inputs(np.floor(passed * (1 + 4e-16)).astype(int))
+        steps = np.floor((times - self.t0) / self.h + 1e-9).astype(int)
+        return self._rows_of_inputs(steps // int(self.hold))
+
+    def _rows_of_inputs(self, rows: NDArray[np.int_]) -> Array:
+        """Return the inputs of these rows; what follows the last is that."""
         assert self.inputs is not None
         if len(self.inputs) == 0:
-            return np.zeros((len(steps), len(self.system.inputs)))
-        return self.inputs[np.minimum(steps // self.hold, len(self.inputs) - 1)]
+            return np.zeros((len(rows), len(self.system.inputs)))
+        return self.inputs[np.minimum(rows, len(self.inputs) - 1)]
 
     def _once(self, name: str, compute: Callable[[], Array]) -> Array:
         """Compute an array when it is asked for first.
@@ -358,6 +376,9 @@ class Solution(Mapping[str, Any]):
         the distance of the stored states.  A stored state comes back as it is.
 
         A velocity has a kink where inputs change: the error is then of order 2 in that distance.
+
+        Where each step has its own size, the states are those of steps of the scheme from the
+        stored state before: they have the error of the run, and each costs a step.
 
         Parameters
         ----------
@@ -391,9 +412,12 @@ class Solution(Mapping[str, Any]):
         times = arguments.array(t, "t", (), (None,))
         flat = times.reshape(-1)
         x, changes = np.empty((flat.size, 2 * self.system.n)), 0
-        for first, rows, these in self._pieces(flat):
-            x[these], some = self._interpolate(flat[these], first, rows)
-            changes += some
+        if self.control:
+            between.fill(self, flat, x)
+        else:
+            for first, rows, these in self._pieces(flat):
+                x[these], some = self._interpolate(flat[these], first, rows)
+                changes += some
         x = x.reshape(*times.shape, 2 * self.system.n)
         n = self.system.n
         return States(times if times.ndim else float(times), x[..., :n], x[..., n:], changes)
@@ -479,11 +503,19 @@ class Solution(Mapping[str, Any]):
         given = {x.name: getattr(self, x.name) for x in fields(self) if x.init}
         return partial(type(self), **given), (), {"_computed": self._computed}
 
+    @property
+    def _how(self) -> str:
+        """How long the steps are, in words."""
+        if not self.control:
+            return f"h = {self.h:g}"
+        numbers = [f"{key} = {x:g}" for key, x in self.control.items() if key != "h"]
+        return ", ".join([f"h = {self.control['h']!r}", *numbers])
+
     def __repr__(self) -> str:
         kept = "D_eps" if self.nodes == "kept" else "D"
         every = f", every {self.stride} steps" if self.stride > 1 else ""
         lines = [
-            f"<Solution of {self.system.name} by {self.scheme.name}, h = {self.h:g}: "
+            f"<Solution of {self.system.name} by {self.scheme.name}, {self._how}: "
             f"{'success' if self.success else 'FAILED'}",
             f"  {len(self.x)} states at t = {self.t[0]:g} .. {self.t[-1]:g}{every}",
         ]
@@ -494,6 +526,7 @@ class Solution(Mapping[str, Any]):
 
 
 _DEFAULTS = {x.name: x.default for x in fields(Solution) if x.default is not MISSING}
+_DEFAULTS["control"] = {}
 
 
 def _read_only(array: Array) -> Array:

@@ -25,7 +25,7 @@ from .solution import Solution, Statistics
 SUFFIXES = (".npz", ".nc", ".csv")
 
 _ARRAYS = ("x", "reactions", "inputs", "times")
-_NUMBERS = ("t0", "h", "stride", "hold", "status", "message")
+_NUMBERS = ("t0", "h", "stride", "hold", "control", "status", "message")
 
 
 def require_suffix(path: Path) -> None:

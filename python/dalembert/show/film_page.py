@@ -23,7 +23,7 @@ def html(scene: Scene, fps: float, trail: bool) -> str:
     """Return the film of a scene as a page of its own."""
     web.require()
     run = scene.run
-    about = f"{run.scheme.name}, h = {run.h:g}: {len(scene.t)} frames of {len(run.t)} states"
+    about = f"{run.scheme.name}, {run._how}: {len(scene.t)} frames of {len(run.t)} states"
     if not run.success:
         about += f"; it broke off: {run.message}"
     data = _data(scene, fps, trail)

@@ -56,9 +56,10 @@ def run(self: Solution) -> str | None:
         return None
     unit = panels.unit(self.system, "t")
     every = f", every {self.stride} steps" if self.stride > 1 else ""
+    how = self._how if self.control else self._how + unit
     rows = [
-        ("run", f"{self.scheme.name}, h = {self.h:g}{unit}: {len(self.x)} states at t = "
-         f"{self.t[0]:g} .. {self.t[-1]:g}{unit}{every}"),
+        ("run", f"{self.scheme.name}, {how}: {len(self.x)} states at t = {self.t[0]:g} .. "
+         f"{self.t[-1]:g}{unit}{every}"),
         ("D_eps" if self.nodes == "kept" else "D", _kept(self)),
         ("energy", _energy(self)),
         ("ended", self.message),

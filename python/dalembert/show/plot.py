@@ -315,7 +315,7 @@ def path(
     ax.set_aspect("equal", adjustable="datalim")
     names = (solution.system.coordinates[k] for k in (i, j))
     x, y = (f"{plain(name)} ({unit([solution], name)})" for name in names)
-    title = f"{solution.system.name}: path, {solution.scheme.name}, h = {solution.h:g}"
+    title = f"{solution.system.name}: path, {solution.scheme.name}, {solution._how}"
     ax.set(xlabel=x, ylabel=y, title=plain(title))
     ax.legend(frameon=False)
     return ax

@@ -144,8 +144,7 @@ def _seen(shapes: Iterable[Shape], look: Any) -> list[Shape]:
 def forces_at(run: Solution, t: Array, x: Array, columns: Sequence[int]) -> Array:
     """Return the reaction of each constraint as a force, shape (N, m, number of columns)."""
     q, v = np.split(x, 2, axis=1)
-    steps = np.floor((t - run.t0) / run.h + 1e-9).astype(int)
-    inputs = run._inputs_at(steps)
+    inputs = run._inputs_at(t)
     multipliers = run.system.multipliers(q, v, t=t, inputs=inputs if inputs.size else None)
     return np.asarray(multipliers[:, :, None] * bodies.forms(run, t, q, v, columns))
 

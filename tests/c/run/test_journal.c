@@ -9,6 +9,7 @@
 
 #include "dalembert/events.h"
 #include "dalembert/journal.h"
+#include "run/run.h"
 
 #include <errno.h>
 #include <fcntl.h>
@@ -129,6 +130,7 @@ typedef struct plan {
     const char *system, *scheme;
     size_t steps, stride, hold;
     bool table, controlled, watched, terminal, timed;
+    double tolerance; /* of error-controlled steps to t = 3.5, whose hold is in units of 0.05 */
 } plan;
 
 static const plan plans[] = {
@@ -146,6 +148,12 @@ static const plan plans[] = {
     {"disk", "pair:0:1", 40, 1, 0, .table = false},
     {"sleigh", "reference", 20, 1, 0, .table = false},
     {"sleigh", "leapfrog", 60, 60, 0, .table = false},
+    {"cart", "midpoint-suzuki4", 1000, 4, 3, .table = true, .tolerance = 1e-3},
+    {"cart", "leapfrog-kl6", 1000, 1, 7, .controlled = true, .watched = true, .tolerance = 1e-4},
+    {"cart", "leapfrog-kl6", 1000, 3, 5, .controlled = true, .watched = true, .terminal = true,
+     .tolerance = 1e-4},
+    {"cart", "leapfrog-kl6", 1000, 2, 0, .watched = true, .timed = true, .tolerance = 1e-4},
+    {"disk", "leapfrog-kl8", 1000, 2, 0, .tolerance = 1e-8},
 };
 
 typedef struct happening {
@@ -162,7 +170,7 @@ typedef struct outcome {
     dal_run run;
     size_t n, m;
     double x[MOST_ROWS * 8], reactions[MOST_ROWS * 2], inputs[MOST_ROWS * WIDTH];
-    double times[MOST_ROWS], at[MOST_ROWS * 8];
+    double row_times[MOST_ROWS], times[MOST_ROWS], at[MOST_ROWS * 8];
     happening happened[MOST_EVENTS];
     size_t happenings;
 } outcome;
@@ -190,10 +198,12 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
     o->system = is_cart ? open_cart(heavier) : is_wagon ? open_wagon() : open_system(p->system);
     o->n = dal_system_n(o->system);
     o->m = dal_system_m(o->system);
-    o->stepper = open_stepper(o->system, &scheme, NULL);
+    o->stepper =
+        open_stepper(o->system, &scheme, &(dal_options){.tolerance = p->tolerance});
     need(dal_system_state(o->system, x), "state", "");
     if (starts)
-        need(dal_stepper_start(o->stepper, 0.5, 0.05, x, DAL_CHECK,
+        need(dal_stepper_start(o->stepper, 0.5, p->tolerance > 0.0 ? (double)INFINITY : 0.05, x,
+                               DAL_CHECK,
                                scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT
                                                               : DAL_INITIAL_NONE),
              p->scheme, dal_stepper_error(o->stepper)->text);
@@ -217,7 +227,13 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
                        .happened = o->events ? note : NULL, .happened_ctx = o,
                        .times = p->timed ? o->times : NULL, .time_count = p->timed ? MOST_ROWS : 0,
                        .at = p->timed ? o->at : NULL};
-    if (p->timed) o->run.time_count = (size_t)((double)p->steps * 0.05 / 0.047);
+    if (p->tolerance > 0.0) {
+        o->run.until = 3.5;
+        o->run.held = 0.05 * (double)p->hold;
+        o->run.row_times = p->timed ? NULL : o->row_times;
+    }
+    if (p->timed && p->tolerance > 0.0) o->run.time_count = 60;
+    else if (p->timed) o->run.time_count = (size_t)((double)p->steps * 0.05 / 0.047);
 }
 
 static void tear_down(outcome *o)
@@ -230,7 +246,7 @@ static void tear_down(outcome *o)
 
 static bool is_over(int status, const dal_run *run)
 {
-    return status != DAL_SUCCESS || run->done == run->steps;
+    return status != DAL_SUCCESS || dal__run_is_over(run);
 }
 
 /* To the end, so many steps in a call. */
@@ -252,6 +268,7 @@ static void check_same(const outcome *a, const outcome *b)
     CHECK(memcmp(a->reactions, b->reactions, sizeof a->reactions) == 0);
     CHECK(memcmp(a->inputs, b->inputs, sizeof a->inputs) == 0);
     CHECK(memcmp(a->at, b->at, sizeof a->at) == 0);
+    CHECK(memcmp(a->row_times, b->row_times, sizeof a->row_times) == 0);
     CHECK(memcmp(a->happened, b->happened, sizeof a->happened) == 0);
     CHECK(memcmp(dal_stepper_state(a->stepper), dal_stepper_state(b->stepper),
                  N2 * sizeof(double)) == 0);
@@ -280,7 +297,9 @@ static bool check_file(const char *path, const outcome *whole, size_t rows, dal_
     const size_t N2 = 2 * whole->n;
     if (dal_journal_open(&journal, path, 0, NULL, error)) return false;
     dal_journal_describe(journal, &info);
-    CHECK(info.n == whole->n && info.m == whole->m && info.h == 0.05 && info.t0 == 0.5);
+    CHECK(info.n == whole->n && info.m == whole->m && info.t0 == 0.5);
+    const bool controlled = dal__run_is_controlled(&whole->run);
+    CHECK(info.h == (controlled ? 0.0 : 0.05));
     for (size_t i = 0; i < info.records; i++) {
         dal_record r;
         CHECK(dal_journal_read(journal, i, &r, error) == DAL_SUCCESS);
@@ -296,7 +315,8 @@ static bool check_file(const char *path, const outcome *whole, size_t rows, dal_
             CHECK(r.number == row++);
             if (info.has_times) break; /* it is there for its inputs, which resume compares */
             check_row(whole, &r);
-            if (r.kind == DAL_RECORD_END) CHECK(r.t == whole->run.t_end);
+            if (controlled) CHECK(r.t == whole->row_times[r.number]);
+            else if (r.kind == DAL_RECORD_END) CHECK(r.t == whole->run.t_end);
             else CHECK_NEAR(r.t, 0.5 + 0.05 * (double)(r.number * info.stride), 1e-14);
             break;
         case DAL_RECORD_TIME:

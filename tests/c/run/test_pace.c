@@ -4,7 +4,6 @@
 
 #include "dalembert/ensemble.h"
 #include "dalembert/events.h"
-#include "dalembert/journal.h"
 #include "step/embedded.h"
 #include "step/step.h"
 
@@ -176,7 +175,7 @@ static void test_lengths(void)
         steps[k] = stats.steps;
         dal_stepper_free(stepper);
     }
-    CHECK_NEAR(log10((double)steps[1] / (double)steps[0]), 6.0 / 7.0, 0.2);
+    CHECK_NEAR(log10((double)steps[1] / (double)steps[0]), 6.0 / 8.0, 0.1);
     dal_stepper *const stepper =
         open_stepper(system, &kl8, &(dal_options){.tolerance = 1e-3, .h_max = 0.125});
     begin(stepper, system, 0.0, (double)INFINITY);
@@ -285,7 +284,6 @@ static void test_refused(void)
     REFUSED("leapfrog-kl6", "options.tolerance = 1", .tolerance = 1.0);
     REFUSED("leapfrog-kl6", "options.tolerance = -1", .tolerance = -1.0);
     REFUSED("leapfrog-kl6", "options.tolerance = 1e-15", .tolerance = 1e-15);
-    REFUSED("leapfrog-kl8", "the estimate of \"leapfrog-kl8\" is roundoff", .tolerance = 1e-12);
     REFUSED("leapfrog-kl6", "options.tolerance = nan", .tolerance = (double)NAN);
     REFUSED("leapfrog-kl6", "options.tolerance = 0", .h_max = 1.0);
     REFUSED("leapfrog-kl6", "options.h_max = -1", .tolerance = 1e-6, .h_max = -1.0);
@@ -307,13 +305,9 @@ static void test_refused(void)
     CHECK(dal_stepper_until(stepper, 1.0) == DAL_SUCCESS);
     CHECK(dal_step(stepper, NULL) == DAL_EINVAL && dal_stepper_time(stepper) == 1.0);
     dal_run run = {.stepper = stepper, .steps = 5, .stride = 1, .until = 3.0};
-    dal_journal *journal = NULL;
     dal_error error = {0};
     CHECK(dal_run_go(&run, 1) == DAL_EINVAL);
     CHECK(strstr(dal_stepper_error(stepper)->text, "until = 3") != NULL);
-    run.until = -3.0;
-    CHECK(dal_journal_new(&journal, "none.dal", &run, &kl6, NULL, &error) == DAL_EUNSUPPORTED);
-    CHECK(strstr(error.text, "error-controlled") != NULL);
     const double h = 0.1;
     const size_t steps = 3;
     dal_members members = {.count = 1, .h = &h, .steps = &steps};

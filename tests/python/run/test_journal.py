@@ -57,6 +57,7 @@ TURN = dal.Event(lambda t, q, v: np.sin(3 * q[2]))
 LATE = dal.Event(lambda t, q, v: t - 1.87, terminal=True)
 TABLE = np.random.default_rng(1).normal(size=(20, 2))
 
+AUTO = {"h": "auto", "t_end": 3.0, "steps": None, "tolerance": 1e-6}
 CASES = {
     "built in": (dal.systems.sleigh, "leapfrog-kl6", {"stride": 2}, {}),
     "of SymPy": (sleigh, "midpoint", {}, {}),
@@ -77,6 +78,16 @@ CASES = {
     ),
     "pair": (dal.systems.disk, dal.Scheme.pair(0.25, 0.5), {}, {}),
     "reference": (dal.systems.sleigh, "reference", {"tolerance": 1e-9, "stride": 10}, {}),
+    "error-controlled": (
+        cart, "leapfrog-kl6", {**AUTO, "hold": 0.21, "stride": 3, "h_max": 0.3},
+        {"inputs": control, "events": [WALL, TURN]},
+    ),
+    "error-controlled, table": (
+        cart, "midpoint-suzuki4", {**AUTO, "hold": 0.15, "stride": 4}, {"inputs": TABLE}
+    ),
+    "error-controlled, terminal": (
+        dal.systems.sleigh, "bm6", {**AUTO, "t_eval": np.linspace(0, 2.9, 37)}, {"events": [LATE]}
+    ),
     "own record": (
         dal.systems.disk, dal.Scheme([(0.3, 0.4), (0.7, 0.6)], name="mine"), {}, {}
     ),
@@ -96,9 +107,14 @@ def assert_same(one, other):
         assert len(getattr(one, name)) == len(getattr(other, name))
         for a, b in zip(getattr(one, name), getattr(other, name)):
             np.testing.assert_array_equal(a, b)
-    assert (one.status, one.h, one.stride, one.hold) == (
-        other.status, other.h, other.stride, other.hold
-    )  # fmt: skip
+    np.testing.assert_equal(
+        (one.status, one.h, one.stride, one.hold, one.control),
+        (other.status, other.h, other.stride, other.hold, other.control),
+    )
+
+
+def run_is_controlled(options):
+    return options["h"] == "auto"
 
 
 def given_system(system):
@@ -144,7 +160,7 @@ def test_going_on_is_the_whole_run(case, tmp_path, monkeypatch, seconds):
     if "t_eval" not in options:
         np.testing.assert_array_equal(partial.x, caught.value.partial.x)
         assert not partial.success or partial.status == 1
-        assert "of 60 steps" in partial.message
+        assert (" of 3, from" if run_is_controlled(options) else "of 60 steps") in partial.message
     given = {"system": given_system(system), **functions}
     with pytest.raises(RuntimeError, match="enough"):
         for _ in range(2):

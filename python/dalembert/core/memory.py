@@ -1,0 +1,18 @@
+"""How much memory this machine has to give."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+
+
+def available_memory() -> int:
+    """Return the bytes that can be had without swapping, as far as the machine tells."""
+    with contextlib.suppress(OSError, StopIteration, ValueError):
+        with open("/proc/meminfo", encoding="ascii") as lines:
+            line = next(line for line in lines if line.startswith("MemAvailable:"))
+        return int(line.split()[1]) * 1024
+    with contextlib.suppress(AttributeError, OSError, ValueError):
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return sys.maxsize

@@ -1,0 +1,70 @@
+"""States between those that a run with steps of many sizes has stored: by steps of its scheme."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .. import core
+from ..core import Array, lib
+from .steps import options_of
+
+
+def fill(run: Any, times: Array, x: Array) -> None:
+    """Write the states of a `Solution` at the times into x, shape (N, 2n).
+
+    Each is reached from the last state that is known before it, of a row or after a reset.
+    """
+    known, states = _known(run)
+    ahead = -1.0 if known[-1] < known[0] else 1.0
+    places = np.searchsorted(ahead * known, ahead * times, side="right") - 1
+    outside = (places < 0) | (ahead * (times - known[-1]) > 0)
+    if outside.any():
+        t, first, last = float(times[outside][0]), float(known[0]), float(known[-1])
+        raise ValueError(f"t = {t!r}: expected times from {first!r} to {last!r}")
+    record, kept = run.scheme._record_of(run.system)
+    stepper = core.make(
+        "stepper", run.system._handle, record, options_of(run.control),
+        owner=(run.system._handle, kept),
+    )  # fmt: skip
+    changes = _changes(run, known)
+    for k, place in enumerate(places):
+        x[k] = states[place]
+        if times[k] != known[place]:
+            x[k] = _reach(run, stepper, changes, float(known[place]), states[place], times[k])
+
+
+def _known(run: Any) -> tuple[Array, Array]:
+    """Return the times and the states of rows and after resets, in the order of the run."""
+    again = [~np.isnan(after).any(axis=1) for after in run.x_after]
+    t = np.concatenate([*(t[some] for t, some in zip(run.t_events, again)), run.t])
+    x = np.concatenate([*(x[some] for x, some in zip(run.x_after, again)), run.x])
+    ahead = -1.0 if run.t[-1] < run.t[0] else 1.0
+    order = np.argsort(ahead * t, kind="stable")  # of those at one time the row is the last
+    return t[order], x[order]
+
+
+def _changes(run: Any, known: Array) -> Array:
+    """Return the times where rows of inputs begin."""
+    ahead = -1.0 if known[-1] < known[0] else 1.0
+    return run.t0 + ahead * run.hold * np.arange(len(run.inputs))
+
+
+def _reach(run: Any, stepper: Any, changes: Array, t: float, x: Array, end: float) -> Array:
+    """Return the state at the end, from x at t."""
+    kind, ahead = run.system.kind, 1.0 if end > t else -1.0
+    passed = changes[(ahead * (changes - t) > 0) & (ahead * (end - changes) > 0)]
+    for until in [*passed.tolist(), end]:
+        if len(run.inputs):
+            row = np.searchsorted(ahead * changes, ahead * t, side="right") - 1
+            core.call(kind, lib.dal_stepper_input, stepper, run.inputs[max(row, 0)].copy())
+        core.call(
+            kind, lib.dal_stepper_start, stepper, t, until - t, x, lib.DAL_ASSUME,
+            lib.DAL_INITIAL_NONE,
+        )  # fmt: skip
+        core.call(kind, lib.dal_stepper_until, stepper, until)
+        while lib.dal_stepper_time(stepper) != until:
+            core.call(kind, lib.dal_step, stepper, core.ffi.NULL)
+        t, x = until, core.doubles(lib.dal_stepper_state(stepper), 2 * run.system.n)
+    return x

@@ -1,0 +1,145 @@
+"""How long the steps of a run are: all of one size, or each as long as its error allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..core import arguments, ffi
+
+MOST = 2**62  # steps, where nobody knows how many they will be
+TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The steps from t0 to t_end.
+
+    Attributes
+    ----------
+    t0, t_end : float
+    h : float
+        Their size; NaN where each has its own.
+    count : int
+        How many they are, or may be.
+    control : dict
+        What chooses their sizes: "h", the word for it, and its numbers.  Empty for one size.
+    """
+
+    t0: float
+    t_end: float
+    h: float
+    count: int
+    control: Mapping[str, Any]
+
+    @classmethod
+    def of(
+        cls, h: Any, t0: float, t_end: Any, steps: Any, tolerance: Any, h_max: Any
+    ) -> Steps:
+        """Return the steps of arguments of `integrate`."""
+        if not isinstance(h, str):
+            if h_max is not None:
+                raise ValueError(f"h_max = {h_max!r} with steps of h = {h!r}: it is for h = 'auto'")
+            h = arguments.step_size(h, t0)
+            count = number_of_steps(t0, h, t_end, steps)
+            return cls(t0, t0 + count * h, h, count, {})
+        arguments.choice(h, "h", {"auto": 0})
+        if t_end is None or steps is not None:
+            raise ValueError(f"h = {h!r}: expected t_end, as nobody knows how many steps there are")
+        control = {"h": h, "tolerance": TOLERANCE if tolerance is None else tolerance}
+        control["tolerance"] = arguments.number(control["tolerance"], "tolerance")
+        if not control["tolerance"] > 0.0:  # C looks at its size; 0 is none there
+            raise ValueError(f"tolerance = {tolerance!r}: expected a positive number")
+        if h_max is not None:
+            control["h_max"] = arguments.number(h_max, "h_max")
+            if not control["h_max"] > 0.0:
+                raise ValueError(f"h_max = {h_max!r}: expected a positive number")
+        return cls(t0, arguments.number(t_end, "t_end"), math.nan, MOST, control)
+
+    @property
+    def varies(self) -> bool:
+        """Whether each step has a size of its own."""
+        return bool(self.control)
+
+    @property
+    def direction(self) -> float:
+        """1 where time grows along the run, else -1."""
+        return math.copysign(1.0, self.t_end - self.t0 if self.varies else self.h)
+
+    @property
+    def first(self) -> float:
+        """The h with which C starts: an infinite one has it find the first step."""
+        return self.direction * math.inf if self.varies else self.h
+
+    @property
+    def usual_scheme(self) -> str:
+        """The scheme of a run that names none: for controlled errors a record of high order."""
+        return "leapfrog-kl8" if self.varies else "leapfrog"
+
+    def hold(self, given: Any, inputs: Any) -> float:
+        """Return for how many steps, or how long, a row of inputs is."""
+        if given not in (None, 1) and inputs is None:
+            raise ValueError(f"hold = {arguments.shown(given)} without inputs")
+        if not self.varies:
+            return 1 if given is None else arguments.integer(given, "hold", 1)
+        if given is None and callable(inputs):
+            raise ValueError(
+                f"hold: needed with h = {self.control['h']!r}, for how long the inputs are what "
+                "the controller returned"
+            )
+        if given is None:
+            return abs(self.t_end - self.t0) or 1.0
+        time = arguments.number(given, "hold")
+        if not time > 0.0:
+            raise ValueError(f"hold = {time!r}: expected a positive time")
+        return time
+
+    def holds(self, hold: float) -> int:
+        """Return how many rows of inputs there are."""
+        if not self.varies:
+            return -(-self.count // int(hold))
+        rows = abs(self.t_end - self.t0) / hold
+        if rows > MOST:
+            raise ValueError(f"hold = {hold!r} is too small for {abs(self.t_end - self.t0):g}")
+        near = round(rows)
+        return near if abs(rows - near) <= 1e-9 * rows else math.ceil(rows)
+
+    @property
+    def progress(self) -> tuple[Any, str]:
+        """How much there is to be done, and its unit."""
+        return (abs(self.t_end - self.t0), "t") if self.varies else (self.count, "step")
+
+
+def options_of(control: Mapping[str, Any], max_iterations: int = 50) -> Any:
+    """Return the ``dal_options`` of a stepper."""
+    given = {key: x for key, x in control.items() if key != "h"}
+    return ffi.new("dal_options *", {"max_iterations": max_iterations, **given})
+
+
+def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None) -> int:
+    """Return the number of steps; h is never changed to make it an integer."""
+    if (t_end is None) == (steps is None):
+        given = "none" if steps is None else "both"
+        raise ValueError(f"t_end and steps: expected one of them, got {given}")
+    if t_end is None:
+        steps = arguments.integer(steps, "steps", 0)
+        arguments.step_size(h, t0 + steps * h)
+        return steps
+    t_end = arguments.number(t_end, "t_end")
+    ratio = (t_end - t0) / h
+    if ratio < 0.0:
+        raise ValueError(f"t_end = {t_end:g} lies before t0 = {t0:g} in the direction of h = {h:g}")
+    if not ratio < 2**63:
+        raise ValueError(f"h = {h:g} is too small for t_end - t0 = {t_end - t0:g}")
+    arguments.step_size(h, t_end)
+    steps = round(ratio)
+    if abs(ratio - steps) > 1e-9 * max(1.0, ratio):
+        few, many = math.floor(ratio), math.ceil(ratio)
+        sizes = [f"{(t_end - t0) / k!r}" for k in (many, few) if k > 0]
+        raise ValueError(
+            f"t_end = {t_end!r} is {ratio:.10g} steps of h = {h!r} from t0 = {t0!r}: take "
+            f"t_end = {t0 + few * h!r} or {t0 + many * h!r}, or h = {' or '.join(sizes)}"
+        )
+    return steps

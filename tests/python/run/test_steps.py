@@ -1,0 +1,250 @@
+"""Error-controlled steps: how accurate, where they end, and all that a run may have."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+from conftest import U
+
+# What the tolerance promises holds for motions that are not chaotic; those that come to rest
+# forget their errors, and end far below it.
+USUAL = ("particle_oscillator", "knife_edge", "heisenberg", "contact_oscillator", "genmass",
+         "rolling_disc", "n_trailer")  # fmt: skip
+RELAXING = ("particle", "sleigh", "sleigh_contact")
+
+
+def relative(run, q, v):
+    """The largest error of the last state, relative to 1 + |x_i|."""
+    x = np.concatenate([q, v])
+    return (abs(run.x[-1] - x) / (1 + abs(x))).max()
+
+
+@pytest.mark.parametrize("name", USUAL + RELAXING)
+def test_the_error_is_about_the_tolerance(name):
+    system = getattr(dal.systems, name)()
+    end = dal.reference(system, t=100.0, tolerance=1e-14)
+    for scheme, tolerance in (("leapfrog-kl8", 1e-6), ("leapfrog-kl8", 1e-9), ("bm4", 1e-6)):
+        run = dal.integrate(system, scheme, h="auto", t_end=100, tolerance=tolerance)
+        error = relative(run, end.q, end.v)
+        assert error < 30 * tolerance
+        assert name in RELAXING or error > tolerance / 100
+        assert run.residual.max() <= 4 * system.n * U
+        assert run.t[0] == 0 and run.t[-1] == 100 and (np.diff(run.t) > 0).all()
+
+
+def test_a_motion_that_relaxes_takes_longer_and_longer_steps():
+    run = dal.integrate(dal.systems.particle(), h="auto", t_end=1000)
+    h = np.diff(run.t)
+    assert h[-3] > 20 * h[3]
+    assert len(run.t) < 200
+
+
+def test_what_it_returns():
+    system = dal.systems.knife_edge()
+    run = dal.integrate(system, h="auto", t_end=-7, t0=1.5, h_max=0.3, stride=4)
+    assert run.scheme.name == "leapfrog-kl8"
+    assert run.control == {"h": "auto", "tolerance": 1e-9, "h_max": 0.3}
+    assert np.isnan(run.h) and run.stride == 4
+    assert run.t[0] == 1.5 and run.t[-1] == -7
+    assert len(run.t) == -(-run.stats.steps // 4) + 1
+    assert abs(np.diff(run.t)).max() <= 4 * 0.3
+    assert "h = 'auto', tolerance = 1e-09, h_max = 0.3" in repr(run)
+    np.testing.assert_allclose(run.energy, run.energy[0], rtol=1e-8)
+    q, v = dal.reference(system, t=-7, t0=1.5)[:2]
+    assert relative(run, q, v) < 1e-8
+    again = pickle.loads(pickle.dumps(run))
+    np.testing.assert_array_equal(again.t, run.t)
+    assert again.control == run.control and (again(0.0).q == run(0.0).q).all()
+
+
+def test_reactions_are_means_over_each_interval():
+    run = dal.integrate(dal.systems.knife_edge(), h="auto", t_end=5, tolerance=1e-12)
+    for k in (1, len(run.t) // 2):
+        t = np.linspace(run.t[k], run.t[k + 1], 4001)
+        fine = dal.integrate(
+            run.system, "reference", run.q[k], run.v[k], t0=t[0], h=t[1] - t[0], steps=4000
+        )
+        mean = np.trapezoid(fine.multipliers[:, 0], fine.t) / (t[-1] - t[0])
+        assert abs(run.reactions[k, 0] - mean) < 1e-7
+
+
+# ---- between the steps ---------------------------------------------------------------------------
+
+
+def test_states_between_the_stored_ones_have_the_error_of_the_run():
+    system = dal.systems.knife_edge()
+    for stride in (1, 5):
+        run = dal.integrate(system, h="auto", t_end=9, tolerance=1e-11, stride=stride)
+        t = np.random.default_rng(3).uniform(0, 9, 40)
+        found = run(t)
+        for k in range(len(t)):
+            q, v = system.exact(t[k])
+            assert abs(found.q[k] - q).max() < 1e-9 and abs(found.v[k] - v).max() < 1e-9
+            assert system.relative_residual(found.q[k], found.v[k]) <= 4 * 3 * U
+        np.testing.assert_array_equal(run(run.t).q, run.q)
+    for t in (-0.1, 9.1):
+        with pytest.raises(ValueError, match="expected times from 0.0 to 9.0"):
+            run(t)
+
+
+def test_output_times():
+    system = dal.systems.knife_edge()
+    times = np.linspace(0, 9, 61)
+    run = dal.integrate(system, h="auto", t_end=9, tolerance=1e-11, t_eval=times)
+    assert (run.t == times).all()
+    for t, q in zip(run.t, run.q):
+        assert abs(q - system.exact(t)[0]).max() < 1e-9
+    assert abs(run(0.2345).q - system.exact(0.2345)[0]).max() < 1e-9
+
+
+def test_resets_and_the_end():
+    edge = dal.systems.knife_edge()
+    wall = dal.Event(
+        lambda t, q, v: q[0] - 0.4, direction=1, terminal=3, reset=lambda q, v: (q, -v)
+    )
+    run = dal.integrate(edge, h="auto", t_end=50, tolerance=1e-10, events=[wall])
+    fixed = dal.integrate(edge, "leapfrog-kl8", h=0.01, t_end=50, events=[wall])
+    assert run.message.startswith("events[0] ended the run")
+    np.testing.assert_allclose(run.t_events[0], fixed.t_events[0], atol=1e-8)
+    np.testing.assert_allclose(run.x_after[0][:2], fixed.x_after[0][:2], atol=1e-8)
+    assert run.t[-1] == run.t_events[0][-1] and abs(run.q[-1, 0] - 0.4) < 1e-13
+    for t in (run.t_events[0][0] - 0.01, run.t_events[0][0] + 0.01):
+        state = run(t)
+        q, v = edge.exact(t) if t < run.t_events[0][0] else edge.exact(2 * run.t_events[0][0] - t)
+        sign = 1 if t < run.t_events[0][0] else -1
+        np.testing.assert_allclose(state.q, q, atol=1e-8)
+        np.testing.assert_allclose(state.v, sign * v, atol=1e-8)
+
+
+# ---- inputs --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cart():
+    return dal.System(
+        mass=[2], force=lambda t, q, v, u: u, inputs=["push"], q0=[0], v0=[0], name="cart"
+    )
+
+
+def test_steps_end_where_inputs_change(cart):
+    table = np.array([[1.0], [-3.0], [2.0], [0.5]])
+    run = dal.integrate(cart, h="auto", t_end=1.0, inputs=table, hold=0.3)
+    speed = np.concatenate([[0], np.cumsum(table[:, 0] * [0.3, 0.3, 0.3, 0.1]) / 2])
+    for k in range(4):
+        row = np.flatnonzero(run.t == 0 + k * 0.3)
+        assert len(row) == 1 and abs(run.v[row[0], 0] - speed[k]) < 1e-14
+    assert abs(run.v[-1, 0] - speed[4]) < 1e-14
+    assert (run.inputs == table).all() and run.hold == 0.3
+    coarse = dal.integrate(cart, h="auto", t_end=1.0, inputs=table, hold=0.3, stride=1000)
+    assert len(coarse.t) == 2
+    for t in (0.1, 0.45, 0.6, 0.95):
+        k = int(t / 0.3 + 1e-9)
+        v = speed[k] + table[k, 0] / 2 * (t - k * 0.3)
+        assert abs(run(t).v[0] - v) < 1e-13 and abs(coarse(t).v[0] - v) < 1e-13
+    whole = dal.integrate(cart, h="auto", t_end=1.0, inputs=[4.0])
+    assert whole.inputs.shape == (1, 1) and abs(whole.v[-1, 0] - 2) < 1e-14
+
+
+def test_a_controller_is_asked_at_its_times(cart):
+    asked = []
+
+    def control(t, q, v):
+        asked.append(t)
+        return [1 - v[0]]
+
+    run = dal.integrate(cart, h="auto", t_end=-2, inputs=control, hold=0.5)
+    assert asked == [0, -0.5, -1.0, -1.5]
+    assert (run.inputs[:, 0] == [1 - run.v[run.t == t][0, 0] for t in asked]).all()
+
+
+# ---- files, watchers, failures -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", [".npz", ".nc"])
+def test_files(tmp_path, ending, cart):
+    run = dal.integrate(cart, h="auto", t_end=1.0, inputs=[[1.0], [2.0]], hold=0.5)
+    run.save(tmp_path / f"run{ending}")
+    found = dal.load(tmp_path / f"run{ending}", cart)
+    np.testing.assert_array_equal(found.t, run.t)
+    np.testing.assert_array_equal(found.x, run.x)
+    assert found.control == run.control and found.hold == run.hold
+    assert (found(0.77).q == run(0.77).q).all()
+
+
+def test_a_journal_goes_on_to_another_end(tmp_path):
+    path = tmp_path / "run.dal"
+    edge = dal.systems.knife_edge()
+    dal.integrate(edge, h="auto", t_end=3, journal=path)
+    longer = dal.resume(path, t_end=5)
+    assert longer.t[-1] == 5 and 3 in longer.t
+    assert abs(longer.q[-1] - edge.exact(5.0)[0]).max() < 1e-8
+    with pytest.raises(ValueError, match="steps = 7: expected t_end"):
+        dal.resume(path, steps=7)
+
+
+def test_progress_is_in_time():
+    told = []
+    dal.integrate(
+        dal.systems.knife_edge(), h="auto", t_end=-4, progress=lambda done, total: told.append(
+            (done, total))
+    )  # fmt: skip
+    assert told[-1] == (4.0, 4.0)
+
+
+def test_what_was_made_before_a_failure_is_kept():
+    def potential(q):
+        if q[0] >= 1:
+            raise dal.DomainError("the cliff")
+        return -np.log(1 - q[0]) - 5 * q[0]
+
+    system = dal.System(
+        mass=[1, 1], potential=potential, gradient=lambda q: [1 / (1 - q[0]) - 5, 0],
+        forms=lambda q: [[0, 1]], q0=[0, 0], v0=[1, 0],
+    )  # fmt: skip
+
+    def observer(step, t, q, v):
+        if t > 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        dal.integrate(system, h="auto", t_end=100, observer=observer)
+    assert 1 < caught.value.partial.t[-1] < 3 and len(caught.value.partial.x) > 2
+
+
+@pytest.mark.parametrize(
+    "given, error, words",
+    [
+        ({"steps": 10}, ValueError, "h = 'auto': expected t_end"),
+        ({"t_end": 1, "steps": 10}, ValueError, "h = 'auto': expected t_end"),
+        ({"t_end": np.inf}, ValueError, "t_end = inf"),
+        ({"t_end": 1, "tolerance": 1e-15}, ValueError, "^tolerance = 1e-15: expected 1e-14"),
+        ({"t_end": 1, "tolerance": 0}, ValueError, "tolerance = 0"),
+        ({"t_end": 1, "tolerance": 1}, ValueError, "^tolerance = 1: expected"),
+        ({"t_end": 1, "tolerance": "low"}, ValueError, "tolerance = 'low'"),
+        ({"t_end": 1, "h_max": 0}, ValueError, "h_max = 0: expected a positive number"),
+        ({"t_end": 1, "scheme": "leapfrog"}, NotImplementedError, "no estimate of its error"),
+        ({"t_end": 1, "scheme": "reference"}, ValueError, "chooses its own steps"),
+        (
+            {"t_end": 1, "scheme": "midpoint-nodes", "initial": "D"}, NotImplementedError,
+            "depends on h",
+        ),
+        ({"t_end": 1, "hold": 0.1}, ValueError, "hold = 0.1 without inputs"),
+        ({"t_end": 1, "t_eval": [0.5, 1.5]}, ValueError, "t_eval: 1.5 lies outside"),
+    ],
+)  # fmt: skip
+def test_refused(given, error, words):
+    with pytest.raises(error, match=words):
+        dal.integrate(dal.systems.knife_edge(), h="auto", **given)
+
+
+def test_refused_inputs(cart):
+    with pytest.raises(ValueError, match="hold: needed with h = 'auto'"):
+        dal.integrate(cart, h="auto", t_end=1, inputs=lambda t, q, v: [1])
+    with pytest.raises(ValueError, match="hold = -1.0: expected a positive time"):
+        dal.integrate(cart, h="auto", t_end=1, inputs=[1], hold=-1)
+    with pytest.raises(ValueError, match="h_max = 1 with steps of h = 0.1"):
+        dal.integrate(cart, h=0.1, t_end=1, h_max=1)
+    with pytest.raises(ValueError, match="did you mean 'auto'"):
+        dal.integrate(cart, h="automatic", t_end=1)
