@@ -358,8 +358,8 @@ typedef struct dal_flow_scheme {
 typedef struct dal_options {
     int max_iterations; /* of the full Newton in a step; 0: 50 */
     double tolerance;   /* 0: steps of h.  Else error-controlled steps, of compositions with moved
-                           nodes: the estimated error of each, relative to 1 + |x_i|, is at most
-                           this, at most 0.1; at least some 1e-12, as its roundoff allows */
+                           nodes: about what the error of the state, relative to 1 + |x_i|, may be
+                           after a time of 100 or some hundred steps; in [1e-14, 0.1] */
     double h_max;       /* the longest of them; 0: any */
 } dal_options;
 

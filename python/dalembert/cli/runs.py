@@ -28,16 +28,21 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     """Add the commands to a parser; ``numbers`` and ``parameter`` read arguments."""
     run = commands.add_parser(
         "run", help="one run of a system, perhaps with a journal that survives anything",
-        description="Integrate a system with a fixed step and print what came of it.",
+        description="Integrate a system, and print what came of it.",
     )  # fmt: skip
     run.add_argument("model", metavar="MODEL", help=MODEL)
-    run.add_argument("--scheme", default="leapfrog", metavar="NAME",
-                     help="a name of `dalembert schemes`, or beta (default: leapfrog)")
+    run.add_argument("--scheme", metavar="NAME",
+                     help="a name of `dalembert schemes`, or beta (default: leapfrog; with "
+                     "--h auto leapfrog-kl8)")
     run.add_argument("--q0", type=numbers, metavar="X,Y,...",
                      help="positions at the start (write --q0=-1,... for a minus)")
     run.add_argument("--v0", type=numbers, metavar="X,Y,...",
                      help="velocities at the start, in D (write --v0=-1,... for a minus)")
-    run.add_argument("--h", type=float, required=True, metavar="H", help="the step")
+    run.add_argument("--h", type=_step, required=True, metavar="H",
+                     help="the step, or auto: as long as the tolerance allows")
+    run.add_argument("--tolerance", type=float, metavar="E",
+                     help="of --h auto (default: 1e-9), or of the scheme reference (1e-13)")
+    run.add_argument("--h-max", type=float, metavar="H", help="the longest step of --h auto")
     add_end(run, required=True)
     run.add_argument("--t0", type=float, default=0.0, metavar="T", help="the time of the start")
     run.add_argument("--stride", type=int, default=1, metavar="K", help="store every K-th state")
@@ -70,6 +75,14 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     }  # fmt: skip
     for command, function in of.items():
         command.set_defaults(run=function)
+
+
+def _step(text: str) -> float | str:
+    """Return a number, or the word that `integrate` takes instead, or refuses."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def add_end(command: Any, *, required: bool) -> None:
@@ -155,8 +168,8 @@ def _run(given: argparse.Namespace) -> int:
     system = model(given.model, parameters(given))
     return _finish(given, lambda: integrate(
         system, given.scheme, given.q0, given.v0, h=given.h, t_end=given.t_end,
-        steps=given.steps, t0=given.t0, stride=given.stride,
-        consistent=given.consistent, initial=given.initial,
+        steps=given.steps, t0=given.t0, stride=given.stride, tolerance=given.tolerance,
+        h_max=given.h_max, consistent=given.consistent, initial=given.initial,
         journal=given.journal, journal_errors=given.journal_errors, progress=progress(),
     ), given.journal)  # fmt: skip
 
@@ -179,13 +192,18 @@ def _info(given: argparse.Namespace) -> int:
     origin = "of the library" if about["of_library"] else "given by its user"
     digest = bytes(info.fingerprint[0:8]).hex()
     events = f", {info.events} events" if info.events else ""
-    inputs = f", {info.inputs} inputs held for {info.hold} steps" if info.inputs else ""
+    steps, hold = journal.steps(), journal.about["hold"]
+    held = f"{hold:g} of time" if steps.varies else f"{hold} steps"
+    inputs = f", {info.inputs} inputs held for {held}" if info.inputs else ""
+    done = f"{info.done} of {info.steps} steps, t = {info.t0 + info.done * info.h:g}"
+    if steps.varies:
+        done = f"{info.done} steps, of a run to t = {steps.t_end:g}"
     lines = {
         "system": f"{about['name']}({', '.join(about['coordinates'])}), {origin}, {digest}",
         "parameters": values or "none",
-        "scheme": f"{string(info.scheme)}, h = {info.h:g}, every {info.stride} steps is stored",
+        "scheme": f"{string(info.scheme)}, {steps.how}, every {info.stride} steps is stored",
         "besides": f"{events}{inputs}".removeprefix(", ") or "no events, no inputs",
-        "last snapshot": f"{info.done} of {info.steps} steps, t = {info.t0 + info.done * info.h:g}",
+        "last snapshot": done,
         "records": f"{info.records}, of {info.size} bytes",
         "written by": string(info.writer) + ", which is at it" * bool(info.is_written),
     }

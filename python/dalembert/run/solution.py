@@ -15,6 +15,7 @@ from ..core import Array, arguments, ffi, functions, lib, require_system
 from ..system import System
 from . import between
 from .scheme import Scheme
+from .steps import how
 
 
 @dataclass(frozen=True)
@@ -506,10 +507,7 @@ class Solution(Mapping[str, Any]):
     @property
     def _how(self) -> str:
         """How long the steps are, in words."""
-        if not self.control:
-            return f"h = {self.h:g}"
-        numbers = [f"{key} = {x:g}" for key, x in self.control.items() if key != "h"]
-        return ", ".join([f"h = {self.control['h']!r}", *numbers])
+        return how(self.h, self.control)
 
     def __repr__(self) -> str:
         kept = "D_eps" if self.nodes == "kept" else "D"

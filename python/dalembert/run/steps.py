@@ -74,6 +74,11 @@ class Steps:
         return self.direction * math.inf if self.varies else self.h
 
     @property
+    def how(self) -> str:
+        """How long they are, in words."""
+        return how(self.h, self.control)
+
+    @property
     def usual_scheme(self) -> str:
         """The scheme of a run that names none: for controlled errors a record of high order."""
         return "leapfrog-kl8" if self.varies else "leapfrog"
@@ -110,6 +115,14 @@ class Steps:
     def progress(self) -> tuple[Any, str]:
         """How much there is to be done, and its unit."""
         return (abs(self.t_end - self.t0), "t") if self.varies else (self.count, "step")
+
+
+def how(h: float, control: Mapping[str, Any]) -> str:
+    """Return how long steps are, in words."""
+    if not control:
+        return f"h = {h:g}"
+    numbers = [f"{key} = {x:g}" for key, x in control.items() if key != "h"]
+    return ", ".join([f"h = {control['h']!r}", *numbers])
 
 
 def options_of(control: Mapping[str, Any], max_iterations: int = 50) -> Any:

@@ -70,6 +70,26 @@ def test_reactions_are_means_over_each_interval():
         assert abs(run.reactions[k, 0] - mean) < 1e-7
 
 
+def test_a_run_that_has_no_time():
+    edge = dal.systems.knife_edge()
+    run = dal.integrate(edge, h="auto", t_end=0, t_eval=[0.0])
+    assert run.t.tolist() == [0] and (run.q[0] == edge.q0).all()
+    assert len(dal.integrate(edge, h="auto", t_end=0).t) == 1
+
+
+def test_nothing_is_evaluated_beyond_the_end():
+    times = []
+
+    def force(t, q, v):
+        times.append(t)
+        return [-np.sin(t)]
+
+    system = dal.System(mass=[1], force=force, q0=[0], v0=[1])
+    run = dal.integrate(system, "leapfrog-suzuki4", h="auto", t_end=0.2, tolerance=1e-4)
+    assert abs(run.v[-1, 0] - np.cos(0.2)) < 1e-4
+    assert 0.19 < max(times) <= 0.2  # the stages of this record stay within each step
+
+
 # ---- between the steps ---------------------------------------------------------------------------
 
 
@@ -143,6 +163,8 @@ def test_steps_end_where_inputs_change(cart):
         k = int(t / 0.3 + 1e-9)
         v = speed[k] + table[k, 0] / 2 * (t - k * 0.3)
         assert abs(run(t).v[0] - v) < 1e-13 and abs(coarse(t).v[0] - v) < 1e-13
+    even = dal.integrate(cart, h="auto", t_end=0.9, inputs=table[:3], hold=0.3)  # 3 * 0.3 < 0.9
+    assert abs(even.v[-1, 0] - speed[3]) < 1e-14
     whole = dal.integrate(cart, h="auto", t_end=1.0, inputs=[4.0])
     assert whole.inputs.shape == (1, 1) and abs(whole.v[-1, 0] - 2) < 1e-14
 
