@@ -6,7 +6,7 @@
 #include "step/step.h"
 
 /* Its records with a name, and those that are not in the table. */
-enum { DAL__BETA_RECORDS = 18 };
+enum { DAL__BETA_RECORDS = 20 };
 extern const dal_scheme dal__beta_records[DAL__BETA_RECORDS];
 int dal__beta_parse(dal_scheme *scheme, const char *name);
 /* DAL_EINVAL if the record is not valid; the text says why. */

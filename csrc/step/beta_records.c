@@ -125,6 +125,8 @@ const dal_scheme dal__beta_records[DAL__BETA_RECORDS] = {
      .reference = kahan_li, .help = "order 6 from 9 leapfrog steps"},
     {.name = "leapfrog-kl8", SUBSTEPS(leapfrog_kl8), .order = 8, .symmetric = 1,
      .reference = kahan_li, .help = "order 8 from 17 leapfrog steps: for high accuracy"},
+    {.name = "leapfrog-ss10", SUBSTEPS(leapfrog_ss10), .order = 10, .symmetric = 1,
+     .reference = sofroniou, .help = "order 10 from 35 leapfrog steps: to roundoff, at large h"},
     {.name = "bm4", SUBSTEPS(bm4), .order = 4, .symmetric = 1, .reference = blanes_moan,
      .help = "order 4 from 6 pairs of explicit and endpoint: small error constant"},
     {.name = "bm6", SUBSTEPS(bm6), .order = 6, .symmetric = 1, .reference = blanes_moan,
@@ -137,25 +139,13 @@ const dal_scheme dal__beta_records[DAL__BETA_RECORDS] = {
      .reference = kahan_li, .help = "order 6 from 9 midpoint steps"},
     {.name = "midpoint-kl8", SUBSTEPS(midpoint_kl8), .order = 8, .symmetric = 1,
      .reference = kahan_li, .help = "order 8 from 17 midpoint steps"},
-};
-
-/* Not in the table: between h for which its errors are no power of h yet and those that are
- * roundoff there is mostly no room for a verdict on order 10. */
-static const dal_scheme of_order_ten[] = {
-    {.name = "leapfrog-ss10", SUBSTEPS(leapfrog_ss10), .order = 10, .symmetric = 1,
-     .reference = sofroniou, .help = "order 10 from 35 leapfrog steps: to roundoff, at large h"},
     {.name = "midpoint-ss10", SUBSTEPS(midpoint_ss10), .order = 10, .symmetric = 1,
      .reference = sofroniou, .help = "order 10 from 35 midpoint steps"},
 };
 
-/* "0.3" or "0.3-nodes": the beta-scheme of that number; or a record of order 10. */
+/* "0.3" or "0.3-nodes": the beta-scheme of that number. */
 int dal__beta_parse(dal_scheme *scheme, const char *name)
 {
-    for (size_t i = 0; i < DAL_LENGTH(of_order_ten); i++)
-        if (strcmp(name, of_order_ten[i].name) == 0) {
-            *scheme = of_order_ten[i];
-            return 1;
-        }
     const char *end;
     const double beta = dal__parse_number(name, &end);
     const bool kept = strcmp(end, "-nodes") == 0;

@@ -18,6 +18,7 @@ typedef struct dal_fit {
     double slope;    /* NaN if fewer than three points count */
     double spread;   /* by how much the slopes between neighbours differ: where it is more than
                         0.25 the errors are not yet a power of h */
+    double finest;   /* the slope between the two smallest h */
     size_t points;   /* how many counted */
     int exact;       /* 1: every error is at the level of roundoff; of the states in a study, also
                         that those of one order less than promised would not be */
@@ -62,14 +63,18 @@ typedef struct dal_order {
     int holds;            /* the verdict: 1 if the set that the nodes promise is kept, s >=
                              multiplier_order - 0.2 (or exact), and p or the slope at t_end is at
                              least order - 0.2 or exact (the one-step errors of high orders can
-                             reach roundoff before their slope settles); 0 if not; -1 if the record
-                             promises nothing; -2 if it is not settled: too few points count, a
-                             slope falls short that has not settled, the slope at t_end falls
-                             short where that of one step does not, or the runs do not resolve
-                             the solution (an error at t_end beyond half of the largest component
-                             of its ends, or a run that failed with a smaller step).  With
-                             DAL_INITIAL_D the promise for the first step is (order - 1,
-                             multiplier_order - 1), and order at t_end (E12) */
+                             reach roundoff before their slope settles); slopes that still change
+                             must be within 0.75 of it at the smallest h.  0 if not: a slope that
+                             has settled falls short by more than 0.75, and so does the other one,
+                             or that of its two smallest h.  -1 if the record promises nothing; -2
+                             if it is not settled: too few points count, a slope falls short that
+                             has not settled, the slope at t_end falls short where that of one step
+                             does not, or the runs do not resolve the solution (an error at t_end
+                             beyond half of the largest component of its ends, or a run that failed
+                             with a smaller step).  -3 if it is not measurable in double: so it
+                             would be -2, and smaller h are no use, for their errors are
+                             roundoff.  With DAL_INITIAL_D the promise for the first step is (order
+                             - 1, multiplier_order - 1), and order at t_end (E12) */
     char text[508];       /* the verdict in words */
 } dal_order;
 

@@ -290,7 +290,6 @@ def _schemes(given: argparse.Namespace) -> int:
         [
             ("N", "a number in [0, 1]: the beta-scheme of this number"),
             ("N-nodes", "the same at the original nodes: keeps D_eps"),
-            ("leapfrog-ss10", "order 10 from 35 leapfrog steps; also midpoint-ss10"),
             ("pair:A:B", "two maps: beta A for L_d, beta B for D_d"),
             ("FILE.so:SYMBOL", "a dal_scheme of your own, with its family"),
         ]

@@ -147,6 +147,7 @@ def _measure(
         **{name: getattr(order, name) for name in ("p", "s", "floor", "reference")},
         **{name: bool(getattr(order, name)) for name in ("keeps_D", "keeps_D_eps")},
         "holds": {1: True, 0: False}.get(order.holds),
+        "measurable": order.holds != -3,
         "text": core.string(order.text),
     }
 

@@ -132,6 +132,9 @@ class Study:
         Whether the residual stayed at roundoff at every stored state of every run.
     holds : bool or None
         The verdict; None if nothing is promised or the errors do not tell.
+    measurable : bool
+        False if they do not because smaller steps would make them roundoff: the promised order
+        cannot be measured in double from these data and over this interval.
     text : str
         The verdict in words.
     """
@@ -164,6 +167,7 @@ class Study:
     keeps_D: bool
     keeps_D_eps: bool
     holds: bool | None
+    measurable: bool
     text: str
 
     @property
@@ -219,7 +223,13 @@ class Study:
 
     @property
     def verdict(self) -> str:
-        """In short: "holds", "exact" to roundoff, "fails", "no promise" or "undecided"."""
+        """The verdict in short.
+
+        "holds", "exact" to roundoff, "fails", "no promise", "undecided", or "not measurable" in
+        double.
+        """
+        if not self.measurable:
+            return "not measurable"
         if self.holds is None:
             return "no promise" if self.scheme.order == 0 else "undecided"
         if self.fits["state"].exact and self.fits["global_state"].exact and self.holds:
@@ -285,8 +295,11 @@ class Studies(Sequence[Study]):
         system = self[0].system.name
         failing = [study.scheme.name for study in self if study.holds is False]
         holding = [study for study in self if study.holds]
-        undecided = [study.scheme.name for study in self if study.holds is None]
+        undecided = [x.scheme.name for x in self if x.holds is None and x.measurable]
+        hidden = [study.scheme.name for study in self if not study.measurable]
         rest = f"; no verdict on {_listing(undecided)}" if undecided else ""
+        if hidden:
+            rest += f"; the order of {_listing(hidden)} is not measurable in double"
         if failing:
             do = "does" if len(failing) == 1 else "do"
             return (
@@ -294,7 +307,8 @@ class Studies(Sequence[Study]):
                 f"{len(holding)} of {len(self)} schemes hold{rest}."
             )
         if not holding:
-            return f"On {system} there is no verdict on {_listing(undecided)}."
+            names = [study.scheme.name for study in self]
+            return f"On {system} there is no verdict on {_listing(names)}{rest if hidden else ''}."
         size = max(worst(x.residual if x.keeps_D else x.residual_eps) for x in holding)
         if len(holding) == 1:
             return (
