@@ -240,6 +240,16 @@ def test_an_order_that_roundoff_hides_is_not_measurable():
     assert rough.measurable and "take a smaller tolerance" in rough.text
 
 
+def test_steps_between_those_too_large_and_roundoff_are_counted():
+    wide, fine = [3, 5, 400, 800, 1200], [10, 15, 20, 30, 40]
+    contact = dal.systems.contact_oscillator()
+    few, many = (dal.convergence(contact, "leapfrog-kl8", t_end=10, steps=steps)
+                 for steps in (wide, sorted(wide + fine)))  # fmt: skip
+    assert few.state_error[0] > 10 and few.state_error[-1] < 1e-13
+    assert few.verdict == "not measurable" and "fewer than three errors" in few.text
+    assert many.verdict == "undecided" and "as large as the solution" in many.text
+
+
 @pytest.mark.parametrize("system", dal.systems.names())
 @pytest.mark.parametrize(
     "base, order", [("leapfrog-kl8", 10), ("leapfrog-suzuki4", 10), ("bm6", 8)]
