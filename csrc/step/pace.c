@@ -34,6 +34,10 @@ enum { ATTEMPTS = 60 };
 /* The roundoff of an estimate is below so many u, times the sum of its weights: twice of what was
  * seen; and that of the difference of two states. */
 #define ROUNDOFF 64.0
+/* A steady error E leaves h as it is where SAFETY E^-((GAIN-MEMORY)/(p+1)) = 1: for an estimate of
+ * roundoff to be below, the one that is allowed has to be 23 times as large for order 10, less for
+ * others. */
+#define FAR_FROM_NOISE 32.0
 /* Steps after which c is measured: some at the beginning, then every so many.  It grows at once
  * and falls slowly, and until it is known it is large. */
 enum { EARLY = 8, OFTEN = 64 };
@@ -174,11 +178,13 @@ static int attempt(dal_stepper *self, double t, double h, double *estimate)
     return status;
 }
 
-/* The error of a step by its estimate, in units of what it may be. */
+/* The error of a step by its estimate, in units of what it may be.  An estimate that is roundoff is
+ * so for any h: it has to look small, for the next step to be longer. */
 static double error_of(const dal__pace *pace, double estimate)
 {
     const double power = (pace->order + 1.0) / (pace->q + 1.0);
-    return pace->share * pow(estimate, power) / pace->allowed;
+    const double least = pace->share * pow(FAR_FROM_NOISE * pace->noise, power);
+    return pace->share * pow(estimate, power) / fmax(pace->allowed, least);
 }
 
 /* Whether a step failed for a reason that a shorter one would not have. */
@@ -257,20 +263,18 @@ int dal__pace_step(dal_stepper *self)
     remember(self, &pace->places[0]);
     for (int k = 1;; k++) {
         const double length = fit(pace, t, h);
-        const bool whole = fabs(length) >= fabs(h) * (1.0 - 1e-9);
+        const bool whole = fabs(length) >= fabs(h) - 4.0 * DAL_ROUNDOFF * (fabs(t) + fabs(h));
         double estimate = 0.0, error = FAILED;
         int status = length == 0.0 || !isfinite(length) ? DAL_ENOCONV
                                                        : attempt(self, t, length, &estimate);
         if (!status && is_time(self, t, length)) status = measure_share(self, t, length);
         if (!status) error = error_of(pace, estimate);
-        const bool rounded = estimate <= pace->noise; /* a shorter step would gain nothing */
-        if (!status && (error <= 1.0 || rounded)) {
-            const double wanted = change(pace, error);
-            const double factor = rounded ? fmax(wanted, 1.0) : wanted;
+        if (!status && error <= 1.0) {
+            const double factor = change(pace, error);
             const double next = length * (k > 1 ? fmin(factor, 1.0) : factor);
             /* a step that was cut short says less than the size that was meant */
             pace->h = whole || fabs(next) > fabs(h) ? next : h;
-            pace->error = fmin(fmax(error, SMALLEST), 1.0);
+            pace->error = fmax(error, SMALLEST);
             return DAL_SUCCESS;
         }
         const bool hopeless = k == ATTEMPTS || fabs(length) <= 16.0 * DAL_ROUNDOFF * fabs(t);

@@ -45,7 +45,18 @@ from .run import (
 )
 from .show import animation, bodies, notebook, pages, plot, report, table
 from .show import ensembles as pictures
-from .study import Embedding, Fit, Studies, Study, convergence, embedding, studies
+from .study import (
+    Embedding,
+    Fit,
+    Recommendation,
+    Studies,
+    Study,
+    Tried,
+    convergence,
+    embedding,
+    recommend,
+    studies,
+)
 from .symbolic import coordinates
 from .system import System
 
@@ -69,6 +80,7 @@ __all__ = [
     "JournalError",
     "NodeRun",
     "NotOnConstraintError",
+    "Recommendation",
     "Reference",
     "Regularity",
     "Scheme",
@@ -81,6 +93,7 @@ __all__ = [
     "Studies",
     "Study",
     "System",
+    "Tried",
     "ZenoError",
     "convergence",
     "coordinates",
@@ -94,6 +107,7 @@ __all__ = [
     "open_ensemble",
     "pages",
     "plot",
+    "recommend",
     "reference",
     "report",
     "resume",

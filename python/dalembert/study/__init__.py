@@ -1,5 +1,6 @@
-"""Orders of schemes, measured; and schemes as the period maps of perturbed flows."""
+"""Orders of schemes, measured; which of them is best; and their perturbed flows."""
 
 from .embeddings import Embedding, embedding
+from .recommendation import Recommendation, Tried, recommend
 from .refinement import convergence, studies
 from .study import Fit, Studies, Study

@@ -188,6 +188,29 @@ static void test_lengths(void)
     dal_system_free(system);
 }
 
+/* At the least tolerance roundoff decides, and steps are no shorter than its estimate wants. */
+static void test_least_tolerance(void)
+{
+    static const char *const schemes[] = {"bm6", "leapfrog-kl8", "leapfrog-kl6", "leapfrog-ss10"};
+    dal_system *const system = open_system("knife_edge");
+    for (size_t s = 0; s < sizeof schemes / sizeof schemes[0]; s++) {
+        dal_stepper *const stepper = controlled(system, schemes[s], 1e-14);
+        dal_stats stats = {0};
+        double exact[MOST_2N];
+        begin(stepper, system, 0.0, (double)INFINITY);
+        CHECK(dal_stepper_until(stepper, 60.0) == DAL_SUCCESS);
+        while (dal_stepper_time(stepper) < 60.0 && stats.steps < MOST) {
+            if (dal_step(stepper, NULL)) break;
+            dal_stepper_stats(stepper, &stats);
+        }
+        CHECK(dal_stepper_time(stepper) == 60.0 && stats.rejected < stats.steps / 8);
+        flow_to(system, 60.0, exact);
+        CHECK(largest_difference(6, dal_stepper_state(stepper), exact) < 1e-11);
+        dal_stepper_free(stepper);
+    }
+    dal_system_free(system);
+}
+
 /* V is defined for q_0 < 1 only. */
 static int cliff(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
 {
@@ -495,6 +518,7 @@ int main(void)
     test_order_of_the_estimate();
     test_accuracy();
     test_lengths();
+    test_least_tolerance();
     test_domain();
     test_saved();
     test_refused();

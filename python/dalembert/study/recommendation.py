@@ -1,0 +1,356 @@
+"""Which scheme, with which step, for a system, a time and an accuracy: by trying."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import geometry
+from ..core import Array, DalembertError, arguments, require_system
+from ..run import Scheme, Solution, integrate
+from ..run.integration import quietly
+from ..system import System
+
+SECONDS = 0.02  # of the first try, which says how much of the motion can be looked at
+FEWEST = 32  # steps in it
+LEAST, MOST = 1e-13, 0.1  # what can be asked for
+ATTEMPTS = 5  # of a scheme, to find its step
+MARGIN = 0.5  # of the accuracy: what is aimed at
+ENOUGH = 0.1  # an error below that part of the accuracy has too short a step
+WORK = 20.0  # a scheme that needs so many times the work of the cheapest so far is given up,
+LONGEST = 0.2  # and one that needs so many seconds to be tried
+GROWTH = 3.0  # the largest power of the time with which regular motions lose accuracy
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One scheme, tried.
+
+    Attributes
+    ----------
+    scheme : str
+    h : float or "auto"
+    tolerance : float or None
+        Of "auto" and of the reference flow.
+    steps : int
+        To t_end.
+    error : float
+        What is expected of the state at t_end, relative to 1 + |x_i|; NaN if no run went through.
+    seconds : float
+        What the run is expected to take.
+    """
+
+    scheme: str
+    h: float | str
+    tolerance: float | None
+    steps: int
+    error: float
+    seconds: float
+
+    @property
+    def how(self) -> str:
+        """The scheme and its step, in words."""
+        step = f"h = {self.h:.4g}" if isinstance(self.h, float) else f"h = {self.h!r}"
+        if self.tolerance is None:
+            return f"{self.scheme}, {step}"
+        return f"{self.scheme}, {step}, tolerance = {self.tolerance:.1g}"
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """What `recommend` returns.
+
+    Attributes
+    ----------
+    arguments : dict
+        For `integrate`: ``dal.integrate(system, q0, v0, **found.arguments)``.
+    scheme : str
+    h : float or "auto"
+    error : float
+        What is expected of the state at t_end, relative to 1 + |x_i|.
+    seconds : float
+        What the run is expected to take.
+    why : str
+    tried : tuple of Tried
+        All that was tried, the best first.
+    """
+
+    arguments: dict[str, Any]
+    scheme: str
+    h: float | str
+    error: float
+    seconds: float
+    why: str
+    tried: tuple[Tried, ...]
+
+    def __repr__(self) -> str:
+        lines = [f"<{self.tried[0].how}: error {self.error:.0e}, {_time(self.seconds)}", self.why]
+        width = max(len(one.how) for one in self.tried)
+        for one in self.tried:
+            error = "not reached" if math.isnan(one.error) else f"error {one.error:.0e}"
+            lines.append(f"  {one.how:{width}}  {error}, {_time(one.seconds)}")
+        return "\n".join(lines) + ">"
+
+
+def _time(seconds: float) -> str:
+    for factor, unit in ((1.0, "s"), (1e3, "ms")):
+        if seconds * factor >= 1.0:
+            return f"{seconds * factor:.2g} {unit}"
+    return f"{seconds * 1e6:.0f} us"
+
+
+def recommend(
+    system: System,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    *,
+    t_end: float,
+    accuracy: float = 1e-6,
+    t0: float = 0.0,
+    inputs: Any = None,
+) -> Recommendation:
+    """Return the scheme and the step that need the least time for an accuracy, by trying some.
+
+    Runs of some hundred milliseconds in all are compared with the reference flow: up to t_end, or,
+    where that is too far, up to a part of it, from which errors and times are extrapolated: errors
+    by the power of the time with which they grow there.
+
+    Parameters
+    ----------
+    system : System
+    q0, v0 : array_like, shape (n,), optional
+        Initial data in the user's units, both; neither: those of the system.
+    t_end, t0 : float, optional
+    accuracy : float, optional
+        What the error of the state at t_end may be, relative to 1 + |x_i|, in [1e-13, 0.1].
+    inputs : array_like, shape (k,), or mapping, optional
+        Of the force of a system that takes k of them, for the whole run.
+
+    Returns
+    -------
+    Recommendation
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range; or if nothing that was tried has the accuracy: the text
+        says what has the smallest error.
+    NotOnConstraintError, SingularError, ConvergenceError, DomainError
+        If the motion cannot be followed.
+
+    Examples
+    --------
+    >>> import dalembert as dal
+    >>> system = dal.systems.knife_edge()
+    >>> found = dal.recommend(system, t_end=50, accuracy=1e-6)
+    >>> run = dal.integrate(system, **found.arguments)
+    >>> bool(abs(run.q[-1] - system.exact(50)[0]).max() < 1e-5)
+    True
+    """
+    require_system(system)
+    t0, t_end = arguments.number(t0, "t0"), arguments.number(t_end, "t_end")
+    if t_end == t0:
+        raise ValueError(f"t_end = {t_end!r}: expected another time than t0 = {t0!r}")
+    accuracy = arguments.number(accuracy, "accuracy")
+    if not LEAST <= accuracy <= MOST:
+        raise ValueError(f"accuracy = {accuracy!r}: expected {LEAST:g} to {MOST:g}")
+    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    with quietly():
+        pilot = _Pilot(system, x0, t0, t_end, inputs)
+        tried = sorted(_try_all(pilot, accuracy), key=lambda one: _rank(one, accuracy))
+    best = tried[0]
+    if not best.error <= accuracy:
+        raise ValueError(
+            f"accuracy = {accuracy:g}: nothing that was tried has it at t = {t_end:g}; the "
+            f"smallest error has {best.how}, {best.error:.0e}{pilot.doubt}"
+        )
+    given = {"scheme": best.scheme, "h": best.h, "t_end": t_end}
+    if t0 != 0.0:
+        given["t0"] = t0
+    if best.tolerance is not None:
+        given["tolerance"] = best.tolerance
+    return Recommendation(
+        given, best.scheme, best.h, best.error, best.seconds, _why(pilot, tried, accuracy),
+        tuple(tried),
+    )  # fmt: skip
+
+
+def _rank(one: Tried, accuracy: float) -> tuple[bool, float]:
+    """Those that are accurate by their time, before the others by their error."""
+    if one.error <= accuracy:
+        return False, one.seconds
+    return True, math.inf if math.isnan(one.error) else one.error
+
+
+def _why(pilot: _Pilot, tried: list[Tried], accuracy: float) -> str:
+    """Return why the first of them is the best, in words."""
+    best = tried[0]
+    accurate = [one for one in tried if one.error <= accuracy]
+    words = [f"It needs the least time of {len(accurate)} that reach {accuracy:g}"]
+    if len(accurate) > 1:
+        words.append(f"; the next takes {accurate[1].seconds / best.seconds:.2g} times as long")
+    words.append(".")
+    if pilot.part < 1.0:
+        words.append(
+            f" Tried up to t = {pilot.end:g} and extrapolated: errors grow like t^{pilot.growth:.1f}"
+            f"{pilot.doubt}."
+        )
+        if not pilot.is_dissipative and best.h == "auto":
+            words.append(
+                " Over long times steps of one size keep the energy of a reversible motion in a "
+                "band, and these do not."
+            )
+    return "".join(words)
+
+
+class _Pilot:
+    """The part of the motion that is looked at, and what is right there."""
+
+    def __init__(self, system: System, x0: Array, t0: float, t_end: float, inputs: Any) -> None:
+        self.system, self.x0, self.t0, self.t_end, self.inputs = system, x0, t0, t_end, inputs
+        base = "midpoint" if system.is_forced or not system.has_constant_mass else "leapfrog"
+        self.base = base
+        begin = time.thread_time()
+        first = self.run(
+            f"{base}-kl8", t_end, h="auto", tolerance=1e-8,
+            observer=lambda step, *_: step >= FEWEST and time.thread_time() - begin > SECONDS,
+        )  # fmt: skip
+        self.end = float(first.t[-1])
+        self.part = (self.end - t0) / (t_end - t0)
+        self.h = float(np.median(np.abs(np.diff(first.t))))
+        self.energy = abs(first.energy - first.energy[0]).max() if not system.is_forced else 0.0
+        # a quarter, a half, and the whole
+        quarter = (self.end - t0) / 4
+        exact = self.run("reference", self.end, h=quarter, tolerance=1e-14)
+        self.exact = exact.x[[1, 2, 4]]
+        again = self.run("reference", self.end, h=quarter, tolerance=1e-13)
+        self.accuracy = float(self._errors(again)[2])  # what cannot be seen
+        self.growth = self._growth(first)
+
+    @property
+    def is_dissipative(self) -> bool:
+        return self.system.is_forced
+
+    @property
+    def doubt(self) -> str:
+        """What has to be said of the extrapolation."""
+        if self.growth >= GROWTH:
+            return ", or faster: the motion may be chaotic, so that no scheme is accurate for long"
+        return ""
+
+    def run(self, scheme: Any, end: float, **how: Any) -> Solution:
+        """Return a run from the initial data."""
+        q0, v0 = np.split(self.x0, 2)
+        how.setdefault("h", 1.0)
+        return integrate(
+            self.system, scheme, q0, v0, t0=self.t0, t_end=end, inputs=self.inputs,
+            consistent="project", **how,
+        )  # fmt: skip
+
+    def _errors(self, run: Solution) -> Array:
+        """Return the errors at a quarter, a half and the whole, relative to 1 + |x_i|."""
+        x = run.x[[-4, -3, -1]] if len(run.x) > 3 else run.x[[-1, -1, -1]]
+        return (np.abs(x - self.exact) / (1.0 + np.abs(self.exact))).max(axis=1)
+
+    def _growth(self, first: Solution) -> float:
+        """Return with which power of the time errors grow."""
+        if self.part == 1.0:
+            return 1.0
+        quarter = (self.end - self.t0) / 4
+        coarse = self.run(
+            f"{self.base}-kl8", self.end, h="auto", tolerance=1e-5,
+            t_eval=self.t0 + quarter * np.arange(1, 5),
+        )  # fmt: skip
+        errors = self._errors(coarse)
+        power = math.log2(max(errors[2], 1e-15) / max(errors[1], 1e-15))
+        return min(max(power, 1.0), GROWTH)
+
+    def error(self, run: Solution) -> float:
+        """Return the error expected at t_end of a run up to the end of the pilot."""
+        here = (np.abs(run.x[-1] - self.exact[2]) / (1.0 + np.abs(self.exact[2]))).max()
+        return max(float(here), self.accuracy) * self.part**-self.growth
+
+
+def _try_all(pilot: _Pilot, accuracy: float) -> Iterator[Tried]:
+    """Yield the schemes, each with the longest step that seems accurate enough."""
+    base, cheapest = pilot.base, math.inf
+    for name in ("bm6", f"{base}-kl8", f"{base}-kl6", "bm4", f"{base}-ss10", base):
+        one = _with_step(pilot, Scheme.find(name), accuracy, WORK * cheapest)
+        if one.error <= accuracy:
+            cheapest = min(cheapest, one.seconds)
+        yield one
+    for name in ("bm6", f"{base}-kl8"):
+        yield _with_tolerance(pilot, name, "auto", accuracy)
+    yield _with_tolerance(pilot, "reference", pilot.t_end - pilot.t0, accuracy)
+
+
+def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> Tried:
+    """Return a scheme with the longest step that seems accurate enough, if it is found."""
+    span = pilot.end - pilot.t0
+    h, best = pilot.h * len(scheme.substeps) / 34, None
+    failed = Tried(scheme.name, math.nan, None, 0, math.nan, math.inf)
+    for _ in range(ATTEMPTS):
+        steps = max(1, math.ceil(abs(span) / h))
+        begin = time.thread_time()
+        try:
+            run = pilot.run(scheme, pilot.end, h=span / steps, stride=steps)
+        except DalembertError:
+            h /= 3.0
+            continue
+        spent = time.thread_time() - begin  # which other processes leave alone
+        seconds = spent / pilot.part
+        count = math.ceil(steps / pilot.part)
+        whole = (pilot.t_end - pilot.t0) / count
+        error = pilot.error(run)
+        one = Tried(scheme.name, whole, None, count, error, seconds)
+        if error <= accuracy and (best is None or seconds < best.seconds):
+            best = one
+        elif best is None and not failed.error <= error:
+            failed = one
+        if ENOUGH * accuracy <= error <= accuracy or (steps == 1 and error <= accuracy):
+            break
+        factor = (MARGIN * accuracy / max(error, 1e-16)) ** (1.0 / scheme.order)
+        factor = min(max(factor, 0.05), 4.0)
+        h = abs(span) / steps * factor
+        if seconds / factor > most or spent / factor > LONGEST:
+            break
+    return best or failed
+
+
+def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
+    """Return a flow, or controlled steps, with the largest tolerance that seems small enough."""
+    least = 1e-14  # below which all is roundoff
+    step: Any = h if h == "auto" else pilot.end - pilot.t0
+    tolerance = max(least, accuracy * min(pilot.part**pilot.growth, 1.0))
+    best = None
+    failed = Tried(name, h, tolerance, 0, math.nan, math.inf)
+    for _ in range(ATTEMPTS):
+        begin = time.thread_time()
+        try:
+            run = pilot.run(name, pilot.end, h=step, tolerance=tolerance, **_stored(h))
+        except DalembertError:
+            break
+        seconds = (time.thread_time() - begin) / pilot.part
+        error = pilot.error(run)
+        steps = math.ceil(run.stats.steps / pilot.part)
+        one = Tried(name, h, tolerance, steps, error, seconds)
+        if error <= accuracy and (best is None or seconds < best.seconds):
+            best = one
+        elif best is None and not failed.error <= error:
+            failed = one
+        if ENOUGH * accuracy <= error <= accuracy or (tolerance == least and error > accuracy):
+            break
+        factor = MARGIN * accuracy / max(error, 1e-16)
+        tolerance = min(max(tolerance * min(max(factor, 1e-3), 1e3), least), MOST)
+    return best or failed
+
+
+def _stored(h: Any) -> dict[str, Any]:
+    """Only the last state is stored."""
+    return {"stride": 2**40} if h == "auto" else {}

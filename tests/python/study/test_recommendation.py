@@ -1,0 +1,87 @@
+"""Recommendations: what they promise, held against other solutions."""
+
+import numpy as np
+import pytest
+
+import dalembert as dal
+
+
+def error_of(system, found, end, q0=None, v0=None, **how):
+    run = dal.integrate(system, q0=q0, v0=v0, **found.arguments, **how)
+    x = np.concatenate(end)
+    return (abs(run.x[-1] - x) / (1 + abs(x))).max()
+
+
+@pytest.mark.parametrize(
+    "name, t_end, accuracy",
+    [
+        ("knife_edge", 50, 1e-6), ("knife_edge", -20, 1e-3), ("particle", 300, 1e-9),
+        ("sleigh", 40, 1e-8), ("disk", 20, 1e-5), ("heisenberg", 30, 1e-6),
+    ],
+)  # fmt: skip
+def test_it_has_the_accuracy_it_promises(name, t_end, accuracy):
+    system = getattr(dal.systems, name)()
+    found = dal.recommend(system, t_end=t_end, accuracy=accuracy)
+    assert found.error <= accuracy and found.tried[0].error == found.error
+    if system.has_exact:
+        end = system.exact(float(t_end))
+    else:  # an independent way
+        run = dal.integrate(system, "leapfrog-ss10", h=t_end / 2000, steps=2000)
+        end = run.q[-1], run.v[-1]
+    error = error_of(system, found, end)
+    assert error <= 1.5 * accuracy
+    assert error <= 3 * found.error + 1e-12
+
+
+def test_a_time_too_long_to_try_is_extrapolated():
+    system = dal.systems.knife_edge()
+    found = dal.recommend(system, t_end=20000, accuracy=1e-4)
+    assert "Tried up to t = " in found.why and "errors grow like t^" in found.why
+    error = error_of(system, found, system.exact(20000.0))
+    assert error < 10 * found.error and error < 1e-3
+
+
+def test_mass_that_depends_on_q_forces_and_inputs():
+    system = dal.System(
+        mass=[2], force=lambda t, q, v, u: u - 0.1 * v - q, inputs=["push"], q0=[0], v0=[1]
+    )
+    found = dal.recommend(system, t_end=3, accuracy=1e-6, inputs=[0.5])
+    assert {one.scheme for one in found.tried} > {"midpoint", "midpoint-kl8", "reference"}
+    # 2 x'' + 0.1 x' + x = 0.5
+    b, w = 0.025, np.sqrt(0.5 - 0.025**2)
+    x = lambda t: 0.5 + np.exp(-b * t) * (-0.5 * np.cos(w * t) + (1 - 0.5 * b) / w * np.sin(w * t))
+    v = (x(3 + 1e-5) - x(3 - 1e-5)) / 2e-5
+    assert error_of(system, found, ([x(3)], [v]), inputs=[0.5]) < 1.5e-6
+    disc = dal.recommend(dal.systems.rolling_disc(), t_end=2, accuracy=1e-4)
+    assert "midpoint" in {one.scheme for one in disc.tried}
+
+
+def test_what_it_says():
+    found = dal.recommend(dal.systems.knife_edge(), t_end=20, accuracy=1e-6)
+    assert found.why.startswith("It needs the least time of ")
+    accurate = [one for one in found.tried if one.error <= 1e-6]
+    assert [one.seconds for one in accurate] == sorted(one.seconds for one in accurate)
+    assert found.tried[0] is accurate[0]
+    assert len({(one.scheme, one.h == "auto") for one in found.tried}) == len(found.tried)
+    assert repr(found).count("\n") == len(found.tried) + 1
+    assert found.arguments["t_end"] == 20 and found.seconds > 0
+
+
+def test_what_cannot_be_reached_is_said():
+    with pytest.raises(ValueError, match="accuracy = 1e-13: nothing .* the smallest error has"):
+        dal.recommend(dal.systems.knife_edge(), t_end=1e6, accuracy=1e-13)
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        ({"t_end": 0}, "t_end = 0.0: expected another time"),
+        ({"t_end": np.nan}, "t_end = nan"),
+        ({"t_end": 1, "accuracy": 0}, "accuracy = 0.0: expected 1e-13 to 0.1"),
+        ({"t_end": 1, "accuracy": 1}, "accuracy = 1.0: expected"),
+        ({"t_end": 1, "q0": [0, 0, 0]}, "q0 without v0"),
+    ],
+)
+def test_refused(given, words):
+    with pytest.raises(ValueError, match=words):
+        dal.recommend(dal.systems.knife_edge(), **given)
