@@ -20,7 +20,7 @@ from check_symbols import declared, read
 # Headers that code of the user includes, and the folder where they belong.
 STEP_HEADERS = {
     "deformation": "system", "lu": "algebra", "rows": "algebra", "residual": "algebra",
-    "kernel": "step", "lanes": "step", "family": "step",
+    "field": "system", "kernel": "step", "lanes": "step", "family": "step",
 }  # fmt: skip
 
 

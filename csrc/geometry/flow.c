@@ -59,7 +59,7 @@ static int field(double t, const double *y, double *dydt, void *ctx, dal_error *
     int status = ask(flow, t, error);
     if (status) return status;
     status = flow->in_xi ? dal_chart_field(&flow->chart, t, y, dydt)
-                         : dal_field(&flow->chart.mech, t, y, dydt);
+                         : dal__field(&flow->chart.mech, t, y, dydt);
     if (status) *error = *error_of(flow);
     return status;
 }
@@ -202,7 +202,7 @@ int dal__flow_apply(dal_flow *flow, double t0, double span, double *x, bool proj
 }
 
 /* The terms of which the acceleration is the sum, of the coordinate where they are largest: a
- * reaction may take all that a force gives.  They are as dal_field left them. */
+ * reaction may take all that a force gives.  They are as dal_multipliers left them. */
 static double largest_pull(dal_mechanics *mech)
 {
     dal__accelerate(mech, mech->force, mech->w);
@@ -222,7 +222,8 @@ static int roundoff(dal_flow *flow, double t0, double t1, double *error)
     const dal__linear *const C = &mech->gram.C;
     const size_t N = dimension(flow), n = mech->n, m = mech->m;
     const double span = fabs(t1 - t0);
-    const int status = dal_field(mech, t1, flow->result, flow->state);
+    int status = dal__field(mech, t1, flow->result, flow->state);
+    if (!status) status = dal_multipliers(mech, t1, flow->result, mech->lambda);
     if (status) return status;
     double inverse = 0.0; /* the trace of that of C scaled to a unit diagonal, or its norm */
     if (C->pattern) inverse = dal__linear_inverse_norm(C);
@@ -308,11 +309,9 @@ int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, dou
     if (!status) status = reach(flow, (double)(k + 1 - flow->steps.first) * h, t1);
     if (status) return status;
     dal__copy(dimension(flow), flow->state, flow->result);
-    double residual = 0.0;
     status = dal_project(mech, t1, 0.0, flow->result, NULL);
-    if (!status) status = dal_relative_residual(mech, t1, 0.0, flow->result, &residual);
     if (status) return status;
-    *worst = fmax(*worst, residual);
+    *worst = fmax(*worst, mech->relative);
     dal__copy(dimension(flow), flow->result, x);
     flow->steps.inner = dal__ode_suggested(flow->integrator);
     flow->steps.going = true;

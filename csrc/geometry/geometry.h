@@ -55,12 +55,13 @@ struct dal_mechanics {
     dal__metric metric;
     dal__forms forms;
     dal__gram gram;
-    /* L_q - L_vq v - L_vt + f and lambda: after dal_field and all that ask for multipliers, where
+    /* L_q - L_vq v - L_vt + f and lambda: after all that ask for multipliers, where
      * the three values above are those of the same state. */
     double *force, *lambda;       /* [n], [m] */
     double *w, *step;             /* [n] */
     double *point;                /* [2n] the state that is projected; of jump.c too */
     double t, shift, moves;       /* its time; the D or D_eps of this shift; see dal__forms_move */
+    double relative;              /* the residual of what dal_project left in D */
     double *hessian;              /* [n*n]: L_qq, or V_qq; NULL if lean */
     double *L_vt;                 /* [n], and */
     double *L_vq, *L_vv;          /* [n*n]; NULL for constant mass */
@@ -147,6 +148,8 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
  * n u s^a, with phi and a^a where residual.h has them. */
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
                         const double *v);
+/* dal_field, of a finite state; what it leaves in force, lambda and gram is of no use. */
+int dal__field(dal_mechanics *mech, double t, const double *x, double *xdot);
 /* *E <- the energy at x[2n], which may overflow. */
 int dal__energy(dal_mechanics *mech, double t, const double *x, double *E);
 /* How far velocities move, to first order, when the point q where mu and slope = phi_q were

@@ -520,22 +520,106 @@ int dal_multipliers(dal_mechanics *mech, double t, const double *x, double *lamb
     return status;
 }
 
-int dal_acceleration(dal_mechanics *mech, double t, const double *x, double *vdot)
+/* ---- the same, where nothing is looked at but the result --------------------------------- */
+
+/* *name <- the callback that did not return 0, and what it returned; force, mu, and phi_t <- g. */
+DAL_LU_INLINE int call_for_terms(dal_mechanics *mech, size_t n, size_t m, double t,
+                                 const double *x, const char **name)
 {
-    const int status = solve_multipliers(mech, "vdot", vdot, t, x);
-    if (status) return status;
-    form_field(mech, x);
-    return DAL__DELIVER(&mech->error, {"vdot", mech->n, mech->point + mech->n, vdot});
+    evaluator *const e = &mech->eval;
+    const dal__forms *const at = &mech->forms;
+    double *const phi_t = e->system->def.time_dependent ? at->phi_t : NULL;
+    if (e->pull) {
+        dal__forget(n, mech->force);
+        e->potential_calls += e->pull_ctx != e;
+        const int returned = e->pull(t, x, NULL, mech->force, NULL, e->pull_ctx);
+        *name = e->pull_ctx == e ? e->refused : "potential";
+        if (returned) return returned;
+        for (size_t i = 0; i < n; i++) mech->force[i] = -mech->force[i];
+    }
+    if (m == 0) return 0;
+    dal__forget(m * n, at->mu);
+    dal__forget(m * n, at->dmu);
+    dal__forget(m, phi_t);
+    e->constraint_calls += e->constraint_ctx != e;
+    const int returned =
+        e->constraint(t, x, x + n, NULL, at->mu, at->dmu, phi_t, e->constraint_ctx);
+    *name = "constraint";
+    for (size_t a = 0; a < m; a++) {
+        double along = phi_t ? phi_t[a] : 0.0;
+        for (size_t i = 0; i < n; i++) along += at->dmu[a * n + i] * x[n + i];
+        at->phi_t[a] = along;
+    }
+    return returned;
 }
 
-int dal_field(dal_mechanics *mech, double t, const double *x, double *xdot)
+/* Whether xdot[2n] <- the field, of constant mass and without a force of v; else *status may say
+ * why not, or it has to be looked at.  next is that of dal_field_terms. */
+DAL_LU_INLINE bool field_of(dal_mechanics *mech, size_t n, size_t m, size_t next, double t,
+                            const double *x, double *xdot, int *status)
 {
-    const int status = solve_multipliers(mech, "xdot", xdot, t, x);
+    const dal__forms *const at = &mech->forms;
+    const dal__gram *const gram = &mech->gram;
+    const dal_field_terms terms = {
+        .F = mech->force, .mu = at->mu, .g = at->phi_t, .next = next,
+        .inverse = mech->eval.system->mass_inverse, .Z = gram->Z, .C = gram->C.A,
+        .share = gram->C.sizes, .lambda = mech->lambda, .w = gram->C.sizes + m};
+    dal_field_zeros has = DAL_FIELD_ALL;
+    const char *name = NULL;
+    const int returned = call_for_terms(mech, n, m, t, x, &name);
+    if (returned) *status = dal__refuse(&mech->error, name, returned);
+    if (!mech->eval.pull) has.F = 0;
+    return !returned && dal_field_solve(n, m, has, &terms, x + n, xdot);
+}
+
+/* The same of any system: by what was compiled for it; or for the sizes that small ones have. */
+static bool field_at_once(dal_mechanics *mech, double t, const double *x, double *xdot, int *status)
+{
+    evaluator *const e = &mech->eval;
+    const dal_system *const system = e->system;
+    const dal_system_def *const def = &system->def;
+    const size_t n = mech->n, m = mech->m;
+    if (e->field) {
+        e->constraint_calls += m > 0;
+        e->potential_calls += def->potential != NULL;
+        e->lagrangian_calls += def->lagrangian != NULL;
+        e->force_calls += def->force != NULL;
+        return e->field(t, x, e->input, system->mass_inverse, xdot, def->ctx);
+    }
+    if (!e->constant_mass || mech->gram.C.pattern || e->rows || dal__is_dragged(system))
+        return false;
+    const size_t next = system->masses ? 1 : system->diagonal ? n + 1 : 0;
+    if (n == 3 && m == 1 && next == 4) return field_of(mech, 3, 1, 4, t, x, xdot, status);
+    if (n == 4 && m == 2 && next == 5) return field_of(mech, 4, 2, 5, t, x, xdot, status);
+    return field_of(mech, n, m, next, t, x, xdot, status);
+}
+
+int dal__field(dal_mechanics *mech, double t, const double *x, double *xdot)
+{
+    int status = DAL_SUCCESS;
+    if (field_at_once(mech, t, x, xdot, &status)) return DAL_SUCCESS;
+    if (!status) status = solve_multipliers(mech, "xdot", xdot, t, x);
     if (status) return status;
     const size_t n = mech->n;
     form_field(mech, x);
     return DAL__DELIVER(&mech->error, {"v", n, mech->point, xdot},
                         {"vdot", n, mech->point + n, xdot + n});
+}
+
+int dal_field(dal_mechanics *mech, double t, const double *x, double *xdot)
+{
+    int status = require(mech, "xdot", xdot, 0.0, t, x);
+    if (!status) status = dal__field(mech, t, x, mech->point);
+    if (!status) dal__copy(2 * mech->n, mech->point, xdot);
+    return status;
+}
+
+int dal_acceleration(dal_mechanics *mech, double t, const double *x, double *vdot)
+{
+    int status = require(mech, "vdot", vdot, 0.0, t, x);
+    if (!status) status = dal__field(mech, t, x, mech->point);
+    if (!status) dal__copy(mech->n, mech->point + mech->n, vdot);
+    return status;
 }
 
 int dal_perturbed(dal_mechanics *mech, double t, double weight, const double *x,
@@ -610,8 +694,9 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
 {
     const size_t n = mech->n;
     const double *const per_unit = mech->metric.per_unit;
-    double relative, *const v = mech->point + n;
+    double *const v = mech->point + n;
     int status = DAL_SUCCESS;
+    mech->relative = 0.0;
     if (mech->m == 0) return DAL_SUCCESS;
     if (shift != 0.0 || mech->eval.system->def.kind == DAL_NONLINEAR) {
         mech->t = t;
@@ -625,7 +710,7 @@ static int find_velocity(dal_mechanics *mech, double t, double shift)
         status = dal__newton_run(&equations, &mech->error);
     }
     if (status || shift != 0.0) return status;
-    status = dal__mend(mech, t, 0.0, true, mech->point, &relative);
+    status = dal__mend(mech, t, 0.0, true, mech->point, &mech->relative);
     return status ? status : factor_product(mech); /* without full rank it is refused for any v */
 }
 

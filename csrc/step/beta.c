@@ -25,13 +25,6 @@ typedef struct beta {
     arena arena;
 } beta;
 
-/* Whether momenta enter the steps: see momentum.h. */
-static bool has_momenta(const dal_system *system)
-{
-    if (system->lean) return false;
-    return !system->mass || system->def.kind != DAL_LINEAR || dal__is_dragged(system);
-}
-
 /* Whether mu is stored by rows. */
 static bool has_rows(const dal_system *system) { return system->lean && system->rows; }
 
@@ -41,7 +34,7 @@ static dal_kernel_fn find_routine(const dal_system *system, const dal_scheme *sc
     const size_t n = system->def.n, m = system->def.m;
     if (system->def.compiled && scheme->nodes == DAL_MOVED_NODES)
         return system->def.compiled->advance;
-    if (has_momenta(system)) return dal__kernel_with_momenta(n, m);
+    if (dal__has_momenta(system)) return dal__kernel_with_momenta(n, m);
     return has_rows(system) ? dal__kernel_any() : dal__kernel_for(n, m);
 }
 
@@ -57,7 +50,7 @@ static bool is_slim(const dal_system *system, dal_kernel_fn routine)
 static size_t plan_stages(const dal_system *system, const dal_substep *substep, size_t count,
                           dal_stage *stage, size_t *ends)
 {
-    const bool momenta = has_momenta(system), apart = momenta || dal__is_dragged(system);
+    const bool momenta = dal__has_momenta(system), apart = momenta || dal__is_dragged(system);
     const bool all = !system->mass || system->def.kind != DAL_LINEAR;
     size_t stages = 0;
     double passed = 0.0; /* of the step */
@@ -267,35 +260,20 @@ static bool is_steady(const beta *self, const dal_system *system)
     const bool pulled = k->potential || k->at.dragged;
     for (size_t j = 0; j < k->stages; j++)
         if (self->stage[j].end != 0.0) ends = true;
-    return system->def.steady && !k->kept && !has_momenta(system) && !(pulled && ends);
+    return system->def.steady && !k->kept && !dal__has_momenta(system) && !(pulled && ends);
 }
 
-/* A compiled step routine has to know the system as it is. */
+/* A compiled step routine has to be one of this library. */
 static int check_compiled(const dal_system *system, dal_error *error)
 {
-    const dal_system_def *const def = &system->def;
-    const dal_compiled *const compiled = def->compiled;
+    const dal_compiled *const compiled = system->def.compiled;
     if (!compiled) return DAL_SUCCESS;
     if (compiled->abi != DAL_COMPILED_ABI || compiled->size != sizeof(dal_kernel))
         return dal__fail(error, DAL_EINVAL, "compiled: its number %u and its dal_kernel of %zu "
                          "bytes are not those of this library, %u and %zu; compile it with the "
                          "kernel.h of this library", compiled->abi, compiled->size,
                          DAL_COMPILED_ABI, sizeof(dal_kernel));
-    if (def->sparsity)
-        return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and there is a sparsity: a "
-                         "compiled step routine is for systems without");
-    if (def->missing)
-        return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and derivatives are missing: a "
-                         "compiled step routine is for systems where nothing is");
-    if (compiled->momenta != has_momenta(system))
-        return dal__fail(error, DAL_EINVAL, "compiled: its steps are %s, and the system is not: "
-                         "mass, constraints or force are others", compiled->momenta
-                         ? "for M(q), forces of v, or constraints that are not linear"
-                         : "for constant mass, linear constraints, and no force that depends on v");
-    if (compiled->forced == (def->force != NULL)) return DAL_SUCCESS;
-    return dal__fail(error, DAL_EINVAL, "compiled: its steps are %s a force, and the system is "
-                     "not: mass, constraints or force are others",
-                     compiled->forced ? "with" : "without");
+    return dal__check_compiled(system, error);
 }
 
 /* What the step routine does not find where the system has it. */
@@ -376,7 +354,7 @@ static int make(void **method, dal_motion *motion, dal_error *error)
     if (has_rows(system)) DAL__RESERVE(&memory, entries_of(system), &shape.turned);
     if (has_rows(system))
         dal__linear_reserve_pattern(&shape.S, system->def.m, system->pattern, &memory);
-    if (has_momenta(system)) reserve_momenta(&shape.kernel, n, system->def.m, count, &memory);
+    if (dal__has_momenta(system)) reserve_momenta(&shape.kernel, n, system->def.m, count, &memory);
     dal__newton_reserve(&shape.newton, system, &memory);
     dal__reserve(&memory, &shape.substep, count, sizeof *shape.substep);
     dal__reserve(&memory, &shape.stage, count, sizeof *shape.stage);
@@ -545,7 +523,7 @@ void dal__beta_any_sizes(dal_stepper *stepper)
 {
     beta *const self = stepper->method;
     const dal_system *const system = self->motion->system;
-    self->advance = has_momenta(system) ? dal__kernel_any_with_momenta() : dal__kernel_any();
+    self->advance = dal__has_momenta(system) ? dal__kernel_any_with_momenta() : dal__kernel_any();
 }
 
 const dal_family dal__family_beta = {

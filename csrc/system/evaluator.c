@@ -326,6 +326,9 @@ void dal__evaluator_bind(evaluator *e, const dal_system *system)
     e->constraint = def->constraint;
     e->constraint_ctx = def->ctx;
     e->constant_mass = !def->lagrangian;
+    if (def->compiled && def->compiled->abi == DAL_COMPILED_ABI
+        && dal__check_compiled(system, NULL) == DAL_SUCCESS)
+        e->field = def->compiled->field;
     if ((def->potential && (def->missing & of_potential)) || def->positional) {
         e->pull = pull;
         e->pull_ctx = e;
@@ -444,6 +447,33 @@ bool dal__is_dragged(const dal_system *system)
 bool dal__is_autonomous(const dal_system *system)
 {
     return !system->def.force && !system->def.time_dependent;
+}
+
+bool dal__has_momenta(const dal_system *system)
+{
+    if (system->lean) return false;
+    return !system->mass || system->def.kind != DAL_LINEAR || dal__is_dragged(system);
+}
+
+int dal__check_compiled(const dal_system *system, dal_error *error)
+{
+    const dal_system_def *const def = &system->def;
+    const dal_compiled *const compiled = def->compiled;
+    if (def->sparsity)
+        return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and there is a sparsity: a "
+                         "compiled step routine is for systems without");
+    if (def->missing)
+        return dal__fail(error, DAL_EINVAL, "compiled is not NULL, and derivatives are missing: a "
+                         "compiled step routine is for systems where nothing is");
+    if (compiled->momenta != dal__has_momenta(system))
+        return dal__fail(error, DAL_EINVAL, "compiled: its steps are %s, and the system is not: "
+                         "mass, constraints or force are others", compiled->momenta
+                         ? "for M(q), forces of v, or constraints that are not linear"
+                         : "for constant mass, linear constraints, and no force that depends on v");
+    if (compiled->forced == (def->force != NULL)) return DAL_SUCCESS;
+    return dal__fail(error, DAL_EINVAL, "compiled: its steps are %s a force, and the system is "
+                     "not: mass, constraints or force are others",
+                     compiled->forced ? "with" : "without");
 }
 
 int dal__potential(evaluator *e, double t, const double *q, double *V, double *V_q, double *V_qq,

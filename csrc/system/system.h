@@ -3,6 +3,7 @@
 #define DAL__SYSTEM_H
 
 #include "algebra/algebra.h"
+#include "dalembert/field.h"
 
 /* The values that a parameter may take; WHOLE: 1, 2, ... up to most. */
 typedef enum range { POSITIVE, NOT_NEGATIVE, FINITE, WHOLE } range;
@@ -55,6 +56,7 @@ typedef struct evaluator {
     void *pull_ctx;
     dal_constraint_fn constraint;
     void *constraint_ctx;
+    dal_field_fn field;         /* compiled for the system, or NULL */
     bool constant_mass;
     bool dense;                 /* phi_v and phi_q with all entries, of any system: set before */
     bool lean;                  /* of a lean system, unless dense; */
@@ -121,6 +123,10 @@ size_t dal__entries(const evaluator *e);
 bool dal__is_autonomous(const dal_system *system);
 /* Whether there is a force that may depend on v. */
 bool dal__is_dragged(const dal_system *system);
+/* Whether momenta enter the steps: see momentum.h. */
+bool dal__has_momenta(const dal_system *system);
+/* What is compiled for a system, and there is, has to know it as it is.  DAL_EINVAL. */
+int dal__check_compiled(const dal_system *system, dal_error *error);
 
 /* f[count] at q; returns 0, or what its callback returned. */
 typedef int (*dal__function)(const double *q, double *f, void *ctx);

@@ -57,6 +57,7 @@
 #define DALEMBERT_KERNEL_H
 
 #include <dalembert.h>
+#include <dalembert/field.h>
 #include <dalembert/lu.h>
 #include <dalembert/residual.h>
 #include <dalembert/rows.h>
@@ -91,10 +92,6 @@ typedef struct dal_pattern {
     unsigned long long L_vq, F_q, F_v; /* of stages of momentum.h, where Z = mu K^-1, */
     unsigned long long K;       /* and the factors of K */
 } dal_pattern;
-
-#define DAL_KERNEL_ALL (~0ULL)
-#define DAL_KERNEL_HAS(mask, index) \
-    ((mask) == DAL_KERNEL_ALL || ((mask) != 0 && ((mask) >> (index) & 1)))
 
 /* What stopped a stage. */
 typedef enum dal_failure {
@@ -148,24 +145,6 @@ typedef int (*dal_balance_fn)(double t, const double *q, const double *v, double
 
 /* Everything down to finish, the arrays, t0, h and x are set by the owner, who then calls
  * dal_kernel_forget; the rest belongs to the step routine. */
-typedef struct dal_kernel dal_kernel;
-
-/* Makes steps steps of kernel; *done <- how many succeeded. */
-typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
-
-/* A step routine that was compiled for one system: what compiled of its dal_system_def points
- * to. */
-#define DAL_COMPILED_ABI 7u
-typedef struct dal_lanes_routine dal_lanes_routine;
-typedef struct dal_compiled {
-    unsigned abi;  /* DAL_COMPILED_ABI, */
-    size_t size;   /* and sizeof(dal_kernel), as its compiler saw them */
-    dal_kernel_fn advance;
-    int momenta;   /* 1: with DAL_KERNEL_MOMENTA, */
-    int forced;    /* 1: with a force */
-    const dal_lanes_routine *lanes; /* see lanes.h; NULL: there are none */
-} dal_compiled;
-
 struct dal_kernel {
     size_t n, m;
     dal_constraint_fn constraint;

@@ -62,7 +62,9 @@ FLAGS = (*COMMON, *_for_processor())
 # With lanes a program has parts for each processor, and what they share is for all of them.
 _LIBMVEC = (("v_sin", "v_cos", "v_exp", "v_log", "vv_pow"), ("v_tan", "v_erf", "vv_atan2"))
 
-HEADERS = ("dalembert.h", "kernel.h", "lanes.h", "lu.h", "momentum.h", "residual.h", "rows.h")
+HEADERS = (
+    "dalembert.h", "field.h", "kernel.h", "lanes.h", "lu.h", "momentum.h", "residual.h", "rows.h",
+)  # fmt: skip
 
 # Seconds after which a compiler is taken to hang; a large model takes some.
 LIMIT = 600.0

@@ -19,16 +19,16 @@ import sympy
 from sympy.logic.boolalg import BooleanFalse, BooleanTrue
 
 from .model import FUNCTIONS, Function, Model, nearest
-from .pattern import MOST, pattern
+from .pattern import MOST, field_zeros, pattern
 
-GENERATOR = 2  # changes with what is generated, as the files of this module do
+GENERATOR = 3  # changes with what is generated, as the files of this module do
 
 # Above this number of coordinates a step routine of the model's own, whose arrays are on the stack,
 # gains nothing over the library's.
 _LARGEST = 32
 
-# What the step routine alone calls.
-_OF_STEPS = ("balance", "pull")
+# What the step routine and the field alone call.
+_OF_STEPS = ("balance", "pull", "terms")
 
 # Above this number of zeros they are written to an output by a loop.
 _MOST_ZEROS = 64
@@ -47,6 +47,8 @@ _SIGNATURES = {
     "balance": "double t, const double *q, const double *v, const double *u, double *L_v, "
     "double *F, double *L_vq, double *L_vv, double *F_q, double *F_v",
     "pull": "double t, const double *q, const double *u, double *V_q",
+    "terms": "double t, const double *q, const double *v, const double *u, double *F, double *M, "
+    "double *mu, double *g",
     "exact": "double t, const double *start, double *x",
     "invariant": "double t, const double *start, double *values",
     "mass": "double *M",
@@ -128,13 +130,16 @@ def program(
         + "\n#include <math.h>\n#include <stddef.h>\n"
     )  # fmt: skip
     powers: set[int] = set()
-    for function in derived.functions:
+    own_field = fast and model.n <= MOST  # in large models it would gain nothing
+    for function in (*derived.functions, *([model.terms] if own_field else ())):
         if compact and function.name in ("mass", "constraint"):
             function = _alone(model, function)
         if fast or function.name not in _OF_STEPS:
             _function(body, model, function, fast, Printer(powers))
     if fast:
         _kernel(body, model)
+        if own_field:
+            _field(body, model)
         if lanes:
             _lanes(body, model)
         _compiled(body, model, lanes)
@@ -365,13 +370,35 @@ def _kernel(made: Program, model: Model) -> None:
     made.add("#include <dalembert/kernel.h>\n")
 
 
+def _field(made: Program, model: Model) -> None:
+    """Write the ODE on D."""
+    n, m, moves = model.n, model.m, model.derived.mass is None
+    sizes = {"F": n, "mu": m * n, "g": m, "Z": m * n, "C": m * m, "share": m, "lambda": m,
+             "w": 2 * n} | ({"M": n * n, "pivot": n} if moves else {})  # fmt: skip
+    arrays = ", ".join(f"{name}[{max(size, 1)}]" for name, size in sizes.items())
+    members = ", ".join(f".{name} = {name}" for name in sizes)
+    masses = "" if moves else ", .inverse = mass_inverse"
+    made.add(
+        "static int model_field(double t, const double *x, const double *u,\n"
+        "    const double *mass_inverse, double *xdot, void *ctx)\n{\n"
+        f"    double {arrays};\n"
+        f"    const dal_field_terms at = {{{members}{masses}}};\n"
+        "    (void)mass_inverse;\n"
+        f"    (void)model_terms(t, x, x + {n}, u, F, {'M' if moves else 'NULL'}, "
+        f"{'mu, g' if m else 'NULL, NULL'}, ctx);\n"
+        f"    return dal_field_solve({n}, {m}, (dal_field_zeros){field_zeros(model)}, &at, "
+        f"x + {n}, xdot);\n}}\n"
+    )
+
+
 def _compiled(made: Program, model: Model, lanes: bool) -> None:
     """Write what compiled of the definition points to."""
     made.add(
         "static const dal_compiled model_compiled = {\n"
         "    DAL_COMPILED_ABI, sizeof(dal_kernel), model_steps, "
         f"{int(model.derived.has_momenta)}, {int(model.force is not None)}, "
-        f"{'model_lanes' if lanes else 'NULL'}}};\n"
+        f"{'model_lanes' if lanes else 'NULL'}, "
+        f"{'model_field' if model.n <= MOST else 'NULL'}}};\n"
     )
 
 

@@ -501,6 +501,11 @@ class Model:
         return _derive(self)
 
     @functools.cached_property
+    def terms(self) -> Function:
+        """What the ODE on D is made of, as field.h has it; M only where it is not constant."""
+        return _terms(self, self.derived)
+
+    @functools.cached_property
     def sparsity(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Rows and columns, row by row, of the entries where phi_v or phi_q or both are not 0."""
         jacobians = (self.derived.entries("constraint", x) for x in ("phi_v", "phi_q"))
@@ -679,6 +684,36 @@ def _pull(model: Model, derived: Derived) -> Function:
     )
     return Function("pull", {"V_q": [a - b for a, b in zip(V_q, f)] if V_q else [-e for e in f]},
                     engine)
+
+
+def _terms(model: Model, derived: Derived) -> Function:
+    """Return F, mu and g of field.h, and M where it is not constant."""
+    n, m = model.n, model.m
+    engine = engine_for([_exact(e) for e in (model.L, *model.constraints, *(model.force or ()))])
+    v, none = [*map(engine.take, model.v)], [engine.take(sympy.Integer(0))] * n
+
+    def along(matrix: list[Expr], rows: int) -> list[Expr]:
+        entries = [matrix[i * n : (i + 1) * n] for i in range(rows)]
+        return [sum((e * x for e, x in zip(row, v) if e != 0), none[0]) for row in entries]
+
+    (f,) = _jet(derived, engine, "force", "f")
+    outputs: dict[str, Sequence[Expr]] = {}
+    if derived.mass is None:
+        L_q, L_vq, outputs["M"] = _jet(derived, engine, "lagrangian", "L_q", "L_vq", "L_vv")
+        F = [a - b for a, b in zip(L_q, along(L_vq, n))]
+        if model.is_time_dependent:
+            F = [a - b for a, b in zip(F, *_jet(derived, engine, "lagrangian", "L_vt"))]
+    else:
+        (V_q,) = _jet(derived, engine, "potential", "V_q")
+        F = [-e for e in V_q] or none
+    outputs["F"] = [a + b for a, b in zip(F, f)] if f else F
+    if m > 0:
+        outputs["mu"], phi_q = _jet(derived, engine, "constraint", "phi_v", "phi_q")
+        outputs["g"] = along(phi_q, m)
+        if model.is_time_dependent:
+            (phi_t,) = _jet(derived, engine, "constraint", "phi_t")
+            outputs["g"] = [a + b for a, b in zip(outputs["g"], phi_t)]
+    return Function("terms", outputs, engine)
 
 
 def _slopes(

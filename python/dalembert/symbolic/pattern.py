@@ -111,6 +111,21 @@ def pattern(model: Model) -> Pattern:
     return Pattern(*(x.tolist() for x in matrices), bool(steady), bool(apart))
 
 
+def field_zeros(model: Model) -> str:
+    """Return the ``dal_field_zeros`` of field.h in C; of at most `MOST` coordinates."""
+    n, terms = model.n, model.terms.outputs
+
+    def rows(entries: Sequence[Any], columns: int = n) -> Any:
+        return np.array([e != 0 for e in entries], dtype=bool).reshape(-1, columns)
+
+    mass = rows(model.derived.mass or terms["M"])
+    inverse, L = _closed(mass), np.tril(_filled(mass), -1)
+    mu = rows(terms["mu"]) if model.m > 0 else np.zeros((1, n), dtype=bool)
+    matrices = inverse, L, rows(terms["F"]), mu, mu @ inverse
+    masks = [sum(1 << int(k) for k in np.flatnonzero(x)) for x in matrices]
+    return "{" + ", ".join(f"{mask:#x}ULL" for mask in masks) + "}"
+
+
 def _closed(coupled: Any) -> Any:
     """Return which coordinates are coupled through others: the entries of the inverse."""
     for _ in range(len(coupled).bit_length()):

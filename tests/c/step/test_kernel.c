@@ -112,13 +112,13 @@ static int step_in_general(dal_kernel *k, size_t steps, size_t *done)
 }
 
 static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), blade_step, 0, 0,
-                                      NULL};
+                                      NULL, NULL};
 static const dal_compiled compiled_in_general = {DAL_COMPILED_ABI, sizeof(dal_kernel),
-                                                 blade_step_in_general, 0, 0, NULL};
+                                                 blade_step_in_general, 0, 0, NULL, NULL};
 static const dal_compiled compiled_in_full = {DAL_COMPILED_ABI, sizeof(dal_kernel),
-                                              blade_step_in_full, 0, 0, NULL};
+                                              blade_step_in_full, 0, 0, NULL, NULL};
 static const dal_compiled compiled_free = {DAL_COMPILED_ABI, sizeof(dal_kernel), free_blade_step, 0,
-                                           0, NULL};
+                                           0, NULL, NULL};
 
 static const double mass[9] = {2.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.75};
 static const double state[6] = {0.0, 0.0, 0.2, 0.49003328892062081, 0.099334665397530605, 1.2};
@@ -199,7 +199,7 @@ static void test_same_bits(variety kind)
 static void test_nodes_only(void)
 {
     static const dal_compiled general = {DAL_COMPILED_ABI, sizeof(dal_kernel), step_in_general, 0,
-                                         0, NULL};
+                                         0, NULL, NULL};
     const char *const names[] = {"leapfrog", "leapfrog-suzuki4", "leapfrog-kl6", "leapfrog-kl8",
                                  "leapfrog-mirror", "explicit"};
     size_t compared = 0;
@@ -367,7 +367,7 @@ static int inside_level(dal_kernel *k, double t, const double *q, const double *
 static void test_overflow(void)
 {
     static const dal_compiled level = {DAL_COMPILED_ABI, sizeof(dal_kernel), level_step, 0, 0,
-                                       NULL};
+                                       NULL, NULL};
     const dal_system_def def = {.n = 3, .m = 1, .mass = mass, .constraint = level_constraint,
                                 .compiled = &level};
     const double x[6] = {0.0, 0.0, 0.0, 1.0, -2.0, 1e307};
@@ -498,7 +498,7 @@ static int count_steps(dal_kernel *k, size_t steps, size_t *done)
 static void test_it_is_used(void)
 {
     static const dal_compiled counting = {DAL_COMPILED_ABI, sizeof(dal_kernel), count_steps, 0, 0,
-                                          NULL};
+                                          NULL, NULL};
     blade b = {.slope = 5.0, .wobble = 0.1};
     dal_system_def def = blade_def(&b);
     dal_system *system = NULL;
@@ -580,19 +580,48 @@ static void refused_at_once(const dal_system_def *def, const char *words)
     CHECK(error.status == DAL_EINVAL && strstr(error.text, words) != NULL);
 }
 
+/* No field of the blade. */
+static int stand(double t, const double *x, const double *u, const double *mass_inverse,
+                 double *xdot, void *ctx)
+{
+    (void)t, (void)x, (void)u, (void)mass_inverse, (void)ctx;
+    memset(xdot, 0, 6 * sizeof *xdot);
+    return 1;
+}
+
+/* A field is that of the compilation, unless it is of another library. */
+static void test_compiled_field(void)
+{
+    blade b = {.slope = 5.0, .wobble = 0.1};
+    for (unsigned older = 0; older < 2; older++) {
+        const dal_compiled other = {DAL_COMPILED_ABI - older, sizeof(dal_kernel), blade_step, 0, 0,
+                                    NULL, stand};
+        dal_system_def def = blade_def(&b);
+        dal_system *system = NULL;
+        double xdot[6];
+        def.compiled = &other;
+        need(dal_system_new(&system, &def, NULL), "blade", "");
+        dal_mechanics *const mech = open_mechanics(system);
+        CHECK(dal_field(mech, 0.0, state, xdot) == 0);
+        CHECK(xdot[0] == (older ? state[3] : 0.0));
+        dal_mechanics_free(mech);
+        dal_system_free(system);
+    }
+}
+
 static void test_bad_definitions(void)
 {
     blade b = {.slope = 5.0, .wobble = 0.1};
     const dal_compiled larger = {DAL_COMPILED_ABI, sizeof(dal_kernel) + 8, blade_step, 0, 0,
-                                 NULL};
+                                 NULL, NULL};
     const dal_compiled older = {DAL_COMPILED_ABI - 1, sizeof(dal_kernel), blade_step, 0, 0,
-                                NULL};
+                                NULL, NULL};
     const dal_system_def good = blade_def(&b);
     dal_system_def def = good;
     def.compiled = &larger;
     refused(&def, "compile it with the kernel.h of this library");
     def.compiled = &older;
-    refused(&def, "its number 6");
+    refused(&def, "its number 7");
     def = good;
     def.steady = 0;
     def.force = no_force;
@@ -654,6 +683,7 @@ int main(void)
     test_false_declaration_of_two();
     test_it_is_used();
     test_refusals_of_callbacks();
+    test_compiled_field();
     test_bad_definitions();
     test_deformed();
     return check_done();

@@ -140,7 +140,7 @@ static const dal_lanes_routine routines[] = {{0, 0, NULL}};
 #endif
 
 static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), edge_step, 0, 0,
-                                      routines};
+                                      routines, NULL};
 
 enum { LANES = 2 * DAL_LANES_TURNS, SIZE = 8, STEPS = 200 };
 

@@ -502,7 +502,8 @@ static int no_lagrangian(double t, const double *q, const double *v, double *L, 
 static void test_refused(void)
 {
     static const double masses[3] = {1, 1, 1}, bad[3] = {1, 0, 1}, heavy[3] = {1, 1, INFINITY};
-    static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), NULL, 0, 0, NULL};
+    static const dal_compiled compiled = {DAL_COMPILED_ABI, sizeof(dal_kernel), NULL, 0, 0, NULL,
+                                          NULL};
     static const double unit[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
     const size_t row[3] = {0, 0, 0}, column[3] = {0, 1, 2}, twice[3] = {0, 1, 1};
     const size_t far[3] = {0, 1, 3}, below[3] = {0, 0, 1};

@@ -1103,3 +1103,78 @@ def test_reserved_names_of_c():
     for name, expected in (("a-b", "a_b"), ("2d", "model_2d"), ("größe", "gr__e")):
         assert codegen.c_identifier(None, name) == expected
     assert re.fullmatch(r"\w+", codegen.c_identifier("own", "x"))
+
+
+# ---- the compiled ODE on D ---------------------------------------------------------------------
+
+_X, _Y, _Z, _W = dal.coordinates("x y z w")
+_SQUARES = (_X.d**2 + _Y.d**2 + _Z.d**2) / 2
+FIELDS = {
+    "free": (_SQUARES + _X.d * _Y.d / 2, []),
+    "affine": (_SQUARES, [_Z.d - _Y * _X.d - sympy.sin(dal.time)]),
+    "mass of t": (
+        _SQUARES + _Z.d**2 * (1 + sympy.sin(dal.time)) + dal.time * _X.d * _Y - _Z,
+        [_X.d**2 + _Y.d**2 - _Z.d**2 - 1],
+    ),
+    "mass of q": (
+        _SQUARES + _Y.d**2 * _X**2 + _X.d * _Z.d * sympy.sin(_Y) / 2 - _X * _Y * _Z,
+        [_Z.d - _Y * _X.d - sympy.sin(dal.time * _X)],
+        {_X: -_X.d * _Y, _Y: sympy.sin(dal.time)},
+    ),
+    "three": (
+        _SQUARES + _W.d**2 / 2 + _X.d * _Y.d / 2 - _X**2 * _W,
+        [_X.d - _Y * _Z.d, _W.d - sympy.sin(_X) * _Z.d + _Y.d, _Y.d + _X * _W.d],
+    ),
+}  # fmt: skip
+
+
+def solved(model, t, q, v, p):
+    """The acceleration, from the formulas of L, of the constraints and of the force, by NumPy."""
+    time = sympy.Symbol("t", real=True)
+    at = dict(zip((*model.q, *model.v, *model.p), (*q, *v, *p))) | {time: t}
+
+    def number(expressions, *shape):
+        return np.array([float(e.subs(at)) for e in expressions]).reshape(shape)
+
+    n, m, L = model.n, model.m, sympy.Matrix([model.L])
+    L_v = L.jacobian(model.v).T
+    pull = L.jacobian(model.q).T - L_v.jacobian(model.q) * sympy.Matrix(model.v) - L_v.diff(time)
+    F = number(pull + sympy.Matrix(model.force or [0] * n), n)
+    phi = sympy.Matrix(m, 1, model.constraints)
+    mu = number(phi.jacobian(model.v), m, n) if m else np.zeros((0, n))
+    turn = phi.jacobian(model.q) * sympy.Matrix(model.v) + phi.diff(time) if m else []
+    M = number(L_v.jacobian(model.v), n, n)
+    whole = np.block([[M, -mu.T], [mu, np.zeros((m, m))]])
+    return np.linalg.solve(whole, np.r_[F, -number(turn, m)])[:n]
+
+
+@pytest.mark.parametrize("name", [*dal.systems.names_in_sympy(), *FIELDS])
+def test_compiled_field(name):
+    """What is compiled for a model is its ODE on D, off D too."""
+    if name in FIELDS:
+        L, constraints, *force = FIELDS[name]
+        system = dal.System.from_sympy(L, constraints, force=force[0] if force else None)
+    else:
+        system = dal.systems.get(name)
+    assert "NULL, model_field};" in codegen.program(system._model).source
+    random = np.random.default_rng(3)
+    for t in (0.0, 0.7):
+        q, v = 0.4 * random.normal(size=(2, system.n)) + 0.3
+        expected = solved(system._model, t, q, v, system.parameters.values())
+        found = system.field(q, v, t=t)
+        np.testing.assert_array_equal(found[: system.n], v)
+        np.testing.assert_allclose(found[system.n :], expected, rtol=1e-12, atol=1e-12)
+
+
+def test_compiled_field_is_looked_into():
+    """What it cannot say is said as the library says it."""
+    light = dal.System.from_sympy((_X.d**2 + _X * _Y.d**2 + _Z.d**2) / 2, [_Z.d - _Y * _X.d])
+    with pytest.raises(dal.SingularError, match=r"\[1,1\] = -1: L_vv is not positive"):
+        light.field([-1, 2, 0], [1, 1, 2])
+    row = _Z.d - _Y * _X.d
+    twice = dal.System.from_sympy(_SQUARES, [row, row + sympy.Rational(1, 10**9) * _Y.d])
+    with pytest.raises(dal.SingularError, match="two constraints coincide"):
+        twice.field([0, 1, 0], [1, 0, 1])
+    wall = dal.System.from_sympy(_SQUARES - sympy.log(_X), [row])
+    with pytest.raises(dal.DomainError, match="gradient|potential"):
+        wall.field([0, 1, 0], [1, 0, 1])

@@ -1,0 +1,187 @@
+/* field.h - the ODE on D at one state, for every system that is not stored by rows.
+ *
+ *     M dv/dt = F + mu^T lambda,   mu dv/dt = -g,   so   C lambda = -(mu M^-1 F + g)
+ *
+ * with M = L_vv, F = L_q - L_vq v - L_vt + f, mu = phi_v, g = phi_q v + phi_t, C = mu M^-1 mu^T.
+ * M, where it is not constant, and C are factored as L D L^T, without a root.  They are refused as
+ * elsewhere: scaled to a unit diagonal, size times the trace of the inverse, which is not below the
+ * condition, may be at most DAL_LU_CONDITION.
+ *
+ * One text, many compilations, as kernel.h: where sizes and patterns are constants nothing is left
+ * but the products that are not zero.  Whoever calls it looks into what it refuses: a number that
+ * is not finite enters the result, since 0 times NaN is NaN.  Header only: generated code has no
+ * library to link. */
+#ifndef DALEMBERT_FIELD_H
+#define DALEMBERT_FIELD_H
+
+#include <dalembert.h>
+#include <dalembert/lu.h>
+
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+
+/* Whether an entry of a matrix may be other than 0: bit a*n + i for entry (a, i), so n <= 8; or
+ * DAL_KERNEL_ALL.  Terms with the others are left out. */
+#define DAL_KERNEL_ALL (~0ULL)
+#define DAL_KERNEL_HAS(mask, index) \
+    ((mask) == DAL_KERNEL_ALL || ((mask) != 0 && ((mask) >> (index) & 1)))
+
+typedef struct dal_kernel dal_kernel;
+
+/* Makes steps steps of kernel; *done <- how many succeeded. */
+typedef int (*dal_kernel_fn)(dal_kernel *kernel, size_t steps, size_t *done);
+
+/* xdot[2n] <- the ODE on D at x[2n], as field.h has it; u[inputs] of the force, M^-1[n*n] where M
+ * is constant, ctx of the callbacks.  0 where the library has to look why. */
+typedef int (*dal_field_fn)(double t, const double *x, const double *u, const double *mass_inverse,
+                            double *xdot, void *ctx);
+
+/* A step routine that was compiled for one system: what compiled of its dal_system_def points
+ * to. */
+#define DAL_COMPILED_ABI 8u
+typedef struct dal_lanes_routine dal_lanes_routine;
+typedef struct dal_compiled {
+    unsigned abi;  /* DAL_COMPILED_ABI, */
+    size_t size;   /* and sizeof(dal_kernel), as its compiler saw them */
+    dal_kernel_fn advance;
+    int momenta;   /* 1: with DAL_KERNEL_MOMENTA, */
+    int forced;    /* 1: with a force */
+    const dal_lanes_routine *lanes; /* see lanes.h; NULL: there are none */
+    dal_field_fn field;             /* or NULL */
+} dal_compiled;
+
+/* Which entries may be other than 0, as in a dal_pattern. */
+typedef struct dal_field_zeros {
+    unsigned long long inverse; /* M^-1, and L^-1 where M is not constant */
+    unsigned long long L;       /* of that M */
+    unsigned long long F;       /* [n]; 0: F need not be given */
+    unsigned long long mu, Z;   /* and Z = mu M^-1 */
+} dal_field_zeros;
+
+#define DAL_FIELD_ALL \
+    {DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL, DAL_KERNEL_ALL}
+
+/* What the field is made of, and where it is worked out. */
+typedef struct dal_field_terms {
+    const double *F, *mu, *g; /* [n], [m*n], [m] */
+    const double *inverse;    /* M^-1: its diagonal where M is diagonal, */
+    size_t next;              /* from one entry to the next of it; or [n*n], and 0; or NULL, and */
+    double *M, *pivot;        /* [n*n], which is overwritten, and [n] */
+    double *Z;                /* [m*n] */
+    double *C, *share;        /* [m*m], [m] */
+    double *lambda;           /* [m] */
+    double *w;                /* [2*m], and [2*n] if there is an M */
+} dal_field_terms;
+
+/* A[n*n], of which the lower triangle is read, <- below its diagonal L, and pivot[n] <- D^-1.
+ * Whether A is positive definite, and not too ill-conditioned.  w[2*n] is scratch. */
+DAL_LU_INLINE bool dal_field_factor(size_t n, unsigned long long L, unsigned long long inverse,
+                                    double *A, double *pivot, double *w)
+{
+    double *const diagonal = w, *const column = w + n;
+    double trace = 0.0;
+    for (size_t j = 0; j < n; j++) diagonal[j] = A[j * n + j];
+    for (size_t j = 0; j < n; j++) {
+        if (!(A[j * n + j] > 0.0)) return false;
+        pivot[j] = 1.0 / A[j * n + j];
+        for (size_t i = j + 1; i < n; i++) { /* above the diagonal stands D L^T */
+            if (!DAL_KERNEL_HAS(L, i * n + j)) continue;
+            A[j * n + i] = A[i * n + j];
+            A[i * n + j] *= pivot[j];
+            for (size_t k = j + 1; k <= i; k++)
+                if (DAL_KERNEL_HAS(L, k * n + j)) A[i * n + k] -= A[i * n + j] * A[j * n + k];
+        }
+    }
+    for (size_t j = 0; n > 1 && j < n; j++) { /* the columns of L^-1 */
+        double entry = pivot[j]; /* (A^-1)_jj */
+        column[j] = 1.0;
+        for (size_t i = j + 1; i < n; i++) {
+            if (!DAL_KERNEL_HAS(inverse, i * n + j)) continue;
+            double sum = -0.0;
+            for (size_t k = j; k < i; k++)
+                if (DAL_KERNEL_HAS(L, i * n + k) && DAL_KERNEL_HAS(inverse, k * n + j))
+                    sum -= A[i * n + k] * column[k];
+            column[i] = sum;
+            entry += sum * sum * pivot[i];
+        }
+        trace += diagonal[j] * entry;
+    }
+    return (double)n * trace <= DAL_LU_CONDITION;
+}
+
+/* x[n] <- A^-1 x of these factors. */
+DAL_LU_INLINE void dal_field_substitute(size_t n, unsigned long long L, const double *A,
+                                        const double *pivot, double *x)
+{
+    for (size_t i = 1; i < n; i++)
+        for (size_t k = 0; k < i; k++)
+            if (DAL_KERNEL_HAS(L, i * n + k)) x[i] -= A[i * n + k] * x[k];
+    for (size_t i = 0; i < n; i++) x[i] *= pivot[i];
+    for (size_t i = n; i-- > 0;)
+        for (size_t k = i + 1; k < n; k++)
+            if (DAL_KERNEL_HAS(L, k * n + i)) x[i] -= A[k * n + i] * x[k];
+}
+
+/* y[n] <- M^-1 f, of an f with these entries, for the entries of y that are asked for. */
+DAL_LU_INLINE void dal_field_accelerate(size_t n, dal_field_zeros has, const dal_field_terms *w,
+                                        unsigned long long given, const double *f, double *y)
+{
+    if (!w->inverse) {
+        for (size_t i = 0; i < n; i++) y[i] = DAL_KERNEL_HAS(given, i) ? f[i] : 0.0;
+        dal_field_substitute(n, has.L, w->M, w->pivot, y);
+        return;
+    }
+    for (size_t i = 0; i < n; i++) {
+        double sum = -0.0;
+        if (w->next && DAL_KERNEL_HAS(given, i)) sum = w->inverse[i * w->next] * f[i];
+        for (size_t j = 0; !w->next && j < n; j++)
+            if (DAL_KERNEL_HAS(has.inverse, i * n + j) && DAL_KERNEL_HAS(given, j))
+                sum += w->inverse[i * n + j] * f[j];
+        y[i] = sum;
+    }
+}
+
+/* Row a of a mask[m*n]. */
+DAL_LU_INLINE unsigned long long dal_field_row(unsigned long long mask, size_t n, size_t a)
+{
+    return mask == DAL_KERNEL_ALL ? mask : mask >> a * n & ((1ULL << n) - 1);
+}
+
+/* xdot[2n] <- (v, dv/dt) at v[n].  Whether M and C are regular, and xdot is finite if v is. */
+DAL_LU_INLINE bool dal_field_solve(size_t n, size_t m, dal_field_zeros has,
+                                   const dal_field_terms *w, const double *v, double *xdot)
+{
+    double *const Z = w->Z, *const C = w->C, *const vdot = xdot + n;
+    const double *const mu = w->mu;
+    if (!w->inverse && !dal_field_factor(n, has.L, has.inverse, w->M, w->pivot, w->w)) return false;
+    for (size_t i = 0; i < n; i++) xdot[i] = v[i];
+    if (has.F) dal_field_accelerate(n, has, w, has.F, w->F, vdot);
+    for (size_t a = 0; a < m; a++) {
+        double sum = w->g[a];
+        dal_field_accelerate(n, has, w, dal_field_row(has.mu, n, a), mu + a * n, Z + a * n);
+        for (size_t i = 0; has.F && i < n; i++)
+            if (DAL_KERNEL_HAS(has.mu, a * n + i)) sum += mu[a * n + i] * vdot[i];
+        w->lambda[a] = -sum;
+        for (size_t b = 0; b <= a; b++) {
+            double entry = -0.0;
+            for (size_t i = 0; i < n; i++)
+                if (DAL_KERNEL_HAS(has.mu, a * n + i) && DAL_KERNEL_HAS(has.Z, b * n + i))
+                    entry += mu[a * n + i] * Z[b * n + i];
+            C[a * m + b] = entry;
+        }
+    }
+    if (!dal_field_factor(m, DAL_KERNEL_ALL, DAL_KERNEL_ALL, C, w->share, w->w)) return false;
+    dal_field_substitute(m, DAL_KERNEL_ALL, C, w->share, w->lambda);
+    double zero = 0.0; /* what is not finite times 0 is NaN, which stays */
+    for (size_t i = 0; i < n; i++) {
+        double sum = has.F ? vdot[i] : -0.0;
+        for (size_t a = 0; a < m; a++)
+            if (DAL_KERNEL_HAS(has.Z, a * n + i)) sum += Z[a * n + i] * w->lambda[a];
+        vdot[i] = 0.0 + sum;
+        zero += sum * 0.0;
+    }
+    return zero == 0.0;
+}
+
+#endif /* DALEMBERT_FIELD_H */
