@@ -17,8 +17,8 @@ Progress = bool | Callable[[Any, Any], Any]
 Show = Callable[[Any], Any]
 
 
-def require(module: str, purpose: str) -> Any:
-    """Import a module of an extra.
+def require(module: str, purpose: str, extra: str | None = None) -> Any:
+    """Import a module of an extra, and of which one where that is not only this module.
 
     Raises
     ------
@@ -37,7 +37,8 @@ def require(module: str, purpose: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        raise ImportError(f"{purpose} needs {package}: pip install {package}") from error
+        install = f"pip install {package}" if extra is None else f"pip install '{extra}'"
+        raise ImportError(f"{purpose} needs {package}: {install}") from error
 
 
 class Later:

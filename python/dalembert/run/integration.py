@@ -34,6 +34,7 @@ from .runs import Run, started_stepper
 from .scheme import Scheme
 from .solution import Solution
 from .steps import Steps, options_of
+from .taylor import SeriesRun, require_supported
 
 
 def integrate(
@@ -104,8 +105,10 @@ def integrate(
         False: a step that fails ends the run, and the Solution says so, instead of an exception.
     max_iterations : int, optional
         Of Newton in a sub-step.
-    method : {"rk8pd", "msadams", "rodas"}, optional
-        Of the reference flow.
+    method : {"rk8pd", "msadams", "rodas", "taylor"}, optional
+        Of the reference flow.  "taylor": by Taylor series, of systems from expressions, for which
+        heyoka compiles them (``pip install 'dalembert[taylor]'``); without events, inputs and
+        journal.
     tolerance : float, optional
         Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1];
         default 1e-13.  Of "auto", what the error of the state may be after a time of about 100,
@@ -197,6 +200,10 @@ def integrate(
             f"h = {h!r} with the scheme \"reference\", which chooses its own steps: expected the "
             "distance of the states that it stores"
         )
+    if chosen.is_series:
+        require_supported(system, events=events, inputs=inputs, journal=journal)
+        if t_eval is not None:
+            require_supported(system, observer=observer)
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     listed = take_events(events)
     times = None if t_eval is None else _times(t_eval, sizes)
@@ -208,8 +215,10 @@ def integrate(
         rows = sizes.count // stride if times is None else len(times)
         _require_memory(system, rows, sizes.count, stride)
 
+    of_series = chosen.is_series  # which have no stepper, but of C's flow their initial data
+    starter = Scheme.find("reference") if of_series else chosen
     stepper = started_stepper(
-        system, chosen, x0, t0=t0, h=sizes.first, consistency=consistency, initial=start,
+        system, starter, x0, t0=t0, h=sizes.first, consistency=consistency, initial=start,
         options=options_of(sizes.control, most),
     )  # fmt: skip
 
@@ -219,9 +228,9 @@ def integrate(
             run.journal = Journal.create(journal, run, chosen, about, journal_errors)
 
     return _make(
-        begin, progress, throw, system, record, stepper, steps=sizes, stride=stride,
-        observer=observer, inputs=inputs, hold=hold,
-        watch=Watch.of(system, stepper, chosen, listed, times),
+        begin, progress, throw, system, chosen if of_series else record, stepper, steps=sizes,
+        stride=stride, observer=observer, inputs=inputs, hold=hold,
+        watch=Watch.of(system, stepper, starter, listed, times),
     )  # fmt: skip
 
 
@@ -316,7 +325,8 @@ def _make(
 ) -> Solution:
     """Return what a `Run` of these arguments has made, or raise what ended it, with that."""
     with extras.progress(progress, *how["steps"].progress) as show:
-        run = Run(*of, show=show, **how)
+        made = SeriesRun if of[1].is_series else Run
+        run = made(*of, show=show, **how)
         begin(run)
         run.make()
     solution, error = run.solution(), run.error

@@ -13,6 +13,7 @@ from ..system import System
 from .events import CONSISTENCY
 from .runs import consistent_state
 from .scheme import METHODS
+from .taylor import require_supported, state
 
 COORDINATES = {"x": lib.DAL_FLOW_X, "xi": lib.DAL_FLOW_XI}
 
@@ -44,7 +45,7 @@ def reference(
     tolerance: float = 1e-13,
     coordinates: str = "x",
 ) -> Reference:
-    """Return the state of the ODE on D at one time, by an adaptive method of GSL.
+    """Return the state of the ODE on D at one time, by an adaptive method.
 
     Parameters
     ----------
@@ -55,8 +56,9 @@ def reference(
         Times; ``t < t0`` is allowed.
     consistent : {"check", "project", "assume"}, optional
         As in `integrate`.
-    method : {"rk8pd", "msadams", "rodas"}, optional
-        Prince-Dormand 8(9), Adams, or BDF for stiff potentials.
+    method : {"rk8pd", "msadams", "rodas", "taylor"}, optional
+        Prince-Dormand 8(9), Adams, a Rosenbrock method for stiff potentials; or Taylor series, as
+        in `integrate`, in the coordinates x.
     tolerance : float, optional
         Relative and absolute, for each step, in [4.4e-16, 0.1].
     coordinates : {"x", "xi"}, optional
@@ -91,6 +93,11 @@ def reference(
     flow_method = arguments.choice(method, "method", METHODS)
     tolerance = arguments.tolerance(tolerance)
     coordinate = arguments.choice(coordinates, "coordinates", COORDINATES)
+    if method == "taylor":
+        require_supported(system, coordinates=None if coordinates == "x" else coordinates)
+        x = consistent_state(system, x0, t0, consistency)
+        x, error = state(system, x, t0, t, tolerance)
+        return Reference(x[: system.n], x[system.n :], error)
     flow = system._c("flow", flow_method, coordinate, tolerance)
     x = consistent_state(system, x0, t0, consistency)
     accuracy = np.empty(1)

@@ -17,6 +17,7 @@ METHODS = {
     "rk8pd": lib.DAL_FLOW_RK8PD,
     "msadams": lib.DAL_FLOW_MSADAMS,
     "rodas": lib.DAL_FLOW_RODAS,
+    "taylor": -1,  # not of C: see taylor.py
 }
 NODES = {"moved": lib.DAL_MOVED_NODES, "kept": lib.DAL_KEPT_NODES}
 INITIAL = {
@@ -187,7 +188,9 @@ class Scheme:
     @classmethod
     @functools.lru_cache(maxsize=64)
     def _flow(cls, method: str, number: int, tolerance: float) -> Scheme:
-        data = ffi.new("dal_flow_scheme *", {"method": number, "tolerance": tolerance})
+        data = ffi.NULL
+        if number >= 0:
+            data = ffi.new("dal_flow_scheme *", {"method": number, "tolerance": tolerance})
         return cls._of_family("reference", ("flow", method, tolerance), data)
 
     @classmethod
@@ -275,8 +278,23 @@ class Scheme:
         """True for the reference flow, which has no sub-steps."""
         return self.family == "flow"
 
+    @property
+    def is_series(self) -> bool:
+        """True for the reference flow by Taylor series, which C does not make."""
+        return self._source[:2] == ("flow", "taylor")
+
+    @property
+    def tolerance(self) -> float | None:
+        """Of the reference flow; None for what has none."""
+        return self._source[2] if self._source[:1] == ("flow",) else None
+
     def _record_of(self, system: System) -> tuple[Any, Any]:
         """Return the ``dal_scheme`` for a system, and what it needs to stay alive."""
+        if self.is_series:
+            raise NotImplementedError(
+                "method = 'taylor' is of integrate and reference alone; here the reference flow "
+                "has the methods rk8pd, msadams and rodas"
+            )
         if self._maps is None:
             return self._record, self
         definitions, kept = zip(*(one._definition(system.n) for one in self._maps))

@@ -13,6 +13,7 @@ event = Later(__name__, "event")
 expressions = Later(__name__, "expressions")
 given = Later(__name__, "given")
 model = Later(__name__, "model")
+series = Later(__name__, "series")
 
 
 def coordinates(names: str | Sequence[str]) -> tuple[Any, ...]:

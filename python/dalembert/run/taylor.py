@@ -1,0 +1,297 @@
+"""The reference flow by Taylor series: heyoka's, of the ODE on D of a system from expressions.
+
+A step has the order that the tolerance chooses, and is compiled by LLVM for the system.  States
+between its ends are sums of the same series.  What is stored is brought into D, and every so many
+rows the series go on from there, so that they do not leave D by little and little.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from .. import core, geometry, symbolic
+from ..core import Array, ConvergenceError, DalembertError, DomainError, extras, lib
+from ..core.extras import Show
+from ..system import System
+from .events import Watch
+from .scheme import Scheme
+from .solution import Solution, Statistics
+from .steps import Steps
+
+PIECE = 64  # rows between two projections of the state that is integrated
+LOOSER = 10.0  # of the second integration, whose difference is the accuracy
+
+# Integrators that nobody uses, by what they were compiled for; as many as this are kept.
+_KEPT = 16
+_idle: dict[tuple[str, float], list[_Series]] = {}
+_lock = threading.Lock()
+
+
+class _Series:
+    """An integrator of heyoka for a model, with values of its parameters."""
+
+    def __init__(self, model: Any, tolerance: float) -> None:
+        heyoka = extras.require("heyoka", "method='taylor'", "dalembert[taylor]")
+        pairs, self.is_branched = symbolic.series.ode(model, heyoka)
+        self.key, self.tolerance = (model.key, tolerance), tolerance
+        # For n = 5, m = 3 compiling takes 7 s, or 1.4 for steps that take twice as long.
+        self.flow = heyoka.taylor_adaptive(
+            pairs, [0.0] * len(pairs), tol=tolerance, compact_mode=model.n + model.m > 7,
+            pars=[0.0] * (len(model.p) + len(model.u)),
+        )  # fmt: skip
+        self.outcomes = heyoka.taylor_outcome
+        self.steps = 0
+
+    def start(self, system: System, x: Array, t: float) -> None:
+        """Go on from a state at a time."""
+        values = [*system.parameters.values(), *([0.0] * len(system.inputs))]
+        self.flow.pars[:] = values
+        self.flow.state[:] = x
+        self.flow.time = t
+
+    def to(self, system: System, times: Array) -> tuple[Array, DalembertError | None]:
+        """Return rows at times ahead, which may repeat, as far as it came; and why not farther."""
+        ahead = times[np.r_[True, np.diff(times) != 0]]
+        grid = ahead if ahead[0] == self.flow.time else np.r_[self.flow.time, ahead]
+        stop: list[DalembertError] = []
+        if len(grid) == 1:
+            return np.repeat(self.flow.state[None], len(times), axis=0), None
+        last, stuck = float(self.flow.time), 0
+
+        def look(flow: Any) -> bool:
+            """See Ctrl-C, and what the step has passed."""
+            nonlocal last, stuck
+            self.steps += 1
+            h, t = float(flow.last_h), float(flow.time)
+            stuck = stuck + 1 if t == last else 0  # the last step to a row may be a rounding
+            if stuck == 3:
+                stop.append(self.collapsed(t, h))
+            elif self.is_branched:
+                stop.extend(self.branches(system, last, h))
+            last = last if stop else t
+            return not stop
+
+        outcome, *_, found = self.flow.propagate_grid(grid, callback=look)
+        if not stop and outcome != self.outcomes.time_limit:
+            stop.append(DomainError(
+                f"method = 'taylor': the series are not finite beyond t = {last!r}"
+            ))  # fmt: skip
+        found = np.asarray(found)[len(grid) - len(ahead) :]
+        rows = np.cumsum(np.r_[False, np.diff(times) != 0])
+        return found[rows[rows < len(found)]], stop[0] if stop else None
+
+    def collapsed(self, t: float, h: float) -> DalembertError:
+        return ConvergenceError(
+            f"method = 'taylor': the step size collapsed to h = {h:g} at t = {t!r} (tolerance "
+            f"{self.tolerance:g})"
+        )  # fmt: skip
+
+    def branches(self, system: System, t: float, h: float) -> Iterator[DalembertError]:
+        """Yield an error if the series do not solve the ODE where the step ends.
+
+        They do not behind a point where a root is zero, or the argument of an atan2 has turned.
+        """
+        n, flow = system.n, self.flow
+        numbers = np.arange(1, flow.tc.shape[1])
+        slope = (flow.tc[:, 1:] * numbers) @ h ** (numbers - 1.0)
+        try:
+            rate = geometry.field(system, flow.state[:n], flow.state[n:], t=float(flow.time))
+        except DalembertError as error:
+            yield error
+            return
+        size = np.abs(rate).max() + np.abs(slope).max()
+        if not np.abs(slope - rate).max() <= max(1e-6, self.tolerance**0.5) * size:
+            yield DomainError(
+                f"method = 'taylor': between t = {t!r} and {float(flow.time)!r} the motion passes "
+                "a point where it has no Taylor series, as where a root is 0"
+            )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _series(system: System, tolerance: float) -> Iterator[_Series]:
+    """Give an integrator that nobody else has."""
+    model = system._model
+    key = model.key, tolerance
+    with _lock:
+        found = _idle.get(key)
+        series = found.pop() if found else None
+    if series is None:
+        series = _Series(model, tolerance)
+    series.steps = 0
+    try:
+        yield series
+    finally:
+        with _lock:
+            _idle.setdefault(key, []).append(series)
+            if sum(map(len, _idle.values())) > _KEPT:
+                oldest = next(k for k, kept in _idle.items() if kept)
+                _idle.pop(oldest)
+
+
+def require_supported(system: System, **given: Any) -> None:
+    """Refuse a system without expressions, and arguments that Taylor series do not take."""
+    if system._model is None:
+        raise ValueError(
+            f"method = 'taylor': the system {system.name!r} is not from expressions; expected one "
+            "of System.from_sympy, whose L and constraints can be differentiated"
+        )
+    for name, value in given.items():
+        if value is not None and not (isinstance(value, (list, tuple)) and len(value) == 0):
+            raise NotImplementedError(
+                f"{name}: not with method = 'taylor'; the methods rk8pd, msadams and rodas take it"
+            )
+
+
+def state(system: System, x: Array, t0: float, t: float, tolerance: float) -> tuple[Array, float]:
+    """Return the state at t from x at t0, in D, and an estimate of its error."""
+    ends = []
+    for level in (tolerance, min(LOOSER * tolerance, 0.1)):
+        with _series(system, level) as series:
+            series.start(system, x, t0)
+            rows, error = series.to(system, np.array([t]))
+        if error is not None:
+            raise error
+        geometry.projection(system, rows, t=t)
+        ends.append(rows[0])
+    n = system.n
+    rate = geometry.field(system, ends[0][:n], ends[0][n:], t=t)
+    least = 4.0 * np.abs(ends[0]).max() + np.abs(rate).max() * max(abs(t), abs(t0))
+    difference = np.abs(ends[0] - ends[1]).max()
+    return ends[0], float(max(difference, np.finfo(float).eps / 2 * least))
+
+
+class SeriesRun:
+    """A run in the making, as `Run`."""
+
+    def __init__(
+        self,
+        system: System,
+        scheme: Scheme,
+        stepper: Any,
+        *,
+        steps: Steps,
+        stride: int,
+        observer: Callable[..., Any] | None,
+        show: Show,
+        watch: Watch | None = None,
+        **_: Any,
+    ) -> None:
+        self.system, self.scheme, self.stepper = system, scheme, stepper
+        t0, h = self.t0, self.h = steps.t0, steps.h
+        self.stride, self.steps = stride, steps.count
+        self.observer, self.show, self.watch = observer, show, watch
+        self.times = None if watch is None else watch.times
+        self.start = core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
+        stored = t0 + np.arange(steps.count // stride + 1) * stride * h
+        self.grid = stored[1:] if self.times is None else self.times
+        self.x = np.empty((len(self.grid), 2 * system.n))
+        self.done = 0  # rows
+        self.worst = 0.0
+        self.taken = 0  # steps of the series
+        self.status = lib.DAL_SUCCESS
+        self.error: BaseException | None = None
+
+    def make(self) -> None:
+        """Make the run; if it does not go through, ``status`` and ``error`` say why."""
+        try:
+            self._make()
+        except BaseException as error:  # KeyboardInterrupt too: what was computed goes with it
+            self.error = error
+            self.status = error.status if isinstance(error, DalembertError) else lib.DAL_EUSER
+            if isinstance(error, DalembertError):
+                error.step = self._step()
+                error.t = float(self.grid[self.done - 1]) if self.done else self.t0
+
+    def _make(self) -> None:
+        if self._stops(0, self.t0, self.start):
+            return
+        with _series(self.system, self.scheme.tolerance) as series:
+            x, t = self.start, self.t0
+            while self.done < len(self.grid):
+                times = self.grid[self.done : self.done + PIECE]
+                series.start(self.system, x, t)
+                try:
+                    rows, error = series.to(self.system, times)
+                finally:
+                    self.taken = series.steps
+                if self._store(rows):
+                    return
+                if error is not None:
+                    raise error
+                x, t = self.x[self.done - 1], float(times[-1])
+                self.show(self._step())
+
+    def _store(self, rows: Array) -> bool:
+        """Keep rows in D, as far as they can be brought there; return whether the observer stops.
+
+        Raises
+        ------
+        DalembertError
+            If one cannot be.
+        """
+        begin, n = self.done, self.system.n
+        if len(rows) == 0:
+            return False
+        times = self.grid[begin : begin + len(rows)]
+        kept = self.x[begin : begin + len(rows)]
+        kept[:] = rows
+        try:
+            geometry.projection(self.system, kept, t=times.tolist())
+            residual = geometry.relative_residual(self.system, kept[:, :n], kept[:, n:], t=times)
+        except DalembertError as error:  # its step is the row
+            if error.step:
+                self._store(rows[: error.step])
+            raise
+        self.worst = max(self.worst, *residual)
+        for t, x in zip(times, kept):
+            self.done += 1
+            if self._stops(self._step(), float(t), x):
+                return True
+        return False
+
+    def _stops(self, step: int, t: float, x: Array) -> bool:
+        """Show a state to the observer, and return whether it wants no more."""
+        if self.observer is None:
+            return False
+        n = self.system.n
+        if self.observer(step, t, x[:n].copy(), x[n:].copy()):
+            self.status = lib.DAL_STOPPED
+        return bool(self.status == lib.DAL_STOPPED)
+
+    def _step(self) -> int:
+        """Return how many steps of the run are made."""
+        if self.times is None or self.done == len(self.grid):
+            return self.done * self.stride if self.times is None else self.steps
+        t = float(self.grid[self.done - 1]) if self.done else self.t0
+        return int((t - self.t0) / self.h)
+
+    def solution(self) -> Solution:
+        """Return what was made."""
+        system, x, times = self.system, self.x[: self.done], None
+        if self.times is None:
+            x = np.vstack([self.start, x])
+        elif self.done:
+            times = self.times[: self.done]
+        else:
+            x, times = self.start[None], np.array([self.t0])
+        stats = dataclasses.replace(
+            Statistics._read(self.stepper, system.kind), steps=self._step(),
+            evaluations=self.taken, worst_residual=self.worst,
+        )  # fmt: skip
+        t = self.t0 + self._step() * self.h
+        message = f"{self._step()} steps to t = {t:g}"
+        if self.status == lib.DAL_STOPPED:
+            message = f"an observer stopped the run at t = {t:g}"
+        if self.error is not None:
+            message = f"{type(self.error).__name__}: {self.error}"
+        return Solution._made(
+            system=system, scheme=self.scheme, t0=self.t0, h=self.h, stride=self.stride, x=x[:],
+            reactions=np.full((len(x) - 1, system.m), np.nan), status=self.status, times=times,
+            inputs=np.zeros((0, len(system.inputs))), hold=1, stats=stats, message=message,
+        )  # fmt: skip
