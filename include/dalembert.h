@@ -361,6 +361,15 @@ typedef struct dal_options {
                            nodes: about what the error of the state, relative to 1 + |x_i|, may be
                            after a time of 100 or some hundred steps; in [1e-14, 0.1] */
     double h_max;       /* the longest of them; 0: any */
+    int keep_energy;    /* 1: each step keeps the energy of the start, or of the last reset, to
+                           roundoff, by scaled velocities: q', w by the scheme from (q, (1+s) v) and
+                           v' = (1+s') w, with s by the energy of the plain step and s' by that of
+                           (q', w).  It costs two steps and more symmetric steps of h/2 would lead
+                           nearer to the motion: it is for those who want the energy.  Where |s| or
+                           |s'| is above 1/2 the plain step is taken, and the next one has to mend
+                           the energy; unscaled counts these.  For symmetric schemes of the family
+                           beta with moved nodes, linear constraints, no force, nothing that depends
+                           on time, and L of second degree in v */
 } dal_options;
 
 /* What is done with initial data (dal_stepper_start). */
@@ -393,6 +402,10 @@ typedef struct dal_stats {
     size_t full_newtons;        /* sub-steps that the modified Newton handed to the full one; where
                                    all are solved by the full one, that had to start anew */
     size_t rejected;            /* error-controlled steps that were made again, shorter */
+    size_t scaled, unscaled;    /* of keep_energy: steps that were made again with scaled
+                                   velocities; and that could not be, so that the plain step was
+                                   taken, and the energy not kept there; or where states at
+                                   events and output times do not have it */
     size_t halvings;            /* Newton steps halved because a callback left its domain */
     double worst_residual;      /* largest residual, as dal_relative_residual, after any step of
                                    the set that the scheme keeps */
@@ -401,7 +414,8 @@ typedef struct dal_stats {
     unsigned differenced;       /* dal_missing: derivatives that were differenced */
     size_t jump_step;           /* the step after which the energy was first seen to have changed,
                                    by jump, by more than half of the largest kinetic energy: h is
-                                   too large.  0: it was not.  Looked at in every 64th step and at
+                                   too large.  0: it was not.  What keep_energy has undone counts
+                                   as a change.  Looked at in every 64th step and at
                                    the end of dal_integrate, where there is no force, nothing
                                    depends on time, the constraints are linear, and the scheme is
                                    not of order 1 */

@@ -19,13 +19,16 @@ int dal__probe(dal_events *e, double t, double length, double *x)
 {
     dal_stepper *const probe = e->probe;
     dal__stepper_forget_impulse(probe);
+    e->lost = 0;
     if (t + length == t) return DAL_SUCCESS;
     probe->motion.watch = e->stepper->motion.watch;
     probe->motion.watch_ctx = e->stepper->motion.watch_ctx;
     int status = dal_stepper_input(probe, e->stepper->motion.input);
     if (!status) status = dal_stepper_start(probe, t, length, x, DAL_ASSUME, DAL_INITIAL_NONE);
+    probe->scaling.energy = e->energy;
     if (!status) status = dal_step(probe, NULL);
     if (!status) memcpy(x, probe->motion.x, 2 * e->n * sizeof *x);
+    e->lost = probe->motion.stats->unscaled;
     return dal__fail_because(e->error, status, &probe->error, "looking into step %zu (t = %g): ",
                              e->step + 1, e->t);
 }
@@ -33,6 +36,7 @@ int dal__probe(dal_events *e, double t, double length, double *x)
 int dal__reach(dal_events *e, double theta, double *x)
 {
     memcpy(x, theta == 1.0 ? e->end : e->begin, 2 * e->n * sizeof *x);
+    e->lost = 0;
     if (theta == 1.0) return DAL_SUCCESS;
     return dal__probe(e, dal__time_at(e, e->from), (theta - e->from) * e->h, x);
 }

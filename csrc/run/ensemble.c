@@ -400,9 +400,10 @@ static int make_events(worker *self, const dal_scheme *scheme, dal_event *list, 
     return dal_events_new(&self->events, self->stepper, scheme, list, members->event_count, error);
 }
 
-static bool use_lanes(const dal_members *members)
+static bool use_lanes(const dal_members *members, const dal_options *options)
 {
-    return members->lanes && members->event_count == 0 && !members->inputs;
+    return members->lanes && members->event_count == 0 && !members->inputs
+        && !(options && options->keep_energy);
 }
 
 static int hire(worker *self, const dal_system *system, const dal_scheme *scheme,
@@ -410,7 +411,7 @@ static int hire(worker *self, const dal_system *system, const dal_scheme *scheme
 {
     const dal_members *const members = self->members;
     dal_event *list;
-    self->width = use_lanes(members) ? dal__lanes_width(system, scheme) : 0;
+    self->width = use_lanes(members, options) ? dal__lanes_width(system, scheme) : 0;
     dal__reserve(&self->arena, &list, members->event_count, sizeof *list);
     dal__reserve(&self->arena, &self->lane, self->width, sizeof *self->lane);
     int status = dal__allocate(&self->arena, error);

@@ -73,7 +73,8 @@ int dal_events_new(dal_events **events, const dal_stepper *stepper, const dal_sc
     dal_scheme moved = *scheme;
     moved.nodes = DAL_MOVED_NODES;
     status = dal_stepper_new(&self->probe, system, &moved,
-                             &(dal_options){.max_iterations = stepper->motion.max_iterations},
+                             &(dal_options){.max_iterations = stepper->motion.max_iterations,
+                                            .keep_energy = stepper->scaling.wanted},
                              error);
     if (status) {
         dal_events_free(self);
@@ -198,6 +199,7 @@ static int make_times(dal_events *e, dal_run *run, double theta)
         const double at = ahead * (end - t) <= near ? theta : fmax((t - e->t) / e->h, e->from);
         const int status = dal__reach(e, at, e->x);
         if (status) return status;
+        e->unscaled += e->lost;
         move(e, e->shift, e->x, run->at + e->timed * 2 * e->n);
     }
     return DAL_SUCCESS;
@@ -225,6 +227,7 @@ static int reset(dal_events *e, const crossing *c, double *x)
     const int status =
         dal_stepper_start(probe, t, e->h, x, one->consistency, DAL_INITIAL_NONE);
     if (!status) memcpy(x, probe->motion.x, 2 * e->n * sizeof *x);
+    e->energy = probe->scaling.energy;
     return dal__fail_because(e->error, status, &probe->error, "after the reset of event %zu at t = "
                              "%g: ", c->event, t);
 }
@@ -277,6 +280,7 @@ static int begin_anew(dal_events *e, const crossing *c, const happening *now)
     memcpy(e->x, now->after, 2 * e->n * sizeof *e->x);
     const double end = dal__time_at(e, 1.0);
     status = dal__probe(e, t, end - t, e->x);
+    e->unscaled += e->lost;
     memcpy(e->end, e->x, 2 * e->n * sizeof *e->end);
     memcpy(e->whole, e->probe->motion.impulse, e->m * sizeof *e->whole);
     e->from = c->theta;
@@ -306,6 +310,7 @@ static int enter(dal_events *e, dal_run *run, const crossing *c, happening *now)
                        .after = now->after, .reset = one->reset && !run->ended};
     if (now->reset || run->ended) status = make_times(e, run, c->theta);
     if (!status) status = dal__reach(e, c->theta, now->x);
+    if (!status) e->unscaled += e->lost;
     if (status || (!now->reset && !run->ended)) return status;
     add_impulse(e, c->theta);
     run->t_end = now->t;
@@ -366,9 +371,10 @@ static int prepare(dal_events *e, dal_run *run)
     e->t = dal_stepper_time(run->stepper);
     e->h = motion->h;
     e->shift = run->stepper->shift * e->h;
+    e->energy = run->stepper->scaling.energy;
     e->from = 0.0;
     e->timed = run->timed;
-    e->happenings = 0;
+    e->happenings = e->unscaled = 0;
     e->landed = false;
     memset(e->parts, 0, e->m * sizeof *e->parts);
     move(e, -e->shift, motion->x, e->begin);
@@ -408,7 +414,7 @@ static int land(dal_events *e, dal_run *run)
     double *const impulse = run->stepper->motion.impulse;
     move(e, e->shift, e->end, e->x);
     for (size_t a = 0; a < e->m; a++) impulse[a] = e->impulse[a] + e->parts[a] + e->whole[a];
-    return dal__stepper_land(run->stepper, e->x);
+    return dal__stepper_land(run->stepper, e->x, e->energy);
 }
 
 /* The state in which the run ends, and the mean force since the last one that was stored. */
@@ -484,6 +490,7 @@ int dal__events_step(dal_run *run, double *end, double *reaction, size_t *made)
     if (!status) {
         const size_t timed = run->timed;
         conclude(e, run, end, reaction);
+        stepper->motion.stats->unscaled += e->unscaled;
         *made = !run->ended;
         return report(e, run, timed);
     }

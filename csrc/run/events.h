@@ -47,6 +47,8 @@ struct dal_events {
     double t, h, shift;         /* of the step; the stepper's states are moved by shift v */
     double from, *begin, *end;  /* the span: where it begins, and the states at its ends */
     double *x, *line;           /* [2n] */
+    double energy;              /* that the span keeps, if the steps do; how often the probe */
+    size_t lost, unscaled;      /* could not: in its last step; in states that were taken from it */
     double *whole, *parts;      /* [m] the impulse of the span; the sum of those before it */
     crossing *crossings;        /* [2 count] */
     happening happened[DAL_MOST_EVENTS];

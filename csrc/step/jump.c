@@ -47,8 +47,9 @@ int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const doub
     if (status == DAL_EUSER) return status;
     if (status) E = HUGE_VAL; /* V is not finite there, or not defined, as it was at the start */
     else jump->kinetic = fmax(jump->kinetic, kinetic);
-    if (isfinite(E) && fabs(E - jump->energy) <= 0.5 * jump->kinetic) return DAL_SUCCESS;
+    const double change = E - jump->energy + jump->undone;
+    if (isfinite(E) && fabs(change) <= 0.5 * jump->kinetic) return DAL_SUCCESS;
     jump->step = step;
-    jump->change = E - jump->energy;
+    jump->change = change;
     return DAL_SUCCESS;
 }

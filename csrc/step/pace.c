@@ -72,12 +72,8 @@ int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *err
     pace->q = q;
     pace->order = self->scheme.order > q ? self->scheme.order : q;
     pace->noise = noise * ROUNDOFF * DAL_ROUNDOFF;
-    const size_t N = 2 * self->mech.n, kept = family->save ? family->save(self->method, NULL) : 0;
-    DAL__RESERVE(&pace->arena, N, &pace->estimate, &pace->field);
-    for (int k = 0; k < 2; k++) {
-        DAL__RESERVE(&pace->arena, N + self->mech.m, &pace->places[k].x);
-        DAL__RESERVE(&pace->arena, kept, &pace->places[k].memory);
-    }
+    DAL__RESERVE(&pace->arena, 2 * self->mech.n, &pace->estimate, &pace->field);
+    for (int k = 0; k < 2; k++) dal__place_reserve(self, &pace->places[k], &pace->arena);
     pace->tolerance = tolerance;
     pace->allowed = PART * pow(tolerance, (pace->order + 1.0) / pace->order);
     pace->h_max = h_max > 0.0 ? h_max : (double)INFINITY;
@@ -133,33 +129,6 @@ int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, 
 
 /* ---- a step --------------------------------------------------------------------------------- */
 
-/* Where the motion is, to come back to. */
-static void remember(dal_stepper *self, dal__place *place)
-{
-    const dal_motion *const motion = &self->motion;
-    const size_t N = 2 * self->mech.n;
-    memcpy(place->x, motion->x, N * sizeof *place->x);
-    memcpy(place->x + N, motion->impulse, self->mech.m * sizeof *place->x);
-    place->t = motion->t0;
-    place->h = motion->h;
-    place->steps = motion->stats->steps;
-    place->worst = motion->stats->worst_residual;
-    if (self->family->save) self->family->save(self->method, place->memory);
-}
-
-static void go_back(dal_stepper *self, const dal__place *place)
-{
-    dal_motion *const motion = &self->motion;
-    const size_t N = 2 * self->mech.n;
-    memcpy(motion->x, place->x, N * sizeof *place->x);
-    memcpy(motion->impulse, place->x + N, self->mech.m * sizeof *place->x);
-    motion->t0 = place->t;
-    motion->h = place->h;
-    motion->stats->steps = place->steps;
-    motion->stats->worst_residual = place->worst;
-    if (self->family->restore) self->family->restore(self->method, place->memory);
-}
-
 /* One step from t; *estimate <- the size of the embedded estimate. */
 static int attempt(dal_stepper *self, double t, double h, double *estimate)
 {
@@ -203,11 +172,11 @@ static int measure_share(dal_stepper *self, double t, double h)
     const size_t N = 2 * self->mech.n;
     double *const difference = pace->field;
     double estimate;
-    remember(self, &pace->places[1]);
+    dal__remember(self, &pace->places[1]);
     int status = attempt(self, t + h, h, &estimate);
     if (!status) {
         memcpy(difference, motion->x, N * sizeof *difference);
-        go_back(self, &pace->places[0]);
+        dal__go_back(self, &pace->places[0]);
         status = attempt(self, t, 2.0 * h, &estimate);
     }
     if (!status) {
@@ -218,7 +187,7 @@ static int measure_share(dal_stepper *self, double t, double h)
             pace->share = pace->share == FIRST_SHARE || share > pace->share
                               ? share : sqrt(share * pace->share);
     }
-    go_back(self, &pace->places[1]);
+    dal__go_back(self, &pace->places[1]);
     return is_final(status) ? status : DAL_SUCCESS;
 }
 
@@ -260,7 +229,7 @@ int dal__pace_step(dal_stepper *self)
     dal_motion *const motion = &self->motion;
     const double t = dal_stepper_time(self), power = 1.0 / (pace->order + 1.0);
     double h = pace->h;
-    remember(self, &pace->places[0]);
+    dal__remember(self, &pace->places[0]);
     for (int k = 1;; k++) {
         const double length = fit(pace, t, h);
         const bool whole = fabs(length) >= fabs(h) - 4.0 * DAL_ROUNDOFF * (fabs(t) + fabs(h));
@@ -278,7 +247,7 @@ int dal__pace_step(dal_stepper *self)
             return DAL_SUCCESS;
         }
         const bool hopeless = k == ATTEMPTS || fabs(length) <= 16.0 * DAL_ROUNDOFF * fabs(t);
-        go_back(self, &pace->places[0]);
+        dal__go_back(self, &pace->places[0]);
         motion->t0 = t;
         motion->first = motion->steps;
         if (is_final(status) || (hopeless && status)) return status;

@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 5, OF = 6, FIELDS = 30, HEAD = OF + FIELDS };
+enum { VERSION = 5, OF = 7, FIELDS = 34, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -35,6 +35,8 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.counter = &e->potential_calls}, {.counter = &e->lagrangian_calls},
         {.counter = &e->force_calls}, {.counter = &stats->evaluations},
         {.counter = &stats->lagrangian_calls}, {.counter = &stats->force_calls},
+        {.counter = &stats->scaled}, {.counter = &stats->unscaled},
+        {.energy = &self->scaling.energy}, {.energy = &jump->undone},
         {.counter = &stats->rejected}, {.counter = &motion->first}, {.real = &self->pace.share},
         {.real = &self->pace.h}, {.real = &self->pace.error},
     };
@@ -106,7 +108,8 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
     if (status) return status;
     field fields[FIELDS];
     const double of[OF] = {VERSION, (double)n, (double)stepper->mech.m, stepper->identity,
-                           stepper->pace.tolerance, longest(stepper)};
+                           stepper->pace.tolerance, longest(stepper),
+                           stepper->scaling.wanted};
     list_fields(stepper, fields);
     memcpy(values, of, sizeof of);
     for (size_t i = 0; i < FIELDS; i++) values[OF + i] = read(&fields[i]);
@@ -133,6 +136,9 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
         return dal__fail(error, DAL_EINVAL, "what was saved has tolerance = %g and h_max = %g; "
                          "here tolerance = %g and h_max = %g", values[4], values[5],
                          self->pace.tolerance, longest(self));
+    if (count > 6 && values[6] != (double)self->scaling.wanted)
+        return dal__fail(error, DAL_EINVAL, "what was saved has keep_energy = %g; here it is %d",
+                         values[6], (int)self->scaling.wanted);
     if (count != expected)
         return dal__fail(error, DAL_EINVAL, "count = %zu: expected %zu numbers", count, expected);
     field fields[FIELDS];

@@ -56,6 +56,7 @@ typedef struct dal__jump {
     double shift, energy, kinetic; /* of the states' D_eps; at the start; the largest seen */
     size_t step;                   /* where the energy was seen to have jumped; 0: nowhere */
     double change;                 /* by how much */
+    double undone;                 /* what else it would have changed by: see scaling.c */
 } dal__jump;
 /* The errors of the callbacks; then only DAL_EUSER.  The text is in mech->error. */
 int dal__jump_start(dal__jump *jump, dal_mechanics *mech, int order, double shift,
@@ -69,6 +70,9 @@ typedef struct dal__place {
     double *x;               /* [2n+m] with the impulse */
     double *memory;          /* what the family saves */
 } dal__place;
+void dal__place_reserve(dal_stepper *stepper, dal__place *place, arena *a);
+void dal__remember(dal_stepper *stepper, dal__place *place);
+void dal__go_back(dal_stepper *stepper, const dal__place *place);
 
 /* Error-controlled steps (pace.c); q = 0: there are none. */
 typedef struct dal__pace {
@@ -93,6 +97,21 @@ int dal__pace_first(dal_stepper *stepper, double t, double ahead, const double *
 /* One step; the caller counts it.  The error is in motion->error. */
 int dal__pace_step(dal_stepper *stepper);
 
+/* Steps that keep the energy (scaling.c). */
+typedef struct dal__scaling {
+    bool wanted;
+    double energy;     /* that is kept */
+    dal__place before; /* a step */
+    arena arena;
+} dal__scaling;
+/* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */
+int dal__scaling_make(dal_stepper *stepper, const dal_options *options, dal_error *error);
+/* *energy <- that of x[2n], where they start, which is 0 where they are not wanted.  The errors of
+ * the callbacks, DAL_EUNSUPPORTED; the text is in mech->error. */
+int dal__scaling_start(dal_stepper *stepper, const double *x, double *energy);
+/* One step; the caller counts it.  The error is in motion->error. */
+int dal__scaling_step(dal_stepper *stepper);
+
 struct dal_stepper {
     dal_motion motion;
     const dal_family *family;
@@ -105,6 +124,7 @@ struct dal_stepper {
     double *fresh;         /* [2n] initial data being examined */
     dal__jump jump;
     dal__pace pace;
+    dal__scaling scaling;
     bool started;
     dal_error error;
     arena arena;
@@ -119,8 +139,9 @@ void dal__stepper_forget_impulse(dal_stepper *stepper);
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made);
 int dal__stepper_reaction(dal_stepper *stepper, double elapsed, double *reaction);
 /* The state after the last step becomes x[2n], from where the motion is another one: the predictor
- * is forgotten, and the energy is that from now on.  The errors of the callbacks. */
-int dal__stepper_land(dal_stepper *stepper, const double *x);
+ * is forgotten, and the energy is that from now on; kept: that which is kept, if one is.  The
+ * errors of the callbacks. */
+int dal__stepper_land(dal_stepper *stepper, const double *x, double kept);
 /* Looks at the energy of the state now.  DAL_EUSER. */
 int dal__stepper_look(dal_stepper *stepper);
 /* Has the steps of a beta-scheme made by the compilation for any sizes: for tests. */

@@ -52,6 +52,7 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     if (status) return status;
     if (family->make) status = family->make(&self->method, &self->motion, error);
     if (!status) status = dal__pace_make(self, options, error);
+    if (!status) status = dal__scaling_make(self, options, error);
     if (status) {
         dal_stepper_free(self);
         return status;
@@ -67,6 +68,7 @@ void dal_stepper_free(dal_stepper *stepper)
     if (!stepper) return;
     if (stepper->method && stepper->family->free) stepper->family->free(stepper->method);
     dal__release(&stepper->pace.arena);
+    dal__release(&stepper->scaling.arena);
     arena memory = stepper->arena; /* the object lies inside it */
     dal__release(&memory);
 }
@@ -251,7 +253,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     dal_motion *const motion = &self->motion;
     const size_t n = self->mech.n;
     const double shift = self->shift != 0.0 ? self->shift * h : 0.0; /* h may be infinite */
-    double first = h;
+    double first = h, kept = 0.0;
     dal_stats stats = {0};
     int status = check_start(self, t0, h, x, consistency, initial);
     if (status) return status;
@@ -269,6 +271,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     dal__jump jump = {0};
     if (!status)
         status = dal__jump_start(&jump, &self->mech, self->scheme.order, shift, self->fresh);
+    if (!status) status = dal__scaling_start(self, self->fresh, &kept);
     if (!status && isinf(h))
         status = dal__pace_first(self, t0, copysign(1.0, h), self->fresh, &first);
     if (status) {
@@ -283,6 +286,7 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     dal__pace_start(self);
     *motion->stats = stats;
     self->jump = jump;
+    self->scaling.energy = kept;
     self->started = true;
     dal__fail(&self->error, DAL_SUCCESS, "%s", "");
     if (self->family->start) self->family->start(self->method, motion);
@@ -299,7 +303,7 @@ int dal__stepper_look(dal_stepper *stepper)
     return status;
 }
 
-int dal__stepper_land(dal_stepper *stepper, const double *x)
+int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
 {
     dal_motion *const motion = &stepper->motion;
     dal__jump jump = {0};
@@ -310,6 +314,7 @@ int dal__stepper_land(dal_stepper *stepper, const double *x)
         return status;
     }
     if (stepper->jump.step == 0) stepper->jump = jump;
+    stepper->scaling.energy = kept;
     memcpy(motion->x, x, 2 * stepper->mech.n * sizeof *x);
     if (stepper->family->start) stepper->family->start(stepper->method, motion);
     return DAL_SUCCESS;
@@ -334,6 +339,9 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
         if (self->pace.q > 0) {
             if (dal_stepper_time(self) == self->pace.until) return DAL_SUCCESS;
             status = dal__pace_step(self);
+            done = !status;
+        } else if (self->scaling.wanted) {
+            status = dal__scaling_step(self);
             done = !status;
         } else {
             status = self->family->advance(self->method, motion, next < left ? next : left, &done);

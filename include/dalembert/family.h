@@ -57,6 +57,9 @@ typedef struct dal_family {
      * what is remembered of steps is for this h from now on. */
     int (*estimates)(void *method, int *q, double *noise, dal_error *error);
     void (*rescale)(void *method, double ratio);
+    /* For steps that keep the energy: v of x is another one, and q is not; forget what depends on
+     * v, but for guesses.  NULL: they are refused. */
+    void (*forget_velocity)(void *method);
     int no_reaction;           /* 1: its steps have no multiplier; reactions are NaN */
 } dal_family;
 

@@ -838,7 +838,8 @@ static int call_new_stepper(world *w)
     dal_stepper *fresh = NULL;
     dal_scheme scheme = {0};
     const unsigned bits = next_byte(&w->t);
-    const dal_options options = {.max_iterations = (int)(bits / 32) - 1};
+    const dal_options options = {.max_iterations = (int)(bits / 32) - 1,
+                                 .keep_energy = bits / 2 % 4 == 3};
     int status = CALL(choose_scheme, w, &scheme);
     if (status) return status;
     status = CALL(dal_stepper_new, &fresh, w->system, &scheme, bits % 2 ? &options : NULL, NULL);

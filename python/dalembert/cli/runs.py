@@ -49,6 +49,8 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     run.add_argument("--consistent", choices=list(CONSISTENCY), default="check",
                      help="velocities that are not in D: refuse, project, or use them")
     run.add_argument("--initial", choices=list(INITIAL), help="how kept nodes start")
+    run.add_argument("--energy", choices=["keep"],
+                     help="keep: to roundoff, in twice the time")
     run.add_argument("--journal", type=Path, metavar="FILE",
                      help="a new file, for `dalembert resume` and `dalembert info`")
     goes_on = commands.add_parser(
@@ -170,6 +172,7 @@ def _run(given: argparse.Namespace) -> int:
         system, given.scheme, given.q0, given.v0, h=given.h, t_end=given.t_end,
         steps=given.steps, t0=given.t0, stride=given.stride, tolerance=given.tolerance,
         h_max=given.h_max, consistent=given.consistent, initial=given.initial,
+        energy=given.energy,
         journal=given.journal, journal_errors=given.journal_errors, progress=progress(),
     ), given.journal)  # fmt: skip
 

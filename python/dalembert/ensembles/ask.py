@@ -152,6 +152,7 @@ class Setting:
     events: tuple[Event, ...]
     control: Callable[..., Any] | None  # inputs that are a function
     lanes: bool = False
+    energy: str | None = None
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from ..run.events import CONSISTENCY
 from ..run.events import take as take_events
 from ..core.memory import available_memory
 from ..run.integration import with_method
-from ..run.steps import number_of_steps
+from ..run.steps import number_of_steps, options_of
 from ..run.journal import of_system, require_same
 from ..run.runs import started_stepper
 from ..run.scheme import Scheme
@@ -60,6 +60,7 @@ def ensemble(
     consistent: str = "check",
     initial: str | None = None,
     max_iterations: int = 50,
+    energy: str | None = None,
     method: str = "rk8pd",
     tolerance: float = 1e-13,
     axes: Any = None,
@@ -98,7 +99,7 @@ def ensemble(
         instead.
     inputs : array_like, mapping or callable, optional
         Of the force, as of `integrate`; or with axes in front, shape (..., holds, k).
-    hold, events, consistent, initial, max_iterations, method, tolerance : optional
+    hold, events, consistent, initial, max_iterations, energy, method, tolerance : optional
         As of `integrate`.  Events that are expressions, without a reset, are looked for in C.
     axes : sequence of str, or mapping of str to array_like, optional
         Names of the axes of the members, and values along them, for pictures and xarray.  Default:
@@ -111,9 +112,9 @@ def ensemble(
     lanes : bool, optional
         Whether several members are stepped at once by vector instructions, 3 to 6 times as many in
         the same time: of systems with constant mass, linear constraints, and no forces of v, with
-        n <= 8, without events and inputs; others as without.  A member then has the same bits
-        whatever the order, the threads and its neighbours on the same kind of machine; those of
-        `integrate` to about 1e-12 over 1000 steps, as vector sines differ in the last bit.
+        n <= 8, without events, inputs and ``energy``; others as without.  A member then has the
+        same bits whatever the order, the threads and its neighbours on the same kind of machine;
+        those of `integrate` to about 1e-12 over 1000 steps, as vector sines differ in the last bit.
     store : str or path, optional
         A directory that gets the results, a file for each block.  Called again with the same
         arguments, what is there is not made again, whatever ended the process.
@@ -251,7 +252,8 @@ def open_ensemble(path: str | os.PathLike[str], system: System | None = None) ->
 def _ask(
     system: System, scheme: Any, q0: Any, v0: Any, parameters: Any, h: Any, t_end: Any, steps: Any,
     t0: Any, stride: Any, keep: Any, inputs: Any, hold: Any, events: Any, consistent: Any,
-    initial: Any, max_iterations: Any, method: Any, tolerance: Any, axes: Any, lanes: Any,
+    initial: Any, max_iterations: Any, energy: Any, method: Any, tolerance: Any, axes: Any,
+    lanes: Any,
 ) -> Ask:  # fmt: skip
     """Return what is asked for, or raise ValueError."""
     require_system(system)
@@ -282,11 +284,12 @@ def _ask(
     shape = members_shape(all_given)
     arguments.choice(consistent, "consistent", CONSISTENCY)
     record._initial(initial)
+    options = options_of({}, max_iterations, energy)
     setting = Setting(
         system=system, scheme=with_method(record, method, tolerance), t0=t0, stride=stride,
         kept=kept, consistent=consistent, initial=initial,
-        max_iterations=arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1),
-        hold=hold, events=tuple(take_events(events)),
+        max_iterations=int(options.max_iterations), energy=energy, hold=hold,
+        events=tuple(take_events(events)),
         control=inputs if callable(inputs) else None, lanes=bool(lanes),
     )  # fmt: skip
     shape = shape or (1,)
@@ -439,6 +442,7 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
         "events": events,
         "control": digest(setting.control),
         "lanes": setting.lanes,
+        **({"energy": setting.energy} if setting.energy else {}),
     }  # fmt: skip
     mark = _mark(about, ask.arrays())
     return about | {"mark": mark, "block": size, "seal": stores.seal(mark, size)}
@@ -467,7 +471,7 @@ def _ask_of(about: Mapping[str, Any], arrays: Mapping[str, Array], system: Syste
         stride=about["stride"], kept=Kept(at_end, states, tuple(measures), columns),
         consistent=about["consistent"], initial=about["initial"],
         max_iterations=about["max_iterations"], hold=about["hold"], events=(), control=None,
-        lanes=about["lanes"],
+        lanes=about["lanes"], energy=about.get("energy"),
     )  # fmt: skip
     return Ask.of_arrays(
         arrays, setting=setting, shape=tuple(about["shape"]), axes=tuple(about["axes"]),

@@ -19,6 +19,7 @@ from ..run.events import CONSISTENCY, compiled
 from ..run.integration import doubts, quietly
 from ..run.runs import OFF_D
 from ..run.scheme import INITIAL
+from ..run.steps import options_of
 from ..system import Expressions, System
 from . import lanes
 from .ask import MEASURES, TAKEN, Ask, Kept, Setting
@@ -144,7 +145,8 @@ def _by_c(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) 
 def has_lanes(setting: Setting, rows: Mapping[str, Array]) -> bool:
     """Return whether members may be stepped together."""
     plain = setting.scheme.nodes == "moved" and setting.scheme.family == "beta"
-    return setting.lanes and plain and not setting.events and "inputs" not in rows
+    alone = bool(setting.events or setting.energy or "inputs" in rows)
+    return setting.lanes and plain and not alone
 
 
 def _in_one_call(setting: Setting, rows: Mapping[str, Array], count: int, watch: Show) -> Block:
@@ -153,7 +155,7 @@ def _in_one_call(setting: Setting, rows: Mapping[str, Array], count: int, watch:
     made = empty(setting, 1 if stride == 0 else int(rows["steps"][0]) // stride + 1, count)
     members, alive = _members(setting, rows, count, made)
     record, record_kept = setting.scheme._record_of(system)
-    options = ffi.new("dal_options *", {"max_iterations": setting.max_iterations})
+    options = options_of({}, setting.max_iterations, setting.energy)
     error, context = ffi.new("dal_error *"), ffi.new_handle(watch)
     status = core.attempt(
         lib.dal_ensemble_run, system._handle, record, options, members, 0, count,
@@ -275,6 +277,7 @@ def _doubt(
     system, names = setting.system, {*MEASURES} & {*setting.kept.measures}
     suspect = (
         (stats["jump_step"] > 0)
+        | (stats["unscaled"] > 0)
         | (stats["full_newtons"] * 10 > stats["substeps"])
         | (stats["worst_residual"] > core.residual_bound(system.n))
     )
@@ -303,7 +306,7 @@ def one(setting: Setting, rows: Mapping[str, Array], k: int, **how: Any) -> Solu
         system, setting.scheme, q0, v0, h=float(mine["h"]), steps=int(mine["steps"]),
         t0=setting.t0, consistent=setting.consistent,
         initial=setting.initial, max_iterations=setting.max_iterations, hold=setting.hold,
-        events=setting.events,
+        energy=setting.energy, events=setting.events,
         inputs=mine["inputs"] if "inputs" in mine else setting.control, **how,
     )  # fmt: skip
 

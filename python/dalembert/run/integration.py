@@ -54,6 +54,7 @@ def integrate(
     progress: Progress = False,
     throw: bool = True,
     max_iterations: int = 50,
+    energy: str | None = None,
     method: str = "rk8pd",
     tolerance: float | None = None,
     h_max: float | None = None,
@@ -105,6 +106,12 @@ def integrate(
         False: a step that fails ends the run, and the Solution says so, instead of an exception.
     max_iterations : int, optional
         Of Newton in a sub-step.
+    energy : {"keep"}, optional
+        Each step keeps the energy to roundoff, by a scaling of the velocity before and after it,
+        which stays in D.  It costs twice as much, and steps of h/2 without it lead nearer to the
+        motion: it is for those who want the energy itself, over long times.  For symmetric schemes
+        (leapfrog, midpoint and their compositions, bm4, bm6), constraints linear in v, and systems
+        without forces or time.
     method : {"rk8pd", "msadams", "rodas", "taylor"}, optional
         Of the reference flow.  "taylor": by Taylor series, of systems from expressions, for which
         heyoka compiles them (``pip install 'dalembert[taylor]'``); without events, inputs and
@@ -157,6 +164,8 @@ def integrate(
         If the journal cannot be made; or written, with ``journal_errors="stop"``.
     ZenoError
         If events accumulate, or the system rests on one after its reset.
+    NotImplementedError
+        If the system, or the scheme, cannot have its energy kept.
     Exception
         Whatever the observer or a function of the system raises, as it is; Ctrl-C likewise.
         They have ``.partial`` too.
@@ -164,7 +173,8 @@ def integrate(
     Warns
     -----
     DalembertWarning
-        If the result may be doubtful: the energy has jumped where nothing does work, or many steps
+        If the result may be doubtful: the energy has jumped where nothing does work, or was not
+        kept where it was to be, or many steps
         took the full Newton iteration, so that h is large for this system, or its constraints are
         nearly dependent; or if it cannot be told whether an event happens; or if the journal could
         not be written to the end.
@@ -193,7 +203,7 @@ def integrate(
         )
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     start = record._initial(initial)
-    most = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
+    options = options_of(sizes.control, max_iterations, energy)
     chosen = record if sizes.varies else with_method(record, method, tolerance)
     if sizes.varies and record.is_reference:
         raise ValueError(
@@ -219,12 +229,12 @@ def integrate(
     starter = Scheme.find("reference") if of_series else chosen
     stepper = started_stepper(
         system, starter, x0, t0=t0, h=sizes.first, consistency=consistency, initial=start,
-        options=options_of(sizes.control, most),
+        options=options,
     )  # fmt: skip
 
     def begin(run: Run) -> None:
         if journal is not None:
-            about = describe(system, chosen, run, most)
+            about = describe(system, chosen, run, options.max_iterations, energy)
             run.journal = Journal.create(journal, run, chosen, about, journal_errors)
 
     return _make(
@@ -309,7 +319,7 @@ def resume(
     listed = take_events(events)
     if about["inputs"] and inputs is None:
         raise ValueError(f"inputs: needed, the run of {journal.path} has some")
-    options = options_of(sizes.control, about["max_iterations"])
+    options = options_of(sizes.control, about["max_iterations"], about.get("energy"))
     c_record, kept = record._record_of(system)
     stepper = core.make("stepper", system._handle, c_record, options, owner=(system._handle, kept))
     times = journal.times()
@@ -436,11 +446,18 @@ def doubts(solution: Any) -> Iterator[str]:
             "kept nodes lie so far out that their rounding moves it by more"
         )
     if stats.jump_step:
+        changed = "would have changed" if stats.scaled else "has changed"
         yield (
-            f"the energy has changed by {stats.jump:.3g} at step {stats.jump_step}"
+            f"the energy {changed} by {stats.jump:.3g} at step {stats.jump_step}"
             f"{_at(solution)}, where the largest kinetic energy is {stats.largest_kinetic:.3g}: "
             "nothing does work on this system, so the steps are too long, or gradient is not that "
             "of potential: see check()"
+        )
+    if stats.unscaled:
+        yield (
+            f"the energy was not kept in {stats.unscaled} of {stats.steps} steps: there velocities "
+            "would have had to change by more than half; they are plain steps of the scheme, and "
+            "a smaller h makes them rarer"
         )
     simple = system.has_constant_mass and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:

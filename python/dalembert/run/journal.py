@@ -31,7 +31,9 @@ _CLOSE = 1e-6  # of the field that another machine computes, relative to its lar
 # ---- what a run is of, as data -------------------------------------------------------------------
 
 
-def describe(system: System, scheme: Scheme, run: Run, max_iterations: int) -> dict[str, Any]:
+def describe(
+    system: System, scheme: Scheme, run: Run, max_iterations: int, energy: str | None
+) -> dict[str, Any]:
     """Return what makes a run again, or tells whether another is the same, for JSON."""
     times = None if run.watch is None else run.watch.times
     return {
@@ -39,6 +41,7 @@ def describe(system: System, scheme: Scheme, run: Run, max_iterations: int) -> d
         "system": of_system(system, run.x[0], run.t0),
         "scheme": scheme._data(),
         "max_iterations": max_iterations,
+        "energy": energy,
         "inputs": run.inputs is not None,
         "hold": run.hold,
         "t_end": run.steps.t_end,

@@ -34,6 +34,9 @@ class Statistics:
         Final corrections onto D that took an evaluation of their own.
     rejected : int
         Error-controlled steps that were made again, shorter.
+    scaled, unscaled : int
+        Steps whose energy was kept by scaled velocities, which made them again; and those where it
+        could not be kept so, and was not.
     full_newtons : int
         Sub-steps solved by the full Newton iteration: all of a general system, and those that
         needed the Hessian of V.
@@ -49,7 +52,8 @@ class Statistics:
         Of the vector field, by the reference flow.
     jump_step, jump, largest_kinetic : int, float, float
         The step after which the energy was first seen to have changed, by ``jump``, by more than
-        half of the largest kinetic energy; 0 if it was not. Looked at in every 64th step and at
+        half of the largest kinetic energy; 0 if it was not. What scaled velocities have undone
+        counts as a change. Looked at in every 64th step and at
         the end, where nothing does work and the scheme is not of order 1.
     """
 
@@ -72,6 +76,8 @@ class Statistics:
     jump: float = 0.0
     largest_kinetic: float = 0.0
     rejected: int = 0
+    scaled: int = 0
+    unscaled: int = 0
 
     @classmethod
     def _read(cls, stepper: Any, kind: str) -> Statistics:
@@ -520,6 +526,9 @@ class Solution(Mapping[str, Any]):
         known = not np.isnan(self.stats.worst_residual)  # that of a journal is not
         if known and not self.scheme.is_reference and self.system.m > 0:
             lines.append(f"  worst residual of {kept}: {self.stats.worst_residual:.1e}")
+        if self.stats.scaled or self.stats.unscaled:
+            lost = f", but for {self.stats.unscaled} of {self.stats.steps} steps"
+            lines.append(f"  energy kept{lost if self.stats.unscaled else ''}")
         return "\n".join([*lines, f"  {self.message}>"])
 
 

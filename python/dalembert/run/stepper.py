@@ -15,6 +15,7 @@ from .events import CONSISTENCY
 from .runs import one_row, started_stepper
 from .scheme import Scheme
 from .solution import Statistics
+from .steps import options_of
 
 _double = np.dtype(np.float64)
 
@@ -26,7 +27,7 @@ class Stepper:
 
     Parameters
     ----------
-    system, scheme, q0, v0, h, t0, consistent, initial, max_iterations
+    system, scheme, q0, v0, h, t0, consistent, initial, max_iterations, energy
         As of `integrate`.
 
     Attributes
@@ -36,7 +37,7 @@ class Stepper:
 
     Raises
     ------
-    ValueError, NotOnConstraintError
+    ValueError, NotOnConstraintError, NotImplementedError
         As `integrate`.
 
     Examples
@@ -64,6 +65,7 @@ class Stepper:
         consistent: str = "check",
         initial: str | None = None,
         max_iterations: int = 50,
+        energy: str | None = None,
     ) -> None:
         require_system(system)
         self.system, self.scheme = system, Scheme.of(scheme)
@@ -72,10 +74,7 @@ class Stepper:
         self._how = (
             arguments.choice(consistent, "consistent", CONSISTENCY), self.scheme._initial(initial)
         )  # fmt: skip
-        options = ffi.new("dal_options *")
-        options.max_iterations = arguments.integer(
-            max_iterations, "max_iterations", 1, 2**31 - 1
-        )
+        options = options_of({}, max_iterations, energy)
         self._x0 = np.concatenate(geometry.initial(system, q0, v0))
         self._handle = started_stepper(
             system, self.scheme, self._x0, t0=self._t0, h=step, consistency=self._how[0],

@@ -125,10 +125,12 @@ def how(h: float, control: Mapping[str, Any]) -> str:
     return ", ".join([f"h = {control['h']!r}", *numbers])
 
 
-def options_of(control: Mapping[str, Any], max_iterations: int = 50) -> Any:
+def options_of(control: Mapping[str, Any], max_iterations: Any = 50, energy: Any = None) -> Any:
     """Return the ``dal_options`` of a stepper."""
     given = {key: x for key, x in control.items() if key != "h"}
-    return ffi.new("dal_options *", {"max_iterations": max_iterations, **given})
+    most = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
+    keep = energy is not None and arguments.choice(energy, "energy", {"keep": 1})
+    return ffi.new("dal_options *", {"max_iterations": most, "keep_energy": keep, **given})
 
 
 def number_of_steps(t0: float, h: float, t_end: float | None, steps: int | None) -> int:

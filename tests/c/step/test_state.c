@@ -116,6 +116,7 @@ static bool same_stats(const dal_stats *a, const dal_stats *b)
         && a->full_newtons == b->full_newtons && a->halvings == b->halvings
         && a->worst_residual == b->worst_residual && a->initial_residual == b->initial_residual
         && a->initial_correction == b->initial_correction && a->differenced == b->differenced
+        && a->scaled == b->scaled && a->unscaled == b->unscaled
         && a->jump_step == b->jump_step && a->jump == b->jump
         && a->largest_kinetic == b->largest_kinetic;
 }
@@ -331,16 +332,16 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 }
 
 /* What stands where among the saved numbers; x follows the head. */
-enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, T0, H, TAKEN, LOOKING, SHIFT,
-       ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 20, FIRST_CALLS = 24,
-       BEGUN = 31, NEXT_H, LAST_ERROR, REJECTED, HEAD };
+enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, KEEPS, T0, H, TAKEN, LOOKING,
+       SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 21, FIRST_CALLS = 25,
+       KEPT = 34, UNDONE, REJECTED, BEGUN, SHARE, NEXT_H, LAST_ERROR, HEAD };
 
 /* Whether nothing but a refusal will do; the words are those that it has to have. */
 static bool is_hopeless(size_t i, double spoil, char words[32])
 {
-    const bool energy = ENERGY <= i && i <= JUMP && i != JUMP_STEP;
+    const bool energy = (ENERGY <= i && i <= JUMP && i != JUMP_STEP) || i == KEPT || i == UNDONE;
     const bool counter = i == TAKEN || i == JUMP_STEP || (FIRST_COUNT <= i && i <= LAST_COUNT)
-                      || (FIRST_CALLS <= i && i <= BEGUN) || i == REJECTED;
+                      || (FIRST_CALLS <= i && i <= BEGUN && !energy);
     snprintf(words, 32, "values[%zu]", i);
     if (i == SAVED_VERSION) return true;
     if (i <= IDENTITY) {
@@ -351,6 +352,8 @@ static bool is_hopeless(size_t i, double spoil, char words[32])
         snprintf(words, 32, "what was saved has tolerance");
         return true;
     }
+    if (i == KEEPS) snprintf(words, 32, "what was saved has keep_energy");
+    if (i == KEEPS) return spoil != 0.0;
     if (isnan(spoil) || (isinf(spoil) && !energy)) return true;
     if (i == NEXT_H) return spoil != 0.0; /* steps of one size have none */
     if (i == T0 || i == H) {
