@@ -455,12 +455,8 @@ static void rescale(void *method, double ratio)
     dal_kernel_rescale(&((beta *)method)->kernel, ratio);
 }
 
-/* Of momenta, and of what the Lagrangian pushes with, which depend on v. */
-static void forget_velocity(void *method)
-{
-    dal_kernel *const k = &((beta *)method)->kernel;
-    if (k->momentum) k->carried = k->forced = false;
-}
+/* Momenta; with them what the Lagrangian pushes with is evaluated again. */
+static void forget_velocity(void *method) { ((beta *)method)->kernel.carried = false; }
 
 /* The predictor of the step routine: the pulls and V_q of the last stages, and, where there are
  * momenta, p and the changes of v.  What the flags call unknown is 0: a step that failed may have

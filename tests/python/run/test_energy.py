@@ -9,6 +9,7 @@ import sympy as sp
 
 import dalembert as dal
 from dalembert.core import residual_bound
+from dalembert.ensembles import lanes
 
 x, y, z = dal.coordinates("x y z")
 MASSES = (x.d**2 + y.d**2 + z.d**2) / 2
@@ -141,6 +142,15 @@ def test_an_ensemble_has_the_bits_of_its_members(tmp_path, how):
         assert (many.member(k).x == run.x).all()
     again = dal.open_ensemble(tmp_path / "store")
     assert (again.member(0).x == many.member(0).x).all()
+
+
+def test_an_ensemble_of_a_system_with_lanes_takes_none_of_them():
+    twin = lanes.twin(QUARTIC)
+    given = {"h": 0.1, "steps": 100, "energy": "keep"}
+    many = dal.ensemble(
+        twin, q0=[QUARTIC.q0] * 8, v0=[QUARTIC.v0] * 8, lanes=True, progress=False, **given
+    )
+    assert (many.q == dal.integrate(QUARTIC, **given).q[-1]).all()
 
 
 def test_members_that_cannot_keep_it_are_doubtful():
