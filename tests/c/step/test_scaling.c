@@ -421,8 +421,8 @@ static void test_limits(void)
      * round */
     for (int i = 0; i < 600; i++) {
         const double x[2] = {0.1 * (i % 30), 0.1 * (i / 30)};
-        begin(plain, x, 1.8);
-        begin(stepper, x, 1.8);
+        begin(plain, x, 2.5);
+        begin(stepper, x, 2.5);
         CHECK(dal_step(plain, NULL) == DAL_SUCCESS && dal_step(stepper, NULL) == DAL_SUCCESS);
         const double *const y = dal_stepper_state(plain);
         const double s = (energy_of(mechanics, x) - energy_of(mechanics, y))
