@@ -348,6 +348,12 @@ DAL_API int dal_scheme_is_explicit(const dal_scheme *scheme, const dal_system *s
  * DAL_EUNSUPPORTED for a record with several. */
 DAL_API int dal_scheme_shift(const dal_scheme *scheme, double *shift);
 
+/* *eps <- one for reversible steps (dal_options) of scheme: 1 / sum_j |fraction_j| of its sub-steps,
+ * at most 0.2.
+ * DAL_EUNSUPPORTED unless it is a composition that is its own adjoint, read backwards, of more than
+ * two sub-steps, with moved nodes: as bm6, leapfrog-kl8. */
+DAL_API int dal_scheme_eps(const dal_scheme *scheme, double *eps, dal_error *error);
+
 /* What the steps of the scheme "reference" are made with: its data, or NULL for the defaults. */
 typedef struct dal_flow_scheme {
     dal_flow_method method;
@@ -370,6 +376,10 @@ typedef struct dal_options {
                            the energy; unscaled counts these.  For symmetric schemes of the family
                            beta with moved nodes, linear constraints, no force, nothing that depends
                            on time, and L of second degree in v */
+    double eps;         /* 0: none.  Else reversible steps, which exclude the above: each is of
+                           h = eps / rho, with rho a variable that follows how fast the motion
+                           goes, so that the energy does not drift where steps of one size are too
+                           long for close approaches; at most 0.2, see dal_scheme_eps */
 } dal_options;
 
 /* What is done with initial data (dal_stepper_start). */
@@ -406,6 +416,8 @@ typedef struct dal_stats {
                                    velocities; and that could not be, so that the plain step was
                                    taken, and the energy not kept there; or where states at
                                    events and output times do not have it */
+    size_t resets;              /* of rho to where it belongs, in reversible steps: where there are
+                                   any they are not reversible, eps is too large */
     size_t halvings;            /* Newton steps halved because a callback left its domain */
     double worst_residual;      /* largest residual, as dal_relative_residual, after any step of
                                    the set that the scheme keeps */
@@ -428,7 +440,10 @@ typedef struct dal_stats {
  * by more, it may be up to that, and worst_residual says so. */
 typedef struct dal_stepper dal_stepper;
 
-/* options may be NULL.  DAL_EINVAL (a record that is not valid; the text says what), DAL_ENOMEM. */
+/* options may be NULL.  DAL_EINVAL (a record or an option that is not valid; the text says what),
+ * DAL_EUNSUPPORTED (error-controlled steps without an estimate; reversible ones where there is a
+ * force, M depends on q, or the system on time, constraints are not linear, or sparse), DAL_ENOMEM.
+ */
 DAL_API int dal_stepper_new(dal_stepper **stepper, const dal_system *system,
                             const dal_scheme *scheme, const dal_options *options,
                             dal_error *error);
@@ -439,7 +454,8 @@ DAL_API const dal_error *dal_stepper_error(const dal_stepper *stepper);
  * is not changed; the state used is that of dal_stepper_state.  A change of h or of the state is a
  * new start.  On failure the stepper is as it was.
  * Error-controlled steps begin with h; if that is infinite they find their first size, in its
- * direction.
+ * direction.  Reversible ones always find it, and h has to be INFINITY or -INFINITY; DAL_EDOMAIN if
+ * nothing at x says how fast the motion goes, as on a straight line, or at rest.
  * DAL_EINVAL (also a system declared steady that is seen not to be), DAL_EOFFD, DAL_ESINGULAR,
  * DAL_ENOCONV, DAL_EUSER, DAL_EDOMAIN. */
 DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x,
@@ -451,15 +467,16 @@ DAL_API int dal_stepper_start(dal_stepper *stepper, double t0, double h, const d
  * DAL_EINVAL (NULL, not finite), and the stepper is as it was. */
 DAL_API int dal_stepper_input(dal_stepper *stepper, const double *u);
 
-/* Error-controlled steps do not go beyond the time t, and one of them ends there to the bit; until
- * another time, or an infinite one, is given.  A step from there is DAL_EINVAL.
+/* Error-controlled and reversible steps do not go beyond the time t, and one of them ends there to
+ * the bit; until another time, or an infinite one, is given.  A step from there is DAL_EINVAL.  Of
+ * reversible steps only the last is shortened for that, and it alone is not reversible; output
+ * times of a run do not touch them.
  * DAL_EINVAL (not started; t lies behind), DAL_EUNSUPPORTED (steps of h). */
 DAL_API int dal_stepper_until(dal_stepper *stepper, double t);
 
 /* The inputs of the next step, u[inputs]; the current state x[2n]; its time, t0 + k h; h, of the
- * last step if they are error-controlled.  Arrays
- * are borrowed, and valid until the stepper is freed; where the state stands may change with steps.
- */
+ * last step if their size varies.  Arrays are borrowed, and valid until the stepper is freed; where
+ * the state stands may change with steps. */
 DAL_API const double *dal_stepper_inputs(const dal_stepper *stepper);
 DAL_API const double *dal_stepper_state(const dal_stepper *stepper);
 DAL_API double dal_stepper_time(const dal_stepper *stepper);
@@ -525,11 +542,11 @@ typedef struct dal_run {
     size_t time_count;
     double *at;             /* [time_count*2n]: the states at times, in the set the scheme keeps */
     struct dal_journal *journal; /* see dalembert/journal.h; or NULL */
-    double until;           /* of error-controlled steps: the run ends there, or after `steps`; x
+    double until;           /* of steps whose size varies: the run ends there, or after `steps`; x
                                has room for one row more, the last, which is stored in any case */
-    double held;            /* of error-controlled steps, instead of hold: row k of inputs is for
+    double held;            /* of steps whose size varies, instead of hold: row k of inputs is for
                                the time from t_begin + k held to t_begin + (k+1) held */
-    double *row_times;      /* of error-controlled steps, or NULL: the times of the rows of x */
+    double *row_times;      /* of steps whose size varies, or NULL: the times of the rows of x */
     double t_begin, row_time; /* theirs, set by the run: where it began; of the last row, */
     size_t row_step;          /* its step; */
     size_t handed, row_inputs; /* rows of inputs that were handed over, and before that row */

@@ -420,9 +420,10 @@ static int hire(worker *self, const dal_system *system, const dal_scheme *scheme
         status = dal__system_copy(&self->own, system, error);
         self->system = self->own;
     }
-    if (!status && options && options->tolerance != 0.0)
-        status = dal__fail(error, DAL_EUNSUPPORTED, "options.tolerance = %g: the members of an "
-                           "ensemble make steps of h", options->tolerance);
+    if (!status && options && (options->tolerance != 0.0 || options->eps != 0.0))
+        status = dal__fail(error, DAL_EUNSUPPORTED, "options.%s = %g: the members of an ensemble "
+                           "make steps of h", options->eps != 0.0 ? "eps" : "tolerance",
+                           options->eps != 0.0 ? options->eps : options->tolerance);
     if (!status) status = dal_stepper_new(&self->stepper, self->system, scheme, options, error);
     if (!status && (members->energy || members->residual || members->multipliers))
         status = dal_mechanics_new(&self->mech, self->system, error);

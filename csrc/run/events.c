@@ -259,7 +259,7 @@ static void pass(guard *g)
     g->waits = g->crossed = false;
 }
 
-/* An error-controlled step ends at a reset: what follows has steps of its own. */
+/* A step whose size varies ends at a reset: what follows has steps of its own. */
 static void end_step(dal_run *run, double t)
 {
     dal_motion *const motion = &run->stepper->motion;
@@ -338,7 +338,7 @@ static int happen(dal_events *e, dal_run *run, const crossing *c, size_t later, 
     if (status || !now->reset) return status;
     for (size_t k = 1; k <= later; k++)
         e->guards[c[k].event].due = c[k].theta <= c->theta + TOGETHER;
-    if (dal__run_is_controlled(run)) end_step(run, now->t);
+    if (dal__run_varies(run)) end_step(run, now->t);
     return begin_anew(e, c, now);
 }
 
@@ -421,7 +421,7 @@ static int land(dal_events *e, dal_run *run)
 static void end_run(const dal_events *e, const dal_run *run, double *end, double *reaction)
 {
     const size_t since = run->done - (run->stored - 1) * run->stride;
-    const double elapsed = dal__run_is_controlled(run) ? run->t_end - run->row_time
+    const double elapsed = dal__run_varies(run) ? run->t_end - run->row_time
                                                     : (double)since * e->h + (run->t_end - e->t);
     move(e, e->shift, e->happened[e->happenings - 1].x, end);
     for (size_t a = 0; reaction && a < e->m; a++)
@@ -521,7 +521,7 @@ int dal__events_check(const dal_run *run)
     if (!run->times || !run->at)
         return dal__fail(error, DAL_EINVAL, "%s is NULL", run->times ? "at" : "times");
     const double begin = dal_stepper_time(run->stepper), ahead = motion->h > 0.0 ? 1.0 : -1.0;
-    const double end = dal__run_is_controlled(run)
+    const double end = dal__run_varies(run)
         ? run->until : motion->t0 + (double)(motion->steps + run->steps) * motion->h;
     double before = begin;
     for (size_t k = 0; k < run->time_count; k++) {

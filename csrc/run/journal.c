@@ -22,7 +22,7 @@ static size_t inputs_of(const dal_run *run)
 static dal__head head_of(const dal_run *run)
 {
     const dal_stepper *const stepper = run->stepper;
-    const bool controlled = dal__run_is_controlled(run);
+    const bool controlled = dal__run_varies(run);
     const size_t m = stepper->mech.m; /* of a controlled step, a row of inputs at most begins */
     const size_t holds = controlled ? run->stride : quotient_up(run->stride, dal__hold(run));
     const size_t events = run->events ? run->events->count : 0;
@@ -41,7 +41,7 @@ static dal__head head_of(const dal_run *run)
 static void pending_inputs(const dal_run *run, size_t steps, size_t *first, size_t *count)
 {
     const size_t hold = dal__hold(run), row = run->stored > 0 ? run->stored - 1 : 0;
-    if (dal__run_is_controlled(run)) {
+    if (dal__run_varies(run)) {
         *first = run->row_inputs;
         *count = run->handed - run->row_inputs;
         return;
@@ -218,6 +218,9 @@ static int check_new(const dal_run *run, const dal_scheme *scheme,
     }
     if (dal__scheme_identify(run->stepper->motion.system, scheme) != run->stepper->identity)
         return dal__fail(error, DAL_EINVAL, "scheme is not that of the stepper");
+    if (run->stepper->reversible.eps > 0.0)
+        return dal__fail(error, DAL_EUNSUPPORTED, "the steps of the stepper are reversible: there "
+                         "is no journal of them");
     if (dal_stepper_saved(run->stepper) == 0)
         return dal__fail(error, DAL_EUNSUPPORTED, "the steps of \"%s\" cannot be resumed: there is "
                          "no journal of them", scheme->name);
@@ -236,7 +239,7 @@ int dal_journal_new(dal_journal **journal, const char *path, dal_run *run,
     dal__head head = head_of(run);
     dal_journal *self;
     head.t0 = dal_stepper_time(run->stepper);
-    head.h = dal__run_is_controlled(run) ? 0.0 : run->stepper->motion.h;
+    head.h = dal__run_varies(run) ? 0.0 : run->stepper->motion.h;
     head.description_size = with->description_size;
     memcpy(head.fingerprint, with->fingerprint, sizeof head.fingerprint);
     memcpy(head.scheme, scheme->name, sizeof head.scheme);
@@ -404,7 +407,7 @@ static int give_row(const dal_journal *self, dal_run *run, const dal_record *r, 
     if (run->x) memcpy(run->x + r->number * N, r->x, N * sizeof *r->x);
     if (run->row_times) run->row_times[r->number] = r->t;
     if (r->number == 0) run->t_begin = r->t;
-    if (dal__run_is_controlled(run) && run->inputs) count_inputs(run, r->t);
+    if (dal__run_varies(run) && run->inputs) count_inputs(run, r->t);
     if (run->reactions && r->number > 0)
         memcpy(run->reactions + (r->number - 1) * m, r->reaction, m * sizeof *r->reaction);
     pending_inputs(run, steps, &first, &count);

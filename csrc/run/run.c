@@ -9,13 +9,13 @@ enum { MOST_AT_ONCE = 4096 }; /* steps, after which a journal looks at the time 
 bool dal__run_is_over(const dal_run *run)
 {
     return run->done == run->steps
-        || (dal__run_is_controlled(run) && dal_stepper_time(run->stepper) == run->until);
+        || (dal__run_varies(run) && dal_stepper_time(run->stepper) == run->until);
 }
 
 /* Whether the state now is to be stored, and is not yet. */
 static bool is_due(const dal_run *run)
 {
-    if (!dal__run_is_controlled(run)) return run->done == run->stored * run->stride;
+    if (!dal__run_varies(run)) return run->done == run->stored * run->stride;
     const size_t since = run->done - run->row_step;
     return run->stored == 0 || since >= run->stride || (since > 0 && dal__run_is_over(run));
 }
@@ -46,7 +46,7 @@ static int store(dal_run *run)
     double *const reaction = reaction_of_row(run);
     const double t = dal_stepper_time(stepper);
     const double elapsed =
-        dal__run_is_controlled(run) ? t - run->row_time : (double)run->stride * motion->h;
+        dal__run_varies(run) ? t - run->row_time : (double)run->stride * motion->h;
     int status = reaction ? dal__stepper_reaction(stepper, elapsed, reaction) : DAL_SUCCESS;
     if (!status) status = dal__journal_row(run, motion->x, reaction);
     if (status) return status;
@@ -75,9 +75,9 @@ static bool inputs_change(const dal_run *run, size_t *row)
 {
     const size_t hold = dal__hold(run);
     if (!run->inputs) return false;
-    *row = dal__run_is_controlled(run) ? run->handed : run->done / hold;
-    if (!dal__run_is_controlled(run)) return run->done % hold == 0;
-    const double ahead = run->stepper->pace.h > 0.0 ? 1.0 : -1.0;
+    *row = dal__run_varies(run) ? run->handed : run->done / hold;
+    if (!dal__run_varies(run)) return run->done % hold == 0;
+    const double ahead = dal__stepper_ahead(run->stepper);
     return ahead * (dal_stepper_time(run->stepper) - dal__run_begin_of_inputs(run, *row)) >= 0.0;
 }
 
@@ -104,11 +104,11 @@ static int hand_inputs(dal_run *run)
                              dal_stepper_time(stepper));
 }
 
-/* Where the next error-controlled step is to end at the latest. */
+/* Where the next step is to end at the latest, if its size varies. */
 static int limit_steps(const dal_run *run)
 {
     const double change = run->inputs ? dal__run_begin_of_inputs(run, run->handed) : run->until;
-    const bool sooner = run->stepper->pace.h > 0.0 ? change < run->until : change > run->until;
+    const bool sooner = dal__stepper_ahead(run->stepper) * (change - run->until) < 0.0;
     return dal_stepper_until(run->stepper, sooner ? change : run->until);
 }
 
@@ -116,7 +116,7 @@ static int limit_steps(const dal_run *run)
  * are the same go in one. */
 static size_t steps_of_inputs(const dal_run *run, size_t most)
 {
-    if (dal__run_is_controlled(run)) return most;
+    if (dal__run_varies(run)) return most;
     const size_t hold = dal__hold(run), row = run->done / hold;
     const size_t width = run->inputs ? run->stepper->motion.system->def.inputs : 0;
     size_t steps = hold - run->done % hold;
@@ -128,11 +128,11 @@ static size_t steps_of_inputs(const dal_run *run, size_t most)
     return steps < most ? steps : most;
 }
 
-/* What is wrong with a run of error-controlled steps. */
-static int check_controlled(const dal_run *run)
+/* What is wrong with a run of steps whose size varies. */
+static int check_varied(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;
-    const double ahead = run->stepper->pace.h > 0.0 ? 1.0 : -1.0;
+    const double ahead = dal__stepper_ahead(run->stepper);
     const double t = dal_stepper_time(run->stepper);
     if (!isfinite(run->until) || ahead * (run->until - t) < 0.0)
         return dal__fail(error, DAL_EINVAL, "until = %g: expected a time from t = %g on, in the "
@@ -146,7 +146,7 @@ static int check_controlled(const dal_run *run)
 int dal__run_check(const dal_run *run)
 {
     dal_error *const error = &run->stepper->error;
-    if (run->stride == 0 || (run->steps % run->stride > 0 && !dal__run_is_controlled(run)))
+    if (run->stride == 0 || (run->steps % run->stride > 0 && !dal__run_varies(run)))
         return dal__fail(error, DAL_EINVAL, "steps = %zu is not a multiple of stride = %zu",
                          run->steps, run->stride);
     if (run->control && !run->inputs)
@@ -155,7 +155,7 @@ int dal__run_check(const dal_run *run)
     if (run->inputs && run->stepper->motion.system->def.inputs == 0)
         return dal__fail(error, DAL_EINVAL, "inputs is not NULL, but the system has none");
     int status = dal__stepper_started(run->stepper);
-    if (!status && dal__run_is_controlled(run)) status = check_controlled(run);
+    if (!status && dal__run_varies(run)) status = check_varied(run);
     return status ? status : dal__events_check(run);
 }
 
@@ -185,12 +185,12 @@ int dal_run_go(dal_run *run, size_t budget)
     motion->watch = run->watch;
     motion->watch_ctx = run->watch_ctx;
     while (!status && budget > 0 && !dal__run_is_over(run)) {
-        const size_t since = dal__run_is_controlled(run) ? run->done - run->row_step
+        const size_t since = dal__run_varies(run) ? run->done - run->row_step
                                                 : run->done % run->stride;
         size_t made = 0, left = run->stride - since;
         if (left > run->steps - run->done) left = run->steps - run->done;
         status = hand_inputs(run);
-        if (!status && dal__run_is_controlled(run)) status = limit_steps(run);
+        if (!status && dal__run_varies(run)) status = limit_steps(run);
         if (status) break;
         if (left > budget) left = budget;
         left = steps_of_inputs(run, left);

@@ -19,14 +19,11 @@ void dal__events_forget(dal_events *events);
 /* DAL_EINVAL for what is wrong with the events and the times of a run. */
 int dal__events_check(const dal_run *run);
 
-/* Whether its steps are error-controlled; whether they are all made. */
-static inline bool dal__run_is_controlled(const dal_run *run)
-{
-    return run->stepper->pace.q > 0;
-}
+/* Whether the size of its steps varies; whether they are all made. */
+static inline bool dal__run_varies(const dal_run *run) { return run->stepper->vary.on; }
 bool dal__run_is_over(const dal_run *run);
 
-/* The time where row k of inputs begins, of error-controlled steps. */
+/* The time where row k of inputs begins, of steps whose size varies. */
 double dal__run_begin_of_inputs(const dal_run *run, size_t k);
 
 /* For how many steps a row of inputs is. */

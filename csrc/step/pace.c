@@ -72,12 +72,12 @@ int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *err
     pace->q = q;
     pace->order = self->scheme.order > q ? self->scheme.order : q;
     pace->noise = noise * ROUNDOFF * DAL_ROUNDOFF;
-    DAL__RESERVE(&pace->arena, 2 * self->mech.n, &pace->estimate, &pace->field);
-    for (int k = 0; k < 2; k++) dal__place_reserve(self, &pace->places[k], &pace->arena);
+    DAL__RESERVE(&self->vary.arena, 2 * self->mech.n, &pace->estimate, &pace->field);
+    dal__place_reserve(self, &pace->after, &self->vary.arena);
     pace->tolerance = tolerance;
     pace->allowed = PART * pow(tolerance, (pace->order + 1.0) / pace->order);
     pace->h_max = h_max > 0.0 ? h_max : (double)INFINITY;
-    return dal__allocate(&pace->arena, error);
+    return dal__vary_make(self, error);
 }
 
 void dal__pace_start(dal_stepper *self)
@@ -86,7 +86,6 @@ void dal__pace_start(dal_stepper *self)
     self->pace.h = self->motion.h;
     self->pace.error = 1.0;
     self->pace.share = FIRST_SHARE;
-    self->pace.until = copysign((double)INFINITY, self->motion.h);
 }
 
 /* ---- the first step ------------------------------------------------------------------------- */
@@ -107,7 +106,7 @@ int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, 
 {
     dal__pace *const pace = &self->pace;
     const size_t N = 2 * self->mech.n;
-    double *const f = pace->estimate, *const there = pace->places[0].x;
+    double *const f = pace->estimate, *const there = self->vary.before.x;
     double *const change = pace->field;
     int status = dal_field(&self->mech, t, x, f);
     if (status) return status;
@@ -134,14 +133,8 @@ static int attempt(dal_stepper *self, double t, double h, double *estimate)
 {
     dal__pace *const pace = &self->pace;
     dal_motion *const motion = &self->motion;
-    size_t done = 0;
-    if (self->family->rescale) self->family->rescale(self->method, h / motion->h);
-    motion->t0 = t;
-    motion->h = h;
-    motion->first = motion->steps;
     motion->estimate = pace->estimate;
-    motion->error->text[0] = '\0';
-    const int status = self->family->advance(self->method, motion, 1, &done);
+    const int status = dal__vary_step(self, t, h);
     motion->estimate = NULL;
     if (!status) *estimate = size(2 * self->mech.n, motion->x, pace->estimate);
     return status;
@@ -162,7 +155,7 @@ static bool is_final(int status)
     return status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL;
 }
 
-/* After a step of h from t = places[0]: c by two steps and one of twice the length, whose error is
+/* After a step of h from t: c by two steps and one of twice the length, whose error is
  * its difference to theirs; the motion stays where it is.  What is all roundoff, or cannot be made,
  * says nothing. */
 static int measure_share(dal_stepper *self, double t, double h)
@@ -172,11 +165,11 @@ static int measure_share(dal_stepper *self, double t, double h)
     const size_t N = 2 * self->mech.n;
     double *const difference = pace->field;
     double estimate;
-    dal__remember(self, &pace->places[1]);
+    dal__remember(self, &pace->after);
     int status = attempt(self, t + h, h, &estimate);
     if (!status) {
         memcpy(difference, motion->x, N * sizeof *difference);
-        dal__go_back(self, &pace->places[0]);
+        dal__go_back(self, &self->vary.before);
         status = attempt(self, t, 2.0 * h, &estimate);
     }
     if (!status) {
@@ -187,7 +180,7 @@ static int measure_share(dal_stepper *self, double t, double h)
             pace->share = pace->share == FIRST_SHARE || share > pace->share
                               ? share : sqrt(share * pace->share);
     }
-    dal__go_back(self, &pace->places[1]);
+    dal__go_back(self, &pace->after);
     return is_final(status) ? status : DAL_SUCCESS;
 }
 
@@ -195,24 +188,19 @@ static int measure_share(dal_stepper *self, double t, double h)
 static bool is_time(const dal_stepper *self, double t, double h)
 {
     const size_t steps = self->motion.steps;
-    const double left = self->pace.until - t;
+    const double left = self->vary.until - t;
     return (steps == 0 || steps == EARLY || steps % OFTEN == 0) && 2.0 * fabs(h) <= fabs(left);
 }
 
 /* The length of a step of about h from t: not beyond the end, nor so that a short one is left. */
-static double fit(const dal__pace *pace, double t, double h)
+static double fit(const dal_stepper *self, double t, double h)
 {
-    const double left = pace->until - t;
+    const dal__pace *const pace = &self->pace;
+    const double left = self->vary.until - t;
     if (fabs(h) > pace->h_max) h = copysign(pace->h_max, h);
-    if (fabs(h) < fabs(left)) {
-        if (2.0 * fabs(h) > fabs(left)) h = 0.5 * left;
-        return (t + h) - t;
-    }
-    for (int ahead = -1; ahead <= 1; ahead += 2) { /* t + left may be rounded to its neighbour */
-        const double next = nextafter(left, ahead * (double)INFINITY);
-        if (t + left != pace->until && t + next == pace->until) return next;
-    }
-    return left;
+    if (fabs(h) >= fabs(left)) return dal__vary_last(self, t);
+    if (2.0 * fabs(h) > fabs(left)) h = 0.5 * left;
+    return (t + h) - t;
 }
 
 /* The change of h after an error, of which the step before had another. */
@@ -229,9 +217,9 @@ int dal__pace_step(dal_stepper *self)
     dal_motion *const motion = &self->motion;
     const double t = dal_stepper_time(self), power = 1.0 / (pace->order + 1.0);
     double h = pace->h;
-    dal__remember(self, &pace->places[0]);
+    dal__remember(self, &self->vary.before);
     for (int k = 1;; k++) {
-        const double length = fit(pace, t, h);
+        const double length = fit(self, t, h);
         const bool whole = fabs(length) >= fabs(h) - 4.0 * DAL_ROUNDOFF * (fabs(t) + fabs(h));
         double estimate = 0.0, error = FAILED;
         int status = length == 0.0 || !isfinite(length) ? DAL_ENOCONV
@@ -247,7 +235,7 @@ int dal__pace_step(dal_stepper *self)
             return DAL_SUCCESS;
         }
         const bool hopeless = k == ATTEMPTS || fabs(length) <= 16.0 * DAL_ROUNDOFF * fabs(t);
-        dal__go_back(self, &pace->places[0]);
+        dal__go_back(self, &self->vary.before);
         motion->t0 = t;
         motion->first = motion->steps;
         if (is_final(status) || (hopeless && status)) return status;
@@ -259,21 +247,4 @@ int dal__pace_step(dal_stepper *self)
         h = length * fmax(LEAST_AFTER_FAILURE, SAFETY * pow(error, -power));
         motion->stats->rejected++;
     }
-}
-
-int dal_stepper_until(dal_stepper *stepper, double t)
-{
-    if (!stepper) return DAL_EINVAL;
-    dal_error *const error = &stepper->error;
-    if (stepper->pace.q == 0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "the steps are of h, without error control: "
-                         "they end where they end");
-    const int status = dal__stepper_started(stepper);
-    if (status) return status;
-    const double now = dal_stepper_time(stepper), ahead = stepper->pace.h > 0.0 ? 1.0 : -1.0;
-    if (!(ahead * (t - now) >= 0.0))
-        return dal__fail(error, DAL_EINVAL, "t = %g lies before the time of the stepper, %g, in "
-                         "the direction of its steps", t, now);
-    stepper->pace.until = t;
-    return DAL_SUCCESS;
 }

@@ -19,6 +19,7 @@ void dal__remember(dal_stepper *stepper, dal__place *place)
     memcpy(place->x + N, motion->impulse, stepper->mech.m * sizeof *place->x);
     place->t = motion->t0;
     place->h = motion->h;
+    place->first = motion->first;
     place->steps = motion->stats->steps;
     place->worst = motion->stats->worst_residual;
     if (stepper->family->save) stepper->family->save(stepper->method, place->memory);
@@ -32,6 +33,7 @@ void dal__go_back(dal_stepper *stepper, const dal__place *place)
     memcpy(motion->impulse, place->x + N, stepper->mech.m * sizeof *place->x);
     motion->t0 = place->t;
     motion->h = place->h;
+    motion->first = place->first;
     motion->stats->steps = place->steps;
     motion->stats->worst_residual = place->worst;
     if (stepper->family->restore) stepper->family->restore(stepper->method, place->memory);

@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 5, OF = 7, FIELDS = 34, HEAD = OF + FIELDS };
+enum { VERSION = 5, OF = 8, FIELDS = 40, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -35,10 +35,13 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.counter = &e->potential_calls}, {.counter = &e->lagrangian_calls},
         {.counter = &e->force_calls}, {.counter = &stats->evaluations},
         {.counter = &stats->lagrangian_calls}, {.counter = &stats->force_calls},
-        {.counter = &stats->scaled}, {.counter = &stats->unscaled},
+        {.counter = &stats->scaled}, {.counter = &stats->unscaled}, {.counter = &stats->resets},
         {.energy = &self->scaling.energy}, {.energy = &jump->undone},
-        {.counter = &stats->rejected}, {.counter = &motion->first}, {.real = &self->pace.share},
-        {.real = &self->pace.h}, {.real = &self->pace.error},
+        {.counter = &stats->rejected}, {.real = &self->reversible.rho},
+        {.real = &self->reversible.part}, {.real = &self->reversible.floor},
+        {.real = &self->reversible.speed}, {.flag = &self->reversible.by_jerk},
+        {.counter = &motion->first}, {.real = &self->pace.share}, {.real = &self->pace.h},
+        {.real = &self->pace.error},
     };
     memcpy(fields, list, sizeof list);
 }
@@ -109,7 +112,7 @@ int dal_stepper_save(dal_stepper *stepper, double *values)
     field fields[FIELDS];
     const double of[OF] = {VERSION, (double)n, (double)stepper->mech.m, stepper->identity,
                            stepper->pace.tolerance, longest(stepper),
-                           stepper->scaling.wanted};
+                           stepper->scaling.wanted, stepper->reversible.eps};
     list_fields(stepper, fields);
     memcpy(values, of, sizeof of);
     for (size_t i = 0; i < FIELDS; i++) values[OF + i] = read(&fields[i]);
@@ -139,6 +142,9 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
     if (count > 6 && values[6] != (double)self->scaling.wanted)
         return dal__fail(error, DAL_EINVAL, "what was saved has keep_energy = %g; here it is %d",
                          values[6], (int)self->scaling.wanted);
+    if (count > 7 && values[7] != self->reversible.eps)
+        return dal__fail(error, DAL_EINVAL, "what was saved has eps = %g, and here eps = %g",
+                         values[7], self->reversible.eps);
     if (count != expected)
         return dal__fail(error, DAL_EINVAL, "count = %zu: expected %zu numbers", count, expected);
     field fields[FIELDS];
@@ -155,12 +161,19 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
     if (!isfinite(t + (steps - first + 1.0) * h))
         return dal__fail(error, DAL_EINVAL, "values[%d] = %g steps of h = %g lead from t = %g to "
                          "no finite time", OF + 2, steps, h, t);
-    if (self->pace.q > 0
-            ? !(next * h > 0.0 && steps >= first && share > 0.0 && values[HEAD - 1] > 0.0)
-            : first != 0.0 || next != 0.0)
-        return dal__fail(error, DAL_EINVAL, "values[%d] = %g and values[%d] = %g are not of steps "
-                         "of %s", HEAD - 4, first, HEAD - 2, next,
-                         self->pace.q > 0 ? "controlled size" : "one size");
+    if (self->pace.q > 0 ? !(next * h > 0.0 && share > 0.0 && values[HEAD - 1] > 0.0)
+                         : next != 0.0)
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g is not of steps of %s", HEAD - 2, next,
+                         self->pace.q > 0 ? "controlled size" : "another kind");
+    if (self->vary.on ? !(first <= steps) : first != 0.0)
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g is not of steps of %s", HEAD - 4,
+                         first, self->vary.on ? "sizes that vary" : "one size");
+    const double *const reversible = values + HEAD - 9; /* rho, part, floor, v0^2 */
+    if (self->reversible.eps > 0.0 && !(reversible[0] > 0.0 && reversible[1] >= 0.0
+                                        && reversible[1] <= 1.0 && reversible[2] > 0.0
+                                        && reversible[3] > 0.0))
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g and what follows is not of reversible "
+                         "steps", HEAD - 9, reversible[0]);
     const size_t of_family = before_family(self);
     if (family->accepts && !family->accepts(self->method, values + of_family))
         return dal__fail(error, DAL_EINVAL, "values[%zu] and what follows is not of the scheme "
@@ -184,7 +197,7 @@ int dal_stepper_restore(dal_stepper *stepper, const double *values, size_t count
     if (stepper->family->start) stepper->family->start(stepper->method, &stepper->motion);
     if (stepper->family->restore)
         stepper->family->restore(stepper->method, values + before_family(stepper));
-    if (stepper->pace.q > 0) stepper->pace.until = copysign((double)INFINITY, stepper->motion.h);
+    stepper->vary.until = copysign((double)INFINITY, stepper->motion.h);
     stepper->started = true;
     dal__fail(&stepper->error, DAL_SUCCESS, "%s", "");
     return DAL_SUCCESS;

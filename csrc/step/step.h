@@ -66,13 +66,27 @@ int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const doub
 /* Where a motion was. */
 typedef struct dal__place {
     double t, h, worst;      /* worst_residual */
-    size_t steps;
+    size_t steps, first;
     double *x;               /* [2n+m] with the impulse */
     double *memory;          /* what the family saves */
 } dal__place;
 void dal__place_reserve(dal_stepper *stepper, dal__place *place, arena *a);
 void dal__remember(dal_stepper *stepper, dal__place *place);
 void dal__go_back(dal_stepper *stepper, const dal__place *place);
+
+/* Steps whose size varies (vary.c): error-controlled or reversible ones. */
+typedef struct dal__vary {
+    bool on;                 /* they are such */
+    double until;            /* a time at which a step is to end, or infinite */
+    dal__place before;       /* a step */
+    arena arena;             /* of the two kinds as well */
+} dal__vary;
+/* Memory for all that a kind has asked for. */
+int dal__vary_make(dal_stepper *stepper, dal_error *error);
+/* A step of h from t, where the stepper stands; the caller counts it. */
+int dal__vary_step(dal_stepper *stepper, double t, double h);
+/* The step from t that ends at the time where one is to end. */
+double dal__vary_last(const dal_stepper *stepper, double t);
 
 /* Error-controlled steps (pace.c); q = 0: there are none. */
 typedef struct dal__pace {
@@ -83,10 +97,8 @@ typedef struct dal__pace {
     double h, error;         /* the next step to be tried; the error of the last, in units of what
                                 it may be */
     double share;            /* by which the error of a step follows from its estimate */
-    double until;            /* a time at which a step is to end, or infinite */
     double *estimate, *field; /* [2n] */
-    dal__place places[2];    /* before a step, and after it */
-    arena arena;
+    dal__place after;        /* a step */
 } dal__pace;
 /* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */
 int dal__pace_make(dal_stepper *stepper, const dal_options *options, dal_error *error);
@@ -111,6 +123,27 @@ int dal__scaling_make(dal_stepper *stepper, const dal_options *options, dal_erro
 int dal__scaling_start(dal_stepper *stepper, const double *x, double *energy);
 /* One step; the caller counts it.  The error is in motion->error. */
 int dal__scaling_step(dal_stepper *stepper);
+/* Reversible steps (reversible.c); eps = 0: there are none. */
+typedef struct dal__reversible {
+    double eps;
+    double rho, part;        /* of the last step, and which part of it was made: 0 at a start */
+    double floor;            /* sigma^2 is at least this */
+    double speed;            /* v0^2, which is added to that of v */
+    bool by_jerk;            /* the monitor is that by the jerk, not that by V_qq */
+    double *frame, *raised;  /* [m*n] the forms at x, orthonormal, and M^-1 times them */
+    double *turned, *scratch; /* [m*n], [n or m*n] the same near x */
+    double *hessian, *scaled; /* [n*n] */
+    double *field, *away, *there; /* [2n] that at x, a state near it, its field */
+    double *jerk;            /* [n] */
+} dal__reversible;
+/* What the options say of them; DAL_EINVAL, DAL_EUNSUPPORTED. */
+int dal__reversible_make(dal_stepper *stepper, const dal_options *options, dal_error *error);
+/* begin, a copy of the stepper's, <- that of a start from x[2n] at t, or of a state that the motion
+ * has been moved to.  The errors of the callbacks; at a start, DAL_EDOMAIN. */
+int dal__reversible_start(dal_stepper *stepper, double t, const double *x, dal__reversible *begin);
+int dal__reversible_land(dal_stepper *stepper, double t, const double *x, dal__reversible *begin);
+/* As dal__pace_step. */
+int dal__reversible_step(dal_stepper *stepper);
 
 struct dal_stepper {
     dal_motion motion;
@@ -123,8 +156,10 @@ struct dal_stepper {
     dal_stats stats;
     double *fresh;         /* [2n] initial data being examined */
     dal__jump jump;
+    dal__vary vary;
     dal__pace pace;
     dal__scaling scaling;
+    dal__reversible reversible;
     bool started;
     dal_error error;
     arena arena;
@@ -133,8 +168,13 @@ struct dal_stepper {
 /* DAL_EINVAL unless it is started; unless steps of h lead on from t0. */
 int dal__stepper_started(dal_stepper *stepper);
 int dal__stepper_check_times(dal_stepper *stepper, double t0, double h);
+/* 1, or -1 if its steps, of a stepper that is started, lead back. */
+static inline double dal__stepper_ahead(const dal_stepper *stepper)
+{
+    return stepper->motion.h > 0.0 ? 1.0 : -1.0;
+}
 /* dal_advance in parts, of a stepper that is started: the steps, whose impulses are added up, fewer
- * where error-controlled ones are to end; the mean reaction over the time that has passed. */
+ * where those whose size varies are to end; the mean reaction over the time that has passed. */
 void dal__stepper_forget_impulse(dal_stepper *stepper);
 int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made);
 int dal__stepper_reaction(dal_stepper *stepper, double elapsed, double *reaction);

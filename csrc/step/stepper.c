@@ -51,7 +51,9 @@ int dal_stepper_new(dal_stepper **stepper, const dal_system *system, const dal_s
     status = allocate(&self, system, scheme, options, error);
     if (status) return status;
     if (family->make) status = family->make(&self->method, &self->motion, error);
-    if (!status) status = dal__pace_make(self, options, error);
+    if (!status)
+        status = options && options->eps != 0.0 ? dal__reversible_make(self, options, error)
+                                                : dal__pace_make(self, options, error);
     if (!status) status = dal__scaling_make(self, options, error);
     if (status) {
         dal_stepper_free(self);
@@ -67,7 +69,7 @@ void dal_stepper_free(dal_stepper *stepper)
 {
     if (!stepper) return;
     if (stepper->method && stepper->family->free) stepper->family->free(stepper->method);
-    dal__release(&stepper->pace.arena);
+    dal__release(&stepper->vary.arena);
     dal__release(&stepper->scaling.arena);
     arena memory = stepper->arena; /* the object lies inside it */
     dal__release(&memory);
@@ -132,7 +134,10 @@ static int check_start(dal_stepper *self, double t0, double h, const double *x,
     const bool kept = self->scheme.nodes == DAL_KEPT_NODES;
     dal_error *const error = &self->error;
     if (!x) return dal__fail(error, DAL_EINVAL, "x is NULL");
-    const bool found = self->pace.q > 0 && isinf(h); /* by the step itself */
+    const bool found = self->vary.on && isinf(h); /* by the step itself */
+    if (self->reversible.eps > 0.0 && !isinf(h))
+        return dal__fail(error, DAL_EINVAL, "h = %g: reversible steps have a size of their own; "
+                         "expected INFINITY or -INFINITY, their direction", h);
     const int status =
         dal__stepper_check_times(self, t0, found ? copysign(fmax(1.0, fabs(t0)), h) : h);
     if (status) return status;
@@ -272,8 +277,13 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     if (!status)
         status = dal__jump_start(&jump, &self->mech, self->scheme.order, shift, self->fresh);
     if (!status) status = dal__scaling_start(self, self->fresh, &kept);
-    if (!status && isinf(h))
+    dal__reversible reversible = self->reversible;
+    if (!status && reversible.eps > 0.0) {
+        status = dal__reversible_start(self, t0, self->fresh, &reversible);
+        first = copysign(reversible.eps / reversible.rho, h);
+    } else if (!status && isinf(h)) {
         status = dal__pace_first(self, t0, copysign(1.0, h), self->fresh, &first);
+    }
     if (status) {
         self->error = self->mech.error;
         return status;
@@ -284,6 +294,8 @@ int dal_stepper_start(dal_stepper *stepper, double t0, double h, const double *x
     motion->h = first;
     motion->steps = motion->first = 0;
     dal__pace_start(self);
+    self->reversible = reversible;
+    self->vary.until = h > 0.0 ? (double)INFINITY : -(double)INFINITY;
     *motion->stats = stats;
     self->jump = jump;
     self->scaling.energy = kept;
@@ -307,12 +319,16 @@ int dal__stepper_land(dal_stepper *stepper, const double *x, double kept)
 {
     dal_motion *const motion = &stepper->motion;
     dal__jump jump = {0};
-    const int status =
+    int status =
         dal__jump_start(&jump, &stepper->mech, stepper->scheme.order, stepper->jump.shift, x);
+    dal__reversible reversible = stepper->reversible;
+    if (!status && reversible.eps > 0.0)
+        status = dal__reversible_land(stepper, dal_stepper_time(stepper), x, &reversible);
     if (status) {
         stepper->error = stepper->mech.error;
         return status;
     }
+    stepper->reversible = reversible;
     if (stepper->jump.step == 0) stepper->jump = jump;
     stepper->scaling.energy = kept;
     memcpy(motion->x, x, 2 * stepper->mech.n * sizeof *x);
@@ -336,9 +352,9 @@ int dal__stepper_advance(dal_stepper *stepper, size_t steps, size_t *made)
         size_t done = 0;
         motion->error->text[0] = '\0';
         int status;
-        if (self->pace.q > 0) {
-            if (dal_stepper_time(self) == self->pace.until) return DAL_SUCCESS;
-            status = dal__pace_step(self);
+        if (self->vary.on) {
+            if (dal_stepper_time(self) == self->vary.until) return DAL_SUCCESS;
+            status = self->pace.q > 0 ? dal__pace_step(self) : dal__reversible_step(self);
             done = !status;
         } else if (self->scaling.wanted) {
             status = dal__scaling_step(self);
@@ -397,7 +413,7 @@ int dal_advance(dal_stepper *stepper, size_t steps, double *reaction, size_t *do
         return dal__fail(&stepper->error, DAL_EINVAL, "the stepper is at t = %g, where its steps "
                          "were to end", dal_stepper_time(stepper));
     if (status || !reaction || steps == 0) return status;
-    const double elapsed = stepper->pace.q > 0 ? dal_stepper_time(stepper) - begin
+    const double elapsed = stepper->vary.on ? dal_stepper_time(stepper) - begin
                                                : (double)steps * stepper->motion.h;
     return dal__stepper_reaction(stepper, elapsed, reaction);
 }

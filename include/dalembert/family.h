@@ -17,7 +17,7 @@ typedef struct dal_motion {
     int max_iterations;        /* of Newton in a step */
     double t0, h;              /* x is the state at t0 + (steps - first) h */
     size_t steps;              /* made since the start; the stepper counts them */
-    size_t first;              /* 0; of error-controlled steps, which have an h each, steps */
+    size_t first;              /* 0; of steps whose size varies, which have an h each, steps */
     double *x;                 /* [2n] */
     const double *input;       /* [inputs] of the force over the next step; mechanics has them */
     double *impulse;           /* [m] h lambda of every step is added */

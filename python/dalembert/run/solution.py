@@ -37,6 +37,8 @@ class Statistics:
     scaled, unscaled : int
         Steps whose energy was kept by scaled velocities, which made them again; and those where it
         could not be kept so, and was not.
+    resets : int
+        How often reversible steps had to be told their size anew: then they are not reversible.
     full_newtons : int
         Sub-steps solved by the full Newton iteration: all of a general system, and those that
         needed the Hessian of V.
@@ -78,6 +80,7 @@ class Statistics:
     rejected: int = 0
     scaled: int = 0
     unscaled: int = 0
+    resets: int = 0
 
     @classmethod
     def _read(cls, stepper: Any, kind: str) -> Statistics:

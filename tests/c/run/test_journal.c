@@ -298,7 +298,7 @@ static bool check_file(const char *path, const outcome *whole, size_t rows, dal_
     if (dal_journal_open(&journal, path, 0, NULL, error)) return false;
     dal_journal_describe(journal, &info);
     CHECK(info.n == whole->n && info.m == whole->m && info.t0 == 0.5);
-    const bool controlled = dal__run_is_controlled(&whole->run);
+    const bool controlled = dal__run_varies(&whole->run);
     CHECK(info.h == (controlled ? 0.0 : 0.05));
     for (size_t i = 0; i < info.records; i++) {
         dal_record r;

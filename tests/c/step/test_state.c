@@ -332,24 +332,25 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 }
 
 /* What stands where among the saved numbers; x follows the head. */
-enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, KEEPS, T0, H, TAKEN, LOOKING,
-       SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 21, FIRST_CALLS = 25,
-       KEPT = 34, UNDONE, REJECTED, BEGUN, SHARE, NEXT_H, LAST_ERROR, HEAD };
+enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, KEEPS, EPS, T0, H, TAKEN,
+       LOOKING, SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 22,
+       FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, BY_JERK = 43, BEGUN, SHARE, NEXT_H,
+       LAST_ERROR, HEAD };
 
 /* Whether nothing but a refusal will do; the words are those that it has to have. */
 static bool is_hopeless(size_t i, double spoil, char words[32])
 {
     const bool energy = (ENERGY <= i && i <= JUMP && i != JUMP_STEP) || i == KEPT || i == UNDONE;
     const bool counter = i == TAKEN || i == JUMP_STEP || (FIRST_COUNT <= i && i <= LAST_COUNT)
-                      || (FIRST_CALLS <= i && i <= BEGUN && !energy);
+                      || (FIRST_CALLS <= i && i <= REJECTED && !energy) || i == BEGUN;
     snprintf(words, 32, "values[%zu]", i);
     if (i == SAVED_VERSION) return true;
     if (i <= IDENTITY) {
         snprintf(words, 32, "another system or scheme");
         return true;
     }
-    if (i == TOLERANCE || i == LONGEST) {
-        snprintf(words, 32, "what was saved has tolerance");
+    if (i == TOLERANCE || i == LONGEST || i == EPS) {
+        snprintf(words, 32, "what was saved has %s", i == EPS ? "eps" : "tolerance");
         return true;
     }
     if (i == KEEPS) snprintf(words, 32, "what was saved has keep_energy");
@@ -360,7 +361,7 @@ static bool is_hopeless(size_t i, double spoil, char words[32])
         snprintf(words, 32, i == T0 ? "does not change t0" : "h = ");
         return i == T0 ? fabs(spoil) == 1e300 : fabs(spoil) < 1e-300;
     }
-    return (counter || i == LOOKING) && spoil != 0.0;
+    return (counter || i == LOOKING || i == BY_JERK) && spoil != 0.0;
 }
 
 /* The stepper at home is saved; every number of it is spoiled in turn and handed to the stepper

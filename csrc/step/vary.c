@@ -1,0 +1,49 @@
+/* Steps whose size varies: each begins where the one before ended. */
+#include "step/step.h"
+
+#include <math.h>
+
+int dal__vary_make(dal_stepper *self, dal_error *error)
+{
+    dal__place_reserve(self, &self->vary.before, &self->vary.arena);
+    self->vary.on = true;
+    return dal__allocate(&self->vary.arena, error);
+}
+
+int dal__vary_step(dal_stepper *self, double t, double h)
+{
+    dal_motion *const motion = &self->motion;
+    size_t done = 0;
+    if (self->family->rescale) self->family->rescale(self->method, h / motion->h);
+    motion->t0 = t;
+    motion->h = h;
+    motion->first = motion->steps;
+    motion->error->text[0] = '\0';
+    return self->family->advance(self->method, motion, 1, &done);
+}
+
+double dal__vary_last(const dal_stepper *self, double t)
+{
+    const double until = self->vary.until, left = until - t;
+    for (int ahead = -1; ahead <= 1; ahead += 2) { /* t + left may be rounded to its neighbour */
+        const double next = nextafter(left, ahead * (double)INFINITY);
+        if (t + left != until && t + next == until) return next;
+    }
+    return left;
+}
+
+int dal_stepper_until(dal_stepper *stepper, double t)
+{
+    if (!stepper) return DAL_EINVAL;
+    dal_error *const error = &stepper->error;
+    if (!stepper->vary.on)
+        return dal__fail(error, DAL_EUNSUPPORTED, "the steps are all of h: they end where they "
+                         "end");
+    const int status = dal__stepper_started(stepper);
+    if (status) return status;
+    if (!(dal__stepper_ahead(stepper) * (t - dal_stepper_time(stepper)) >= 0.0))
+        return dal__fail(error, DAL_EINVAL, "t = %g lies before the time of the stepper, %g, in "
+                         "the direction of its steps", t, dal_stepper_time(stepper));
+    stepper->vary.until = t;
+    return DAL_SUCCESS;
+}

@@ -1,0 +1,607 @@
+/* Reversible steps: that they lead back, what they keep, where they end, and runs of them. */
+#include "fixtures.h"
+#include "check.h"
+
+#include "dalembert/ensemble.h"
+#include "dalembert/events.h"
+#include "dalembert/journal.h"
+#include "step/step.h"
+
+enum { MOST_2N = 16, MOST = 4000 };
+
+/* ---- orbit: a planet that turns a screw -----------------------------------------------------
+ * Kepler's motion of (x, y), V = -1 / sqrt(x^2 + y^2), and z' = c (x y' - y x'), with masses 1.
+ * The reaction vanishes: the orbit is an ellipse, and z grows by c times the angular momentum. */
+
+typedef struct orbit {
+    double time, twist; /* unit of time; c */
+} orbit;
+
+static int attraction(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    const double unit = ((const orbit *)ctx)->time, k = 1.0 / (unit * unit);
+    const double r2 = q[0] * q[0] + q[1] * q[1], r = sqrt(r2), r3 = r * r2;
+    (void)t;
+    if (!(r > 1e-3)) return 1;
+    if (V) *V = -k / r;
+    if (V_q) memset(V_q, 0, 3 * sizeof *V_q);
+    if (V_qq) memset(V_qq, 0, 9 * sizeof *V_qq);
+    for (int i = 0; i < 2; i++) {
+        if (V_q) V_q[i] = k * q[i] / r3;
+        for (int j = 0; V_qq && j < 2; j++)
+            V_qq[3 * i + j] = k * ((i == j) / r3 - 3.0 * q[i] * q[j] / (r3 * r2));
+    }
+    return 0;
+}
+
+static int screw(double t, const double *q, const double *v, double *phi, double *phi_v,
+                 double *phi_q, double *phi_t, void *ctx)
+{
+    const double c = ((const orbit *)ctx)->twist;
+    (void)t, (void)phi_t;
+    if (phi) *phi = v[2] + c * (q[1] * v[0] - q[0] * v[1]);
+    if (phi_v) memcpy(phi_v, (double[]){c * q[1], -c * q[0], 1.0}, 3 * sizeof *phi_v);
+    if (phi_q) memcpy(phi_q, (double[]){-c * v[1], c * v[0], 0.0}, 3 * sizeof *phi_q);
+    return 0;
+}
+
+/* From its aphelion, with eccentricity 0.9 and half axis 1: its period is 2 pi units. */
+static dal_system *open_orbit(orbit *of, double *state)
+{
+    static const double masses[3] = {1.0, 1.0, 1.0};
+    const double v = sqrt(0.1 / 1.9) / of->time;
+    memcpy(state, (double[]){1.9, 0.0, 0.0, 0.0, v, 1.9 * of->twist * v}, 6 * sizeof *state);
+    const dal_system_def def = {.n = 3, .m = 1, .masses = masses, .potential = attraction,
+                                .constraint = screw, .state = state, .ctx = of, .name = "orbit"};
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "orbit", "");
+    return system;
+}
+
+static dal_stepper *reversible(const dal_system *system, const char *scheme, double eps)
+{
+    const dal_scheme record = find_scheme(scheme);
+    return open_stepper(system, &record, &(dal_options){.eps = eps});
+}
+
+static void begin_at(dal_stepper *stepper, double t0, double ahead, const double *x)
+{
+    need(dal_stepper_start(stepper, t0, ahead * (double)INFINITY, x, DAL_CHECK, DAL_INITIAL_NONE),
+         "start", dal_stepper_error(stepper)->text);
+}
+
+static void begin(dal_stepper *stepper, const dal_system *system)
+{
+    double x[MOST_2N];
+    need(dal_system_state(system, x), "state", "");
+    begin_at(stepper, 0.0, 1.0, x);
+}
+
+static dal_stats stats_of(const dal_stepper *stepper)
+{
+    dal_stats stats;
+    dal_stepper_stats(stepper, &stats);
+    return stats;
+}
+
+/* The largest |E - E_0| in steps up to t; with fresh, rho is made sigma before each step. */
+static double drift(dal_stepper *stepper, dal_mechanics *mechanics, double t, double E0, bool fresh)
+{
+    double worst = 0.0, E = 0.0;
+    while (dal_stepper_time(stepper) < t) {
+        dal__reversible *const of = &stepper->reversible;
+        if (fresh && dal__reversible_land(stepper, 0.0, stepper->motion.x, of)) exit(2);
+        of->part = fresh ? -1.0 : of->part; /* rho moves by (part + 1) / 2 of a step */
+        if (dal_step(stepper, NULL)) exit(2);
+        if (dal_energy(mechanics, 0.0, dal_stepper_state(stepper), &E)) exit(2);
+        worst = fmax(worst, fabs(E - E0));
+    }
+    return worst;
+}
+
+/* ---- what they keep ------------------------------------------------------------------------- */
+
+/* With rho of the step after the last, and v or time turned round, as many steps lead back, but for
+ * roundoff and its growth; D is kept, and each time is the sum of the one before and h. */
+static void test_back(void)
+{
+    static const char *const systems[] = {"orbit", "knife_edge", "robot", "contact_oscillator",
+                                          "uneven_edge", "particle_oscillator", "disk"};
+    static const char *const schemes[] = {"bm6", "leapfrog-kl8", "midpoint-suzuki4"};
+    enum { STEPS = 150 };
+    for (size_t s = 0; s < DAL_LENGTH(systems); s++)
+        for (size_t k = 0; k < DAL_LENGTH(schemes); k++)
+            for (int turned = 0; turned < 2; turned++) {
+                orbit of = {1.0, 1.0};
+                double x0[MOST_2N], x[MOST_2N];
+                dal_system *const system =
+                    s == 0 ? open_orbit(&of, x0) : open_system(systems[s]);
+                const size_t n = dal_system_n(system);
+                dal_stepper *const stepper = reversible(system, schemes[k], 0.125);
+                need(dal_system_state(system, x0), "state", "");
+                begin_at(stepper, 0.0, 1.0, x0);
+                memcpy(x0, dal_stepper_state(stepper), 2 * n * sizeof *x0);
+                double longest = 0.0, shortest = HUGE_VAL;
+                for (int i = 0; i <= STEPS; i++) {
+                    const double t = dal_stepper_time(stepper);
+                    memcpy(x, dal_stepper_state(stepper), 2 * n * sizeof *x);
+                    CHECK(dal_step(stepper, NULL) == DAL_SUCCESS);
+                    const double h = dal_stepper_h(stepper);
+                    CHECK(dal_stepper_time(stepper) - t == h && t + h == dal_stepper_time(stepper));
+                    CHECK(residual_of(system, 0.0, dal_stepper_state(stepper)) <= 4.0 * n * U);
+                    longest = fmax(longest, h);
+                    shortest = fmin(shortest, h);
+                }
+                const dal__reversible then = stepper->reversible;
+                CHECK(stats_of(stepper).resets == 0);
+                for (size_t i = n; turned && i < 2 * n; i++) x[i] = -x[i];
+                begin_at(stepper, 0.0, turned ? 1.0 : -1.0, x);
+                stepper->reversible = then;
+                for (int i = 0; i < STEPS; i++) CHECK(dal_step(stepper, NULL) == DAL_SUCCESS);
+                memcpy(x, dal_stepper_state(stepper), 2 * n * sizeof *x);
+                for (size_t i = n; turned && i < 2 * n; i++) x[i] = -x[i];
+                for (size_t i = 0; i < 2 * n; i++) /* 1e-12 h of roundoff in each h */
+                    CHECK_NEAR(x[i], x0[i], 2e-9 * (1.0 + fabs(x0[i])));
+                if (s == 0) CHECK(longest > 20.0 * shortest);
+                dal_stepper_free(stepper);
+                dal_system_free(system);
+            }
+}
+
+/* The energy comes and goes over 60 periods; with h = eps / sigma(x_n) it is lost, period by
+ * period. */
+static void test_energy(void)
+{
+    orbit of = {1.0, 1.0};
+    double x[6], E0 = 0.0, worst[2][2];
+    const double period = 2.0 * acos(-1.0);
+    dal_system *const system = open_orbit(&of, x);
+    dal_mechanics *const mechanics = open_mechanics(system);
+    CHECK(dal_energy(mechanics, 0.0, x, &E0) == DAL_SUCCESS);
+    for (int fresh = 0; fresh < 2; fresh++) {
+        dal_stepper *const stepper = reversible(system, "bm6", 0.15);
+        begin(stepper, system);
+        for (int k = 0; k < 2; k++)
+            worst[fresh][k] = drift(stepper, mechanics, 30.0 * (k + 1) * period, E0, fresh);
+        if (!fresh) CHECK(stats_of(stepper).resets == 0);
+        dal_stepper_free(stepper);
+    }
+    CHECK(worst[0][0] < 3e-8 && worst[0][1] < 1.01 * worst[0][0]);
+    CHECK(worst[1][0] > 10.0 * worst[0][0] && worst[1][1] > 1.9 * worst[1][0]);
+    dal_mechanics_free(mechanics);
+    dal_system_free(system);
+}
+
+/* sigma at the aphelion by hand: mu = (0, -r, 1), mu' = (v, 0, 0) is across mu, C = 1 + r^2;
+ * V_qq = diag(-2, 1, 0) / r^3; V_q = (1, 0, 0) / r^2. */
+static void test_sigma(void)
+{
+    orbit of = {1.0, 1.0};
+    double state[6];
+    dal_system *const system = open_orbit(&of, state);
+    dal_stepper *const stepper = reversible(system, "bm6", 0.15);
+    begin(stepper, system);
+    const double a2 = pow(1.9, -4.0), v2 = 0.1 / 1.9, turn = v2 / (1.0 + 1.9 * 1.9);
+    const double z2 = 1.9 * 1.9 * v2, W = sqrt(5.0) * pow(1.9, -3.0);
+    const double s2 = v2 + z2 + stepper->reversible.speed;
+    const double sigma2 = turn + hypot(W, a2 / s2);
+    CHECK(stepper->reversible.speed > v2 + z2 && !stepper->reversible.by_jerk);
+    CHECK_NEAR(stepper->reversible.rho, sqrt(sigma2 + stepper->reversible.floor), 1e-14);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+}
+
+/* The same steps by other forms of D, in another unit of time, and with other coordinates. */
+static void test_invariance(void)
+{
+    static const char *const systems[] = {"contact_oscillator", "uneven_edge", "generic4"};
+    enum { STEPS = 60 };
+    double rho[STEPS], x[MOST_2N];
+    for (size_t s = 0; s < DAL_LENGTH(systems); s++)
+        for (int mixed = 0; mixed < 2; mixed++) {
+            dal_system *const base = open_system(systems[s]);
+            dal_system *const system = mixed ? open_mixed(base) : base;
+            dal_stepper *const stepper = reversible(system, "bm6", 0.15);
+            dal_system_state(base, x);
+            begin_at(stepper, 0.0, 1.0, x);
+            for (int k = 0; k < STEPS; k++) {
+                CHECK(dal_step(stepper, NULL) == DAL_SUCCESS);
+                if (mixed) CHECK_NEAR(stepper->reversible.rho / rho[k], 1.0, 1e-8);
+                rho[k] = stepper->reversible.rho;
+            }
+            dal_stepper_free(stepper);
+            if (mixed) dal_system_free(system);
+            dal_system_free(base);
+        }
+    for (int k = 0; k < 2; k++) {
+        orbit of = {k ? 0x1p7 : 1.0, 1.0};
+        double state[6];
+        dal_system *const system = open_orbit(&of, state);
+        dal_stepper *const stepper = reversible(system, "bm6", 0.15);
+        begin(stepper, system);
+        for (int i = 0; i < STEPS; i++) {
+            CHECK(dal_step(stepper, NULL) == DAL_SUCCESS);
+            if (k) CHECK_NEAR(stepper->reversible.rho * of.time / rho[i], 1.0, 1e-9);
+            rho[i] = stepper->reversible.rho;
+        }
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
+/* rho stays near sigma, and the energy where it was: also where V_qq vanishes on the way, at the
+ * start, or is not given; from rest, and from next to rest. */
+static void test_monitors(void)
+{
+    static const struct {
+        const char *name;
+        size_t i;
+        double from, scale;
+        bool by_jerk;
+    } cases[] = {{"robot", 3, 0.0, 1.0, true}, {"robot", 3, 0.0, 1e-6, true},
+                 {"robot", 3, 0.3, 1.0, false}, {"robot", 3, 1.5, 1.0, false},
+                 {"knife_edge", 0, 0.0, 1.0, true}, {"contact_oscillator", 0, 0.0, 0.0, false},
+                 {"particle_oscillator", 0, 0.0, 1.0, false}, {"disk", 0, 0.0, 1.0, true}};
+    for (size_t c = 0; c < DAL_LENGTH(cases); c++) {
+        double x[MOST_2N], E0 = 0.0;
+        dal_system *const system = open_system(cases[c].name);
+        const size_t n = dal_system_n(system);
+        dal_mechanics *const mechanics = open_mechanics(system);
+        dal_stepper *const stepper = reversible(system, "leapfrog-kl8", 0.1875);
+        dal_system_state(system, x);
+        x[cases[c].i] += cases[c].from;
+        for (size_t i = n; i < 2 * n; i++) x[i] *= cases[c].scale;
+        begin_at(stepper, 0.0, 1.0, x);
+        CHECK(stepper->reversible.by_jerk == cases[c].by_jerk);
+        CHECK(dal_energy(mechanics, 0.0, x, &E0) == DAL_SUCCESS);
+        CHECK(drift(stepper, mechanics, 100.0, E0, false) < 1e-7 * (1.0 + fabs(E0)));
+        CHECK(stats_of(stepper).resets == 0);
+        dal_mechanics_free(mechanics);
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+}
+
+/* ---- where they end, saved, refused --------------------------------------------------------- */
+
+/* Only the last step is shortened; one that goes on from there knows by how much. */
+static void test_until(void)
+{
+    dal_system *const system = open_system("contact_oscillator");
+    dal_stepper *const one = reversible(system, "bm6", 0.15);
+    dal_stepper *const other = reversible(system, "bm6", 0.15);
+    double rho = 0.0;
+    for (int back = 0; back < 2; back++) {
+        double x[MOST_2N];
+        const double end = back ? -5.25 : 5.25;
+        dal_system_state(system, x);
+        begin_at(one, 0.0, back ? -1.0 : 1.0, x);
+        begin_at(other, 0.0, back ? -1.0 : 1.0, x);
+        CHECK(dal_stepper_until(one, -end) == DAL_EINVAL);
+        CHECK(dal_stepper_until(one, end) == DAL_SUCCESS);
+        while (dal_stepper_time(one) != end) {
+            rho = one->reversible.rho;
+            CHECK(dal_step(one, NULL) == DAL_SUCCESS && dal_step(other, NULL) == DAL_SUCCESS);
+            if (dal_stepper_time(one) == end) break;
+            CHECK(dal_stepper_h(one) == dal_stepper_h(other));
+        }
+        CHECK(fabs(dal_stepper_h(one)) < fabs(dal_stepper_h(other)));
+        CHECK(one->reversible.rho == other->reversible.rho && one->reversible.part < 1.0);
+        CHECK_NEAR(one->reversible.part, dal_stepper_h(one) / dal_stepper_h(other), 1e-12);
+        CHECK(dal_step(one, NULL) == DAL_EINVAL);
+        CHECK(dal_stepper_until(one, 2.0 * end) == DAL_SUCCESS);
+        CHECK(dal_step(one, NULL) == DAL_SUCCESS && one->reversible.part == 1.0);
+        CHECK_NEAR(one->reversible.rho, rho, 0.1 * rho);
+    }
+    dal_stepper_free(one);
+    dal_stepper_free(other);
+    dal_system_free(system);
+}
+
+static void test_saved(void)
+{
+    enum { SAVED = 200 };
+    dal_system *const system = open_system("robot");
+    dal_stepper *const one = reversible(system, "bm6", 0.125);
+    dal_stepper *const other = reversible(system, "bm6", 0.125);
+    dal_stepper *const strange = reversible(system, "bm6", 0.1);
+    const dal_scheme bm6 = find_scheme("bm6");
+    dal_stepper *const plain = open_stepper(system, &bm6, NULL);
+    const size_t count = dal_stepper_saved(one), N = 2 * dal_system_n(system);
+    double values[SAVED], bad[SAVED], x[MOST_2N];
+    CHECK(count <= SAVED);
+    begin(one, system);
+    dal_system_state(system, x);
+    need(dal_stepper_start(plain, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE), "start", "");
+    CHECK(dal_stepper_until(one, 4.0) == DAL_SUCCESS);
+    while (dal_stepper_time(one) < 4.0 && !dal_step(one, NULL)) continue;
+    CHECK(dal_stepper_until(one, (double)INFINITY) == DAL_SUCCESS);
+    CHECK(dal_stepper_save(one, values) == DAL_SUCCESS);
+    CHECK(dal_stepper_restore(strange, values, count) == DAL_EINVAL);
+    CHECK(strstr(dal_stepper_error(strange)->text, "eps = 0.125") != NULL);
+    CHECK(dal_stepper_restore(plain, values, count) == DAL_EINVAL);
+    CHECK(dal_stepper_restore(other, values, count) == DAL_SUCCESS);
+    for (int k = 0; k < 100; k++) {
+        CHECK(dal_step(one, NULL) == DAL_SUCCESS && dal_step(other, NULL) == DAL_SUCCESS);
+        CHECK(dal_stepper_time(one) == dal_stepper_time(other));
+        CHECK(memcmp(dal_stepper_state(one), dal_stepper_state(other), N * sizeof *bad) == 0);
+    }
+    const size_t head = count - N - plain->family->save(plain->method, NULL);
+    for (size_t i = 0; i < head; i++) { /* of which most are counters, or positive */
+        memcpy(bad, values, count * sizeof *bad);
+        bad[i] = -1.5;
+        const int status = dal_stepper_restore(other, bad, count);
+        if (bad[i] != values[i] && i >= head - 9 && i < head - 4) CHECK(status == DAL_EINVAL);
+        if (status == DAL_SUCCESS) dal_step(other, NULL);
+    }
+    dal_stepper_free(one);
+    dal_stepper_free(other);
+    dal_stepper_free(strange);
+    dal_stepper_free(plain);
+    dal_system_free(system);
+}
+
+#define REFUSED(system, name, words, ...) \
+    do { \
+        const dal_scheme scheme = find_scheme(name); \
+        dal_stepper *made = NULL; \
+        dal_error error = {0}; \
+        const int status = dal_stepper_new(&made, system, &scheme, &(dal_options){__VA_ARGS__}, \
+                                           &error); \
+        CHECK(status < 0 && !made && strstr(error.text, words) != NULL); \
+    } while (0)
+
+static int no_force(double t, const double *q, const double *v, const double *u, double *f,
+                    double *f_q, double *f_v, void *ctx)
+{
+    (void)t, (void)q, (void)v, (void)u, (void)ctx;
+    if (f) memset(f, 0, 3 * sizeof *f);
+    if (f_q) memset(f_q, 0, 9 * sizeof *f_q);
+    if (f_v) memset(f_v, 0, 9 * sizeof *f_v);
+    return 0;
+}
+
+static void test_refused(void)
+{
+    dal_system *const system = open_system("knife_edge");
+    dal_system *const curved = open_system("rolling_disc");
+    dal_system *const affine = open_system("ball_on_table");
+    REFUSED(system, "leapfrog", "symmetric compositions", .eps = 0.1);
+    REFUSED(system, "midpoint", "symmetric compositions", .eps = 0.1);
+    REFUSED(system, "explicit", "symmetric compositions", .eps = 0.1);
+    REFUSED(system, "reference", "symmetric compositions", .eps = 0.1);
+    REFUSED(system, "pair:0.5:0.5", "symmetric compositions", .eps = 0.1);
+    REFUSED(system, "midpoint-nodes", "symmetric compositions", .eps = 0.1);
+    REFUSED(system, "bm6", "options.eps = 0.25: expected a positive number up to 0.2",
+            .eps = 0.25);
+    REFUSED(system, "bm6", "options.eps = -0.1", .eps = -0.1);
+    REFUSED(system, "bm6", "options.eps = nan", .eps = (double)NAN);
+    REFUSED(system, "bm6", "tolerance = 0.001", .eps = 0.1, .tolerance = 1e-3);
+    REFUSED(system, "bm6", "h_max = 1", .eps = 0.1, .h_max = 1.0);
+    REFUSED(curved, "bm6", "a mass matrix that is not constant", .eps = 0.1);
+    REFUSED(affine, "bm6", "constraints that are not linear", .eps = 0.1);
+    dal_system_def def = system->def;
+    dal_system *other = NULL;
+    def.compiled = NULL;
+    def.ctx = system->def.ctx;
+    def.ctx_size = 0;
+    def.exact = NULL;
+    def.steady = 0;
+    def.time_dependent = 1;
+    need(dal_system_new(&other, &def, NULL), "time", "");
+    REFUSED(other, "bm6", "functions of the time", .eps = 0.1);
+    dal_system_free(other);
+    def.time_dependent = 0;
+    def.force = no_force;
+    need(dal_system_new(&other, &def, NULL), "force", "");
+    REFUSED(other, "bm6", "a force", .eps = 0.1);
+    dal_system_free(other);
+
+    static const dal_substep crooked[] = {{0.5, 0.25}, {0.5, 0.5}, {0.5, 0.125}, {0.5, 0.125}};
+    static const dal_substep lopsided[] = {{0.0, 0.25}, {0.5, 0.5}, {0.0, 0.25}};
+    dal_scheme scheme = {.name = "own", .count = 4, .substeps = crooked, .symmetric = 1};
+    double eps = -1.0;
+    dal_error error = {0};
+    CHECK(dal_scheme_eps(&scheme, &eps, &error) == DAL_EUNSUPPORTED && eps == -1.0);
+    scheme.count = 3;
+    scheme.substeps = lopsided;
+    CHECK(dal_scheme_eps(&scheme, &eps, &error) == DAL_EUNSUPPORTED && eps == -1.0);
+    CHECK(dal_scheme_eps(NULL, &eps, &error) == DAL_EINVAL);
+    CHECK(dal_scheme_eps(&scheme, NULL, &error) == DAL_EINVAL);
+    scheme = find_scheme("bm6");
+    CHECK(dal_scheme_eps(&scheme, &eps, &error) == DAL_SUCCESS);
+    CHECK_NEAR(eps, 1.0 / 5.940912118990053, 1e-14); /* by Python, from the numbers in the paper */
+    scheme = find_scheme("midpoint-suzuki4");
+    CHECK(dal_scheme_eps(&scheme, &eps, &error) == DAL_SUCCESS && eps == 0.2);
+    dal_system_free(system);
+    dal_system_free(curved);
+    dal_system_free(affine);
+}
+
+/* Starts that say nothing of a size, a size of one's own, and whoever wants steps of h. */
+static void test_starts(void)
+{
+    dal_system *const system = open_system("knife_edge");
+    const dal_scheme bm6 = find_scheme("bm6");
+    dal_stepper *const stepper = reversible(system, "bm6", 0.125);
+    double x[MOST_2N];
+    CHECK(dal_stepper_until(stepper, 1.0) == DAL_EINVAL);
+    dal_system_state(system, x);
+    CHECK(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE) == DAL_EINVAL);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "expected INFINITY") != NULL);
+    CHECK(dal_stepper_start(stepper, 0.0, (double)NAN, x, DAL_CHECK, DAL_INITIAL_NONE)
+          == DAL_EINVAL);
+    x[5] = 0.0; /* it does not turn: a straight line */
+    CHECK(dal_stepper_start(stepper, 0.0, (double)INFINITY, x, DAL_CHECK, DAL_INITIAL_NONE)
+          == DAL_EDOMAIN);
+    CHECK(strstr(dal_stepper_error(stepper)->text, "says how fast") != NULL);
+    begin(stepper, system);
+    dal_run run = {.stepper = stepper, .steps = 5, .stride = 1, .until = 3.0};
+    dal_journal *journal = NULL;
+    dal_error error = {0};
+    CHECK(dal_journal_new(&journal, "none.dal", &run, &bm6, NULL, &error) == DAL_EUNSUPPORTED);
+    CHECK(strstr(error.text, "reversible") != NULL);
+    const double h = 0.1;
+    const size_t steps = 3;
+    dal_members members = {.count = 1, .h = &h, .steps = &steps};
+    CHECK(dal_ensemble_run(system, &bm6, &(dal_options){.eps = 0.125}, &members, 0, 1, NULL, NULL,
+                           &error) == DAL_EUNSUPPORTED);
+    CHECK(strstr(error.text, "options.eps = 0.125") != NULL);
+    dal_stepper_free(stepper);
+    dal_system_free(system);
+
+    dal_system *const spring = open_system("particle_oscillator");
+    dal_stepper *const still = reversible(spring, "bm6", 0.125);
+    memset(x, 0, sizeof x);
+    CHECK(dal_stepper_start(still, 0.0, (double)INFINITY, x, DAL_CHECK, DAL_INITIAL_NONE)
+          == DAL_EDOMAIN);
+    CHECK(strstr(dal_stepper_error(still)->text, "stays there") != NULL);
+    dal_stepper_free(still);
+    dal_system_free(spring);
+}
+
+/* A step that fails leaves rho and all else as it was; rho that has gone astray is reset, and said
+ * so. */
+static int fails; /* so many calls from now */
+
+static int failing(double t, const double *q, double *V, double *V_q, double *V_qq, void *ctx)
+{
+    if (fails > 0 && --fails == 0) return -1;
+    return attraction(t, q, V, V_q, V_qq, ctx);
+}
+
+static void test_failure(void)
+{
+    enum { SAVED = 200 };
+    static const double masses[3] = {1.0, 1.0, 1.0};
+    orbit of = {1.0, 1.0};
+    double state[6], before[SAVED], after[SAVED];
+    dal_system_free(open_orbit(&of, state));
+    const dal_system_def def = {.n = 3, .m = 1, .masses = masses, .potential = failing,
+                                .constraint = screw, .state = state, .ctx = &of};
+    dal_system *system = NULL;
+    need(dal_system_new(&system, &def, NULL), "failing", "");
+    dal_stepper *const stepper = reversible(system, "bm6", 0.15);
+    dal_stepper *const other = reversible(system, "bm6", 0.15);
+    const size_t count = dal_stepper_saved(stepper);
+    begin(stepper, system);
+    begin(other, system);
+    CHECK(count <= SAVED && dal_advance(stepper, 20, NULL, NULL) == DAL_SUCCESS);
+    CHECK(dal_advance(other, 20, NULL, NULL) == DAL_SUCCESS);
+    for (int k = 1; k < 40; k++) {
+        const double rho = stepper->reversible.rho, h = dal_stepper_h(stepper);
+        const double t = dal_stepper_time(stepper);
+        fails = k;
+        if (dal_step(stepper, NULL) == DAL_SUCCESS) {
+            fails = 0; /* it has fewer calls: this one is good */
+            break;
+        }
+        CHECK(stepper->reversible.rho == rho && dal_stepper_h(stepper) == h);
+        CHECK(dal_stepper_time(stepper) == t);
+    }
+    CHECK(dal_step(other, NULL) == DAL_SUCCESS);
+    CHECK(dal_stepper_save(stepper, before) == DAL_SUCCESS);
+    CHECK(dal_stepper_save(other, after) == DAL_SUCCESS);
+    CHECK(memcmp(dal_stepper_state(stepper), dal_stepper_state(other), 6 * sizeof(double)) == 0);
+    CHECK(stepper->reversible.rho == other->reversible.rho && fails == 0);
+
+    other->reversible.rho *= 3.0;
+    CHECK(dal_step(other, NULL) == DAL_SUCCESS && dal_step(stepper, NULL) == DAL_SUCCESS);
+    CHECK(stats_of(other).resets == 1 && stats_of(stepper).resets == 0);
+    CHECK_NEAR(other->reversible.rho, stepper->reversible.rho, 0.1 * stepper->reversible.rho);
+    dal_stepper_free(stepper);
+    dal_stepper_free(other);
+    dal_system_free(system);
+}
+
+/* ---- runs ----------------------------------------------------------------------------------- */
+
+static double rows[(MOST + 2) * MOST_2N], times[MOST + 2], plain_times[MOST + 2];
+
+static int wall(double t, const double *x, double *g, void *ctx)
+{
+    (void)t, (void)ctx;
+    *g = x[0] - 0.4;
+    return 0;
+}
+
+static int turn_back(double t, double *x, void *ctx)
+{
+    (void)t, (void)ctx;
+    for (int i = 3; i < 6; i++) x[i] = -1.5 * x[i];
+    return 0;
+}
+
+/* Output times leave the steps alone; a reset of the state is one of rho, and of what follows; and
+ * the run ends where it is to end. */
+static void test_runs(void)
+{
+    dal_system *const system = open_system("knife_edge");
+    const dal_scheme kl8 = find_scheme("leapfrog-kl8");
+    const double wanted[4] = {0.01, 0.2, 0.21, 0.35};
+    double at[4 * 6], exact[6];
+    dal_error error = {0};
+    size_t stored = 0;
+    for (int watched = 0; watched < 3; watched++) {
+        const dal_event list[1] = {{.g = wall, .direction = 1, .reset = turn_back}};
+        dal_stepper *const stepper = reversible(system, "leapfrog-kl8", 0.1875);
+        dal_events *events = NULL;
+        begin(stepper, system);
+        if (watched)
+            need(dal_events_new(&events, stepper, &kl8, list, watched - 1u, &error), "events",
+                 error.text);
+        dal_run run = {.stepper = stepper, .steps = MOST, .stride = 1, .until = 4.75, .x = rows,
+                       .row_times = watched ? times : plain_times, .events = events,
+                       .times = watched ? wanted : NULL, .time_count = watched ? 4 : 0, .at = at};
+        CHECK(dal_run_go(&run, SIZE_MAX) == DAL_SUCCESS);
+        CHECK(run.row_times[run.stored - 1] == 4.75 && run.done + 1 == run.stored);
+        if (watched == 1) {
+            CHECK(run.stored == stored);
+            CHECK(memcmp(times, plain_times, stored * sizeof *times) == 0);
+        }
+        stored = run.stored;
+        if (watched) {
+            dal_scheme reference = find_scheme("reference");
+            dal_stepper *const flow = open_stepper(system, &reference, NULL);
+            dal_system_state(system, exact);
+            need(dal_stepper_start(flow, 0.0, 0.35, exact, DAL_CHECK, DAL_INITIAL_NONE), "flow",
+                 "");
+            need(dal_step(flow, NULL), "flow", "");
+            CHECK(largest_difference(6, at + 18, dal_stepper_state(flow)) < 1e-9);
+            dal_stepper_free(flow);
+        }
+        for (size_t k = 0; k < stored; k++) {
+            CHECK(residual_of(system, 0.0, rows + 6 * k) <= 12.0 * U);
+            if (watched == 2) CHECK(rows[6 * k] <= 0.4 + 1e-12);
+        }
+        if (watched == 2) {
+            size_t turned = 0;
+            for (size_t k = 0; k + 1 < stored; k++)
+                if (fabs(rows[6 * k] - 0.4) < 1e-12 && rows[6 * k + 3] < 0.0) turned = k;
+            CHECK(turned > 0);
+            /* the velocity jumps to -3/2 of it, and so do rates; rho does */
+            const double h = times[turned + 1] - times[turned];
+            CHECK(turned > 2 && h < 0.8 * (times[turned - 1] - times[turned - 2]));
+            CHECK(stats_of(stepper).resets == 0);
+        }
+        dal_events_free(events);
+        dal_stepper_free(stepper);
+    }
+    dal_system_free(system);
+}
+
+int main(void)
+{
+    test_back();
+    test_energy();
+    test_sigma();
+    test_invariance();
+    test_monitors();
+    test_until();
+    test_saved();
+    test_refused();
+    test_starts();
+    test_failure();
+    test_runs();
+    return check_done();
+}
