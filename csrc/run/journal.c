@@ -218,9 +218,6 @@ static int check_new(const dal_run *run, const dal_scheme *scheme,
     }
     if (dal__scheme_identify(run->stepper->motion.system, scheme) != run->stepper->identity)
         return dal__fail(error, DAL_EINVAL, "scheme is not that of the stepper");
-    if (run->stepper->reversible.eps > 0.0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "the steps of the stepper are reversible: there "
-                         "is no journal of them");
     if (dal_stepper_saved(run->stepper) == 0)
         return dal__fail(error, DAL_EUNSUPPORTED, "the steps of \"%s\" cannot be resumed: there is "
                          "no journal of them", scheme->name);

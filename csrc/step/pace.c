@@ -38,6 +38,7 @@ enum { ATTEMPTS = 60 };
  * roundoff to be below, the one that is allowed has to be 23 times as large for order 10, less for
  * others. */
 #define FAR_FROM_NOISE 32.0
+#define MOST_NOISE 1e4 /* in units of what it is where coordinates are of size 1 */
 /* Steps after which c is measured: some at the beginning, then every so many.  It grows at once
  * and falls slowly, and until it is known it is large. */
 enum { EARLY = 8, OFTEN = 64 };
@@ -86,6 +87,7 @@ void dal__pace_start(dal_stepper *self)
     self->pace.h = self->motion.h;
     self->pace.error = 1.0;
     self->pace.share = FIRST_SHARE;
+    self->pace.seen = 0.0;
 }
 
 /* ---- the first step ------------------------------------------------------------------------- */
@@ -140,12 +142,15 @@ static int attempt(dal_stepper *self, double t, double h, double *estimate)
     return status;
 }
 
+/* The roundoff of the estimate, as far as it is known. */
+static double roundoff(const dal__pace *pace) { return fmax(pace->noise, pace->seen); }
+
 /* The error of a step by its estimate, in units of what it may be.  An estimate that is roundoff is
  * so for any h: it has to look small, for the next step to be longer. */
 static double error_of(const dal__pace *pace, double estimate)
 {
     const double power = (pace->order + 1.0) / (pace->q + 1.0);
-    const double least = pace->share * pow(FAR_FROM_NOISE * pace->noise, power);
+    const double least = pace->share * pow(FAR_FROM_NOISE * roundoff(pace), power);
     return pace->share * pow(estimate, power) / fmax(pace->allowed, least);
 }
 
@@ -155,28 +160,38 @@ static bool is_final(int status)
     return status == DAL_EUSER || status == DAL_STOPPED || status == DAL_EINVAL;
 }
 
+/* What the estimates of a step and of one of twice the length tell of their roundoff: one that does
+ * not grow with h is nothing else, as where coordinates have become large. */
+static void look_at_roundoff(dal__pace *pace, double estimate, double twice)
+{
+    const bool grows = twice > estimate * pow(2.0, 0.5 * (pace->q + 1.0));
+    const bool small = estimate < MOST_NOISE * pace->noise;
+    pace->seen = grows || !small ? 0.5 * pace->seen : fmax(pace->seen, estimate);
+}
+
 /* After a step of h from t: c by two steps and one of twice the length, whose error is
  * its difference to theirs; the motion stays where it is.  What is all roundoff, or cannot be made,
  * says nothing. */
-static int measure_share(dal_stepper *self, double t, double h)
+static int measure_share(dal_stepper *self, double t, double h, double estimate)
 {
     dal__pace *const pace = &self->pace;
     dal_motion *const motion = &self->motion;
     const size_t N = 2 * self->mech.n;
     double *const difference = pace->field;
-    double estimate;
+    double twice;
     dal__remember(self, &pace->after);
-    int status = attempt(self, t + h, h, &estimate);
+    int status = attempt(self, t + h, h, &twice);
     if (!status) {
         memcpy(difference, motion->x, N * sizeof *difference);
         dal__go_back(self, &self->vary.before);
-        status = attempt(self, t, 2.0 * h, &estimate);
+        status = attempt(self, t, 2.0 * h, &twice);
     }
     if (!status) {
         for (size_t i = 0; i < N; i++) difference[i] -= motion->x[i];
         const double error = size(N, motion->x, difference);
-        const double share = error / pow(estimate, (pace->order + 1.0) / (pace->q + 1.0));
-        if (estimate > pace->noise && error > ROUNDOFF * DAL_ROUNDOFF && share < HUGE_VAL)
+        const double share = error / pow(twice, (pace->order + 1.0) / (pace->q + 1.0));
+        look_at_roundoff(pace, estimate, twice);
+        if (twice > roundoff(pace) && error > ROUNDOFF * DAL_ROUNDOFF && share < HUGE_VAL)
             pace->share = pace->share == FIRST_SHARE || share > pace->share
                               ? share : sqrt(share * pace->share);
     }
@@ -224,7 +239,7 @@ int dal__pace_step(dal_stepper *self)
         double estimate = 0.0, error = FAILED;
         int status = length == 0.0 || !isfinite(length) ? DAL_ENOCONV
                                                        : attempt(self, t, length, &estimate);
-        if (!status && is_time(self, t, length)) status = measure_share(self, t, length);
+        if (!status && is_time(self, t, length)) status = measure_share(self, t, length, estimate);
         if (!status) error = error_of(pace, estimate);
         if (!status && error <= 1.0) {
             const double factor = change(pace, error);

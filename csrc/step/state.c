@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 5, OF = 8, FIELDS = 40, HEAD = OF + FIELDS };
+enum { VERSION = 5, OF = 8, FIELDS = 41, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -40,8 +40,8 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.counter = &stats->rejected}, {.real = &self->reversible.rho},
         {.real = &self->reversible.part}, {.real = &self->reversible.floor},
         {.real = &self->reversible.speed}, {.flag = &self->reversible.by_jerk},
-        {.counter = &motion->first}, {.real = &self->pace.share}, {.real = &self->pace.h},
-        {.real = &self->pace.error},
+        {.counter = &motion->first}, {.real = &self->pace.seen}, {.real = &self->pace.share},
+        {.real = &self->pace.h}, {.real = &self->pace.error},
     };
     memcpy(fields, list, sizeof list);
 }
@@ -155,7 +155,7 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
             return dal__fail(error, DAL_EINVAL, "values[%zu] = %g is %s", i, values[i], wrong);
     }
     const double t = values[OF], h = values[OF + 1], steps = values[OF + 2];
-    const double first = values[HEAD - 4], share = values[HEAD - 3], next = values[HEAD - 2];
+    const double first = values[HEAD - 5], share = values[HEAD - 3], next = values[HEAD - 2];
     const int status = dal__stepper_check_times(self, t, h);
     if (status) return status;
     if (!isfinite(t + (steps - first + 1.0) * h))
@@ -166,14 +166,14 @@ static int check_saved(dal_stepper *self, const double *values, size_t count)
         return dal__fail(error, DAL_EINVAL, "values[%d] = %g is not of steps of %s", HEAD - 2, next,
                          self->pace.q > 0 ? "controlled size" : "another kind");
     if (self->vary.on ? !(first <= steps) : first != 0.0)
-        return dal__fail(error, DAL_EINVAL, "values[%d] = %g is not of steps of %s", HEAD - 4,
+        return dal__fail(error, DAL_EINVAL, "values[%d] = %g is not of steps of %s", HEAD - 5,
                          first, self->vary.on ? "sizes that vary" : "one size");
-    const double *const reversible = values + HEAD - 9; /* rho, part, floor, v0^2 */
+    const double *const reversible = values + HEAD - 10; /* rho, part, floor, v0^2 */
     if (self->reversible.eps > 0.0 && !(reversible[0] > 0.0 && reversible[1] >= 0.0
                                         && reversible[1] <= 1.0 && reversible[2] > 0.0
                                         && reversible[3] > 0.0))
         return dal__fail(error, DAL_EINVAL, "values[%d] = %g and what follows is not of reversible "
-                         "steps", HEAD - 9, reversible[0]);
+                         "steps", HEAD - 10, reversible[0]);
     const size_t of_family = before_family(self);
     if (family->accepts && !family->accepts(self->method, values + of_family))
         return dal__fail(error, DAL_EINVAL, "values[%zu] and what follows is not of the scheme "

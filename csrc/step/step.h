@@ -93,7 +93,7 @@ typedef struct dal__pace {
     int q, order;            /* the estimate is O(h^(q+1)), the error O(h^(order+1)) */
     double tolerance, h_max;
     double allowed;          /* what the error of a step may be */
-    double noise;            /* the roundoff of the estimate */
+    double noise, seen;      /* the roundoff of the estimate by its weights, and as it was seen */
     double h, error;         /* the next step to be tried; the error of the last, in units of what
                                 it may be */
     double share;            /* by which the error of a step follows from its estimate */

@@ -39,9 +39,10 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     run.add_argument("--v0", type=numbers, metavar="X,Y,...",
                      help="velocities at the start, in D (write --v0=-1,... for a minus)")
     run.add_argument("--h", type=_step, required=True, metavar="H",
-                     help="the step, or auto: as long as the tolerance allows")
+                     help="the step, or auto: as long as the tolerance allows; or reversible")
     run.add_argument("--tolerance", type=float, metavar="E",
                      help="of --h auto (default: 1e-9), or of the scheme reference (1e-13)")
+    run.add_argument("--eps", type=float, metavar="E", help="of --h reversible")
     run.add_argument("--h-max", type=float, metavar="H", help="the longest step of --h auto")
     add_end(run, required=True)
     run.add_argument("--t0", type=float, default=0.0, metavar="T", help="the time of the start")
@@ -171,7 +172,8 @@ def _run(given: argparse.Namespace) -> int:
     return _finish(given, lambda: integrate(
         system, given.scheme, given.q0, given.v0, h=given.h, t_end=given.t_end,
         steps=given.steps, t0=given.t0, stride=given.stride, tolerance=given.tolerance,
-        h_max=given.h_max, consistent=given.consistent, initial=given.initial,
+        h_max=given.h_max, eps=given.eps,
+        consistent=given.consistent, initial=given.initial,
         energy=given.energy,
         journal=given.journal, journal_errors=given.journal_errors, progress=progress(),
     ), given.journal)  # fmt: skip

@@ -54,14 +54,15 @@ def _changes(run: Any, known: Array) -> Array:
 def _reach(run: Any, stepper: Any, changes: Array, t: float, x: Array, end: float) -> Array:
     """Return the state at the end, from x at t."""
     kind, ahead = run.system.kind, 1.0 if end > t else -1.0
+    by_motion = run.control["h"] == "reversible"  # whose first step is found by itself
     passed = changes[(ahead * (changes - t) > 0) & (ahead * (end - changes) > 0)]
     for until in [*passed.tolist(), end]:
         if len(run.inputs):
             row = np.searchsorted(ahead * changes, ahead * t, side="right") - 1
             core.call(kind, lib.dal_stepper_input, stepper, run.inputs[max(row, 0)].copy())
         core.call(
-            kind, lib.dal_stepper_start, stepper, t, until - t, x, lib.DAL_ASSUME,
-            lib.DAL_INITIAL_NONE,
+            kind, lib.dal_stepper_start, stepper, t, ahead * np.inf if by_motion else until - t, x,
+            lib.DAL_ASSUME, lib.DAL_INITIAL_NONE,
         )  # fmt: skip
         core.call(kind, lib.dal_stepper_until, stepper, until)
         while lib.dal_stepper_time(stepper) != until:

@@ -58,6 +58,7 @@ def integrate(
     method: str = "rk8pd",
     tolerance: float | None = None,
     h_max: float | None = None,
+    eps: float | None = None,
     inputs: Any = None,
     hold: float | None = None,
     events: Any = (),
@@ -73,23 +74,28 @@ def integrate(
     scheme : Scheme, str or float, optional
         A record, the name of one, or beta.  "reference" is the adaptive flow of the ODE on D,
         observed every ``h * stride``: the best choice for short accurate runs.  Default:
-        "leapfrog", and "leapfrog-kl8" for ``h="auto"``.
+        "leapfrog", "leapfrog-kl8" for ``h="auto"``, and "bm6" for ``h="reversible"``.
     q0, v0 : array_like, shape (n,), optional
         Initial data in the user's units, both; neither: those of the system.
-    h : float or "auto"
+    h : float, "auto" or "reversible"
         Step size, negative to integrate backwards; it is never changed.  "auto": each step is as
         long as the tolerance allows, by an estimate of its error that costs no evaluation, for
-        compositions of moved nodes.  That pays where the motion changes its pace.
+        compositions of moved nodes.  That pays where the motion changes its pace.  "reversible":
+        as long as the pace of the motion allows, in a way that is the same back in time, so that
+        the energy of a reversible motion does not drift.  That pays for close approaches over long
+        times, and nowhere else; for symmetric compositions, and systems of constant mass without
+        forces, inputs and time.
     t_end : float
         End of the run; ``(t_end - t0) / h`` has to be an integer to 1e-9 of it.  The last of steps
-        of "auto" ends there, to the bit.
+        of many sizes ends there, to the bit.
     steps : int
-        Number of steps, 0 is allowed.  Exactly one of t_end and steps is given; with "auto" t_end.
+        Number of steps, 0 is allowed.  Exactly one of t_end and steps is given; t_end where h is
+        a word.
     t0 : float, optional
         Initial time.
     stride : int, optional
-        Every stride-th state is stored; the number of steps is a multiple of it.  With "auto" the
-        last state is stored in any case.
+        Every stride-th state is stored; the number of steps is a multiple of it.  Where h is a
+        word the last state is stored in any case.
     consistent : {"check", "project", "assume"}, optional
         Initial data that are not in D are refused, projected in the mass metric, or used.
     initial : {"D", "D_eps", "project", "shift"}, optional
@@ -101,7 +107,7 @@ def integrate(
         ``observer(step, t, q, v)`` is called at every stored state; true stops the run.
     progress : bool or callable, optional
         True: a bar of tqdm.  A function is called as ``progress(done, total)``, some times a
-        second, with numbers of steps; with "auto" times that have passed.
+        second, with numbers of steps; where h is a word with times that have passed.
     throw : bool, optional
         False: a step that fails ends the run, and the Solution says so, instead of an exception.
     max_iterations : int, optional
@@ -122,6 +128,9 @@ def integrate(
         relative to 1 + |x_i|, where the motion is not chaotic; default 1e-9.
     h_max : float, optional
         The longest step of "auto".
+    eps : float, optional
+        Of "reversible": a step is eps of the time in which the motion changes, at most 0.2.
+        Default: that of the scheme, 0.17 for bm6.
     inputs : array_like, mapping or callable, optional
         Of the force of a system that takes k of them, constant over a step.  An array, shape
         (steps, k), or (k,) for all steps; a mapping from their names to numbers or arrays of shape
@@ -193,8 +202,9 @@ def integrate(
     """
     require_system(system)
     t0 = arguments.number(t0, "t0")
-    sizes = Steps.of(h, t0, t_end, steps, tolerance, h_max)
+    sizes = Steps.of(h, t0, t_end, steps, tolerance, h_max, eps)
     record = Scheme.of(sizes.usual_scheme if scheme is None else scheme)
+    sizes = sizes.by(record)
     stride = arguments.integer(stride, "stride", 1)
     if not sizes.varies and sizes.count % stride:
         raise ValueError(

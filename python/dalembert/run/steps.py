@@ -1,13 +1,15 @@
-"""How long the steps of a run are: all of one size, or each as long as its error allows."""
+"""How long the steps of a run are: all of one size, or as its error or the motion allows."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from ..core import arguments, ffi
+from .. import core
+from ..core import arguments, ffi, lib
+from .scheme import Scheme
 
 MOST = 2**62  # steps, where nobody knows how many they will be
 TOLERANCE = 1e-9
@@ -36,27 +38,42 @@ class Steps:
 
     @classmethod
     def of(
-        cls, h: Any, t0: float, t_end: Any, steps: Any, tolerance: Any, h_max: Any
+        cls, h: Any, t0: float, t_end: Any, steps: Any, tolerance: Any, h_max: Any, eps: Any
     ) -> Steps:
         """Return the steps of arguments of `integrate`."""
+        if h_max is not None and h != "auto":
+            raise ValueError(f"h_max = {h_max!r} with h = {h!r}: it is for h = 'auto'")
+        if eps is not None and h != "reversible":
+            raise ValueError(f"eps = {eps!r} with h = {h!r}: it is for h = 'reversible'")
         if not isinstance(h, str):
-            if h_max is not None:
-                raise ValueError(f"h_max = {h_max!r} with steps of h = {h!r}: it is for h = 'auto'")
             h = arguments.step_size(h, t0)
             count = number_of_steps(t0, h, t_end, steps)
             return cls(t0, t0 + count * h, h, count, {})
-        arguments.choice(h, "h", {"auto": 0})
+        arguments.choice(h, "h", {"auto": 0, "reversible": 1})
         if t_end is None or steps is not None:
             raise ValueError(f"h = {h!r}: expected t_end, as nobody knows how many steps there are")
-        control = {"h": h, "tolerance": TOLERANCE if tolerance is None else tolerance}
-        control["tolerance"] = arguments.number(control["tolerance"], "tolerance")
-        if not control["tolerance"] > 0.0:  # C looks at its size; 0 is none there
-            raise ValueError(f"tolerance = {tolerance!r}: expected a positive number")
-        if h_max is not None:
-            control["h_max"] = arguments.number(h_max, "h_max")
-            if not control["h_max"] > 0.0:
-                raise ValueError(f"h_max = {h_max!r}: expected a positive number")
+        control: dict[str, Any] = {"h": h}
+        if h == "auto":
+            control["tolerance"] = TOLERANCE if tolerance is None else tolerance
+        elif tolerance is not None:
+            raise ValueError(f"tolerance = {tolerance!r} with h = {h!r}: it is for h = 'auto'")
+        for name, given in (("h_max", h_max), ("eps", eps)):
+            if given is not None:
+                control[name] = given
+        for name in control.keys() - {"h"}:
+            value = arguments.number(control[name], name)
+            if not value > 0.0:  # C looks at its size; 0 is none there
+                raise ValueError(f"{name} = {control[name]!r}: expected a positive number")
+            control[name] = value
         return cls(t0, arguments.number(t_end, "t_end"), math.nan, MOST, control)
+
+    def by(self, record: Scheme) -> Steps:
+        """Return the steps by a scheme, which has an eps of its own for reversible ones."""
+        if self.control.get("h") != "reversible" or "eps" in self.control:
+            return self
+        eps, error = ffi.new("double *"), ffi.new("dal_error *")
+        core.verify(lib.dal_scheme_eps(record._record, eps, error), error)
+        return replace(self, control={**self.control, "eps": eps[0]})
 
     @property
     def varies(self) -> bool:
@@ -80,8 +97,8 @@ class Steps:
 
     @property
     def usual_scheme(self) -> str:
-        """The scheme of a run that names none: for controlled errors a record of high order."""
-        return "leapfrog-kl8" if self.varies else "leapfrog"
+        """The scheme of a run that names none: where sizes vary a record of high order."""
+        return {"auto": "leapfrog-kl8", "reversible": "bm6"}.get(self.control.get("h"), "leapfrog")
 
     def hold(self, given: Any, inputs: Any) -> float:
         """Return for how many steps, or how long, a row of inputs is."""

@@ -131,6 +131,7 @@ typedef struct plan {
     size_t steps, stride, hold;
     bool table, controlled, watched, terminal, timed;
     double tolerance; /* of error-controlled steps to t = 3.5, whose hold is in units of 0.05 */
+    double eps;       /* of reversible ones */
 } plan;
 
 static const plan plans[] = {
@@ -154,6 +155,7 @@ static const plan plans[] = {
      .tolerance = 1e-4},
     {"cart", "leapfrog-kl6", 1000, 2, 0, .watched = true, .timed = true, .tolerance = 1e-4},
     {"disk", "leapfrog-kl8", 1000, 2, 0, .tolerance = 1e-8},
+    {"particle_oscillator", "bm6", 1000, 2, 0, .eps = 0.1},
 };
 
 typedef struct happening {
@@ -199,10 +201,12 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
     o->n = dal_system_n(o->system);
     o->m = dal_system_m(o->system);
     o->stepper =
-        open_stepper(o->system, &scheme, &(dal_options){.tolerance = p->tolerance});
+        open_stepper(o->system, &scheme,
+                     &(dal_options){.tolerance = p->tolerance, .eps = p->eps});
+    const bool varies = p->tolerance > 0.0 || p->eps > 0.0;
     need(dal_system_state(o->system, x), "state", "");
     if (starts)
-        need(dal_stepper_start(o->stepper, 0.5, p->tolerance > 0.0 ? (double)INFINITY : 0.05, x,
+        need(dal_stepper_start(o->stepper, 0.5, varies ? (double)INFINITY : 0.05, x,
                                DAL_CHECK,
                                scheme.nodes == DAL_KEPT_NODES ? DAL_INITIAL_SHIFT
                                                               : DAL_INITIAL_NONE),
@@ -227,12 +231,12 @@ static void set_up(outcome *o, const plan *p, bool starts, double heavier)
                        .happened = o->events ? note : NULL, .happened_ctx = o,
                        .times = p->timed ? o->times : NULL, .time_count = p->timed ? MOST_ROWS : 0,
                        .at = p->timed ? o->at : NULL};
-    if (p->tolerance > 0.0) {
+    if (varies) {
         o->run.until = 3.5;
         o->run.held = 0.05 * (double)p->hold;
         o->run.row_times = p->timed ? NULL : o->row_times;
     }
-    if (p->timed && p->tolerance > 0.0) o->run.time_count = 60;
+    if (p->timed && varies) o->run.time_count = 60;
     else if (p->timed) o->run.time_count = (size_t)((double)p->steps * 0.05 / 0.047);
 }
 

@@ -4,7 +4,6 @@
 
 #include "dalembert/ensemble.h"
 #include "dalembert/events.h"
-#include "dalembert/journal.h"
 #include "step/step.h"
 
 enum { MOST_2N = 16, MOST = 4000 };
@@ -436,11 +435,7 @@ static void test_starts(void)
           == DAL_EDOMAIN);
     CHECK(strstr(dal_stepper_error(stepper)->text, "says how fast") != NULL);
     begin(stepper, system);
-    dal_run run = {.stepper = stepper, .steps = 5, .stride = 1, .until = 3.0};
-    dal_journal *journal = NULL;
     dal_error error = {0};
-    CHECK(dal_journal_new(&journal, "none.dal", &run, &bm6, NULL, &error) == DAL_EUNSUPPORTED);
-    CHECK(strstr(error.text, "reversible") != NULL);
     const double h = 0.1;
     const size_t steps = 3;
     dal_members members = {.count = 1, .h = &h, .steps = &steps};

@@ -334,7 +334,7 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 /* What stands where among the saved numbers; x follows the head. */
 enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, KEEPS, EPS, T0, H, TAKEN,
        LOOKING, SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 22,
-       FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, BY_JERK = 43, BEGUN, SHARE, NEXT_H,
+       FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, BY_JERK = 43, BEGUN, SEEN, SHARE, NEXT_H,
        LAST_ERROR, HEAD };
 
 /* Whether nothing but a refusal will do; the words are those that it has to have. */

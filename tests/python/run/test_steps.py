@@ -1,9 +1,10 @@
-"""Error-controlled steps: how accurate, where they end, and all that a run may have."""
+"""Steps of many sizes: how accurate, where they end, and all that a run may have."""
 
 import pickle
 
 import numpy as np
 import pytest
+import sympy
 
 import dalembert as dal
 from conftest import U
@@ -235,6 +236,79 @@ def test_what_was_made_before_a_failure_is_kept():
     assert 1 < caught.value.partial.t[-1] < 3 and len(caught.value.partial.x) > 2
 
 
+# ---- reversible steps ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def comet():
+    """Kepler's ellipse of eccentricity 0.9, with a blade that turns with it: z' = x y' - y x'."""
+    x, y, z = dal.coordinates("x y z")
+    speed = np.sqrt(1.9 / 0.1)
+    return dal.System.from_sympy(
+        (x.d**2 + y.d**2 + z.d**2) / 2 + 1 / sympy.sqrt(x**2 + y**2), [z.d - x * y.d + y * x.d],
+        q0=[0.1, 0, 0], v0=[0, speed, 0.1 * speed], name="comet",
+    )  # fmt: skip
+
+
+def test_the_energy_of_reversible_steps_does_not_drift(comet):
+    run = dal.integrate(comet, h="reversible", eps=0.15, t_end=200 * 2 * np.pi)
+    change = abs(run.energy - run.energy[0])
+    quarter = len(change) // 4
+    assert run.scheme.name == "bm6" and run.control == {"h": "reversible", "eps": 0.15}
+    assert change.max() < 3e-8 and change[-quarter:].max() < 1.05 * change[:quarter].max()
+    assert run.stats.resets == 0 and run.residual.max() <= 4 * 3 * U
+    auto = dal.integrate(comet, "bm6", h="auto", tolerance=1e-3, t_end=200 * 2 * np.pi)
+    drift = abs(auto.energy - auto.energy[0])
+    assert drift[-1] > 3 * drift[len(drift) // 4]  # of a method that is not
+    steps = np.diff(run.t)
+    assert np.percentile(steps, 98) > 20 * np.percentile(steps, 2)
+
+
+def test_reversible_steps_have_all_that_a_run_has(comet, tmp_path):
+    t = np.linspace(0, 5, 7)
+    cross = dal.Event(lambda t, q, v: q[0])
+    run = dal.integrate(comet, "leapfrog-kl8", h="reversible", t_end=5, events=[cross])
+    exact = dal.integrate(comet, h="auto", tolerance=1e-12, t_end=5, t_eval=t, events=[cross])
+    np.testing.assert_allclose(run(t).q, exact.q, atol=1e-6)
+    np.testing.assert_allclose(run.t_events[0], exact.t_events[0], atol=1e-6)
+    there = dal.integrate(comet, "leapfrog-kl8", h="reversible", t_end=5, t_eval=t)
+    np.testing.assert_allclose(there.q, exact.q, atol=1e-6)
+    back = dal.integrate(
+        comet, "leapfrog-kl8", run.q[-1], run.v[-1], h="reversible", t0=5.0, t_end=0
+    )
+    np.testing.assert_allclose(back.q[-1], comet.q0, atol=1e-6)
+    path = tmp_path / "run.dal"
+    dal.integrate(comet, "leapfrog-kl8", h="reversible", t_end=3, journal=path)
+    assert dal.load(path, comet).control == run.control
+    longer = dal.resume(path, comet, t_end=5)
+    np.testing.assert_allclose(longer.q[-1], exact.q[-1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "given, error, words",
+    [
+        ({"eps": 0.5}, ValueError, "^eps = 0.5: expected a positive number up to 0.2"),
+        ({"eps": -1}, ValueError, "eps = -1: expected a positive number"),
+        ({"tolerance": 1e-6}, ValueError, "tolerance = 1e-06 with h = 'reversible'"),
+        ({"h_max": 1}, ValueError, "h_max = 1 with h = 'reversible'"),
+        ({"scheme": "leapfrog"}, NotImplementedError, "symmetric compositions"),
+        ({"scheme": "endpoint"}, NotImplementedError, "symmetric compositions"),
+        ({"energy": "keep"}, NotImplementedError, "not of reversible steps"),
+        ({"t_end": None, "steps": 3}, ValueError, "h = 'reversible': expected t_end"),
+    ],
+)
+def test_refused_reversible_steps(given, error, words, comet):
+    with pytest.raises(error, match=words):
+        dal.integrate(comet, **{"h": "reversible", "t_end": 1, **given})
+
+
+def test_refused_eps():
+    with pytest.raises(ValueError, match="eps = 0.1 with h = 0.1: it is for h = 'reversible'"):
+        dal.integrate(dal.systems.disk(), h=0.1, t_end=1, eps=0.1)
+    with pytest.raises(NotImplementedError, match="mass matrix that is not constant"):
+        dal.integrate(dal.systems.rolling_disc(), h="reversible", t_end=1)
+
+
 @pytest.mark.parametrize(
     "given, error, words",
     [
@@ -266,7 +340,7 @@ def test_refused_inputs(cart):
         dal.integrate(cart, h="auto", t_end=1, inputs=lambda t, q, v: [1])
     with pytest.raises(ValueError, match="hold = -1.0: expected a positive time"):
         dal.integrate(cart, h="auto", t_end=1, inputs=[1], hold=-1)
-    with pytest.raises(ValueError, match="h_max = 1 with steps of h = 0.1"):
+    with pytest.raises(ValueError, match="h_max = 1 with h = 0.1: it is for"):
         dal.integrate(cart, h=0.1, t_end=1, h_max=1)
     with pytest.raises(ValueError, match="did you mean 'auto'"):
         dal.integrate(cart, h="automatic", t_end=1)
