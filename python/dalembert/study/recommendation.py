@@ -198,8 +198,8 @@ def _why(pilot: _Pilot, tried: list[Tried], accuracy: float) -> str:
     words.append(".")
     if pilot.part < 1.0:
         words.append(
-            f" Tried up to t = {pilot.end:g} and extrapolated: errors grow like t^{pilot.growth:.1f}"
-            f"{pilot.doubt}."
+            f" Tried up to t = {pilot.end:g} and extrapolated: errors grow like "
+            f"t^{pilot.growth:.1f}{pilot.doubt}."
         )
         if not pilot.is_dissipative and best.h == "auto":
             words.append(
