@@ -28,6 +28,7 @@ GENERATOR = 3  # changes with what is generated, as the files of this module do
 _LARGEST = 32
 
 # What the step routine and the field alone call.
+_MAYBE_UNUSED = ("t", "q", "v", "u", "start", "phi_t", "L_vt", "M", "mu", "g")
 _OF_STEPS = ("balance", "pull", "terms")
 
 # Above this number of zeros they are written to an output by a loop.
@@ -221,7 +222,7 @@ def _function(
     for symbol, place in zip((*model.q, *model.v, *inputs, *model.p), places):
         if symbol.name in used:
             made.add(f"    const {real} {symbol.name} = {place};")
-    unused = [i for i in _names(signature) if i in ("t", "q", "v", "u", "start", "phi_t", "L_vt")]
+    unused = [i for i in _names(signature) if i in _MAYBE_UNUSED]
     made.add("    " + ", ".join(f"(void){name}" for name in [*unused, "p"]) + ";")
     _outputs(made, model, function, temporaries, values, print_c)
     made.add("    return 0;\n}\n")
@@ -378,12 +379,13 @@ def _field(made: Program, model: Model) -> None:
     arrays = ", ".join(f"{name}[{max(size, 1)}]" for name, size in sizes.items())
     members = ", ".join(f".{name} = {name}" for name in sizes)
     masses = "" if moves else ", .inverse = mass_inverse"
+    given = "(void)mass_inverse" if moves else "if (!mass_inverse) return 0"
     made.add(
         "static int model_field(double t, const double *x, const double *u,\n"
         "    const double *mass_inverse, double *xdot, void *ctx)\n{\n"
         f"    double {arrays};\n"
         f"    const dal_field_terms at = {{{members}{masses}}};\n"
-        "    (void)mass_inverse;\n"
+        f"    {given};\n"
         f"    (void)model_terms(t, x, x + {n}, u, F, {'M' if moves else 'NULL'}, "
         f"{'mu, g' if m else 'NULL, NULL'}, ctx);\n"
         f"    return dal_field_solve({n}, {m}, (dal_field_zeros){field_zeros(model)}, &at, "
