@@ -26,10 +26,12 @@ static unsigned last_letter(unsigned word)
  * sizes. */
 static void multiply(unsigned words, double g, bool adjoint, bool sizes, double *y)
 {
-    if (sizes) g = fabs(g);
+    double power[MOST + 1] = {1.0};
+    const double base = sizes ? fabs(g) : adjoint ? -g : g;
+    for (unsigned k = 1; k <= MOST; k++) power[k] = base * power[k - 1];
     for (unsigned i = 1; i < words; i++) {
         const unsigned word = adjoint ? i : words - i, k = last_letter(word);
-        const double term = pow(adjoint && !sizes ? -g : g, k) * y[word >> k];
+        const double term = power[k] * y[word >> k];
         y[word] += adjoint && !sizes ? -term : term;
     }
 }
