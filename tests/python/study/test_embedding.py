@@ -218,7 +218,7 @@ def test_perturbed_against_the_saddle_point_system(own):
         one = system.perturbed(q[k], v[k], ghat[k], weight)
         np.testing.assert_array_equal(one[0], field[k])
         np.testing.assert_array_equal(one[1], multipliers[k])
-    np.testing.assert_array_equal(system.perturbed(q, v, ghat, 0.0)[0], system.field(q, v))
+    assert largest(system.perturbed(q, v, ghat, 0.0)[0], system.field(q, v)) <= 1e-15
     with pytest.raises(ValueError, match=r"ghat: expected shape \(8,\), got \(4,\)"):
         system.perturbed(q[0], v[0], ghat[0, :4])
     with pytest.raises(ValueError, match=r"ghat\[2\] = nan"):
