@@ -19,7 +19,7 @@ QUERIES = {
     "journal": "reference/files.html",
     # Words of the index of a page, which are not in its text.
     "crash": "howto/journal.html",
-    "step length": "howto/study.html",
+    "step length": "howto/steps.html",
     "license": "howto/cite.html",
 }
 

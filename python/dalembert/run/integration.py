@@ -125,7 +125,7 @@ def integrate(
     tolerance : float, optional
         Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1];
         default 1e-13.  Of "auto", what the error of the state may be after a time of about 100,
-        relative to 1 + |x_i|, where the motion is not chaotic; default 1e-9.
+        relative to ``1 + abs(x_i)``, where the motion is not chaotic; default 1e-9.
     h_max : float, optional
         The longest step of "auto".
     eps : float, optional

@@ -41,7 +41,7 @@ class Tried:
     steps : int
         To t_end.
     error : float
-        What is expected of the state at t_end, relative to 1 + |x_i|; NaN if no run went through.
+        What is expected of the state at t_end, relative to ``1 + abs(x_i)``; NaN if no run went through.
     seconds : float
         What the run is expected to take.
     """
@@ -73,7 +73,7 @@ class Recommendation:
     scheme : str
     h : float or "auto"
     error : float
-        What is expected of the state at t_end, relative to 1 + |x_i|.
+        What is expected of the state at t_end, relative to ``1 + abs(x_i)``.
     seconds : float
         What the run is expected to take.
     why : str
@@ -128,7 +128,7 @@ def recommend(
         Initial data in the user's units, both; neither: those of the system.
     t_end, t0 : float, optional
     accuracy : float, optional
-        What the error of the state at t_end may be, relative to 1 + |x_i|, in [1e-13, 0.1].
+        What the error of the state at t_end may be, relative to ``1 + abs(x_i)``, in [1e-13, 0.1].
     inputs : array_like, shape (k,), or mapping, optional
         Of the force of a system that takes k of them, for the whole run.
 
@@ -254,7 +254,7 @@ class _Pilot:
         )  # fmt: skip
 
     def _errors(self, run: Solution) -> Array:
-        """Return the errors at a quarter, a half and the whole, relative to 1 + |x_i|."""
+        """Return the errors at a quarter, a half and the whole, relative to ``1 + abs(x_i)``."""
         x = run.x[[-4, -3, -1]] if len(run.x) > 3 else run.x[[-1, -1, -1]]
         return (np.abs(x - self.exact) / (1.0 + np.abs(self.exact))).max(axis=1)
 
