@@ -286,7 +286,7 @@ DAL_API int dal_system_invariant(const dal_system *system, double t, const doubl
 
 /* Adaptive methods for the ODE on D. */
 typedef enum dal_flow_method {
-    DAL_FLOW_RK8PD = 0,   /* Prince-Dormand 8(9), the default */
+    DAL_FLOW_RK8PD = 0,   /* Prince-Dormand 8(7), the default */
     DAL_FLOW_MSADAMS = 1, /* multistep Adams, orders 1 to 12 */
     DAL_FLOW_RODAS = 2    /* Rosenbrock, order 4(3), with a differenced Jacobian, for stiff
                              potentials */

@@ -196,6 +196,28 @@ int dal__root_step(dal__root *root, const char *singular, dal_error *error);
  * integration, after any other a shorter step is tried. */
 typedef int (*dal__field_fn)(double t, const double *y, double *dydt, void *ctx, dal_error *error);
 
+/* DAL_EDOMAIN: what, as "state", is not finite at time t. */
+static inline int dal__not_finite(dal_error *error, const char *what, double t)
+{
+    return dal__fail(error, DAL_EDOMAIN, "the %s at t = %.17g is not finite", what, t);
+}
+
+/* The explicit method rk8pd, of order 8, for y' = field(t, y), y[N]. */
+typedef struct dal__rk8pd {
+    size_t N;
+    dal__field_fn field;
+    void *ctx;
+    size_t evaluations;             /* of the field */
+    double *start, *point, *slopes; /* workspace */
+} dal__rk8pd;
+
+void dal__rk8pd_reserve(dal__rk8pd *self, size_t N, arena *a);
+/* y[N], at time t0 + elapsed with slope[N], <- the state after h, and step_error[N] <- its
+ * difference to that of order 7; neither has been looked at.  Errors of the field, DAL_EDOMAIN:
+ * y is as it was. */
+int dal__rk8pd_step(dal__rk8pd *self, double t0, double elapsed, double h, double *y,
+                    const double *slope, double *step_error, dal_error *error);
+
 /* y' = field(t, y) by an adaptive method.  Time is t0 + elapsed, and elapsed time is what is
  * counted, so that short intervals lose no digits. */
 typedef struct ode ode;

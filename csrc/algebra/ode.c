@@ -1,11 +1,11 @@
-/* One ordinary differential equation, by an adaptive method: GSL's explicit ones, and a
- * stiff one of our own.
+/* One ordinary differential equation, by an adaptive method: an explicit one, a multistep one,
+ * which is GSL's, and a stiff one.
  *
- * The loop over steps is our own, over gsl_odeiv2_step: it refuses a step that is not finite (GSL
- * takes NaN for accurate), takes a shorter one where the field says that it left its domain, and
- * leaves GSL no reason to raise its handler.  GSL's implicit methods would: they hand a singular
- * matrix 1 - h J to its LU, and allocate in every step.  Its driver and control follow a null
- * pointer when memory runs out; so they are our own, for msadams, which asks them for the
+ * The loop over steps is our own, also over gsl_odeiv2_step: it refuses a step that is not finite
+ * (GSL takes NaN for accurate), takes a shorter one where the field says that it left its domain,
+ * and leaves GSL no reason to raise its handler.  GSL's implicit methods would: they hand a
+ * singular matrix 1 - h J to its LU, and allocate in every step.  Its driver and control follow a
+ * null pointer when memory runs out; so they are our own, for msadams, which asks them for the
  * tolerance. */
 #include "algebra/algebra.h"
 
@@ -21,6 +21,8 @@ static const double LEAST_TOLERANCE = 4.0 * DAL_ROUNDOFF;
 static const double FIRST_STEP = 0.00618033988749895;
 static const double FIRST_FRACTION = 0.381966011250105;
 static const double SHORTER = 0.6;
+
+enum { RK8PD_ORDER = 8 };
 
 /* RODAS of order 4 with an embedded method of order 3, L-stable and stiffly accurate, so that it
  * sees the field where a step ends: E. Hairer and G. Wanner, Solving Ordinary Differential
@@ -50,7 +52,7 @@ struct ode {
     double tolerance;
     dal__field_fn field;
     void *ctx;
-    gsl_odeiv2_step *step;      /* of GSL's method; NULL for rodas */
+    gsl_odeiv2_step *step;      /* of msadams, else NULL */
     gsl_odeiv2_system system;
     gsl_odeiv2_control control; /* reads level */
     gsl_odeiv2_driver driver;
@@ -64,6 +66,7 @@ struct ode {
     size_t evaluations;
     double *state, *before;                   /* [N] */
     double *slope, *slope_after, *step_error; /* [N] */
+    dal__rk8pd rk8pd;
     /* of rodas */
     double *point, *right, *left, *rate;      /* [N]; rate: the derivative of the field by time */
     double *jacobian, *scale;                 /* [N*N] */
@@ -89,8 +92,7 @@ static const gsl_odeiv2_control_type control_type = {.name = "dalembert", .errle
 
 static int faulty(ode *self, const char *what, double elapsed)
 {
-    dal__fail(&self->fault, DAL_EDOMAIN, "the %s at t = %.17g is not finite", what,
-              self->t0 + elapsed);
+    dal__not_finite(&self->fault, what, self->t0 + elapsed);
     return GSL_EBADFUNC;
 }
 
@@ -178,6 +180,15 @@ static int rosenbrock(ode *self, double h)
     return evaluate(self->elapsed + h, self->state, self->slope_after, self);
 }
 
+/* One step of rk8pd, in the same way. */
+static int explicit_step(ode *self, double h)
+{
+    const int status = dal__rk8pd_step(&self->rk8pd, self->t0, self->elapsed, h, self->state,
+                                       self->slope, self->step_error, &self->fault);
+    return status ? GSL_EBADFUNC
+                  : evaluate(self->elapsed + h, self->state, self->slope_after, self);
+}
+
 /* Making. */
 
 static void plan(ode *shape, arena *memory)
@@ -185,6 +196,7 @@ static void plan(ode *shape, arena *memory)
     const size_t N = shape->N, N2 = dal__times(N, N);
     DAL__RESERVE(memory, N, &shape->state, &shape->before, &shape->slope, &shape->slope_after,
                  &shape->step_error);
+    if (shape->method == DAL_FLOW_RK8PD) dal__rk8pd_reserve(&shape->rk8pd, N, memory);
     if (shape->method != DAL_FLOW_RODAS) return;
     DAL__RESERVE(memory, N, &shape->point, &shape->right, &shape->left, &shape->rate);
     DAL__RESERVE(memory, N2, &shape->jacobian, &shape->scale);
@@ -207,7 +219,8 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
     int status = dal__check_tolerance(tolerance, error);
     if (status) return status;
 
-    ode shape = {.N = N, .method = method, .tolerance = tolerance, .field = field, .ctx = ctx};
+    ode shape = {.N = N, .method = method, .tolerance = tolerance, .field = field, .ctx = ctx,
+                 .rk8pd = {.field = field, .ctx = ctx}};
     ode *self;
     dal__reserve(&shape.arena, &self, 1, sizeof *self);
     plan(&shape, &shape.arena);
@@ -216,12 +229,11 @@ int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tole
 
     *self = shape;
     *integrator = self;
-    if (method == DAL_FLOW_RODAS) return DAL_SUCCESS;
+    if (method != DAL_FLOW_MSADAMS) return DAL_SUCCESS;
     self->system = (gsl_odeiv2_system){evaluate, NULL, N, self};
     self->control = (gsl_odeiv2_control){&control_type, &self->level};
     self->driver = (gsl_odeiv2_driver){.sys = &self->system, .c = &self->control};
-    self->step = gsl_odeiv2_step_alloc(method == DAL_FLOW_RK8PD ? gsl_odeiv2_step_rk8pd
-                                                                : gsl_odeiv2_step_msadams, N);
+    self->step = gsl_odeiv2_step_alloc(gsl_odeiv2_step_msadams, N);
     if (!self->step) {
         dal__release(&self->arena);
         *integrator = NULL;
@@ -243,7 +255,10 @@ double *dal__ode_state(ode *self) { return self->state; }
 
 double dal__ode_elapsed(const ode *self) { return self->elapsed; }
 
-size_t dal__ode_evaluations(const ode *self) { return self->evaluations; }
+size_t dal__ode_evaluations(const ode *self)
+{
+    return self->evaluations + self->rk8pd.evaluations;
+}
 
 /* Integration. */
 
@@ -314,11 +329,18 @@ static bool attempt(ode *self, double h)
     gsl_odeiv2_step *const step = self->step;
     self->fault.status = DAL_SUCCESS;
     dal__copy(self->N, self->state, self->before);
-    const int status = step ? gsl_odeiv2_step_apply(step, self->elapsed, h, self->state,
-                                                    self->step_error, self->slope,
-                                                    self->slope_after, &self->system)
-                            : rosenbrock(self, h);
-    const unsigned order = step ? gsl_odeiv2_step_order(step) : RODAS_ORDER;
+    int status;
+    unsigned order = RK8PD_ORDER;
+    if (self->method == DAL_FLOW_RK8PD) {
+        status = explicit_step(self, h);
+    } else if (self->method == DAL_FLOW_RODAS) {
+        status = rosenbrock(self, h);
+        order = RODAS_ORDER;
+    } else {
+        status = gsl_odeiv2_step_apply(step, self->elapsed, h, self->state, self->step_error,
+                                       self->slope, self->slope_after, &self->system);
+        order = gsl_odeiv2_step_order(step);
+    }
     if (status == GSL_SUCCESS && accurate(self, h, order)) {
         dal__copy(self->N, self->slope_after, self->slope);
         self->current = false;

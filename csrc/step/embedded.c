@@ -71,15 +71,18 @@ static bool is_of_one_map(const dal__composition *of)
 static bool add_equation(size_t stages, double size, size_t *known, double *row, double *right)
 {
     static const double noise = 1e-13; /* those that are regular in known records are above 1e-11 */
-    double *const mine = row + *known * stages, terms = size;
-    for (int pass = 0; pass < 2; pass++)
+    double *const mine = row + *known * stages, terms = size, length = size;
+    for (int pass = 0; pass < 2 && length > noise * size; pass++) { /* most are dependent */
         for (size_t k = 0; k < *known; k++) {
-            const double part = dal__dot(stages, mine, row + k * stages);
-            dal__add(stages, -part, row + k * stages, mine);
+            const double *const other = row + k * stages;
+            double part = 0.0;
+            for (size_t i = 0; i < stages; i++) part += mine[i] * other[i];
+            for (size_t i = 0; i < stages; i++) mine[i] -= part * other[i];
             right[*known] -= part * right[k];
             terms += fabs(part * right[k]);
         }
-    const double length = sqrt(dal__dot(stages, mine, mine));
+        length = sqrt(dal__dot(stages, mine, mine));
+    }
     if (length <= noise * size) return fabs(right[*known]) <= noise * terms;
     for (size_t i = 0; i < stages; i++) mine[i] /= length;
     right[(*known)++] /= length;

@@ -8,7 +8,8 @@ extern const dal_family dal__family_flow;
 static const dal_scheme records[] = {
     {.name = "reference", .family = &dal__family_flow,
      .help = "adaptive integration of the ODE on D: best for short accurate runs",
-     .reference = "GSL odeiv2: rk8pd, msadams; Hairer and Wanner 1996: rodas"},
+     .reference = "Prince and Dormand 1981: rk8pd; GSL odeiv2: msadams; Hairer and "
+                  "Wanner 1996: rodas"},
 };
 
 static int make(void **method, dal_motion *motion, dal_error *error)

@@ -57,7 +57,7 @@ def reference(
     consistent : {"check", "project", "assume"}, optional
         As in `integrate`.
     method : {"rk8pd", "msadams", "rodas", "taylor"}, optional
-        Prince-Dormand 8(9), Adams, a Rosenbrock method for stiff potentials; or Taylor series, as
+        Prince-Dormand 8(7), Adams, a Rosenbrock method for stiff potentials; or Taylor series, as
         in `integrate`, in the coordinates x.
     tolerance : float, optional
         Relative and absolute, for each step, in [4.4e-16, 0.1].
