@@ -26,6 +26,7 @@ ENOUGH = 0.1  # an error below that part of the accuracy has too short a step
 WORK = 20.0  # a scheme that needs so many times the work of the cheapest so far is given up,
 LONGEST = 0.2  # and one that needs so many seconds to be tried
 GROWTH = 3.0  # the largest power of the time with which regular motions lose accuracy
+DRIFT = 2.0  # that of phases where the energy drifts, as it does with controlled steps
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,8 @@ def recommend(
 
     Runs of some hundred milliseconds in all are compared with the reference flow: up to t_end, or,
     where that is too far, up to a part of it, from which errors and times are extrapolated: errors
-    by the power of the time with which they grow there.
+    by the power of the time with which they grow there, at least the square where steps are not of
+    one size.  What happens only later is not seen.
 
     Parameters
     ----------
@@ -160,6 +162,8 @@ def recommend(
     accuracy = arguments.number(accuracy, "accuracy")
     if not LEAST <= accuracy <= MOST:
         raise ValueError(f"accuracy = {accuracy!r}: expected {LEAST:g} to {MOST:g}")
+    if callable(inputs):
+        raise ValueError(f"inputs = {inputs!r}: expected numbers, held for the whole run")
     x0 = np.concatenate(geometry.initial(system, q0, v0))
     with quietly():
         pilot = _Pilot(system, x0, t0, t_end, inputs)
@@ -199,9 +203,9 @@ def _why(pilot: _Pilot, tried: list[Tried], accuracy: float) -> str:
     if pilot.part < 1.0:
         words.append(
             f" Tried up to t = {pilot.end:g} and extrapolated: errors grow like "
-            f"t^{pilot.growth:.1f}{pilot.doubt}."
+            f"t^{pilot.power(best.tolerance):.1f}{pilot.doubt}."
         )
-        if not pilot.is_dissipative and best.h == "auto":
+        if not pilot.system.is_forced and best.h == "auto":
             words.append(
                 " Over long times steps of one size keep the energy of a reversible motion in a "
                 "band, and these do not."
@@ -224,7 +228,6 @@ class _Pilot:
         self.end = float(first.t[-1])
         self.part = (self.end - t0) / (t_end - t0)
         self.h = float(np.median(np.abs(np.diff(first.t))))
-        self.energy = abs(first.energy - first.energy[0]).max() if not system.is_forced else 0.0
         # a quarter, a half, and the whole
         quarter = (self.end - t0) / 4
         exact = self.run("reference", self.end, h=quarter, tolerance=1e-14)
@@ -232,10 +235,6 @@ class _Pilot:
         again = self.run("reference", self.end, h=quarter, tolerance=1e-13)
         self.accuracy = float(self._errors(again)[2])  # what cannot be seen
         self.growth = self._growth(first)
-
-    @property
-    def is_dissipative(self) -> bool:
-        return self.system.is_forced
 
     @property
     def doubt(self) -> str:
@@ -249,8 +248,7 @@ class _Pilot:
         q0, v0 = np.split(self.x0, 2)
         how.setdefault("h", 1.0)
         return integrate(
-            self.system, scheme, q0, v0, t0=self.t0, t_end=end, inputs=self.inputs,
-            consistent="project", **how,
+            self.system, scheme, q0, v0, t0=self.t0, t_end=end, inputs=self.inputs, **how
         )  # fmt: skip
 
     def _errors(self, run: Solution) -> Array:
@@ -271,10 +269,14 @@ class _Pilot:
         power = math.log2(max(errors[2], 1e-15) / max(errors[1], 1e-15))
         return min(max(power, 1.0), GROWTH)
 
-    def error(self, run: Solution) -> float:
+    def power(self, tolerance: float | None) -> float:
+        """Return the power of the time with which errors are expected to grow."""
+        return self.growth if tolerance is None else max(self.growth, DRIFT)
+
+    def error(self, run: Solution, tolerance: float | None = None) -> float:
         """Return the error expected at t_end of a run up to the end of the pilot."""
         here = (np.abs(run.x[-1] - self.exact[2]) / (1.0 + np.abs(self.exact[2]))).max()
-        return max(float(here), self.accuracy) * self.part**-self.growth
+        return max(float(here), self.accuracy) * self.part ** -self.power(tolerance)
 
 
 def _try_all(pilot: _Pilot, accuracy: float) -> Iterator[Tried]:
@@ -326,8 +328,9 @@ def _with_step(pilot: _Pilot, scheme: Scheme, accuracy: float, most: float) -> T
 def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
     """Return a flow, or controlled steps, with the largest tolerance that seems small enough."""
     least = 1e-14  # below which all is roundoff
+    most = MOST if pilot.part == 1.0 else accuracy  # what is to come may need shorter steps
     step: Any = h if h == "auto" else pilot.end - pilot.t0
-    tolerance = max(least, accuracy * min(pilot.part**pilot.growth, 1.0))
+    tolerance = max(least, accuracy * pilot.part ** pilot.power(least))
     best = None
     failed = Tried(name, h, tolerance, 0, math.nan, math.inf)
     for _ in range(ATTEMPTS):
@@ -337,7 +340,7 @@ def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
         except DalembertError:
             break
         seconds = (time.thread_time() - begin) / pilot.part
-        error = pilot.error(run)
+        error = pilot.error(run, tolerance)
         steps = math.ceil(run.stats.steps / pilot.part)
         one = Tried(name, h, tolerance, steps, error, seconds)
         if error <= accuracy and (best is None or seconds < best.seconds):
@@ -347,7 +350,7 @@ def _with_tolerance(pilot: _Pilot, name: str, h: Any, accuracy: float) -> Tried:
         if ENOUGH * accuracy <= error <= accuracy or (tolerance == least and error > accuracy):
             break
         factor = MARGIN * accuracy / max(error, 1e-16)
-        tolerance = min(max(tolerance * min(max(factor, 1e-3), 1e3), least), MOST)
+        tolerance = min(max(tolerance * min(max(factor, 1e-3), 1e3), least), most)
     return best or failed
 
 

@@ -1,9 +1,12 @@
 """Recommendations: what they promise, held against other solutions."""
 
+import re
+
 import numpy as np
 import pytest
 
 import dalembert as dal
+from dalembert.study import recommendation
 
 
 def error_of(system, found, end, q0=None, v0=None, **how):
@@ -39,6 +42,51 @@ def test_a_time_too_long_to_try_is_extrapolated():
     assert "Tried up to t = " in found.why and "errors grow like t^" in found.why
     error = error_of(system, found, system.exact(20000.0))
     assert error < 10 * found.error and error < 1e-3
+
+
+def test_a_drift_that_does_not_show_yet_is_expected():
+    # The trailers turn in circles: a drift of the energy moves the angle with t^2, after some time.
+    train = dal.systems.n_trailer()
+    found = dal.recommend(train, t_end=3000, accuracy=1e-4)
+    exact = dal.integrate(train, "reference", h=3000, t_end=3000, tolerance=1e-14)
+    assert error_of(train, found, (exact.q[-1], exact.v[-1])) < 2e-4
+
+
+def test_errors_of_controlled_steps_are_expected_to_grow_with_the_square(monkeypatch):
+    monkeypatch.setattr(recommendation, "GROWTH", 1.0)  # whatever is seen
+    ball = dal.systems.ball_on_table()
+    found = dal.recommend(ball, t_end=3000, accuracy=1e-4)
+    end = float(re.search(r"Tried up to t = (\S+)", found.why)[1])
+    x = np.concatenate(ball.exact(end))
+    for one in found.tried:
+        if one.tolerance is not None:
+            h = end if one.scheme == "reference" else one.h
+            run = dal.integrate(ball, one.scheme, h=h, t_end=end, tolerance=one.tolerance)
+            there = (abs(run.x[-1] - x) / (1 + abs(x))).max()
+            assert one.error > 0.5 * there * (3000 / end) ** 2, one
+
+
+def test_what_is_to_come_is_not_left_to_a_large_tolerance():
+    # Nothing moves in the part that is tried, for Python is slow: every tolerance is good there.
+    push = lambda t, q, v: np.exp(-(((t - 900) / 10) ** 2)) - q
+    system = dal.System(mass=[1], force=push, q0=[0], v0=[0])
+    found = dal.recommend(system, t_end=1000, accuracy=1e-6)
+    assert "Tried up to t = " in found.why
+    assert all(one.tolerance is None or one.tolerance <= 1e-6 for one in found.tried)
+
+
+def test_data_off_D_are_refused_as_in_a_run():
+    with pytest.raises(dal.NotOnConstraintError):
+        dal.recommend(dal.systems.knife_edge(), [0, 0, 0], [0, 1, 0], t_end=5)
+
+
+def test_another_beginning():
+    system = dal.System(
+        mass=[1], force=lambda t, q, v: np.cos(t) + 0 * q, q0=[-np.cos(7)], v0=[np.sin(7)]
+    )
+    found = dal.recommend(system, t0=7, t_end=12, accuracy=1e-7)
+    assert found.arguments["t0"] == 7
+    assert error_of(system, found, ([-np.cos(12)], [np.sin(12)])) < 1.5e-7
 
 
 def test_mass_that_depends_on_q_forces_and_inputs():
@@ -80,6 +128,7 @@ def test_what_cannot_be_reached_is_said():
         ({"t_end": 1, "accuracy": 0}, "accuracy = 0.0: expected 1e-13 to 0.1"),
         ({"t_end": 1, "accuracy": 1}, "accuracy = 1.0: expected"),
         ({"t_end": 1, "q0": [0, 0, 0]}, "q0 without v0"),
+        ({"t_end": 1, "inputs": lambda t, q, v: [1]}, "inputs = .*: expected numbers, held for"),
     ],
 )
 def test_refused(given, words):
