@@ -42,7 +42,8 @@ class Tried:
     steps : int
         To t_end.
     error : float
-        What is expected of the state at t_end, relative to ``1 + abs(x_i)``; NaN if no run went through.
+        What is expected of the state at t_end, relative to ``1 + abs(x_i)``; NaN if no run went
+        through.
     seconds : float
         What the run is expected to take.
     """
