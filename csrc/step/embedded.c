@@ -65,6 +65,17 @@ static bool is_of_one_map(const dal__composition *of)
     return true;
 }
 
+/* x.y, in four sums, none of which waits for another. */
+static double dot(size_t count, const double *x, const double *y)
+{
+    double sum[4] = {0.0};
+    size_t i = 0;
+    for (; i + 4 <= count; i += 4)
+        for (size_t j = 0; j < 4; j++) sum[j] += x[i + j] * y[i + j];
+    for (; i < count; i++) sum[0] += x[i] * y[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
 /* One more equation row.w = right for the weights: made orthogonal to those before it, row[known]
  * of length 1 with right[known]; size is that of the terms of its entries.  False if it
  * contradicts them. */
@@ -75,13 +86,12 @@ static bool add_equation(size_t stages, double size, size_t *known, double *row,
     for (int pass = 0; pass < 2 && length > noise * size; pass++) { /* most are dependent */
         for (size_t k = 0; k < *known; k++) {
             const double *const other = row + k * stages;
-            double part = 0.0;
-            for (size_t i = 0; i < stages; i++) part += mine[i] * other[i];
+            const double part = dot(stages, mine, other);
             for (size_t i = 0; i < stages; i++) mine[i] -= part * other[i];
             right[*known] -= part * right[k];
             terms += fabs(part * right[k]);
         }
-        length = sqrt(dal__dot(stages, mine, mine));
+        length = sqrt(dot(stages, mine, mine));
     }
     if (length <= noise * size) return fabs(right[*known]) <= noise * terms;
     for (size_t i = 0; i < stages; i++) mine[i] /= length;
