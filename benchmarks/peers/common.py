@@ -42,12 +42,13 @@ class Method:
     """One curve.  A setting is a tolerance or a number of steps in 100 units of time."""
 
     name: str
-    kind: str  # "steps" or "tolerance"
+    kind: str  # "steps", "tolerance" or, smaller where it is finer as well, "eps"
     settings: Sequence[float]  # from coarse to fine
     solve: Callable[[Any, np.ndarray, np.ndarray], np.ndarray]  # setting, state, times -> states
     compile_seconds: float  # what was done beforehand for this problem
     order: int = 0  # of the state in h, for "steps"
     usual: float | None = None  # the setting of long runs, where none is as fast as is asked for
+    long: bool = True  # whether its energy is followed over long times
 
 
 def need(package: str) -> ModuleType:
@@ -59,6 +60,14 @@ def need(package: str) -> ModuleType:
         short = PACKAGES.get(module, module)
         raise Missing(f"{short} is not installed" if error.name in (None, module, package)
                       else f"{short} does not load: {error}") from None  # fmt: skip
+
+
+def heyoka() -> ModuleType:
+    """Import heyoka, without its cache: what compiling takes is reported."""
+    hy = need("heyoka")
+    if hasattr(hy.llvm_state, "set_diskcache_enabled"):
+        hy.llvm_state.set_diskcache_enabled(False)
+    return hy
 
 
 @contextlib.contextmanager
@@ -86,6 +95,13 @@ def _lines(outputs: dict[str, Any], declare: str, write: Callable[[Any], str],
     """Assignments of matrices, with what they have in common computed once."""
     matrices = {name: sp.Matrix(x) for name, x in outputs.items()}
     flat = [decimal(x) for matrix in matrices.values() for x in matrix]
+    # Powers such as r^(-3/2) by products of a root: no compiler does that to pow
+    halves = {p for x in flat for p in x.atoms(sp.Pow) if p.exp.is_Rational and p.exp.q == 2}
+    roots = {base: sp.Symbol(f"root_{i}")
+             for i, base in enumerate(sorted({p.base for p in halves}, key=str))}  # fmt: skip
+    for base, root in roots.items():
+        yield f"{declare}{root} = {write(sp.sqrt(base))}"
+    flat = [x.xreplace({p: roots[p.base] ** (2 * p.exp) for p in halves}) for x in flat]
     shared, flat = sp.cse(flat, sp.numbered_symbols("c_"))
     for name, value in shared:
         yield f"{declare}{name} = {write(value)}"

@@ -12,24 +12,33 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-OURS = ("leapfrog", "midpoint", "suzuki4", "kl6", "kl8", "ss10",
-        "reference")  # fmt: skip
+OURS = ("leapfrog", "midpoint", "suzuki4", "bm4", "kl6", "bm6", "kl8", "ss10", "kl8 auto",
+        "ss10 auto", "bm6 auto", "bm6 reversible", "kl8 keep", "reference",
+        "reference taylor")  # fmt: skip
+FLOWS = ("reference", "reference taylor")  # the rest are steps of dalembert itself
 IN_D = ("heyoka in D", "GSL rk8pd in D")
-ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-11)
+ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-11, 1e-12)
+# What dalembert is to reach: see bars()
+STATE_BARS = (("springs", 1.0), ("knife_edge", 3.0))  # a problem, and times of heyoka
+ENERGY_BARS = ((1e5, 100.0), (1e7, 1e4))  # T, and how much less than the best peer
+ENERGY_COUNT = 3  # on so many reversible problems
+SLOWEST = 5.0  # of the energy picture, times the cpu time that is given
+WORK = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)  # errors of the energy
 
 # Okabe and Ito's colours: one for each peer; what belongs together differs by its line.
 BLUE, SKY, GREEN, RED, ORANGE, PINK, BLACK, GREY = (
     "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7", "#000000", "#777777",
 )  # fmt: skip
+NAVY = "#0B2F6B"
 STYLES = {
-    "leapfrog": (BLUE, ":", "o"), "kl6": (BLUE, "--", "s"),
-    "kl8": (BLUE, "-", "D"), "ss10": (BLUE, "-", "o"), "reference": (SKY, "-", "v"),
+    "leapfrog": (BLUE, ":", "o"), "bm6": (BLUE, "--", "s"), "ss10": (BLUE, "-", "o"),
+    "kl8": (NAVY, "-", "D"), "kl8 auto": (NAVY, "--", "^"), "kl8 keep": (NAVY, ":", "D"),
+    "bm6 reversible": (BLUE, "-.", "s"),
+    "reference": (SKY, "-", "v"), "reference taylor": (SKY, "--", "^"),
     "heyoka": (RED, "--", "^"), "heyoka in D": (RED, "-", "^"),
     "GSL rk8pd": (ORANGE, "--", "v"), "GSL rk8pd in D": (ORANGE, "-", "v"),
-    "SciPy DOP853": (GREEN, "-", "s"), "SciPy Radau": (GREEN, "--", "s"),
-    "CVODE Adams": (PINK, "-", "P"), "IDA index 1": (PINK, "--", "P"),
-    "Exudyn": (BLACK, "-", "X"), "SPARK 4": (GREY, "-", "*"),
-    "McLachlan-Perlmutter": (GREY, ":", "o"), "odelab energy": (GREY, "--", "d"),
+    "SciPy DOP853": (GREEN, "-", "s"), "CVODE Adams": (PINK, "-", "P"),
+    "Exudyn": (BLACK, "-", "X"), "SPARK 4": (GREY, "-", "*"), "odelab energy": (GREY, "--", "d"),
 }  # fmt: skip
 
 
@@ -55,7 +64,7 @@ def seconds_for(method: dict[str, Any], accuracy: float) -> float | None:
 def best(methods: dict[str, Any], accuracy: float, ours: bool,
          but: tuple[str, ...] = ()) -> tuple[float, str] | None:  # fmt: skip
     found = [(s, name) for name, method in methods.items()
-             if (name in OURS) == ours and name not in but
+             if (name in OURS) == ours and name not in (*but, "reference taylor")
              and (s := seconds_for(method, accuracy)) is not None]  # fmt: skip
     return min(found) if found else None
 
@@ -66,7 +75,8 @@ def rivals(energy: dict[str, Any], T: float, but: tuple[str, ...],
     sides: list[tuple[float, str] | None] = []
     for ours in (True, False):
         found = [(e, name) for name, m in energy["methods"].items()
-                 if (name in OURS) == ours and name not in ("odelab energy", *but)
+                 if (name in OURS) == ours
+                 and name not in ("odelab energy", "reference taylor", *but)
                  and m.get("rate", 1e9) <= 2 * energy["target"]
                  and (e := at(m, T)) is not None]  # fmt: skip
         sides.append(min(found) if found else None)
@@ -131,12 +141,82 @@ def count(found: list[str]) -> str:
     return ", ".join(f"{x} {n}" for n, x in numbers) or "nobody"
 
 
+def verdict(reached: bool) -> str:
+    return "reached" if reached else "**missed**"
+
+
+def bars(results: dict[str, Any]) -> Iterator[str]:
+    """What is asked of dalembert, and what was measured."""
+    problems = results["problems"]
+    for name, allowed in STATE_BARS:
+        state = problems.get(name, {"state": {}})["state"]
+        theirs = {x: seconds_for(state[x], 1e-12) for x in ("heyoka", IN_D[0]) if x in state}
+        if not theirs.get("heyoka"):
+            continue
+        title, at_most = problems[name]["title"], "" if allowed == 1 else f"{allowed:g} times "
+        goal = f"- **An error of 1e-12 at t = 100 in at most {at_most}heyoka's time**, {title}: "
+        ours = best(state, 1e-12, True)
+        if ours is None:
+            least = min((e, x) for x in state if x in OURS and x != "reference taylor"
+                        for _, e in curve(state[x]))  # fmt: skip
+            yield (f"{goal}{verdict(False)}, no method of dalembert comes that near; the smallest "
+                   f"error is {number(least[0])}, of {least[1]}.")  # fmt: skip
+            continue
+        ratios = ", ".join(
+            f"{ours[0] / s:.2f} times that of {x} ({number(1e3 * s)} ms)"
+            for x, s in theirs.items() if s
+        )  # fmt: skip
+        yield (f"{goal}{verdict(ours[0] <= allowed * theirs['heyoka'])}; {ours[1]} takes "
+               f"{number(1e3 * ours[0])} ms, {ratios}.")  # fmt: skip
+    long = [p for p in problems.values() if "energy" in p and p.get("reversible", True)]
+    for T, factor in ENERGY_BARS if long else ():
+        parts: dict[tuple[str, ...], list[str]] = {(): [], IN_D: []}
+        enough = 0
+        for but, found in parts.items():
+            for p in long:
+                ours, theirs = rivals(p["energy"], T, but)
+                if ours and theirs:
+                    ratio = theirs[0] / max(ours[0], 1e-17)
+                    enough += but == IN_D and ratio >= factor
+                    found.append(f"{p['title']} {number(ratio)}")
+        if parts[IN_D]:
+            yield (f"- **The energy up to T = {power(T)}, {number(factor)} times better than the "
+                   f"best peer at equal cpu time, on {ENERGY_COUNT} reversible problems**: "
+                   f"{verdict(enough >= ENERGY_COUNT)}, on {enough}, where all get the same "
+                   f"equations.  The error of the best peer over that of dalembert: "
+                   f"{'; '.join(parts[IN_D])}; and where peers get the equations in D, which a "
+                   f"person has to find: {'; '.join(parts[()])}.")  # fmt: skip
+    for p in problems.values():
+        work = p.get("work", {})
+        parts = []
+        kinds = (
+            ("steps of one size and of controlled error", (*FLOWS, "kl8 keep"), WORK),
+            ("`energy=\"keep\"`", [x for x in OURS if x != "kl8 keep"], WORK[-2:]),
+        )
+        for what, but, errors in kinds:
+            ratios = []
+            for a in errors:
+                reference = seconds_for(work["reference"], a) if "reference" in work else None
+                found = best(work, a, True, tuple(but))
+                if reference and found:
+                    ratios.append((found[0] / reference, found[1], a))
+            if ratios:
+                parts.append(f"with {what} {verdict(max(ratios)[0] <= 1)}, the time over that of "
+                             "`reference` is "
+                             + ", ".join(f"{number(r)} at {power(a)} ({name})"
+                                         for r, name, a in ratios))  # fmt: skip
+        if parts:
+            yield (f"- **At least level with `reference` at equal error of the energy**, up to "
+                   f"t = 1000, {p['title']}: {'; '.join(parts)}.")  # fmt: skip
+
+
 def summary(results: dict[str, Any]) -> Iterator[str]:
     """Where dalembert wins and loses, counted."""
     problems = results["problems"].values()
     kinds = (((), "among all"), (IN_D, "without the equations in D, see below"))
     yield "## In short"
     yield ""
+    yield from bars(results)
     for but, what in kinds:
         first = []
         for p in problems:
@@ -170,7 +250,9 @@ def state_part(results: dict[str, Any]) -> Iterator[str]:
     yield ""
     yield "![The error of the state at t = 100 against the cpu time of a call](peers-state.png)"
     yield ""
-    yield "Who reaches an accuracy first, of dalembert (bold where it wins) and of all others:"
+    yield "Who reaches an accuracy first, of dalembert (bold where it wins) and of all others;"
+    yield "times between two settings are interpolated by logarithms.  `reference taylor`, which is"
+    yield "heyoka from within dalembert, counts for neither; it is in the tables below:"
     yield ""
     yield from table(
         ["", *(power(a) for a in ACCURACIES)],
@@ -188,7 +270,7 @@ def state_part(results: dict[str, Any]) -> Iterator[str]:
             pair = [(x, "reference") for x in [seconds_for(s["reference"], a)] if x]
             row.append(duel(*pair, best({"GSL rk8pd": s["GSL rk8pd"]}, a, False))
                        if pair and "GSL rk8pd" in s else "-")  # fmt: skip
-            other = best(s, a, True, ("reference",))
+            other = best(s, a, True, FLOWS)
             row.append(f"{other[1]}, {pair[0][0] / other[0]:.1f} times as fast"
                        if pair and other else "-")  # fmt: skip
         rows.append(row)
@@ -197,7 +279,7 @@ def state_part(results: dict[str, Any]) -> Iterator[str]:
     yield "Milliseconds of cpu time for an error of the state; - : not reached with the settings"
     yield "that were tried, or the method does not do the problem."
     yield ""
-    for accuracy in ACCURACIES[:3]:
+    for accuracy in (*ACCURACIES[:3], ACCURACIES[-1]):
         yield f"### {power(accuracy)}"
         yield ""
         rows = []
@@ -253,15 +335,27 @@ def energy_part(results: dict[str, Any]) -> Iterator[str]:
         rows = []
         for name, m in p["energy"]["methods"].items():
             setting = m.get("setting")
+            kind = p["state"][name]["kind"]
             how = "-" if setting is None else (
-                f"h = {number(results['t_state'] / setting, 3)}"
-                if p["state"][name]["kind"] == "steps"
-                else f"tolerance {number(setting)}")  # fmt: skip
+                f"h = {number(results['t_state'] / setting, 3)}" if kind == "steps"
+                else f"{kind} {number(setting)}")  # fmt: skip
             off = max((x["residual"] for x in m["points"]), default=None)
             cpu = f"{number(1e6 * m['rate'])} µs" if m.get("rate", math.inf) < math.inf else "-"
             rows.append([f"`{name}`" if name in OURS else name, how, cpu,
                          *(number(at(m, T)) for T in times), number(off, 1)])  # fmt: skip
         yield from table(["", "setting", "cpu", *(power(T) for T in times), "off D"], rows)
+    for p in problems.values():
+        if "work" not in p:
+            continue
+        yield f"## What an error of the energy costs: {p['title']}"
+        yield ""
+        yield "Milliseconds of cpu time up to t = 1000 for a largest error of the energy; - : not"
+        yield "reached with the settings of the state that were fast enough to be tried:"
+        yield ""
+        rows = [[f"`{name}`" if name in OURS else name,
+                 *(number(s and 1e3 * s) for s in (seconds_for(m, a) for a in WORK))]
+                for name, m in p["work"].items()]  # fmt: skip
+        yield from table(["", *map(power, WORK)], rows)
 
 
 INTRODUCTION = """\
@@ -284,7 +378,8 @@ HOW = """\
   its settings, in an order that changes.  Making and compiling models is not in it: see below.
 - The error is the largest difference of a coordinate or velocity, against a state of 21 digits:
   extrapolation (Gragg) in 34 digits, done twice with other steps and orders, which agree to 1e-25,
-  and with heyoka in long double to 1e-15 (`benchmarks/peers/reference.py`).
+  and with heyoka in long double to 1e-15 (`benchmarks/peers/reference.py`); on the comet to 1e-19,
+  as with the solution by Kepler's equation, and 2e-15.
 - All get the equations in (q, v) with the multipliers eliminated by SymPy, `v' = f(t, q, v)`;
   heyoka and GSL also those *in D*, for which a person has found n - m velocities w with
   `v = B(q) w` and the equations for (q, w): with these the motion cannot leave D.  The problems
@@ -295,8 +390,12 @@ HOW = """\
   needs an option that scikit-sundae does not have); GSL in C with `-O3 -march=native`; Exudyn with
   `TrapezoidalIndex2` and a constraint on the level of velocities, whose functions are called in
   Python; the schemes of odelab are written anew from their papers and compiled by numba.
-  `suzuki4`, `kl6` and `kl8` are those of leapfrog; of midpoint where M depends on q or a force on
-  v.  `ss10` is one of order 10 that is not in the library, but a record of sub-steps.
+  `suzuki4`, `kl6`, `kl8` and `ss10` are those of leapfrog; of midpoint where M depends on q or a
+  force on v.  `auto` are steps of controlled error, `h="auto"`; `reversible` and `keep` are
+  `h="reversible"` and `energy="keep"`.  `reference` is `method="rk8pd"`, `reference taylor`
+  `method="taylor"`, which is heyoka, on the equations that dalembert derives.
+- The energy is followed in stretches of 20 states, each of which is a call that knows nothing of
+  those before it.  Methods that only repeat what others show are left out of it.
 - McLachlan and Perlmutter's scheme is `leapfrog`, written another way: the errors are the same.
   The reflecting leapfrog and SPARK 2 have the same errors too.
 
@@ -345,7 +444,7 @@ def page(results: dict[str, Any]) -> str:
     rows = [[f"`{name}`" if name in OURS else name,
              *(number(p["state"][name]["compile"]) if name in p["state"] else "-"
                for p in results["problems"].values())]
-            for name in names(results) if name not in OURS[1:]]  # fmt: skip
+            for name in names(results) if name not in OURS[1:-1]]  # fmt: skip
     lines += table(["", *(p["title"] for p in results["problems"].values())], rows)
     return "\n".join(wrapped(lines)).rstrip("\n") + "\n"
 
@@ -377,6 +476,7 @@ class Labels:
         self.wanted.append((text, color, points))
 
     def place(self) -> None:
+        from matplotlib.patheffects import withStroke
         from matplotlib.transforms import Bbox
 
         transform, frame = self.axes.transData, self.axes.get_window_extent()
@@ -402,14 +502,15 @@ class Labels:
                     covered = sum(box.contains(x, y) for x, y in dots)
                     overlap = sum(Bbox.intersection(box, other) is not None
                                   for other in self.taken)  # fmt: skip
-                    choices.append((1000 * overlap + 1000 * (not inside) + 6 * covered
+                    choices.append((1000 * overlap + 1000 * (not inside) + 12 * covered
                                     + 2.5 * distance + 8 * rank, dx, dy, end, box))  # fmt: skip
             _, dx, dy, end, box = min(choices, key=lambda choice: choice[0])
             self.taken.append(box)
             far = abs(dy) > 12
             self.axes.annotate(
                 text, end, (dx, dy), textcoords="offset points", fontsize=9, color=color,
-                ha="left" if dx > 0 else "right", va="center",
+                ha="left" if dx > 0 else "right", va="center", zorder=5,
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
                 arrowprops={"arrowstyle": "-", "color": color, "lw": 0.5} if far else None)
 
 
@@ -421,7 +522,7 @@ def figure_of(count: int, label_x: str, label_y: str, title: str) -> Any:
 
     columns = min(2, count)
     rows = -(-count // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(7.2 * columns, 5.6 * rows),
+    figure, axes = plt.subplots(rows, columns, figsize=(6.4 * columns, 5.2 * rows),
                                 squeeze=False, layout="constrained", facecolor="white")  # fmt: skip
     figure.suptitle(title, fontsize=13)
     for i, ax in enumerate(axes.flat):
@@ -460,8 +561,8 @@ def write(results: dict[str, Any], folder: Path) -> None:
         return
     figure, axes = figure_of(len(problems), "T", "largest error of the energy up to T",
                              "The energy over long times, at about equal cpu time for a unit of "
-                             "time:\nblue is dalembert; (slower: ...) is how much more time a "
-                             "method took than it was given")
+                             "time: blue is dalembert.\n(slower: ...) is how much more time a "
+                             f"method took; those above {SLOWEST:g} are in the tables only")
     todo = []
     for ax, p in zip(axes, problems):
         target = p["energy"]["target"]
@@ -469,8 +570,8 @@ def write(results: dict[str, Any], folder: Path) -> None:
         curves = {}
         for name in STYLES:
             m = p["energy"]["methods"].get(name, {"points": []})
-            points = [(x["T"], max(x["error"], 1e-15)) for x in m["points"]]
-            if points:
+            points = [(x["T"], max(x["error"], 1e-15)) for x in m["points"] if x["error"] < 1e3]
+            if points and m["rate"] <= SLOWEST * target:
                 curves[name] = points
         todo.append((ax, curves))
         ax.slower = {name: m["rate"] / target for name, m in p["energy"]["methods"].items()

@@ -1,35 +1,31 @@
-"""dalembert: its schemes, and a composition of order 10 that is a record of sub-steps."""
+"""dalembert: its schemes with steps of one size, and with steps that it chooses."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from common import T_STATE, Method, Refused, need, stopwatch
+from common import T_STATE, Method, Missing, Refused, heyoka, need, stopwatch
 from problems import Problem, t
 
-# Symmetric composition of symmetric steps, order 10, 35 stages: M. Sofroniou, G. Spaletta,
-# Derivation of symmetric composition constants for symmetric integrators, Optim. Methods Softw. 20
-# (2005) 597-613.  The first half and the middle; the rest is its mirror image.
-SS10 = (
-    0.07879572252168641926390768, 0.31309610341510852776481247, 0.02791838323507806610952027,
-    -0.22959284159390709415121340, 0.13096206107716486317465686, -0.26973340565451071434460973,
-    0.07497334315589143566613711, 0.11199342399981020488957508, 0.36613344954622675119314812,
-    -0.39910563013603589787862981, 0.10308739852747107731580277, 0.41143087395589023782070412,
-    -0.00486636058313526176219566, -0.39203335370863990644808194, 0.05194250296244964703718290,
-    0.05066509075992449633587434, 0.04967437063972987905456880, 0.04931773575959453791768001,
-)  # fmt: skip
+Solve = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
 
-STEPS = {
+FINE = (100, 140, 200, 240, 280, 320, 360, 400, 480, 560, 720, 1000)
+LONG = ("leapfrog", "kl8", "ss10")  # and kl6 or bm6: their energy is followed over long times
+STEPS = {  # the order, and the settings
     "leapfrog": (2, (400, 1000, 4000, 10000, 40000, 100000, 400000)),
     "midpoint": (2, (400, 1000, 4000, 10000, 40000, 100000)),
     "suzuki4": (4, (100, 200, 400, 1000, 2000, 4000, 10000, 20000)),
+    "bm4": (4, (100, 200, 400, 1000, 2000, 4000, 10000, 20000)),
     "kl6": (6, (100, 160, 240, 400, 600, 1000, 2000, 4000)),
-    "kl8": (8, (100, 160, 240, 400, 600, 1000)),
-    "ss10": (10, (60, 100, 160, 240, 320, 400)),
+    "bm6": (6, (100, 160, 240, 400, 600, 1000, 2000, 4000)),
+    "kl8": (8, (*FINE, 1400, 2000)),
+    "ss10": (10, (60, 80, *FINE)),
 }
+TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13)  # of "auto"
+SERIES = (1e-5, 1e-8, 1e-11, 1e-13, 4.5e-16)  # each is compiled
 
 
 def system(problem: Problem) -> Any:
@@ -49,35 +45,69 @@ def methods(problem: Problem) -> Iterator[Method | Refused]:
         model = system(problem)
         dal.integrate(model, "leapfrog", h=1e-3, steps=1)
 
-    def run(scheme: Any, state: np.ndarray, h: float, steps: int, times: np.ndarray,
-            **options: Any) -> np.ndarray:  # fmt: skip
+    def run(scheme: Any, state: np.ndarray, times: np.ndarray, **options: Any) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", dal.DalembertWarning)
-            found = dal.integrate(model, scheme, state[:n], state[n:], h=h, t0=times[0],
-                                  steps=steps * (len(times) - 1), stride=steps,
-                                  **options)  # fmt: skip
-        return np.hstack([found.q[1:], found.v[1:]])
+            return dal.integrate(model, scheme, state[:n], state[n:], t0=times[0], **options)
 
-    def fixed(scheme: Any):  # type: ignore[no-untyped-def]
+    def fixed(scheme: Any, **options: Any) -> Solve:
         def solve(steps: float, state: np.ndarray, times: np.ndarray) -> np.ndarray:
             h = T_STATE / steps
-            return run(scheme, state, h, round((times[1] - times[0]) / h), times)
+            stride = round((times[1] - times[0]) / h)
+            found = run(scheme, state, times, h=h, steps=stride * (len(times) - 1), stride=stride,
+                        **options)  # fmt: skip
+            return np.hstack([found.q[1:], found.v[1:]])
 
         return solve
 
-    def reference(tolerance: float, state: np.ndarray, times: np.ndarray) -> np.ndarray:
-        return run("reference", state, times[1] - times[0], 1, times, tolerance=tolerance)
+    def chosen(scheme: str, h: str, setting: str) -> Solve:
+        """Return a solver whose steps have the sizes that the library chooses."""
+
+        def solve(value: float, state: np.ndarray, times: np.ndarray) -> np.ndarray:
+            rows = {"stride": 10**9} if len(times) == 2 else {"t_eval": times[1:]}
+            found = run(scheme, state, times, h=h, t_end=times[-1], **{setting: value}, **rows)
+            return np.hstack([found.q, found.v])[1 - len(times) :]
+
+        return solve
+
+    def reference(method: str) -> Solve:
+        def solve(tolerance: float, state: np.ndarray, times: np.ndarray) -> np.ndarray:
+            found = run("reference", state, times, h=times[1] - times[0], steps=len(times) - 1,
+                        method=method, tolerance=tolerance)  # fmt: skip
+            return np.hstack([found.q[1:], found.v[1:]])
+
+        return solve
 
     simple = problem.equations.constant_mass and not problem.equations.velocity_force
     base = "leapfrog" if simple else "midpoint"  # leapfrog is then two stages
+    long = (*LONG, "bm6" if simple else "kl6")  # pairs are dear where leapfrog is two stages
     for name, (order, settings) in STEPS.items():
-        record: Any = name if order == 2 else f"{base}-{name}"
-        if name == "ss10":
-            pairs = [(0, 0.5), (1, 0.5)] if simple else [(0.5, 1.0)]
-            fractions = (*SS10, *SS10[-2::-1])
-            record = dal.Scheme([(beta, c * part) for c in fractions for beta, part in pairs],
-                                name=name, order=10, symmetric=True)  # fmt: skip
-        yield Method(name, "steps", settings, fixed(record), compiled[0], order)
+        record = name if order == 2 or name in ("bm4", "bm6") else f"{base}-{name}"
+        yield Method(name, "steps", settings, fixed(record), compiled[0], order,
+                     long=name in long)  # fmt: skip
+    for name in ("kl8", "ss10"):
+        yield Method(f"{name} auto", "tolerance", TOLERANCES,
+                     chosen(f"{base}-{name}", "auto", "tolerance"), compiled[0],
+                     long=name == "kl8")  # fmt: skip
+    yield Method("bm6 auto", "tolerance", TOLERANCES, chosen("bm6", "auto", "tolerance"),
+                 compiled[0], long=False)  # fmt: skip
+    if problem.pace > 1:
+        yield Method("bm6 reversible", "eps", (0.2, 0.15, 0.1, 0.07, 0.05, 0.035, 0.025),
+                     chosen("bm6", "reversible", "eps"), compiled[0])  # fmt: skip
+    if not problem.reversible:
+        yield Method("kl8 keep", "steps", (60, 80, *STEPS["kl8"][1]),
+                     fixed(f"{base}-kl8", energy="keep"), compiled[0], 8)  # fmt: skip
     yield Method("reference", "tolerance",
-                 (1e-4, 1e-6, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 1e-14), reference,
-                 compiled[0])  # fmt: skip
+                 (1e-4, 1e-6, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 1e-14),
+                 reference("rk8pd"), compiled[0])  # fmt: skip
+    try:
+        heyoka()
+    except Missing as missing:
+        yield Refused("reference taylor", str(missing))
+        return
+    start, series = np.array(problem.start), reference("taylor")
+    with stopwatch() as more:
+        for tolerance in SERIES:
+            series(tolerance, start, np.array([0.0, 1e-3]))
+    yield Method("reference taylor", "tolerance", SERIES, series,
+                 compiled[0] + more[0] / len(SERIES))  # fmt: skip

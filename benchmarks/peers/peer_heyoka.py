@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
-from common import Method, Refused, decimal, need, stopwatch
+from common import Method, Refused, decimal, heyoka, stopwatch
 from problems import Ode, Problem, t
 
 TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13, 2.2e-16)  # the last is its default
@@ -31,9 +31,7 @@ def expression(hy: ModuleType, x: Any, known: dict[sp.Symbol, Any], bits: int = 
 
 
 def methods(problem: Problem) -> Iterator[Method | Refused]:
-    hy = need("heyoka")
-    if hasattr(hy.llvm_state, "set_diskcache_enabled"):  # what compiling takes is reported
-        hy.llvm_state.set_diskcache_enabled(False)
+    hy = heyoka()
     for ode in problem.odes:
         yield _method(hy, ode)
 

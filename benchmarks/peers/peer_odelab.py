@@ -85,7 +85,7 @@ def methods(problem: Problem) -> Iterator[Method | Refused]:
             yield Refused(name, reason)
             continue
         solve, seconds = made(make(numba, n, m, *functions))
-        yield Method(name, "steps", low, solve, seconds, 2)
+        yield Method(name, "steps", low, solve, seconds, 2, long=name == "odelab energy")
     spark = _spark(numba, n, m, *functions)
     for stages, settings in ((2, low), (3, (100, 200, 400, 1000, 4000, 10000)),
                              (4, (100, 200, 400, 1000, 2000))):  # fmt: skip
@@ -94,7 +94,8 @@ def methods(problem: Problem) -> Iterator[Method | Refused]:
         rows = np.zeros((stages, stages + 1))  # of the constraints that vanish
         rows[:-1, :-1], rows[-1, -1] = A[1:stages], 1.0
         solve, seconds = made(spark, c, A, B, A @ B[:stages], rows)
-        yield Method(f"SPARK {stages}", "steps", settings, solve, seconds, 2 * stages - 2)
+        yield Method(f"SPARK {stages}", "steps", settings, solve, seconds, 2 * stages - 2,
+                     long=stages == 4)  # fmt: skip
 
 
 def _model(problem: Problem) -> tuple[Any, Any]:

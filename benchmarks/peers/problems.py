@@ -58,6 +58,8 @@ class Problem:
     v0: tuple[Any, ...]
     basis: sp.Matrix  # n x (n - m), B(q)
     force: dict[sp.Symbol, sp.Expr] = field(default_factory=dict)
+    reversible: bool = True  # run backwards, the motion is itself again
+    pace: int = 1  # all steps are so many times shorter than on other problems
 
     @property
     def conserves(self) -> bool:
@@ -88,7 +90,6 @@ class Problem:
             M, F, mu, D, f - V_q, free + pull * multipliers, free, pull, sp.expand(energy),
             not M.free_symbols, any(F.has(x) for x in self.v),
         )  # fmt: skip
-
 
     @functools.cached_property
     def odes(self) -> tuple[Ode, Ode]:
@@ -248,7 +249,34 @@ def snakeboard() -> Problem:
     )  # fmt: skip
 
 
+def gyroscopic() -> Problem:
+    plain = springs()
+    (x, _, _), (_, _, w) = plain.q, plain.v
+    return Problem(
+        "gyroscopic", "springs with a gyroscopic term",
+        "that of the particle on springs with `x² z'` added to L: conservative, not reversible",
+        plain.q, plain.v, plain.L + x**2 * w, plain.constraints, plain.q0, plain.v0, plain.basis,
+        reversible=False,
+    )  # fmt: skip
+
+
+def comet() -> Problem:
+    """Its data are exact in binary: the motion multiplies what is rounded there by some 1000."""
+    (x, y, z), (u, v, w) = q, vel = _symbols("x y z")
+    return Problem(
+        "comet", "comet",
+        "`L = |v|²/2 + 1/sqrt(x² + y²)`, `z' = x y' - y x'`; an ellipse of eccentricity 0.9, with "
+        "17 close approaches up to t = 100, which multiply what is rounded by some 1000, so that "
+        "small steps end at 1e-10; all steps are 20 times shorter than on other problems",
+        q, vel, (u**2 + v**2 + w**2) / 2 + 1 / sp.sqrt(x**2 + y**2),
+        (w - x * v + y * u,),
+        (R(3, 32), 0, 0), (0, R(9, 2), R(27, 64)),
+        sp.Matrix([[1, 0], [0, 1], [-y, x]]),
+        pace=20,
+    )  # fmt: skip
+
+
 PROBLEMS: dict[str, Callable[[], Problem]] = {
     x.__name__: functools.cache(x)
-    for x in (springs, knife_edge, sleigh, contact, rolling_disc, snakeboard)
+    for x in (springs, knife_edge, sleigh, contact, rolling_disc, snakeboard, gyroscopic, comet)
 }

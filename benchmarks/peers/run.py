@@ -1,10 +1,11 @@
 """dalembert and its peers on the same problems: cpu time against error, energy over long times.
 
-Usage: ``python run.py [--quick | --long] [--problem NAME]... [--out FOLDER]``
+Usage: ``python run.py [--quick | --long] [--problem NAME]... [--merge] [--out FOLDER]``
 
 Writes peers.json, peers.md, peers-state.png and peers-energy.png into FOLDER, by default docs/ of
-this checkout, and, with --quick, nowhere: then the table is printed only.  A default run takes half
-an hour, --quick a minute, --long, which gives slow methods more time, some hours.
+this checkout, and, with --quick, nowhere: then the table is printed only.  With --merge problems
+that are not named stay as they are in the peers.json of FOLDER.  A default run takes some 40
+minutes, --quick a few, --long, which gives slow methods more time, some hours.
 
 Times are those of the process during the call that a user makes, medians over rounds in each of
 which every method runs once with each of its settings, in another order.  What is done before, such
@@ -20,6 +21,7 @@ for _name in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{_name}_NUM_THREADS", "1")
 
 import argparse  # noqa: E402
+import dataclasses  # noqa: E402
 import gc  # noqa: E402
 import importlib  # noqa: E402
 import json  # noqa: E402
@@ -40,10 +42,10 @@ from problems import PROBLEMS, Problem  # noqa: E402
 HERE = Path(__file__).resolve().parent
 PEERS = ("dalembert", "heyoka", "gsl", "scipy", "sundials", "exudyn", "odelab")
 PACKAGES = ("dalembert", "heyoka", "scipy", "scikit-sundae", "exudyn", "numba", "numpy", "sympy")
-QUICK = ["springs", "rolling_disc"]  # the problems of --quick
 CALL = 20  # of these samples come from one call
 WARM = 0.02  # calls that take less are made once more before, so that caches are warm
 SAMPLES = 200  # of the energy, from each power of ten to the next
+WORK = 1000.0  # T of the runs that say what an error of the energy costs
 
 
 @dataclass(frozen=True)
@@ -55,14 +57,15 @@ class Effort:
     horizon: float  # the longest T of the energy
     cap: float  # seconds of a run from one power of ten to the next
     cap_slow: float  # the same, for methods that take more time than is asked for
+    most: float  # seconds of a point, after which no finer setting of the method is tried
     trial: float = 1000.0  # T of the runs that say how fast a method is
     only: int | None = None  # settings of a method: so many, without the finest
 
 
 EFFORTS = {
-    "default": Effort(5, 3.0, 1e7, 25.0, 4.0),
-    "quick": Effort(2, 0.2, 1e4, 0.2, 0.2, 100.0, 3),
-    "long": Effort(7, 4.0, 1e7, 200.0, 20.0),
+    "default": Effort(5, 2.0, 1e7, 36.0, 3.0, 2.0),
+    "quick": Effort(2, 0.1, 1e4, 0.2, 0.2, 0.5, 100.0, 3),
+    "long": Effort(7, 4.0, 1e7, 200.0, 20.0, 20.0),
 }
 
 
@@ -110,6 +113,9 @@ def state_errors(problem: Problem, methods: list[Method], effort: Effort) -> dic
             point["residual"] = float(np.max(np.abs(residual(states[-1]))))
             seconds[i, setting], point["first"] = [], took
             point["rounds"] = int(np.clip(effort.seconds / max(took, 1e-9), 2, effort.rounds))
+            # The first call of a method may do what no other does
+            if took > effort.most and attempt(method, setting, start, times)[0] > effort.most:
+                break
     for round_ in range(effort.rounds):
         gc.collect()
         order = [key for key in seconds if points[key]["rounds"] > round_]
@@ -189,14 +195,16 @@ def decade(method: Method, setting: float, y: np.ndarray, t: float, T: float, li
 
 def energy_errors(problem: Problem, methods: list[Method], state: dict[str, Any],
                   effort: Effort) -> dict[str, Any]:  # fmt: skip
-    """Follow the energy of every method, which all get about the same cpu time."""
+    """Follow the energy of the methods, which all get about the same cpu time."""
     energy = sp.lambdify([[*problem.q, *problem.v]], problem.equations.energy)
     residual = sp.lambdify([[*problem.q, *problem.v]], list(problem.constraints))
     start = np.array(problem.start)
-    by_name = {method.name: method for method in methods}
+    by_name = {method.name: method for method in methods if method.long}
     pacemaker = by_name.get("heyoka") or by_name["reference"]
     pace = pacemaker.settings[-1] if pacemaker.name == "heyoka" else 1e-9
     target = rate(pacemaker, pace, problem, effort.trial)
+    # Longer ones show nothing new of what drifts, or passes close to something
+    horizon = effort.horizon if problem.reversible and problem.pace == 1 else effort.horizon / 10
     found: dict[str, Any] = {}
     for name, method in by_name.items():
         try:
@@ -212,7 +220,7 @@ def energy_errors(problem: Problem, methods: list[Method], state: dict[str, Any]
         entry["rate"] = speed
         cap = effort.cap if speed < 3 * target else effort.cap_slow
         y, t, total, worst, off, T = start, 0.0, 0.0, 0.0, 0.0, 1e3
-        while T <= effort.horizon:
+        while T <= horizon:
             if speed * (T - t) > cap:
                 entry["stopped"] = f"t = {T:.0e} would take {speed * T:.0f} s"
                 break
@@ -228,6 +236,27 @@ def energy_errors(problem: Problem, methods: list[Method], state: dict[str, Any]
             y, t, T = states[-1].copy(), T, 10 * T
     return {"target": target, "pacemaker": f"{pacemaker.name}, tolerance {pace:g}",
             "methods": found}  # fmt: skip
+
+
+def energy_work(problem: Problem, methods: list[Method], state: dict[str, Any],
+                effort: Effort) -> dict[str, Any]:  # fmt: skip
+    """Measure what an error of the energy up to WORK costs, where it drifts for all methods."""
+    energy = sp.lambdify([[*problem.q, *problem.v]], problem.equations.energy)
+    start = np.array(problem.start)
+    times = np.arange(0.0, WORK + GRID / 2, GRID)
+    found: dict[str, Any] = {}
+    for method in methods:
+        points = found[method.name] = []
+        for point in state[method.name]["points"]:
+            if point.get("median", np.inf) * WORK / T_STATE > effort.cap_slow / 10:
+                continue
+            runs = [attempt(method, point["setting"], start, times) for _ in range(3)]
+            states = runs[0][1]
+            if not isinstance(states, str):
+                error = float(np.max(np.abs(energy(states.T) - energy(start))))
+                points.append({"setting": point["setting"], "error": error,
+                               "median": statistics.median(run[0] for run in runs)})  # fmt: skip
+    return {name: {"points": points} for name, points in found.items() if points}
 
 
 # ---- all of it -------------------------------------------------------------------------------
@@ -270,6 +299,9 @@ def study(names: list[str], effort: Effort, say: Any = print) -> dict[str, Any]:
                     if isinstance(offer, Refused):
                         refused[offer.name] = offer.reason
                     else:
+                        if offer.kind == "steps":
+                            finer = [problem.pace * x for x in offer.settings]
+                            offer = dataclasses.replace(offer, settings=finer)
                         methods.append(offer)
             except Missing as missing:
                 if peer == "dalembert":
@@ -279,13 +311,25 @@ def study(names: list[str], effort: Effort, say: Any = print) -> dict[str, Any]:
         state = state_errors(problem, methods, effort)
         found = results["problems"][name] = {
             "title": problem.title, "text": problem.text, "n": len(problem.q),
-            "m": len(problem.constraints), "refused": refused, "state": state,
+            "m": len(problem.constraints), "reversible": problem.reversible, "refused": refused,
+            "state": state,
         }  # fmt: skip
         if problem.conserves:
             found["energy"] = energy_errors(problem, methods, state, effort)
+        if problem.conserves and not problem.reversible:
+            found["work"] = energy_work(problem, methods, state, effort)
         say(f"{name}: {len(methods)} methods, {time.time() - begun:.0f} s", flush=True)
     results["seconds"] = time.time() - begun
     return rounded(results)
+
+
+def merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    """Put the problems of a new run in the place of those of an old one."""
+    both = old["problems"] | new["problems"]
+    return new | {
+        "problems": {name: both[name] for name in PROBLEMS if name in both},
+        "seconds": old["seconds"] + new["seconds"],
+    }
 
 
 def main() -> None:
@@ -294,19 +338,23 @@ def main() -> None:
     for name in ("quick", "long"):
         pace.add_argument(f"--{name}", dest="effort", action="store_const", const=name)
     parser.add_argument("--problem", action="append", choices=list(PROBLEMS))
+    parser.add_argument("--merge", action="store_true")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     effort = EFFORTS[arguments.effort or "default"]
-    every = QUICK if arguments.effort == "quick" else list(PROBLEMS)
-    with tempfile.TemporaryDirectory() as cache:
-        os.environ["DALEMBERT_CACHE"] = cache  # an empty one: what compiling takes is reported
-        results = study(arguments.problem or every, effort)
-
-    import draw
-
     out = arguments.out
     if out is None and arguments.effort != "quick":
         out = HERE.parents[1] / "docs"
+    if arguments.merge and (out is None or not (out / "peers.json").is_file()):
+        parser.error("--merge: expected a folder with the peers.json of a run before")
+    with tempfile.TemporaryDirectory() as cache:
+        os.environ["DALEMBERT_CACHE"] = cache  # an empty one: what compiling takes is reported
+        results = study(arguments.problem or list(PROBLEMS), effort)
+    if arguments.merge:
+        results = merged(json.loads((out / "peers.json").read_text()), results)
+
+    import draw
+
     if out is None:
         print(draw.page(results))
     else:
