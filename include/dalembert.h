@@ -412,6 +412,8 @@ typedef struct dal_stats {
     size_t full_newtons;        /* sub-steps that the modified Newton handed to the full one; where
                                    all are solved by the full one, that had to start anew */
     size_t rejected;            /* error-controlled steps that were made again, shorter */
+    size_t uncontrolled;        /* those that are longer than the tolerance allows, as their
+                                   estimated error is roundoff, whatever their length */
     size_t scaled, unscaled;    /* of keep_energy: steps that were made again with scaled
                                    velocities; and that could not be, so that the plain step was
                                    taken, and the energy not kept there; or where states at

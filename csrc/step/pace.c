@@ -25,6 +25,8 @@
 /* An error that says nothing about h: of roundoff, or of a step that failed. */
 #define SMALLEST 1e-4
 #define FAILED 1e10
+/* The error of a step that is counted as uncontrolled, in units of what it may be. */
+#define BEYOND 30.0
 enum { ATTEMPTS = 60 };
 #define LEAST_TOLERANCE 1e-14
 #define MOST_TOLERANCE 0.1
@@ -146,12 +148,15 @@ static int attempt(dal_stepper *self, double t, double h, double *estimate)
 static double roundoff(const dal__pace *pace) { return fmax(pace->noise, pace->seen); }
 
 /* The error of a step by its estimate, in units of what it may be.  An estimate that is roundoff is
- * so for any h: it has to look small, for the next step to be longer. */
-static double error_of(const dal__pace *pace, double estimate)
+ * so for any h: it has to look small, for the next step to be longer.  *beyond <- the same in units
+ * of what the tolerance alone allows. */
+static double error_of(const dal__pace *pace, double estimate, double *beyond)
 {
     const double power = (pace->order + 1.0) / (pace->q + 1.0);
     const double least = pace->share * pow(FAR_FROM_NOISE * roundoff(pace), power);
-    return pace->share * pow(estimate, power) / fmax(pace->allowed, least);
+    const double error = pace->share * pow(estimate, power);
+    *beyond = error / pace->allowed;
+    return error / fmax(pace->allowed, least);
 }
 
 /* Whether a step failed for a reason that a shorter one would not have. */
@@ -236,17 +241,18 @@ int dal__pace_step(dal_stepper *self)
     for (int k = 1;; k++) {
         const double length = fit(self, t, h);
         const bool whole = fabs(length) >= fabs(h) - 4.0 * DAL_ROUNDOFF * (fabs(t) + fabs(h));
-        double estimate = 0.0, error = FAILED;
+        double estimate = 0.0, error = FAILED, beyond = 0.0;
         int status = length == 0.0 || !isfinite(length) ? DAL_ENOCONV
                                                        : attempt(self, t, length, &estimate);
         if (!status && is_time(self, t, length)) status = measure_share(self, t, length, estimate);
-        if (!status) error = error_of(pace, estimate);
+        if (!status) error = error_of(pace, estimate, &beyond);
         if (!status && error <= 1.0) {
             const double factor = change(pace, error);
             const double next = length * (k > 1 ? fmin(factor, 1.0) : factor);
             /* a step that was cut short says less than the size that was meant */
             pace->h = whole || fabs(next) > fabs(h) ? next : h;
             pace->error = fmax(error, SMALLEST);
+            motion->stats->uncontrolled += beyond > BEYOND;
             return DAL_SUCCESS;
         }
         const bool hopeless = k == ATTEMPTS || fabs(length) <= 16.0 * DAL_ROUNDOFF * fabs(t);

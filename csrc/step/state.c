@@ -7,7 +7,7 @@
 
 /* What stands in front of x, the inputs and what the family keeps: what it is of, and the fields
  * below.  Counters are exact below 2^53. */
-enum { VERSION = 5, OF = 8, FIELDS = 41, HEAD = OF + FIELDS };
+enum { VERSION = 5, OF = 8, FIELDS = 42, HEAD = OF + FIELDS };
 
 /* A number of the stepper: a real one, which may be any if it is one of the energy, a counter or a
  * flag. */
@@ -37,7 +37,8 @@ static void list_fields(dal_stepper *self, field fields[FIELDS])
         {.counter = &stats->lagrangian_calls}, {.counter = &stats->force_calls},
         {.counter = &stats->scaled}, {.counter = &stats->unscaled}, {.counter = &stats->resets},
         {.energy = &self->scaling.energy}, {.energy = &jump->undone},
-        {.counter = &stats->rejected}, {.real = &self->reversible.rho},
+        {.counter = &stats->rejected}, {.counter = &stats->uncontrolled},
+        {.real = &self->reversible.rho},
         {.real = &self->reversible.part}, {.real = &self->reversible.floor},
         {.real = &self->reversible.speed}, {.flag = &self->reversible.by_jerk},
         {.counter = &motion->first}, {.real = &self->pace.seen}, {.real = &self->pace.share},

@@ -469,6 +469,12 @@ def doubts(solution: Any) -> Iterator[str]:
             "would have had to change by more than half; they are plain steps of the scheme, and "
             "a smaller h makes them rarer"
         )
+    if stats.uncontrolled > 0.05 * stats.steps:
+        yield (
+            f"{stats.uncontrolled} of {stats.steps} steps are longer than the tolerance allows "
+            f"({how}): the estimate of their error is roundoff there, so that the error is that of "
+            "a larger tolerance; another scheme may see more"
+        )
     simple = system.has_constant_mass and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:
         yield (

@@ -34,6 +34,8 @@ class Statistics:
         Final corrections onto D that took an evaluation of their own.
     rejected : int
         Error-controlled steps that were made again, shorter.
+    uncontrolled : int
+        Those that are longer than the tolerance allows, as their estimated error is roundoff.
     scaled, unscaled : int
         Steps whose energy was kept by scaled velocities, which made them again; and those where it
         could not be kept so, and was not.
@@ -81,6 +83,7 @@ class Statistics:
     scaled: int = 0
     unscaled: int = 0
     resets: int = 0
+    uncontrolled: int = 0
 
     @classmethod
     def _read(cls, stepper: Any, kind: str) -> Statistics:

@@ -117,6 +117,7 @@ static bool same_stats(const dal_stats *a, const dal_stats *b)
         && a->worst_residual == b->worst_residual && a->initial_residual == b->initial_residual
         && a->initial_correction == b->initial_correction && a->differenced == b->differenced
         && a->scaled == b->scaled && a->unscaled == b->unscaled
+        && a->uncontrolled == b->uncontrolled
         && a->jump_step == b->jump_step && a->jump == b->jump
         && a->largest_kinetic == b->largest_kinetic;
 }
@@ -334,15 +335,15 @@ static void refused(dal_stepper *stepper, const double *values, size_t count, co
 /* What stands where among the saved numbers; x follows the head. */
 enum { SAVED_VERSION, SAVED_N, SAVED_M, IDENTITY, TOLERANCE, LONGEST, KEEPS, EPS, T0, H, TAKEN,
        LOOKING, SHIFT, ENERGY, KINETIC, JUMP_STEP, JUMP, FIRST_COUNT, LAST_COUNT = 22,
-       FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, BY_JERK = 43, BEGUN, SEEN, SHARE, NEXT_H,
-       LAST_ERROR, HEAD };
+       FIRST_CALLS = 26, KEPT = 36, UNDONE, REJECTED, UNCONTROLLED, BY_JERK = 44, BEGUN, SEEN,
+       SHARE, NEXT_H, LAST_ERROR, HEAD };
 
 /* Whether nothing but a refusal will do; the words are those that it has to have. */
 static bool is_hopeless(size_t i, double spoil, char words[32])
 {
     const bool energy = (ENERGY <= i && i <= JUMP && i != JUMP_STEP) || i == KEPT || i == UNDONE;
     const bool counter = i == TAKEN || i == JUMP_STEP || (FIRST_COUNT <= i && i <= LAST_COUNT)
-                      || (FIRST_CALLS <= i && i <= REJECTED && !energy) || i == BEGUN;
+                      || (FIRST_CALLS <= i && i <= UNCONTROLLED && !energy) || i == BEGUN;
     snprintf(words, 32, "values[%zu]", i);
     if (i == SAVED_VERSION) return true;
     if (i <= IDENTITY) {

@@ -42,6 +42,18 @@ def test_a_motion_that_relaxes_takes_longer_and_longer_steps():
     assert len(run.t) < 200
 
 
+@pytest.mark.parametrize(("scheme", "tolerance"), [("bm4", 1e-14), ("leapfrog-ss10", 1e-14)])
+def test_a_tolerance_that_the_estimate_does_not_see_is_said(scheme, tolerance):
+    system = dal.systems.particle_oscillator()
+    with pytest.warns(dal.DalembertWarning, match="longer than the tolerance allows"):
+        run = dal.integrate(system, scheme, h="auto", tolerance=tolerance, t_end=100)
+    exact = dal.integrate(system, "reference", h=100, steps=1, tolerance=1e-15)
+    assert relative(run, exact.q[-1], exact.v[-1]) > 5 * tolerance
+    assert run.stats.uncontrolled > run.stats.steps / 20
+    seen = dal.integrate(system, scheme, h="auto", tolerance=1e-12, t_end=100)
+    assert seen.stats.uncontrolled == 0
+
+
 def test_what_it_returns():
     system = dal.systems.knife_edge()
     run = dal.integrate(system, h="auto", t_end=-7, t0=1.5, h_max=0.3, stride=4)
