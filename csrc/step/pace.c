@@ -105,7 +105,8 @@ static double size(size_t N, const double *x, const double *change)
     return largest;
 }
 
-/* A first step by the rates of x and of its rates (Hairer, Norsett, Wanner 1993, II.4). */
+/* A first step by the rates of x and of its rates (Hairer, Norsett, Wanner 1993, II.4), all at time
+ * t: where the motion is to end is not known yet. */
 int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, double *h)
 {
     dal__pace *const pace = &self->pace;
@@ -120,7 +121,7 @@ int dal__pace_first(dal_stepper *self, double t, double ahead, const double *x, 
     const double one = ahead * fmin(small, pace->h_max);
     dal__move(N, x, one, f, there);
     double turn = 0.0;
-    status = dal_field(&self->mech, t + one, there, change);
+    status = dal_field(&self->mech, t, there, change);
     if (status == DAL_EUSER) return status;
     for (size_t i = 0; i < N; i++) change[i] -= f[i];
     if (!status) turn = size(N, x, change) / tolerance / fabs(one);

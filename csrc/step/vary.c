@@ -17,7 +17,7 @@ int dal__vary_step(dal_stepper *self, double t, double h)
     if (self->family->rescale) self->family->rescale(self->method, h / motion->h);
     motion->t0 = t;
     motion->h = h;
-    motion->first = motion->steps;
+    motion->first = motion->stats->steps = motion->steps; /* a trial may have counted another */
     motion->error->text[0] = '\0';
     return self->family->advance(self->method, motion, 1, &done);
 }

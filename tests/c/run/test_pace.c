@@ -169,7 +169,8 @@ static void test_lengths(void)
         dal_stats stats;
         begin(stepper, system, 0.0, 50.0);
         CHECK(dal_stepper_until(stepper, 100.0) == DAL_SUCCESS);
-        while (dal_stepper_time(stepper) < 100.0 && !dal_step(stepper, NULL)) continue;
+        while (dal_stepper_time(stepper) < 100.0 && !dal_step(stepper, NULL))
+            CHECK(stepper->pace.error <= 1.0);
         dal_stepper_stats(stepper, &stats);
         CHECK(stats.rejected > 0 && stats.rejected < 20);
         steps[k] = stats.steps;
@@ -206,6 +207,28 @@ static void test_least_tolerance(void)
         CHECK(dal_stepper_time(stepper) == 60.0 && stats.rejected < stats.steps / 8);
         flow_to(system, 60.0, exact);
         CHECK(largest_difference(6, dal_stepper_state(stepper), exact) < 1e-10);
+        dal_stepper_free(stepper);
+    }
+    dal_system_free(system);
+}
+
+/* On a straight line estimate and error are roundoff: they say nothing of one another, and no step
+ * is longer than the tolerance allows. */
+static void test_straight_line(void)
+{
+    dal_system *const system = open_system("particle");
+    for (int k = 0; k < 3; k++) {
+        dal_stepper *const stepper = controlled(system, k ? "leapfrog-kl8" : "bm6",
+                                                k < 2 ? 1e-9 : 1e-13);
+        double x[6] = {1.0, 0.3, 0.7, 1.0 / 3.0, 0.0, 0.1}; /* z' = y x' */
+        dal_stats stats;
+        need(dal_stepper_start(stepper, 0.0, 0.1, x, DAL_CHECK, DAL_INITIAL_NONE), "start", "");
+        CHECK(dal_stepper_until(stepper, 1e3) == DAL_SUCCESS);
+        while (dal_stepper_time(stepper) < 1e3 && !dal_step(stepper, NULL)) continue;
+        dal_stepper_stats(stepper, &stats);
+        CHECK(stepper->pace.share == 1.0 && stats.uncontrolled == 0 && stats.steps < 100);
+        for (size_t i = 0; i < 3; i++) x[i] += 1e3 * x[3 + i];
+        CHECK(largest_difference(6, dal_stepper_state(stepper), x) < 1e-11);
         dal_stepper_free(stepper);
     }
     dal_system_free(system);
@@ -540,6 +563,7 @@ int main(void)
     test_accuracy();
     test_lengths();
     test_least_tolerance();
+    test_straight_line();
     test_large_coordinates();
     test_domain();
     test_saved();

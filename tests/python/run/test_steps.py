@@ -90,7 +90,8 @@ def test_a_run_that_has_no_time():
     assert len(dal.integrate(edge, h="auto", t_end=0).t) == 1
 
 
-def test_nothing_is_evaluated_beyond_the_end():
+@pytest.mark.parametrize("end", [0.2, 1e-4])  # more steps, and one
+def test_nothing_is_evaluated_beyond_the_end(end):
     times = []
 
     def force(t, q, v):
@@ -98,9 +99,32 @@ def test_nothing_is_evaluated_beyond_the_end():
         return [-np.sin(t)]
 
     system = dal.System(mass=[1], force=force, q0=[0], v0=[1])
-    run = dal.integrate(system, "leapfrog-suzuki4", h="auto", t_end=0.2, tolerance=1e-4)
-    assert abs(run.v[-1, 0] - np.cos(0.2)) < 1e-4
-    assert 0.19 < max(times) <= 0.2  # the stages of this record stay within each step
+    run = dal.integrate(system, "leapfrog-suzuki4", h="auto", t_end=end, tolerance=1e-4)
+    assert abs(run.v[-1, 0] - np.cos(end)) < 1e-4
+    assert 0.7 * end < max(times) <= end  # the stages of this record stay within each step
+
+
+def test_time_and_a_clock_that_is_a_coordinate_give_the_same_steps():
+    x, y, z, c = dal.coordinates("x y z c")
+    kinetic, slides = (x.d**2 + y.d**2 + z.d**2) / 2, z.d - y * x.d
+    well = (x**2 + 2 * y**2 + 3 * z**2 / 2) / 2
+    driven = dal.System.from_sympy(
+        kinetic - well + x * sympy.sin(dal.time), [slides], q0=[0.5, 0.3, -0.2], v0=[1, 0.7, 0.3]
+    )
+    heavy = 10**9  # so that what it drives does not push it back
+    twin = dal.System.from_sympy(
+        kinetic + heavy * c.d**2 / 2 - well + x * sympy.sin(c), [slides],
+        q0=[0.5, 0.3, -0.2, 0], v0=[1, 0.7, 0.3, 1],
+    )  # fmt: skip
+    exact = dal.integrate(driven, "reference", h=50, t_end=50, tolerance=1e-15)
+    for tolerance in (1e-4, 1e-8):
+        run, other = (
+            dal.integrate(system, "leapfrog-kl8", h="auto", tolerance=tolerance, t_end=50)
+            for system in (driven, twin)
+        )
+        assert run.stats.steps == pytest.approx(other.stats.steps, rel=0.1)
+        assert run.stats.uncontrolled == 0
+        assert tolerance / 300 < relative(run, exact.q[-1], exact.v[-1]) < 30 * tolerance
 
 
 # ---- between the steps ---------------------------------------------------------------------------
