@@ -6,6 +6,10 @@
 #include <math.h>
 #include <string.h>
 
+/* Changes below this part of the energy are none: where nothing moves at the states that are looked
+ * at, there is no kinetic energy to compare with. */
+static const double RESOLUTION = 1e-9;
+
 /* The energy and the kinetic energy at x[2n], moved back by shift v.  The statistics do not count
  * it. */
 static int energies(dal_mechanics *mech, double shift, const double *x, double *E, double *kinetic)
@@ -48,7 +52,8 @@ int dal__jump_look(dal__jump *jump, dal_mechanics *mech, size_t step, const doub
     if (status) E = HUGE_VAL; /* V is not finite there, or not defined, as it was at the start */
     else jump->kinetic = fmax(jump->kinetic, kinetic);
     const double change = E - jump->energy + jump->undone;
-    if (isfinite(E) && fabs(change) <= 0.5 * jump->kinetic) return DAL_SUCCESS;
+    const double least = RESOLUTION * fmax(fabs(E), fabs(jump->energy));
+    if (isfinite(E) && fabs(change) <= fmax(0.5 * jump->kinetic, least)) return DAL_SUCCESS;
     jump->step = step;
     jump->change = change;
     return DAL_SUCCESS;

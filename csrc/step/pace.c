@@ -256,7 +256,10 @@ int dal__pace_step(dal_stepper *self)
             motion->stats->uncontrolled += beyond > BEYOND;
             return DAL_SUCCESS;
         }
-        const bool hopeless = k == ATTEMPTS || fabs(length) <= 16.0 * DAL_ROUNDOFF * fabs(t);
+        if (!(error < FAILED)) error = FAILED;
+        h = length * fmax(LEAST_AFTER_FAILURE, SAFETY * pow(error, -power));
+        /* steps of some roundings of t would come closer to the edge of a domain for ever */
+        const bool hopeless = k == ATTEMPTS || fabs(h) <= 16.0 * DAL_ROUNDOFF * fabs(t);
         dal__go_back(self, &self->vary.before);
         motion->t0 = t;
         motion->first = motion->steps;
@@ -265,8 +268,6 @@ int dal__pace_step(dal_stepper *self)
             return dal__fail(motion->error, DAL_ENOCONV, "a step of h = %g has an estimated error "
                              "of %g times what the tolerance %g allows", length, error,
                              pace->tolerance);
-        if (!(error < FAILED)) error = FAILED;
-        h = length * fmax(LEAST_AFTER_FAILURE, SAFETY * pow(error, -power));
         motion->stats->rejected++;
     }
 }

@@ -401,3 +401,29 @@ def test_a_restored_step_size():
     assert other.h == 0.1 and other.t - t == pytest.approx(0.1) and "h = 0.1" in repr(other)
     with pytest.raises(ValueError, match="steps = -1: expected at least 0"):
         other.step(steps=-1)
+
+
+@pytest.mark.parametrize("h", [0.1, -0.1])
+@pytest.mark.parametrize("scheme", ["leapfrog-kl8", "midpoint-kl6", "reference"])
+def test_states_between_stored_ones_are_those_of_the_inputs(scheme, h):
+    def speed(t, v, u):  # of v' = u - v, after a time t from v
+        return u + (v - u) * np.exp(-t)
+
+    system = dal.System(mass=[1], force=lambda t, q, v, u: [u[0] - v[0]], inputs=["u"])
+    table = np.array([[10.0], [-3.0], [0.0], [10.0]])
+    errors = []
+    for parts in (1, 2):
+        run = dal.integrate(
+            system, scheme, [0], [0], h=h / parts, steps=20 * parts, inputs=table, hold=5 * parts
+        )
+        times = np.sort(run.t[:-1] + 0.37 * h / parts) if h > 0 else run.t[:-1] + 0.37 * h / parts
+        exact, start = [], 0.0
+        for k, (u,) in enumerate(table):
+            at = abs(times[5 * parts * k : 5 * parts * (k + 1)]) - 0.5 * k
+            exact.extend(speed(np.sign(h) * at, start, u))
+            start = speed(np.sign(h) * 0.5, start, u)
+        errors.append(abs(run(times).v[:, 0] - exact).max())
+        backwards = run(times[::-1])  # in any order
+        np.testing.assert_array_equal(backwards.v[::-1], run(times).v)
+        np.testing.assert_array_equal(run(run.t).v, run.v)
+    assert errors[1] < 2e-6 and errors[0] / errors[1] > 10  # order 4

@@ -655,3 +655,21 @@ def test_exceptions_pickle(particle):
     assert str(again) == str(caught.value) and again.step == 3
     assert again.status == caught.value.status
     np.testing.assert_array_equal(again.partial.x, caught.value.partial.x)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"scheme": "leapfrog-kl8", "h": np.pi / 20, "steps": 20},
+        {"scheme": "leapfrog-kl8", "h": "auto", "t_end": 2 * np.pi},
+        {"scheme": "reference", "h": 2 * np.pi, "steps": 5},
+    ],
+)
+def test_from_rest_to_rest_is_no_jump_of_the_energy(given):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = dal.integrate(
+            dal.System(mass=[1], potential=lambda q: q[0] ** 2 / 2, gradient=lambda q: q),
+            q0=[1], v0=[0], **given,
+        )  # fmt: skip
+    assert run.stats.jump_step == 0 and abs(run.v[-1, 0]) < 1e-6

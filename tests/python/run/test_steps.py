@@ -104,6 +104,24 @@ def test_nothing_is_evaluated_beyond_the_end(end):
     assert 0.7 * end < max(times) <= end  # the stages of this record stay within each step
 
 
+@pytest.mark.parametrize("scheme", ["bm4", "leapfrog-kl8", "midpoint-kl6"])
+def test_the_edge_of_a_domain_is_an_end(scheme):
+    calls = []
+
+    def gradient(q):
+        calls.append(q[0])
+        return [np.nan if q[0] > 0.5 else 0, 0, 0]
+
+    system = dal.System(
+        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]], potential=lambda q: 0.0,
+        gradient=gradient,
+    )  # fmt: skip
+    with pytest.raises(dal.DomainError) as caught:
+        dal.integrate(system, scheme, [0, 1, 0], [1, 1, 1], h="auto", t_end=5)
+    assert len(calls) < 20000
+    assert caught.value.partial.t[-1] == pytest.approx(0.5, abs=0.1)  # an end is not looked at
+
+
 def test_time_and_a_clock_that_is_a_coordinate_give_the_same_steps():
     x, y, z, c = dal.coordinates("x y z c")
     kinetic, slides = (x.d**2 + y.d**2 + z.d**2) / 2, z.d - y * x.d
