@@ -69,8 +69,8 @@ int dal__pace_make(dal_stepper *self, const dal_options *options, dal_error *err
                          "estimate of its error; compositions have one, as leapfrog-kl8",
                          self->scheme.name);
     if (!(tolerance >= LEAST_TOLERANCE && tolerance <= MOST_TOLERANCE))
-        return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected %g, below which "
-                         "errors are roundoff, to %g", tolerance, LEAST_TOLERANCE,
+        return dal__fail(error, DAL_EINVAL, "options.tolerance = %g: expected from %g to %g; "
+                         "errors below that are roundoff", tolerance, LEAST_TOLERANCE,
                          MOST_TOLERANCE);
     pace->q = q;
     pace->order = self->scheme.order > q ? self->scheme.order : q;

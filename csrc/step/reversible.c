@@ -69,7 +69,8 @@ static const char *untried(const dal_system *system)
     const dal_system_def *const def = &system->def;
     if (def->force) return "a force";
     if (!dal__is_autonomous(system)) return "functions of the time";
-    if (!system->mass) return "a mass matrix that is not constant";
+    if (!system->mass) return "a mass that depends on q, or terms of L that are linear "
+                                 "in v";
     if (def->kind != DAL_LINEAR) return "constraints that are not linear";
     return def->sparsity ? "a sparsity" : NULL;
 }

@@ -45,11 +45,11 @@ int dal__scaling_make(dal_stepper *self, const dal_options *options, dal_error *
     if (wanted != 1)
         return dal__fail(error, DAL_EINVAL, "options.keep_energy = %d is neither 0 nor 1", wanted);
     if (options->eps != 0.0)
-        return dal__fail(error, DAL_EUNSUPPORTED, "keep_energy: not of reversible steps "
-                         "(options.eps = %g)", options->eps);
+        return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not of reversible "
+                         "steps (eps = %g): it is for steps of one size", options->eps);
     if (options->tolerance != 0.0)
         return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not of error-controlled "
-                         "steps (options.tolerance = %g)", options->tolerance);
+                         "steps (tolerance = %g): it is for steps of one size", options->tolerance);
     if (self->scheme.nodes == DAL_KEPT_NODES)
         return dal__fail(error, DAL_EUNSUPPORTED, "options.keep_energy: not of the kept nodes of "
                          "\"%s\": a scaled v leaves D_eps", self->scheme.name);

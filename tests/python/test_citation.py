@@ -63,13 +63,15 @@ def measured():
     problems = list(results["problems"].values())
     assert draw.page(results) == (ROOT / "docs" / "peers.md").read_text(encoding="utf-8")
 
-    firsts = [min(draw.best(p["state"], a, ours) for ours in (True, False))[1]
-              for p in problems for a in draw.ACCURACIES]  # fmt: skip
+    reached = [[draw.best(p["state"], a, ours) for ours in (True, False)]
+               for p in problems for a in draw.ACCURACIES]  # fmt: skip
+    firsts = [min(filter(None, both))[1] for both in reached if any(both)]
 
     def count(words, names=firsts):
         return sum(words in name for name in names)
 
     assert len(firsts) == count("heyoka") + count("GSL")
+    numbers = [draw.power(a) for a in draw.ACCURACIES]
     ours = [draw.best(p["state"], 1e-6, True)[0] for p in problems]
     theirs = [draw.best(p["state"], 1e-6, False)[0] for p in problems]
 
@@ -88,16 +90,16 @@ def measured():
 
     def residual(*names):
         largest = max(p["residual"] for energy in energies for name in names
+                      if name in energy["methods"]
                       for p in energy["methods"][name]["points"])  # fmt: skip
         return f"{largest:.0e}".replace("e-0", "e-")
 
-    assert not any(kept(T, ()) for T in (1e3, 1e4, 1e5))
     compositions = ("leapfrog", "midpoint", "suzuki4", "kl6", "kl8", "ss10")
     n = len(energies)
     often = "mostly" if 2 * count("ss10", kept(1e5)) > len(kept(1e5)) else "rarely"
     return [
         f"The state at t = {results['t_state']:g}",
-        "errors of {}, {}, {} and {}:".format(*map(draw.power, draw.ACCURACIES)),
+        f"errors of {', '.join(numbers[:-1])} and {numbers[-1]}:",
         f"{len(firsts)} pairs of a problem and an accuracy",
         f"first in {count('heyoka')} of them",
         f"method of GSL in {count('GSL')},",
@@ -112,7 +114,7 @@ def measured():
         f"was {residual(*compositions)} with compositions",
         f"{residual('heyoka')} with heyoka",
         f"{residual('GSL rk8pd')} with GSL",
-        f"on all {n}.",
+        f"smaller error of the energy on {n - len(kept(1e5, ()))} of {n}.",
     ]  # fmt: skip
 
 

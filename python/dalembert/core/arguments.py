@@ -106,7 +106,7 @@ def step_size(value: Any, t: float, name: str = "h") -> float:
     """Return ``value`` as a step size at the time t, negative to go backwards; else ValueError."""
     h = number(value, name)
     if h == 0.0:
-        raise ValueError(f"{name} = 0: expected a step size, negative to integrate backwards")
+        raise ValueError(f"{name} = 0: expected a number other than 0, negative to go back in time")
     if not np.isfinite(t):
         raise ValueError(f"{name} = {h!r} leads to the time t = {t!r}: expected a finite one")
     if abs(h) < sys.float_info.min:

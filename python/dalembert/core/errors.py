@@ -222,4 +222,5 @@ def words(source: Any, kind: str = "linear") -> str:
         index = ("", "[{column}]", "[{row},{column}]")[len(functions.shape(output, 1, 1))]
         entry = names[output] + index.format(row=error.row, column=error.column)
         text = text[: error.begin] + entry.encode() + text[error.end :]
-    return text.removeprefix(b"options.").decode("utf-8", "replace")  # they are arguments here
+    text = text.removeprefix(b"options.")  # they are arguments here
+    return text.replace(b"keep_energy: ", b"energy = 'keep': ").decode("utf-8", "replace")

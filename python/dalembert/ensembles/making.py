@@ -260,6 +260,8 @@ def _ask(
     record = Scheme.of(scheme)
     t0 = arguments.number(t0, "t0")
     kept = Kept.of(keep, system)
+    if isinstance(h, str):
+        raise ValueError(f"h = {h!r}: ensembles have steps of one size, expected numbers")
     sizes = arguments.array(h, "h", *[(None,) * k for k in range(33)])
     many = np.unique(sizes)
     if sizes.size == 0:

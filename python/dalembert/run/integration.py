@@ -374,11 +374,14 @@ def with_method(record: Scheme, method: str, tolerance: float | None) -> Scheme:
     flow = Scheme.flow(method, tolerance)
     if record == plain:
         return flow
-    if record.name == plain.name and record != flow and given:
+    if given and record != flow:
+        own = record.name == plain.name
         raise ValueError(
-            f"method = {method!r}, tolerance = {tolerance}: the scheme has a method and a "
-            "tolerance of its own"
-        )
+            f"method = {method!r}, tolerance = {tolerance}: "
+            + ("the scheme has a method and a tolerance of its own" if own else
+               f"these are of scheme 'reference', and a tolerance of h = 'auto'; {record.name!r} "
+               "with a number for h has neither")
+        )  # fmt: skip
     return record
 
 

@@ -70,6 +70,8 @@ class Stepper:
         require_system(system)
         self.system, self.scheme = system, Scheme.of(scheme)
         self._t0 = arguments.number(t0, "t0")
+        if isinstance(h, str):
+            raise ValueError(f"h = {h!r}: a Stepper has steps of one size, expected a number")
         step = arguments.step_size(h, self._t0)
         self._how = (
             arguments.choice(consistent, "consistent", CONSISTENCY), self.scheme._initial(initial)

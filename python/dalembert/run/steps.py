@@ -49,9 +49,10 @@ class Steps:
             h = arguments.step_size(h, t0)
             count = number_of_steps(t0, h, t_end, steps)
             return cls(t0, t0 + count * h, h, count, {})
-        arguments.choice(h, "h", {"auto": 0, "reversible": 1})
+        if h not in ("auto", "reversible"):
+            raise ValueError(f"h = {h!r}: expected a number, 'auto' or 'reversible'")
         if t_end is None or steps is not None:
-            raise ValueError(f"h = {h!r}: expected t_end, as nobody knows how many steps there are")
+            raise ValueError(f"h = {h!r} needs t_end: the number of steps is found by itself")
         control: dict[str, Any] = {"h": h}
         if h == "auto":
             control["tolerance"] = TOLERANCE if tolerance is None else tolerance

@@ -377,7 +377,7 @@ static void test_refused(void)
     REFUSED(system, "bm6", "options.eps = nan", .eps = (double)NAN);
     REFUSED(system, "bm6", "tolerance = 0.001", .eps = 0.1, .tolerance = 1e-3);
     REFUSED(system, "bm6", "h_max = 1", .eps = 0.1, .h_max = 1.0);
-    REFUSED(curved, "bm6", "a mass matrix that is not constant", .eps = 0.1);
+    REFUSED(curved, "bm6", "a mass that depends on q, or terms", .eps = 0.1);
     REFUSED(affine, "bm6", "constraints that are not linear", .eps = 0.1);
     dal_system_def def = system->def;
     dal_system *other = NULL;

@@ -348,7 +348,7 @@ def test_reversible_steps_have_all_that_a_run_has(comet, tmp_path):
         ({"scheme": "leapfrog"}, NotImplementedError, "symmetric compositions"),
         ({"scheme": "endpoint"}, NotImplementedError, "symmetric compositions"),
         ({"energy": "keep"}, NotImplementedError, "not of reversible steps"),
-        ({"t_end": None, "steps": 3}, ValueError, "h = 'reversible': expected t_end"),
+        ({"t_end": None, "steps": 3}, ValueError, "h = 'reversible' needs t_end"),
     ],
 )
 def test_refused_reversible_steps(given, error, words, comet):
@@ -359,17 +359,17 @@ def test_refused_reversible_steps(given, error, words, comet):
 def test_refused_eps():
     with pytest.raises(ValueError, match="eps = 0.1 with h = 0.1: it is for h = 'reversible'"):
         dal.integrate(dal.systems.disk(), h=0.1, t_end=1, eps=0.1)
-    with pytest.raises(NotImplementedError, match="mass matrix that is not constant"):
+    with pytest.raises(NotImplementedError, match="mass that depends on q"):
         dal.integrate(dal.systems.rolling_disc(), h="reversible", t_end=1)
 
 
 @pytest.mark.parametrize(
     "given, error, words",
     [
-        ({"steps": 10}, ValueError, "h = 'auto': expected t_end"),
-        ({"t_end": 1, "steps": 10}, ValueError, "h = 'auto': expected t_end"),
+        ({"steps": 10}, ValueError, "h = 'auto' needs t_end"),
+        ({"t_end": 1, "steps": 10}, ValueError, "h = 'auto' needs t_end"),
         ({"t_end": np.inf}, ValueError, "t_end = inf"),
-        ({"t_end": 1, "tolerance": 1e-15}, ValueError, "^tolerance = 1e-15: expected 1e-14"),
+        ({"t_end": 1, "tolerance": 1e-15}, ValueError, "^tolerance = 1e-15: expected from 1e-14"),
         ({"t_end": 1, "tolerance": 0}, ValueError, "tolerance = 0"),
         ({"t_end": 1, "tolerance": 1}, ValueError, "^tolerance = 1: expected"),
         ({"t_end": 1, "tolerance": "low"}, ValueError, "tolerance = 'low'"),
