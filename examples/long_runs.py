@@ -46,7 +46,8 @@ for name, term in terms.items():
         stride = 20 if scheme == "reference" else 2
         run = runs[name, scheme] = dal.integrate(
             system, scheme, [0.5, 0.3, -0.2], [1, 0.7, 0.3],
-            h=h, t_end=t_end, stride=stride, tolerance=1e-12,
+            h=h, t_end=t_end, stride=stride,
+            tolerance=1e-12 if scheme == "reference" else None,
         )  # fmt: skip
         error = abs(run.energy - run.energy[0])
         most = [error[: len(error) // part + 1].max() for part in (16, 4, 1)]

@@ -49,8 +49,9 @@ class Steps:
             h = arguments.step_size(h, t0)
             count = number_of_steps(t0, h, t_end, steps)
             return cls(t0, t0 + count * h, h, count, {})
-        if h not in ("auto", "reversible"):
-            raise ValueError(f"h = {h!r}: expected a number, 'auto' or 'reversible'")
+        if h not in (words := ("auto", "reversible")):
+            meant = arguments.suggestion(h, words)
+            raise ValueError(f"h = {h!r}: {meant}expected a number, 'auto' or 'reversible'")
         if t_end is None or steps is not None:
             raise ValueError(f"h = {h!r} needs t_end: the number of steps is found by itself")
         control: dict[str, Any] = {"h": h}
