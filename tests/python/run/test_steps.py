@@ -304,6 +304,14 @@ def comet():
     )  # fmt: skip
 
 
+def test_steps_that_became_too_long_are_made_again(comet):
+    turns = 10 * 2 * np.pi
+    run = dal.integrate(comet, h="auto", tolerance=1e-6, t_end=turns)
+    made_again = run.stats.rejected / run.stats.steps
+    assert 0.1 < made_again < 0.5  # every approach takes some
+    assert abs(run.energy - run.energy[0]).max() < 1e-4
+
+
 def test_the_energy_of_reversible_steps_does_not_drift(comet):
     run = dal.integrate(comet, h="reversible", eps=0.15, t_end=200 * 2 * np.pi)
     change = abs(run.energy - run.energy[0])
