@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mpmath
 import numpy as np
 import pytest
 
@@ -134,7 +135,6 @@ def test_all_equations_are_those_of_the_problem(problems):
 
 
 def test_the_comet_ends_where_keplers_equation_says(problems):
-    mpmath = pytest.importorskip("mpmath")
     digits = json.loads((PEERS / "references.json").read_text())["comet"]
     problem = problems[0].PROBLEMS["comet"]()
     with mpmath.workdps(30):

@@ -1,7 +1,10 @@
-"""States between those that a run with steps of many sizes has stored: by steps of its scheme."""
+"""States between those that a run has stored, by steps of its scheme: where the steps have many
+sizes, or the force has inputs.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -18,11 +21,15 @@ def fill(run: Any, times: Array, x: Array) -> None:
     """
     known, states = _known(run)
     ahead = -1.0 if known[-1] < known[0] else 1.0
+    for end in known[[0, -1]]:  # a grid of the user's may have rounded them otherwise
+        times = np.where(np.abs(times - end) <= 4 * np.spacing(np.abs(end)), end, times)
     places = np.searchsorted(ahead * known, ahead * times, side="right") - 1
     outside = (places < 0) | (ahead * (times - known[-1]) > 0)
     if outside.any():
         t, first, last = float(times[outside][0]), float(known[0]), float(known[-1])
         raise ValueError(f"t = {t!r}: expected times from {first!r} to {last!r}")
+    if run.nodes == "kept":
+        raise ValueError(f"t: between states of {run.scheme.name!r} with inputs none are made")
     record, kept = run.scheme._record_of(run.system)
     stepper = core.make(
         "stepper", run.system._handle, record, options_of(run.control),
@@ -47,6 +54,8 @@ def _known(run: Any) -> tuple[Array, Array]:
 
 def _changes(run: Any, known: Array) -> Array:
     """Return the times where rows of inputs begin."""
+    if not run.control:  # a hold is so many steps
+        return run.t0 + np.arange(len(run.inputs)) * int(run.hold) * run.h
     ahead = -1.0 if known[-1] < known[0] else 1.0
     return run.t0 + ahead * run.hold * np.arange(len(run.inputs))
 
@@ -54,18 +63,24 @@ def _changes(run: Any, known: Array) -> Array:
 def _reach(run: Any, stepper: Any, changes: Array, t: float, x: Array, end: float) -> Array:
     """Return the state at the end, from x at t."""
     kind, ahead = run.system.kind, 1.0 if end > t else -1.0
-    by_motion = run.control["h"] == "reversible"  # whose first step is found by itself
-    passed = changes[(ahead * (changes - t) > 0) & (ahead * (end - changes) > 0)]
+    by_motion = run.control.get("h") == "reversible"  # whose first step is found by itself
+    slack = 4 * np.spacing(max(abs(t), abs(end)))  # so near a change is at t, or at the end
+    passed = changes[(ahead * (changes - t) > slack) & (ahead * (end - changes) > slack)]
     for until in [*passed.tolist(), end]:
         if len(run.inputs):
-            row = np.searchsorted(ahead * changes, ahead * t, side="right") - 1
+            row = np.searchsorted(ahead * changes, ahead * t + slack, side="right") - 1
             core.call(kind, lib.dal_stepper_input, stepper, run.inputs[max(row, 0)].copy())
+        pieces = 1 if run.control else math.ceil(abs((until - t) / run.h) * (1 - 1e-9))
         core.call(
-            kind, lib.dal_stepper_start, stepper, t, ahead * np.inf if by_motion else until - t, x,
+            kind, lib.dal_stepper_start, stepper, t,
+            ahead * np.inf if by_motion else (until - t) / pieces, x,
             lib.DAL_ASSUME, lib.DAL_INITIAL_NONE,
         )  # fmt: skip
-        core.call(kind, lib.dal_stepper_until, stepper, until)
-        while lib.dal_stepper_time(stepper) != until:
-            core.call(kind, lib.dal_step, stepper, core.ffi.NULL)
+        if run.control:
+            core.call(kind, lib.dal_stepper_until, stepper, until)
+            while lib.dal_stepper_time(stepper) != until:
+                core.call(kind, lib.dal_step, stepper, core.ffi.NULL)
+        else:
+            core.call(kind, lib.dal_advance, stepper, pieces, core.ffi.NULL, core.ffi.NULL)
         t, x = until, core.doubles(lib.dal_stepper_state(stepper), 2 * run.system.n)
     return x

@@ -388,7 +388,7 @@ class Solution(Mapping[str, Any]):
         in D_eps for kept nodes, to roundoff; their error has the order of the scheme, up to 4 in
         the distance of the stored states.  A stored state comes back as it is.
 
-        A velocity has a kink where inputs change: the error is then of order 2 in that distance.
+        Those of a system with inputs, or with steps of many sizes, are made by steps of the scheme.
 
         Where each step has its own size, the states are those of steps of the scheme from the
         stored state before: they have the error of the run, and each costs a step.
@@ -425,7 +425,8 @@ class Solution(Mapping[str, Any]):
         times = arguments.array(t, "t", (), (None,))
         flat = times.reshape(-1)
         x, changes = np.empty((flat.size, 2 * self.system.n)), 0
-        if self.control:
+        assert self.inputs is not None
+        if self.control or len(self.inputs):
             between.fill(self, flat, x)
         else:
             for first, rows, these in self._pieces(flat):
@@ -471,39 +472,14 @@ class Solution(Mapping[str, Any]):
 
     def _interpolate(self, flat: Array, first: int, rows: int) -> tuple[Array, int]:
         """Return states by interpolation of some rows, and the number of changes of charts."""
-        h = self.stride * self.h
+        n, h = self.system.n, self.stride * self.h
         stored = np.ascontiguousarray(self.x[first : first + rows])
         if first == len(self.x) - 1 and self.times is not None:
             return stored, 0
-        t0, chart = self.t0 + first * h, self.system._c("chart")
-        assert self.inputs is not None
-        if len(self.inputs) == 0:
-            return self._interpolate_by(chart, flat, t0, stored)
-        x, changes = np.empty((flat.size, 2 * self.system.n)), 0
-        interval = np.floor((flat - t0) / h).clip(0, max(rows - 2, 0)).astype(int)
-        held, which = np.unique(
-            self._inputs_at(t0 + (interval + 0.5) * h), axis=0, return_inverse=True
-        )
-        for k in range(len(held)):
-            these = which.reshape(-1) == k
-            low, high = interval[these].min(), interval[these].max() + 2
-            core.call(self.system.kind, lib.dal_chart_input, chart, core.pointer(held, k))
-            x[these], some = self._interpolate_by(
-                chart, flat[these], t0 + low * h, stored[low:high]
-            )
-            changes += some
-        nearest = np.rint((flat - t0) / h).astype(int).clip(0, rows - 1)
-        known = flat == self.t[first + nearest]
-        x[known] = stored[nearest[known]]
-        return x, changes
-
-    def _interpolate_by(
-        self, chart: Any, flat: Array, t0: float, stored: Array
-    ) -> tuple[Array, int]:
-        """Return the same, of rows from t0 on, with the inputs that the chart has."""
-        h, rows, n = self.stride * self.h, len(stored), self.system.n
+        t0 = self.t0 + first * h
         x = np.empty((flat.size, 2 * n))
         changes, some = 0, ffi.new("size_t *")
+        chart = self.system._c("chart")
         before = flat[:0]  # the last time between stored states: seen again for a change after it
         most = geometry.most_in_a_call(self.system)
         for start in range(0, flat.size, most):
