@@ -388,10 +388,9 @@ class Solution(Mapping[str, Any]):
         in D_eps for kept nodes, to roundoff; their error has the order of the scheme, up to 4 in
         the distance of the stored states.  A stored state comes back as it is.
 
-        Those of a system with inputs, or with steps of many sizes, are made by steps of the scheme.
-
-        Where each step has its own size, the states are those of steps of the scheme from the
-        stored state before: they have the error of the run, and each costs a step.
+        Where each step has its own size, or there are inputs, the states are those of steps of the
+        scheme from the stored state before: they have the error of the run, and each costs a step,
+        or as many as there are from one stored state to the next.
 
         Parameters
         ----------
@@ -407,7 +406,8 @@ class Solution(Mapping[str, Any]):
         ------
         ValueError
             If a time lies outside of the run, or is not a finite number; if it lies between two
-            states and the state was reset between them; if the states are those of ``t_eval``.
+            states and the state was reset between them; if the states are those of ``t_eval``; if
+            it lies between two kept nodes, and there are inputs.
         SingularError, DomainError
             If the constraint has not full rank at a state, or a function is not defined there.
 
