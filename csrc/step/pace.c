@@ -25,7 +25,8 @@
 /* An error that says nothing about h: of roundoff, or of a step that failed. */
 #define SMALLEST 1e-4
 #define FAILED 1e10
-/* The error of a step that is counted as uncontrolled, in units of what it may be. */
+/* The error of a step that is counted as uncontrolled, in units of what it may be: the factor
+ * within which a tolerance is kept. */
 #define BEYOND 30.0
 enum { ATTEMPTS = 60 };
 #define LEAST_TOLERANCE 1e-14
