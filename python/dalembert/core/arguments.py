@@ -38,7 +38,7 @@ def array(value: ArrayLike, name: str, *shapes: tuple[int | None, ...]) -> Array
         result = result.reshape(1)
     if result.shape not in shapes and not any(_fits(result, shape) for shape in shapes):
         raise ValueError(f"{name}: expected shape {_shapes(shapes)}, got {result.shape}")
-    if not np.isfinite(result).all():
+    if np.count_nonzero(np.isfinite(result)) != result.size:
         where = tuple(int(k) for k in np.argwhere(~np.isfinite(result))[0])
         index = f"[{', '.join(map(str, where))}]" if where else ""
         raise ValueError(f"{name}{index} = {result[where]}: expected finite numbers")
@@ -107,7 +107,7 @@ def step_size(value: Any, t: float, name: str = "h") -> float:
     h = number(value, name)
     if h == 0.0:
         raise ValueError(f"{name} = 0: expected a number other than 0, negative to go back in time")
-    if not np.isfinite(t):
+    if not math.isfinite(t):
         raise ValueError(f"{name} = {h!r} leads to the time t = {t!r}: expected a finite one")
     if abs(h) < sys.float_info.min:
         raise ValueError(f"{name} = {h!r}: expected at least {sys.float_info.min:.1e} in size")

@@ -57,10 +57,9 @@ def is_there(package: str) -> bool:
     return importlib.util.find_spec(package) is not None
 
 
-@contextlib.contextmanager
 def progress(
     wanted: Progress, total: float, unit: str
-) -> Iterator[Show]:
+) -> contextlib.AbstractContextManager[Show]:
     """Give a function of how much is done that shows it: by a bar, to a function, or not at all.
 
     Raises
@@ -71,16 +70,22 @@ def progress(
         If a bar is wanted and tqdm is not installed.
     """
     if callable(wanted):
-        yield lambda done: wanted(done, total)
-    elif not isinstance(wanted, bool):
+        show = wanted
+        return contextlib.nullcontext(lambda done: show(done, total))
+    if not isinstance(wanted, bool):
         raise ValueError(
             f"progress = {arguments.shown(wanted)}: expected True, False or a function"
         )
-    elif wanted:
-        with warnings.catch_warnings():  # that a notebook without ipywidgets shows a plain bar
-            warnings.filterwarnings("ignore", "IProgress not found")
-            tqdm = require("tqdm.auto", "progress=True").tqdm
-        with tqdm(total=total, unit=unit, unit_scale=True) as bar:
-            yield lambda done: bar.update(done - bar.n)
-    else:
-        yield lambda done: None
+    return _bar(total, unit) if wanted else _SILENCE
+
+
+_SILENCE = contextlib.nullcontext(lambda done: None)
+
+
+@contextlib.contextmanager
+def _bar(total: float, unit: str) -> Iterator[Show]:
+    with warnings.catch_warnings():  # that a notebook without ipywidgets shows a plain bar
+        warnings.filterwarnings("ignore", "IProgress not found")
+        tqdm = require("tqdm.auto", "progress=True").tqdm
+    with tqdm(total=total, unit=unit, unit_scale=True) as bar:
+        yield lambda done: bar.update(done - bar.n)

@@ -154,6 +154,7 @@ class Handle(Constant):
         self._mechanics = Workspaces(
             lambda: make("mechanics", handle, owner=handle), self.kind
         )
+        self._steppers: dict[Any, list[Any]] = {}  # that nobody uses, by what they are made of
 
     @functools.cached_property
     def mass(self) -> Array | None:

@@ -44,6 +44,8 @@ def pointer(array: Array, row: int = 0, count: int = 0, *, output: bool = False)
     if array.dtype != np.float64:
         raise ValueError(f"an array of {array.dtype}: expected float64")
     address = ffi.from_buffer("double[]", array, output)
+    if row == count == 0:
+        return address
     start = row * (array.size // max(len(array), 1)) if row else 0
     if not 0 <= start <= len(address) - count:
         raise ValueError(

@@ -9,6 +9,7 @@ from .mechanics import (
     field,
     gram,
     initial,
+    initial_state,
     metric,
     most_in_a_call,
     multipliers,

@@ -82,7 +82,7 @@ class Chart(core.Constant):
         if q is not None and v is None:
             v = np.zeros(system.n)
         self.system = system
-        self._x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
+        self._x = mechanics.initial_state(system, q, v, "q", "v")
         self._width = 2 * system.n - system.m
         self._charts = Workspaces(self._new, system.kind)
         self._place = ffi.NULL

@@ -232,7 +232,7 @@ class Check:
 
 def examine(system: Handle, q: ArrayLike | None, v: ArrayLike | None, t: float = 0.0) -> Check:
     """Return what the core finds at a state; see `System.check`."""
-    x = np.concatenate(mechanics.initial(system, q, v, "q", "v"))
+    x = mechanics.initial_state(system, q, v, "q", "v")
     report, error = ffi.new("dal_check *"), ffi.new("dal_error *")
     status = core.attempt(lib.dal_system_check, system._handle, t, x, report, error)
     finding = ffi.addressof(report, "finding")

@@ -154,9 +154,11 @@ class Watch:
         self.handle = core.make(
             "events", stepper, record, rows, len(events), owner=(stepper, self._kept)
         )
-        listener = core.Callables(system.n, system.m, happened=self.happened.add)
-        self.context = ffi.new_handle(listener)
-        self._kept.append(listener)
+        self.context = ffi.NULL
+        if events:
+            listener = core.Callables(system.n, system.m, happened=self.happened.add)
+            self.context = ffi.new_handle(listener)
+            self._kept.append(listener)
 
     @classmethod
     def of(
@@ -203,6 +205,8 @@ class Watch:
 
     def doubts(self) -> Iterator[str]:
         """Say what could not be told."""
+        if not self.events:
+            return
         number, t, g = ffi.new("size_t *"), ffi.new("double *"), ffi.new("double *")
         if doubts := lib.dal_events_doubts(self.handle, number, t, g):
             often = "once" if doubts == 1 else f"{doubts} times"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import sys
 import threading
@@ -30,7 +31,7 @@ from ..system import System
 from .events import CONSISTENCY, Watch
 from .events import take as take_events
 from .journal import Journal, describe
-from .runs import Run, started_stepper
+from .runs import Run, idle_steppers, started_stepper
 from .scheme import Scheme
 from .solution import Solution
 from .steps import Steps, options_of
@@ -203,10 +204,11 @@ def integrate(
     require_system(system)
     t0 = arguments.number(t0, "t0")
     sizes = Steps.of(h, t0, t_end, steps, tolerance, h_max, eps)
+    varies = sizes.varies
     record = Scheme.of(sizes.usual_scheme if scheme is None else scheme)
     sizes = sizes.by(record)
     stride = arguments.integer(stride, "stride", 1)
-    if not sizes.varies and sizes.count % stride:
+    if not varies and sizes.count % stride:
         raise ValueError(
             f"steps = {sizes.count}: expected a multiple of stride = {stride}, "
             f"{sizes.count - sizes.count % stride} or {sizes.count - sizes.count % stride + stride}"
@@ -214,8 +216,8 @@ def integrate(
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     start = record._initial(initial)
     options = options_of(sizes.control, max_iterations, energy)
-    chosen = record if sizes.varies else with_method(record, method, tolerance)
-    if sizes.varies and record.is_reference:
+    chosen = record if varies else with_method(record, method, tolerance)
+    if varies and record.is_reference:
         raise ValueError(
             f"h = {h!r} with the scheme \"reference\", which chooses its own steps: expected the "
             "distance of the states that it stores"
@@ -224,22 +226,23 @@ def integrate(
         require_supported(system, events=events, inputs=inputs, journal=journal)
         if t_eval is not None:
             require_supported(system, observer=observer)
-    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    x0 = geometry.initial_state(system, q0, v0)
     listed = take_events(events)
     times = None if t_eval is None else _times(t_eval, sizes)
     hold = sizes.hold(hold, inputs)
     arguments.function(observer, "observer", "step, t, q, v")
     if callable(inputs):
         arguments.function(inputs, "inputs", "t, q, v")
-    if not sizes.varies:
+    if not varies:
         rows = sizes.count // stride if times is None else len(times)
         _require_memory(system, rows, sizes.count, stride)
 
     of_series = chosen.is_series  # which have no stepper, but of C's flow their initial data
     starter = Scheme.find("reference") if of_series else chosen
+    idle = idle_steppers(system, starter, options)
     stepper = started_stepper(
         system, starter, x0, t0=t0, h=sizes.first, consistency=consistency, initial=start,
-        options=options,
+        options=options, idle=idle,
     )  # fmt: skip
 
     def begin(run: Run) -> None:
@@ -247,11 +250,13 @@ def integrate(
             about = describe(system, chosen, run, options.max_iterations, energy)
             run.journal = Journal.create(journal, run, chosen, about, journal_errors)
 
-    return _make(
+    solution = _make(
         begin, progress, throw, system, chosen if of_series else record, stepper, steps=sizes,
         stride=stride, observer=observer, inputs=inputs, hold=hold,
         watch=Watch.of(system, stepper, starter, listed, times),
     )  # fmt: skip
+    idle.append(stepper)
+    return solution
 
 
 def resume(
@@ -368,9 +373,10 @@ def _make(
 def with_method(record: Scheme, method: str, tolerance: float | None) -> Scheme:
     """Return a scheme; "reference" with this method and tolerance, unless it has its own."""
     tolerance = 1e-13 if tolerance is None else tolerance
-    plain, given = Scheme.find("reference"), (method, tolerance) != ("rk8pd", 1e-13)
-    if not given and record.name != plain.name:
+    given = (method, tolerance) != ("rk8pd", 1e-13)
+    if not given and record.name != "reference":
         return record
+    plain = Scheme.find("reference")
     flow = Scheme.flow(method, tolerance)
     if record == plain:
         return flow
@@ -404,11 +410,15 @@ def _times(given: ArrayLike, steps: Steps) -> Array:
     if len(times) == 0:
         raise ValueError("t_eval: expected at least one time")
     ahead = steps.direction
+    along = ahead * times
+    in_order = not (along[1:] < along[:-1]).any()
+    if in_order and along[0] >= ahead * t0 and along[-1] <= ahead * end:
+        return times
     outside = (ahead * (times - t0) < 0) | (ahead * (times - end) > 4e-16 * abs(end))
     if outside.any():
         t = float(times[outside][0])
         raise ValueError(f"t_eval: {t!r} lies outside of the run, from {t0!r} to {end!r}")
-    if (ahead * np.diff(times) < 0).any():
+    if not in_order:
         raise ValueError("t_eval: expected times in the order of the run")
     return times
 
@@ -434,7 +444,7 @@ def quietly() -> Iterator[list[str]]:
 
 def _warn(solution: Solution, watch: Watch | None = None) -> None:
     """Warn where a run that went through is doubtful."""
-    for doubt in [*doubts(solution), *(watch.doubts() if watch else ())]:
+    for doubt in itertools.chain(doubts(solution), watch.doubts() if watch else ()):
         if _quiet.warned is None:
             warnings.warn(doubt, DalembertWarning, stacklevel=4)
         else:
@@ -451,7 +461,7 @@ def _at(solution: Any) -> str:
 
 def doubts(solution: Any) -> Iterator[str]:
     """Yield why a run that went through is doubtful, as far as its statistics tell."""
-    system, stats, how = solution.system, solution.stats, solution._how
+    system, stats = solution.system, vars(solution).get("_counts") or solution.stats
     bound = core.residual_bound(system.n)
     if stats.worst_residual > bound:
         yield (
@@ -475,13 +485,13 @@ def doubts(solution: Any) -> Iterator[str]:
     if stats.uncontrolled > 0.05 * stats.steps:
         yield (
             f"{stats.uncontrolled} of {stats.steps} steps are longer than the tolerance allows "
-            f"({how}): the estimate of their error is roundoff there, so that the error is that of "
-            "a larger tolerance; another scheme may see more"
+            f"({solution._how}): the estimate of their error is roundoff there, so that the error "
+            "is that of a larger tolerance; another scheme may see more"
         )
     simple = system.has_constant_mass and system.kind == "linear" and not system.is_forced
     if simple and stats.full_newtons > 0.1 * stats.substeps:
         yield (
             f"{stats.full_newtons} of {stats.substeps} sub-steps took the full Newton iteration, "
-            f"as the simpler one did not converge: the steps are long for this system ({how}), or "
-            "its constraints are nearly dependent"
+            "as the simpler one did not converge: the steps are long for this system "
+            f"({solution._how}), or its constraints are nearly dependent"
         )

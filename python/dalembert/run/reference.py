@@ -88,7 +88,7 @@ def reference(
     """
     require_system(system)
     t, t0 = arguments.number(t, "t"), arguments.number(t0, "t0")
-    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    x0 = geometry.initial_state(system, q0, v0)
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     flow_method = arguments.choice(method, "method", METHODS)
     tolerance = arguments.tolerance(tolerance)

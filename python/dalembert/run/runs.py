@@ -10,21 +10,32 @@ import numpy as np
 
 from .. import core, geometry
 from ..core import Array, arguments, ffi, lib
+from ..core.errors import raised
 from ..core.extras import Show
 from ..core.memory import available_memory
 from ..system import System
 from .scheme import Scheme
 from .events import Watch, split
-from .solution import Solution, Statistics
+from .solution import Solution, counts_of
 from .steps import Steps
 
 OFF_D = "; consistent='project' would project v0"
 RESET_OFF_D = "; consistent='project' of the event would project v"
-_FIRST_ROWS = 1024  # of a run whose number of steps nobody knows
 PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
 
 
+_KINDS, _SIZE = 16, 64  # of steppers that are kept: kinds of a system, and its n + m
 _NOBODY = ffi.new_handle(core.ignore)  # whom steps that take long let see Ctrl-C
+
+
+def idle_steppers(system: System, scheme: Scheme, options: Any) -> list[Any]:
+    """Return the steppers of such runs that nobody uses: making one is dear for a short run."""
+    if system.n + system.m > _SIZE or system.inputs or scheme._maps is not None:
+        return []
+    kinds = system._steppers
+    if len(kinds) > _KINDS:
+        kinds.clear()
+    return kinds.setdefault((scheme._record, options), [])
 
 
 def started_stepper(
@@ -37,13 +48,20 @@ def started_stepper(
     consistency: int,
     initial: int = lib.DAL_INITIAL_NONE,
     options: Any = ffi.NULL,
+    idle: list[Any] | None = None,
 ) -> Any:
-    """Return a ``dal_stepper`` at its initial data, which the core has checked."""
-    record, kept = scheme._record_of(system)
-    stepper = core.make("stepper", system._handle, record, options, owner=(system._handle, kept))
-    status = core.attempt(lib.dal_stepper_start, stepper, t0, h, x0, consistency, initial)
-    hint = OFF_D if status == lib.DAL_EOFFD else ""
-    core.verify(status, stepper, system.kind, hint=hint, step=0, t=t0)
+    """Return a ``dal_stepper`` at its initial data, which the core has checked: of idle ones."""
+    try:
+        stepper = (idle or []).pop()
+    except IndexError:
+        record, kept = scheme._record_of(system)
+        owner = system._handle, kept
+        stepper = core.make("stepper", system._handle, record, options, owner=owner)
+    raised.exception = None
+    status = lib.dal_stepper_start(stepper, t0, h, core.pointer(x0), consistency, initial)
+    if status < 0:
+        hint = OFF_D if status == lib.DAL_EOFFD else ""
+        core.verify(status, stepper, system.kind, hint=hint, step=0, t=t0)
     return stepper
 
 
@@ -77,20 +95,19 @@ class Run:
         self.show, self.shown_at = show, -np.inf
         self.watch, self.hold = watch, hold
         self.journal: Any = None
-        self.inputs = _input_buffer(system, steps.holds(hold), inputs)
-        self.x = np.empty((0, 2 * system.n))
-        self.reactions, self.times = np.empty((0, system.m)), np.empty(0)
+        self.varies = steps.varies
+        self.inputs = None if inputs is None else _input_buffer(system, steps.holds(hold), inputs)
         self.status = lib.DAL_SUCCESS
         self.error: BaseException | None = None
         self.run = run = ffi.new("dal_run *")
         run.stepper, run.steps, run.stride = stepper, steps.count, stride
-        if steps.varies:
+        if self.varies:
             run.until, run.held = steps.t_end, steps.direction * hold
         else:
             run.hold = int(hold)
         run.watch, run.watch_ctx = lib.dal_py_watch, _NOBODY
-        self.make_room(_FIRST_ROWS if steps.varies else steps.count // stride + 1)
-        self.x[0] = core.doubles(lib.dal_stepper_state(stepper), 2 * system.n)
+        self._allocate(1 if self.varies or self.timed else steps.count // stride + 1)
+        ffi.memmove(self.x, lib.dal_stepper_state(stepper), 16 * system.n)
         if self.inputs is not None:
             run.inputs = core.pointer(self.inputs)
         if observer is not None or callable(inputs):
@@ -99,27 +116,34 @@ class Run:
             watch.join(run)
 
     def make_room(self, rows: int) -> None:
-        """Have C store up to so many rows; a run of output times has none but the first."""
-        rows, run, system = 1 if self.timed else rows, self.run, self.system
-        if rows <= len(self.x):
+        """Have C store up to so many rows, where nobody knows how many there will be.
+
+        A run of output times has none but the first.
+        """
+        if self.timed or rows <= len(self.x):
             return
-        if self.steps.varies:  # nobody knows how many there will be
-            rows = max(rows, 2 * len(self.x))
-            size = 8 * rows * (2 * system.n + system.m + 1)
-            if size > 2**24 and size > available_memory():
-                raise MemoryError(
-                    f"{rows} stored states are {size} bytes, more than this machine has left: "
-                    "store fewer with a larger stride, or with t_eval"
-                )
+        rows = max(rows, 2 * len(self.x))
+        size = 8 * rows * (2 * self.system.n + self.system.m + 1)
+        if size > 2**24 and size > available_memory():
+            raise MemoryError(
+                f"{rows} stored states are {size} bytes, more than this machine has left: "
+                "store fewer with a larger stride, or with t_eval"
+            )
         x, reactions, times = self.x, self.reactions, self.times
-        self.x = np.empty((rows, 2 * system.n))
-        self.reactions = np.empty((rows - 1, system.m))
-        self.times = np.empty(rows if self.steps.varies else 0)
+        self._allocate(rows)
         self.x[: len(x)], self.times[: len(times)] = x, times
         self.reactions[: len(reactions)] = reactions
+
+    def _allocate(self, rows: int) -> None:
+        """Give C arrays of so many rows."""
+        run, system = self.run, self.system
+        self.x = np.empty((rows, 2 * system.n))
+        self.reactions = np.empty((rows - 1, system.m))
+        if self.varies:
+            self.times = np.empty(rows)
         if not self.timed:
             run.x, run.reactions = core.pointer(self.x), core.pointer(self.reactions)
-            run.row_times = core.pointer(self.times) if self.steps.varies else ffi.NULL
+            run.row_times = core.pointer(self.times) if self.varies else ffi.NULL
 
     def _call_back(self, observer: Any, inputs: Any) -> None:
         """Have C call an observer, or a controller."""
@@ -142,15 +166,17 @@ class Run:
             piece = max(1, geometry.most_in_a_call(self.system) // 64)
         try:
             while True:
-                if self.steps.varies:
+                if self.varies:
                     self.make_room(int(run.stored) + piece // int(run.stride) + 3)
                 began = time.perf_counter()
                 self.status = core.attempt(lib.dal_run_go, run, piece)
                 elapsed = time.perf_counter() - began
-                self.tell(began + elapsed)
+                over = self.is_over
+                if over or began + elapsed - self.shown_at > PIECE_SECONDS:
+                    self.tell(began + elapsed)
                 if self.journal is not None:
                     self.journal.tell()
-                if self.status != lib.DAL_SUCCESS or self.is_over:
+                if self.status != lib.DAL_SUCCESS or over:
                     break
                 piece = max(1, int(piece * min(8.0, PIECE_SECONDS / max(elapsed, 1e-9))))
         except BaseException as error:  # KeyboardInterrupt too: what was computed goes with it
@@ -169,16 +195,14 @@ class Run:
     @property
     def is_over(self) -> bool:
         """Whether all its steps are made."""
-        if self.steps.varies:
+        if self.varies:
             return bool(lib.dal_stepper_time(self.stepper) == self.steps.t_end)
         return bool(self.run.done == self.run.steps)
 
     def tell(self, now: float) -> None:
-        """Show the progress, some times a second and at the end."""
-        if now - self.shown_at > PIECE_SECONDS or self.is_over:
-            self.shown_at = now
-            passed = abs(lib.dal_stepper_time(self.stepper) - self.t0)
-            self.show(passed if self.steps.varies else int(self.run.done))
+        """Show the progress."""
+        self.shown_at, done = now, int(self.run.done)
+        self.show(abs(lib.dal_stepper_time(self.stepper) - self.t0) if self.varies else done)
 
     def _at_times(self) -> tuple[Array, Array]:
         """Return the states at output times, and where an event has ended the run.
@@ -193,7 +217,7 @@ class Run:
             shift = self.scheme.shift(self.h) if kept else 0.0  # such steps have one size
             x = np.vstack([x, _end(watch.happened.x[-1], self.system.n, shift)])
             times = np.append(times, run.t_end)
-        return (x, times) if len(x) else (self.x, np.array([self.t0]))
+        return (x, times) if len(x) else (self.x[:], np.array([self.t0]))
 
     def solution(self) -> Solution:
         """Return the rows that are good."""
@@ -201,7 +225,7 @@ class Run:
         t = self.t0 + (rows - 1) * int(run.stride) * self.h
         rows = min(rows, len(self.x))  # that of output times has none
         x, reactions, times = self.x[:rows], self.reactions[: rows - 1], None
-        if self.steps.varies:
+        if self.varies:
             t = lib.dal_stepper_time(self.stepper)
             times = self.times[:rows] if run.stored else np.array([self.t0])
         happened: dict[str, Any] = {}
@@ -210,29 +234,29 @@ class Run:
             happened = dict(zip(names, split(self.watch.happened, self.system.n)))
             if run.ended:
                 t = run.t_end
-                if not self.steps.varies:
+                if not self.varies:
                     times = self.t0 + np.arange(rows) * int(run.stride) * self.h
                     times[-1] = t
             if self.watch.times is not None:
                 x, times = self._at_times()
                 reactions = np.full((len(x) - 1, self.system.m), np.nan)
-        if run.ended:
+        if self.status < 0:
+            message = f"{type(self.error).__name__}: {self.error}"
+        elif run.ended:
             message = f"events[{self.watch.last}] ended the run at t = {t:g}"
         elif self.status == lib.DAL_SUCCESS:
             message = f"{int(run.done)} steps to t = {t:g}"
         else:
             message = f"an observer stopped the run at t = {t:g}"
-        if self.status < 0:
-            message = f"{type(self.error).__name__}: {self.error}"
         holds = int(run.handed)
-        if not self.steps.varies:
+        if not self.varies:
             holds = -(-int(run.done + run.ended) // int(self.hold))
         inputs = np.zeros((0, len(self.system.inputs))) if self.inputs is None else self.inputs
         return Solution._made(
             system=self.system, scheme=self.scheme, t0=self.t0, h=self.h, stride=int(run.stride),
-            x=x[:], reactions=reactions[:], status=self.status, times=times, inputs=inputs[:holds],
+            x=x, reactions=reactions, status=self.status, times=times, inputs=inputs[:holds],
             hold=self.hold, control=self.steps.control, message=message,
-            stats=Statistics._read(self.stepper, self.system.kind), **happened,
+            _counts=counts_of(self.stepper), **happened,
         )  # fmt: skip
 
 

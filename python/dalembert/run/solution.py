@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -86,14 +86,19 @@ class Statistics:
     uncontrolled: int = 0
 
     @classmethod
-    def _read(cls, stepper: Any, kind: str) -> Statistics:
-        stats = ffi.new("dal_stats *")
-        lib.dal_stepper_stats(stepper, stats)
-        self = cls.__new__(cls)  # whose __init__ would take most of a short run
-        self.__dict__.update(core.members(stats))
-        bits = stats.differenced
-        self.__dict__["differenced"] = functions.differenced(bits, kind) if bits else ()
+    def _of(cls, counts: Any, kind: str) -> Statistics:
+        """Return the statistics of a ``dal_stats``."""
+        differenced = functions.differenced(counts.differenced, kind) if counts.differenced else ()
+        self = cls.__new__(cls)  # whose __init__ takes as long again
+        self.__dict__.update(core.members(counts), differenced=differenced)
         return self
+
+
+def counts_of(stepper: Any) -> Any:
+    """Return the ``dal_stats`` of what a stepper has done so far."""
+    counts = ffi.new("dal_stats *")
+    lib.dal_stepper_stats(stepper, counts)
+    return counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,21 +215,34 @@ class Solution(Mapping[str, Any]):
     x_events: tuple[Array, ...] = ()
     x_after: tuple[Array, ...] = ()
     _computed: dict[str, Array] = field(default_factory=dict, init=False)
+    _counts: ClassVar[Any] = None  # the dal_stats, of which stats are made when asked for
 
     @classmethod
     def _made(cls, **given: Any) -> Solution:
-        """Return the solution of a run of this library, whose arrays are as they have to be."""
+        """Return the solution of a run of this library, whose arrays are as they have to be.
+
+        It has a control, and stats or _counts: short runs are many, and few are asked for stats.
+        """
         self = cls.__new__(cls)
-        self.__dict__.update(_DEFAULTS | given, _computed={})
+        self.__dict__.update(given, _computed={})
         self._freeze()
         return self
+
+    if not TYPE_CHECKING:  # for which each name would then be one of a Solution
+
+        def __getattr__(self, name: str) -> Any:
+            if name != "stats" or self._counts is None:
+                text = f"{type(self).__name__!r} object has no attribute {name!r}"
+                raise AttributeError(text, name=name, obj=self)
+            stats = Statistics._of(self._counts, self.system.kind)
+            return self.__dict__.setdefault("stats", stats)
 
     def _freeze(self) -> None:
         """Make the arrays read-only."""
         events = *self.t_events, *self.x_events, *self.x_after
         for array in (self.x, self.reactions, self.inputs, self.times, *events):
             if array is not None:
-                _read_only(array)
+                array.setflags(write=False)
 
     def __post_init__(self) -> None:
         require_system(self.system)
@@ -378,7 +396,8 @@ class Solution(Mapping[str, Any]):
         """
         if name not in self._computed:
             self._computed.setdefault(name, compute())
-        return _read_only(self._computed[name])
+        self._computed[name].setflags(write=False)
+        return self._computed[name]
 
     def __call__(self, t: ArrayLike) -> States:
         """Return the states at times between the stored ones, in the set that the scheme keeps.
@@ -537,12 +556,3 @@ class Solution(Mapping[str, Any]):
             lost = f", but for {self.stats.unscaled} of {self.stats.steps} steps"
             lines.append(f"  energy kept{lost if self.stats.unscaled else ''}")
         return "\n".join([*lines, f"  {self.message}>"])
-
-
-_DEFAULTS = {x.name: x.default for x in fields(Solution) if x.default is not MISSING}
-_DEFAULTS["control"] = {}
-
-
-def _read_only(array: Array) -> Array:
-    array.flags.writeable = False
-    return array

@@ -14,7 +14,7 @@ from ..system import System
 from .events import CONSISTENCY
 from .runs import one_row, started_stepper
 from .scheme import Scheme
-from .solution import Statistics
+from .solution import Statistics, counts_of
 from .steps import options_of
 
 _double = np.dtype(np.float64)
@@ -77,7 +77,7 @@ class Stepper:
             arguments.choice(consistent, "consistent", CONSISTENCY), self.scheme._initial(initial)
         )  # fmt: skip
         options = options_of({}, max_iterations, energy)
-        self._x0 = np.concatenate(geometry.initial(system, q0, v0))
+        self._x0 = geometry.initial_state(system, q0, v0)
         self._handle = started_stepper(
             system, self.scheme, self._x0, t0=self._t0, h=step, consistency=self._how[0],
             initial=self._how[1], options=options,
@@ -158,7 +158,7 @@ class Stepper:
     @property
     def steps(self) -> int:
         """Steps made since the start, or the last reset."""
-        return self.stats.steps
+        return int(counts_of(self._handle).steps)
 
     @property
     def inputs(self) -> Array:
@@ -185,7 +185,7 @@ class Stepper:
     @property
     def stats(self) -> Statistics:
         """What the steps have cost."""
-        return Statistics._read(self._handle, self.system.kind)
+        return Statistics._of(counts_of(self._handle), self.system.kind)
 
     def save(self) -> Array:
         """Return all that the next steps depend on, as numbers; see `restore`.
@@ -230,7 +230,7 @@ class Stepper:
             As the constructor.
         """
         arguments.pair(q, v, ("q", "v"), " for those of the start")
-        x = self._x0 if q is None else np.concatenate(geometry.initial(self.system, q, v, "q", "v"))
+        x = self._x0 if q is None else geometry.initial_state(self.system, q, v, "q", "v")
         t = self._t0 if t is None else arguments.number(t, "t")
         core.call(
             self.system.kind, lib.dal_stepper_start, self._handle, t, self.h, x, *self._how

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -145,10 +146,15 @@ def how(h: float, control: Mapping[str, Any]) -> str:
 
 
 def options_of(control: Mapping[str, Any], max_iterations: Any = 50, energy: Any = None) -> Any:
-    """Return the ``dal_options`` of a stepper."""
-    given = {key: x for key, x in control.items() if key != "h"}
+    """Return the ``dal_options`` of a stepper, which nobody writes to."""
     most = arguments.integer(max_iterations, "max_iterations", 1, 2**31 - 1)
     keep = energy is not None and arguments.choice(energy, "energy", {"keep": 1})
+    return _options(most, keep, tuple(control.items()))
+
+
+@functools.lru_cache(maxsize=64)
+def _options(most: int, keep: int, control: tuple[tuple[str, Any], ...]) -> Any:
+    given = {key: x for key, x in control if key != "h"}
     return ffi.new("dal_options *", {"max_iterations": most, "keep_energy": keep, **given})
 
 

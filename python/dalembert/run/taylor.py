@@ -21,7 +21,7 @@ from ..core.extras import Show
 from ..system import System
 from .events import Watch
 from .scheme import Scheme
-from .solution import Solution, Statistics
+from .solution import Solution, Statistics, counts_of
 from .steps import Steps
 
 PIECE = 64  # rows between two projections of the state that is integrated
@@ -281,7 +281,7 @@ class SeriesRun:
         else:
             x, times = self.start[None], np.array([self.t0])
         stats = dataclasses.replace(
-            Statistics._read(self.stepper, system.kind), steps=self._step(),
+            Statistics._of(counts_of(self.stepper), system.kind), steps=self._step(),
             evaluations=self.taken, worst_residual=self.worst,
         )  # fmt: skip
         t = self.t0 + self._step() * self.h
@@ -293,5 +293,6 @@ class SeriesRun:
         return Solution._made(
             system=system, scheme=self.scheme, t0=self.t0, h=self.h, stride=self.stride, x=x[:],
             reactions=np.full((len(x) - 1, system.m), np.nan), status=self.status, times=times,
-            inputs=np.zeros((0, len(system.inputs))), hold=1, stats=stats, message=message,
+            inputs=np.zeros((0, len(system.inputs))), hold=1, control={}, stats=stats,
+            message=message,
         )  # fmt: skip

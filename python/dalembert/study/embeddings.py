@@ -584,7 +584,7 @@ def embedding(
     h = arguments.number(h, "h")
     order = None if order is None else arguments.integer(order, "order", 1, 2**31 - 1)
     tolerance = arguments.tolerance(tolerance)
-    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    x0 = geometry.initial_state(system, q0, v0)
     consistency = arguments.choice(consistent, "consistent", CONSISTENCY)
     q, v = np.split(consistent_state(system, x0, 0.0, consistency), 2)
     chart = Chart(system, q, v, dependent)

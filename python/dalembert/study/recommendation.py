@@ -165,7 +165,7 @@ def recommend(
         raise ValueError(f"accuracy = {accuracy!r}: expected {LEAST:g} to {MOST:g}")
     if callable(inputs):
         raise ValueError(f"inputs = {inputs!r}: expected numbers, held for the whole run")
-    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    x0 = geometry.initial_state(system, q0, v0)
     with quietly():
         pilot = _Pilot(system, x0, t0, t_end, inputs)
         tried = sorted(_try_all(pilot, accuracy), key=lambda one: _rank(one, accuracy))

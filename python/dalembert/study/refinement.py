@@ -92,7 +92,7 @@ def convergence(
     record = Scheme.of(scheme)
     t0 = arguments.number(t0, "t0")
     start = record._initial(initial)
-    x0 = np.concatenate(geometry.initial(system, q0, v0))
+    x0 = geometry.initial_state(system, q0, v0)
     max_steps = arguments.integer(max_steps, "max_steps", 1)
     options = {"t0": t0, "initial": initial, "tolerance": tolerance, "max_steps": max_steps}
 

@@ -592,7 +592,7 @@ class System(Handle):
         """
         times = arguments.array(t, "t", (), (None,))
         n = self.n
-        x0 = np.concatenate(geometry.initial(self, q0, v0))
+        x0 = geometry.initial_state(self, q0, v0)
         x = np.empty((times.size, 2 * n))
         for k, time in enumerate(np.atleast_1d(times)):
             if self._exact is not None:
