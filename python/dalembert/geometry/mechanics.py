@@ -89,15 +89,16 @@ def initial(
     return found[0], found[1]
 
 
-def initial_state(
-    system: Handle, q0: ArrayLike | None, v0: ArrayLike | None, *names: str
-) -> Array:
+def initial_state(system: Handle, q0: ArrayLike | None, v0: ArrayLike | None, *names: str) -> Array:
     """Return `initial` data as a state (q, v), shape (2n,)."""
-    if type(q0) is type(v0) is np.ndarray and q0.shape == v0.shape == (system.n,):
-        if q0.dtype == v0.dtype == np.float64:  # most often all is well, which is soon seen
-            x = np.concatenate((q0, v0))
-            if np.count_nonzero(np.isfinite(x)) == x.size:
-                return x
+    if (
+        type(q0) is type(v0) is np.ndarray
+        and q0.shape == v0.shape == (system.n,)
+        and q0.dtype == v0.dtype == np.float64
+    ):  # most often all is well, which is soon seen
+        x = np.concatenate((q0, v0))
+        if np.count_nonzero(np.isfinite(x)) == x.size:
+            return x
     return np.concatenate(initial(system, q0, v0, *names))
 
 

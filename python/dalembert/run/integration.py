@@ -411,7 +411,7 @@ def _times(given: ArrayLike, steps: Steps) -> Array:
         raise ValueError("t_eval: expected at least one time")
     ahead = steps.direction
     along = ahead * times
-    in_order = not (along[1:] < along[:-1]).any()
+    in_order = np.count_nonzero(along[1:] < along[:-1]) == 0
     if in_order and along[0] >= ahead * t0 and along[-1] <= ahead * end:
         return times
     outside = (ahead * (times - t0) < 0) | (ahead * (times - end) > 4e-16 * abs(end))

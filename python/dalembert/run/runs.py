@@ -21,6 +21,7 @@ from .steps import Steps
 
 OFF_D = "; consistent='project' would project v0"
 RESET_OFF_D = "; consistent='project' of the event would project v"
+_FIRST_ROWS = 3  # of a run whose number of steps nobody knows
 PIECE_SECONDS = 0.07  # of one call of C: short enough for Ctrl-C, long enough to cost nothing
 
 
@@ -29,13 +30,16 @@ _NOBODY = ffi.new_handle(core.ignore)  # whom steps that take long let see Ctrl-
 
 
 def idle_steppers(system: System, scheme: Scheme, options: Any) -> list[Any]:
-    """Return the steppers of such runs that nobody uses: making one is dear for a short run."""
+    """Return the steppers of such runs that nobody uses: to make one may take as long as a run.
+
+    A start leaves nothing in them of the run before, but for inputs.
+    """
     if system.n + system.m > _SIZE or system.inputs or scheme._maps is not None:
         return []
-    kinds = system._steppers
-    if len(kinds) > _KINDS:
+    kinds, kind = system._steppers, (scheme._record, options)
+    if kind not in kinds and len(kinds) >= _KINDS:
         kinds.clear()
-    return kinds.setdefault((scheme._record, options), [])
+    return kinds.setdefault(kind, [])
 
 
 def started_stepper(
@@ -50,7 +54,7 @@ def started_stepper(
     options: Any = ffi.NULL,
     idle: list[Any] | None = None,
 ) -> Any:
-    """Return a ``dal_stepper`` at its initial data, which the core has checked: of idle ones."""
+    """Return a ``dal_stepper``, of idle ones if possible, at initial data that C has checked."""
     try:
         stepper = (idle or []).pop()
     except IndexError:
@@ -106,7 +110,8 @@ class Run:
         else:
             run.hold = int(hold)
         run.watch, run.watch_ctx = lib.dal_py_watch, _NOBODY
-        self._allocate(1 if self.varies or self.timed else steps.count // stride + 1)
+        rows = _FIRST_ROWS if self.varies else steps.count // stride + 1
+        self._allocate(1 if self.timed else rows)
         ffi.memmove(self.x, lib.dal_stepper_state(stepper), 16 * system.n)
         if self.inputs is not None:
             run.inputs = core.pointer(self.inputs)
@@ -248,13 +253,15 @@ class Run:
             message = f"{int(run.done)} steps to t = {t:g}"
         else:
             message = f"an observer stopped the run at t = {t:g}"
-        holds = int(run.handed)
-        if not self.varies:
-            holds = -(-int(run.done + run.ended) // int(self.hold))
-        inputs = np.zeros((0, len(self.system.inputs))) if self.inputs is None else self.inputs
+        if self.inputs is None:
+            inputs = np.empty((0, len(self.system.inputs)))
+        elif self.varies:
+            inputs = self.inputs[: run.handed]
+        else:
+            inputs = self.inputs[: -(-int(run.done + run.ended) // int(self.hold))]
         return Solution._made(
             system=self.system, scheme=self.scheme, t0=self.t0, h=self.h, stride=int(run.stride),
-            x=x, reactions=reactions, status=self.status, times=times, inputs=inputs[:holds],
+            x=x, reactions=reactions, status=self.status, times=times, inputs=inputs,
             hold=self.hold, control=self.steps.control, message=message,
             _counts=counts_of(self.stepper), **happened,
         )  # fmt: skip

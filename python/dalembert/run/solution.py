@@ -239,7 +239,7 @@ class Solution(Mapping[str, Any]):
 
     def _freeze(self) -> None:
         """Make the arrays read-only."""
-        events = *self.t_events, *self.x_events, *self.x_after
+        events = self.t_events + self.x_events + self.x_after
         for array in (self.x, self.reactions, self.inputs, self.times, *events):
             if array is not None:
                 array.setflags(write=False)
@@ -530,7 +530,7 @@ class Solution(Mapping[str, Any]):
     __hash__ = object.__hash__
 
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *self._KEYS})
+        return sorted({*super().__dir__(), *self._KEYS, "stats"})
 
     def __reduce__(self) -> tuple[Any, ...]:  # by way of the constructor, which checks the arrays
         given = {x.name: getattr(self, x.name) for x in fields(self) if x.init}

@@ -283,6 +283,43 @@ def test_stride(own):
     assert some.stats.steps == STEPS
 
 
+HOW = [
+    {"h": H, "steps": STEPS}, {"h": -H, "steps": STEPS, "stride": 4}, {"h": "auto", "t_end": 1.0},
+    {"h": H, "steps": STEPS, "energy": "keep"}, {"h": H, "steps": STEPS, "t_eval": [0.03, 0.5]},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("how", HOW)
+@pytest.mark.parametrize("scheme", ["leapfrog-kl6", "midpoint-suzuki4", "bm6"])
+def test_a_run_has_no_memory_of_those_before(scheme, how):
+    system = dal.systems.particle_oscillator()
+    q, v = system.q0, system.v0
+    alone = dal.integrate(system, scheme, q, v, **how)
+    inner = []
+
+    def inside(step, t, q, v):  # while the run has the stepper
+        inner.append(dal.integrate(system, scheme, system.q0, system.v0, **how))
+        return step >= 4
+
+    dal.integrate(system, scheme, q, -2 * v, observer=inside, **how)
+    assert [len(kept) for kept in system._steppers.values()] == [2]
+    for again in (*inner, dal.integrate(system, scheme, q, v, **how)):
+        assert again.x.tobytes() == alone.x.tobytes()
+        assert again.reactions.tobytes() == alone.reactions.tobytes()
+        assert (again.stats, again.message) == (alone.stats, alone.message)
+
+
+def test_steppers_of_failed_and_of_large_runs_are_not_kept(particle):
+    with pytest.raises(dal.NotOnConstraintError):
+        dal.integrate(particle, q0=[0, 1, 0], v0=[1, 0, 2], h=H, steps=1)
+    assert not any(particle._steppers.values())
+    large = dal.System(mass=np.ones(70), q0=np.zeros(70), v0=np.ones(70))
+    for system, scheme in ((large, "leapfrog"), *((particle, k / 50) for k in range(50))):
+        dal.integrate(system, scheme, h=1e-3, steps=1)
+    assert not large._steppers
+    assert 0 < sum(map(len, particle._steppers.values())) <= 16
+
+
 def test_stride_longer_than_a_block(particle):
     steps = 50_000  # in pieces of 10 000
     some = dal.integrate(particle, "midpoint", h=1e-4, steps=steps, stride=steps // 2)

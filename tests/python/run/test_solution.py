@@ -42,6 +42,15 @@ def test_arrays_are_read_only(run, restore):
             again[name][0] = 1.0
 
 
+def test_statistics_are_those_of_the_end_whenever_they_are_asked_for(particle):
+    first = dal.integrate(particle, "midpoint", h=0.05, steps=40)
+    dal.integrate(particle, "midpoint", h=0.05, steps=7)
+    assert "stats" in dir(first)
+    assert first.stats.steps == 40 and first.stats is first.stats
+    with pytest.raises(AttributeError, match="'Solution' object has no attribute 'statistics'"):
+        _ = first.statistics
+
+
 def test_a_run_pickles_with_what_was_computed(run):
     before = run.energy
     again = pickle.loads(pickle.dumps(run))
