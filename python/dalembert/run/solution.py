@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -99,6 +99,16 @@ def counts_of(stepper: Any) -> Any:
     counts = ffi.new("dal_stats *")
     lib.dal_stepper_stats(stepper, counts)
     return counts
+
+
+class _Counted:
+    """The statistics of a run, made when they are asked for first, as most are not."""
+
+    def __get__(self, run: Any, owner: Any) -> Statistics:
+        if run is None or run._counts is None:
+            raise AttributeError("stats")
+        made = Statistics._of(run._counts, run.system.kind)
+        return run.__dict__.setdefault("stats", made)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +214,7 @@ class Solution(Mapping[str, Any]):
     t0: float
     h: float
     stride: int
-    stats: Statistics
+    stats: Statistics = _Counted()  # type: ignore[assignment]
     status: int
     message: str
     times: Array | None = None
@@ -215,27 +225,18 @@ class Solution(Mapping[str, Any]):
     x_events: tuple[Array, ...] = ()
     x_after: tuple[Array, ...] = ()
     _computed: dict[str, Array] = field(default_factory=dict, init=False)
-    _counts: ClassVar[Any] = None  # the dal_stats, of which stats are made when asked for
+    _counts: ClassVar[Any] = None  # the dal_stats, where there are no stats yet
 
     @classmethod
     def _made(cls, **given: Any) -> Solution:
         """Return the solution of a run of this library, whose arrays are as they have to be.
 
-        It has a control, and stats or _counts: short runs are many, and few are asked for stats.
+        It has a control, and stats or _counts.
         """
         self = cls.__new__(cls)
         self.__dict__.update(given, _computed={})
         self._freeze()
         return self
-
-    if not TYPE_CHECKING:  # for which each name would then be one of a Solution
-
-        def __getattr__(self, name: str) -> Any:
-            if name != "stats" or self._counts is None:
-                text = f"{type(self).__name__!r} object has no attribute {name!r}"
-                raise AttributeError(text, name=name, obj=self)
-            stats = Statistics._of(self._counts, self.system.kind)
-            return self.__dict__.setdefault("stats", stats)
 
     def _freeze(self) -> None:
         """Make the arrays read-only."""
@@ -530,7 +531,7 @@ class Solution(Mapping[str, Any]):
     __hash__ = object.__hash__
 
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *self._KEYS, "stats"})
+        return sorted({*super().__dir__(), *self._KEYS})
 
     def __reduce__(self) -> tuple[Any, ...]:  # by way of the constructor, which checks the arrays
         given = {x.name: getattr(self, x.name) for x in fields(self) if x.init}
