@@ -172,6 +172,7 @@ int main(int count, char **words)
     def.mass = mass;
     def.state = state;
     def.ctx = p;
+    def.ctx_size = sizeof p;
     dal_system *system;
     dal_error error;
     bench_require(dal_system_new(&system, &def, &error), error.text);

@@ -162,7 +162,8 @@ typedef struct dal_sparsity {
  * linear. */
 typedef enum dal_steady {
     DAL_STEADY_DECLARED = 1, /* every step looks whether it is true, with an evaluation of mu */
-    DAL_STEADY_PROVED = 2    /* nothing looks: for code that was derived from formulas */
+    DAL_STEADY_PROVED = 2,   /* nothing looks: for code that was derived from formulas */
+    DAL_STEADY_EVEN = 3      /* nor does V push a coordinate that mu depends on: it goes evenly */
 } dal_steady;
 
 /* The definition of a system, filled by the caller, zero-initialised.  dal_system_new copies the

@@ -232,9 +232,10 @@ static void reserve_kernel(dal_kernel *k, const dal_system *system, arena *a)
     const size_t n = system->def.n, m = system->def.m, entries = entries_of(system);
     dal_arrays *const at = &k->at;
     double **const vectors[] = {&k->force0, &k->force1, &at->base, &at->goal, &at->step,
-                                &at->seen, &at->stored};
+                                &at->seen, &at->stored, &at->from, &at->lead, &at->push};
     double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
-    dal__reserve(a, &at->x, dal__times(8, n) + dal__times(3, entries), sizeof(double));
+    dal__reserve(a, &at->x, dal__times(10, n) + dal__times(3, entries), sizeof(double));
+    dal__reserve(a, &at->move, dal__times(2, n), sizeof(double));
     dal__reserve(a, &k->saved, dal__times(3, n), sizeof(double)); /* m < n */
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
@@ -332,6 +333,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->impulse = motion->impulse;
     k->finish = finish;
     k->steady = is_steady(self, system) ? system->def.steady : 0;
+    k->turns = system->def.steady == DAL_STEADY_DECLARED || system->def.steady == DAL_STEADY_EVEN;
     k->balance.known = k->at.base;
     motion->x = k->at.x;
     motion->stats = &k->stats;
@@ -456,17 +458,22 @@ static void rescale(void *method, double ratio)
 }
 
 /* Momenta; with them what the Lagrangian pushes with is evaluated again. */
-static void forget_velocity(void *method) { ((beta *)method)->kernel.carried = false; }
+static void forget_velocity(void *method)
+{
+    dal_kernel *const k = &((beta *)method)->kernel;
+    k->carried = false;
+    memset(k->at.low + k->n, 0, k->n * sizeof *k->at.low);
+}
 
 /* The predictor of the step routine: the pulls and V_q of the last stages, and, where there are
- * momenta, p and the changes of v.  What the flags call unknown is 0: a step that failed may have
+ * momenta, p and the changes of v; and what x lacks.  What the flags call unknown is 0: a step that failed may have
  * left anything there. */
 static size_t save(const void *method, double *values)
 {
     const beta *const self = method;
     const dal_kernel *const k = &self->kernel;
     const size_t n = k->n, flags = 3 + k->kinds;
-    const size_t count = flags + 4 * n + (k->momentum ? n + 4 * n * k->kinds + k->m + 1 : 0);
+    const size_t count = flags + 6 * n + (k->momentum ? n + 4 * n * k->kinds + k->m + 1 : 0);
     if (!values) return count;
     double *const vectors = values + flags;
     const bool forced = is_forced(self);
@@ -475,11 +482,11 @@ static size_t save(const void *method, double *values)
     values[1] = forced;
     values[2] = k->carried;
     for (size_t i = 0; i < k->kinds; i++) values[3 + i] = k->known[i];
-    memcpy(vectors, k->at.pull, 3 * n * sizeof *values);
-    if (forced) memcpy(vectors + 3 * n, k->force0, n * sizeof *values);
-    if (k->carried) memcpy(vectors + 4 * n, k->momentum, n * sizeof *values);
+    memcpy(vectors, k->at.pull, 5 * n * sizeof *values); /* and low */
+    if (forced) memcpy(vectors + 5 * n, k->force0, n * sizeof *values);
+    if (k->carried) memcpy(vectors + 6 * n, k->momentum, n * sizeof *values);
     for (size_t i = 0; i < k->kinds; i++)
-        memcpy(vectors + (5 + 4 * i) * n, k->history + 4 * i * n, k->known[i] * n * sizeof *values);
+        memcpy(vectors + (7 + 4 * i) * n, k->history + 4 * i * n, k->known[i] * n * sizeof *values);
     const bool begun = k->kinds > 0 && k->known[0] > 0; /* which the first stage makes so */
     if (k->momentum) values[count - 1] = begun ? k->latest_span : 1.0;
     if (begun) memcpy(values + count - 1 - k->m, k->latest, k->m * sizeof *values);
@@ -494,7 +501,7 @@ static int accepts(const void *method, const double *values)
         if (!(values[i] >= 0.0 && values[i] <= most && values[i] == floor(values[i]))) return false;
     }
     if (!k->momentum) return values[2] == 0.0;
-    return values[3 + k->kinds + (5 + 4 * k->kinds) * k->n + k->m] != 0.0; /* a span */
+    return values[3 + k->kinds + (7 + 4 * k->kinds) * k->n + k->m] != 0.0; /* a span */
 }
 
 static void restore(void *method, const double *values)
@@ -508,13 +515,13 @@ static void restore(void *method, const double *values)
     k->forced = values[1] != 0.0;
     k->carried = values[2] != 0.0;
     for (size_t i = 0; i < k->kinds; i++) k->known[i] = (unsigned char)values[3 + i];
-    memcpy(k->at.pull, vectors, 3 * n * sizeof *values);
-    memcpy(k->force0, vectors + 3 * n, n * sizeof *values);
+    memcpy(k->at.pull, vectors, 5 * n * sizeof *values);
+    memcpy(k->force0, vectors + 5 * n, n * sizeof *values);
     if (!k->momentum) return;
-    memcpy(k->momentum, vectors + 4 * n, n * sizeof *values);
-    memcpy(k->history, vectors + 5 * n, 4 * n * k->kinds * sizeof *values);
-    memcpy(k->latest, vectors + (5 + 4 * k->kinds) * n, k->m * sizeof *values);
-    k->latest_span = vectors[(5 + 4 * k->kinds) * n + k->m];
+    memcpy(k->momentum, vectors + 6 * n, n * sizeof *values);
+    memcpy(k->history, vectors + 7 * n, 4 * n * k->kinds * sizeof *values);
+    memcpy(k->latest, vectors + (7 + 4 * k->kinds) * n, k->m * sizeof *values);
+    k->latest_span = vectors[(7 + 4 * k->kinds) * n + k->m];
 }
 
 dal_kernel *dal__beta_kernel(const dal_stepper *stepper)

@@ -67,7 +67,7 @@ int dal__lanes_new(dal__lanes **lanes, const dal_stepper *like, dal_error *error
     const size_t n = k->n, m = k->m, rows = m > 0 ? m : 1, parameters = routine->parameters;
     dal__lanes shape = {.system = system, .routine = routine, .n = n, .m = m, .width = width,
                         .given = 2 + n * n + 2 * n + parameters,
-                        .carried = DAL_LANES_X + 6 * n + rows};
+                        .carried = DAL_LANES_X + 8 * n + rows};
     shape.block = (dal_lanes_block){.stages = k->stages, .plain = k->plain,
                                     .steady = k->steady != 0, .parameters = parameters};
     dal__lanes *self;
@@ -146,7 +146,7 @@ static void read(const dal__lanes *lanes, size_t lane, size_t i, size_t count, d
 static void put(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
 {
     const dal_kernel *const k = dal__beta_kernel(stepper);
-    const size_t n = lanes->n, nn = n * n, force = DAL_LANES_X + 5 * n;
+    const size_t n = lanes->n, nn = n * n, force = DAL_LANES_X + 7 * n;
     const double times[] = {k->t0, k->h};
     const double begin[DAL_LANES_X] = {
         [DAL_LANES_PULLED] = k->pulled, [DAL_LANES_FORCED] = k->forced,
@@ -158,7 +158,7 @@ static void put(dal__lanes *lanes, size_t lane, const dal_stepper *stepper)
     give(lanes, lane, 2 + nn + 2 * n, lanes->block.parameters, stepper->motion.system->def.ctx);
     write(lanes, lane, 0, DAL_LANES_X, begin);
     write(lanes, lane, DAL_LANES_X, 2 * n, k->at.x);
-    write(lanes, lane, DAL_LANES_X + 2 * n, 3 * n, k->at.pull);
+    write(lanes, lane, DAL_LANES_X + 2 * n, 5 * n, k->at.pull); /* and low */
     if (k->forced) write(lanes, lane, force, n, k->force0);
     write(lanes, lane, force + n, lanes->m, k->impulse);
 }
@@ -206,14 +206,14 @@ void dal__lanes_state(const dal__lanes *lanes, size_t lane, double *x)
 
 void dal__lanes_impulse(const dal__lanes *lanes, size_t lane, double *impulse)
 {
-    read(lanes, lane, DAL_LANES_X + 6 * lanes->n, lanes->m, impulse);
+    read(lanes, lane, DAL_LANES_X + 8 * lanes->n, lanes->m, impulse);
 }
 
 void dal__lanes_forget_impulses(dal__lanes *lanes)
 {
     for (size_t lane = 0; lane < lanes->width; lane++)
         for (size_t a = 0; a < lanes->m; a++)
-            *carried(lanes, lane, DAL_LANES_X + 6 * lanes->n + a) = 0.0;
+            *carried(lanes, lane, DAL_LANES_X + 8 * lanes->n + a) = 0.0;
 }
 
 void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *stepper)
@@ -244,7 +244,7 @@ void dal__lanes_unload(const dal__lanes *lanes, size_t lane, dal_stepper *steppe
     k->pulled = *carried(lanes, lane, DAL_LANES_PULLED) != 0.0;
     k->forced = *carried(lanes, lane, DAL_LANES_FORCED) != 0.0;
     read(lanes, lane, DAL_LANES_X, 2 * n, k->at.x);
-    read(lanes, lane, DAL_LANES_X + 2 * n, 3 * n, k->at.pull);
-    read(lanes, lane, DAL_LANES_X + 5 * n, n, k->force0);
+    read(lanes, lane, DAL_LANES_X + 2 * n, 5 * n, k->at.pull); /* and low */
+    read(lanes, lane, DAL_LANES_X + 7 * n, n, k->force0);
     dal__lanes_impulse(lanes, lane, k->impulse);
 }

@@ -73,7 +73,7 @@ static int check_lagrangian(const dal_system_def *def, dal_error *error)
 static int check_steady(const dal_system_def *def, dal_error *error)
 {
     const char *const why = !def->steady ? NULL
-                            : def->steady != DAL_STEADY_DECLARED && def->steady != DAL_STEADY_PROVED
+                            : def->steady < DAL_STEADY_DECLARED || def->steady > DAL_STEADY_EVEN
                                 ? "that is not a dal_steady"
                             : !has_mass(def) ? "mass is NULL"
                             : def->kind != DAL_LINEAR ? "the constraints are not linear"

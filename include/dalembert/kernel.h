@@ -106,11 +106,15 @@ typedef enum dal_failure {
 typedef struct dal_arrays {
     double *x;                    /* [2n] the state */
     double *pull;                 /* [3n] the pulls of the last stages, the latest first */
+    double *low;                  /* [2n] what x lacks: the motion is at x + low */
     double *node, *point, *w;     /* [n] q_k, q~' of the last evaluation, the current v' */
     double *mu_node, *mu, *N;     /* [m*n] */
     double *base, *goal, *step;   /* [n] the known part of v', all of it but Z^T kappa, w' - w */
     double *seen;                 /* [n] the v' at whose q~' mu was evaluated last */
     double *stored;               /* [n] the position of the new state */
+    double *from;                 /* [n] q_k with what x lacks */
+    double *lead, *push;          /* [n] the known part of q~' - q~ and of v' - v, and low */
+    double *move;                 /* [2n] all of q~' - q~ and of v' - v; then the new low */
     double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
     double *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
     size_t *row;                  /* [m] */
@@ -158,6 +162,7 @@ struct dal_kernel {
     const double *unit, *per_unit;     /* [n] d_i and 1/d_i of residual.h */
     bool diagonal;
     int steady;   /* a dal_steady, where V acts at no q~', or 0 */
+    bool turns;   /* coordinates that mu depends on may go evenly: see dal_kernel_leave */
     size_t stages;
     const dal_stage *stage;
     bool kept;    /* kept nodes: the state is (q~ + shift h v, v) */
@@ -208,6 +213,7 @@ typedef struct dal_traits {
     double t_end;  /* of the stage */
     dal_pattern has;
     bool plain, kept, potential, steady;
+    bool turns;  /* that of the dal_kernel, of moved nodes */
     bool ends;     /* V_q acts at the unknown q~' */
     bool known;    /* mu(q~') needs no evaluation */
     bool apart;    /* nor V_q: that is evaluated after S, which then need not wait for the state */
@@ -236,7 +242,7 @@ enum { DAL_KERNEL_CORRECTIONS = 16 };
 #define DAL_KERNEL_RARE(condition) (condition)
 #endif
 
-/* Lays x ... N out in block[8*n + 3*entries], where mu has so many entries. */
+/* Lays x ... N out in block[10*n + 3*entries], where mu has so many entries. */
 static inline void dal_kernel_share(dal_kernel *k, size_t entries, double *block)
 {
     const size_t n = k->n;
@@ -245,7 +251,8 @@ static inline void dal_kernel_share(dal_kernel *k, size_t entries, double *block
     k->at.point = block + 3 * n;
     k->at.w = block + 4 * n;
     k->at.pull = block + 5 * n;
-    k->at.mu_node = block + 8 * n;
+    k->at.low = block + 8 * n;
+    k->at.mu_node = block + 10 * n;
     k->at.mu = k->at.mu_node + entries;
     k->at.N = k->at.mu + entries;
 }
@@ -422,15 +429,27 @@ DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, dou
     return dal_lu_factor(m, at->S, at->sizes, at->row);
 }
 
+/* From node i to q~'_i with the velocity w_i, by way.  Where it turns, the velocity is constant and
+ * both ways are equal, they are the same number of ulps of q, so that the node is in the middle to
+ * the bit: a blade that turns evenly then loses no energy to the rounding of a large angle. */
+DAL_KERNEL_INLINE double dal_kernel_leave(const dal_stage *s, size_t n, bool turns,
+                                          const dal_arrays *at, size_t i, double w, double way)
+{
+    return turns && s->before == s->after && w == at->x[n + i] && at->low[n + i] == 0.0
+               ? at->node[i] + (at->node[i] - at->x[i]) : at->from[i] + way;
+}
+
 /* From the node and the new velocity to what is stored; point <- the q~' that it gives back.  With
  * kept nodes q_{k+1} = q_k + h v' is stored, and its reader recovers q~' as q_{k+1} - (1-beta) h
  * v'. */
 DAL_KERNEL_INLINE void dal_kernel_place(const dal_kernel *k, const dal_stage *s, size_t n,
-                                        bool kept, const dal_arrays *at)
+                                        bool kept, bool turns, const dal_arrays *at)
 {
     const double reach = (kept ? s->span : s->after) * k->h, shift = k->shift * k->h;
     for (size_t i = 0; i < n; i++) {
-        at->stored[i] = at->node[i] + reach * at->w[i];
+        const double way = reach * at->w[i];
+        at->move[i] = at->lead[i] + way;
+        at->stored[i] = dal_kernel_leave(s, n, turns, at, i, at->w[i], way);
         at->point[i] = kept ? at->stored[i] - shift * at->w[i] : at->stored[i];
     }
 }
@@ -493,8 +512,9 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
     const double h = k->h, b = s->after * h;
     if (ends) dal_kernel_accelerate(k, at, n, has.inverse, k->force1, at->goal);
     for (size_t i = 0; i < n; i++) {
-        at->goal[i] = ends && DAL_KERNEL_HAS(has.kick, i) ? at->base[i] - h * s->end * at->goal[i]
-                                                          : at->base[i];
+        const double kick = ends && DAL_KERNEL_HAS(has.kick, i) ? h * s->end * at->goal[i] : 0.0;
+        at->move[n + i] = at->push[i] - kick;
+        at->goal[i] = at->base[i] - kick;
         at->step[i] = at->goal[i];
         if (!first && m > 0 && DAL_KERNEL_HAS(has.pull, i))
             at->step[i] += dal_kernel_reaction(at, n, m, has.Z, i, at->kappa);
@@ -520,6 +540,7 @@ DAL_KERNEL_INLINE void dal_kernel_newton(const dal_kernel *k, const dal_stage *s
         if (!DAL_KERNEL_HAS(has.pull, i)) continue;
         const double reaction = m > 0 ? dal_kernel_reaction(at, n, m, has.Z, i, at->kappa) : -0.0;
         const double next = at->goal[i] + reaction;
+        at->move[n + i] += reaction;
         at->step[i] = next - at->w[i];
         at->w[i] = next;
     }
@@ -532,6 +553,17 @@ DAL_KERNEL_INLINE bool dal_kernel_is_balanced(const dal_stage *s, bool first, do
 {
     if (first || size <= noise) return size <= noise;
     return DAL_KERNEL_SAFETY * size * (size / last) * s->reuse <= noise * fabs(s->end);
+}
+
+/* move <- what the new state lacks of the sum of x and move.  The next stage adds it, so that
+ * roundings of the sums do not add up (compensated summation; E. Hairer, R. McLachlan and
+ * A. Razakarivony 2008); those of move itself, which is less by h, do. */
+DAL_KERNEL_INLINE void dal_kernel_round(size_t n, const dal_arrays *at)
+{
+    for (size_t i = 0; i < n; i++) {
+        at->move[i] += at->x[i] - at->stored[i];
+        at->move[n + i] += at->x[n + i] - at->w[i];
+    }
 }
 
 /* Adds what the state x[2n] after a stage contributes to the estimate; index: of the stage. */
@@ -552,7 +584,7 @@ static inline void dal_kernel_rescale(dal_kernel *k, double ratio)
     for (size_t a = 0; k->kinds > 0 && a < k->m; a++) k->latest[a] *= ratio;
 }
 
-/* The state of the predictor, as after a start. */
+/* The state of the predictor, as after a start; and low. */
 static inline void dal_kernel_forget(dal_kernel *k)
 {
     k->pulled = false;
@@ -560,6 +592,7 @@ static inline void dal_kernel_forget(dal_kernel *k)
     k->carried = false;
     for (size_t i = 0; i < k->kinds; i++) k->known[i] = 0;
     for (size_t i = 0; i < 3 * k->n; i++) k->at.pull[i] = 0.0;
+    for (size_t i = 0; i < 2 * k->n; i++) k->at.low[i] = 0.0;
 }
 
 #endif /* DALEMBERT_KERNEL_H */
@@ -613,6 +646,9 @@ static inline void dal_kernel_forget(dal_kernel *k)
 #define DAL_KERNEL_STEADY -1
 #endif
 
+#define DAL_KERNEL_TURNS(k) \
+    (DAL_KERNEL_STEADY > 1 || (DAL_KERNEL_STEADY < 0 && (k)->turns))
+
 #define DAL_KERNEL_JOIN_(a, b) a##b
 #define DAL_KERNEL_JOIN(a, b) DAL_KERNEL_JOIN_(a, b)
 #define DAL_KERNEL_PART(name) DAL_KERNEL_JOIN(DAL_KERNEL, _##name)
@@ -661,7 +697,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(pull)(dal_kernel *k, const dal_arrays *at,
     return at->dragged ? dal_kernel_drag(k, t, q, v, V_q) : DAL_KERNEL_POTENTIAL(k, t, q, V_q);
 }
 
-/* base -= what V adds at q_k, or at q~. */
+/* base, push += what V adds at q_k, or at q~. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel *k, const dal_traits *o,
                                             const dal_arrays *at)
 {
@@ -686,7 +722,10 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(kick)(dal_kernel *k, const dal_traits *o,
     const double weight = h * (at_node ? s->node : s->start);
     dal_kernel_accelerate(k, at, n, o->has.inverse, force, at->step);
     for (size_t i = 0; i < n; i++)
-        if (DAL_KERNEL_HAS(o->has.kick, i)) at->base[i] -= weight * at->step[i];
+        if (DAL_KERNEL_HAS(o->has.kick, i)) {
+            at->push[i] -= weight * at->step[i];
+            at->base[i] -= weight * at->step[i];
+        }
     return DAL_SUCCESS;
 }
 
@@ -699,19 +738,28 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
     const double *const x = at->x, *const pull = at->pull;
     const double h = k->h, b = s->after * h;
     const double before = o->kept ? 0.0 : s->before * h; /* a kept node is the state */
-    for (size_t i = 0; i < n; i++) at->node[i] = x[i] + before * x[n + i];
-    for (size_t i = 0; i < n; i++) at->base[i] = x[n + i];
+    for (size_t i = 0; i < n; i++) {
+        const double way = before * x[n + i], near = x[i] + way;
+        const bool even = o->turns && at->low[n + i] == 0.0; /* as where v is constant */
+        at->lead[i] = at->low[i] + way;
+        at->from[i] = even ? x[i] + at->lead[i] : near + at->low[i];
+        at->node[i] = even || (s->linear && !o->kept) ? at->from[i] : near;
+        at->push[i] = at->low[n + i];
+        at->base[i] = x[n + i] + at->low[n + i];
+    }
     if (o->potential && !o->apart) {
         const int status = DAL_KERNEL_PART(kick)(k, o, at);
         if (status) return status;
     }
-    /* The latest pull enters last, and q~' does not wait for v': this is the critical path. */
+    /* The latest pull enters last, and q~' does not wait for v', nor what is only predicted for low:
+     * this is the critical path. */
     for (size_t i = 0; i < n; i++) {
         const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
-        double early = at->base[i];
+        double early = pulled && !o->potential ? x[n + i] : at->base[i];
         if (pulled) early += s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i];
         at->w[i] = early;
-        at->point[i] = at->node[i] + b * early;
+        at->point[i] = pulled ? at->node[i] + b * early
+                              : dal_kernel_leave(s, n, o->turns, at, i, early, b * early);
         if (pulled) {
             at->w[i] += s->ahead[0] * pull[i];
             at->point[i] += b * s->ahead[0] * pull[i];
@@ -782,7 +830,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(iterate)(dal_kernel *k, const dal_traits *
         k->stats.iterations++;
         dal_kernel_newton(k, s, n, m, o->has, o->ends, iteration == 1, o->ends ? at->seen : at->w,
                           at);
-        dal_kernel_place(k, s, n, o->kept, at);
+        dal_kernel_place(k, s, n, o->kept, o->turns, at);
         if (!o->known || o->ends) {
             double size = -0.0;
             for (size_t i = 0; i < n; i++)
@@ -868,6 +916,8 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *
             pull[n + i] = pull[i];
             pull[i] = at->w[i] - at->base[i];
         }
+        at->low[i] = solved ? at->move[i] : 0.0;
+        at->low[n + i] = solved ? at->move[n + i] : 0.0;
         x[i] = at->stored[i];
         x[n + i] = at->w[i];
     }
@@ -899,17 +949,19 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     DAL_KERNEL_SHARED(node, DAL_N, 2 * n);
     DAL_KERNEL_SHARED(point, DAL_N, 3 * n);
     DAL_KERNEL_SHARED(w, DAL_N, 4 * n);
-    DAL_KERNEL_SHARED(mu_node, DAL_KERNEL_M * DAL_N, 8 * n);
-    DAL_KERNEL_SHARED(mu, DAL_KERNEL_M * DAL_N, 8 * n + m * n);
-    DAL_KERNEL_SHARED(N, DAL_KERNEL_M * DAL_N, 8 * n + 2 * m * n);
+    DAL_KERNEL_SHARED(mu_node, DAL_KERNEL_M * DAL_N, 10 * n);
+    DAL_KERNEL_SHARED(mu, DAL_KERNEL_M * DAL_N, 10 * n + m * n);
+    DAL_KERNEL_SHARED(N, DAL_KERNEL_M * DAL_N, 10 * n + 2 * m * n);
     /* what no function outside sees: on the stack, for the registers */
     double base[DAL_N], goal[DAL_N], step[DAL_N], seen[DAL_N], stored[DAL_N];
+    double from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N];
     double Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
     double r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
     size_t row[DAL_KERNEL_M];
-    const dal_arrays at = {x, pull, node, point, w, mu_node, mu, N, base, goal, step, seen, stored,
-                           Z, S, sizes, r, d, kappa, row, masses->mass_inverse, masses->unit,
-                           masses->per_unit, n + 1, NULL, false};
+    const dal_arrays at = {x, pull, pull + 3 * n, node, point, w, mu_node, mu, N, base, goal, step,
+                           seen, stored, from, lead, push, move, Z, S, sizes, r, d, kappa, row,
+                           masses->mass_inverse, masses->unit, masses->per_unit, n + 1, NULL,
+                           false};
 #else
     const dal_arrays at = k->at;
 #endif
@@ -917,11 +969,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
     const bool potential = DAL_KERNEL_PULLED || at.dragged;
     const bool inside = DAL_KERNEL_STEADY > 0 && plain;
     const int declared = DAL_KERNEL_STEADY == 0 ? 0 : k->steady;
-    const bool proved = inside || declared == DAL_STEADY_PROVED;
+    const bool proved = inside || declared >= DAL_STEADY_PROVED;
     if (inside) has.N = 0;
     const dal_traits o = {.stage = s, .number = number, .has = has, .plain = plain, .kept = kept,
                           .t_end = dal_kernel_time(k, number, s->t_end), .potential = potential,
                           .ends = potential && !plain && s->end != 0.0,
+                          .turns = DAL_KERNEL_TURNS(k) && !kept,
                           .steady = inside || declared,
                           .known = m == 0 || proved || (s->linear && !kept),
                           .apart = plain && DAL_KERNEL_STEADY > 1};
@@ -946,6 +999,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
         if (status < 0) return status;
     }
     bool solved = status == 0;
+    dal_kernel_round(n, &at);
     if (DAL_KERNEL_RARE(!DAL_KERNEL_PART(settle)(k, &o, &at, solved, settled))) {
         status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &solved);
         if (status) return status;
@@ -984,12 +1038,14 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage_of_either)(dal_kernel *k, double num
     DAL_KERNEL_SIZES;
     /* inside, what is known at the node need not be computed again if that is a constant */
     if (DAL_KERNEL_INSIDE && !DAL_KERNEL_MASS)
-        return DAL_KERNEL_PART(momentum)(k, number, s, false, x);
+        return DAL_KERNEL_PART(momentum)(k, number, s, false, x, pull + 3 * n);
     if (DAL_KERNEL_INSIDE && s->momentum && s->linear)
-        return DAL_KERNEL_PART(momentum)(k, number, s, true, x);
+        return DAL_KERNEL_PART(momentum)(k, number, s, true, x, pull + 3 * n);
     if (s->momentum)
-        return DAL_KERNEL_PART(momentum)(k, number, s, !DAL_KERNEL_INSIDE && s->linear, x);
+        return DAL_KERNEL_PART(momentum)(k, number, s, !DAL_KERNEL_INSIDE && s->linear, x,
+                                        pull + 3 * n);
     int status = DAL_SUCCESS;
+    for (size_t i = 0; k->carried && i < n; i++) pull[4 * n + i] = 0.0; /* which is of p */
     if (DAL_KERNEL_RARE(s->start != 0.0 && !k->forced)) {
         DAL_KERNEL_COPY(2 * n, x, k->at.x);
         status = DAL_KERNEL_PART(push)(k, number, s, NULL, true);
@@ -1031,9 +1087,9 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     const dal_masses masses = {k->mass_inverse, k->unit, k->per_unit};
 #endif
 #if DAL_KERNEL_INSIDE
-    double x[2 * DAL_N], pull[3 * DAL_N];
+    double x[2 * DAL_N], pull[5 * DAL_N]; /* and low */
     DAL_KERNEL_COPY(2 * n, k->at.x, x);
-    DAL_KERNEL_COPY(3 * n, k->at.pull, pull);
+    DAL_KERNEL_COPY(5 * n, k->at.pull, pull);
 #else
     double *const x = k->at.x, *const pull = x + 5 * n;
 #endif
@@ -1061,7 +1117,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
     }
 #if DAL_KERNEL_INSIDE
     DAL_KERNEL_COPY(2 * n, x, k->at.x);
-    DAL_KERNEL_COPY(3 * n, pull, k->at.pull);
+    DAL_KERNEL_COPY(5 * n, pull, k->at.pull);
 #endif
     if (status && stages > 1) {
         DAL_KERNEL_COPY(2 * n, k->saved, k->at.x);
@@ -1086,6 +1142,7 @@ static int DAL_KERNEL(dal_kernel *k, size_t steps, size_t *done)
 #undef DAL_KERNEL_JOIN
 #undef DAL_KERNEL_JOIN_
 #undef DAL_KERNEL_STEADY
+#undef DAL_KERNEL_TURNS
 #undef DAL_KERNEL_PATTERN
 #undef DAL_KERNEL_CONSTRAINT
 #undef DAL_KERNEL_POTENTIAL

@@ -49,7 +49,7 @@ enum {
     DAL_LANES_GOING, DAL_LANES_PULLED, DAL_LANES_FORCED, /* flags */
     DAL_LANES_NUMBER, DAL_LANES_WORST,                   /* of the step; residual */
     DAL_LANES_ITERATIONS, DAL_LANES_CONSTRAINT_CALLS, DAL_LANES_PULL_CALLS,
-    DAL_LANES_X /* [2n], then pull[3n], force[n], impulse[m], at least one */
+    DAL_LANES_X /* [2n], then pull[3n], low[2n], force[n], impulse[m], at least one */
 };
 
 /* steps steps of the lanes that go. */
@@ -183,7 +183,7 @@ typedef union DAL_LANES(divided) {
 /* The vectors of dal_lanes_block.carried and .given. */
 typedef struct DAL_LANES(state) {
     dal_vec going, pulled, forced, number, worst, iterations, constraint_calls, pull_calls;
-    dal_vec x[2 * DAL_N], pull[3 * DAL_N], force[DAL_N], impulse[DAL_LANES_ROWS];
+    dal_vec x[2 * DAL_N], pull[3 * DAL_N], low[2 * DAL_N], force[DAL_N], impulse[DAL_LANES_ROWS];
 } DAL_LANES(state);
 
 typedef struct DAL_LANES(given) {
@@ -195,13 +195,13 @@ typedef struct DAL_LANES(traits) {
     const DAL_LANES(given) *given;
     dal_vec h, t_end;
     dal_pattern has;
-    bool plain, steady, ends, known, apart;
+    bool plain, steady, turns, ends, known, apart;
 } DAL_LANES(traits);
 
 /* As in dal_arrays; force is V_q at q~'. */
 typedef struct DAL_LANES(arrays) {
     dal_vec node[DAL_N], w[DAL_N], base[DAL_N], goal[DAL_N], step[DAL_N], seen[DAL_N];
-    dal_vec stored[DAL_N], force[DAL_N];
+    dal_vec stored[DAL_N], from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N], force[DAL_N];
     dal_vec mu_node[DAL_LANES_ROWS * DAL_N], mu[DAL_LANES_ROWS * DAL_N], N[DAL_LANES_ROWS * DAL_N];
     dal_vec Z[DAL_LANES_ROWS * DAL_N], S[DAL_LANES_ROWS * DAL_LANES_ROWS];
     dal_vec sizes[2 * DAL_LANES_ROWS];
@@ -401,7 +401,21 @@ DAL_KERNEL_INLINE void DAL_LANES(kick)(const DAL_LANES(traits) *o, DAL_LANES(sta
     const dal_vec weight = o->h * (at_node ? s->node : s->start);
     DAL_LANES(accelerate)(o, force, y);
     for (size_t i = 0; i < DAL_N; i++)
-        if (DAL_KERNEL_HAS(o->has.kick, i)) at->base[i] -= weight * y[i];
+        if (DAL_KERNEL_HAS(o->has.kick, i)) {
+            at->push[i] -= weight * y[i];
+            at->base[i] -= weight * y[i];
+        }
+}
+
+/* As dal_kernel_leave. */
+DAL_KERNEL_INLINE dal_vec DAL_LANES(leave)(const DAL_LANES(traits) *o, const DAL_LANES(state) *c,
+                                           const DAL_LANES(arrays) *at, size_t i, dal_vec w,
+                                           dal_vec way)
+{
+    const dal_vec next = at->from[i] + way;
+    if (!o->turns || o->stage->before != o->stage->after) return next;
+    const dal_mask even = (w == c->x[DAL_N + i]) & (c->low[DAL_N + i] == 0.0);
+    return DAL_LANES(choose)(even, at->node[i] + (at->node[i] - c->x[i]), next);
 }
 
 DAL_KERNEL_INLINE void DAL_LANES(predict)(const DAL_LANES(traits) *o, DAL_LANES(state) *c,
@@ -410,15 +424,27 @@ DAL_KERNEL_INLINE void DAL_LANES(predict)(const DAL_LANES(traits) *o, DAL_LANES(
     const dal_stage *const s = o->stage;
     const dal_vec *const x = c->x, *const pull = c->pull;
     const dal_vec before = s->before * o->h, b = s->after * o->h;
-    for (size_t i = 0; i < DAL_N; i++) at->node[i] = x[i] + before * x[DAL_N + i];
-    for (size_t i = 0; i < DAL_N; i++) at->base[i] = x[DAL_N + i];
+    for (size_t i = 0; i < DAL_N; i++) {
+        const dal_vec way = before * x[DAL_N + i], near = x[i] + way;
+        at->lead[i] = c->low[i] + way;
+        at->from[i] = near + c->low[i];
+        at->node[i] = s->linear ? at->from[i] : near;
+        if (o->turns) {
+            const dal_mask even = c->low[DAL_N + i] == 0.0;
+            at->from[i] = DAL_LANES(choose)(even, x[i] + at->lead[i], at->from[i]);
+            at->node[i] = DAL_LANES(choose)(even, at->from[i], at->node[i]);
+        }
+        at->push[i] = c->low[DAL_N + i];
+        at->base[i] = x[DAL_N + i] + c->low[DAL_N + i];
+    }
     if (DAL_LANES_HAS_PULL && !o->apart) DAL_LANES(kick)(o, c, at);
     for (size_t i = 0; i < DAL_N; i++) {
         const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
-        dal_vec early = at->base[i];
+        dal_vec early = pulled && !DAL_LANES_HAS_PULL ? x[DAL_N + i] : at->base[i];
         if (pulled) early += s->ahead[1] * pull[DAL_N + i] + s->ahead[2] * pull[2 * DAL_N + i];
         at->w[i] = early;
-        at->stored[i] = at->node[i] + b * early;
+        at->stored[i] = pulled ? at->node[i] + b * early
+                               : DAL_LANES(leave)(o, c, at, i, early, b * early);
         if (pulled) {
             at->w[i] += s->ahead[0] * pull[i];
             at->stored[i] += b * s->ahead[0] * pull[i];
@@ -534,16 +560,18 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(is_roundoff)(const DAL_LANES(traits) *o,
 #define DAL_LANES_TAKE(all, which, value, old) \
     ((all) ? (value) : DAL_LANES(choose)(which, value, old))
 
-DAL_KERNEL_INLINE void DAL_LANES(newton)(const DAL_LANES(traits) *o, DAL_LANES(arrays) *at,
-                                         bool first, bool all)
+DAL_KERNEL_INLINE void DAL_LANES(newton)(const DAL_LANES(traits) *o, const DAL_LANES(state) *c,
+                                         DAL_LANES(arrays) *at, bool first, bool all)
 {
     const dal_stage *const s = o->stage;
     const dal_vec b = s->after * o->h, *const seen = o->ends ? at->seen : at->w;
     dal_vec y[DAL_N], r[DAL_LANES_ROWS], d[DAL_LANES_ROWS];
     if (o->ends) DAL_LANES(accelerate)(o, at->force, y);
     for (size_t i = 0; i < DAL_N; i++) {
-        at->goal[i] = o->ends && DAL_KERNEL_HAS(o->has.kick, i)
-                        ? at->base[i] - o->h * s->end * y[i] : at->base[i];
+        const dal_vec kick = o->ends && DAL_KERNEL_HAS(o->has.kick, i)
+                               ? o->h * s->end * y[i] : DAL_LANES(all_of)(0.0);
+        at->move[DAL_N + i] = at->push[i] - kick;
+        at->goal[i] = at->base[i] - kick;
         at->step[i] = at->goal[i];
         if (!first && DAL_M > 0 && DAL_KERNEL_HAS(o->has.pull, i))
             at->step[i] += DAL_LANES(column)(o->has.Z, at->Z, i, at->kappa);
@@ -565,11 +593,17 @@ DAL_KERNEL_INLINE void DAL_LANES(newton)(const DAL_LANES(traits) *o, DAL_LANES(a
                      : DAL_LANES_TAKE(all, at->open, at->kappa[a] + d[a], at->kappa[a]);
     for (size_t i = 0; i < DAL_N; i++) {
         if (!DAL_KERNEL_HAS(o->has.pull, i)) continue;
-        const dal_vec next = at->goal[i] + DAL_LANES(column)(o->has.Z, at->Z, i, at->kappa);
+        const dal_vec reaction = DAL_LANES(column)(o->has.Z, at->Z, i, at->kappa);
+        const dal_vec next = at->goal[i] + reaction;
+        at->move[DAL_N + i] += reaction;
         at->step[i] = next - at->w[i];
         at->w[i] = next; /* of a lane that is frozen the same again */
     }
-    for (size_t i = 0; i < DAL_N; i++) at->stored[i] = at->node[i] + b * at->w[i];
+    for (size_t i = 0; i < DAL_N; i++) {
+        const dal_vec way = b * at->w[i];
+        at->move[i] = at->lead[i] + way;
+        at->stored[i] = DAL_LANES(leave)(o, c, at, i, at->w[i], way);
+    }
 }
 
 /* Whether corrections go on shrinking; balanced <- where V_q need not be evaluated again. */
@@ -607,7 +641,7 @@ DAL_KERNEL_INLINE void DAL_LANES(correct)(const DAL_LANES(traits) *o, DAL_LANES(
     const dal_vec *const p = o->given->p;
     dal_mask balanced = ~(dal_mask){0};
     at->iterations += DAL_LANES(count)(at->open);
-    DAL_LANES(newton)(o, at, first, all);
+    DAL_LANES(newton)(o, c, at, first, all);
     if (!o->known || o->ends) DAL_LANES(judge)(o, at, &balanced, first);
     dal_mask look = at->open;
     if (o->ends) look &= ~at->passed;
@@ -652,6 +686,10 @@ DAL_KERNEL_INLINE void DAL_LANES(settle)(const DAL_LANES(traits) *o, DAL_LANES(s
                                          DAL_LANES(arrays) *at)
 {
     const dal_mask rest = at->solved & ~at->settled;
+    for (size_t i = 0; i < DAL_N; i++) {
+        at->move[i] += c->x[i] - at->stored[i];
+        at->move[DAL_N + i] += c->x[DAL_N + i] - at->w[i];
+    }
     if (DAL_M > 0 && DAL_LANES(any)(rest)) {
         DAL_LANES(solve)(at, at->r, at->d);
         for (size_t i = 0; i < DAL_N; i++)
@@ -671,13 +709,16 @@ DAL_KERNEL_INLINE void DAL_LANES(commit)(const DAL_LANES(traits) *o, DAL_LANES(s
     const dal_vec zero = DAL_LANES(all_of)(0.0);
     dal_vec *const latest = c->pull, *const past = latest + DAL_N, *const first = past + DAL_N;
     for (size_t i = 0; i < DAL_N; i++) {
+        dal_vec *const x = &c->x[i], *const v = x + DAL_N, *const low = &c->low[i];
+        low[0] = DAL_LANES_TAKE(all, made, at->move[i], low[0]);
+        low[DAL_N] = DAL_LANES_TAKE(all, made, at->move[DAL_N + i], low[DAL_N]);
         if (!o->steady && DAL_KERNEL_HAS(o->has.pull, i)) {
             first[i] = DAL_LANES_TAKE(all, made, past[i], first[i]);
             past[i] = DAL_LANES_TAKE(all, made, latest[i], past[i]);
             latest[i] = DAL_LANES_TAKE(all, made, at->w[i] - at->base[i], latest[i]);
         }
-        c->x[i] = DAL_LANES_TAKE(all, made, at->stored[i], c->x[i]);
-        c->x[DAL_N + i] = DAL_LANES_TAKE(all, made, at->w[i], c->x[DAL_N + i]);
+        *x = DAL_LANES_TAKE(all, made, at->stored[i], *x);
+        *v = DAL_LANES_TAKE(all, made, at->w[i], *v);
         if (o->ends) c->force[i] = DAL_LANES_TAKE(all, made, at->force[i], c->force[i]);
     }
     if (!o->steady && DAL_LANES(any)(fresh)) {
@@ -709,6 +750,7 @@ DAL_KERNEL_INLINE dal_mask DAL_LANES(stage)(const dal_lanes_block *block,
     const DAL_LANES(traits) o = {
         .stage = s, .given = given, .h = given->h, .t_end = DAL_LANES(time)(given, c, s->t_end),
         .has = has, .plain = plain, .steady = steady,
+        .turns = DAL_LANES_STEADY > 1,
         .ends = DAL_LANES_HAS_PULL && !plain && s->end != 0.0,
         .known = DAL_M == 0 || steady || s->linear, .apart = plain && DAL_LANES_STEADY > 1};
     at.iterations = at.constraint_calls = at.pull_calls = DAL_LANES(all_of)(0.0);

@@ -20,6 +20,7 @@
  * p is carried from stage to stage, so that what is left of the balance is not lost: p' = L_v(q~',
  * v') + theta r, where r is the residual and theta_i the part of a row that is momentum, at most 1:
  * (L_vv)_ii / U_ii with K = L U.  In stiff damping the rest of r is a rounding of F, which is none.
+ * As long as p is carried, low of kernel.h is what it lacks, in place of what v lacks.
  *
  * What does not contract, an L_vv, K or S with a pivot that is not positive, and what is not finite
  * go to dal_kernel.finish, as in kernel.h.  Each row is judged by its own terms, so that no scaling
@@ -101,6 +102,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel *k, const dal_traits *o,
     DAL_KERNEL_SIZES;
     const double *const x = at->x;
     const bool pushed = of->early != 0.0;
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) at->push[i] = k->carried ? at->low[n + i] : 0.0;
     if (of->constant && !k->carried) {
         DAL_KERNEL_UNROLL
         for (size_t i = 0; i < n; i++)
@@ -116,10 +119,17 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(begin)(dal_kernel *k, const dal_traits *o,
     }
     const double before = o->kept ? 0.0 : o->stage->before * k->h;
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) at->node[i] = x[i] + before * x[n + i];
+    for (size_t i = 0; i < n; i++) {
+        const double way = before * x[n + i];
+        at->lead[i] = at->low[i] + way;
+        at->from[i] = x[i] + at->lead[i];
+        at->node[i] = o->kept ? x[i] : at->from[i];
+    }
     DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++)
-        balance->known[i] = pushed ? k->momentum[i] - of->early * k->force0[i] : k->momentum[i];
+    for (size_t i = 0; i < n; i++) {
+        if (pushed) at->push[i] -= of->early * k->force0[i];
+        balance->known[i] = k->momentum[i] + at->push[i];
+    }
     return DAL_SUCCESS;
 }
 
@@ -366,14 +376,13 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(react)(const dal_kernel *k, const dal_tra
 
 /* residual <- what is missing in the balance of momenta. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel *k, const dal_spans *of,
-                                              const dal_balance *balance)
+                                              const dal_arrays *at, const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
-    (void)k;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        const double next = balance->known[i] + of->late * balance->F[i] + balance->reaction[i];
-        balance->residual[i] = next - balance->L_v[i];
+        at->move[n + i] = at->push[i] + of->late * balance->F[i] + balance->reaction[i];
+        balance->residual[i] = k->momentum[i] + at->move[n + i] - balance->L_v[i];
     }
 }
 
@@ -480,7 +489,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
 {
     DAL_KERNEL_SIZES;
     double last = HUGE_VAL;
-    DAL_KERNEL_PART(weigh)(k, of, balance);
+    DAL_KERNEL_PART(weigh)(k, of, at, balance);
     DAL_KERNEL_PART(miss)(k, o, of, at, balance->phi);
     for (int correction = 1; correction <= DAL_KERNEL_CORRECTIONS; correction++) {
         DAL_KERNEL_PART(correct)(k, o, of, at, balance);
@@ -488,7 +497,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
         for (size_t i = 0; i < n; i++) at->w[i] += at->step[i];
         DAL_KERNEL_UNROLL
         for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
-        dal_kernel_place(k, o->stage, n, o->kept, at);
+        dal_kernel_place(k, o->stage, n, o->kept, o->turns, at);
         int returned = DAL_KERNEL_PART(constrain)(k, o, of, at, balance->phi, NULL);
         if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
         if (returned > 0) return 1;
@@ -497,7 +506,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
         if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_BALANCE, returned);
         if (returned > 0) return 1;
         DAL_KERNEL_PART(react)(k, o, at, balance);
-        DAL_KERNEL_PART(weigh)(k, of, balance);
+        DAL_KERNEL_PART(weigh)(k, of, at, balance);
         *settled = DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance);
         const double imbalance = DAL_KERNEL_PART(imbalance)(k, o, of, at, balance);
         const bool stalls = !(imbalance <= 0.5 * last);
@@ -536,11 +545,12 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(mend)(dal_kernel *k, const dal_traits *o,
 
 /* ---- carry: what the next stage needs of a balance that was closed here */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel *k, const dal_spans *of,
-                                              const dal_balance *balance)
+                                              const dal_arrays *at, const dal_balance *balance)
 {
     DAL_KERNEL_SIZES;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
+        at->low[n + i] = balance->share[i] * at->move[n + i];
         k->momentum[i] = balance->L_v[i] + balance->share[i] * balance->residual[i];
         k->force0[i] = -balance->F[i];
     }
@@ -561,6 +571,8 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel *k, const dal_traits
         past[2 * n + i] = past[n + i];
         past[n + i] = past[i];
         past[i] = at->w[i] - x[n + i];
+        at->low[i] = k->carried ? at->move[i] : 0.0;
+        if (!k->carried) at->low[n + i] = 0.0;
         x[i] = at->stored[i];
         x[n + i] = at->w[i];
     }
@@ -577,7 +589,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel *k, const dal_traits
  * true where B = 0: mu(q~') is then that of the node. */
 DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const double number,
                                                 const dal_stage *const s, const bool explicit,
-                                                double *const x)
+                                                double *const x, double *const low)
 {
     DAL_KERNEL_SIZES;
 #ifdef DAL_N
@@ -586,15 +598,17 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     double Z[DAL_KERNEL_M * DAL_N], S[DAL_KERNEL_M * DAL_KERNEL_M], sizes[5 * DAL_KERNEL_M];
     double r[DAL_KERNEL_M], d[DAL_KERNEL_M], kappa[DAL_KERNEL_M];
     size_t row[DAL_KERNEL_M];
+    double from[DAL_N], lead[DAL_N], push[DAL_N], move[2 * DAL_N];
     double known[DAL_N], reaction[DAL_N], residual[DAL_N], share[DAL_N];
     double phi[DAL_KERNEL_M], L_v[DAL_N], F[DAL_N], unit[DAL_N], per_unit[DAL_N];
     double L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
     double K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
-    const dal_arrays at = {x, NULL, node, point, w, mu_node, mu, N, known, goal, step, NULL,
-                           stored, Z, S, sizes, r, d, kappa, row, NULL, NULL, NULL, 0, NULL, false};
+    const dal_arrays at = {x, NULL, low, node, point, w, mu_node, mu, N, known, goal, step, NULL,
+                           stored, from, lead, push, move, Z, S, sizes, r, d, kappa, row, NULL, NULL, NULL, 0, NULL, false};
     const dal_balance balance = {known, reaction, residual, share, phi, L_v, F, unit, per_unit,
                                  L_vq, L_vv, F_q, F_v, K, factors};
 #else
+    (void)low;
     const dal_arrays at = k->at;
     const dal_balance balance = k->balance;
 #endif
@@ -607,13 +621,14 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
                           .known = explicit && linear && !kept};
     const dal_pattern has = DAL_KERNEL_PATTERN;
     const dal_traits o = {.stage = s, .number = number, .has = has, .kept = kept,
+                          .turns = DAL_KERNEL_TURNS(k) && !kept,
                           .t_end = dal_kernel_time(k, number, s->t_end)};
 
     bool settled = false;
     int status = DAL_KERNEL_PART(begin)(k, &o, &of, &at, &balance);
     if (status) return status;
     DAL_KERNEL_PART(extrapolate)(k, &o, &at);
-    dal_kernel_place(k, s, n, kept, &at);
+    dal_kernel_place(k, s, n, kept, o.turns, &at);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) at.kappa[a] = 0.0;
     DAL_KERNEL_UNROLL
@@ -622,11 +637,16 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     if (status == 0) status = DAL_KERNEL_PART(close)(k, &o, &of, &at, &balance, &settled);
     if (status < 0) return status;
     bool solved = status == 0;
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) {
+        at.move[i] += x[i] - at.stored[i];
+        at.move[n + i] += k->momentum[i] - (balance.L_v[i] + balance.residual[i]);
+    }
     if (DAL_KERNEL_RARE(solved && !settled && !kept))
         for (int pass = 0; !settled && pass < DAL_MOMENTUM_PASSES; pass++)
             settled = DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance);
     if (solved && settled && DAL_KERNEL_PART(is_finite)(n, &at)) {
-        DAL_KERNEL_PART(carry)(k, &of, &balance);
+        DAL_KERNEL_PART(carry)(k, &of, &at, &balance);
     } else {
         status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &solved);
         if (status) return status;

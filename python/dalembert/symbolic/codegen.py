@@ -600,7 +600,8 @@ def _definition(model: Model, fast: bool, compact: bool) -> list[str]:
     if compact:
         found.append(".sparsity = &model_sparsity")
     if derived.mass is not None and derived.kind == "linear":
-        found.append(f".steady = {2 * int(pattern(model).steady)}")
+        zeros = pattern(model)
+        found.append(f".steady = {2 * int(zeros.steady) + int(zeros.apart)}")
     return found
 
 

@@ -33,6 +33,14 @@ static double energy_of(dal_mechanics *mechanics, const double *x)
     return E;
 }
 
+/* Whether two states differ by the low part at most that only one of their steppers has. */
+static bool is_near(size_t n, const double *x, const double *y)
+{
+    for (size_t i = 0; i < n; i++)
+        if (!(fabs(x[i] - y[i]) <= DBL_EPSILON * (1.0 + fabs(y[i])))) return false;
+    return true;
+}
+
 /* v^T M v by the metric of the public header. */
 static double twice_kinetic(dal_mechanics *mechanics, size_t n, const double *x)
 {
@@ -409,7 +417,7 @@ static void test_limits(void)
         const double s = (E - energy_of(mechanics, y)) / (x[1] * x[1] + y[1] * y[1]);
         CHECK(plainly || (error <= 8.0 * U && fabs(s) <= 0.5));
         if (plainly) {
-            CHECK(memcmp(dal_stepper_state(plain), dal_stepper_state(stepper), sizeof x) == 0);
+            CHECK(is_near(2, dal_stepper_state(stepper), y)); /* and what x lacks */
             lost++;
         } else if (lost > mended) {
             mended = lost;
@@ -514,8 +522,8 @@ static void test_failures(void)
             const bool through = returns > 0 && k > 0; /* the plain step exists */
             f.until = -1;
             CHECK(status == (through ? DAL_SUCCESS : returns > 0 ? DAL_EDOMAIN : DAL_EUSER));
-            CHECK(memcmp(dal_stepper_state(stepper),
-                         through ? dal_stepper_state(plain) : x, sizeof x) == 0);
+            CHECK(through ? is_near(2, dal_stepper_state(stepper), dal_stepper_state(plain))
+                          : memcmp(dal_stepper_state(stepper), x, sizeof x) == 0);
             dal_stepper_stats(stepper, &stats);
             CHECK(stats.unscaled == through && stats.steps == 3 + (size_t)through);
             if (through) continue;
