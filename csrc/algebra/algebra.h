@@ -208,7 +208,7 @@ typedef struct dal__rk8pd {
     dal__field_fn field;
     void *ctx;
     size_t evaluations;             /* of the field */
-    double *start, *point, *slopes; /* workspace */
+    double *start, *point, *slopes, *difference; /* workspace */
 } dal__rk8pd;
 
 void dal__rk8pd_reserve(dal__rk8pd *self, size_t N, arena *a);

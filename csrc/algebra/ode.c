@@ -314,7 +314,8 @@ static bool accurate(ode *self, double h, unsigned order)
     for (size_t i = 0; i < self->N; i++) {
         double most;
         allowed(&self->level, self->state[i], 0.0, h, i, &most);
-        worst = fmax(worst, fabs(self->step_error[i]) / most);
+        const double share = fabs(self->step_error[i]) / most;
+        if (share > worst) worst = share;
     }
     if (worst > 1.1) self->h = h * fmax(0.9 / pow(worst, 1.0 / order), 0.2);
     else if (worst < 0.5)

@@ -3,17 +3,22 @@
  * Math. 7 (1981) 67-75, RK8(7)13M.
  *
  * GSL has it too, and the numbers are its: here its sums cost less than a small system's field.
- * States are vectors of packets, rows of them for the stages. */
+ * They are taken by packets, the last of which overlaps the one before where the entries do not
+ * come out even.  No packet has entries of both halves of a state: the rates of q are the v of a
+ * stage, so the next q is at hand while the accelerations are still being worked out. */
 #include "algebra/algebra.h"
 
 #include <string.h>
 
 #if defined(__GNUC__)
-typedef double packet __attribute__((vector_size(2 * sizeof(double))));
+typedef double packet
+    __attribute__((vector_size(2 * sizeof(double)), aligned(sizeof(double)), may_alias));
+#define GATHER(x) ((packet){(x)[0], (x)[1]})
 #define INLINE static inline __attribute__((always_inline))
 #define UNROLL _Pragma("GCC unroll 16")
 #else
 typedef double packet;
+#define GATHER(x) (*(x))
 #define INLINE static inline
 #define UNROLL
 #endif
@@ -71,66 +76,86 @@ static const sum end_of_order_7 = {
      -3867574721.0 / 1518517206.0, 465885868.0 / 322736535.0, 53011238.0 / 667516719.0,
      2.0 / 45.0, 0.0}};
 
-static size_t packets(size_t N) { return (N + WIDTH - 1) / WIDTH; }
-
 void dal__rk8pd_reserve(dal__rk8pd *self, size_t N, arena *a)
 {
+    const size_t row = N > WIDTH ? N : WIDTH;
     self->N = N;
-    DAL__RESERVE(a, dal__times(STAGES, packets(N) * WIDTH), &self->slopes);
-    DAL__RESERVE(a, packets(N) * WIDTH, &self->start, &self->point);
+    DAL__RESERVE(a, dal__times(STAGES, row), &self->slopes);
+    DAL__RESERVE(a, row, &self->start, &self->point, &self->difference);
 }
 
-/* Packet i of a sum over the slopes, which are rows of so many packets. */
-INLINE packet add_up(const sum *of, size_t row, const packet *slopes, size_t i)
+/* How many packets N numbers have that are one half of a state. */
+INLINE size_t packets(size_t N) { return (N + WIDTH - 1) / WIDTH; }
+
+/* Where packet k of a state of N numbers begins. */
+INLINE size_t place(size_t N, size_t k)
 {
-    packet total = of->first * slopes[i];
+    const size_t half = N / 2, before = packets(half);
+    const size_t begin = k < before ? 0 : half, end = k < before ? half : N;
+    const size_t i = begin + (k - (k < before ? 0 : before)) * WIDTH;
+    return i + WIDTH <= end ? i : end > WIDTH ? end - WIDTH : 0;
+}
+
+/* The packet at i of a sum over the slopes, which are rows of so many numbers.  The last of them
+ * has just been written, and is read number by number: at once it would have to wait until it is
+ * in memory. */
+INLINE packet add_up(const sum *of, size_t row, const double *slopes, size_t i)
+{
+    packet total = of->first * *(const packet *)(slopes + i);
     slopes += of->from * row + i;
-    UNROLL for (size_t r = 0; r < of->count; r++) total += of->a[r] * slopes[r * row];
-    return total;
+    UNROLL for (size_t r = 0; r + 1 < of->count; r++)
+        total += of->a[r] * *(const packet *)(slopes + r * row);
+    if (of->count == 0) return total;
+    const volatile double *const last = slopes + (of->count - 1) * row;
+    return total + of->a[of->count - 1] * GATHER(last);
 }
 
 /* The same text for any size, and for those whose loops are unrolled: what the slopes or a stage
  * have that is not finite is in the next point. */
-INLINE int step(dal__rk8pd *self, size_t row, double t0, double elapsed, double h, double *y,
-                double *step_error, dal_error *error)
+INLINE int step(dal__rk8pd *self, size_t N, double t0, double elapsed, double h, double *y,
+                const double *slope, double *step_error, dal_error *error)
 {
-    packet *const start = (packet *)self->start, *const point = (packet *)self->point;
-    packet *const slopes = (packet *)self->slopes;
+    const size_t row = N > WIDTH ? N : WIDTH, count = packets(N / 2) + packets(N - N / 2);
+    double *const start = self->start, *const point = self->point, *const slopes = self->slopes;
+    memcpy(start, y, N * sizeof *y);
+    memcpy(slopes, slope, N * sizeof *slope);
     UNROLL for (size_t s = 1; s < STAGES; s++) {
         packet zeros = {0};
-        UNROLL for (size_t i = 0; i < row; i++) {
-            point[i] = start[i] + h * add_up(&points[s], row, slopes, i);
-            zeros += point[i] * 0.0;
+        for (size_t k = 0; k < count; k++) {
+            const size_t i = place(N, k);
+            const packet entries = *(packet *)(start + i) + h * add_up(&points[s], row, slopes, i);
+            *(packet *)(point + i) = entries;
+            zeros += entries * 0.0;
         }
         double zero[WIDTH];
         memcpy(zero, &zeros, sizeof zero);
         if (zero[0] + zero[WIDTH - 1] != 0.0) {
-            const bool before = !dal__all_finite(self->N, (double *)(slopes + (s - 1) * row));
+            const bool before = !dal__all_finite(N, slopes + (s - 1) * row);
             return dal__not_finite(error, before ? "field" : "state",
                                    t0 + (elapsed + points[before ? s - 1 : s].at * h));
         }
         self->evaluations++;
-        const int status = self->field(t0 + (elapsed + points[s].at * h), self->point,
-                                       (double *)(slopes + s * row), self->ctx, error);
+        const int status = self->field(t0 + (elapsed + points[s].at * h), point, slopes + s * row,
+                                       self->ctx, error);
         if (status) return status;
     }
-    UNROLL for (size_t i = 0; i < row; i++) {
+    for (size_t k = 0; k < count; k++) {
+        const size_t i = place(N, k);
         const packet change = add_up(&end_of_order_8, row, slopes, i);
-        point[i] = h * (add_up(&end_of_order_7, row, slopes, i) - change);
-        start[i] += h * change;
+        *(packet *)(self->difference + i) =
+            h * (add_up(&end_of_order_7, row, slopes, i) - change);
+        *(packet *)(point + i) = *(packet *)(start + i) + h * change;
     }
-    memcpy(y, start, self->N * sizeof *y);
-    memcpy(step_error, point, self->N * sizeof *step_error);
+    memcpy(y, point, N * sizeof *y);
+    memcpy(step_error, self->difference, N * sizeof *step_error);
     return DAL_SUCCESS;
 }
 
 int dal__rk8pd_step(dal__rk8pd *self, double t0, double elapsed, double h, double *y,
                     const double *slope, double *step_error, dal_error *error)
 {
-    const size_t row = packets(self->N);
-    memcpy(self->start, y, self->N * sizeof *y);
-    memcpy(self->slopes, slope, self->N * sizeof *slope);
-    if (row == 3) return step(self, 3, t0, elapsed, h, y, step_error, error);
-    if (row == 4) return step(self, 4, t0, elapsed, h, y, step_error, error);
-    return step(self, row, t0, elapsed, h, y, step_error, error);
+    const size_t N = self->N;
+    if (N == 6) return step(self, 6, t0, elapsed, h, y, slope, step_error, error);
+    if (N == 8) return step(self, 8, t0, elapsed, h, y, slope, step_error, error);
+    return step(self, N, t0, elapsed, h, y, slope, step_error, error);
 }

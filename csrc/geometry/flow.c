@@ -294,6 +294,14 @@ static bool is_multistep(const dal_flow *flow) { return flow->method == DAL_FLOW
 
 double *dal__flow_inner(dal_flow *flow) { return is_multistep(flow) ? NULL : &flow->steps.inner; }
 
+/* x[2n], where the field has just been looked at, so that C is regular there, moves into D. */
+static int settle(dal_mechanics *mech, double t, double *x)
+{
+    if (mech->m == 0 || mech->eval.system->def.kind == DAL_NONLINEAR)
+        return dal_project(mech, t, 0.0, x, NULL);
+    return dal__mend(mech, t, 0.0, false, x, &mech->relative);
+}
+
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst)
 {
     const double t1 = t0 + ((double)k + 1.0) * h;
@@ -309,7 +317,7 @@ int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, dou
     if (!status) status = reach(flow, (double)(k + 1 - flow->steps.first) * h, t1);
     if (status) return status;
     dal__copy(dimension(flow), flow->state, flow->result);
-    status = dal_project(mech, t1, 0.0, flow->result, NULL);
+    status = settle(mech, t1, flow->result);
     if (status) return status;
     *worst = fmax(*worst, mech->relative);
     dal__copy(dimension(flow), flow->result, x);

@@ -148,8 +148,21 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
  * n u s^a, with phi and a^a where residual.h has them. */
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
                         const double *v);
+/* dal_field, of a finite state, where nothing compiled for the system gave it. */
+int dal__field_in_full(dal_mechanics *mech, double t, const double *x, double *xdot);
 /* dal_field, of a finite state; what it leaves in force, lambda and gram is of no use. */
-int dal__field(dal_mechanics *mech, double t, const double *x, double *xdot);
+static inline int dal__field(dal_mechanics *mech, double t, const double *x, double *xdot)
+{
+    evaluator *const e = &mech->eval;
+    const dal_system_def *const def = &e->system->def;
+    if (!e->field) return dal__field_in_full(mech, t, x, xdot);
+    e->constraint_calls += mech->m > 0;
+    e->potential_calls += def->potential != NULL;
+    e->lagrangian_calls += def->lagrangian != NULL;
+    e->force_calls += def->force != NULL;
+    return e->field(t, x, e->input, e->system->mass_inverse, xdot, def->ctx)
+        ? DAL_SUCCESS : dal__field_in_full(mech, t, x, xdot);
+}
 /* *E <- the energy at x[2n], which may overflow. */
 int dal__energy(dal_mechanics *mech, double t, const double *x, double *E);
 /* How far velocities move, to first order, when the point q where mu and slope = phi_q were

@@ -572,21 +572,14 @@ DAL_LU_INLINE bool field_of(dal_mechanics *mech, size_t n, size_t m, size_t next
     return !returned && dal_field_solve(n, m, has, &terms, x + n, xdot);
 }
 
-/* The same of any system: by what was compiled for it; or for the sizes that small ones have. */
+/* The same of any system; for the sizes that small ones have. */
 static bool field_at_once(dal_mechanics *mech, double t, const double *x, double *xdot, int *status)
 {
-    evaluator *const e = &mech->eval;
+    const evaluator *const e = &mech->eval;
     const dal_system *const system = e->system;
-    const dal_system_def *const def = &system->def;
     const size_t n = mech->n, m = mech->m;
-    if (e->field) {
-        e->constraint_calls += m > 0;
-        e->potential_calls += def->potential != NULL;
-        e->lagrangian_calls += def->lagrangian != NULL;
-        e->force_calls += def->force != NULL;
-        return e->field(t, x, e->input, system->mass_inverse, xdot, def->ctx);
-    }
-    if (!e->constant_mass || mech->gram.C.pattern || e->rows || dal__is_dragged(system))
+    if (e->field || !e->constant_mass || mech->gram.C.pattern || e->rows
+        || dal__is_dragged(system))
         return false;
     const size_t next = system->masses ? 1 : system->diagonal ? n + 1 : 0;
     if (n == 3 && m == 1 && next == 4) return field_of(mech, 3, 1, 4, t, x, xdot, status);
@@ -594,7 +587,7 @@ static bool field_at_once(dal_mechanics *mech, double t, const double *x, double
     return field_of(mech, n, m, next, t, x, xdot, status);
 }
 
-int dal__field(dal_mechanics *mech, double t, const double *x, double *xdot)
+int dal__field_in_full(dal_mechanics *mech, double t, const double *x, double *xdot)
 {
     int status = DAL_SUCCESS;
     if (field_at_once(mech, t, x, xdot, &status)) return DAL_SUCCESS;

@@ -17,6 +17,7 @@
 #include <dalembert.h>
 #include <dalembert/lu.h>
 
+#include <float.h>
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -158,11 +159,11 @@ DAL_LU_INLINE bool dal_field_solve(size_t n, size_t m, dal_field_zeros has,
     for (size_t i = 0; i < n; i++) xdot[i] = v[i];
     if (has.F) dal_field_accelerate(n, has, w, has.F, w->F, vdot);
     for (size_t a = 0; a < m; a++) {
-        double sum = w->g[a];
+        double sum = -0.0;
         dal_field_accelerate(n, has, w, dal_field_row(has.mu, n, a), mu + a * n, Z + a * n);
         for (size_t i = 0; has.F && i < n; i++)
             if (DAL_KERNEL_HAS(has.mu, a * n + i)) sum += mu[a * n + i] * vdot[i];
-        w->lambda[a] = -sum;
+        w->lambda[a] = -(sum + w->g[a]); /* last, as v is in a stage */
         for (size_t b = 0; b <= a; b++) {
             double entry = -0.0;
             for (size_t i = 0; i < n; i++)
@@ -173,15 +174,15 @@ DAL_LU_INLINE bool dal_field_solve(size_t n, size_t m, dal_field_zeros has,
     }
     if (!dal_field_factor(m, DAL_KERNEL_ALL, DAL_KERNEL_ALL, C, w->share, w->w)) return false;
     dal_field_substitute(m, DAL_KERNEL_ALL, C, w->share, w->lambda);
-    double zero = 0.0; /* what is not finite times 0 is NaN, which stays */
+    double total = 0.0; /* not finite where an entry is not */
     for (size_t i = 0; i < n; i++) {
-        double sum = has.F ? vdot[i] : -0.0;
+        double sum = has.F ? 0.0 + vdot[i] : 0.0; /* which leaves no -0.0 */
         for (size_t a = 0; a < m; a++)
             if (DAL_KERNEL_HAS(has.Z, a * n + i)) sum += Z[a * n + i] * w->lambda[a];
-        vdot[i] = 0.0 + sum;
-        zero += sum * 0.0;
+        vdot[i] = sum;
+        total += sum;
     }
-    return zero == 0.0;
+    return fabs(total) <= DBL_MAX;
 }
 
 #endif /* DALEMBERT_FIELD_H */
