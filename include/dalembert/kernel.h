@@ -114,7 +114,7 @@ typedef struct dal_arrays {
     double *stored;               /* [n] the position of the new state */
     double *from;                 /* [n] q_k with what x lacks */
     double *lead, *push;          /* [n] the known part of q~' - q~ and of v' - v, and low */
-    double *move;                 /* [2n] all of q~' - q~ and of v' - v; then the new low */
+    double *move;                 /* [2n] q~' - q~ and v' - v, before they are rounded to x' */
     double *Z;                    /* [m*n] row a is M^-1 mu_node^a */
     double *S, *sizes, *r, *d, *kappa; /* [m*m], [5*m] (see lu.h), [m] */
     size_t *row;                  /* [m] */
@@ -464,7 +464,7 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal
     double largest = k->stats.worst_residual;
     const double speed = dal_residual_speed(n, at->per_unit, at->w);
     const double seen = (largest < limit ? largest : limit) * speed;
-    bool settled = true;
+    bool settled = true, raised = false;
     for (size_t a = 0; a < m; a++) {
         const double sum = dal_kernel_product(at, n, has.mu, at->mu, a, at->w);
         const double form = dal_kernel_form(at, n, has.mu, at->mu, a);
@@ -473,9 +473,10 @@ DAL_KERNEL_INLINE bool dal_kernel_settled(dal_kernel *k, size_t n, size_t m, dal
         if (DAL_KERNEL_RARE(!(form * seen > fabs(sum)))) {
             if (!(form * (limit * speed) - fabs(sum) >= 0.0)) settled = false;
             if (fabs(sum) > largest * (form * speed)) largest = fabs(sum) / (form * speed);
+            raised = true;
         }
     }
-    if (settled) k->stats.worst_residual = largest;
+    if (raised && settled) k->stats.worst_residual = largest;
     return settled;
 }
 
@@ -553,17 +554,6 @@ DAL_KERNEL_INLINE bool dal_kernel_is_balanced(const dal_stage *s, bool first, do
 {
     if (first || size <= noise) return size <= noise;
     return DAL_KERNEL_SAFETY * size * (size / last) * s->reuse <= noise * fabs(s->end);
-}
-
-/* move <- what the new state lacks of the sum of x and move.  The next stage adds it, so that
- * roundings of the sums do not add up (compensated summation; E. Hairer, R. McLachlan and
- * A. Razakarivony 2008); those of move itself, which is less by h, do. */
-DAL_KERNEL_INLINE void dal_kernel_round(size_t n, const dal_arrays *at)
-{
-    for (size_t i = 0; i < n; i++) {
-        at->move[i] += at->x[i] - at->stored[i];
-        at->move[n + i] += at->x[n + i] - at->w[i];
-    }
 }
 
 /* Adds what the state x[2n] after a stage contributes to the estimate; index: of the stage. */
@@ -878,8 +868,11 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(settle)(dal_kernel *k, const dal_traits *
     if (DAL_KERNEL_RARE(m > 0 && solved && !settled && !o->kept)) {
         dal_kernel_solve(k, at, m);
         DAL_KERNEL_UNROLL
-        for (size_t i = 0; i < n; i++)
-            at->w[i] += dal_kernel_reaction(at, n, m, o->has.Z, i, at->d);
+        for (size_t i = 0; i < n; i++) {
+            const double mended = at->w[i] + dal_kernel_reaction(at, n, m, o->has.Z, i, at->d);
+            at->move[n + i] += mended - at->w[i];
+            at->w[i] = mended;
+        }
         settled = dal_kernel_settled(k, n, m, o->has, at);
     }
     return settled && DAL_KERNEL_PART(is_finite)(n, at);
@@ -899,11 +892,18 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(hand_over)(dal_kernel *k, const dal_traits
     if (status) return status;
     DAL_KERNEL_COPY(n, k->at.w, at->w);
     DAL_KERNEL_COPY(n, k->at.stored, at->stored);
+    DAL_KERNEL_UNROLL
+    for (size_t i = 0; i < n; i++) { /* finish rounds, and does not say how */
+        at->move[i] = at->stored[i] - at->x[i];
+        at->move[n + i] = at->w[i] - at->x[n + i];
+    }
     if (!*solved) DAL_KERNEL_COPY(m, k->at.kappa, at->kappa);
     return DAL_SUCCESS;
 }
 
-/* ---- commit */
+/* ---- commit.  What the new state lacks of the sum of x and move the next stage adds, so that
+ * roundings of the sums do not add up (compensated summation; E. Hairer, R. McLachlan and
+ * A. Razakarivony 2008); those of move, which is less by h, do. */
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *o,
                                                const dal_arrays *at, bool solved)
 {
@@ -916,8 +916,8 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(commit)(dal_kernel *k, const dal_traits *
             pull[n + i] = pull[i];
             pull[i] = at->w[i] - at->base[i];
         }
-        at->low[i] = solved ? at->move[i] : 0.0;
-        at->low[n + i] = solved ? at->move[n + i] : 0.0;
+        at->low[i] = x[i] - at->stored[i] + at->move[i];
+        at->low[n + i] = x[n + i] - at->w[i] + at->move[n + i];
         x[i] = at->stored[i];
         x[n + i] = at->w[i];
     }
@@ -999,7 +999,6 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
         if (status < 0) return status;
     }
     bool solved = status == 0;
-    dal_kernel_round(n, &at);
     if (DAL_KERNEL_RARE(!DAL_KERNEL_PART(settle)(k, &o, &at, solved, settled))) {
         status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &solved);
         if (status) return status;

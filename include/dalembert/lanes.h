@@ -686,15 +686,14 @@ DAL_KERNEL_INLINE void DAL_LANES(settle)(const DAL_LANES(traits) *o, DAL_LANES(s
                                          DAL_LANES(arrays) *at)
 {
     const dal_mask rest = at->solved & ~at->settled;
-    for (size_t i = 0; i < DAL_N; i++) {
-        at->move[i] += c->x[i] - at->stored[i];
-        at->move[DAL_N + i] += c->x[DAL_N + i] - at->w[i];
-    }
     if (DAL_M > 0 && DAL_LANES(any)(rest)) {
         DAL_LANES(solve)(at, at->r, at->d);
-        for (size_t i = 0; i < DAL_N; i++)
-            at->w[i] = DAL_LANES(choose)(
+        for (size_t i = 0; i < DAL_N; i++) {
+            const dal_vec mended = DAL_LANES(choose)(
                 rest, at->w[i] + DAL_LANES(column)(o->has.Z, at->Z, i, at->d), at->w[i]);
+            at->move[DAL_N + i] += mended - at->w[i];
+            at->w[i] = mended;
+        }
         at->settled |= DAL_LANES(find_settled)(o, c, at, rest);
     }
     dal_vec total = DAL_LANES(all_of)(-0.0);
@@ -710,8 +709,8 @@ DAL_KERNEL_INLINE void DAL_LANES(commit)(const DAL_LANES(traits) *o, DAL_LANES(s
     dal_vec *const latest = c->pull, *const past = latest + DAL_N, *const first = past + DAL_N;
     for (size_t i = 0; i < DAL_N; i++) {
         dal_vec *const x = &c->x[i], *const v = x + DAL_N, *const low = &c->low[i];
-        low[0] = DAL_LANES_TAKE(all, made, at->move[i], low[0]);
-        low[DAL_N] = DAL_LANES_TAKE(all, made, at->move[DAL_N + i], low[DAL_N]);
+        low[0] = DAL_LANES_TAKE(all, made, *x - at->stored[i] + at->move[i], low[0]);
+        low[DAL_N] = DAL_LANES_TAKE(all, made, *v - at->w[i] + at->move[DAL_N + i], low[DAL_N]);
         if (!o->steady && DAL_KERNEL_HAS(o->has.pull, i)) {
             first[i] = DAL_LANES_TAKE(all, made, past[i], first[i]);
             past[i] = DAL_LANES_TAKE(all, made, latest[i], past[i]);

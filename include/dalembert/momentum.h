@@ -550,7 +550,8 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(carry)(dal_kernel *k, const dal_spans *of
     DAL_KERNEL_SIZES;
     DAL_KERNEL_UNROLL
     for (size_t i = 0; i < n; i++) {
-        at->low[n + i] = balance->share[i] * at->move[n + i];
+        const double next = balance->L_v[i] + balance->residual[i];
+        at->low[n + i] = balance->share[i] * (k->momentum[i] - next + at->move[n + i]);
         k->momentum[i] = balance->L_v[i] + balance->share[i] * balance->residual[i];
         k->force0[i] = -balance->F[i];
     }
@@ -571,7 +572,7 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(conclude)(dal_kernel *k, const dal_traits
         past[2 * n + i] = past[n + i];
         past[n + i] = past[i];
         past[i] = at->w[i] - x[n + i];
-        at->low[i] = k->carried ? at->move[i] : 0.0;
+        at->low[i] = x[i] - at->stored[i] + at->move[i];
         if (!k->carried) at->low[n + i] = 0.0;
         x[i] = at->stored[i];
         x[n + i] = at->w[i];
@@ -637,11 +638,6 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     if (status == 0) status = DAL_KERNEL_PART(close)(k, &o, &of, &at, &balance, &settled);
     if (status < 0) return status;
     bool solved = status == 0;
-    DAL_KERNEL_UNROLL
-    for (size_t i = 0; i < n; i++) {
-        at.move[i] += x[i] - at.stored[i];
-        at.move[n + i] += k->momentum[i] - (balance.L_v[i] + balance.residual[i]);
-    }
     if (DAL_KERNEL_RARE(solved && !settled && !kept))
         for (int pass = 0; !settled && pass < DAL_MOMENTUM_PASSES; pass++)
             settled = DAL_KERNEL_PART(mend)(k, &o, &of, &at, &balance);

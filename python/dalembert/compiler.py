@@ -41,16 +41,15 @@ __all__ = ["Compiler", "CompilerError", "Library", "clear", "entries", "find", "
 def _for_processor() -> tuple[str, ...]:
     """Return the flags for what this processor has; it is part of the key of what is kept.
 
-    AVX has instructions with a result of their own, which save a sixth of those of a step; AVX-512
-    has twice the registers, which saves a twentieth of its time.  They have none that round once
-    where others round twice, so the bits are the same.
+    AVX has instructions with a result of their own, which save a sixth of those of a step.  It has
+    none that round once where others round twice, so the bits are the same.
     """
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
-            flags = next((line for line in file if line.startswith("flags")), "").split()
+            flags = next((line for line in file if line.startswith("flags")), "")
     except OSError:
         return ()
-    return tuple(f"-m{name}" for name in ("avx2", "avx512vl") if name in flags)
+    return ("-mavx2",) if "avx2" in flags.split() else ()
 
 
 # Measured: -O3 makes the fastest step, without vectorisation, which packs what was just stored, and
