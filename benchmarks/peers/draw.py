@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 OURS = ("leapfrog", "midpoint", "suzuki4", "bm4", "kl6", "bm6", "kl8", "ss10", "kl8 auto",
-        "ss10 auto", "bm6 auto", "bm6 reversible", "kl8 keep", "reference",
-        "reference taylor")  # fmt: skip
+        "ss10 auto", "bm6 auto", "bm6 reversible", "midpoint keep", "kl8 keep",
+        "reference", "reference taylor")  # fmt: skip
 FLOWS = ("reference", "reference taylor")  # the rest are steps of dalembert itself
+KEEP = ("midpoint keep", "kl8 keep")
 IN_D = ("heyoka in D", "GSL rk8pd in D")
 ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-11, 1e-12)
 # What dalembert is to reach: see bars()
@@ -190,8 +191,8 @@ def bars(results: dict[str, Any]) -> Iterator[str]:
         work = p.get("work", {})
         parts = []
         kinds = (
-            ("steps of one size and of controlled error", (*FLOWS, "kl8 keep"), WORK),
-            ("`energy=\"keep\"`", [x for x in OURS if x != "kl8 keep"], WORK[-2:]),
+            ("steps of one size and of controlled error", (*FLOWS, *KEEP), WORK),
+            ("`energy=\"keep\"`", [x for x in OURS if x not in KEEP], WORK[-2:]),
         )
         for what, but, errors in kinds:
             ratios = []

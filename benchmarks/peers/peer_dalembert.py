@@ -97,6 +97,8 @@ def methods(problem: Problem) -> Iterator[Method | Refused]:
     if not problem.reversible:
         yield Method("kl8 keep", "steps", (60, 80, *STEPS["kl8"][1]),
                      fixed(f"{base}-kl8", energy="keep"), compiled[0], 8)  # fmt: skip
+        yield Method("midpoint keep", "steps", (400, 600, 800, 1000, 1400, 2000, 4000),
+                     fixed("midpoint", energy="keep"), compiled[0], 2, long=False)  # fmt: skip
     yield Method("reference", "tolerance",
                  (1e-4, 1e-6, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 1e-14),
                  reference("rk8pd"), compiled[0])  # fmt: skip

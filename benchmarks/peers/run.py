@@ -4,7 +4,7 @@ Usage: ``python run.py [--quick | --long] [--problem NAME]... [--merge] [--out F
 
 Writes peers.json, peers.md, peers-state.png and peers-energy.png into FOLDER, by default docs/ of
 this checkout, and, with --quick, nowhere: then the table is printed only.  With --merge problems
-that are not named stay as they are in the peers.json of FOLDER.  A default run takes some 40
+that are not named stay as they are in the peers.json of FOLDER.  A default run takes some 90
 minutes, --quick a few, --long, which gives slow methods more time, some hours.
 
 Times are those of the process during the call that a user makes, medians over rounds in each of
@@ -63,7 +63,7 @@ class Effort:
 
 
 EFFORTS = {
-    "default": Effort(5, 2.0, 1e7, 36.0, 3.0, 2.0),
+    "default": Effort(5, 2.0, 1e7, 100.0, 3.0, 2.0),
     "quick": Effort(2, 0.1, 1e4, 0.2, 0.2, 0.5, 100.0, 3),
     "long": Effort(7, 4.0, 1e7, 200.0, 20.0, 20.0),
 }
