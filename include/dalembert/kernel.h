@@ -30,6 +30,10 @@
  * goes to that of mu M^-1 mu^T, which is positive, and where it has changed its sign on the way the
  * solution is not the one that small h lead to.
  *
+ * Beside x the stepper carries low, what x lacks of the sums that it is a rounding of; all
+ * increments are added to it too, and the next stage begins with x + low, but for what is only
+ * predicted, which does not wait for it.
+ *
  * In a steady system mu depends only on coordinates that no reaction pushes (a blade whose heading
  * is free).  Where V does not act at q~' either, mu(q~') is known before v', the equations are
  * linear in kappa, and the first correction is the solution.  Where the system is proved to be
@@ -741,15 +745,16 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
         const int status = DAL_KERNEL_PART(kick)(k, o, at);
         if (status) return status;
     }
-    /* The latest pull enters last, and q~' does not wait for v', nor what is only predicted for low:
-     * this is the critical path. */
+    /* The latest pull enters last, q~' does not wait for v', nor what is only predicted for low: it
+     * is the critical path.  What is steady is not predicted, but known to the bit. */
     for (size_t i = 0; i < n; i++) {
         const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
-        double early = pulled && !o->potential ? x[n + i] : at->base[i];
+        double early = o->steady || o->potential ? at->base[i] : x[n + i];
         if (pulled) early += s->ahead[1] * pull[n + i] + s->ahead[2] * pull[2 * n + i];
         at->w[i] = early;
-        at->point[i] = pulled ? at->node[i] + b * early
-                              : dal_kernel_leave(s, n, o->turns, at, i, early, b * early);
+        at->point[i] = o->steady || o->turns
+                           ? dal_kernel_leave(s, n, o->turns, at, i, early, b * early)
+                           : at->node[i] + b * early;
         if (pulled) {
             at->w[i] += s->ahead[0] * pull[i];
             at->point[i] += b * s->ahead[0] * pull[i];

@@ -440,11 +440,11 @@ DAL_KERNEL_INLINE void DAL_LANES(predict)(const DAL_LANES(traits) *o, DAL_LANES(
     if (DAL_LANES_HAS_PULL && !o->apart) DAL_LANES(kick)(o, c, at);
     for (size_t i = 0; i < DAL_N; i++) {
         const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
-        dal_vec early = pulled && !DAL_LANES_HAS_PULL ? x[DAL_N + i] : at->base[i];
+        dal_vec early = o->steady || DAL_LANES_HAS_PULL ? at->base[i] : x[DAL_N + i];
         if (pulled) early += s->ahead[1] * pull[DAL_N + i] + s->ahead[2] * pull[2 * DAL_N + i];
         at->w[i] = early;
-        at->stored[i] = pulled ? at->node[i] + b * early
-                               : DAL_LANES(leave)(o, c, at, i, early, b * early);
+        at->stored[i] = o->steady || o->turns ? DAL_LANES(leave)(o, c, at, i, early, b * early)
+                                              : at->node[i] + b * early;
         if (pulled) {
             at->w[i] += s->ahead[0] * pull[i];
             at->stored[i] += b * s->ahead[0] * pull[i];
