@@ -466,8 +466,8 @@ static void forget_velocity(void *method)
 }
 
 /* The predictor of the step routine: the pulls and V_q of the last stages, and, where there are
- * momenta, p and the changes of v; and what x lacks.  What the flags call unknown is 0: a step that failed may have
- * left anything there. */
+ * momenta, p and the changes of v; and what x lacks.  What the flags call unknown is 0: a step that
+ * failed may have left anything there. */
 static size_t save(const void *method, double *values)
 {
     const beta *const self = method;

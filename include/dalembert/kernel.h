@@ -743,8 +743,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
         const int status = DAL_KERNEL_PART(kick)(k, o, at);
         if (status) return status;
     }
-    /* The latest pull enters last, and q~' does not wait for v', nor what is only predicted for low:
-     * this is the critical path. */
+    /* The latest pull enters last, and q~' does not wait for v', nor what is only predicted for
+     * low: this is the critical path. */
     for (size_t i = 0; i < n; i++) {
         const bool pulled = !o->steady && DAL_KERNEL_HAS(o->has.pull, i);
         double early = pulled && !o->potential ? x[n + i] : at->base[i];

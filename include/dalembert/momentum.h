@@ -605,7 +605,8 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
     double L_vq[DAL_N * DAL_N], L_vv[DAL_N * DAL_N], F_q[DAL_N * DAL_N], F_v[DAL_N * DAL_N];
     double K[DAL_N * DAL_N], factors[DAL_N * DAL_N];
     const dal_arrays at = {x, NULL, low, node, point, w, mu_node, mu, N, known, goal, step, NULL,
-                           stored, from, lead, push, move, Z, S, sizes, r, d, kappa, row, NULL, NULL, NULL, 0, NULL, false};
+                           stored, from, lead, push, move, Z, S, sizes, r, d, kappa, row,
+                           NULL, NULL, NULL, 0, NULL, false};
     const dal_balance balance = {known, reaction, residual, share, phi, L_v, F, unit, per_unit,
                                  L_vq, L_vv, F_q, F_v, K, factors};
 #else

@@ -260,8 +260,8 @@ static void test_roundings(void)
     }
 }
 
-/* An angle that turns evenly, by half of its last digit in half a step: it is rounded to where it is,
- * whatever the roundings before. */
+/* An angle that turns evenly, by half of its last digit in half a step: it is rounded to where it
+ * is, whatever the roundings before. */
 static void test_even_turns(void)
 {
     static const char *const schemes[] = {"leapfrog", "midpoint", "leapfrog-suzuki4", "0.3"};
