@@ -435,7 +435,9 @@ DAL_KERNEL_INLINE int dal_kernel_factor(size_t n, size_t m, dal_pattern has, dou
 
 /* From node i to q~'_i with the velocity w_i, by way.  Where it turns, the velocity is constant and
  * both ways are equal, they are the same number of ulps of q, so that the node is in the middle to
- * the bit: a blade that turns evenly then loses no energy to the rounding of a large angle. */
+ * the bit: a blade that turns evenly then loses no energy to the rounding of a large angle.  Each
+ * way has half of low: what it is rounded by is in low twice, and from the next two all of it goes
+ * again. */
 DAL_KERNEL_INLINE double dal_kernel_leave(const dal_stage *s, size_t n, bool turns,
                                           const dal_arrays *at, size_t i, double w, double way)
 {
@@ -736,7 +738,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(predict)(dal_kernel *k, const dal_traits *
         const double way = before * x[n + i], near = x[i] + way;
         const bool even = o->turns && at->low[n + i] == 0.0; /* as where v is constant */
         at->lead[i] = at->low[i] + way;
-        at->from[i] = even ? x[i] + at->lead[i] : near + at->low[i];
+        at->from[i] = even ? x[i] + (0.5 * at->low[i] + way) : near + at->low[i];
         at->node[i] = even || (s->linear && !o->kept) ? at->from[i] : near;
         at->push[i] = at->low[n + i];
         at->base[i] = x[n + i] + at->low[n + i];

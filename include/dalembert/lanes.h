@@ -431,7 +431,7 @@ DAL_KERNEL_INLINE void DAL_LANES(predict)(const DAL_LANES(traits) *o, DAL_LANES(
         at->node[i] = s->linear ? at->from[i] : near;
         if (o->turns) {
             const dal_mask even = c->low[DAL_N + i] == 0.0;
-            at->from[i] = DAL_LANES(choose)(even, x[i] + at->lead[i], at->from[i]);
+            at->from[i] = DAL_LANES(choose)(even, x[i] + (0.5 * c->low[i] + way), at->from[i]);
             at->node[i] = DAL_LANES(choose)(even, at->from[i], at->node[i]);
         }
         at->push[i] = c->low[DAL_N + i];

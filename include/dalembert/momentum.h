@@ -497,7 +497,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
         for (size_t i = 0; i < n; i++) at->w[i] += at->step[i];
         DAL_KERNEL_UNROLL
         for (size_t a = 0; a < m; a++) at->kappa[a] += at->d[a];
-        dal_kernel_place(k, o->stage, n, o->kept, o->turns, at);
+        dal_kernel_place(k, o->stage, n, o->kept, false, at);
         int returned = DAL_KERNEL_PART(constrain)(k, o, of, at, balance->phi, NULL);
         if (returned < 0) return dal_kernel_refused(k, DAL_FAILED_CONSTRAINT, returned);
         if (returned > 0) return 1;
@@ -623,14 +623,13 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(momentum)(dal_kernel *const k, const doubl
                           .known = explicit && linear && !kept};
     const dal_pattern has = DAL_KERNEL_PATTERN;
     const dal_traits o = {.stage = s, .number = number, .has = has, .kept = kept,
-                          .turns = DAL_KERNEL_TURNS(k) && !kept,
                           .t_end = dal_kernel_time(k, number, s->t_end)};
 
     bool settled = false;
     int status = DAL_KERNEL_PART(begin)(k, &o, &of, &at, &balance);
     if (status) return status;
     DAL_KERNEL_PART(extrapolate)(k, &o, &at);
-    dal_kernel_place(k, s, n, kept, o.turns, &at);
+    dal_kernel_place(k, s, n, kept, false, &at);
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++) at.kappa[a] = 0.0;
     DAL_KERNEL_UNROLL

@@ -260,6 +260,26 @@ static void test_roundings(void)
     }
 }
 
+/* An angle that turns evenly, by half of its last digit in half a step: it is rounded to where it
+ * is, whatever the roundings before. */
+static void test_even_turns(void)
+{
+    static const char *const schemes[] = {"leapfrog", "midpoint", "leapfrog-suzuki4", "0.3"};
+    dal_system *const system = open_system("particle");
+    for (size_t k = 0; k < DAL_LENGTH(schemes); k++) {
+        const dal_scheme scheme = find_scheme(schemes[k]);
+        dal_stepper *const stepper = open_stepper(system, &scheme, NULL);
+        const double x[6] = {0.0, 0x1p53, 0.0, 0.0, 1.0, 0.0};
+        CHECK(dal_stepper_start(stepper, 0.0, 1.0, x, DAL_CHECK, DAL_INITIAL_NONE) == 0);
+        for (int step = 1; step <= 1000; step++) {
+            CHECK(dal_step(stepper, NULL) == 0);
+            CHECK(fabs(dal_stepper_state(stepper)[1] - 0x1p53 - step) <= 4.0);
+        }
+        dal_stepper_free(stepper);
+    }
+    dal_system_free(system);
+}
+
 /* Midpoint conserves E where lambda.mu(q_k)(v + v1) = 0: on the disk, on heisenberg with its
  * quadratic V.  A step errs by 4 u E at most, where Newton stops, and its errors may all be of one
  * sign.  (On heisenberg other schemes err by h^2.) */
@@ -1120,6 +1140,7 @@ int main(void)
 {
     test_equations();
     test_roundings();
+    test_even_turns();
     test_exact_energy();
     test_momenta();
     test_adjoints();
