@@ -458,12 +458,7 @@ static void rescale(void *method, double ratio)
 }
 
 /* Momenta; with them what the Lagrangian pushes with is evaluated again. */
-static void forget_velocity(void *method)
-{
-    dal_kernel *const k = &((beta *)method)->kernel;
-    k->carried = false;
-    memset(k->at.low + k->n, 0, k->n * sizeof *k->at.low);
-}
+static void forget_velocity(void *method) { ((beta *)method)->kernel.carried = false; }
 
 /* The predictor of the step routine: the pulls and V_q of the last stages, and, where there are
  * momenta, p and the changes of v; and what x lacks.  What the flags call unknown is 0: a step that
