@@ -644,6 +644,11 @@ static void test_bad_definitions(void)
     def.compiled = NULL;
     def.kind = DAL_AFFINE;
     refused_at_once(&def, "steady = 2, and the constraints are not linear");
+    def = good;
+    def.steady = DAL_STEADY_EVEN + 1;
+    refused_at_once(&def, "steady = 4, and that is not a dal_steady");
+    def.steady = -1;
+    refused_at_once(&def, "steady = -1, and that is not a dal_steady");
 }
 
 /* A deformation is another system: it has neither the kernel nor the size of the ctx of its
