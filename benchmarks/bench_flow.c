@@ -29,7 +29,7 @@ typedef struct pair_of {
 static const pair_of pairs[] = {
     {"particle", hand_flow_particle, 3, 0, 2.0, 1.2}, /* the inner steps are as long as STRIDE */
     {"particle_oscillator", hand_flow_particle_oscillator, 3, 3, 1.8, 1.0},
-    {"knife_edge", hand_flow_knife_edge, 3, 3, 1.8, 1.4},
+    {"knife_edge", hand_flow_knife_edge, 3, 3, 1.8, 1.3},
     {"sleigh", hand_flow_sleigh, 3, 4, 1.4, 1.15},
     {"robot", hand_flow_robot, 4, 5, 2.0, 1.2},
 };

@@ -318,8 +318,10 @@ static bool accurate(ode *self, double h, unsigned order)
         if (share > worst) worst = share;
     }
     if (worst > 1.1) self->h = h * fmax(0.9 / pow(worst, 1.0 / order), 0.2);
-    else if (worst < 0.5)
-        self->h = h * fmin(fmax(0.9 / pow(worst, 1.0 / (order + 1.0)), 1.0), 5.0);
+    else if (worst < 0.5) { /* a step may have been shorter than suggested, to end somewhere */
+        const double size = fabs(h) * fmin(fmax(0.9 / pow(worst, 1.0 / (order + 1.0)), 1.0), 5.0);
+        self->h = copysign(fmax(size, fabs(self->h)), h);
+    }
     return worst <= 1.1;
 }
 

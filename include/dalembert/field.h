@@ -70,7 +70,8 @@ typedef struct dal_field_terms {
     size_t next;              /* from one entry to the next of it; or [n*n], and 0; or NULL, and */
     double *M, *pivot;        /* [n*n], which is overwritten, and [n] */
     double *Z;                /* [m*n] */
-    double *C, *share;        /* [m*m], [m] */
+    double *C, *share;        /* [m*m], [m]; and whether C, here its lower triangle, */
+    bool given;               /* is known before */
     double *lambda;           /* [m] */
     double *w;                /* [2*m], and [2*n] if there is an M */
 } dal_field_terms;
@@ -164,7 +165,7 @@ DAL_LU_INLINE bool dal_field_solve(size_t n, size_t m, dal_field_zeros has,
         for (size_t i = 0; has.F && i < n; i++)
             if (DAL_KERNEL_HAS(has.mu, a * n + i)) sum += mu[a * n + i] * vdot[i];
         w->lambda[a] = -(sum + w->g[a]); /* last, as v is in a stage */
-        for (size_t b = 0; b <= a; b++) {
+        for (size_t b = 0; !w->given && b <= a; b++) {
             double entry = -0.0;
             for (size_t i = 0; i < n; i++)
                 if (DAL_KERNEL_HAS(has.mu, a * n + i) && DAL_KERNEL_HAS(has.Z, b * n + i))

@@ -28,7 +28,7 @@ GENERATOR = 3  # changes with what is generated, as the files of this module do
 _LARGEST = 32
 
 # What the step routine and the field alone call.
-_MAYBE_UNUSED = ("t", "q", "v", "u", "start", "phi_t", "L_vt", "M", "mu", "g")
+_MAYBE_UNUSED = ("t", "q", "v", "u", "start", "phi_t", "L_vt", "M", "mu", "g", "C")
 _OF_STEPS = ("balance", "pull", "terms")
 
 # Above this number of zeros they are written to an output by a loop.
@@ -49,7 +49,7 @@ _SIGNATURES = {
     "double *F, double *L_vq, double *L_vv, double *F_q, double *F_v",
     "pull": "double t, const double *q, const double *u, double *V_q",
     "terms": "double t, const double *q, const double *v, const double *u, double *F, double *M, "
-    "double *mu, double *g",
+    "double *mu, double *g, double *C",
     "exact": "double t, const double *start, double *x",
     "invariant": "double t, const double *start, double *values",
     "mass": "double *M",
@@ -379,6 +379,8 @@ def _field(made: Program, model: Model) -> None:
     arrays = ", ".join(f"{name}[{max(size, 1)}]" for name, size in sizes.items())
     members = ", ".join(f".{name} = {name}" for name in sizes)
     masses = "" if moves else ", .inverse = mass_inverse"
+    known = "C" in model.terms.outputs
+    masses += ", .given = true" if known else ""
     given = "(void)mass_inverse" if moves else "if (!mass_inverse) return 0"
     made.add(
         "static int model_field(double t, const double *x, const double *u,\n"
@@ -387,7 +389,7 @@ def _field(made: Program, model: Model) -> None:
         f"    const dal_field_terms at = {{{members}{masses}}};\n"
         f"    {given};\n"
         f"    (void)model_terms(t, x, x + {n}, u, F, {'M' if moves else 'NULL'}, "
-        f"{'mu, g' if m else 'NULL, NULL'}, ctx);\n"
+        f"{'mu, g' if m else 'NULL, NULL'}, {'C' if known else 'NULL'}, ctx);\n"
         f"    return dal_field_solve({n}, {m}, (dal_field_zeros){field_zeros(model)}, &at, "
         f"x + {n}, xdot);\n}}\n"
     )

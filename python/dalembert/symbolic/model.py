@@ -687,7 +687,7 @@ def _pull(model: Model, derived: Derived) -> Function:
 
 
 def _terms(model: Model, derived: Derived) -> Function:
-    """Return F, mu and g of field.h, and M where it is not constant."""
+    """Return F, mu and g of field.h; M where it is not constant, and C where it is seen to be."""
     n, m = model.n, model.m
     engine = engine_for([_exact(e) for e in (model.L, *model.constraints, *(model.force or ()))])
     v, none = [*map(engine.take, model.v)], [engine.take(sympy.Integer(0))] * n
@@ -713,7 +713,27 @@ def _terms(model: Model, derived: Derived) -> Function:
         if model.is_time_dependent:
             (phi_t,) = _jet(derived, engine, "constraint", "phi_t")
             outputs["g"] = [a + b for a, b in zip(outputs["g"], phi_t)]
+        if C := _constant_gram(model, derived):
+            outputs["C"] = _of_each(engine.take, C)
     return Function("terms", outputs, engine)
+
+
+def _constant_gram(model: Model, derived: Derived) -> list[Expr] | None:
+    """Return C = mu M^-1 mu^T where M is diagonal and C the same everywhere, as on a blade."""
+    n, m, M = model.n, model.m, derived.mass
+    if M is None or any(M[i * n + j] != 0 for i in range(n) for j in range(n) if i != j):
+        return None
+    mu = derived.expressions("constraint", "phi_v")
+    there = dict.fromkeys(model.q, sympy.Integer(0))
+    found = []
+    for a, b in itertools.product(range(m), repeat=2):
+        terms = (mu[a * n + i] * mu[b * n + i] / M[i * n + i] for i in range(n))
+        entry = sympy.Add(*terms)
+        constant = entry.xreplace(there)
+        if not (constant.free_symbols <= {*model.p} and is_zero(entry - constant)):
+            return None
+        found.append(constant)
+    return found
 
 
 def _slopes(

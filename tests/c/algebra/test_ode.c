@@ -689,6 +689,25 @@ static void test_refused_rodas(void)
     dal__ode_free(self);
 }
 
+/* Steps that are shortened to end somewhere leave the size that was suggested before. */
+static void test_shortened(dal_flow_method method)
+{
+    const double y0[2] = {1.0, 0.5};
+    for (double end = 3.0; end < 4.0; end += 0.01) {
+        problem p = {.from = SIZE_MAX};
+        ode *self = open_ode(2, method, 1e-8, oscillator, &p);
+        double size = 0.0;
+        CHECK(dal__ode_begin(self, 0.0, end, y0, 1.0, NULL) == 0);
+        while (dal__ode_elapsed(self) != end) {
+            const double left = end - dal__ode_elapsed(self);
+            size = dal__ode_suggested(self);
+            CHECK(dal__ode_step(self, end, NULL) == 0);
+            if (2.0 * size > left) CHECK(dal__ode_suggested(self) >= size);
+        }
+        dal__ode_free(self);
+    }
+}
+
 /* An oscillator whose position is counted in units of 1e-15, or 1e15. */
 static int small_units(double t, const double *y, double *dydt, void *ctx, dal_error *error)
 {
@@ -794,6 +813,8 @@ int main(void)
     test_not_finite_rk8pd();
     test_refused_rodas();
     test_units_rodas();
+    test_shortened(DAL_FLOW_RK8PD);
+    test_shortened(DAL_FLOW_RODAS);
     test_beginning();
     test_arguments();
     return check_done();

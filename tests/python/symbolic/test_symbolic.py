@@ -1125,6 +1125,14 @@ FIELDS = {
         _SQUARES + _W.d**2 / 2 + _X.d * _Y.d / 2 - _X**2 * _W,
         [_X.d - _Y * _Z.d, _W.d - sympy.sin(_X) * _Z.d + _Y.d, _Y.d + _X * _W.d],
     ),
+    "two blades": (
+        _SQUARES + _Z.d**2 + 2 * _W.d**2 - _X**2 * _Y,
+        [sympy.sin(_W) * _X.d - sympy.cos(_W) * _Y.d - _W.d / 2, _Z.d - 2 * _X.d + 1],
+    ),
+    "constant on an axis": (_SQUARES, [_X.d + _Y * (_Y.d + _Z.d)]),
+    "roll of t": (
+        _SQUARES, [sympy.sin(dal.time) * _X.d - sympy.cos(dal.time) * _Y.d, _Z.d - _Y * _X.d],
+    ),
 }  # fmt: skip
 
 
@@ -1164,6 +1172,28 @@ def test_compiled_field(name):
         found = system.field(q, v, t=t)
         np.testing.assert_array_equal(found[: system.n], v)
         np.testing.assert_allclose(found[system.n :], expected, rtol=1e-12, atol=1e-12)
+
+
+def test_constant_gram():
+    """C = mu M^-1 mu^T is given where it is the same everywhere, and nowhere else."""
+    blade = sympy.sin(_Z) * _X.d - sympy.cos(_Z) * _Y.d
+    lasting = [
+        (_SQUARES + _X.d**2 / 2, [blade], None),
+        (_SQUARES, [blade, sympy.cos(_Z) * _X.d + sympy.sin(_Z) * _Y.d - 3 * _Z.d], [1, 0, 0, 10]),
+        (_SQUARES, [blade - _Z.d / 2 - sympy.sin(dal.time)], [1.25]),
+        (_SQUARES, [_X.d - 2 * _Y.d], [5]),
+        (_SQUARES + _X.d * _Y.d / 2, [blade], None),
+        (_SQUARES, [_Z.d - _Y * _X.d], None),
+        (_SQUARES, [_Z.d - _Y * (_X.d + _Y.d)], None),
+        (_SQUARES, [_X.d**2 + _Y.d**2 - _Z.d**2], None),
+        (_SQUARES, [_X.d / _X + _Y.d], None),
+        (_SQUARES, [_X.d * sympy.Abs(_Y) / _Y + _Z.d], [2]),
+        (_SQUARES * (1 + _X**2), [blade], None),
+        (_SQUARES, [_X.d * sympy.sin(dal.time) + _Y.d], None),
+    ]
+    for L, rows, expected in lasting:
+        terms = dal.System.from_sympy(L, rows)._model.terms.outputs
+        assert ([float(e) for e in terms["C"]] if "C" in terms else None) == expected, rows
 
 
 def test_compiled_field_is_looked_into():
