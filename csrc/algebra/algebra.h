@@ -222,10 +222,10 @@ int dal__rk8pd_step(dal__rk8pd *self, double t0, double elapsed, double h, doubl
  * counted, so that short intervals lose no digits. */
 typedef struct ode ode;
 
-/* N >= 1; tolerance as of dal_flow_new; ctx is handed to the field.  DAL_EINVAL, DAL_ENOMEM.
- * GSL's workspace is made here and never later, see rule 7 of the header. */
 /* Whether a flow may be asked for this tolerance. */
 int dal__check_tolerance(double tolerance, dal_error *error);
+/* N >= 1; tolerance as of dal_flow_new; ctx is handed to the field.  DAL_EINVAL, DAL_ENOMEM.
+ * GSL's workspace is made here and never later, see rule 7 of the header. */
 int dal__ode_new(ode **integrator, size_t N, dal_flow_method method, double tolerance,
                  dal__field_fn field, void *ctx, dal_error *error);
 void dal__ode_free(ode *self);
@@ -242,6 +242,8 @@ double dal__ode_suggested(const ode *self);
 void dal__ode_suggest(ode *self, double span, double size);
 /* The same from where it stands, after its state was changed, towards elapsed time end. */
 int dal__ode_restart(ode *self, double end, dal_error *error);
+/* After a change so small that steps go on with the same size; of a method of single steps. */
+int dal__ode_renew(ode *self, dal_error *error);
 
 /* One accepted step towards elapsed time end, in the direction it began with, none at the end of
  * it; steps end at end.  The field's errors where no step is short enough, DAL_ENOCONV (the step
@@ -249,7 +251,7 @@ int dal__ode_restart(ode *self, double end, dal_error *error);
  * begins anew. */
 int dal__ode_step(ode *self, double end, dal_error *error);
 
-double *dal__ode_state(ode *self); /* [N]; whoever changes it restarts */
+double *dal__ode_state(ode *self); /* [N]; whoever changes it restarts, or renews */
 double dal__ode_elapsed(const ode *self);
 size_t dal__ode_evaluations(const ode *self); /* of the field, since it was made */
 

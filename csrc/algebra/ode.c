@@ -269,12 +269,19 @@ static int pass_on(const ode *self, dal_error *error)
     return self->fault.status;
 }
 
+int dal__ode_renew(ode *self, dal_error *error)
+{
+    self->current = false;
+    return evaluate(self->elapsed, self->state, self->slope, self) ? pass_on(self, error)
+                                                                   : DAL_SUCCESS;
+}
+
 int dal__ode_restart(ode *self, double end, dal_error *error)
 {
     const double span = end - self->elapsed;
-    if (evaluate(self->elapsed, self->state, self->slope, self)) return pass_on(self, error);
+    const int status = dal__ode_renew(self, error);
+    if (status) return status;
     if (self->step) gsl_odeiv2_step_reset(self->step);
-    self->current = false;
     const double change =
         FIRST_STEP * (1.0 + dal__largest(self->N, self->state))
         / dal__largest(self->N, self->slope);

@@ -15,6 +15,12 @@ static const double LONGEST = 0.0578;
  * of a small system; in a large one it is read at every evaluation. */
 enum { PER_LOOK = 128 };
 
+/* Inner steps after which the state is moved back into D.  It leaves D by roundings and by what the
+ * tolerance allows, and the ODE keeps what mu v is then: the velocity is off by as much all the
+ * time, which in a long interval is far more than the tolerance.  A multistep method has to start
+ * anew there, from short steps. */
+enum { PER_MEND = 24, PER_MEND_OF_MULTISTEP = 1024 };
+
 /* Accepted steps of one integration; far more than any sensible one takes. */
 enum { MOST_STEPS = 10000000 };
 
@@ -32,6 +38,8 @@ struct dal_flow {
         double inner;        /* size of the inner steps to begin with; 0: not known */
         size_t first;        /* number of the step where integration began */
     } steps;
+    bool in_D;               /* the state is to stay there */
+    size_t unmended;         /* inner steps since it was there to roundoff */
     dal__watch watch;
     size_t unwatched;        /* numbers of the field since the clock was read */
     arena arena;
@@ -128,13 +136,15 @@ dal_flow_method dal__flow_method(const dal_flow *flow) { return flow->method; }
 
 /* Integration.  The failure of the chart, or its mechanics, is that of the flow. */
 
-/* Ready to integrate from x[2n] at t0 over about span. */
-static int begin(dal_flow *flow, double t0, double span, const double *x, double factor)
+/* Ready to integrate from x[2n] at t0 over about span; in_D: x lies there, and is kept there. */
+static int begin(dal_flow *flow, double t0, double span, const double *x, double factor, bool in_D)
 {
     const int status = flow->in_xi ? dal_chart_choose(&flow->chart, t0, NULL, x) : DAL_SUCCESS;
     if (status) return status;
     if (flow->in_xi) dal__chart_drop(&flow->chart, x, flow->chart.y);
     flow->t0 = t0;
+    flow->in_D = in_D && !flow->in_xi;
+    flow->unmended = 0;
     return dal__ode_begin(flow->integrator, t0, span, flow->in_xi ? flow->chart.y : x, factor,
                           error_of(flow));
 }
@@ -151,6 +161,27 @@ static int renew_chart(dal_flow *flow, double t, double end)
     return dal__ode_restart(flow->integrator, end, error_of(flow));
 }
 
+/* Its steps depend on those before. */
+static bool is_multistep(const dal_flow *flow) { return flow->method == DAL_FLOW_MSADAMS; }
+
+/* x[2n], where the field has just been looked at, so that C is regular there, moves into D. */
+static int settle(dal_mechanics *mech, double t, double *x)
+{
+    if (mech->m == 0 || mech->eval.system->def.kind == DAL_NONLINEAR)
+        return dal_project(mech, t, 0.0, x, NULL);
+    return dal__mend(mech, t, 0.0, false, x, &mech->relative);
+}
+
+/* The state of the integrator, at time t, moves into D. */
+static int mend(dal_flow *flow, double t, double end)
+{
+    const int status = settle(&flow->chart.mech, t, dal__ode_state(flow->integrator));
+    flow->unmended = 0;
+    if (status) return status;
+    return is_multistep(flow) ? dal__ode_restart(flow->integrator, end, error_of(flow))
+                              : dal__ode_renew(flow->integrator, error_of(flow));
+}
+
 /* flow->state <- the state at elapsed time end, which is the time t1. */
 static int reach(dal_flow *flow, double end, double t1)
 {
@@ -164,20 +195,33 @@ static int reach(dal_flow *flow, double end, double t1)
                              flow->t0 + dal__ode_elapsed(integrator),
                              dal__ode_suggested(integrator), flow->tolerance);
         status = dal__ode_step(integrator, end, error);
+        if (status) break;
         const double elapsed = dal__ode_elapsed(integrator);
-        if (!status && flow->in_xi)
+        if (flow->in_xi)
             status = renew_chart(flow, elapsed == end ? t1 : flow->t0 + elapsed, end);
+        else if (flow->in_D && elapsed != end
+                 && ++flow->unmended >= (is_multistep(flow) ? PER_MEND_OF_MULTISTEP : PER_MEND))
+            status = mend(flow, flow->t0 + elapsed, end);
     }
     if (!status && !flow->in_xi)
         dal__copy(dimension(flow), dal__ode_state(integrator), flow->state);
     return status;
 }
 
+/* Off D the ODE keeps phi, and is left to it. */
+static int starts_in_D(dal_flow *flow, double t0, const double *x, bool *in_D)
+{
+    double relative;
+    return dal__lies_in_D(&flow->chart.mech, t0, 0.0, x, &relative, in_D);
+}
+
 /* flow->state <- x[2n] at t0 taken to t1 = t0 + span. */
 static int integrate(dal_flow *flow, double t0, double span, double t1, const double *x,
                      double factor, bool project)
 {
-    int status = begin(flow, t0, span, x, factor);
+    bool in_D = false;
+    int status = project ? starts_in_D(flow, t0, x, &in_D) : DAL_SUCCESS;
+    if (!status) status = begin(flow, t0, span, x, factor, in_D);
     if (!status && factor > 1.0) dal__ode_shorten(flow->integrator, LONGEST * fabs(span));
     if (!status) status = reach(flow, span, t1);
     if (status || !project || flow->in_xi) return status; /* psi(xi) lies in D */
@@ -266,7 +310,9 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
     int status = require_interval(flow, t0, t0 + (double)steps * h, x);
     if (!status && h == 0.0) status = dal__fail(error_of(flow), DAL_EINVAL, "h = 0");
     if (status || steps == 0) return status;
-    status = begin(flow, t0, h, x, 1.0);
+    bool in_D;
+    status = starts_in_D(flow, t0, x, &in_D);
+    if (!status) status = begin(flow, t0, h, x, 1.0, in_D);
     for (size_t k = 1; !status && k <= steps; k++) {
         const double t = t0 + (double)k * h;
         /* The rows are projected, the integration goes on without: it need not start anew. */
@@ -289,18 +335,7 @@ void dal__flow_forget(dal_flow *flow)
     flow->steps.inner = 0.0;
 }
 
-/* Its steps depend on those before. */
-static bool is_multistep(const dal_flow *flow) { return flow->method == DAL_FLOW_MSADAMS; }
-
 double *dal__flow_inner(dal_flow *flow) { return is_multistep(flow) ? NULL : &flow->steps.inner; }
-
-/* x[2n], where the field has just been looked at, so that C is regular there, moves into D. */
-static int settle(dal_mechanics *mech, double t, double *x)
-{
-    if (mech->m == 0 || mech->eval.system->def.kind == DAL_NONLINEAR)
-        return dal_project(mech, t, 0.0, x, NULL);
-    return dal__mend(mech, t, 0.0, false, x, &mech->relative);
-}
 
 int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, double *worst)
 {
@@ -309,7 +344,7 @@ int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, dou
     int status = DAL_SUCCESS;
     if (!is_multistep(flow) || !flow->steps.going) {
         flow->steps.first = k;
-        status = begin(flow, t0 + (double)k * h, h, x, 1.0);
+        status = begin(flow, t0 + (double)k * h, h, x, 1.0, true);
         if (!status && flow->steps.inner != 0.0)
             dal__ode_suggest(flow->integrator, h, flow->steps.inner);
     }

@@ -299,8 +299,10 @@ DAL_API void dal_flow_watch(dal_flow *flow, dal_watch_fn watch, void *ctx);
 
 /* x[2n] at t0, which must lie in D, -> x at t1 (t1 < t0 is allowed), projected onto D at the end
  * (ODEflow).
- * That x lies in D is not checked: off D the same ODE is integrated, which keeps phi, and only the
- * result is projected; in xi the part of v off D is dropped at once.  *accuracy (or NULL) <-
+ * What lies in D is moved back there every few steps of the integration, since the ODE would keep
+ * what it is off by: intervals may be long.  That x lies in D is not required: off D the same ODE
+ * is integrated, which keeps phi, and only the result is projected; in xi the part of v off D is
+ * dropped at once.  *accuracy (or NULL) <-
  * estimate of the error, the largest component of the difference to the result at a tolerance ten
  * times as large with steps of at most 1/17 of the interval, or roundoff if that is larger; asking
  * for it costs a second integration.  What happens between the evaluations of both, as a short push

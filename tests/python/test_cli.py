@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shlex
 import subprocess
 import sys
 import warnings
@@ -162,7 +163,7 @@ def test_version():
     [
         ((), "COMMAND"),
         (("study",), "MODEL"),
-        (("stduy", "particle"), "no 'stduy'; did you mean 'study'? there are study, run"),
+        (("stduy", "particle"), "no 'stduy'; did you mean 'study'? there are study, recommend, run"),
         (("study", "pendulum"), "knife_edge"),
         (("study", "partcle"), "did you mean 'particle'"),
         (("study", "particle", "--scheme", "leapforg"), "did you mean 'leapfrog'"),
@@ -357,6 +358,28 @@ def test_a_model_of_ones_own(tmp_path, capsys):
     for name in ("number", "none"):
         assert main(["run", f"{file}:{name}", "--h", "0.1", "--steps", "5"]) == 2
         assert "expected a dalembert.System, or a function" in capsys.readouterr().err
+
+
+def test_the_run_that_is_recommended(tmp_path, capsys):
+    """Its last line can be typed, and the error is what it says."""
+    file, q0, v0 = tmp_path / "own.py", [0.5, 1.0, -0.25], [1.0, -0.5, 1.0]
+    file.write_text(MODEL)
+    asked = ["recommend", f"{file}:system", "--t-end", "4", "--accuracy", "1e-5"]
+    assert cli.main([*asked, "--q0=0.5,1,-0.25", "--v0=1,-0.5,1", "--t0=-1"]) == 0
+    printed = capsys.readouterr().out
+    assert "It needs the least time of" in printed and printed.count("error") > 5
+    command = shlex.split(printed.splitlines()[-1])
+    assert command[:3] == ["dalembert", "run", f"{file}:system"] and "--t0=-1.0" in command
+    assert cli.main([*command[1:], "--output", str(tmp_path / "a.npz")]) == 0
+    system = cli.runs.model(f"{file}:system", {})
+    end = dal.reference(system, q0, v0, t0=-1, t=4)
+    found = dal.load(tmp_path / "a.npz", system)
+    assert np.abs(found.q[-1] - end.q).max() < 1e-5 * (1 + np.abs(end.q).max())
+    for wrong, words in (["--accuracy=9", "accuracy = 9.0"], ["--q0=1,1,1", "q0 without v0"]):
+        assert cli.main([*asked, wrong]) == 2
+        assert words in capsys.readouterr().err
+    assert cli.main(["recommend", "particle"]) == 2
+    assert "--t-end" in capsys.readouterr().err
 
 
 def test_a_model_of_ones_own_has_studies_and_pages(tmp_path, capsys, monkeypatch):

@@ -1,4 +1,4 @@
-"""The commands about single runs: run, resume, info, export."""
+"""The commands about single runs: recommend, run, resume, info, export."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from ..run.events import CONSISTENCY
 from ..run.journal import ERRORS, Journal, is_journal
 from ..run.scheme import INITIAL
 from ..run.storage import SUFFIXES, require_suffix
+from ..study.recommendation import recommend
 from ..system import System
 
 MODEL = "a name of `dalembert systems`; or FILE.py:NAME, a System or a function that returns one"
@@ -26,18 +27,31 @@ _OUTPUT = f"write the run to a file that ends in {', '.join(SUFFIXES)}"
 
 def add(commands: Any, numbers: Any, parameter: Any) -> None:
     """Add the commands to a parser; ``numbers`` and ``parameter`` read arguments."""
+    advice = commands.add_parser(
+        "recommend", help="the scheme and the step for an accuracy, by trying some",
+        description="Try schemes on a system, and print which needs the least time for an "
+        "accuracy, all that was tried, and the `dalembert run` that is advised.",
+    )  # fmt: skip
     run = commands.add_parser(
         "run", help="one run of a system, perhaps with a journal that survives anything",
         description="Integrate a system, and print what came of it.",
     )  # fmt: skip
-    run.add_argument("model", metavar="MODEL", help=MODEL)
+    for command in (advice, run):
+        command.add_argument("model", metavar="MODEL", help=MODEL)
+        command.add_argument("--q0", type=numbers, metavar="X,Y,...",
+                             help="positions at the start (write --q0=-1,... for a minus)")
+        command.add_argument("--v0", type=numbers, metavar="X,Y,...",
+                             help="velocities at the start, in D (write --v0=-1,... for a minus)")
+        command.add_argument("--t0", type=float, default=0.0, metavar="T",
+                             help="the time of the start")
+    advice.add_argument("--t-end", type=float, required=True, metavar="T",
+                        help="the time of the end")
+    advice.add_argument("--accuracy", type=float, default=1e-6, metavar="E",
+                        help="what the error of the state at T may be, relative to 1 + |x| "
+                        "(default: 1e-6)")
     run.add_argument("--scheme", metavar="NAME",
                      help="a name of `dalembert schemes`, or beta (default: leapfrog; with "
                      "--h auto leapfrog-kl8)")
-    run.add_argument("--q0", type=numbers, metavar="X,Y,...",
-                     help="positions at the start (write --q0=-1,... for a minus)")
-    run.add_argument("--v0", type=numbers, metavar="X,Y,...",
-                     help="velocities at the start, in D (write --v0=-1,... for a minus)")
     run.add_argument("--h", type=_step, required=True, metavar="H",
                      help="the step, or auto: as long as the tolerance allows; or reversible")
     run.add_argument("--tolerance", type=float, metavar="E",
@@ -45,7 +59,6 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     run.add_argument("--eps", type=float, metavar="E", help="of --h reversible")
     run.add_argument("--h-max", type=float, metavar="H", help="the longest step of --h auto")
     add_end(run, required=True)
-    run.add_argument("--t0", type=float, default=0.0, metavar="T", help="the time of the start")
     run.add_argument("--stride", type=int, default=1, metavar="K", help="store every K-th state")
     run.add_argument("--consistent", choices=list(CONSISTENCY), default="check",
                      help="velocities that are not in D: refuse, project, or use them")
@@ -70,11 +83,11 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     export.add_argument("file", metavar="FILE", type=Path, help="a journal, .npz or .nc")
     export.add_argument("output", metavar="OUTPUT", type=Path, help=_OUTPUT)
     _add_model(export)
-    for command in (run, goes_on, info, export):
+    for command in (advice, run, goes_on, info, export):
         command.add_argument("--parameter", action="append", default=[], type=parameter,
                              metavar="NAME=VALUE", help="of the system; again for more")
     of: dict[Any, Callable[[argparse.Namespace], int]] = {
-        run: _run, goes_on: _resume, info: _info, export: _export
+        advice: _recommend, run: _run, goes_on: _resume, info: _info, export: _export
     }  # fmt: skip
     for command, function in of.items():
         command.set_defaults(run=function)
@@ -164,6 +177,19 @@ def _finish(given: argparse.Namespace, make: Callable[[], Solution], journal: Pa
     print(run)
     if given.output is not None:
         run.save(given.output)
+    return 0
+
+
+def _recommend(given: argparse.Namespace) -> int:
+    system = model(given.model, parameters(given))
+    found = recommend(
+        system, given.q0, given.v0, t_end=given.t_end, accuracy=given.accuracy, t0=given.t0
+    )
+    state = {"q0": given.q0, "v0": given.v0}
+    words = [f"--{name}={','.join(map(repr, x))}" for name, x in state.items() if x is not None]
+    words += [f"--parameter={name}={value!r}" for name, value in given.parameter]
+    words += [f"--{name.replace('_', '-')}={x}" for name, x in found.arguments.items()]
+    print(f"{found}\n{shlex.join(['dalembert', 'run', given.model, *words])}")
     return 0
 
 

@@ -148,10 +148,12 @@ def failure(
 ) -> BaseException:
     """Return the exception for a status that is not success.
 
-    It is the very exception that a callback raised, where this is why C failed.
+    It is the very exception that a callback raised, where this is why C failed: what is outside a
+    domain C may step around, and fail later for another reason.
     """
     exception, raised.exception = raised.exception, None
-    if exception is not None and status in (lib.DAL_EUSER, lib.DAL_EDOMAIN):
+    refused = status == lib.DAL_EDOMAIN and (not message or "outside its domain" in message)
+    if exception is not None and (refused or status == lib.DAL_EUSER):
         if isinstance(exception, DalembertError) and exception.step is None:
             exception.step, exception.t = step, t
         return exception

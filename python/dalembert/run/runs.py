@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -134,18 +134,18 @@ class Run:
                 f"{rows} stored states are {size} bytes, more than this machine has left: "
                 "store fewer with a larger stride, or with t_eval"
             )
-        x, reactions, times = self.x, self.reactions, self.times
-        self._allocate(rows)
-        self.x[: len(x)], self.times[: len(times)] = x, times
-        self.reactions[: len(reactions)] = reactions
+        self._allocate(rows, (self.x, self.reactions, self.times))
 
-    def _allocate(self, rows: int) -> None:
-        """Give C arrays of so many rows."""
+    def _allocate(self, rows: int, stored: Sequence[Array] = ()) -> None:
+        """Give C arrays of so many rows, which begin with those that are stored."""
         run, system = self.run, self.system
-        self.x = np.empty((rows, 2 * system.n))
-        self.reactions = np.empty((rows - 1, system.m))
-        if self.varies:
-            self.times = np.empty(rows)
+        arrays = (
+            np.empty((rows, 2 * system.n)), np.empty((rows - 1, system.m)),
+            np.empty(rows if self.varies else 0),
+        )  # fmt: skip
+        for new, old in zip(arrays, stored):
+            new[: len(old)] = old
+        self.x, self.reactions, self.times = arrays  # filled: Ctrl-C may come at any time
         if not self.timed:
             run.x, run.reactions = core.pointer(self.x), core.pointer(self.reactions)
             run.row_times = core.pointer(self.times) if self.varies else ffi.NULL

@@ -1,14 +1,16 @@
 """The reference flow by Taylor series: heyoka's, of the ODE on D of a system from expressions.
 
 A step has the order that the tolerance chooses, and is compiled by LLVM for the system.  States
-between its ends are sums of the same series.  What is stored is brought into D, and every so many
-rows the series go on from there, so that they do not leave D by little and little.
+between its ends are sums of the same series.  What is stored is brought into D.  The series are
+followed in legs, each from a state in D, so that they do not leave it by little and little; and
+each with a tolerance for the size of that state, since heyoka's is of the largest number in it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -24,7 +26,10 @@ from .scheme import Scheme
 from .solution import Solution, Statistics, counts_of
 from .steps import Steps
 
-PIECE = 64  # rows between two projections of the state that is integrated
+ROWS, STEPS = 64, 128  # of a leg, at the most
+LARGE = 32.0  # a number in a state that makes the tolerance of its series smaller,
+RATIO = 1024.0  # by steps of this, since each tolerance is compiled; the smaller the longer
+LARGEST = 1e30  # number that takes seconds
 LOOSER = 10.0  # of the second integration, whose difference is the accuracy
 
 # Integrators that nobody uses, by what they were compiled for; as many as this are kept.
@@ -56,18 +61,21 @@ class _Series:
         self.flow.time = t
 
     def to(self, system: System, times: Array) -> tuple[Array, DalembertError | None]:
-        """Return rows at times ahead, which may repeat, as far as it came; and why not farther."""
+        """Return rows at times ahead, which may repeat, as far as a leg came; and what stopped it.
+
+        Where that is None, it can go on.
+        """
         ahead = times[np.r_[True, np.diff(times) != 0]]
         grid = ahead if ahead[0] == self.flow.time else np.r_[self.flow.time, ahead]
         stop: list[DalembertError] = []
         if len(grid) == 1:
             return np.repeat(self.flow.state[None], len(times), axis=0), None
-        last, stuck = float(self.flow.time), 0
+        last, stuck, count = float(self.flow.time), 0, 0
 
         def look(flow: Any) -> bool:
             """See Ctrl-C, and what the step has passed."""
-            nonlocal last, stuck
-            self.steps += 1
+            nonlocal last, stuck, count
+            self.steps, count = self.steps + 1, count + 1
             h, t = float(flow.last_h), float(flow.time)
             stuck = stuck + 1 if t == last else 0  # the last step to a row may be a rounding
             if stuck == 3:
@@ -75,10 +83,10 @@ class _Series:
             elif self.is_branched:
                 stop.extend(self.branches(system, last, h))
             last = last if stop else t
-            return not stop
+            return not stop and count < STEPS
 
         outcome, *_, found = self.flow.propagate_grid(grid, callback=look)
-        if not stop and outcome != self.outcomes.time_limit:
+        if not stop and outcome not in (self.outcomes.time_limit, self.outcomes.cb_stop):
             stop.append(DomainError(
                 f"method = 'taylor': the series are not finite beyond t = {last!r}"
             ))  # fmt: skip
@@ -134,6 +142,47 @@ def _series(system: System, tolerance: float) -> Iterator[_Series]:
                 _idle.pop(oldest)
 
 
+def _level(tolerance: float, x: Array) -> float:
+    """Return the tolerance of heyoka that is this one for each number of a state of this size."""
+    size = float(np.abs(x).max())
+    if size > LARGEST:
+        raise DomainError(
+            f"method = 'taylor': a state has numbers up to {size:g}; expected at most {LARGEST:g}, "
+            "since the tolerance of a series is relative to the largest of them"
+        )
+    excess = size / LARGE
+    return tolerance / RATIO ** max(0, math.ceil(math.log(max(excess, 1.0), RATIO)))
+
+
+def _legs(
+    system: System, x: Array, t: float, times: Array, tolerance: float
+) -> Iterator[tuple[Array, int]]:
+    """Yield rows at times from x at t as they come, not yet in D, and how many steps they took.
+
+    Raises
+    ------
+    DalembertError
+        Behind the rows that there are.
+    """
+    done = steps = 0
+    level = _level(tolerance, x)
+    while done < len(times):
+        with _series(system, level) as series:
+            series.start(system, x, t)
+            rows, error = series.to(system, times[done : done + ROWS])
+            end, now = series.flow.state.copy(), float(series.flow.time)
+            steps += series.steps
+        used, level = level, level if error is not None else _level(tolerance, end)
+        if level < used:
+            continue  # the same leg once more
+        done += len(rows)
+        yield rows, steps
+        if error is not None:
+            raise error
+        x, t = end, now
+        geometry.projection(system, x[None], t=t)
+
+
 def require_supported(system: System, **given: Any) -> None:
     """Refuse a system without expressions, and arguments that Taylor series do not take."""
     if system._model is None:
@@ -152,11 +201,7 @@ def state(system: System, x: Array, t0: float, t: float, tolerance: float) -> tu
     """Return the state at t from x at t0, in D, and an estimate of its error."""
     ends = []
     for level in (tolerance, min(LOOSER * tolerance, 0.1)):
-        with _series(system, level) as series:
-            series.start(system, x, t0)
-            rows, error = series.to(system, np.array([t]))
-        if error is not None:
-            raise error
+        *_, (rows, _) = _legs(system, x, t0, np.array([t]), level)
         geometry.projection(system, rows, t=t)
         ends.append(rows[0])
     n = system.n
@@ -211,21 +256,11 @@ class SeriesRun:
     def _make(self) -> None:
         if self._stops(0, self.t0, self.start):
             return
-        with _series(self.system, self.scheme.tolerance) as series:
-            x, t = self.start, self.t0
-            while self.done < len(self.grid):
-                times = self.grid[self.done : self.done + PIECE]
-                series.start(self.system, x, t)
-                try:
-                    rows, error = series.to(self.system, times)
-                finally:
-                    self.taken = series.steps
-                if self._store(rows):
-                    return
-                if error is not None:
-                    raise error
-                x, t = self.x[self.done - 1], float(times[-1])
-                self.show(self._step())
+        legs = _legs(self.system, self.start, self.t0, self.grid, self.scheme.tolerance)
+        for rows, self.taken in legs:
+            if self._store(rows):
+                return
+            self.show(self._step())
 
     def _store(self, rows: Array) -> bool:
         """Keep rows in D, as far as they can be brought there; return whether the observer stops.

@@ -237,23 +237,28 @@ static void test_small_intervals(dal_flow_method method)
  * projection shows it, with the projection the end lies in D. */
 static void test_off_D(void)
 {
-    double x[MOST], projected[MOST], before[2], after[2], residual[2];
+    double x[MOST], projected[MOST], rows[4 * MOST], before[2], after[2], residual[2];
     dal_system *system = open_system("generic4", x);
     dal_flow *flow = open_flow(system, DAL_FLOW_RK8PD, 1e-13);
     dal_mechanics *mechanics = NULL;
     CHECK(dal_mechanics_new(&mechanics, system, NULL) == 0);
     x[4] += 0.25;
     memcpy(projected, x, sizeof x);
+    memcpy(rows, x, sizeof x);
     CHECK(dal_residual(mechanics, 0.0, 0.0, x, before) == 0);
     CHECK(fabs(before[0]) > 0.1);
     CHECK(dal_flow_apply(flow, 1.0, 1.0, x, NULL) == 0); /* over no time nothing is projected */
     CHECK(memcmp(x, projected, sizeof x) == 0);
-    CHECK(dal__flow_apply(flow, 0.0, 1.0, x, false) == 0);
+    CHECK(dal__flow_apply(flow, 0.0, 9.0, x, false) == 0);
     CHECK(dal_residual(mechanics, 0.0, 0.0, x, after) == 0);
     CHECK_NEAR(distance(2, before, after), 0.0, 1e-11);
-    CHECK(dal__flow_apply(flow, 0.0, 1.0, projected, true) == 0);
+    CHECK(dal__flow_apply(flow, 0.0, 9.0, projected, true) == 0);
     CHECK(dal_residual(mechanics, 0.0, 0.0, projected, residual) == 0);
     CHECK_NEAR(distance(2, residual, (double[2]){0.0, 0.0}), 0.0, 64 * DBL_EPSILON);
+    CHECK(dal_project(mechanics, 0.0, 0.0, x, NULL) == 0);
+    CHECK_NEAR(distance(8, x, projected), 0.0, 1e-10); /* nor before the end */
+    CHECK(dal_flow_trajectory(flow, 0.0, 3.0, 3, rows, NULL) == 0);
+    CHECK_NEAR(distance(8, rows + 3 * 8, projected), 0.0, 1e-10);
     dal_mechanics_free(mechanics);
     dal_flow_free(flow);
     dal_system_free(system);
@@ -533,6 +538,42 @@ static int spring_potential(double t, const double *q, double *V, double *V_q, d
     return 0;
 }
 
+/* (q, v) of the knife edge of the library at t, in closed form. */
+static void slide(double t, double speed, double x[6])
+{
+    const double omega = 1.2, start = 0.2, g = 2.5, theta = start + omega * t;
+    const double a = speed - g / omega * sin(start), v = a + g / omega * sin(theta);
+    x[0] = a / omega * (sin(theta) - sin(start))
+         + 0.5 * g / (omega * omega) * (sin(theta) + sin(start)) * (sin(theta) - sin(start));
+    x[1] = a / omega * (cos(start) - cos(theta))
+         + g / (omega * omega) * (0.5 * omega * t - 0.25 * (sin(2.0 * theta) - sin(2.0 * start)));
+    x[2] = theta;
+    x[3] = v * cos(theta);
+    x[4] = v * sin(theta);
+    x[5] = omega;
+}
+
+/* A long interval is as accurate as many short ones: the state stays in D on the way. */
+static void test_long_interval(dal_flow_method method, double tolerance, int t, double bound)
+{
+    const double speed = 0.51;
+    double exact[6], x[6], start[6];
+    dal_system *system = open_system("knife_edge", start);
+    dal_flow *flow = open_flow(system, method, tolerance);
+    slide(0.0, speed, start);
+    slide(t, speed, exact);
+    memcpy(x, start, sizeof x);
+    CHECK(dal_flow_apply(flow, 0.0, t, x, NULL) == 0);
+    CHECK(distance(6, x, exact) < bound);
+    double *const rows = malloc((size_t)(t + 1) * sizeof start); /* each of few inner steps */
+    memcpy(rows, start, sizeof start);
+    CHECK(dal_flow_trajectory(flow, 0.0, 1.0, (size_t)t, rows, NULL) == 0);
+    CHECK(distance(6, rows + t * 6, exact) < bound);
+    free(rows);
+    dal_flow_free(flow);
+    dal_system_free(system);
+}
+
 /* A spring of stiffness 1e8 that is almost at rest: rodas steps over it, which it can only with the
  * right Jacobian; the explicit method needs steps of about 1e-4. */
 static void test_stiff(void)
@@ -782,6 +823,9 @@ int main(void)
     test_reference(DAL_FLOW_RODAS, 1e-8, 200);
     test_off_D();
     test_stiff();
+    test_long_interval(DAL_FLOW_RK8PD, 1e-13, 3000, 1e-8);
+    test_long_interval(DAL_FLOW_MSADAMS, 1e-10, 3000, 1e-5);
+    test_long_interval(DAL_FLOW_RODAS, 1e-8, 100, 1e-6);
     test_unstable_rodas();
     test_friction();
     test_singular();

@@ -552,3 +552,27 @@ def test_a_callback_may_take_more_than_it_is_given():
     assert dal.System(mass=[1, 1, 1], forms=forms).m == 1
     with pytest.raises(ValueError, match=r"^observer is a function of \(t, x\)"):
         dal.integrate(dal.systems.particle(), h=0.1, steps=1, observer=lambda t, x: 0)
+
+
+def test_an_exception_that_was_stepped_around_is_not_the_reason_of_a_later_failure():
+    """Newton's iteration leaves where a gradient is not defined; later one is not finite."""
+    raised = []
+
+    def gradient(q):
+        if q[0] > 0.125 and not raised:
+            raised.append(dal.DomainError("left the table"))
+            raise raised[0]
+        return q * (np.nan if q[0] > wild else 1.0)
+
+    system = dal.System(
+        mass=[1, 1, 1], forms=lambda q: [[-q[1], 0, 1]],
+        potential=lambda q: q @ q / 2, gradient=gradient,
+    )  # fmt: skip
+    given = {"q0": [0, 1, 0], "v0": [1, 1, 1], "h": 0.01, "steps": 40}
+    wild = 1.0
+    assert dal.integrate(system, "midpoint", **given).success and raised
+    raised.clear()
+    wild = 0.205
+    with pytest.raises(dal.DomainError, match="is not finite, or was not written") as caught:
+        dal.integrate(system, "midpoint", **given)
+    assert raised and caught.value.step in (20, 21)

@@ -11,6 +11,7 @@ import pytest
 import dalembert as dal
 from conftest import U
 from dalembert.run import integration
+from dalembert.run.runs import Run
 
 STEPS, H = 20, 0.05
 # Newton stops within a few u of the solution; 20 steps of a smooth flow over one unit of time
@@ -659,6 +660,27 @@ def test_a_step_that_fails_keeps_what_was_computed(particle):
     np.testing.assert_array_equal(error.partial.q[:, 1], [-7, -5, -3, -1])
     assert error.partial.reactions.shape == (3, 1) and error.partial.t[-1] == 7.0
     assert error.partial.energy.shape == (4,)
+
+
+def test_what_is_stored_survives_ctrl_c_while_room_is_made(monkeypatch):
+    """Where nobody knows how many states there will be, arrays grow: filled before they are used."""
+    given = {"h": "auto", "t_end": 30.0, "h_max": 0.01}
+    sleigh, allocate = dal.systems.sleigh(), Run._allocate
+    whole = dal.integrate(sleigh, **given)
+
+    def interrupted(run, rows, stored=()):
+        allocate(run, rows, stored)
+        if len(stored) and run.run.stored > 1000:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Run, "_allocate", interrupted)
+    monkeypatch.setattr(np, "empty", lambda shape: np.full(shape, np.nan))
+    with pytest.raises(KeyboardInterrupt) as caught:
+        dal.integrate(sleigh, **given)
+    partial = caught.value.partial
+    assert 1000 < len(partial.t) < len(whole.t)
+    np.testing.assert_array_equal(partial.x, whole.x[: len(partial.t)])
+    np.testing.assert_array_equal(partial.t, whole.t[: len(partial.t)])
 
 
 def test_a_failure_between_stored_states(particle):

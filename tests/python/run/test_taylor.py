@@ -69,6 +69,55 @@ def test_agrees_with_the_other_methods(name):
     np.testing.assert_allclose(back.x[-1], run.x[0], rtol=0, atol=1e-11)
 
 
+A, B = sp.Rational(3, 10), sp.Symbol("s")
+
+
+def skate(s):
+    """Return (q, v) at s of the skate below, from (0, 0, 0.3) with speed 1: v = c - sin(theta)/2."""
+    theta, c = A + B, 1 + sp.sin(A) / 2
+    speed = c - sp.sin(theta) / 2
+    along = speed * sp.cos(theta), speed * sp.sin(theta)
+    q = *(sp.integrate(sp.expand(e.rewrite(sp.exp)), (B, 0, B)) for e in along), theta
+    numbers = [sp.N(e.subs(B, s), 30, maxn=500) for e in (*q, *along, sp.Integer(1))]
+    return np.array([float(sp.re(e)) for e in numbers])
+
+
+SKATE = dal.System.from_sympy(
+    (x.d**2 + y.d**2 + z.d**2) / 2 - x / 2, [-sp.sin(z) * x.d + sp.cos(z) * y.d],
+    q0=[0, 0, 0.3], v0=[np.cos(0.3), np.sin(0.3), 1],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("method, bound", [("taylor", 1e-9), ("rk8pd", 1e-7), ("msadams", 1e-5)])
+def test_long_intervals(method, bound):
+    """What is not stored stays in D too: the distance of stored states makes no difference."""
+    exact = skate(2000)
+    for h in (2000.0, 40.0):
+        run = dal.integrate(
+            SKATE, "reference", h=h, t_end=2000, method=method, tolerance=1e-11
+        )
+        assert np.abs(run.x[-1] - exact).max() < bound, h
+    end = dal.reference(SKATE, t=2000, method=method, tolerance=1e-11)
+    assert np.abs(np.r_[end.q, end.v] - exact).max() < bound
+
+
+def test_a_large_coordinate_is_not_the_measure_of_all():
+    """The tolerance is that of each number in the state; nothing depends on y."""
+    given = {"h": 1.0, "t_end": 20, "method": "taylor", "tolerance": 1e-11}
+    near = dal.integrate(SKATE, "reference", **given)
+    for far in (1e3, 1e8, 1e14):
+        run = dal.integrate(SKATE, "reference", [0, far, 0.3], SKATE.v0, **given)
+        np.testing.assert_allclose(run.v, near.v, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(run.q[:, 0], near.q[:, 0], rtol=0, atol=1e-9)
+    slow = dal.System.from_sympy((x.d**2 + y.d**2) / 2 - (x / 100000) ** 2 / 2, [])
+    run = dal.integrate(
+        slow, "reference", [1, 0], [0, 30], **given | {"h": 1e6, "t_end": 1e6}
+    )  # y gets large on the way
+    assert abs(run.q[-1, 0] - np.cos(10)) < 1e-9
+    with pytest.raises(dal.DomainError, match=r"numbers up to 1e\+31; expected at most 1e\+30"):
+        dal.integrate(SKATE, "reference", [0, 1e31, 0.3], SKATE.v0, **given)
+
+
 @pytest.mark.parametrize("scheme, order", [("leapfrog", 2), ("leapfrog-suzuki4", 4)])
 def test_judges_the_schemes(scheme, order):
     system = dal.systems.cvt()
@@ -170,7 +219,11 @@ def test_scheme_of_its_own():
     [
         (bent_root(sp.Rational(1, 2)), [1, 0], [-1, 0], dal.DomainError, "no Taylor series"),
         (bent_root(sp.Rational(5, 2)), [1, 0], [-2, 0], dal.DomainError, "gradient"),
-        (bent_root(-1), [-1, 0], [1, 0], dal.ConvergenceError, "collapsed to h"),
+        (bent_root(-1), [-1, 0], [1, 0], dal.DomainError, "not finite beyond t = 0.57079632"),
+        (
+            dal.System.from_sympy((x.d**2 + y.d**2) / 2, [], force={x: -1 / x}),
+            [1, 0], [0, 1], dal.ConvergenceError, "collapsed to h",
+        ),
         (
             dal.System.from_sympy((x.d**2 + y.d**2) / 2 - sp.atan2(y, x) ** 2, []),
             [-1, 0.1], [0, -2], dal.DomainError, "no Taylor series",
