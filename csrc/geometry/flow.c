@@ -143,7 +143,7 @@ static int begin(dal_flow *flow, double t0, double span, const double *x, double
     if (status) return status;
     if (flow->in_xi) dal__chart_drop(&flow->chart, x, flow->chart.y);
     flow->t0 = t0;
-    flow->in_D = in_D && !flow->in_xi;
+    flow->in_D = in_D && flow->chart.mech.m > 0 && !flow->in_xi;
     flow->unmended = 0;
     return dal__ode_begin(flow->integrator, t0, span, flow->in_xi ? flow->chart.y : x, factor,
                           error_of(flow));
@@ -343,8 +343,11 @@ int dal__flow_step(dal_flow *flow, double t0, double h, size_t k, double *x, dou
     dal_mechanics *const mech = &flow->chart.mech;
     int status = DAL_SUCCESS;
     if (!is_multistep(flow) || !flow->steps.going) {
+        const double t = t0 + (double)k * h;
+        bool in_D = true; /* where a step has ended */
         flow->steps.first = k;
-        status = begin(flow, t0 + (double)k * h, h, x, 1.0, true);
+        if (flow->steps.inner == 0.0) status = starts_in_D(flow, t, x, &in_D);
+        if (!status) status = begin(flow, t, h, x, 1.0, in_D);
         if (!status && flow->steps.inner != 0.0)
             dal__ode_suggest(flow->integrator, h, flow->steps.inner);
     }

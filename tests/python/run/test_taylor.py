@@ -101,6 +101,21 @@ def test_long_intervals(method, bound):
     assert np.abs(np.r_[end.q, end.v] - exact).max() < bound
 
 
+def test_off_D_the_flow_stays_as_far_off():
+    """What is assumed is used: the ODE keeps mu v, and only what is stored is brought into D."""
+    across = 0.25
+    v0 = np.array(SKATE.v0) + across * np.array([np.sin(0.3), -np.cos(0.3), 0])
+    run = dal.integrate(
+        SKATE, "reference", SKATE.q0, v0, h=100.0, t_end=100, consistent="assume"
+    )
+    # along the blade v' = -cos(theta)/2 - across
+    speed = 1 - across * 100 - (np.sin(100.3) - np.sin(0.3)) / 2
+    along = run.v[-1, 0] * np.cos(100.3) + run.v[-1, 1] * np.sin(100.3)
+    assert abs(along - speed) < 1e-8
+    end = dal.reference(SKATE, SKATE.q0, v0, t=100, consistent="assume")
+    np.testing.assert_allclose(end.v, run.v[-1], rtol=0, atol=1e-8)
+
+
 def test_a_large_coordinate_is_not_the_measure_of_all():
     """The tolerance is that of each number in the state; nothing depends on y."""
     given = {"h": 1.0, "t_end": 20, "method": "taylor", "tolerance": 1e-11}
