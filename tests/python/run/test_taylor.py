@@ -105,9 +105,10 @@ def test_off_D_the_flow_stays_as_far_off():
     """What is assumed is used: the ODE keeps mu v, and only what is stored is brought into D."""
     across = 0.25
     v0 = np.array(SKATE.v0) + across * np.array([np.sin(0.3), -np.cos(0.3), 0])
-    run = dal.integrate(
-        SKATE, "reference", SKATE.q0, v0, h=100.0, t_end=100, consistent="assume"
-    )
+    with pytest.warns(dal.DalembertWarning, match="energy"):
+        run = dal.integrate(
+            SKATE, "reference", SKATE.q0, v0, h=100.0, t_end=100, consistent="assume"
+        )
     # along the blade v' = -cos(theta)/2 - across
     speed = 1 - across * 100 - (np.sin(100.3) - np.sin(0.3)) / 2
     along = run.v[-1, 0] * np.cos(100.3) + run.v[-1, 1] * np.sin(100.3)
