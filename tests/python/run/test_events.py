@@ -188,6 +188,20 @@ def test_t_eval(scheme, h):
     assert len(run.to_xarray().time) == 42
 
 
+@pytest.mark.parametrize("scheme", ["midpoint", "midpoint-nodes", "endpoint-nodes"])
+def test_the_end_behind_output_times(scheme):
+    """A run that an event ends has its last state as it has the others: of the kept nodes."""
+    wall = dal.Event(lambda t, q, v: q[0] - 0.4, terminal=True)
+    given = {"h": 0.02, "t_end": 2, "events": [wall]}
+    if scheme != "midpoint":
+        given["initial"] = "shift"
+    rows = dal.integrate(EDGE, scheme, **given)
+    timed = dal.integrate(EDGE, scheme, t_eval=[0.1, 0.2, 1.9], **given)
+    assert timed.t[-1] == rows.t[-1] < 1.9 and len(timed.t) == 3
+    np.testing.assert_array_equal(timed.x[-1], rows.x[-1])
+    assert timed.residual.max() <= 4 * 3 * U
+
+
 def test_t_eval_with_forces_in_time_and_inputs():
     """The multipliers of a row are those at its time, with its inputs."""
     system = dal.System(
