@@ -70,7 +70,8 @@ def measured():
     def count(words, names=firsts):
         return sum(words in name for name in names)
 
-    assert len(firsts) == count("heyoka") + count("GSL")
+    won = sum(name in draw.OURS for name in firsts)
+    assert len(firsts) == count("heyoka") + count("GSL") + won
     numbers = [draw.power(a) for a in draw.ACCURACIES]
     ours = [draw.best(p["state"], 1e-6, True)[0] for p in problems]
     theirs = [draw.best(p["state"], 1e-6, False)[0] for p in problems]
@@ -102,7 +103,8 @@ def measured():
         f"errors of {', '.join(numbers[:-1])} and {numbers[-1]}:",
         f"{len(firsts)} pairs of a problem and an accuracy",
         f"first in {count('heyoka')} of them",
-        f"method of GSL in {count('GSL')},",
+        f"method of GSL in {count('GSL')}",
+        f"`dalembert` in {won},",
         f"in {count('in D')} cases with independent velocities",
         "For an error of 1e-6",
         f"fastest scheme of `dalembert` took {between(ours, theirs)} times",
