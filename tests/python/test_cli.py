@@ -163,7 +163,7 @@ def test_version():
     [
         ((), "COMMAND"),
         (("study",), "MODEL"),
-        (("stduy", "particle"), "no 'stduy'; did you mean 'study'? there are study, recommend, run"),
+        (("stduy", "particle"), "no 'stduy'; did you mean 'study'? there are study, recommend"),
         (("study", "pendulum"), "knife_edge"),
         (("study", "partcle"), "did you mean 'particle'"),
         (("study", "particle", "--scheme", "leapforg"), "did you mean 'leapfrog'"),

@@ -663,7 +663,7 @@ def test_a_step_that_fails_keeps_what_was_computed(particle):
 
 
 def test_what_is_stored_survives_ctrl_c_while_room_is_made(monkeypatch):
-    """Where nobody knows how many states there will be, arrays grow: filled before they are used."""
+    """Where nobody knows how many states come, arrays grow: filled before they are used."""
     given = {"h": "auto", "t_end": 30.0, "h_max": 0.01}
     sleigh, allocate = dal.systems.sleigh(), Run._allocate
     whole = dal.integrate(sleigh, **given)

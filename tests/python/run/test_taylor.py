@@ -73,7 +73,7 @@ A, B = sp.Rational(3, 10), sp.Symbol("s")
 
 
 def skate(s):
-    """Return (q, v) at s of the skate below, from (0, 0, 0.3) with speed 1: v = c - sin(theta)/2."""
+    """Return (q, v) at s of the skate, from (0, 0, 0.3) with speed 1: it is c - sin(theta)/2."""
     theta, c = A + B, 1 + sp.sin(A) / 2
     speed = c - sp.sin(theta) / 2
     along = speed * sp.cos(theta), speed * sp.sin(theta)
