@@ -47,8 +47,8 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     advice.add_argument("--t-end", type=float, required=True, metavar="T",
                         help="the time of the end")
     advice.add_argument("--accuracy", type=float, default=1e-6, metavar="E",
-                        help="what the error of the state at T may be, relative to 1 + |x| "
-                        "(default: 1e-6)")
+                        help="what the error of the state at T may be, relative to "
+                        "1 + abs(x) (default: 1e-6)")
     run.add_argument("--scheme", metavar="NAME",
                      help="a name of `dalembert schemes`, or beta (default: leapfrog; with "
                      "--h auto leapfrog-kl8)")
