@@ -30,7 +30,7 @@ def add(commands: Any, numbers: Any, parameter: Any) -> None:
     advice = commands.add_parser(
         "recommend", help="the scheme and the step for an accuracy, by trying some",
         description="Try schemes on a system, and print which needs the least time for an "
-        "accuracy, all that was tried, and the `dalembert run` that is advised.",
+        "accuracy, all that was tried, and the command that makes the run.",
     )  # fmt: skip
     run = commands.add_parser(
         "run", help="one run of a system, perhaps with a journal that survives anything",
