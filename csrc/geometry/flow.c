@@ -315,7 +315,7 @@ int dal_flow_trajectory(dal_flow *flow, double t0, double h, size_t steps, doubl
     if (!status) status = begin(flow, t0, h, x, 1.0, in_D);
     for (size_t k = 1; !status && k <= steps; k++) {
         const double t = t0 + (double)k * h;
-        /* The rows are projected, the integration goes on without: it need not start anew. */
+        /* Each row is projected; the integration, which need not start anew, only now and then. */
         status = reach(flow, (double)k * h, t);
         if (status) break;
         dal__copy(dimension(flow), flow->state, flow->result);

@@ -70,8 +70,8 @@ typedef struct dal_field_terms {
     size_t next;              /* from one entry to the next of it; or [n*n], and 0; or NULL, and */
     double *M, *pivot;        /* [n*n], which is overwritten, and [n] */
     double *Z;                /* [m*n] */
-    double *C, *share;        /* [m*m], [m]; and whether C, here its lower triangle, */
-    bool given;               /* is known before */
+    double *C, *share;        /* [m*m], [m] */
+    bool given;               /* C is known before, its lower triangle at least */
     double *lambda;           /* [m] */
     double *w;                /* [2*m], and [2*n] if there is an M */
 } dal_field_terms;

@@ -180,7 +180,8 @@ def _legs(
         if error is not None:
             raise error
         x, t = end, now
-        geometry.projection(system, x[None], t=t)
+        if done < len(times):
+            geometry.projection(system, x[None], t=t)
 
 
 def require_supported(system: System, **given: Any) -> None:
