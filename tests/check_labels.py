@@ -53,7 +53,7 @@ def read_table(text: str) -> tuple[list[Row], list[str]]:
         if len(cells) != len(COLUMNS) or not all(cells):
             wrong.append(f"not a row of {len(COLUMNS)} cells, all of them filled: {line}")
             continue
-        names = [re.findall(r"`([^`]+)`", cell) for cell in cells]
+        names = [re.findall(r"`(?:dal\.)?([^`]+)`", cell) for cell in cells]
         links = [re.findall(r"\[([^\]]+)\]\(([^)]+)\)", cell) for cell in cells]
         if len(names[0]) != 1 or not (names[2] and names[3] and links[4] and links[5]):
             wrong.append(f"no label, function, test or example is read from: {line}")

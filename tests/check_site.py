@@ -6,6 +6,7 @@ Usage: ``python check_site.py HTML``
 - No page loads anything from elsewhere: scripts, style sheets, pictures, fonts.
 - Links to elsewhere are those listed here.
 - Pictures say in words what they show.
+- The name of a scheme in prose is no link.
 - Every public name of the package, and every function of the headers, has an entry.
 """
 
@@ -24,6 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs" / "extension
 import comments  # noqa: E402
 
 ELSEWHERE = {"arxiv.org", "doi.org", "github.com"}
+# A literal of the prose that docs/extensions/names.py has made a link.
+LINKED = re.compile(r'<a [^>]*><code class="docutils literal [^>]*><span class="pre">([^<]*)<')
 LOADS = {"script": "src", "img": "src", "link": "href", "source": "src", "iframe": "src"}
 MODULES = ("plot", "report", "pages", "systems")  # whose __all__ is public too
 
@@ -80,6 +83,16 @@ def check_links(root: Path, pages: dict[Path, Page]) -> list[str]:
     return wrong
 
 
+def check_schemes(root: Path, pages: dict[Path, Page]) -> list[str]:
+    """Name the links from a scheme to a function of the same name."""
+    schemes = {scheme.name for scheme in dalembert.schemes()}
+    return [
+        f"{path.relative_to(root)}: the scheme {name} is a link"
+        for path, page in pages.items()
+        for name in schemes.intersection(LINKED.findall(page.text))
+    ]
+
+
 def entries(root: Path) -> set[str]:
     """Return the names of the inventory."""
     packed = (root / "objects.inv").read_bytes().split(b"\n", 4)[4]
@@ -105,6 +118,7 @@ def main(folder: str) -> str | None:
     root = Path(folder).resolve()
     pages = {path: Page(path) for path in root.rglob("*.html") if "_static" not in path.parts}
     wrong = check_links(root, pages) + check_names(entries(root))
+    wrong += check_schemes(root, pages)
     wrong += [f"{path.relative_to(root)}: {x}" for path in pages for x in pages[path].silent]
     if not wrong:
         links = sum(len(page.links) for page in pages.values())

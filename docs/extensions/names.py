@@ -1,6 +1,7 @@
 """Names of the interface in backticks become links: `dal.integrate`, `Solution.q`, `dal_step`.
 
-A name that is not known stays as it is: prose has names of many things in backticks.
+A name that is not known stays as it is: prose has names of many things in backticks.  The name of
+a scheme is one of these: `reference` is the scheme, `dal.reference` the function.
 """
 
 from __future__ import annotations
@@ -8,10 +9,12 @@ from __future__ import annotations
 import re
 
 from docutils import nodes
+import dalembert
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.transforms.post_transforms import SphinxPostTransform
 
+SCHEMES = {scheme.name for scheme in dalembert.schemes()}
 NAME = re.compile(r"(?:dal\.|dalembert\.)?([A-Za-z_][\w.]*)(?:\(\))?")
 
 
@@ -26,7 +29,9 @@ class Names(SphinxPostTransform):
         for literal in list(self.document.findall(nodes.literal)):
             text = literal.astext()
             match = NAME.fullmatch(text)
-            if not match or isinstance(literal.parent, (nodes.reference, addnodes.pending_xref)):
+            if not match or text in SCHEMES:
+                continue
+            if isinstance(literal.parent, (nodes.reference, addnodes.pending_xref)):
                 continue
             if text in c:
                 domain, kind, target = "c", "any", text

@@ -1,12 +1,16 @@
 """How to cite the library: the citation file is valid, and the paper says what was measured."""
 
+import importlib.metadata
 import json
 import re
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 from cffconvert import Citation
+
+from dalembert.core import extras
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -41,6 +45,40 @@ def test_citation_file_cites_the_paper_of_the_bibliography(entries):
     cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"doi: {entries['jimenez2015']['doi']}\n" in cited
     assert entries["jimenez2015"]["doi"] in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_addresses_of_the_package_are_those_of_the_citation():
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    doi, arxiv = re.search(r"doi: (\S+)", cited)[1], re.search(r"arXiv:([\d.]+)", cited)[1]
+    addresses = [f"https://doi.org/{doi}", f"https://arxiv.org/abs/{arxiv}"]
+    assert list(project["urls"].values()) == addresses
+
+
+def test_lines_to_install_can_work():
+    """The package is not on PyPI, and some modules are in a package of another name."""
+    texts = {
+        str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+        for part in (".", "benchmarks", "docs", "examples", "notebooks", "python")
+        for path in (ROOT / part).glob("*" if part == "." else "**/*")
+        if path.suffix in (".md", ".py", ".rst", ".ipynb")
+    }
+    assert {"README.md", "docs/howto/install.md", "python/dalembert/core/extras.py"} < set(texts)
+    wrong = r"pip install (--?\w+ )*['\"]?dalembert['\"[]"
+    assert [name for name in texts if re.search(wrong, texts[name])] == []
+    modules = {
+        found.partition(".")[0]
+        for name, text in texts.items() if name.startswith("python/")
+        for found in re.findall(r'require\("([\w.]+)"', text)
+    }  # fmt: skip
+    assert {"PIL", "heyoka", "sympy"} <= modules
+    provided = importlib.metadata.packages_distributions()
+    for module in modules - {"nowhere"}:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(sys.modules, module, None)
+            with pytest.raises(ImportError) as caught:
+                extras.require(module, "this")
+        assert str(caught.value).rpartition(" ")[2] in [x.lower() for x in provided[module]]
 
 
 def test_every_entry_is_cited_and_every_citation_has_one(paper, entries):

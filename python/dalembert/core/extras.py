@@ -17,8 +17,12 @@ Progress = bool | Callable[[Any, Any], Any]
 Show = Callable[[Any], Any]
 
 
-def require(module: str, purpose: str, extra: str | None = None) -> Any:
-    """Import a module of an extra, and of which one where that is not only this module.
+# What a module is installed by, where its name is another.
+_PACKAGES = {"PIL": "pillow"}
+
+
+def require(module: str, purpose: str) -> Any:
+    """Import a module of an extra.
 
     Raises
     ------
@@ -36,9 +40,9 @@ def require(module: str, purpose: str, extra: str | None = None) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        package = module.partition(".")[0]
-        install = f"pip install {package}" if extra is None else f"pip install '{extra}'"
-        raise ImportError(f"{purpose} needs {package}: {install}") from error
+        name = module.partition(".")[0]
+        package = _PACKAGES.get(name, name)
+        raise ImportError(f"{purpose} needs {package}: pip install {package}") from error
 
 
 class Later:

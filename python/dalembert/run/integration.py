@@ -121,7 +121,7 @@ def integrate(
         without forces or time.
     method : {"rk8pd", "msadams", "rodas", "taylor"}, optional
         Of the reference flow.  "taylor": by Taylor series, of systems from expressions, for which
-        heyoka compiles them (``pip install 'dalembert[taylor]'``); without events, inputs and
+        heyoka compiles them (``pip install heyoka``); without events, inputs and
         journal.
     tolerance : float, optional
         Of the reference flow, relative and absolute, for each of its steps, in [4.4e-16, 0.1];

@@ -42,7 +42,7 @@ class _Series:
     """An integrator of heyoka for a model, with values of its parameters."""
 
     def __init__(self, model: Any, tolerance: float) -> None:
-        heyoka = extras.require("heyoka", "method='taylor'", "dalembert[taylor]")
+        heyoka = extras.require("heyoka", "method='taylor'")
         pairs, self.is_branched = symbolic.series.ode(model, heyoka)
         self.key, self.tolerance = (model.key, tolerance), tolerance
         # For n = 5, m = 3 compiling takes 7 s, or 1.4 for steps that take twice as long.

@@ -1,0 +1,160 @@
+"""./dev, in a folder of its own, with a Python, a Meson and a pip that only log their arguments."""
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+DEV = Path(__file__).parents[2] / "dev"
+STUB = r"""#!/bin/sh
+log() { (IFS='|'; printf '%s\n' "$*") >>"$LOG"; }
+case ${0##*/}:$* in
+  python:-V) echo 'Python 3.99' ;;
+  python:-\ *) echo "$0" ;;
+  python:*venv\ *)
+    log venv
+    mkdir -p "$3/bin"
+    for name in python meson; do cp "$0" "$3/bin/$name"; done
+    ;;
+  python:*pip\ *) log "$@" && [ ! -e "$LOG.full" ] ;;
+  meson:setup*) mkdir -p "$2" && touch "$2/build.ninja" ;;
+  meson:compile*) log begin && sleep 0.3 && log end ;;
+  meson:*--list*) ;;
+  meson:test*) "$DEV" build && log tested ;;
+esac
+"""
+
+
+@pytest.fixture
+def clone(tmp_path, monkeypatch):
+    """A clone in a folder whose name has to be quoted; its log is beside it."""
+    home = tmp_path / "it's a clone"
+    home.mkdir()
+    shutil.copy(DEV, home)
+    python = tmp_path / "python"
+    python.write_text(STUB)
+    python.chmod(0o755)
+    for name, value in {"PYTHON": python, "LOG": tmp_path / "log", "DEV": home / "dev"}.items():
+        monkeypatch.setenv(name, str(value))
+    monkeypatch.delenv("CC", raising=False)
+    return home
+
+
+@pytest.fixture(params=[True, False], ids=["flock", "no flock"])
+def flock(request, monkeypatch, tmp_path):
+    """Whether the machine has flock."""
+    if not request.param:
+        folders = [Path(x) for x in os.environ["PATH"].split(":")]
+        tools = {tool.name: tool for x in reversed(folders) for tool in x.glob("*")}
+        (tmp_path / "tools").mkdir()
+        for name in tools.keys() - {"flock"}:
+            (tmp_path / "tools" / name).symlink_to(tools[name])
+        monkeypatch.setenv("PATH", str(tmp_path / "tools"))
+    return request.param
+
+
+def dev(*command, **options):
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, **options)
+    return done.returncode, done.stderr
+
+
+def logged(what):
+    lines = Path(os.environ["LOG"]).read_text().splitlines()
+    return [line for line in lines if re.match(what, line)]
+
+
+def typed(said):
+    return re.search("please type:  (.*)", said)[1]
+
+
+def test_one_clone_by_several_names(clone):
+    link = clone.parent / "link"
+    link.symlink_to(clone)
+    command = clone.parent / "command"
+    command.symlink_to(clone / "dev")
+    for name in clone / "dev", link / "dev", command:
+        assert dev(name, "build")[0] == 0
+    assert len(logged("venv")) == 1 and len(logged("begin")) == 3
+    assert not (clone.parent / "build-dev").exists()
+
+
+def started(clone):
+    """A ./dev that compiles."""
+    building = subprocess.Popen([clone / "dev", "build"], stderr=subprocess.DEVNULL)
+    while not (Path(os.environ["LOG"]).exists() and logged("begin")):
+        assert building.poll() is None
+    return building
+
+
+def test_two_at_once(clone, flock):
+    first = started(clone)
+    status, said = dev(clone / "dev", "build")
+    assert status == first.wait(timeout=30) == 0
+    assert said.count("waiting for another ./dev in this clone") == 1
+    assert logged("begin|end") == ["begin", "end"] * 2
+
+
+def test_a_test_may_call_dev(clone, flock):
+    assert dev(clone / "dev", "test")[0] == 0
+    assert logged("begin|tested") == ["begin", "begin", "tested"]
+
+
+def test_killed(clone, flock):
+    """What it had started ends before another begins; without flock a line says what to do."""
+    killed = started(clone)
+    killed.kill()
+    killed.wait()
+    status, said = dev(clone / "dev", "build")
+    assert status == (0 if flock else 3)
+    if not flock:
+        assert f"killed while it built (process {killed.pid})" in said
+        assert dev("sh", "-c", typed(said))[0] == 0
+    else:
+        assert logged("begin|end") == ["begin", "end"] * 2
+
+
+def test_lines_to_type(clone):
+    """They survive the shell: a path with spaces and a quote, and `>=`."""
+    full = Path(os.environ["LOG"] + ".full")
+    full.touch()
+    status, said = dev(clone / "dev", "build")
+    assert status == 3 and "pip could not install these" in said
+    full.unlink()
+    assert dev("sh", "-c", typed(said), cwd=clone)[0] == 0
+    first, second = logged("-m.pip")
+    assert second == first.replace("|-q", "") and "|meson>=1.3|" in second
+    assert set(os.listdir(clone)) == {".lock", ".venv", "dev"}
+
+
+def test_no_such_tool(clone, monkeypatch):
+    for name, what in {"PYTHON": "Python", "CC": "compiler"}.items():
+        before = os.environ.get(name)
+        monkeypatch.setenv(name, "/nonexistent")
+        status, said = dev(clone / "dev", "build")
+        assert status == 3 and f"{name}=/nonexistent: there is no such {what}" in said
+        assert typed(said).startswith(f"unset {name}; ")
+        if before:
+            monkeypatch.setenv(name, before)
+    assert dev("sh", "-c", typed(said))[0] == 0
+
+
+def test_compiler_that_does_not_compile(clone, monkeypatch):
+    monkeypatch.setenv("CC", "false")
+    status, said = dev(clone / "dev", "build")
+    assert status == 3 and "CC=false cannot compile a C program" in said
+
+
+def test_read_only(clone):
+    (clone / ".lock").symlink_to("nowhere/at/all")
+    status, said = dev(clone / "dev", "build")
+    assert status == 3 and f"nothing can be written in {clone}" in said
+    assert "chmod -R u+w ~/dalembert" in typed(said)
+    assert not (clone / ".venv").exists()
+
+
+def test_another_name(clone):
+    assert dev(clone / "dev", "tset")[1].startswith("dev: there is no command tset; did you mean t")
+    assert "did you mean" not in dev(clone / "dev", "qqq")[1]
