@@ -1,9 +1,12 @@
 """./dev, in a folder of its own, with a Python, a Meson and a pip that only log their arguments."""
 
+import ast
 import os
 import re
 import shutil
 import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -153,6 +156,28 @@ def test_read_only(clone):
     assert status == 3 and f"nothing can be written in {clone}" in said
     assert "chmod -R u+w ~/dalembert" in typed(said)
     assert not (clone / ".venv").exists()
+
+
+def test_the_site_installs_what_it_imports():
+    """The gallery runs the scripts of examples/, in an environment without the tests' packages."""
+    root = DEV.parent
+    lists = dict(re.findall(r"^(\w*requirements)='(.*?)'", DEV.read_text(), re.M))
+    docs = lists["docs_requirements"].split()
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    assert ["dalembert[all]", *docs] == project["optional-dependencies"]["docs"]
+    files = [*root.glob("examples/*.py"), *root.glob("docs/extensions/*.py"), root / "docs/conf.py"]
+    imported = set()
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                imported.add(node.module.partition(".")[0])
+    assert {"scipy", "sympy", "sphinx"} <= imported
+    imported -= {*sys.stdlib_module_names, *(file.stem for file in files)}
+    imported -= {"dalembert", "docutils", "distributed"}  # the last is tried, and done without
+    installed = {re.split(r"[>=\[]", name)[0] for name in docs + lists["requirements"].split()}
+    assert {name.lower().replace("_", "-") for name in imported} <= installed
 
 
 def test_another_name(clone):
