@@ -67,8 +67,8 @@ typedef struct dal_field_zeros {
 typedef struct dal_field_terms {
     const double *F, *mu, *g; /* [n], [m*n], [m] */
     const double *inverse;    /* M^-1: its diagonal where M is diagonal, */
-    size_t next;              /* from one entry to the next of it; or [n*n], and 0; or NULL, and */
-    double *M, *pivot;        /* [n*n], which is overwritten, and [n] */
+    size_t next;              /* from one entry to the next of it; or [n*n], and 0; unless */
+    double *M, *pivot;        /* [n*n], which is overwritten, and [n] are given */
     double *Z;                /* [m*n] */
     double *C, *share;        /* [m*m], [m] */
     bool given;               /* C is known before, its lower triangle at least */
@@ -129,7 +129,7 @@ DAL_LU_INLINE void dal_field_substitute(size_t n, unsigned long long L, const do
 DAL_LU_INLINE void dal_field_accelerate(size_t n, dal_field_zeros has, const dal_field_terms *w,
                                         unsigned long long given, const double *f, double *y)
 {
-    if (!w->inverse) {
+    if (w->M) {
         for (size_t i = 0; i < n; i++) y[i] = DAL_KERNEL_HAS(given, i) ? f[i] : 0.0;
         dal_field_substitute(n, has.L, w->M, w->pivot, y);
         return;
@@ -156,7 +156,7 @@ DAL_LU_INLINE bool dal_field_solve(size_t n, size_t m, dal_field_zeros has,
 {
     double *const Z = w->Z, *const C = w->C, *const vdot = xdot + n;
     const double *const mu = w->mu;
-    if (!w->inverse && !dal_field_factor(n, has.L, has.inverse, w->M, w->pivot, w->w)) return false;
+    if (w->M && !dal_field_factor(n, has.L, has.inverse, w->M, w->pivot, w->w)) return false;
     for (size_t i = 0; i < n; i++) xdot[i] = v[i];
     if (has.F) dal_field_accelerate(n, has, w, has.F, w->F, vdot);
     for (size_t a = 0; a < m; a++) {

@@ -998,15 +998,17 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(stage)(dal_kernel *const k, const double n
         if (kicked) return kicked;
         DAL_KERNEL_COPY(n, at.base, at.w);
     }
+    bool solved = false, finished = false;
     if (status > 0) {
         DAL_KERNEL_COPY(n, at.node, at.stored);
         DAL_KERNEL_COPY(n, at.base, at.goal);
     } else {
         status = DAL_KERNEL_PART(iterate)(k, &o, &at, &settled);
         if (status < 0) return status;
+        solved = status == 0;
+        finished = DAL_KERNEL_PART(settle)(k, &o, &at, solved, settled);
     }
-    bool solved = status == 0;
-    if (DAL_KERNEL_RARE(!DAL_KERNEL_PART(settle)(k, &o, &at, solved, settled))) {
+    if (DAL_KERNEL_RARE(!finished)) {
         status = DAL_KERNEL_PART(hand_over)(k, &o, &at, &solved);
         if (status) return status;
     }

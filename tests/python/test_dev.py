@@ -23,7 +23,8 @@ case ${0##*/}:$* in
     for name in python meson; do cp "$0" "$3/bin/$name"; done
     ;;
   python:*pip\ *) log "$@" && [ ! -e "$LOG.full" ] ;;
-  meson:setup*) mkdir -p "$2" && touch "$2/build.ninja" ;;
+  meson:configure*) log "$@" ;;
+  meson:setup*) log "$@" && mkdir -p "$2" && touch "$2/build.ninja" ;;
   meson:compile*) log begin && sleep 0.3 && log end ;;
   meson:*--list*) ;;
   meson:test*) "$DEV" build && log tested ;;
@@ -178,6 +179,17 @@ def test_the_site_installs_what_it_imports():
     imported -= {"dalembert", "docutils", "distributed"}  # the last is tried, and done without
     installed = {re.split(r"[>=\[]", name)[0] for name in docs + lists["requirements"].split()}
     assert {name.lower().replace("_", "-") for name in imported} <= installed
+
+
+def test_options_of_the_build(clone):
+    """As .ci/run gives them, before the first build and later."""
+    for _ in range(2):
+        assert dev(clone / "dev", "build", "-Dwerror=true")[0] == 0
+    assert dev(clone / "dev", "build")[0] == 0
+    build = clone / "build-dev"
+    assert logged("setup|configure") == [
+        f"setup|{build}|-Dpython=enabled|-Dwerror=true", f"configure|{build}|-Dwerror=true",
+    ]  # fmt: skip
 
 
 def test_another_name(clone):
