@@ -66,13 +66,17 @@ typedef enum dal_status {
 
 /* What went wrong, in words with the numbers; text is empty on success.  Functions that make
  * objects fill the caller's, which may be NULL; an object keeps that of its last failure.  If it is
- * about a number of a callback, text[begin] to text[end] name it: output ("V_q"), row, column. */
+ * about a number of a callback, text[begin] to text[end] name it: output ("V_q"), row, column.  If
+ * it is about constraints that depend on others, rows > 0: row dependent[0] of mu is the sum of
+ * factor[k] times row dependent[k], 0 < k < rows, and 0 for rows = 1; a longer sum is cut off. */
 typedef struct dal_error {
     int status;
     char text[508];
     const char *output; /* or NULL */
     size_t row, column, begin, end;
     double value;
+    size_t rows, dependent[8];
+    double factor[8];
 } dal_error;
 
 /* "major.minor.patch" of the library that is running, between releases with "+" and the commit;
@@ -171,7 +175,7 @@ typedef enum dal_steady {
  * says how many bytes it has. */
 typedef struct dal_system_def {
     size_t n;                       /* number of coordinates, n >= 1 */
-    size_t m;                       /* number of constraints, 0 <= m < n */
+    size_t m;                       /* number of constraints, 0 <= m <= n */
     const double *mass;             /* M[n*n], constant, symmetric, positive definite; or NULL */
     const double *masses;           /* [n] of a diagonal M, instead of mass; or NULL */
     dal_lagrangian_fn lagrangian;   /* instead of mass and potential; or NULL */

@@ -58,6 +58,13 @@ bool dal__cholesky(size_t n, double *A, double *inverse, size_t *row, double *pi
  * largest entry, which is returned; 0 for A = 0. */
 double dal__singular_values(size_t count, size_t n, double *A, double *squares);
 
+/* G[m*m] is the Gram matrix of m rows that are scaled to length 1, or 0.  Pivots are chosen by what
+ * is left of a row, the earliest of those of about the same size, as long as its square is above
+ * least.  Returns the rank r; order[m] <- the r independent rows, then the others; row k >= r of G
+ * <- the coefficients of row order[k] in those, and on the diagonal the square of what is left; of
+ * k < r the pivots.  Rank 0 and order[0] = m if G is not finite. */
+size_t dal__independent_rows(size_t m, double *G, double least, size_t *order);
+
 /* x[n] <- A^-1 x from the factor. */
 void dal__cholesky_solve(size_t n, const double *factor, double *x);
 

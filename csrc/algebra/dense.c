@@ -102,6 +102,51 @@ void dal__cholesky_solve(size_t n, const double *factor, double *x)
     }
 }
 
+/* Row and column j of G[m*m] trade places with row and column k. */
+static void exchange(size_t m, double *G, size_t *order, size_t j, size_t k)
+{
+    const size_t row = order[j];
+    for (size_t i = 0; i < m; i++) {
+        const double entry = G[j * m + i];
+        G[j * m + i] = G[k * m + i];
+        G[k * m + i] = entry;
+    }
+    for (size_t i = 0; i < m; i++) {
+        const double entry = G[i * m + j];
+        G[i * m + j] = G[i * m + k];
+        G[i * m + k] = entry;
+    }
+    order[j] = order[k];
+    order[k] = row;
+}
+
+/* L D L^T with pivots on the diagonal; the coefficients c of a row of L solve c L = that row. */
+size_t dal__independent_rows(size_t m, double *G, double least, size_t *order)
+{
+    const double alike = 0.1;
+    size_t rank = 0;
+    for (size_t k = 0; k < m; k++) order[k] = k;
+    if (!dal__all_finite(m * m, G)) order[0] = m;
+    for (; rank < m && order[0] < m; rank++) {
+        double most = 0.0;
+        size_t best = m;
+        for (size_t k = rank; k < m; k++) most = fmax(most, G[k * m + k]);
+        if (!(most > least)) break;
+        for (size_t k = rank; k < m; k++)
+            if (G[k * m + k] > alike * most && (best == m || order[k] < order[best])) best = k;
+        exchange(m, G, order, rank, best);
+        for (size_t i = rank + 1; i < m; i++) {
+            const double l = G[i * m + rank] / G[rank * m + rank];
+            for (size_t j = rank + 1; j < m; j++) G[i * m + j] -= l * G[rank * m + j];
+            G[i * m + rank] = l;
+        }
+    }
+    for (size_t k = rank; k < m; k++)
+        for (size_t j = rank; j-- > 0;)
+            for (size_t i = j + 1; i < rank; i++) G[k * m + j] -= G[i * m + j] * G[k * m + i];
+    return rank;
+}
+
 /* Not by GSL's decompositions, because these report through its handler what does not converge. */
 double dal__singular_values(size_t count, size_t n, double *A, double *squares)
 {

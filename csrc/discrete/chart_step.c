@@ -58,10 +58,13 @@ static int find_step(dal__newton *equations)
     form_G(chart);
     for (size_t j = 0; j < free; j++) chart->y[j] = -chart->R1[chart->place[m + j]];
     for (size_t a = 0; a < m; a++) chart->y[free + a] = -chart->R2[a];
-    if (!dal__linear_factor(&chart->G))
-        return dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these "
-                         "coordinates are singular: the constraints lose rank, or h = %g is too "
-                         "large here", mech->start.h);
+    if (!dal__linear_factor(&chart->G)) {
+        dal__fail(&mech->error, DAL_ESINGULAR, "the equations of the step in these coordinates are "
+                  "singular with h = %g", mech->start.h);
+        if (!dal__name_rank_lost(mech, mech->muk) && !dal__name_rank_lost(mech, mech->forms.mu))
+            dal__add_words(&mech->error, DAL__RANK_OR_H);
+        return DAL_ESINGULAR;
+    }
     dal__linear_solve(&chart->G, chart->y, chart->step);
     equations->base = mech->start.base;
     return DAL_SUCCESS;

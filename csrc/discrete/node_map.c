@@ -113,8 +113,12 @@ static int find_step(dal__newton *equations)
     const dal__term terms[] = {{1.0, d->minus}, {1.0, d->momentum}};
     equations->base = dal__base_of_w(&d->mech, d->velocity, 2, terms, d->muk, kappa);
     assemble(d);
-    return dal__root_step(&d->root, "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is singular: "
-                          "the constraints lose rank, or h is too large here", &d->mech.error);
+    if (!dal__root_step(&d->root, "the matrix [[D1 D2 L_d, mu^T], [D2 phi_d, 0]] is singular",
+                        &d->mech.error))
+        return DAL_SUCCESS;
+    if (!dal__name_rank_lost(&d->mech, d->muk) && !dal__name_rank_lost(&d->mech, d->phi_v))
+        dal__add_words(&d->mech.error, DAL__RANK_OR_H);
+    return DAL_ESINGULAR;
 }
 
 static double moves(const void *ctx)

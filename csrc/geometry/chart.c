@@ -154,8 +154,12 @@ int dal__chart_factor(dal_chart *chart, const double *mu)
     if (dal__linear_factor(&chart->B)) return DAL_SUCCESS;
     char names[128];
     write_names(chart, chart->place, m, sizeof names, names);
-    return dal__fail(&chart->mech.error, DAL_ESINGULAR, "the columns of mu that belong to the "
-                     "dependent coordinates %s form a singular matrix", names);
+    dal__fail(&chart->mech.error, DAL_ESINGULAR, "the columns of mu that belong to the dependent "
+              "coordinates %s form a singular matrix", names);
+    dal__form_Z(&chart->mech, mu);
+    dal__name_dependent(&chart->mech, mu, chart->mech.gram.Z, dal__rank_lost(&chart->mech),
+                        &chart->mech.error);
+    return DAL_ESINGULAR;
 }
 
 /* phi, mu, the metric, and phi_q if wanted at x[2n], and B factored. */
@@ -251,9 +255,15 @@ static int pivot_columns(dal_chart *chart)
         chart->owner[b] = n; /* none */
     }
     for (size_t rank = 0; rank < m; rank++) {
-        if (!(largest_entry(chart, false, &a, &j) > 0.0))
-            return dal__fail(&chart->mech.error, DAL_ESINGULAR, "mu has rank %zu here, and not m = "
-                             "%zu: no choice of dependent coordinates is possible", rank, m);
+        if (!(largest_entry(chart, false, &a, &j) > 0.0)) {
+            dal_mechanics *const mech = &chart->mech;
+            dal__fail(&mech->error, DAL_ESINGULAR, "no choice of dependent coordinates is "
+                      "possible: mu has rank %zu instead of %zu", rank, m);
+            dal__form_Z(mech, mech->forms.mu);
+            dal__name_dependent(mech, mech->forms.mu, mech->gram.Z, dal__rank_lost(mech),
+                                &mech->error);
+            return DAL_ESINGULAR;
+        }
         eliminate(chart, a, j);
     }
     /* far more than are ever needed; a matrix without full rank could go on for ever */

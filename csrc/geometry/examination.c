@@ -477,10 +477,11 @@ static int examine_linearity(examination *ex)
 
 /* ---- rank and definiteness --------------------------------------------------------------- */
 
+/* INFINITY of nothing. */
 static double smallest(size_t count, const double *x)
 {
-    double least = x[0];
-    for (size_t i = 1; i < count; i++) least = fmin(least, x[i]);
+    double least = (double)INFINITY;
+    for (size_t i = 0; i < count; i++) least = fmin(least, x[i]);
     return least;
 }
 
@@ -488,7 +489,8 @@ static double smallest(size_t count, const double *x)
 static double smallest_eigenvalue(examination *ex, size_t count, double *A)
 {
     const double unit = dal__singular_values(count, ex->n, A, ex->squares);
-    return unit * unit * smallest(count, ex->squares);
+    const double least = smallest(count, ex->squares);
+    return count > 0 ? unit * unit * least : least;
 }
 
 static int examine_mass(examination *ex)
@@ -575,6 +577,18 @@ static double kernel_min(examination *ex)
     return smallest_eigenvalue(ex, count, ex->rows) - ex->lift;
 }
 
+/* In the metric of M, if it is one. */
+static void name_dependent(examination *ex, dal_error *finding)
+{
+    dal_mechanics *const mech = &ex->mech;
+    const double *Z = mech->forms.mu;
+    if (ex->lift == 0.0 && !dal__form_metric(mech, ex->t, ex->q, ex->v)) {
+        dal__form_Z(mech, mech->forms.mu);
+        Z = mech->gram.Z;
+    }
+    dal__name_dependent(mech, mech->forms.mu, Z, dal__rank_lost(mech), finding);
+}
+
 /* Of the forms of mech.  Also asks for lambda: C, which all schemes invert, squares the condition
  * of mu. */
 static int examine_rank(examination *ex)
@@ -584,11 +598,14 @@ static int examine_rank(examination *ex)
     found->rank = rank_of(ex, mech->forms.mu);
     if (ex->lift == 0.0) found->condition = condition_of(ex, mech->forms.mu);
     if (found->rank < ex->m) {
-        dal__fail(open_finding(ex), DAL_EINVAL, ex->system->def.kind == DAL_NONLINEAR
-                  ? "phi_v has rank %zu instead of %zu at this velocity: a constraint that is "
-                    "quadratic in v, for one, has no D at rest"
-                  : "mu has rank %zu instead of %zu: a constraint vanishes or follows from the "
-                   "others", found->rank, ex->m);
+        const bool nonlinear = ex->system->def.kind == DAL_NONLINEAR;
+        dal_error *const finding = open_finding(ex);
+        dal__fail(finding, DAL_EINVAL, nonlinear ? "phi_v has rank %zu instead of %zu at this "
+                  "velocity" : "mu has rank %zu instead of %zu", found->rank, ex->m);
+        name_dependent(ex, finding);
+        if (finding && nonlinear)
+            dal__add_words(finding, "; a constraint that is quadratic in v, for one, has no D at "
+                           "rest");
         return DAL_SUCCESS;
     }
     split(ex, mech->forms.mu);
@@ -598,8 +615,10 @@ static int examine_rank(examination *ex)
                   "smallest eigenvalue is %g", found->kernel_min);
     const int status = dal_multipliers(mech, ex->t, ex->x, mech->lambda);
     if (status != DAL_ESINGULAR) return status;
-    dal__fail(open_finding(ex), DAL_EINVAL, "mu M^-1 mu^T is singular to working precision: the "
-              "condition of mu is %.3g", found->condition);
+    dal_error *const finding = open_finding(ex);
+    dal__fail(finding, DAL_EINVAL, "mu M^-1 mu^T is singular to working precision: the condition "
+              "of mu is %.3g", found->condition);
+    name_dependent(ex, finding);
     return DAL_SUCCESS;
 }
 
@@ -657,7 +676,7 @@ static int examine_involutivity(examination *ex)
 {
     enum { NEARBY = 4 };
     double scale;
-    if (ex->n - ex->m == 1) { /* a single field commutes with itself */
+    if (ex->n - ex->m <= 1) { /* a single field commutes with itself */
         ex->found.curvature = 0.0;
         ex->found.integrable = 1;
         return DAL_SUCCESS;
@@ -721,8 +740,11 @@ static void summarize(const examination *ex, dal_error *summary)
         return;
     }
     if (ex->system->def.kind != DAL_LINEAR)
-        snprintf(shape, sizeof shape, "the constraints are %s in v",
-                 ex->system->def.kind == DAL_AFFINE ? "affine" : "nonlinear");
+        snprintf(shape, sizeof shape, "the constraints are %s in v%s",
+                 ex->system->def.kind == DAL_AFFINE ? "affine" : "nonlinear", ex->n == ex->m
+                 ? " and as many as coordinates: they prescribe the velocity" : "");
+    else if (ex->n == ex->m)
+        snprintf(shape, sizeof shape, "D has dimension n - m = 0: the system is at rest");
     else if (ex->n - ex->m == 1)
         snprintf(shape, sizeof shape, "D has dimension n - m = 1, which is always integrable");
     else if (found->integrable)

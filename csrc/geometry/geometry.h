@@ -137,6 +137,22 @@ int dal__renew_metric(dal_mechanics *mech, double t, const double *q, const doub
 void dal__accelerate(const dal_mechanics *mech, const double *f, double *y);
 /* gram.Z <- the rows M^-1 mu^a. */
 void dal__form_Z(dal_mechanics *mech, const double *mu);
+/* Adds ": constraints[2] equals constraints[0] here" to the text, and the rows to the record, if a
+ * row of mu depends on others: the square of its part across them, relative to that of the row,
+ * both in the metric of Z = mu M^-1, is at most least.  Returns whether there was one; error may be
+ * NULL.  C is of no use afterwards. */
+bool dal__name_dependent(dal_mechanics *mech, const double *mu, const double *Z, double least,
+                         dal_error *error);
+/* The least where rows that depend to three digits explain why a step is not found, and where mu
+ * M^-1 mu^T is singular to working precision. */
+#define DAL_RANK_ALMOST_LOST 1e-6
+static inline double dal__rank_lost(const dal_mechanics *mech)
+{
+    return 4.0 * (double)(mech->m * mech->m) / DAL_LU_CONDITION;
+}
+/* The same of the mu of a step that is not found; and what is said where there is none. */
+#define DAL__RANK_OR_H ": the constraints lose rank, or h is too large here"
+bool dal__name_rank_lost(dal_mechanics *mech, const double *mu);
 /* The gram of the forms and the metric.  DAL_ESINGULAR. */
 int dal__factor_gram(dal_mechanics *mech);
 /* y[m] <- C^-1 y, of the last dal__factor_gram. */

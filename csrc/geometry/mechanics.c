@@ -202,26 +202,30 @@ static void size_product(dal_mechanics *mech)
     for (size_t a = 0; a < m; a++) sizes[a] = dal__row_extent(mech, mu, a, moves);
 }
 
+static int lost_rank(dal_mechanics *mech)
+{
+    dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular");
+    if (!dal__name_dependent(mech, mech->forms.mu, mech->gram.Z, dal__rank_lost(mech),
+                             &mech->error))
+        dal__add_words(&mech->error, ": mu does not have full rank");
+    return DAL_ESINGULAR;
+}
+
 /* The LU factors of mu Z^T, where Z need not be that of mu, and may leave coordinates out. */
 static int factor_product(dal_mechanics *mech)
 {
     form_gram(mech);
     size_product(mech);
-    if (dal__linear_factor(&mech->gram.C)) return DAL_SUCCESS;
-    return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
-                     "rank, or two constraints coincide");
+    return dal__linear_factor(&mech->gram.C) ? DAL_SUCCESS : lost_rank(mech);
 }
 
 int dal__factor_gram(dal_mechanics *mech)
 {
     dal__linear *const C = &mech->gram.C;
-    size_t row = 0;
     dal__form_Z(mech, mech->forms.mu);
     if (C->pattern) return factor_product(mech);
     form_gram(mech);
-    if (dal__cholesky(mech->m, C->A, C->sizes, &row, NULL)) return DAL_SUCCESS;
-    return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular: mu does not have full "
-                     "rank, or two constraints coincide (pivot %zu of %zu)", row, mech->m);
+    return dal__cholesky(mech->m, C->A, C->sizes, NULL, NULL) ? DAL_SUCCESS : lost_rank(mech);
 }
 
 void dal__solve_gram(const dal_mechanics *mech, double *y)
@@ -413,10 +417,13 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
         if (*relative <= dal__residual_bound(mech) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
         if (pass > MOST && shift != 0.0 && is_rounding_of_node(mech, t, shift, x))
             return DAL_SUCCESS;
-        if (pass > MOST)
-            return dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular to working "
-                             "precision: the residual of D stays at %.3g", *relative);
         if (!along_Z) dal__form_Z(mech, at->mu);
+        if (pass > MOST) {
+            dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular to working "
+                      "precision: the residual of D stays at %.3g", *relative);
+            dal__name_dependent(mech, at->mu, mech->gram.Z, DAL_RANK_ALMOST_LOST, &mech->error);
+            return DAL_ESINGULAR;
+        }
         status = factor_product(mech);
         if (status) return status;
         find_change(mech, mech->step);
@@ -767,10 +774,11 @@ int dal_consistent(dal_mechanics *mech, double t, const unsigned char *keep, dou
     if (status) return status;
     const size_t n = mech->n, free_count = form_free_Z(mech, keep);
     status = move_velocity(mech, t, 0.0, x, distance);
-    if (status == DAL_ESINGULAR)
-        return dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu "
-                         "restricted to the other %zu has rank below m = %zu", n - free_count, n,
-                         free_count, mech->m);
+    if (status == DAL_ESINGULAR) {
+        dal__fail(&mech->error, DAL_ESINGULAR, "%zu of %zu components are kept: mu restricted to "
+                  "the other %zu has rank below m = %zu", n - free_count, n, free_count, mech->m);
+        dal__name_dependent(mech, mech->forms.mu, mech->gram.Z, DAL_RANK_ALMOST_LOST, &mech->error);
+    }
     if (status == DAL_ENOCONV && free_count < n)
         return dal__fail(&mech->error, DAL_ENOCONV, "no velocity of D was found with %zu of %zu "
                          "components kept: there may be none", n - free_count, n);

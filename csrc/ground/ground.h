@@ -24,6 +24,12 @@ __attribute__((format(printf, 3, 4)))
 /* Writes the text (printf format) and the status to error, which may be NULL; returns status. */
 int dal__fail(dal_error *error, int status, const char *format, ...);
 
+#if defined(__GNUC__)
+__attribute__((format(printf, 2, 3)))
+#endif
+/* Adds words to the text, as many as there is room for. */
+void dal__add_words(dal_error *error, const char *format, ...);
+
 /* A number that a callback gives; the callback is NULL where the text need not name it. */
 typedef struct dal__entry {
     const char *callback, *output;

@@ -46,6 +46,14 @@ int dal__fail(dal_error *error, int status, const char *format, ...)
     return status;
 }
 
+void dal__add_words(dal_error *error, const char *format, ...)
+{
+    va_list arguments;
+    va_start(arguments, format);
+    write(error, strlen(error->text), format, arguments);
+    va_end(arguments);
+}
+
 int dal__fail_entry(dal_error *error, int status, const dal__entry *entry, const char *format, ...)
 {
     if (!error) return status;

@@ -117,9 +117,12 @@ static int solve_linear(newton *s, int *sign)
     dal__linear_multiply(&s->S, mech->eval.rows, n, s->B, s->KZ);
     size_S(s);
     *sign *= dal__linear_factor(&s->S);
-    if (*sign == 0)
-        return dal__fail(&mech->error, DAL_ESINGULAR, "the Schur complement B K^-1 mu_k^T is "
-                         "singular: the constraints lose rank, or h is too large here");
+    if (*sign == 0) {
+        dal__fail(&mech->error, DAL_ESINGULAR, "the Schur complement B K^-1 mu_k^T is singular");
+        if (!dal__name_rank_lost(mech, mech->muk) && !dal__name_rank_lost(mech, mech->forms.mu))
+            dal__add_words(&mech->error, DAL__RANK_OR_H);
+        return DAL_ESINGULAR;
+    }
     for (size_t a = 0; a < m; a++) s->r[a] = -(s->R2[a] + dal__row_dot(mech, s->B, a, s->y));
     dal__linear_solve(&s->S, s->r, d);
     memcpy(s->step, s->y, n * sizeof *s->step);

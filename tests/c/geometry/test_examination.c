@@ -342,12 +342,19 @@ static void test_forms(void)
         s = (spoiled){.wrong = deficient[i]};
         CHECK(examine(&s, 0, &report, NULL) == 0 && !report.passed && report.rank == 1);
         CHECK(finds(&report, "rank 1 instead of 2") && report.condition > 1e15);
+        CHECK(finds(&report, i == 0 ? ": constraints[1] vanishes here"
+                                    : ": constraints[1] equals 3 constraints[0] here"));
+        CHECK(report.finding.rows == 1 + i && report.finding.dependent[0] == 1);
+        CHECK(i == 0 || (report.finding.dependent[1] == 0
+                         && fabs(report.finding.factor[1] - 3.0) < 1e-14));
     }
 
     /* Of full rank, but C, whose condition is the square, cannot be inverted. */
     s = (spoiled){.wrong = NEARLY_DOUBLE};
     CHECK(examine(&s, 0, &report, NULL) == 0 && !report.passed && report.rank == 2);
     CHECK(finds(&report, "singular") && report.condition > 1e8 && report.condition < 1e11);
+    CHECK(finds(&report, "constraints[1] equals 3 constraints[0] up to "));
+    CHECK(report.finding.rows == 2);
 }
 
 static void test_off_D(void)

@@ -141,7 +141,7 @@ def test_conditions_that_have_an_answer(condition):
 
 def test_conditions_that_have_none():
     B = np.array([[1, 1, 0], [1, 1 + 1e-9, 1e-9]])  # 1e18 for C
-    with pytest.raises(dal.SingularError, match="full rank|coincide"):
+    with pytest.raises(dal.SingularError, match=r"\[1\] equals constraints\[0\] up to 7e-10"):
         system_of(B, np.eye(3), np.ones(3)).multipliers(np.zeros(3), np.zeros(3))
     small = np.array([[1, 0, 0], [0, 1e-20, 0]])  # small, not singular
     told = system_of(small, np.eye(3), np.ones(3)).multipliers(np.zeros(3), np.zeros(3))
@@ -383,3 +383,87 @@ def test_the_reference_knows_what_nearly_dependent_forms_lose(angle):
     found = dal.reference(held, [0, 0, 0], held.project([0, 0, 0], [float(x) * v for x in w]), t)
     assert abs(found.q - q).max() <= 10 * found.accuracy
     assert found.accuracy <= 1e-13 + 1e-14 / angle**2
+
+
+# ---- rows that depend ------------------------------------------------------------------------
+
+
+def words_of(make):
+    """Return the end of what an error, or a check, says."""
+    try:
+        text = make().text
+    except dal.SingularError as error:
+        text = str(error)
+    return text.split(": ")[-1]
+
+
+def test_rows_that_depend_are_named():
+    """In every message about the rank; coefficients as they are in the formulas."""
+    x, y, z, w, psi = dal.coordinates("x y z w psi")
+    c, s = sp.cos(psi), sp.sin(psi)
+    side, ahead = -s * x.d + c * y.d, c * x.d + s * y.d
+    T = sum(i * k.d**2 for i, k in enumerate((x, y, z, w, psi), 1)) / 2
+    state = [0.1, 0.2, 0.3, 0.4, 0.5], np.zeros(5)
+    third = sp.Rational(1, 3)
+    for rows, said in (
+        ([side, ahead - psi.d, side, ahead + psi.d], "constraints[2] equals constraints[0] here"),
+        ([side, ahead, 2 * side - ahead],
+         "constraints[2] = 2 constraints[0] - constraints[1] here"),
+        ([side, ahead, -1000 * side], "constraints[2] equals -1000 constraints[0] here"),
+        ([1e-9 * ahead, side, 2 * ahead - third * side],
+         "constraints[2] = 2e+09 constraints[0] - 0.333333 constraints[1] here"),
+        ([side, ahead, w.d - ahead, z.d - side, z.d - w.d - side],
+         "constraints[4] = -constraints[1] - constraints[2] + constraints[3] here"),
+        ([side, ahead + 2 * side, side, ahead],
+         "constraints[2] equals constraints[0]; "
+         "constraints[3] = -2 constraints[0] + constraints[1] here"),
+        ([(x - sp.Rational(1, 10)) * side, ahead], "constraints[0] vanishes here"),
+        ([side + sp.Rational(1, 10**9) * ahead, side],
+         "constraints[1] equals constraints[0] up to 9e-10 here"),
+        ([side - 1, ahead, 2 * side - 3],
+         "constraints[2] equals 2 constraints[0] here, in its dependence on v"),
+    ):  # fmt: skip
+        system = dal.System.from_sympy(T, rows)
+        assert words_of(lambda: system.check(*state)) == said
+        assert words_of(lambda: system.multipliers(*state)) == said
+        assert words_of(lambda: system.project(state[0], np.ones(5))) == said
+        if "up to" not in said:  # then a choice is possible
+            assert said in words_of(lambda: dal.Chart(system, *state))
+    tiny = dal.System.from_sympy(T, [1e-200 * side, ahead])  # the square of its length is 0
+    assert words_of(lambda: tiny.multipliers(*state)) == "mu does not have full rank"
+
+
+def test_rows_that_depend_on_the_way():
+    """Two blades that are parallel at s = 0, where a step leads."""
+    blades = dal.System(
+        mass=[1, 1, 1],
+        forms=lambda q: [[np.cos(q[2]), np.sin(q[2]), 0], [np.cos(q[2]), -np.sin(q[2]), 0]],
+        forms_velocity_derivative=lambda q, v: [
+            [0, 0, -np.sin(q[2]) * v[0] + sign * np.cos(q[2]) * v[1]] for sign in (1, -1)
+        ],
+    )
+    for scheme in ("leapfrog", "midpoint", "endpoint", "leapfrog-kl6"):
+        run = dal.integrate(
+            blades, scheme, [0, 0, 0.5], [0, 0, -1], h=0.5, t_end=2, throw=False
+        )
+        assert run.message.startswith("SingularError: step "), scheme
+        assert "constraints[1] equals constraints[0] here" in run.message, run.message
+
+
+def test_rows_of_many_constraints_that_depend():
+    """Where C is stored by blocks, those of one are looked at."""
+    T, rows = 0, []
+    for k in range(6):
+        x, y = dal.coordinates(f"x{k} y{k}")
+        T, rows = T + x.d**2 + k * y.d**2 + y.d**2, [*rows, x.d - y * y.d]
+    rows.insert(3, 2 * rows[4])
+    system = dal.System.from_sympy(T, rows)
+    assert system.sparsity is not None
+    with pytest.raises(dal.SingularError, match=r"\[5\] equals 0.5 constraints\[3\] here"):
+        system.multipliers(np.ones(12), np.ones(12))
+
+
+def test_kept_components_and_the_rows_that_depend():
+    system = system_of(np.array([[1.0, 1, 1], [3, 3, 1]]), np.eye(3), np.zeros(3))
+    with pytest.raises(dal.SingularError, match=r"below m = 2: .*\[1\] equals 3 constraints\[0\]"):
+        system.consistent([0, 0, 0], [1, 1, 1], keep=[2])
