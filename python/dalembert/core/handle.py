@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arguments import Array, shown
-from .errors import call, make, verify
+from .errors import call, make, name_of, verify
 from .functions import differenced
 from .library import Constant, doubles, ffi, lib, pointer, string
 
@@ -70,14 +70,15 @@ class Workspaces:
         count = next(len(x) for x in given if isinstance(x, np.ndarray))
         arrays = _arrays(given, count)
         with self.lend() as one:
+            take = getattr(lib, f"dal_{name_of(one)}_input") if inputs is not None else None
             try:
                 for k in range(count):
                     if inputs is not None:
-                        call(self._kind, lib.dal_mechanics_input, one, pointer(inputs, k))
+                        call(self._kind, take, one, pointer(inputs, k))
                     call(self._kind, function, one, *(_row(x, k) for x in arrays), step=k)
             finally:
                 if inputs is not None:
-                    lib.dal_mechanics_input(one, pointer(np.zeros(inputs.shape[1])))
+                    take(one, pointer(np.zeros(inputs.shape[1])))
         return _outputs(given, arrays, single)
 
 

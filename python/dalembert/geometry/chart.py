@@ -1,7 +1,8 @@
 """Charts of D: its states by m dependent velocities, and the curves between two of them.
 
 Every method takes ``q`` and ``v`` of shape (n,) or (N, n), or ``xi`` of shape (2n-m,) or
-(N, 2n-m), in the user's units, and puts the N first in the shape of its result.
+(N, 2n-m), in the user's units, and puts the N first in the shape of its result.  ``t`` is the time
+of all states, or has one number for each; only systems that depend on time use it.
 
 All of them raise ValueError if an argument has another shape or is not finite, DomainError if a
 function of the system is not, SingularError if the dependent velocities are not determined by the
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import core
-from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_autonomous
+from ..core import Array, Handle, Pair, Workspaces, arguments, ffi, lib, require_system
 from . import mechanics
 
 __all__ = ["Chart", "cutoff"]
@@ -33,7 +34,10 @@ class Chart(core.Constant):
     With B the columns of mu(q) that belong to the dependent coordinates, and A = B^-1 times the
     others, D is v_dependent = -A v_independent (the Ehresmann connection).  Affine constraints
     have a further term; of nonlinear ones mu is d(phi)/dv, and v_dependent is found by Newton,
-    which starts at the one of the state where the chart was made.
+    which starts at the one of the state where the chart was made.  For m = n no velocity is left:
+    xi is q, and its field is the prescribed velocity.
+
+    D may depend on time; the dependent coordinates are the same at all times.
 
     A chart does not change, and may be used by several threads.
 
@@ -46,6 +50,8 @@ class Chart(core.Constant):
     dependent : str or iterable of str, optional
         Names of the m dependent coordinates.  Default: chosen by pivoting, in a way that does not
         depend on the units of the coordinates.
+    t : float, optional
+        The time of the state where the choice is made.
 
     Attributes
     ----------
@@ -77,12 +83,14 @@ class Chart(core.Constant):
         q: ArrayLike | None = None,
         v: ArrayLike | None = None,
         dependent: str | Iterable[str] | None = None,
+        t: float = 0.0,
     ) -> None:
-        require_autonomous(system, "a Chart")
+        require_system(system)
         if q is not None and v is None:
             v = np.zeros(system.n)
         self.system = system
         self._x = mechanics.initial_state(system, q, v, "q", "v")
+        self._t = arguments.number(t, "t")
         self._width = 2 * system.n - system.m
         self._charts = Workspaces(self._new, system.kind)
         self._place = ffi.NULL
@@ -104,7 +112,7 @@ class Chart(core.Constant):
 
     def _choose(self, chart: Any) -> None:
         """Make the choice of this chart that of a ``dal_chart``."""
-        core.call(self.system.kind, lib.dal_chart_choose, chart, 0.0, self._place, self._x)
+        core.call(self.system.kind, lib.dal_chart_choose, chart, self._t, self._place, self._x)
 
     def _coordinates(self, xi: ArrayLike) -> tuple[Array, bool]:
         """Return the rows xi, shape (N, 2n-m), always a copy, and whether it was a single one."""
@@ -112,22 +120,34 @@ class Chart(core.Constant):
         return np.atleast_2d(given).copy(), given.ndim == 1
 
     def _of_states(
-        self, function: Callable[..., int], q: ArrayLike, v: ArrayLike | None, *outputs: Any
+        self,
+        function: Callable[..., int],
+        q: ArrayLike,
+        v: ArrayLike | None,
+        t: ArrayLike,
+        *outputs: Any,
     ) -> Any:
         """Return what a function writes for each state, see `Workspaces.rows`."""
         x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
-        return self._charts.rows(function, single, 0.0, x, *outputs)
+        return self._charts.rows(function, single, mechanics.times(t, x, single), x, *outputs)
 
     def _of_coordinates(
-        self, function: Callable[..., int], xi: ArrayLike, *outputs: Any, t: float = 0.0
+        self,
+        function: Callable[..., int],
+        xi: ArrayLike,
+        t: ArrayLike,
+        *outputs: Any,
+        inputs: Any = None,
     ) -> Any:
         """Return what a function writes for each row of coordinates."""
         rows, single = self._coordinates(xi)
-        return self._charts.rows(function, single, arguments.number(t, "t"), rows, *outputs)
+        acting = mechanics.input_rows(self.system, inputs, len(rows))
+        at = mechanics.times(t, rows, single)
+        return self._charts.rows(function, single, at, rows, *outputs, inputs=acting)
 
     # ---- the connection ------------------------------------------------------------------
 
-    def A(self, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+    def A(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Array:
         """Return A = B^-1 mu[:, independent], so that v_dependent = -A v_independent on D.
 
         Parameters
@@ -135,6 +155,8 @@ class Chart(core.Constant):
         q : array_like, shape (n,) or (N, n)
         v : array_like, shape (n,) or (N, n), optional
             Matters only if the constraints are nonlinear; default 0.
+        t : float or array_like, shape (N,), optional
+            Time of the states.
 
         Returns
         -------
@@ -152,9 +174,9 @@ class Chart(core.Constant):
         array([[-3.,  0.]])
         """
         n, m = self.system.n, self.system.m
-        return self._of_states(lib.dal_chart_connection, q, v, (m, n - m), ffi.NULL)
+        return self._of_states(lib.dal_chart_connection, q, v, t, (m, n - m), ffi.NULL)
 
-    def B(self, q: ArrayLike, v: ArrayLike | None = None) -> Array:
+    def B(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Array:
         """Return B = mu[:, dependent].
 
         Parameters
@@ -162,6 +184,8 @@ class Chart(core.Constant):
         q : array_like, shape (n,) or (N, n)
         v : array_like, shape (n,) or (N, n), optional
             Matters only if the constraints are nonlinear; default 0.
+        t : float or array_like, shape (N,), optional
+            Time of the states.
 
         Returns
         -------
@@ -179,9 +203,9 @@ class Chart(core.Constant):
         array([[-3.]])
         """
         m = self.system.m
-        return self._of_states(lib.dal_chart_connection, q, v, ffi.NULL, (m, m))
+        return self._of_states(lib.dal_chart_connection, q, v, t, ffi.NULL, (m, m))
 
-    def condition(self, q: ArrayLike, v: ArrayLike | None = None) -> Any:
+    def condition(self, q: ArrayLike, v: ArrayLike | None = None, t: ArrayLike = 0.0) -> Any:
         """Return how much larger v can be than v_independent, in the units 1/sqrt(M_ii).
 
         It is 1 at best, does not depend on the forms that describe D, and is infinite where the
@@ -192,6 +216,8 @@ class Chart(core.Constant):
         q : array_like, shape (n,) or (N, n)
         v : array_like, shape (n,) or (N, n), optional
             Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
+        t : float or array_like, shape (N,), optional
+            Time of the states.
 
         Returns
         -------
@@ -208,9 +234,9 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").condition([0, 0.75, 0])
         1.25
         """
-        return self._of_states(lib.dal_chart_condition, q, v, ())
+        return self._of_states(lib.dal_chart_condition, q, v, t, ())
 
-    def renewed(self, q: ArrayLike, v: ArrayLike | None = None) -> Chart:
+    def renewed(self, q: ArrayLike, v: ArrayLike | None = None, t: float = 0.0) -> Chart:
         """Return a chart that is well conditioned at (q, v): this one where it is.
 
         A change of the dependent coordinates is logged (``logging``, level INFO).
@@ -220,6 +246,8 @@ class Chart(core.Constant):
         q : array_like, shape (n,)
         v : array_like, shape (n,), optional
             Matters only if the constraints are nonlinear or L is not quadratic in v; default 0.
+        t : float, optional
+            Time of the state.
 
         Returns
         -------
@@ -244,21 +272,23 @@ class Chart(core.Constant):
         system = self.system
         q, v = mechanics.vectors(system, q=q, v=np.zeros(system.n) if v is None else v)
         changed, chart = ffi.new("int *"), self._new()
-        x = np.concatenate([q, v])
-        core.call(system.kind, lib.dal_chart_renew, chart, 0.0, x, changed)
+        x, t = np.concatenate([q, v]), arguments.number(t, "t")
+        core.call(system.kind, lib.dal_chart_renew, chart, t, x, changed)
         if changed[0]:
             _log.info("%s", core.string(lib.dal_chart_error(chart).text))
         elif system.kind != "nonlinear":
             return self
         found = lib.dal_chart_dependent(chart)
-        return Chart(system, q, v, [system.coordinates[found[a]] for a in range(system.m)])
+        return Chart(system, q, v, [system.coordinates[found[a]] for a in range(system.m)], t)
 
-    def split(self, q: ArrayLike, v: ArrayLike) -> Pair:
+    def split(self, q: ArrayLike, v: ArrayLike, t: ArrayLike = 0.0) -> Pair:
         """Return v = hor + ver: hor is in D, and ver is zero in the independent components.
 
         Parameters
         ----------
         q, v : array_like, shape (n,) or (N, n)
+        t : float or array_like, shape (N,), optional
+            Time of the states.
 
         Returns
         -------
@@ -276,16 +306,18 @@ class Chart(core.Constant):
         (array([2., 1., 2.]), array([0., 0., 3.]))
         """
         n = self.system.n
-        return self._of_states(lib.dal_chart_split, q, v, (n,), (n,))
+        return self._of_states(lib.dal_chart_split, q, v, t, (n,), (n,))
 
     # ---- psi -----------------------------------------------------------------------------
 
-    def lift(self, xi: ArrayLike) -> Pair:
+    def lift(self, xi: ArrayLike, t: ArrayLike = 0.0) -> Pair:
         """Return the state psi(xi), which lies in D to roundoff (Embedd).
 
         Parameters
         ----------
         xi : array_like, shape (2n-m,) or (N, 2n-m)
+        t : float or array_like, shape (N,), optional
+            Time of the states.
 
         Returns
         -------
@@ -302,7 +334,7 @@ class Chart(core.Constant):
         >>> dal.Chart(dal.systems.particle(), dependent="z").lift([0, 2, 0, 1, 1])
         (array([0., 2., 0.]), array([1., 1., 2.]))
         """
-        x = self._of_coordinates(lib.dal_chart_lift, xi, (2 * self.system.n,))
+        x = self._of_coordinates(lib.dal_chart_lift, xi, t, (2 * self.system.n,))
         return mechanics.halves(x)
 
     def drop(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -330,12 +362,14 @@ class Chart(core.Constant):
         x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
         return self._charts.rows(lib.dal_chart_drop, single, x, (self._width,))
 
-    def jacobian(self, xi: ArrayLike) -> Array:
+    def jacobian(self, xi: ArrayLike, t: ArrayLike = 0.0) -> Array:
         """Return d(q, v)/dxi of `lift` (EhresJota).
 
         Parameters
         ----------
         xi : array_like, shape (2n-m,) or (N, 2n-m)
+        t : float or array_like, shape (N,), optional
+            Time of the states.
 
         Returns
         -------
@@ -353,7 +387,7 @@ class Chart(core.Constant):
         array([0., 3., 0., 2., 0.])
         """
         shape = (2 * self.system.n, self._width)
-        return self._of_coordinates(lib.dal_chart_jacobian, xi, shape, ffi.NULL)
+        return self._of_coordinates(lib.dal_chart_jacobian, xi, t, shape, ffi.NULL)
 
     @property
     def left_inverse(self) -> Array:
@@ -364,13 +398,18 @@ class Chart(core.Constant):
 
     # ---- dynamics ------------------------------------------------------------------------
 
-    def field(self, xi: ArrayLike, t: float = 0.0) -> Array:
-        """Return dxi/dt of the ODE on D (ODExi, ODExiConnec).
+    def field(self, xi: ArrayLike, t: ArrayLike = 0.0, inputs: Any = None) -> Array:
+        """Return dxi/dt of the ODE on D (ODExi, ODExiConnec), that of `System.field` at `lift`.
+
+        Differences of it are the linearization of a controlled motion.
 
         Parameters
         ----------
         xi : array_like, shape (2n-m,) or (N, 2n-m)
-        t : float, optional
+        t : float or array_like, shape (N,), optional
+            Time of the states.
+        inputs : array_like, shape (k,) or (N, k), or mapping, optional
+            Of the force, or by their names; default 0.
 
         Returns
         -------
@@ -386,11 +425,29 @@ class Chart(core.Constant):
         >>> import dalembert as dal
         >>> dal.Chart(dal.systems.particle(), dependent="z").field([0, 1, 0, 1, 1])
         array([ 1. ,  1. ,  1. , -0.5,  0. ])
+
+        With a motor that turns a skate:
+
+        >>> import sympy as sp
+        >>> x, y, theta = dal.coordinates("x y theta")
+        >>> torque = sp.Symbol("torque")
+        >>> skate = dal.System.from_sympy(
+        ...     (x.d**2 + y.d**2 + theta.d**2) / 2, [sp.sin(theta) * x.d - sp.cos(theta) * y.d],
+        ...     force={theta: torque}, inputs=[torque],
+        ... )
+        >>> dal.Chart(skate, [0, 0, 0]).field([0, 0, 0, 1, 0], inputs={"torque": 2})
+        array([1., 0., 0., 0., 2.])
         """
-        return self._of_coordinates(lib.dal_chart_field, xi, (self._width,), t=t)
+        shape = (self._width,)
+        return self._of_coordinates(lib.dal_chart_field, xi, t, shape, inputs=inputs)
 
     def multipliers(
-        self, q: ArrayLike, v: ArrayLike, multipliers: ArrayLike | None = None, t: float = 0.0
+        self,
+        q: ArrayLike,
+        v: ArrayLike,
+        multipliers: ArrayLike | None = None,
+        t: ArrayLike = 0.0,
+        inputs: Any = None,
     ) -> Array:
         """Return lambda_E = B^T lambda, the multipliers of the forms [A, I].
 
@@ -398,9 +455,11 @@ class Chart(core.Constant):
         ----------
         q, v : array_like, shape (n,) or (N, n)
         multipliers : array_like, shape (m,) or (N, m), optional
-            lambda.  Default: that of the ODE, `System.multipliers` at the time t.
-        t : float, optional
+            lambda.  Default: that of the ODE, `System.multipliers` with these t and inputs.
+        t : float or array_like, shape (N,), optional
             Time of the states.
+        inputs : array_like, shape (k,) or (N, k), or mapping, optional
+            Of the force, or by their names; default 0.
 
         Returns
         -------
@@ -420,10 +479,12 @@ class Chart(core.Constant):
         array([-6.])
         """
         if multipliers is None:
-            multipliers = self.system.multipliers(q, v, t)
-        return self._frame(lib.dal_chart_multipliers, q, v, multipliers)
+            multipliers = self.system.multipliers(q, v, t, inputs)
+        return self._frame(lib.dal_chart_multipliers, q, v, multipliers, t)
 
-    def multipliers_back(self, q: ArrayLike, v: ArrayLike, multipliers: ArrayLike) -> Array:
+    def multipliers_back(
+        self, q: ArrayLike, v: ArrayLike, multipliers: ArrayLike, t: ArrayLike = 0.0
+    ) -> Array:
         """Return lambda = B^-T lambda_E, the multipliers of mu from those of the forms [A, I].
 
         Parameters
@@ -431,6 +492,8 @@ class Chart(core.Constant):
         q, v : array_like, shape (n,) or (N, n)
         multipliers : array_like, shape (m,) or (N, m)
             lambda_E.
+        t : float or array_like, shape (N,), optional
+            Time of the states.
 
         Returns
         -------
@@ -448,18 +511,29 @@ class Chart(core.Constant):
         >>> chart.multipliers_back([0, 2, 0], [1, 1, 2], [-6])
         array([3.])
         """
-        return self._frame(lib.dal_chart_multipliers_back, q, v, multipliers)
+        return self._frame(lib.dal_chart_multipliers_back, q, v, multipliers, t)
 
     def _frame(
-        self, function: Callable[..., int], q: ArrayLike, v: ArrayLike, multipliers: ArrayLike
+        self,
+        function: Callable[..., int],
+        q: ArrayLike,
+        v: ArrayLike,
+        multipliers: ArrayLike,
+        t: ArrayLike,
     ) -> Array:
         m = self.system.m
         x, single = mechanics.states(self.system, q, mechanics.or_zero(v, q))
         given = mechanics.beside(x, single, multipliers, "multipliers", m)
-        return self._charts.rows(function, single, 0.0, x, given, (m,))
+        at = mechanics.times(t, x, single)
+        return self._charts.rows(function, single, at, x, given, (m,))
 
     def step(
-        self, xi: ArrayLike, h: float, beta: float = 0.5, t: float = 0.0
+        self,
+        xi: ArrayLike,
+        h: float,
+        beta: float = 0.5,
+        t: ArrayLike = 0.0,
+        inputs: Any = None,
     ) -> Pair:
         """Return xi after one step of the beta-scheme with moved nodes, and its multiplier.
 
@@ -472,8 +546,10 @@ class Chart(core.Constant):
         h : float
         beta : float, optional
             In [0, 1]; 0.5 is midpoint.
-        t : float, optional
+        t : float or array_like, shape (N,), optional
             Time at the beginning of the step.
+        inputs : array_like, shape (k,) or (N, k), or mapping, optional
+            Of the force, constant over the step, or by their names; default 0.
 
         Returns
         -------
@@ -495,12 +571,20 @@ class Chart(core.Constant):
         True
         """
         xi, single = self._coordinates(xi)
-        h, beta, t = (arguments.number(*pair) for pair in ((h, "h"), (beta, "beta"), (t, "t")))
-        made = self._charts.rows(lib.dal_chart_step, single, t, beta, h, xi, (self.system.m,))
+        h, beta = arguments.number(h, "h"), arguments.number(beta, "beta")
+        acting = mechanics.input_rows(self.system, inputs, len(xi))
+        given = mechanics.times(t, xi, single), beta, h, xi, (self.system.m,)
+        made = self._charts.rows(lib.dal_chart_step, single, *given, inputs=acting)
         return core.first(xi, single), made
 
     def curve(
-        self, q1: ArrayLike, v1: ArrayLike, q2: ArrayLike, v2: ArrayLike, tau: ArrayLike
+        self,
+        q1: ArrayLike,
+        v1: ArrayLike,
+        q2: ArrayLike,
+        v2: ArrayLike,
+        tau: ArrayLike,
+        t: float = 0.0,
     ) -> Pair:
         """Return psi(chi_0(tau) xi1 + chi_1(tau) xi2), a curve in D (yD, InterpolationD).
 
@@ -512,6 +596,8 @@ class Chart(core.Constant):
         q1, v1, q2, v2 : array_like, shape (n,)
             Two states of D.
         tau : array_like, shape () or (N,)
+        t : float, optional
+            The time at which D is taken.
 
         Returns
         -------
@@ -531,20 +617,20 @@ class Chart(core.Constant):
         """
         n = self.system.n
         ends = np.concatenate(mechanics.vectors(self.system, q1=q1, v1=v1, q2=q2, v2=v2))
-        times = arguments.array(tau, "tau", (), (None,))
-        x = np.empty((*times.shape, 2 * n))
+        places, t = arguments.array(tau, "tau", (), (None,)), arguments.number(t, "t")
+        x = np.empty((*places.shape, 2 * n))
         first, second = core.pointer(ends), core.pointer(ends) + 2 * n
         with self._charts.lend() as chart:
-            for k, (each, row) in enumerate(zip(times.flat, x.reshape(-1, 2 * n))):
+            for k, (each, row) in enumerate(zip(places.flat, x.reshape(-1, 2 * n))):
                 core.call(
-                    self.system.kind, lib.dal_chart_curve, chart, 0.0, first, second, float(each),
+                    self.system.kind, lib.dal_chart_curve, chart, t, first, second, float(each),
                     row, step=k,
                 )  # fmt: skip
         return mechanics.halves(x)
 
     def __reduce__(self) -> tuple[Any, ...]:
         n = self.system.n
-        return Chart, (self.system, self._x[:n], self._x[n:], self.dependent)
+        return Chart, (self.system, self._x[:n], self._x[n:], self.dependent, self._t)
 
     def __repr__(self) -> str:
         return (

@@ -142,7 +142,7 @@ def trajectory(
     return values
 
 
-def _times(t: ArrayLike, x: Array, single: bool) -> float | list[float]:
+def times(t: ArrayLike, x: Array, single: bool) -> float | list[float]:
     """Return the time of all states, or a list of the times of each."""
     found = arguments.array(t, "t", *[(), (len(x),)][: 2 - single])
     return found.tolist()  # type: ignore[no-any-return]
@@ -161,14 +161,14 @@ def _quantity(
     """Evaluate one output of ``dal_trajectory`` on states as they are given."""
     x, single = states(system, q, v)
     rows = arguments.inputs(inputs, system.inputs, len(x))
-    at = _times(t, x, single)
+    at = times(t, x, single)
     when: dict[str, Any] = {"times": np.array(at)} if isinstance(at, list) else {"t0": at}
     shift = arguments.number(shift, "shift")
     values = trajectory(system, x, output, inputs=rows, shift=shift, **when)
     return core.first(values, single)
 
 
-def _input_rows(system: Handle, given: Any, count: int) -> Array | None:
+def input_rows(system: Handle, given: Any, count: int) -> Array | None:
     """Return the inputs at so many states; None for a system that takes none."""
     rows = arguments.inputs(given, system.inputs, count)
     return rows if system.inputs else None
@@ -185,8 +185,8 @@ def _rows(
 ) -> Any:
     """Return what a function writes for each state, arrays of these shapes."""
     x, single = states(system, q, v)
-    rows = _input_rows(system, inputs, len(x))
-    given = _times(t, x, single), x, *outputs
+    rows = input_rows(system, inputs, len(x))
+    given = times(t, x, single), x, *outputs
     return system._mechanics.rows(function, single, *given, inputs=rows)
 
 
@@ -557,8 +557,8 @@ def perturbed(
     push = beside(x, single, ghat, "ghat", 2 * system.n)
     weight = arguments.number(weight, "weight")
     outputs = (2 * system.n,), (system.m,)
-    rows = _input_rows(system, inputs, len(x))
-    given = _times(t, x, single), weight, x, push, *outputs
+    rows = input_rows(system, inputs, len(x))
+    given = times(t, x, single), weight, x, push, *outputs
     return system._mechanics.rows(lib.dal_perturbed, single, *given, inputs=rows)
 
 
@@ -597,7 +597,7 @@ def project(
     array([2., 1., 2.])
     """
     x, single = states(system, q, v)
-    projection(system, x, arguments.number(shift, "shift"), _times(t, x, single))
+    projection(system, x, arguments.number(shift, "shift"), times(t, x, single))
     return core.first(halves(x)[1], single)
 
 
@@ -650,7 +650,7 @@ def consistent(
     """
     x, single = states(system, q0, v0, ("q0", "v0"))
     mask = ffi.NULL if keep is None else ffi.new("unsigned char[]", _mask(system, keep))
-    system._mechanics.rows(lib.dal_consistent, single, _times(t, x, single), mask, x, ())
+    system._mechanics.rows(lib.dal_consistent, single, times(t, x, single), mask, x, ())
     return core.first(halves(x)[1], single)
 
 

@@ -6,6 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
+import sympy as sp
 
 import dalembert as dal
 from conftest import U
@@ -124,6 +125,91 @@ def test_errata(own):
     near(np.log2(printed[0] / printed[1]), [1.0, 2.0], 0.1)
     assert abs(np.log2(corrected[0, 0] / corrected[1, 0]) - 2.0) < 0.1
     assert np.max(corrected[:, 1]) <= 8 * U
+
+
+def turned_skate():
+    """Return a skate whose blade stands at heading + 2 t, with two motors, and its field by hand."""
+    x, y, heading = dal.coordinates("x y heading")
+    ahead, torque = sp.symbols("ahead torque")
+    blade = heading + 2 * dal.time
+    system = dal.System.from_sympy(
+        (x.d**2 + 2 * y.d**2 + 3 * heading.d**2) / 2 - y,
+        [sp.sin(blade) * x.d - sp.cos(blade) * y.d],
+        force={x: ahead, heading: torque - heading.d},
+        inputs=[ahead, torque],
+    )
+
+    def field(t, q, v, u):
+        angle, rate, mass = q[2] + 2 * t, v[2] + 2, np.array([1.0, 2, 3])
+        mu = np.array([np.sin(angle), -np.cos(angle), 0])
+        turn = rate * (np.cos(angle) * v[0] + np.sin(angle) * v[1])
+        free = np.array([u[0], -1, u[1] - v[2]]) / mass
+        reaction = -(mu @ free + turn) / (mu @ (mu / mass))
+        return np.concatenate([v, free + mu / mass * reaction]), mu, reaction
+
+    return system, field
+
+
+def test_time_and_inputs():
+    """The field of a chart is that of the system at the same t and inputs, less a velocity."""
+    system, field = turned_skate()
+    q, t = np.array([[0.1, 0.2, 0.3], [1, 2, -0.4], [0, 0, 0]]), np.array([0.2, 1.1, -0.3])
+    chart = dal.Chart(system, q[0], t=t[0], dependent="y")
+    assert dal.Chart(system, q[0], t=t[0]).dependent == ("x",)  # y is heavier
+    xi = np.hstack([q, [[0.5, -1], [1, 2], [-2, 0.3]]])
+    u = np.array([[1.0, 2], [-3, 0.5], [0, 0]])
+    _, v = chart.lift(xi, t)
+    angle = q[:, 2] + 2 * t
+    near(v, np.column_stack([xi[:, 3], np.tan(angle) * xi[:, 3], xi[:, 4]]))
+    near(chart.A(q, t=t)[:, 0, 0], -np.tan(angle))
+    near(chart.B(q, t=t)[:, 0, 0], -np.cos(angle))
+    near(chart.condition(q, t=t), np.hypot(1, np.sqrt(2) * np.tan(angle)))
+    for k in range(3):
+        expected, mu, reaction = field(t[k], q[k], v[k], u[k])
+        near(chart.field(xi, t, u)[k], np.delete(expected, 4))
+        near(chart.field(xi[k], t[k], dict(zip(("ahead", "torque"), u[k]))),
+             np.delete(expected, 4))  # fmt: skip
+        near(chart.multipliers(q, v, t=t, inputs=u)[k], mu[1] * reaction)
+        near(chart.multipliers_back(q[k], v[k], [mu[1] * reaction], t[k]), reaction)
+
+        def slope(way, rate, k=k, e=1e-5):
+            ends = (np.concatenate(chart.lift(xi[k] + d * way, t[k] + d * rate)) for d in (e, -e))
+            return np.subtract(*ends) / (2 * e)
+
+        near(slope(chart.field(xi[k], t[k], u[k]), 1), expected, 1e-8)  # the whole acceleration
+        near(chart.jacobian(xi, t)[k].T, [slope(way, 0) for way in np.eye(5)], 1e-8)
+        hor, ver = chart.split(q[k], v[k] + [0, 7, 0], t[k])
+        near(hor, v[k])
+        near(ver, [0, 7, 0])
+        run = dal.integrate(system, "midpoint", q[k], v[k], t0=t[k], h=0.05, steps=1, inputs=u[k])
+        made, reactions = chart.step(xi, 0.05, t=t, inputs=u)
+        near(made[k], chart.drop(run.q[-1], run.v[-1]))
+        node, middle = angle[k] + 0.05 + 0.025 * v[k][2], run.reactions[0, 0]
+        near(reactions[k, 0], -np.cos(node) * middle, 1e-12)
+    # what a call was given is gone after it
+    near(chart.field(xi[0], t[0]), np.delete(field(t[0], q[0], v[0], [0, 0])[0], 4))
+    late = (np.pi / 2 - 0.3) / 2 - 1e-3  # the blade nearly points along y
+    assert chart.condition(q[0], t=late) > 100
+    assert chart.renewed(q[0], t=late).dependent == ("x",) and chart.renewed(q[0], t=0.1) is chart
+    again = pickle.loads(pickle.dumps(chart))
+    np.testing.assert_array_equal(again.field(xi, t, u), chart.field(xi, t, u))
+    there = chart.curve(q[0], v[0], q[1], v[1], 0.5, t=0.7)
+    near(there[1][1], np.tan(there[0][2] + 1.4) * there[1][0])
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"t": [0, 1]}, "t: expected shape"),
+        ({"inputs": [1]}, "inputs"),
+        ({"inputs": {"torc": 1}}, "torc"),
+        ({"t": np.nan}, "t"),
+    ],
+)
+def test_bad_times_and_inputs(given, words):
+    chart = dal.Chart(turned_skate()[0], [0, 0, 0])
+    with pytest.raises(ValueError, match=words):
+        chart.field([0, 0, 0, 1, 1], **given)
 
 
 def test_curve(own):
