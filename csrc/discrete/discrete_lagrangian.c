@@ -30,7 +30,7 @@ int dal_discrete_new(dal_discrete **discrete, const dal_system *system,
     dal__rho_reserve(&shape.lagrangian, lagrangian, n, &memory);
     dal__rho_reserve(&shape.constraint, of_constraint, n, &memory);
     dal__rho_reserve(&shape.moved, lagrangian, n, &memory);
-    dal__root_reserve(&shape.root, dal__times(2, n), &memory); /* m < n */
+    dal__root_reserve(&shape.root, dal__times(2, n), &memory); /* m <= n */
     DAL__RESERVE(&memory, n, &shape.q0, &shape.q1, &shape.w, &shape.force, &shape.L_v,
                  &shape.minus, &shape.plus, &shape.momentum, &shape.velocity, &shape.point,
                  &shape.value);

@@ -236,7 +236,7 @@ static void reserve_kernel(dal_kernel *k, const dal_system *system, arena *a)
     double **const multipliers[] = {&k->impulse, &at->r, &at->d, &at->kappa};
     dal__reserve(a, &at->x, dal__times(10, n) + dal__times(3, entries), sizeof(double));
     dal__reserve(a, &at->move, dal__times(2, n), sizeof(double));
-    dal__reserve(a, &k->saved, dal__times(3, n), sizeof(double)); /* m < n */
+    dal__reserve(a, &k->saved, dal__times(3, n), sizeof(double)); /* m <= n */
     dal__reserve_doubles(a, DAL_LENGTH(vectors), vectors, n);
     dal__reserve_doubles(a, DAL_LENGTH(multipliers), multipliers, m);
     dal__reserve(a, &at->Z, entries, sizeof(double));

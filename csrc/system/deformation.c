@@ -10,7 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { MOST_ENTRIES = 4000, MOST_ROWS = 64 }; /* of phi_v, and of the coordinates; m < n */
+enum { MOST_ENTRIES = 4000, MOST_ROWS = 64 }; /* of phi_v, and of the coordinates; m <= n */
 
 typedef struct deformation {
     dal_system_def base;  /* first: the ctx of what is taken over */

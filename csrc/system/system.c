@@ -108,9 +108,9 @@ static int check_def(const dal_system_def *def, dal_error *error)
 {
     const size_t n = def->n, m = def->m;
     if (n < 1) return dal__fail(error, DAL_EINVAL, "n = %zu: at least one coordinate is needed", n);
-    if (m >= n)
-        return dal__fail(error, DAL_EINVAL, "m = %zu constraints on n = %zu coordinates: m < n is "
-                         "needed", m, n);
+    if (m > n)
+        return dal__fail(error, DAL_EINVAL, "m = %zu constraints on n = %zu coordinates: at most n "
+                         "are independent", m, n);
     if (!def->sparsity && dal__times(dal__times(n, n), sizeof(double)) > PTRDIFF_MAX)
         return dal__fail(error, DAL_ENOMEM, "n = %zu: the size of an n x n matrix overflows", n);
     int status = check_lagrangian(def, error);

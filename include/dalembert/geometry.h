@@ -35,7 +35,8 @@ typedef struct dal_check {
     size_t rank;             /* of mu(q); should be m (FullRank, RegularitySet) */
     double condition;        /* of mu(q) in the mass metric: sqrt of the condition of C */
     double mass_min;         /* smallest eigenvalue of M, which is L_vv at x */
-    double kernel_min;       /* smallest eigenvalue of M on ker mu (EUDAETh with "> 0", E1) */
+    double kernel_min;       /* smallest eigenvalue of M on ker mu (EUDAETh with "> 0", E1);
+                                INFINITY for m = n */
     double residual;         /* as dal_relative_residual */
     double curvature;        /* largest length of [X,Y] across D, X and Y from an orthonormal basis
                                 of D_q: by N(q,X)Y - N(q,Y)X with N(q,w) = d(mu w)/dq; NaN unless

@@ -1185,7 +1185,7 @@ static void make_own(world *w, dal_system_def *def, double *mass, unsigned how)
     tape *const given = &w->t;
     recipe *const r = &w->r;
     const size_t n = r->n = 1 + next_below(given, MOST_N);
-    const size_t m = r->m = next_below(given, (unsigned)(n < MOST_M + 1 ? n : MOST_M + 1));
+    const size_t m = r->m = next_below(given, (unsigned)(n < MOST_M ? n + 1 : MOST_M + 1));
     const unsigned shape = next_byte(given);
     r->kind = m == 0 ? DAL_LINEAR : (dal_constraint_kind)(next_byte(given) % 3);
     tape drawn = drawn_from(given), *const t = next_below(given, 4) == 3 ? given : &drawn;

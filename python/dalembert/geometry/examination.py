@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,7 +98,8 @@ class Check:
     condition : float
         Condition number of mu in the mass metric.
     mass_min, kernel_min : float
-        Smallest eigenvalues of the mass matrix M at the state, on R^n and on ker mu.
+        Smallest eigenvalues of the mass matrix M at the state, on R^n and on ker mu; of the latter
+        there is none for m = n, and ``kernel_min`` is infinite.
     residual : float
         As `System.relative_residual`: 0 if the velocity lies in D.
     curvature : float
@@ -190,13 +192,14 @@ class Check:
     def _lines(self) -> list[tuple[str, Any]]:
         """Return what was found, each with its name; first the verdict."""
         curvature = f"{self.curvature:.3g}" + (", integrable" * self.integrable)
+        on_kernel = f", on ker mu {self.kernel_min:.6g}" if self.kernel_min < math.inf else ""
         lines: list[tuple[str, Any]] = [
             ("passed" if self.passed else "FAILED", self.text),
             *self._derivatives(),
             ("change of mu with v", f"{self.linearity:.1e}"),
             ("rank of mu", self.rank),
             ("condition of mu", f"{self.condition:.3g}"),
-            ("smallest mass", f"{self.mass_min:.6g}, on ker mu {self.kernel_min:.6g}"),
+            ("smallest mass", f"{self.mass_min:.6g}{on_kernel}"),
             ("|phi|, relative", f"{self.residual:.1e}"),
             ("curvature of D", curvature if self.kind == "linear" else f"- ({self.kind})"),
         ]

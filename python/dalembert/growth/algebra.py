@@ -116,7 +116,7 @@ class _Forms:
     def are_involutive(self, dependent: Sequence[int]) -> bool:
         """Return whether it is proved that D is: d mu^a(X, Y) = 0 for all fields of a basis."""
         n, m, q = self.n, self.m, self.q
-        if n - m == 1:
+        if n - m <= 1:
             return True
         if m > 4:
             return False
@@ -179,7 +179,7 @@ class _Point:
         self._free = [j for j in range(self.n) if j not in self.dependent]
         size = [1] * self.m
         if len(places) == 1:
-            size = abs(self._fields(places[0])).max(axis=1)
+            size = abs(self._fields(places[0])).max(axis=1, initial=0)
         # of dependent coordinates; what is no more than roundoff is none
         self._units = np.array([x if x > _ZERO**2 else 1 for x in size], dtype=object)
         self._digits = 0

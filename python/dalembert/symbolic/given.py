@@ -103,8 +103,10 @@ def make_model(
     translate = Translation(pairs, values, symbols, acting)
     lagrangian = translate(L, "L", translate.clock)
     phi = [translate.constraint(a, constraint) for a, constraint in enumerate(given)]
-    if len(phi) >= n:
-        raise ValueError(f"constraints: {len(phi)} on {n} coordinates; expected fewer")
+    if len(phi) > n:
+        raise ValueError(
+            f"constraints: {len(phi)} on {n} coordinates; at most {n} are independent"
+        )
     components = None if forces is None else translate.force(forces)
     for key, u in zip(acting, translate.inputs.values()):
         if not any(u in f.free_symbols for f in components or ()):

@@ -98,7 +98,7 @@ static void test_refused(void)
     const double state[4] = {0, 0, INFINITY, 0};
     const char *const invariants[1] = {"c"};
     REFUSED(def_.n = 0, DAL_EINVAL, "n = 0", "");
-    REFUSED(def_.m = 2, DAL_EINVAL, "m = 2", "n = 2");
+    REFUSED(def_.m = 3, DAL_EINVAL, "m = 3", "n = 2");
     REFUSED(def_.m = SIZE_MAX, DAL_EINVAL, "m = 18446744073709551615", "n = 2");
     REFUSED(def_.n = SIZE_MAX, DAL_ENOMEM, "n = 18446744073709551615", "overflows");
     REFUSED(def_.n = (size_t)1 << 31, DAL_ENOMEM, "n = 2147483648", "overflows");
