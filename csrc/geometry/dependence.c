@@ -170,3 +170,21 @@ bool dal__name_rank_lost(dal_mechanics *mech, const double *mu)
     dal__form_Z(mech, mu);
     return dal__name_dependent(mech, mu, mech->gram.Z, DAL_RANK_ALMOST_LOST, &mech->error);
 }
+
+void dal__name_turned(dal_mechanics *mech)
+{
+    const dal_rows *const stored = mech->eval.rows;
+    const size_t n = mech->n;
+    const double *const mu = mech->forms.mu, *const Z = mech->gram.Z;
+    size_t named = 0;
+    dal__form_Z(mech, mech->muk);
+    for (size_t a = 0; a < mech->m; a++) {
+        const double along = stored ? dal_rows_product(stored, mu, a, Z, a)
+                                    : dal__dot(n, mu + a * n, Z + a * n);
+        if (along >= 0.0) continue;
+        dal__add_words(&mech->error, "%sconstraints[%zu]", named++ ? ", " : "; ", a);
+    }
+    if (named > 0)
+        dal__add_words(&mech->error, " turn%s by more than a right angle in this step",
+                       named == 1 ? "s" : "");
+}

@@ -153,6 +153,9 @@ static inline double dal__rank_lost(const dal_mechanics *mech)
 /* The same of the mu of a step that is not found; and what is said where there is none. */
 #define DAL__RANK_OR_H ": the constraints lose rank, or h is too large here"
 bool dal__name_rank_lost(dal_mechanics *mech, const double *mu);
+/* Adds to the text which rows of muk and of the forms, the mu of one step, point to opposite sides:
+ * they vanish on the way, or h is too large. */
+void dal__name_turned(dal_mechanics *mech);
 /* The gram of the forms and the metric.  DAL_ESINGULAR. */
 int dal__factor_gram(dal_mechanics *mech);
 /* y[m] <- C^-1 y, of the last dal__factor_gram. */

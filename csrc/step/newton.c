@@ -153,6 +153,7 @@ static int iterate(newton *s)
                              .per_unit = s->mech->metric.per_unit, .z = s->z, .step = s->step,
                              .most = s->max_iterations};
     const int status = dal__newton_run(&equations, &s->mech->error);
+    if (status == DAL_ENOCONV && equations.sign < 0) dal__name_turned(s->mech);
     s->stats->halvings += (size_t)equations.progress.halvings;
     return status;
 }

@@ -128,7 +128,7 @@ def test_errata(own):
 
 
 def turned_skate():
-    """Return a skate whose blade stands at heading + 2 t, with two motors, and its field by hand."""
+    """Return a skate with the blade at heading + 2 t and two motors, and its field by hand."""
     x, y, heading = dal.coordinates("x y heading")
     ahead, torque = sp.symbols("ahead torque")
     blade = heading + 2 * dal.time
@@ -167,8 +167,8 @@ def test_time_and_inputs():
     for k in range(3):
         expected, mu, reaction = field(t[k], q[k], v[k], u[k])
         near(chart.field(xi, t, u)[k], np.delete(expected, 4))
-        near(chart.field(xi[k], t[k], dict(zip(("ahead", "torque"), u[k]))),
-             np.delete(expected, 4))  # fmt: skip
+        named = dict(zip(("ahead", "torque"), u[k]))
+        near(chart.field(xi[k], t[k], named), np.delete(expected, 4))
         near(chart.multipliers(q, v, t=t, inputs=u)[k], mu[1] * reaction)
         near(chart.multipliers_back(q[k], v[k], [mu[1] * reaction], t[k]), reaction)
 
@@ -190,7 +190,8 @@ def test_time_and_inputs():
     near(chart.field(xi[0], t[0]), np.delete(field(t[0], q[0], v[0], [0, 0])[0], 4))
     late = (np.pi / 2 - 0.3) / 2 - 1e-3  # the blade nearly points along y
     assert chart.condition(q[0], t=late) > 100
-    assert chart.renewed(q[0], t=late).dependent == ("x",) and chart.renewed(q[0], t=0.1) is chart
+    assert chart.renewed(q[0], t=late).dependent == ("x",)
+    assert chart.renewed(q[0], t=0.1) is chart
     again = pickle.loads(pickle.dumps(chart))
     np.testing.assert_array_equal(again.field(xi, t, u), chart.field(xi, t, u))
     there = chart.curve(q[0], v[0], q[1], v[1], 0.5, t=0.7)

@@ -450,6 +450,18 @@ def test_rows_that_depend_on_the_way():
         assert "constraints[1] equals constraints[0] here" in run.message, run.message
 
 
+def test_rows_that_vanish_on_the_way_are_named():
+    """Of two constraints the second one, where x = 0, between a node and the end of a step."""
+    x, y, z, w = dal.coordinates("x y z w")
+    rows = [w.d - 2 * z.d, x * (x.d + y.d)]
+    system = dal.System.from_sympy((x.d**2 + y.d**2 + z.d**2 + w.d**2) / 2, rows)
+    for scheme in ("leapfrog", "midpoint"):
+        start = [-1, 1, 0, 0], [1, -1, 1, 2]
+        run = dal.integrate(system, scheme, *start, h=0.036, steps=99, throw=False)
+        assert run.success is False and abs(run.q[-1, 0]) < 0.036
+        assert run.message.endswith("constraints[1] turns by more than a right angle in this step")
+
+
 def test_rows_of_many_constraints_that_depend():
     """Where C is stored by blocks, those of one are looked at."""
     T, rows = 0, []

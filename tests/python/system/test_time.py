@@ -370,8 +370,6 @@ def test_discrete_mechanics_take_the_time():
     after = discrete.advance(0.1, q, v, t=t)
     run = dal.integrate(system, "midpoint", q, v, h=0.1, steps=1, t0=t)
     np.testing.assert_allclose(np.concatenate(after[:2]), run.x[1], rtol=0, atol=1e-13)
-    with pytest.raises(ValueError, match="does not depend on time for a Chart"):
-        dal.Chart(system, q, v)
     with pytest.raises(ValueError, match="does not depend on time for an embedding"):
         dal.embedding(system, "midpoint", h=0.1, q0=q, v0=v)
 
