@@ -676,7 +676,7 @@ static int examine_involutivity(examination *ex)
 {
     enum { NEARBY = 4 };
     double scale;
-    if (ex->n - ex->m <= 1) { /* a single field commutes with itself */
+    if (ex->n - ex->m == 1) { /* a single field commutes with itself */
         ex->found.curvature = 0.0;
         ex->found.integrable = 1;
         return DAL_SUCCESS;

@@ -350,7 +350,7 @@ static int force(double t, const double *q, const double *v, const double *u, do
     return answer(fault);
 }
 
-/* g_a = sin(q_a) v_(a+1), a deformation that stays linear. */
+/* g_a = sin(q_a) v_(a+1), after the last one v_0, a deformation that stays linear. */
 static int deformation(double t, const double *q, const double *v, double *g, double *g_v,
                        double *g_q, double *g_t, void *ctx)
 {
@@ -361,9 +361,10 @@ static int deformation(double t, const double *q, const double *v, double *g, do
     if (g_v) memset(g_v, 0, m * n * sizeof *g_v);
     if (g_q) memset(g_q, 0, m * n * sizeof *g_q);
     for (size_t a = 0; a < m; a++) {
-        if (g) g[a] = sin(q[a]) * v[a + 1];
-        if (g_v) g_v[a * n + a + 1] = sin(q[a]);
-        if (g_q) g_q[a * n + a] = cos(q[a]) * v[a + 1];
+        const size_t next = (a + 1) % n;
+        if (g) g[a] = sin(q[a]) * v[next];
+        if (g_v) g_v[a * n + next] = sin(q[a]);
+        if (g_q) g_q[a * n + a] = cos(q[a]) * v[next];
         if (g_t) g_t[a] = 0.0;
     }
     spoil(fault, m, g);
