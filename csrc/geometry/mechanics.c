@@ -106,7 +106,9 @@ static int factor_metric(dal_mechanics *mech, double t, const double *q, const d
         const dal__entry entry = {NULL, "L_vv", row, row, value};
         return dal__fail_entry(&mech->error, DAL_ESINGULAR, &entry, " = %g: L_vv is not positive "
                                "definite to working precision, pivot %zu of its Cholesky factor "
-                               "is %g", value, row, pivot);
+                               "is %g; if a constraint mu v = 0 fixes what has no mass, add "
+                               "c (mu v)^2/2 to L, as c (p . p')^2/2 for a quaternion p", value,
+                               row, pivot);
     }
     for (size_t i = 0; i < n; i++) {
         metric->unit[i] = sqrt(metric->unit[i]);

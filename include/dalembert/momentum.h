@@ -241,6 +241,7 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_definite)(const dal_kernel *k, unsigne
 DAL_KERNEL_INLINE void DAL_KERNEL_PART(measure)(const dal_kernel *k, unsigned long long mask,
                                                 const dal_balance *balance)
 {
+    (void)k;
     DAL_KERNEL_SIZES;
     const double *const L = balance->L_vv;
     double *const column = balance->per_unit;

@@ -316,7 +316,7 @@ def test_hostile_names(cache, tmp_path):
     assert source.isascii() and "#error" not in source and "??/" not in source
     assert "__import__" not in re.sub(r'"[^"\n]*"|/\*.*?\*/', "", source)
     (tmp_path / "hostile.c").write_text(source)
-    compile_c(tmp_path, "hostile.c", "-c", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function")
+    compile_c(tmp_path, "hostile.c", "-c", *WARNINGS)
 
 
 def test_dollars_in_pictures_and_reports(tmp_path):
@@ -561,7 +561,7 @@ def test_interrupting_a_compiler(cache, tmp_path):
 PROGRAM = r"""
 #include <dalembert.h>
 #include <stdio.h>
-int bead_system(dal_system **system, double p0, double p1, dal_error *error);
+#include "bead.h"
 int main(void)
 {
     dal_system *system; dal_scheme scheme; dal_stepper *stepper; dal_error error; double x[6];
@@ -580,18 +580,23 @@ int main(void)
 """
 
 
-def compile_c(directory, *arguments):
-    """Compile as a C user does, with the headers as they are installed."""
+WARNINGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
+
+
+def compile_c(directory, *arguments, command=()):
+    """Compile as a C user does, with the headers as they are installed; return the output."""
     include = directory / "include"
     (include / "dalembert").mkdir(parents=True, exist_ok=True)
     shutil.copy(SOURCE_ROOT / "include" / "dalembert.h", include)
     for name in set(compiler.HEADERS) - {"dalembert.h"}:
         shutil.copy(SOURCE_ROOT / "include" / "dalembert" / name, include / "dalembert")
-    command = [*compiler.find().command, "-std=c11", "-O2", "-ffp-contract=off", f"-I{include}"]
+    command = command or [*compiler.find().command, "-std=c11", "-O2"]
     done = subprocess.run(
-        [*command, *arguments], cwd=directory, capture_output=True, text=True, check=False
-    )
+        [*command, "-ffp-contract=off", f"-I{include}", *arguments],
+        cwd=directory, capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_c_source_is_the_same_system(cache, tmp_path):
@@ -611,16 +616,76 @@ def test_c_source_is_the_same_system(cache, tmp_path):
     if not (library / "libdalembert.a").exists():
         pytest.fail(f"{library}: expected libdalembert.a of the build tree")
     (tmp_path / "bead.c").write_text(system.c_source())
+    (tmp_path / "bead.h").write_text(system.c_header())
     (tmp_path / "main.c").write_text(PROGRAM)
-    compile_c(
-        tmp_path, "-Wall", "-Wextra", "-Werror", "-Wno-unused-function", "bead.c", "main.c",
-        "-o", "main", str(library / "libdalembert.a"), "-lgsl", "-lgslcblas", "-lm",
-    )  # fmt: skip
+    links = str(library / "libdalembert.a"), "-lgsl", "-lgslcblas", "-lm"
+    compile_c(tmp_path, *WARNINGS, "bead.c", "main.c", "-o", "main", *links)
     done = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True, check=True)
     *numbers, names = done.stdout.splitlines()
     run = dal.integrate(system.with_parameters(m=2, k=0.3), "leapfrog", h=0.01, steps=1000)
     assert [float(x) for x in numbers] == list(run.y[:, -1])
     assert names == "bead z v_x"
+
+
+IN_CPP = r"""
+#include "fall.h"
+#include <complex.h>
+#include <cstdio>
+int main()
+{
+    dal_system *system; dal_scheme scheme; dal_stepper *stepper; dal_error error;
+    const double x[2] = {1.0, 5.0};
+    if (fall_system(&system, 2.0, 3.0, 0.5, &error)
+        || dal_scheme_find(&scheme, "leapfrog", &error)
+        || dal_stepper_new(&stepper, system, &scheme, NULL, &error)
+        || dal_stepper_start(stepper, 0.0, 0.125, x, DAL_CHECK, DAL_INITIAL_NONE)
+        || dal_advance(stepper, 16, NULL, NULL)) return 1;
+    std::printf("%.17g %.17g\n", dal_stepper_state(stepper)[0], dal_stepper_state(stepper)[1]);
+}
+"""
+
+
+def test_c_header_in_cpp(cache, tmp_path):
+    """A fall with names that C or C++ have taken, without a warning, from a program in C++."""
+    (x,) = dal.coordinates("x")
+    mass, push, late = sympy.symbols("class M_PI late")
+    system = dal.System.from_sympy(
+        mass * x.d**2 / 2 + push * x - (x - 99) * sympy.Heaviside(x - 99) * (x - 99) * late,
+        parameters={mass: 1, push: 1, late: 1}, name="fall", description="a text " * 700,
+    )  # fmt: skip
+    source, head = system.c_source(), system.c_header()
+    assert "(dal_system **system, double class_, double M_PI_, double late, dal_error" in head
+    (tmp_path / "fall.c").write_text(source)
+    (tmp_path / "fall.h").write_text(head)
+    (tmp_path / "main.cpp").write_text(IN_CPP)
+    in_cpp = [x for x in ("c++", "g++", "clang++") if shutil.which(x)]
+    moving = dal.System.from_sympy((1 + x**2) * x.d**2 / 2, force={x: -sympy.sign(x.d)})
+    (tmp_path / "moving.c").write_text(moving.c_source())
+    for name in filter(shutil.which, ("gcc", "clang")):
+        compile_c(tmp_path, *WARNINGS, "-c", "fall.c", command=[name, "-std=c11", "-O0"])
+        compile_c(tmp_path, *WARNINGS, "-c", "moving.c", command=[name, "-std=c11", "-O0"])
+    main = Path(dal.__file__).parents[2] / "csrc" / "libdalembert.a"
+    compile_c(
+        tmp_path, "-Wall", "-Wextra", "-pedantic", "-Werror", "main.cpp", "fall.o", str(main),
+        "-lgsl", "-lgslcblas", "-lm", "-o", "main", command=[in_cpp[0]],
+    )  # fmt: skip
+    done = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True, check=True)
+    q, v = map(float, done.stdout.split())
+    assert (q, v) == pytest.approx((1 + 5 * 2 + 1.5 * 2, 5 + 1.5 * 2), rel=1e-14)
+
+
+def test_names_of_parameters_in_c(tmp_path):
+    """Macros of the headers and words of both languages get an underscore."""
+    found = codegen.parameter_names(["m", "a b", "p1", "2nd", "new", "I", "system", "a__b", "R_1"])
+    assert found == ["m", "p1", "p1_", "p3", "new_", "I_", "system_", "p7", "R_1"]
+    text = "#include <dalembert.h>\n#include <stdio.h>\n#include <math.h>\n#include <complex.h>\n"
+    (tmp_path / "all.c").write_text(text)
+    defined = compile_c(tmp_path, "-D_GNU_SOURCE", "-dM", "-E", "all.c")
+    macros = re.findall(r"#define ([A-Za-z]\w*) ", defined)
+    assert {"NAN", "M_PI", "I"} <= {*macros}
+    names = [f"double {name}" for name in codegen.parameter_names(macros)]
+    (tmp_path / "all.c").write_text(f"{text}void all({', '.join(names)});\n")
+    compile_c(tmp_path, "-D_GNU_SOURCE", "-fsyntax-only", *WARNINGS, "all.c")
 
 
 def test_a_new_process_finds_it(cache):

@@ -20,7 +20,7 @@ import sympy
 from ..core import Array, Pair
 from ..core.extras import Show
 from ..symbolic.model import Model, with_default
-from ..symbolic.zeros import is_zero, of_sympy
+from ..symbolic.zeros import PIECES, is_zero
 from .search import Distribution, Word, brackets, explore, is_settled, search
 
 Expr = Any
@@ -79,7 +79,7 @@ class _Forms:
         forms = model.derived.expressions("constraint", "phi_v")
         self.mu = [e.xreplace(numbers) for e in forms]
         self._edges = _edges(self.mu)
-        self.in_pieces = any(e.has(*_PIECES) for e in self.mu)
+        self.in_pieces = any(e.has(*PIECES) for e in self.mu)
         printed = [
             with_default(e.replace(sympy.Heaviside, lambda x, _: (1 + sympy.sign(x)) / 2))
             for e in (*self.mu, *self._edges)
@@ -136,10 +136,6 @@ class _Forms:
             if not all(is_zero(found[i, j]) for i, j in pairs):
                 return False
         return True
-
-
-# Functions that are not analytic: what they are somewhere says nothing of elsewhere.
-_PIECES = of_sympy("Abs sign Heaviside Max Min Piecewise Rel")
 
 
 def _edges(expressions: Sequence[Expr]) -> list[Expr]:

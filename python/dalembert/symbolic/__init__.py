@@ -12,6 +12,7 @@ evaluation = Later(__name__, "evaluation")
 event = Later(__name__, "event")
 expressions = Later(__name__, "expressions")
 given = Later(__name__, "given")
+mechanisms = Later(__name__, "mechanisms")
 model = Later(__name__, "model")
 series = Later(__name__, "series")
 

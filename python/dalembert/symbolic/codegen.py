@@ -1,8 +1,9 @@
 """C from a model: its callbacks, its step routine, and the definition of its system.
 
 The program has no name or text of the user in it, except in string constants that are escaped byte
-by byte.  Each callback computes what its outputs have in common once, and what a single output
-needs only if that output is wanted.
+by byte, and, for C programs, the names of parameters that are free in C and C++.  Each callback
+computes what its outputs have in common once, and what a single output needs only if that output is
+wanted.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import dataclasses
 import functools
 import itertools
 import keyword
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -146,7 +148,9 @@ def program(
         _compiled(body, model, lanes)
     for exponent in sorted(powers):
         _power(made, exponent)
-    made.add(_HELPERS)
+    for helper, rest in _HELPERS.items():
+        if any(f"{helper}(" in line for line, _ in body.lines):
+            made.add(f"static inline double {helper}{rest}")
     made.lines += body.lines
     if compact:
         _sparsity(made, model)
@@ -161,17 +165,18 @@ def program(
 
 
 # Where an argument is no number, they are none.
-_HELPERS = """static inline double model_sign(double x)
+_HELPERS = {
+    "model_sign": """(double x)
 {
     return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x;
-}
-static inline double model_step(double x, double at_zero)
+}""",
+    "model_step": """(double x, double at_zero)
 {
     return x > 0.0 ? 1.0 : x < 0.0 ? 0.0 : x == 0.0 ? at_zero : x;
+}""",
+    "model_larger": "(double a, double b) { return a > b || a != a ? a : b; }",
+    "model_smaller": "(double a, double b) { return a < b || a != a ? a : b; }",
 }
-static inline double model_larger(double a, double b) { return a > b || a != a ? a : b; }
-static inline double model_smaller(double a, double b) { return a < b || a != a ? a : b; }
-"""
 
 
 def _power(made: Program, exponent: int, vector: bool = False) -> None:
@@ -622,18 +627,71 @@ def c_string(text: str) -> str:
     return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'
 
 
+# Words of C and C++, names of the constructor, and macros that begin like names of parameters.
+_TAKEN = frozenset(
+    "alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t "
+    "char8_t class co_await co_return co_yield compl concept const const_cast consteval constexpr "
+    "constinit continue decltype default delete do double dynamic_cast else enum explicit export "
+    "extern false float for friend goto if inline int long mutable namespace new noexcept not "
+    "not_eq nullptr operator or or_eq private protected public register reinterpret_cast requires "
+    "restrict return short signed sizeof static static_assert static_cast struct switch template this "
+    "thread_local throw true try typedef typeid typename typeof typeof_unqual union unsigned using "
+    "virtual void volatile wchar_t while xor xor_eq "
+    "coordinates def description error formulas help input_names invariants mass p source state "
+    "system I complex errno i386 imaginary linux math_errhandling stderr stdin stdout unix "
+    "L_ctermid L_cuserid L_tmpnam P_tmpdir".split()
+)
+_MACRO = re.compile(r"[A-Z]{3,}\w*|[A-Z]{2}_\w*|M_([A-Z]|[12]_)\w*|(dal|DAL|model)_\w*")
+
+_LONGEST = 4095  # of a string constant, in C compilers that keep to the standard
+
+
+def parameter_names(given: Iterable[str]) -> list[str]:
+    """Return a name in C and C++ for each parameter.
+
+    It is its own, with _ if it is taken there, and p0, p1, ... for what is no identifier.
+    """
+    found: list[str] = []
+    for k, key in enumerate(given):
+        name = key if re.fullmatch(r"(?!.*__)[A-Za-z]\w*", key, re.ASCII) else f"p{k}"
+        name += "_" * (name in _TAKEN or _MACRO.fullmatch(name) is not None)
+        while name in found:
+            name += "_"
+        found.append(name)
+    return found
+
+
+def _head(name: str, system: Any) -> str:
+    """Return the declaration of the constructor, without a semicolon."""
+    values = "".join(f"double {p}, " for p in parameter_names(system.parameters))
+    return f"int {name}_system(dal_system **system, {values}dal_error *error)"
+
+
+def _comment(system: Any) -> str:
+    """Return what stands before the constructor."""
+    values = zip(parameter_names(system.parameters), system.parameters.items())
+    lines = [f"{p} is {_plain(key)}, {x!r} where this was generated." for p, (key, x) in values]
+    lines.append("*system <- the system; as dal_system_new, which returns the status.")
+    return "\n".join(f"/* {line} */" for line in lines)
+
+
+def header(name: str, system: Any) -> str:
+    """Return the header of a program that ends in the constructor ``name_system``."""
+    guard = f"{name.upper()}_SYSTEM_H"
+    return (
+        f"/* Generated by dalembert, for C and C++. */\n#ifndef {guard}\n#define {guard}\n\n"
+        '#include <dalembert.h>\n\n#ifdef __cplusplus\nextern "C" {\n#endif\n\n'
+        f"{_comment(system)}\n{_head(name, system)};\n\n"
+        "#ifdef __cplusplus\n}\n#endif\n\n#endif\n"
+    )
+
+
 def _constructor(
     made: Program, model: Model, definition: list[str], name: str, system: Any, compact: bool
 ) -> None:
     """Write the function with which a C program makes the system."""
-    count, n = len(model.parameters), model.n
-    for i, (key, value) in enumerate(system.parameters.items()):
-        plain = _plain(key)
-        made.add(f"/* p{i} is {plain}, {value!r} where this was generated. */")
-    arguments = "".join(f"double p{i}, " for i in range(count))
-    head = f"int {name}_system(dal_system **system, {arguments}dal_error *error)"
-    made.add("/* *system <- the system; as dal_system_new, which returns the status. */")
-    made.add(f"{head};\n\n{head}\n{{")
+    n, head = model.n, _head(name, system)
+    made.add(f"{_comment(system)}\n{head};\n\n{head}\n{{")
 
     def strings(what: str, texts: Sequence[str]) -> None:
         made.add(f"    static const char *const {what}[] = {{{', '.join(map(c_string, texts))}}};")
@@ -641,11 +699,18 @@ def _constructor(
     strings("coordinates", model.coordinates)
     if model.inputs:
         strings("input_names", model.inputs)
-    values = ", ".join(f"p{i}" for i in range(count))
-    made.add(f"    double p[{max(count, 1)}] = {{{values or '0.0'}}};")
+    values = parameter_names(system.parameters)
+    made.add(f"    double p[{max(len(values), 1)}] = {{{', '.join(values) or '0.0'}}};")
     texts = {key: getattr(system, key) for key in ("name", "help", "description", "source")}
     texts["formulas"] = "\n".join(system.formulas)
-    members = [*definition, *(f".{key} = {c_string(x)}" for key, x in texts.items())]
+    members = [*definition]
+    for key, text in texts.items():
+        constant = c_string(text)
+        if len(text.encode()) > _LONGEST:
+            letters = "".join(f"'\\{b:03o}', " for b in text.encode())
+            made.add(f"    static const char {key}[] = {{{letters}0}};")
+            constant = key
+        members.append(f".{key} = {constant}")
     members += [".coordinates = coordinates", ".ctx = p", ".ctx_size = sizeof p"]
     members += [".input_names = input_names"] * bool(model.inputs)
     sizes = {"mass": n if compact else n * n, "state": 2 * n}

@@ -13,6 +13,7 @@ from sympy.core.function import AppliedUndef
 from ..core import arguments
 from . import model as models
 from .model import Coordinate, Model, Rule, Velocity, in_order
+from .zeros import PIECES, is_zero
 
 Expr = Any
 
@@ -93,16 +94,26 @@ def make_model(
         raise ValueError("coordinates: needed, there are none in L")
     if len(set(names)) != n:
         raise ValueError(f"coordinates = {names}: expected different names")
+    symbols_of = [str(s) for _, *both in pairs for s in both]
+    if twice := [s for s in symbols_of if symbols_of.count(s) > 1]:
+        raise ValueError(
+            f"coordinates: {twice[0]} stands for two of the coordinates and velocities; expected "
+            "a symbol of its own for each"
+        )
     values, symbols = _parameters(parameters)
-    if both := sorted(values.keys() & set(names)):
-        raise ValueError(f"parameters: {both[0]} is a coordinate; expected another name")
-    acting = _inputs(inputs)
-    for key in acting:
-        if key in names or key in values:
-            raise ValueError(f"inputs: {key} is the name of a coordinate or a parameter too")
+    taken = {*names, *symbols_of}
+    if both := sorted(values.keys() & taken):
+        raise ValueError(
+            f"parameters: {both[0]} is a coordinate or a velocity; expected another name"
+        )
+    acting = input_symbols(inputs)
+    if both := sorted(acting.keys() & (taken | values.keys())):
+        raise ValueError(
+            f"inputs: {both[0]} is the name of a coordinate, a velocity or a parameter too"
+        )
     translate = Translation(pairs, values, symbols, acting)
-    lagrangian = translate(L, "L", translate.clock)
-    phi = [translate.constraint(a, constraint) for a, constraint in enumerate(given)]
+    lagrangian = _without_time(translate(L, "L", translate.clock))
+    phi = [_without_time(translate.constraint(a, one)) for a, one in enumerate(given)]
     if len(phi) > n:
         raise ValueError(
             f"constraints: {len(phi)} on {n} coordinates; at most {n} are independent"
@@ -128,7 +139,7 @@ def make_model(
             translate(_expression(e, key), f"invariants[{key!r}]", translate.clock if timed else {})
             for key, e in (invariants or {}).items()
         ),
-        assumptions=tuple(_assumed(translate.used[name]) for name in values),
+        assumptions=tuple(_assumed({key, *translate.used[key.name]}) for key in symbols),
         inputs=tuple(acting),
     )
     return model, values
@@ -153,7 +164,7 @@ class Translation:
         self.values = values
         self.q, self.v = models.canonical("q", n), models.canonical("v", n)
         self.rule = dict(zip(values, models.canonical("p", len(values))))
-        self.used = {symbol.name: {symbol} for symbol in symbols}  # of each parameter
+        self.used: dict[str, set[Expr]] = {symbol.name: set() for symbol in symbols}
         self.positions, self.velocities = positions, velocities
         self.inputs = dict(zip(inputs.values(), models.canonical("u", len(inputs))))
         self.states = dict(zip([*positions, *velocities], [*self.q, *self.v]))
@@ -190,6 +201,12 @@ class Translation:
         matching = {s: self.rule[name] for s, name in plain.items() if name in self.rule}
         for symbol in matching:
             self.used[symbol.name].add(symbol)
+            if len(self.used[symbol.name]) > 1:
+                raise ValueError(
+                    f"{where}: {symbol} is the name of two symbols, of which one is "
+                    f"{' and '.join(_assumed(self.used[symbol.name])) or 'not as the other'}; "
+                    "expected one symbol for a parameter, or another name"
+                )
         found = found.xreplace(self.states | matching)
         allowed = {*self.q, *self.v, *self.rule.values()}
         if clock:
@@ -262,6 +279,14 @@ class Translation:
 _PLAIN_TIME = sympy.Symbol("t")
 
 
+def _without_time(e: Expr) -> Expr:
+    """Return an expression as it is at t = 0 if it is proved to be so always."""
+    if any(models.TIME in part.free_symbols for part in e.atoms(*PIECES)):
+        return e
+    still = e.xreplace({models.TIME: sympy.Integer(0)})
+    return still if still != e and is_zero(e - still) else e
+
+
 def _kind_and_name(symbol: Expr) -> tuple[type, str]:
     """Return what the same coordinate, or velocity, has in common in all calls."""
     return type(symbol), str(symbol)
@@ -302,6 +327,8 @@ def _expression(value: Any, name: str) -> Expr:
         found = found[0]
     if not isinstance(found, sympy.Expr):
         raise ValueError(f"{name} = {value!r}: expected a SymPy expression")
+    if wrong := found.atoms(*map(type, (sympy.nan, sympy.oo, -sympy.oo, sympy.zoo))):
+        raise ValueError(f"{name}: {wrong.pop()} is in it; expected finite numbers")
     return found
 
 
@@ -341,7 +368,7 @@ def _flat(given: Iterable[Any]) -> list[Expr]:
     return [e for one in given for e in (one if isinstance(one, list) else [one])]
 
 
-def _inputs(given: Any) -> dict[str, Expr]:
+def input_symbols(given: Any) -> dict[str, Expr]:
     """Return the symbols of the inputs, by their names."""
     found: dict[str, Expr] = {}
     for one in _several(given, "inputs"):
@@ -442,103 +469,3 @@ def require_assumed(model: Model, values: Mapping[str, float]) -> None:
             expected, holds = _ASSUMED[word]
             if not holds(value):
                 raise ValueError(f"{name} = {value:.15g}: expected {expected}")
-
-
-# ---- sympy.physics.mechanics -------------------------------------------------------------------
-
-
-def _refuse_kane(value: Any) -> None:
-    from sympy.physics.mechanics import KanesMethod
-
-    if isinstance(value, KanesMethod):
-        raise ValueError(
-            "a KanesMethod holds no Lagrangian, and its constraints only after elimination; pass "
-            "sympy.physics.mechanics.Lagrangian(frame, *bodies) and the velocity constraints to "
-            "System.from_sympy, or the mechanics.System to System.from_mechanics_system"
-        )
-
-
-def from_method(method: Any) -> dict[str, Any]:
-    """Return the arguments of from_sympy for a LagrangesMethod."""
-    from sympy.physics.mechanics import LagrangesMethod
-
-    _refuse_kane(method)
-    if not isinstance(method, LagrangesMethod):
-        raise ValueError(f"lm = {method!r}: expected a sympy.physics.mechanics.LagrangesMethod")
-    _refuse_holonomic(method._hol_coneqs)
-    q = list(method.q)
-    return {
-        "L": method._L[0],
-        "constraints": list(method.coneqs),
-        "coordinates": q,
-        "force": _generalized(method.forcelist, method.inertial, q, {}),
-    }
-
-
-def from_system(system: Any) -> dict[str, Any]:
-    """Return the arguments of from_sympy for a mechanics.System."""
-    from sympy.physics import mechanics
-
-    _refuse_kane(system)
-    if not isinstance(system, mechanics.System):
-        raise ValueError(f"system = {system!r}: expected a sympy.physics.mechanics.System")
-    _refuse_holonomic(system.holonomic_constraints)
-    if len(system.u_aux):
-        raise ValueError(f"auxiliary speeds {list(system.u_aux)}: there is no slot for them")
-    q, time = list(system.q), mechanics.dynamicsymbols._t
-    speeds = [u for u in system.u if not isinstance(u, sympy.Derivative)]
-    # the generalized speeds by the velocities: kinematic differential equations are linear in them
-    rule = {}
-    if speeds:
-        if len(system.kdes) == 0:
-            raise ValueError(f"speeds {speeds}: expected kinematic differential equations (kdes)")
-        A, b = sympy.linear_eq_to_matrix(list(system.kdes), speeds)
-        rule = dict(zip(speeds, A.LUsolve(b)))
-    loads = [*system.loads, *(load for act in system.actuators for load in act.to_loads())]
-    constraints = [*system.nonholonomic_constraints]
-    if len(system.velocity_constraints) > len(constraints):
-        constraints = list(system.velocity_constraints)
-    L = mechanics.Lagrangian(system.frame, *system.bodies)
-    return {
-        "L": L.subs(rule).doit() if rule else L,
-        "constraints": [c.subs(rule) for c in constraints],
-        "coordinates": q,
-        "force": _generalized(loads, system.frame, q, rule, [x.diff(time) for x in q]),
-    }
-
-
-def _refuse_holonomic(constraints: Any) -> None:
-    found = [c for c in (constraints or []) if c != 0]
-    if found:
-        raise ValueError(
-            f"the holonomic constraint {found[0]} = 0: there is no slot for constraints on the "
-            "coordinates; choose coordinates that satisfy it, or give its time derivative as a "
-            "velocity constraint, which then is kept, while the coordinates drift"
-        )
-
-
-def _generalized(
-    loads: Iterable[Any],
-    frame: Any,
-    q: list[Expr],
-    rule: Rule,
-    velocities: list[Expr] | None = None,
-) -> Rule | None:
-    """Return the generalized force of forces on points and torques on frames; None without any."""
-    from sympy.physics.mechanics import Point, dynamicsymbols
-
-    loads = list(loads or [])
-    if not loads:
-        return None
-    if frame is None:
-        raise ValueError("forcelist without frame: the inertial frame is needed for its forces")
-    found = dict.fromkeys(q, 0)
-    for place, vector in loads:
-        at = place.vel(frame) if isinstance(place, Point) else place.ang_vel_in(frame)
-        for x in q:
-            rate = x.diff(dynamicsymbols._t)
-            for u, expression in {rate: rate, **rule}.items():
-                slope = expression.diff(rate)
-                if slope != 0 and (u == rate or at.free_dynamicsymbols(frame)):
-                    found[x] += slope * at.diff(u, frame, var_in_dcm=False).dot(vector)
-    return {x: e.subs(rule).doit() if rule else e for x, e in found.items()}

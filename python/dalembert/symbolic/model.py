@@ -29,7 +29,7 @@ except ImportError:
     symengine = None
 
 from . import formula
-from .zeros import is_zero, of_sympy
+from .zeros import PIECES, is_zero, of_sympy
 
 Expr = Any  # sympy has no types
 Rule = dict[Expr, Expr]
@@ -162,7 +162,12 @@ def _gradient(e: Expr, symbols: Collection[Expr]) -> Rule:
     They are those of ``sympy.diff``, which for each symbol would go through all terms of all sums.
     """
     if not e.is_Add and not e.is_Mul:
-        return {s: sympy.diff(e, s) for s in e.free_symbols if s in symbols}
+        marked = e.replace(_is_parametric, lambda power: _Power(*power.args))
+        return {
+            s: sympy.diff(marked, s).replace(_Power, sympy.Pow)
+            for s in e.free_symbols
+            if s in symbols
+        }
     slopes: dict[Expr, list[Expr]] = {}
     for i, part in enumerate(e.args):
         for s, slope in _gradient(part, symbols).items():
@@ -170,6 +175,19 @@ def _gradient(e: Expr, symbols: Collection[Expr]) -> Rule:
                 slope if e.is_Add else sympy.Mul(*e.args[:i], slope, *e.args[i + 1 :])
             )
     return {s: sympy.Add(*found) for s, found in slopes.items()}
+
+
+class _Power(sympy.Function):
+    """x^n with a parameter n, whose derivative SymPy writes as n x^n / x: 0/0 where x is 0."""
+
+    def fdiff(self, argindex: int = 1) -> Expr:
+        x, n = self.args
+        return sympy.Piecewise((0, sympy.Eq(n, 0)), (n * _Power(x, n - 1), True))
+
+
+def _is_parametric(e: Expr) -> bool:
+    """Return whether an expression is a power whose exponent is constant, but no fraction."""
+    return bool(e.is_Pow and not e.exp.is_Rational and not e.base.is_number and _is_constant(e.exp))
 
 
 def _as_function(found: Expr, symbol: Expr, almost: bool) -> Expr:
@@ -343,7 +361,7 @@ def _are_smooth(expressions: Iterable[Expr]) -> bool:
     while left:
         e = left.pop()
         if e not in seen:
-            if not isinstance(e, _SMOOTH):
+            if not isinstance(e, _SMOOTH) or _is_parametric(e):
                 return False
             seen.add(e)
             left += e.args
@@ -759,7 +777,7 @@ def _energy(
                 f"L: {model.shown(v[i])} is not in it, or only linearly, so that {name} has no "
                 f"mass; expected a kinetic energy of {name}, such as m*{model.shown(v[i])}**2/2"
             )
-    mass, potential = _constant_mass(model, engine, lagrangian, L_vv)
+    mass, potential = _constant_mass(model, engine, lagrangian, L_v, L_vv)
     if mass is None:
         L_q = _slopes(engine, L, q)
         L_qq, L_vq = _symmetric(engine, L_q, q, almost=True), _slopes(engine, L_v, q)
@@ -840,8 +858,17 @@ def _without(engine: Any, expressions: Iterable[Expr], values: Rule) -> list[Exp
     return _of_each(lambda e: engine.take(e).subs(taken), expressions)
 
 
+def _are_without(slopes: Iterable[Expr], e: Expr, symbols: Collection[Expr]) -> bool:
+    """Return whether it is seen, without a proof, that derivatives of e depend on none of symbols.
+
+    So it is where these occur neither in the derivatives nor in a function of e that has pieces.
+    """
+    parts = (*slopes, *e.atoms(*PIECES))
+    return not any(part.free_symbols.intersection(symbols) for part in parts)
+
+
 def _constant_mass(
-    model: Model, engine: Any, L: Expr, L_vv: Sequence[Expr]
+    model: Model, engine: Any, L: Expr, L_v: Sequence[Expr], L_vv: Sequence[Expr]
 ) -> tuple[tuple[Expr, ...] | None, Expr]:
     """Return M if it is proved that L = v^T M v / 2 - V(q) with a constant M, else None; and V."""
     rest = dict.fromkeys(model.v, sympy.Integer(0))
@@ -851,6 +878,9 @@ def _constant_mass(
     V = -L.xreplace(rest)
     if not all(e == c or is_zero(e - c) for e, c in zip(given, M)):
         return None, V  # which the whole would tell, but later
+    if _are_without(given, L, model.v):  # then L = v^T M v / 2 + b(q) v - V(q)
+        b = (engine.give(e).xreplace(rest) for e in L_v)
+        return M if all(map(is_zero, b)) else None, V
     pairs = itertools.product(model.v, repeat=2)
     kinetic = sympy.Add(*(e * (a * b / 2) for e, (a, b) in zip(M, pairs) if e != 0))
     return M if is_zero(L + V - kinetic) else None, V
@@ -861,19 +891,21 @@ def _kind(
 ) -> tuple[str, list[Expr]]:
     """Return the kind of the constraints, and phi_v without v unless they are nonlinear.
 
-    They are affine if it is proved that phi = mu(q) v + a(q), linear if a is proved to be zero.
+    They are affine if it is seen or proved that phi = mu(q) v + a(q), linear if a is proved to be
+    zero.
     """
     n, rest = model.n, dict.fromkeys(model.v, sympy.Integer(0))
     given = _of_each(engine.give, phi_v)
     mu = _of_each(lambda e: e.xreplace(rest), given)
     shift = [e.xreplace(rest) for e in phi]
-    rows = [zip(mu[a * n : (a + 1) * n], model.v) for a in range(model.m)]
+    rows = [slice(a * n, (a + 1) * n) for a in range(model.m)]
     affine = all(
-        is_zero(e - b - sympy.Add(*(c * x for c, x in row if c != 0)))
+        _are_without(given[row], e, model.v)
+        or is_zero(e - b - sympy.Add(*(c * x for c, x in zip(mu[row], model.v) if c != 0)))
         for e, b, row in zip(phi, shift, rows)
     )
-    for a in range(model.m):
-        if all(map(is_zero, (mu if affine else given)[a * n : (a + 1) * n])):
+    for a, row in enumerate(rows):
+        if all(map(is_zero, (mu if affine else given)[row])):
             shown = f"constraints[{a}] = {model.shown(model.constraints[a])}"
             if is_zero(engine.give(phi[a])):
                 raise ValueError(f"{shown}: it is 0 for all velocities, and constrains nothing")
@@ -980,7 +1012,14 @@ def require_known(
                 nearest(e, where)
             continue
         if isinstance(e, AppliedUndef):
-            raise ValueError(f"{where}: {shown(e)} is an unknown function; is it a coordinate?")
+            hint = "write its formula in place of it"
+            if [str(x) for x in e.args] == [TIME.name]:
+                hint = (
+                    "a coordinate belongs into coordinates=, what drives a force into inputs=, and "
+                    "a generalized speed is replaced by velocities after its kinematic "
+                    f"differential equation, as by .subs({shown(e)}, ...)"
+                )
+            raise ValueError(f"{where}: {shown(e)} is an unknown function; {hint}")
         names = {f.__name__ for f in (*FUNCTIONS, *_STRUCTURE) if issubclass(f, sympy.Function)}
         raise ValueError(
             f"{where}: {shown(e)} ({type(e).__name__}) is not among what can be compiled: "

@@ -38,6 +38,10 @@ def ode(model: Model, heyoka: Any) -> tuple[list[tuple[Any, Any]], bool]:
     """
     function = model.terms
     outputs = {name: [*map(function.engine.give, x)] for name, x in function.outputs.items()}
+    outputs = {
+        name: [e.replace(_is_whole, lambda part: part.args[-1].expr) for e in x]
+        for name, x in outputs.items()
+    }
     mass = model.derived.mass or outputs["M"]
     outputs["M"] = [*mass]
     temporaries, reduced = sympy.cse(
@@ -63,6 +67,18 @@ def ode(model: Model, heyoka: Any) -> tuple[list[tuple[Any, Any]], bool]:
     pairs = [*zip(variables[:n], variables[n:])]
     pairs += [(x, zero if rate is None else rate) for x, rate in zip(variables[n:], rates)]
     return pairs, any(map(_is_branched, (*(e for _, e in temporaries), *reduced)))
+
+
+def _is_whole(e: Expr) -> bool:
+    """Return whether an expression is Piecewise((0, n = 0), (f, True)) with an f that is 0 there.
+
+    So the derivative n x^(n - 1) of x^n has two pieces, as at n = 0 and x = 0 it is no number.
+    """
+    if not isinstance(e, sympy.Piecewise):
+        return False
+    (value, condition), *_, (rest, always) = e.args
+    equal = isinstance(condition, sympy.Eq) and len(e.args) == 2 and always == sympy.true
+    return bool(equal and value == 0 == rest.xreplace({condition.lhs: condition.rhs}))
 
 
 def _is_branched(e: Expr) -> bool:

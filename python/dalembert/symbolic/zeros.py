@@ -40,6 +40,10 @@ def of_sympy(names: str) -> tuple[Any, ...]:
     return tuple(getattr(sympy, name) for name in names.split())
 
 
+# Functions that are not analytic: what they are somewhere says nothing of elsewhere.
+PIECES = of_sympy("Abs sign Heaviside Max Min Piecewise Rel")
+
+
 class _Undecided(Exception):
     """It takes too long, or something that may be zero stands in a denominator."""
 

@@ -424,8 +424,8 @@ class System(Handle):
     ) -> System:
         """Return the system of a ``sympy.physics.mechanics.LagrangesMethod``.
 
-        Its Lagrangian, ``nonhol_coneqs`` and ``forcelist`` are taken.  Mind the sign of the
-        multipliers: here d/dt L_v - L_q = f + mu^T lambda.  The equations of a LagrangesMethod and
+        Its Lagrangian, ``nonhol_coneqs`` and ``forcelist`` are taken.  A load that is constant in
+        ``frame`` becomes a part of V, any other a force.  Mind the sign of the multipliers: here d/dt L_v - L_q = f + mu^T lambda.  The equations of a LagrangesMethod and
         its ``solve_multipliers`` have -lambda, its ``rhs()`` has lambda.
 
         Parameters
@@ -450,7 +450,7 @@ class System(Handle):
         >>> dal.System.from_lagranges_method(lm).multipliers([0, 0], [1, 0])
         array([1.])
         """
-        given = symbolic.given.from_method(lm)
+        given = symbolic.mechanisms.from_method(lm, options.get("inputs", ()))
         return cls.from_sympy(parameters=parameters, **{**given, **options})
 
     @classmethod
@@ -459,9 +459,10 @@ class System(Handle):
     ) -> System:
         """Return the system of a ``sympy.physics.mechanics.System``.
 
-        Its bodies give the Lagrangian, with their potential energies; its loads and actuators the
-        force; its nonholonomic constraints are kept.  Generalized speeds are replaced by velocities
-        after the kinematic differential equations.
+        Its bodies give the Lagrangian, with their potential energies.  A load that is constant in
+        the inertial frame, as a weight, becomes a part of V; other loads and actuators give the
+        force.  The nonholonomic constraints are kept.  Generalized speeds are replaced by
+        velocities after the kinematic differential equations.
 
         Parameters
         ----------
@@ -472,7 +473,9 @@ class System(Handle):
         Raises
         ------
         ValueError
-            If there are holonomic constraints or auxiliary speeds, or it is no such System.
+            If there are holonomic constraints or auxiliary speeds; a speed has no kinematic
+            differential equation; the velocity of a mass centre is no derivative of a position, or
+            an angular velocity not that of an orientation; or it is no such System.
 
         Examples
         --------
@@ -487,7 +490,7 @@ class System(Handle):
         >>> dal.System.from_mechanics_system(system).acceleration([1], [0])
         array([-1.5])
         """
-        given = symbolic.given.from_system(system)
+        given = symbolic.mechanisms.from_system(system, options.get("inputs", ()))
         return cls.from_sympy(parameters=parameters, **{**given, **options})
 
     # ---- what the system is --------------------------------------------------------------
@@ -751,9 +754,12 @@ class System(Handle):
     def c_source(self, name: str | None = None) -> str:
         """Return a C file with the system, for a program that is linked with libdalembert.
 
-        It has one function, ``int NAME_system(dal_system **system, double p0, ..., dal_error
-        *error)``, with the parameters in the order of `parameters`; what it makes steps as fast as
-        this system.  ``cc own.c main.c -ffp-contract=off $(pkg-config --cflags --libs dalembert)``
+        It has one function, ``int NAME_system(dal_system **system, double PARAMETER, ..., dal_error
+        *error)``, with the names of the parameters in the order of `parameters`.  A name that C or
+        C++ has taken gets an underscore.  What the function makes steps as fast as this system.
+        `c_header` declares the function.
+
+        ``cc own.c main.c -ffp-contract=off $(pkg-config --cflags --libs dalembert) -lm``
 
         Parameters
         ----------
@@ -773,12 +779,40 @@ class System(Handle):
         >>> "int own_system(dal_system **system, dal_error *error);" in own.c_source("own")
         True
         """
+        source: str = symbolic.codegen.program(*self._named_for_c(name), self).source
+        return source
+
+    def c_header(self, name: str | None = None) -> str:
+        """Return the header that declares the function of `c_source`, for C and C++.
+
+        Parameters
+        ----------
+        name : str, optional
+            As of `c_source`.
+
+        Raises
+        ------
+        ValueError
+            If the system was not made from expressions, or the name is no identifier.
+
+        Examples
+        --------
+        >>> import dalembert as dal
+        >>> import sympy
+        >>> x, g = dal.coordinates("x")[0], sympy.Symbol("g")
+        >>> own = dal.System.from_sympy(L=x.d**2 / 2 - g * x, parameters={g: 9.81})
+        >>> [line for line in own.c_header("own").split("\\n") if "(" in line]
+        ['int own_system(dal_system **system, double g, dal_error *error);']
+        """
+        _, identifier = self._named_for_c(name)
+        text: str = symbolic.codegen.header(identifier, self)
+        return text
+
+    def _named_for_c(self, name: str | None) -> tuple[Any, str]:
+        """Return the model, and its name in C."""
         if self._model is None:
             raise ValueError(f"the system {self.name!r} was not made by from_sympy")
-        codegen = symbolic.codegen
-        identifier = codegen.c_identifier(name, self.name)
-        source: str = codegen.program(self._model, identifier, self).source
-        return source
+        return self._model, symbolic.codegen.c_identifier(name, self.name)
 
     def _repr_latex_(self) -> str | None:
         """Return L, mu and the equations of motion for a notebook; None if they are not known."""

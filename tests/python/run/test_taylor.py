@@ -1,5 +1,6 @@
 """The reference flow by Taylor series: an independent integrator, as a judge and as a method."""
 
+import functools
 import os
 import pickle
 import signal
@@ -13,7 +14,7 @@ import sympy as sp
 import dalembert as dal
 
 x, y, z, w = dal.coordinates("x y z w")
-t = dal.time
+t, n = dal.time, sp.Symbol("n")
 
 
 def bent_root(exponent):
@@ -33,6 +34,10 @@ OWN = {
         dal.System.from_sympy,
         (x.d**2 + y.d**2 + z.d**2 * (2 + sp.sin(t))) / 2 + t * x.d * y - z,
         [x.d**2 + y.d**2 - z.d**2 - 1],
+    ),
+    "power": (
+        functools.partial(dal.System.from_sympy, parameters={n: 2.5}),
+        (x.d**2 + y.d**2) / 2 - (2 + x**2) ** n * (1 + y**2) / 9, [],
     ),
     "free": (dal.System.from_sympy, (x.d**2 + y.d**2 + z.d**2 + x.d * y.d) / 2 - x * y**3, []),
     "two": (

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import sympy
 from conftest import U
-from sympy.physics import mechanics
 from sympy.physics.mechanics import dynamicsymbols
 
 import dalembert as dal
@@ -634,6 +633,41 @@ def test_kinds():
     assert dal.System.from_sympy(L, hidden, [x, y, z]).kind == "linear"
 
 
+def test_a_quaternion_has_no_mass_along_itself():
+    """The error names the cure; a top that is cured turns after Euler's equations."""
+    p = dal.coordinates("p:4")
+    rows = sympy.Matrix(
+        [[-p[1], p[0], p[3], -p[2]], [-p[2], -p[3], p[0], p[1]], [-p[3], p[2], -p[1], p[0]]]
+    )
+    omega = 2 * rows * sympy.Matrix([x.d for x in p])
+    inertia = sympy.diag(1, 2, 4)
+    L, length = (omega.T * inertia * omega)[0] / 2, sum(x * x.d for x in p)
+    q, turn = np.array([0.5, -0.1, 0.7, 0.5]), np.array([0.3, -1.1, 0.8])
+    to_q = np.array(rows.subs(dict(zip(p, q))), dtype=float).T / 2
+    with pytest.raises(dal.SingularError, match=r"add c \(mu v\).2/2 to L, as c \(p . p'\)"):
+        dal.System.from_sympy(L, [length]).acceleration(q, to_q @ turn)
+    cured = dal.System.from_sympy(L + 3 * length**2 / 2, [length])
+    found = 4 * to_q.T @ cured.acceleration(q, to_q @ turn)
+    a, b, c = turn
+    np.testing.assert_allclose(found, [-2 * b * c, 3 * a * c / 2, -a * b / 4], rtol=1e-13)
+
+
+def test_powers_of_a_parameter_at_zero():
+    """V_q of x^n at x = 0 is that of the limit; SymPy writes n x^n / x, which is no number there."""
+    x, y = dal.coordinates("x y")
+    n = sympy.Symbol("n")
+    L = (x.d**2 + y.d**2) / 2 - x**n - sympy.sin(y ** (n + 1)) + x**sympy.pi
+    system = dal.System.from_sympy(L, (), None, {n: 2})
+    for value, expected in ((0, (0, -1)), (1, (-1, 0)), (2, (0, 0)), (3, (0, 0))):
+        there = system.with_parameters(n=value)
+        np.testing.assert_array_equal(there.acceleration([0, 0], [0, 0]), expected)
+    with pytest.raises(dal.DomainError):  # infinite
+        system.with_parameters(n=0.5).acceleration([0, 0], [0, 0])
+    V_qq = dal.System.from_sympy(x.d**2 / 2 - x**n, parameters={n: 2})._model.callables("potential")
+    for value, expected in ((0, 0), (2, 2), (3, 0)):
+        assert V_qq["V_qq"]([0.0], [0.0], [value]) == [expected]
+
+
 def test_parameters_stay_free():
     """with_parameters compiles nothing, shares the code, and is the system of these values."""
     x, theta = dal.coordinates("x theta")
@@ -754,6 +788,7 @@ def test_refused_by_name():
     m, t = sympy.symbols("m t")
     f, u = sympy.Function("f"), sympy.Function("u")(t)
     X = dynamicsymbols("X")
+    positive = sympy.Symbol("m", positive=True)
     L = (x.d**2 + y.d**2) / 2
     from_sympy = dal.System.from_sympy
     cases = [
@@ -808,6 +843,23 @@ def test_refused_by_name():
         (lambda: from_sympy(L, q0=[x, 0], v0=[0, 0]), "expected numbers, or expressions of param"),
         (lambda: from_sympy(X.diff("t") ** 2 + X.diff("t", 2)), "no velocity of a coordinate"),
         (lambda: from_sympy(L, exact=[x]), "exact: expected 4 expressions, got 1"),
+        (lambda: from_sympy(L + float("nan")), "L: nan is in it; expected finite numbers"),
+        (lambda: from_sympy(L - sympy.oo * x), "L: -oo is in it; expected finite numbers"),
+        (lambda: from_sympy(L, [[1, sympy.zoo]]), "constraints.0.: zoo is in it; expected finite"),
+        (lambda: from_sympy(m**2, (), [(m, m)]), "coordinates: m stands for two of the coord"),
+        (lambda: from_sympy(m**2, (), [(m, t), (t, m)]), "coordinates: m stands for two"),
+        (lambda: from_sympy(m**2, (), [(t, m)], {"m": 1}), "parameters: m is .* a velocity; exp"),
+        (lambda: from_sympy(m**2, (), [(t, m)], inputs=[m]), "inputs: m is the name of a coord"),
+        (
+            lambda: from_sympy(L - m * x - positive * y, (), None, {m: 1}),
+            "L: m is the name of two symbols, of which one is positive",
+        ),
+        (
+            lambda: from_sympy(L - m * x, (), None, {m: 1}, force={x: positive}),
+            r"force\[x\]: m is the name of two symbols, of which one is positive",
+        ),
+        (lambda: from_sympy(L + X, (), [x, y]), r"L: X\(t\) is an unknown .*\.subs\(X\(t\), "),
+        (lambda: from_sympy(L + f(x)), r"L: f\(x\) is an unknown function; write its formula"),
         (lambda: from_sympy(L, name="a\0b"), "name"),
         (lambda: from_sympy(L, source=3), "source = 3: expected a string"),
         (lambda: dal.coordinates("x x"), "expected different names"),
@@ -944,159 +996,6 @@ def test_pickle_and_threads():
     with ThreadPoolExecutor(8) as pool:
         for y in pool.map(work, range(16)):
             np.testing.assert_array_equal(y, expected)
-
-
-# ---- sympy.physics.mechanics -------------------------------------------------------------------
-
-
-def sleigh_method(frame=None, forces=None):
-    x, y, theta = dynamicsymbols("x y theta")
-    m, J, a = sympy.symbols("m J a")
-    t = dynamicsymbols._t
-    L = (m * (x.diff(t) ** 2 + y.diff(t) ** 2) + J * theta.diff(t) ** 2) / 2 - m * x
-    row = -sympy.sin(theta) * x.diff(t) + sympy.cos(theta) * y.diff(t) - a * theta.diff(t)
-    values = {m: 1.5, J: 0.8, a: 0.4}
-    method = mechanics.LagrangesMethod(
-        L, [x, y, theta], nonhol_coneqs=[row], frame=frame, forcelist=forces
-    )
-    return method, values
-
-
-def solve(field, state, t_end):
-    """Solve s' = field(s) to about 1e-10: by SciPy, or by the classical method of order 4."""
-    try:
-        from scipy.integrate import solve_ivp
-    except ImportError:
-        steps = 2000
-        h = t_end / steps  # h^4 = 1e-12
-        for _ in range(steps):
-            a = field(state)
-            b = field(state + h / 2 * a)
-            c = field(state + h / 2 * b)
-            d = field(state + h * c)
-            state = state + h / 6 * (a + 2 * b + 2 * c + d)
-        return state
-    found = solve_ivp(
-        lambda _, s: field(s), (0, t_end), state, rtol=1e-12, atol=1e-13, method="DOP853"
-    )
-    return found.y[:, -1]
-
-
-def test_lagranges_method_round_trip():
-    """The motion of SymPy's own rhs(), solved otherwise, and the documented sign of lambda."""
-    method, values = sleigh_method()
-    system = dal.System.from_lagranges_method(method, parameters=values)
-    assert system.coordinates == ("x", "y", "theta") and system.mass is not None
-    method.form_lagranges_equations()
-    assert dal.System.from_lagranges_method(method, values)._model.key == system._model.key
-    state = [*method.q, *method.q.diff(dynamicsymbols._t)]
-    plain = sympy.symbols("s:6")
-    rule = dict(zip(state, plain))
-    backwards = dict(reversed(rule.items()))  # derivatives before functions
-    rhs = sympy.lambdify([plain], list(method.rhs().subs(values).subs(backwards)))
-    q0 = np.array([0.1, -0.2, 0.3])
-    v0 = system.project(q0, np.array([0.4, 0.8, 1.0]))
-    end = solve(lambda s: np.array(rhs(s)[:6], dtype=float), np.array([*q0, *v0]), 2.0)
-    run = dal.integrate(system, "leapfrog-kl8", q0, v0, h=0.02, t_end=2)
-    np.testing.assert_allclose(run.y[:, -1], end, rtol=0, atol=1e-9)
-
-    ours = system.multipliers(q0, v0)
-    at = {**dict(zip(plain, [*q0, *v0])), **values}
-    solved = method.rhs().subs(backwards).subs(at)
-    np.testing.assert_allclose(float(solved[6]), ours[0], rtol=1e-12)
-    accelerations = dict(zip(method.q.diff(dynamicsymbols._t, 2), system.acceleration(q0, v0)))
-    equations = method.eom.subs(accelerations).subs(backwards).subs(at)
-    multiplier = method.lam_vec[0]
-    for equation in equations:  # they hold for -lambda
-        assert abs(float(equation.subs(multiplier, -ours[0]))) < 1e-12
-
-
-def test_forces_of_lagranges_method():
-    """A force on a point and a torque become the generalized force."""
-    N = mechanics.ReferenceFrame("N")
-    body = mechanics.ReferenceFrame("B")
-    x, y, theta = dynamicsymbols("x y theta")
-    body.orient_axis(N, theta, N.z)
-    centre = mechanics.Point("C")
-    centre.set_vel(N, x.diff() * N.x + y.diff() * N.y)
-    method, values = sleigh_method(N, [(centre, 3 * body.x), (body, -theta.diff() * N.z)])
-    system = dal.System.from_lagranges_method(method, values)
-    assert system.is_forced
-    q, v = [0.1, 0.2, 0.7], [1.0, 2.0, 3.0]
-    power = 3 * (np.cos(0.7) * 1.0 + np.sin(0.7) * 2.0) - 9.0
-    _, force = power_of(system, q, v)
-    assert force == pytest.approx(power, rel=16 * U)
-    with pytest.raises(ValueError, match="inertial frame"):
-        dal.System.from_lagranges_method(sleigh_method(None, [(centre, N.x)])[0], values)
-
-
-def power_of(system, q, v):
-    with system._mechanics.lend() as mechanics_of:
-        x = np.array([*q, *v])
-        found = np.zeros(2)
-        core.check(
-            core.lib.dal_power(
-                mechanics_of, 0.0, core.pointer(x), core.pointer(found),
-                core.pointer(found[1:]),
-            )
-        )  # fmt: skip
-    return found
-
-
-def test_mechanics_system():
-    """Bodies, a joint and a knife edge, with generalized speeds, against the same by hand."""
-    x, y, theta, u, w, omega = dynamicsymbols("x y theta u w omega")
-    m, J = sympy.symbols("m J")
-    frame = mechanics.ReferenceFrame("N")
-    origin = mechanics.Point("O")
-    origin.set_vel(frame, 0)
-    made = mechanics.System(frame, origin)
-    body = mechanics.ReferenceFrame("B")
-    body.orient_axis(frame, theta, frame.z)
-    body.set_ang_vel(frame, omega * frame.z)
-    centre = origin.locatenew("C", x * frame.x + y * frame.y)
-    centre.set_vel(frame, u * frame.x + w * frame.y)
-    inertia = (mechanics.inertia(body, 0, 0, J), centre)
-    sleigh = mechanics.RigidBody("S", centre, body, m, inertia)
-    sleigh.potential_energy = 2 * m * x
-    made.add_bodies(sleigh)
-    made.add_coordinates(x, y, theta)
-    made.add_speeds(u, w, omega)
-    made.add_kdes(u - x.diff(), w - y.diff(), omega - theta.diff())
-    made.add_loads(mechanics.Torque(body, -omega * frame.z))
-    made.add_nonholonomic_constraints(-sympy.sin(theta) * u + sympy.cos(theta) * w)
-    system = dal.System.from_mechanics_system(made, {m: 1.5, J: 0.8}, name="sleigh")
-    X, Y, T = dal.coordinates("x y theta")
-    twin = dal.System.from_sympy(
-        (1.5 * (X.d**2 + Y.d**2) + 0.8 * T.d**2) / 2 - 3 * X,
-        [-sympy.sin(T) * X.d + sympy.cos(T) * Y.d],
-        [X, Y, T],
-        force={T: -T.d},
-    )
-    q, v = [0.1, 0.2, 0.7], [1.0, 2.0, 3.0]
-    np.testing.assert_allclose(system.acceleration(q, v), twin.acceleration(q, v), rtol=1e-13)
-    assert system.mass is not None and system.is_forced
-
-
-def test_mechanics_refused():
-    x, y, u = dynamicsymbols("x y u")
-    N = mechanics.ReferenceFrame("N")
-    holonomic = mechanics.LagrangesMethod(
-        x.diff() ** 2 / 2 + y.diff() ** 2 / 2, [x, y], hol_coneqs=[x**2 + y**2 - 1]
-    )
-    with pytest.raises(ValueError, match=r"holonomic constraint .*\*\*2.* = 0: there is no slot"):
-        dal.System.from_lagranges_method(holonomic)
-    kane = mechanics.KanesMethod(N, [x], [u], kd_eqs=[u - x.diff()])
-    for make in (dal.System.from_lagranges_method, dal.System.from_mechanics_system):
-        with pytest.raises(ValueError, match="KanesMethod holds no Lagrangian.*from_sympy"):
-            make(kane)
-        with pytest.raises(ValueError, match="expected a sympy.physics.mechanics"):
-            make(5)
-    made = mechanics.System.from_newtonian(mechanics.RigidBody("W"))
-    made.add_coordinates(x)
-    made.add_holonomic_constraints(x**2 - 1)
-    with pytest.raises(ValueError, match="holonomic constraint"):
-        dal.System.from_mechanics_system(made)
 
 
 def test_reserved_names_of_c():

@@ -266,6 +266,36 @@ def test_kinds_behind_a_wall():
         assert (found.kind, found.mass is not None) == (kind, constant), (L, constraints)
 
 
+def test_structure_decides_before_a_proof():
+    """A factor that no proof expands; M is constant, and constraints linear, by what is in them."""
+    long = sympy.prod(x + y + z + sin(k * x) + cos(k * y) for k in range(1, 8))
+    cases = [
+        (T, [long * (z.d + x.d) - y * x.d], "linear", True),
+        (T, [long * (z.d + x.d + y) - y * x.d], "affine", True),
+        (T, [long * (z.d + x.d) ** 2 - y * x.d], "nonlinear", True),
+        (T, [long * (z.d + Max(0, x.d)) - y * x.d], "nonlinear", True),
+        (m * (T - long), [], "linear", True),
+        (m * (T - long * (x.d + y)), [], "linear", False),
+        (m * (T - long * Piecewise((0, x.d < 2), (1, True))), [], "linear", False),
+    ]
+    for L, constraints, kind, constant in cases:
+        model, _ = symbolic.make_model(L, constraints, COORDINATES, {m: 1}, *[None] * 4)
+        found = model.derived
+        assert (found.kind, found.mass is not None) == (kind, constant), (L, constraints)
+
+
+def test_what_turns_at_a_constant_rate():
+    """Energies in axes that turn depend on time only where something else does."""
+    late = Piecewise((x, 1 / dal.time > 2), (0, True))
+    for extra, timed in ((0, False), (x * sin(dal.time), True), (late, True)):
+        s, c = (f(z + 2 * dal.time) for f in (sin, cos))
+        L = ((c * x.d + s * y.d) ** 2 + (c * y.d - s * x.d) ** 2 + z.d**2) / 2 + extra
+        row = c * (c * x.d) + s * s * x.d - z.d
+        model, _ = symbolic.make_model(L, [row], COORDINATES, *[None] * 5)
+        assert model.is_time_dependent == timed
+        assert dal.time not in model.constraints[0].free_symbols
+
+
 def test_a_jump_of_mu_is_not_steady():
     """It has no derivative, but mu depends on x, which the reaction pushes."""
     smooth, jumping = ([z.d - k * y.d - 2 * x.d] for k in (3, Piecewise((1, x < 2), (3, True))))
