@@ -634,12 +634,12 @@ _TAKEN = frozenset(
     "constinit continue decltype default delete do double dynamic_cast else enum explicit export "
     "extern false float for friend goto if inline int long mutable namespace new noexcept not "
     "not_eq nullptr operator or or_eq private protected public register reinterpret_cast requires "
-    "restrict return short signed sizeof static static_assert static_cast struct switch template this "
-    "thread_local throw true try typedef typeid typename typeof typeof_unqual union unsigned using "
-    "virtual void volatile wchar_t while xor xor_eq "
-    "coordinates def description error formulas help input_names invariants mass p source state "
-    "system I complex errno i386 imaginary linux math_errhandling stderr stdin stdout unix "
-    "L_ctermid L_cuserid L_tmpnam P_tmpdir".split()
+    "restrict return short signed sizeof static static_assert static_cast struct switch template "
+    "this thread_local throw true try typedef typeid typename typeof typeof_unqual union unsigned "
+    "using virtual void volatile wchar_t while xor xor_eq coordinates def description error "
+    "formulas help input_names invariants mass p source state system I complex errno i386 "
+    "imaginary linux math_errhandling stderr stdin stdout unix L_ctermid L_cuserid L_tmpnam "
+    "P_tmpdir".split()
 )
 _MACRO = re.compile(r"[A-Z]{3,}\w*|[A-Z]{2}_\w*|M_([A-Z]|[12]_)\w*|(dal|DAL|model)_\w*")
 

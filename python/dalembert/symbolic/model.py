@@ -162,12 +162,9 @@ def _gradient(e: Expr, symbols: Collection[Expr]) -> Rule:
     They are those of ``sympy.diff``, which for each symbol would go through all terms of all sums.
     """
     if not e.is_Add and not e.is_Mul:
-        marked = e.replace(_is_parametric, lambda power: _Power(*power.args))
-        return {
-            s: sympy.diff(marked, s).replace(_Power, sympy.Pow)
-            for s in e.free_symbols
-            if s in symbols
-        }
+        e = e.replace(_is_parametric, lambda power: _Power(*power.args))
+        found = {s: sympy.diff(e, s) for s in e.free_symbols if s in symbols}
+        return {s: slope.replace(_Power, sympy.Pow) for s, slope in found.items()}
     slopes: dict[Expr, list[Expr]] = {}
     for i, part in enumerate(e.args):
         for s, slope in _gradient(part, symbols).items():
@@ -775,7 +772,8 @@ def _energy(
         if all(e == 0 for e in L_vv[i * model.n : (i + 1) * model.n]):
             raise ValueError(
                 f"L: {model.shown(v[i])} is not in it, or only linearly, so that {name} has no "
-                f"mass; expected a kinetic energy of {name}, such as m*{model.shown(v[i])}**2/2"
+                f"mass; expected a kinetic energy of {name}, such as m*{model.shown(v[i])}**2/2, in "
+                "velocities, not in generalized speeds"
             )
     mass, potential = _constant_mass(model, engine, lagrangian, L_v, L_vv)
     if mass is None:

@@ -425,7 +425,8 @@ class System(Handle):
         """Return the system of a ``sympy.physics.mechanics.LagrangesMethod``.
 
         Its Lagrangian, ``nonhol_coneqs`` and ``forcelist`` are taken.  A load that is constant in
-        ``frame`` becomes a part of V, any other a force.  Mind the sign of the multipliers: here d/dt L_v - L_q = f + mu^T lambda.  The equations of a LagrangesMethod and
+        ``frame`` becomes a part of V, any other a force.  Mind the sign of the multipliers: here
+        d/dt L_v - L_q = f + mu^T lambda.  The equations of a LagrangesMethod and
         its ``solve_multipliers`` have -lambda, its ``rhs()`` has lambda.
 
         Parameters

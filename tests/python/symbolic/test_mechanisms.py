@@ -335,6 +335,7 @@ def test_constant_loads_have_a_potential():
         4.2 * np.cos(0.5): lambda N, A, P, theta: [mechanics.Force(P, 7 * dynamicsymbols._t * N.x)],
         -0.5: lambda N, A, P, theta: [mechanics.Torque(A, -theta * N.z)],
         0.2: lambda N, A, P, theta: [mechanics.Torque(A, tau * N.z)],
+        0.3: lambda N, A, P, theta: [mechanics.Torque(A, dynamicsymbols._t * N.z)],
     }
     for expected, load in forces.items():
         given = mechanisms.from_system(hanging(load), [tau])

@@ -653,7 +653,7 @@ def test_a_quaternion_has_no_mass_along_itself():
 
 
 def test_powers_of_a_parameter_at_zero():
-    """V_q of x^n at x = 0 is that of the limit; SymPy writes n x^n / x, which is no number there."""
+    """V_q of x^n at x = 0 is that of the limit, where n x^n / x, as SymPy has it, is no number."""
     x, y = dal.coordinates("x y")
     n = sympy.Symbol("n")
     L = (x.d**2 + y.d**2) / 2 - x**n - sympy.sin(y ** (n + 1)) + x**sympy.pi
