@@ -159,14 +159,18 @@ class _Motion:
                 self._quaternions.append((own, function))
 
     def function(self, expressions: Expr) -> Callable[..., Numbers]:
-        """Return a matrix of expressions as a function of (t, q, v), with numbers for the rest."""
-        found = sympy.Matrix(expressions).xreplace(self.rule)
+        """Return a matrix of expressions as a function of (t, q, v), with numbers for parameters."""
         n = len(self.q)
         t, *names = sympy.symbols(f"t x:{2 * n}", cls=sympy.Dummy)
         state = dict(zip([self.time, *self.q, *self.rates], [t, *names]))
-        others = found.atoms(AppliedUndef, sympy.Derivative) | found.free_symbols
-        numbers = {e: _number(e) for e in others - state.keys()}
-        return sympy.lambdify([t, names[:n], names[n:]], found.xreplace(numbers | state), "mpmath")
+        found = sympy.Matrix(expressions).xreplace(self.rule).xreplace(state)
+        if unknown := found.atoms(AppliedUndef):
+            raise ValueError(
+                f"{unknown.pop().func} is an unknown function in a position or a velocity; add it "
+                f"to the coordinates, or write it as a function of {self.time}"
+            )
+        numbers = {e: _number(e) for e in found.free_symbols - {t, *names}}
+        return sympy.lambdify([t, names[:n], names[n:]], found.xreplace(numbers), "mpmath")
 
     def _state(self, a: Any, b: Any) -> tuple[Any, Numbers]:
         """Return (t, q)."""

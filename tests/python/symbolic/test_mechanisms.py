@@ -207,6 +207,11 @@ def test_quasi_coordinates():
         with pytest.raises(ValueError, match=words):
             dal.System.from_mechanics_system(made)
             pytest.fail(f"case {number}: {words}")
+    driven = car(plain, place)
+    support = dynamicsymbols("z")
+    driven.bodies[0].masscenter.set_vel(driven.frame, support.diff() * driven.frame.z)
+    with pytest.raises(ValueError, match=r"^z is an unknown function in a position or a vel"):
+        dal.System.from_mechanics_system(driven)
     loose = car(plain, place)
     loose.bodies[0].masscenter.set_vel(loose.frame, mechanics.ReferenceFrame("L").x)
     with pytest.raises(ValueError, match="car: .* expected an orientation of each frame"):
