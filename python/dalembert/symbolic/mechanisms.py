@@ -159,7 +159,7 @@ class _Motion:
                 self._quaternions.append((own, function))
 
     def function(self, expressions: Expr) -> Callable[..., Numbers]:
-        """Return a matrix of expressions as a function of (t, q, v), with numbers for parameters."""
+        """Return a matrix of expressions as a function of (t, q, v), at parameters of any value."""
         n = len(self.q)
         t, *names = sympy.symbols(f"t x:{2 * n}", cls=sympy.Dummy)
         state = dict(zip([self.time, *self.q, *self.rates], [t, *names]))

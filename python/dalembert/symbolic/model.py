@@ -772,8 +772,8 @@ def _energy(
         if all(e == 0 for e in L_vv[i * model.n : (i + 1) * model.n]):
             raise ValueError(
                 f"L: {model.shown(v[i])} is not in it, or only linearly, so that {name} has no "
-                f"mass; expected a kinetic energy of {name}, such as m*{model.shown(v[i])}**2/2, in "
-                "velocities, not in generalized speeds"
+                f"mass; expected a kinetic energy of {name}, such as m*{model.shown(v[i])}**2/2, "
+                "in velocities, not in generalized speeds"
             )
     mass, potential = _constant_mass(model, engine, lagrangian, L_v, L_vv)
     if mass is None:
