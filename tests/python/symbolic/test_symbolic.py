@@ -795,7 +795,7 @@ def test_refused_by_name():
         (lambda: from_sympy(m * L), "L: m is neither a coordinate .x, y. nor a parameter"),
         (lambda: from_sympy(L * t), "the symbol t is left over; for the time, write"),
         (lambda: from_sympy(L, [x - y]), r"constraints\[0\] = x - y: expected a velocity"),
-        (lambda: from_sympy(L, [x.d, y.d]), "2 on 2 coordinates"),
+        (lambda: from_sympy(L, [x.d, y.d, x.d]), "3 on 2 coordinates"),
         (lambda: from_sympy(L, [x.d - f(x)]), r"unknown function"),
         (lambda: from_sympy(L - sympy.gamma(x)), "gamma.* is not among what can be compiled"),
         (lambda: from_sympy(L + sympy.I * x), "not among what can be compiled"),
