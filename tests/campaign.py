@@ -104,17 +104,17 @@ class Trial:
         if what == "alarm" or not (self.told or self.error):
             self.findings.append((what, text))
 
-    def forms(self, q: Any, v: Any) -> tuple[Any, Any]:
+    def forms(self, q: Any, v: Any, t: float) -> tuple[Any, Any]:
         """Return mu and phi - mu v in double, as the library gets them."""
         if "sympy" in self.case.tags and self.mech.kind == "linear":
-            columns = [self.system.residual(q, e) for e in np.eye(self.mech.n)]
+            columns = [self.system.residual(q, e, t=t) for e in np.eye(self.mech.n)]
             return np.array(columns).T, np.zeros(self.mech.m)
-        mu = self.mech.mu(q, v if self.mech.kind == "nonlinear" else 0 * v)
+        mu = self.mech.mu(q, v if self.mech.kind == "nonlinear" else 0 * v, t)
         if self.mech.kind == "linear":
             return mu, np.zeros(self.mech.m)
         if self.mech.kind == "affine":
-            return mu, self.mech.phi.at(self.mech.z(q, 0 * v)).value()
-        rest = vector(self.mech.phi.at(self.mech.z(q, v)).value()) - vector(mu).dot(vector(v))
+            return mu, self.mech.phi.at(self.mech.z(q, 0 * v, t)).value()
+        rest = vector(self.mech.phi.at(self.mech.z(q, v, t)).value()) - vector(mu).dot(vector(v))
         return mu, rest
 
     def check_bound(self) -> bool:
@@ -125,14 +125,15 @@ class Trial:
             return True
         shift = (1 - case.scheme.substeps[0][0]) * case.h if case.scheme.nodes == "kept" else 0.0
         worst, where, rounding = 0.0, 0, np.zeros(mech.m)
-        for k, (q, v) in enumerate(zip(run.q, run.v, strict=True)):
+        for k, (t, q, v) in enumerate(zip(run.t, run.q, run.v, strict=True)):
             if k == 0 and shift:
                 continue
             if not (np.isfinite(q).all() and np.isfinite(v).all()):
                 self.found("energy", f"state {k} is not finite")
                 return False
+            reach = abs(q) + abs(shift * v)
             q = q - shift * v
-            mu, rest = self.forms(q, v)
+            mu, rest = self.forms(q, v, t)
             M = mech.metric(q)
             d = 1 / np.sqrt(np.diag(M))  # first, so that the inverse is that of a scaled matrix
             d = d * np.sqrt(np.diag(np.linalg.inv(M * np.outer(d, d))))
@@ -142,8 +143,12 @@ class Trial:
             residual, extra = abs(mu @ v + rest.astype(float)), abs(rest.astype(float))
             if (residual > limit / 4 * (size * speed + extra)).any():
                 residual = abs(vector(mu).dot(vector(v)) + rest)
-            if mech.kind == "nonlinear":  # phi itself is rounded by the user's function
-                rounding = 4 * U * mech.phi.at(mech.z(q, v)).sizes()[0]
+            at = mech.phi.at(mech.z(q, v, t))
+            if mech.kind != "linear":  # q and t are rounded, and phi by the user's function
+                rounding = 4 * U * at.sizes()[0]
+                extra = extra + abs(at.jacobian()[:, -1] * t)
+            if mech.kind != "linear" or shift:
+                extra = extra + abs(at.jacobian()[:, : mech.n]) @ reach
             for a in range(mech.m):
                 s = size[a] * speed + extra[a]
                 if residual[a] > limit * s + rounding[a]:
@@ -194,7 +199,9 @@ class Trial:
 
     def check_energy(self) -> None:
         mech, case, run = self.mech, self.case, self.run
-        if mech.kind != "linear" or mech.forced or case.scheme.order < 2 or self.error is not None:
+        if mech.kind != "linear" or mech.forced or mech.rheonomic or case.scheme.order < 2:
+            return
+        if self.error is not None:
             return
         energies = np.array([mech.energy(q, v) for q, v in zip(run.q, run.v, strict=True)])
         # a little more than half: which states count for the largest kinetic energy is open
@@ -219,7 +226,7 @@ class Trial:
             by = 1 + (i > 0) * 1e-9 * self.rng.uniform(-1, 1, (3, mech.n))
             values.append(mech.acceleration(t * by[2, 0], q * by[0], v * by[1])[1])
         at = mech.L_hessian(mech.z(q, v, t))[mech.n :, mech.n :]
-        mu = mech.mu(q, v)
+        mu = mech.mu(q, v, t)
         row, column = scales(at, mu)
         A = np.block([[at, -mu.T], [mu, np.zeros(2 * [mech.m])]]).astype(float)
         condition = np.linalg.cond(row[:, None] * A * column, np.inf)
@@ -269,7 +276,7 @@ class Trial:
         d = 1 / np.sqrt(np.diag(mech.metric(case.q0)))
         errors: list[tuple[float, float]] = []
         rounding = 2000 * max(1.0, len(case.scheme.substeps) / 4)
-        floor = U * max(rounding, 100 * condition(mech, case.q0, case.v0))
+        floor = U * max(rounding, 100 * condition(mech, case.q0, case.v0, case.t0))
         scale = 0.0
         for j in range(10):
             h = case.unit * (0.5 if p > 2 else 0.1) / 2**j
@@ -318,11 +325,11 @@ def is_off(step: Step | str, x: Any) -> bool:
     return isinstance(step, Step) and bool((distance(x, step.x) > step.x_limit).any())
 
 
-def condition(mech: Any, q: Any, v: Any) -> float:
+def condition(mech: Any, q: Any, v: Any, t: float) -> float:
     """Return that of mu M^-1 mu^T, scaled to a unit diagonal."""
     if mech.m == 0:
         return 1.0
-    rows = np.linalg.solve(np.linalg.cholesky(mech.metric(q)), mech.mu(q, v).T)
+    rows = np.linalg.solve(np.linalg.cholesky(mech.metric(q)), mech.mu(q, v, t).T)
     return float(np.linalg.cond(rows / np.linalg.norm(rows, axis=0))) ** 2
 
 

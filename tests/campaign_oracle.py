@@ -28,7 +28,7 @@ class Substep:
         self.exact = (h, t, q, v)
         self.h, self.t = float(h), float(t)
         self.q, self.v = q.astype(float), v.astype(float)
-        M, mu = mech.metric(self.q), mech.mu(self.q, self.v)
+        M, mu = mech.metric(self.q), mech.mu(self.q, self.v, self.t)
         self.row, self.column = scales(M, mu)
         self.speed = abs(self.v / self.column[: mech.n]).max()
         self.moderate = False
@@ -40,7 +40,8 @@ class Substep:
         w, kappa = y[:n], y[n:]
         a, b = self.beta * h, (1 - self.beta) * h
         qk = self.q + b * self.v
-        self.z0, self.zk = mech.z(self.q, self.v, self.t), mech.z(qk, (self.v + w) / 2)
+        self.z0 = mech.z(self.q, self.v, self.t)
+        self.zk = mech.z(qk, (self.v + w) / 2, self.t + b)
         self.z1 = mech.z(qk + a * w, w, self.t + h)
         p0, p1 = (self.momenta(z) for z in (self.z0, self.z1))
         at1, atk = mech.phi.at(self.z1), mech.phi.at(self.zk)
@@ -136,7 +137,7 @@ class Substep:
         inverse = np.linalg.inv(self.J)
         h, t, q, v = self.exact
         beta, M = mpf(self.beta), vector(mech.M)
-        qk = q + (1 - beta) * h * v
+        qk, tk = q + (1 - beta) * h * v, t + (1 - beta) * h
         one = [mpf(1)]
 
         def momenta(q: Any, v: Any, t: Any) -> tuple[Any, Any]:
@@ -151,9 +152,9 @@ class Substep:
             w, kappa = y[:n], y[n:]
             q1 = qk + beta * h * w
             p1 = momenta(q1, w, t + h)
-            push = mech.phi.exactly([*qk, *((v + w) / 2), mpf(0)])[1](list(kappa))[n:-1]
+            push = mech.phi.exactly([*qk, *((v + w) / 2), tk])[1](list(kappa))[n:-1]
             R1 = p1[0] - p0[0] - h * ((1 - beta) * p1[1] + beta * p0[1]) - vector(push)
-            R = np.concatenate([R1, mech.phi.exactly([*q1, *w, mpf(0)])[0]])
+            R = np.concatenate([R1, mech.phi.exactly([*q1, *w, t + h])[0]])
             d = -inverse @ (R * self.row)
             largest = max(abs(d), default=mpf(0))
             y = y + d * self.column

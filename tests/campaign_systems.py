@@ -6,6 +6,7 @@ nothing here is computed by the library.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -92,6 +93,10 @@ class Terms:
         self.C = np.vstack([self.C, spread(c, self.r)])
         self.A = np.vstack([self.A, spread(a, self.N)])
         self.W = np.vstack([self.W, spread(w, self.N)])
+
+    def translate(self, c: Any) -> None:
+        """Put z - c in place of z, where no G depends on what c moves."""
+        self.b = self.b - self.A @ c
 
     def freeze(self) -> Terms:
         """Prepare what the evaluation needs."""
@@ -208,7 +213,7 @@ class Mechanism:
         self.lagrangian, self.phi, self.force = (Terms(2 * n + 1, r) for r in (1, m, n))
         self.kind = "linear"
         self.constant_mass, self.forced, self.smooth, self.steady = True, False, True, False
-        self.timed = False
+        self.timed = self.rheonomic = False  # the force, the constraints depend on time
         self.calls = 0
 
     def freeze(self) -> Mechanism:
@@ -224,6 +229,14 @@ class Mechanism:
             terms.W /= units
             terms.C *= out
         self.M *= E * tau**2 / np.outer(S, S)
+
+    def translated(self, c: Any) -> Any:
+        """Move the origin of z to c, but for coordinates that a G depends on; return c."""
+        every = (self.lagrangian, self.phi, self.force)
+        c = np.where(sum(abs(terms.W).sum(0) for terms in every), 0.0, c)
+        for terms in every:
+            terms.translate(c)
+        return c
 
     def z(self, q: Any, v: Any, t: Any = 0.0) -> Any:
         return np.concatenate([q, v, [t]])
@@ -244,8 +257,8 @@ class Mechanism:
         size = (abs(at.F[0] * at.G[0]) @ abs(self.lagrangian.C))[0]
         return kinetic - rest.value()[0], kinetic, kinetic + size
 
-    def mu(self, q: Any, v: Any) -> Any:
-        return self.phi.at(self.z(q, v)).jacobian()[:, self.n : -1]
+    def mu(self, q: Any, v: Any, t: Any = 0.0) -> Any:
+        return self.phi.at(self.z(q, v, t)).jacobian()[:, self.n : -1]
 
     def acceleration(self, t: Any, q: Any, v: Any) -> tuple[Any, Any]:
         """Return (dv/dt, lambda) in long double: the saddle point system, refined three times."""
@@ -254,7 +267,7 @@ class Mechanism:
         L_q = self.lagrangian.at(z).jacobian()[0, :n]
         A = np.zeros((n + m, n + m), dtype=z.dtype)
         A[:n, :n], A[:n, n:], A[n:, :n] = H[n:, n:], -J[:, n:-1].T, J[:, n:-1]
-        b = np.concatenate([L_q - H[n:, :n] @ v + self.force.at(z).value(), -(J[:, :n] @ v)])
+        b = np.concatenate([L_q - H[n:, :n] @ v + self.force.at(z).value(), -(J[:, :n] @ v) - J[:, -1]])
         row, column = scales(H[n:, n:], J[:, n:-1])
         inverse = np.linalg.inv((row[:, None] * A * column).astype(float))
         y = np.zeros(n + m, dtype=z.dtype)
@@ -293,21 +306,9 @@ class Mechanism:
             given["lagrangian_vq"] = lambda q, v: self.L_hessian(self.z(q, v))[n:, :n]
             if full:
                 given["lagrangian_qq"] = lambda q, v: self.L_hessian(self.z(q, v))[:n, :n]
-        if m and self.kind == "nonlinear":
-            given["constraint"] = lambda q, v: phi.at(self.z(q, v)).value()
-            given["constraint_v"] = self.mu
-            given["constraint_q"] = lambda q, v: phi.at(self.z(q, v)).jacobian()[:, :n]
-        elif m:
-            def affine_q(q: Any) -> Any:
-                return phi.at(self.z(q, zero)).jacobian()[:, :n]
-
-            given["forms"] = lambda q: self.mu(q, zero)
-            given["forms_velocity_derivative"] = lambda q, v: (
-                phi.at(self.z(q, v)).jacobian()[:, :n] - affine_q(q)
-            )
-            if self.kind == "affine":
-                given["affine"] = lambda q: phi.at(self.z(q, zero)).value()
-                given["affine_derivative"] = affine_q
+        if self.rheonomic:
+            given = {key: timeless(f) if callable(f) else f for key, f in given.items()}
+        given |= self.constraints()
         if self.forced:
             given["force"] = lambda t, q, v: self.force.at(self.z(q, v, t)).value()
             given["force_q"] = lambda t, q, v: self.force.at(self.z(q, v, t)).jacobian()[:, :n]
@@ -316,6 +317,32 @@ class Mechanism:
             if callable(function):
                 given[key] = self.counted(function)
         return dal.System(**given, steady=self.steady)
+
+    def constraints(self) -> dict[str, Any]:
+        """Return what `library` gives of them: functions of (t, q, v), (t, q) or without t."""
+        n, phi = self.n, self.phi
+        zero = np.zeros(n)
+
+        def affine_q(t: Any, q: Any) -> Any:
+            return phi.at(self.z(q, zero, t)).jacobian()[:, :n]
+
+        given: dict[str, Any] = {}
+        if self.m and self.kind == "nonlinear":
+            given["constraint"] = lambda t, q, v: phi.at(self.z(q, v, t)).value()
+            given["constraint_v"] = lambda t, q, v: self.mu(q, v, t)
+            given["constraint_q"] = lambda t, q, v: phi.at(self.z(q, v, t)).jacobian()[:, :n]
+        elif self.m:
+            given["forms"] = lambda t, q: self.mu(q, zero, t)
+            given["forms_velocity_derivative"] = lambda t, q, v: (
+                phi.at(self.z(q, v, t)).jacobian()[:, :n] - affine_q(t, q)
+            )
+            if self.kind == "affine":
+                given["affine"] = lambda t, q: phi.at(self.z(q, zero, t)).value()
+                given["affine_derivative"] = affine_q
+        if not self.rheonomic:
+            return {key: functools.partial(function, 0.0) for key, function in given.items()}
+        given["constraint_t"] = lambda t, q, v: phi.at(self.z(q, v, t)).jacobian()[:, -1]
+        return given | {"time_dependent": True}
 
     def counted(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def count(*arguments: Any) -> Any:
@@ -340,6 +367,11 @@ class Mechanism:
             "coordinates": q,
             "force": dict(zip(q, self.force.expressions(z), strict=True)) if self.forced else None,
         }
+
+
+def timeless(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that takes a time, too, and does not look at it."""
+    return lambda t, *arguments: function(*arguments)
 
 
 # ---- random cases --------------------------------------------------------------------------------
@@ -540,9 +572,14 @@ class Maker:
         if self.m == 0 or self.structure == "steady":
             self.tags.add("linear")
             return
-        mech.kind = self.choose("linear", "affine", "nonlinear", p=[0.76, 0.12, 0.12])
+        mech.kind = self.choose("linear", "affine", "nonlinear", p=[0.68, 0.16, 0.16])
+        follows = mech.kind == "affine" and self.chance(0.3, "baumgarte")
         for a in range(self.m):
-            if mech.kind == "affine":
+            if follows:  # k (y - f(x)), f = sin or cos
+                k = 10 ** rng.uniform(0, 3)
+                mech.phi.add({a: k}, "x", {self.any(): 1.0}, rng.normal())
+                mech.phi.add({a: k}, str(rng.choice(["sin", "cos"])), {self.any(): 1.0})
+            elif mech.kind == "affine":
                 F = str(rng.choice(["one", "x", "sin"]))
                 mech.phi.add({a: rng.normal()}, F, {self.any(): 1.0}, rng.normal())
             elif mech.kind == "nonlinear":
@@ -550,6 +587,25 @@ class Maker:
                 F = str(rng.choice(["one", "cos"]))
                 mech.phi.add({a: 0.3 * rng.normal()}, F, {self.any(): 1.0}, 0.0, "x2", w)
                 mech.phi.add({a: rng.normal() * rng.integers(2)})
+        mech.rheonomic = self.chance(0.2, "rheonomic")
+        for a in range(self.m if mech.rheonomic else 0):
+            F, omega = str(rng.choice(["x", "sin", "cos"])), rng.uniform(0.3, 2)
+            if mech.kind == "linear":
+                w = {n + self.any(): 1.0}
+                mech.phi.add({a: 0.5 * rng.normal()}, "sin", {2 * n: omega}, 0.0, "x", w)
+            else:
+                mech.phi.add({a: rng.normal()}, F, {2 * n: omega}, rng.normal())
+
+    def offset(self, S: Any, tau: float) -> Any:
+        """Move the origin of coordinates and time; return where to."""
+        n, rng = self.n, self.rng
+        c = np.zeros(2 * n + 1)
+        if self.chance(0.3, "offset"):
+            c[:n] = S * rng.choice([-1, 1], n) * 10 ** rng.uniform(0, 5, n)
+            c[:n][rng.random(n) < 0.4] = 0.0
+            if self.mech.timed or self.mech.rheonomic:
+                c[-1] = tau * rng.choice([-1, 1]) * 10 ** rng.uniform(0, 6)
+        return self.mech.translated(c)
 
     def units(self) -> tuple[Any, float]:
         """Change the units; return those of coordinates and time."""
@@ -581,9 +637,14 @@ class Maker:
         for part in (self.mass, self.potential, self.force, self.forms, self.beyond_linear):
             part()
         S, tau = self.units()
+        origin = self.offset(S, tau)
         mech.freeze()
         q0, off = self.start(S, tau)
-        v0, condition = consistent(mech, q0, off)
+        q0 = q0 + origin[: self.n]
+        t0 = float(origin[-1])
+        if mech.timed or mech.rheonomic:
+            t0 += tau * float(rng.choice([0.0, rng.normal() * 10]))
+        v0, condition = consistent(mech, q0, off, t0)
         if not condition <= (1e12 if self.structure == "dependent" else 1e6):
             return None
         scheme = SCHEMES[int(rng.random() * len(SCHEMES))]
@@ -595,9 +656,7 @@ class Maker:
         if scheme.is_reference:
             h, steps = min(h, 0.5), min(steps, 5)
         h *= tau * float(rng.choice([-1, 1], p=[0.1, 0.9]))
-        case = Case(name, self.tags, mech, scheme, q0, v0, h, steps, unit=tau)
-        if mech.timed:
-            case.t0 = tau * float(rng.choice([0.0, rng.normal() * 10]))
+        case = Case(name, self.tags, mech, scheme, q0, v0, h, steps, t0, unit=tau)
         if scheme.nodes == "kept":
             case.options["initial"] = self.choose("D", "project", "shift")
         if mech.kind == "linear" and self.chance(0.1, "project"):
@@ -610,14 +669,14 @@ class Maker:
         return case
 
 
-def consistent(mech: Mechanism, q: Any, v: Any) -> tuple[Any, float]:
+def consistent(mech: Mechanism, q: Any, v: Any, t: float) -> tuple[Any, float]:
     """Return v moved onto D, and the condition of mu M^-1 mu^T after scaling; inf: no success."""
     condition = 1.0
     if mech.m == 0:
         return v, condition
     M = mech.metric(q)
     for _ in range(12):
-        mu = mech.mu(q, v)
+        mu = mech.mu(q, v, t)
         row, column = scales(M, mu)
         d, r = column[: mech.n], row[mech.n :]
         Z = np.linalg.solve(M * np.outer(d, d), (mu * d).T * r)
@@ -625,8 +684,9 @@ def consistent(mech: Mechanism, q: Any, v: Any) -> tuple[Any, float]:
         condition = np.linalg.cond(C) if np.isfinite(C).all() else math.inf
         if not condition < 1e13:
             return v, math.inf
-        v = v - d * (Z @ np.linalg.solve(C, r * mech.phi.at(mech.z(q, v)).value()))
-    left = abs(row[mech.n :] * mech.phi.at(mech.z(q, v)).value()).max()
+        v = v - d * (Z @ np.linalg.solve(C, r * mech.phi.at(mech.z(q, v, t)).value()))
+    at = mech.phi.at(mech.z(q, v, t))
+    left = (abs(row[mech.n :] * at.value()) - 4 * 2.0**-53 * row[mech.n :] * at.sizes()[0]).max()
     return v, condition if left <= 1e-13 * max(1e-300, abs(v / d).max()) else math.inf
 
 

@@ -136,8 +136,8 @@ typedef struct dal__progress {
     double scale;  /* roundoff of the unknowns is relative to it */
     /* How far they move, to first order, when the point that the equations were evaluated at
      * becomes twice itself: times u, by the rounding of that point.  NULL: not at all. */
-    double (*moves)(const void *ctx);
-    const void *ctx;
+    double (*moves)(void *ctx);
+    void *ctx;
     bool lagging;  /* something is wanted that is one step behind */
     double size, last;              /* of the last step, and of the one before */
     double first, travelled, reach; /* of the first; of all together; how far they may lead */
@@ -179,7 +179,7 @@ struct dal__newton {
     const char *advice;     /* where it does not converge; NULL: try a smaller h */
     double *z, *step;       /* [size]: the guess, then the solution; the last step */
     double base;            /* 0 unless set */
-    double (*moves)(const void *ctx); /* see dal__progress */
+    double (*moves)(void *ctx); /* see dal__progress */
     int sign;               /* of the determinant of the Newton matrix, if it should be positive */
     dal__progress progress; /* afterwards */
 };

@@ -3,17 +3,22 @@
 
 #include <math.h>
 
-/* Where steps may stop to shrink because they are roundoff. */
-static double floor_of(const dal__progress *p)
+/* Steps that are the rounding of the point. */
+static double rounding_of(const dal__progress *p)
 {
-    return 1e-11 * p->scale + 16.0 * DAL_ROUNDOFF * (p->moves ? p->moves(p->ctx) : 0.0);
+    return 16.0 * DAL_ROUNDOFF * (p->moves ? p->moves(p->ctx) : 0.0);
 }
+
+/* Where steps may stop to shrink because they are roundoff. */
+static double floor_of(const dal__progress *p) { return 1e-11 * p->scale + rounding_of(p); }
 
 static bool is_done(const dal__progress *p)
 {
     if (p->size <= 4.0 * DAL_ROUNDOFF * p->scale) return true;
     if (p->iteration < 2) return false;
     if (p->size >= p->last) return p->size <= floor_of(p);
+    /* below their rounding equations have another slope than Newton's, or none */
+    if (p->size > 0.5 * p->last && p->size <= rounding_of(p)) return true;
     return !p->lagging && p->size * (p->size / p->last) <= DAL_ROUNDOFF / 16.0 * p->scale;
 }
 

@@ -70,7 +70,7 @@ static int find_step(dal__newton *equations)
     return DAL_SUCCESS;
 }
 
-static double moves(const void *ctx) { return dal__step_moves(&((const dal_chart *)ctx)->mech); }
+static double moves(void *ctx) { return dal__step_moves(&((dal_chart *)ctx)->mech); }
 
 static int solve_step(dal_chart *chart)
 {

@@ -121,12 +121,13 @@ static int find_step(dal__newton *equations)
     return DAL_ESINGULAR;
 }
 
-static double moves(const void *ctx)
+static double moves(void *ctx)
 {
     const dal_discrete *const d = ctx;
     const size_t n = d->n;
     const double h = d->mech.start.h;
-    double sum = dal__forms_move(&d->mech, d->phi_v, d->phi_q, d->constraint.g);
+    double sum = dal__forms_move(&d->mech, d->phi_v, d->phi_q, d->constraint.g,
+                                 NULL, 0.0);
     for (size_t k = 0; k < n * n; k++)
         sum += (fabs(d->L_vq[k]) + fabs(h * d->L_qq[k]) + fabs(h * d->f_q[k]))
              * fabs(d->lagrangian.g[k % n]) * d->mech.metric.unit[k / n];
@@ -249,10 +250,14 @@ static int require_on_constraint(dal_discrete *d, double t, const dal__pair *pai
 {
     int status = dal__discrete_constraint(d, t, pair, false);
     if (!status) status = dal__form_metric(&d->mech, t, d->constraint.g, d->constraint.f);
-    if (status || dal__is_consistent(&d->mech, d->phi_v, d->phi, d->constraint.f)) return status;
+    dal__copy(d->n, d->constraint.g, d->mech.forms.q);
+    if (!status) status = dal__measure_moves(&d->mech, t, 0.0, d->constraint.f);
+    const double *const moves = d->mech.forms.moves;
+    if (status || dal__is_consistent(&d->mech, d->phi_v, d->phi, d->constraint.f, moves))
+        return status;
     return dal__fail(&d->mech.error, DAL_EOFFD, "the first pair of nodes does not lie in D_d: its "
                      "residual is %.3g, more than roundoff and %g of the terms of phi_d",
-                     dal__relative_residual(&d->mech, d->phi_v, d->phi, d->constraint.f),
+                     dal__relative_residual(&d->mech, d->phi_v, d->phi, d->constraint.f, moves),
                      DAL_CONSISTENT);
 }
 

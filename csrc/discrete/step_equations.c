@@ -201,7 +201,9 @@ double dal__step_moves(const dal_mechanics *mech)
     const size_t n = mech->n;
     const double alpha = mech->start.alpha, b = (1.0 - alpha) * mech->start.h;
     const double *const place = alpha == mech->start.beta ? mech->forms.q : mech->place;
-    double sum = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q);
+    const bool linear = mech->eval.system->def.kind == DAL_LINEAR;
+    double sum = dal__forms_move(mech, mech->forms.mu, mech->forms.dmu, mech->forms.q,
+                                 linear ? NULL : mech->forms.phi_t, mech->start.end);
     for (size_t k = 0; alpha != 0.0 && !mech->eval.lean && k < n * n; k++) {
         double slope = mech->eval.constant_mass ? 0.0 : fabs(mech->L_vq[k]);
         if (b != 0.0) slope += fabs(b * mech->hessian[k]);
@@ -219,9 +221,11 @@ int dal__step_at(dal_mechanics *mech, const double *w, const double *kappa, doub
     const bool nonlinear = mech->eval.system->def.kind == DAL_NONLINEAR;
     int status = DAL_SUCCESS;
     dal__move(n, mech->node, a, w, mech->forms.q);
+    const bool slopes = B && mech->eval.system->def.kind != DAL_LINEAR;
     if (R2 || B)
         status = dal__constraint(&mech->eval, mech->start.end, mech->forms.q, w, mech->forms.phi,
-                                 mech->forms.mu, B ? mech->forms.dmu : NULL, NULL, &mech->error);
+                                 mech->forms.mu, B ? mech->forms.dmu : NULL,
+                                 slopes ? mech->forms.phi_t : NULL, &mech->error);
     if (!status && nonlinear) status = dal__chetaev_forms(mech, w, mech->muk);
     if (!status && K && nonlinear) status = evaluate_bend(mech, w, kappa);
     if (!status && (R1 || K)) status = evaluate(mech, w, R1 != NULL, K != NULL);

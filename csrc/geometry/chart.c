@@ -395,7 +395,8 @@ void dal__chart_drop(const dal_chart *chart, const double *x, double *xi)
 static bool is_in_D(const dal_chart *chart)
 {
     const dal_mechanics *const mech = &chart->mech;
-    return dal__relative_residual(mech, mech->forms.mu, mech->forms.phi, chart->x + chart->n)
+    return dal__relative_residual(mech, mech->forms.mu, mech->forms.phi, chart->x + chart->n,
+                                  NULL)
         <= 2.0 * (double)chart->n * DAL_ROUNDOFF;
 }
 
@@ -416,6 +417,12 @@ int dal__chart_mend(dal_chart *chart, double t, double shift)
         if (is_in_D(chart) || pass > MENDS) return DAL_SUCCESS;
         move_dependent(chart, chart->x + chart->n);
     }
+}
+
+static double moves(void *ctx)
+{
+    dal_chart *const chart = ctx;
+    return dal__velocity_moves(&chart->mech, chart->t, 0.0, chart->x + chart->n);
 }
 
 /* Of v in chart->x where the constraints are nonlinear, of which only v_dependent moves; and it
@@ -442,8 +449,9 @@ int dal__chart_lift(dal_chart *chart, double t, const double *xi)
     for (size_t j = m; j < n; j++) v[chart->place[j]] = xi[n + j - m];
     if (kind(chart) == DAL_NONLINEAR) {
         chart->t = t;
-        dal__newton equations = {.find_step = find_step, .ctx = chart, .size = n, .measured = n,
-                                 .n = n, .per_unit = chart->mech.metric.per_unit, .z = v,
+        dal__newton equations = {.find_step = find_step, .moves = moves, .ctx = chart, .size = n,
+                                 .measured = n, .n = n,
+                                 .per_unit = chart->mech.metric.per_unit, .z = v,
                                  .step = chart->step,
                                  .advice = "there may be no such dependent velocities"};
         status = dal__newton_run(&equations, &chart->mech.error);

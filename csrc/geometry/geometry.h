@@ -24,6 +24,7 @@ typedef struct dal__metric {
 typedef struct dal__forms {
     double *q;                    /* [n] */
     double *phi, *phi_t;          /* [m] */
+    double *moves;                /* [m] of residual.h, after dal__measure_moves */
     double *mu, *dmu;             /* [m*n]: phi_v and phi_q, that is mu(q) and d(mu v)/dq */
 } dal__forms;
 
@@ -60,7 +61,7 @@ struct dal_mechanics {
     double *force, *lambda;       /* [n], [m] */
     double *w, *step;             /* [n] */
     double *point;                /* [2n] the state that is projected; of jump.c too */
-    double t, shift, moves;       /* its time; the D or D_eps of this shift; see dal__forms_move */
+    double t, shift;              /* its time; the D or D_eps of this shift */
     double relative;              /* the residual of what dal_project left in D */
     double *hessian;              /* [n*n]: L_qq, or V_qq; NULL if lean */
     double *L_vt;                 /* [n], and */
@@ -160,13 +161,20 @@ void dal__name_turned(dal_mechanics *mech);
 int dal__factor_gram(dal_mechanics *mech);
 /* y[m] <- C^-1 y, of the last dal__factor_gram. */
 void dal__solve_gram(const dal_mechanics *mech, double *y);
-/* The residual of residual.h, the largest of all a, in the units of the last dal__form_metric. */
+/* forms.moves <- those of residual.h at the node forms.q = q - shift v and the time t, whose parts
+ * are rounded both, so that they count as |forms.q_i| + |shift v_i|.  They are 0 for linear
+ * constraints, unless shift makes mu depend on v. */
+int dal__measure_moves(dal_mechanics *mech, double t, double shift, const double *v);
+/* How far velocities move then, to first order; see dal__progress. */
+double dal__velocity_moves(dal_mechanics *mech, double t, double shift, const double *v);
+/* The residual of residual.h, the largest of all a, in the units of the last dal__form_metric;
+ * without moves[m] if these are NULL. */
 double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
-                              const double *v);
+                              const double *v, const double *moves);
 /* Whether v is so near to D that it is meant to lie in it: |mu^a v| <= 1e-8 sum_i |mu^a_i v_i| + 4
  * n u s^a, with phi and a^a where residual.h has them. */
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
-                        const double *v);
+                        const double *v, const double *moves);
 /* dal_field, of a finite state, where nothing compiled for the system gave it. */
 int dal__field_in_full(dal_mechanics *mech, double t, const double *x, double *xdot);
 /* dal_field, of a finite state; what it leaves in force, lambda and gram is of no use. */
@@ -184,10 +192,11 @@ static inline int dal__field(dal_mechanics *mech, double t, const double *x, dou
 }
 /* *E <- the energy at x[2n], which may overflow. */
 int dal__energy(dal_mechanics *mech, double t, const double *x, double *E);
-/* How far velocities move, to first order, when the point q where mu and slope = phi_q were
- * evaluated becomes twice itself; see dal__progress. */
+/* How far velocities move, to first order, when the point q and, unless slope_t is NULL, the time t
+ * where mu, slope = phi_q and slope_t = phi_t were evaluated become twice themselves; see
+ * dal__progress. */
 double dal__forms_move(const dal_mechanics *mech, const double *mu, const double *slope,
-                       const double *q);
+                       const double *q, const double *slope_t, double t);
 /* Both, of x[2n] and the D or D_eps of shift. */
 int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x, double *relative,
                    bool *consistent);

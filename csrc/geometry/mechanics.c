@@ -15,7 +15,7 @@ void dal__mechanics_reserve(dal_mechanics *mech, const dal_system *system, arena
     const size_t mn = dal__entries(&mech->eval), nn = dal__times(n, n), twice = dal__times(2, n);
     DAL__RESERVE(a, n, &mech->forms.q, &mech->force, &mech->w, &mech->step, &mech->momentum,
                  &mech->reach, &mech->node, &mech->trial, &mech->place);
-    DAL__RESERVE(a, m, &mech->forms.phi, &mech->forms.phi_t, &mech->lambda);
+    DAL__RESERVE(a, m, &mech->forms.phi, &mech->forms.phi_t, &mech->forms.moves, &mech->lambda);
     DAL__RESERVE(a, mn, &mech->forms.mu, &mech->forms.dmu, &mech->gram.Z, &mech->muk);
     if (!lean) DAL__RESERVE(a, nn, &mech->hessian);
     DAL__RESERVE(a, twice, &mech->point);
@@ -334,8 +334,24 @@ int dal_residual(dal_mechanics *mech, double t, double shift, const double *x, d
     return status;
 }
 
+int dal__measure_moves(dal_mechanics *mech, double t, double shift, const double *v)
+{
+    dal__forms *const at = &mech->forms;
+    const bool linear = mech->eval.system->def.kind == DAL_LINEAR;
+    dal__clear(mech->m, at->moves);
+    if (linear && shift == 0.0) return DAL_SUCCESS;
+    const int status = dal__constraint(&mech->eval, t, at->q, v, NULL, NULL, at->dmu,
+                                       linear ? NULL : at->phi_t, &mech->error);
+    for (size_t a = 0; !status && a < mech->m; a++) {
+        at->moves[a] = dal__row_extent(mech, at->dmu, a, at->q);
+        if (shift != 0.0) at->moves[a] += fabs(shift) * dal__row_extent(mech, at->dmu, a, v);
+        if (!linear) at->moves[a] += fabs(at->phi_t[a] * t);
+    }
+    return status;
+}
+
 double dal__relative_residual(const dal_mechanics *mech, const double *mu, const double *phi,
-                              const double *v)
+                              const double *v, const double *moves)
 {
     const size_t n = mech->n;
     const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
@@ -344,7 +360,8 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
         const double form = dal__row_extent(mech, mu, a, mech->metric.unit);
         const double unit = form * speed <= DBL_MAX ? 1.0 : DBL_MIN, size = unit * fabs(phi[a]);
         const double scale = unit * form * speed
-                           + unit * fabs(phi[a] - dal__row_dot(mech, mu, a, v));
+                           + unit * fabs(phi[a] - dal__row_dot(mech, mu, a, v))
+                           + (moves ? unit * moves[a] : 0.0);
         if (!(fabs(phi[a]) <= DBL_MAX && scale <= DBL_MAX)) return HUGE_VAL;
         if (size > worst * scale) worst = size / scale;
     }
@@ -352,17 +369,17 @@ double dal__relative_residual(const dal_mechanics *mech, const double *mu, const
 }
 
 double dal__forms_move(const dal_mechanics *mech, const double *mu, const double *slope,
-                       const double *q)
+                       const double *q, const double *slope_t, double t)
 {
     double moves = 0.0;
     for (size_t a = 0; a < mech->m; a++) /* as phi is a residual: by the size of its form */
-        moves += dal__row_extent(mech, slope, a, q)
+        moves += (dal__row_extent(mech, slope, a, q) + (slope_t ? fabs(slope_t[a] * t) : 0.0))
                / dal__row_extent(mech, mu, a, mech->metric.unit);
     return moves;
 }
 
 bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const double *phi,
-                        const double *v)
+                        const double *v, const double *moves)
 {
     const size_t n = mech->n;
     const double speed = dal_residual_speed(n, mech->metric.per_unit, v);
@@ -370,25 +387,9 @@ bool dal__is_consistent(const dal_mechanics *mech, const double *mu, const doubl
         const double form = dal__row_extent(mech, mu, a, mech->metric.unit);
         const double terms = fabs(phi[a] - dal__row_dot(mech, mu, a, v))
                            + dal__row_extent(mech, mu, a, v);
-        if (!(fabs(phi[a]) <= DAL_CONSISTENT * terms + dal__residual_bound(mech) * form * speed))
+        const double scale = form * speed + moves[a];
+        if (!(fabs(phi[a]) <= DAL_CONSISTENT * terms + dal__residual_bound(mech) * scale))
             return false;
-    }
-    return true;
-}
-
-/* Whether phi may be what the rounding of a large node x[n] makes of 0. */
-static bool is_rounding_of_node(dal_mechanics *mech, double t, double shift, const double *x)
-{
-    const size_t n = mech->n;
-    const dal__forms *const at = &mech->forms;
-    const double speed = dal_residual_speed(n, mech->metric.per_unit, x + n);
-    if (dal__forms_at(mech, t, shift, x, true)) return false;
-    for (size_t a = 0; a < mech->m; a++) {
-        const double form = dal__row_extent(mech, at->mu, a, mech->metric.unit);
-        const double turned =
-            dal__row_extent(mech, at->dmu, a, at->q) + dal__row_extent(mech, at->dmu, a, x);
-        const double bound = dal__residual_bound(mech) * speed * form + 2.0 * DAL_ROUNDOFF * turned;
-        if (!(fabs(at->phi[a]) <= bound)) return false;
     }
     return true;
 }
@@ -412,18 +413,30 @@ int dal__mend(dal_mechanics *mech, double t, double shift, bool along_Z, double 
     double *const v = x + n;
     const dal__forms *const at = &mech->forms;
     const double before = dal_residual_speed(n, mech->metric.per_unit, v);
+    double last = HUGE_VAL;
     for (int pass = 1;; pass++) {
+        const double bound = dal__residual_bound(mech) / (pass <= MOST ? 2.0 : 1.0);
         int status = dal__forms_at(mech, t, shift, x, false);
         if (status) return status;
-        *relative = dal__relative_residual(mech, at->mu, at->phi, v);
-        if (*relative <= dal__residual_bound(mech) / (pass <= MOST ? 2.0 : 1.0)) return DAL_SUCCESS;
-        if (pass > MOST && shift != 0.0 && is_rounding_of_node(mech, t, shift, x))
-            return DAL_SUCCESS;
+        const double without = dal__relative_residual(mech, at->mu, at->phi, v, NULL);
+        *relative = without;
+        if (without <= bound) return DAL_SUCCESS;
+        if (without > 0.5 * last || pass > MOST) { /* it stays: is it the rounding of q and t? */
+            status = dal__measure_moves(mech, t, shift, v);
+            if (status) return status;
+            *relative = dal__relative_residual(mech, at->mu, at->phi, v, at->moves);
+            if (*relative <= bound) return DAL_SUCCESS;
+        }
+        last = without;
         if (!along_Z) dal__form_Z(mech, at->mu);
         if (pass > MOST) {
-            dal__fail(&mech->error, DAL_ESINGULAR, "mu M^-1 mu^T is singular to working "
-                      "precision: the residual of D stays at %.3g", *relative);
-            dal__name_dependent(mech, at->mu, mech->gram.Z, DAL_RANK_ALMOST_LOST, &mech->error);
+            dal__fail(&mech->error, DAL_ESINGULAR, "the residual of D stays at %.3g, and %.3g is "
+                      "allowed", *relative, bound);
+            if (!dal__name_dependent(mech, at->mu, mech->gram.Z, DAL_RANK_ALMOST_LOST,
+                                     &mech->error))
+                dal__add_words(&mech->error, ": mu M^-1 mu^T is singular to working precision, or "
+                               "phi is a sum of terms that cancel (write (y - 100)^2, and not y^2 "
+                               "- 200 y + 10000)");
             return DAL_ESINGULAR;
         }
         status = factor_product(mech);
@@ -444,8 +457,10 @@ int dal__lies_in_D(dal_mechanics *mech, double t, double shift, const double *x,
     const dal__forms *const at = &mech->forms;
     int status = dal__forms_at(mech, t, shift, x, false);
     if (status) return status;
-    *relative = dal__relative_residual(mech, at->mu, at->phi, x + mech->n);
-    *consistent = dal__is_consistent(mech, at->mu, at->phi, x + mech->n);
+    status = dal__measure_moves(mech, t, shift, x + mech->n);
+    if (status) return status;
+    *relative = dal__relative_residual(mech, at->mu, at->phi, x + mech->n, at->moves);
+    *consistent = dal__is_consistent(mech, at->mu, at->phi, x + mech->n, at->moves);
     return dal__require_output(&mech->error, "residual", 1, relative);
 }
 
@@ -671,7 +686,21 @@ static double mass_norm(dal_mechanics *mech, double *d)
     return largest * sqrt(fmax(0.0, dal__dot(mech->n, d, mech->step)));
 }
 
-static double moves(const void *ctx) { return ((const dal_mechanics *)ctx)->moves; }
+double dal__velocity_moves(dal_mechanics *mech, double t, double shift, const double *v)
+{
+    const dal__forms *const at = &mech->forms;
+    double moves = 0.0;
+    if (dal__measure_moves(mech, t, shift, v)) return 0.0; /* the next step will say why */
+    for (size_t a = 0; a < mech->m; a++)
+        moves += at->moves[a] / dal__row_extent(mech, at->mu, a, mech->metric.unit);
+    return moves;
+}
+
+static double moves(void *ctx)
+{
+    dal_mechanics *const mech = ctx;
+    return dal__velocity_moves(mech, mech->t, mech->shift, mech->point + mech->n);
+}
 
 /* Of the velocity v of mech->point for phi(q - shift v, v) = 0, along Z as it is. */
 static int find_step(dal__newton *equations)
@@ -682,10 +711,7 @@ static int find_step(dal__newton *equations)
     move_node(mech, shift, mech->point);
     int status = evaluate_forms(mech, mech->t, mech->point + mech->n, shift != 0.0);
     if (status) return status;
-    if (shift != 0.0) {
-        mech->moves = dal__forms_move(mech, at->mu, at->dmu, at->q);
-        dal__add(dal__entries(&mech->eval), -shift, at->dmu, at->mu);
-    }
+    if (shift != 0.0) dal__add(dal__entries(&mech->eval), -shift, at->dmu, at->mu);
     status = factor_product(mech);
     if (!status) find_change(mech, equations->step);
     return status;

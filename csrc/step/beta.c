@@ -181,6 +181,16 @@ static int finish(dal_kernel *k, double number, const dal_stage *s, bool solved)
     return DAL_SUCCESS;
 }
 
+/* As measure of a dal_kernel. */
+static int measure(dal_kernel *k, double t)
+{
+    dal_mechanics *const mech = ((beta *)k)->motion->mechanics;
+    dal__copy(k->n, k->at.point, mech->forms.q);
+    const int status = dal__measure_moves(mech, t, 0.0, k->at.w);
+    dal__copy(k->m, mech->forms.moves, k->at.d);
+    return status;
+}
+
 /* Where there are rows: as factor and solve of a dal_kernel. */
 static int factor_rows(dal_kernel *k, double b)
 {
@@ -313,6 +323,7 @@ static void bind_kernel(beta *self, dal_motion *motion)
     k->at.rows = has_rows(system) ? system->rows : NULL;
     k->at.next = slim ? 1 : k->n + 1;
     k->at.dragged = system->lean && dal__is_dragged(system);
+    k->measure = measure;
     k->factor = factor_rows;
     k->solve = solve_rows;
     k->unit = system->unit;

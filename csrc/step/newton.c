@@ -143,7 +143,7 @@ static int find_step(dal__newton *equations)
     return DAL_SUCCESS;
 }
 
-static double moves(const void *ctx) { return dal__step_moves(((const newton *)ctx)->mech); }
+static double moves(void *ctx) { return dal__step_moves(((newton *)ctx)->mech); }
 
 /* From the guess in z to the solution. */
 static int iterate(newton *s)

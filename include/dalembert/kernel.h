@@ -175,6 +175,8 @@ struct dal_kernel {
     /* What is left of a stage: the full Newton iteration from at.x, with kappa, if not solved; else
      * the residual of D at what is stored, evaluated, and mended.  In at.stored and at.w. */
     int (*finish)(dal_kernel *k, double number, const dal_stage *s, bool solved);
+    /* at.d[m] <- the moves of residual.h at at.point, at.w and the time t. */
+    int (*measure)(dal_kernel *k, double t);
     /* Where there are at.rows: S of the stage from at.Z and mu + b N, factored; the sign of its
      * determinant, 0 where it is singular.  And at.d <- S^-1 at.r. */
     int (*factor)(dal_kernel *k, double b);

@@ -15,7 +15,8 @@
  * a correction L_v, F and phi are evaluated at what would be stored.  The stage is done when the
  * balance of momenta there is a rounding of its terms and the residual of D at most half of its
  * bound; so a smooth step takes one evaluation with second derivatives and one without.  Nothing is
- * extrapolated: what is stored was looked at.
+ * extrapolated: what is stored was looked at.  The moves in s^a of residual.h cost slopes of phi at
+ * what would be stored; they are evaluated only where the residual is above its bound without them.
  *
  * p is carried from stage to stage, so that what is left of the balance is not lost: p' = L_v(q~',
  * v') + theta r, where r is the residual and theta_i the part of a row that is momentum, at most 1:
@@ -203,6 +204,7 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_within)(dal_kernel *k, const dal_trait
         const double value = of->linear ? sum : balance->phi[a];
         if (!of->linear) terms += fabs(value - sum);
         at->r[a] = -value;
+        if (!of->linear) at->sizes[a] = terms;
         if (!(limit * terms - fabs(value) >= 0.0)) settled = false; /* nor if both are infinite */
         if (fabs(value) > largest * terms) largest = fabs(value) / terms;
     }
@@ -269,6 +271,38 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_in_D)(dal_kernel *k, const dal_traits 
     if (DAL_KERNEL_PART(is_within)(k, o, of, at, balance, false)) return true;
     if (!of->constant) DAL_KERNEL_PART(measure)(k, o->has.K, balance);
     return DAL_KERNEL_PART(is_within)(k, o, of, at, balance, true);
+}
+
+/* The same with the moves, after is_in_D. */
+DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_moved)(dal_kernel *k, const dal_traits *o,
+                                                 const dal_spans *of, const dal_arrays *at)
+{
+    DAL_KERNEL_SIZES;
+    if (of->linear || o->kept) return false;
+    DAL_KERNEL_COPY(n, at->point, k->at.point);
+    DAL_KERNEL_COPY(n, at->w, k->at.w);
+    if (k->measure(k, o->t_end)) return false;
+    const double *const moves = k->at.d;
+    double largest = k->stats.worst_residual;
+    for (size_t a = 0; a < m; a++) {
+        const double s = at->sizes[a] + moves[a], size = fabs(at->r[a]);
+        if (!(s <= DBL_MAX && size <= DAL_KERNEL_LIMIT(n) * s)) return false;
+        if (size > largest * s) largest = size / s;
+    }
+    k->stats.worst_residual = largest;
+    return true;
+}
+
+/* How far phi is from 0, in parts of its terms. */
+DAL_KERNEL_INLINE double DAL_KERNEL_PART(distance)(const dal_kernel *k, const dal_arrays *at)
+{
+    DAL_KERNEL_SIZES;
+    (void)k;
+    double most = 0.0;
+    DAL_KERNEL_UNROLL
+    for (size_t a = 0; a < m; a++)
+        if (fabs(at->r[a]) > most * at->sizes[a]) most = fabs(at->r[a]) / at->sizes[a];
+    return most;
 }
 
 /* Entry ij of K without L_vv. */
@@ -387,9 +421,10 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel *k, const dal_spa
     }
 }
 
-/* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N. */
+/* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N; which are those
+ * of the terms of phi too, unless it is linear. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_rounding)(const dal_kernel *k, const dal_traits *o,
-                                                    const dal_arrays *at)
+                                                    const dal_spans *of, const dal_arrays *at)
 {
     DAL_KERNEL_SIZES;
     (void)k;
@@ -408,6 +443,7 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_rounding)(const dal_kernel *k, const d
             if (DAL_KERNEL_HAS(o->has.N, a * n + i))
                 moved += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
         }
+        if (!of->linear) moved *= (double)n;
         const double bound = 2.0 * DAL_KERNEL_U * (2.0 * (double)n * terms + moved);
         if (!(bound - fabs(at->r[a]) >= 0.0)) roundoff = false;
     }
@@ -489,7 +525,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
                                              const dal_balance *balance, bool *settled)
 {
     DAL_KERNEL_SIZES;
-    double last = HUGE_VAL;
+    double last = HUGE_VAL, far = HUGE_VAL;
     DAL_KERNEL_PART(weigh)(k, of, at, balance);
     DAL_KERNEL_PART(miss)(k, o, of, at, balance->phi);
     for (int correction = 1; correction <= DAL_KERNEL_CORRECTIONS; correction++) {
@@ -512,8 +548,12 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
         const double imbalance = DAL_KERNEL_PART(imbalance)(k, o, of, at, balance);
         const bool stalls = !(imbalance <= 0.5 * last);
         last = imbalance;
+        const double distance = of->linear ? 0.0 : DAL_KERNEL_PART(distance)(k, at);
+        const bool stays = distance > 0.5 * far;
+        far = distance;
         if (imbalance <= (stalls ? DAL_MOMENTUM_FLOOR : 1.0)
-            && (*settled || DAL_KERNEL_PART(is_rounding)(k, o, at)))
+            && (*settled || DAL_KERNEL_PART(is_rounding)(k, o, of, at)
+                || (stays && DAL_KERNEL_PART(is_moved)(k, o, of, at))))
             return 0;
         if (stalls && !(imbalance <= 1.0)) return 1;
     }
@@ -541,7 +581,8 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(mend)(dal_kernel *k, const dal_traits *o,
     for (size_t i = 0; i < n; i++)
         balance->L_v[i] += balance->share[i]
                          * dal_kernel_column(n, m, o->has.mu, at->mu_node, i, at->d);
-    return DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance);
+    return DAL_KERNEL_PART(is_in_D)(k, o, of, at, balance)
+        || DAL_KERNEL_PART(is_moved)(k, o, of, at);
 }
 
 /* ---- carry: what the next stage needs of a balance that was closed here */

@@ -4,8 +4,10 @@
  *     residual^a = |mu^a v| / s^a,    s^a(q, v) = |mu^a| |v|,
  *     |mu^a| = sum_i |mu^a_i| d_i,    |v| = max_j |v_j| / d_j,    d_i = sqrt((M^-1)_ii),
  * where d_i is the largest |v_i| of a velocity with v^T M v = 1, so that |v|^2 <= v^T M v.  Where
- * phi is not linear in v, |phi^a| takes the place of |mu^a v| with mu = phi_v, and s^a gets
- * |phi^a - mu^a v| in addition, which is |a^a| for affine constraints.  docs/residual.md derives it
+ * phi is not linear in v, |phi^a| takes the place of |mu^a v| with mu = phi_v, and
+ *     s^a = |mu^a| |v| + |phi^a - mu^a v| + moves^a,
+ *     moves^a = sum_i |dphi^a/dq_i q_i| + |dphi^a/dt t|,
+ * so that s^a knows the rounding of q, of t, and of the terms of phi.  docs/residual.md derives it
  * and its rounding bound.  Header only: generated code has no library to link. */
 #ifndef DALEMBERT_RESIDUAL_H
 #define DALEMBERT_RESIDUAL_H
