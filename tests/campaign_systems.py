@@ -15,7 +15,6 @@ from typing import Any
 import mpmath
 import numpy as np
 import sympy as sp
-from sympy.physics.mechanics import dynamicsymbols
 
 import dalembert as dal
 
@@ -357,7 +356,7 @@ class Mechanism:
         """Return what `System.from_sympy` takes."""
         q = dal.coordinates([f"x{i}" for i in range(self.n)])
         v = [x.d for x in q]
-        z = [*q, *v, dynamicsymbols._t]
+        z = [*q, *v, dal.time]
         L = sum(
             sp.Float(self.M[i, j]) * v[i] * v[j] / 2
             for i in range(self.n) for j in range(self.n) if self.M[i, j]

@@ -179,20 +179,21 @@ static inline void inverse_diagonal(const dal_system *system, const double *x, d
     for (size_t i = 0; i < n; i++) diagonal[i] = A[i][n + i] / A[i][i];
 }
 
-/* The residual of D, or of D_eps, as the header defines it. */
+/* The residual of D, or of D_eps, as the header defines it, at time 0. */
 static inline double residual_of(const dal_system *system, double shift, const double *x)
 {
     enum { MOST_N = 48, MOST_ENTRIES = 160 };
     const size_t n = system->def.n, m = system->def.m;
     double y[2 * MOST_N], mu[MOST_ENTRIES], phi[MOST_N], square[MOST_N], worst = 0.0, speed = 0.0;
-    const bool linear = system->def.kind == DAL_LINEAR;
+    double slope[MOST_ENTRIES] = {0};
+    const bool linear = system->def.kind == DAL_LINEAR, moves = !linear || shift != 0.0;
     if (n > MOST_N || m * n > MOST_ENTRIES) exit(2);
     for (size_t i = 0; i < n; i++) {
         y[i] = x[i] - shift * x[n + i];
         y[n + i] = x[n + i];
     }
-    if (m > 0 && system->def.constraint(0.0, y, y + n, linear ? NULL : phi, mu, NULL, NULL,
-                                        system->def.ctx))
+    if (m > 0 && system->def.constraint(0.0, y, y + n, linear ? NULL : phi, mu,
+                                        moves ? slope : NULL, NULL, system->def.ctx))
         exit(2);
     if (m > 0) inverse_diagonal(system, y, square);
     for (size_t i = 0; m > 0 && i < n; i++) speed = fmax(speed, fabs(y[n + i]) / sqrt(square[i]));
@@ -201,6 +202,7 @@ static inline double residual_of(const dal_system *system, double shift, const d
         for (size_t i = 0; i < n; i++) {
             sum += mu[a * n + i] * y[n + i];
             size += fabs(mu[a * n + i]) * sqrt(square[i]) * speed;
+            size += fabs(slope[a * n + i]) * (fabs(y[i]) + fabs(shift * y[n + i]));
         }
         if (!linear) {
             size += fabs(phi[a] - sum);
