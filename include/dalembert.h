@@ -443,8 +443,7 @@ typedef struct dal_stats {
 
 /* A system, a scheme, and a state that is stepped.  A step never allocates.  After every step the
  * residual of the set that the scheme keeps, as dal_relative_residual finds it, is at most 4 n u
- * with u = 2^-53.  Where kept nodes lie so far out that the rounding of q - (1-beta) h v moves mu v
- * by more, it may be up to that, and worst_residual says so. */
+ * with u = 2^-53. */
 typedef struct dal_stepper dal_stepper;
 
 /* options may be NULL.  DAL_EINVAL (a record or an option that is not valid; the text says what),

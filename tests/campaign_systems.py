@@ -266,7 +266,8 @@ class Mechanism:
         L_q = self.lagrangian.at(z).jacobian()[0, :n]
         A = np.zeros((n + m, n + m), dtype=z.dtype)
         A[:n, :n], A[:n, n:], A[n:, :n] = H[n:, n:], -J[:, n:-1].T, J[:, n:-1]
-        b = np.concatenate([L_q - H[n:, :n] @ v + self.force.at(z).value(), -(J[:, :n] @ v) - J[:, -1]])
+        force, along = self.force.at(z).value(), J[:, :n] @ v + J[:, -1]
+        b = np.concatenate([L_q - H[n:, :n] @ v + force, -along])
         row, column = scales(H[n:, n:], J[:, n:-1])
         inverse = np.linalg.inv((row[:, None] * A * column).astype(float))
         y = np.zeros(n + m, dtype=z.dtype)

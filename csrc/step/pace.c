@@ -176,6 +176,24 @@ static void look_at_roundoff(dal__pace *pace, double estimate, double twice)
     pace->seen = grows || !small ? 0.5 * pace->seen : fmax(pace->seen, estimate);
 }
 
+/* What the rounding of q' and t makes of velocities, where D is not linear: no h makes an estimate
+ * less.  Whether that was not known. */
+static bool look_at_moves(dal_stepper *self, double t)
+{
+    dal__pace *const pace = &self->pace;
+    dal_mechanics *const mech = &self->mech;
+    const double *const v = self->motion.x + mech->n;
+    if (mech->eval.system->def.kind == DAL_LINEAR) return false;
+    if (dal__forms_at(mech, t, 0.0, self->motion.x, false)) return false;
+    double unit = 0.0;
+    for (size_t i = 0; i < mech->n; i++)
+        unit = fmax(unit, mech->metric.unit[i] / (1.0 + fabs(v[i])));
+    const double noise = pace->noise / ROUNDOFF * unit * dal__velocity_moves(mech, t, 0.0, v);
+    if (!(noise > roundoff(pace) && noise < HUGE_VAL)) return false;
+    pace->seen = noise;
+    return true;
+}
+
 /* After a step of h from t: c by two steps and one of twice the length, whose error is
  * its difference to theirs; the motion stays where it is.  What is all roundoff, or cannot be made,
  * says nothing. */
@@ -248,6 +266,8 @@ int dal__pace_step(dal_stepper *self)
                                                        : attempt(self, t, length, &estimate);
         if (!status && is_time(self, t, length)) status = measure_share(self, t, length, estimate);
         if (!status) error = error_of(pace, estimate, &beyond);
+        if (!status && error > 1.0 && look_at_moves(self, t + length))
+            error = error_of(pace, estimate, &beyond);
         if (!status && error <= 1.0) {
             const double factor = change(pace, error);
             const double next = length * (k > 1 ? fmin(factor, 1.0) : factor);

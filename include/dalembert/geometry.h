@@ -95,10 +95,12 @@ DAL_API int dal_residual(dal_mechanics *mechanics, double t, double shift, const
                          double *residual);
 
 /* *worst <- the largest of all a of
- *     |phi^a| / (sum_i |mu^a_i| d_i max_j |v_j| / d_j + |phi^a - mu^a v|),   d_i = sqrt((M^-1)_ii),
- * at (q - shift v, v), where the last term is 0 for linear constraints; 0 where phi is 0.  d_i is
- * the largest |v_i| of a velocity with v^T M v = 1.  It does not change when forms or coordinates
- * are rescaled.  Also DAL_ESINGULAR (M(q) is not positive definite). */
+ *     |phi^a| / (sum_i |mu^a_i| d_i max_j |v_j| / d_j + |phi^a - mu^a v| + moves^a),
+ *     moves^a = sum_i |dphi^a/dq_i| (|q_i - shift v_i| + |shift v_i|) + |dphi^a/dt t|
+ * at (q - shift v, v); 0 where phi is 0.  d_i = sqrt((M^-1)_ii) is the largest |v_i| of a velocity
+ * with v^T M v = 1.  For linear constraints |phi^a - mu^a v| is 0, and moves^a is without its last
+ * term, and 0 for shift = 0 (docs/residual.md).  It does not change when forms or coordinates are
+ * rescaled.  Also DAL_ESINGULAR (M(q) is not positive definite). */
 DAL_API int dal_relative_residual(dal_mechanics *mechanics, double t, double shift,
                                   const double *x, double *worst);
 

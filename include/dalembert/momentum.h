@@ -421,8 +421,8 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel *k, const dal_spa
     }
 }
 
-/* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N; which are those
- * of the terms of phi too, unless it is linear. */
+/* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N; which is that
+ * of the terms of phi too, unless phi is linear. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_rounding)(const dal_kernel *k, const dal_traits *o,
                                                     const dal_spans *of, const dal_arrays *at)
 {

@@ -261,12 +261,15 @@ def residual(
 def relative_residual(
     system: Handle, q: ArrayLike, v: ArrayLike, shift: float = 0.0, t: ArrayLike = 0.0
 ) -> Any:
-    """Return ``max_a |phi^a| / (|mu^a| |v| + |phi^a - mu^a v|)`` at (q - shift v, v).
+    """Return the largest ``|mu^a v| / (|mu^a| |v|)`` at (q - shift v, v).
 
     Here ``|mu^a| = sum_i |mu^a_i| d_i`` and ``|v| = max_j |v_j| / d_j`` with ``d_i =
-    sqrt((M^-1)_ii)``, which is the largest ``|v_i|`` of a velocity with ``v^T M v = 1``; ``phi^a -
-    mu^a v`` is 0 for linear constraints.  It does not change when forms or coordinates are
-    rescaled; on D it is at the level of roundoff, at most ``4 n 2^-53`` at what a run stores.
+    sqrt((M^-1)_ii)``, which is the largest ``|v_i|`` of a velocity with ``v^T M v = 1``.  Affine
+    and nonlinear constraints have ``|phi^a|`` above and, added below, ``|phi^a - mu^a v| + sum_i
+    |dphi^a/dq_i q_i| + |dphi^a/dt t|``, as q and t are rounded.  With a shift, linear ones have the
+    second of these, too, and ``|q_i - shift v_i| + |shift v_i|`` is in place of ``|q_i|``.  The
+    residual does not change when forms or coordinates are rescaled; on D it is at the level of
+    roundoff, at most ``4 n 2^-53`` at what a run stores.
 
     Parameters
     ----------

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import sympy as sp
 
 import dalembert as dal
 from conftest import U
@@ -732,3 +733,59 @@ def test_from_rest_to_rest_is_no_jump_of_the_energy(given):
             q0=[1], v0=[0], **given,
         )  # fmt: skip
     assert run.stats.jump_step == 0 and abs(run.v[-1, 0]) < 1e-6
+
+
+# ---- far from the origin ---------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def ramp():
+    """v_z^3 + v_z = 2 (y - c), where only z is pushed: 8 z = 3 v_z^4 + 2 v_z^2 from y = c on."""
+    x, y, z = dal.coordinates("x y z")
+    c = sp.Symbol("c")
+    kinetic = (x.d**2 + y.d**2 + z.d**2) / 2
+    return dal.System.from_sympy(kinetic, [z.d**3 + z.d - 2 * (y - c)], parameters={c: 0})
+
+
+@pytest.mark.parametrize(
+    ("given", "tolerance"),
+    [
+        ({"scheme": "leapfrog", "h": 0.01}, 1e-4),
+        ({"scheme": "midpoint", "h": 0.01}, 1e-4),
+        ({"scheme": "midpoint-kl6", "h": 0.02}, 1e-9),
+        ({"scheme": "midpoint-kl6", "h": "auto"}, 1e-7),
+        ({"scheme": "reference", "h": 0.1}, 1e-9),
+    ],
+)
+def test_nonlinear_constraint_far_from_the_origin(ramp, given, tolerance):
+    for c in (1.0, 1e3, 1e5):
+        q0, far = [0, c, 0], ramp.with_parameters(c=c)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            run = dal.integrate(far, q0=q0, v0=far.project(q0, [1, 1, 0]), t_end=2, **given)
+        s, w = run.q[:, 1] - c, run.v[:, 2]
+        assert abs(w**3 + w - 2 * s).max() <= 12 * U * 4 * (1 + c)
+        assert abs(run.q[-1, 2] - (3 * w[-1] ** 4 + 2 * w[-1] ** 2) / 8) < tolerance * (1 + c / 1e3)
+        assert run.residual.max() <= run.stats.worst_residual <= 12 * U
+
+
+def test_built_in_system_and_members_far_from_the_origin():
+    table = dal.systems.ball_on_table()
+    q0 = np.array([table.q0, table.q0])
+    q0[:, 0] += [1e3, 1e5]
+    v0 = np.array([table.project(q, table.v0) for q in q0])
+    made = dal.ensemble(table, "leapfrog", q0=q0, v0=v0, h=0.01, steps=200, progress=False)
+    for k in range(2):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            run = dal.integrate(table, "leapfrog", q0[k], v0[k], h=0.01, steps=200)
+        np.testing.assert_array_equal(made.q[k], run.q[-1])
+        w = complex(*v0[k, :2])  # the centre goes round by k = J/(J + m a^2) Omega, in 0.35 parts
+        x = complex(*q0[k, :2]) + w * (np.exp(2j * 0.1 / 0.35) - 1) / (1j * 0.1 / 0.35)
+        assert abs(complex(*run.q[-1, :2]) - x) < 1e-5 * abs(w)
+        assert run.residual.max() <= run.stats.worst_residual <= 20 * U
+        assert table.check(q0[k], v0[k]).passed
+        stepper = dal.Stepper(table, "leapfrog", h=0.01, q0=q0[k], v0=v0[k])
+        for _ in range(200):
+            stepper.step()
+        np.testing.assert_array_equal(stepper.q, run.q[-1])
