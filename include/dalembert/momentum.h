@@ -421,10 +421,9 @@ DAL_KERNEL_INLINE void DAL_KERNEL_PART(weigh)(const dal_kernel *k, const dal_spa
     }
 }
 
-/* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N; which is that
- * of the terms of phi too, unless phi is linear. */
+/* Whether r may be all roundoff: of v' = v + Z^T kappa + ..., and of q~', through N. */
 DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_rounding)(const dal_kernel *k, const dal_traits *o,
-                                                    const dal_spans *of, const dal_arrays *at)
+                                                    const dal_arrays *at)
 {
     DAL_KERNEL_SIZES;
     (void)k;
@@ -443,7 +442,6 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_rounding)(const dal_kernel *k, const d
             if (DAL_KERNEL_HAS(o->has.N, a * n + i))
                 moved += fabs(at->N[a * n + i]) * (fabs(at->point[i]) + fabs(at->stored[i]));
         }
-        if (!of->linear) moved *= (double)n;
         const double bound = 2.0 * DAL_KERNEL_U * (2.0 * (double)n * terms + moved);
         if (!(bound - fabs(at->r[a]) >= 0.0)) roundoff = false;
     }
@@ -552,7 +550,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
         const bool stays = distance > 0.5 * far;
         far = distance;
         if (imbalance <= (stalls ? DAL_MOMENTUM_FLOOR : 1.0)
-            && (*settled || DAL_KERNEL_PART(is_rounding)(k, o, of, at)
+            && (*settled || DAL_KERNEL_PART(is_rounding)(k, o, at)
                 || (stays && DAL_KERNEL_PART(is_moved)(k, o, of, at))))
             return 0;
         if (stalls && !(imbalance <= 1.0)) return 1;
