@@ -14,15 +14,16 @@ import dalembert as dal
 U = 2.0**-53  # unit roundoff
 
 
-def relative_residual(M, mu, v, phi=None):
-    """Largest |phi^a| / (sum_i |mu^a_i| d_i max_j |v_j| / d_j + |phi^a - mu^a v|).
+def relative_residual(M, mu, v, phi=None, moves=0.0):
+    """Largest |phi^a| / (sum_i |mu^a_i| d_i max_j |v_j| / d_j + |phi^a - mu^a v| + moves^a).
 
-    d_i = sqrt((M^-1)_ii), and phi = mu v if it is not given.
+    d_i = sqrt((M^-1)_ii), and phi = mu v if it is not given; moves^a = sum_i |dphi^a/dq_i q_i|
+    where phi is not linear or mu depends on v, for nodes that are kept.
     """
     d = np.sqrt(np.diag(np.linalg.inv(M)))
     linear = mu @ v
     phi = linear if phi is None else phi
-    size = np.abs(mu) @ d * np.max(np.abs(v) / d) + np.abs(phi - linear)
+    size = np.abs(mu) @ d * np.max(np.abs(v) / d) + np.abs(phi - linear) + moves
     return float(np.max(np.abs(phi) / size))
 
 
@@ -345,8 +346,10 @@ class General:
 
     def residual(self, q, v):
         """See `relative_residual`."""
-        phi = None if self.kind == "linear" else self.phi(q, v)
-        return relative_residual(self.lagrangian_vv(q, v), self.phi_v(q, v), v, phi)
+        M, mu = self.lagrangian_vv(q, v), self.phi_v(q, v)
+        if self.kind == "linear":
+            return relative_residual(M, mu, v)
+        return relative_residual(M, mu, v, self.phi(q, v), abs(self.phi_q(q, v)) @ abs(q))
 
 
 KINDS = ("linear", "affine", "nonlinear")
