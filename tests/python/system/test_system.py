@@ -217,7 +217,7 @@ def test_number_of_nonlinear_constraints_is_asked_for_at_the_state(data):
         ({"mass": [1, 1], "forms_velocity_derivative": lambda q, v: q}, "without forms"),
         ({"mass": [1, 1], "potential": 3.0}, "potential = 3.0: expected a function"),
         ({"mass": [1, 1], "forms": lambda q: [1, 0]}, r"shape \(m, 2\).*returned \(2,\)"),
-        ({"mass": [1, 1], "forms": lambda q: np.eye(2)}, "m = 2"),
+        ({"mass": [1, 1], "forms": lambda q: np.ones((3, 2))}, "m = 3"),
         ({"mass": [1, 1], "m": 1}, "without forms"),
         ({"mass": 1, "n": "a"}, "n = .a.: expected an integer"),
         ({"mass": 1, "n": -1}, "n = -1: expected at least 1"),
