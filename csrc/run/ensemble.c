@@ -22,6 +22,9 @@ typedef struct worker {
     dal_stepper *stepper;
     dal_mechanics *mech;      /* what measures the states; NULL where nothing is measured */
     dal_events *events;       /* or NULL */
+    dal_law *laws;            /* [events] of their resets */
+    dal_law control;
+    double *inputs;           /* [holds*inputs] that the control has written */
     dal__lanes *lanes;        /* or NULL, and */
     size_t width;             /* how many there are */
     lane *lane;               /* [width] */
@@ -50,8 +53,12 @@ static int check_members(const dal_system *system, const dal_members *members, s
     if (members->parameters && dal_system_parameter_size(system) == 0)
         return dal__fail(error, DAL_EINVAL, "members.parameters is not NULL, and the system has "
                          "none that could be changed");
-    if (members->inputs && system->def.inputs == 0)
-        return dal__fail(error, DAL_EINVAL, "members.inputs is not NULL, but the system has none");
+    if ((members->inputs || members->control) && system->def.inputs == 0)
+        return dal__fail(error, DAL_EINVAL, "members.%s is not NULL, but the system has no inputs",
+                         members->inputs ? "inputs" : "control");
+    if (members->inputs && members->control)
+        return dal__fail(error, DAL_EINVAL, "members.inputs and members.control are not NULL: "
+                         "expected one of them");
     if (!members->x && !system->def.state)
         return dal__fail(error, DAL_EINVAL, "members.x is NULL, and the system has no initial data "
                          "by default");
@@ -201,6 +208,11 @@ static void prepare_run(worker *self)
                      .hold = members->hold, .watch = self->watch.function ? relay : NULL,
                      .watch_ctx = self};
     if (members->inputs) run->inputs = (double *)ROW_OF(members, inputs, k); /* which are read */
+    if (members->control) {
+        run->inputs = self->inputs;
+        run->control = dal_law_control;
+        run->control_ctx = &self->control;
+    }
     if (members->reactions) run->reactions = members->reactions + k * self->reactions * m;
     if (stride > 0 && members->states) run->x = members->states + k * self->rows * 2 * n;
     if (stride > 0 && self->mech) {
@@ -389,6 +401,26 @@ static void dismiss(worker *self)
     dal__release(&self->arena);
 }
 
+/* A law, with the ctx of the system where it has none of its own. */
+static dal_law law_of(const worker *self, const dal_law *given)
+{
+    dal_law law = *given;
+    if (!law.ctx) law.ctx = self->system->def.ctx;
+    return law;
+}
+
+/* The rows of inputs of the longest of the members. */
+static size_t most_holds(const dal_members *members, size_t first, size_t count)
+{
+    const size_t hold = members->hold > 0 ? members->hold : 1;
+    size_t most = 0;
+    for (size_t k = first; k < first + count; k++) {
+        const size_t steps = *ROW_OF(members, steps, k);
+        if (steps > most) most = steps;
+    }
+    return most / hold + (most % hold > 0);
+}
+
 /* The events, with the ctx of the system where they have none of their own. */
 static int make_events(worker *self, const dal_scheme *scheme, dal_event *list, dal_error *error)
 {
@@ -396,6 +428,12 @@ static int make_events(worker *self, const dal_scheme *scheme, dal_event *list, 
     for (size_t i = 0; i < members->event_count; i++) {
         list[i] = members->events[i];
         if (!list[i].ctx) list[i].ctx = self->system->def.ctx;
+        if (!members->resets || !members->resets[i].values) continue;
+        double *const scratch = self->laws[i].scratch;
+        self->laws[i] = law_of(self, &members->resets[i]);
+        self->laws[i].scratch = scratch;
+        list[i].reset = dal_law_reset;
+        list[i].reset_ctx = &self->laws[i];
     }
     return dal_events_new(&self->events, self->stepper, scheme, list, members->event_count, error);
 }
@@ -407,19 +445,27 @@ static bool use_lanes(const dal_members *members, const dal_options *options)
 }
 
 static int hire(worker *self, const dal_system *system, const dal_scheme *scheme,
-                const dal_options *options, dal_error *error)
+                const dal_options *options, size_t holds, dal_error *error)
 {
     const dal_members *const members = self->members;
+    const size_t N = 2 * system->def.n;
     dal_event *list;
+    double *scratch;
     self->width = use_lanes(members, options) ? dal__lanes_width(system, scheme) : 0;
     dal__reserve(&self->arena, &list, members->event_count, sizeof *list);
     dal__reserve(&self->arena, &self->lane, self->width, sizeof *self->lane);
+    dal__reserve(&self->arena, &self->laws, members->event_count, sizeof *self->laws);
+    dal__reserve(&self->arena, &scratch, members->event_count * N, sizeof *scratch);
+    dal__reserve(&self->arena, &self->inputs, holds, system->def.inputs * sizeof *self->inputs);
     int status = dal__allocate(&self->arena, error);
+    for (size_t i = 0; !status && i < members->event_count; i++)
+        self->laws[i].scratch = scratch + i * N;
     self->system = system;
     if (!status && members->parameters) {
         status = dal__system_copy(&self->own, system, error);
         self->system = self->own;
     }
+    if (!status && members->control) self->control = law_of(self, members->control);
     if (!status && options && (options->tolerance != 0.0 || options->eps != 0.0))
         status = dal__fail(error, DAL_EUNSUPPORTED, "options.%s = %g: the members of an ensemble "
                            "make steps of h", options->eps != 0.0 ? "eps" : "tolerance",
@@ -444,7 +490,8 @@ int dal_ensemble_run(const dal_system *system, const dal_scheme *scheme, const d
     const size_t stride = members->stride, rows = stride > 0 ? *members->steps / stride + 1 : 1;
     worker self = {.members = members, .rows = rows, .reactions = stride > 0 ? rows - 1 : 1,
                    .piece = 1, .watch = {.function = watch, .ctx = ctx}};
-    status = hire(&self, system, scheme, options, error);
+    const size_t holds = members->control ? most_holds(members, first, count) : 0;
+    status = hire(&self, system, scheme, options, holds, error);
     if (!status && self.lanes) make_range_in_lanes(&self, first, count);
     else if (!status) make_range(&self, first, count);
     if (self.stopped) status = dal__fail(error, self.stopped, "%s", self.stepper->error.text);

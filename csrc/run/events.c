@@ -205,6 +205,25 @@ static int make_times(dal_events *e, dal_run *run, double theta)
     return DAL_SUCCESS;
 }
 
+/* ---- laws ---------------------------------------------------------------------------------- */
+
+int dal_law_control(size_t step, double t, const double *x, double *u, void *law)
+{
+    const dal_law *const self = law;
+    const int returned = self->values(t, x, u, self->ctx);
+    (void)step;
+    if (returned > 0) dal__forget(self->count, u);
+    return returned < 0 ? returned : 0;
+}
+
+int dal_law_reset(double t, double *x, void *law)
+{
+    const dal_law *const self = law;
+    const int returned = self->values(t, x, self->scratch, self->ctx);
+    if (!returned) memcpy(x, self->scratch, self->count * sizeof *x);
+    return returned;
+}
+
 /* ---- resets -------------------------------------------------------------------------------- */
 
 /* The impulse of the way to theta, where reach has just been. */

@@ -31,12 +31,16 @@ typedef struct dal_members {
     size_t steps_next;
     const double *inputs;       /* [ceil(steps/hold)*inputs] as of a dal_run; NULL: 0 */
     size_t inputs_next, hold;
+    const dal_law *control;     /* or NULL: of the inputs, evaluated where they change; a ctx that
+                                   is NULL is that of the member's system */
     double t0;
     dal_consistency consistency;
     dal_initial initial;
     const dal_event *events;    /* [event_count] or NULL; a ctx that is NULL is that of the
                                    member's system: its parameters */
     size_t event_count;
+    const dal_law *resets;      /* [event_count] or NULL: the resets of those events whose values
+                                   are not NULL, with a ctx as that of control; scratch is own */
     int lanes;                  /* 1: several members are stepped at once by vector instructions,
                                    where the system was compiled for it and there are neither
                                    events nor inputs.  A member then does not depend on the others

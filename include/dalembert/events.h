@@ -22,6 +22,22 @@ typedef int (*dal_event_fn)(double t, const double *x, double *g, void *ctx);
 /* x[2n], the state at an event, <- the state from which the run goes on.  Returns as a callback. */
 typedef int (*dal_reset_fn)(double t, double *x, void *ctx);
 
+/* Functions of the state by one callback, as models have them compiled: the inputs of a run, or the
+ * state after an event. */
+typedef struct dal_law {
+    dal_invariant_fn values; /* its [count] values at x[2n] and time t */
+    size_t count;            /* the inputs, or 2n */
+    void *ctx;               /* of values */
+    double *scratch;         /* [count], of a reset; a law with one serves one run at a time */
+} dal_law;
+
+/* Inputs u[count] <- values(t, x): the control of a dal_run whose control_ctx is a dal_law.  Where
+ * values returns > 0 they are NaN, which the run refuses. */
+DAL_API int dal_law_control(size_t step, double t, const double *x, double *u, void *law);
+
+/* x[count] <- values(t, x): the reset of a dal_event whose reset_ctx is a dal_law. */
+DAL_API int dal_law_reset(double t, double *x, void *law);
+
 typedef struct dal_event {
     dal_event_fn g;
     int direction;        /* > 0: only where g grows along the run; < 0: where it falls; 0: both */

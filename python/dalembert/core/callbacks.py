@@ -291,6 +291,13 @@ def dal_py_reset(t: float, x: Any, ctx: Any) -> int:
 
 
 @_trampoline()
+def dal_py_law(t: float, x: Any, values: Any, ctx: Any) -> int:
+    call = _from_handle(ctx)
+    _write(values, call.law(t, *_halves(call, x)), call.values, "an expression")
+    return 0
+
+
+@_trampoline()
 def dal_py_happened(event: int, step: int, t: float, x: Any, after: Any, ctx: Any) -> int:
     call = _from_handle(ctx)
     size = 2 * call.bytes

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..core import Array, arguments
 from ..run.events import Event
+from ..run.laws import Law, is_control
 from ..run.scheme import Scheme
 from ..system import System
 from .design import Design
@@ -150,7 +151,7 @@ class Setting:
     max_iterations: int
     hold: int
     events: tuple[Event, ...]
-    control: Callable[..., Any] | None  # inputs that are a function
+    control: Callable[..., Any] | Law | None  # inputs that are a function, or expressions
     lanes: bool = False
     energy: str | None = None
 
@@ -269,7 +270,7 @@ def read_members(
         for name in values
     }  # fmt: skip
     found["inputs"] = None
-    if inputs is not None and not callable(inputs):
+    if inputs is not None and not is_control(inputs):
         found["inputs"] = _inputs(inputs, system, holds)
     return found
 

@@ -18,12 +18,14 @@ from numpy.typing import ArrayLike
 from .. import core
 from ..core import Array, DalembertWarning, arguments, extras, lib, require_system
 from ..core.extras import Progress
-from ..run.events import CONSISTENCY
+from ..run.events import CONSISTENCY, Event
+from ..run.events import laws as events_of
 from ..run.events import take as take_events
 from ..core.memory import available_memory
 from ..run.integration import with_method
 from ..run.steps import number_of_steps, options_of
 from ..run.journal import of_system, require_same
+from ..run.laws import Law, is_control, take_inputs
 from ..run.runs import started_stepper
 from ..run.scheme import Scheme
 from ..system import System, require_parameters
@@ -98,9 +100,10 @@ def ensemble(
         `Solution` that returns a number, an array, or a mapping from names to such: that is kept
         instead.
     inputs : array_like, mapping or callable, optional
-        Of the force, as of `integrate`; or with axes in front, shape (..., holds, k).
+        Of the force, as of `integrate`; or with axes in front, shape (..., holds, k).  Expressions
+        are evaluated in C with the parameters of each member.
     hold, events, consistent, initial, max_iterations, energy, method, tolerance : optional
-        As of `integrate`.  Events that are expressions, without a reset, are looked for in C.
+        As of `integrate`.  Events and resets that are expressions are computed in C.
     axes : sequence of str, or mapping of str to array_like, optional
         Names of the axes of the members, and values along them, for pictures and xarray.  Default:
         those of a `grid`.
@@ -272,7 +275,8 @@ def _ask(
     hold = arguments.integer(hold, "hold", 1)
     if hold > 1 and inputs is None:
         raise ValueError(f"hold = {hold} without inputs")
-    if inputs is not None and not callable(inputs) and len(set(counts)) > 1:
+    inputs = take_inputs(system, inputs)
+    if inputs is not None and not is_control(inputs) and len(set(counts)) > 1:
         raise ValueError("inputs: step sizes differ, and so do the numbers of steps; expected a "
                          "function, or one number of steps")
     if callable(inputs):
@@ -292,7 +296,7 @@ def _ask(
         kept=kept, consistent=consistent, initial=initial,
         max_iterations=int(options.max_iterations), energy=energy, hold=hold,
         events=tuple(take_events(events)),
-        control=inputs if callable(inputs) else None, lanes=bool(lanes),
+        control=inputs if is_control(inputs) else None, lanes=bool(lanes),
     )  # fmt: skip
     shape = shape or (1,)
     names, ticks = axes_of(shape, axes, parameters)
@@ -347,7 +351,7 @@ def _seconds_of_member(ask: Ask) -> float:
     """Return about how long a member takes, by some steps of the first."""
     setting, rows = ask.setting, ask.block(0, 1)
     steps, made, piece, elapsed = int(rows["steps"][0]), 0, 1, 1e-6
-    if setting.system._source.calls_python or setting.control or not work.is_in_c(setting):
+    if not work.is_in_c(setting):
         return 2e-4 + 5e-5 * steps  # whose functions are called for members alone
     with contextlib.suppress(Exception):  # it may fail, as any other
         stepper = started_stepper(
@@ -421,10 +425,10 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
         )
     events = [
         [str(one.g) if hasattr(one.g, "free_symbols") else digest(one.g), float(one.direction),
-         int(one.terminal), digest(one.reset), one.consistent]
+         int(one.terminal), _told_reset(setting.system, one), one.consistent]
         for one in setting.events
     ]  # fmt: skip
-    named = setting.system._source.named()
+    named, control = setting.system._source.named(), setting.control
     about = {
         "dalembert": core.version(),
         "system": of_system(setting.system, _first_state(ask), setting.t0),
@@ -442,12 +446,18 @@ def _about(ask: Ask, size: int) -> dict[str, Any]:
         "max_iterations": setting.max_iterations,
         "hold": setting.hold,
         "events": events,
-        "control": digest(setting.control),
+        "control": control.about(setting.system) if isinstance(control, Law) else digest(control),
         "lanes": setting.lanes,
         **({"energy": setting.energy} if setting.energy else {}),
     }  # fmt: skip
     mark = _mark(about, ask.arrays())
     return about | {"mark": mark, "block": size, "seal": stores.seal(mark, size)}
+
+
+def _told_reset(system: System, one: Event) -> str:
+    """Return a digest of the reset of an event; "" if it has none."""
+    _, law = events_of(system, one, "events")
+    return digest(one.reset) if law is None else str(law.about(system)["key"])
 
 
 def _mark(about: Mapping[str, Any], arrays: Mapping[str, Array]) -> str:

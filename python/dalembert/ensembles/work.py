@@ -15,8 +15,10 @@ from .. import core, geometry
 from ..core import Array, DalembertError, arguments, ffi, lib
 from ..core.errors import raised
 from ..run import Solution, integrate
-from ..run.events import CONSISTENCY, compiled
+from ..run import events
+from ..run.events import CONSISTENCY
 from ..run.integration import doubts, quietly
+from ..run.laws import values
 from ..run.runs import OFF_D
 from ..run.scheme import INITIAL
 from ..run.steps import options_of
@@ -85,8 +87,9 @@ def is_in_c(setting: Setting) -> bool:
         not setting.system._source.calls_python
         and setting.scheme._maps is None
         and setting.kept.reduce is None
-        and setting.control is None
-        and all(compiled(setting.system, one) is not None for one in setting.events)
+        and not callable(setting.control)
+        and (setting.control is None or setting.control.is_compiled(setting.system))
+        and all(events.is_in_c(setting.system, one) for one in setting.events)
     )
 
 
@@ -233,29 +236,41 @@ def _members(
     errors = ffi.new("dal_error[]", count)
     members.errors = errors
     buffers = {"done": made["done"], "doubts": doubts_of}
-    events, alive_events = _events(setting)
+    listed, resets, alive_events = _events(setting)
+    if setting.control is not None:
+        law, kept_law = setting.control.in_c(setting.system)
+        law.ctx = ffi.NULL  # the parameters of each member
+        members.control = law
+        alive_events.append((law, kept_law))
     if setting.events:
-        members.events, members.event_count = events, len(setting.events)
+        members.events, members.event_count = listed, len(setting.events)
+        members.resets = resets
         buffers |= {"happened": made["happened"], "ended_by": made["ended_by"]}
     for name, x in buffers.items():
         setattr(members, name, ffi.from_buffer("size_t[]", x, True))
     return members, {
         "given": given, "steps": steps, "states": states, "stats": stats, "doubts": doubts_of,
-        "errors": errors, "events": (events, alive_events),
+        "errors": errors, "events": (listed, resets, alive_events),
     }  # fmt: skip
 
 
-def _events(setting: Setting) -> tuple[Any, list[Any]]:
-    """Return the ``dal_event[]``; each has the parameters of its member."""
+def _events(setting: Setting) -> tuple[Any, Any, list[Any]]:
+    """Return the ``dal_event[]``, and their resets; each has the parameters of its member."""
     found = ffi.new("dal_event[]", max(1, len(setting.events)))
+    resets = ffi.new("dal_law[]", max(1, len(setting.events)))
     alive = []
     for k, one in enumerate(setting.events):
-        address, kept = compiled(setting.system, one, f"events[{k}]")
-        found[k].g = ffi.cast("dal_event_fn", address)
+        g, reset = events.laws(setting.system, one, f"events[{k}]")
+        found[k].g, _, kept = values(setting.system, g)
+        if reset is not None:
+            law, kept_law = reset.in_c(setting.system)
+            resets[k] = law[0]
+            resets[k].ctx = ffi.NULL  # as that of g
+            alive.append((law, kept_law))
         found[k].direction, found[k].terminal = int(np.sign(one.direction)), int(one.terminal)
         found[k].consistency = CONSISTENCY[one.consistent]
         alive.append(kept)
-    return found, alive
+    return found, resets, alive
 
 
 def _stats_type() -> np.dtype[Any]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from .. import core
 from ..core import Array, arguments, ffi, lib
-from ..symbolic import event
 from ..system import System
+from .laws import Law, are_compiled, is_expression, reset_of, values
 from .scheme import Scheme
 
 CONSISTENCY = {"check": lib.DAL_CHECK, "project": lib.DAL_PROJECT, "assume": lib.DAL_ASSUME}
@@ -38,9 +37,10 @@ class Event:
         > 0: only where g grows along the run; < 0: where it falls; 0: both.
     terminal : bool or int, optional
         The run ends at this event: at the first, or at the one of this number.
-    reset : callable, optional
-        ``reset(q, v) -> (q, v)``: the state from which the run goes on.  It is not called where the
-        run ends.
+    reset : callable or mapping, optional
+        ``reset(q, v) -> (q, v)``, or ``{x.d: -x.d / 2, ...}``, expressions of coordinates and
+        velocities that change, which are compiled: the state from which the run continues.  The
+        event that ends the run has no reset.
     consistent : {"check", "project", "assume"}, optional
         A state of ``reset`` that is not in D is refused, projected in the mass metric, or used.
 
@@ -56,7 +56,7 @@ class Event:
     g: Any
     direction: float = 0.0
     terminal: bool | int = False
-    reset: Callable[[Array, Array], tuple[ArrayLike, ArrayLike]] | None = None
+    reset: Callable[[Array, Array], tuple[ArrayLike, ArrayLike]] | Mapping[Any, Any] | None = None
     consistent: str = "check"
 
 
@@ -82,7 +82,7 @@ def take(given: Any) -> list[Event]:
     """Return what was given as events; functions may have SciPy's attributes."""
     if given == ():
         return []
-    if callable(given) or isinstance(given, Event) or _is_expression(given):
+    if callable(given) or isinstance(given, Event) or is_expression(given):
         given = [given]
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise ValueError(f"events = {arguments.shown(given)}: expected a sequence of events")
@@ -98,37 +98,32 @@ def _event(one: Any, name: str) -> Event:
             f"{name} = {one.g}: a condition; expected an expression that changes its sign where it "
             "happens, as x - 1 for x > 1"
         )
-    if not (_is_expression(one.g) or callable(one.g)):
+    if not (is_expression(one.g) or callable(one.g)):
         raise ValueError(f"{name} = {arguments.shown(one.g)}: expected g(t, q, v) or an expression")
-    if not _is_expression(one.g):
+    if not is_expression(one.g):
         arguments.function(one.g, name, "t, q, v")
     arguments.number(one.direction, f"{name}.direction")
     if not isinstance(one.terminal, bool | np.bool_):
         arguments.integer(one.terminal, f"{name}.terminal", 0)
-    arguments.function(one.reset, f"{name}.reset", "q, v")
+    if not isinstance(one.reset, Mapping):
+        arguments.function(one.reset, f"{name}.reset", "q, v")
     arguments.choice(one.consistent, f"{name}.consistent", CONSISTENCY)
     return one
 
 
-def _is_expression(g: Any) -> bool:
-    """Return whether it is of SymPy, which need not be there."""
-    return hasattr(g, "free_symbols")
+def laws(system: System, one: Event, name: str) -> tuple[Any, Law | None]:
+    """Return g as named expressions, and the reset as a law; None for what is not one."""
+    g = ((name, one.g),) if is_expression(one.g) else None
+    is_mapping = isinstance(one.reset, Mapping)
+    return g, reset_of(system, one.reset, name) if is_mapping else None
 
 
-def compiled(system: System, one: Event, name: str = "event") -> tuple[Any, Any] | None:
-    """Return the address of an event, and what it needs to stay alive; None if Python makes it.
-
-    Its context is the parameters of the system.
-    """
-    if not _is_expression(one.g) or one.reset is not None:
-        return None
-    address, kept = _compile(system, one.g, name)
-    return None if address == ffi.NULL else (address, kept)
-
-
-@functools.lru_cache(maxsize=64)
-def _compile(system: System, g: Any, name: str) -> tuple[Any, Any]:
-    return event.function(system, g, name)[:2]
+def is_in_c(system: System, one: Event, name: str = "event") -> bool:
+    """Return whether C looks for an event, and resets the state, without Python."""
+    g, reset = laws(system, one, name)
+    if g is None or (one.reset is not None and reset is None):
+        return False
+    return are_compiled(system, g) and (reset is None or reset.is_compiled(system))
 
 
 class Watch:
@@ -178,17 +173,19 @@ class Watch:
         row.direction = int(np.sign(one.direction))
         row.terminal = int(one.terminal)
         row.consistency = CONSISTENCY[one.consistent]
-        address, g = ffi.NULL, one.g
-        if _is_expression(one.g):
-            address, kept, g = event.function(system, one.g, name)
-        callables = core.Callables(system.n, system.m, g=g, reset=one.reset, name=name)
+        g, reset = laws(system, one, name)
+        callables = core.Callables(system.n, system.m, g=one.g, reset=one.reset, name=name)
         context = ffi.new_handle(callables)
         self._kept += [callables, context]
         row.g, row.ctx = lib.dal_py_event, context
-        if address != ffi.NULL:
-            row.g, row.ctx = ffi.cast("dal_event_fn", address), kept[0]
+        if g is not None:
+            row.g, row.ctx, kept = values(system, g)
             self._kept.append(kept)
-        if one.reset is not None:
+        if reset is not None:
+            law, kept = reset.in_c(system)
+            row.reset, row.reset_ctx = ffi.addressof(lib, "dal_law_reset"), law
+            self._kept += [law, kept]
+        elif one.reset is not None:
             row.reset, row.reset_ctx = lib.dal_py_reset, context
 
     def join(self, run: Any) -> None:

@@ -31,6 +31,7 @@ from ..system import System
 from .events import CONSISTENCY, Watch
 from .events import take as take_events
 from .journal import Journal, describe
+from .laws import take_inputs
 from .runs import Run, idle_steppers, started_stepper
 from .scheme import Scheme
 from .solution import Solution
@@ -135,8 +136,9 @@ def integrate(
     inputs : array_like, mapping or callable, optional
         Of the force of a system that takes k of them, constant over a step.  An array, shape
         (steps, k), or (k,) for all steps; a mapping from their names to numbers or arrays of shape
-        (steps,); or a controller ``inputs(t, q, v) -> (k,)``, called where the steps begin.
-        Default: 0.  They come back as ``run.inputs``.
+        (steps,); or a controller ``inputs(t, q, v) -> (k,)``, called where the steps begin; or a
+        mapping to expressions of time, coordinates, velocities and parameters, ``{tau: -K * x}``,
+        which are compiled and evaluated there.  Default: 0.  They come back as ``run.inputs``.
     hold : int or float, optional
         Each row of inputs is for so many steps: an array then has ceil(steps / hold) rows.
         Default: 1.  With "auto" for so long a time, and steps end where the inputs change: an array
@@ -229,6 +231,7 @@ def integrate(
     x0 = geometry.initial_state(system, q0, v0)
     listed = take_events(events)
     times = None if t_eval is None else _times(t_eval, sizes)
+    inputs = take_inputs(system, inputs)
     hold = sizes.hold(hold, inputs)
     arguments.function(observer, "observer", "step, t, q, v")
     if callable(inputs):
@@ -289,7 +292,8 @@ def resume(
     scheme : Scheme, optional
         That of the run; needed if it is no scheme of the library.
     observer, progress, throw, inputs, events, journal_errors : optional
-        As of `integrate`; inputs and events of the whole run, if it has any.
+        As of `integrate`; inputs and events of the whole run, if it has any; the expressions of
+        inputs have to be the same.
 
     Returns
     -------
@@ -332,6 +336,8 @@ def resume(
     if not sizes.varies and sizes.count % stride:
         raise ValueError(f"steps = {sizes.count}: expected a multiple of stride = {stride}")
     listed = take_events(events)
+    inputs = take_inputs(system, inputs)
+    journal.require_law(system, inputs)
     if about["inputs"] and inputs is None:
         raise ValueError(f"inputs: needed, the run of {journal.path} has some")
     options = options_of(sizes.control, about["max_iterations"], about.get("energy"))

@@ -18,6 +18,7 @@ from .. import core, geometry, systems
 from ..core import Array, DalembertError, DalembertWarning, arguments, ffi, lib
 from ..system import System
 from .events import Happened, split
+from .laws import Inputs, Law
 from .runs import Run
 from .scheme import Scheme
 from .solution import Solution, Statistics
@@ -43,6 +44,7 @@ def describe(
         "max_iterations": max_iterations,
         "energy": energy,
         "inputs": run.inputs is not None,
+        "law": None if run.law is None else run.law.about(system),
         "hold": run.hold,
         "t_end": run.steps.t_end,
         "control": run.steps.control,
@@ -102,6 +104,13 @@ def require_same(system: System | None, about: Mapping[str, Any], path: str) -> 
         if units[name] != unit:
             raise ValueError(f"system: {path} has {name} in {unit}, this one in {units[name]}")
     return system if units == system.units else system.with_units(**units)
+
+
+def _shown(law: Mapping[str, Any] | None) -> str:
+    """Return the expressions of inputs in words."""
+    if law is None:
+        return "no expressions"
+    return ", ".join(f"{name} = {shown}" for name, shown in law["shown"].items())
 
 
 # ---- the file ------------------------------------------------------------------------------------
@@ -181,6 +190,17 @@ class Journal:
             name = core.string(self.info.scheme)
             raise ValueError(f"scheme: needed, that of {self.path}, {name!r}, is made of functions")
         return Scheme._from_data(self.about["scheme"])
+
+    def require_law(self, system: System, inputs: Inputs) -> None:
+        """Raise ValueError unless inputs are the expressions of the run, if it had any."""
+        there = self.about.get("law")
+        here = inputs.about(system) if isinstance(inputs, Law) else None
+        if (there and there["key"]) == (here and here["key"]) or inputs is None:
+            return
+        raise ValueError(
+            f"inputs: the run of {self.path} has {_shown(there)}, and these are {_shown(here)}; "
+            "expected the same"
+        )
 
     def times(self) -> Array | None:
         """Return the output times of the run, None if it stores rows."""

@@ -14,6 +14,7 @@ from ..core.errors import raised
 from ..core.extras import Show
 from ..core.memory import available_memory
 from ..system import System
+from .laws import Law, is_control
 from .scheme import Scheme
 from .events import Watch, split
 from .solution import Solution, counts_of
@@ -117,6 +118,11 @@ class Run:
             run.inputs = core.pointer(self.inputs)
         if observer is not None or callable(inputs):
             self._call_back(observer, inputs)
+        self.law = inputs if isinstance(inputs, Law) else None
+        if self.law is not None:
+            law, kept = self.law.in_c(system)
+            run.control, run.control_ctx = ffi.addressof(lib, "dal_law_control"), law
+            self.law_kept = law, kept
         if watch is not None:
             watch.join(run)
 
@@ -285,7 +291,7 @@ def _input_buffer(
     """Return the rows of inputs that C reads, or that a controller is to fill."""
     if given is None:
         return None
-    if not callable(given):
+    if not is_control(given):
         return arguments.inputs(given, system.inputs, holds)
     if not system.inputs:
         raise ValueError("inputs: the system takes no inputs")

@@ -10,6 +10,7 @@ from typing import Any
 
 from .. import core
 from ..core import arguments, ffi, lib
+from .laws import is_control
 from .scheme import Scheme
 
 MOST = 2**62  # steps, where nobody knows how many they will be
@@ -109,7 +110,7 @@ class Steps:
             raise ValueError(f"hold = {arguments.shown(given)} without inputs")
         if not self.varies:
             return 1 if given is None else arguments.integer(given, "hold", 1)
-        if given is None and callable(inputs):
+        if given is None and is_control(inputs):
             raise ValueError(
                 f"hold: needed with h = {self.control['h']!r}, for how long the inputs are what "
                 "the controller returned"

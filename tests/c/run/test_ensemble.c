@@ -462,6 +462,39 @@ static void test_inputs(void)
     dal_system_free(system);
 }
 
+static int brake(double t, const double *x, double *u, void *ctx)
+{
+    (void)t;
+    u[0] = -*(const double *)ctx * x[2];
+    return 0;
+}
+
+/* A velocity that is braked in proportion to itself, held for two steps: after k holds of T it is
+ * (1 - c T)^k of the first; the members have numbers of steps of their own. */
+static void test_control(void)
+{
+    enum { COUNT = 3 };
+    static const double mass[4] = {1.0, 0.0, 0.0, 1.0};
+    static const size_t steps[COUNT] = {3, 40, 7};
+    const dal_system_def def = {.n = 2, .mass = mass, .force = pushed, .inputs = 1,
+                                .positional = 1};
+    const dal_scheme scheme = find_scheme("explicit");
+    const double h = 0.25, c = 0.5, x[4] = {1.0, 0.0, 2.0, 0.0};
+    double states[COUNT][4];
+    const dal_law law = {.values = brake, .count = 1, .ctx = (void *)&c};
+    dal_system *system;
+    dal_error error = {0};
+    need(dal_system_new(&system, &def, &error), "braked", error.text);
+    const dal_members members = {.count = COUNT, .x = x, .h = &h, .steps = steps, .steps_next = 1,
+                                 .control = &law, .hold = 2, .states = states[0]};
+    CHECK(!dal_ensemble_run(system, &scheme, NULL, &members, 0, COUNT, NULL, NULL, NULL));
+    for (size_t k = 0; k < COUNT; k++) {
+        const double held = pow(1.0 - 2.0 * c * h, (double)(steps[k] / 2));
+        CHECK_NEAR(states[k][2], 2.0 * held * (steps[k] % 2 ? 1.0 - c * h : 1.0), 8.0 * U);
+    }
+    dal_system_free(system);
+}
+
 /* ---- stopping, threads, refusals ------------------------------------------------------------ */
 
 static int stop_at(double far, void *ctx) { return far >= *(const double *)ctx; }
@@ -553,6 +586,10 @@ static void test_refusals(void)
     const double h = 0.01, number = 1.0;
     const size_t steps = 10;
     const dal_event event = {.g = turned, .ctx = (void *)&number};
+    const dal_law law = {.values = brake, .count = 1, .ctx = (void *)&number};
+    const dal_system_def pushable = {.n = 1, .mass = &number, .force = pushed, .inputs = 1};
+    dal_system *driven;
+    need(dal_system_new(&driven, &pushable, NULL), "driven", "");
     dal_members good = {.count = 2, .h = &h, .steps = &steps};
     int status[2] = {9, 9};
     good.status = status;
@@ -571,7 +608,10 @@ static void test_refusals(void)
     REFUSED(DAL_EINVAL, system, &scheme, "members.events", wrong.event_count = 1);
     REFUSED(DAL_EINVAL, system, &scheme, "there are 1 members", wrong.count = 1);
     REFUSED(DAL_EINVAL, own, &scheme, "parameters", wrong.parameters = &number);
-    REFUSED(DAL_EINVAL, system, &scheme, "inputs", wrong.inputs = &number);
+    REFUSED(DAL_EINVAL, system, &scheme, "members.inputs", wrong.inputs = &number);
+    REFUSED(DAL_EINVAL, system, &scheme, "members.control", wrong.control = &law);
+    REFUSED(DAL_EINVAL, driven, &scheme, "one of them", wrong.inputs = &number;
+            wrong.control = &law);
     REFUSED(DAL_EINVAL, system, &scheme, "steps_next", wrong.stride = 5; wrong.steps_next = 1);
     REFUSED(DAL_EINVAL, system, &scheme, "multiple of stride = 3", wrong.stride = 3);
     REFUSED(DAL_EUNSUPPORTED, system, &flow, "cannot be resumed", wrong.events = &event;
@@ -581,6 +621,7 @@ static void test_refusals(void)
 #undef REFUSED
     CHECK(status[0] == 9);
     dal_system_free(nameless);
+    dal_system_free(driven);
     dal_error error = {0};
     CHECK(dal_ensemble_run(system, &scheme, NULL, &good, 1, 2, NULL, NULL, &error) == DAL_EINVAL);
     CHECK(dal_ensemble_run(system, &scheme, NULL, NULL, 0, 2, NULL, NULL, &error) == DAL_EINVAL);
@@ -602,6 +643,7 @@ int main(void)
     test_events();
     test_parameters_of_events();
     test_inputs();
+    test_control();
     test_stopping("reference", 1e3);
     test_stopping("leapfrog", 1e-3);
     test_threads();

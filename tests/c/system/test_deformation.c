@@ -65,7 +65,7 @@ static void test_vectors(void)
         dal_system *const system = deform(base, product, &one, expected[k].delta, DAL_NONLINEAR);
         dal_mechanics *const mech = open_mechanics(system);
         const double x[6] = {0.5, 0.3, -0.2, 1.0, 0.7, expected[k].v_z};
-        double C, lambda, vdot[3], residual, power[2];
+        double C, lambda = NAN, vdot[3], residual, power[2];
         CHECK(dal_relative_residual(mech, 0.0, 0.0, x, &residual) == 0 && residual < 4 * U);
         CHECK(dal_gram(mech, 0.0, x, &C) == 0 && dal_multipliers(mech, 0.0, x, &lambda) == 0);
         CHECK(dal_acceleration(mech, 0.0, x, vdot) == 0);
@@ -151,7 +151,7 @@ static void test_linear(void)
     dal_mechanics *const slant = open_mechanics(tilted);
     const dal_scheme scheme = find_scheme("midpoint");
     dal_stepper *const stepper = open_stepper(tilted, &scheme, NULL);
-    double x[6], E0, E, power;
+    double x[6], E0, E, power = NAN;
     random_state(slant, 3, &seed, x);
     CHECK(dal_energy(slant, 0.0, x, &E0) == 0 && dal_power(slant, 0.0, x, &power, NULL) == 0);
     CHECK_NEAR(power, 0.0, 64 * U); /* linear constraints do no work */

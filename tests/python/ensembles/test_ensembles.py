@@ -196,6 +196,34 @@ def test_resets():
     assert (found.happened[:, 0] > 1).all() and (found.ended_by == -1).all()
 
 
+def test_laws_have_the_parameters_of_each_member(tmp_path):
+    """Controllers and resets that are expressions are made in C; a mass held by its feedback."""
+    x, (gain, e, push) = dal.coordinates("x")[0], sympy.symbols("gain e push")
+    system = dal.System.from_sympy(
+        x.d**2 / 2, force={x: push}, inputs=[push], parameters={gain: 9.0, e: 9.0}, q0=[1], v0=[0]
+    )
+    gains, kept = np.array([0.5, 1.0, 4.0]), np.array([0.1, 0.5, 0.75])
+    values = {"gain": gains, "e": kept}
+    wall = dal.Event(x, direction=-1, reset={x.d: -e * x.d, x: x})
+    options = {"h": 0.01, "parameters": values, "hold": 10, "inputs": {push: -gain * x}}
+    found = many(system, **options, steps=100)
+    assert work.is_in_c(found._ask.setting)
+    check_members(found)
+    for k, stiffness in enumerate(gains):
+        step = np.array([[1 - stiffness * 0.005, 0.1], [-stiffness * 0.1, 1]])
+        expected = np.linalg.matrix_power(step, 10) @ [1, 0]
+        np.testing.assert_allclose([found.q[k, 0], found.v[k, 0]], expected, atol=1e-13)
+    thrown = many(system, q0=[1], v0=[-2], parameters=values, h=0.01, steps=80, events=[wall])
+    assert work.is_in_c(thrown._ask.setting) and (thrown.happened == 1).all()
+    np.testing.assert_allclose(thrown.q[:, 0], 2 * kept * 0.3, atol=1e-12)
+    rows = many(system, **options, steps=100, events=[wall], keep=["all", "energy"])
+    check_members(rows, at_end=False)
+    whole = many(system, **options, steps=100, store=tmp_path)
+    np.testing.assert_array_equal(whole.q, found.q)
+    with pytest.raises(ValueError, match="differs in control"):
+        many(system, **options | {"inputs": {push: -2 * gain * x}}, steps=100, store=tmp_path)
+
+
 def test_reductions():
     def of(run):
         return {"drift": np.ptp(run.energy), "last": run.q[-1]}

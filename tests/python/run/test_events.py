@@ -132,6 +132,32 @@ def test_resets(nodes):
     np.testing.assert_allclose(moved, EDGE.exact(2 * T - side.t)[0], atol=1e-4)
 
 
+@pytest.mark.parametrize("compiler", ["cc", "none-such"])
+def test_resets_that_are_expressions(compiler, monkeypatch):
+    """A ball from height 2 keeps e of its speed at each bounce: the motion is known."""
+    height, (e, g) = dal.coordinates("height")[0], sympy.symbols("e g")
+    ball = dal.System.from_sympy(
+        height.d**2 / 2 - g * height, parameters={e: 0.75, g: 9.0}, q0=[2], v0=[0]
+    )
+    monkeypatch.setenv("CC", compiler)
+    reset = {height.d: -e * height.d}
+    floor = dal.Event(height, direction=-1, reset=reset)
+    run = dal.integrate(ball, h=0.01, t_end=1.5, events=[floor])
+    fall, speed = 2 / 3, 6.0
+    bounces = [fall, fall + 2 * 0.75 * speed / 9]
+    np.testing.assert_allclose(run.t_events[0], bounces[: len(run.t_events[0])], atol=1e-12)
+    rest = 1.5 - fall
+    expected = [0.75 * speed * rest - 4.5 * rest**2, 0.75 * speed - 9 * rest]
+    np.testing.assert_allclose(run.x[-1], expected, rtol=0, atol=1e-11)
+    swapped = dal.Event(height, direction=-1, reset={"height": height.d, "v_height": height + 1})
+    run = dal.integrate(ball, h=0.01, t_end=0.7, events=[swapped])
+    np.testing.assert_allclose(run.x_after[0][0], [-6, 1], atol=1e-12)
+    for key in ("speed", sympy.Symbol("w")):
+        wrong = dal.Event(height, reset={key: 1})
+        with pytest.raises(ValueError, match=rf"reset: {key} is neither a coordinate nor a velo"):
+            dal.integrate(ball, h=0.01, t_end=1, events=[wrong])
+
+
 def test_reset_onto_D_on_request():
     off = {"direction": 1, "reset": lambda q, v: (q, [0, -1, v[2]])}
     g = lambda t, q, v: q[0] - 0.4  # noqa: E731

@@ -306,6 +306,79 @@ def test_refused_inputs_of_runs(given, text):
         dal.integrate(dal.systems.particle(), h=0.1, steps=4, inputs=lambda t, q, v: [])
 
 
+# ---- controllers that are expressions ----------------------------------------------------------
+
+
+def sampled(mass, stiffness, damping, period, count):
+    """States x, v of a mass whose force -stiffness x - damping v is held over periods."""
+    gain, states = np.array([stiffness, damping]), [np.array([1.0, 0.25])]
+    drift, kick = np.array([[1, period], [0, 1]]), np.array([period**2 / 2, period]) / mass
+    for _ in range(count):
+        states.append(drift @ states[-1] - kick * (gain @ states[-1]))
+    return np.array(states), -np.array(states[:-1]) @ gain
+
+
+def spring(**options):
+    x, (mass, gain, push) = dal.coordinates("x")[0], sympy.symbols("mass gain push")
+    return dal.System.from_sympy(
+        mass * x.d**2 / 2, force={x: push}, inputs=[push], parameters={mass: 2.0, gain: 1.5},
+        q0=[1], v0=[0.25], **options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("compiler", ["cc", "none-such"])
+@pytest.mark.parametrize("h", [0.05, "auto"])
+def test_expressions_are_held(compiler, h, monkeypatch):
+    """Leapfrog is exact under a constant force, so that the motion is known in closed form."""
+    x, (gain, push) = dal.coordinates("x")[0], sympy.symbols("gain push")
+    system = spring()
+    monkeypatch.setenv("CC", compiler)
+    varies = h == "auto"
+    run = dal.integrate(
+        system, h=h, t_end=3.0, inputs={push: -gain * x - x.d / 2}, hold=0.2 if varies else 4
+    )
+    states, forces = sampled(2.0, 1.5, 0.5, 0.2, 15)
+    np.testing.assert_allclose(run.inputs[:, 0], forces, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(run.x[-1], states[-1], rtol=0, atol=1e-13)
+    if not varies:
+        np.testing.assert_allclose(run.x[::4], states, rtol=0, atol=1e-13)
+
+
+def test_expressions_are_what_functions_are():
+    """Of symbols, of dynamicsymbols and of names, with the time and parameters."""
+    left, right = dynamicsymbols("left right")
+    x, y, theta = dal.coordinates("x y theta")
+    brake = sympy.Symbol("brake")
+
+    def control(t, q, v):
+        return [np.sin(3 * t) - BRAKE * v[0] * q[2], 0.25]
+
+    law = sympy.sin(3 * dal.time) - brake * x.d * theta
+    moving = law.subs({x.d: dynamicsymbols("x").diff(), theta: dynamicsymbols("theta")})
+    expected = dal.integrate(from_sympy(), "midpoint", h=0.05, steps=STEPS, inputs=control, hold=3)
+    for keys in ({"left": law, "right": 0.25}, {left: moving, right: sympy.Rational(1, 4)}):
+        run = dal.integrate(from_sympy(), "midpoint", h=0.05, steps=STEPS, inputs=keys, hold=3)
+        np.testing.assert_allclose(run.x, expected.x, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(run.inputs, expected.inputs, rtol=0, atol=1e-14)
+
+
+def test_refused_laws():
+    x, _, theta = dal.coordinates("x y theta")
+    for given, text in (
+        ({"left": x}, "inputs: right is missing; expected left, right"),
+        ({"left": x, "rigt": 1}, "inputs: rigt is no input; did you mean 'right'"),
+        ({"left": x, "right": [1, 2]}, r"inputs\['right'\]"),
+        ({"left": x, "right": sympy.Symbol("w")}, r"inputs\['right'\]: w is neither a coordinate"),
+        ({"left": sympy.sqrt(-theta), "right": 0}, r"inputs of step 1 \(t = 0\): u\[0\] = -?nan"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            dal.integrate(from_sympy(), h=0.1, steps=4, inputs=given)
+    with pytest.raises(ValueError, match="left is no input; expected none"):
+        dal.integrate(dal.systems.particle(), h=0.1, steps=4, inputs={"left": x})
+    with pytest.raises(ValueError, match="hold: needed with h = 'auto'"):
+        dal.integrate(from_sympy(), h="auto", t_end=1, inputs={"left": x, "right": 0})
+
+
 # ---- steps by hand -----------------------------------------------------------------------------
 
 

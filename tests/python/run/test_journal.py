@@ -466,6 +466,25 @@ def test_a_controller_that_is_another(tmp_path):
     assert_same(dal.resume(path, cart(), inputs=control), whole)
 
 
+def test_expressions_of_inputs_are_compared(tmp_path):
+    x, push = dal.coordinates("x")[0], sympy.Symbol("push")
+    mass = dal.System.from_sympy(x.d**2 / 2, force={x: push}, inputs=[push], q0=[1], v0=[0])
+    path, law = tmp_path / "run.dal", {push: -x - x.d / 3}
+    dal.integrate(mass, h=0.05, steps=20, inputs=law, journal=path)
+    for other, text in (
+        ({push: -x - x.d / 4}, r"has inputs\['push'\] = -x - x.d/3, and these are .* = -x - x.d/4"),
+        (lambda t, q, v: -q - v / 3, "and these are no expressions; expected the same"),
+        (None, "inputs: needed"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            dal.resume(path, mass, steps=40, inputs=other)
+    longer = dal.resume(path, mass, steps=40, inputs=law)
+    assert_same(longer, dal.integrate(mass, h=0.05, steps=40, inputs=law))
+    dal.integrate(mass, h=0.05, steps=20, inputs=lambda t, q, v: -q, journal=tmp_path / "other")
+    with pytest.raises(ValueError, match="has no expressions, and these are"):
+        dal.resume(tmp_path / "other", mass, steps=40, inputs=law)
+
+
 def test_refused_files(tmp_path):
     system = dal.systems.sleigh()
     path = tmp_path / "run.dal"
