@@ -294,10 +294,8 @@ DAL_KERNEL_INLINE bool DAL_KERNEL_PART(is_moved)(dal_kernel *k, const dal_traits
 }
 
 /* How far phi is from 0, in parts of its terms. */
-DAL_KERNEL_INLINE double DAL_KERNEL_PART(distance)(const dal_kernel *k, const dal_arrays *at)
+DAL_KERNEL_INLINE double DAL_KERNEL_PART(distance)(size_t m, const dal_arrays *at)
 {
-    DAL_KERNEL_SIZES;
-    (void)k;
     double most = 0.0;
     DAL_KERNEL_UNROLL
     for (size_t a = 0; a < m; a++)
@@ -546,7 +544,7 @@ DAL_KERNEL_INLINE int DAL_KERNEL_PART(close)(dal_kernel *k, const dal_traits *o,
         const double imbalance = DAL_KERNEL_PART(imbalance)(k, o, of, at, balance);
         const bool stalls = !(imbalance <= 0.5 * last);
         last = imbalance;
-        const double distance = of->linear ? 0.0 : DAL_KERNEL_PART(distance)(k, at);
+        const double distance = of->linear ? 0.0 : DAL_KERNEL_PART(distance)(m, at);
         const bool stays = distance > 0.5 * far;
         far = distance;
         if (imbalance <= (stalls ? DAL_MOMENTUM_FLOOR : 1.0)

@@ -263,6 +263,31 @@ static void test_velocities(shape shape, double c)
     dal_system_free(system);
 }
 
+/* Units that are powers of two change no bit of a motion, nor of its residual. */
+static void test_units(shape shape)
+{
+    enum { STEPS = 40 };
+    dal_stats stats[2];
+    double x[2][2 * N];
+    for (int scaled = 0; scaled < 2; scaled++) {
+        track a = plain(shape, 1e3);
+        if (scaled) {
+            memcpy(a.unit, (double[]){0x1p-7, 0x1p40, 0x1p-30}, sizeof a.unit);
+            a.row = 0x1p70;
+        }
+        dal_system *const system = open_track(&a);
+        dal_stepper *const stepper = started(BY_LIBRARY, system, &a, "leapfrog");
+        CHECK(dal_advance(stepper, STEPS, NULL, NULL) == DAL_SUCCESS);
+        dal_stepper_stats(stepper, &stats[scaled]);
+        for (size_t i = 0; i < 2 * N; i++)
+            x[scaled][i] = dal_stepper_state(stepper)[i] * a.unit[i % N];
+        dal_stepper_free(stepper);
+        dal_system_free(system);
+    }
+    CHECK(memcmp(x[0], x[1], sizeof x[0]) == 0);
+    CHECK(stats[0].worst_residual == stats[1].worst_residual);
+}
+
 /* Where roundings of q and t make velocities of more than the tolerance, error-controlled steps do
  * not shrink for ever; they are counted. */
 static void test_controlled_steps(void)
@@ -290,7 +315,8 @@ static void test_controlled_steps(void)
 int main(void)
 {
     static const double offsets[] = {1.0, 10.0, 1e3, 1e5, 1e6};
-    for (shape s = RAMP; s < SHAPES; s++)
+    for (shape s = RAMP; s < SHAPES; s++) {
+        test_units(s);
         for (size_t i = 0; i < DAL_LENGTH(offsets); i++) {
             test_velocities(s, offsets[i]);
             test_motions(s, offsets[i], "midpoint", 1e-4);
@@ -298,6 +324,7 @@ int main(void)
             test_motions(s, offsets[i], "midpoint-kl6", 1e-10);
             test_motions(s, offsets[i], "reference", 1e-10);
         }
+    }
     CHECK(total.constraint_calls < 7 * total.substeps); /* few for their moves: 6.3 */
     CHECK(total.full_newtons < total.substeps / 25 && total.corrections == 0);
     test_residual();
